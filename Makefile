@@ -100,11 +100,11 @@ bench: $(VENV)/.installed-bench
 # About an hour, most of it rendering, the peers and the two long ones; parts of it: `benchmarks/tracking.py --help`.
 # docs/benchmarks.md, from the results that `bench-record` stored.
 bench-page: $(VENV)/.installed-dev
-	$(BIN)/python -m benchmarks.page
+	$(BIN)/python benchmarks/page.py
 
 # Runs every benchmark of the page: hours.
 bench-record: $(VENV)/.installed-bench
-	$(BIN)/python -m benchmarks.record
+	$(BIN)/python benchmarks/record.py
 
 bench-tracking: $(VENV)/.installed-bench
 	$(BIN)/python benchmarks/tracking.py --compare benchmarks/tracking_baseline.json

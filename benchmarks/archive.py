@@ -1,10 +1,10 @@
-"""Archives: how much sooner N workers are done than one, what the contract costs, how much memory a recording needs.
+"""Batch processing: speed-up by several workers, overhead per recording, and memory per worker.
 
     python benchmarks/archive.py [--jobs 1 2] [--recordings 6] [--frames 40] [--rounds 3]
 
-Recordings are copies of a rendered one (four cameras of 640x480), tracked into a folder without overlay. Numbers of workers
-take turns, so that what else the computer does is shared by all; a ratio is of one turn. Processor seconds tell what workers
-cost each other where the computer has not a core for each.
+The recordings are copies of a rendered one (four cameras of 640x480), tracked without overlay. The numbers of workers
+alternate, so that other load affects all alike; each ratio is of one round. Processor seconds show what workers cost each
+other if there are fewer cores than workers.
 """
 
 from __future__ import annotations
@@ -18,26 +18,26 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from sylpose.archive.contract import How, Summary, process
-from sylpose.archive.processes import Processes
-from sylpose.archive.recordings import Options, Recording, find_recordings
-from sylpose.archive.run import run_all
-from sylpose.archive.stores import place
+from sylpose.archive.contract import RunSettings, Summary, process_recording
+from sylpose.archive.processes import ProcessWorkers
+from sylpose.archive.recordings import Recording, TrackingOptions, find_recordings
+from sylpose.archive.run import process_all
+from sylpose.archive.stores import open_store
 from sylpose.archive.worker import track_recording
-from sylpose.simulate import demo_scene, write_sequence
+from sylpose.simulate import make_demo_scene, write_sequence
 
-CONTRACTS = 300
+N_OVERHEAD_RUNS = 300
 
 
-def nothing(recording: Recording, folder: Path, threads: int) -> Summary:
+def do_nothing(recording: Recording, folder: Path, threads: int) -> Summary:
     assert recording.name
     assert threads
     (folder / "results" / "trajectory.csv").write_text("")
     return Summary(status="done")
 
 
-def measured(recording: Recording, folder: Path, threads: int) -> Summary:
-    """Tracks; notes the most memory that the worker had: resident, and what the bound counts."""
+def track_and_measure(recording: Recording, folder: Path, threads: int) -> Summary:
+    """Track a recording; note the worker's peak resident memory and its data size, which --memory limits."""
     summary = track_recording(recording, folder, threads)
     lines = Path("/proc/self/status").read_text().splitlines()
     sizes = {line.partition(":")[0]: int(line.split()[1]) / 1024 for line in lines if line.endswith("kB")}
@@ -46,16 +46,16 @@ def measured(recording: Recording, folder: Path, threads: int) -> Summary:
     )
 
 
-def timed(recordings: list[Recording], folder: Path, jobs: int) -> tuple[float, float, list[Summary]]:
-    """Seconds of all, the start of the workers included; processor seconds of the workers."""
-    how, found = How(run=folder.name, work="benchmarks.archive:measured"), list[Summary]()
-    start, before = time.monotonic(), resource.getrusage(resource.RUSAGE_CHILDREN)
-    with Processes(place(folder), how, jobs) as workers:
-        run_all(recordings, place(folder), how, workers, lambda _, summary: found.append(summary))
-    assert all(summary.is_done for summary in found), found
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    return time.monotonic() - start, spent, found
+def time_batch(recordings: list[Recording], folder: Path, jobs: int) -> tuple[float, float, list[Summary]]:
+    """Process recordings; return wall seconds including the start of the workers, their processor seconds, and summaries."""
+    settings, summaries = RunSettings(run=folder.name, work="benchmarks.archive:track_and_measure"), list[Summary]()
+    start, usage_before = time.monotonic(), resource.getrusage(resource.RUSAGE_CHILDREN)
+    with ProcessWorkers(open_store(folder), settings, jobs) as workers:
+        process_all(recordings, open_store(folder), settings, workers, lambda _, summary: summaries.append(summary))
+    assert all(summary.is_done for summary in summaries), summaries
+    usage_after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    processor_time = usage_after.ru_utime + usage_after.ru_stime - usage_before.ru_utime - usage_before.ru_stime
+    return time.monotonic() - start, processor_time, summaries
 
 
 def main() -> None:
@@ -64,40 +64,42 @@ def main() -> None:
     parser.add_argument("--recordings", type=int, default=6)
     parser.add_argument("--frames", type=int, default=40)
     parser.add_argument("--rounds", type=int, default=3)
-    asked = parser.parse_args()
+    arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         root = Path(name)
-        scene = demo_scene(frames=3 * asked.frames, turn_deg=120.0, size=(640, 480), n_cameras=4)
-        write_sequence(root / "in" / "r000", replace(scene, frames=asked.frames), boxes=True)
-        for k in range(1, asked.recordings):
+        scene = make_demo_scene(frames=3 * arguments.frames, angle_deg=120.0, size=(640, 480), n_cameras=4)
+        write_sequence(root / "in" / "r000", replace(scene, frames=arguments.frames), boxes=True)
+        for k in range(1, arguments.recordings):
             shutil.copytree(root / "in" / "r000", root / "in" / f"r{k:03}")
-        recordings = list(find_recordings([str(root / "in")], Options(overlay=False)).recordings)
-        timed(recordings[:1], root / "warm", 1)
-        seconds: dict[int, list[float]] = {jobs: [] for jobs in asked.jobs}
-        spent: dict[int, list[float]] = {jobs: [] for jobs in asked.jobs}
+        recordings = list(find_recordings([str(root / "in")], TrackingOptions(overlay=False)).recordings)
+        time_batch(recordings[:1], root / "warm", 1)
+        seconds: dict[int, list[float]] = {jobs: [] for jobs in arguments.jobs}
+        processor_times: dict[int, list[float]] = {jobs: [] for jobs in arguments.jobs}
         summaries: list[Summary] = []
-        for turn in range(asked.rounds):
-            for jobs in asked.jobs:
-                took, processor, found = timed(recordings, root / f"out-{turn}-{jobs}", jobs)
-                seconds[jobs].append(took)
-                spent[jobs].append(processor)
+        for round_number in range(arguments.rounds):
+            for jobs in arguments.jobs:
+                wall_time, processor, found = time_batch(recordings, root / f"out-{round_number}-{jobs}", jobs)
+                seconds[jobs].append(wall_time)
+                processor_times[jobs].append(processor)
                 summaries += found
-        print(f"{asked.recordings} recordings of {asked.frames} frames, {asked.rounds} rounds")
-        for jobs in asked.jobs:
-            ratios = [one / some for one, some in zip(seconds[asked.jobs[0]], seconds[jobs], strict=True)]
+        print(f"{arguments.recordings} recordings of {arguments.frames} frames, {arguments.rounds} rounds")
+        for jobs in arguments.jobs:
+            ratios = [one / several for one, several in zip(seconds[arguments.jobs[0]], seconds[jobs], strict=True)]
             print(
                 f"{jobs} workers: {statistics.median(seconds[jobs]):.1f} s, "
-                f"{statistics.median(ratios):.2f} times as fast ({min(ratios):.2f} to {max(ratios):.2f}), "
-                f"{statistics.median(spent[jobs]):.1f} processor seconds"
+                f"speed-up {statistics.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f}), "
+                f"{statistics.median(processor_times[jobs]):.1f} processor seconds"
             )
-        for k, what in enumerate(("resident", "data (what --memory bounds)")):
-            print(f"memory of a worker, {what}: {max(float(summary.notes[k]) for summary in summaries):.0f} MB at most")
-        how = How(run="a", work="benchmarks.archive:nothing")
-        for what in ("contract without work", "what is done already"):
+        for k, description in enumerate(("resident", "data (limited by --memory)")):
+            print(
+                f"memory of a worker, {description}: {max(float(summary.notes[k]) for summary in summaries):.0f} MB at most"
+            )
+        settings = RunSettings(run="a", work="benchmarks.archive:do_nothing")
+        for description in ("overhead without work", "recordings already done"):
             start = time.monotonic()
-            for k in range(CONTRACTS):
-                process(recordings[k % len(recordings)], place(root / "contract" / str(k)), how)
-            print(f"{what}: {1e3 * (time.monotonic() - start) / CONTRACTS:.2f} ms a recording")
+            for k in range(N_OVERHEAD_RUNS):
+                process_recording(recordings[k % len(recordings)], open_store(root / "contract" / str(k)), settings)
+            print(f"{description}: {1e3 * (time.monotonic() - start) / N_OVERHEAD_RUNS:.2f} ms per recording")
 
 
 if __name__ == "__main__":

@@ -1,17 +1,18 @@
-"""How much of a calibration's errors does `--refine-calibration` take out? Rigs with known truth, disturbed.
+"""Reduction of calibration errors by `--refine-calibration`, on perturbed rigs with known truth.
 
     python benchmarks/calibration.py [--seeds 4] [--turn-deg 0 20 60 180] [--off 0 0.2 1 3] [--features 60] [--matched]
     python benchmarks/calibration.py --rendered [--seeds 4] [--off 0 0.2 1 3]
 
-Simulated tracks of a body that turns and moves about, seen by the true rig, are told to be of a rig whose cameras are turned
-by so many degrees about each axis, shifted by 3 mm, focal lengths by 1 %, principal points by 5 px, radial coefficients by
-0.02 (one standard deviation each). For each row, before and after: the rms error of the cameras' turns and shifts after the
-best common similarity, of the focal lengths, of the last pose, and the median NEES of the poses with the given and with the
-refined calibration; the standard deviation that is said of the refined turns; and by what share of what was believed of them
-the given turns seemed to be off. With --matched what is believed is what they are off by.
+Simulated tracks of a moving body, seen by the true rig, are solved with a perturbed rig. The perturbations have standard
+deviations of `--off` degrees about each axis, 3 mm, 1 % of the focal length, 5 px of the principal point and 0.02 of the
+radial coefficient. Each row gives, before and after the refinement: the RMS errors of the camera rotations and positions
+after the best common similarity, of the focal lengths and of the last pose, and the median NEES of the poses. It also gives
+the reported standard deviation of the refined rotations, and the estimated rotation errors as a share of the prior. With
+--matched the prior equals the true perturbations.
 
-With --rendered images of a block that turns by 70 degrees are tracked, with the rig as told: errors of neighbouring features
-are alike then. Median and worst over the seeds; of an exact rig also what is refined in its standard deviations, rms.
+With --rendered, rendered images of a block that rotates by 70 degrees are tracked with the perturbed rig; neighboring
+features then have correlated errors. The cells are median (worst) over the seeds; for an exact rig, the last cell is the RMS
+of the corrections in their standard deviations.
 """
 
 from __future__ import annotations
@@ -22,169 +23,200 @@ from itertools import product
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from benchmarks.translation_only import error, tracks
+from benchmarks.translation_only import compute_pose_error, simulate_tracks
 from sylpose import FrameSet, track
-from sylpose.bundle_adjustment.bundle import Observations, bundle
-from sylpose.bundle_adjustment.calibration_refinement import Doubt, corrected, usual_doubt
+from sylpose.bundle_adjustment.bundle import Observations, bundle_adjust
+from sylpose.bundle_adjustment.calibration_refinement import CalibrationPrior, correct_rig, default_calibration_prior
 from sylpose.frames import Box
 from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Rig
-from sylpose.simulate import arc, box, demo_scene, demo_truth, render_frames, ring
+from sylpose.simulate import arc, box, compute_demo_truth, make_demo_scene, render_frames, ring
 from sylpose.smoothing.trajectory import Track, smooth
 
 LENS = (-0.11, 0.03, 0.0004, -0.0003, 0)
 RIGS = {
-    "4 around": ring(4, 1.5, 1000.0, height=(0.4, -0.1, 0.2, 0.5), distortion=LENS),
+    "ring of 4": ring(4, 1.5, 1000.0, height=(0.4, -0.1, 0.2, 0.5), distortion=LENS),
     "4 in 120°": arc(4, 40.0, 1.5, 1000.0, height=(0.3, -0.1, 0.2, 0.1), distortion=LENS),
     "2 in 40°": arc(2, 40.0, 1.5, 1000.0, height=(0.2, -0.1), distortion=LENS),
 }
 
 
-def path(frames: int, degrees: float) -> RigidTransform:
-    """A turn about a changing axis, and a way about as long as the object."""
+def simulate_poses(frames: int, degrees: float) -> RigidTransform:
+    """Return poses with a rotation about a varying axis and a translation of about the object's length."""
     s = np.linspace(0.0, 1.0, frames)[:, None]
     wave = np.deg2rad(degrees) * 0.3 * np.hstack([np.sin(6 * s), 0 * s, 1 - np.cos(5 * s)])
-    turn = Rotation.from_rotvec(wave) * Rotation.from_rotvec(np.deg2rad(degrees) * s * np.array([0.25, 0.9, 0.35]))
-    place = 0.12 * np.hstack([s, 0.6 * np.sin(4 * s), 0.7 * np.sin(6 * s)])
-    poses = RigidTransform.from_components(place, turn)
+    rotation = Rotation.from_rotvec(wave) * Rotation.from_rotvec(np.deg2rad(degrees) * s * np.array([0.25, 0.9, 0.35]))
+    position = 0.12 * np.hstack([s, 0.6 * np.sin(4 * s), 0.7 * np.sin(6 * s)])
+    poses = RigidTransform.from_components(position, rotation)
     return poses * poses[0].inv()
 
 
-def disturbed(rig: Rig, degrees: float, seed: int) -> Rig:
-    """The rig as a calibration might have it that is off by so many degrees, and by other things in proportion up to 1."""
+def perturb_rig(rig: Rig, degrees: float, seed: int) -> Rig:
+    """Perturb a rig by random errors: `degrees` of rotation, and the other parameters in proportion up to 1 degree."""
     rng, n, share = np.random.default_rng(seed), len(rig), min(degrees, 1.0)
     sizes = np.concatenate([np.full(3, np.deg2rad(degrees)), share * np.array([0.003] * 3 + [0.01, 5.0, 5.0, 0.02])])
-    return corrected(rig, np.hstack([np.zeros((n, 4)), sizes * rng.standard_normal((n, 10))]))
+    return correct_rig(rig, np.hstack([np.zeros((n, 4)), sizes * rng.standard_normal((n, 10))]))
 
 
-def as_disturbed(rig: Rig, degrees: float) -> Doubt:
-    """What is true of `disturbed`."""
-    degrees, n = max(degrees, 1e-6), len(rig)  # nothing at all cannot be believed
+def make_matched_prior(rig: Rig, degrees: float) -> CalibrationPrior:
+    """Return the prior that matches the errors of `perturb_rig`."""
+    degrees, n = max(degrees, 1e-6), len(rig)  # a prior needs a positive standard deviation
     share = min(degrees, 1.0)
     lens = np.tile(share * np.array([0.01, 5.0, 5.0, 0.02]), (n, 1))
-    return Doubt(np.full(n, np.deg2rad(degrees)), np.full(n, 0.003 * share), lens, np.full(n, -1))
+    return CalibrationPrior(np.full(n, np.deg2rad(degrees)), np.full(n, 0.003 * share), lens, np.full(n, -1))
 
 
-def seen_as(seen: Observations, rig: Rig, told: Rig) -> Observations:
-    """The same pixels, normalised by another calibration."""
-    image = seen.image.copy()
-    for c, (true, other) in enumerate(zip(rig, told, strict=True)):
-        mine = seen.camera == c
-        image[mine] = other.normalize(true.denormalize(image[mine]))
-    return Observations(seen.frame, seen.camera, seen.landmark, image)
+def normalize_by(observations: Observations, rig: Rig, perturbed_rig: Rig) -> Observations:
+    """Normalize the same pixels by another calibration."""
+    image = observations.image.copy()
+    for c, (true, other) in enumerate(zip(rig, perturbed_rig, strict=True)):
+        of_camera = observations.camera == c
+        image[of_camera] = other.normalize(true.denormalize(image[of_camera]))
+    return Observations(observations.frame, observations.camera, observations.landmark, image)
 
 
-def common(rig: Rig, truth: Rig) -> tuple[float, Rotation, FloatArray, FloatArray]:
-    """Scale, turn and shift that take the rig's world to the true one, and (C, 2) what is left of each camera: degrees, mm.
+def align_rigs(rig: Rig, truth: Rig) -> tuple[float, Rotation, FloatArray, FloatArray]:
+    """Align a rig with the true one by a similarity; return scale, rotation, translation, and residuals (C, 2): deg, mm.
 
-    The turn is that of the cameras' axes, which two cameras tell as well as many.
+    The rotation comes from the camera axes, so that two cameras suffice.
     """
-    turn = Rotation.concatenate(
+    rotations = Rotation.concatenate(
         [t.camera_from_world.rotation.inv() * c.camera_from_world.rotation for c, t in zip(rig, truth, strict=True)]
     )
-    mean = turn.mean()
-    mine, true = mean.apply(np.array([c.center for c in rig])), np.array([c.center for c in truth])
-    a, b = mine - mine.mean(axis=0), true - true.mean(axis=0)
+    mean = rotations.mean()
+    centers, true = mean.apply(np.array([c.center for c in rig])), np.array([c.center for c in truth])
+    a, b = centers - centers.mean(axis=0), true - true.mean(axis=0)
     scale = float((a * b).sum() / (a * a).sum())
-    shift = true.mean(axis=0) - scale * mine.mean(axis=0)
-    left = np.rad2deg((mean.inv() * turn).magnitude())
-    return scale, mean, shift, np.column_stack([left, 1e3 * np.linalg.norm(scale * mine + shift - true, axis=1)])
+    translation = true.mean(axis=0) - scale * centers.mean(axis=0)
+    residual_deg = np.rad2deg((mean.inv() * rotations).magnitude())
+    return (
+        scale,
+        mean,
+        translation,
+        np.column_stack([residual_deg, 1e3 * np.linalg.norm(scale * centers + translation - true, axis=1)]),
+    )
 
 
-def pose_errors(found: RigidTransform, rig: Rig, truth: Rig, true: RigidTransform) -> FloatArray:
-    """(N, 6) errors of (w, d) of poses that a rig was told, in the true world after the best common similarity."""
-    scale, turn, shift, _ = common(rig, truth)
+def compute_pose_errors(found: RigidTransform, rig: Rig, truth: Rig, true: RigidTransform) -> FloatArray:
+    """Return errors (N, 6) of poses estimated with a rig, in the true world after the best common similarity."""
+    scale, rotation, translation, _ = align_rigs(rig, truth)
     out = []
     for k in range(len(true)):
         # The motion since the first frame, in the true world.
         now, first = found[k], found[0]
         moved = now * first.inv()
-        w = turn * moved.rotation * turn.inv()
-        t = scale * turn.apply(moved.translation) + shift - w.apply(shift)
-        whole = RigidTransform.from_components(t, w) * true[0]
-        out.append(error(true[k], whole))
+        w = rotation * moved.rotation * rotation.inv()
+        t = scale * rotation.apply(moved.translation) + translation - w.apply(translation)
+        aligned = RigidTransform.from_components(t, w) * true[0]
+        out.append(compute_pose_error(true[k], aligned))
     return np.array(out)
 
 
-def scored(found: RigidTransform, covariance: FloatArray, now: Rig, rig: Rig, true: RigidTransform) -> FloatArray:
-    """(6,) degrees, mm and focal lengths in percent that the cameras are off, degrees and mm of the last pose, and the
-    median NEES, of poses (N) with covariances (N, 6, 6)."""
-    left = np.sqrt((common(now, rig)[3] ** 2).mean(axis=0))
-    focal = 100 * np.sqrt(np.mean([(a.focal / b.focal - 1) ** 2 for a, b in zip(now, rig, strict=True)]))
-    e = pose_errors(found, now, rig, true)
+def score_calibration(
+    found: RigidTransform, covariance: FloatArray, estimated_rig: Rig, rig: Rig, true: RigidTransform
+) -> FloatArray:
+    """Score a calibration and the poses (N) with covariances (N, 6, 6) that were estimated with it.
+
+    Returns:
+        (6,) RMS errors of the cameras (degrees, mm, focal length in percent), errors of the last pose (degrees, mm), and
+        the median NEES.
+    """
+    camera_errors = np.sqrt((align_rigs(estimated_rig, rig)[3] ** 2).mean(axis=0))
+    focal = 100 * np.sqrt(np.mean([(a.focal / b.focal - 1) ** 2 for a, b in zip(estimated_rig, rig, strict=True)]))
+    e = compute_pose_errors(found, estimated_rig, rig, true)
     nees = [x @ np.linalg.solve(c, x) for x, c in zip(e[1:], covariance[1:], strict=True)]
     last = [np.rad2deg(np.linalg.norm(e[-1, :3])), 1e3 * np.linalg.norm(e[-1, 3:])]
-    return np.array([*left, focal, *last, np.median(nees)])
+    return np.array([*camera_errors, focal, *last, np.median(nees)])
 
 
-def tracked(seed: int, degrees: float, frames: int = 60) -> tuple[list[Track], Rig, Rig, RigidTransform]:
-    """Rendered images of a turn, tracked with a rig that is off; that rig, the true one, and the true poses."""
-    scene = demo_scene(frames=frames, turn_deg=70.0, size=(320, 240), n_cameras=4, seed=seed)
-    truth, nothing = demo_truth(scene), (None,) * len(scene.rig)
-    told = disturbed(scene.rig, degrees, seed) if degrees else scene.rig
-    sets = (FrameSet(k, k / 30, nothing, images, nothing) for k, images in enumerate(render_frames(scene)))
+def track_rendered(seed: int, degrees: float, frames: int = 60) -> tuple[list[Track], Rig, Rig, RigidTransform]:
+    """Track rendered images with a perturbed rig; return tracks, that rig, the true rig and the true poses."""
+    scene = make_demo_scene(frames=frames, angle_deg=70.0, size=(320, 240), n_cameras=4, seed=seed)
+    truth, no_values = compute_demo_truth(scene), (None,) * len(scene.rig)
+    perturbed = perturb_rig(scene.rig, degrees, seed) if degrees else scene.rig
+    sets = (FrameSet(k, k / 30, no_values, images, no_values) for k, images in enumerate(render_frames(scene)))
     boxes = {name: Box(*box) for name, box in truth.boxes.items()}
-    return [Track.of(f) for f in track(sets, told, boxes)], told, scene.rig, truth.world_from_object
+    return [Track.from_tracked(f) for f in track(sets, perturbed, boxes)], perturbed, scene.rig, truth.world_from_object
 
 
-def of_rendered(seed: int, degrees: float) -> FloatArray:
-    """(14,) `scored` with the rig as told and refined, the standard deviation of the refined turns, degrees, and how far
-    what is refined is from nothing, in its standard deviations."""
-    tracks, told, rig, true = tracked(seed, degrees)
+def score_rendered(seed: int, degrees: float) -> FloatArray:
+    """Score the perturbed and the refined rig on rendered images.
+
+    Returns:
+        (14,) `score_calibration` of both rigs, the reported standard deviation of the refined rotations in degrees, and
+        the RMS of the corrections in their standard deviations.
+    """
+    tracks, perturbed, rig, true = track_rendered(seed, degrees)
     rows = []
     for recalibrate in (False, True):
-        smoothed = smooth(tracks, told, doubt=usual_doubt(told), recalibrate=recalibrate)
-        poses = [pose for pose in smoothed.poses if pose.measured]
+        smoothed = smooth(
+            tracks, perturbed, calibration_prior=default_calibration_prior(perturbed), recalibrate=recalibrate
+        )
+        poses = [pose for pose in smoothed.poses if pose.is_measured]
         found = RigidTransform.concatenate([p.world_from_object for p in poses if p.world_from_object is not None])
-        now = told if smoothed.correction is None else smoothed.correction.rig.subset(rig.names)
+        refined_rig = perturbed if smoothed.correction is None else smoothed.correction.rig.subset(rig.names)
         covariance = np.array([pose.covariance for pose in poses])
-        rows.append(scored(found, covariance, now, rig, true[[pose.index for pose in poses]]))
+        rows.append(score_calibration(found, covariance, refined_rig, rig, true[[pose.index for pose in poses]]))
     assert smoothed.correction is not None
     values, sd = smoothed.correction.values[: len(rig)], smoothed.correction.sd[: len(rig)]
-    said = np.rad2deg(np.sqrt((sd[:, :3] ** 2).sum(axis=1).mean()))
-    return np.array([*rows[0], *rows[1], said, np.sqrt(((values / sd) ** 2).mean())])
+    reported_sd = np.rad2deg(np.sqrt((sd[:, :3] ** 2).sum(axis=1).mean()))
+    return np.array([*rows[0], *rows[1], reported_sd, np.sqrt(((values / sd) ** 2).mean())])
 
 
-def main_rendered(seeds: range, off: list[float]) -> None:
-    print("| off by | degrees | mm | focal, % | pose, degrees | pose, mm | NEES | said, degrees | refined, sd |")
+def print_rendered_table(seeds: range, off: list[float]) -> None:
+    print(
+        "| calibration error | cameras, deg | cameras, mm | focal length, % | last pose, deg | last pose, mm | NEES "
+        "| reported sd, deg | corrections, sd |"
+    )
     print("|---|---|---|---|---|---|---|---|---|")
     for degrees in off:
-        rows = np.array([of_rendered(seed, degrees) for seed in seeds])
-        middle, worst = ([f"{x:.2g}" for x in how(rows, axis=0)] for how in (np.median, np.max))
-        both = [f"{m} ({w})" for m, w in zip(middle, worst, strict=True)]
-        cells = [f"{a} → {b}" for a, b in zip(both[:6], both[6:12], strict=True)]
-        print(f"| {degrees:g}° | {' | '.join([*cells, both[12], '' if degrees else both[13]])} |", flush=True)
+        rows = np.array([score_rendered(seed, degrees) for seed in seeds])
+        middle, worst = ([f"{x:.2g}" for x in statistic(rows, axis=0)] for statistic in (np.median, np.max))
+        median_and_worst = [f"{m} ({w})" for m, w in zip(middle, worst, strict=True)]
+        cells = [f"{a} → {b}" for a, b in zip(median_and_worst[:6], median_and_worst[6:12], strict=True)]
+        print(
+            f"| {degrees:g}° | {' | '.join([*cells, median_and_worst[12], '' if degrees else median_and_worst[13]])} |",
+            flush=True,
+        )
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=4)
-    parser.add_argument("--first", type=int, default=0, help="seed to begin with")
+    parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--frames", type=int, default=24)
-    parser.add_argument("--features", type=int, default=60, help="per camera")
-    parser.add_argument("--matched", action="store_true", help="believe what is true of the disturbances")
+    parser.add_argument("--features", type=int, default=60, help="number per camera")
+    parser.add_argument("--matched", action="store_true", help="use a prior that matches the perturbations")
     parser.add_argument("--turn-deg", type=float, nargs="+", default=[20.0, 60.0, 180.0])
     parser.add_argument("--off", type=float, nargs="+", default=[0.0, 0.2, 1.0, 3.0])
-    parser.add_argument("--rendered", action="store_true", help="images, which are tracked")
+    parser.add_argument("--rendered", action="store_true", help="track rendered images")
     options = parser.parse_args()
     if options.rendered:
-        main_rendered(range(options.first, options.first + options.seeds), options.off)
+        print_rendered_table(range(options.first, options.first + options.seeds), options.off)
         return
-    print("| rig | turn | off by | degrees | mm | focal, % | pose, degrees | pose, mm | NEES | said, degrees | share |")
+    print(
+        "| rig | rotation | calibration error | cameras, deg | cameras, mm | focal length, % | last pose, deg "
+        "| last pose, mm | NEES | reported sd, deg | error / prior |"
+    )
     print("|---|---|---|---|---|---|---|---|---|---|---|")
     body = box((0.24, 0.18, 0.2))
     for (name, rig), degrees, off in product(RIGS.items(), options.turn_deg, options.off):
         rows = []
         for seed in range(options.first, options.first + options.seeds):
-            true, told = path(options.frames, degrees), disturbed(rig, off, seed)
-            seen = seen_as(tracks(body, true, rig, options.features, 0.3, seed), rig, told)
-            doubt = as_disturbed(told, off) if options.matched else usual_doubt(told)
-            given, refined = (bundle(told, seen, true, body.radius, doubt=doubt, recalibrate=r) for r in (False, True))
+            true, perturbed = simulate_poses(options.frames, degrees), perturb_rig(rig, off, seed)
+            observations = normalize_by(simulate_tracks(body, true, rig, options.features, 0.3, seed), rig, perturbed)
+            prior = make_matched_prior(perturbed, off) if options.matched else default_calibration_prior(perturbed)
+            given, refined = (
+                bundle_adjust(perturbed, observations, true, body.radius, calibration_prior=prior, recalibrate=r)
+                for r in (False, True)
+            )
             assert refined.correction is not None
-            both = ((given, told), (refined, refined.correction.rig))
-            row = [scored(found.world_from_object, found.covariance, now, rig, true) for found, now in both]
+            solutions = ((given, perturbed), (refined, refined.correction.rig))
+            row = [
+                score_calibration(found.world_from_object, found.covariance, now, rig, true) for found, now in solutions
+            ]
             sd = np.rad2deg(np.sqrt((refined.correction.sd[:, :3] ** 2).sum(axis=1).mean()))
-            rows.append([*np.concatenate(row), sd, given.doubt_shares[1]])
+            rows.append([*np.concatenate(row), sd, given.calibration_scales[1]])
         before, after, (sd, share) = np.split(np.mean(rows, axis=0), [6, 12])
         cells = " | ".join(f"{a:.3g} → {b:.2g}" for a, b in zip(before, after, strict=True))
         print(f"| {name} | {degrees:g}° | {off:g}° | {cells} | {sd:.2g} | {share:.2f} |", flush=True)

@@ -1,19 +1,21 @@
-"""Is a camera that is bumped into named, and only that one, and how good are the poses afterwards? Rendered turns; one of
-four cameras is turned about its centre, and shifted, from frame 25 on.
+"""Detection of a camera that moves during a recording, and accuracy of the poses afterwards.
 
     python benchmarks/camera_motion.py [--seeds N] [--degrees 0 0.5 1 2 5 10] [--shift 0] [--background 2] [--still]
 
---shift is a percentage of the camera's distance from the object, which the background is behind, so many times as far away:
-as the camera is shifted, it seems to be turned by a little more or less. With --still the background does not move with the
-camera, as a screen behind the object that tells nothing.
+The object rotates in rendered images; one of four cameras rotates about its center and translates at frame 25. --shift is
+the translation in percent of the camera's distance from the object. --background is the distance of the background as a
+multiple of that distance: a translation then looks like a small additional rotation. With --still the background does not
+move in the image, like a screen behind the object that carries no information.
 
-Prints for each angle and shift in how many scenes the camera was named by its background
-(`tracking/camera_motion_correction.py`), how many
-frames after the bump the turn was said to begin and by how many degrees its angle was off; in how many it was found to
-disagree with the others (`report/camera_consistency.py`); how often any other camera was named. Then, as tracked,
-smoothed, and
-with the calibration refined: the errors of the poses from the bump on, and the median of their NEES (should be about 6); and
-by how much the refined turn and shift of that camera are off, in all and in standard deviations.
+The table gives for each rotation and translation:
+
+- the scenes in which the background reveals the camera (`tracking/camera_motion_correction.py`), the delay of the reported
+  frame and the error of the reported angle;
+- the scenes in which the camera is found inconsistent with the others (`report/camera_consistency.py`), and the number of
+  false alarms of other cameras;
+- the errors of the poses after the motion and their median NEES (should be about 6), as tracked, smoothed, and with the
+  calibration refined;
+- the errors of that camera's refined rotation and translation, also in standard deviations.
 """
 
 from __future__ import annotations
@@ -28,180 +30,216 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from benchmarks.calibration import pose_errors
-from benchmarks.kinds_scenes import turned
+from benchmarks.calibration import compute_pose_errors
+from benchmarks.kinds_scenes import rotate_view
 from sylpose import FramePose, FrameSet, Rig, Trajectory
-from sylpose.bundle_adjustment.calibration_refinement import usual_doubt
+from sylpose.bundle_adjustment.calibration_refinement import default_calibration_prior
 from sylpose.frames import Box
 from sylpose.geometry.arrays import FloatArray, Image
-from sylpose.report.camera_consistency import disagreements
-from sylpose.simulate import DemoTruth, Scene, demo_scene, demo_truth, render_frames
-from sylpose.smoothing.trajectory import Smoothed, Track, smooth
+from sylpose.report.camera_consistency import find_disagreements
+from sylpose.simulate import DemoTruth, Scene, compute_demo_truth, make_demo_scene, render_frames
+from sylpose.smoothing.trajectory import SmoothedTrajectory, Track, smooth
 from sylpose.tracking.tracker import track
 
-FRAMES, BUMP, TURN_DEG, SIZE = 60, 25, 70.0, (320, 240)
-SAID = re.compile(r"camera (\S+) was nudged at frame (\d+): the background turned by (\S+) degrees")
+FRAMES, MOTION_FRAME, TURN_DEG, SIZE = 60, 25, 70.0, (320, 240)
+FAULT_PATTERN = re.compile(r"camera (\S+) was nudged at frame (\d+): the background turned by (\S+) degrees")
 
 
-class Bump(NamedTuple):
-    """What happens to a camera at a frame: a turn, camera's axes, and a shift of its centre (3,), world's axes; and how far
-    away from it the background is, length units, 0: it does not move with the camera."""
+class CameraMotion(NamedTuple):
+    """Motion of a camera at a frame.
+
+    Attributes:
+        camera: index of the camera.
+        rotation: rotation in camera axes.
+        translation: (3,) translation of the center in world axes.
+        background: distance of the background from the camera; 0: the background does not move in the image.
+        frame: first frame after the motion.
+    """
 
     camera: int
-    turn: Rotation
-    shift: FloatArray
+    rotation: Rotation
+    translation: FloatArray
     background: float
-    frame: int = BUMP
+    frame: int = MOTION_FRAME
 
 
-class Scored(NamedTuple):
-    """(n, 2) degrees and millimetres of the poses from the bump on, and (n,) their NEES."""
+class PoseScores(NamedTuple):
+    """Errors (n, 2) of the poses after the motion, degrees and millimeters, and their NEES (n,)."""
 
     errors: FloatArray
     nees: FloatArray
 
 
-class Bumped(NamedTuple):
-    """What came of it: frames after the bump and degrees said of the right camera, frames after which it disagreed, how
-    often another was named; the poses as tracked, smoothed and refined; and (4,) degrees and millimetres that the refined
-    turn and shift are off, and the same in standard deviations, NaN where the camera was not named."""
+class SceneResult(NamedTuple):
+    """Result of one scene.
 
-    named: list[tuple[int, float]]
-    disagrees: list[int]
-    others: int
-    poses: tuple[Scored, Scored, Scored]
-    stands: FloatArray
+    Attributes:
+        detections: delay in frames and error of the angle in degrees, for each report of the right camera.
+        inconsistencies: delays in frames after which the right camera was found inconsistent.
+        n_false_alarms: number of reports of other cameras.
+        poses: scores of the poses as tracked, smoothed and refined.
+        refined_errors: (4,) errors of the camera's refined rotation and translation, degrees and millimeters, then in
+            standard deviations; NaN if the camera was not detected.
+    """
+
+    detections: list[tuple[int, float]]
+    inconsistencies: list[int]
+    n_false_alarms: int
+    poses: tuple[PoseScores, PoseScores, PoseScores]
+    refined_errors: FloatArray
 
 
-def bump_of(scene: Scene, camera: int, degrees: float, share: float, background: float) -> Bump:
-    """By so many degrees about an axis of its own, and by a share of the camera's distance from the object."""
+def draw_camera_motion(scene: Scene, camera: int, degrees: float, share: float, background: float) -> CameraMotion:
+    """Draw a rotation by `degrees` about a random axis and a translation by a share of the distance from the object."""
     rng, center = np.random.default_rng(scene.seed), scene.rig.cameras[camera].center
-    axis, way = rng.normal(size=(2, 3))
-    far = float(np.linalg.norm(center - scene.poses()[0].translation))
-    turn = Rotation.from_rotvec(np.radians(degrees) * axis / np.linalg.norm(axis))
-    return Bump(camera, turn, share * far * way / np.linalg.norm(way), background * far)
-
-
-def images_of(scene: Scene, bump: Bump) -> list[tuple[Image, ...]]:
-    """The scene's images, with a camera that is bumped into."""
-    before = scene.rig.cameras[bump.camera]
-    if bump.background:
-        # What is at that depth behind the camera's middle moves by its shift as by a turn.
-        aside = np.cross(before.rotation @ bump.shift, [0.0, 0.0, 1.0]) / bump.background
-        seen = bump.turn * Rotation.from_rotvec(aside)
-    else:
-        seen = Rotation.identity()
-    # Rendered before a background that stands still, then turned as a whole.
-    pose = seen.inv() * bump.turn * before.camera_from_world.rotation
-    place = RigidTransform.from_components(-pose.apply(before.center + bump.shift), pose)
-    cameras = list(scene.rig)
-    cameras[bump.camera] = replace(before, camera_from_world=place)
-    first, then = render_frames(scene), render_frames(replace(scene, rig=Rig(cameras, "m")))
-    images = []
-    for k, (one, other) in enumerate(zip(first, then, strict=True)):
-        now = list(one if k < bump.frame else other)
-        if k >= bump.frame:
-            now[bump.camera] = turned(now[bump.camera], before, seen.inv().as_rotvec())
-        images.append(tuple(now))
-    return images
-
-
-def tracked(scene: Scene, bump: Bump) -> list[Track]:
-    """Of every frame what smoothing needs."""
-    nothing, truth = (None,) * len(scene.rig), demo_truth(scene)
-    frames = [FrameSet(k, k / 30, nothing, seen, nothing) for k, seen in enumerate(images_of(scene, bump))]
-    return [Track.of(f) for f in track(frames, scene.rig, {name: Box(*box) for name, box in truth.boxes.items()})]
-
-
-def bumped(scene: Scene, bump: Bump) -> Bumped:
-    """Tracked, smoothed and refined."""
-    tracks = tracked(scene, bump)
-    smoothed, refined = (smooth(tracks, scene.rig, doubt=usual_doubt(scene.rig), recalibrate=r) for r in (False, True))
-    poses = [t.pose for t in tracks]
-    found = {said.groups() for pose in poses for fault in pose.faults if (said := SAID.match(fault))}
-    doubted = disagreements(Trajectory(poses, scene.rig.names))
-    angle, mine = np.degrees(bump.turn.magnitude()), f"cam_{bump.camera}"
-    right = {mine} if angle or bump.shift.any() else set()
-    truth, now = demo_truth(scene), scene.rig if refined.correction is None else refined.correction.rig
-    return Bumped(
-        sorted((int(frame) - BUMP, float(said) - angle) for name, frame, said in found if name == mine),
-        [d.first - BUMP for d in doubted if d.camera == mine and d.first >= BUMP],
-        sum(name not in right for name in [d.camera for d in doubted] + [name for name, _, _ in found]),
-        (
-            scored(poses, scene.rig, truth),
-            scored(smoothed.poses, scene.rig, truth),
-            scored(refined.poses, now.subset(scene.rig.names), truth),
-        ),
-        stands(refined, bump),
+    axis, direction = rng.normal(size=(2, 3))
+    distance = float(np.linalg.norm(center - scene.object_poses()[0].translation))
+    rotation = Rotation.from_rotvec(np.radians(degrees) * axis / np.linalg.norm(axis))
+    return CameraMotion(
+        camera, rotation, share * distance * direction / np.linalg.norm(direction), background * distance
     )
 
 
-def scored(poses: Sequence[FramePose], rig: Rig, truth: DemoTruth) -> Scored:
-    """Of the poses from the bump on, in the world of the true rig."""
-    kept = [p for p in poses if p.measured and p.world_from_object is not None and p.index >= BUMP]
+def render_images(scene: Scene, camera_motion: CameraMotion) -> list[tuple[Image, ...]]:
+    """Render the scene's images with the motion of the camera."""
+    camera = scene.rig.cameras[camera_motion.camera]
+    if camera_motion.background:
+        # At the background's depth the translation looks like a rotation.
+        parallax = np.cross(camera.rotation @ camera_motion.translation, [0.0, 0.0, 1.0]) / camera_motion.background
+        apparent_rotation = camera_motion.rotation * Rotation.from_rotvec(parallax)
+    else:
+        apparent_rotation = Rotation.identity()
+    # Rendered with a static background, then rotated as a whole.
+    pose = apparent_rotation.inv() * camera_motion.rotation * camera.camera_from_world.rotation
+    moved_pose = RigidTransform.from_components(-pose.apply(camera.center + camera_motion.translation), pose)
+    cameras = list(scene.rig)
+    cameras[camera_motion.camera] = replace(camera, camera_from_world=moved_pose)
+    first, then = render_frames(scene), render_frames(replace(scene, rig=Rig(cameras, "m")))
+    images = []
+    for k, (one, other) in enumerate(zip(first, then, strict=True)):
+        frame_images = list(one if k < camera_motion.frame else other)
+        if k >= camera_motion.frame:
+            frame_images[camera_motion.camera] = rotate_view(
+                frame_images[camera_motion.camera], camera, apparent_rotation.inv().as_rotvec()
+            )
+        images.append(tuple(frame_images))
+    return images
+
+
+def track_scene(scene: Scene, camera_motion: CameraMotion) -> list[Track]:
+    """Track the scene; return the input of the smoother."""
+    no_values, truth = (None,) * len(scene.rig), compute_demo_truth(scene)
+    frames = [
+        FrameSet(k, k / 30, no_values, seen, no_values) for k, seen in enumerate(render_images(scene, camera_motion))
+    ]
+    return [
+        Track.from_tracked(f) for f in track(frames, scene.rig, {name: Box(*box) for name, box in truth.boxes.items()})
+    ]
+
+
+def evaluate_scene(scene: Scene, camera_motion: CameraMotion) -> SceneResult:
+    """Track, smooth and refine a scene and score the results."""
+    tracks = track_scene(scene, camera_motion)
+    smoothed, refined = (
+        smooth(tracks, scene.rig, calibration_prior=default_calibration_prior(scene.rig), recalibrate=r)
+        for r in (False, True)
+    )
+    poses = [t.pose for t in tracks]
+    detections = {
+        fault_match.groups() for pose in poses for fault in pose.faults if (fault_match := FAULT_PATTERN.match(fault))
+    }
+    inconsistent = find_disagreements(Trajectory(poses, scene.rig.names))
+    angle, name_of_moved = np.degrees(camera_motion.rotation.magnitude()), f"cam_{camera_motion.camera}"
+    moved_names = {name_of_moved} if angle or camera_motion.translation.any() else set()
+    truth, refined_rig = compute_demo_truth(scene), scene.rig if refined.correction is None else refined.correction.rig
+    return SceneResult(
+        sorted(
+            (int(frame) - MOTION_FRAME, float(fault_match) - angle)
+            for name, frame, fault_match in detections
+            if name == name_of_moved
+        ),
+        [d.first - MOTION_FRAME for d in inconsistent if d.camera == name_of_moved and d.first >= MOTION_FRAME],
+        sum(name not in moved_names for name in [d.camera for d in inconsistent] + [name for name, _, _ in detections]),
+        (
+            score_poses(poses, scene.rig, truth),
+            score_poses(smoothed.poses, scene.rig, truth),
+            score_poses(refined.poses, refined_rig.subset(scene.rig.names), truth),
+        ),
+        compute_refined_errors(refined, camera_motion),
+    )
+
+
+def score_poses(poses: Sequence[FramePose], rig: Rig, truth: DemoTruth) -> PoseScores:
+    """Score the poses after the motion in the world of the true rig."""
+    kept = [p for p in poses if p.is_measured and p.world_from_object is not None and p.index >= MOTION_FRAME]
     found = RigidTransform.concatenate(
         [p.world_from_object for p in (poses[0], *kept) if p.world_from_object is not None]
     )
     true = RigidTransform.concatenate([truth.world_from_object[p.index] for p in (poses[0], *kept)])
-    e = pose_errors(found, rig, truth.rig, true)[1:]
+    e = compute_pose_errors(found, rig, truth.rig, true)[1:]
     nees = [x @ np.linalg.solve(p.covariance, x) for x, p in zip(e, kept, strict=True)]
-    return Scored(
+    return PoseScores(
         np.column_stack([np.degrees(np.linalg.norm(e[:, :3], axis=1)), 1e3 * np.linalg.norm(e[:, 3:], axis=1)]),
         np.array(nees),
     )
 
 
-def stands(refined: Smoothed, bump: Bump) -> FloatArray:
-    """As `Bumped.stands`, of the last time that the camera was moved."""
-    which = [i for i, m in enumerate(refined.moved) if m.camera == bump.camera]
-    if refined.correction is None or not which:
+def compute_refined_errors(refined: SmoothedTrajectory, camera_motion: CameraMotion) -> FloatArray:
+    """Compute `SceneResult.refined_errors` from the camera's last detected motion."""
+    indices = [i for i, m in enumerate(refined.moved_cameras) if m.camera == camera_motion.camera]
+    if refined.correction is None or not indices:
         return np.full(4, np.nan)
-    i = len(refined.correction.values) - len(refined.moved) + which[-1]
+    i = len(refined.correction.values) - len(refined.moved_cameras) + indices[-1]
     values, sd = refined.correction.values[i, :6], refined.correction.sd[i, :6]
-    moved = Rotation.from_rotvec(refined.moved[which[-1]].turn) * Rotation.from_rotvec(values[:3])
-    off = np.concatenate([(bump.turn.inv() * moved).as_rotvec(), values[3:] - bump.shift])
-    parts, sizes = off.reshape(2, 3), (off / sd).reshape(2, 3)
-    turn, shift = np.linalg.norm(parts, axis=1)
-    return np.array([np.degrees(turn), 1e3 * shift, *np.sqrt((sizes**2).mean(axis=1))])
+    estimated_rotation = Rotation.from_rotvec(refined.moved_cameras[indices[-1]].rotation) * Rotation.from_rotvec(
+        values[:3]
+    )
+    errors = np.concatenate(
+        [(camera_motion.rotation.inv() * estimated_rotation).as_rotvec(), values[3:] - camera_motion.translation]
+    )
+    parts, sizes = errors.reshape(2, 3), (errors / sd).reshape(2, 3)
+    rotation_error, translation_error = np.linalg.norm(parts, axis=1)
+    return np.array([np.degrees(rotation_error), 1e3 * translation_error, *np.sqrt((sizes**2).mean(axis=1))])
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=6)
-    parser.add_argument("--first", type=int, default=0, help="seed to begin with")
+    parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--degrees", type=float, nargs="+", default=[0.0, 0.5, 1.0, 2.0, 5.0, 10.0])
     parser.add_argument("--shift", type=float, nargs="+", default=[0.0], help="%% of the distance from the object")
-    parser.add_argument("--background", type=float, default=2.0, help="times as far away as the object")
-    parser.add_argument("--still", action="store_true", help="the background does not move with the camera")
+    parser.add_argument("--background", type=float, default=2.0, help="distance in multiples of the object's")
+    parser.add_argument("--still", action="store_true", help="keep the background static in the image")
     options = parser.parse_args()
     print(
-        "| bumped by | named | frames after | angle off, degrees | disagrees | others named | tracked: degrees, mm, NEES | "
-        "smoothed | refined | turn off: degrees, sd | shift off: mm, sd |"
+        "| camera motion | detected by background | delay, frames | angle error, deg | inconsistent | false alarms | "
+        "tracked: deg, mm, NEES | smoothed | refined | rotation error, deg (sd) | translation error, mm (sd) |"
     )
     print("|" + "---|" * 11)
     for degrees, percent in product(options.degrees, options.shift):
         runs = []
         for seed in range(options.first, options.first + options.seeds):
-            scene = demo_scene(frames=FRAMES, turn_deg=TURN_DEG, size=SIZE, n_cameras=4, seed=seed)
-            behind = 0.0 if options.still else options.background
-            runs.append(bumped(scene, bump_of(scene, seed % 4, degrees, percent / 100, behind)))
-        said = [one for run in runs for one in run.named]
+            scene = make_demo_scene(frames=FRAMES, angle_deg=TURN_DEG, size=SIZE, n_cameras=4, seed=seed)
+            background = 0.0 if options.still else options.background
+            runs.append(evaluate_scene(scene, draw_camera_motion(scene, seed % 4, degrees, percent / 100, background)))
+        detections = [one for run in runs for one in run.detections]
         cells = [
             f"{degrees:g}°, {percent:g} %",
-            f"{sum(bool(run.named) for run in runs)} of {len(runs)}",
-            ", ".join(str(late) for late, _ in said),
-            f"{max(abs(angle) for _, angle in said):.2f}" if said else "",
-            f"{sum(bool((degrees or percent) and run.disagrees) for run in runs)}",
-            f"{sum(run.others for run in runs)}",
+            f"{sum(bool(run.detections) for run in runs)} of {len(runs)}",
+            ", ".join(str(late) for late, _ in detections),
+            f"{max(abs(angle) for _, angle in detections):.2f}" if detections else "",
+            f"{sum(bool((degrees or percent) and run.inconsistencies) for run in runs)}",
+            f"{sum(run.n_false_alarms for run in runs)}",
         ]
-        for which in zip(*(run.poses for run in runs), strict=True):
-            off = np.concatenate([p.errors for p in which])
+        for scores in zip(*(run.poses for run in runs), strict=True):
+            errors = np.concatenate([p.errors for p in scores])
             cells.append(
-                f"{np.median(off[:, 0]):.2f}, {off[:, 0].max():.2f}; {np.median(off[:, 1]):.1f}, {off[:, 1].max():.1f}; "
-                + " ".join(f"{np.median(p.nees):.2g}" for p in which)
+                f"{np.median(errors[:, 0]):.2f}, {errors[:, 0].max():.2f}; "
+                f"{np.median(errors[:, 1]):.1f}, {errors[:, 1].max():.1f}; "
+                + " ".join(f"{np.median(p.nees):.2g}" for p in scores)
             )
-        stood = [run.stands for run in runs if np.isfinite(run.stands).all()]
-        cells += [" ".join(f"{s[j]:.2g} ({s[j + 2]:.1f})" for s in stood) for j in (0, 1)]
+        refined_errors = [run.refined_errors for run in runs if np.isfinite(run.refined_errors).all()]
+        cells += [" ".join(f"{s[j]:.2g} ({s[j + 2]:.1f})" for s in refined_errors) for j in (0, 1)]
         print("| " + " | ".join(cells) + " |", flush=True)
 
 

@@ -1,12 +1,12 @@
-"""The certificate of the global minimum against the semidefinite relaxation that it is the dual of, solved by Clarabel.
+"""Certificate of the global minimum compared with the semidefinite relaxation whose dual it is, solved by Clarabel.
 
     python benchmarks/certificate.py [--problems 100] [--starts 50] [--repeat 3]
 
-Seeded problems of simulated cameras, and costs without any meaning. A relaxation says that its answer is the one global
-minimum where its solution is of rank one. Prints a table in Markdown: how often it does, how often we certify of these, and
-how often the positive definite K alone would have done; false ones are certified answers that a search from many starts
-betters. Exit code 1 if one is false, if of the relaxation's less than 95 % are certified, or if a batch takes more than
-100 µs each where at least half are.
+The problems are seeded: simulated cameras and random costs. A relaxation proves that its answer is the unique global
+minimum if its solution has rank one (it is tight). The Markdown table gives the number of tight relaxations, the number of
+these that sylpose certifies, and the share that a positive definite K alone certifies. A certificate is false if a search
+from many starts finds a lower cost. The exit code is 1 if a certificate is false, if less than 95 % of the tight
+relaxations are certified, or if a batch takes more than 100 µs per problem although at least half are certified.
 """
 
 from __future__ import annotations
@@ -25,26 +25,26 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial.transform import Rotation
 
-from benchmarks.paper_times import BODY, around, rotations_of, seconds
+from benchmarks.paper_times import BODY, camera_rotations, make_ring_rig, measure_cpu_time
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.matrices import kron
 from sylpose.moments import PairMoments
 from sylpose.rig import Rig
 from sylpose.simulate import Body, arc, plane, random_motion, simulate_matches
 from sylpose.sylvester import so3
-from sylpose.sylvester.orthographic import quadratics_of
+from sylpose.sylvester.orthographic import build_costs
 
 Costs = tuple[FloatArray, FloatArray]
-# A relaxation's second eigenvalue over its first where it counts as of rank one (choice).
-RANK_ONE = 1e-6
-# What a search must find below a certified cost, of H's mean eigenvalue 1, to call the certificate false (choice).
-BETTER = 1e-9
+# A relaxation has rank one if its second eigenvalue is at most this share of its first (choice).
+MAX_RANK_ONE_RATIO = 1e-6
+# A certificate is false if a search finds a cost lower by more than this, for H of mean eigenvalue 1 (choice).
+MIN_IMPROVEMENT = 1e-9
 
 
-def of_cameras(
+def simulate_costs(
     rig: Rig, problems: int, noise_px: float, turn_deg: float, body: Body = BODY, per_camera: int = 60
 ) -> Costs:
-    """H (N, 9, 9) of mean eigenvalue 1, h (N, 9)."""
+    """Simulate seeded problems of a rig; return H (N, 9, 9) of mean eigenvalue 1 and h (N, 9)."""
     moments = np.zeros((problems, len(rig), 9, 9))
     for seed in range(problems):
         rng = np.random.default_rng(seed)
@@ -52,12 +52,12 @@ def of_cameras(
             rig, body, random_motion(turn_deg, 0.02, rng), rng=rng, per_camera=per_camera, noise_px=noise_px
         )
         moments[seed] = [PairMoments.from_matches(m.x, m.y).matrix for m in pair.matches]
-    q, _ = quadratics_of(rotations_of(rig), moments)
+    q, _ = build_costs(camera_rotations(rig), moments)
     return q.H / q.scale[:, None, None], q.h / q.scale[:, None]
 
 
-def of_nothing(problems: int, rank: int, size: float) -> Costs:
-    """H of random residuals, so many; h of any size."""
+def draw_random_costs(problems: int, rank: int, size: float) -> Costs:
+    """Draw random costs: H from `rank` random residuals, h scaled by `size`."""
     rng = np.random.default_rng(rank)
     half = rng.normal(size=(problems, 9, rank))
     H = half @ half.swapaxes(1, 2)
@@ -65,8 +65,11 @@ def of_nothing(problems: int, rank: int, size: float) -> Costs:
     return H, size * rng.normal(size=(problems, 9))
 
 
-def equations() -> FloatArray:
-    """(20, 10, 10) orthonormal symmetric F with z'Fz = 0 for z = (1, vec(R)) of every rotation R: of many."""
+def compute_constraints() -> FloatArray:
+    """Return (20, 10, 10) orthonormal symmetric F with z'Fz = 0 for z = (1, vec(R)) of every rotation R.
+
+    They span the null space of the products of z of 200 random rotations.
+    """
     R = Rotation.random(200, np.random.default_rng(0)).as_matrix().reshape(-1, 9)
     z = np.column_stack([np.ones(len(R)), R])
     rows, columns = np.tril_indices(10)
@@ -78,10 +81,10 @@ def equations() -> FloatArray:
     return (found + found.swapaxes(1, 2)) / 2
 
 
-def relaxed(H: FloatArray, h: FloatArray, F: FloatArray) -> tuple[float, float]:
-    """The relaxation's bound of the cost, and its solution's second eigenvalue over the first.
+def solve_relaxation(H: FloatArray, h: FloatArray, F: FloatArray) -> tuple[float, float]:
+    """Solve the relaxation; return its lower bound of the cost and the ratio of its second eigenvalue to the first.
 
-    It is the greatest bound γ for which the cost's matrix - γ e_0 e_0' + Σ λ_k F_k is positive semidefinite.
+    The bound is the greatest γ for which the cost's matrix - γ e_0 e_0' + Σ λ_k F_k is positive semidefinite.
     """
     cost, unit = np.zeros((10, 10)), np.zeros((10, 10))
     cost[1:, 1:], cost[0, 1:], cost[1:, 0], unit[0, 0] = H / 2, -h / 2, -h / 2, 1.0
@@ -106,80 +109,91 @@ def relaxed(H: FloatArray, h: FloatArray, F: FloatArray) -> tuple[float, float]:
     return float(found.x[0]), float(values[-2] / values[-1])
 
 
-def searched(H: FloatArray, h: FloatArray, starts: int, rng: np.random.Generator) -> float:
-    """The least cost that Newton's method with absolute curvature finds from random starts."""
+def search_min_cost(H: FloatArray, h: FloatArray, starts: int, rng: np.random.Generator) -> float:
+    """Return the least cost that Newton's method with absolute curvature finds from random starts."""
     R = Rotation.random(starts, rng).as_matrix()
     for _ in range(50):
-        gradient, hessian = so3.derivatives(H, h, R)
+        gradient, hessian = so3.compute_derivatives(H, h, R)
         values, vectors = np.linalg.eigh(hessian)
         along = np.einsum("nji,nj->ni", vectors, gradient) / np.maximum(np.abs(values), 0.05)
         R = Rotation.from_rotvec(-np.einsum("nij,nj->ni", vectors, along)).as_matrix() @ R
-    return float(so3.cost_of(H, h, R).min())
+    return float(so3.evaluate_cost(H, h, R).min())
 
 
-def by_K(H: FloatArray, h: FloatArray, R: FloatArray) -> BoolArray:
-    """Whether K alone certifies (N, 3, 3), as it did before there was more."""
-    K = H + kron(so3.multiplier_of(H, h, R), np.eye(3))
+def certify_by_K(H: FloatArray, h: FloatArray, R: FloatArray) -> BoolArray:
+    """Return whether a positive definite K alone certifies each of the rotations (N, 3, 3)."""
+    K = H + kron(so3.compute_multiplier(H, h, R), np.eye(3))
     return np.asarray(np.linalg.eigvalsh(K)[:, 0] > so3.CERTIFICATE)
 
 
-def row(name: str, costs: Costs, starts: int, repeat: int, F: FloatArray) -> bool:
+def print_row(name: str, costs: Costs, starts: int, repeat: int, F: FloatArray) -> bool:
+    # Prints the table row of some costs and returns whether the requirements hold.
     H, h = costs
     found = so3.minimize_batch(H, h)
     R, rng = found.candidates[:, 0], np.random.default_rng(0)
-    least = so3.cost_of(H, h, R)
-    bounds, second = np.array([relaxed(*one, F) for one in zip(H, h, strict=True)]).T
-    tight = second < RANK_ONE
-    better = np.array([searched(*one, starts, rng) for one in zip(H, h, strict=True)]) < least - BETTER
-    above = bounds > least + 1e-6 * (1 + abs(least))  # the bound of another minimum: a wrong answer, or a wrong bound
-    false = int((found.certified & (better | above)).sum())
-    before = by_K(H, h, R)
-    batch = 1e6 * seconds(lambda: so3.minimize_batch(H, h), repeat) / len(H)
-    alone = [1e6 * seconds(lambda a=a, b=b: so3.minimize(a, b), repeat) for a, b in zip(H, h, strict=True)]  # type: ignore[misc]
-    ours, theirs = int((found.certified & tight).sum()), int(tight.sum())
+    min_costs = so3.evaluate_cost(H, h, R)
+    bounds, eigenvalue_ratios = np.array([solve_relaxation(*one, F) for one in zip(H, h, strict=True)]).T
+    tight = eigenvalue_ratios < MAX_RANK_ONE_RATIO
+    is_improved = (
+        np.array([search_min_cost(*one, starts, rng) for one in zip(H, h, strict=True)]) < min_costs - MIN_IMPROVEMENT
+    )
+    is_contradicted = bounds > min_costs + 1e-6 * (
+        1 + abs(min_costs)
+    )  # a contradiction: either the answer or the bound is wrong
+    n_false = int((found.certified & (is_improved | is_contradicted)).sum())
+    by_K_alone = certify_by_K(H, h, R)
+    batch_us = 1e6 * measure_cpu_time(lambda: so3.minimize_batch(H, h), repeat) / len(H)
+    single_us = [1e6 * measure_cpu_time(lambda a=a, b=b: so3.minimize(a, b), repeat) for a, b in zip(H, h, strict=True)]  # type: ignore[misc]
+    n_certified, n_tight = int((found.certified & tight).sum()), int(tight.sum())
     print(
-        f"| {name} | {before.mean():.0%} | {theirs}/{len(H)} | {ours} | {int((found.certified & ~tight).sum())} | {false} | "
-        f"{int(better.sum())} | {batch:.0f} | {np.median(alone):.0f}, {np.percentile(alone, 99):.0f} |",
+        f"| {name} | {by_K_alone.mean():.0%} | {n_tight}/{len(H)} | {n_certified} | "
+        f"{int((found.certified & ~tight).sum())} | {n_false} | "
+        f"{int(is_improved.sum())} | {batch_us:.0f} | {np.median(single_us):.0f}, {np.percentile(single_us, 99):.0f} |",
         flush=True,
     )
-    return not false and ours >= 0.95 * theirs and (batch <= 100 or float(found.certified.mean()) < 0.5)
+    return not n_false and n_certified >= 0.95 * n_tight and (batch_us <= 100 or float(found.certified.mean()) < 0.5)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--problems", type=int, default=100)
-    parser.add_argument("--starts", type=int, default=50, help="of the search that looks for something better")
+    parser.add_argument("--starts", type=int, default=50, help="number of starts of the search for a lower cost")
     parser.add_argument("--repeat", type=int, default=3)
     options = parser.parse_args()
     n = options.problems
     rigs = {
-        "4 around": around(4),
-        "4, 10 degrees apart": arc(4, 10.0),
-        "2 around": around(2),
-        "2, 10 degrees apart": arc(2, 10.0),
-        "1": around(1),
+        "4 cameras on a ring": make_ring_rig(4),
+        "4 cameras 10° apart": arc(4, 10.0),
+        "2 cameras on a ring": make_ring_rig(2),
+        "2 cameras 10° apart": arc(2, 10.0),
+        "1 camera": make_ring_rig(1),
     }
     kinds: dict[str, Callable[[Rig], Costs]] = {
-        "0.05 px": lambda rig: of_cameras(rig, n, 0.05, 5.0),
-        "0.5 px": lambda rig: of_cameras(rig, n, 0.5, 5.0),
-        "5 px": lambda rig: of_cameras(rig, n, 5.0, 5.0),
-        "50 px, turn of 40°": lambda rig: of_cameras(rig, n, 50.0, 40.0),
-        "0.5 px, turn of 60°": lambda rig: of_cameras(rig, n, 0.5, 60.0),
-        "a plane, 0.5 px": lambda rig: of_cameras(rig, n, 0.5, 5.0, plane((0.3, 0.3))),
-        "a plane, 50 px, 6 points": lambda rig: of_cameras(rig, n, 50.0, 20.0, plane((0.3, 0.3)), 6),
+        "0.05 px": lambda rig: simulate_costs(rig, n, 0.05, 5.0),
+        "0.5 px": lambda rig: simulate_costs(rig, n, 0.5, 5.0),
+        "5 px": lambda rig: simulate_costs(rig, n, 5.0, 5.0),
+        "50 px, rotation of 40°": lambda rig: simulate_costs(rig, n, 50.0, 40.0),
+        "0.5 px, rotation of 60°": lambda rig: simulate_costs(rig, n, 0.5, 60.0),
+        "plane, 0.5 px": lambda rig: simulate_costs(rig, n, 0.5, 5.0, plane((0.3, 0.3))),
+        "plane, 50 px, 6 points": lambda rig: simulate_costs(rig, n, 50.0, 20.0, plane((0.3, 0.3)), 6),
     }
     print(
-        "| problems | K alone | rank one | of these certified | others certified | false | search finds better | "
-        "µs: in a batch | alone: median, 99 % |\n" + "|---" * 9 + "|"
+        "| problems | certified by K alone | tight relaxations | of these certified | others certified "
+        "| false certificates | answers that the search improves | µs per problem, batch | µs, single: median, 99 % |\n"
+        + "|---" * 9
+        + "|"
     )
-    F, holds = equations(), True
+    F, holds = compute_constraints(), True
     for cameras, rig in rigs.items():
         for name, make in kinds.items():
-            holds &= row(f"{cameras}: {name}", make(rig), options.starts, options.repeat, F)
+            holds &= print_row(f"{cameras}: {name}", make(rig), options.starts, options.repeat, F)
     for rank, size in ((9, 0.3), (9, 3.0), (4, 0.3), (2, 0.1), (1, 0.1)):
-        costs = of_nothing(n, rank, size)
-        holds &= row(f"random, rank {rank}, h of {size:g}", costs, options.starts, options.repeat, F)
-    print(f"\nNone false, 95 % of rank one certified, at most 100 µs in a batch: {'holds' if holds else '**no**'}.")
+        costs = draw_random_costs(n, rank, size)
+        holds &= print_row(f"random, rank {rank}, h scaled by {size:g}", costs, options.starts, options.repeat, F)
+    print(
+        "\nNo false certificate, 95 % of the tight relaxations certified, at most 100 µs per problem in a batch: "
+        f"{'holds' if holds else '**does not hold**'}."
+    )
     sys.exit(0 if holds else 1)
 
 

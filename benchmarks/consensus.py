@@ -1,11 +1,12 @@
-"""How many rounds and bytes the distributed estimators take, on what cameras, networks and disturbances; as Markdown.
+"""Rounds and bytes of the distributed estimators for various cameras, networks and disturbances.
 
     python benchmarks/consensus.py [--seeds 5] [--shared ../shared]
 
-A scene is an ellipsoid of 0.15 m at 1.5 m that turns by 5 degrees, 60 matches per camera with 0.5 px of noise. "Rounds to
-1e-8" are those after which every camera stays within 1e-8 rad of the centralised answer; "rounds" those after which all
-know that and are done. Real recordings, where they are there: SIFT matches between adjacent frames within each camera,
-inliers of `estimate_motion`. Times are of all cameras in one process, one thread: divide by the cameras for one's own share.
+A scene is an ellipsoid of 0.15 m at 1.5 m that rotates by 5 degrees, with 60 matches per camera and 0.5 px of noise.
+"Rounds to 1e-8" is the number of rounds after which every camera stays within 1e-8 rad of the centralized solution.
+"Rounds" is the number until all cameras have detected convergence. Real recordings, if present, give SIFT matches between
+adjacent frames within each camera, restricted to inliers of `estimate_motion`. Times are those of all cameras in one
+process and one thread; divide them by the number of cameras for the time of one. Prints Markdown tables.
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ from typing import get_args
 
 import numpy as np
 
-from benchmarks.depth_plane import recorded
-from benchmarks.sensors import CASES, scene
+from benchmarks.depth_plane import match_recording
+from benchmarks.sensors import CASES, simulate_scene
 from sylpose import open_session
 from sylpose.geometry.arrays import FloatArray
 from sylpose.moments import PairMoments
@@ -32,14 +33,14 @@ from sylpose.sylvester.camera_faults import solve_robust
 from sylpose.sylvester.centralized import CentralizedSolution, solve_centralized
 from sylpose.sylvester.distributed import anderson_acceleration, saddle_escape
 from sylpose.sylvester.distributed import refine as consensus
-from sylpose.sylvester.distributed.fault_injection import Nonsense
+from sylpose.sylvester.distributed.fault_injection import PacketFault
 from sylpose.sylvester.distributed.messages import Inbox, Packet
-from sylpose.sylvester.distributed.refine import RefineState, refine_start, refine_step
+from sylpose.sylvester.distributed.refine import RefineState, start_refine, step_refine
 from sylpose.sylvester.distributed.simulation import (
-    UNDISTURBED,
-    Agreement,
-    Disturbances,
-    run,
+    NO_FAULTS,
+    DistributedSolution,
+    NetworkFaults,
+    run_network,
     solve_exchange,
     solve_gossip,
     solve_refine,
@@ -47,31 +48,37 @@ from sylpose.sylvester.distributed.simulation import (
 
 Problem = tuple[FloatArray, list[PairMoments], CentralizedSolution]
 
-# Faults of `benchmarks.sensors`.
-BAD = {("turned", 20), ("turned", 90), ("mirrored", 0), ("frozen", 0), ("junk", 0)}
-COUNTS = (3, 4, 6, 8, 12, 16, 32)
+# The faults of `benchmarks.sensors` that run here.
+SELECTED_FAULTS = {("turned", 20), ("turned", 90), ("mirrored", 0), ("frozen", 0), ("junk", 0)}
+CAMERA_COUNTS = (3, 4, 6, 8, 12, 16, 32)
 
 
-def tilted(n: int) -> Rig:
-    """Cameras around the object, alternately above and below it."""
+def make_zigzag_ring(n: int) -> Rig:
+    """Return a ring of cameras, alternately above and below the object."""
     return ring(n, height=[0.4 * (-1) ** k for k in range(n)])
 
 
-def slanted(n: int) -> Rig:
-    """An arc of 60 degrees, alternately above and below the object."""
+def make_zigzag_arc(n: int) -> Rig:
+    """Return an arc of 60 degrees, alternately above and below the object."""
     return arc(n, 60 / (n - 1), height=[0.3 * (-1) ** k for k in range(n)])
 
 
-def narrow(n: int) -> Rig:
-    """A level arc of 40 degrees."""
+def make_level_arc(n: int) -> Rig:
+    """Return a level arc of 40 degrees."""
     return arc(n, 40 / (n - 1))
 
 
-RIGS = {"ring": tilted, "dome": dome, "level ring": ring, "arc of 60°": slanted, "level arc of 40°": narrow}
+RIGS = {
+    "ring": make_zigzag_ring,
+    "dome": dome,
+    "level ring": ring,
+    "arc of 60°": make_zigzag_arc,
+    "level arc of 40°": make_level_arc,
+}
 
 
-def problems(rig: Rig, seeds: int) -> Iterator[Problem]:
-    """What it sees of the scene, and the centralised answer."""
+def simulate_problems(rig: Rig, seeds: int) -> Iterator[Problem]:
+    """Yield seeded problems of a rig: camera rotations, moments and the centralized solution."""
     body = ellipsoid((0.15, 0.12, 0.1))
     for seed in range(seeds):
         rng = np.random.default_rng(seed)
@@ -81,267 +88,298 @@ def problems(rig: Rig, seeds: int) -> Iterator[Problem]:
         yield Q, moments, solve_centralized(Q, moments)
 
 
-def rounds_to(problem: Problem, tolerance: float = 1e-8, bound: int = 2000) -> int:
-    """Rounds of `refine` until every camera stays this near to the centralised answer; the bound if that never is."""
+def count_rounds(problem: Problem, tolerance: float = 1e-8, bound: int = 2000) -> int:
+    """Count rounds of `refine` until all cameras stay within `tolerance` of the centralized solution, at most `bound`."""
     Q, moments, reference = problem
-    last = 0
+    last_outside = 0
 
-    def watched(state: RefineState, inbox: Inbox) -> tuple[RefineState, list[Packet]]:
-        nonlocal last
-        new, packets = refine_step(state, inbox)
+    def recorded_step(state: RefineState, inbox: Inbox) -> tuple[RefineState, list[Packet]]:
+        nonlocal last_outside
+        new, packets = step_refine(state, inbox)
         if new.rotation is None or np.linalg.norm(new.rotation - reference.rotation) > tolerance * np.sqrt(2):
-            last = max(last, new.round)
+            last_outside = max(last_outside, new.round)
         return new, packets
 
     n = len(Q)
-    starts = [partial(refine_start, c, range(n), Q[c], moments[c], bound=bound) for c in range(n)]
-    run(starts, watched, UNDISTURBED, bound)
-    return min(last + 1, bound)
+    starts = [partial(start_refine, c, range(n), Q[c], moments[c], max_rounds=bound) for c in range(n)]
+    run_network(starts, recorded_step, NO_FAULTS, bound)
+    return min(last_outside + 1, bound)
 
 
-def spread(values: Sequence[float]) -> str:
-    """Median and largest."""
+def format_spread(values: Sequence[float]) -> str:
+    """Format the median and the maximum."""
     return f"{np.median(values):.0f} (max. {max(values):.0f})"
 
 
-def error(found: Agreement, reference: CentralizedSolution, among: Sequence[int]) -> float:
-    """Largest angle of these cameras' answers to the centralised one."""
-    return float(np.linalg.norm(found.rotations[list(among)] - reference.rotation, axis=(1, 2)).max() / np.sqrt(2))
+def largest_angle(found: DistributedSolution, reference: CentralizedSolution, cameras: Sequence[int]) -> float:
+    """Return the largest angle between the solutions of these cameras and the centralized one."""
+    return float(np.linalg.norm(found.rotations[list(cameras)] - reference.rotation, axis=(1, 2)).max() / np.sqrt(2))
 
 
-def by_rig(seeds: int) -> None:
-    """Refine on several rigs: with and without extrapolation."""
-    print("## Refine: rigs\n\nLocal: ended in a minimum that is not the best one; the centralised answer is then never")
-    print("certified either.\n\n| cameras | number | certified | rounds to 1e-8 | rounds | bytes per camera | local |")
+def print_by_rig(seeds: int) -> None:
+    """Print the rounds and bytes of refine on several rigs."""
+    print(
+        "## Refine: rigs\n\nLocal: converged to a local minimum; the centralized solution is then never certified either.\n"
+    )
+    print("| rig | cameras | certified | rounds to 1e-8 | rounds | bytes per camera | local |")
     print("|---|---|---|---|---|---|---|")
     for name, make in RIGS.items():
-        for n in COUNTS:
-            certified, to, rounds, sent, local = 0, [], [], [], 0
-            for problem in problems(make(n), seeds):
+        for n in CAMERA_COUNTS:
+            certified, rounds_to_tolerance, rounds, sent, n_local = 0, [], [], [], 0
+            for problem in simulate_problems(make(n), seeds):
                 found = solve_refine(*problem[:2])
-                best = error(found, problem[2], range(n)) < 1e-7
+                is_global = largest_angle(found, problem[2], range(n)) < 1e-7
                 certified += problem[2].certified
-                local += not best
+                n_local += not is_global
                 rounds.append(found.rounds)
                 sent.append(int(found.sent.max()))
-                if best:
-                    to.append(rounds_to(problem, bound=300))
-            near = spread(to) if to else "-"
+                if is_global:
+                    rounds_to_tolerance.append(count_rounds(problem, bound=300))
+            tolerance_text = format_spread(rounds_to_tolerance) if rounds_to_tolerance else "-"
             print(
-                f"| {name} | {n} | {certified}/{seeds} | {near} | {spread(rounds)} | {spread(sent)} | {local}/{seeds} |"
+                f"| {name} | {n} | {certified}/{seeds} | {tolerance_text} | "
+                f"{format_spread(rounds)} | {format_spread(sent)} | {n_local}/{seeds} |"
             )
 
 
-def by_penalty(seeds: int) -> None:
-    """Refine without extrapolation and leaps, and with them, by penalty and relaxation."""
+def print_by_penalty(seeds: int) -> None:
+    """Print the rounds of refine by penalty and relaxation, with and without extrapolation and saddle escape."""
     print(
-        "\n## Refine: penalty, relaxation, extrapolation and leaps\n\nRounds to 1e-8, 4 cameras; 2000 is the bound.\n"
+        "\n## Refine: penalty, relaxation, Anderson acceleration and saddle escape\n\n"
+        "Rounds to 1e-8, 4 cameras, at most 2000.\n"
     )
     choices = [(0.05, 1.0), (0.1, 1.0), (0.2, 1.0), (0.05, 1.6), (0.1, 1.6), (0.2, 1.6)]
-    print("| cameras | extrapolation, leaps | " + " | ".join(f"ρ {p}, {a}" for p, a in choices) + " |")
+    print("| rig | acceleration, escape | " + " | ".join(f"ρ {p}, α {a}" for p, a in choices) + " |")
     print("|---|---|" + "---|" * len(choices))
-    defaults = consensus.PENALTY, consensus.RELAXATION, anderson_acceleration.MEMORY, saddle_escape.LEAPS
+    defaults = consensus.PENALTY, consensus.RELAXATION, anderson_acceleration.MAX_HISTORY, saddle_escape.MAX_RESTARTS
     for name, make in RIGS.items():
         for memory in (0, defaults[2]):
             cells = []
             for penalty, relaxation in choices:
-                consensus.PENALTY, consensus.RELAXATION, anderson_acceleration.MEMORY = penalty, relaxation, memory
-                saddle_escape.LEAPS = defaults[3] if memory else 0
-                cells.append(spread([rounds_to(p) for p in problems(make(4), min(seeds, 2))]))
+                consensus.PENALTY, consensus.RELAXATION, anderson_acceleration.MAX_HISTORY = penalty, relaxation, memory
+                saddle_escape.MAX_RESTARTS = defaults[3] if memory else 0
+                cells.append(format_spread([count_rounds(p) for p in simulate_problems(make(4), min(seeds, 2))]))
             print(f"| {name} | {'yes' if memory else 'no'} | " + " | ".join(cells) + " |")
-    consensus.PENALTY, consensus.RELAXATION, anderson_acceleration.MEMORY, saddle_escape.LEAPS = defaults
+    consensus.PENALTY, consensus.RELAXATION, anderson_acceleration.MAX_HISTORY, saddle_escape.MAX_RESTARTS = defaults
 
 
-def by_loss(seeds: int) -> None:
-    """Refine where messages get lost, on all rigs."""
+def print_by_loss(seeds: int) -> None:
+    """Print the rounds of refine under message loss, on all rigs."""
     losses = (0.0, 0.1, 0.3)
     print(
-        "\n## Refine: loss, by rig\n\nRounds until done; converged at all cameras, to the same rotation as without loss.\n"
+        "\n## Refine: message loss, by rig\n\n"
+        "Rounds until convergence; runs in which all cameras converge to the same rotation as without loss.\n"
     )
-    print("| cameras | number | " + " | ".join(f"loss {p:.0%}" for p in losses) + " |\n|---|---|---|---|---|")
+    print("| rig | cameras | " + " | ".join(f"loss {p:.0%}" for p in losses) + " |\n|---|---|---|---|---|")
     for name, make in RIGS.items():
         for n in (4, 8, 16):
             cells = []
             for loss in losses:
                 rounds, same = [], 0
-                for seed, (Q, moments, _) in enumerate(problems(make(n), min(seeds, 3))):
-                    found = solve_refine(Q, moments, disturbances=Disturbances(loss=loss, seed=seed))
+                for seed, (Q, moments, _) in enumerate(simulate_problems(make(n), min(seeds, 3))):
+                    found = solve_refine(Q, moments, network_faults=NetworkFaults(loss=loss, seed=seed))
                     same += bool(
                         found.converged.all() and (found.rotations == solve_refine(Q, moments).rotations).all()
                     )
                     rounds.append(found.rounds)
-                cells.append(f"{spread(rounds)}, {same}/{len(rounds)}")
+                cells.append(f"{format_spread(rounds)}, {same}/{len(rounds)}")
             print(f"| {name} | {n} | " + " | ".join(cells) + " |")
 
 
-def by_recording(shared: Path) -> None:
-    """Refine on real recordings, adjacent frames."""
+def print_by_recording(shared: Path) -> None:
+    """Print the results of refine on adjacent frames of real recordings."""
     print("\n## Refine: real recordings, adjacent frames\n")
     print(
-        "OK: within 1e-8 rad of the centralised answer at every camera; doubted: not so, but of that of `solve_robust`."
+        "OK: within 1e-8 rad of the centralized solution at every camera; robust: within 1e-8 rad of `solve_robust` instead."
     )
-    print("Where the centralised one is not certified: in one of its minima, in the best of them.\n")
+    print("If the centralized solution is not certified: in one of its minima, in the best of them.\n")
     print(
-        "| recording | cameras | pairs | certified: OK, doubted | rounds | others: in a minimum, best, doubted | rounds |"
+        "| recording | cameras | pairs | certified: OK, robust | rounds "
+        "| not certified: in a minimum, in the best, robust | rounds |"
     )
     print("|---|---|---|---|---|---|---|")
     for name in ("temple", "board4"):
         folder = shared / "data" / name
         if not folder.exists():
             continue
-        pairs = recorded(open_session(folder), folder / "groundtruth.tum", 1)
+        pairs = match_recording(open_session(folder), folder / "groundtruth.tum", 1)
         for chosen in ("0123", "012", "123", "013", "023"):
-            of = [int(c) for c in chosen]
-            total, good, minimum, best, doubted = 0, 0, 0, 0, [0, 0]
+            indices = [int(c) for c in chosen]
+            total, n_ok, n_in_minimum, n_in_best, n_robust = 0, 0, 0, 0, [0, 0]
             rounds: dict[bool, list[int]] = {True: [], False: []}
             for rig, matches, _ in pairs:
-                Q = np.array([rig.cameras[c].rotation for c in of])
-                moments = [PairMoments.from_matches(matches[c].x, matches[c].y) for c in of]
-                if sum(len(m.x) for m in (matches[c] for c in of)) < 8:
+                Q = np.array([rig.cameras[c].rotation for c in indices])
+                moments = [PairMoments.from_matches(matches[c].x, matches[c].y) for c in indices]
+                if sum(len(m.x) for m in (matches[c] for c in indices)) < 8:
                     continue
                 reference, found = solve_centralized(Q, moments), solve_refine(Q, moments)
                 total += 1
                 rounds[reference.certified].append(found.rounds)
                 robust = solve_robust(Q, moments).rotation
-                as_robust = bool(np.linalg.norm(found.rotations - robust, axis=(1, 2)).max() < 1e-8)
+                is_robust_solution = bool(np.linalg.norm(found.rotations - robust, axis=(1, 2)).max() < 1e-8)
                 if reference.certified:
-                    same = error(found, reference, range(len(of))) < 1e-8
-                    good += same
-                    doubted[0] += as_robust and not same
+                    same = largest_angle(found, reference, range(len(indices))) < 1e-8
+                    n_ok += same
+                    n_robust[0] += is_robust_solution and not same
                 elif found.converged.all():
                     errors = np.linalg.norm(reference.candidates - found.rotation, axis=(1, 2)) / np.sqrt(2)
-                    minimum += bool(errors.min() < 1e-7)
-                    best += bool(errors[0] < 1e-7)
-                    doubted[1] += as_robust and bool(errors.min() >= 1e-7)
-            proved, open_ = rounds[True], rounds[False]
+                    n_in_minimum += bool(errors.min() < 1e-7)
+                    n_in_best += bool(errors[0] < 1e-7)
+                    n_robust[1] += is_robust_solution and bool(errors.min() >= 1e-7)
+            certified_rounds, other_rounds = rounds[True], rounds[False]
             print(
-                f"| {name} | {', '.join(chosen)} | {total} | {len(proved)}: {good}, {doubted[0]} "
-                f"| {spread(proved) if proved else '-'} "
-                f"| {len(open_)}: {minimum}, {best}, {doubted[1]} | {spread(open_) if open_ else '-'} |"
+                f"| {name} | {', '.join(chosen)} | {total} | {len(certified_rounds)}: {n_ok}, {n_robust[0]} "
+                f"| {format_spread(certified_rounds) if certified_rounds else '-'} "
+                f"| {len(other_rounds)}: {n_in_minimum}, {n_in_best}, {n_robust[1]} "
+                f"| {format_spread(other_rounds) if other_rounds else '-'} |"
             )
 
 
-def by_fault(seeds: int) -> None:
-    """All schemes with loss, delay and broken cameras."""
+def print_by_disturbance(seeds: int) -> None:
+    """Print the results of all schemes under loss, delay and camera failures."""
     n = 8
     pairs = [(a, b) for a in range(n) for b in range(a)]
-    disturbances: dict[str, Disturbances] = {
-        "none": UNDISTURBED,
-        **{f"loss {p} %": Disturbances(loss=p / 100) for p in (1, 5, 10, 20, 30)},
-        **{f"delay up to {d}": Disturbances(delay=d) for d in (1, 2, 4)},
-        "loss 20 %, delay up to 2": Disturbances(loss=0.2, delay=2),
-        "one dies in round 5": Disturbances(dies={3: 5}),
-        "one joins in round 5": Disturbances(joins={3: 5}),
-        **{f"one sends {kind}": Disturbances(nonsense={3: kind}) for kind in get_args(Nonsense)},
+    disturbances: dict[str, NetworkFaults] = {
+        "none": NO_FAULTS,
+        **{f"loss {p} %": NetworkFaults(loss=p / 100) for p in (1, 5, 10, 20, 30)},
+        **{f"delay up to {d}": NetworkFaults(delay=d) for d in (1, 2, 4)},
+        "loss 20 %, delay up to 2": NetworkFaults(loss=0.2, delay=2),
+        "one fails in round 5": NetworkFaults(dies={3: 5}),
+        "one joins in round 5": NetworkFaults(joins={3: 5}),
+        **{f"one sends {kind}": NetworkFaults(packet_faults={3: kind}) for kind in get_args(PacketFault)},
     }
-    print(f"\n## Disturbances: dome of {n}, all within reach of each other\n")
+    print(f"\n## Disturbances: dome of {n}, complete graph\n")
+    print("Error: largest angle (rad) to the centralized solution of the cameras used. Exchange: 16 transmissions.\n")
     print(
-        "Error: largest angle (rad) to the centralised answer of the cameras in the result. Exchange: sent 16 times.\n"
+        "| disturbance | exchange: ok, error | refine: ok, error, rounds | gossip: ok, error, rounds |\n|---|---|---|---|"
     )
-    print("| fault | exchange: ok, error | refine: ok, error, rounds | gossip: ok, error, rounds |\n|---|---|---|---|")
     for name, disturbance in disturbances.items():
         cells: list[str] = []
         for solve in (partial(solve_exchange, rounds=16), solve_refine, partial(solve_gossip, graph=pairs)):
             ok, worst, rounds = 0, 0.0, []
-            for seed, (Q, moments, _) in enumerate(problems(dome(n), seeds)):
-                found = solve(Q, moments, disturbances=replace(disturbance, seed=seed))
+            for seed, (Q, moments, _) in enumerate(simulate_problems(dome(n), seeds)):
+                found = solve(Q, moments, network_faults=replace(disturbance, seed=seed))
                 ok += found.status is Status.OK
                 rounds.append(found.rounds)
                 if found.status is Status.OK:
                     used = list(found.used)
                     reference = solve_centralized(Q[used], [moments[c] for c in used])
-                    judged = [c for c in range(n) if c not in found.refused and c not in disturbance.dies]
-                    worst = max(worst, error(found, reference, judged))
+                    compared = [c for c in range(n) if c not in found.refused and c not in disturbance.dies]
+                    worst = max(worst, largest_angle(found, reference, compared))
             cell = f"{ok}/{seeds}, {worst:.0e}" if ok else f"0/{seeds}"
-            cells.append(cell if not cells else f"{cell}, {spread(rounds)}")
+            cells.append(cell if not cells else f"{cell}, {format_spread(rounds)}")
         print(f"| {name} | " + " | ".join(cells) + " |")
 
 
-def by_bad_camera(seeds: int) -> None:
-    """All schemes with a camera that is at fault, beside the robust estimator."""
-    print("\n## Bad cameras: 8 around an ellipsoid or a box that turns by 10 degrees, gossip on a ring\n")
+def print_by_faulty_camera(seeds: int) -> None:
+    """Print the results of all schemes with one faulty camera, compared with the robust estimator."""
+    print("\n## Faulty cameras: 8 around an ellipsoid or a box that rotates by 10 degrees, gossip on a ring\n")
     print(
-        "Same: the cameras named and the status are those of `solve_robust`. Apart: largest angle of any camera's answer,"
+        "Same: faulty cameras and status equal those of `solve_robust`. Difference: largest angle between its solution and"
     )
-    print("the bad one's included, to its answer.\n")
-    print("| fault | scheme | same | named | apart (rad) | rounds | bytes per camera |")
+    print("that of any camera, including the faulty one.\n")
+    print("| fault | scheme | same | detected | difference, rad | rounds | bytes per camera |")
     print("|---|---|---|---|---|---|---|")
-    for case in (None, *(c for c in CASES if (c.name, c.size) in BAD)):
+    for case in (None, *(c for c in CASES if (c.name, c.size) in SELECTED_FAULTS)):
         label = "none" if case is None else f"{case.name} {case.size:.0f}°" if case.kind == "calibration" else case.name
         for name, solve in (("exchange", solve_exchange), ("refine", solve_refine), ("gossip", solve_gossip)):
-            same, named, apart, rounds, sent = 0, 0, 0.0, [], []
+            same, n_detected, max_difference, rounds, sent = 0, 0, 0.0, [], []
             for seed in range(4 * seeds):
-                s = scene(8, 10.0, seed, case)
+                s = simulate_scene(8, 10.0, seed, case)
                 expected, found = solve_robust(s.rotations, s.moments), solve(s.rotations, s.moments)
-                of = {c for c, fault in enumerate(expected.faults) if fault is not None}
-                same += set(found.faults) == of and found.status is expected.status
-                named += bool(of) and set(found.faults) == set(s.bad)
-                apart = max(apart, float(np.linalg.norm(found.rotations - expected.rotation, axis=(1, 2)).max()))
+                expected_faults = {c for c, fault in enumerate(expected.faults) if fault is not None}
+                same += set(found.faults) == expected_faults and found.status is expected.status
+                n_detected += bool(expected_faults) and set(found.faults) == set(s.faulty)
+                max_difference = max(
+                    max_difference, float(np.linalg.norm(found.rotations - expected.rotation, axis=(1, 2)).max())
+                )
                 rounds.append(found.rounds)
                 sent.append(int(found.sent.max()))
-            cells = f"{same}/{4 * seeds} | {named} | {apart / np.sqrt(2):.0e} | {spread(rounds)} | {spread(sent)}"
+            cells = (
+                f"{same}/{4 * seeds} | {n_detected} | "
+                f"{max_difference / np.sqrt(2):.0e} | {format_spread(rounds)} | {format_spread(sent)}"
+            )
             print(f"| {label} | {name} | {cells} |", flush=True)
 
 
-def by_turn(seeds: int) -> None:
-    """How often cameras of which none is bad call for the evidence."""
-    print("\n## Refine: calls for the evidence, no bad camera; rounds; bytes per camera\n")
-    print("| cameras | turn ° | calls | alike | apart (rad) | rounds | bytes |\n|---|---|---|---|---|---|---|")
+def print_evidence_exchanges(seeds: int) -> None:
+    """Print how often cameras exchange evidence although none is faulty."""
+    print("\n## Refine: evidence exchanges without a faulty camera\n")
+    print(
+        "| cameras | rotation, deg | exchanges | same result | difference, rad | rounds | bytes per camera |\n"
+        "|---|---|---|---|---|---|---|"
+    )
     for n in (3, 4, 8):
-        for turn in (1.0, 3.0, 5.0, 10.0, 20.0):
-            calls, same, apart, rounds, sent = 0, 0, 0.0, [], []
+        for rotation_deg in (1.0, 3.0, 5.0, 10.0, 20.0):
+            n_exchanges, same, max_difference, rounds, sent = 0, 0, 0.0, [], []
             for seed in range(20 * seeds):
-                s = scene(n, turn, seed, None)
-                starts = [partial(refine_start, c, range(n), s.rotations[c], s.moments[c]) for c in range(n)]
-                calls += any(x is not None and x.shown for x in run(starts, refine_step, UNDISTURBED, 501).states)
+                s = simulate_scene(n, rotation_deg, seed, None)
+                starts = [partial(start_refine, c, range(n), s.rotations[c], s.moments[c]) for c in range(n)]
+                n_exchanges += any(
+                    x is not None and x.received_evidence
+                    for x in run_network(starts, step_refine, NO_FAULTS, 501).states
+                )
                 expected, found = solve_robust(s.rotations, s.moments), solve_refine(s.rotations, s.moments)
                 same += found.status is expected.status and not found.faults and not any(expected.faults)
-                apart = max(apart, float(np.linalg.norm(found.rotations - expected.rotation, axis=(1, 2)).max()))
+                max_difference = max(
+                    max_difference, float(np.linalg.norm(found.rotations - expected.rotation, axis=(1, 2)).max())
+                )
                 rounds.append(found.rounds)
                 sent.append(int(found.sent.max()))
-            cells = f"{calls} of {20 * seeds} | {same} | {apart / np.sqrt(2):.0e} | {spread(rounds)} | {spread(sent)}"
-            print(f"| {n} | {turn:g} | {cells} |", flush=True)
+            cells = (
+                f"{n_exchanges} of {20 * seeds} | {same} | "
+                f"{max_difference / np.sqrt(2):.0e} | {format_spread(rounds)} | {format_spread(sent)}"
+            )
+            print(f"| {n} | {rotation_deg:g} | {cells} |", flush=True)
 
 
-def by_liar(seeds: int) -> None:
-    """Refine with cameras that lie well-formedly."""
-    print("\n## Refine: liars, on rings and domes around an ellipsoid or a box, turns of 2 to 12 degrees\n")
+def print_by_byzantine(seeds: int) -> None:
+    """Print the results of refine with Byzantine cameras that send well-formed wrong messages."""
     print(
-        "Named: the liars and nobody else. Error and spread: largest angles (rad) of the good cameras' answers to that of"
+        "\n## Refine: Byzantine cameras, on rings and domes around an ellipsoid or a box, rotations of 2 to 12 degrees\n"
     )
     print(
-        "`solve_robust` of the good cameras, and among themselves. Apart: good cameras that are sure of different things.\n"
+        "Detected: exactly the Byzantine cameras are rejected. Error and spread: largest angles (rad) of the good cameras'"
     )
-    print("| cameras, liars | kind | named | error | spread | apart | rounds | bytes per good camera |")
+    print(
+        "solutions to that of `solve_robust` of the good cameras, and among themselves. Split: scenes in which good cameras "
+        "converge to different rotations.\n"
+    )
+    print("| cameras, Byzantine | kind | detected | error | spread | split | rounds | bytes per good camera |")
     print("|---|---|---|---|---|---|---|---|")
-    for n, n_liars in ((4, 1), (5, 1), (8, 1), (7, 2), (8, 2)):
+    for n, n_byzantine in ((4, 1), (5, 1), (8, 1), (7, 2), (8, 2)):
         for kind in ("false", "stubborn", "two-faced", "ahead", "jitter", "heavy"):
-            named, apart, worst, wide, rounds, sent = 0, 0, 0.0, 0.0, [], []
+            n_detected, n_split, worst, max_spread, rounds, sent = 0, 0, 0.0, 0.0, [], []
             for seed in range(4 * seeds):
                 rng = np.random.default_rng([seed, n])
-                rig, body = (tilted, dome)[seed % 2](n), (ellipsoid((0.15, 0.12, 0.1)), box())[seed % 2]
+                rig, body = (make_zigzag_ring, dome)[seed % 2](n), (ellipsoid((0.15, 0.12, 0.1)), box())[seed % 2]
                 pair = simulate_matches(rig, body, random_motion(float(rng.uniform(2, 12)), 0.02, rng), rng=rng)
                 Q = np.array([c.rotation for c in rig])
                 moments = [PairMoments.from_matches(m.x, m.y) for m in pair.matches]
-                liars = rng.choice(n, n_liars, replace=False).tolist()
-                nonsense: dict[int, Nonsense] = dict.fromkeys(liars, kind)
-                found = solve_refine(Q, moments, disturbances=Disturbances(nonsense=nonsense, seed=seed))
-                good = [c for c in range(n) if c not in liars]
+                byzantine = rng.choice(n, n_byzantine, replace=False).tolist()
+                faults: dict[int, PacketFault] = dict.fromkeys(byzantine, kind)
+                found = solve_refine(Q, moments, network_faults=NetworkFaults(packet_faults=faults, seed=seed))
+                good = [c for c in range(n) if c not in byzantine]
                 reference = solve_robust(Q[good], [moments[c] for c in good])
-                named += {*found.faults, *found.refused} == set(liars)
+                n_detected += {*found.faults, *found.refused} == set(byzantine)
                 R = found.rotations[good]
-                sure = R[found.converged[good]]
-                apart += len(sure) > 0 and bool(np.linalg.norm(sure - sure[0], axis=(1, 2)).max() > 1e-7)
+                converged = R[found.converged[good]]
+                n_split += len(converged) > 0 and bool(
+                    np.linalg.norm(converged - converged[0], axis=(1, 2)).max() > 1e-7
+                )
                 worst = max(worst, float(np.linalg.norm(R - reference.rotation, axis=(1, 2)).max()))
-                wide = max(wide, float(np.linalg.norm(R - R[0], axis=(1, 2)).max()))
+                max_spread = max(max_spread, float(np.linalg.norm(R - R[0], axis=(1, 2)).max()))
                 rounds.append(found.rounds)
                 sent.append(int(found.sent[good].max()))
-            cells = f"{named}/{4 * seeds} | {worst:.0e} | {wide:.0e} | {apart} | {spread(rounds)} | {spread(sent)}"
-            print(f"| {n}, {n_liars} | {kind} | {cells} |", flush=True)
+            cells = (
+                f"{n_detected}/{4 * seeds} | {worst:.0e} | {max_spread:.0e} | "
+                f"{n_split} | {format_spread(rounds)} | {format_spread(sent)}"
+            )
+            print(f"| {n}, {n_byzantine} | {kind} | {cells} |", flush=True)
 
 
-def graphs(n: int) -> dict[str, list[tuple[int, int]]]:
-    """By name; the grid is as square as can be."""
+def make_graphs(n: int) -> dict[str, list[tuple[int, int]]]:
+    """Return the communication graphs of `n` cameras by name; the grid is as square as possible."""
     width = max(w for w in range(1, n + 1) if n % w == 0 and w * w <= n)
     return {
         "line": [(c, c + 1) for c in range(n - 1)],
@@ -353,31 +391,33 @@ def graphs(n: int) -> dict[str, list[tuple[int, int]]]:
     }
 
 
-def by_graph(seeds: int) -> None:
-    """Gossip on several graphs."""
+def print_by_graph(seeds: int) -> None:
+    """Print the results of gossip on several graphs."""
     print("\n## Gossip: graphs\n\n| graph | cameras | loss | ok | error | rounds | bytes of the busiest camera |")
     print("|---|---|---|---|---|---|---|")
     for n in (4, 16, 32):
-        for name, pairs in graphs(n).items():
+        for name, pairs in make_graphs(n).items():
             for loss in (0.0, 0.3) if n == 16 else (0.0,):
                 ok, worst, rounds, sent = 0, 0.0, [], []
-                for seed, (Q, moments, reference) in enumerate(problems(dome(n), min(seeds, 3))):
-                    found = solve_gossip(Q, moments, graph=pairs, disturbances=Disturbances(loss=loss, seed=seed))
+                for seed, (Q, moments, reference) in enumerate(simulate_problems(dome(n), min(seeds, 3))):
+                    found = solve_gossip(Q, moments, graph=pairs, network_faults=NetworkFaults(loss=loss, seed=seed))
                     ok += found.status is Status.OK
-                    worst = max(worst, error(found, reference, range(n)))
+                    worst = max(worst, largest_angle(found, reference, range(n)))
                     rounds.append(found.rounds)
                     sent.append(int(found.sent.max()))
                 total = f"{ok}/{len(rounds)}"
-                print(f"| {name} | {n} | {loss:.0%} | {total} | {worst:.0e} | {spread(rounds)} | {max(sent):,} |")
+                print(
+                    f"| {name} | {n} | {loss:.0%} | {total} | {worst:.0e} | {format_spread(rounds)} | {max(sent):,} |"
+                )
 
 
-def by_scheme() -> None:
-    """Bytes and time side by side."""
+def print_by_scheme() -> None:
+    """Print the bytes and times of all schemes."""
     print("\n## Bytes and time: dome, undisturbed, gossip on a ring\n")
     print("| cameras | scheme | rounds | bytes sent per camera | ms, all cameras | ms per camera and round |")
     print("|---|---|---|---|---|---|")
     for n in (4, 16, 32):
-        problem = next(problems(dome(n), 1))
+        problem = next(simulate_problems(dome(n), 1))
         for name, solve in (("exchange", solve_exchange), ("refine", solve_refine), ("gossip", solve_gossip)):
             solve(*problem[:2])
             begin = time.perf_counter()
@@ -389,26 +429,26 @@ def by_scheme() -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--only-bad", action="store_true", help="bad cameras and liars alone")
+    parser.add_argument("--only-bad", action="store_true", help="run only faulty and Byzantine cameras")
     parser.add_argument("--shared", type=Path, default=Path(__file__).parents[2] / "shared")
     options = parser.parse_args()
     seeds = options.seeds
     print("# Consensus: rounds, bytes, disturbances\n")
     if options.only_bad:
-        by_turn(seeds)
-        by_bad_camera(seeds)
-        by_liar(seeds)
+        print_evidence_exchanges(seeds)
+        print_by_faulty_camera(seeds)
+        print_by_byzantine(seeds)
         return
-    by_rig(seeds)
-    by_penalty(seeds)
-    by_loss(seeds)
-    by_recording(options.shared)
-    by_fault(seeds)
-    by_turn(seeds)
-    by_bad_camera(seeds)
-    by_liar(seeds)
-    by_graph(seeds)
-    by_scheme()
+    print_by_rig(seeds)
+    print_by_penalty(seeds)
+    print_by_loss(seeds)
+    print_by_recording(options.shared)
+    print_by_disturbance(seeds)
+    print_evidence_exchanges(seeds)
+    print_by_faulty_camera(seeds)
+    print_by_byzantine(seeds)
+    print_by_graph(seeds)
+    print_by_scheme()
 
 
 if __name__ == "__main__":

@@ -1,12 +1,12 @@
-"""The depth plane against depth ignored: errors, covariance and time on synthetic scenes and on the real recordings.
+"""Depth plane compared with depth ignored: errors, covariance and time on synthetic scenes and real recordings.
 
     python benchmarks/depth_plane.py [--seeds 40] [--shared ../shared]
 
-Prints Markdown tables. Synthetic scenes: 60 matches per camera, 0.5 px, f = 1000 px, 1.5 m, an object of 0.15 m of any
-orientation that turns about any axis and moves by 20 mm. Real recordings: SIFT matches between frames within each
-camera, inliers of `estimate_motion`; on board4 the object's region follows the ground truth. NEES is the squared error in
-units of the covariance: 3 on average where the covariance is right. Only solutions that `status` calls OK count as such;
-the errors are of all.
+Synthetic scenes have 60 matches per camera, 0.5 px of noise, f = 1000 px and a distance of 1.5 m. The object of 0.15 m has
+a random orientation, rotates about a random axis and translates by 20 mm. Real recordings use SIFT matches between frames
+within each camera, restricted to inliers of `estimate_motion`; on board4 the object's region follows the ground truth. NEES
+is the squared error in units of the covariance; its mean is 3 for a consistent covariance. NEES covers the solutions with
+status OK; the errors cover all solutions. Prints Markdown tables.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose import estimate_motion, open_session
 from sylpose.capture import Session
-from sylpose.features.sift import Features, detect, match_features
+from sylpose.features.sift import Features, detect_features, match_features
 from sylpose.geometry.arrays import FloatArray
 from sylpose.matches import Matches
 from sylpose.moments import PairMoments
@@ -31,7 +31,7 @@ from sylpose.rig import Rig
 from sylpose.simulate import Body, arc, box, ellipsoid, plane, random_motion, ring, simulate_matches
 from sylpose.sylvester.centralized import solve_centralized
 from sylpose.sylvester.depth_plane import DepthPlaneSolution, solve_depth_plane
-from sylpose.tracking.region import polygon_mask, region_polygon, volume_from_boxes
+from sylpose.tracking.region import carve_box_volume, project_outline, rasterize_outline
 
 BODIES = {
     "sphere": ellipsoid((0.15, 0.15, 0.15)),
@@ -42,7 +42,7 @@ BODIES = {
 
 
 class Problem(NamedTuple):
-    """Rotations of the cameras, their moments, the true rotation, and the epipolar solver's if it was asked."""
+    """Camera rotations (C, 3, 3), moments, true rotation, and the epipolar solver's rotation if it was computed."""
 
     rotations: FloatArray
     moments: list[PairMoments]
@@ -50,21 +50,21 @@ class Problem(NamedTuple):
     epipolar: FloatArray | None = None
 
 
-def around(n: int) -> Rig:
-    """`n` cameras around the object, alternately above and below it."""
+def make_ring_rig(n: int) -> Rig:
+    """Return a rig of `n` cameras around the object, alternately above and below it."""
     return ring(n, height=[0.4 * (-1) ** k for k in range(n)])
 
 
-def synthetic(seed: int, rig: Rig, body: Body, turn_deg: float, *, epipolar: bool = True) -> Problem:
-    """One scene."""
+def simulate_problem(seed: int, rig: Rig, body: Body, turn_deg: float, *, epipolar: bool = True) -> Problem:
+    """Simulate one scene."""
     rng = np.random.default_rng(seed)
     motion = random_motion(turn_deg, 0.02, rng)
     start = RigidTransform.from_rotation(Rotation.random(rng=rng))
     matches = simulate_matches(rig, body, motion, rng=rng, start=start).matches
-    return _problem(rig, matches, motion.rotation.as_matrix(), epipolar)
+    return _make_problem(rig, matches, motion.rotation.as_matrix(), epipolar)
 
 
-def _problem(rig: Rig, matches: Sequence[Matches], truth: FloatArray, epipolar: bool) -> Problem:
+def _make_problem(rig: Rig, matches: Sequence[Matches], truth: FloatArray, epipolar: bool) -> Problem:
     found = estimate_motion(rig, matches).motion if epipolar else None
     return Problem(
         np.array([camera.rotation for camera in rig]),
@@ -74,8 +74,8 @@ def _problem(rig: Rig, matches: Sequence[Matches], truth: FloatArray, epipolar: 
     )
 
 
-def modelled(seed: int) -> Problem:
-    """Four orthographic cameras that each see a tilted plane with relief: what the model describes."""
+def simulate_model_problem(seed: int) -> Problem:
+    """Simulate what the model assumes: four orthographic cameras that each see a tilted, slightly rough plane."""
     rng = np.random.default_rng(seed)
     rotations, moments = np.asarray(Rotation.random(4, rng=rng).as_matrix()), []
     truth = random_motion(5.0, 0.0, rng).rotation.as_matrix()
@@ -87,80 +87,81 @@ def modelled(seed: int) -> Problem:
     return Problem(rotations, moments, truth)
 
 
-def recorded(session: Session, truth: Path, every: int) -> list[tuple[Rig, list[Matches], FloatArray]]:
-    """Inlying matches between every so many frames, and the true rotations."""
+def match_recording(session: Session, truth: Path, every: int) -> list[tuple[Rig, list[Matches], FloatArray]]:
+    """Match every `every`-th frame of a recording; return rig, inlier matches and true rotation of each pair."""
     rows = np.loadtxt(truth)
     poses = [RigidTransform.from_components(row[1:4], Rotation.from_quat(row[4:])) for row in rows]
-    volume = volume_from_boxes(session.rig, session.boxes)[1] if session.boxes else None
+    volume = carve_box_volume(session.rig, session.boxes)[1] if session.boxes else None
     out: list[tuple[Rig, list[Matches], FloatArray]] = []
-    before: list[Features] = []
-    last = RigidTransform.identity()
+    previous_features: list[Features] = []
+    previous_pose = RigidTransform.identity()
     for frames in session.frames(every=every):
         pose = poses[int(np.argmin(np.abs(rows[:, 0] - frames.time)))]
-        now = []
+        features = []
         for camera, image in zip(session.rig, frames.images, strict=True):
             mask = None
             if volume is not None:
-                outline = region_polygon(camera, (pose * poses[0].inv()).apply(volume), 0.05)
-                mask = polygon_mask(outline, camera.size)
-            now.append(Features.none() if image is None else detect(image, camera, mask))
-        if before:
+                outline = project_outline(camera, (pose * poses[0].inv()).apply(volume), 0.05)
+                mask = rasterize_outline(outline, camera.size)
+            features.append(Features.empty() if image is None else detect_features(image, camera, mask))
+        if previous_features:
             matches = []
-            for a, b in zip(before, now, strict=True):
+            for a, b in zip(previous_features, features, strict=True):
                 pairs = match_features(a, b)
                 matches.append(Matches(a.normalized[pairs[:, 0]], b.normalized[pairs[:, 1]]))
-            good = estimate_motion(session.rig, matches).inliers
-            kept = [Matches(m.x[i], m.y[i]) for m, i in zip(matches, good, strict=True)]
-            out.append((session.rig, kept, (pose.rotation * last.rotation.inv()).as_matrix()))
-        before, last = now, pose
+            inliers = estimate_motion(session.rig, matches).inliers
+            inlier_matches = [Matches(m.x[i], m.y[i]) for m, i in zip(matches, inliers, strict=True)]
+            out.append((session.rig, inlier_matches, (pose.rotation * previous_pose.rotation.inv()).as_matrix()))
+        previous_features, previous_pose = features, pose
     return out
 
 
-def degrees(a: FloatArray, b: FloatArray) -> float:
-    """The angle between two rotations."""
+def rotation_angle_deg(a: FloatArray, b: FloatArray) -> float:
+    """Return the angle between two rotations in degrees."""
     return float(np.rad2deg(Rotation.from_matrix(a @ b.T).magnitude()))
 
 
-def nees(solution: DepthPlaneSolution, truth: FloatArray) -> float:
-    """The squared error in units of the covariance."""
+def compute_nees(solution: DepthPlaneSolution, truth: FloatArray) -> float:
+    """Return the squared rotation error in units of the covariance."""
     error = Rotation.from_matrix(truth @ solution.rotation.T).as_rotvec()
     return float(error @ solution.information @ error)
 
 
-def row(name: str, problems: Sequence[Problem]) -> str:
-    """One line of the tables."""
-    plain, plane_errors, epipolar, values, ok, seconds = [], [], [], [], 0, 0.0
+def format_row(name: str, problems: Sequence[Problem]) -> str:
+    """Solve problems by all methods and format their table row."""
+    ignored_errors, plane_errors, epipolar_errors, values, ok, seconds = [], [], [], [], 0, 0.0
     for rotations, moments, truth, perspective in problems:
         start = time.perf_counter()
         solution = solve_depth_plane(rotations, moments)
         seconds += time.perf_counter() - start
         if solution.status is Status.TOO_FEW_MATCHES:
             continue
-        plain.append(degrees(solve_centralized(rotations, moments).rotation, truth))
-        plane_errors.append(degrees(solution.rotation, truth))
+        ignored_errors.append(rotation_angle_deg(solve_centralized(rotations, moments).rotation, truth))
+        plane_errors.append(rotation_angle_deg(solution.rotation, truth))
         if perspective is not None:
-            epipolar.append(degrees(perspective, truth))
+            epipolar_errors.append(rotation_angle_deg(perspective, truth))
         if solution.status is Status.OK:
             ok += 1
-            values.append(nees(solution, truth))
-    of_epipolar = f"{np.median(epipolar):.2f}" if epipolar else ""
-    of_nees = f"{np.mean(values):.1f} / {np.median(values):.1f}" if values else ""
+            values.append(compute_nees(solution, truth))
+    epipolar_text = f"{np.median(epipolar_errors):.2f}" if epipolar_errors else ""
+    nees_text = f"{np.mean(values):.1f} / {np.median(values):.1f}" if values else ""
     return (
-        f"| {name} | {np.median(plain):.2f} | {np.median(plane_errors):.3f} | {np.quantile(plane_errors, 0.9):.2f} | "
-        f"{max(plane_errors):.2f} | {of_epipolar} | {of_nees} | "
+        f"| {name} | {np.median(ignored_errors):.2f} | {np.median(plane_errors):.3f} | "
+        f"{np.quantile(plane_errors, 0.9):.2f} | "
+        f"{max(plane_errors):.2f} | {epipolar_text} | {nees_text} | "
         f"{ok} of {len(problems)} | {1e3 * seconds / len(problems):.0f} |"
     )
 
 
-def table(title: str, rows: Sequence[tuple[str, Sequence[Problem]]]) -> None:
-    """Prints one, line by line."""
+def print_table(title: str, rows: Sequence[tuple[str, Sequence[Problem]]]) -> None:
+    """Print a table row by row."""
     print(f"\n### {title}\n")
     print(
-        "| scene | depth ignored, median degrees | depth plane: median | 90 % | worst | epipolar solver: median "
+        "| scene | depth ignored: median error, deg | depth plane: median | 90 % | maximum | epipolar solver: median "
         "| NEES: mean / median | OK | ms |\n|---|---|---|---|---|---|---|---|---|"
     )
     for name, problems in rows:
-        print(row(name, problems), flush=True)
+        print(format_row(name, problems), flush=True)
 
 
 def main() -> None:
@@ -170,23 +171,26 @@ def main() -> None:
     options = parser.parse_args()
     seeds = range(options.seeds)
 
-    def scenes(rig: Rig, body: str, turn_deg: float = 5.0) -> list[Problem]:
-        return [synthetic(seed, rig, BODIES[body], turn_deg) for seed in seeds]
+    def simulate_problems(rig: Rig, body: str, turn_deg: float = 5.0) -> list[Problem]:
+        return [simulate_problem(seed, rig, BODIES[body], turn_deg) for seed in seeds]
 
-    table(
-        "Turns, 4 cameras around an ellipsoid",
-        [(f"{t}°", scenes(around(4), "ellipsoid", t)) for t in (1, 2, 5, 10, 15)],
+    print_table(
+        "Rotation angles, 4 cameras around an ellipsoid",
+        [(f"{t}°", simulate_problems(make_ring_rig(4), "ellipsoid", t)) for t in (1, 2, 5, 10, 15)],
     )
-    table("Bodies, 4 cameras, 5°", [(body, scenes(around(4), body)) for body in BODIES])
-    rigs = {f"{n} around": around(n) for n in (2, 3, 8)} | {"2, 60° apart": arc(2, 60), "3, 30° apart": arc(3, 30)}
-    table("Rigs, ellipsoid, 5°", [(name, scenes(rig, "ellipsoid")) for name, rig in rigs.items()])
-    table("Rigs, box, 5°", [(name, scenes(rig, "box")) for name, rig in rigs.items()])
+    print_table("Object shapes, 4 cameras, 5°", [(body, simulate_problems(make_ring_rig(4), body)) for body in BODIES])
+    rigs = {f"{n} cameras on a ring": make_ring_rig(n) for n in (2, 3, 8)} | {
+        "2 cameras 60° apart": arc(2, 60),
+        "3 cameras 30° apart": arc(3, 30),
+    }
+    print_table("Rigs, ellipsoid, 5°", [(name, simulate_problems(rig, "ellipsoid")) for name, rig in rigs.items()])
+    print_table("Rigs, box, 5°", [(name, simulate_problems(rig, "box")) for name, rig in rigs.items()])
 
-    model = [modelled(seed) for seed in range(4 * options.seeds)]
+    model = [simulate_model_problem(seed) for seed in range(4 * options.seeds)]
     solutions = [solve_depth_plane(p.rotations, p.moments, aim=False) for p in model]
-    values = [nees(s, p.truth) for s, p in zip(solutions, model, strict=True) if s.status is Status.OK]
+    values = [compute_nees(s, p.truth) for s, p in zip(solutions, model, strict=True) if s.status is Status.OK]
     print(
-        f"\nScenes that fit the model (planes with relief, orthographic, 5°): NEES {np.mean(values):.2f} (mean), ",
+        f"\nScenes that satisfy the model (rough planes, orthographic, 5°): NEES {np.mean(values):.2f} (mean), ",
         end="",
     )
     print(f"{np.median(values):.2f} (median; 2.37 expected), {len(values)} of {len(model)} OK.")
@@ -198,16 +202,16 @@ def main() -> None:
         folder = options.shared / "data" / name
         if not folder.exists():
             continue
-        pairs = recorded(open_session(folder), folder / "groundtruth.tum", every)
+        pairs = match_recording(open_session(folder), folder / "groundtruth.tum", every)
         rows = []
         for cameras in choices:
-            of = [int(c) for c in cameras]
+            indices = [int(c) for c in cameras]
             problems = [
-                _problem(Rig([rig.cameras[c] for c in of], rig.unit), [m[c] for c in of], truth, True)
+                _make_problem(Rig([rig.cameras[c] for c in indices], rig.unit), [m[c] for c in indices], truth, True)
                 for rig, m, truth in pairs
             ]
             rows.append((f"cameras {', '.join(cameras)}", problems))
-        table(f"{name}, {len(pairs)} pairs of frames, {every} apart", rows)
+        print_table(f"{name}, {len(pairs)} pairs, frame distance {every}", rows)
 
 
 if __name__ == "__main__":

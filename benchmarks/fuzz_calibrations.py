@@ -1,4 +1,4 @@
-"""Whole calibrations in other programs' formats, for benchmarks/fuzz.py to change: small, of two cameras of 64 x 48."""
+"""Valid calibrations in other programs' formats for benchmarks/fuzz.py: two cameras of 64 x 48 pixels."""
 
 from __future__ import annotations
 
@@ -16,49 +16,49 @@ __all__ = ["SAMPLES", "Sample"]
 
 
 class Sample(NamedTuple):
-    """Files of a format.
+    """Sample files of a format.
 
     Attributes:
-        name: of the file that is changed.
-        whole: whole ones of it.
-        beside: by name, files that lie beside it as they are.
-        text: whether it is text.
+        name: name of the file that is mutated.
+        samples: valid contents of it.
+        other_files: contents of the other files in its folder, by name.
+        is_text: the file is text.
     """
 
     name: str
-    whole: tuple[bytes, ...]
-    beside: Mapping[str, bytes] = MappingProxyType({})
-    text: bool = True
+    samples: tuple[bytes, ...]
+    other_files: Mapping[str, bytes] = MappingProxyType({})
+    is_text: bool = True
 
 
-TURN = Rotation.from_euler("XYZ", [0.3, -0.2, 0.5])
-MATRIX = TURN.as_matrix()
-K, D, SHIFT = (
+ROTATION = Rotation.from_euler("XYZ", [0.3, -0.2, 0.5])
+MATRIX = ROTATION.as_matrix()
+K, D, TRANSLATION = (
     [[80.5, 0.0, 31.5], [0.0, 81.0, 23.5], [0.0, 0.0, 1.0]],
     [-0.1, 0.02, 0.001, -0.002, 0.0],
     [0.1, -0.2, 1.5],
 )
-X, Y, Z, W = TURN.as_quat().tolist()
-POSE = np.vstack([np.column_stack([MATRIX, SHIFT]), [0.0, 0.0, 0.0, 1.0]])
+X, Y, Z, W = ROTATION.as_quat().tolist()
+POSE = np.vstack([np.column_stack([MATRIX, TRANSLATION]), [0.0, 0.0, 0.0, 1.0]])
 
 
-def _words(values: Any) -> str:
+def _join_numbers(values: Any) -> str:
     return " ".join(map(str, np.ravel(values).tolist()))
 
 
-def _matrix(name: str, values: Any) -> str:
+def _format_matrix(name: str, values: Any) -> str:
     rows = np.atleast_2d(np.array(values, dtype=float))
     numbers = ", ".join(map(str, rows.ravel().tolist()))
     return f"{name}: !!opencv-matrix\n   rows: {rows.shape[0]}\n   cols: {rows.shape[1]}\n   dt: d\n   data: [ {numbers} ]\n"
 
 
-def _storage(**values: Any) -> bytes:
-    return ("%YAML:1.0\n---\n" + "".join(_matrix(name, value) for name, value in values.items())).encode()
+def _format_storage(**values: Any) -> bytes:
+    return ("%YAML:1.0\n---\n" + "".join(_format_matrix(name, value) for name, value in values.items())).encode()
 
 
-LENSES = _storage(M1=K, D1=D, M2=K, D2=D)
-PLACE = _storage(R=MATRIX, T=np.array([SHIFT]).T, R1=np.eye(3), R2=np.eye(3))
-PAIR = {"K1": K, "D1": D, "K2": K, "D2": D, "R": MATRIX.tolist(), "T": SHIFT, "imageSize": [64, 48]}
+LENSES = _format_storage(M1=K, D1=D, M2=K, D2=D)
+EXTRINSICS = _format_storage(R=MATRIX, T=np.array([TRANSLATION]).T, R1=np.eye(3), R2=np.eye(3))
+PAIR = {"K1": K, "D1": D, "K2": K, "D2": D, "R": MATRIX.tolist(), "T": TRANSLATION, "imageSize": [64, 48]}
 CHAIN = f"""cam0:
   camera_model: pinhole
   distortion_coeffs: [-0.1, 0.02, 0.001, -0.002]
@@ -77,14 +77,14 @@ CAMERAS = b"# cameras\n1 OPENCV 64 48 80.5 81 32 24 -0.1 0.02 0.001 -0.002\n2 PI
 IMAGES = f"""# images
 1 1 0 0 0 0 0 0 1 left/0.png
 1.5 2.5 -1 3 4 8
-2 {W} {X} {Y} {Z} {_words(SHIFT)} 2 right/0.png
+2 {W} {X} {Y} {Z} {_join_numbers(TRANSLATION)} 2 right/0.png
 
 """.encode()
 CAMERAS_BIN = struct.pack("<Q", 2) + b"".join(
     struct.pack("<IiQQ4d", i, 1, 64, 48, 80.5, 81.0, 32.0, 24.0) for i in (1, 2)
 )
 IMAGES_BIN = struct.pack("<Q", 2) + b"".join(
-    struct.pack("<I7dI", i, W, X, Y, Z, *SHIFT, i) + name + struct.pack("<Qddq", 1, 1.5, 2.5, -1)
+    struct.pack("<I7dI", i, W, X, Y, Z, *TRANSLATION, i) + name + struct.pack("<Qddq", 1, 1.5, 2.5, -1)
     for i, name in ((1, b"left/0.png\0"), (2, b"right/0.png\0"))
 )
 RIG_CONFIG = json.dumps(
@@ -100,7 +100,7 @@ RIG_CONFIG = json.dumps(
                 {
                     "image_prefix": "b/",
                     "cam_from_rig_rotation": [W, X, Y, Z],
-                    "cam_from_rig_translation": SHIFT,
+                    "cam_from_rig_translation": TRANSLATION,
                     "camera_model_name": "RADIAL",
                     "camera_params": [80, 32, 24, 0.1, 0.0],
                 },
@@ -144,9 +144,14 @@ transform:
   translation: {{x: 0.5, y: -0.25, z: 2.0}}
   rotation: {{x: {X}, y: {Y}, z: {Z}, w: {W}}}
 """.encode()
-JARVIS = _storage(intrinsicMatrix=np.array(K).T, distortionCoefficients=D, R=MATRIX.T, T=np.array([SHIFT]).T)
-INTRI = b'%YAML:1.0\n---\nnames:\n  - "01"\n  - "02"\n' + _storage(K_01=K, dist_01=D, K_02=K, dist_02=D)[14:]
-EXTRI = _storage(R_01=[0.1, 0.2, 0.3], T_01=SHIFT, Rot_02=MATRIX, T_02=SHIFT) + b'names: [ "01", "02" ]\n'
+JARVIS = _format_storage(
+    intrinsicMatrix=np.array(K).T, distortionCoefficients=D, R=MATRIX.T, T=np.array([TRANSLATION]).T
+)
+INTRI = b'%YAML:1.0\n---\nnames:\n  - "01"\n  - "02"\n' + _format_storage(K_01=K, dist_01=D, K_02=K, dist_02=D)[14:]
+EXTRI = (
+    _format_storage(R_01=[0.1, 0.2, 0.3], T_01=TRANSLATION, Rot_02=MATRIX, T_02=TRANSLATION)
+    + b'names: [ "01", "02" ]\n'
+)
 QUALISYS_CAMERA = f"""<camera active="1" calibrated="true" serial="%d" model="Miqus Video" viewrotation="0">
 <fov_video left="0" top="0" right="63" bottom="47"/>
 <transform x="100" y="-200" z="1500" {" ".join(f'r{i + 1}{j + 1}="{MATRIX[i, j]}"' for i in range(3) for j in range(3))}/>
@@ -169,9 +174,9 @@ METASHAPE = f"""<?xml version="1.0" encoding="UTF-8"?>
 <document version="2.0.0"><chunk label="1"><sensors><sensor id="0" type="frame">
 <calibration type="frame" class="adjusted"><resolution width="64" height="48"/><f>80.5</f><cx>0.5</cx><cy>-0.5</cy>
 <k1>-0.1</k1><k2>0.02</k2><p1>0.001</p1></calibration></sensor></sensors><cameras>
-<camera id="0" sensor_id="0" label="left.png"><transform>{_words(np.eye(4))}</transform></camera>
-<camera id="1" sensor_id="0" label="right.png"><transform>{_words(POSE)}</transform></camera></cameras>
-<transform><rotation>{_words(MATRIX)}</rotation><translation>1 2 3</translation><scale>0.5</scale></transform></chunk>
+<camera id="0" sensor_id="0" label="left.png"><transform>{_join_numbers(np.eye(4))}</transform></camera>
+<camera id="1" sensor_id="0" label="right.png"><transform>{_join_numbers(POSE)}</transform></camera></cameras>
+<transform><rotation>{_join_numbers(MATRIX)}</rotation><translation>1 2 3</translation><scale>0.5</scale></transform></chunk>
 </document>""".encode()
 MATLAB_LENS = {"RadialDistortion": [-0.1, 0.02], "TangentialDistortion": [0.0, 0.001], "ImageSize": [48, 64]}
 MATLAB = json.dumps(
@@ -179,14 +184,14 @@ MATLAB = json.dumps(
         "CameraParameters1": MATLAB_LENS | {"IntrinsicMatrix": np.array(K).T.tolist(), "WorldUnits": "mm"},
         "CameraParameters2": MATLAB_LENS | {"K": K},
         "RotationOfCamera2": MATRIX.T.tolist(),
-        "TranslationOfCamera2": SHIFT,
+        "TranslationOfCamera2": TRANSLATION,
     }
 ).encode()
 NERF = json.dumps(
     {"fl_x": 80.5, "cx": 32.0, "cy": 24.0, "w": 64, "h": 48, "k1": -0.1}
     | {"frames": [{"file_path": f"images/{n}.png", "transform_matrix": POSE.tolist()} for n in ("left", "right")]}
 ).encode()
-PMAT = _words(np.array(K) @ POSE[:3]).encode()
+PMAT = _join_numbers(np.array(K) @ POSE[:3]).encode()
 RAD = "".join(f"K{i + 1}{j + 1} = {K[i][j]}\n" for i in range(3) for j in range(3)).encode()
 RAD += b"\nkc1 = -0.1\nkc2 = 0.02\nkc3 = 0.001\nkc4 = -0.002\n"
 SELF = {"camera1.Pmat.cal": PMAT, "camera2.Pmat.cal": PMAT, "Res.dat": b"64 48\n64 48\n", "camera_order.txt": b"a\nb\n"}
@@ -196,14 +201,14 @@ STEREO = {
     "distCoeffs1": np.array([D]),
     "distCoeffs2": np.array([D]),
     "R": MATRIX,
-    "T": np.array([SHIFT]).T,
+    "T": np.array([TRANSLATION]).T,
     "image_shape": [(64, 48), (64, 48)],
 }
 PICKLES = tuple(pickle.dumps({"camera-1-camera-2": STEREO}, protocol=protocol) for protocol in (2, 3, 4, 5))
 
 SAMPLES: dict[str, Sample] = {
-    "stereo": Sample("intrinsics.yml", (LENSES,), {"extrinsics.yml": PLACE}),
-    "stereo, poses": Sample("extrinsics.yml", (PLACE,), {"intrinsics.yml": LENSES}),
+    "stereo": Sample("intrinsics.yml", (LENSES,), {"extrinsics.yml": EXTRINSICS}),
+    "stereo, poses": Sample("extrinsics.yml", (EXTRINSICS,), {"intrinsics.yml": LENSES}),
     "stereo, json": Sample("stereo.json", (json.dumps(PAIR).encode(),)),
     "Kalibr": Sample("camchain.yaml", (CHAIN,)),
     "COLMAP cameras.txt": Sample("cameras.txt", (CAMERAS,), {"images.txt": IMAGES}),

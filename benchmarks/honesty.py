@@ -1,16 +1,20 @@
-"""Does OK mean OK? `estimate_motion` and `estimate_pose` on nearly seventy kinds of problems, most of them nasty.
+"""Reliability of the status OK of `estimate_motion` and `estimate_pose` on about seventy kinds of mostly hard problems.
 
     python benchmarks/honesty.py [--scenes 200] [--first 0] [--kinds "two cameras*"] [--worst 3] [--seed 17]
 
-*Wrong and sure* is an answer with the status OK whose turn is off by more than 3 degrees, or whose displacement by as much
-as 3 degrees move the object's surface, and whose squared error in units of its own covariance has less than one chance in a
-million (38, six degrees of freedom). Lengths are the calibration's: where that is wrong the turn alone is judged. Of each
-kind: the share of OK, how many of these were wrong and sure, the other statuses, and of the worst ones their seeds
-(`--kinds NAME --seed N` repeats one alone). Of kinds marked with * everything is as usual: they must be OK. Kinds marked
-with - are not counted: a wrong calibration of one of two cameras, of which the matches need not tell anything.
+A result is *wrong and sure* if it has the status OK, its error is large and its covariance does not explain the error.
 
-The exit code is 1 where more than 1 in 1,000 of all answers are wrong and sure, or more than 1 in 200 of a kind (and more
-than one), or where less than 97 % of the usual ones are OK. The kinds: benchmarks/honesty_kinds.py.
+- Large: the rotation error exceeds 3 degrees, or the translation error exceeds what a rotation of 3 degrees moves the
+  object's surface. Translations depend on the calibrated scale: a wrong calibration is judged by the rotation alone.
+- Not explained: the squared error in units of its covariance (NEES) has a probability below one in a million (38, six
+  degrees of freedom).
+
+The table gives for each kind the share of OK, the number of wrong and sure results, the other statuses, and the seeds of
+the worst results (`--kinds NAME --seed N` repeats one scene). Kinds marked with * are regular problems, which must be OK.
+Kinds marked with - are excluded: a wrong calibration of one of two cameras may be undetectable from the matches.
+
+The exit code is 1 if more than 1 in 1,000 of all results are wrong and sure, or more than 1 in 200 of a kind (and more
+than one), or if less than 97 % of the regular ones are OK. The kinds: benchmarks/honesty_kinds.py.
 """
 
 from __future__ import annotations
@@ -28,102 +32,128 @@ from benchmarks.honesty_kinds import MOTIONS, POSES, Problem, make_problem
 from sylpose import Motion, Status, estimate_motion, estimate_pose
 from sylpose.geometry.robust_loss import chi_squared_bound
 
-__all__ = ["Outcome", "judge", "outcomes"]
+__all__ = ["Outcome", "compare_with_truth", "evaluate_scenes"]
 
-# Beyond both an answer is wrong and sure of it: degrees, and the square of the error in its own standard deviations.
-WRONG_DEG, WRONG_SQUARE = 3.0, chi_squared_bound(6, 1e-6)
-# What is asked for: shares of wrong and sure ones, over all and of a kind, and of OK where all is as usual.
-MOST, MOST_OF_A_KIND, LEAST_OK = 1 / 1000, 1 / 200, 0.97
+# A result that exceeds both is wrong and sure: error in degrees, and NEES.
+WRONG_DEG, WRONG_NEES = 3.0, chi_squared_bound(6, 1e-6)
+# Requirements: largest share of wrong and sure results, over all kinds and within a kind; least share of OK if regular.
+MAX_WRONG_SHARE, MAX_WRONG_SHARE_PER_KIND, MIN_OK_SHARE = 1 / 1000, 1 / 200, 0.97
 
 
 class Outcome(NamedTuple):
-    """What came of a scene: the error in degrees, of the displacement in radii of the object, its square in its own standard
-    deviations (NaN where it is not OK), and whether it is wrong and sure."""
+    """Evaluation of one scene.
+
+    Attributes:
+        status: status of the result.
+        degrees: rotation error; NaN if the status is not OK.
+        radii: translation error in object radii; NaN if the status is not OK.
+        square: squared error in units of the covariance (NEES); NaN if the status is not OK.
+        wrong: the result is wrong and sure.
+    """
 
     status: Status
     degrees: float
     radii: float
-    square: float
+    nees: float
     wrong: bool
 
 
 def solve(problem: Problem) -> Motion:
-    """What the estimator says."""
+    """Run the estimator that fits the problem."""
     if problem.matches:
         return estimate_motion(problem.rig, problem.matches)
     return estimate_pose(problem.rig, problem.points, problem.pixels)
 
 
-def judge(problem: Problem, found: Motion) -> Outcome:
-    """An answer beside the truth, the nearest where there are several."""
+def compare_with_truth(problem: Problem, found: Motion) -> Outcome:
+    """Compare a result with the truth, the nearest one if there are several."""
     best = Outcome(found.status, np.nan, np.nan, np.inf, False)
     if found.status is not Status.OK or found.motion is None:
-        return best._replace(square=np.nan)
+        return best._replace(nees=np.nan)
     for truth in problem.truths:
-        turn = (truth.rotation * found.motion.rotation.inv()).as_rotvec()
-        off = truth.apply(found.center) - found.motion.apply(found.center)
-        error = np.concatenate([turn, off])
-        degrees, radii = float(np.rad2deg(np.linalg.norm(turn))), float(np.linalg.norm(off)) / problem.radius
-        square = float(error @ found.information @ error)
-        if not square >= best.square:
-            far = degrees > WRONG_DEG or (problem.calibrated and float(np.rad2deg(radii)) > WRONG_DEG)
-            best = Outcome(found.status, degrees, radii, square, far and square > WRONG_SQUARE)
+        rotation_error = (truth.rotation * found.motion.rotation.inv()).as_rotvec()
+        position_error = truth.apply(found.center) - found.motion.apply(found.center)
+        error = np.concatenate([rotation_error, position_error])
+        degrees, radii = (
+            float(np.rad2deg(np.linalg.norm(rotation_error))),
+            float(np.linalg.norm(position_error)) / problem.radius,
+        )
+        nees = float(error @ found.information @ error)
+        if not nees >= best.nees:
+            is_wrong = degrees > WRONG_DEG or (problem.is_calibrated and float(np.rad2deg(radii)) > WRONG_DEG)
+            best = Outcome(found.status, degrees, radii, nees, is_wrong and nees > WRONG_NEES)
     return best
 
 
-def outcomes(name: str, seeds: range) -> list[Outcome]:
-    """Of scenes of a kind."""
+def evaluate_scenes(name: str, seeds: range) -> list[Outcome]:
+    """Solve and evaluate the scenes of a kind."""
     problems = [make_problem(name, seed) for seed in seeds]
-    return [judge(problem, solve(problem)) for problem in problems]
+    return [compare_with_truth(problem, solve(problem)) for problem in problems]
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scenes", type=int, default=200, help="of each kind")
-    parser.add_argument("--first", type=int, default=0, help="the first one's seed")
+    parser.add_argument("--scenes", type=int, default=200, help="number per kind")
+    parser.add_argument("--first", type=int, default=0, help="seed of the first scene")
     parser.add_argument("--kinds", default="*")
-    parser.add_argument("--worst", type=int, default=3, help="so many wrong ones of each kind are shown")
-    parser.add_argument("--seed", type=int, help="this scene alone, with all that is said of it")
+    parser.add_argument("--worst", type=int, default=3, help="number of wrong results to list per kind")
+    parser.add_argument("--seed", type=int, help="solve only this scene and print all details")
     options = parser.parse_args()
     kinds = {name: kind for name, kind in (MOTIONS | POSES).items() if fnmatch.fnmatch(name, options.kinds)}
     if options.seed is not None:
         for name in kinds:
             problem = make_problem(name, options.seed)
-            said = solve(problem)
-            given = [len(part) for part in problem.matches or problem.points]
-            print(name, judge(problem, said), f"{said.n_inliers} of {given}", *said.faults, sep="\n  ")
+            result = solve(problem)
+            n_matches = [len(part) for part in problem.matches or problem.points]
+            print(
+                name,
+                compare_with_truth(problem, result),
+                f"{result.n_inliers} of {n_matches}",
+                *result.faults,
+                sep="\n  ",
+            )
         return 0
-    print("| kind | OK | wrong and sure | other statuses | worst |\n|---|---|---|---|---|")
-    scenes = all_wrong = usual = usual_ok = 0
+    print(
+        "| kind | OK | wrong and sure | other statuses | worst: seed, rotation error, translation error (% of the radius), "
+        "NEES |\n|---|---|---|---|---|"
+    )
+    scenes = n_wrong = n_regular = n_regular_ok = 0
     shares: dict[str, float] = {}
-    begun = time.perf_counter()
+    start_time = time.perf_counter()
     for name, kind in kinds.items():
         seeds = range(options.first, options.first + options.scenes)
-        found = outcomes(name, seeds)
+        found = evaluate_scenes(name, seeds)
         ok = sum(o.status is Status.OK for o in found)
         wrong = [(o, seed) for o, seed in zip(found, seeds, strict=True) if o.wrong]
         others = Counter(o.status.name for o in found if o.status is not Status.OK).most_common()
         worst = sorted(wrong, key=lambda one: -max(one[0].degrees, float(np.rad2deg(one[0].radii))))[: options.worst]
-        shown = "; ".join(f"{s}: {o.degrees:.1f}°, {100 * o.radii:.0f} %, {o.square:.0f}" for o, s in worst)
-        told = ", ".join(f"{status} {n}" for status, n in others)
-        star = "*" if kind.regular else "-" if kind.untold else ""
-        print(f"| {name}{star} | {ok / len(found):.1%} | {len(wrong)} of {len(found)} | {told} | {shown} |", flush=True)
-        if kind.untold:
+        worst_text = "; ".join(f"{s}: {o.degrees:.1f}°, {100 * o.radii:.0f} %, {o.nees:.0f}" for o, s in worst)
+        status_text = ", ".join(f"{status} {n}" for status, n in others)
+        mark = "*" if kind.is_regular else "-" if kind.is_undetectable else ""
+        print(
+            f"| {name}{mark} | {ok / len(found):.1%} | {len(wrong)} of {len(found)} | {status_text} | {worst_text} |",
+            flush=True,
+        )
+        if kind.is_undetectable:
             continue
-        scenes, all_wrong = scenes + len(found), all_wrong + len(wrong)
+        scenes, n_wrong = scenes + len(found), n_wrong + len(wrong)
         shares[name] = len(wrong) / len(found) if len(wrong) > 1 else 0.0
-        usual, usual_ok = usual + kind.regular * len(found), usual_ok + kind.regular * ok
-    of_usual = usual_ok / usual if usual else 1.0
-    kind_of_most = max(shares, key=lambda name: shares[name], default="none")
-    worst_kind = f"worst kind: {kind_of_most} ({shares.get(kind_of_most, 0.0):.1%})"
+        n_regular, n_regular_ok = n_regular + kind.is_regular * len(found), n_regular_ok + kind.is_regular * ok
+    regular_ok_share = n_regular_ok / n_regular if n_regular else 1.0
+    worst_name = max(shares, key=lambda name: shares[name], default="none")
+    worst_kind = f"worst kind: {worst_name} ({shares.get(worst_name, 0.0):.1%})"
     if not any(shares.values()):
-        worst_kind = "more than one in no kind"
+        worst_kind = "at most one per kind"
     print(
-        f"\n{all_wrong} of {scenes} wrong and sure ({1000 * all_wrong / max(scenes, 1):.2f} in 1,000); "
-        f"{worst_kind}; {of_usual:.1%} of the usual ones OK; "
-        f"{time.perf_counter() - begun:.0f} s"
+        f"\n{n_wrong} of {scenes} wrong and sure ({1000 * n_wrong / max(scenes, 1):.2f} in 1,000); "
+        f"{worst_kind}; {regular_ok_share:.1%} of the regular ones OK; "
+        f"{time.perf_counter() - start_time:.0f} s"
     )
-    return int(all_wrong > MOST * scenes or shares.get(kind_of_most, 0.0) > MOST_OF_A_KIND or of_usual < LEAST_OK)
+    return int(
+        n_wrong > MAX_WRONG_SHARE * scenes
+        or shares.get(worst_name, 0.0) > MAX_WRONG_SHARE_PER_KIND
+        or regular_ok_share < MIN_OK_SHARE
+    )
 
 
 if __name__ == "__main__":

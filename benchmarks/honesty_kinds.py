@@ -1,4 +1,7 @@
-"""Kinds of two-frame and of pose problems, the ordinary and the nasty, each with any number of seeded scenes."""
+"""Kinds of two-frame and pose problems, regular and hard ones, each with any number of seeded scenes.
+
+A kind's name is part of the seed of its scenes.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,7 @@ from sylpose.simulate import (
 
 __all__ = ["EXPECTED_PX", "MOTIONS", "POSES", "Kind", "Problem", "make_problem"]
 
-# The noise of keypoints that is taken for usual, pixels.
+# Usual keypoint noise, pixels.
 EXPECTED_PX = 0.5
 BODIES: dict[str, Body] = {
     "ellipsoid": ellipsoid((0.15, 0.12, 0.1)),
@@ -45,56 +48,56 @@ Span = tuple[float, float]
 
 @dataclass(frozen=True)
 class Kind:
-    """What the scenes of a kind are drawn from, evenly; turns and shifts evenly in their logarithm.
+    """Distributions of the scenes of a kind: uniform, and log-uniform for rotations and translations.
 
     Attributes:
-        regular: nothing is unusual, so that the answer must be OK.
-        bodies, cameras: names, and how many.
-        rig: "around" on a zigzag ring or a dome; "any": two cameras at any angle from 5 to 180 degrees, at any height;
-            "opposite": 180 degrees apart, give or take 5; "narrow": neighbours 2 to 15 degrees apart.
-        turn, shift: degrees, metres.
-        matches: per camera, wrong ones included.
-        unequal: cameras have from 2 % to all of them.
-        noise: times `EXPECTED_PX`.
-        outliers, of: their share, and what they are.
-        junk: all matches of one camera are wrong.
-        untold: nothing in the matches can tell that the answer is wrong.
-        turned, displaced: one camera against its calibration, degrees and metres.
-        copies: so many times each match is given, all matches or a random part of them.
-        size: so many times as large the known points are given as they are, of poses.
-        lens: focal lengths and distances, times those of the ordinary scene.
+        regular: an ordinary problem, whose result must be OK.
+        bodies, cameras: names of bodies, and numbers of cameras.
+        rig: "around": zigzag ring or dome; "any": two cameras 5 to 180 degrees apart, at any height; "opposite": 175 to
+            185 degrees apart; "narrow": neighbors 2 to 15 degrees apart.
+        turn, shift: ranges of the rotation (degrees) and the translation (meters).
+        matches: range of the number of matches per camera, outliers included.
+        has_unequal_counts: each camera keeps between 2 % and all of its matches.
+        noise: noise in units of `EXPECTED_PX`.
+        outliers, of: range of the outlier ratio, and the kind of outliers.
+        junk: all matches of one camera are outliers.
+        untold: the matches contain no evidence of the error; the kind is not counted.
+        turned, displaced: ranges of one camera's calibration error, degrees and meters.
+        copies: numbers of copies per match, of all matches or of a random part.
+        size: range of the scale error of the known points of pose problems.
+        lens: factor of focal lengths and distances.
     """
 
-    regular: bool = False
+    is_regular: bool = False
     bodies: tuple[str, ...] = SOLID
     cameras: tuple[int, ...] = (3, 4, 8)
     rig: Literal["around", "any", "opposite", "narrow"] = "around"
-    turn: Span = (2.0, 15.0)
-    shift: Span = (0.01, 0.05)
+    rotation_deg: Span = (2.0, 15.0)
+    translation_m: Span = (0.01, 0.05)
     matches: tuple[int, int] = (40, 80)
-    unequal: bool = False
-    noise: float = 1.0
+    has_unequal_counts: bool = False
+    noise_factor: float = 1.0
     outliers: Span = (0.0, 0.0)
-    of: OutlierKind = "uniform"
-    junk: bool = False
-    untold: bool = False
-    turned: Span | None = None
-    displaced: Span = (0.0, 0.0)
+    outlier_kind: OutlierKind = "uniform"
+    has_junk_camera: bool = False
+    is_undetectable: bool = False
+    camera_rotation_deg: Span | None = None
+    camera_translation_m: Span = (0.0, 0.0)
     copies: tuple[int, ...] = ()
-    size: Span | None = None
-    lens: float = 1.0
+    model_scale: Span | None = None
+    focal_factor: float = 1.0
 
 
 class Problem(NamedTuple):
-    """What an estimator is given, and the truth.
+    """Input of an estimator, and the truth.
 
     Attributes:
-        rig: as it is calibrated.
-        matches: per camera, of two frames; empty for a pose.
-        points, pixels: per camera, of a known object; empty for two frames.
-        truths: the motion, or world_from_object; where two bodies have about as many matches, those of both.
-        radius: of the object.
-        calibrated: whether the rig stands as its calibration says.
+        rig: the rig as calibrated.
+        matches: per camera, of two frames; empty for a pose problem.
+        points, pixels: per camera, of a known object; empty for a two-frame problem.
+        truths: motion or world_from_object; of both bodies if two have about equally many matches.
+        radius: radius of the object.
+        calibrated: the calibration is correct.
     """
 
     rig: Rig
@@ -103,82 +106,96 @@ class Problem(NamedTuple):
     pixels: tuple[FloatArray, ...]
     truths: tuple[RigidTransform, ...]
     radius: float
-    calibrated: bool = True
+    is_calibrated: bool = True
 
 
-TWO, NEARLY_ALL = (2,), (2, 3, 4, 8)
-MANY, SOME = (0.3, 0.6), (0.3, 0.5)
+TWO_CAMERAS, UP_TO_EIGHT_CAMERAS = (2,), (2, 3, 4, 8)
+OUTLIERS_30_60, OUTLIERS_30_50 = (0.3, 0.6), (0.3, 0.5)
 MOTIONS: dict[str, Kind] = {
-    "solid": Kind(regular=True),
-    "sphere": Kind(regular=True, bodies=("sphere",)),
-    "bar": Kind(regular=True, bodies=("bar",)),
-    "solid, wrong 30 to 50 %": Kind(regular=True, outliers=SOME),
+    "solid": Kind(is_regular=True),
+    "sphere": Kind(is_regular=True, bodies=("sphere",)),
+    "bar": Kind(is_regular=True, bodies=("bar",)),
+    "solid, wrong 30 to 50 %": Kind(is_regular=True, outliers=OUTLIERS_30_50),
     "solid, wrong 50 to 60 %": Kind(outliers=(0.5, 0.6)),
-    "solid, unequal": Kind(matches=(60, 200), unequal=True),
-    "solid, unequal, wrong 30 to 60 %": Kind(matches=(60, 200), unequal=True, outliers=MANY),
-    "solid, long lens": Kind(lens=6.0),
-    "solid, long lens, wrong 30 to 60 %": Kind(lens=6.0, outliers=MANY),
-    "solid, tiny turn": Kind(turn=(0.05, 0.5), shift=(0.001, 0.02)),
-    "solid, large turn": Kind(turn=(30.0, 80.0)),
-    "solid, large turn, wrong 30 to 60 %": Kind(turn=(30.0, 80.0), outliers=MANY),
+    "solid, unequal": Kind(matches=(60, 200), has_unequal_counts=True),
+    "solid, unequal, wrong 30 to 60 %": Kind(matches=(60, 200), has_unequal_counts=True, outliers=OUTLIERS_30_60),
+    "solid, long lens": Kind(focal_factor=6.0),
+    "solid, long lens, wrong 30 to 60 %": Kind(focal_factor=6.0, outliers=OUTLIERS_30_60),
+    "solid, tiny turn": Kind(rotation_deg=(0.05, 0.5), translation_m=(0.001, 0.02)),
+    "solid, large turn": Kind(rotation_deg=(30.0, 80.0)),
+    "solid, large turn, wrong 30 to 60 %": Kind(rotation_deg=(30.0, 80.0), outliers=OUTLIERS_30_60),
     "flat": Kind(bodies=FLAT),
-    "flat, wrong 30 to 60 %": Kind(bodies=FLAT, outliers=MANY),
-    "flat, long lens": Kind(bodies=FLAT, lens=6.0),
-    "flat, tiny turn": Kind(bodies=FLAT, turn=(0.05, 0.5), shift=(0.001, 0.02)),
+    "flat, wrong 30 to 60 %": Kind(bodies=FLAT, outliers=OUTLIERS_30_60),
+    "flat, long lens": Kind(bodies=FLAT, focal_factor=6.0),
+    "flat, tiny turn": Kind(bodies=FLAT, rotation_deg=(0.05, 0.5), translation_m=(0.001, 0.02)),
     "slab": Kind(bodies=("slab",)),
-    "rod": Kind(bodies=("rod",), cameras=NEARLY_ALL),
+    "rod": Kind(bodies=("rod",), cameras=UP_TO_EIGHT_CAMERAS),
     "one camera": Kind(bodies=(*SOLID, *FLAT), cameras=(1,)),
-    "two cameras": Kind(cameras=TWO, rig="any"),
-    "two cameras, wrong 30 to 60 %": Kind(cameras=TWO, rig="any", outliers=MANY),
-    "two cameras, flat": Kind(bodies=FLAT, cameras=TWO, rig="any"),
-    "two cameras, flat, wrong 30 to 50 %": Kind(bodies=FLAT, cameras=TWO, rig="any", outliers=SOME),
-    "two cameras, flat, long lens": Kind(bodies=FLAT, cameras=TWO, rig="any", lens=6.0),
-    "two cameras, long lens": Kind(cameras=TWO, rig="any", lens=6.0),
-    "two opposite": Kind(cameras=TWO, rig="opposite"),
-    "two opposite, flat": Kind(bodies=("board", "slab"), cameras=TWO, rig="opposite"),
-    "two opposite, wrong 30 to 60 %": Kind(cameras=TWO, rig="opposite", outliers=MANY),
+    "two cameras": Kind(cameras=TWO_CAMERAS, rig="any"),
+    "two cameras, wrong 30 to 60 %": Kind(cameras=TWO_CAMERAS, rig="any", outliers=OUTLIERS_30_60),
+    "two cameras, flat": Kind(bodies=FLAT, cameras=TWO_CAMERAS, rig="any"),
+    "two cameras, flat, wrong 30 to 50 %": Kind(bodies=FLAT, cameras=TWO_CAMERAS, rig="any", outliers=OUTLIERS_30_50),
+    "two cameras, flat, long lens": Kind(bodies=FLAT, cameras=TWO_CAMERAS, rig="any", focal_factor=6.0),
+    "two cameras, long lens": Kind(cameras=TWO_CAMERAS, rig="any", focal_factor=6.0),
+    "two opposite": Kind(cameras=TWO_CAMERAS, rig="opposite"),
+    "two opposite, flat": Kind(bodies=("board", "slab"), cameras=TWO_CAMERAS, rig="opposite"),
+    "two opposite, wrong 30 to 60 %": Kind(cameras=TWO_CAMERAS, rig="opposite", outliers=OUTLIERS_30_60),
     "narrow": Kind(cameras=(2, 3, 4), rig="narrow"),
     "narrow, flat": Kind(bodies=("board", "slab"), cameras=(2, 3, 4), rig="narrow"),
-    "narrow, wrong 30 to 60 %": Kind(cameras=(2, 3, 4), rig="narrow", outliers=MANY),
-    "second 20 %": Kind(outliers=(0.2, 0.2), of="second_motion"),
-    "second 40 %": Kind(outliers=(0.4, 0.4), of="second_motion"),
-    "second 60 %": Kind(outliers=(0.6, 0.6), of="second_motion"),
-    "second 40 %, flat": Kind(bodies=FLAT, outliers=(0.4, 0.4), of="second_motion"),
-    "second 20 to 60 %, two cameras": Kind(cameras=TWO, rig="any", outliers=(0.2, 0.6), of="second_motion"),
-    "static 30 to 60 %": Kind(outliers=MANY, of="static"),
-    "static 30 to 60 %, small": Kind(turn=(0.3, 2.0), shift=(0.001, 0.005), outliers=MANY, of="static"),
-    "static 30 to 60 %, two cameras": Kind(cameras=TWO, rig="any", outliers=MANY, of="static"),
-    "junk": Kind(cameras=(3, 4), junk=True),
-    "junk, two cameras": Kind(cameras=TWO, rig="any", junk=True),
-    "junk, flat": Kind(bodies=FLAT, cameras=(3, 4), junk=True),
-    "turned by 1 to 5": Kind(cameras=(3, 4), turned=(1.0, 5.0)),
-    "turned by 5 to 90, displaced": Kind(cameras=(3, 4), turned=(5.0, 90.0), displaced=(0.01, 0.3)),
-    "turned by 2 to 45, two cameras": Kind(cameras=TWO, rig="any", turned=(2.0, 45.0), untold=True),
-    "noise x 3": Kind(bodies=(*SOLID, *FLAT), cameras=NEARLY_ALL, noise=3.0),
-    "noise x 10": Kind(bodies=(*SOLID, *FLAT), cameras=NEARLY_ALL, noise=10.0),
-    "noise x 10, wrong 30 to 60 %": Kind(bodies=(*SOLID, *FLAT), cameras=NEARLY_ALL, noise=10.0, outliers=MANY),
+    "narrow, wrong 30 to 60 %": Kind(cameras=(2, 3, 4), rig="narrow", outliers=OUTLIERS_30_60),
+    "second 20 %": Kind(outliers=(0.2, 0.2), outlier_kind="second_motion"),
+    "second 40 %": Kind(outliers=(0.4, 0.4), outlier_kind="second_motion"),
+    "second 60 %": Kind(outliers=(0.6, 0.6), outlier_kind="second_motion"),
+    "second 40 %, flat": Kind(bodies=FLAT, outliers=(0.4, 0.4), outlier_kind="second_motion"),
+    "second 20 to 60 %, two cameras": Kind(
+        cameras=TWO_CAMERAS, rig="any", outliers=(0.2, 0.6), outlier_kind="second_motion"
+    ),
+    "static 30 to 60 %": Kind(outliers=OUTLIERS_30_60, outlier_kind="static"),
+    "static 30 to 60 %, small": Kind(
+        rotation_deg=(0.3, 2.0), translation_m=(0.001, 0.005), outliers=OUTLIERS_30_60, outlier_kind="static"
+    ),
+    "static 30 to 60 %, two cameras": Kind(
+        cameras=TWO_CAMERAS, rig="any", outliers=OUTLIERS_30_60, outlier_kind="static"
+    ),
+    "junk": Kind(cameras=(3, 4), has_junk_camera=True),
+    "junk, two cameras": Kind(cameras=TWO_CAMERAS, rig="any", has_junk_camera=True),
+    "junk, flat": Kind(bodies=FLAT, cameras=(3, 4), has_junk_camera=True),
+    "turned by 1 to 5": Kind(cameras=(3, 4), camera_rotation_deg=(1.0, 5.0)),
+    "turned by 5 to 90, displaced": Kind(
+        cameras=(3, 4), camera_rotation_deg=(5.0, 90.0), camera_translation_m=(0.01, 0.3)
+    ),
+    "turned by 2 to 45, two cameras": Kind(
+        cameras=TWO_CAMERAS, rig="any", camera_rotation_deg=(2.0, 45.0), is_undetectable=True
+    ),
+    "noise x 3": Kind(bodies=(*SOLID, *FLAT), cameras=UP_TO_EIGHT_CAMERAS, noise_factor=3.0),
+    "noise x 10": Kind(bodies=(*SOLID, *FLAT), cameras=UP_TO_EIGHT_CAMERAS, noise_factor=10.0),
+    "noise x 10, wrong 30 to 60 %": Kind(
+        bodies=(*SOLID, *FLAT), cameras=UP_TO_EIGHT_CAMERAS, noise_factor=10.0, outliers=OUTLIERS_30_60
+    ),
     "copies": Kind(matches=(10, 60), copies=(2, 5, 20)),
-    "copies, wrong 30 to 60 %": Kind(matches=(10, 60), copies=(2, 5, 20), outliers=MANY),
+    "copies, wrong 30 to 60 %": Kind(matches=(10, 60), copies=(2, 5, 20), outliers=OUTLIERS_30_60),
     "copies, few": Kind(bodies=(*SOLID, *FLAT), cameras=(2, 3, 4), matches=(4, 12), copies=(2, 5, 20)),
     "few": Kind(bodies=(*SOLID, *FLAT), matches=(4, 12)),
-    "few, wrong 30 to 60 %": Kind(bodies=(*SOLID, *FLAT), matches=(4, 12), outliers=MANY),
-    "few, two cameras": Kind(bodies=(*SOLID, *FLAT), cameras=TWO, rig="any", matches=(4, 12)),
-    "all wrong": Kind(bodies=(*SOLID, *FLAT), cameras=NEARLY_ALL, outliers=(1.0, 1.0)),
+    "few, wrong 30 to 60 %": Kind(bodies=(*SOLID, *FLAT), matches=(4, 12), outliers=OUTLIERS_30_60),
+    "few, two cameras": Kind(bodies=(*SOLID, *FLAT), cameras=TWO_CAMERAS, rig="any", matches=(4, 12)),
+    "all wrong": Kind(bodies=(*SOLID, *FLAT), cameras=UP_TO_EIGHT_CAMERAS, outliers=(1.0, 1.0)),
 }
 POSES: dict[str, Kind] = {
-    "pose": Kind(regular=True, bodies=(*SOLID, *FLAT)),
-    "pose, wrong 30 to 60 %": Kind(bodies=(*SOLID, *FLAT), outliers=MANY),
+    "pose": Kind(is_regular=True, bodies=(*SOLID, *FLAT)),
+    "pose, wrong 30 to 60 %": Kind(bodies=(*SOLID, *FLAT), outliers=OUTLIERS_30_60),
     "pose, wrong 70 to 95 %": Kind(bodies=(*SOLID, *FLAT), cameras=(1, 2, 4), outliers=(0.7, 0.95)),
     "pose, one camera": Kind(bodies=SOLID, cameras=(1,)),
-    "pose, one camera, flat, long lens": Kind(bodies=("board", "slab"), cameras=(1,), lens=6.0),
-    "pose, two cameras, flat": Kind(bodies=("board", "slab"), cameras=TWO, rig="any", matches=(4, 40)),
+    "pose, one camera, flat, long lens": Kind(bodies=("board", "slab"), cameras=(1,), focal_factor=6.0),
+    "pose, two cameras, flat": Kind(bodies=("board", "slab"), cameras=TWO_CAMERAS, rig="any", matches=(4, 40)),
     "pose, few": Kind(bodies=(*SOLID, *FLAT), cameras=(1, 2, 3, 4), matches=(2, 8)),
-    "pose, few, wrong 30 to 60 %": Kind(bodies=(*SOLID, *FLAT), cameras=(1, 2, 3, 4), matches=(3, 12), outliers=MANY),
-    "pose, junk": Kind(cameras=(2, 3, 4), junk=True),
-    "pose, turned by 1 to 45": Kind(cameras=(3, 4), turned=(1.0, 45.0)),
-    "pose, turned by 5 to 45, two cameras": Kind(cameras=TWO, rig="any", turned=(5.0, 45.0)),
-    "pose, noise x 10": Kind(bodies=(*SOLID, *FLAT), cameras=(1, 2, 4), noise=10.0),
-    "pose, another size": Kind(bodies=(*SOLID, *FLAT), cameras=(2, 3, 4, 8), matches=(8, 80), size=(1e-3, 1e3)),
+    "pose, few, wrong 30 to 60 %": Kind(
+        bodies=(*SOLID, *FLAT), cameras=(1, 2, 3, 4), matches=(3, 12), outliers=OUTLIERS_30_60
+    ),
+    "pose, junk": Kind(cameras=(2, 3, 4), has_junk_camera=True),
+    "pose, turned by 1 to 45": Kind(cameras=(3, 4), camera_rotation_deg=(1.0, 45.0)),
+    "pose, turned by 5 to 45, two cameras": Kind(cameras=TWO_CAMERAS, rig="any", camera_rotation_deg=(5.0, 45.0)),
+    "pose, noise x 10": Kind(bodies=(*SOLID, *FLAT), cameras=(1, 2, 4), noise_factor=10.0),
+    "pose, another size": Kind(bodies=(*SOLID, *FLAT), cameras=(2, 3, 4, 8), matches=(8, 80), model_scale=(1e-3, 1e3)),
     "pose, copies": Kind(
         bodies=(*SOLID, *FLAT), cameras=(1, 2, 4), matches=(3, 20), copies=(2, 5, 20), outliers=(0.0, 0.5)
     ),
@@ -186,106 +203,115 @@ POSES: dict[str, Kind] = {
 
 
 def make_problem(name: str, seed: int) -> Problem:
-    """Scene number `seed` of a kind: the same in every run."""
+    """Make scene number `seed` of a kind, the same in every run."""
     kind = MOTIONS[name] if name in MOTIONS else POSES[name]
     rng = np.random.default_rng([zlib.crc32(name.encode()), seed])
     body = BODIES[str(rng.choice(kind.bodies))]
-    rig = _rig(kind, rng)
+    rig = _draw_rig(kind, rng)
     start = RigidTransform.from_components(rng.uniform(-0.02, 0.02, 3), Rotation.random(rng=rng))
-    motion = _motion(kind, rng, start.translation) if name in MOTIONS else RigidTransform.identity()
-    other = _motion(kind, rng, start.translation)
-    seen_by, bad = rig, int(rng.integers(len(rig)))
-    if kind.turned is not None:
-        wrong = _disturbed(rig.cameras[bad], rng, rng.uniform(*kind.turned), rng.uniform(*kind.displaced))
-        seen_by = Rig([wrong if c == bad else camera for c, camera in enumerate(rig)], rig.unit)
+    motion = _draw_motion(kind, rng, start.translation) if name in MOTIONS else RigidTransform.identity()
+    other = _draw_motion(kind, rng, start.translation)
+    true_rig, faulty_camera = rig, int(rng.integers(len(rig)))
+    if kind.camera_rotation_deg is not None:
+        perturbed = _perturb_camera(
+            rig.cameras[faulty_camera],
+            rng,
+            rng.uniform(*kind.camera_rotation_deg),
+            rng.uniform(*kind.camera_translation_m),
+        )
+        true_rig = Rig([perturbed if c == faulty_camera else camera for c, camera in enumerate(rig)], rig.unit)
     pair = simulate_matches(
-        seen_by,
+        true_rig,
         body,
         motion,
         rng=rng,
         per_camera=int(rng.integers(kind.matches[0], kind.matches[1] + 1)),
-        noise_px=kind.noise * EXPECTED_PX if name in MOTIONS else 0.0,
+        noise_px=kind.noise_factor * EXPECTED_PX if name in MOTIONS else 0.0,
         outliers=float(rng.uniform(*kind.outliers)) if name in MOTIONS else 0.0,
-        outlier_kind=kind.of,
+        outlier_kind=kind.outlier_kind,
         other_motion=other,
-        junk=rig.names[bad : bad + 1] if kind.junk else (),
+        junk=rig.names[faulty_camera : faulty_camera + 1] if kind.has_junk_camera else (),
         start=start,
     )
     if name in POSES:
-        return _pose_problem(kind, rig, seen_by, pair, start, body.radius, rng, bad)
-    kept = [_kept(kind, len(m), rng) for m in pair.matches]
-    matches = tuple(Matches(m.x[k], m.y[k]) for m, k in zip(pair.matches, kept, strict=True))
-    wrong_ones = [w[k] for w, k in zip(pair.is_outlier, kept, strict=True)]
-    share = sum(w.sum() for w in wrong_ones) / max(sum(map(len, wrong_ones)), 1)
+        return _make_pose_problem(kind, rig, true_rig, pair, start, body.radius, rng, faulty_camera)
+    selected = [_select_matches(kind, len(m), rng) for m in pair.matches]
+    matches = tuple(Matches(m.x[k], m.y[k]) for m, k in zip(pair.matches, selected, strict=True))
+    is_outlier = [w[k] for w, k in zip(pair.is_outlier, selected, strict=True)]
+    share = sum(w.sum() for w in is_outlier) / max(sum(map(len, is_outlier)), 1)
     truths: tuple[RigidTransform, ...] = (motion,)
-    if kind.of == "second_motion" and share > 0.45:
+    if kind.outlier_kind == "second_motion" and share > 0.45:
         truths = (other,) if share > 0.55 else (motion, other)
-    return Problem(rig, matches, (), (), truths, body.radius, kind.turned is None)
+    return Problem(rig, matches, (), (), truths, body.radius, kind.camera_rotation_deg is None)
 
 
-def _pose_problem(
+def _make_pose_problem(
     kind: Kind,
     rig: Rig,
-    seen_by: Rig,
+    true_rig: Rig,
     pair: SimulatedPair,
     start: RigidTransform,
     radius: float,
     rng: np.random.Generator,
-    bad: int,
+    faulty_camera: int,
 ) -> Problem:
-    """Points of the body where each camera sees them, with noise in their pixels alone."""
+    """Make a pose problem from the points that each camera sees; only their pixels are noisy."""
     points, pixels = [], []
     share = rng.uniform(*kind.outliers)
-    size = 1.0 if kind.size is None else float(np.exp(rng.uniform(*np.log(kind.size))))
-    for c, (camera, m, depth) in enumerate(zip(seen_by, pair.matches, pair.depths, strict=True)):
-        kept = _kept(kind, len(m), rng)
-        if kind.junk and c == bad:
-            known = start.inv().apply(start.translation + 0.1 * rng.standard_normal((len(m), 3)))
+    size = 1.0 if kind.model_scale is None else float(np.exp(rng.uniform(*np.log(kind.model_scale))))
+    for c, (camera, m, depth) in enumerate(zip(true_rig, pair.matches, pair.depths, strict=True)):
+        selected = _select_matches(kind, len(m), rng)
+        if kind.has_junk_camera and c == faulty_camera:
+            model_points = start.inv().apply(start.translation + 0.1 * rng.standard_normal((len(m), 3)))
         else:
             rays = np.column_stack([m.x, np.ones(len(m))]) * depth[:, None]
-            known = (start.inv() * camera.camera_from_world.inv()).apply(rays) if len(m) else np.empty((0, 3))
-        seen = camera.denormalize(m.x) + kind.noise * EXPECTED_PX * rng.standard_normal(m.x.shape)
+            model_points = (start.inv() * camera.camera_from_world.inv()).apply(rays) if len(m) else np.empty((0, 3))
+        noisy_pixels = camera.denormalize(m.x) + kind.noise_factor * EXPECTED_PX * rng.standard_normal(m.x.shape)
         if len(m):
             wrong = rng.permutation(len(m))[: round(share * len(m))]
-            seen[wrong] = rng.uniform(seen.min(axis=0), seen.max(axis=0), (len(wrong), 2))
-        points.append(size * known[kept])
-        pixels.append(seen[kept])
-    return Problem(rig, (), tuple(points), tuple(pixels), (start,), radius, kind.turned is None)
+            noisy_pixels[wrong] = rng.uniform(noisy_pixels.min(axis=0), noisy_pixels.max(axis=0), (len(wrong), 2))
+        points.append(size * model_points[selected])
+        pixels.append(noisy_pixels[selected])
+    return Problem(rig, (), tuple(points), tuple(pixels), (start,), radius, kind.camera_rotation_deg is None)
 
 
-def _rig(kind: Kind, rng: np.random.Generator) -> Rig:
-    n, away, focal = int(rng.choice(kind.cameras)), 1.5 * kind.lens, 1000.0 * kind.lens
+def _draw_rig(kind: Kind, rng: np.random.Generator) -> Rig:
+    n, distance, focal = int(rng.choice(kind.cameras)), 1.5 * kind.focal_factor, 1000.0 * kind.focal_factor
     if kind.rig == "around" and n > 1:
         if n > 2 and rng.random() < 0.3:
-            return dome(n, away, focal)
-        zigzag = [rng.uniform(0.1, 0.5) * away * (-1) ** k for k in range(n)]
+            return dome(n, distance, focal)
+        zigzag = [rng.uniform(0.1, 0.5) * distance * (-1) ** k for k in range(n)]
         return (
-            ring(n, away, focal, height=zigzag) if n > 2 else arc(2, rng.uniform(40, 140), away, focal, height=zigzag)
+            ring(n, distance, focal, height=zigzag)
+            if n > 2
+            else arc(2, rng.uniform(40, 140), distance, focal, height=zigzag)
         )
     if kind.rig == "narrow":
-        return arc(n, rng.uniform(2.0, 15.0), away, focal, height=rng.uniform(-0.05, 0.05, n) * away)
-    apart = 180.0 + rng.uniform(-5.0, 5.0) if kind.rig == "opposite" else rng.uniform(5.0, 180.0)
+        return arc(n, rng.uniform(2.0, 15.0), distance, focal, height=rng.uniform(-0.05, 0.05, n) * distance)
+    spacing_deg = 180.0 + rng.uniform(-5.0, 5.0) if kind.rig == "opposite" else rng.uniform(5.0, 180.0)
     height = rng.uniform(-0.02, 0.02, n) if kind.rig == "opposite" else rng.uniform(-0.5, 0.5, n)
-    return arc(n, apart, away, focal, height=height * away)
+    return arc(n, spacing_deg, distance, focal, height=height * distance)
 
 
-def _motion(kind: Kind, rng: np.random.Generator, center: FloatArray) -> RigidTransform:
-    turn, shift = (float(np.exp(rng.uniform(*np.log(span)))) for span in (kind.turn, kind.shift))
-    return random_motion(turn, shift, rng, center=center)
+def _draw_motion(kind: Kind, rng: np.random.Generator, center: FloatArray) -> RigidTransform:
+    rotation_deg, translation_m = (
+        float(np.exp(rng.uniform(*np.log(span)))) for span in (kind.rotation_deg, kind.translation_m)
+    )
+    return random_motion(rotation_deg, translation_m, rng, center=center)
 
 
-def _disturbed(camera: Camera, rng: np.random.Generator, degrees: float, length: float) -> Camera:
-    """The camera, turned about any axis through its centre and moved in any direction."""
+def _perturb_camera(camera: Camera, rng: np.random.Generator, degrees: float, length: float) -> Camera:
+    """Rotate a camera about a random axis through its center and translate it in a random direction."""
     axis, by = rng.standard_normal((2, 3))
     turn = RigidTransform.from_rotation(Rotation.from_rotvec(np.deg2rad(degrees) * axis / np.linalg.norm(axis)))
     move = RigidTransform.from_translation(length * by / np.linalg.norm(by))
     return replace(camera, camera_from_world=turn * camera.camera_from_world * move)
 
 
-def _kept(kind: Kind, count: int, rng: np.random.Generator) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    """Which matches of a camera are given, some of them several times."""
+def _select_matches(kind: Kind, count: int, rng: np.random.Generator) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    """Return the indices of a camera's matches to use, with repetitions if the kind has copies."""
     index = np.arange(count)
-    if kind.unequal and count:
+    if kind.has_unequal_counts and count:
         index = index[: max(1, round(count * float(np.exp(rng.uniform(np.log(0.02), 0.0)))))]
     if kind.copies and count:
         times = int(rng.choice(kind.copies))

@@ -1,18 +1,20 @@
-"""Kinds of scenes that nobody tuned to: rendered, seeded, dozens of variations of each. What counts is the worst of them.
+"""Tracking of rendered, seeded variations of kinds of scenes that were not used for tuning.
 
     python benchmarks/kinds.py [KIND ...] [--group background] [--seeds 0:10] [--features klt sift auto] [--smooth]
                                [--each] [--frames] [--json FILE]
 
-A variation is tracked in this process from the images as rendered; errors are of the motion since the first frame with a
-pose, against the truth: degrees, and the displacement of the object's centre in its radii. A frame is *wrong and sure* when
-its status says that its pose was found, it is more than 3 degrees off (or a third of the radius) and the error is more than
-five standard deviations of its own covariance. NEES: normalised squared error of all six unknowns, 6 in the mean for a
-covariance that is right. Frames *left* have no measured pose though they could have been solved
-(`benchmarks/kinds_solvable.py`); frames *off* have one that is more than 2 degrees off. Prints one line per kind, or per
-variation with --each, and the frames of each with --frames. The kinds are in `benchmarks/kinds_scenes.py`,
-`benchmarks/kinds_fallback_search.py` and `benchmarks/kinds_feature_poor.py`; those of the group "large" are not
-among "all", which is
-what runs without a name.
+Each variation is tracked in this process from the rendered images. Errors are those of the motion since the first frame
+with a pose: rotation in degrees, and translation of the object's center in object radii.
+
+- *Wrong and sure*: frames with the status tracked or relocalized whose error exceeds 3 degrees or a third of the radius,
+  and five of its standard deviations.
+- *NEES*: squared error of all six unknowns in units of its covariance, mean 6 for a consistent covariance.
+- *Missed*: frames without a measured pose that could have been solved (`benchmarks/kinds_solvable.py`).
+- *Inaccurate*: frames with a measured pose whose rotation error exceeds 2 degrees.
+
+Prints one row per kind, or per variation with --each, and each frame with --frames. The kinds are defined in
+`benchmarks/kinds_scenes.py`, `benchmarks/kinds_fallback_search.py` and `benchmarks/kinds_feature_poor.py`. Without KIND,
+all kinds run except those of the group "large".
 """
 
 from __future__ import annotations
@@ -26,41 +28,45 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from benchmarks.kinds_fallback_search import LARGE, THOROUGH
-from benchmarks.kinds_feature_poor import STARVING
+from benchmarks.kinds_fallback_search import FALLBACK_SEARCH, LARGE
+from benchmarks.kinds_feature_poor import FEATURE_POOR
 from benchmarks.kinds_scenes import GROUPS as SCENES
-from benchmarks.kinds_scenes import Kind, Take
-from benchmarks.kinds_solvable import unsolved_but_solvable
+from benchmarks.kinds_scenes import Kind, Variation
+from benchmarks.kinds_solvable import find_solvable_frames
 from sylpose import FramePose, FrameStatus, track
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import FloatArray
 from sylpose.smoothing.trajectory import Track, smooth
 
-GROUPS = {**SCENES, "thorough": THOROUGH, "starving": STARVING, "large": LARGE}
+GROUPS = {**SCENES, "thorough": FALLBACK_SEARCH, "starving": FEATURE_POOR, "large": LARGE}
 KINDS: dict[str, Kind] = {name: kind for group in GROUPS.values() for name, kind in group.items()}
 
-# What is wrong, and sure of it (the project's promise).
-WRONG_DEG, WRONG_RADII, SURE = 3.0, 1.0 / 3.0, 5.0
-# What is off.
-OFF_DEG = 2.0
-FOUND = (FrameStatus.TRACKED, FrameStatus.RELOCALISED)
+# Limits of wrong and sure results: degrees, radii, standard deviations (the project's promise).
+WRONG_DEG, WRONG_RADII, SURE_SDS = 3.0, 1.0 / 3.0, 5.0
+# Rotation error of an inaccurate frame.
+INACCURATE_DEG = 2.0
+LOCALIZED = (FrameStatus.TRACKED, FrameStatus.RELOCALIZED)
 
 
 @dataclass(frozen=True)
 class Result:
-    """One variation, tracked.
+    """Tracking result of one variation.
 
     Attributes:
-        kind, seed, features: which.
-        frames: how many; found: with a pose that was found in them; first: number of the first with any pose, -1 without.
-        statuses: how many frames have each.
-        degrees, radii: median and largest error of the frames found, in degrees and in the object's radii; NaN without any.
-        nees: mean over them; largest: the square root of the largest, of the turn alone and of the displacement alone.
-        sure: number of frames wrong and sure of it; off: and of those found that are more than 2 degrees off; left: and of
-            those without a measured pose that could have been solved.
-        length: displacement along the true one over the true one, in the frame where that is largest; NaN where it hardly
-            moves.
-        length_sds: by how many standard deviations that is off.
+        kind, seed, features: identify the run.
+        frames: number of frames.
+        found: number of frames tracked or relocalized.
+        first: number of the first frame with a pose; -1 without any.
+        statuses: number of frames per status.
+        degrees, radii: median and largest error of the frames found, degrees and object radii; NaN without any.
+        nees: mean NEES of the frames found.
+        largest: largest rotation error and translation error in standard deviations.
+        sure: number of frames wrong and sure.
+        off: number of frames found with a rotation error above 2 degrees.
+        left: number of frames without a measured pose that could have been solved.
+        length: ratio of the translation, projected on the true one, to the true one, in the frame where that is largest;
+            NaN for less than half a radius.
+        length_sds: error of that translation in standard deviations.
     """
 
     kind: str
@@ -84,36 +90,41 @@ class Result:
 Run = tuple[Result, list[FramePose], FloatArray]
 
 
-def run(kind: str, seed: int, features: str, *, smoothed: bool = False) -> list[Run]:
-    """A variation tracked and compared with the truth.
+def track_variation(kind: str, seed: int, features: str, *, smoothed: bool = False) -> list[Run]:
+    """Track a variation and compare it with the truth.
 
     Returns:
-        as the frames came, and if asked for `smoothed`: the result; the poses; (n, 4) of each frame: degrees, radii and
-        standard deviations off in turn and displacement, NaN without a pose.
+        One entry for the live poses and, if `smoothed`, one for the smoothed poses. Each has the result, the poses and
+        the errors (n, 4) of each frame: degrees, radii, and standard deviations of rotation and translation, NaN without
+        a pose.
     """
-    take = KINDS[kind](np.random.default_rng([seed, *kind.encode()]))
-    frames = list(take.frames())
-    tracked = list(track(frames, take.scene.rig, take.boxes, features=features, seed=seed))
-    runs = [judged(kind, seed, features, take, frames, [frame.pose for frame in tracked])]
+    variation = KINDS[kind](np.random.default_rng([seed, *kind.encode()]))
+    frames = list(variation.frames())
+    tracked = list(track(frames, variation.scene.rig, variation.boxes, features=features, seed=seed))
+    runs = [evaluate_poses(kind, seed, features, variation, frames, [frame.pose for frame in tracked])]
     if smoothed:
-        poses = list(smooth([Track.of(frame) for frame in tracked], take.scene.rig).poses)
-        runs.append(judged(kind, seed, f"{features}, smoothed", take, frames, poses))
+        poses = list(smooth([Track.from_tracked(frame) for frame in tracked], variation.scene.rig).poses)
+        runs.append(evaluate_poses(kind, seed, f"{features}, smoothed", variation, frames, poses))
     return runs
 
 
-def judged(kind: str, seed: int, how: str, take: Take, frames: list[FrameSet], poses: list[FramePose]) -> Run:
-    """The poses of a variation compared with the truth."""
-    errors, nees = compared(take, poses)
-    found = np.array([p.status in FOUND for p in poses])
-    wrong = (errors[:, 0] > WRONG_DEG) & (errors[:, 2] > SURE) | (errors[:, 1] > WRONG_RADII) & (errors[:, 3] > SURE)
-    some = errors[found] if found.any() else np.full((1, 4), np.nan)
-    length, sds = length_of(take, poses)
+def evaluate_poses(
+    kind: str, seed: int, features: str, variation: Variation, frames: list[FrameSet], poses: list[FramePose]
+) -> Run:
+    """Compare the poses of a variation with the truth."""
+    errors, nees = compute_errors(variation, poses)
+    found = np.array([p.status in LOCALIZED for p in poses])
+    is_wrong = (errors[:, 0] > WRONG_DEG) & (errors[:, 2] > SURE_SDS) | (errors[:, 1] > WRONG_RADII) & (
+        errors[:, 3] > SURE_SDS
+    )
+    localized_errors = errors[found] if found.any() else np.full((1, 4), np.nan)
+    length, sds = compute_length_ratio(variation, poses)
     first = next((k for k, p in enumerate(poses) if p.world_from_object is not None), -1)
-    middle, worst = np.median(some, axis=0), some.max(axis=0)
+    middle, worst = np.median(localized_errors, axis=0), localized_errors.max(axis=0)
     result = Result(
         kind,
         seed,
-        how,
+        features,
         len(poses),
         int(found.sum()),
         first,
@@ -122,35 +133,40 @@ def judged(kind: str, seed: int, how: str, take: Take, frames: list[FrameSet], p
         (float(middle[1]), float(worst[1])),
         float(np.mean(nees[found])) if found.any() else np.nan,
         (float(worst[2]), float(worst[3])),
-        int((wrong & found).sum()),
-        int((found & (errors[:, 0] > OFF_DEG)).sum()),
-        len(unsolved_but_solvable(take, poses, frames)),
+        int((is_wrong & found).sum()),
+        int((found & (errors[:, 0] > INACCURATE_DEG)).sum()),
+        len(find_solvable_frames(variation, poses, frames)),
         length,
         sds,
     )
     return result, poses, errors
 
 
-def compared(take: Take, poses: list[FramePose]) -> tuple[FloatArray, FloatArray]:
-    """(n, 4) degrees, radii, and standard deviations of turn and displacement; (n,) NEES. NaN without a pose."""
+def compute_errors(variation: Variation, poses: list[FramePose]) -> tuple[FloatArray, FloatArray]:
+    """Compute errors (n, 4) in degrees, radii and standard deviations of rotation and translation, and NEES (n,).
+
+    Frames without a pose have NaN.
+    """
     errors, nees = np.full((len(poses), 4), np.nan), np.full(len(poses), np.nan)
-    truth, first = take.scene.poses(), None
+    truth, first = variation.scene.object_poses(), None
     for k, pose in enumerate(poses):
         if pose.world_from_object is None:
             continue
         if first is None:
             first = k, pose.world_from_object
         e = _error(truth, first, k, pose.world_from_object)
-        covariance = pose.covariance + np.diag(np.repeat([1e-12, (1e-6 * take.radius) ** 2], 3))
-        turn, place = (float(e[s] @ np.linalg.solve(covariance[s, s], e[s])) for s in (slice(0, 3), slice(3, 6)))
-        size = np.degrees(np.linalg.norm(e[:3])), np.linalg.norm(e[3:]) / take.radius
-        errors[k] = *size, np.sqrt(turn), np.sqrt(place)
+        covariance = pose.covariance + np.diag(np.repeat([1e-12, (1e-6 * variation.radius) ** 2], 3))
+        rotation_nees, translation_nees = (
+            float(e[s] @ np.linalg.solve(covariance[s, s], e[s])) for s in (slice(0, 3), slice(3, 6))
+        )
+        size = np.degrees(np.linalg.norm(e[:3])), np.linalg.norm(e[3:]) / variation.radius
+        errors[k] = *size, np.sqrt(rotation_nees), np.sqrt(translation_nees)
         nees[k] = e @ np.linalg.solve(covariance, e)
     return errors, nees
 
 
 def _error(truth: RigidTransform, first: tuple[int, RigidTransform], k: int, pose: RigidTransform) -> FloatArray:
-    """(6,) (w, d) of the motion since the first frame against the true one; d where the centre was taken to be."""
+    """Return the error (6,) of the motion since the first frame: rotation vector, and translation of the first center."""
     number, start = first
     true = truth[k] * truth[number].inv()
     motion = pose * start.inv()
@@ -159,35 +175,35 @@ def _error(truth: RigidTransform, first: tuple[int, RigidTransform], k: int, pos
     return np.concatenate([turn, motion.apply(center) - true.apply(center)])
 
 
-def length_of(take: Take, poses: list[FramePose]) -> tuple[float, float]:
-    """See `Result.length` and `length_sds`."""
-    known = [k for k, p in enumerate(poses) if p.status in FOUND or p.status is FrameStatus.FIRST]
+def compute_length_ratio(variation: Variation, poses: list[FramePose]) -> tuple[float, float]:
+    """Compute `Result.length` and `Result.length_sds`."""
+    known = [k for k, p in enumerate(poses) if p.status in LOCALIZED or p.status is FrameStatus.FIRST]
     if len(known) < 2:
         return np.nan, np.nan
-    truth, start = take.scene.poses(), poses[known[0]].world_from_object
+    truth, start = variation.scene.object_poses(), poses[known[0]].world_from_object
     assert start is not None
     centers = [truth[k] * truth[known[0]].inv() for k in known]
     moved = np.array([m.apply(start.translation) - start.translation for m in centers])
-    far = int(np.argmax(np.linalg.norm(moved, axis=1)))
-    true = float(np.linalg.norm(moved[far]))
-    if true < 0.5 * take.radius:
+    farthest = int(np.argmax(np.linalg.norm(moved, axis=1)))
+    true = float(np.linalg.norm(moved[farthest]))
+    if true < 0.5 * variation.radius:
         return np.nan, np.nan
-    pose, along = poses[known[far]], moved[far] / true
+    pose, along = poses[known[farthest]], moved[farthest] / true
     assert pose.world_from_object is not None
-    got = float((pose.world_from_object.translation - start.translation) @ along)
+    measured = float((pose.world_from_object.translation - start.translation) @ along)
     sd = float(np.sqrt(along @ pose.covariance[3:, 3:] @ along))
-    return got / true, (got - true) / max(sd, 1e-12)
+    return measured / true, (measured - true) / max(sd, 1e-12)
 
 
 HEADER = (
-    "| kind | features | runs | frames | found | left | off | wrong and sure | degrees: median, worst | "
-    "radii: median, worst | NEES: median, worst run | off by (sd): turn, place | "
-    "length: least, most | by (sd) |\n" + "|---" * 14 + "|"
+    "| kind | features | runs | frames | localized | missed | inaccurate | wrong and sure | "
+    "rotation error, deg: median, worst | translation error, radii: median, worst | NEES: median, worst run | "
+    "worst error, sd: rotation, translation | translation ratio: least, most | its error, sd |\n" + "|---" * 14 + "|"
 )
 
 
-def line(results: list[Result]) -> str:
-    """One line of the table, of runs of one kind."""
+def format_row(results: list[Result]) -> str:
+    """Format the table row of the runs of one kind."""
     one, lengths = results[0], np.array([r.length for r in results])
     name = one.kind if len(results) > 1 else f"{one.kind} {one.seed}"
     degrees, radii = (np.array([getattr(r, key) for r in results]) for key in ("degrees", "radii"))
@@ -195,9 +211,9 @@ def line(results: list[Result]) -> str:
     frames, found, sure, off, left = (
         sum(getattr(r, key) for r in results) for key in ("frames", "found", "sure", "off", "left")
     )
-    bad = sum(r.sure > 0 for r in results)
-    told = np.isfinite(lengths)
-    sds = np.array([r.length_sds for r in results])[told]
+    n_bad_runs = sum(r.sure > 0 for r in results)
+    is_finite = np.isfinite(lengths)
+    sds = np.array([r.length_sds for r in results])[is_finite]
     cells = [
         name,
         one.features,
@@ -206,23 +222,23 @@ def line(results: list[Result]) -> str:
         f"{100 * found / frames:.0f} %",
         f"{left}",
         f"{off}",
-        f"{sure} in {bad}" if sure else "0",
-        f"{_median(degrees[:, 0]):.2f}, {_most(degrees[:, 1]):.2f}",
-        f"{_median(radii[:, 0]):.3f}, {_most(radii[:, 1]):.3f}",
-        f"{_median(nees):.1f}, {_most(nees):.0f}",
-        f"{_most(largest[:, 0]):.1f}, {_most(largest[:, 1]):.1f}",
-        f"{lengths[told].min():.3f}, {lengths[told].max():.3f}" if told.any() else "",
-        f"{np.abs(sds).max():.1f}" if told.any() else "",
+        f"{sure} in {n_bad_runs}" if sure else "0",
+        f"{_finite_median(degrees[:, 0]):.2f}, {_finite_max(degrees[:, 1]):.2f}",
+        f"{_finite_median(radii[:, 0]):.3f}, {_finite_max(radii[:, 1]):.3f}",
+        f"{_finite_median(nees):.1f}, {_finite_max(nees):.0f}",
+        f"{_finite_max(largest[:, 0]):.1f}, {_finite_max(largest[:, 1]):.1f}",
+        f"{lengths[is_finite].min():.3f}, {lengths[is_finite].max():.3f}" if is_finite.any() else "",
+        f"{np.abs(sds).max():.1f}" if is_finite.any() else "",
     ]
     return "| " + " | ".join(cells) + " |"
 
 
-def _median(values: FloatArray) -> float:
+def _finite_median(values: FloatArray) -> float:
     finite = values[np.isfinite(values)]
     return float(np.median(finite)) if len(finite) else np.nan
 
 
-def _most(values: FloatArray) -> float:
+def _finite_max(values: FloatArray) -> float:
     return float(np.nanmax(values)) if np.isfinite(values).any() else np.nan
 
 
@@ -232,36 +248,36 @@ def main() -> None:
     parser.add_argument("--group", choices=list(GROUPS), action="append", default=[])
     parser.add_argument("--seeds", default="0:5", help="first:end")
     parser.add_argument("--features", nargs="+", default=["auto"], choices=["auto", "klt", "sift"])
-    parser.add_argument("--smooth", action="store_true", help="the poses refined together, too")
-    parser.add_argument("--each", action="store_true", help="a line for each variation")
-    parser.add_argument("--frames", action="store_true", help="a line for each frame")
+    parser.add_argument("--smooth", action="store_true", help="score the smoothed poses too")
+    parser.add_argument("--each", action="store_true", help="print a row for each variation")
+    parser.add_argument("--frames", action="store_true", help="print a line for each frame")
     parser.add_argument("--json", type=Path, metavar="FILE")
-    asked = parser.parse_args()
-    names = asked.kinds + [name for group in asked.group for name in GROUPS[group]]
+    arguments = parser.parse_args()
+    names = arguments.kinds + [name for group in arguments.group for name in GROUPS[group]]
     unknown = [name for name in names if name not in KINDS]
     if unknown:
-        parser.error(f"no such kind: {', '.join(unknown)}; there are {', '.join(KINDS)}")
-    first, _, end = asked.seeds.partition(":")
+        parser.error(f"unknown kind: {', '.join(unknown)}; known are {', '.join(KINDS)}")
+    first, _, end = arguments.seeds.partition(":")
     seeds = range(int(first), int(end or int(first) + 1))
     print(HEADER)
-    everything = []
+    all_results = []
     for name in names or [name for name in KINDS if name not in LARGE]:
-        for features in asked.features:
+        for features in arguments.features:
             results: dict[str, list[Result]] = {}
             for seed in seeds:
-                for result, poses, errors in run(name, seed, features, smoothed=asked.smooth):
+                for result, poses, errors in track_variation(name, seed, features, smoothed=arguments.smooth):
                     results.setdefault(result.features, []).append(result)
-                    if asked.each:
-                        print(line([result]), result.statuses, flush=True)
-                    if asked.frames:
+                    if arguments.each:
+                        print(format_row([result]), result.statuses, flush=True)
+                    if arguments.frames:
                         for pose, e in zip(poses, errors, strict=True):
                             print(pose.index, pose.status.value, np.round(e, 3), pose.inliers, flush=True)
-            for of_all in results.values():
-                everything += of_all
-                if len(of_all) > 1 or not asked.each:
-                    print(line(of_all), flush=True)
-    if asked.json:
-        asked.json.write_text(json.dumps([asdict(result) for result in everything], indent=1) + "\n")
+            for kind_results in results.values():
+                all_results += kind_results
+                if len(kind_results) > 1 or not arguments.each:
+                    print(format_row(kind_results), flush=True)
+    if arguments.json:
+        arguments.json.write_text(json.dumps([asdict(result) for result in all_results], indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
-"""The kinds of scenes in which the object is hard to see: it jumps from frame to frame, something stands in front of it, the
-lens is long, there is little on it to go by, or it looks alike from several sides. A part of `benchmarks/kinds_scenes.py`.
+"""Kinds of scenes that need the fallback search: large motions, occluders, long focal lengths, few or ambiguous features.
+
+They extend `benchmarks/kinds_scenes.py`. A kind's name, which is that of its function, is part of the seed.
 """
 
 from __future__ import annotations
@@ -10,186 +11,205 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from benchmarks.kinds_scenes import Kind, Take, any_body, block, boxes_of, moving, named, rig_of, texels
+from benchmarks.kinds_scenes import (
+    Kind,
+    Variation,
+    compute_boxes,
+    draw_block,
+    draw_body,
+    draw_rig,
+    index_by_name,
+    make_path,
+    texture_resolution,
+)
 from sylpose.geometry.arrays import FloatArray, Image
 from sylpose.rig import Rig
 from sylpose.simulate import Actor, Scene, TexturedBody, chamfered_box
 
-__all__ = ["THOROUGH", "plain_paint", "steps"]
+__all__ = ["FALLBACK_SEARCH", "apply_weak_texture", "make_stepwise_variation"]
 
-# Full HD and five megapixels, and the focal length of their lens, pixels.
-FULL_HD, FIVE_MP, LONG = (1920, 1080), (2448, 2048), 5000.0
+# Image sizes of full HD and five megapixels, and their focal length, pixels.
+FULL_HD, FIVE_MP, LONG_FOCAL = (1920, 1080), (2448, 2048), 5000.0
 
 
-def steps(
+def make_stepwise_variation(
     rng: np.random.Generator,
     degrees: float,
     rig: Rig,
     body: TexturedBody,
     radius: float,
     frames: int,
-    others: tuple[Actor, ...] = (),
+    occluders: tuple[Actor, ...] = (),
     drift: float = 0.05,
-) -> Take:
-    """Turns by so much from frame to frame throughout, and drifts by so many radii; with boxes or without.
+) -> Variation:
+    """Make a variation with a constant rotation per frame and a random drift, with or without boxes.
 
     Args:
-        others: what stands before it.
+        rng: random generator.
+        degrees: rotation per frame.
+        rig, body, radius: cameras, object, and its radius.
+        frames: number of frames.
+        occluders: occluders in front of the object.
+        drift: standard deviation of the translation per frame and axis, radii.
     """
-    way = np.cumsum(rng.normal(0, drift * radius, (frames, 3)), axis=0)
-    path = moving(rng, degrees * np.arange(float(frames)), way)
-    scene = Scene(rig, (Actor(body, path), *others), frames, int(rng.integers(1 << 30)))
-    return Take(scene, boxes_of(scene, 1.05) if rng.random() < 0.5 else None, radius)
+    translations = np.cumsum(rng.normal(0, drift * radius, (frames, 3)), axis=0)
+    path = make_path(rng, degrees * np.arange(float(frames)), translations)
+    scene = Scene(rig, (Actor(body, path), *occluders), frames, int(rng.integers(1 << 30)))
+    return Variation(scene, compute_boxes(scene, 1.05) if rng.random() < 0.5 else None, radius)
 
 
-def jumps(rng: np.random.Generator, degrees: float) -> Take:
-    """Turns by so many degrees from frame to frame throughout."""
-    rig, radius = rig_of(rng, share=0.55)
-    return steps(rng, degrees, rig, any_body(rng, rig, radius), radius, 24)
+def draw_jumps(rng: np.random.Generator, degrees: float) -> Variation:
+    """Make a variation of any body that rotates by `degrees` per frame."""
+    rig, radius = draw_rig(rng, share=0.55)
+    return make_stepwise_variation(rng, degrees, rig, draw_body(rng, rig, radius), radius, 24)
 
 
-def jumps_15(rng: np.random.Generator) -> Take:
-    """15 degrees from frame to frame."""
-    return jumps(rng, 15.0)
+def jumps_15(rng: np.random.Generator) -> Variation:
+    """15 degrees per frame."""
+    return draw_jumps(rng, 15.0)
 
 
-def jumps_20(rng: np.random.Generator) -> Take:
-    """20 degrees from frame to frame."""
-    return jumps(rng, 20.0)
+def jumps_20(rng: np.random.Generator) -> Variation:
+    """20 degrees per frame."""
+    return draw_jumps(rng, 20.0)
 
 
-def jumps_25(rng: np.random.Generator) -> Take:
-    """25 degrees from frame to frame."""
-    return jumps(rng, 25.0)
+def jumps_25(rng: np.random.Generator) -> Variation:
+    """25 degrees per frame."""
+    return draw_jumps(rng, 25.0)
 
 
-def apart(rng: np.random.Generator, cameras: int, spacing: float) -> Take:
-    """10 to 20 degrees from frame to frame, seen by so many cameras, neighbours so many degrees apart."""
-    rig, radius = rig_of(rng, cameras, spacing=spacing, share=0.55)
-    return steps(rng, float(rng.uniform(10, 20)), rig, any_body(rng, rig, radius), radius, 24)
+def draw_spaced_cameras(rng: np.random.Generator, cameras: int, spacing: float) -> Variation:
+    """Make a variation with 10 to 20 degrees per frame and cameras `spacing` degrees apart."""
+    rig, radius = draw_rig(rng, cameras, spacing=spacing, share=0.55)
+    return make_stepwise_variation(rng, float(rng.uniform(10, 20)), rig, draw_body(rng, rig, radius), radius, 24)
 
 
-def two_at_60(rng: np.random.Generator) -> Take:
+def two_at_60(rng: np.random.Generator) -> Variation:
     """Two cameras 60 degrees apart."""
-    return apart(rng, 2, 60.0)
+    return draw_spaced_cameras(rng, 2, 60.0)
 
 
-def three_at_30(rng: np.random.Generator) -> Take:
-    """Three cameras, neighbours 30 degrees apart."""
-    return apart(rng, 3, 30.0)
+def three_at_30(rng: np.random.Generator) -> Variation:
+    """Three cameras, 30 degrees apart."""
+    return draw_spaced_cameras(rng, 3, 30.0)
 
 
-# --- something in front ---------------------------------------------------------------------------------------------------
+# --- occluders ------------------------------------------------------------------------------------------------------------
 
 
-def standing_at(place: FloatArray, sides: FloatArray, turn: Rotation, rig: Rig, rng: np.random.Generator) -> Actor:
-    """A textured box that stands still."""
-    pose = RigidTransform.from_components(place, turn)
-    return Actor(chamfered_box(sides, texels(rig), seed=int(rng.integers(1 << 30))), lambda _: pose)
+def make_static_box(
+    position: FloatArray, sides: FloatArray, rotation: Rotation, rig: Rig, rng: np.random.Generator
+) -> Actor:
+    """Make a static textured box."""
+    pose = RigidTransform.from_components(position, rotation)
+    return Actor(chamfered_box(sides, texture_resolution(rig), seed=int(rng.integers(1 << 30))), lambda _: pose)
 
 
-def rod(rng: np.random.Generator) -> Take:
-    """10 to 20 degrees from frame to frame, a rod standing before it in one camera's view, sometimes two."""
-    rig, radius = rig_of(rng, share=0.55)
-    body, rods = any_body(rng, rig, radius), []
+def rod(rng: np.random.Generator) -> Variation:
+    """10 to 20 degrees per frame; a rod occludes the object in one camera or two."""
+    rig, radius = draw_rig(rng, share=0.55)
+    body, rods = draw_body(rng, rig, radius), []
     for c in rng.permutation(len(rig))[: int(rng.integers(1, 3))]:
         to_camera = rig.cameras[c].center / np.linalg.norm(rig.cameras[c].center)
         side = np.cross(to_camera, [0.0, 1.0, 0.0])
-        place = 1.4 * radius * to_camera + rng.uniform(-0.3, 0.3) * radius * side
-        lean = Rotation.from_rotvec(rng.uniform(-0.6, 0.6) * to_camera)
-        thick = rng.uniform(0.12, 0.3) * radius
-        rods.append(standing_at(place, np.array([thick, 5.0 * radius, thick]), lean, rig, rng))
-    return steps(rng, float(rng.uniform(10, 20)), rig, body, radius, 24, tuple(rods), drift=0.01)
+        position = 1.4 * radius * to_camera + rng.uniform(-0.3, 0.3) * radius * side
+        rotation = Rotation.from_rotvec(rng.uniform(-0.6, 0.6) * to_camera)
+        thickness = rng.uniform(0.12, 0.3) * radius
+        rods.append(make_static_box(position, np.array([thickness, 5.0 * radius, thickness]), rotation, rig, rng))
+    return make_stepwise_variation(rng, float(rng.uniform(10, 20)), rig, body, radius, 24, tuple(rods), drift=0.01)
 
 
-def holder(rng: np.random.Generator) -> Take:
-    """10 to 20 degrees from frame to frame, above a textured holder that stands in front of its lower part too."""
-    rig, radius = rig_of(rng, share=0.5)
-    body = any_body(rng, rig, radius)
-    turn = Rotation.from_rotvec([0.0, rng.uniform(0, np.pi), 0.0])
-    below = standing_at(np.array([0.0, 1.6 * radius, 0.0]), radius * np.array([2.2, 0.9, 2.2]), turn, rig, rng)
+def holder(rng: np.random.Generator) -> Variation:
+    """10 to 20 degrees per frame, on a textured holder that also occludes the object's lower part."""
+    rig, radius = draw_rig(rng, share=0.5)
+    body = draw_body(rng, rig, radius)
+    rotation = Rotation.from_rotvec([0.0, rng.uniform(0, np.pi), 0.0])
+    below = make_static_box(np.array([0.0, 1.6 * radius, 0.0]), radius * np.array([2.2, 0.9, 2.2]), rotation, rig, rng)
     to_cameras = np.mean([camera.center for camera in rig], axis=0) * [1.0, 0.0, 1.0]
     front = 1.5 * radius * to_cameras / np.linalg.norm(to_cameras) + [0.0, rng.uniform(0.5, 0.9) * radius, 0.0]
-    clamp = standing_at(front, radius * rng.uniform([0.5, 0.5, 0.3], [1.4, 0.9, 0.5]), turn, rig, rng)
-    return steps(rng, float(rng.uniform(10, 20)), rig, body, radius, 24, (below, clamp), drift=0.01)
+    clamp = make_static_box(front, radius * rng.uniform([0.5, 0.5, 0.3], [1.4, 0.9, 0.5]), rotation, rig, rng)
+    return make_stepwise_variation(rng, float(rng.uniform(10, 20)), rig, body, radius, 24, (below, clamp), drift=0.01)
 
 
 # --- the lens -------------------------------------------------------------------------------------------------------------
 
 
-def through_long_lens(rng: np.random.Generator, size: tuple[int, int], focal: float, frames: int) -> Take:
-    """10 to 20 degrees from frame to frame; it fills the image, and a rod stands before it in one camera's view or none."""
-    rig, radius = rig_of(rng, size=size, share=rng.uniform(0.7, 0.9), distance=1.5, focal=focal)
-    others: tuple[Actor, ...] = ()
+def draw_long_focal(rng: np.random.Generator, size: tuple[int, int], focal: float, frames: int) -> Variation:
+    """Make a variation with 10 to 20 degrees per frame that fills the image; a rod may occlude one camera's view."""
+    rig, radius = draw_rig(rng, size=size, share=rng.uniform(0.7, 0.9), distance=1.5, focal=focal)
+    occluders: tuple[Actor, ...] = ()
     if rng.random() < 0.5:
         camera = rig.cameras[int(rng.integers(len(rig)))]
         to_camera = camera.center / np.linalg.norm(camera.center)
         sides = radius * np.array([0.2, 6.0, 0.2])
-        others = (standing_at(1.4 * radius * to_camera, sides, Rotation.identity(), rig, rng),)
-    return steps(rng, float(rng.uniform(10, 20)), rig, any_body(rng, rig, radius), radius, frames, others, drift=0.01)
+        occluders = (make_static_box(1.4 * radius * to_camera, sides, Rotation.identity(), rig, rng),)
+    return make_stepwise_variation(
+        rng, float(rng.uniform(10, 20)), rig, draw_body(rng, rig, radius), radius, frames, occluders, drift=0.01
+    )
 
 
-def long_lens(rng: np.random.Generator) -> Take:
-    """Small images of what `full-hd` sees."""
-    return through_long_lens(rng, SMALL, LONG * SMALL[0] / FULL_HD[0], 16)
+def long_lens(rng: np.random.Generator) -> Variation:
+    """The views of `full-hd` in small images."""
+    return draw_long_focal(rng, SMALL_SIZE, LONG_FOCAL * SMALL_SIZE[0] / FULL_HD[0], 16)
 
 
-def full_hd(rng: np.random.Generator) -> Take:
+def full_hd(rng: np.random.Generator) -> Variation:
     """Full HD, f = 5,000 px."""
-    return through_long_lens(rng, FULL_HD, LONG, 8)
+    return draw_long_focal(rng, FULL_HD, LONG_FOCAL, 8)
 
 
-def five_mp(rng: np.random.Generator) -> Take:
+def five_mp(rng: np.random.Generator) -> Variation:
     """Five megapixels, f = 5,000 px."""
-    return through_long_lens(rng, FIVE_MP, LONG, 6)
+    return draw_long_focal(rng, FIVE_MP, LONG_FOCAL, 6)
 
 
-# Full HD made four times smaller.
-SMALL = (480, 270)
+# A quarter of full HD.
+SMALL_SIZE = (480, 270)
 
 
-# --- the looks ------------------------------------------------------------------------------------------------------------
+# --- appearance -----------------------------------------------------------------------------------------------------------
 
 
-def plain(rng: np.random.Generator) -> Take:
-    """8 to 15 degrees from frame to frame, and little paint: some marks on each face, of which 60 to 200 are matched."""
-    rig, radius = rig_of(rng, share=0.6)
-    body = plain_paint(any_body(rng, rig, radius), rng)
-    return steps(rng, float(rng.uniform(8, 15)), rig, body, radius, 24)
+def plain(rng: np.random.Generator) -> Variation:
+    """8 to 15 degrees per frame; weak texture with some marks on each face, which give 60 to 200 matches."""
+    rig, radius = draw_rig(rng, share=0.6)
+    body = apply_weak_texture(draw_body(rng, rig, radius), rng)
+    return make_stepwise_variation(rng, float(rng.uniform(8, 15)), rig, body, radius, 24)
 
 
-def plain_paint(body: TexturedBody, rng: np.random.Generator) -> TexturedBody:
-    """A body in plain paint with some marks on each face."""
-    colours = rng.uniform(110, 170, 3)
+def apply_weak_texture(body: TexturedBody, rng: np.random.Generator) -> TexturedBody:
+    """Replace a body's textures by a plain color with some marks on each face."""
+    color = rng.uniform(110, 170, 3)
     density = float(rng.uniform(1 / 1000, 1 / 350))
-    return replace(body, textures=tuple(marked(texture, colours, density, rng) for texture in body.textures))
+    return replace(body, textures=tuple(draw_marks(texture, color, density, rng) for texture in body.textures))
 
 
-def marked(texture: Image, colour: FloatArray, density: float, rng: np.random.Generator) -> Image:
-    """Plain paint of a colour (3,) with faint marks on it, so many per pixel."""
+def draw_marks(texture: Image, color: FloatArray, density: float, rng: np.random.Generator) -> Image:
+    """Return a texture of a plain color (3,) with faint marks, `density` per pixel."""
     height, width = texture.shape[:2]
-    image = np.ascontiguousarray(np.broadcast_to(np.rint(colour), (height, width, 3)).astype(np.uint8))
+    image = np.ascontiguousarray(np.broadcast_to(np.rint(color), (height, width, 3)).astype(np.uint8))
     for _ in range(rng.poisson(density * width * height)):
-        shade = np.clip(colour + rng.uniform(15, 70) * rng.choice([-1, 1]), 0, 255)
+        shade = np.clip(color + rng.uniform(15, 70) * rng.choice([-1, 1]), 0, 255)
         corners = rng.uniform([0, 0], [width, height]) + rng.normal(0, rng.uniform(3, 7), (int(rng.integers(3, 6)), 2))
         hull = cv2.convexHull(np.rint(corners * 16).astype(np.int32))
         cv2.fillPoly(image, [hull], tuple(map(float, shade)), cv2.LINE_AA, 4)
     return np.asarray(cv2.GaussianBlur(image, (0, 0), 0.8), dtype=np.uint8)
 
 
-def checkered(rng: np.random.Generator) -> Take:
-    """A checkered cube, 5 to 20 degrees from frame to frame: all faces alike, but for some dirt on most of them."""
-    rig, radius = rig_of(rng, share=0.6)
+def checkered(rng: np.random.Generator) -> Variation:
+    """A checkered cube, 5 to 20 degrees per frame; all faces are equal except for dirt on most of them."""
+    rig, radius = draw_rig(rng, share=0.6)
     side = 2 * radius / np.sqrt(3)
     corners = side / 2 * np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1]), axis=-1).reshape(-1, 3)
-    body = TexturedBody.hull(corners, texels(rig), 0)
+    body = TexturedBody.from_hull(corners, texture_resolution(rig), 0)
     count, dirt = int(rng.integers(4, 8)), float(rng.choice([0.0, 1 / 3000, 1 / 800]))
-    body = replace(body, textures=tuple(checks(texture, count, dirt, rng) for texture in body.textures))
-    return steps(rng, float(rng.uniform(5, 20)), rig, body, radius, 24)
+    body = replace(body, textures=tuple(draw_checkerboard(texture, count, dirt, rng) for texture in body.textures))
+    return make_stepwise_variation(rng, float(rng.uniform(5, 20)), rig, body, radius, 24)
 
 
-def checks(texture: Image, count: int, dirt: float, rng: np.random.Generator) -> Image:
-    """A board of count x count fields, with so many specks per pixel."""
+def draw_checkerboard(texture: Image, count: int, dirt: float, rng: np.random.Generator) -> Image:
+    """Return a checkerboard texture of count x count fields with `dirt` specks per pixel."""
     height, width = texture.shape[:2]
     column, row = np.arange(width) * count // width, np.arange(height) * count // height
     dark = (column[None] + row[:, None]) % 2 == 0
@@ -200,10 +220,10 @@ def checks(texture: Image, count: int, dirt: float, rng: np.random.Generator) ->
     return np.asarray(cv2.GaussianBlur(image, (0, 0), 0.8), dtype=np.uint8)
 
 
-def alike_blocks(rng: np.random.Generator) -> Take:
-    """A box whose faces all show the same picture, turned by quarters, 8 to 18 degrees from frame to frame."""
-    rig, radius = rig_of(rng, share=0.6)
-    body = block(rng, rig, radius)
+def alike_blocks(rng: np.random.Generator) -> Variation:
+    """A box with the same picture on all faces, rotated by multiples of 90 degrees; 8 to 18 degrees per frame."""
+    rig, radius = draw_rig(rng, share=0.6)
+    body = draw_block(rng, rig, radius)
     largest = max(body.textures, key=lambda t: t.shape[0] * t.shape[1])
 
     def same(texture: Image) -> Image:
@@ -214,10 +234,10 @@ def alike_blocks(rng: np.random.Generator) -> Take:
         return np.ascontiguousarray(picture[: texture.shape[0], : texture.shape[1]])
 
     body = replace(body, textures=tuple(same(texture) for texture in body.textures))
-    return steps(rng, float(rng.uniform(8, 18)), rig, body, radius, 24)
+    return make_stepwise_variation(rng, float(rng.uniform(8, 18)), rig, body, radius, 24)
 
 
-THOROUGH: dict[str, Kind] = named(
+FALLBACK_SEARCH: dict[str, Kind] = index_by_name(
     [
         jumps_15,
         jumps_20,
@@ -232,5 +252,5 @@ THOROUGH: dict[str, Kind] = named(
         alike_blocks,
     ]
 )
-# Few seeds of these: they take minutes.
-LARGE: dict[str, Kind] = named([full_hd, five_mp])
+# These take minutes each: run few seeds.
+LARGE: dict[str, Kind] = index_by_name([full_hd, five_mp])

@@ -1,11 +1,11 @@
-"""What large images cost: until the object is known, while it is followed, and while it is gone.
+"""Processor time of tracking in large images: during initialization, tracking and loss of the object.
 
     python benchmarks/large.py [--size 3264x2448] [--cameras 2] [--seeds 0:3]
 
-Renders a painted body before furnished rooms that turns by 4 degrees a frame, fills a tenth to a half of the images' height
-and is taken away for four frames in the middle. Tracks it image by image, with boxes and without, and prints the processor's
-seconds per frame set: of those until the first pose, of those with a pose, the time of rendering and decoding not counted,
-and of those in which it is gone; in how many frames it was found of those in which it is there; and how far off these are.
+Renders a textured body in cluttered rooms. It rotates by 4 degrees per frame, fills 10 to 50 % of the image height and is
+absent for four frames in the middle. It is tracked image by image, with and without boxes. Prints the processor time per
+frame set, without rendering and decoding: until the first pose, with the object present, and with the object absent; the
+number of frames in which the object was localized; and the errors of these frames.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from benchmarks.kinds import compared
-from benchmarks.kinds_scenes import Take, any_body, boxes_of, moving, rig_of
+from benchmarks.kinds import compute_errors
+from benchmarks.kinds_scenes import Variation, compute_boxes, draw_body, draw_rig, make_path
 from sylpose import FrameSet
 from sylpose.geometry.arrays import FloatArray
 from sylpose.results import FramePose
 from sylpose.simulate import Actor, Scene
 from sylpose.tracking.tracker import Tracker
 
-FRAMES, AWAY = 16, range(8, 12)
-WRONG_DEG, SURE = 3.0, 5.0
+FRAMES, ABSENT_FRAMES = 16, range(8, 12)
+WRONG_DEG, SURE_SDS = 3.0, 5.0
 
 
-class Costs(NamedTuple):
-    """Seconds of the processor (F,) of each frame set, poses in order, and what they are off by: see `compared`."""
+class TrackingCosts(NamedTuple):
+    """Processor seconds (F,) per frame set, poses, and their errors and NEES (see `compared`)."""
 
     seconds: FloatArray
     poses: list[FramePose]
@@ -38,47 +38,52 @@ class Costs(NamedTuple):
     nees: FloatArray
 
 
-def take_of(seed: int, cameras: int, size: tuple[int, int]) -> Take:
-    """A variation."""
+def draw_variation(seed: int, cameras: int, size: tuple[int, int]) -> Variation:
+    """Draw a variation."""
     rng = np.random.default_rng(seed)
-    rig, radius = rig_of(rng, cameras, size=size, share=float(rng.uniform(0.1, 0.5)))
-    path = moving(
+    rig, radius = draw_rig(rng, cameras, size=size, share=float(rng.uniform(0.1, 0.5)))
+    path = make_path(
         rng, 4.0 * np.arange(FRAMES, dtype=float), np.outer(np.arange(FRAMES), rng.uniform(-0.05, 0.05, 3)) * radius
     )
-    gone = RigidTransform.from_translation([0.0, -40.0 * radius, 0.0])
-    actor = Actor(any_body(rng, rig, radius), lambda k: gone if round(k) in AWAY else path(k))
+    absent_pose = RigidTransform.from_translation([0.0, -40.0 * radius, 0.0])
+    actor = Actor(draw_body(rng, rig, radius), lambda k: absent_pose if round(k) in ABSENT_FRAMES else path(k))
     scene = Scene(rig, (actor,), FRAMES, int(rng.integers(1 << 30)))
-    return Take(scene, boxes_of(scene, 1.05), radius)
+    return Variation(scene, compute_boxes(scene, 1.05), radius)
 
 
-def tracked(take: Take, frames: list[FrameSet], *, boxed: bool, seed: int) -> Costs:
-    """A variation, tracked."""
+def track_variation(variation: Variation, frames: list[FrameSet], *, with_boxes: bool, seed: int) -> TrackingCosts:
+    """Track a variation."""
     seconds, poses = np.zeros(len(frames)), []
-    with Tracker(take.scene.rig, (take.boxes or {}) if boxed else {}, seed=seed) as tracker:
-        for k, each in enumerate(frames):
-            begun = time.process_time()
-            poses += [decided.pose for decided in tracker.step(each)]
-            seconds[k] = time.process_time() - begun
+    with Tracker(variation.scene.rig, (variation.boxes or {}) if with_boxes else {}, seed=seed) as tracker:
+        for k, frame_set in enumerate(frames):
+            start_time = time.process_time()
+            poses += [decided.pose for decided in tracker.step(frame_set)]
+            seconds[k] = time.process_time() - start_time
         poses += [decided.pose for decided in tracker.flush()]
-    return Costs(seconds, poses, *compared(take, poses))
+    return TrackingCosts(seconds, poses, *compute_errors(variation, poses))
 
 
-def line(costs: list[Costs]) -> str:
-    """What is printed of several variations."""
-    away = np.isin(np.arange(FRAMES), AWAY)
+def format_summary(costs: list[TrackingCosts]) -> str:
+    """Format the summary of several variations."""
+    is_absent = np.isin(np.arange(FRAMES), ABSENT_FRAMES)
     first = [next((k for k, pose in enumerate(c.poses) if pose.world_from_object is not None), FRAMES) for c in costs]
-    begun = [np.arange(FRAMES) > max(k, 0) for k in first]
-    before = np.concatenate([c.seconds[~b] for c, b in zip(costs, begun, strict=True)])
-    known = np.concatenate([c.seconds[b & ~away] for c, b in zip(costs, begun, strict=True)])
-    gone = np.concatenate([c.seconds[b & away] for c, b in zip(costs, begun, strict=True)])
-    there = np.concatenate([[p.seen for p, a in zip(c.poses, away, strict=True) if not a] for c in costs])
-    off = np.concatenate([c.errors for c in costs])
-    found = np.isfinite(off[:, 0]) & np.concatenate([[p.seen for p in c.poses] for c in costs])
-    sure = found & (off[:, 0] > WRONG_DEG) & (off[:, 2] > SURE)
+    is_initialized = [np.arange(FRAMES) > max(k, 0) for k in first]
+    initializing = np.concatenate([c.seconds[~b] for c, b in zip(costs, is_initialized, strict=True)])
+    tracking = np.concatenate([c.seconds[b & ~is_absent] for c, b in zip(costs, is_initialized, strict=True)])
+    absent = np.concatenate([c.seconds[b & is_absent] for c, b in zip(costs, is_initialized, strict=True)])
+    is_localized = np.concatenate(
+        [[p.is_observed for p, a in zip(c.poses, is_absent, strict=True) if not a] for c in costs]
+    )
+    errors = np.concatenate([c.errors for c in costs])
+    found = np.isfinite(errors[:, 0]) & np.concatenate([[p.is_observed for p in c.poses] for c in costs])
+    is_wrong_and_sure = found & (errors[:, 0] > WRONG_DEG) & (errors[:, 2] > SURE_SDS)
     return (
-        f"seconds of the processor: {before.mean():.2f} until known, {known.mean():.2f} known, {gone.mean():.2f} gone; "
-        f"found {there.sum()} of {len(there)}; off by {np.median(off[found, 0]):.3f} degrees, {off[found, 0].max():.2f} at "
-        f"most, NEES {np.concatenate([c.nees for c in costs])[found].mean():.1f}; {sure.sum()} wrong and sure"
+        f"processor seconds: {initializing.mean():.2f} initializing, {tracking.mean():.2f} tracking, "
+        f"{absent.mean():.2f} absent; "
+        f"localized in {is_localized.sum()} of {len(is_localized)}; "
+        f"error {np.median(errors[found, 0]):.3f}°, {errors[found, 0].max():.2f}° "
+        f"at most, NEES {np.concatenate([c.nees for c in costs])[found].mean():.1f}; "
+        f"{is_wrong_and_sure.sum()} wrong and sure"
     )
 
 
@@ -89,12 +94,12 @@ def main() -> None:
     parser.add_argument("--seeds", default="0:3")
     options = parser.parse_args()
     width, height = map(int, options.size.split("x"))
-    for boxed in (True, False):
+    for with_boxes in (True, False):
         costs = []
         for seed in range(*map(int, options.seeds.split(":"))):
-            take = take_of(seed, options.cameras, (width, height))
-            costs.append(tracked(take, list(take.frames()), boxed=boxed, seed=seed))
-        print("boxes: " if boxed else "no boxes: ", line(costs), flush=True)
+            variation = draw_variation(seed, options.cameras, (width, height))
+            costs.append(track_variation(variation, list(variation.frames()), with_boxes=with_boxes, seed=seed))
+        print("boxes: " if with_boxes else "no boxes: ", format_summary(costs), flush=True)
 
 
 if __name__ == "__main__":

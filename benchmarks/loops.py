@@ -1,9 +1,9 @@
-"""Is drift undone where the object shows a side again? Rendered turns by 420 degrees, seeded, two to four cameras.
+"""Drift correction when a side of the object reappears: rendered rotations of 420 degrees, two to four cameras.
 
     python benchmarks/loops.py [--seeds N] [--features klt sift]
 
-Errors since the start against the truth, in degrees and millimetres: the median and the worst frame of each turn, and the
-median of its last four frames, which show what the first ones did. Prints a line for each turn and their means.
+Errors of the motion since the start, in degrees and millimeters: the median and the worst frame of each sequence, and the
+median of its last four frames, which show the same side as the first ones. Prints a row per sequence and the means.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sylpose import FrameSet, track
-from sylpose.app.demo import score
+from sylpose.app.demo import compute_errors
 from sylpose.frames import Box
 from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Rig
-from sylpose.simulate import demo_scene, demo_truth, render_frames
+from sylpose.simulate import compute_demo_truth, make_demo_scene, render_frames
 
-FRAMES, TURN_DEG, SIZE = 56, 420.0, (320, 240)
+FRAMES, ROTATION_DEG, SIZE = 56, 420.0, (320, 240)
 CAMERAS = (3, 4, 2, 3)
 
 
-class Turn(NamedTuple):
-    """A rendered recording, and where the object is."""
+class RenderedSequence(NamedTuple):
+    """Rendered recording and the object's true poses."""
 
     rig: Rig
     frames: list[FrameSet]
@@ -35,34 +35,40 @@ class Turn(NamedTuple):
     world_from_object: RigidTransform
 
 
-def rendered(**options: Any) -> Turn:
-    """The project's demo with other options than its own (`demo_scene`)."""
-    scene = demo_scene(**options)
-    truth, nothing = demo_truth(scene), (None,) * len(scene.rig)
-    frames = [FrameSet(k, float(k), nothing, images, nothing) for k, images in enumerate(render_frames(scene))]
-    return Turn(scene.rig, frames, {name: Box(*box) for name, box in truth.boxes.items()}, truth.world_from_object)
+def render_demo(**options: Any) -> RenderedSequence:
+    """Render the demo with the given options of `make_demo_scene`."""
+    scene = make_demo_scene(**options)
+    truth, no_values = compute_demo_truth(scene), (None,) * len(scene.rig)
+    frames = [FrameSet(k, float(k), no_values, images, no_values) for k, images in enumerate(render_frames(scene))]
+    return RenderedSequence(
+        scene.rig, frames, {name: Box(*box) for name, box in truth.boxes.items()}, truth.world_from_object
+    )
 
 
-def turn_of(seed: int) -> Turn:
-    """The turn with that seed."""
-    return rendered(frames=FRAMES, turn_deg=TURN_DEG, size=SIZE, n_cameras=CAMERAS[seed % len(CAMERAS)], seed=seed)
+def render_sequence(seed: int) -> RenderedSequence:
+    """Render the sequence of a seed."""
+    return render_demo(
+        frames=FRAMES, turn_deg=ROTATION_DEG, size=SIZE, n_cameras=CAMERAS[seed % len(CAMERAS)], seed=seed
+    )
 
 
 def errors_of(seed: int, features: str) -> FloatArray:
-    """(6,) degrees and millimetres: median, worst, end."""
-    turn = turn_of(seed)
-    tracked = track(turn.frames, turn.rig, turn.boxes, features=features)
+    """Track a sequence; return its errors (6,) in degrees and millimeters: median, worst, end."""
+    sequence = render_sequence(seed)
+    tracked = track(sequence.frames, sequence.rig, sequence.boxes, features=features)
     solved = [f.pose for f in tracked if f.pose.world_from_object is not None]
     poses = RigidTransform.concatenate([p.world_from_object for p in solved])
-    found = score(
+    errors = compute_errors(
         [p.time for p in solved],
         poses,
         np.arange(FRAMES),
-        turn.world_from_object,
-        turn.world_from_object[0].translation,
+        sequence.world_from_object,
+        sequence.world_from_object[0].translation,
     )
-    both = np.column_stack([found.rotation, 1e3 * found.displacement])
-    return np.concatenate([np.median(both, axis=0), both.max(axis=0), np.median(both[-4:], axis=0)])
+    errors_deg_mm = np.column_stack([errors.rotation, 1e3 * errors.translation])
+    return np.concatenate(
+        [np.median(errors_deg_mm, axis=0), errors_deg_mm.max(axis=0), np.median(errors_deg_mm[-4:], axis=0)]
+    )
 
 
 def main() -> None:
@@ -70,18 +76,18 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--features", nargs="+", default=["klt", "sift"])
     options = parser.parse_args()
-    print("| seed | cameras | features | degrees: median / worst / end | mm |")
+    print("| seed | cameras | features | rotation error, deg: median / worst / end | position error, mm |")
     print("|---|---|---|---|---|")
     rows = []
     for seed in range(options.seeds):
         for features in options.features:
             rows.append(errors_of(seed, features))
-            print(line(str(seed), str(CAMERAS[seed % len(CAMERAS)]), features, rows[-1]), flush=True)
-    print(line("mean", "", "", np.mean(rows, axis=0)))
+            print(format_row(str(seed), str(CAMERAS[seed % len(CAMERAS)]), features, rows[-1]), flush=True)
+    print(format_row("mean", "", "", np.mean(rows, axis=0)))
 
 
-def line(seed: str, cameras: str, features: str, row: FloatArray) -> str:
-    """One line of the table."""
+def format_row(seed: str, cameras: str, features: str, row: FloatArray) -> str:
+    """Format one row of the table."""
     deg, mm = (" / ".join(f"{x:.3f}" for x in row[k::2]) for k in (0, 1))
     return f"| {seed} | {cameras} | {features} | {deg} | {mm} |"
 

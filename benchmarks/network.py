@@ -1,4 +1,4 @@
-"""What rounds cost on a real network on this machine, and what a node does in rigs of up to 1,000 cameras.
+"""Cost of rounds on a local network, and work per node in rigs of up to 1,000 cameras.
 
     python benchmarks/network.py [--nodes 2 4 8 16] [--cameras 4 16 64 256 1000] [--recording FOLDER]
     python benchmarks/network.py --tree 16 1000
@@ -6,17 +6,17 @@
     python benchmarks/network.py --kills 20
     python benchmarks/network.py --soak 30
 
-Rounds: so many processes tell each other 241 bytes, as a round of the alignment does, 500 times: milliseconds per round,
-median and 99 %, and milliseconds of processor time of a node.
+--nodes: that many processes exchange 241 bytes, as in a round of the alignment, 500 times. Prints milliseconds per round
+(median and 99 %) and the processor time per node and round.
 
-Cameras: what one node does in a round, without a network: milliseconds, and bytes that it hears.
+--cameras: the work of one node in a round without a network. Prints milliseconds and received bytes.
 
-With a recording (a folder that `sylpose demo` has written), processes of `sylpose node` play it as fast as they can:
-milliseconds from images to the agreed pose, bytes and rounds per frame.
+--recording: processes of `sylpose node` play a recording (a folder that `sylpose demo` has written) at full speed. Prints
+milliseconds from images to the agreed pose, and bytes and rounds per frame.
 
-Each of these does nothing else: `--tree`, what a tree would carry in rigs of so many cameras; `--latency`, from a frame to
-its pose with so many cameras, small pictures, in both modes; `--kills`, so many deaths of nodes at any moment; `--soak`,
-memory in so many minutes.
+The other options run alone. `--tree`: traffic of a tree topology in rigs of that many cameras. `--latency`: time from a
+frame to its pose with that many cameras and small images, in both modes. `--kills`: that many node failures at random
+moments. `--soak`: memory over that many minutes.
 """
 
 from __future__ import annotations
@@ -36,79 +36,84 @@ import numpy as np
 
 from benchmarks import network_kills, network_latency, network_soak, network_tree
 from sylpose import calibration
-from sylpose.network.membership import Answer, Ask, Enter, Heard, Present, Tell
-from sylpose.network.rounds import agree_next, agree_start, agree_step
-from sylpose.network.runner import Runner
-from sylpose.network.wire_format import TELLS, message
-from sylpose.network.zenoh_transport import Links, Place, Wire, watch_network
+from sylpose.network.membership import ExchangeRequest, ExchangeResult, JoinRequest, Membership, Request, Response
+from sylpose.network.rounds import begin_next_round, start_rounds, step_round
+from sylpose.network.runner import NodeRunner
+from sylpose.network.wire_format import DATA, encode_message
+from sylpose.network.zenoh_transport import LinkSettings, NodeAddress, ZenohTransport, watch_network
 
-BYTES, ROUNDS = 241, 500
+MESSAGE_BYTES, N_ROUNDS = 241, 500
 
 
-def talk(c: int, n: int, network: str, out: multiprocessing.Queue[tuple[FloatList, float]]) -> None:
+def run_node(c: int, n: int, network: str, out: multiprocessing.Queue[tuple[FloatList, float]]) -> None:
     names = [f"cam_{k}" for k in range(n)]
-    took: list[float] = []
+    round_times: list[float] = []
     cpu = [0.0]
 
-    def work(ask: Callable[[Ask, int], Answer]) -> None:
-        ask(Enter(), 0)
+    def work(request: Callable[[Request, int], Response]) -> None:
+        request(JoinRequest(), 0)
         members, newcomers = 0, frozenset[int]()
         while members < n:
-            heard = ask(Tell(bytes(8), newcomers, b"x"), 0)
-            assert isinstance(heard, Heard)
-            members, newcomers = len(heard.told), heard.newcomers if len(heard.told) == 1 else frozenset()
+            received = request(ExchangeRequest(bytes(8), newcomers, b"x"), 0)
+            assert isinstance(received, ExchangeResult)
+            members, newcomers = (
+                len(received.payloads),
+                received.newcomers if len(received.payloads) == 1 else frozenset(),
+            )
         cpu[0] = time.process_time()
-        for _ in range(ROUNDS):
-            begun = time.perf_counter()
-            ask(Tell(bytes(BYTES)), 0)
-            took.append(time.perf_counter() - begun)
+        for _ in range(N_ROUNDS):
+            start_time = time.perf_counter()
+            request(ExchangeRequest(bytes(MESSAGE_BYTES)), 0)
+            round_times.append(time.perf_counter() - start_time)
         cpu[0] = time.process_time() - cpu[0]
 
-    runner = Runner(Present(c, n, c, wait=3000), work, lambda packets: wire.send(packets))
-    wire = Wire(Place(names[c], "0" * 16, network), names, Links(), runner.heard)
+    runner = NodeRunner(Membership(c, n, c, wait=3000), work, lambda packets: wire.send(packets))
+    wire = ZenohTransport(NodeAddress(names[c], "0" * 16, network), names, LinkSettings(), runner.receive)
     runner.run(lambda _: None, lambda: False)
     wire.close()
-    out.put((took, cpu[0]))
+    out.put((round_times, cpu[0]))
 
 
 FloatList = list[float]
 
 
-def rounds(n: int) -> str:
+def measure_rounds(n: int) -> str:
     context = multiprocessing.get_context("spawn")
     out: multiprocessing.Queue[tuple[FloatList, float]] = context.Queue()
     network = f"bench-{os.getpid()}-{n}"
-    processes = [context.Process(target=talk, args=(c, n, network, out)) for c in range(n)]
+    processes = [context.Process(target=run_node, args=(c, n, network, out)) for c in range(n)]
     for process in processes:
         process.start()
     found = [out.get(timeout=300) for _ in processes]
     for process in processes:
         process.join()
-    took = 1e3 * np.concatenate([t for t, _ in found])
-    cpu = 1e3 * np.mean([c for _, c in found]) / ROUNDS
-    return f"| {n} | {np.median(took):.1f} | {np.quantile(took, 0.99):.0f} | {cpu:.2f} |"
+    round_ms = 1e3 * np.concatenate([t for t, _ in found])
+    cpu = 1e3 * np.mean([c for _, c in found]) / N_ROUNDS
+    return f"| {n} | {np.median(round_ms):.1f} | {np.quantile(round_ms, 0.99):.0f} | {cpu:.2f} |"
 
 
-def one_node(n: int) -> str:
-    """What it takes to hear all others in a round."""
-    state, _ = agree_start(0, range(n), bytes(BYTES))
-    took = []
+def measure_one_node(n: int) -> str:
+    """Measure the time of one node to process the messages of all others in a round."""
+    state, _ = start_rounds(0, range(n), bytes(MESSAGE_BYTES))
+    round_ms = []
     for number in range(5):
-        inbox = [(c, message(TELLS, c, number, 0, bytes(BYTES))) for c in range(1, n)]
-        begun = time.perf_counter()
-        state, _ = agree_step(state, inbox)
+        inbox = [(c, encode_message(DATA, c, number, 0, bytes(MESSAGE_BYTES))) for c in range(1, n)]
+        start_time = time.perf_counter()
+        state, _ = step_round(state, inbox)
         assert state.outcome is not None
-        state, _ = agree_next(state, bytes(BYTES))
-        took.append(1e3 * (time.perf_counter() - begun))
-    return f"| {n} | {np.median(took):.2f} | {(n - 1) * (BYTES + 12) / 1e3:.1f} |"
+        state, _ = begin_next_round(state, bytes(MESSAGE_BYTES))
+        round_ms.append(1e3 * (time.perf_counter() - start_time))
+    return f"| {n} | {np.median(round_ms):.2f} | {(n - 1) * (MESSAGE_BYTES + 12) / 1e3:.1f} |"
 
 
-def tracked(folder: Path, n: int) -> str:
-    """Nodes that play a recording of as many cameras."""
+def measure_tracking(folder: Path, n: int) -> str:
+    """Run nodes that play a recording of `n` cameras and format their table row."""
     network, file = f"bench-{os.getpid()}-t{n}", folder / "calibration.toml"
     names = calibration.load(file).names[:n]
     states: list[dict[str, float]] = []
-    session = watch_network(Links(), network, lambda _r, _n, line: states.append(json.loads(line)), lambda *_: None)
+    session = watch_network(
+        LinkSettings(), network, lambda _r, _n, line: states.append(json.loads(line)), lambda *_: None
+    )
     with tempfile.TemporaryDirectory() as out:
         command = [sys.executable, "-m", "sylpose", "node", "--calibration", str(file), "--network", network]
         nodes = [
@@ -132,11 +137,14 @@ def tracked(folder: Path, n: int) -> str:
         for node in nodes:
             node.wait()
     session.close()
-    busy = [s for s in states if s["bytes_per_frame"] > 0 and s["frames"] > 5]
-    latency = np.median([s["latency_ms"] for s in busy])
-    per_frame, rate = np.median([s["bytes_per_frame"] for s in busy]), np.median([s["rate"] for s in busy])
-    told = np.median([s["rounds_per_frame"] for s in busy])
-    return f"| {n} | {rate:.1f} | {latency:.0f} | {per_frame / 1e3:.1f} kB | {told:.0f} |"
+    active_states = [s for s in states if s["bytes_per_frame"] > 0 and s["frames"] > 5]
+    latency = np.median([s["latency_ms"] for s in active_states])
+    per_frame, rate = (
+        np.median([s["bytes_per_frame"] for s in active_states]),
+        np.median([s["rate"] for s in active_states]),
+    )
+    rounds_per_frame = np.median([s["rounds_per_frame"] for s in active_states])
+    return f"| {n} | {rate:.1f} | {latency:.0f} | {per_frame / 1e3:.1f} kB | {rounds_per_frame:.0f} |"
 
 
 def main() -> None:
@@ -149,27 +157,36 @@ def main() -> None:
     parser.add_argument("--kills", type=int)
     parser.add_argument("--soak", type=float, metavar="MINUTES")
     parser.add_argument("--seed", type=int, default=0)
-    asked = parser.parse_args()
-    if asked.tree or asked.latency or asked.kills or asked.soak:
-        if asked.tree:
-            print("\n".join([network_tree.HEAD, *(network_tree.table(n, seed=asked.seed) for n in asked.tree)]))
-        if asked.latency:
-            print(network_latency.table(asked.latency), flush=True)
-        if asked.kills:
-            print(network_kills.kills(asked.kills, seed=asked.seed), flush=True)
-        if asked.soak:
-            print(f"{network_soak.HEAD}\n{network_soak.soak(asked.soak)}", flush=True)
+    arguments = parser.parse_args()
+    if arguments.tree or arguments.latency or arguments.kills or arguments.soak:
+        if arguments.tree:
+            print(
+                "\n".join(
+                    [
+                        network_tree.TABLE_HEADER,
+                        *(network_tree.format_rows(n, seed=arguments.seed) for n in arguments.tree),
+                    ]
+                )
+            )
+        if arguments.latency:
+            print(network_latency.format_tables(arguments.latency), flush=True)
+        if arguments.kills:
+            print(network_kills.kills(arguments.kills, seed=arguments.seed), flush=True)
+        if arguments.soak:
+            print(f"{network_soak.TABLE_HEADER}\n{network_soak.soak(arguments.soak)}", flush=True)
         return
-    print("| nodes | ms per round | 99 % | processor ms of a node |\n|---|---|---|---|", flush=True)
-    for n in asked.nodes:
-        print(rounds(n), flush=True)
-    print("\n| cameras | ms of a node per round | kB heard |\n|---|---|---|", flush=True)
-    for n in asked.cameras:
-        print(one_node(n), flush=True)
-    if asked.recording:
-        cameras = len(calibration.load(asked.recording / "calibration.toml"))
-        print("\n| nodes | frames per second | ms from images to pose | told per frame | rounds |\n" + "|---" * 5 + "|")
-        print(tracked(asked.recording, cameras), flush=True)
+    print("| nodes | ms per round: median | 99 % | processor ms per node and round |\n|---|---|---|---|", flush=True)
+    for n in arguments.nodes:
+        print(measure_rounds(n), flush=True)
+    print("\n| cameras | ms per node and round | kB received |\n|---|---|---|", flush=True)
+    for n in arguments.cameras:
+        print(measure_one_node(n), flush=True)
+    if arguments.recording:
+        cameras = len(calibration.load(arguments.recording / "calibration.toml"))
+        print(
+            "\n| nodes | frames/s | ms from images to pose | sent per frame | rounds per frame |\n" + "|---" * 5 + "|"
+        )
+        print(measure_tracking(arguments.recording, cameras), flush=True)
 
 
 if __name__ == "__main__":

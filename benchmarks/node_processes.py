@@ -1,4 +1,4 @@
-"""Processes of `sylpose node` for benchmarks: recordings for them, their starts and deaths, and what they say."""
+"""Processes of `sylpose node` for benchmarks: recordings, starts, kills, and received output."""
 
 from __future__ import annotations
 
@@ -12,46 +12,56 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from sylpose.app.network_demo import node_command
+from sylpose.app.network_demo import build_node_command
 from sylpose.methods import MODES
-from sylpose.network.zenoh_transport import LOOPBACK, Links, watch_network
-from sylpose.simulate import demo_scene, render_frames
-from sylpose.simulate.recording_files import session_folder, write_videos
+from sylpose.network.zenoh_transport import LOOPBACK, LinkSettings, watch_network
+from sylpose.simulate import make_demo_scene, render_frames
+from sylpose.simulate.recording_files import create_session_folder, write_videos
 
-__all__ = ["RATE", "Line", "Processes", "as_installed", "looped_recording", "processes", "rss_mb"]
+__all__ = [
+    "RATE",
+    "NodeLine",
+    "NodeProcesses",
+    "make_environment",
+    "read_rss_mb",
+    "run_processes",
+    "write_looped_recording",
+]
 
 RATE = 30.0  # frames per second of a recording
-# Small pictures, of which two cores can work on a few hundred in a second (choice).
+# Small images, of which two cores process a few hundred per second (choice).
 SIZE = (320, 240)
 
 
-class Line(NamedTuple):
-    """What a node said: when it was heard, seconds; what."""
+class NodeLine(NamedTuple):
+    """Line of a node: time of arrival in seconds, and content."""
 
-    heard: float
-    said: dict[str, Any]
+    arrival: float
+    content: dict[str, Any]
 
 
-def looped_recording(folder: Path, cameras: int, frames: int, seconds: float, *, seed: int = 0) -> Path:
-    """Cameras before the demo's block, which turns by 90 degrees in so many frames and back again, for so long."""
-    scene = demo_scene(frames=frames, turn_deg=90.0, seed=seed, size=SIZE, n_cameras=cameras)
-    there = list(render_frames(scene))
-    images = there + there[-2:0:-1]
+def write_looped_recording(folder: Path, cameras: int, frames: int, seconds: float, *, seed: int = 0) -> Path:
+    """Write a recording of the demo's block, which rotates by 90 degrees in `frames` frames and back, repeatedly."""
+    scene = make_demo_scene(frames=frames, angle_deg=90.0, seed=seed, size=SIZE, n_cameras=cameras)
+    forward_images = list(render_frames(scene))
+    images = forward_images + forward_images[-2:0:-1]
     repeats = max(1, round(seconds * RATE / len(images)))
-    session_folder(folder, scene.rig)
+    create_session_folder(folder, scene.rig)
     write_videos(folder, scene.rig, images, len(images), repeats=repeats)
     return folder
 
 
-class Processes:
-    """Nodes on a recording, a process each.
+class NodeProcesses:
+    """Nodes that process a recording, each in its own process.
 
     Args:
-        recording: its folder; out: where results go.
-        speed, mode: as of `sylpose node`. wait: seconds for which they wait for each other.
+        recording: folder of the recording.
+        out: folder of the results.
+        speed, mode: as for `sylpose node`.
+        wait: time that nodes wait for each other, seconds.
 
     Attributes:
-        poses, states: by name, what each has said.
+        poses, states: received lines of each node, by name.
     """
 
     def __init__(
@@ -61,51 +71,51 @@ class Processes:
         self.network = f"bench-{os.getpid()}-{time.monotonic_ns() // 1000}"
         self.running: dict[str, subprocess.Popen[bytes]] = {}
         self.starts: dict[str, int] = {}
-        self.poses: dict[str, list[Line]] = {}
-        self.states: dict[str, list[Line]] = {}
-        self._news = threading.Condition()
+        self.poses: dict[str, list[NodeLine]] = {}
+        self.states: dict[str, list[NodeLine]] = {}
+        self._changed = threading.Condition()
         self._session = watch_network(
-            Links(LOOPBACK),
+            LinkSettings(LOOPBACK),
             self.network,
-            lambda _, name, line: self._heard(self.states, name, line),
-            lambda name, line: self._heard(self.poses, name, line),
+            lambda _, name, line: self._append_line(self.states, name, line),
+            lambda name, line: self._append_line(self.poses, name, line),
         )
 
-    def _heard(self, lines: dict[str, list[Line]], name: str, line: str) -> None:
-        with self._news:
-            lines.setdefault(name, []).append(Line(time.monotonic(), json.loads(line)))
-            self._news.notify_all()
+    def _append_line(self, lines: dict[str, list[NodeLine]], name: str, line: str) -> None:
+        with self._changed:
+            lines.setdefault(name, []).append(NodeLine(time.monotonic(), json.loads(line)))
+            self._changed.notify_all()
 
     def start(self, name: str) -> None:
-        """Each time with a folder of its own: NAME_0, NAME_1, ..."""
+        """Start a node; each start has a new folder: NAME_0, NAME_1, ..."""
         k = self.starts[name] = self.starts.get(name, -1) + 1
         folder = self.out / f"{name}_{k}"
         folder.mkdir(parents=True, exist_ok=True)
-        command = node_command(name, self.recording, folder, self.network, self.speed, self.wait, self.mode)
-        with (folder / "said.txt").open("wb") as said:
-            self.running[name] = subprocess.Popen(command, stdout=said, stderr=subprocess.STDOUT, env=as_installed())
+        command = build_node_command(name, self.recording, folder, self.network, self.speed, self.wait, self.mode)
+        with (folder / "log.txt").open("wb") as log:
+            self.running[name] = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT, env=make_environment())
 
     def kill(self, name: str) -> None:
-        """As `kill -9` does."""
+        """Kill a node by SIGKILL."""
         self.running[name].kill()
         self.running[name].wait()
 
-    def alive(self) -> list[str]:
-        """The names of those that run."""
+    def running_names(self) -> list[str]:
+        """Return the names of the running nodes."""
         return [name for name, process in self.running.items() if process.poll() is None]
 
-    def wait_for(self, names: Sequence[str], frames: int, seconds: float) -> None:
-        """Until each has said poses of so many frames.
+    def wait_for_poses(self, names: Sequence[str], frames: int, seconds: float) -> None:
+        """Wait until each node has sent the poses of `frames` frames.
 
         Raises:
-            TimeoutError: it has not.
+            TimeoutError: a node has sent fewer after `seconds`.
         """
-        with self._news:
-            if not self._news.wait_for(lambda: all(len(self.poses.get(n, [])) >= frames for n in names), seconds):
+        with self._changed:
+            if not self._changed.wait_for(lambda: all(len(self.poses.get(n, [])) >= frames for n in names), seconds):
                 raise TimeoutError({n: len(self.poses.get(n, [])) for n in names})
 
     def close(self) -> None:
-        """End all."""
+        """Kill all nodes and close the connection."""
         for process in self.running.values():
             if process.poll() is None:
                 process.kill()
@@ -114,22 +124,22 @@ class Processes:
 
 
 @contextmanager
-def processes(recording: Path, out: Path, **options: Any) -> Iterator[Processes]:
-    """`Processes` that end with the block."""
-    of = Processes(recording, out, **options)
+def run_processes(recording: Path, out: Path, **options: Any) -> Iterator[NodeProcesses]:
+    """Create `NodeProcesses` that end with the block."""
+    nodes = NodeProcesses(recording, out, **options)
     try:
-        yield of
+        yield nodes
     finally:
-        of.close()
+        nodes.close()
 
 
-def as_installed() -> dict[str, str]:
-    """The environment in which Python keeps what it has compiled, as after an installation."""
+def make_environment() -> dict[str, str]:
+    """Return an environment in which Python caches bytecode, as after an installation."""
     return {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
 
 
-def rss_mb(pid: int) -> float:
-    """Memory of a process that is in use, MB."""
+def read_rss_mb(pid: int) -> float:
+    """Return the resident memory of a process, MB."""
     try:
         lines = Path(f"/proc/{pid}/status").read_text().splitlines()
     except OSError:  # it has ended

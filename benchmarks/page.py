@@ -1,6 +1,8 @@
 """Write docs/benchmarks.md from benchmarks/results/*.json.
 
-python -m benchmarks.page
+    python benchmarks/page.py
+
+The texts of its sections are in benchmarks/page.toml; `make bench-page` does the same.
 """
 
 from __future__ import annotations

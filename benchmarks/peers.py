@@ -1,4 +1,4 @@
-"""What the benchmarks give to PoseLib and COLMAP, and take from them, in these libraries' own forms."""
+"""Conversions between sylpose and PoseLib or COLMAP for the benchmarks."""
 
 from __future__ import annotations
 
@@ -11,31 +11,34 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Camera, Rig
 
-__all__ = ["colmap_pose", "pinhole_of", "poselib_matches", "poselib_pose", "poselib_rig"]
+__all__ = ["from_colmap_pose", "from_poselib_result", "pinhole_parameters", "to_poselib_matches", "to_poselib_rig"]
 
 
-def pinhole_of(camera: Camera) -> list[float]:
-    """fx, fy, cx, cy, pixels, of the camera without its lens. COLMAP's pixel centres are at half integers, ours at integers:
-    the same shift in points and principal point changes nothing."""
+def pinhole_parameters(camera: Camera) -> list[float]:
+    """Return fx, fy, cx, cy of the undistorted camera, pixels.
+
+    COLMAP's pixel centers are at half integers, sylpose's at integers. The offset is the same for points and principal
+    point and cancels.
+    """
     (fx, _, cx), (_, fy, cy) = camera.matrix[:2].tolist()
     return [fx, fy, cx, cy]
 
 
-def poselib_rig(rig: Rig) -> tuple[list[Any], list[Any]]:
-    """PoseLib's cameras and their poses in the rig."""
+def to_poselib_rig(rig: Rig) -> tuple[list[Any], list[Any]]:
+    """Return PoseLib's cameras and their poses in the rig."""
     import poselib
 
     cameras, poses = [], []
     for camera in rig:
-        cameras.append(poselib.Camera("PINHOLE", pinhole_of(camera), *camera.size))
+        cameras.append(poselib.Camera("PINHOLE", pinhole_parameters(camera), *camera.size))
         pose = poselib.CameraPose()
         pose.R, pose.t = camera.rotation, camera.camera_from_world.translation
         poses.append(pose)
     return cameras, poses
 
 
-def poselib_matches(views: Iterable[tuple[FloatArray, FloatArray]]) -> list[Any]:
-    """PoseLib's matches within each camera, from their pixels (n, 2) in both frames."""
+def to_poselib_matches(views: Iterable[tuple[FloatArray, FloatArray]]) -> list[Any]:
+    """Return PoseLib's matches within each camera from the pixels (n, 2) in both frames."""
     import poselib
 
     matches = []
@@ -47,14 +50,14 @@ def poselib_matches(views: Iterable[tuple[FloatArray, FloatArray]]) -> list[Any]
     return matches
 
 
-def poselib_pose(found: tuple[Any, dict[str, Any]]) -> RigidTransform | None:
-    """What a solver of PoseLib found; None where no match agrees or the pose is not finite."""
+def from_poselib_result(found: tuple[Any, dict[str, Any]]) -> RigidTransform | None:
+    """Convert a result of PoseLib; None if there are no inliers or the pose is not finite."""
     pose, info = found
     if not info["num_inliers"] or not np.isfinite([*pose.q, *pose.t]).all():
         return None
     return RigidTransform.from_components(pose.t, Rotation.from_matrix(pose.R))
 
 
-def colmap_pose(pose: Any) -> RigidTransform:
-    """A pose of COLMAP's."""
+def from_colmap_pose(pose: Any) -> RigidTransform:
+    """Convert a pose of COLMAP."""
     return RigidTransform.from_components(pose.translation, Rotation.from_matrix(pose.rotation.matrix()))

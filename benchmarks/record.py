@@ -1,7 +1,7 @@
 """Run benchmarks and store their tables for docs/benchmarks.md.
 
-    python -m benchmarks.record [NAME ...]      # all of them without a name: an hour or more
-    python -m benchmarks.page                   # then write the page
+    python benchmarks/record.py [NAME ...]      # all of them without a name: an hour or more
+    python benchmarks/page.py                   # then write the page
 
 Each benchmark prints its figures as Markdown tables. Its output goes to benchmarks/results/NAME.json, together with the
 command, date, machine, commit and version.

@@ -1,10 +1,10 @@
-"""Are the covariances of real recordings right, whose calibrations are not exact? NEES of the smoothed poses.
+"""Consistency of the covariances of smoothed poses on real recordings, whose calibrations are inexact.
 
     python benchmarks/recorded.py [RECORDING ...] [--recordings FOLDER]
 
-For each recording, smoothed with the calibration as it is, with its uncertainty counted (what `sylpose track` does) and
-refined: the squared error of all six unknowns in units of their covariance, median and worst frame (6 in the mean for one
-that is right), and the errors since the first frame.
+Each recording is smoothed with the calibration taken as exact, with its uncertainty taken into account (as `sylpose track`
+does), and with the calibration refined. The table gives the NEES of all six unknowns (mean 6 for a consistent covariance)
+and the errors since the first frame, each of the median and the worst frame.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.live import difference, scene_of
+from benchmarks.live import compute_error_vector, load_scene
 from sylpose import track
-from sylpose.bundle_adjustment.calibration_refinement import usual_doubt
+from sylpose.bundle_adjustment.calibration_refinement import default_calibration_prior
 from sylpose.smoothing.trajectory import Track, smooth
 
 
@@ -26,27 +26,30 @@ def main() -> None:
     parser.add_argument("names", nargs="*", default=["temple", "board4"])
     parser.add_argument("--recordings", type=Path, default=Path("../shared/data"))
     options = parser.parse_args()
-    print("| recording | calibration | NEES: median, worst | degrees: median, worst | mm: median, worst |")
+    print(
+        "| recording | calibration | NEES: median, worst | rotation error, deg: median, worst "
+        "| position error, mm: median, worst |"
+    )
     print("|---|---|---|---|---|")
     for name in options.names:
-        scene = scene_of(name, options.recordings)
-        tracks = [Track.of(frame) for frame in track(scene.frames, scene.rig, scene.boxes)]
-        doubt = usual_doubt(scene.rig)
-        ways: dict[str, dict[str, Any]] = {
-            "as it is": {},
-            "doubted": {"doubt": doubt},
-            "refined": {"doubt": doubt, "recalibrate": True},
+        scene = load_scene(name, options.recordings)
+        tracks = [Track.from_tracked(frame) for frame in track(scene.frames, scene.rig, scene.boxes)]
+        doubt = default_calibration_prior(scene.rig)
+        settings: dict[str, dict[str, Any]] = {
+            "exact": {},
+            "uncertain": {"calibration_prior": doubt},
+            "refined": {"calibration_prior": doubt, "recalibrate": True},
         }
-        for way, given in ways.items():
-            poses = smooth(tracks, scene.rig, **given).poses
-            first, *found = [k for k, pose in enumerate(poses) if pose.measured]
+        for label, smooth_options in settings.items():
+            poses = smooth(tracks, scene.rig, **smooth_options).poses
+            first, *found = [k for k, pose in enumerate(poses) if pose.is_measured]
             rows = []
             for k in found:
-                e = difference(scene, first, poses[first], k, poses[k])
+                e = compute_error_vector(scene, first, poses[first], k, poses[k])
                 nees = e @ np.linalg.solve(poses[k].covariance, e)
                 rows.append([nees, np.degrees(np.linalg.norm(e[:3])), 1e3 * np.linalg.norm(e[3:])])
             cells = [f"{a:.2g}, {b:.2g}" for a, b in zip(np.median(rows, axis=0), np.max(rows, axis=0), strict=True)]
-            print(f"| {name} | {way} | {' | '.join(cells)} |", flush=True)
+            print(f"| {name} | {label} | {' | '.join(cells)} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Results of the tracking benchmark: scores against the truth, the table, what must hold, what got worse."""
+"""Results of the tracking benchmark: scores against the truth, table, requirements and regressions."""
 
 from __future__ import annotations
 
@@ -16,20 +16,30 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.report.files import read_trajectory, read_tum
 
-__all__ = ["HEADER", "Row", "errors", "line", "load", "must_hold", "save", "score", "worse_than"]
+__all__ = [
+    "HEADER",
+    "Row",
+    "compute_errors",
+    "find_regressions",
+    "format_requirements",
+    "format_row",
+    "load",
+    "save",
+    "score_trajectory",
+]
 
 
-# An object is found again where its pose is right to within this.
-RIGHT_DEG, RIGHT_MM = 2.0, 20.0
-# "At the end" is the root mean square over this share of the frames: a chain's very last error is one throw of dice.
+# An object is relocalized if its pose error is below these limits.
+MAX_CORRECT_DEG, MAX_CORRECT_MM = 2.0, 20.0
+# The error at the end is the root mean square over this share of the frames; the last error alone is too noisy.
 END_SHARE = 0.1
-# What counts as worse than a baseline.
-WORSE, WORSE_SPEED = 1.2, 0.7
-TINY_DEG, TINY_MM = 0.02, 0.05
+# Limits of a regression: factor of the errors, factor of the speed, and absolute slack of the errors.
+WORSE_ERROR, WORSE_SPEED = 1.2, 0.7
+SLACK_DEG, SLACK_MM = 0.02, 0.05
 
 
-class Spread(NamedTuple):
-    """Of the errors of the motion since the start."""
+class ErrorStatistics(NamedTuple):
+    """Statistics of the errors of the motion since the start: median, maximum, last, and RMS at the end."""
 
     median: float
     worst: float
@@ -39,32 +49,32 @@ class Spread(NamedTuple):
 
 @dataclass(frozen=True)
 class Row:
-    """One run on one recording; None for what does not apply.
+    """One run on one recording; None where a figure does not apply.
 
     Attributes:
-        data: the recording (and its object).
-        by: who ran, with which options.
-        total: frames that could be solved: those of the truth (every 5th of it, where only these were used).
-        solved: frames with a pose that was found in their images.
+        data: recording, and object if there are several.
+        by: program and its options.
+        total: number of frames with truth (every 5th of them if only these were used).
+        solved: number of frames whose pose was measured in their images.
         deg, mm: errors of the motion since the first solved frame.
-        fps, tracking_fps: frame sets per second, of the whole run and of the tracking alone.
-        memory_mb: peak.
-        growth: memory at the end over that after a fifth of the frames.
-        statuses: how many frames have each.
-        nees: median of the squared normalised errors' mean over the six degrees of freedom (0.9 when the standard
-            deviations are right), of the solved frames with finite ones; correlations are not in the file.
-        false: frames solved while no camera shows the object.
-        back: frames from its return into at least two whole views until it is found again; the remaining ones if never.
-        after_deg: worst error from then on.
-        failed: why there is nothing to score.
+        fps, tracking_fps: frame sets per second of the whole run and of the tracking stage.
+        memory_mb: peak memory.
+        growth: ratio of the memory at the end to that after a fifth of the frames.
+        statuses: number of frames per status.
+        nees: median over the solved frames of the mean squared normalized error of the six degrees of freedom (0.9 for
+            correct standard deviations). Frames without finite deviations do not count; the file has no correlations.
+        false: number of frames solved while no camera sees the object.
+        back: frames from its return, fully visible to two cameras, to its relocalization; the remaining ones if never.
+        after_deg: largest error from then on.
+        failed: reason if there is nothing to score.
     """
 
     data: str
     by: str
     total: int = 0
     solved: int = 0
-    deg: Spread | None = None
-    mm: Spread | None = None
+    deg: ErrorStatistics | None = None
+    mm: ErrorStatistics | None = None
     fps: float | None = None
     tracking_fps: float | None = None
     memory_mb: float | None = None
@@ -77,18 +87,18 @@ class Row:
     failed: str = ""
 
 
-def errors(
+def compute_errors(
     estimate: tuple[FloatArray, RigidTransform], truth: tuple[FloatArray, RigidTransform], center: FloatArray
 ) -> tuple[IntArray, FloatArray]:
-    """Errors of the motion since the first pose that both have, as shared/tools/score.py defines it.
+    """Compute errors of the motion since the first common pose, as defined by shared/tools/score.py.
 
     Args:
-        estimate, truth: times (n,), seconds, and poses; paired by the nearest time, within half the truth's least step.
-        center: (3,) the object's centre in the world at the first true pose.
+        estimate, truth: times (n,), seconds, and poses; paired by nearest time, within half the truth's least step.
+        center: (3,) the object's center in the world at the first true pose.
 
     Returns:
-        (m,) paired frames of the truth; (m, 6) errors of the turn (rotation vector, world, radians) and of the centre's
-        displacement. Zero in the first row.
+        (m,) paired frames of the truth; (m, 6) errors of the rotation (rotation vector, world, radians) and of the
+        center's translation. The first row is zero.
     """
     (times, poses), (true_times, true_poses) = estimate, truth
     if not len(times):
@@ -97,53 +107,66 @@ def errors(
     frames = np.flatnonzero(np.abs(times[nearest] - true_times) <= 0.5 * np.diff(true_times).min())
     if not len(frames):
         return frames, np.empty((0, 6))
-    found, right = poses[nearest[frames]], true_poses[frames]
-    motion, true_motion = found * found[0].inv(), right * right[0].inv()
-    start = (right[0] * true_poses[0].inv()).apply(center)
-    turn = (motion.rotation * true_motion.rotation.inv()).as_rotvec()
-    return frames, np.concatenate([turn, motion.apply(start) - true_motion.apply(start)], axis=1)
+    matched_poses, true_matched = poses[nearest[frames]], true_poses[frames]
+    motion, true_motion = matched_poses * matched_poses[0].inv(), true_matched * true_matched[0].inv()
+    start = (true_matched[0] * true_poses[0].inv()).apply(center)
+    rotation_error = (motion.rotation * true_motion.rotation.inv()).as_rotvec()
+    return frames, np.concatenate([rotation_error, motion.apply(start) - true_motion.apply(start)], axis=1)
 
 
-def score(row: Row, tum: Path, truth: Path, center: FloatArray | None = None, every: int = 1) -> Row:
-    """The row with its errors, from a trajectory.tum (and a trajectory.csv of the same name beside it, if any).
+def score_trajectory(row: Row, tum: Path, truth: Path, center: FloatArray | None = None, every: int = 1) -> Row:
+    """Return the row with the errors of a trajectory.tum, and the statuses of a trajectory.csv next to it.
 
     Args:
-        truth: groundtruth.tum, or groundtruth_NAME.tum of one object of several; visible.csv is looked for beside it.
-        center: of the object in the first frame; None: its frame's origin there.
-        every: only every so manieth frame was given to it.
+        truth: groundtruth.tum, or groundtruth_NAME.tum of one of several objects; a visible.csv next to it is read too.
+        center: (3,) center of the object in the first frame; None: the origin of its frame.
+        every: step between the frames that were processed.
     """
-    estimate, right = read_tum(tum), read_tum(truth)
-    center = right[1][0].translation if center is None else center
-    frames, off = errors(estimate, right, np.asarray(center, dtype=float))
-    total = len(range(0, len(right[0]), every))
+    estimate, true_trajectory = read_tum(tum), read_tum(truth)
+    center = true_trajectory[1][0].translation if center is None else center
+    frames, error_vectors = compute_errors(estimate, true_trajectory, np.asarray(center, dtype=float))
+    total = len(range(0, len(true_trajectory[0]), every))
     if len(frames) < 2:
         return replace(row, total=total, failed="fewer than two poses")
-    deg, mm = np.degrees(np.linalg.norm(off[:, :3], axis=1)), 1e3 * np.linalg.norm(off[:, 3:], axis=1)
-    row = replace(row, total=total, solved=len(frames), deg=_spread(deg), mm=_spread(mm))
+    deg, mm = (
+        np.degrees(np.linalg.norm(error_vectors[:, :3], axis=1)),
+        1e3 * np.linalg.norm(error_vectors[:, 3:], axis=1),
+    )
+    row = replace(row, total=total, solved=len(frames), deg=_summarize_errors(deg), mm=_summarize_errors(mm))
     table = tum.with_suffix(".csv")
     if table.exists():
         trajectory = read_trajectory(table)
         statuses = Counter(pose.status.value for pose in trajectory)
         sigma = {pose.time: pose.sigma for pose in trajectory}
-        row = replace(row, statuses=dict(statuses.most_common()), nees=_nees(frames, off, right[0], sigma))
+        row = replace(
+            row,
+            statuses=dict(statuses.most_common()),
+            nees=_median_nees(frames, error_vectors, true_trajectory[0], sigma),
+        )
     visible = truth.with_name(truth.name.replace("groundtruth", "visible")).with_suffix(".csv")
     if visible.exists():
-        row = _lost_and_found(row, frames, (deg < RIGHT_DEG) & (mm < RIGHT_MM), deg, _read_shares(visible))
+        row = _add_relocalization(
+            row, frames, (deg < MAX_CORRECT_DEG) & (mm < MAX_CORRECT_MM), deg, _read_shares(visible)
+        )
     return row
 
 
-def _spread(values: FloatArray) -> Spread:
-    """Of the frames after the first, which is right by definition."""
+def _summarize_errors(values: FloatArray) -> ErrorStatistics:
+    """Summarize the errors of the frames after the first, whose error is zero by definition."""
     values = values[1:]
     tail = values[-max(round(END_SHARE * len(values)), 1) :]
-    return Spread(float(np.median(values)), float(values.max()), float(values[-1]), float(np.sqrt((tail**2).mean())))
+    return ErrorStatistics(
+        float(np.median(values)), float(values.max()), float(values[-1]), float(np.sqrt((tail**2).mean()))
+    )
 
 
-def _nees(frames: IntArray, off: FloatArray, times: FloatArray, sigma: dict[float, FloatArray]) -> float | None:
-    known = np.array(list(sigma))
+def _median_nees(
+    frames: IntArray, error_vectors: FloatArray, times: FloatArray, sigma: dict[float, FloatArray]
+) -> float | None:
+    known_times = np.array(list(sigma))
     squares = []
-    for frame, error in zip(frames[1:], off[1:], strict=True):
-        sd = sigma[known[np.abs(known - times[frame]).argmin()]]
+    for frame, error in zip(frames[1:], error_vectors[1:], strict=True):
+        sd = sigma[known_times[np.abs(known_times - times[frame]).argmin()]]
         if np.isfinite(sd).all() and (sd > 0).all():
             squares.append(float(((error / sd) ** 2).mean()))
     return float(np.median(squares)) if squares else None
@@ -155,52 +178,54 @@ def _read_shares(path: Path) -> FloatArray:
     return np.array([[float(cell) for cell in row[1:]] for row in rows])
 
 
-def _lost_and_found(row: Row, frames: IntArray, right: BoolArray, deg: FloatArray, shares: FloatArray) -> Row:
+def _add_relocalization(row: Row, frames: IntArray, is_correct: BoolArray, deg: FloatArray, shares: FloatArray) -> Row:
     hidden = np.flatnonzero((shares == 0).all(axis=1))
     if not len(hidden):
         return row
     false = int(np.isin(frames, hidden).sum())
-    whole = np.flatnonzero((shares > 0.99).sum(axis=1) >= 2)
-    whole = whole[whole > hidden[-1]]
-    if not len(whole):
+    fully_visible = np.flatnonzero((shares > 0.99).sum(axis=1) >= 2)
+    fully_visible = fully_visible[fully_visible > hidden[-1]]
+    if not len(fully_visible):
         return replace(row, false=false)
-    found = frames[right & (frames > hidden[-1])]
+    found = frames[is_correct & (frames > hidden[-1])]
     if not len(found):
-        return replace(row, false=false, back=int(len(shares) - whole[0]))
-    after = float(deg[frames >= found[0]].max())
-    return replace(row, false=false, back=max(int(found[0] - whole[0]), 0), after_deg=after)
+        return replace(row, false=false, back=int(len(shares) - fully_visible[0]))
+    max_deg = float(deg[frames >= found[0]].max())
+    return replace(row, false=false, back=max(int(found[0] - fully_visible[0]), 0), after_deg=max_deg)
 
 
 HEADER = (
-    "| data | by | solved | degrees since the start: median / worst / last / end | mm | frames/s: run, tracking | MB "
-    "| NEES | status of the frames; what else |\n|---|---|---|---|---|---|---|---|---|"
+    "| recording | run | frames solved | rotation error, deg: median / worst / last / RMS at the end "
+    "| position error, mm | frames/s: run, tracking | peak memory, MB | NEES | frame status; notes |\n"
+    "|---|---|---|---|---|---|---|---|---|"
 )
 
 
-def line(row: Row) -> str:
-    """One line of the table."""
+def format_row(row: Row) -> str:
+    """Format one row of the table."""
 
-    def spread(of: Spread | None) -> str:
-        return "-" if of is None else " / ".join(f"{value:.3g}" for value in of)
+    def format_errors(statistics: ErrorStatistics | None) -> str:
+        return "-" if statistics is None else " / ".join(f"{value:.3g}" for value in statistics)
 
-    def number(value: float | None, style: str) -> str:
+    def format_number(value: float | None, style: str) -> str:
         return "-" if value is None else format(value, style)
 
     notes = [f"{count} {status}" for status, count in row.statuses.items()]
     if row.back is not None:
-        notes.append(f"found again {row.back} frames after its return")
+        notes.append(f"relocalized {row.back} frames after its return")
     if row.after_deg is not None:
-        notes.append(f"then worst {row.after_deg:.3g}°")
+        notes.append(f"then at most {row.after_deg:.3g}°")
     if row.false:
-        notes.append(f"{row.false} solved while unseen")
+        notes.append(f"{row.false} solved while invisible")
     if row.growth is not None:
         notes.append(f"memory x{row.growth:.2f}")
     if row.failed:
         notes.append(f"FAILED: {row.failed}")
-    speed = f"{number(row.fps, '.1f')}, {number(row.tracking_fps, '.1f')}"
+    speed = f"{format_number(row.fps, '.1f')}, {format_number(row.tracking_fps, '.1f')}"
     return (
-        f"| {row.data} | {row.by} | {row.solved} of {row.total} | {spread(row.deg)} | {spread(row.mm)} | {speed} "
-        f"| {number(row.memory_mb, '.0f')} | {number(row.nees, '.2g')} | {'; '.join(notes)} |"
+        f"| {row.data} | {row.by} | {row.solved} of {row.total} | {format_errors(row.deg)} | "
+        f"{format_errors(row.mm)} | {speed} "
+        f"| {format_number(row.memory_mb, '.0f')} | {format_number(row.nees, '.2g')} | {'; '.join(notes)} |"
     )
 
 
@@ -220,21 +245,21 @@ FIGURES: dict[str, Figure] = {
 
 
 class Target(NamedTuple):
-    """A figure of a recording, and the most that it may be (the least, if `least`); of runs with an option, if said."""
+    """Limit of a figure of a recording, upper unless `is_lower_limit`, for runs with one option or for all."""
 
     data: str
     figure: str
     limit: float
-    least: bool = False
+    is_lower_limit: bool = False
     option: str = ""
 
 
 TARGETS = (
-    Target("board4", "solved", 48, least=True),
+    Target("board4", "solved", 48, is_lower_limit=True),
     Target("board4", "median deg", 1.5),
     Target("board4", "worst deg", 3.5),
     Target("board4", "median mm", 4),
-    Target("board4, no boxes", "solved", 44, least=True),
+    Target("board4, no boxes", "solved", 44, is_lower_limit=True),
     Target("board4, no boxes", "median deg", 3),
     Target("temple", "last deg", 0.2),
     Target("temple", "last mm", 0.2),
@@ -243,50 +268,61 @@ TARGETS = (
     Target("occluded-half", "worst deg", 0.5),
     Target("gone", "frames until found again", 3),
     Target("gone", "worst deg after that", 0.6),
-    Target("box", "frames/s", 25, least=True, option="klt"),
-    Target("box", "frames/s", 6, least=True, option="sift"),
+    Target("box", "frames/s", 25, is_lower_limit=True, option="klt"),
+    Target("box", "frames/s", 6, is_lower_limit=True, option="sift"),
     Target("long", "memory at the end / at a fifth", 1.1),
 )
-# At the end, the chain of adjacent frames is to be so many times as far off.
-GAIN = 8.0
+# Required ratio of the error at the end of chained adjacent frames to that of sylpose.
+MIN_CHAIN_RATIO = 8.0
 
 
-def must_hold(rows: Sequence[Row]) -> str:
-    """The table of the targets that these runs tell about."""
-    lines = ["| must hold | figure | target | holds |", "|---|---|---|---|"]
+def format_requirements(rows: Sequence[Row]) -> str:
+    """Format the table of the targets that apply to these runs."""
+    lines = ["| requirement | figure | target | holds |", "|---|---|---|---|"]
 
-    def add(what: str, value: float | None, limit: float, least: bool) -> None:
-        holds = value is not None and (value >= limit if least else value <= limit)
-        shown = "none" if value is None else f"{value:.3g}"
+    def add(requirement: str, value: float | None, limit: float, is_lower_limit: bool) -> None:
+        holds = value is not None and (value >= limit if is_lower_limit else value <= limit)
+        value_text = "none" if value is None else f"{value:.3g}"
         lines.append(
-            f"| {what} | {shown} | {'at least' if least else 'at most'} {limit:g} | {'yes' if holds else 'NO'} |"
+            f"| {requirement} | {value_text} | "
+            f"{'at least' if is_lower_limit else 'at most'} {limit:g} | {'yes' if holds else 'NO'} |"
         )
 
-    ours = [row for row in rows if row.by.startswith("sylpose")]
+    own_rows = [row for row in rows if row.by.startswith("sylpose")]
     for target in TARGETS:
-        for row in ours:
-            # Without an option, they are followed.
+        for row in own_rows:
+            # The default is tracking by KLT.
             features = "sift" if "sift" in row.by else "klt"
             if row.data == target.data and target.option in ("", features):
-                add(f"{row.data}, {row.by}: {target.figure}", FIGURES[target.figure](row), target.limit, target.least)
-    for row in ours:
+                add(
+                    f"{row.data}, {row.by}: {target.figure}",
+                    FIGURES[target.figure](row),
+                    target.limit,
+                    target.is_lower_limit,
+                )
+    for row in own_rows:
         chain = [r for r in rows if r.by == "poselib" and r.data == row.data]
         if chain:
             gain = chain[0].deg.end / row.deg.end if chain[0].deg and row.deg else None
-            add(f"{row.data}, {row.by}: the chain's error at the end, over ours", gain, GAIN, True)
+            add(
+                f"{row.data}, {row.by}: ratio of the chain's error at the end to that of sylpose",
+                gain,
+                MIN_CHAIN_RATIO,
+                True,
+            )
     return "\n".join(lines)
 
 
 def save(rows: Sequence[Row], path: Path) -> None:
-    """Writes the rows as JSON."""
+    """Write the rows as JSON."""
     path.write_bytes(msgspec.json.format(msgspec.json.encode(list(rows)), indent=1) + b"\n")
 
 
 def load(path: Path) -> list[Row]:
-    """Reads what `save` wrote.
+    """Read a file that `save` wrote.
 
     Raises:
-        ValueError: naming the file, when it is no such file.
+        ValueError: the file cannot be read; the message contains its name.
     """
     try:
         return msgspec.json.decode(path.read_bytes(), type=list[Row])
@@ -294,24 +330,24 @@ def load(path: Path) -> list[Row]:
         raise ValueError(f"{path}: not a file of results ({error})") from None
 
 
-def worse_than(rows: Sequence[Row], old: Sequence[Row]) -> Iterator[str]:
-    """What got worse than in an earlier run of the same recordings."""
-    before = {(row.data, row.by): row for row in old}
+def find_regressions(rows: Sequence[Row], baseline_rows: Sequence[Row]) -> Iterator[str]:
+    """Yield a line for each regression against an earlier run of the same recordings."""
+    baseline = {(row.data, row.by): row for row in baseline_rows}
     for row in rows:
-        was = before.get((row.data, row.by))
-        where = f"{row.data}, {row.by}"
-        if was is not None and row.failed and not was.failed:
-            yield f"{where}: failed ({row.failed})"
-        if was is None or was.total != row.total:
+        baseline_row = baseline.get((row.data, row.by))
+        label = f"{row.data}, {row.by}"
+        if baseline_row is not None and row.failed and not baseline_row.failed:
+            yield f"{label}: failed ({row.failed})"
+        if baseline_row is None or baseline_row.total != row.total:
             continue
-        if row.solved < was.solved:
-            yield f"{where}: {row.solved} of {row.total} solved, {was.solved} before"
+        if row.solved < baseline_row.solved:
+            yield f"{label}: {row.solved} of {row.total} solved, {baseline_row.solved} before"
         for name in ("median deg", "worst deg", "last deg", "median mm"):
-            now, then = FIGURES[name](row), FIGURES[name](was)
-            slack = TINY_MM if name.endswith("mm") else TINY_DEG
-            if now is not None and then is not None and now > WORSE * then + slack:
-                yield f"{where}: {name} {now:.3g}, {then:.3g} before"
-        if row.back is not None and was.back is not None and row.back > was.back:
-            yield f"{where}: found again after {row.back} frames, {was.back} before"
-        if row.fps is not None and was.fps is not None and row.fps < WORSE_SPEED * was.fps:
-            yield f"{where}: {row.fps:.1f} frames/s, {was.fps:.1f} before"
+            value, baseline_value = FIGURES[name](row), FIGURES[name](baseline_row)
+            slack = SLACK_MM if name.endswith("mm") else SLACK_DEG
+            if value is not None and baseline_value is not None and value > WORSE_ERROR * baseline_value + slack:
+                yield f"{label}: {name} {value:.3g}, {baseline_value:.3g} before"
+        if row.back is not None and baseline_row.back is not None and row.back > baseline_row.back:
+            yield f"{label}: relocalized after {row.back} frames, {baseline_row.back} before"
+        if row.fps is not None and baseline_row.fps is not None and row.fps < WORSE_SPEED * baseline_row.fps:
+            yield f"{label}: {row.fps:.1f} frames/s, {baseline_row.fps:.1f} before"

@@ -1,12 +1,16 @@
-"""The rendered sequences of the tracking benchmark, with known truth.
+"""Rendered sequences of the tracking benchmark, with known truth.
 
     python benchmarks/tracking_scenes.py NAME FOLDER [--frames N]
 
-writes one of them as a session: videos, calibration.toml, boxes.toml (a table per object where there are two), and
-timestamps.csv where the cameras' times matter.
-With it goes the truth: groundtruth.tum and dataset.toml as `sylpose.simulate` writes them, vertices.txt (the body's
-corners in the object's frame) and visible.csv (which share of these each camera shows in each frame), with _OBJECT in their
-names where there are two, and, with clocks that differ, true_offsets.toml (seconds, positive for late ones).
+Writes one sequence as a session: videos, calibration.toml, boxes.toml (a table per object if there are two), and
+timestamps.csv if the cameras have different times. The truth consists of:
+
+- groundtruth.tum and dataset.toml, as `sylpose.simulate` writes them;
+- vertices.txt, the body's corners in the object's frame;
+- visible.csv, the share of these corners that each camera sees in each frame;
+- true_offsets.toml for cameras with clock offsets, in seconds, positive for a delay.
+
+With two objects, the names of these files contain _OBJECT.
 """
 
 from __future__ import annotations
@@ -22,33 +26,41 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from benchmarks.tracking_paths import Path as Motion
-from benchmarks.tracking_paths import away, bump, crossing, loop, swings, tumble, window
+from benchmarks.tracking_paths import (
+    bump_profile,
+    compute_excursion,
+    make_closed_path,
+    make_straight_path,
+    make_tumbling_path,
+    smooth_window,
+    swing_profile,
+)
 from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import Actor, Recording, Scene, TexturedBody, arc, chamfered_box, write_recording
 
-__all__ = ["BUILDERS", "build", "make"]
+__all__ = ["BUILDERS", "build_recording", "render_recording"]
 
 
 SIZE = (640, 480)
 DISTANCE = 1.5
 OBJECT = 0.3
-# The object's longest side fills 45 % of the image's height.
+# The object's longest side spans 45 % of the image height.
 FOCAL = 0.45 * SIZE[1] * DISTANCE / OBJECT
 TEXELS = 1.25 * FOCAL / DISTANCE
-# Mild barrels, as of webcams.
+# Mild barrel distortion, as of webcams.
 LENSES = ((-0.11, 0.03, 0.0004, -0.0003, 0), (-0.08, 0.01, -0.0005, 0.0002, 0), (-0.13, 0.04, 0.0002, 0.0006, 0))
 # 420 degrees in 300 frames.
 SPEED_DEG = 1.4
 SKEW_S = (-0.012, 0.003, 0.015, -0.006)
-# Frames of the sequence that repeats itself.
+# Frames per cycle of the periodic sequence.
 PERIOD = 200
-# A change of this makes new recordings of cached ones.
+# Cached recordings of another version are rendered again.
 VERSION = 1
 
 
-def rig_of() -> Rig:
-    """Four cameras on an arc of 120 degrees, alternately above and below, each 1.5 m from the object."""
+def make_rig() -> Rig:
+    """Return four cameras on an arc of 120 degrees, alternately above and below, each 1.5 m from the object."""
     heights = np.array([0.5, -0.2, 0.5, -0.2])
     cameras = []
     for i, height in enumerate(heights):
@@ -57,81 +69,86 @@ def rig_of() -> Rig:
     return Rig(cameras, "m")
 
 
-def block(seed: int = 0, size: float = OBJECT) -> TexturedBody:
-    """The textured box, its edges cut off."""
+def make_block(seed: int = 0, size: float = OBJECT) -> TexturedBody:
+    """Return a textured box with chamfered edges."""
     return chamfered_box(size * np.array([1.0, 0.74, 0.86]), TEXELS, seed=seed)
 
 
-def many_faced(seed: int = 0, size: float = OBJECT, points: int = 60) -> TexturedBody:
-    """The hull of random points on an ellipsoid."""
+def make_polyhedron(seed: int = 0, size: float = OBJECT, points: int = 60) -> TexturedBody:
+    """Return the textured convex hull of random points on an ellipsoid."""
     rng = np.random.default_rng(seed)
     on_sphere = rng.standard_normal((points, 3))
     on_sphere /= np.linalg.norm(on_sphere, axis=1, keepdims=True)
-    return TexturedBody.hull(on_sphere * size / 2 * np.array([1.0, 0.8, 0.9]), TEXELS, seed)
+    return TexturedBody.from_hull(on_sphere * size / 2 * np.array([1.0, 0.8, 0.9]), TEXELS, seed)
 
 
-def steady(frames: int, seed: int) -> Motion:
-    """Tumbles evenly and traces a closed path of about its own size in 300 frames."""
+def make_steady_motion(frames: int, seed: int) -> Motion:
+    """Return a uniform tumbling motion along a closed path of about the object's size in 300 frames."""
     rng = np.random.default_rng(seed)
-    return tumble(frames, lambda t: np.full(len(t), SPEED_DEG), loop(300, 0.8 * OBJECT, rng), rng)
+    return make_tumbling_path(
+        frames, lambda t: np.full(len(t), SPEED_DEG), make_closed_path(300, 0.8 * OBJECT, rng), rng
+    )
 
 
-def board_before(camera: Camera, first: float, last: float, seed: int) -> Actor:
-    """A board that hides everything from a camera between two frames (both included), and slides in and out sideways."""
-    near, ramp = 0.2 * DISTANCE, 5
-    half = 1.15 * near * np.array(SIZE) / FOCAL / 2
+def make_occluder(camera: Camera, first: float, last: float, seed: int) -> Actor:
+    """Return a board that occludes a camera's view between two frames, inclusive, and slides in and out sideways."""
+    distance, ramp = 0.2 * DISTANCE, 5
+    half = 1.15 * distance * np.array(SIZE) / FOCAL / 2
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * [*half, 0.004]
-    body = TexturedBody.hull(corners, FOCAL / near, seed)
+    body = TexturedBody.from_hull(corners, FOCAL / distance, seed)
     world_from_camera = camera.camera_from_world.inv()
 
     def path(frame: float) -> RigidTransform:
-        aside = 2.2 * half[0] * (1 - float(window(frame, first, last, ramp)))
-        return world_from_camera * RigidTransform.from_translation([aside, 0.0, near])
+        offset = 2.2 * half[0] * (1 - float(smooth_window(frame, first, last, ramp)))
+        return world_from_camera * RigidTransform.from_translation([offset, 0.0, distance])
 
     return Actor(body, path)
 
 
-def clean(body: TexturedBody, frames: int, seed: int) -> Recording:
-    """One body before a standing background."""
-    return Recording(Scene(rig_of(), (Actor(body, steady(frames, seed)),), frames, seed))
+def build_plain(body: TexturedBody, frames: int, seed: int) -> Recording:
+    """Return a recording of one moving body in front of a static background."""
+    return Recording(Scene(make_rig(), (Actor(body, make_steady_motion(frames, seed)),), frames, seed))
 
 
-def occluded(frames: int, seed: int, cameras: Sequence[int], length: int) -> Recording:
-    """The box, hidden from some cameras for a while from 45 % of the time on."""
+def build_occluded(frames: int, seed: int, cameras: Sequence[int], length: int) -> Recording:
+    """Return the box, occluded in some cameras for `length` frames from 45 % of the sequence on."""
     first = round(0.45 * frames)
-    plain = clean(block(), frames, seed)
-    boards = [board_before(plain.scene.rig.cameras[c], first + 1, first + length - 2, 40 + c) for c in cameras]
+    plain = build_plain(make_block(), frames, seed)
+    boards = [make_occluder(plain.scene.rig.cameras[c], first + 1, first + length - 2, 40 + c) for c in cameras]
     return replace(plain, scene=replace(plain.scene, actors=(*plain.scene.actors, *boards)))
 
 
-def gone(frames: int, seed: int) -> Recording:
-    """The box leaves upwards, is seen by no camera for 30 frames in which it turns by some 25 degrees, and comes back
-    elsewhere."""
+def build_disappearance(frames: int, seed: int) -> Recording:
+    """Return the box leaving upwards, invisible for 30 frames, and returning elsewhere, rotated by about 25 degrees."""
     rng = np.random.default_rng(seed)
-    leaves, ramp, held = round(0.4 * frames), 30, GONE_HELD
-    back = leaves + 2 * ramp + held
-    base = loop(300, 0.8 * OBJECT, rng)
+    leaves, ramp, hold_frames = round(0.4 * frames), 30, GONE_HOLD_FRAMES
+    return_frame = leaves + 2 * ramp + hold_frames
+    base = make_closed_path(300, 0.8 * OBJECT, rng)
 
     def speed(t: FloatArray) -> FloatArray:
-        return np.asarray(SPEED_DEG - (SPEED_DEG - 25 / 31) * window(t, leaves + ramp - 14, back - ramp + 14, 6))
+        return np.asarray(
+            SPEED_DEG - (SPEED_DEG - 25 / 31) * smooth_window(t, leaves + ramp - 14, return_frame - ramp + 14, 6)
+        )
 
-    def place(t: FloatArray) -> FloatArray:
-        return base(t) + away(t, leaves, back, ramp, [0.1, -1.0, 0.0], [-0.1, 0.03, 0.1])
+    def position(t: FloatArray) -> FloatArray:
+        return base(t) + compute_excursion(t, leaves, return_frame, ramp, [0.1, -1.0, 0.0], [-0.1, 0.03, 0.1])
 
-    return Recording(Scene(rig_of(), (Actor(block(), tumble(frames, speed, place, rng)),), frames, seed))
-
-
-# Frames that the object stays at the height that it leaves to: 30 are then without a view of it.
-GONE_HELD = 3
+    return Recording(
+        Scene(make_rig(), (Actor(make_block(), make_tumbling_path(frames, speed, position, rng)),), frames, seed)
+    )
 
 
-def clutter(frames: int, seed: int, *, boxes: bool) -> Recording:
-    """The box before a room full of textured boxes, and another body that passes by from 30 to 75 % of the time."""
+# Frames that the object stays at its highest position; it is then invisible for 30 frames.
+GONE_HOLD_FRAMES = 3
+
+
+def build_clutter(frames: int, seed: int, *, boxes: bool) -> Recording:
+    """Return the box in front of static boxes; another body passes by from 30 to 75 % of the sequence."""
     rng = np.random.default_rng([seed, 7])
-    plain = clean(block(), frames, seed)
-    stands = []
+    plain = build_plain(make_block(), frames, seed)
+    static_actors = []
 
-    def standing(pose: RigidTransform) -> Motion:
+    def constant_pose(pose: RigidTransform) -> Motion:
         return lambda _: pose
 
     for k in range(24):
@@ -140,127 +157,132 @@ def clutter(frames: int, seed: int, *, boxes: bool) -> Recording:
         pose = RigidTransform.from_components(center, Rotation.random(rng=rng))
         sides = rng.uniform(0.1, 0.3, 3)
         corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * sides / 2
-        stands.append(Actor(TexturedBody.hull(corners, TEXELS, 100 + k), standing(pose)))
-    other = crossing([-1.1, -0.12, 0.38], [1.1, -0.02, 0.3], 0.3 * frames, 0.75 * frames)
-    actors = (*plain.scene.actors, *stands, Actor(many_faced(9, 0.22, 40), other))
+        static_actors.append(Actor(TexturedBody.from_hull(corners, TEXELS, 100 + k), constant_pose(pose)))
+    passing_path = make_straight_path([-1.1, -0.12, 0.38], [1.1, -0.02, 0.3], 0.3 * frames, 0.75 * frames)
+    actors = (*plain.scene.actors, *static_actors, Actor(make_polyhedron(9, 0.22, 40), passing_path))
     return replace(plain, boxes=boxes, scene=replace(plain.scene, actors=actors))
 
 
-def fast(frames: int, seed: int, exposure: float) -> Recording:
-    """The box in bursts that get faster and faster, up to 15 degrees and a tenth of its distance per frame, alternately
-    and at the end together."""
+def build_fast(frames: int, seed: int, exposure: float) -> Recording:
+    """Return the box in bursts of increasing speed, up to 15 degrees and a tenth of its distance per frame.
+
+    Rotation and translation alternate; the last burst combines both.
+    """
     rng = np.random.default_rng(seed)
     peaks = ((22, 4.0), (68, 8.0), (114, 11.0), (160, 13.0), (206, 15.0), (270.5, 15.4))
     sides = ((45, 8.0), (91, 6.0), (137, 4.5), (183, 3.5), (229.5, 2.8), (270.5, 2.8))
-    base = loop(300, 0.3 * OBJECT, rng)
+    base = make_closed_path(300, 0.3 * OBJECT, rng)
 
     def speed(t: FloatArray) -> FloatArray:
         return np.asarray(
-            SPEED_DEG + np.sum([(peak - SPEED_DEG) * bump(t, middle, 4) for middle, peak in peaks], axis=0)
+            SPEED_DEG + np.sum([(peak - SPEED_DEG) * bump_profile(t, middle, 4) for middle, peak in peaks], axis=0)
         )
 
-    def place(t: FloatArray) -> FloatArray:
-        return np.asarray(base(t) + 0.25 * swings(t, sides)[:, None] * np.array([0.95, 0.1, 0.3]))
+    def position(t: FloatArray) -> FloatArray:
+        return np.asarray(base(t) + 0.25 * swing_profile(t, sides)[:, None] * np.array([0.95, 0.1, 0.3]))
 
-    actor = Actor(block(), tumble(frames, speed, place, rng))
-    return Recording(Scene(rig_of(), (actor,), frames, seed, exposure=exposure))
+    actor = Actor(make_block(), make_tumbling_path(frames, speed, position, rng))
+    return Recording(Scene(make_rig(), (actor,), frames, seed, exposure=exposure))
 
 
-def dropped(frames: int, seed: int) -> Recording:
-    """The box; 10 % of the frames are missing at random, and one camera dies at half of the time."""
-    plain = clean(block(), frames, seed)
+def build_dropped(frames: int, seed: int) -> Recording:
+    """Return the box with 10 % of the frames missing at random; one camera fails after half of the sequence."""
+    plain = build_plain(make_block(), frames, seed)
     rng = np.random.default_rng([seed, 3])
     shown = rng.random((frames, len(plain.scene.rig))) >= 0.1
-    shown[0] = True  # the boxes are of this frame
+    shown[0] = True  # the boxes belong to this frame
     shown[~shown.any(axis=1), 0] = True
     shown[frames // 2 :, 1] = False
     shown[~shown.any(axis=1), 0] = True
-    return replace(plain, shown=shown)
+    return replace(plain, recorded=shown)
 
 
-def skewed(frames: int, seed: int, *, stamped: bool) -> Recording:
-    """The box at a speed that changes, by cameras that are exposed some milliseconds apart."""
+def build_skewed(frames: int, seed: int, *, stamped: bool) -> Recording:
+    """Return the box at varying speed, with cameras exposed some milliseconds apart."""
     rng = np.random.default_rng(seed)
-    base = loop(90, 0.8 * OBJECT, rng)
+    base = make_closed_path(90, 0.8 * OBJECT, rng)
 
     def speed(t: FloatArray) -> FloatArray:
         return np.asarray(1.6 * SPEED_DEG * (1 + 0.8 * np.sin(t / 11)))
 
-    actor = Actor(block(), tumble(frames, speed, base, rng))
-    return Recording(Scene(rig_of(), (actor,), frames, seed), skew=SKEW_S, stamped=stamped)
+    actor = Actor(make_block(), make_tumbling_path(frames, speed, base, rng))
+    return Recording(Scene(make_rig(), (actor,), frames, seed), time_offsets=SKEW_S, with_timestamps=stamped)
 
 
-def two(frames: int, seed: int) -> Recording:
-    """A box and a many-faced body, side by side."""
+def build_two_objects(frames: int, seed: int) -> Recording:
+    """Return a box and a polyhedron, side by side."""
 
-    def beside(body: TexturedBody, side: float) -> Actor:
+    def make_actor(body: TexturedBody, side: float) -> Actor:
         rng = np.random.default_rng([seed, round(side + 1)])
-        base, middle = loop(300, 0.1, rng), side * np.array([0.15, 0.12, 0.0])
-        return Actor(body, tumble(frames, lambda t: np.full(len(t), side * SPEED_DEG), lambda t: base(t) + middle, rng))
+        base, middle = make_closed_path(300, 0.1, rng), side * np.array([0.15, 0.12, 0.0])
+        return Actor(
+            body,
+            make_tumbling_path(frames, lambda t: np.full(len(t), side * SPEED_DEG), lambda t: base(t) + middle, rng),
+        )
 
-    actors = (beside(block(3, 0.2), -1.0), beside(many_faced(4, 0.2), 1.0))
-    return Recording(Scene(rig_of(), actors, frames, seed), objects=("block", "body"))
+    actors = (make_actor(make_block(3, 0.2), -1.0), make_actor(make_polyhedron(4, 0.2), 1.0))
+    return Recording(Scene(make_rig(), actors, frames, seed), objects=("block", "body"))
 
 
-def long(frames: int, seed: int) -> Recording:
-    """The box on a path and turn that close after 200 frames, again and again."""
+def build_long(frames: int, seed: int) -> Recording:
+    """Return the box in a periodic motion of 200 frames."""
     rng = np.random.default_rng(seed)
-    base = loop(PERIOD, 0.8 * OBJECT, rng)
+    base = make_closed_path(PERIOD, 0.8 * OBJECT, rng)
 
     def path(frame: float) -> RigidTransform:
         s = 2 * np.pi * frame / PERIOD
         wobble = Rotation.from_rotvec(0.35 * np.array([np.sin(s), 0.0, np.sin(2 * s)]))
-        turn = Rotation.from_rotvec(s * np.array([0.36, 0.8, 0.48]))
-        return RigidTransform.from_components(base(np.array([frame]))[0], wobble * turn)
+        rotation = Rotation.from_rotvec(s * np.array([0.36, 0.8, 0.48]))
+        return RigidTransform.from_components(base(np.array([frame]))[0], wobble * rotation)
 
     repeats = max(round(frames / PERIOD), 1)
-    scene = Scene(rig_of(), (Actor(block(), path),), min(PERIOD, frames), seed)
+    scene = Scene(make_rig(), (Actor(make_block(), path),), min(PERIOD, frames), seed)
     return Recording(scene, repeats=repeats, quality=23)
 
 
 Builder = Callable[[int], Recording]
 BUILDERS: dict[str, Builder] = {
-    "box": lambda n: clean(block(), n, 1),
-    "body": lambda n: clean(many_faced(), n, 2),
-    "occluded-half": lambda n: occluded(n, 3, (0, 2), 20),
-    "occluded-all": lambda n: occluded(n, 3, (0, 1, 2, 3), 8),
-    "gone": lambda n: gone(n, 4),
-    "clutter": lambda n: clutter(n, 5, boxes=True),
-    "clutter-no-boxes": lambda n: clutter(n, 5, boxes=False),
-    "fast": lambda n: fast(n, 6, 0.0),
-    "blur": lambda n: fast(n, 6, 0.6),
-    "dropped": lambda n: dropped(n, 7),
-    "skewed": lambda n: skewed(n, 8, stamped=True),
-    "skewed-unknown": lambda n: skewed(n, 8, stamped=False),
-    "two": lambda n: two(n, 9),
-    "long": lambda n: long(n, 10),
+    "box": lambda n: build_plain(make_block(), n, 1),
+    "body": lambda n: build_plain(make_polyhedron(), n, 2),
+    "occluded-half": lambda n: build_occluded(n, 3, (0, 2), 20),
+    "occluded-all": lambda n: build_occluded(n, 3, (0, 1, 2, 3), 8),
+    "gone": lambda n: build_disappearance(n, 4),
+    "clutter": lambda n: build_clutter(n, 5, boxes=True),
+    "clutter-no-boxes": lambda n: build_clutter(n, 5, boxes=False),
+    "fast": lambda n: build_fast(n, 6, 0.0),
+    "blur": lambda n: build_fast(n, 6, 0.6),
+    "dropped": lambda n: build_dropped(n, 7),
+    "skewed": lambda n: build_skewed(n, 8, stamped=True),
+    "skewed-unknown": lambda n: build_skewed(n, 8, stamped=False),
+    "two": lambda n: build_two_objects(n, 9),
+    "long": lambda n: build_long(n, 10),
 }
 FRAMES = {"long": 10_000}
 
 
-def build(name: str, frames: int | None = None) -> Recording:
-    """A recording by its name; 300 frames (10,000 of "long") if not said.
+def build_recording(name: str, frames: int | None = None) -> Recording:
+    """Build a recording by its name, by default with 300 frames (10,000 for "long").
 
     Raises:
-        ValueError: no such name, or no frames.
+        ValueError: the name is unknown, or `frames` is less than 1.
     """
     if name not in BUILDERS:
-        raise ValueError(f"no scene is named {name!r} ({', '.join(BUILDERS)})")
+        raise ValueError(f"unknown scene {name!r} (known: {', '.join(BUILDERS)})")
     frames = FRAMES.get(name, 300) if frames is None else frames
     if frames < 1:
         raise ValueError(f"frames must be at least 1, got {frames}")
     return BUILDERS[name](frames)
 
 
-def make(name: str, folder: Path, frames: int | None = None) -> Path:
-    """The folder of a recording in `folder`, rendered unless an earlier call did it."""
-    recording = build(name, frames)
+def render_recording(name: str, folder: Path, frames: int | None = None) -> Path:
+    """Return the folder of a recording below `folder`; render the recording if it is not there yet."""
+    recording = build_recording(name, frames)
     out = folder / f"{name}-{recording.frames}"
-    done = out / ".done"
-    if not done.exists() or done.read_text() != str(VERSION):
+    done_file = out / ".done"
+    if not done_file.exists() or done_file.read_text() != str(VERSION):
         shutil.rmtree(out, ignore_errors=True)
         write_recording(recording, out)
-        done.write_text(str(VERSION))
+        done_file.write_text(str(VERSION))
     return out
 
 
@@ -268,10 +290,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("name", choices=BUILDERS)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--frames", type=int, help="300 by default, 10,000 of long")
+    parser.add_argument("--frames", type=int, help="default: 300, of long 10,000")
     options = parser.parse_args()
     try:
-        recording = build(options.name, options.frames)
+        recording = build_recording(options.name, options.frames)
     except ValueError as error:
         parser.error(str(error))
     write_recording(recording, options.folder)

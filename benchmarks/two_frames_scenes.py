@@ -1,4 +1,7 @@
-"""The scenes of the two-frame benchmark: what varies from row to row, and one seeded scene of a row."""
+"""Scenes of the two-frame benchmark: parameters of the rows, and seeded scenes.
+
+A row's name is part of the seed of its scenes.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ __all__ = ["ROWS", "Row", "Scene", "make_scene"]
 BODIES: dict[str, Body] = {
     "ellipsoid": ellipsoid((0.15, 0.12, 0.1)),
     "box": box((0.25, 0.2, 0.15)),
-    # A board with a front and a back, so that nobody matches it edge-on.
+    # A board with two sides, which no camera matches edge-on.
     "plane": box((0.3, 0.2, 1e-9)),
     "cloud": cloud((0.15, 0.12, 0.1)),
 }
@@ -27,20 +30,20 @@ BODIES: dict[str, Body] = {
 
 @dataclass(frozen=True)
 class Row:
-    """One row of the benchmark: the base scene with something changed.
+    """One row of the benchmark: the base scene with changed parameters.
 
     Attributes:
-        name: as in the table.
+        name: name in the table.
         problem: "motion" (two frames, unknown object) or "pose" (one frame, known object).
-        cameras, layout: how many, and on a full ring, an arc (30 degrees apart) or a dome. Two cameras on a "ring" stand
-            90 degrees apart: opposite each other, they would see less than two cameras usually do.
-        matches: per camera, wrong ones included.
+        cameras, layout: number of cameras on a full ring, an arc (30 degrees apart) or a dome. Two cameras on a "ring" are
+            90 degrees apart, since opposite cameras see less than two cameras usually do.
+        matches: number per camera, outliers included.
         noise: standard deviation per coordinate, pixels.
-        turn: degrees, about any axis. The translation is 1 to 5 cm in any direction.
-        focal, distance: pixels and metres; their ratio, so the object's size in the image, is the same for all rows.
-        outliers, kind: share of each camera's matches that are wrong, and how (`sylpose.simulate.simulate_matches`).
-        junk: all matches of the second camera are wrong.
-        miscalibrated: degrees by which the second camera is turned against its calibration.
+        rotation_deg: rotation in degrees about a random axis. The translation is 1 to 5 cm in a random direction.
+        focal, distance: pixels and meters; their ratio, and with it the object's image size, is the same for all rows.
+        outliers, outlier_kind: outlier ratio of each camera, and kind of outliers (`sylpose.simulate.simulate_matches`).
+        has_junk_camera: all matches of the second camera are outliers.
+        calibration_error_deg: rotation error of the second camera's calibration, degrees.
     """
 
     name: str
@@ -49,21 +52,21 @@ class Row:
     layout: Literal["ring", "arc", "dome"] = "ring"
     matches: int = 60
     noise: float = 0.5
-    turn: float = 5.0
+    rotation_deg: float = 5.0
     focal: float = 1000.0
     distance: float = 1.5
     body: str = "ellipsoid"
     outliers: float = 0.0
-    kind: OutlierKind = "uniform"
-    junk: bool = False
-    miscalibrated: float = 0.0
+    outlier_kind: OutlierKind = "uniform"
+    has_junk_camera: bool = False
+    calibration_error_deg: float = 0.0
 
     @property
     def gain(self) -> tuple[float, float]:
-        """How many times smaller than the better peer's the median and the 90th percentile shall be (1: not larger)."""
+        """Required ratio of the better peer's median and 90th percentile to those of sylpose (1: not larger)."""
         if self.problem == "pose":
             return 1.0, 1.0
-        if self.turn <= 2 or self.body == "plane":
+        if self.rotation_deg <= 2 or self.body == "plane":
             return 1.5, 1.5
         tails = self.cameras == 2 or self.focal > 2000 or self.outliers >= 0.5
         return 1.0, 1.5 if tails else 1.0
@@ -71,15 +74,15 @@ class Row:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What the solvers are given, and the truth.
+    """Input of the solvers, and the truth.
 
     Attributes:
         rig: the calibration; no lens distortion.
         before: per camera, pixels (n, 2) in frame i, or for the problem "pose" points (n, 3) in the object's frame.
         after: per camera, pixels (n, 2) in frame j.
-        points: per camera, where the points truly are (n, 3): world at frame i, or the object's frame; NaN for outliers.
-        truth: takes `points` to the world at frame j.
-        center: (3,) of the object, in the frame of `points`.
+        points: per camera, true points (n, 3): world at frame i, or the object's frame; NaN for outliers.
+        truth: transforms `points` to the world at frame j.
+        center: (3,) center of the object, in the frame of `points`.
         noise: standard deviation per coordinate, pixels.
     """
 
@@ -96,27 +99,27 @@ class Scene:
         """ "motion" or "pose"."""
         return "pose" if self.before[0].shape[1] == 3 else "motion"
 
-    def error(self, found: RigidTransform) -> tuple[float, float]:
-        """The error in degrees, and that of the displacement of the object's centre in mm."""
-        turn = (self.truth.rotation * found.rotation.inv()).magnitude()
-        shift = np.linalg.norm(self.truth.apply(self.center) - found.apply(self.center))
-        return float(np.rad2deg(turn)), float(1e3 * shift)
+    def compute_error(self, found: RigidTransform) -> tuple[float, float]:
+        """Return the rotation error in degrees and the translation error of the object's center in mm."""
+        rotation_error = (self.truth.rotation * found.rotation.inv()).magnitude()
+        translation_error = np.linalg.norm(self.truth.apply(self.center) - found.apply(self.center))
+        return float(np.rad2deg(rotation_error)), float(1e3 * translation_error)
 
 
 def make_scene(row: Row, index: int) -> Scene:
-    """Scene number `index` of a row: the same in every run, on every machine."""
+    """Make scene number `index` of a row, the same in every run and on every machine."""
     rng = np.random.default_rng([zlib.crc32(row.name.encode()), index])
-    rig, make = _rig(row), _pose_scene if row.problem == "pose" else _motion_scene
+    rig, make = _make_rig(row), _make_pose_scene if row.problem == "pose" else _make_motion_scene
     for _ in range(100):
         start = RigidTransform.from_components(rng.uniform(-0.03, 0.03, 3), Rotation.random(rng=rng))
         scene = make(row, rig, start, rng)
-        # A board that hardly any camera sees other than edge-on says nothing about solvers.
+        # A board that most cameras see edge-on does not test the solvers.
         if sum(map(len, scene.after)) >= row.cameras * row.matches / 2:
             return scene
-    raise ValueError(f"row {row.name}: its cameras hardly see the object")
+    raise ValueError(f"row {row.name}: its cameras see too little of the object")
 
 
-def _rig(row: Row) -> Rig:
+def _make_rig(row: Row) -> Rig:
     if row.layout == "dome":
         return dome(row.cameras, row.distance, row.focal)
     if row.layout == "arc" or row.cameras == 2:
@@ -124,50 +127,53 @@ def _rig(row: Row) -> Rig:
     return ring(row.cameras, row.distance, row.focal)
 
 
-def _motion_scene(row: Row, rig: Rig, start: RigidTransform, rng: np.random.Generator) -> Scene:
-    motion = random_motion(row.turn, rng.uniform(0.01, 0.05), rng, center=start.translation)
-    seen_by = rig
-    if row.miscalibrated:
+def _make_motion_scene(row: Row, rig: Rig, start: RigidTransform, rng: np.random.Generator) -> Scene:
+    motion = random_motion(row.rotation_deg, rng.uniform(0.01, 0.05), rng, center=start.translation)
+    true_rig = rig
+    if row.calibration_error_deg:
         axis = rng.standard_normal(3)
-        turn = Rotation.from_rotvec(np.deg2rad(row.miscalibrated) * axis / np.linalg.norm(axis))
-        wrong = rig.cameras[1]
-        turned = replace(wrong, camera_from_world=RigidTransform.from_rotation(turn) * wrong.camera_from_world)
-        seen_by = Rig([turned if camera is wrong else camera for camera in rig], rig.unit)
+        error_rotation = Rotation.from_rotvec(np.deg2rad(row.calibration_error_deg) * axis / np.linalg.norm(axis))
+        calibration_error_deg = rig.cameras[1]
+        true_camera = replace(
+            calibration_error_deg,
+            camera_from_world=RigidTransform.from_rotation(error_rotation) * calibration_error_deg.camera_from_world,
+        )
+        true_rig = Rig([true_camera if camera is calibration_error_deg else camera for camera in rig], rig.unit)
     pair = simulate_matches(
-        seen_by,
+        true_rig,
         BODIES[row.body],
         motion,
         rng=rng,
         per_camera=row.matches,
         noise_px=row.noise,
         outliers=row.outliers,
-        outlier_kind=row.kind,
-        junk=rig.names[1:2] if row.junk else (),
+        outlier_kind=row.outlier_kind,
+        junk=rig.names[1:2] if row.has_junk_camera else (),
         start=start,
     )
     before = tuple(camera.denormalize(m.x) for camera, m in zip(rig, pair.matches, strict=True))
     after = tuple(camera.denormalize(m.y) for camera, m in zip(rig, pair.matches, strict=True))
     points = [
-        camera.camera_from_world.inv().apply(_at_depth(m.x, depth))
-        for camera, m, depth in zip(seen_by, pair.matches, pair.depths, strict=True)
+        camera.camera_from_world.inv().apply(_scale_rays(m.x, depth))
+        for camera, m, depth in zip(true_rig, pair.matches, pair.depths, strict=True)
     ]
-    if row.miscalibrated:  # with the calibration that it has, this camera tells nothing
+    if row.calibration_error_deg:  # with its wrong calibration this camera carries no information
         points[1] = np.full_like(points[1], np.nan)
     return Scene(rig, before, after, tuple(points), motion, pair.center, row.noise)
 
 
-def _pose_scene(row: Row, rig: Rig, start: RigidTransform, rng: np.random.Generator) -> Scene:
-    """Points of the body that each camera sees, without noise in 3D; noise and wrong matches are in the pixels."""
+def _make_pose_scene(row: Row, rig: Rig, start: RigidTransform, rng: np.random.Generator) -> Scene:
+    """Make a pose problem: exact 3D points that each camera sees, with noise and outliers in the pixels."""
     seen = simulate_matches(
         rig, BODIES[row.body], RigidTransform.identity(), rng=rng, per_camera=row.matches, noise_px=0.0, start=start
     )
     before, after, points = [], [], []
     for c, (camera, m, depth) in enumerate(zip(rig, seen.matches, seen.depths, strict=True)):
         world_from_camera = camera.camera_from_world.inv()
-        known = (start.inv() * world_from_camera).apply(_at_depth(m.x, depth))
+        known = (start.inv() * world_from_camera).apply(_scale_rays(m.x, depth))
         exact = camera.denormalize(m.x)
         pixels = exact + row.noise * rng.standard_normal(exact.shape)
-        n_wrong = len(exact) if row.junk and c == 1 else round(row.outliers * len(exact))
+        n_wrong = len(exact) if row.has_junk_camera and c == 1 else round(row.outliers * len(exact))
         wrong = rng.permutation(len(exact))[:n_wrong]
         if n_wrong:
             pixels[wrong] = rng.uniform(exact.min(axis=0), exact.max(axis=0), (n_wrong, 2))
@@ -179,7 +185,7 @@ def _pose_scene(row: Row, rig: Rig, start: RigidTransform, rng: np.random.Genera
     return Scene(rig, tuple(before), tuple(after), tuple(points), start, np.zeros(3), row.noise)
 
 
-def _at_depth(normalized: FloatArray, depths: FloatArray) -> FloatArray:
+def _scale_rays(normalized: FloatArray, depths: FloatArray) -> FloatArray:
     return np.asarray(np.column_stack([normalized, np.ones(len(normalized))]) * depths[:, None])
 
 
@@ -197,11 +203,11 @@ ROWS: tuple[Row, ...] = (
     Row("16 cameras x 3 matches", cameras=16, matches=3),
     Row("noise 0.25 px", noise=0.25),
     Row("noise 1 px", noise=1.0),
-    Row("turn 0.5", turn=0.5),
-    Row("turn 1", turn=1.0),
-    Row("turn 2", turn=2.0),
-    Row("turn 15", turn=15.0),
-    Row("turn 30", turn=30.0),
+    Row("turn 0.5", rotation_deg=0.5),
+    Row("turn 1", rotation_deg=1.0),
+    Row("turn 2", rotation_deg=2.0),
+    Row("turn 15", rotation_deg=15.0),
+    Row("turn 30", rotation_deg=30.0),
     Row("long lens", focal=4000.0, distance=6.0),
     Row("box", body="box"),
     Row("plane", body="plane"),
@@ -209,20 +215,20 @@ ROWS: tuple[Row, ...] = (
     Row("outliers 10 %", outliers=0.1),
     Row("outliers 30 %", outliers=0.3),
     Row("outliers 50 %", outliers=0.5),
-    Row("static background 30 %", outliers=0.3, kind="static"),
-    Row("static background 50 %", outliers=0.5, kind="static"),
-    Row("second motion 30 %", outliers=0.3, kind="second_motion"),
-    Row("one camera all junk", junk=True),
-    Row("one camera turned by 2", miscalibrated=2.0),
-    Row("plane, turn 0.5", body="plane", turn=0.5),
-    Row("plane, turn 1", body="plane", turn=1.0),
-    Row("plane, turn 2", body="plane", turn=2.0),
-    Row("box, turn 0.5", body="box", turn=0.5),
-    Row("box, turn 1", body="box", turn=1.0),
-    Row("box, turn 2", body="box", turn=2.0),
-    Row("turn 0.5, outliers 30 %", turn=0.5, outliers=0.3),
-    Row("turn 1, outliers 30 %", turn=1.0, outliers=0.3),
-    Row("turn 2, outliers 30 %", turn=2.0, outliers=0.3),
+    Row("static background 30 %", outliers=0.3, outlier_kind="static"),
+    Row("static background 50 %", outliers=0.5, outlier_kind="static"),
+    Row("second motion 30 %", outliers=0.3, outlier_kind="second_motion"),
+    Row("one camera all junk", has_junk_camera=True),
+    Row("one camera turned by 2", calibration_error_deg=2.0),
+    Row("plane, turn 0.5", body="plane", rotation_deg=0.5),
+    Row("plane, turn 1", body="plane", rotation_deg=1.0),
+    Row("plane, turn 2", body="plane", rotation_deg=2.0),
+    Row("box, turn 0.5", body="box", rotation_deg=0.5),
+    Row("box, turn 1", body="box", rotation_deg=1.0),
+    Row("box, turn 2", body="box", rotation_deg=2.0),
+    Row("turn 0.5, outliers 30 %", rotation_deg=0.5, outliers=0.3),
+    Row("turn 1, outliers 30 %", rotation_deg=1.0, outliers=0.3),
+    Row("turn 2, outliers 30 %", rotation_deg=2.0, outliers=0.3),
     Row("2 cameras, outliers 30 %", cameras=2, outliers=0.3),
     Row("2 cameras, outliers 50 %", cameras=2, outliers=0.5),
     Row("long lens, outliers 30 %", focal=4000.0, distance=6.0, outliers=0.3),
@@ -243,7 +249,7 @@ ROWS: tuple[Row, ...] = (
     Row("pose: outliers 10 %", "pose", outliers=0.1),
     Row("pose: outliers 30 %", "pose", outliers=0.3),
     Row("pose: outliers 50 %", "pose", outliers=0.5),
-    Row("pose: one camera all junk", "pose", junk=True),
+    Row("pose: one camera all junk", "pose", has_junk_camera=True),
     Row("pose: 4 x 800", "pose", matches=800),
     Row("pose: 4 x 800, outliers 30 %", "pose", matches=800, outliers=0.3),
 )

@@ -1,4 +1,4 @@
-"""The solvers of the two-frame benchmark, each in a process of its own that is killed where it hangs."""
+"""Solvers of the two-frame benchmark, each in a separate process that is killed if it hangs."""
 
 from __future__ import annotations
 
@@ -14,16 +14,22 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from benchmarks.peers import colmap_pose, pinhole_of, poselib_matches, poselib_pose, poselib_rig
+from benchmarks.peers import (
+    from_colmap_pose,
+    from_poselib_result,
+    pinhole_parameters,
+    to_poselib_matches,
+    to_poselib_rig,
+)
 from benchmarks.two_frames_scenes import Scene
 
-__all__ = ["LOADERS", "Answer", "Worker", "options_of"]
+__all__ = ["LOADERS", "Answer", "Worker", "make_option_sets"]
 
 Options = dict[str, Any]
-# What a solver's process does: take a scene into the solver's own form (not timed), and give what is then timed.
+# Converts a scene to the solver's own types (not timed) and returns the call to time.
 Prepare = Callable[[Scene, Options], Callable[[], RigidTransform | None]]
 
-# Set before a child starts, so that the libraries in it see them.
+# Set before a child process starts, so that its libraries read them.
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 # A first call may compile.
 START_LIMIT_S = 300.0
@@ -31,26 +37,33 @@ START_LIMIT_S = 300.0
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """Of one call: the pose, or None and why ("no pose", "hang", "crash", an exception); seconds of the processor, which
-    do not count what others do on the machine meanwhile."""
+    """Result of one call.
+
+    Attributes:
+        pose: the pose, or None.
+        seconds: processor time, which does not contain other load of the machine.
+        failure: reason for a missing pose: "no pose", "hang", "crash" or an exception.
+    """
 
     pose: RigidTransform | None
     seconds: float
-    why: str = ""
+    failure: str = ""
 
 
 class Worker:
-    """A child process that solves scenes one by one; a call beyond its time limit ends with the process killed, and the
-    next call starts a fresh one. Use as a context manager."""
+    """Child process that solves scenes one by one; a context manager.
+
+    A call that exceeds its time limit kills the process, and the next call starts a new one.
+    """
 
     def __init__(self, load: Callable[[], Prepare], limit_s: float, warm_up: Scene | None = None) -> None:
         """
         Args:
-            load: imports the solver, in the child; a function of a module.
-            limit_s: per call.
-            warm_up: solved first by each fresh process, not counted.
+            load: function of a module that imports the solver in the child.
+            limit_s: time limit per call, seconds.
+            warm_up: scene that each new process solves first, not counted.
         """
-        self._load, self._limit_s, self._warm_up = load, limit_s, warm_up
+        self._load_live_file, self._limit_s, self._warm_up = load, limit_s, warm_up
         self._process: multiprocessing.process.BaseProcess | None = None
         self._connection: Connection | None = None
 
@@ -61,12 +74,12 @@ class Worker:
         self.close()
 
     @property
-    def alive(self) -> bool:
-        """Whether there is a process now."""
+    def is_alive(self) -> bool:
+        """Return whether the process is running."""
         return self._process is not None and self._process.is_alive()
 
     def start(self) -> tuple[float, float]:
-        """Starts a fresh process: the seconds that importing the solver and its first call took.
+        """Start a new process; return the seconds of the solver's import and of its first call.
 
         Raises:
             RuntimeError: the process ended, or did not answer.
@@ -75,27 +88,27 @@ class Worker:
         os.environ.update(ONE_THREAD)
         context = multiprocessing.get_context("spawn")
         self._connection, there = context.Pipe()
-        self._process = context.Process(target=_serve, args=(there, self._load), daemon=True)
+        self._process = context.Process(target=_serve, args=(there, self._load_live_file), daemon=True)
         self._process.start()
         there.close()
         loaded = self._receive(START_LIMIT_S)
-        if loaded.why:
-            raise RuntimeError(f"the solver of {self._load.__name__} does not start: {loaded.why}")
+        if loaded.failure:
+            raise RuntimeError(f"the solver of {self._load_live_file.__name__} does not start: {loaded.failure}")
         if self._warm_up is None:
             return loaded.seconds, 0.0
         self._connection.send((self._warm_up, {}))
         return loaded.seconds, self._receive(START_LIMIT_S).seconds
 
     def solve(self, scene: Scene, options: Options) -> Answer:
-        """One call."""
-        if not self.alive:
+        """Solve one scene."""
+        if not self.is_alive:
             self.start()
         assert self._connection is not None
         self._connection.send((scene, options))
         return self._receive(self._limit_s)
 
     def close(self) -> None:
-        """Ends the process, whatever it does."""
+        """Kill the process."""
         if self._process is not None:
             self._process.kill()
             self._process.join()
@@ -117,7 +130,7 @@ class Worker:
 
 
 def _serve(connection: Connection, load: Callable[[], Prepare]) -> None:
-    """The child's loop."""
+    """Run the child's loop."""
     start = time.perf_counter()
     try:
         prepare = load()
@@ -136,13 +149,13 @@ def _serve(connection: Connection, load: Callable[[], Prepare]) -> None:
             start = time.process_time()
             pose = call()
             answer = Answer(pose, time.process_time() - start, "" if pose is not None else "no pose")
-        except Exception as error:  # a solver that raises has failed on this scene, and the table says how
+        except Exception as error:  # a solver that raises has failed on this scene; the table shows the exception
             answer = Answer(None, time.process_time() - start, f"{type(error).__name__}: {error}")
         connection.send(answer)
 
 
 def load_sylpose() -> Prepare:
-    """Ours, with its defaults."""
+    """Load sylpose, with its defaults."""
     import cv2
 
     from sylpose.absolute_pose.pose import estimate_pose
@@ -153,7 +166,7 @@ def load_sylpose() -> Prepare:
 
     def prepare(scene: Scene, _: Options) -> Callable[[], RigidTransform | None]:
         rig = scene.rig
-        # Made once per rig, as the peers' camera poses are below.
+        # Cached per rig, like the peers' camera poses below.
         for camera in rig:
             _made = (camera.rotation, camera.center, camera.focal)
         if scene.problem == "pose":
@@ -165,24 +178,24 @@ def load_sylpose() -> Prepare:
 
 
 def load_poselib() -> Prepare:
-    """PoseLib; options "ransac" and "bundle" as its functions take them."""
+    """Load PoseLib; the options "ransac" and "bundle" are passed to its functions."""
     import poselib
 
     def prepare(scene: Scene, options: Options) -> Callable[[], RigidTransform | None]:
-        cameras, poses = poselib_rig(scene.rig)
+        cameras, poses = to_poselib_rig(scene.rig)
         ransac, bundle = options.get("ransac", {}), options.get("bundle", {})
         if scene.problem == "pose":
 
             def call() -> RigidTransform | None:
-                return poselib_pose(
+                return from_poselib_result(
                     poselib.estimate_generalized_absolute_pose(
                         scene.after, scene.before, poses, cameras, ransac, bundle
                     )
                 )
 
             return call
-        matches = poselib_matches(zip(scene.before, scene.after, strict=True))
-        return lambda: poselib_pose(
+        matches = to_poselib_matches(zip(scene.before, scene.after, strict=True))
+        return lambda: from_poselib_result(
             poselib.estimate_generalized_relative_pose(matches, poses, cameras, poses, cameras, ransac, bundle)
         )
 
@@ -190,14 +203,16 @@ def load_poselib() -> Prepare:
 
 
 def load_pycolmap() -> Prepare:
-    """COLMAP's solvers; the absolute pose with its refinement. Option "max_error", pixels."""
+    """Load COLMAP's solvers, the absolute pose with refinement; the option "max_error" is in pixels."""
     import pycolmap
 
     def prepare(scene: Scene, options: Options) -> Callable[[], RigidTransform | None]:
         cameras, poses = [], []
         for camera in scene.rig:
             width, height = camera.size
-            cameras.append(pycolmap.Camera(model="PINHOLE", width=width, height=height, params=pinhole_of(camera)))
+            cameras.append(
+                pycolmap.Camera(model="PINHOLE", width=width, height=height, params=pinhole_parameters(camera))
+            )
             poses.append(pycolmap.Rigid3d(camera.camera_from_world.as_matrix()[:3]))
         ransac = pycolmap.RANSACOptions()
         ransac.random_seed, ransac.num_threads = 0, 1
@@ -210,9 +225,9 @@ def load_pycolmap() -> Prepare:
                 found = pycolmap.estimate_and_refine_generalized_absolute_pose(
                     after, before, index, poses, cameras, ransac
                 )
-                return None if found is None else colmap_pose(found["rig_from_world"])
+                return None if found is None else from_colmap_pose(found["rig_from_world"])
             found = pycolmap.estimate_generalized_relative_pose(before, after, index, index, poses, cameras, ransac)
-            return None if found is None else colmap_pose(found["rig2_from_rig1"])
+            return None if found is None else from_colmap_pose(found["rig2_from_rig1"])
 
         return call
 
@@ -226,14 +241,14 @@ LOADERS: dict[str, Callable[[], Prepare]] = {
 }
 
 
-# PoseLib's default is 1,000 iterations at least, most of which are superfluous where matches are good; and its final
-# refinement minimizes a Cauchy loss, which costs accuracy where no match is wrong.
+# PoseLib's default is at least 1,000 iterations, most of which are superfluous with few outliers. Its final refinement
+# minimizes a Cauchy loss, which costs accuracy without outliers.
 POSELIB_ITERATIONS = (50, 100, 200, 1000)
 POSELIB_THRESHOLDS = (2.0, 4.0)
 POSELIB_LOSSES = ("TRIVIAL", "HUBER", "CAUCHY", "TRUNCATED")
 
 
-def options_of(solver: str, problem: str, noise: float) -> dict[str, Options]:
+def make_option_sets(solver: str, problem: str, noise: float) -> dict[str, Options]:
     """Return the option sets to try for a solver, by label.
 
     PoseLib: its defaults, and every combination of least iterations, inlier threshold (in true standard deviations of the
@@ -253,7 +268,7 @@ def options_of(solver: str, problem: str, noise: float) -> dict[str, Options]:
         **{
             f"{least} iterations, {sigmas:g} sigma, {loss}": {
                 "ransac": {error: sigmas * noise, "min_iterations": least},
-                # A truncated loss rejects beyond its scale, the others only begin to bend there.
+                # A truncated loss rejects residuals beyond its scale; the other losses only flatten there.
                 "bundle": {"loss_type": loss, "loss_scale": (sigmas if loss == "TRUNCATED" else 2) * noise},
             }
             for least, sigmas, loss in grid

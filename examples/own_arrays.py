@@ -1,9 +1,10 @@
-"""Your own arrays into sylpose, and sylpose's arrays between its stages.
+"""Use sylpose with your own arrays, and its stages one by one.
 
     python examples/own_arrays.py [RECORDING]
 
-First a motion from matches that come from somewhere else, here a simulation, and the pose of an object of known points.
-With a RECORDING (`sylpose demo` makes one), then its first and sixth frame by hand: detect, match, summarise, solve.
+Estimates a motion from external matches, here simulated ones, and the pose of an object with known points. With a
+RECORDING (`sylpose demo` makes one), it also processes the first and the sixth frame step by step: detect, match,
+summarize, solve.
 """
 
 import sys
@@ -13,12 +14,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose import Camera, Matches, PairMoments, Rig, estimate_motion, estimate_pose, open_session
-from sylpose.features.sift import detect, match_features
+from sylpose.features.sift import detect_features, match_features
 from sylpose.simulate import ellipsoid, random_motion, simulate_matches
 
 
 def two_cameras() -> Rig:
-    """A rig from plain numbers: two cameras, 1 m from the world's origin, that look at it 60 degrees apart."""
+    """Make a rig from plain numbers: two cameras, 60 degrees apart, 1 m from the world's origin."""
     matrix = np.array([[900.0, 0, 319.5], [0, 900.0, 239.5], [0, 0, 1]])
     distortion = np.array([-0.1, 0.02, 0, 0, 0])  # OpenCV's k1, k2, p1, p2, k3
     cameras = []
@@ -30,7 +31,7 @@ def two_cameras() -> Rig:
 
 
 def your_matches(rig: Rig, true_motion: RigidTransform) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Per camera the pixels (n, 2) of n features in frame i and in frame j: put your own detector's here."""
+    """Return pixels (n, 2) of n features in frames i and j per camera: insert your own detector."""
     body = ellipsoid((0.10, 0.07, 0.08), 2000)
     pair = simulate_matches(rig, body, true_motion, rng=np.random.default_rng(1), noise_px=0.3, outliers=0.2)
     return [(c.denormalize(m.x), c.denormalize(m.y)) for c, m in zip(rig, pair.matches, strict=True)]
@@ -40,10 +41,10 @@ rig = two_cameras()
 true_motion = random_motion(8.0, 0.02, np.random.default_rng(2))
 pixels = your_matches(rig, true_motion)
 matches = [Matches.from_pixels(c, i, j) for c, (i, j) in zip(rig, pixels, strict=True)]
-print("True turn (degrees)", np.degrees(true_motion.rotation.as_rotvec()).round(2))
+print("True rotation (degrees)", np.degrees(true_motion.rotation.as_rotvec()).round(2))
 print(estimate_motion(rig, matches))
 
-# solvePnP for many cameras: five known points in each, all different ones.
+# solvePnP for many cameras: each sees five different known points.
 corners = np.random.default_rng(3).uniform(-0.1, 0.1, (10, 3))
 points = [corners[:5], corners[5:]]
 world_from_object = true_motion
@@ -59,15 +60,13 @@ if len(sys.argv) > 1:
     matches = []
     for camera, image_i, image_j in zip(session.rig, first.images, second.images, strict=True):
         if image_i is None or image_j is None:
-            matches.append(Matches.none())
+            matches.append(Matches.empty())
             continue
-        a, b = detect(image_i, camera), detect(image_j, camera)  # .pixels, .normalized, .descriptors
+        a, b = detect_features(image_i, camera), detect_features(image_j, camera)  # .pixels, .normalized, .descriptors
         pairs = match_features(a, b)
         moved = np.linalg.norm(a.pixels[pairs[:, 0]] - b.pixels[pairs[:, 1]], axis=1) > 1.5
-        i, j = pairs[moved].T  # what stands still is background
+        i, j = pairs[moved].T  # static features are background
         matches.append(Matches(a.normalized[i], b.normalized[j]))
         moments = PairMoments.from_matches(a.normalized[i], b.normalized[j])
-        print(
-            f"{camera.name}: {len(i)} matches, {len(moments.to_bytes())} bytes say what this camera saw of the motion"
-        )
+        print(f"{camera.name}: {len(i)} matches, summarized in {len(moments.to_bytes())} bytes")
     print(estimate_motion(session.rig, matches))

@@ -1,4 +1,4 @@
-"""The main job from Python: the object's pose in every frame of a recording.
+"""Track a recording from Python and print the object's pose in every frame.
 
     python examples/track_videos.py RECORDING
 

@@ -1,1 +1,1 @@
-"""The documentation as a site: pages that are made, the notebooks, the gallery, and all of them put together."""
+"""Build the documentation as a site: generated pages, notebooks, the gallery."""

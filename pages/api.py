@@ -1,4 +1,4 @@
-"""The page of all public names, written from their signatures and docstrings."""
+"""Generate the API page from the signatures and docstrings of all public names."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import sylpose
 
 __all__ = ["GROUPS", "markdown"]
 
-# All of `sylpose.__all__`, by what they are for.
+# All of `sylpose.__all__`, by purpose.
 GROUPS: dict[str, tuple[str, ...]] = {
     "Recordings": ("open_session", "Session", "Source", "Timeline", "open_live", "LiveSession", "Device", "Grab"),
     "Tracking": (
@@ -21,14 +21,14 @@ GROUPS: dict[str, tuple[str, ...]] = {
         "Run",
         "track",
         "TrackedFrame",
-        "Sightings",
+        "LandmarkObservations",
         "Nudge",
-        "Sought",
+        "DetectedFeatures",
         "KnownObject",
         "load_object",
         "save_object",
     ),
-    "Results": ("Trajectory", "FramePose", "FrameStatus", "Observable", "Motion", "Status", "RotationEstimate"),
+    "Results": ("Trajectory", "FramePose", "FrameStatus", "Observability", "Motion", "Status", "RotationEstimate"),
     "Cameras and what they saw": ("Camera", "Rig", "FrameSet", "Box", "Matches", "PairMoments"),
     "The world's and the object's frame": (
         "World",
@@ -38,7 +38,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
         "Board",
         "parse_board",
         "find_board",
-        "Sighting",
+        "BoardObservation",
     ),
     "Two frames, known points": ("estimate_motion", "estimate_motions", "estimate_pose"),
     "Another camera's view": (
@@ -68,12 +68,12 @@ GROUPS: dict[str, tuple[str, ...]] = {
         "solve_exchange",
         "solve_refine",
         "solve_gossip",
-        "Agreement",
-        "Disturbances",
+        "DistributedSolution",
+        "NetworkFaults",
     ),
     "Sylvester's equation": ("solve_sylvester", "solve_generalized_sylvester", "SingularSylvesterError"),
 }
-# Sections of docstrings, and what they are called on the page.
+# Sections of docstrings, and their titles on the page.
 SECTIONS = {
     "Args": "Arguments",
     "Attributes": "Attributes",
@@ -81,19 +81,19 @@ SECTIONS = {
     "Yields": "Yields",
     "Raises": "Raises",
 }
-# Signatures that are longer have a line for each parameter.
+# Longer signatures have a line for each parameter.
 WIDTH = 96
 INTRODUCTION = """# API
 
-All that `import sylpose` offers, as its docstrings say it. Arrays are NumPy's, with their shapes in parentheses: C cameras,
-n points, N problems or frames. Rotations and rigid transforms are SciPy's `Rotation` and `RigidTransform`. Symbols, frames
-and units: [conventions](../docs/conventions.md); which function is for what: [choosing](../docs/choosing.md). What is not
-listed here is not promised to stay.
+All public names of `sylpose`, generated from their docstrings. Arrays are NumPy's, with their shapes in parentheses:
+C cameras, n points, N problems or frames. Rotations and rigid transforms are SciPy's `Rotation` and `RigidTransform`.
+[conventions](../docs/conventions.md) defines symbols, frames and units; [choosing](../docs/choosing.md) helps to select
+a function. Names that are not listed here may change.
 """
 
 
 def markdown() -> str:
-    """The page."""
+    """Generate the page."""
     parts = [INTRODUCTION]
     for title, names in GROUPS.items():
         listed = " · ".join(f"[`{name}`](#{name.lower()})" for name in names)
@@ -102,7 +102,7 @@ def markdown() -> str:
 
 
 def _entry(name: str) -> str:
-    """One class or function."""
+    """Describe one class or function."""
     thing = getattr(sylpose, name)
     parts = [f"### {name}\n"]
     if isinstance(thing, type) and issubclass(thing, enum.Enum):
@@ -130,7 +130,7 @@ def _doc(thing: Any) -> str:
 
 
 def _members(thing: type) -> Iterator[tuple[str, Any]]:
-    """Public properties and methods of its own, in the order in which they are written."""
+    """Yield a class's own public properties and methods, in the order of the source."""
     fields = {field.name for field in dataclasses.fields(thing)} if dataclasses.is_dataclass(thing) else set()
     for member, value in vars(thing).items():
         if member.startswith("_") or member in fields or not _doc(value):
@@ -141,7 +141,7 @@ def _members(thing: type) -> Iterator[tuple[str, Any]]:
 
 
 def _code(name: str, thing: Any) -> str:
-    """A signature."""
+    """Format a signature as a block of Python."""
     signature = inspect.signature(thing)
     if isinstance(thing, type):
         signature = signature.replace(return_annotation=inspect.Signature.empty)
@@ -159,7 +159,7 @@ def _code(name: str, thing: Any) -> str:
 
 
 def _parameter(parameter: inspect.Parameter) -> str:
-    """With its type and what it is unless somebody says otherwise."""
+    """Format a parameter with its type and its default."""
     kinds: dict[Any, str] = {inspect.Parameter.VAR_POSITIONAL: "*", inspect.Parameter.VAR_KEYWORD: "**"}
     said: str = kinds.get(parameter.kind, "") + parameter.name
     if parameter.annotation is not parameter.empty:
@@ -171,7 +171,7 @@ def _parameter(parameter: inspect.Parameter) -> str:
 
 
 def _prose(doc: str, own: str) -> str:
-    """A docstring as Markdown: its sections as lists, public names as links."""
+    """Convert a docstring to Markdown: sections become lists, public names links."""
     parts: list[str] = []
     section: str | None = None
     for block in _blocks(doc):
@@ -209,7 +209,7 @@ def _blocks(doc: str) -> Iterator[str]:
 
 
 def _items(text: str) -> str:
-    """`name: what it is`, each perhaps over several lines, as a list; what is no such thing, as it stands."""
+    """Convert entries `name: description`, possibly of several lines, to a list; keep other lines."""
     found: list[str] = []
     for line in text.splitlines():
         name = re.match(r"((?:\*{0,2}\w+)(?:, \w+)*): (.*)", line)
@@ -223,7 +223,7 @@ def _items(text: str) -> str:
 
 
 def _linked(text: str, own: str) -> str:
-    """Public names in backticks lead to where they are described."""
+    """Link public names in backticks to their descriptions."""
 
     def link(match: re.Match[str]) -> str:
         name = match[1]

@@ -1,10 +1,10 @@
-"""The documentation as a site, in a folder that any web server, or a browser by itself, can show.
+"""Build the documentation as a static site.
 
     python -m pages.build [--out site]
 
-Pages are the Markdown of docs/ and of the repository as they are, the notebooks and the API, in the order of pages/nav.toml.
-They are laid out in one folder first, their links adapted; nothing is written into them that one generator alone knows.
-Sphinx (with MyST, which reads Markdown as GitHub does) makes the site, and stops at a link that leads nowhere.
+Pages are the Markdown files of docs/ and of the repository, the notebooks and the API, in the order of pages/nav.toml.
+They are first copied to one folder with adapted links; they contain no syntax of one generator. Sphinx (with MyST, which
+reads GitHub's Markdown) builds the site, and stops at a dead link.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ __all__ = ["REPOSITORY", "build", "navigation", "stage"]
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 NAV = Path(__file__).with_name("nav.toml")
-# Pages that are not in docs/, by name: their files.
+# Files of the pages that are not in docs/, by name.
 ELSEWHERE = {path.stem.lower(): path for path in sorted(REPOSITORY.glob("*.md")) if path.stem != "README"}
-# Where pages that are made come from, as far as their links are concerned.
+# Nominal paths of generated pages, to which their links are relative.
 MADE = {"api": REPOSITORY / "pages" / "api.md"}
-# In Markdown outside of code: [words](target) and ![words](target).
+# In Markdown outside of code: [text](target) and ![text](target).
 LINK = re.compile(r"(\]\()([^)\s]+)(\))")
 CONF = """project = "sylpose"
 version = release = {version!r}
@@ -39,23 +39,24 @@ myst_heading_anchors = 4
 html_theme = "furo"
 html_title = "sylpose {version}"
 html_copy_source = html_show_sourcelink = html_show_copyright = False
-# Pygments does not know some languages, nor the first line of OpenCV's YAML.
+# Pygments lacks some languages, and fails at the first line of OpenCV's YAML.
 suppress_warnings = ["misc.highlighting_failure"]
 """
 
 
 def sources() -> dict[str, Path]:
-    """All pages by name, and the files that they are made of."""
-    pages = {path.stem: path for path in sorted((REPOSITORY / "docs").glob("*.md"))}
+    """Return the source files of all pages by name."""
+    docs = REPOSITORY / "docs"
+    pages = {path.relative_to(docs).with_suffix("").as_posix(): path for path in sorted(docs.rglob("*.md"))}
     pages |= {f"notebooks/{path.stem}": path for path in notebooks.NOTEBOOKS}
     return {"index": REPOSITORY / "README.md", **ELSEWHERE, **pages, **MADE}
 
 
 def navigation() -> list[tuple[str, list[str]]]:
-    """Sections and their pages, as nav.toml has them, without those that there are not (yet); others of docs/ come last.
+    """Return the sections of nav.toml with their existing pages; other pages come last.
 
     Raises:
-        ValueError: a page that is named twice.
+        ValueError: a page is listed twice.
     """
     known = sources()
     sections = [(s["title"], s["pages"]) for s in tomllib.loads(NAV.read_text(encoding="utf-8"))["section"]]
@@ -68,10 +69,10 @@ def navigation() -> list[tuple[str, list[str]]]:
 
 
 def stage(folder: Path) -> None:
-    """Lays all pages, pictures and files out in a folder, with links that lead there.
+    """Copy all pages, pictures and files to a folder, with adapted links.
 
     Raises:
-        ValueError: naming the page, for a link to what is not there.
+        ValueError: a link's target does not exist; the message names the page.
     """
     pages = sources()
     at = {path.resolve(): name for name, path in pages.items()}
@@ -89,7 +90,7 @@ def stage(folder: Path) -> None:
 
 
 def _relinked(text: str, name: str, path: Path, at: Mapping[Path, str], folder: Path) -> str:
-    """A page's text with links as they are in the folder; what is no page and no picture of docs/ is copied to files/."""
+    """Adapt a page's links to the folder; copy targets that are no pages or pictures to files/."""
 
     def link(match: re.Match[str]) -> str:
         target, _, anchor = match[2].partition("#")
@@ -112,7 +113,7 @@ def _relinked(text: str, name: str, path: Path, at: Mapping[Path, str], folder: 
 
 
 def _copied(file: Path, folder: Path) -> str:
-    """A file of the repository, for download; of a folder a list of what is in it."""
+    """Copy a file for download, or write a list of a folder's files; return its path."""
     goal = Path("files") / file.relative_to(REPOSITORY)
     (folder / goal).parent.mkdir(parents=True, exist_ok=True)
     if file.is_dir():
@@ -127,10 +128,10 @@ def _copied(file: Path, folder: Path) -> str:
 
 
 def build(out: Path) -> None:
-    """Makes the site in a folder, which is replaced.
+    """Build the site in a folder, which is replaced.
 
     Raises:
-        RuntimeError: something is wrong with a page, and was said on stderr.
+        RuntimeError: Sphinx failed; its messages are on stderr.
     """
     from sphinx.cmd.build import build_main
 
@@ -147,14 +148,14 @@ def build(out: Path) -> None:
             index.write("\n\n" + "\n\n".join(trees) + "\n")
         made = Path(temporary) / "site"
         if build_main(["-q", "-W", "--keep-going", "-d", str(Path(temporary) / "trees"), str(folder), str(made)]):
-            raise RuntimeError("the site could not be made: see above")
+            raise RuntimeError("the site could not be made: see the messages above")
         shutil.rmtree(out, ignore_errors=True)
         shutil.move(made, out)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="The documentation as a site.")
-    parser.add_argument("--out", type=Path, default=REPOSITORY / "site", help="folder, which is replaced")
+    parser = argparse.ArgumentParser(description="Build the documentation as a static site.")
+    parser.add_argument("--out", type=Path, default=REPOSITORY / "site", help="output folder, which is replaced")
     asked = parser.parse_args()
     try:
         build(asked.out)

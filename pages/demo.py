@@ -1,8 +1,8 @@
-"""The documents' pictures of the demo, made anew.
+"""Rebuild the documents' pictures of the demo.
 
     python -m pages.demo        a minute on two cores, with the browser of the tests (`make browser`)
 
-writes docs/images/demo.png, report.png and report_html.png.
+Writes docs/images/demo.png, report.png and report_html.png.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ import numpy as np
 from PIL import Image
 
 from pages.gallery import DOCS
-from sylpose.app.demo import demo_aloud
+from sylpose.app.demo import run_demo_command
 from sylpose.report.files import read_trajectory
-from sylpose.report.plots import INK, X_COLOR, Y_COLOR, Z_COLOR, finish, new_figure
+from sylpose.report.plots import INK, X_COLOR, Y_COLOR, Z_COLOR, create_figure, style_panel
 from sylpose.results import Trajectory
-from tests.browser import launched, opened
+from tests.browser import launch_browser, open_page
 
-# Whose images are shown, and the picture's width in pixels (choice).
+# The frame whose images are shown, and the picture's width in pixels (choice).
 FRAME, WIDTH = 32, 1378
-# Of the page, pixels.
+# Size of the browser window, pixels.
 WINDOW = {"width": 1300, "height": 905}
 
 
 def curves(trajectory: Trajectory, height: float) -> Image.Image:
-    """Angles and position over time beside each other's names, and where the frame is that is shown."""
-    figure = new_figure(4.7, height)
+    """Plot angles and position over time, with the shown frame marked."""
+    figure = create_figure(4.7, height)
     angles, position = figure.subplots(2, 1, sharex=True)
     at = trajectory.times
     turns = np.degrees([frame.pan_tilt_roll for frame in trajectory])
@@ -41,11 +41,11 @@ def curves(trajectory: Trajectory, height: float) -> Image.Image:
     ):
         apart, last = 0.06 * np.ptp(values), -np.inf
         for k in np.argsort(values[-1]):
-            last = max(values[-1, k], last + apart)  # names that do not run into each other
+            last = max(values[-1, k], last + apart)  # labels must not overlap
             panel.plot(at, values[:, k], color=colors[k], linewidth=2)
             panel.annotate(names[k], (at[-1], last), (4, 0), textcoords="offset points", color=colors[k], va="center")
         panel.axvline(at[FRAME], color=INK, alpha=0.5, linewidth=1.2)
-        finish(panel)
+        style_panel(panel)
         panel.set_xlim(at[0], 1.12 * at[-1])
     angles.set_ylabel("angle (degrees)")
     position.set_ylabel("position since the start (mm)")
@@ -56,7 +56,7 @@ def curves(trajectory: Trajectory, height: float) -> Image.Image:
 
 
 def beside(seen: Image.Image, trajectory: Trajectory) -> Image.Image:
-    """The images of a frame, as overlay.mp4 has them, and the plots."""
+    """Combine the images of a frame, as in overlay.mp4, with the plots."""
     width = round(0.625 * WIDTH)
     seen = seen.resize((width, round(seen.height * width / seen.width)), Image.Resampling.LANCZOS)
     plots = curves(trajectory, 4.7 * seen.height / (WIDTH - width))
@@ -67,7 +67,7 @@ def beside(seen: Image.Image, trajectory: Trajectory) -> Image.Image:
 
 
 def _save(image: Image.Image, path: Path) -> None:
-    """With 256 colours, a quarter of the bytes: those that are furthest apart, so that thin lines keep theirs."""
+    """Save with 256 colors, a quarter of the bytes; maximum coverage keeps thin lines."""
     image.quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE).save(path, optimize=True)
 
 
@@ -75,7 +75,7 @@ def main() -> None:
     images = DOCS / "images"
     with TemporaryDirectory() as temporary:
         folder = Path(temporary) / "demo"
-        if wrong := demo_aloud(folder, frames=60, turn_deg=90.0, n_cameras=4, seed=0):
+        if wrong := run_demo_command(folder, frames=60, turn_deg=90.0, n_cameras=4, seed=0):
             raise SystemExit("; ".join(wrong))
         results = folder / "sylpose"
         with av.open(str(results / "overlay.mp4")) as video:
@@ -83,7 +83,10 @@ def main() -> None:
         picture = beside(Image.fromarray(seen), read_trajectory(results / "trajectory.csv"))
         _save(picture, images / "demo.png")
         _save(Image.open(results / "report.png").convert("RGB"), images / "report.png")
-        with launched() as browser, opened(browser, (results / "report.html").as_uri(), viewport=WINDOW) as page:
+        with (
+            launch_browser() as browser,
+            open_page(browser, (results / "report.html").as_uri(), viewport=WINDOW) as page,
+        ):
             for _ in range(4):
                 page.page.locator("body").press("Shift+ArrowRight")
             page.page.wait_for_timeout(1500)

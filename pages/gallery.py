@@ -1,8 +1,8 @@
-"""The gallery: a handful of scenes rendered, tracked, compared with their truth, and shown.
+"""Build the gallery: render scenes, track them, compare with the truth.
 
     python -m pages.gallery [NAME ...]      about three minutes on two cores
 
-writes docs/images/gallery_NAME.jpg and docs/gallery.md. The same scenes, the same pictures: nothing is random.
+Writes docs/images/gallery_NAME.jpg and docs/gallery.md. Nothing is random: equal scenes give equal pictures.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from sylpose import calibration
 from sylpose.app.run import track_session
 from sylpose.capture import open_session
 from sylpose.geometry.arrays import FloatArray
-from sylpose.report.camera_consistency import remarks
+from sylpose.report.camera_consistency import describe_camera_problems
 from sylpose.report.files import read_tum
-from sylpose.report.plots import INK, JUMP_DEG, X_COLOR, Y_COLOR, Z_COLOR, finish, new_figure
+from sylpose.report.plots import INK, JUMP_DEG, X_COLOR, Y_COLOR, Z_COLOR, create_figure, style_panel
 from sylpose.results import FramePose, FrameStatus, Trajectory
 from sylpose.rig import Rig
-from sylpose.simulate import Actor, Recording, Scene, arc, chamfered_box, demo_scene, write_recording
-from sylpose.simulate.recording_files import suffixes
+from sylpose.simulate import Actor, Recording, Scene, arc, chamfered_box, make_demo_scene, write_recording
+from sylpose.simulate.recording_files import object_suffixes
 
 __all__ = ["SCENES", "Shown", "page", "results"]
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
-# Of widths that are no multiple of 64, what is encoded beside the edge may be anything, and the video another each time.
+# Multiples of 64: with other widths the encoder pads the edge with arbitrary data, and videos differ from run to run.
 SIZE = (384, 288)
 # Width of a picture, pixels, and JPEG's quality (choice: less than 100 kB each).
 WIDTH, QUALITY = 880, 82
@@ -47,12 +47,12 @@ class Shown:
     """A scene of the gallery.
 
     Attributes:
-        title, words: what it shows.
-        recording: what is rendered.
-        frame: whose images are shown.
-        command: as a user would track it.
-        calibration: what the calibration file says instead of the truth; None for that.
-        options: of `track_session`.
+        title, words: heading and description.
+        recording: makes the rendered recording.
+        frame: the frame whose images are shown.
+        command: the user's command.
+        calibration: makes a wrong calibration from the true rig; None for the true one.
+        options: arguments of `track_session`.
     """
 
     title: str
@@ -65,17 +65,17 @@ class Shown:
 
 
 def _block() -> Recording:
-    return Recording(demo_scene(frames=45, turn_deg=90.0, size=SIZE), boxes=False)
+    return Recording(make_demo_scene(frames=45, angle_deg=90.0, size=SIZE), boxes=False)
 
 
 def _around() -> Recording:
-    """A whole turn, so that the side that was seen first is seen again."""
-    return Recording(demo_scene(frames=90, turn_deg=360.0, size=SIZE, seed=3), boxes=False)
+    """Render a full rotation, after which the first side is visible again."""
+    return Recording(make_demo_scene(frames=90, angle_deg=360.0, size=SIZE, seed=3), boxes=False)
 
 
 def _passing() -> Recording:
-    """A tall body goes by between the cameras and the block."""
-    scene = demo_scene(frames=60, turn_deg=60.0, size=SIZE, seed=1)
+    """Render a tall body that passes between the cameras and the block."""
+    scene = make_demo_scene(frames=60, angle_deg=60.0, size=SIZE, seed=1)
     rig = scene.rig
     before = np.mean([c.center for c in rig], axis=0) * 0.42
     across = np.cross(before / np.linalg.norm(before), [0.0, 1.0, 0.0])
@@ -88,7 +88,7 @@ def _passing() -> Recording:
 
 
 def _two() -> Recording:
-    """Two blocks that go their own ways."""
+    """Render two blocks that move independently."""
     rig = arc(4, 35.0, 1.5, 1.1 * SIZE[0], SIZE, height=[0.45, -0.15, 0.45, -0.15])
     bodies = [chamfered_box(sides, 450.0, seed=seed) for sides, seed in (((0.26, 0.2, 0.22), 5), ((0.2, 0.26, 0.2), 6))]
     sides = (-0.2, 0.2)
@@ -108,16 +108,16 @@ def _two() -> Recording:
 
 
 def _alone() -> Recording:
-    return Recording(demo_scene(frames=45, turn_deg=60.0, size=SIZE, n_cameras=1, seed=2), boxes=False)
+    return Recording(make_demo_scene(frames=45, angle_deg=60.0, size=SIZE, n_cameras=1, seed=2), boxes=False)
 
 
 def _blurred() -> Recording:
-    """Exposed for nearly all of the time between two frames, and fast."""
-    return Recording(demo_scene(frames=30, turn_deg=120.0, size=SIZE, seed=4, exposure=0.8), boxes=False)
+    """Render a fast rotation with an exposure of nearly a frame interval."""
+    return Recording(make_demo_scene(frames=30, angle_deg=120.0, size=SIZE, seed=4, exposure=0.8), boxes=False)
 
 
 def _kicked(rig: Rig) -> Rig:
-    """One camera has turned by three degrees since it was calibrated."""
+    """Rotate one camera by three degrees after its calibration."""
     turned = RigidTransform.from_rotation(Rotation.from_rotvec(np.radians([0.0, 3.0, 0.0])))
     cameras = [replace(c, camera_from_world=turned * c.camera_from_world) if c.name == "cam_2" else c for c in rig]
     return Rig(cameras, rig.unit)
@@ -126,47 +126,47 @@ def _kicked(rig: Rig) -> Rig:
 SCENES = {
     "block": Shown(
         "A block",
-        "Four cameras on a quarter of a circle; a block turns by 90° and drifts. Nothing is said of where it is: it is what "
-        "moves.",
+        "Four cameras on a quarter of a circle; a block rotates by 90° and drifts. No box is given: whatever moves is "
+        "tracked.",
         _block,
         30,
     ),
     "around": Shown(
         "All the way round",
-        "A whole turn in three seconds. Each side is seen by each camera for a while; where the first one comes into view "
-        "again, it is recognised, and what drift there was ends.",
+        "A full rotation in three seconds. Each side is visible to each camera for a while. When the first side is "
+        "visible again, it is recognized, and the accumulated drift is removed.",
         _around,
         60,
     ),
     "passing": Shown(
-        "Somebody passes by",
-        "A post goes by in front of the cameras, and hides the block from one after the other. Those that see it carry on; "
-        "one that sees mostly the post is doubted, and takes part again once it sees the block.",
+        "An occlusion",
+        "A post passes in front of the cameras and hides the block from one after the other. Cameras with a view of the "
+        "block continue. A camera that sees mostly the post has its variance inflated until it sees the block again.",
         _passing,
         33,
     ),
     "two": Shown(
         "Two objects",
-        "With a box for each in the first frame (`boxes.toml`), each has a trajectory of its own.",
+        "With a box for each object in the first frame (`boxes.toml`), each has its own trajectory.",
         _two,
         30,
     ),
     "blurred": Shown(
         "Motion blur",
-        "120° in a second, exposed for four fifths of the time between frames.",
+        "120° in a second, with an exposure of four fifths of the frame interval.",
         _blurred,
         15,
     ),
     "alone": Shown(
         "One camera",
-        "It cannot tell how large the object is nor how far away: every frame says `scale not observable`, and lengths are "
-        "in units of the first distance. How it turns is known nevertheless.",
+        "The object's size and distance are not observable: every frame has `scale not observable`, and lengths are in "
+        "units of the first distance. The rotation is observable nevertheless.",
         _alone,
         30,
     ),
     "kicked": Shown(
-        "A camera that was kicked",
-        "`cam_2` has been turned by 3° since the calibration. The others outvote it, and it is named.",
+        "A camera that was moved",
+        "`cam_2` was rotated by 3° after the calibration. The other cameras outvote it, and the summary names it.",
         _block,
         30,
         calibration=_kicked,
@@ -176,10 +176,12 @@ SCENES = {
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came out of a scene.
+    """Result of tracking a scene.
 
     Attributes:
-        off: by object, (N,) degrees by which the orientation is off; NaN where there is no pose.
+        trajectories: by object.
+        off: by object, (N,) errors of the orientation, degrees; NaN without a pose.
+        image: the overlay of the shown frame.
     """
 
     trajectories: dict[str, Trajectory]
@@ -188,7 +190,7 @@ class Outcome:
 
 
 def tracked(shown: Shown) -> Outcome:
-    """Rendered, tracked, compared."""
+    """Render a scene, track it and compare it with the truth."""
     with TemporaryDirectory() as temporary:
         folder = Path(temporary) / "recording"
         recording = shown.recording()
@@ -198,7 +200,7 @@ def tracked(shown: Shown) -> Outcome:
         session = open_session(folder)
         run = track_session(session, **shown.options)
         off = {}
-        for name, suffix in zip(recording.objects, suffixes(recording.objects), strict=True):
+        for name, suffix in zip(recording.objects, object_suffixes(recording.objects), strict=True):
             _, truth = read_tum(folder / f"groundtruth{suffix}.tum")
             off[name] = np.array([_off(pose, truth) for pose in run.trajectories[name]])
         with av.open(str(folder / "sylpose" / "overlay.mp4")) as video:
@@ -207,22 +209,22 @@ def tracked(shown: Shown) -> Outcome:
 
 
 def _off(pose: FramePose, truth: RigidTransform) -> float:
-    """Degrees, of the orientation since the first frame."""
+    """Return the error of the orientation since the first frame, degrees."""
     if pose.world_from_object is None:
         return np.nan
     return float(np.degrees((pose.world_from_object.rotation * truth[pose.index].rotation.inv()).magnitude()))
 
 
 def drawn(outcome: Outcome) -> Figure:
-    """Angles over time, and how far they are off beside how far off they may be."""
-    figure = new_figure(4.4, 4.9)
+    """Plot angles, their errors and two standard deviations over time."""
+    figure = create_figure(4.4, 4.9)
     angles, errors = figure.subplots(2, 1, sharex=True)
     top = 0.0
     for trajectory, off, style in zip(outcome.trajectories.values(), outcome.off.values(), ("-", "--"), strict=False):
         turns = np.degrees([f.pan_tilt_roll for f in trajectory])
-        # Not drawn where an angle goes round.
+        # Interrupt the line where an angle wraps around.
         turns[1:][np.abs(np.diff(turns, axis=0)) > JUMP_DEG] = np.nan
-        found = trajectory.solved
+        found = trajectory.measured_mask
         for k, (name, color) in enumerate((("pan", Y_COLOR), ("tilt", X_COLOR), ("roll", Z_COLOR))):
             angles.plot(trajectory.times, np.where(found, turns[:, k], np.nan), style, color=color, label=name)
             angles.plot(
@@ -236,7 +238,7 @@ def drawn(outcome: Outcome) -> Figure:
             trajectory.times, 0, np.where(some, spread, np.nan), color=Z_COLOR, alpha=0.2, linewidth=0, label="2 σ"
         )
     for panel, label in ((angles, "angles (degrees)"), (errors, "error (degrees)")):
-        finish(panel)
+        style_panel(panel)
         panel.set_ylabel(label)
         handles, labels = panel.get_legend_handles_labels()
         once = dict(zip(labels, handles, strict=True))
@@ -249,7 +251,7 @@ def drawn(outcome: Outcome) -> Figure:
 
 
 def picture(outcome: Outcome) -> Image.Image:
-    """The images of a frame beside the plots."""
+    """Combine the images of a frame with the plots."""
     file = io.BytesIO()
     drawn(outcome).savefig(file, format="png")
     plots = Image.open(file).convert("RGB")
@@ -265,30 +267,33 @@ def picture(outcome: Outcome) -> Image.Image:
 
 
 def words_of(outcome: Outcome) -> str:
-    """What came out, in a sentence for each object."""
+    """Describe the result in a sentence per object."""
     said = []
     for (name, trajectory), off in zip(outcome.trajectories.items(), outcome.off.values(), strict=True):
         of = f"`{name}`: " if len(outcome.trajectories) > 1 else ""
-        found = trajectory.solved
+        found = trajectory.measured_mask
         line = f"{of}{int(found.sum())} of {len(trajectory)} frames with a pose, off by {np.nanmedian(off[found]):.2f}° in "
         line += f"the median and {np.nanmax(off[found]):.2f}° at worst."
-        others = [f.status for f in trajectory if not f.measured]
+        others = [f.status for f in trajectory if not f.is_measured]
         if others:
             counted = [f"{status.value} {others.count(status)}" for status in FrameStatus if status in others]
             line += f" The others: {', '.join(counted)}."
-        said.append(" ".join([line, *(f'What is said of it: "{remark}"' for remark in remarks(trajectory)[:1])]))
+        said.append(
+            " ".join(
+                [line, *(f'The summary reports: "{remark}"' for remark in describe_camera_problems(trajectory)[:1])]
+            )
+        )
     return " ".join(said)
 
 
 def page(outcomes: dict[str, str]) -> str:
-    """The page, with what came out of each scene."""
+    """Generate the page from the results of all scenes."""
     parts = [
         "# Gallery",
-        "Scenes that are rendered, so that their truth is known, and tracked as any recording is. Left the images of one "
-        "frame as `overlay.mp4` has them; right the angles over time, and how far the orientation is off the truth beside "
-        "two standard deviations of what is said of it. These allow for what calibrations are usually off by, and here they "
-        "are exact. `make gallery` makes this page; what real recordings give is in "
-        "[benchmarks](benchmarks.md#the-main-job).",
+        "Rendered scenes with known truth, tracked like any recording. Left: the images of one frame, as in "
+        "`overlay.mp4`. Right: the angles over time, and the error of the orientation with two standard deviations. These "
+        "include the usual errors of calibrations, which are exact here. `make gallery` rebuilds this page. "
+        "[benchmarks](history/benchmarks.md#the-main-job) has results of real recordings.",
     ]
     for name, shown in SCENES.items():
         parts += [
@@ -301,7 +306,7 @@ def page(outcomes: dict[str, str]) -> str:
 
 
 def results() -> dict[str, str]:
-    """As the page has them."""
+    """Read the results of all scenes from the present page."""
     path = DOCS / "gallery.md"
     text = path.read_text(encoding="utf-8") if path.exists() else ""
     found = {}

@@ -1,8 +1,8 @@
-"""The notebooks of examples/notebooks: run in this process, kept with what they showed, and as pages of Markdown.
+"""Run the notebooks of examples/notebooks, store their outputs, and convert them to Markdown.
 
     python -m pages.notebooks [NAME ...]
 
-runs them and keeps what they show in them. No kernel is needed: cells are Python and nothing else.
+runs them in this process and stores their outputs. No kernel is needed: cells contain only Python.
 """
 
 from __future__ import annotations
@@ -23,25 +23,25 @@ __all__ = ["FOLDER", "NOTEBOOKS", "as_markdown", "read", "run", "source_of"]
 
 FOLDER = Path(__file__).resolve().parent.parent / "examples" / "notebooks"
 NOTEBOOKS = tuple(sorted(FOLDER.glob("*.ipynb")))
-# Pictures are kept no wider than this, pixels: tens of kilobytes (choice).
+# Maximal width of stored pictures, pixels: tens of kilobytes (choice).
 WIDTH = 760
 
 Cell = dict[str, Any]
 
 
 def read(path: Path) -> dict[str, Any]:
-    """A notebook as nbformat 4 has it."""
+    """Read a notebook in nbformat 4."""
     notebook: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     return notebook
 
 
 def source_of(cell: Cell) -> str:
-    """What is written in a cell."""
+    """Return the source text of a cell."""
     return "".join(cell["source"])
 
 
 def run(notebook: dict[str, Any]) -> list[list[Cell]]:
-    """What each cell shows, as nbformat has it: nothing for those that are no code. An exception goes on."""
+    """Run all code cells; return the outputs of each cell in nbformat. Exceptions propagate."""
     space: dict[str, Any] = {"__name__": "__main__"}
     shown = []
     for number, cell in enumerate(notebook["cells"]):
@@ -50,7 +50,7 @@ def run(notebook: dict[str, Any]) -> list[list[Cell]]:
 
 
 def _shown(source: str, name: str, space: dict[str, Any]) -> list[Cell]:
-    """Of one cell: what it prints, and the value of its last line."""
+    """Run one cell; return what it prints and the value of its last line."""
     tree, printed, value = ast.parse(source, name), io.StringIO(), None
     last = tree.body.pop() if tree.body and isinstance(tree.body[-1], ast.Expr) else None
     with redirect_stdout(printed):
@@ -67,7 +67,7 @@ def _shown(source: str, name: str, space: dict[str, Any]) -> list[Cell]:
 
 
 def _data(value: Any) -> dict[str, Any]:
-    """By kinds of media, as a notebook asks a value for them."""
+    """Return the representations of a value by media type."""
     data: dict[str, Any] = {"text/plain": repr(value).splitlines(keepends=True)}
     if isinstance(value, Image.Image):  # a photograph
         data["image/jpeg"] = _encoded(_small(value.convert("RGB")), "jpeg", quality=80)
@@ -92,7 +92,7 @@ def _encoded(picture: Image.Image, kind: str, **options: Any) -> str:
 
 
 def keep(path: Path) -> None:
-    """Runs a notebook and writes it with what it shows."""
+    """Run a notebook and write it with its outputs."""
     notebook = read(path)
     for number, (cell, outputs) in enumerate(zip(notebook["cells"], run(notebook), strict=True)):
         cell["id"] = f"cell-{number}"
@@ -102,7 +102,7 @@ def keep(path: Path) -> None:
 
 
 def as_markdown(path: Path, pictures: Path) -> str:
-    """A notebook, with what it showed, as Markdown; its pictures are put into a folder beside that page."""
+    """Convert a notebook with its outputs to Markdown; write its pictures to a folder."""
     parts = []
     for number, cell in enumerate(read(path)["cells"]):
         if cell["cell_type"] == "markdown":
@@ -116,7 +116,7 @@ def as_markdown(path: Path, pictures: Path) -> str:
                 name = f"{path.stem}_{number}.{kind.removeprefix('image/')}"
                 pictures.mkdir(parents=True, exist_ok=True)
                 (pictures / name).write_bytes(base64.b64decode(data[kind]))
-                parts.append(f"![What the cell shows]({pictures.name}/{name})")
+                parts.append(f"![Output of the cell]({pictures.name}/{name})")
             elif "text/html" in data:
                 parts.append("".join(data["text/html"]))
             else:

@@ -1,4 +1,4 @@
-"""A browser for the tests of pages: Debian's headless Chromium, driven by Playwright. What pages ask for is kept."""
+"""Headless Chromium (Debian's) for page tests, driven by Playwright. Requests of pages are recorded."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import pytest
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
-__all__ = ["Opened", "launched", "opened"]
+__all__ = ["OpenedPage", "launch_browser", "open_page"]
 
 CHROMIUM = Path("/usr/bin/chromium-headless-shell")
 # WebGL without a graphics card.
@@ -22,13 +22,13 @@ ARGUMENTS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--ena
 
 
 @dataclass(frozen=True, eq=False)
-class Opened:
+class OpenedPage:
     """A page in a browser.
 
     Attributes:
         page: Playwright's.
-        errors: what it said on its console that was an error or a warning, and exceptions that nobody caught.
-        requests: all URLs that it asked for, but for data within itself.
+        errors: errors and warnings on its console, and uncaught exceptions.
+        requests: all URLs that it requested, except data URLs.
     """
 
     page: Page
@@ -36,14 +36,14 @@ class Opened:
     requests: list[str] = field(default_factory=list)
 
     def state(self, *names: str) -> Any:
-        """What the page's script says of itself, or the values of some of its names."""
+        """Return the state that the page's script publishes, or the values of some of its names."""
         state = self.page.evaluate("() => window.sylpose.state()")
         return [state[name] for name in names] if names else state
 
 
 @contextmanager
-def launched() -> Iterator[Browser]:
-    """The browser; the test is skipped where there is none, but not in continuous integration."""
+def launch_browser() -> Iterator[Browser]:
+    """Launch the browser; without one the test is skipped, but not in continuous integration."""
     missing = "" if os.access(CHROMIUM, os.X_OK) else f"{CHROMIUM}: no such browser (`make browser`, on Debian)"
     try:
         from playwright.sync_api import sync_playwright
@@ -61,24 +61,24 @@ def launched() -> Iterator[Browser]:
 
 
 @contextmanager
-def opened(browser: Browser, url: str, *, online: bool = False, **options: Any) -> Iterator[Opened]:
-    """A page, loaded.
+def open_page(browser: Browser, url: str, *, online: bool = False, **options: Any) -> Iterator[OpenedPage]:
+    """Load a page.
 
     Args:
-        online: whether it may ask for anything but files.
+        online: whether it may request anything but files.
         options: of the browser's context: `viewport`, `color_scheme`.
     """
     context = browser.new_context(**({"viewport": {"width": 1280, "height": 800}} | options))
     if not online:
         context.set_offline(True)
-    context.set_default_timeout(60_000)  # of a busy machine
+    context.set_default_timeout(60_000)  # for busy machines
     page = context.new_page()
-    said = Opened(page)
-    page.on("request", lambda request: None if request.url.startswith("data:") else said.requests.append(request.url))
-    page.on("pageerror", lambda error: said.errors.append(str(error)))
-    page.on("console", lambda line: said.errors.append(line.text) if line.type in ("error", "warning") else None)
+    text = OpenedPage(page)
+    page.on("request", lambda request: None if request.url.startswith("data:") else text.requests.append(request.url))
+    page.on("pageerror", lambda error: text.errors.append(str(error)))
+    page.on("console", lambda line: text.errors.append(line.text) if line.type in ("error", "warning") else None)
     try:
         page.goto(url)
-        yield said
+        yield text
     finally:
         context.close()

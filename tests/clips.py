@@ -1,4 +1,4 @@
-"""Small rendered recordings in memory, and what their tests ask of a tracked one."""
+"""Small rendered recordings in memory, and common checks of tracking results."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from sylpose.frames import Box, FrameSet
 from sylpose.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 from sylpose.results import FrameStatus
 from sylpose.rig import Camera, Rig
-from sylpose.simulate import Actor, DemoTruth, Scene, TexturedBody, demo_scene, demo_truth, render_frames
+from sylpose.simulate import Actor, DemoTruth, Scene, TexturedBody, compute_demo_truth, make_demo_scene, render_frames
 from sylpose.simulate.render import Path
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import track
@@ -26,17 +26,17 @@ Masks = Sequence[BoolArray | None]
 SIZE = (320, 240)
 RATE = 30
 BLACK = np.zeros((SIZE[1], SIZE[0], 3), np.uint8)
-# What a pose may be off in pictures of this size: degrees.
+# Largest pose error for images of this size, degrees.
 HALF_DEGREE = 0.5
 # Frames of `turning_clip`.
 FRAMES = 8
-# What the objects of `moving_scene` turn about.
+# Rotation axis of the objects of `moving_scene`.
 AXIS = np.array([0.36, 0.8, 0.48])
 
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """A rendered sequence, in memory, and the truth about it."""
+    """A rendered sequence in memory, with ground truth."""
 
     rig: Rig
     truth: DemoTruth
@@ -44,7 +44,7 @@ class Clip:
 
     @classmethod
     def render(cls, scene: Scene) -> Clip:
-        return cls(scene.rig, demo_truth(scene), list(render_frames(scene)))
+        return cls(scene.rig, compute_demo_truth(scene), list(render_frames(scene)))
 
     @property
     def boxes(self) -> dict[str, Box]:
@@ -56,64 +56,64 @@ class Clip:
 
 @cache
 def turning_clip() -> Clip:
-    """Eight frames of three cameras: a turn by 20 degrees."""
-    return Clip.render(demo_scene(frames=FRAMES, turn_deg=20, size=SIZE, n_cameras=3))
+    """Render eight frames of three cameras with a rotation by 20 degrees."""
+    return Clip.render(make_demo_scene(frames=FRAMES, angle_deg=20, size=SIZE, n_cameras=3))
 
 
 @cache
-def tracked_turning(with_boxes: bool) -> tuple[TrackedFrame, ...]:
-    """`turning_clip` as it is tracked, with its boxes or without: read only."""
+def track_turning_clip(with_boxes: bool) -> tuple[TrackedFrame, ...]:
+    """Return the tracking result of `turning_clip`, with boxes or without; read only."""
     clip = turning_clip()
     return tuple(track(clip.frames(), clip.rig, clip.boxes if with_boxes else None))
 
 
 @cache
 def _demo(n_cameras: int) -> Scene:
-    return demo_scene(frames=1, size=SIZE, n_cameras=n_cameras)
+    return make_demo_scene(frames=1, size=SIZE, n_cameras=n_cameras)
 
 
 def moving_scene(path: Path, frames: int, others: Sequence[Actor] = (), n_cameras: int = 4) -> Scene:
-    """The demo's block, 0.3 m long and 1.2 m from the cameras, on a path of its own, beside others."""
+    """Make a scene of the demo's block, 0.3 m long and 1.2 m from the cameras, on a given path among other objects."""
     scene = _demo(n_cameras)
     return replace(scene, actors=(Actor(scene.actors[0].body, path), *others), frames=frames)
 
 
-def turned(degrees: float, place: ArrayLike = (0, 0, 0)) -> RigidTransform:
-    """The pose of an object that has turned by so much and is at a place (3,)."""
+def make_rotated_pose(degrees: float, place: ArrayLike = (0, 0, 0)) -> RigidTransform:
+    """Return the pose of an object rotated by an angle at a position (3,)."""
     return RigidTransform.from_components(np.asarray(place, float), Rotation.from_rotvec(np.radians(degrees) * AXIS))
 
 
-def drifting(frame: float) -> RigidTransform:
-    """Three degrees and 7 mm per frame."""
-    return turned(3 * frame, np.array([0.006, -0.002, 0.004]) * frame)
+def make_drifting_pose(frame: float) -> RigidTransform:
+    """Return a pose that changes by three degrees and 7 mm per frame."""
+    return make_rotated_pose(3 * frame, np.array([0.006, -0.002, 0.004]) * frame)
 
 
-def slab(sides: ArrayLike, seed: int) -> TexturedBody:
-    """A textured box (3 sides) at the block's distance."""
+def make_slab(sides: ArrayLike, seed: int) -> TexturedBody:
+    """Make a textured box (3 sides) at the block's distance."""
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * np.asarray(sides) / 2
-    return TexturedBody.hull(corners, 400, seed)
+    return TexturedBody.from_hull(corners, 400, seed)
 
 
-def board_before(camera: Camera, first: int, last: int) -> Actor:
-    """A textured board that hides everything from a camera from one frame to another, both included."""
+def make_occluding_board(camera: Camera, first: int, last: int) -> Actor:
+    """Make a textured board that occludes one camera from the first to the last frame, both included."""
     near, nowhere = 0.3, RigidTransform.from_translation([0, 100, 0])
     width, height = 1.5 * near * np.array(camera.size) / camera.focal
     world_from_board = camera.camera_from_world.inv() * RigidTransform.from_translation([0, 0, near])
-    body = slab([width, height, 0.01], int(camera.name.removeprefix("cam_")))
+    body = make_slab([width, height, 0.01], int(camera.name.removeprefix("cam_")))
     return Actor(body, lambda frame: world_from_board if first <= frame <= last else nowhere)
 
 
 @cache
 def hidden_clip() -> Clip:
-    """Drifting, hidden from all four cameras in frames 7 to 9 of 15."""
-    rig = moving_scene(drifting, 1).rig
-    return Clip.render(moving_scene(drifting, 15, [board_before(camera, 7, 9) for camera in rig]))
+    """Render the drifting object, occluded in all four cameras in frames 7 to 9 of 15."""
+    rig = moving_scene(make_drifting_pose, 1).rig
+    return Clip.render(moving_scene(make_drifting_pose, 15, [make_occluding_board(camera, 7, 9) for camera in rig]))
 
 
 def surface_points(
     camera: Camera, normalized: FloatArray, world_from_object: RigidTransform, vertices: FloatArray
 ) -> FloatArray:
-    """(n, 3) where rays meet a convex object first, in its own frame; NaN where they pass it."""
+    """Return (n, 3) first intersections of rays with a convex object, in its frame; NaN for rays that miss it."""
     planes = ConvexHull(vertices).equations
     object_from_world = world_from_object.inv()
     center = object_from_world.apply(camera.center)
@@ -134,16 +134,18 @@ def frame_sets(images: Sequence[Images], masks: Sequence[Masks] | None = None) -
     ]
 
 
-def rested(scene: Scene, rest: int, moving: int) -> Scene:
-    """The scene with its object at rest for some frames first."""
+def prepend_rest(scene: Scene, rest: int, moving: int) -> Scene:
+    """Return the scene with its object at rest for some frames first."""
     actor = scene.actors[0]
     path = actor.path
     return replace(scene, frames=rest + moving, actors=(Actor(actor.body, lambda f: path(max(f - rest, 0.0))),))
 
 
-def errors(tracked: Iterable[TrackedFrame], truth: DemoTruth) -> FloatArray:
-    """(n, 2) of the frames with a pose, but the first: degrees, and millimetres of the object's centre, of the motion
-    since the first of them."""
+def compute_pose_errors(tracked: Iterable[TrackedFrame], truth: DemoTruth) -> FloatArray:
+    """Return (n, 2) errors of the frames with a pose except the first.
+
+    Degrees, and millimeters of the object's center, of the motion since the first of them.
+    """
     poses = [(f.pose.index, f.pose.world_from_object) for f in tracked if f.pose.world_from_object is not None]
     start, first = poses[0]
     assert first is not None
@@ -157,9 +159,11 @@ def errors(tracked: Iterable[TrackedFrame], truth: DemoTruth) -> FloatArray:
     return np.array(rows).reshape(-1, 2)
 
 
-def normalised_squares(tracked: Sequence[TrackedFrame], truth: DemoTruth) -> FloatArray:
-    """(n,) squared errors by their covariances, of the frames with a pose but the first: they average 6 where the
-    covariance is right."""
+def compute_squared_mahalanobis(tracked: Sequence[TrackedFrame], truth: DemoTruth) -> FloatArray:
+    """Return (n,) squared Mahalanobis errors of the frames with a pose except the first.
+
+    Their mean is 6 for a correct covariance.
+    """
     (start, first), *others = [(f.pose.index, f.pose) for f in tracked if f.pose.world_from_object is not None]
     assert first.world_from_object is not None
     squares = []
@@ -182,16 +186,16 @@ def inliers(tracked: Iterable[TrackedFrame]) -> IntArray:
 
 
 def assert_valid(tracked: Sequence[TrackedFrame]) -> None:
-    """What must hold for any result."""
+    """Check properties that hold for any result."""
     for f in tracked:
         pose = f.pose
         assert pose.inliers.shape == pose.residuals.shape == (len(f.frames.images),)
-        if not pose.measured:
-            assert pose.status not in (FrameStatus.TRACKED, FrameStatus.FIRST, FrameStatus.RELOCALISED)
-        if not pose.seen:
+        if not pose.is_measured:
+            assert pose.status not in (FrameStatus.TRACKED, FrameStatus.FIRST, FrameStatus.RELOCALIZED)
+        if not pose.is_observed:
             assert not pose.inliers.any()
             assert np.isnan(pose.residuals).all()
-            assert f.sightings == ()
+            assert f.observations == ()
         if pose.world_from_object is None:
             assert pose.status is not FrameStatus.COASTING
             assert np.isnan(pose.covariance).all()

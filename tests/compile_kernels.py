@@ -1,7 +1,7 @@
-"""Compiles what the tests will call, once and side by side, before they start: `python -m tests.compile_kernels`.
+"""Compile the kernels that the tests call, once and in parallel, before they start: `python -m tests.compile_kernels`.
 
-Two workers of the test run would else compile the same kernels at the same time. What is left out here is compiled when a
-test calls it.
+Otherwise two test workers would compile the same kernels at the same time. Kernels that are missing here are compiled
+when a test calls them.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ POINTS = np.random.default_rng(0).uniform(-0.1, 0.1, (40, 3))
 TURN = Rotation.from_rotvec([0.05, -0.03, 0.08])
 
 
-def seen(turn: Rotation) -> Iterator[tuple[Camera, FloatArray]]:
-    """The cameras, and the points (40, 2) as they see them turned."""
+def make_observations(turn: Rotation) -> Iterator[tuple[Camera, FloatArray]]:
+    """Return the cameras and their observations of the points (40, 2), rotated."""
     for camera in RIG:
         yield camera, camera.normalize(camera.project(turn.apply(POINTS)))
 
 
 def paper() -> None:
-    pairs = zip(seen(Rotation.identity()), seen(TURN), strict=True)
+    pairs = zip(make_observations(Rotation.identity()), make_observations(TURN), strict=True)
     moments = [PairMoments.from_matches(x, y) for (_, x), (_, y) in pairs]
     rotations = [camera.rotation for camera in RIG]
     solve_centralized(rotations, moments)
@@ -52,25 +52,28 @@ def absolute_pose() -> None:
 
 
 def two_bodies() -> None:
-    both = [zip(seen(Rotation.identity()), seen(turn), strict=True) for turn in (TURN, TURN.inv() * TURN.inv())]
+    both = [
+        zip(make_observations(Rotation.identity()), make_observations(turn), strict=True)
+        for turn in (TURN, TURN.inv() * TURN.inv())
+    ]
     matches = [[Matches(x, y) for (_, x), (_, y) in pairs] for pairs in both]
     joined = [Matches(np.vstack([a.x, b.x[::2]]), np.vstack([a.y, b.y[::2]])) for a, b in zip(*matches, strict=True)]
     estimate_motion(RIG, joined)
     estimate_motion(RIG, [*matches[0][:2], matches[1][2]])
 
 
-def timed(part: Callable[[], None]) -> str:
+def run_timed(part: Callable[[], None]) -> str:
     start = time.process_time()
     part()
     return f"{part.__name__} {time.process_time() - start:.0f} s"
 
 
 def main() -> None:
-    # The longest first; the last ones are made of what those before have compiled.
+    # The longest first; the last ones use kernels compiled by those before.
     parts, wholes = [*(part for _, part in PARTS.values()), paper, absolute_pose], [warm_up, two_bodies]
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
-        done = [*pool.map(timed, parts)]
-    print("compiled:", ", ".join([*done, *map(timed, wholes)]), file=sys.stderr)
+        done = [*pool.map(run_timed, parts)]
+    print("compiled:", ", ".join([*done, *map(run_timed, wholes)]), file=sys.stderr)
 
 
 if __name__ == "__main__":

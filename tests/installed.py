@@ -1,7 +1,7 @@
-"""Whether what `make dist` built is whole, and works where there is no checkout: `python -m tests.installed DIST`.
+"""Check that the result of `make dist` is complete and works without a checkout: `python -m tests.installed DIST`.
 
-The wheel and the sdist are installed into environments of their own, in a temporary folder, and used from there; the wheel
-renders and tracks a short recording.
+The wheel and the sdist are installed into separate environments in a temporary folder; the wheel renders and tracks a
+short recording.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from sylpose import __version__
 from tests.paths import REPOSITORY
 
 PACKAGE = REPOSITORY / "src" / "sylpose"
-# Beside the package: what says of the project what it is, and may be done with it.
+# Next to the package: project and license files.
 LEGAL = [name for name in ("LICENSE", "NOTICE") if (REPOSITORY / name).exists()]
 DEMO = ["demo", "--frames", "6", "--turn", "9", "--cameras", "3"]
 
 
 def package_files() -> set[str]:
-    """All that belongs into a wheel, by the path in it."""
+    """Return all files that belong in a wheel, by their path in it."""
     files = (path for path in PACKAGE.rglob("*") if path.is_file() and "__pycache__" not in path.parts)
     return {f"sylpose/{path.relative_to(PACKAGE).as_posix()}" for path in files}
 
 
 def wheel_contents(wheel: Path) -> list[str]:
-    """What is wrong with the files in a wheel, a sentence each."""
+    """Return the problems of the files in a wheel, one sentence each."""
     with ZipFile(wheel) as archive:
         names = set(archive.namelist())
     info = f"sylpose-{__version__}.dist-info/"
@@ -46,7 +46,7 @@ def wheel_contents(wheel: Path) -> list[str]:
 
 
 def sdist_contents(sdist: Path) -> list[str]:
-    """The same for a source distribution, by which others package it: with its tests and documents."""
+    """Return the same for a source distribution, which packagers use; it includes tests and documents."""
     with tarfile.open(sdist) as archive:
         names = {name.partition("/")[2] for name in archive.getnames()}
     wanted = {f"src/{name}" for name in package_files()} | {*LEGAL, "README.md", "CITATION.cff", "pyproject.toml"}
@@ -57,8 +57,8 @@ def sdist_contents(sdist: Path) -> list[str]:
     ]
 
 
-def ran(folder: Path, *command: str | Path) -> str:
-    """What a command in a folder prints, without anything of this checkout."""
+def run_isolated(folder: Path, *command: str | Path) -> str:
+    """Return the output of a command in a folder, isolated from this checkout."""
     kept = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
     done = subprocess.run(
         [str(word) for word in command], cwd=folder, env=kept, stdout=subprocess.PIPE, text=True, check=False
@@ -69,20 +69,20 @@ def ran(folder: Path, *command: str | Path) -> str:
 
 
 def try_out(built: Path, folder: Path, commands: list[list[str]]) -> None:
-    """Installs a wheel or sdist into an environment in a folder and runs some commands of it there."""
+    """Install a wheel or sdist into an environment in a folder and run some commands there."""
     venv.create(folder / "environment", with_pip=True)
     programs = folder / "environment" / ("Scripts" if os.name == "nt" else "bin")
     python, sylpose = programs / "python", programs / "sylpose"
-    ran(folder, python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", built.resolve())
-    where = ran(
+    run_isolated(folder, python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", built.resolve())
+    where = run_isolated(
         folder, python, "-c", "import sylpose; print(sylpose.__file__, *map(str, (sylpose.track, sylpose.Rig)))"
     )
     assert Path(where.split()[0]).is_relative_to(folder / "environment"), where
-    assert ran(folder, sylpose, "--version") == f"sylpose {__version__}\n"
-    assert "track" in ran(folder, sylpose, "--help")
-    assert json.loads(ran(folder, sylpose, "doctor", "--json"))["problems"] == []
+    assert run_isolated(folder, sylpose, "--version") == f"sylpose {__version__}\n"
+    assert "track" in run_isolated(folder, sylpose, "--help")
+    assert json.loads(run_isolated(folder, sylpose, "doctor", "--json"))["problems"] == []
     for command in commands:
-        print(ran(folder, sylpose, *command))
+        print(run_isolated(folder, sylpose, *command))
 
 
 def main(built: Path) -> None:

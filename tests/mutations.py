@@ -1,4 +1,4 @@
-"""Wrong and extreme arguments, made of right ones (`test_arguments.py`)."""
+"""Wrong and extreme arguments, made from valid ones (`test_arguments.py`)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["copied", "mutations", "same"]
+__all__ = ["copy_arrays", "is_unchanged", "mutations"]
 
 NUMBERS: tuple[Any, ...] = (
     *(-1, 0, 1, 2.5, -0.0, np.nan, np.inf, -np.inf, 1e300, -1e300, 1e-300, 5e-324, 10**400, 2**63, True, False),
@@ -35,7 +35,7 @@ ANYTHING: tuple[Any, ...] = (
 
 
 def mutations(value: Any) -> Iterator[tuple[str, Any]]:
-    """What a value may be mistaken for, by names."""
+    """Yield the values that a value may be mistaken for, by name."""
     for k, other in enumerate(ANYTHING):
         yield f"anything {k}", other
     if isinstance(value, np.ndarray):
@@ -61,7 +61,7 @@ def mutations(value: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _records(value: Any) -> Iterator[tuple[str, Any]]:
-    """With other contents, as far as they can be made."""
+    """Yield records with other contents, as far as they can be made."""
     for field in fields(value):
         if field.init:
             for name, part in mutations(getattr(value, field.name)):
@@ -113,19 +113,19 @@ def _read_only(a: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     return out
 
 
-def copied(value: Any) -> Any:
-    """Arrays, and lists of them, as they are now."""
+def copy_arrays(value: Any) -> Any:
+    """Return a copy of arrays and of lists of arrays."""
     if isinstance(value, np.ndarray):
         return value.copy()
     if isinstance(value, (list, tuple)):
-        return [copied(part) for part in value]
+        return [copy_arrays(part) for part in value]
     return value
 
 
-def same(a: Any, b: Any) -> bool:
-    """Whether a copy is still like it."""
+def is_unchanged(a: Any, b: Any) -> bool:
+    """Return whether a value still equals its copy."""
     if isinstance(a, np.ndarray):
         return bool(a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes())
     if isinstance(a, (list, tuple)):
-        return len(a) == len(b) and all(same(x, y) for x, y in zip(a, b, strict=True))
+        return len(a) == len(b) and all(is_unchanged(x, y) for x, y in zip(a, b, strict=True))
     return True

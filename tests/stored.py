@@ -1,21 +1,21 @@
-"""What a tracker knows, as it stands in a checkpoint."""
+"""A tracker's state, as stored in a checkpoint."""
 
 from __future__ import annotations
 
-from sylpose.app.checkpoint_schema import FUNCTIONS, KINDS
-from sylpose.app.serialization import decoded, encoded
-from sylpose.tracking.tracker import Memory, Tracker
+from sylpose.app.checkpoint_schema import FUNCTIONS, RECORD_TYPES
+from sylpose.app.serialization import deserialize, serialize
+from sylpose.tracking.tracker import Tracker, TrackerSnapshot
 
-__all__ = ["go_on", "stored"]
+__all__ = ["dump_state", "restore_state"]
 
 
-def stored(tracker: Tracker) -> tuple[bytes, int]:
-    """The data, and the length of its table."""
-    table, *blocks = encoded(tracker.memory, KINDS, FUNCTIONS)
+def dump_state(tracker: Tracker) -> tuple[bytes, int]:
+    """Return the data, and the length of its table."""
+    table, *blocks = serialize(tracker.snapshot, RECORD_TYPES, FUNCTIONS)
     return b"".join([table, *blocks]), len(table)
 
 
-def go_on(tracker: Tracker, data: tuple[bytes, int]) -> None:
-    """Puts a tracker where the one was that was stored."""
-    memory: Memory = decoded(memoryview(data[0]), data[1], Memory, KINDS, FUNCTIONS)
-    tracker.go_back(memory)
+def restore_state(tracker: Tracker, data: tuple[bytes, int]) -> None:
+    """Restore a tracker's stored state."""
+    memory: TrackerSnapshot = deserialize(memoryview(data[0]), data[1], TrackerSnapshot, RECORD_TYPES, FUNCTIONS)
+    tracker.restore(memory)

@@ -1,7 +1,7 @@
-"""Wrong and extreme arguments of every public function: one sentence that names the argument, or an honest result.
+"""Wrong and extreme arguments of every public function: an error that names the argument, or a valid result.
 
-A table of valid calls; each argument is replaced by what it may be mistaken for, in turn (`mutations`). A public function
-that is not in the table fails the first test.
+A table of valid calls; each argument in turn is replaced by values that it may be mistaken for (`mutations`). A public
+function that is not in the table fails the first test.
 """
 
 from __future__ import annotations
@@ -20,56 +20,56 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 import sylpose
 from sylpose import results, rig, simulate, view
-from sylpose.bundle_adjustment.calibration_refinement import Moved, usual_doubt
+from sylpose.bundle_adjustment.calibration_refinement import MovedCamera, default_calibration_prior
 from sylpose.results import FramePose, FrameStatus, RotationEstimate, Status
 from sylpose.smoothing.trajectory import Track, smooth
 from sylpose.sylvester import camera_faults, one_camera, translation
-from sylpose.units import FIRST_DISTANCES
-from tests.mutations import copied, mutations, same
+from sylpose.units import INITIAL_DISTANCES
+from tests.mutations import copy_arrays, is_unchanged, mutations
 
-# By function, the most changes of each argument that are tried: what takes long is tried less often, by a seed.
-MOST, SEED = 60, 0
-# Besides `sylpose.__all__`.
+# Largest number of mutations per argument; slow functions have fewer, chosen by the seed.
+MAX_MUTATIONS, SEED = 60, 0
+# In addition to `sylpose.__all__`.
 MORE: tuple[Any, ...] = (
-    camera_faults.diagnose,
-    camera_faults.suspect_cameras,
-    translation.translation_from_means,
-    translation.translation_from_moments,
+    camera_faults.diagnose_cameras,
+    camera_faults.find_faulty_cameras,
+    translation.solve_translation_from_means,
+    translation.refine_translation,
     one_camera.solve_unconstrained,
     results.pan_tilt_roll,
-    rig.camera_at,
+    rig.make_look_at_camera,
     smooth,
-    rig.nearest_point_to_rays,
-    view.camera_from_world_of,
+    rig.intersect_rays,
+    view.resolve_viewpoint,
     *(getattr(simulate, name) for name in simulate.__all__ if inspect.isfunction(getattr(simulate, name))),
 )
-# Why functions are not called here.
-ELSEWHERE = {
+# Functions that are not called here, with the reason.
+NOT_CALLED = {
     "open_session": "reads files: test_fuzz_readers.py, calibration/, capture/",
     "open_live": "the same",
     "track_session": "the same; its options: app/",
     "load_object": "reads a file: app/test_object_files.py",
     "save_object": "writes it: the same",
     "Session.frames": "the same",
-    "Session.of": "the same",
+    "Session.select_object": "the same",
     "Session.with_rig": "the same",
-    "Session.told_in": "the same",
+    "Session.with_world": "the same",
     "load_world": "reads a file: calibration/test_world.py",
     "LiveSession.frames": "the same",
-    "Trajectory.plot": "draws, which takes a second: test_told.py",
+    "Trajectory.plot": "draws, which takes a second: test_display.py",
     "Trajectory.to_dataframe": "takes nothing, and needs pandas: exports/test_exports.py",
-    "LiveSession.of": "the same",
+    "LiveSession.select_object": "the same",
     "LiveSession.with_rig": "the same",
-    "LiveSession.told_in": "the same",
+    "LiveSession.with_world": "the same",
     "LiveSession.stop": "no arguments",
     "Source.frame_number": "looked up in a table of a folder's files",
-    "demo_scene": "the demo's, writes a recording",
-    "demo_truth": "the same",
+    "make_demo_scene": "the demo's, writes a recording",
+    "compute_demo_truth": "the same",
     "render_frames": "images of seconds each: simulate/",
     "render_sequence": "the same",
     "write_recording": "the same",
     "write_sequence": "the same",
-    "visible_shares": "the same",
+    "compute_visible_shares": "the same",
     "chamfered_box": "the same",
 }
 
@@ -78,21 +78,21 @@ class Call(NamedTuple):
     """A valid call.
 
     Attributes:
-        most: changes of each argument that are tried.
-        nan: NaN is an answer of this function, or what it leaves of NaN that is given.
-        said: what else a refusal may say instead of an argument's name.
+        max_mutations: number of mutations per argument.
+        nan: whether NaN is a valid result, or may be passed through from the input.
+        message_pattern: regular expression for error messages that do not contain an argument's name.
     """
 
     function: Callable[..., Any]
     arguments: dict[str, Any]
-    most: int = MOST
+    max_mutations: int = MAX_MUTATIONS
     nan: bool = False
-    said: str = r"\bno camera has\b|\bno points\b"
+    message_pattern: str = r"\bno camera has\b|\bno points\b"
 
 
 @cache
 def calls() -> dict[str, Call]:
-    """By name."""
+    """Return the valid calls by name."""
     three = simulate.ring(3)
     body = simulate.ellipsoid(n=400)
     motion = simulate.random_motion(8.0, 0.02, np.random.default_rng(1), axis=[0.3, 1.0, 0.2])
@@ -135,7 +135,7 @@ def calls() -> dict[str, Call]:
             sylpose.estimate_motions,
             {"rig": three, "pairs": [matches], "method": "epipolar", "seed": 0, "threads": 1},
             30,
-            said=r"\bmatches\b",
+            message_pattern=r"\bmatches\b",
         ),
         "estimate_pose": Call(
             sylpose.estimate_pose,
@@ -155,37 +155,43 @@ def calls() -> dict[str, Call]:
             nan=True,
         ),
         "solve_robust": Call(sylpose.solve_robust, {**of_rig, "names": ["a", "b", "c"]}),
-        "diagnose": Call(camera_faults.diagnose, {**of_rig, "names": ["a", "b", "c"]}),
-        "suspect_cameras": Call(
-            camera_faults.suspect_cameras, {**of_rig, "rotation": R, "at_fault": [1], "names": ["a", "b", "c"]}
+        "diagnose_cameras": Call(camera_faults.diagnose_cameras, {**of_rig, "names": ["a", "b", "c"]}),
+        "find_faulty_cameras": Call(
+            camera_faults.find_faulty_cameras, {**of_rig, "rotation": R, "at_fault": [1], "names": ["a", "b", "c"]}
         ),
         "solve_depth_plane": Call(sylpose.solve_depth_plane, {**of_rig, "noise": np.full(3, 1e-3)}, 50),
         "solve_exchange": Call(
-            sylpose.solve_exchange, {**of_rig, "rounds": 1, "disturbances": sylpose.Disturbances()}, 30
+            sylpose.solve_exchange, {**of_rig, "rounds": 1, "network_faults": sylpose.NetworkFaults()}, 30
         ),
-        "solve_refine": Call(sylpose.solve_refine, {**of_rig, "bound": 60, "disturbances": sylpose.Disturbances()}, 10),
+        "solve_refine": Call(
+            sylpose.solve_refine, {**of_rig, "max_rounds": 60, "network_faults": sylpose.NetworkFaults()}, 10
+        ),
         "solve_gossip": Call(
-            sylpose.solve_gossip, {**of_rig, "graph": graph, "bound": 40, "disturbances": sylpose.Disturbances()}, 10
+            sylpose.solve_gossip,
+            {**of_rig, "graph": graph, "max_rounds": 40, "network_faults": sylpose.NetworkFaults()},
+            10,
         ),
-        "Disturbances": Call(
-            sylpose.Disturbances,
+        "NetworkFaults": Call(
+            sylpose.NetworkFaults,
             {
                 "loss": 0.1,
                 "delay": 1,
                 "dies": {0: 3},
                 "joins": {1: 2},
                 "returns": {0: 5},
-                "apart": (0, 0, frozenset()),
-                "nonsense": {0: "nan"},
+                "partition": (0, 0, frozenset()),
+                "packet_faults": {0: "nan"},
                 "seed": 0,
             },
-            said="cameras .* return before",
+            message_pattern="cameras .* must be after the failure",
         ),
         "solve_one_camera": Call(sylpose.solve_one_camera, {"rotation": Q[0], "moments": moments[0], "aim": True}),
         "solve_unconstrained": Call(
             one_camera.solve_unconstrained, {"rotation": Q[0], "moments": moments[0], "aim": True}
         ),
-        "OneCameraSolution.nearest": Call(sylpose.solve_one_camera(Q[0], moments[0]).nearest, {"guess": R}),
+        "OneCameraSolution.select_nearest": Call(
+            sylpose.solve_one_camera(Q[0], moments[0]).select_nearest, {"guess": R}
+        ),
         "solve_2d3d": Call(
             sylpose.solve_2d3d,
             {
@@ -202,39 +208,46 @@ def calls() -> dict[str, Call]:
         "solve_sylvester": Call(
             sylpose.solve_sylvester,
             {"A": square, "B": eye, "C": square, "method": "kronecker", "rcond": 1e-12},
-            said=r"A N \+ N B = C"
+            message_pattern=r"A N \+ N B = C"
             r"|do not broadcast|the solution",
         ),
         "solve_generalized_sylvester": Call(
             sylpose.solve_generalized_sylvester,
             {"As": [square, eye], "Bs": [eye, square], "C": square, "method": "bartels-stewart", "rcond": 1e-12},
-            said=r"A_k X B_k = C|do not broadcast|the solution",
+            message_pattern=r"A_k X B_k = C|do not broadcast|the solution",
         ),
-        "translation_from_means": Call(
-            translation.translation_from_means,
-            {"rotations": Q, "centers": o, "moments": moments, "rotation": R, "center": center, "off": 0.0},
-            said="no camera has matches|the object's centre",
-        ),
-        "translation_from_moments": Call(
-            translation.translation_from_moments,
+        "solve_translation_from_means": Call(
+            translation.solve_translation_from_means,
             {
                 "rotations": Q,
                 "centers": o,
                 "moments": moments,
                 "rotation": R,
                 "center": center,
-                "start": np.zeros(3),
+                "rotation_variance": 0.0,
+            },
+            message_pattern="no camera has matches|the object's center",
+        ),
+        "refine_translation": Call(
+            translation.refine_translation,
+            {
+                "rotations": Q,
+                "centers": o,
+                "moments": moments,
+                "rotation": R,
+                "center": center,
+                "initial": np.zeros(3),
                 "prior": eye,
             },
             40,
-            said="no camera has matches|the object's centre",
+            message_pattern="no camera has matches|the object's center",
         ),
-        "Matches": Call(sylpose.Matches, {"x": matches[0].x, "y": matches[0].y}, said="matches need"),
-        "Matches.none": Call(sylpose.Matches.none, {}),
+        "Matches": Call(sylpose.Matches, {"x": matches[0].x, "y": matches[0].y}, message_pattern="matches need"),
+        "Matches.empty": Call(sylpose.Matches.empty, {}),
         "Matches.from_pixels": Call(
             sylpose.Matches.from_pixels,
             {"camera": camera, "pixels_i": pixels, "pixels_j": pixels + 1.0},
-            said="matches",
+            message_pattern="matches",
         ),
         "PairMoments": Call(sylpose.PairMoments, {"matrix": moments[0].matrix}),
         "PairMoments.zero": Call(sylpose.PairMoments.zero, {}),
@@ -242,10 +255,10 @@ def calls() -> dict[str, Call]:
             sylpose.PairMoments.from_matches,
             {"x": matches[0].x, "y": matches[0].y, "weights": np.ones(len(matches[0]))},
         ),
-        "PairMoments.weighted": Call(moments[0].weighted, {"weight": 2.0}),
+        "PairMoments.scale_weights": Call(moments[0].scale_weights, {"weight": 2.0}),
         "PairMoments.to_bytes": Call(moments[0].to_bytes, {}),
         "PairMoments.from_bytes": Call(sylpose.PairMoments.from_bytes, {"data": moments[0].to_bytes()}),
-        "PairMoments.transformed": Call(moments[0].transformed, {"to": eye}),
+        "PairMoments.transform": Call(moments[0].transform, {"transformation": eye}),
         "Camera": Call(
             sylpose.Camera,
             {
@@ -264,15 +277,15 @@ def calls() -> dict[str, Call]:
         "Camera.project": Call(camera.project, {"points": points}, nan=True),
         "Camera.rays": Call(camera.rays, {"pixels": pixels}, nan=True),
         "Rig": Call(sylpose.Rig, {"cameras": list(three), "unit": "m"}),
-        "Rig.in_unit": Call(three.in_unit, {"unit": "mm"}, said="unit"),
+        "Rig.in_unit": Call(three.in_unit, {"unit": "mm"}, message_pattern="unit"),
         "Rig.in_world": Call(three.in_world, {"new_from_world": RigidTransform.identity()}),
-        "Rig.subset": Call(three.subset, {"names": ["cam_0", "cam_2"]}, said="no camera"),
+        "Rig.subset": Call(three.subset, {"names": ["cam_0", "cam_2"]}, message_pattern="no camera"),
         "World": Call(
             sylpose.World,
-            {"world_from_calibration": motion, "said": "", "unit": "m", "scale": 1.0, "world_unit": "mm"},
+            {"world_from_calibration": motion, "description": "", "unit": "m", "scale": 1.0, "world_unit": "mm"},
         ),
         "world_with_up": Call(
-            sylpose.world_with_up, {"up": np.array([0.0, -1.0, 0.1]), "origin": center, "unit": "m", "said": ""}
+            sylpose.world_with_up, {"up": np.array([0.0, -1.0, 0.1]), "origin": center, "unit": "m", "description": ""}
         ),
         "Board": Call(
             sylpose.Board,
@@ -281,17 +294,17 @@ def calls() -> dict[str, Call]:
                 "text": "",
                 "size": (2, 2),
                 "points": points[:4],
-                "alike": (np.arange(4),),
+                "symmetries": (np.arange(4),),
                 "dictionary": "4X4_50",
                 "first_id": 0,
-                "marker_share": 0.5,
+                "marker_ratio": 0.5,
                 "border": 1,
-                "half_turned": False,
+                "is_upside_down": False,
                 "diameter": 0.0,
             },
         ),
         "parse_board": Call(
-            sylpose.parse_board, {"text": "chessboard:9x6,square=1", "unit": "m"}, said="is no board|square"
+            sylpose.parse_board, {"text": "chessboard:9x6,square=1", "unit": "m"}, message_pattern="is no board|square"
         ),
         "find_board": Call(
             sylpose.find_board,
@@ -301,33 +314,35 @@ def calls() -> dict[str, Call]:
                 "board": sylpose.parse_board("apriltag:36h11,id=0,size=1"),
                 "seed": 0,
             },
-            said="image must be",
+            message_pattern="image must be",
         ),
         "Trajectory": Call(sylpose.Trajectory, {"frames": [pose, pose], "camera_names": ["a", "b"], "unit": "m"}),
-        "FramePose.judged": Call(pose.judged, {}),
-        "FramePose.of_frame": Call(pose.of_frame, {"new_from_object": RigidTransform.identity()}),
-        "KnownObject.in_frame": Call(
-            sylpose.KnownObject(three, 0.1, "a", points, (), {}).in_frame,
-            {"new_from_object": RigidTransform.identity(), "sd": np.ones(6), "said": "by hand"},
+        "FramePose.update_uncertain_status": Call(pose.update_uncertain_status, {}),
+        "FramePose.in_object_frame": Call(pose.in_object_frame, {"new_from_object": RigidTransform.identity()}),
+        "KnownObject.to_frame": Call(
+            sylpose.KnownObject(three, 0.1, "a", points, (), {}).to_frame,
+            {"new_from_object": RigidTransform.identity(), "sd": np.ones(6), "description": "by hand"},
         ),
-        "KnownObject.sized": Call(
-            sylpose.KnownObject(sylpose.Rig([camera], FIRST_DISTANCES), 0.1, "a", points, (), {}).sized,
+        "KnownObject.scaled": Call(
+            sylpose.KnownObject(sylpose.Rig([camera], INITIAL_DISTANCES), 0.1, "a", points, (), {}).scaled,
             {"factor": 2.0, "unit": "m", "sd": 0.1},
         ),
-        "FrameSet.of": Call(frames[0].of, {"name": "a"}),
+        "FrameSet.for_object": Call(frames[0].for_object, {"name": "a"}),
         "Box": Call(sylpose.Box, {"x": 1.0, "y": 2.0, "width": 3.0, "height": 4.0}),
-        "view_of_motion": Call(view.view_of_motion, {"motion": found, "camera": camera, "rig": three}, said="camera"),
+        "view_of_motion": Call(
+            view.view_of_motion, {"motion": found, "camera": camera, "rig": three}, message_pattern="camera"
+        ),
         "view_of_rotation": Call(view.view_of_rotation, {"estimate": turned, "camera": "cam_1", "rig": three}),
         "view_of_pose": Call(view.view_of_pose, {"pose": pose, "camera": motion, "rig": three}),
         "trajectory_view": Call(view.trajectory_view, {"trajectory": path, "camera": "cam_1", "rig": three}),
-        "camera_from_world_of": Call(view.camera_from_world_of, {"camera": "cam_1", "rig": three}),
+        "resolve_viewpoint": Call(view.resolve_viewpoint, {"camera": "cam_1", "rig": three}),
         "pan_tilt_roll": Call(results.pan_tilt_roll, {"rotation": Rotation.identity()}),
-        "nearest_point_to_rays": Call(
-            rig.nearest_point_to_rays,
+        "intersect_rays": Call(
+            rig.intersect_rays,
             {"centers": o, "directions": np.array([c.direction for c in three]), "near": center},
         ),
-        "camera_at": Call(
-            rig.camera_at,
+        "make_look_at_camera": Call(
+            rig.make_look_at_camera,
             {
                 "name": "a",
                 "center": np.array([0.0, 0.0, -1.0]),
@@ -336,7 +351,7 @@ def calls() -> dict[str, Call]:
                 "size": (640, 480),
                 "distortion": np.zeros(5),
             },
-            said="camera a: it stands|camera's name",
+            message_pattern="camera a: its center|camera's name",
         ),
         "track": Call(
             lambda **given: list(sylpose.track(**given)),
@@ -358,23 +373,25 @@ def calls() -> dict[str, Call]:
                 "frames": [Track(pose, (), np.zeros(3), 0.1)],
                 "rig": three,
                 "offsets_sd": 0.01,
-                "doubt": usual_doubt(three),
+                "calibration_prior": default_calibration_prior(three),
                 "recalibrate": False,
-                "moved": [Moved(0, 3, 0.1)],
+                "moved_cameras": [MovedCamera(0, 3, 0.1)],
             },
         ),
-        "ring": Call(simulate.ring, {"n": 3, **wide, "height": 0.1}, said="camera"),
+        "ring": Call(simulate.ring, {"n": 3, **wide, "height": 0.1}, message_pattern="camera"),
         "arc": Call(
-            simulate.arc, {"n": 3, "spacing_deg": 20.0, **wide, "height": np.zeros(3), "first": 0.0}, said="camera"
+            simulate.arc,
+            {"n": 3, "spacing_deg": 20.0, **wide, "height": np.zeros(3), "first_deg": 0.0},
+            message_pattern="camera",
         ),
-        "dome": Call(simulate.dome, {"n": 3, **wide, "lowest_deg": 10.0}, said="camera"),
+        "dome": Call(simulate.dome, {"n": 3, **wide, "lowest_deg": 10.0}, message_pattern="camera"),
         "ellipsoid": Call(simulate.ellipsoid, {"semi_axes": np.array([0.1, 0.2, 0.3]), "n": 50, "seed": 0}),
         "box": Call(simulate.box, {"sides": np.array([0.1, 0.2, 0.3]), "n": 50, "seed": 0}),
         "cloud": Call(simulate.cloud, {"semi_axes": np.array([0.1, 0.2, 0.3]), "n": 50, "seed": 0}),
         "plane": Call(simulate.plane, {"sides": np.array([0.1, 0.2]), "n": 50, "seed": 0, "two_sided": True}),
         "random_motion": Call(
             lambda **given: simulate.random_motion(**given, rng=seeded(0)),
-            {"turn_deg": 5.0, "shift": 0.1, "axis": np.array([1.0, 0.0, 0.0]), "center": np.zeros(3)},
+            {"angle_deg": 5.0, "distance": 0.1, "axis": np.array([1.0, 0.0, 0.0]), "center": np.zeros(3)},
         ),
         "simulate_matches": Call(
             lambda **given: simulate.simulate_matches(**given, rng=seeded(0)),
@@ -388,19 +405,19 @@ def calls() -> dict[str, Call]:
                 "outlier_kind": "uniform",
                 "other_motion": motion,
                 "occlusion": 0.1,
-                "dead": ["cam_0"],
+                "without_matches": ["cam_0"],
                 "junk": ["cam_1"],
                 "start": motion,
                 "orthographic": False,
             },
             40,
-            said="no camera",
+            message_pattern="no camera",
         ),
     }
 
 
 def public() -> set[str]:
-    """All functions, constructors that look at what they are given, and methods."""
+    """Return the names of all functions, constructors that validate their arguments, and methods."""
     found = {function.__name__ for function in MORE}
     for name in sylpose.__all__:
         thing = getattr(sylpose, name)
@@ -409,7 +426,7 @@ def public() -> set[str]:
             continue
         if issubclass(thing, (enum.Enum, Exception)) or getattr(thing, "_is_protocol", False):
             continue
-        # Records hold what functions put into them; those that check have a __post_init__, or a constructor of their own.
+        # Plain records are filled by functions; those that validate have a __post_init__ or a constructor.
         written = thing.__dict__.get("__init__")
         if "__post_init__" in vars(thing) or (written is not None and written.__code__.co_filename != "<string>"):
             found.add(name)
@@ -419,30 +436,30 @@ def public() -> set[str]:
     return found
 
 
-def test_every_public_function_is_called() -> None:
-    missing = public() - set(calls()) - set(ELSEWHERE)
+def test_every_public_function_is_covered() -> None:
+    missing = public() - set(calls()) - set(NOT_CALLED)
     assert not missing
-    assert not (set(calls()) | set(ELSEWHERE)) - public()
+    assert not (set(calls()) | set(NOT_CALLED)) - public()
 
 
-def complaint(call: Call, error: Exception) -> str | None:
-    """What is wrong with a refusal."""
-    said = str(error)
+def find_error_problem(call: Call, error: Exception) -> str | None:
+    """Return what is wrong with an error, or None."""
+    text = str(error)
     if type(error) not in (ValueError, TypeError, sylpose.SingularSylvesterError, KeyError):
-        return f"{type(error).__name__}: {said[:200]}"
-    # What a singular equation does not see is part of the sentence.
-    if not said.isprintable() or len(said) > (600 if isinstance(error, sylpose.SingularSylvesterError) else 300):
-        return f"no short line: {said[:400]!r}"
+        return f"{type(error).__name__}: {text[:200]}"
+    # The message of a singular equation includes the unobservable directions.
+    if not text.isprintable() or len(text) > (600 if isinstance(error, sylpose.SingularSylvesterError) else 300):
+        return f"no short line: {text[:400]!r}"
     names = "|".join(rf"\b{re.escape(name)}\b" for name in call.arguments)
-    if not re.search(f"{names}|{call.said}", said):
-        return f"no argument's name: {type(error).__name__}: {said}"
+    if not re.search(f"{names}|{call.message_pattern}", text):
+        return f"no argument's name: {type(error).__name__}: {text}"
     return None
 
 
-def dishonest(found: Any, nan: bool) -> str | None:
-    """What is wrong with an answer."""
+def find_result_problem(found: Any, nan: bool) -> str | None:
+    """Return what is wrong with a result, or None."""
     if isinstance(found, (list, tuple)):
-        return next((why for part in found if (why := dishonest(part, nan))), None)
+        return next((why for part in found if (why := find_result_problem(part, nan))), None)
     if isinstance(found, np.ndarray) and found.dtype.kind == "f" and not nan and not np.isfinite(found).all():
         return "numbers that are not finite"
     if isinstance(found, RigidTransform) and not np.isfinite(found.as_matrix()).all():
@@ -455,33 +472,35 @@ def dishonest(found: Any, nan: bool) -> str | None:
         if hasattr(found, "motion"):
             if found.motion is None:
                 return "OK without a motion"
-            return dishonest(found.motion, nan)
+            return find_result_problem(found.motion, nan)
         if isinstance(found, RotationEstimate) and abs(np.linalg.det(found.rotation) - 1) > 1e-6:
             return "OK with no rotation"
     return None
 
 
-def verdicts(name: str, most: int | None = None) -> list[str]:
-    """What is wrong with a function, by argument and change."""
+def find_problems(name: str, most: int | None = None) -> list[str]:
+    """Return the problems of a function, by argument and mutation."""
     call, out = calls()[name], []
     for argument, value in call.arguments.items():
         changes = list(mutations(value))
         rng = np.random.default_rng([SEED, *argument.encode()])
-        if len(changes) > (call.most if most is None else most):
-            changes = [changes[k] for k in rng.permutation(len(changes))[: call.most if most is None else most]]
+        if len(changes) > (call.max_mutations if most is None else most):
+            changes = [
+                changes[k] for k in rng.permutation(len(changes))[: call.max_mutations if most is None else most]
+            ]
         for what, wrong in changes:
             given = {**call.arguments, argument: wrong}
-            before = copied(given[argument])
+            before = copy_arrays(given[argument])
             why = None
             try:
                 with warnings.catch_warnings():
                     warnings.simplefilter("error")
-                    why = dishonest(call.function(**given), call.nan)
+                    why = find_result_problem(call.function(**given), call.nan)
             except (KeyboardInterrupt, MemoryError):
                 raise
             except Exception as error:
-                why = complaint(call, error)
-            if why is None and not same(before, given[argument]):
+                why = find_error_problem(call, error)
+            if why is None and not is_unchanged(before, given[argument]):
                 why = "the argument was changed"
             if why is not None:
                 out.append(f"{name}({argument}: {what}): {why}")
@@ -489,11 +508,11 @@ def verdicts(name: str, most: int | None = None) -> list[str]:
 
 
 @pytest.mark.parametrize("name", calls())
-def test_valid_calls_are_answered(name: str) -> None:
+def test_valid_calls_succeed(name: str) -> None:
     call = calls()[name]
-    assert dishonest(call.function(**call.arguments), call.nan) is None
+    assert find_result_problem(call.function(**call.arguments), call.nan) is None
 
 
 @pytest.mark.parametrize("name", calls())
-def test_wrong_arguments_are_named_or_answered_honestly(name: str) -> None:
-    assert not verdicts(name)
+def test_wrong_arguments_are_rejected_by_name(name: str) -> None:
+    assert not find_problems(name)

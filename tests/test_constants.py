@@ -1,4 +1,4 @@
-"""Every constant says where it comes from: (derived), (chi-squared), (measured: where) or (choice)."""
+"""Comments of constants state their origin: (derived), (chi-squared), (measured: where) or (choice)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 SOURCE = Path(__file__).parents[1] / "src" / "sylpose"
-# Rooms in which it holds.
+# Packages in which this is required.
 ROOMS = (
     "geometry",
     "relative_pose",
@@ -24,10 +24,9 @@ ORIGIN = re.compile(r"\((derived|chi-squared|measured|choice)\b")
 
 
 def constants_of(path: Path) -> list[tuple[str, str]]:
-    """Names of a module's constants with numbers in them, each with the comments above it up to other code,
-    and beside it.
+    """Return a module's numeric constants, each with the comments above it and on its line.
 
-    Constants that follow each other without a comment between them share one.
+    Consecutive constants without a comment between them share one.
     """
     text = path.read_text(encoding="utf-8")
     lines, found = text.splitlines(), []
@@ -51,7 +50,7 @@ def constants_of(path: Path) -> list[tuple[str, str]]:
 
 
 @pytest.mark.parametrize("room", ROOMS)
-def test_every_constant_says_where_it_comes_from(room: str) -> None:
+def test_constants_state_their_origin(room: str) -> None:
     modules = sorted((SOURCE / room).rglob("*.py"))
     found = [(f"{path.name}: {names}", comment) for path in modules for names, comment in constants_of(path)]
     assert found

@@ -1,4 +1,4 @@
-"""The examples run on a simulated recording and say what they should."""
+"""The examples run on a simulated recording and print the expected output."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ def test_track_videos(recording: Path, monkeypatch: pytest.MonkeyPatch, capsys: 
     assert lines[-1].startswith("  0.367 s")
 
 
-def test_track_videos_asks_for_a_recording(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_track_videos_requires_a_recording(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, match=r"usage: python examples/track_videos\.py RECORDING"):
         run_example("track_videos.py", [], monkeypatch, capsys)
 
 
 def test_own_arrays(recording: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     lines = run_example("own_arrays.py", [str(recording)], monkeypatch, capsys)
-    assert lines.count("Motion: ok. Everything that was asked for was found.") == 3
+    assert lines.count("Motion: ok. The estimate converged and every requested quantity is observable.") == 3
     assert sum("360 bytes" in line for line in lines) == 3

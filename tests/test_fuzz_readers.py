@@ -1,5 +1,7 @@
-"""Files that were damaged or mean ill: a result or one sentence, never anything else (SECURITY.md). 100,000 of them:
-benchmarks/fuzz.py."""
+"""Damaged or malicious files: a result or a one-line error, nothing else (SECURITY.md).
+
+benchmarks/fuzz.py runs 100,000 of them.
+"""
 
 from __future__ import annotations
 
@@ -7,49 +9,58 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.fuzz import ALLOWED, Kind, Verdict, case, isolated, kinds, run_batch, verdict
+from benchmarks.fuzz import (
+    ALLOWED,
+    Kind,
+    Verdict,
+    make_case,
+    make_kinds,
+    read_and_classify,
+    run_batch,
+    run_isolated_batch,
+)
 
 CASES = 25
 
 
-@pytest.mark.parametrize("name", kinds())
-def test_whole_files_are_read(name: str, tmp_path: Path) -> None:
-    kind = kinds()[name]
-    for whole in kind.whole:
+@pytest.mark.parametrize("name", make_kinds())
+def test_intact_files_are_read(name: str, tmp_path: Path) -> None:
+    kind = make_kinds()[name]
+    for whole in kind.samples:
         file = tmp_path / kind.name
         file.write_bytes(whole)
-        found = verdict(kind, file)
-        # What the manifests name is not there.
-        assert found.word == ("sentence" if "manifest" in name else "result"), found.said
+        found = read_and_classify(kind, file)
+        # The files that the manifests refer to do not exist.
+        assert found.outcome == ("sentence" if "manifest" in name else "result"), found.message
 
 
-@pytest.mark.parametrize("name", kinds())
-def test_changed_files_are_read_or_refused(name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", make_kinds())
+def test_changed_files_are_read_or_rejected(name: str, tmp_path: Path) -> None:
     found = list(run_batch(name, range(10**6, 10**6 + CASES), tmp_path))
-    wrong = [(seed, told) for seed, told in found if told.word not in ALLOWED]
+    wrong = [(seed, reported) for seed, reported in found if reported.outcome not in ALLOWED]
     assert not wrong
     assert len(found) == CASES
 
 
 def test_cases_are_seeded() -> None:
-    assert case("yaml", 7) == case("yaml", 7)
-    assert len({case("yaml", seed) for seed in range(20)}) > 15
+    assert make_case("yaml", 7) == make_case("yaml", 7)
+    assert len({make_case("yaml", seed) for seed in range(20)}) > 15
 
 
-def test_what_is_not_allowed_is_seen(tmp_path: Path) -> None:
-    def read(said: str) -> Verdict:
+def test_forbidden_outcomes_are_detected(tmp_path: Path) -> None:
+    def read(text: str) -> Verdict:
         def fail(path: Path) -> None:
-            raise ValueError(said.format(path))
+            raise ValueError(text.format(path))
 
-        return verdict(Kind("a.toml", (), fail), tmp_path / "a.toml")
+        return read_and_classify(Kind("a.toml", (), fail), tmp_path / "a.toml")
 
-    assert read("{}: wrong").word == "sentence"
-    assert read("wrong").word == "without the file's name"
-    assert read("{}: wr\nong").word == "no line"
-    assert read("{}: " + 1000 * "wrong").word == "no line"
+    assert read("{}: wrong").outcome == "sentence"
+    assert read("wrong").outcome == "without the file's name"
+    assert read("{}: wr\nong").outcome == "no line"
+    assert read("{}: " + 1000 * "wrong").outcome == "no line"
     nothing: dict[str, int] = {}
-    assert verdict(Kind("a", (), lambda _: nothing["a"]), tmp_path / "a").word == "KeyError"
+    assert read_and_classify(Kind("a", (), lambda _: nothing["a"]), tmp_path / "a").outcome == "KeyError"
 
 
-def test_batches_have_a_process_of_their_own() -> None:
-    assert [seed for seed, _ in isolated("offsets", range(3, 6))] == [3, 4, 5]
+def test_batches_run_in_separate_processes() -> None:
+    assert [seed for seed, _ in run_isolated_batch("offsets", range(3, 6))] == [3, 4, 5]

@@ -1,8 +1,10 @@
-"""What may import what (docs/map.md), no circles, and no module too long to be read at a sitting."""
+"""Allowed imports between packages (docs/map.md), no cycles, and a limit on module length."""
 
 from __future__ import annotations
 
 import ast
+import io
+import tokenize
 from collections.abc import Iterator
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
@@ -13,7 +15,8 @@ import pytest
 from tests.paths import REPOSITORY
 
 SOURCE = REPOSITORY / "src"
-MAX_LINES = 400
+# Lines of code: without docstrings, comments and blank lines.
+MAX_CODE_LINES = 420
 
 NOUNS = {
     "geometry",
@@ -33,7 +36,7 @@ NOUNS = {
 PARTS = {"sylvester", "absolute_pose", "features"}
 FILES = {"atomic_io"}  # for whoever writes any
 ESTIMATORS = PARTS | {"relative_pose", "landmarks", "bundle_adjustment", "tracking", "smoothing"}
-# By room (the files at the root are rooms of one): what it may import besides itself.
+# Allowed imports of each package besides itself (files at the root count as packages).
 ALLOWED: dict[str, set[str]] = {
     "geometry": set(),
     **dict.fromkeys(NOUNS - {"geometry", "input_limits"}, NOUNS),
@@ -54,16 +57,18 @@ ALLOWED: dict[str, set[str]] = {
     "sync": NOUNS | {"capture"},
     "experiments": NOUNS | {"sylvester", "simulate", "report"},
     "network": NOUNS | PARTS | FILES | {"relative_pose", "landmarks", "tracking", "smoothing"},
-    # Its results say which version made them.
+    # Its results contain the version that made them.
     "archive": {""} | NOUNS | {"calibration", "capture", "sync", "report", "simulate", "app"},
 }
-# Where images are worked on, or read and written.
+# Where images are processed, read or written.
 SEES_IMAGES = {"rig", "features", "boards", "tracking.region", "sync", "calibration", "capture", "report", "simulate"}
 
 
 @cache
 def modules() -> dict[str, Path]:
-    """All modules by their names within the package; a room's `__init__` has the room's, the package's own is ""."""
+    """Return all modules by their names within the package; a folder's `__init__` has the folder's name, the package's
+    has
+    ""."""
     found = {}
     for path in sorted((SOURCE / "sylpose").rglob("*.py")):
         parts = path.relative_to(SOURCE / "sylpose").with_suffix("").parts
@@ -73,7 +78,7 @@ def modules() -> dict[str, Path]:
 
 @cache
 def imports(module: str) -> dict[str, bool]:
-    """What a module imports, inside functions too: full names, and whether a type checker alone does."""
+    """Return the full names that a module imports, also inside functions, and whether only for type checkers."""
     tree = ast.parse(modules()[module].read_text(encoding="utf-8"))
     for_types = {
         id(node)
@@ -97,7 +102,7 @@ def imports(module: str) -> dict[str, bool]:
 
 
 def imported_modules(module: str, types: bool) -> Iterator[str]:
-    """The modules of the package that a module imports, with those that it needs for its types only or without them."""
+    """Return the modules of the package that a module imports, with or without those for type annotations only."""
     for name, for_types in imports(module).items():
         first, _, rest = name.partition(".")
         if first == "sylpose" and (types or not for_types):
@@ -111,12 +116,12 @@ def room_of(module: str) -> str:
 INNER = [m for m in modules() if m not in ("", "__main__") and room_of(m) not in ("app", "cli")]
 
 
-def test_every_room_has_its_place() -> None:
+def test_every_package_has_a_layer() -> None:
     assert {room_of(m) for m in INNER} == set(ALLOWED)
 
 
 @pytest.mark.parametrize("room", sorted(ALLOWED))
-def test_rooms_import_only_what_stands_above_them(room: str) -> None:
+def test_packages_import_only_allowed_layers(room: str) -> None:
     wrong = [
         f"{module} imports {other or 'sylpose itself'}"
         for module in INNER
@@ -128,7 +133,7 @@ def test_rooms_import_only_what_stands_above_them(room: str) -> None:
 
 
 def test_no_estimator_reads_writes_or_simulates() -> None:
-    """Follows from the table above, which must not be relaxed so."""
+    """Follows from the table above, which must not be relaxed in this way."""
     for room in ESTIMATORS:
         assert not ALLOWED[room] & {
             "atomic_io",
@@ -144,7 +149,7 @@ def test_no_estimator_reads_writes_or_simulates() -> None:
         }
 
 
-def test_images_are_seen_in_few_places() -> None:
+def test_few_packages_process_images() -> None:
     wrong = [
         module
         for module in modules()
@@ -154,14 +159,14 @@ def test_images_are_seen_in_few_places() -> None:
     assert not wrong
 
 
-def test_there_are_no_circles() -> None:
-    """Neither of modules, whatever is loaded late, nor of rooms."""
+def test_no_import_cycles() -> None:
+    """Neither between modules, including deferred imports, nor between packages."""
     of_modules = {m: set(imported_modules(m, types=True)) - {m} for m in modules() if m}
     of_rooms: dict[str, set[str]] = {}
     for module, others in of_modules.items():
         of_rooms.setdefault(room_of(module), set()).update({room_of(o) for o in others} - {room_of(module), ""})
     for graph in (of_modules, of_rooms):
-        # The package's own file loads the public names when they are asked for; those that import it want the version.
+        # The package's `__init__` imports the public names lazily; modules that import it need the version.
         kept = {module: others - {""} for module, others in graph.items()}
         try:
             TopologicalSorter(kept).prepare()
@@ -169,6 +174,20 @@ def test_there_are_no_circles() -> None:
             pytest.fail(" -> ".join(error.args[1]))
 
 
+def code_lines(path: Path) -> int:
+    """Count the lines that have code: docstrings, comments and blank lines are free."""
+    text = path.read_text(encoding="utf-8")
+    documented: set[int] = set()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+            documented.update(range(node.lineno, (node.end_lineno or node.lineno) + 1))
+    ignored = (tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER)
+    used: set[int] = set()
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type not in ignored:
+            used.update(range(token.start[0], token.end[0] + 1))
+    return len(used - documented)
+
+
 def test_no_module_is_too_long() -> None:
-    long = {m for m, path in modules().items() if len(path.read_text(encoding="utf-8").splitlines()) > MAX_LINES}
-    assert long == set()
+    assert {name for name, path in modules().items() if code_lines(path) > MAX_CODE_LINES} == set()

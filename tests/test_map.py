@@ -1,4 +1,4 @@
-"""docs/map.md: every module has its line and every line its module; what is said of functions and constants is so."""
+"""docs/map.md: it lists every module, and what it states about functions and constants is correct."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ def section(title: str) -> str:
 
 
 def rows(title: str) -> list[list[str]]:
-    """The cells of a section's table, without its header."""
+    """Return the cells of a section's table, without its header."""
     lines = [line for line in section(title).splitlines() if line.startswith("|")]
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
 
 
 def mapped() -> dict[str, str]:
-    """The tree's files by path: their lines. A folder stands for its `__init__.py`."""
+    """Return the tree's files by path, with their lines. A folder represents its `__init__.py`."""
     found: dict[str, str] = {}
     folders: list[str] = []
     for line in section("The tree").partition("src/sylpose/\n")[2].partition("```")[0].splitlines():
@@ -42,7 +42,7 @@ def mapped() -> dict[str, str]:
 
 
 def names_of(path: Path) -> set[str]:
-    """What a module defines at its top."""
+    """Return the names that a module defines at top level."""
     names: set[str] = set()
     for node in ast.parse(path.read_text(encoding="utf-8")).body:
         if isinstance(node, ast.FunctionDef | ast.ClassDef):
@@ -52,26 +52,26 @@ def names_of(path: Path) -> set[str]:
     return names
 
 
-def test_every_module_has_a_line_and_every_line_a_module() -> None:
+def test_map_lists_every_module() -> None:
     files = {path.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*.py")}
     assert files == set(mapped())
 
 
-def test_lines_are_short_and_in_columns() -> None:
+def test_lines_are_short_and_aligned() -> None:
     for path, line in mapped().items():
         assert len(line) <= 110, path
 
 
-def test_what_is_said_to_be_in_a_file_is_there() -> None:
-    said = re.findall(r"`([\w/]+\.py)` \(((?:`\w+`(?:, )?)+)\)", MAP)
-    assert len(said) > 25
-    for file, names in said:
+def test_names_are_defined_in_their_files() -> None:
+    text = re.findall(r"`([\w/]+\.py)` \(((?:`\w+`(?:, )?)+)\)", MAP)
+    assert len(text) > 25
+    for file, names in text:
         assert set(re.findall(r"\w+", names)) <= names_of(PACKAGE / file), file
 
 
 @pytest.mark.parametrize("title", ["How to choose an estimator", "Many problems at once"])
-def test_public_functions_are_called_so(title: str) -> None:
-    """Names alone are public ones, or of the file that is named beside them."""
+def test_public_functions_exist(title: str) -> None:
+    """Unqualified names are public, or defined in the file that is named next to them."""
     for row in rows(title):
         cell = row[1] if title.startswith("How") else row[0]
         if ".py" not in cell:
@@ -81,24 +81,24 @@ def test_public_functions_are_called_so(title: str) -> None:
     assert missing <= set(re.findall(r"`(\w+)`", section(title))) | {"solve_centralized"}
 
 
-def test_the_loops_have_the_constants_that_are_said() -> None:
-    said = 0
+def test_loops_have_the_stated_constants() -> None:
+    text = 0
     for row in rows("The loops"):
         own = re.findall(r"`([\w/]+)\.py`", row[0])[0]
         for name, value, elsewhere in re.findall(r"`([A-Z_]+) = ([\d.e-]+)`(?: of `([\w/]+)\.py`)?", " ".join(row)):
             module = import_module(f"sylpose.{(elsewhere or own).replace('/', '.')}")
             assert getattr(module, name) == pytest.approx(float(value)), f"{module.__name__}.{name}"
-            said += 1
-    assert said > 12
+            text += 1
+    assert text > 12
 
 
-def test_the_story_is_told_once_more_in_each_docstring() -> None:
-    """The package's docstring says where the map is, and each room's says something."""
+def test_packages_have_docstrings() -> None:
+    """The package's docstring refers to the map, and each package has a docstring."""
     assert "docs/map.md" in (sylpose.__doc__ or "")
     for path in PACKAGE.rglob("__init__.py"):
         assert ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))), path
 
 
 @pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md"])
-def test_the_map_is_linked(page: str) -> None:
+def test_map_is_linked(page: str) -> None:
     assert "(docs/map.md)" in (REPOSITORY / page).read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""The table of methods: what it says is so, and docs/choosing.md and `--help` say the same."""
+"""Table of the methods: it agrees with the code, docs/choosing.md and `--help`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,16 @@ import pytest
 
 import sylpose
 from sylpose.cli import main
-from sylpose.methods import FEATURES, METHODS, MOTION_METHODS, PAPER_METHODS, TABLE, Method, features_of, summary
+from sylpose.methods import (
+    FEATURES,
+    METHODS,
+    MOTION_METHODS,
+    PAPER_METHODS,
+    TABLE,
+    Method,
+    format_methods_table,
+    resolve_features,
+)
 from sylpose.relative_pose import motion
 from sylpose.relative_pose.sylvester_methods import ESTIMATORS
 from sylpose.results import FrameStatus
@@ -20,7 +29,7 @@ from tests.conftest import FRAMES
 from tests.paths import REPOSITORY
 
 
-def test_the_code_has_the_methods_of_the_table() -> None:
+def test_code_has_the_methods_of_the_table() -> None:
     assert len(set(METHODS)) == len(TABLE)
     assert tuple(SOLVERS) == METHODS
     assert tuple(ESTIMATORS) == PAPER_METHODS
@@ -33,61 +42,61 @@ def test_the_code_has_the_methods_of_the_table() -> None:
 
 
 @pytest.mark.parametrize("method", TABLE, ids=METHODS)
-def test_the_function_is_there(method: Method) -> None:
+def test_function_exists(method: Method) -> None:
     module, _, name = method.function.rpartition(".")
     loaded = import_module(f"sylpose.{module}")
     assert name in loaded.__all__
     assert callable(getattr(loaded, name))
 
 
-def test_the_documentation_has_the_table() -> None:
+def test_documentation_has_the_table() -> None:
     text = (REPOSITORY / "docs" / "choosing.md").read_text(encoding="utf-8")
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines() if line[:3] == "| `"]
-    said = [[cell.replace(" (default)", "").strip("`") for cell in row[:4]] for row in rows if len(row) == 5][1:]
-    assert said == [[m.name, m.needs, m.gives, ", ".join(m.features)] for m in TABLE]
+    message = [[cell.replace(" (default)", "").strip("`") for cell in row[:4]] for row in rows if len(row) == 5][1:]
+    assert message == [[m.name, m.inputs, m.output, ", ".join(m.features)] for m in TABLE]
 
 
 def test_help_has_the_table(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["track", "--help"]) == 0
     printed = capsys.readouterr().out
-    for line in summary().splitlines():
+    for line in format_methods_table().splitlines():
         assert len(line) < 78
         assert f"  {line}\n" in printed
-    assert [line.split()[0] for line in summary().splitlines()[1:]] == list(METHODS)
+    assert [line.split()[0] for line in format_methods_table().splitlines()[1:]] == list(METHODS)
 
 
 @pytest.mark.parametrize("method", TABLE, ids=METHODS)
-def test_features_that_a_method_cannot_use_are_refused(method: Method, recording: Path) -> None:
+def test_unsupported_features_are_rejected(method: Method, recording: Path) -> None:
     session = sylpose.open_session(recording)
-    assert features_of(method.name, "auto") == method.features[0]
+    assert resolve_features(method.name, "auto") == method.features[0]
     for features in ("sift", "klt"):
         if features in method.features:
-            assert features_of(method.name, features) == features
+            assert resolve_features(method.name, features) == features
         else:
-            with pytest.raises(ValueError, match=f"features: '{features}' is of no use to the method '{method.name}'"):
+            with pytest.raises(ValueError, match=f"features: '{features}' does not suit the method '{method.name}'"):
                 Tracker(session.rig, method=method.name, features=features)
             with pytest.raises(ValueError, match=f"features: '{features}'"):
                 sylpose.track_session(session, method=method.name, features=features)
     assert not (recording / "sylpose").exists()
 
 
-def test_wrong_choices_are_named() -> None:
+def test_invalid_choices_are_named() -> None:
     with pytest.raises(ValueError, match="method: 'magic' is not one of landmarks, epipolar"):
-        features_of("magic", "auto")
+        resolve_features("magic", "auto")
     with pytest.raises(ValueError, match="features: 'surf' is not one of auto, sift, klt"):
-        features_of("landmarks", "surf")
+        resolve_features("landmarks", "surf")
 
 
-def test_the_command_line_refuses_in_one_sentence(capsys: pytest.CaptureFixture[str], recording: Path) -> None:
+def test_command_line_rejects_in_one_line(capsys: pytest.CaptureFixture[str], recording: Path) -> None:
     assert main(["track", str(recording), "--method", "depth-plane", "--features", "klt"]) == 2
-    said = capsys.readouterr()
-    assert not said.out
-    assert said.err.count("\n") == 1
-    assert "depth-plane" in said.err
+    text = capsys.readouterr()
+    assert not text.out
+    assert text.err.count("\n") == 1
+    assert "depth-plane" in text.err
 
 
 @pytest.mark.parametrize(("method", "features"), [(m.name, features) for m in TABLE for features in m.features[1:]])
-def test_other_features_than_the_default_serve(method: str, features: str, recording: Path) -> None:
+def test_non_default_features(method: str, features: str, recording: Path) -> None:
     """The defaults: tests/tracking/test_tracker.py."""
     session = sylpose.open_session(recording)
     frames = sylpose.track(session.frames(), session.rig, session.boxes, method=method, features=features)

@@ -1,4 +1,4 @@
-"""Pair moments, against their definition."""
+"""Pair moments against their definition."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def homogeneous(points: FloatArray) -> FloatArray:
 
 
 def naive(x: FloatArray, y: FloatArray, w: FloatArray) -> FloatArray:
-    """The definition, index by index."""
+    """Compute the definition, index by index."""
     m = np.zeros((9, 9))
     for xi, yi, wi in zip(homogeneous(x), homogeneous(y), w, strict=True):
         for a, b, c, d in np.ndindex(3, 3, 3, 3):
@@ -65,10 +65,10 @@ def test_sum_is_union(seed: int, n: int, split: int) -> None:
     np.testing.assert_allclose(parts.matrix, PairMoments.from_matches(x, y, w).matrix, atol=1e-12, rtol=1e-12)
 
 
-def test_weighted_moments_are_those_of_weighted_matches() -> None:
+def test_scaled_moments_equal_moments_of_scaled_weights() -> None:
     x, y = np.random.default_rng(0).standard_normal((2, 20, 2))
     expected = PairMoments.from_matches(x, y, np.full(20, 0.3))
-    np.testing.assert_allclose(PairMoments.from_matches(x, y).weighted(0.3).matrix, expected.matrix, rtol=1e-13)
+    np.testing.assert_allclose(PairMoments.from_matches(x, y).scale_weights(0.3).matrix, expected.matrix, rtol=1e-13)
 
 
 def test_zero_is_neutral() -> None:
@@ -108,7 +108,7 @@ def test_means_and_second_moments(seed: int, n: int) -> None:
         np.testing.assert_allclose(got, expected, atol=1e-9)
 
 
-def test_second_moments_are_numpys() -> None:
+def test_second_moments_match_numpy() -> None:
     x, y, _ = matches(3, 40)
     m = PairMoments.from_matches(x, y)
     cov = np.cov(np.column_stack([x, y]).T, bias=True) * 40
@@ -119,11 +119,11 @@ def test_second_moments_are_numpys() -> None:
 
 @settings(max_examples=25, deadline=None)
 @given(seed=seeds, n=counts)
-def test_transformed_are_the_moments_of_transformed_rays(seed: int, n: int) -> None:
+def test_transform_equals_moments_of_transformed_rays(seed: int, n: int) -> None:
     x, y, w = matches(seed, n)
     a = np.random.default_rng(seed).normal(size=(3, 3))
     direct = PairMoments.from_matches(homogeneous(x) @ a.T, homogeneous(y) @ a.T, w)
-    got = PairMoments.from_matches(x, y, w).transformed(a).matrix
+    got = PairMoments.from_matches(x, y, w).transform(a).matrix
     np.testing.assert_allclose(got, direct.matrix, atol=1e-10 * (1 + np.abs(direct.matrix).max()))
 
 

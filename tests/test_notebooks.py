@@ -1,4 +1,4 @@
-"""The notebooks run, and show what is kept in them."""
+"""The notebooks run, and reproduce their stored output."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ import pytest
 from pages.notebooks import NOTEBOOKS, as_markdown, read, run, source_of
 from tests.paths import REPOSITORY
 
-# Bytes that a notebook with its pictures may have.
+# Largest size of a notebook with its pictures, bytes.
 MOST = 250_000
 
 
 def text_of(outputs: list[dict[str, Any]]) -> str:
-    """What is shown as text, with one space wherever there are some."""
-    said: list[str] = []
+    """Return the text output, with runs of spaces collapsed."""
+    text: list[str] = []
     for output in outputs:
         data = output.get("data", {"text/plain": output.get("text", [])})
-        said += data["text/plain"] if not any(kind.startswith("image/") for kind in data) else ["a picture"]
-    return " ".join("".join(said).split())
+        text += data["text/plain"] if not any(kind.startswith("image/") for kind in data) else ["a picture"]
+    return " ".join("".join(text).split())
 
 
 def words_of(text: str) -> str:
-    """It without its numbers, and without the spaces, of which there are as many as numbers leave."""
+    """Return the text without numbers and spaces, whose count depends on the numbers."""
     return "".join(NUMBER.sub("#", text).split())
 
 
@@ -35,24 +35,24 @@ NUMBER = re.compile(r"-?\d+\.?\d*(?:e[-+]?\d+)?")
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=[path.stem for path in NOTEBOOKS])
-def test_a_notebook_runs_and_shows_what_is_kept_in_it(path: Path) -> None:
+def test_notebook_reproduces_stored_output(path: Path) -> None:
     notebook = read(path)
     for number, (cell, shown) in enumerate(zip(notebook["cells"], run(notebook), strict=True)):
         if cell["cell_type"] != "code":
             continue
         kept, found = text_of(cell["outputs"]), text_of(shown)
-        # The words are the same; numbers may differ as much as another machine's arithmetic makes them.
+        # The words must be equal; numbers may differ by the arithmetic of another machine.
         assert words_of(found) == words_of(kept), f"cell {number}: run python -m pages.notebooks"
         numbers, before = ([float(n) for n in NUMBER.findall(text)] for text in (found, kept))
         np.testing.assert_allclose(numbers, before, rtol=0.5, atol=0.3, err_msg=f"cell {number}")
 
 
-def test_there_are_some() -> None:
+def test_notebooks_exist() -> None:
     assert len(NOTEBOOKS) >= 4
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=[path.stem for path in NOTEBOOKS])
-def test_a_notebook_is_one_that_can_be_opened(path: Path) -> None:
+def test_notebook_is_valid(path: Path) -> None:
     notebook = read(path)
     assert (notebook["nbformat"], notebook["nbformat_minor"]) == (4, 5)
     assert notebook["metadata"]["kernelspec"]["name"] == "python3"
@@ -65,12 +65,12 @@ def test_a_notebook_is_one_that_can_be_opened(path: Path) -> None:
         if cell["cell_type"] == "code":
             assert cell["execution_count"] is None
             assert {output["output_type"] for output in cell["outputs"]} <= {"stream", "execute_result"}
-    # As it is written by `python -m pages.notebooks`, whoever changed it.
+    # Formatted as by `python -m pages.notebooks`, whichever program changed it.
     assert path.read_text(encoding="utf-8") == json.dumps(notebook, indent=1, ensure_ascii=False, sort_keys=True) + "\n"
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=[path.stem for path in NOTEBOOKS])
-def test_links_of_a_notebook_lead_somewhere(path: Path) -> None:
+def test_notebook_links_exist(path: Path) -> None:
     prose = "\n".join(source_of(cell) for cell in read(path)["cells"] if cell["cell_type"] == "markdown")
     for target in re.findall(r"\]\(([^)\s]+)\)", prose):
         file, _, anchor = target.partition("#")
@@ -82,7 +82,7 @@ def test_links_of_a_notebook_lead_somewhere(path: Path) -> None:
             assert anchor in {re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in headings}, target
 
 
-def test_as_a_page_it_has_code_texts_and_pictures(tmp_path: Path) -> None:
+def test_notebook_page_has_code_text_and_pictures(tmp_path: Path) -> None:
     (path,) = (path for path in NOTEBOOKS if path.stem == "first_steps")
     page = as_markdown(path, tmp_path / "pictures")
     assert page.startswith("# First steps")

@@ -1,4 +1,4 @@
-"""The documentation's site: every page has its place, every link leads somewhere, every public name is described."""
+"""Documentation site: every page is in the navigation, every link is valid, every public name is described."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import sylpose
 from pages import api, build, gallery
 from tests.paths import REPOSITORY
 
-# Bytes that a picture of the gallery may have.
+# Largest size of a gallery picture, bytes.
 MOST = 150_000
 
 
@@ -33,30 +33,31 @@ def anchors(page: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in re.findall(r"(?m)^#+ (.*)$", prose(page))}
 
 
-def test_every_page_has_one_place() -> None:
+def test_every_page_is_listed_once() -> None:
     placed = [page for _, pages in build.navigation() for page in pages]
     assert len(placed) == len(set(placed))
-    docs = {path.stem for path in (REPOSITORY / "docs").glob("*.md")}
+    folder = REPOSITORY / "docs"
+    docs = {path.relative_to(folder).with_suffix("").as_posix() for path in folder.rglob("*.md")}
     notebooks = {f"notebooks/{path.stem}" for path in (REPOSITORY / "examples" / "notebooks").glob("*.ipynb")}
     assert docs | notebooks | {"api", "contributing", "changelog"} <= set(placed)
     assert "index" not in placed
 
 
-def test_a_page_that_is_not_in_the_list_comes_last(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unlisted_page_comes_last(monkeypatch: pytest.MonkeyPatch) -> None:
     known = build.sources()
     monkeypatch.setattr(build, "sources", lambda: {**known, "new": REPOSITORY / "docs" / "new.md"})
     title, pages = build.navigation()[-1]
     assert (title, pages[-1]) == ("More", "new")
 
 
-def test_a_page_is_listed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_duplicate_page_is_rejected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "nav.toml").write_text('[[section]]\ntitle = "A"\npages = ["live", "sync", "live"]\n')
     monkeypatch.setattr(build, "NAV", tmp_path / "nav.toml")
     with pytest.raises(ValueError, match=r"nav\.toml: live twice"):
         build.navigation()
 
 
-def test_links_lead_somewhere_where_the_pages_lie(staged: Path) -> None:
+def test_staged_links_exist(staged: Path) -> None:
     count = 0
     for page in staged.rglob("*.md"):
         for target in re.findall(r"\]\(([^)\s]+)\)", prose(page)):
@@ -73,7 +74,7 @@ def test_links_lead_somewhere_where_the_pages_lie(staged: Path) -> None:
     assert (staged / "files" / "examples" / "listen.py").is_file()
 
 
-def test_a_link_to_what_is_not_there_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_broken_link_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     page = REPOSITORY / "docs" / "live.md"
     for target in ("nowhere.md", "../../../etc/hostname"):
         monkeypatch.setattr(
@@ -88,7 +89,7 @@ def test_a_link_to_what_is_not_there_is_named(tmp_path: Path, monkeypatch: pytes
 
 
 def entry(name: str) -> str:
-    """What the page says of one name."""
+    """Return the page's text on one name."""
     return re.split(r"(?m)^##+ ", api.markdown().partition(f"\n### {name}\n")[2], maxsplit=1)[0]
 
 
@@ -99,44 +100,44 @@ def test_every_public_name_is_in_one_group() -> None:
 
 @pytest.mark.parametrize("name", sylpose.__all__)
 def test_every_public_name_is_described(name: str) -> None:
-    said, thing = entry(name), getattr(sylpose, name)
+    text, thing = entry(name), getattr(sylpose, name)
     first = (inspect.getdoc(thing) or "").splitlines()[0]
     assert first
-    assert first in re.sub(r"\[(`\w+`)\]\(#\w+\)", r"\1", said)
-    assert said.count("```") % 2 == 0
+    assert first in re.sub(r"\[(`\w+`)\]\(#\w+\)", r"\1", text)
+    assert text.count("```") % 2 == 0
     if inspect.isfunction(thing):
-        assert f"```python\n{name}(" in said
-        described = {word for names in re.findall(r"(?m)^- `([\w, ]+)`:", said) for word in names.split(", ")}
+        assert f"```python\n{name}(" in text
+        described = {word for names in re.findall(r"(?m)^- `([\w, ]+)`:", text) for word in names.split(", ")}
         parameters = {p for p in inspect.signature(thing).parameters if not p.startswith("_")}
-        # What is not described there is said to be as elsewhere, or in the first sentences.
-        assert all(p in described or re.search(rf"\b{p}\b", said.split("```")[-1]) for p in parameters), parameters
+        # Other parameters are described by reference to another function, or in the first sentences.
+        assert all(p in described or re.search(rf"\b{p}\b", text.split("```")[-1]) for p in parameters), parameters
 
 
 def test_arguments_are_a_list_and_names_are_links() -> None:
-    said = entry("estimate_motion")
-    assert re.search(r"(?m)^- `noise_px`: \(C,\) what is known", said)
-    assert "[`Motion`](#motion)" in said
-    assert "method: str = 'epipolar'" in said
-    assert "*Raises*" in said
-    assert '- `OK`, "ok": Everything that was asked for was found.' in entry("Status")
-    assert "All that [`RotationEstimate`](#rotationestimate) has, and more." in entry("CentralizedSolution")
+    text = entry("estimate_motion")
+    assert re.search(r"(?m)^- `noise_px`: \(C,\) standard deviation of a keypoint", text)
+    assert "[`Motion`](#motion)" in text
+    assert "method: str = 'epipolar'" in text
+    assert "*Raises*" in text
+    assert '- `OK`, "ok": The estimate converged and every requested quantity is observable.' in entry("Status")
+    assert "[`RotationEstimate`](#rotationestimate)" in entry("CentralizedSolution")
     assert "_boxes" not in entry("Session")
 
 
 # --- the gallery -----------------------------------------------------------------------------------------------------
 
 
-def test_the_gallery_is_as_it_is_made() -> None:
+def test_gallery_is_up_to_date() -> None:
     results = gallery.results()
     assert (REPOSITORY / "docs" / "gallery.md").read_text(encoding="utf-8") == gallery.page(results)
-    for name, said in results.items():
-        assert re.search(r"\d+ of \d+ frames with a pose, off by 0\.\d\d° in the median", said), name
+    for name, text in results.items():
+        assert re.search(r"\d+ of \d+ frames with a pose, off by 0\.\d\d° in the median", text), name
         picture = REPOSITORY / "docs" / "images" / f"gallery_{name}.jpg"
         assert 20_000 < picture.stat().st_size < MOST
 
 
 @pytest.mark.parametrize("name", gallery.SCENES)
-def test_scenes_of_the_gallery_can_be_made(name: str) -> None:
+def test_gallery_scenes_can_be_made(name: str) -> None:
     shown = gallery.SCENES[name]
     recording = shown.recording()
     assert 0 <= shown.frame < recording.frames
@@ -149,7 +150,7 @@ def test_scenes_of_the_gallery_can_be_made(name: str) -> None:
 
 
 @pytest.mark.slow
-def test_the_site_is_built_and_dead_links_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_site_builds_and_dead_links_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("sphinx")
     pytest.importorskip("furo")
     build.build(tmp_path / "site")

@@ -1,4 +1,4 @@
-"""What `import sylpose` offers is whole: whatever its functions take, return or raise can be imported from there too."""
+"""The public API is closed: everything that its functions take, return or raise is public as well."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import sylpose
 
 
 def types_in(hint: Any) -> Iterator[type]:
-    """The classes of an annotation, those of its parts included."""
+    """Yield the classes of an annotation, including those of its parts."""
     if isinstance(hint, type):
         yield hint
     if isinstance(hint, (list, tuple)):
@@ -29,7 +29,7 @@ def types_in(hint: Any) -> Iterator[type]:
 
 
 def functions_of(name: str) -> Iterator[Any]:
-    """What is exported under a name: a function; or a class, its public methods and properties."""
+    """Yield the object exported under a name; for a class also its public methods and properties."""
     thing = getattr(sylpose, name)
     yield thing
     if isinstance(thing, type):
@@ -41,18 +41,18 @@ def functions_of(name: str) -> Iterator[Any]:
 
 
 def hints_of(function: Any) -> dict[str, Any]:
-    """The annotations of the public parameters, attributes and the result."""
+    """Return the annotations of the public parameters, attributes and the result."""
     return {name: hint for name, hint in get_type_hints(function).items() if not name.startswith("_")}
 
 
 def raised_by(function: Any) -> set[str]:
-    """The names of classes under "Raises:" in a docstring."""
+    """Return the names of classes under "Raises:" in a docstring."""
     section = re.search(r"^Raises:\n((?:    .*\n?|\n)*)", inspect.getdoc(function) or "", re.MULTILINE)
     return set(re.findall(r"^    (\w+):", section[1], re.MULTILINE)) if section else set()
 
 
 def of_type_checkers() -> dict[str, set[str]]:
-    """Module -> the names that `sylpose/__init__.py` imports from it for type checkers only."""
+    """Return the names that `sylpose/__init__.py` imports for type checkers only, by module."""
     tree = ast.parse(Path(str(sylpose.__file__)).read_text(encoding="utf-8"))
     guarded = next(node for node in tree.body if isinstance(node, ast.If))
     imports = [node for node in guarded.body if isinstance(node, ast.ImportFrom)]
@@ -60,21 +60,21 @@ def of_type_checkers() -> dict[str, set[str]]:
     return {str(node.module): {alias.name for alias in node.names} for node in imports}
 
 
-def test_all_three_lists_of_public_names_agree() -> None:
+def test_lists_of_public_names_agree() -> None:
     homes = {module: set(names) for module, names in sylpose._HOMES.items()}
     assert of_type_checkers() == homes
     assert sorted(name for names in homes.values() for name in names) == list(sylpose.__all__)
     assert len(set(sylpose.__all__)) == len(sylpose.__all__)
 
 
-def test_names_come_from_modules_that_offer_them() -> None:
+def test_public_names_are_exported_by_their_modules() -> None:
     for module, names in sylpose._HOMES.items():
         offered = __import__(module, fromlist=["__all__"]).__all__
         assert set(names) <= set(offered), module
 
 
 @pytest.mark.parametrize("name", sylpose.__all__)
-def test_public_types_are_all_that_public_functions_take_and_return(name: str) -> None:
+def test_signatures_use_public_types_only(name: str) -> None:
     for function in functions_of(name):
         for what, hint in hints_of(function).items():
             ours = {t.__name__ for t in types_in(hint) if t.__module__.split(".")[0] == "sylpose"}
@@ -82,15 +82,15 @@ def test_public_types_are_all_that_public_functions_take_and_return(name: str) -
 
 
 @pytest.mark.parametrize("name", sylpose.__all__)
-def test_public_errors_are_all_that_public_functions_raise(name: str) -> None:
+def test_raised_errors_are_public(name: str) -> None:
     for function in functions_of(name):
         known = {*sylpose.__all__, *dir(builtins)}
         assert raised_by(function) <= known, function
 
 
-def test_the_walk_sees_what_it_is_meant_to_see() -> None:
-    """Nested annotations, and errors with text over several lines."""
+def test_helpers_find_nested_types_and_errors() -> None:
+    """The helpers handle nested annotations, and errors with text over several lines."""
     assert {t.__name__ for t in types_in(dict[str, tuple[sylpose.Box | None, ...]])} >= {"dict", "tuple", "Box"}
     assert raised_by(sylpose.solve_sylvester) == {"SingularSylvesterError", "ValueError"}
-    assert hints_of(sylpose.solve_refine)["return"] is sylpose.Agreement
-    assert {t.__name__ for t in types_in(hints_of(sylpose.TrackedFrame)["sightings"])} >= {"Sightings"}
+    assert hints_of(sylpose.solve_refine)["return"] is sylpose.DistributedSolution
+    assert {t.__name__ for t in types_in(hints_of(sylpose.TrackedFrame)["observations"])} >= {"LandmarkObservations"}

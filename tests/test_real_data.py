@@ -1,4 +1,4 @@
-"""The two recordings that come with the project's shared folder: issue 2's figures must hold on them."""
+"""The two recordings in the project's shared folder: accuracy required by issue 2."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ class Score:
     """Errors of the motion since the first pose, M_k = T_k T_0⁻¹, of all later ones.
 
     Attributes:
-        found: how many of the true poses were found.
-        degrees, millimetres: (n,) rotation, and displacement of the object's centre.
+        found: number of true poses with an estimate.
+        degrees, millimetres: (n,) rotation, and translation of the object's center.
     """
 
     found: int
@@ -50,7 +50,7 @@ def score(poses: list[FramePose], folder: Path) -> Score:
         if abs(nearest - time) <= 0.5 * np.diff(rows[:, 0]).min():
             pairs.append((true, solved[nearest]))
     true_0, found_0 = pairs[0]
-    # The centre is given for the first true pose; it moves with the object.
+    # The center is given for the first true pose; it moves with the object.
     center = (true_0 * truth[0].inv()).apply(center)
     degrees, millimetres = [], []
     for true, found in pairs[1:]:
@@ -66,7 +66,7 @@ def run(folder: Path) -> list[FramePose]:
 
 
 def test_temple() -> None:
-    """Four cameras of a gantry, seven frames, 46 degrees of turn, no boxes."""
+    """Four cameras of a gantry, seven frames, 46 degrees of rotation, no boxes."""
     folder = recording("temple")
     poses = run(folder)
     assert [pose.status for pose in poses] == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * 6
@@ -77,7 +77,7 @@ def test_temple() -> None:
 
 
 def test_board4() -> None:
-    """A hand-held board, four webcams, roughly calibrated; one of them does not see it at first."""
+    """A hand-held board and four roughly calibrated webcams, one of which does not see it at first."""
     folder = recording("board4")
     poses = run(folder)
     assert len(poses) == 48
@@ -86,12 +86,12 @@ def test_board4() -> None:
     assert np.median(result.degrees) <= 3
     assert result.degrees.max() <= 6
     assert np.median(result.millimetres) <= 7
-    # The camera that has no box takes part later.
+    # The camera without a box contributes later.
     assert sum(pose.inliers[3] > 20 for pose in poses) > 10
 
 
-def test_the_score_is_of_motion_since_the_start() -> None:
-    """Another object's frame and another first pose change nothing; a known error is found."""
+def test_score_measures_motion_since_the_start() -> None:
+    """Another object frame and another first pose change nothing; a known error is detected."""
     folder = recording("temple")
     rows = np.loadtxt(folder / "groundtruth.tum")
     truth = RigidTransform.from_components(rows[:, 1:4], Rotation.from_quat(rows[:, 4:]))

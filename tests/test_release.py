@@ -1,4 +1,4 @@
-"""What a release is made of: what the project says of itself agrees with itself, and a wheel is looked at for all of it."""
+"""Release contents: project metadata is consistent, and a wheel is checked for completeness."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def wheel_with(path: Path, names: set[str]) -> Path:
 WHOLE = installed.package_files() | {f"{INFO}licenses/{name}" for name in installed.LEGAL} | {f"{INFO}METADATA"}
 
 
-def test_a_whole_wheel_is_right(tmp_path: Path) -> None:
+def test_complete_wheel_passes(tmp_path: Path) -> None:
     assert "LICENSE" in installed.LEGAL
     assert {"sylpose/py.typed", "sylpose/cli/doctor.py"} <= WHOLE
     assert installed.wheel_contents(wheel_with(tmp_path / "a.whl", WHOLE)) == []
@@ -48,25 +48,25 @@ def test_a_whole_wheel_is_right(tmp_path: Path) -> None:
         ({"sylpose/__pycache__/rig.pyc"}, "a.whl has sylpose/__pycache__/rig.pyc, which is no part of the package"),
     ],
 )
-def test_a_wheel_that_lacks_or_has_something_is_not(tmp_path: Path, change: set[str], said: str) -> None:
+def test_incomplete_wheel_fails(tmp_path: Path, change: set[str], said: str) -> None:
     assert installed.wheel_contents(wheel_with(tmp_path / "a.whl", WHOLE ^ change)) == [said]
 
 
-def test_every_python_that_is_claimed_is_tried() -> None:
+def test_all_claimed_python_versions_are_tested() -> None:
     claimed = re.findall(r":: (3\.\d+)$", "\n".join(PYPROJECT["project"]["classifiers"]), re.M)
     assert claimed[0] == PYPROJECT["project"]["requires-python"].removeprefix(">=")
     tried = WORKFLOW["jobs"]["test"]["strategy"]["matrix"]["python"]
     assert tried == claimed
 
 
-def test_both_generations_of_opencv_are_tried() -> None:
+def test_both_opencv_versions_are_tested() -> None:
     assert WORKFLOW["jobs"]["opencv"]["strategy"]["matrix"]["opencv"] == ["4", "5"]
     for name in re.findall(r"(?m)^OPENCV_TESTS := (.*)$", text("Makefile"))[0].split():
         assert (REPOSITORY / name).exists(), name
 
 
-def test_the_image_copies_what_the_build_needs() -> None:
-    """What `pyproject.toml` names, else the image cannot be built; and it runs as nobody in particular."""
+def test_image_copies_files_needed_by_the_build() -> None:
+    """The image has the files that `pyproject.toml` needs to build, and it runs as an unprivileged user."""
     dockerfile = text("Dockerfile")
     (copied,) = re.findall(r"(?m)^COPY (.*) \./$", dockerfile)
     needed = {PYPROJECT["project"]["readme"], *PYPROJECT["project"]["license-files"], "pyproject.toml"}
@@ -77,7 +77,7 @@ def test_the_image_copies_what_the_build_needs() -> None:
         assert (REPOSITORY / name).exists(), name
 
 
-def test_the_paper_is_of_the_length_that_is_asked_for_and_cites_what_it_names() -> None:
+def test_paper_length_and_citations() -> None:
     head, body = text("paper/paper.md").split("\n---\n", 1)
     assert 750 <= len(re.findall(r"\w[\w'-]*", body)) <= 1750
     meta = yaml.safe_load(head.removeprefix("---\n"))

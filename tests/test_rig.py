@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.rig import GRID_PX, Camera, LensModel, Rig, nearest_point_to_rays
+from sylpose.rig import GRID_PX, Camera, LensModel, Rig, intersect_rays
 
 MATRIX = np.array([[800.0, 0, 330], [0, 790, 235], [0, 0, 1]])
 POSE = RigidTransform.from_components([0.1, -0.2, 3.0], Rotation.from_rotvec([0.4, -0.7, 0.3]))
-# Coefficients of every lens model, of the size that real lenses have: the recordings' and a typical tilted sensor.
+# Coefficients of every lens model, of realistic size: the recordings' and a typical tilted sensor.
 LENSES: dict[str, tuple[LensModel, list[float]]] = {
     "none": ("opencv", []),
     "4 terms": ("opencv", [-0.34, 0.1, -0.001, 0.003]),
@@ -35,7 +35,7 @@ def camera(lens: str = "5 terms", name: str = "cam_0", pose: RigidTransform = PO
 
 
 def points_in_view(cam: Camera, n: int, seed: int = 0) -> FloatArray:
-    """(n, 3) world points that project into the image."""
+    """Return (n, 3) world points that project into the image."""
     rng = np.random.default_rng(seed)
     z = rng.uniform(0.5, 5, (n, 1))
     points_c = np.hstack([rng.uniform(-0.38, 0.38, (n, 1)), rng.uniform(-0.28, 0.28, (n, 1)), np.ones((n, 1))]) * z
@@ -43,7 +43,7 @@ def points_in_view(cam: Camera, n: int, seed: int = 0) -> FloatArray:
 
 
 @pytest.mark.parametrize("lens", LENSES)
-def test_project_is_opencv(lens: str) -> None:
+def test_project_matches_opencv(lens: str) -> None:
     cam = camera(lens)
     points = points_in_view(cam, 50)
     rvec, tvec = POSE.rotation.as_rotvec(), POSE.translation
@@ -55,7 +55,7 @@ def test_project_is_opencv(lens: str) -> None:
 
 
 @pytest.mark.parametrize("lens", LENSES)
-def test_project_is_written_out(lens: str) -> None:
+def test_project_matches_formula(lens: str) -> None:
     # Without a lens the projection is K (R X + t); with one it must differ.
     cam = camera(lens)
     points = points_in_view(cam, 20)
@@ -77,7 +77,7 @@ def test_normalize_and_denormalize_are_inverse(lens: str, u: float, v: float) ->
 
 
 @pytest.mark.parametrize("lens", LENSES)
-def test_rays_go_through_what_was_projected(lens: str) -> None:
+def test_rays_pass_through_projected_points(lens: str) -> None:
     cam = camera(lens)
     points = points_in_view(cam, 30)
     rays = cam.rays(cam.project(points))
@@ -85,8 +85,8 @@ def test_rays_go_through_what_was_projected(lens: str) -> None:
     np.testing.assert_allclose(rays, toward / np.linalg.norm(toward, axis=1, keepdims=True), atol=1e-7)
 
 
-def test_columns_of_a_wider_array() -> None:
-    # cv2.fisheye of OpenCV 5 takes an array that is not contiguous for one that is.
+def test_non_contiguous_arrays() -> None:
+    # cv2.fisheye of OpenCV 5 treats a non-contiguous array as a contiguous one.
     cam = camera("fisheye")
     pixels = np.random.default_rng(0).uniform(50, 400, (20, 4))
     np.testing.assert_array_equal(cam.normalize(pixels[:, :2]), cam.normalize(pixels[:, :2].copy()))
@@ -118,7 +118,7 @@ def test_center_and_direction() -> None:
     assert cam.focal == pytest.approx(np.sqrt(800 * 790))
 
 
-def test_arrays_cannot_be_changed() -> None:
+def test_arrays_are_read_only() -> None:
     cam = camera()
     with pytest.raises(ValueError, match="read-only"):
         cam.matrix[0, 0] = 1
@@ -129,14 +129,14 @@ def test_arrays_cannot_be_changed() -> None:
 BAD_CAMERAS: dict[str, tuple[dict[str, Any], str]] = {
     "matrix shape": ({"matrix": np.eye(2)}, "3x3, got shape"),
     "matrix nan": ({"matrix": np.full((3, 3), np.nan)}, "not finite"),
-    "matrix absurd": ({"matrix": np.array([[800, 0, 1e308], [0, 800, 240], [0, 0, 1]])}, "absurd"),
-    "focal absurd": ({"matrix": np.diag([1e-300, 1, 1])}, "absurd"),
+    "matrix implausible": ({"matrix": np.array([[800, 0, 1e308], [0, 800, 240], [0, 0, 1]])}, "implausible"),
+    "focal implausible": ({"matrix": np.diag([1e-300, 1, 1])}, "implausible"),
     "matrix of words": ({"matrix": "K"}, "not finite numbers"),
-    "size absurd": ({"size": (1e300, 1e300)}, "a side or"),
+    "size implausible": ({"size": (1e300, 1e300)}, "a side or"),
     "size huge": ({"size": (32_000, 32_000)}, "a side or"),
     "size of halves": ({"size": (640.5, 480)}, "width, height"),
-    "distortion absurd": ({"distortion": np.array([0, 1e30, 0, 0])}, "of no lens"),
-    "pose absurd": ({"camera_from_world": RigidTransform.from_translation([0, 0, -1e308])}, "beyond"),
+    "distortion implausible": ({"distortion": np.array([0, 1e30, 0, 0])}, "term is beyond"),
+    "pose implausible": ({"camera_from_world": RigidTransform.from_translation([0, 0, -1e308])}, "beyond"),
     "no pose": ({"camera_from_world": np.eye(4)}, "single transform"),
     "negative focal length": ({"matrix": np.diag([-1.0, 1, 1])}, "positive focal lengths"),
     "last row": ({"matrix": np.diag([1.0, 1, 2])}, "last row"),
@@ -161,14 +161,14 @@ def test_bad_camera(bad: str) -> None:
 @pytest.mark.parametrize(
     "name", ["", " ", ".", "..", "cam/_2", "cam\\_2", "a\0", "a\x1b[2J", "a\nb", "a\ud800", "a\u202eb", "a" * 101, None]
 )
-def test_names_that_no_file_can_have(name: Any) -> None:
+def test_unusable_names_are_rejected(name: Any) -> None:
     with pytest.raises(ValueError, match="name") as caught:
         replace(camera(), name=name)
     assert str(caught.value).isprintable()
 
 
 @pytest.mark.parametrize("name", ["0", "cam_0", "left camera", "Kamera é", "カメラ", "a.b", "..a", "-"])
-def test_names_that_people_give(name: str) -> None:
+def test_common_names_are_accepted(name: str) -> None:
     assert replace(camera(), name=name).name == name
 
 
@@ -199,44 +199,44 @@ def directions(rng: np.random.Generator, n: int) -> FloatArray:
 
 @settings(max_examples=50, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(2, 8))
-def test_nearest_point_to_rays_that_meet_is_where_they_meet(seed: int, n: int) -> None:
+def test_intersecting_rays_give_their_intersection(seed: int, n: int) -> None:
     rng = np.random.default_rng(seed)
     point, d = rng.normal(size=3), directions(rng, n)
     if np.linalg.svd(d)[1][1] < 0.1:
         return  # nearly parallel
     centers = point - rng.uniform(0.5, 5, (n, 1)) * d
-    np.testing.assert_allclose(nearest_point_to_rays(centers, d), point, atol=1e-9)
+    np.testing.assert_allclose(intersect_rays(centers, d), point, atol=1e-9)
 
 
-def test_nearest_point_to_rays_is_the_least() -> None:
+def test_ray_intersection_minimizes_distance() -> None:
     rng = np.random.default_rng(1)
     centers, d = rng.normal(size=(5, 3)), directions(rng, 5)
 
     def cost(point: FloatArray) -> float:
         return float((np.cross(point - centers, d) ** 2).sum())
 
-    best = nearest_point_to_rays(centers, d)
+    best = intersect_rays(centers, d)
     assert all(cost(best) < cost(best + step) for step in 1e-3 * directions(rng, 20))
 
 
-def test_nearest_point_to_parallel_rays() -> None:
+def test_parallel_rays() -> None:
     d = np.array([[0, 0, 1.0]])
-    # What the lines leave open is taken from `near`, or is 1 along them, or halfway between opposite ones.
-    np.testing.assert_allclose(nearest_point_to_rays([[1, 2, 3]], d, near=[5, 6, 7]), [1, 2, 7], atol=1e-12)
-    np.testing.assert_allclose(nearest_point_to_rays([[1, 2, 3]], d), [1, 2, 4], atol=1e-12)
-    two = nearest_point_to_rays([[1, 0, 3], [-1, 0, 5]], np.concatenate([d, -d]))
+    # Where the lines leave the point undetermined: from `near`, or 1 along them, or halfway between opposite lines.
+    np.testing.assert_allclose(intersect_rays([[1, 2, 3]], d, near=[5, 6, 7]), [1, 2, 7], atol=1e-12)
+    np.testing.assert_allclose(intersect_rays([[1, 2, 3]], d), [1, 2, 4], atol=1e-12)
+    two = intersect_rays([[1, 0, 3], [-1, 0, 5]], np.concatenate([d, -d]))
     np.testing.assert_allclose(two, [0, 0, 4], atol=1e-12)
 
 
 @pytest.mark.parametrize("lens", LENSES)
-def test_points_on_the_grid_are_where_they_are_and_whole_after_a_power_of_two(lens: str) -> None:
+def test_grid_points_are_close_and_dyadic(lens: str) -> None:
     c, pixels = camera(lens), np.random.default_rng(0).uniform(50, 430, (200, 2))
     exact, found = c.normalize(pixels), c.normalize_to_grid(pixels)
     assert 0 < np.abs(found - exact).max() * c.focal <= GRID_PX / 2
     np.testing.assert_array_equal(found * 2**20, np.rint(found * 2**20))
 
 
-def test_a_rig_in_another_unit_sees_the_same() -> None:
+def test_rig_in_another_unit_has_same_projections() -> None:
     rng = np.random.default_rng(8)
     poses = [RigidTransform.from_components([0.1 * k, 0.2, 3.0], Rotation.random(rng=rng)) for k in range(3)]
     matrix = np.array([[900.0, 0, 320], [0, 900, 240], [0, 0, 1]])
@@ -257,7 +257,7 @@ def test_a_rig_in_another_unit_sees_the_same() -> None:
         np.testing.assert_allclose(new.project(new_from_world.apply(points)), old.project(points), rtol=1e-9)
     with pytest.raises(ValueError, match="one of m, cm, mm"):
         rig.in_unit("league")
-    with pytest.raises(ValueError, match="does not say"):
+    with pytest.raises(ValueError, match="in an unknown unit"):
         Rig(rig.cameras).in_unit("mm")
     with pytest.raises(ValueError, match="new_from_world"):
         rig.in_world(RigidTransform.identity(2))

@@ -1,4 +1,4 @@
-"""Views of a motion: the same whichever way points go, uncertainty that turns with the axes, names that are looked up."""
+"""Views of a motion: consistent projections, uncertainty that rotates with the axes, lookup of camera names."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.matrices import covariance_of
+from sylpose.geometry.matrices import invert_information
 from sylpose.moments import PairMoments
 from sylpose.relative_pose.motion import estimate_motion
 from sylpose.report.files import TrajectoryWriter, read_trajectory, read_tum
 from sylpose.results import FramePose, FrameStatus, Motion, RotationEstimate, Status, Trajectory
-from sylpose.rig import camera_at
+from sylpose.rig import make_look_at_camera
 from sylpose.simulate import ellipsoid, random_motion, ring, simulate_matches
 from sylpose.sylvester.depth_plane import solve_depth_plane
-from sylpose.view import camera_from_world_of, trajectory_view, view_of_motion, view_of_pose, view_of_rotation
+from sylpose.view import resolve_viewpoint, trajectory_view, view_of_motion, view_of_pose, view_of_rotation
 
 seeds = st.integers(0, 2**32 - 1)
 quick = settings(max_examples=25, deadline=None)
@@ -44,8 +44,8 @@ def motion_with(
         motion=random_transform(rng) if found else None,
         center=rng.normal(size=3),
         information=info,
-        covariance=covariance_of(info),
-        unseen=rng.normal(size=(1, 6)) if status is not Status.OK else np.empty((0, 6)),
+        covariance=invert_information(info),
+        unobservable=rng.normal(size=(1, 6)) if status is not Status.OK else np.empty((0, 6)),
         inliers=(),
         residuals=np.empty(0),
         method="epipolar",
@@ -55,31 +55,38 @@ def motion_with(
 
 def pose_with(rng: np.random.Generator, index: int, status: FrameStatus = FrameStatus.TRACKED) -> FramePose:
     found = status.has_pose
-    covariance = covariance_of(random_information(rng) if found else np.zeros((6, 6)))
+    covariance = invert_information(random_information(rng) if found else np.zeros((6, 6)))
     pose = random_transform(rng) if found else None
     return FramePose(index, index / 30, status, pose, covariance, np.array([7, 8]), np.array([0.5, 0.25]))
 
 
 @pytest.mark.parametrize(("degrees", "uncertain"), [(15.0, False), (25.0, True)])
-def test_a_pose_whose_turn_is_hardly_known_is_not_found(degrees: float, uncertain: bool) -> None:
+def test_pose_with_uncertain_rotation_is_uncertain(degrees: float, uncertain: bool) -> None:
     about = Rotation.random(rng=np.random.default_rng(0)).as_matrix()[0]
-    covariance = np.diag([*np.full(3, 1e-6), *np.full(3, 100.0)])  # where it is does not matter
+    covariance = np.diag([*np.full(3, 1e-6), *np.full(3, 100.0)])  # position variance does not matter
     covariance[:3, :3] += np.deg2rad(degrees) ** 2 * np.outer(about, about)
-    for status in (FrameStatus.TRACKED, FrameStatus.RELOCALISED):
+    for status in (FrameStatus.TRACKED, FrameStatus.RELOCALIZED):
         pose = replace(pose_with(np.random.default_rng(1), 3, status), covariance=covariance)
-        judged = pose.judged()
+        judged = pose.update_uncertain_status()
         assert judged.status is (FrameStatus.UNCERTAIN if uncertain else status)
-        assert judged.measured is not uncertain
+        assert judged.is_measured is not uncertain
         assert judged.world_from_object is pose.world_from_object
-    # Known better since, it is found again; without a bound it is not known.
-    hardly = replace(pose_with(np.random.default_rng(1), 3), status=FrameStatus.UNCERTAIN, covariance=covariance)
-    assert hardly.seen
-    assert hardly.judged().status is (FrameStatus.UNCERTAIN if uncertain else FrameStatus.TRACKED)
+    # A smaller covariance makes it tracked again; an infinite one is uncertain.
+    uncertain_pose = replace(
+        pose_with(np.random.default_rng(1), 3), status=FrameStatus.UNCERTAIN, covariance=covariance
+    )
+    assert uncertain_pose.is_observed
+    assert uncertain_pose.update_uncertain_status().status is (
+        FrameStatus.UNCERTAIN if uncertain else FrameStatus.TRACKED
+    )
     for unknown in (np.inf, np.nan):
-        assert replace(hardly, covariance=np.diag([unknown, *np.ones(5)])).judged().status is FrameStatus.UNCERTAIN
+        assert (
+            replace(uncertain_pose, covariance=np.diag([unknown, *np.ones(5)])).update_uncertain_status().status
+            is FrameStatus.UNCERTAIN
+        )
     for status in (FrameStatus.FIRST, FrameStatus.COASTING, FrameStatus.LOST):
         same = pose_with(np.random.default_rng(1), 3, status)
-        assert same.judged() is same
+        assert same.update_uncertain_status() is same
 
 
 # --- The motion -------------------------------------------------------------------------------------------------------
@@ -87,7 +94,7 @@ def test_a_pose_whose_turn_is_hardly_known_is_not_found(degrees: float, uncertai
 
 @given(seeds)
 @quick
-def test_points_move_the_same_in_the_camera_as_in_the_world(seed: int) -> None:
+def test_points_move_equally_in_camera_and_world(seed: int) -> None:
     rng = np.random.default_rng(seed)
     motion, camera, points = motion_with(rng), random_transform(rng), rng.normal(size=(5, 3))
     view = view_of_motion(motion, camera)
@@ -101,16 +108,16 @@ def test_points_move_the_same_in_the_camera_as_in_the_world(seed: int) -> None:
     o = -Q.T @ camera.translation
     np.testing.assert_allclose(view.motion.translation, Q @ (t + (R - np.eye(3)) @ o), atol=1e-12)
     moved = motion.motion.apply(motion.center) - motion.center
-    np.testing.assert_allclose(view.displacement, Q @ moved, atol=1e-12)
+    np.testing.assert_allclose(view.center_translation, Q @ moved, atol=1e-12)
 
 
-def test_a_camera_that_sees_nothing_projects_the_moved_object_where_it_would_be() -> None:
-    """Real estimate of a rig, looked at from a fifth place: pixels agree with those by way of the world."""
+def test_view_of_an_extra_camera_projects_correctly() -> None:
+    """An estimate of a rig viewed from a fifth camera gives the same pixels as projection from the world."""
     rng = np.random.default_rng(1)
     rig = ring(4, height=[0.4, -0.4, 0.4, -0.4])
     pair = simulate_matches(rig, ellipsoid(), random_motion(5, 0.03, rng), rng=rng)
     motion = estimate_motion(rig, pair.matches)
-    virtual = camera_at("above", (0.1, -1.5, 0.2), (0, 0, 0), 800, (640, 480))
+    virtual = make_look_at_camera("above", (0.1, -1.5, 0.2), (0, 0, 0), 800, (640, 480))
     view = view_of_motion(motion, virtual)
     assert motion.motion is not None
     assert view.motion is not None
@@ -123,7 +130,7 @@ def test_a_camera_that_sees_nothing_projects_the_moved_object_where_it_would_be(
 
 @given(seeds)
 @quick
-def test_views_compose_and_lead_back(seed: int) -> None:
+def test_views_compose_and_invert(seed: int) -> None:
     rng = np.random.default_rng(seed)
     motion, a, b_from_a = (
         motion_with(rng, status=Status.SCALE_NOT_OBSERVABLE),
@@ -137,7 +144,7 @@ def test_views_compose_and_lead_back(seed: int) -> None:
         first.center,
         first.information,
         first.covariance,
-        first.unseen,
+        first.unobservable,
         (),
         np.empty(0),
         "",
@@ -150,11 +157,11 @@ def test_views_compose_and_lead_back(seed: int) -> None:
         assert again.motion is not None
         assert direct.motion is not None
         np.testing.assert_allclose(again.motion.as_matrix(), direct.motion.as_matrix(), atol=1e-11)
-        for name in ("center", "information", "covariance", "unseen"):
+        for name in ("center", "information", "covariance", "unobservable"):
             np.testing.assert_allclose(getattr(again, name), getattr(direct, name), atol=1e-9, err_msg=name)
 
 
-def test_the_view_from_the_world_is_the_motion_itself() -> None:
+def test_identity_view_is_the_motion() -> None:
     motion = motion_with(np.random.default_rng(2))
     view = view_of_motion(motion, RigidTransform.identity())
     assert view.motion is not None
@@ -165,7 +172,7 @@ def test_the_view_from_the_world_is_the_motion_itself() -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_covariance_is_that_of_sampled_motions_seen_by_the_camera(seed: int) -> None:
+def test_covariance_matches_sampled_motions(seed: int) -> None:
     rng = np.random.default_rng(seed)
     motion, camera = motion_with(rng, 1e6 * random_information(rng)), random_transform(rng)
     view = view_of_motion(motion, camera)
@@ -184,21 +191,23 @@ def test_covariance_is_that_of_sampled_motions_seen_by_the_camera(seed: int) -> 
     np.testing.assert_allclose(view.information @ view.covariance, np.eye(6), atol=1e-8)
 
 
-def test_what_is_not_observable_stays_so_in_the_cameras_axes() -> None:
-    """Nothing known of the displacement along the world's x: open along the camera's z when it looks that way."""
+def test_unobservable_directions_rotate_with_the_axes() -> None:
+    """Translation along the world's x is unobservable: so is the camera's z when it points that way."""
     rng = np.random.default_rng(3)
     motion = motion_with(rng, np.diag([1.0, 1, 1, 0, 4, 4]), Status.SCALE_NOT_OBSERVABLE)
     looks_along_x = RigidTransform.from_rotation(Rotation.from_matrix([[0, 0, -1], [0, 1, 0], [1, 0, 0]]))
     view = view_of_motion(motion, looks_along_x)
     np.testing.assert_allclose(np.diag(view.covariance), [1, 1, 1, 0.25, 0.25, np.inf])
     Q = looks_along_x.rotation.as_matrix()
-    np.testing.assert_allclose(view.unseen[0], [*(Q @ motion.unseen[0, :3]), *(Q @ motion.unseen[0, 3:])])
+    np.testing.assert_allclose(
+        view.unobservable[0], [*(Q @ motion.unobservable[0, :3]), *(Q @ motion.unobservable[0, 3:])]
+    )
     assert view.status is Status.SCALE_NOT_OBSERVABLE
     oblique = view_of_motion(motion, RigidTransform.from_rotation(Rotation.from_rotvec([0, 0.5, 0])))
     np.testing.assert_allclose(np.diag(oblique.covariance), [1, 1, 1, np.inf, 0.25, np.inf])
 
 
-def test_a_motion_that_was_not_found_is_not_found_in_any_view() -> None:
+def test_view_of_missing_motion_has_no_motion() -> None:
     rng = np.random.default_rng(4)
     view = view_of_motion(
         motion_with(rng, np.zeros((6, 6)), Status.TOO_FEW_MATCHES, found=False), random_transform(rng)
@@ -206,11 +215,11 @@ def test_a_motion_that_was_not_found_is_not_found_in_any_view() -> None:
     assert view.motion is None
     assert view.status is Status.TOO_FEW_MATCHES
     assert np.isnan(view.pan_tilt_roll).all()
-    assert np.isnan(view.displacement).all()
+    assert np.isnan(view.center_translation).all()
     assert (np.diag(view.covariance) == np.inf).all()
 
 
-def test_pan_tilt_and_roll_are_turns_about_the_cameras_own_axes() -> None:
+def test_pan_tilt_roll_are_about_camera_axes() -> None:
     rng = np.random.default_rng(5)
     camera = random_transform(rng)
     for axis, expected in ((1, [0.3, 0, 0]), (0, [0, 0.3, 0]), (2, [0, 0, 0.3])):
@@ -221,7 +230,7 @@ def test_pan_tilt_and_roll_are_turns_about_the_cameras_own_axes() -> None:
 
 
 def estimate_of(rotation: FloatArray, information: FloatArray) -> RotationEstimate:
-    return RotationEstimate(Status.TURN_NOT_OBSERVABLE, rotation, information, np.eye(3)[:1], 1)
+    return RotationEstimate(Status.ROTATION_NOT_OBSERVABLE, rotation, information, np.eye(3)[:1], 1)
 
 
 # --- A rotation alone -------------------------------------------------------------------------------------------------
@@ -229,7 +238,7 @@ def estimate_of(rotation: FloatArray, information: FloatArray) -> RotationEstima
 
 @given(seeds)
 @quick
-def test_a_rotation_alone_is_seen_as_that_of_the_motion(seed: int) -> None:
+def test_rotation_view_matches_motion_view(seed: int) -> None:
     rng = np.random.default_rng(seed)
     information = np.zeros((6, 6))
     information[:3, :3], information[3:, 3:] = random_information(rng, 3), np.eye(3)
@@ -242,10 +251,10 @@ def test_a_rotation_alone_is_seen_as_that_of_the_motion(seed: int) -> None:
     np.testing.assert_allclose(alone.information, whole.information[:3, :3], atol=1e-9)
     np.testing.assert_allclose(alone.covariance, whole.covariance[:3, :3], atol=1e-9)
     np.testing.assert_allclose(alone.pan_tilt_roll, whole.pan_tilt_roll, atol=1e-9)
-    np.testing.assert_allclose(alone.unseen, camera.rotation.apply(np.eye(3)[:1]), atol=1e-12)
+    np.testing.assert_allclose(alone.unobservable, camera.rotation.apply(np.eye(3)[:1]), atol=1e-12)
 
 
-def test_without_an_answer_there_is_none_in_any_view() -> None:
+def test_view_of_missing_rotation_has_no_rotation() -> None:
     nothing = solve_depth_plane(np.array([np.eye(3)] * 2), [PairMoments.zero()] * 2)
     view = view_of_rotation(nothing, random_transform(np.random.default_rng(0)))
     assert view.status is nothing.status is Status.TOO_FEW_MATCHES
@@ -254,7 +263,7 @@ def test_without_an_answer_there_is_none_in_any_view() -> None:
     assert (np.diag(view.covariance) == np.inf).all()
 
 
-def test_bad_rotations_are_refused() -> None:
+def test_bad_rotations_are_rejected() -> None:
     world = RigidTransform.identity()
     with pytest.raises(ValueError, match="not a rotation matrix"):
         view_of_rotation(estimate_of(2 * np.eye(3), np.eye(3)), world)
@@ -267,7 +276,7 @@ def test_bad_rotations_are_refused() -> None:
 
 @given(seeds)
 @quick
-def test_a_pose_in_view_takes_object_points_to_the_camera(seed: int) -> None:
+def test_pose_view_maps_object_points_to_camera(seed: int) -> None:
     rng = np.random.default_rng(seed)
     pose, camera, points = pose_with(rng, 3), random_transform(rng), rng.normal(size=(4, 3))
     seen = view_of_pose(pose, camera)
@@ -284,7 +293,7 @@ def test_a_pose_in_view_takes_object_points_to_the_camera(seed: int) -> None:
     np.testing.assert_allclose(back.covariance, pose.covariance, atol=1e-11)
 
 
-def test_the_motion_between_two_viewed_poses_is_the_viewed_motion() -> None:
+def test_motion_between_viewed_poses_is_viewed_motion() -> None:
     rng = np.random.default_rng(6)
     camera = random_transform(rng)
     poses = [pose_with(rng, k) for k in range(2)]
@@ -298,7 +307,7 @@ def test_the_motion_between_two_viewed_poses_is_the_viewed_motion() -> None:
     np.testing.assert_allclose((b_seen * a_seen.inv()).as_matrix(), expected.as_matrix(), atol=1e-11)
 
 
-def test_a_viewed_trajectory_goes_through_the_writers(tmp_path: Path) -> None:
+def test_viewed_trajectory_can_be_written(tmp_path: Path) -> None:
     rng = np.random.default_rng(7)
     camera = random_transform(rng)
     statuses = (FrameStatus.TRACKED, FrameStatus.LOST, FrameStatus.COASTING, FrameStatus.TRACKED)
@@ -309,7 +318,7 @@ def test_a_viewed_trajectory_goes_through_the_writers(tmp_path: Path) -> None:
     assert [f.status for f in seen] == [f.status for f in frames]
     assert seen[1].world_from_object is None
     assert (np.diag(seen[1].covariance) == np.inf).all()
-    np.testing.assert_allclose(seen.turn, Trajectory(frames, ["a", "b"], "m").turn, atol=1e-12)
+    np.testing.assert_allclose(seen.rotation_angles, Trajectory(frames, ["a", "b"], "m").rotation_angles, atol=1e-12)
     with TrajectoryWriter(tmp_path, seen.camera_names, seen.unit) as writer:
         for pose in seen:
             writer.write(pose)
@@ -323,11 +332,11 @@ def test_a_viewed_trajectory_goes_through_the_writers(tmp_path: Path) -> None:
     np.testing.assert_allclose(poses.as_matrix(), [e.as_matrix() for e in expected], atol=1e-9)
 
 
-def test_a_viewed_trajectory_is_that_of_a_world_that_is_the_camera() -> None:
-    """Orientation starts at zero there too, and turns are about the camera's axes; positions are the camera's."""
+def test_viewed_trajectory_has_camera_as_world() -> None:
+    """Orientation starts at zero, rotations are about the camera's axes, and positions are in its frame."""
     rng = np.random.default_rng(8)
     camera, step = random_transform(rng), Rotation.from_rotvec([0.0, 0.0, 0.3])
-    about_z = camera.rotation.inv() * step * camera.rotation  # roll, as the camera has it
+    about_z = camera.rotation.inv() * step * camera.rotation  # roll in the camera's axes
     poses = [RigidTransform.from_translation(rng.normal(size=3)) for _ in range(2)]
     poses[1] = RigidTransform.from_components(poses[1].translation, about_z)
     frames = [replace(pose_with(rng, k), world_from_object=pose) for k, pose in enumerate(poses)]
@@ -340,7 +349,7 @@ def test_a_viewed_trajectory_is_that_of_a_world_that_is_the_camera() -> None:
 # --- Whose view -------------------------------------------------------------------------------------------------------
 
 
-def test_cameras_are_found_by_name() -> None:
+def test_cameras_are_looked_up_by_name() -> None:
     rig = ring(3)
     motion = motion_with(np.random.default_rng(8))
     by_name, by_camera = view_of_motion(motion, "cam_1", rig=rig), view_of_motion(motion, rig["cam_1"])
@@ -350,12 +359,12 @@ def test_cameras_are_found_by_name() -> None:
         np.testing.assert_array_equal(view.center, by_camera.center)
 
 
-def test_who_cannot_be_looked_up_is_named() -> None:
+def test_unknown_camera_is_named() -> None:
     pose = pose_with(np.random.default_rng(9), 0)
     with pytest.raises(ValueError, match=r"camera: no 'cam_7' in the rig \(cam_0, cam_1\)"):
         view_of_pose(pose, "cam_7", rig=ring(2))
-    with pytest.raises(ValueError, match="'cam_0' is given by its name"):
+    with pytest.raises(ValueError, match="'cam_0' is given by name"):
         view_of_pose(pose, "cam_0")
     for wrong in (RigidTransform.identity(3), RigidTransform.from_translation([np.nan, 0, 0])):
         with pytest.raises(ValueError, match="single transform of finite values"):
-            camera_from_world_of(wrong)
+            resolve_viewpoint(wrong)

@@ -1,4 +1,4 @@
-"""sylpose: how a rigid object moves in 3D, from the videos of several calibrated cameras around it.
+"""sylpose: measure how a rigid object moves in 3D from the videos of several calibrated cameras.
 
     from sylpose import open_session, track
 
@@ -6,16 +6,16 @@
     for frame in track(session.frames(), session.rig, session.boxes):
         print(frame.pose.time, frame.pose.status.text, frame.pose.world_from_object)
 
-The files at the root are the nouns: a rig of cameras, the frames they saw, matches, their moments, results. Each folder is
-one thing that can be done with them. `sylvester` is Chen and Schonfeld: a rotation from orthographic second moments by
-Sylvester's equation, by one camera, by all, or `distributed` among them. `relative_pose` is the same in perspective,
-with six unknowns and outliers. `absolute_pose` asks where an object of known points is. `features` finds and follows points.
-`landmarks` knows where they are on the object, better from frame to frame. `tracking` puts these together frame by frame,
-`smoothing` does all frames at once, afterwards. None of these reads or writes a file: `calibration`, `capture`, `report` do.
-`simulate` makes scenes with known truth, `experiments` repeats the paper's, `app` and `cli` are the commands. docs/map.md
-has the whole tree.
+The root modules define the data: rigs of cameras, frame sets, matches, pair moments, results. Each folder is one
+operation on them. `sylvester` implements Chen and Schonfeld: a rotation from orthographic second moments by Sylvester's
+equation, with one camera, all cameras, or `distributed` among them. `relative_pose` estimates the motion between two
+frames in perspective, with six unknowns and outliers. `absolute_pose` estimates the pose of an object with known
+points. `features` detects and tracks image points. `landmarks` estimates their positions on the object from frame to
+frame. `tracking` combines these frame by frame; `smoothing` refines all frames together afterwards. None of these reads
+or writes files: `calibration`, `capture` and `report` do. `simulate` makes scenes with ground truth, `experiments`
+repeats the paper's, `app` and `cli` implement the commands. docs/map.md has the whole tree.
 
-The names below are loaded when they are first used, so that `import sylpose` itself takes no time.
+The names below are imported on first use, so that `import sylpose` itself is fast.
 """
 
 from importlib import import_module
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from sylpose.absolute_pose.pose import estimate_pose
     from sylpose.app.object_files import load_object, save_object
     from sylpose.app.run import Run, track_session
-    from sylpose.boards.board_pose import Sighting, find_board
+    from sylpose.boards.board_pose import BoardObservation, find_board
     from sylpose.boards.specification import Board, parse_board
     from sylpose.calibration.world import World, load_world, world_with_up
     from sylpose.capture import Session, Source, Timeline, open_session
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
         FramePose,
         FrameStatus,
         Motion,
-        Observable,
+        Observability,
         RotationEstimate,
         Status,
         Trajectory,
@@ -54,8 +54,8 @@ if TYPE_CHECKING:
     )
     from sylpose.sylvester.depth_plane import DepthPlaneSolution, solve_depth_plane
     from sylpose.sylvester.distributed.simulation import (
-        Agreement,
-        Disturbances,
+        DistributedSolution,
+        NetworkFaults,
         solve_exchange,
         solve_gossip,
         solve_refine,
@@ -63,26 +63,27 @@ if TYPE_CHECKING:
     from sylpose.sylvester.equation import SingularSylvesterError, solve_generalized_sylvester, solve_sylvester
     from sylpose.sylvester.known_depth import KnownDepthSolution, solve_2d3d, solve_3d3d
     from sylpose.sylvester.one_camera import OneCameraSolution, solve_one_camera
-    from sylpose.tracking.frame import Sought
+    from sylpose.tracking.frame import DetectedFeatures
     from sylpose.tracking.joint_state import Nudge
     from sylpose.tracking.known_object import KnownObject, ObjectFrame
-    from sylpose.tracking.tracked_frame import Sightings, TrackedFrame
+    from sylpose.tracking.tracked_frame import LandmarkObservations, TrackedFrame
     from sylpose.tracking.tracker import track
     from sylpose.view import MotionView, RotationView, trajectory_view, view_of_motion, view_of_pose, view_of_rotation
 
 __version__ = "0.2.0"
 
 __all__ = [
-    "Agreement",
     "Board",
+    "BoardObservation",
     "Box",
     "Camera",
     "CentralizedBatch",
     "CentralizedSolution",
     "DepthPlaneSolution",
+    "DetectedFeatures",
     "Device",
     "Diagnosis",
-    "Disturbances",
+    "DistributedSolution",
     "Fault",
     "FramePose",
     "FrameSet",
@@ -90,13 +91,15 @@ __all__ = [
     "Grab",
     "KnownDepthSolution",
     "KnownObject",
+    "LandmarkObservations",
     "LiveSession",
     "Matches",
     "Motion",
     "MotionView",
+    "NetworkFaults",
     "Nudge",
     "ObjectFrame",
-    "Observable",
+    "Observability",
     "OneCameraSolution",
     "PairMoments",
     "Rig",
@@ -105,10 +108,7 @@ __all__ = [
     "RotationView",
     "Run",
     "Session",
-    "Sighting",
-    "Sightings",
     "SingularSylvesterError",
-    "Sought",
     "Source",
     "Status",
     "Timeline",
@@ -149,7 +149,7 @@ __all__ = [
 _HOMES = {
     "sylpose.app.object_files": ("load_object", "save_object"),
     "sylpose.app.run": ("Run", "track_session"),
-    "sylpose.boards.board_pose": ("Sighting", "find_board"),
+    "sylpose.boards.board_pose": ("BoardObservation", "find_board"),
     "sylpose.boards.specification": ("Board", "parse_board"),
     "sylpose.calibration.world": ("World", "load_world", "world_with_up"),
     "sylpose.capture": ("Session", "Source", "Timeline", "open_session"),
@@ -168,8 +168,8 @@ _HOMES = {
     ),
     "sylpose.sylvester.depth_plane": ("DepthPlaneSolution", "solve_depth_plane"),
     "sylpose.sylvester.distributed.simulation": (
-        "Agreement",
-        "Disturbances",
+        "DistributedSolution",
+        "NetworkFaults",
         "solve_exchange",
         "solve_gossip",
         "solve_refine",
@@ -177,12 +177,20 @@ _HOMES = {
     "sylpose.sylvester.equation": ("SingularSylvesterError", "solve_generalized_sylvester", "solve_sylvester"),
     "sylpose.sylvester.known_depth": ("KnownDepthSolution", "solve_2d3d", "solve_3d3d"),
     "sylpose.sylvester.one_camera": ("OneCameraSolution", "solve_one_camera"),
-    "sylpose.results": ("FramePose", "FrameStatus", "Motion", "Observable", "RotationEstimate", "Status", "Trajectory"),
+    "sylpose.results": (
+        "FramePose",
+        "FrameStatus",
+        "Motion",
+        "Observability",
+        "RotationEstimate",
+        "Status",
+        "Trajectory",
+    ),
     "sylpose.rig": ("Camera", "Rig"),
     "sylpose.tracking.joint_state": ("Nudge",),
     "sylpose.tracking.known_object": ("KnownObject", "ObjectFrame"),
-    "sylpose.tracking.frame": ("Sought",),
-    "sylpose.tracking.tracked_frame": ("Sightings", "TrackedFrame"),
+    "sylpose.tracking.frame": ("DetectedFeatures",),
+    "sylpose.tracking.tracked_frame": ("LandmarkObservations", "TrackedFrame"),
     "sylpose.tracking.tracker": ("track",),
     "sylpose.relative_pose.motion": ("estimate_motion", "estimate_motions"),
     "sylpose.view": (

@@ -1,4 +1,4 @@
-"""`python -m sylpose` is the command `sylpose`."""
+"""Entry point of `python -m sylpose`, the same as the command `sylpose`."""
 
 import sys
 

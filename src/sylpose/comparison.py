@@ -1,7 +1,7 @@
-"""How far two trajectories are apart: absolute and relative errors (ATE and RPE), after what may differ has been aligned.
+"""Absolute and relative trajectory errors (ATE and RPE) after alignment.
 
-J. Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012; S. Umeyama, "Least-squares estimation of
-transformation parameters between two point patterns", PAMI 1991.
+J. Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012; S. Umeyama, "Least-squares
+estimation of transformation parameters between two point patterns", PAMI 1991.
 """
 
 from __future__ import annotations
@@ -14,35 +14,36 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.geometry.arrays import FloatArray, IntArray
 
-__all__ = ["Alignment", "Comparison", "compared", "pairs_in_time", "statistics"]
+__all__ = ["Alignment", "Comparison", "associate_timestamps", "compare_trajectories", "compute_statistics"]
 
 Alignment = Literal["first", "none", "se3", "sim3", "both"]
-# Positions that spread across a line by less than this share of their length leave the turn about it open, and so do turns
-# about one axis (choice: what noise of a thousandth of the way makes of a degree).
-FLAT = 1e-3
-# In which the turns of both frames settle (derived: each takes the error down by the share of turns about one axis).
-ROUNDS = 100
+# Positions whose second singular value is below this fraction of the first do not determine the rotation about their
+# line; the same holds for rotations about one axis (choice: noise of a thousandth of the path gives about a degree).
+MIN_SPREAD_RATIO = 1e-3
+# Iterations until the rotations of both frames converge (derived: each reduces the error by the fraction of rotations
+# about one axis).
+MAX_ITERATIONS = 100
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Errors of a trajectory against another one, its poses T_k told in the frames of the other's, Q_k.
+    """Errors of poses T_k in the frames of the reference poses Q_k.
 
     Attributes:
-        align: what was allowed to differ.
-        total: poses of the other trajectory; those of them with one in this, `len(times)`, are compared.
-        times: (n,) of the other's poses.
-        found, reference: n poses each, the former aligned.
-        scale: by which lengths of this trajectory were multiplied: 1 but for "sim3".
-        rotation: (n,) radians, of Q_k⁻¹ T_k.
-        position: (n,) how far apart their origins are.
+        align: the alignment that was applied.
+        n_reference: number of reference poses; `len(times)` of them have a corresponding pose and are compared.
+        times: (n,) of the reference poses.
+        estimate, reference: n poses each; the former are aligned.
+        scale: factor applied to the lengths of the compared trajectory: 1 except for "sim3".
+        rotation: (n,) rotation angles of Q_k⁻¹ T_k, radians.
+        position: (n,) distances between the origins.
         relative_rotation, relative_position: (n - step,) of (Q_k⁻¹ Q_k+step)⁻¹ (T_k⁻¹ T_k+step).
     """
 
     align: Alignment
-    total: int
+    n_reference: int
     times: FloatArray
-    found: RigidTransform
+    estimate: RigidTransform
     reference: RigidTransform
     scale: float
     rotation: FloatArray
@@ -51,7 +52,7 @@ class Comparison:
     relative_position: FloatArray
 
 
-def compared(
+def compare_trajectories(
     times: FloatArray,
     poses: RigidTransform,
     reference_times: FloatArray,
@@ -59,89 +60,103 @@ def compared(
     *,
     align: Alignment = "first",
     step: int = 1,
-    within: float | None = None,
+    max_time_diff: float | None = None,
 ) -> Comparison:
-    """Errors of m poses against n reference ones.
+    """Compute the errors of m poses against n reference poses.
 
     Args:
         times, reference_times: (m,), (n,) increasing.
-        align: what may differ. "first": the objects' frames: T_k is T_k T_0⁻¹ Q_0, motions since the first common pose.
-            "none": nothing. "se3": the worlds, turned and moved so that positions fit best; "sim3": scaled, too. "both":
-            the worlds and the objects' frames, so that first turns fit best, then positions.
-        step: poses between which relative errors are.
-        within: how far apart in time poses are that belong together; None for half of the reference's least step.
+        poses, reference: m and n poses.
+        align: what may differ. "first": the object frames: T_k becomes T_k T_0⁻¹ Q_0, motions since the first common
+            pose. "none": nothing. "se3": the world frames, by a rotation and translation that fit the positions best;
+            "sim3": also by a scale. "both": the world and object frames, which fit first the rotations, then the
+            positions.
+        step: number of poses between the two of a relative error.
+        max_time_diff: largest time difference of corresponding poses; None for half of the reference's smallest step.
 
     Raises:
-        ValueError: another alignment; fewer than two poses that belong together, or as many as the step; positions on a
-            line, or turns about one axis, to which nothing can be aligned.
+        ValueError: unknown alignment; fewer than two corresponding poses, or not more than the step; positions on a
+            line, or rotations about one axis, which do not determine the alignment.
     """
     if align not in get_args(Alignment):
         raise ValueError(f"align must be one of {', '.join(get_args(Alignment))}, got {align!r}")
     if step < 1:
         raise ValueError(f"step must be at least 1, got {step}")
-    ours, theirs = pairs_in_time(times, reference_times, within)
-    if len(ours) < max(2, step + 1):
+    indices, reference_indices = associate_timestamps(times, reference_times, max_time_diff)
+    if len(indices) < max(2, step + 1):
         raise ValueError(
-            f"{len(ours)} of {len(reference_times)} poses have one of the other trajectory at their time; "
+            f"{len(indices)} of {len(reference_times)} poses have a corresponding pose at their time; "
             f"{max(2, step + 1)} are needed"
         )
-    found, right, scale = poses[ours], reference[theirs], 1.0
+    estimate, matched_reference, scale = poses[indices], reference[reference_indices], 1.0
     if align == "first":
-        found = found * found[0].inv() * right[0]
+        estimate = estimate * estimate[0].inv() * matched_reference[0]
     elif align in ("se3", "sim3"):
-        turn, shift, scale = _aligned(found.translation, right.translation, align == "sim3")
-        place = scale * turn.apply(found.translation) + shift
-        found = RigidTransform.from_components(place, turn * found.rotation)
+        rotation, translation, scale = _align_umeyama(
+            estimate.translation, matched_reference.translation, align == "sim3"
+        )
+        positions = scale * rotation.apply(estimate.translation) + translation
+        estimate = RigidTransform.from_components(positions, rotation * estimate.rotation)
     elif align == "both":
-        found = _aligned_both(found, right)
-    off = right.inv() * found
-    relative = (right[:-step].inv() * right[step:]).inv() * (found[:-step].inv() * found[step:])
+        estimate = _align_both_frames(estimate, matched_reference)
+    errors = matched_reference.inv() * estimate
+    relative = (matched_reference[:-step].inv() * matched_reference[step:]).inv() * (
+        estimate[:-step].inv() * estimate[step:]
+    )
     return Comparison(
         align,
         len(reference_times),
-        np.asarray(reference_times)[theirs],
-        found,
-        right,
+        np.asarray(reference_times)[reference_indices],
+        estimate,
+        matched_reference,
         scale,
-        np.asarray(off.rotation.magnitude()),
-        np.linalg.norm(found.translation - right.translation, axis=1),
+        np.asarray(errors.rotation.magnitude()),
+        np.linalg.norm(estimate.translation - matched_reference.translation, axis=1),
         np.asarray(relative.rotation.magnitude()),
         np.linalg.norm(relative.translation, axis=1),
     )
 
 
-def pairs_in_time(times: FloatArray, others: FloatArray, within: float | None = None) -> tuple[IntArray, IntArray]:
-    """Which of `times` belongs to which of `others`: for each of these the nearest, where it is within a distance.
+def associate_timestamps(
+    times: FloatArray, others: FloatArray, max_time_diff: float | None = None
+) -> tuple[IntArray, IntArray]:
+    """Associate each of `others` with the nearest of `times`, if it is close enough.
 
     Args:
         times, others: (m,), (n,) increasing.
-        within: None for half of the least step of `others`.
+        max_time_diff: largest difference; None for half of the smallest step of `others`.
+
+    Returns:
+        indices into `times` and into `others` of the pairs.
 
     Raises:
-        ValueError: times that do not increase; fewer than two of `others` where `within` is None; a distance that is none.
+        ValueError: times that do not increase; fewer than two of `others` where `max_time_diff` is None; an invalid
+            `max_time_diff`.
     """
     for row in (times, others):
         if (np.diff(row) <= 0).any():
             raise ValueError("times must increase")
-    if within is None:
+    if max_time_diff is None:
         if len(others) < 2:
             raise ValueError(f"two poses to compare with are needed, got {len(others)}")
-        within = 0.5 * float(np.diff(others).min())
-    if not 0 <= within < np.inf:
-        raise ValueError(f"within must be a number of seconds, got {within:g}")
+        max_time_diff = 0.5 * float(np.diff(others).min())
+    if not 0 <= max_time_diff < np.inf:
+        raise ValueError(f"max_time_diff must be a number of seconds, got {max_time_diff:g}")
     if not len(times):
         return np.empty(0, np.int64), np.empty(0, np.int64)
-    behind = np.clip(np.searchsorted(times, others), 1, max(len(times) - 1, 1))
+    right_indices = np.clip(np.searchsorted(times, others), 1, max(len(times) - 1, 1))
     if len(times) == 1:
         nearest = np.zeros(len(others), np.int64)
     else:
-        nearest = np.where(others - times[behind - 1] <= times[behind] - others, behind - 1, behind)
-    theirs = np.flatnonzero(np.abs(times[nearest] - others) <= within)
-    return np.asarray(nearest[theirs], dtype=np.int64), np.asarray(theirs, dtype=np.int64)
+        nearest = np.where(
+            others - times[right_indices - 1] <= times[right_indices] - others, right_indices - 1, right_indices
+        )
+    other_indices = np.flatnonzero(np.abs(times[nearest] - others) <= max_time_diff)
+    return np.asarray(nearest[other_indices], dtype=np.int64), np.asarray(other_indices, dtype=np.int64)
 
 
-def statistics(errors: FloatArray) -> dict[str, float]:
-    """Of n errors."""
+def compute_statistics(errors: FloatArray) -> dict[str, float]:
+    """Compute summary statistics of n errors."""
     return {
         "rmse": float(np.sqrt(np.mean(errors**2))),
         "mean": float(errors.mean()),
@@ -152,47 +167,51 @@ def statistics(errors: FloatArray) -> dict[str, float]:
     }
 
 
-def _aligned(points: FloatArray, onto: FloatArray, scaled: bool) -> tuple[Rotation, FloatArray, float]:
-    """Turn, shift and scale with the least sum of |scale turn(points) + shift - onto|² (Umeyama)."""
-    a, b = points - points.mean(axis=0), onto - onto.mean(axis=0)
-    for what in (a, b):
-        spread = np.linalg.svd(what, compute_uv=False)
-        if not spread[1] > FLAT * spread[0]:
+def _align_umeyama(points: FloatArray, targets: FloatArray, with_scale: bool) -> tuple[Rotation, FloatArray, float]:
+    """Fit rotation, translation and scale from points to targets (Umeyama).
+
+    The sum of |scale R points + t - targets|² is minimized.
+    """
+    a, b = points - points.mean(axis=0), targets - targets.mean(axis=0)
+    for centered in (a, b):
+        spread = np.linalg.svd(centered, compute_uv=False)
+        if not spread[1] > MIN_SPREAD_RATIO * spread[0]:
             raise ValueError(
-                "se3 and sim3 align positions, and these lie on a line or at a place, which leaves a turn open; take first "
-                "or none"
+                "se3 and sim3 align positions, but these are on a line or at one point, which leaves the rotation "
+                "undetermined; use first or none"
             )
-    turn = Rotation.align_vectors(b, a)[0]
-    scale = float(np.sum(b * turn.apply(a)) / np.sum(a * a)) if scaled else 1.0
+    rotation = Rotation.align_vectors(b, a)[0]
+    scale = float(np.sum(b * rotation.apply(a)) / np.sum(a * a)) if with_scale else 1.0
     if not scale > 0:
-        raise ValueError("sim3 finds no scale with which positions fit")
-    return turn, onto.mean(axis=0) - scale * turn.apply(points.mean(axis=0)), scale
+        raise ValueError("sim3: no positive scale fits the positions")
+    return rotation, targets.mean(axis=0) - scale * rotation.apply(points.mean(axis=0)), scale
 
 
-def _aligned_both(found: RigidTransform, right: RigidTransform) -> RigidTransform:
-    """X T_k Y that is nearest to Q_k: in turns first, of which both X and Y follow, then in positions."""
-    ours, theirs = found.rotation, right.rotation
-    # Turns since the first and since the last pose are the same about axes that X takes to each other.
-    moved, wanted = (
-        np.concatenate([(turns * turns[k].inv()).as_rotvec() for k in (0, len(turns) - 1)]) for turns in (ours, theirs)
+def _align_both_frames(estimate: RigidTransform, reference: RigidTransform) -> RigidTransform:
+    """Fit X T_k Y to Q_k: first by the rotations of X and Y, then by the positions."""
+    rotations, reference_rotations = estimate.rotation, reference.rotation
+    # Rotations since the first and since the last pose are the same up to X, which maps their axes to each other.
+    axes, reference_axes = (
+        np.concatenate([(sequence * sequence[k].inv()).as_rotvec() for k in (0, len(sequence) - 1)])
+        for sequence in (rotations, reference_rotations)
     )
-    for what in (moved, wanted):
-        spread = np.linalg.svd(what, compute_uv=False)
-        if not spread[1] > FLAT * max(spread[0], FLAT):
+    for vectors in (axes, reference_axes):
+        spread = np.linalg.svd(vectors, compute_uv=False)
+        if not spread[1] > MIN_SPREAD_RATIO * max(spread[0], MIN_SPREAD_RATIO):
             raise ValueError(
-                "both aligns by turns about several axes, and these are about one, or none; take first, se3 or sim3"
+                "both needs rotations about several axes, but these are about one or none; use first, se3 or sim3"
             )
-    world = Rotation.align_vectors(wanted, moved)[0]
-    for _ in range(ROUNDS):
-        before = world
-        object_ = ((world * ours).inv() * theirs).mean()
-        world = (theirs * (ours * object_).inv()).mean()
-        if (world * before.inv()).magnitude() < 1e-14:
+    world = Rotation.align_vectors(reference_axes, axes)[0]
+    for _ in range(MAX_ITERATIONS):
+        previous = world
+        object_ = ((world * rotations).inv() * reference_rotations).mean()
+        world = (reference_rotations * (rotations * object_).inv()).mean()
+        if (world * previous.inv()).magnitude() < 1e-14:
             break
-    # q = X (R o + p) + t is linear in the object's origin o and the shift t.
-    turned = (world * ours).as_matrix()
-    rows = np.concatenate([turned, np.broadcast_to(np.eye(3), turned.shape)], axis=2).reshape(-1, 6)
-    rest = right.translation - world.apply(found.translation)
-    solved = np.linalg.lstsq(rows, rest.ravel(), rcond=None)[0]
-    places = world.apply(found.translation) + (rows @ solved).reshape(-1, 3)
-    return RigidTransform.from_components(places, world * ours * object_)
+    # q = X (R o + p) + t is linear in the object's origin o and the translation t.
+    rotated = (world * rotations).as_matrix()
+    rows = np.concatenate([rotated, np.broadcast_to(np.eye(3), rotated.shape)], axis=2).reshape(-1, 6)
+    offsets = reference.translation - world.apply(estimate.translation)
+    solution = np.linalg.lstsq(rows, offsets.ravel(), rcond=None)[0]
+    positions = world.apply(estimate.translation) + (rows @ solution).reshape(-1, 3)
+    return RigidTransform.from_components(positions, world * rotations * object_)

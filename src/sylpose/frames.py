@@ -1,4 +1,4 @@
-"""What the cameras saw at one instant, and where in it an object is."""
+"""Frame sets: the images of all cameras at one timestamp, with masks of the object."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from typing import Any
 import numpy as np
 
 from sylpose.geometry.arrays import BoolArray, Image
-from sylpose.geometry.validation import kind_of, number, shown
+from sylpose.geometry.validation import check_number, check_type, format_value
 from sylpose.rig import Camera
 
-__all__ = ["Box", "FrameSet", "check_frames"]
+__all__ = ["Box", "FrameSet", "check_frame_set"]
 
 
 @dataclass(frozen=True)
 class Box:
-    """A region of an image as recorded (distorted): left, top, width, height in pixels.
+    """Region of an image as recorded (distorted): left, top, width, height in pixels.
 
     Raises:
-        ValueError: naming what is no finite number.
+        ValueError: naming the value that is not a finite number.
     """
 
     x: float
@@ -30,20 +30,23 @@ class Box:
 
     def __post_init__(self) -> None:
         for name in ("x", "y", "width", "height"):
-            number(getattr(self, name), name)
+            check_number(getattr(self, name), name)
 
 
 @dataclass(frozen=True, eq=False)
 class FrameSet:
-    """The images of all cameras at one instant, and the masks of one object or of several; tuples are in the rig's order.
+    """Images of all cameras at one timestamp, with object masks.
+
+    Tuples are in the rig's order.
 
     Attributes:
-        index: the instant's number in the session.
-        time: seconds: the mean of the cameras' time stamps, else index / rate, else the index itself.
-        times: each camera's own time stamp, seconds; None without one.
-        images: BGR (h, w, 3) as recorded; None for a camera that has no frame at this instant.
-        masks: (h, w), True on the object, or on any of several; None without an image or the mask of one of them.
-        object_masks: the same by object, where there are several with masks; see `of`.
+        index: number of the timestamp in the session.
+        time: seconds; the mean of the cameras' time stamps, else index / rate, else the index itself.
+        times: each camera's time stamp, seconds; None without one.
+        images: BGR (h, w, 3) as recorded; None for a camera without a frame at this timestamp.
+        masks: (h, w), True on the object, or on any of several; None without an image, or if one object's mask is
+            missing.
+        object_masks: masks by object, where there are several with masks; see `for_object`.
     """
 
     index: int
@@ -53,11 +56,13 @@ class FrameSet:
     masks: tuple[BoolArray | None, ...]
     object_masks: Mapping[str, tuple[BoolArray | None, ...]] = field(default_factory=dict)
 
-    def of(self, name: str) -> FrameSet:
-        """These images with the masks of one object; this frame set itself where masks are not given by object.
+    def for_object(self, name: str) -> FrameSet:
+        """Return these images with the masks of one object.
+
+        Without masks by object, return the frame set itself.
 
         Raises:
-            ValueError: masks are given of several objects, and this is none of them.
+            ValueError: masks are given by object, but not for this one.
         """
         if not self.object_masks:
             return self
@@ -66,29 +71,31 @@ class FrameSet:
         return replace(self, masks=self.object_masks[name], object_masks={})
 
 
-def check_frames(frames: Any, cameras: Iterable[Camera]) -> None:
-    """That a frame set is of these cameras.
+def check_frame_set(frames: Any, cameras: Iterable[Camera]) -> None:
+    """Check that a frame set fits these cameras.
 
     Raises:
-        TypeError, ValueError: naming what is wrong: another thing; not as many images or masks, or of another size or kind.
+        TypeError, ValueError: naming the error: not a frame set, or a wrong number, size or type of images or masks.
     """
-    kind_of(frames, FrameSet, "frames")
-    number(frames.time, "frames: time", most=np.inf)
-    known = list(cameras)
-    for name, given in (("images", frames.images), ("masks", frames.masks)):
-        if len(kind_of(given, (tuple, list), f"frames: {name}")) != len(known):
+    check_type(frames, FrameSet, "frames")
+    check_number(frames.time, "frames: time", maximum=np.inf)
+    camera_list = list(cameras)
+    for name, arrays in (("images", frames.images), ("masks", frames.masks)):
+        if len(check_type(arrays, (tuple, list), f"frames: {name}")) != len(camera_list):
             raise ValueError(
-                f"frames: {len(given)} {name} for {len(known)} cameras; give one for each, in the rig's order"
+                f"frames: {len(arrays)} {name} for {len(camera_list)} cameras; give one for each, in the rig's order"
             )
-    for camera, image, mask in zip(known, frames.images, frames.masks, strict=True):
+    for camera, image, mask in zip(camera_list, frames.images, frames.masks, strict=True):
         size = camera.size[::-1]
-        for what, array, kind in (("image", image, np.uint8), ("mask", mask, np.bool_)):
+        for noun, array, dtype in (("image", image, np.uint8), ("mask", mask, np.bool_)):
             if array is None:
                 continue
-            if not isinstance(array, np.ndarray) or array.dtype != kind or array.shape[:2] != size:
-                wanted = f"{kind.__name__} of {size[0]} rows and {size[1]} columns"
-                raise ValueError(f"frames: camera {camera.name}: the {what} must be {wanted}, got {shown(array)}")
-            if array.shape[2:] not in ((3,), ()) or (what == "mask" and array.ndim != 2):
+            if not isinstance(array, np.ndarray) or array.dtype != dtype or array.shape[:2] != size:
+                expected = f"{dtype.__name__} of {size[0]} rows and {size[1]} columns"
                 raise ValueError(
-                    f"frames: camera {camera.name}: the {what} must be (h, w, 3) or (h, w), got {shown(array)}"
+                    f"frames: camera {camera.name}: the {noun} must be {expected}, got {format_value(array)}"
+                )
+            if array.shape[2:] not in ((3,), ()) or (noun == "mask" and array.ndim != 2):
+                raise ValueError(
+                    f"frames: camera {camera.name}: the {noun} must be (h, w, 3) or (h, w), got {format_value(array)}"
                 )

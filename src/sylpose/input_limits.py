@@ -1,7 +1,7 @@
-"""Files that others wrote: limits before anything is parsed, and one short sentence for whatever is wrong with them.
+"""Limits for input files, and one short error message for any problem with them.
 
-Whatever a reader raises about a file's content leaves it through `told`, so that it names the file, is one line of bounded
-length, and has no control characters of the file in it (SECURITY.md).
+Readers raise errors about a file's content through `input_errors`, so that the message names the file, is one line of
+bounded length, and contains no control characters of the file (SECURITY.md).
 """
 
 from __future__ import annotations
@@ -20,146 +20,155 @@ from typing import Any, BinaryIO
 
 __all__ = [
     "MAX_DEPTH",
-    "MAX_TABLE",
-    "MAX_TEXT",
-    "SENTENCE",
-    "Unreadable",
-    "bytes_of",
-    "one_line",
-    "parsed_toml",
-    "regular_file",
-    "resolved",
-    "text_of",
-    "told",
+    "MAX_SENTENCE_LENGTH",
+    "MAX_TABLE_BYTES",
+    "MAX_TEXT_BYTES",
+    "UnreadableFileError",
+    "input_errors",
+    "open_regular_file",
+    "parse_toml",
+    "read_bytes",
+    "read_text",
+    "resolve_path",
+    "to_one_line",
 ]
 
-# Bytes of calibrations and settings (choice: a rig of some hundred cameras, in XML), of these in TOML, whose parser is slow
-# (choice: as many), and of tables with a line per frame (choice: a day at 60 frames per second).
-MAX_TEXT = 2**20
-MAX_TOML = 2**18
-MAX_TABLE = 2**29
-# Values within values (choice: the deepest that people write is seven).
+# Bytes of calibrations and settings (choice: a rig of some hundred cameras, in XML), of these in TOML, whose parser is
+# slow (choice: as many), and of tables with a line per frame (choice: a day at 60 frames per second).
+MAX_TEXT_BYTES = 2**20
+MAX_TOML_BYTES = 2**18
+MAX_TABLE_BYTES = 2**29
+# Nesting depth of values (choice: handwritten files have at most seven levels).
 MAX_DEPTH = 32
-# What a sentence says of a file, in characters (choice: three lines of a terminal).
-SAID = 300
-# What a command says in one sentence, with paths in it (choice).
-SENTENCE = 1000
-_DIGITS = re.compile(r"[0-9_]{309}")  # beyond it no number is a float
-# `tomllib` needs memory and time by the square of a key's parts (a.b.c), which are all in one line: the squares of the
-# lines' dots, summed (choice: 100 MB; a rig of 300 cameras has a tenth of it).
-MAX_DOTS = 10**7
+# Length of a message about a file, in characters (choice: three lines of a terminal).
+MAX_MESSAGE_LENGTH = 300
+# Length of a command's message, including paths (choice).
+MAX_SENTENCE_LENGTH = 1000
+_DIGITS = re.compile(r"[0-9_]{309}")  # longer numbers overflow a float
+# `tomllib` needs memory and time quadratic in the number of parts of a key (a.b.c), which are on one line: sum of the
+# squares of the lines' dots (choice: 100 MB; a rig of 300 cameras needs a tenth of it).
+MAX_SQUARED_DOTS = 10**7
 
 
-class Unreadable(ValueError):
-    """What is wrong with a file: one line of bounded length that names it."""
+class UnreadableFileError(ValueError):
+    """Error about a file's content: one line of bounded length that names the file."""
 
 
 @contextmanager
-def told(path: Path | str) -> Iterator[None]:
-    """Turns what is wrong with a file's content into one sentence that names the file.
+def input_errors(path: Path | str) -> Iterator[None]:
+    """Turn errors about a file's content into one message that names the file.
 
     Raises:
-        Unreadable: for any `ValueError` and for what parsers and conversions raise where numbers are too large, values
-            nested too deep or too many. An `OSError` passes: it has the file's name.
+        UnreadableFileError: for any `ValueError`, and for errors of parsers and conversions on numbers that are too
+            large or values that are too many or nested too deep. An `OSError` passes unchanged: it names the file.
     """
     try:
         yield
-    except Unreadable:
+    except UnreadableFileError:
         raise
     except RecursionError:
-        raise Unreadable(f"{one_line(str(path), 2 * SAID)}: values are nested too deep in it") from None
+        raise UnreadableFileError(
+            f"{to_one_line(str(path), 2 * MAX_MESSAGE_LENGTH)}: values are nested too deep in it"
+        ) from None
     except (ValueError, OverflowError, MemoryError, csv.Error) as error:
-        name = one_line(str(path), 2 * SAID)
-        said = one_line(str(error) or "too much for this computer's memory", 2 * SAID + 2 * len(name))
-        # Said of a file in the folder, or of the file already.
-        head = said.startswith(name)
-        said = said.removeprefix(name) if head else f": {said}"
-        raise Unreadable(name + one_line(said, SAID)) from None
+        name = to_one_line(str(path), 2 * MAX_MESSAGE_LENGTH)
+        message = to_one_line(str(error) or "not enough memory to read it", 2 * MAX_MESSAGE_LENGTH + 2 * len(name))
+        # The message may already start with the name of the file, or of its folder.
+        has_name = message.startswith(name)
+        message = message.removeprefix(name) if has_name else f": {message}"
+        raise UnreadableFileError(name + to_one_line(message, MAX_MESSAGE_LENGTH)) from None
 
 
-def one_line(text: str, limit: int = SAID) -> str:
-    """Text as one line of at most `limit` characters, cut in the middle; characters that steer terminals are spelt out."""
-    # What is cut away need not be looked at.
+def to_one_line(text: str, limit: int = MAX_MESSAGE_LENGTH) -> str:
+    """Return text as one line of at most `limit` characters, cut in the middle.
+
+    Control characters are escaped.
+    """
+    # The part that is cut away is not processed.
     text = text if len(text) <= 2 * limit else f"{text[:limit]}{text[-limit:]}"
-    shown = "".join(c if unicodedata.category(c) not in _STEERING else _spelt(c) for c in " ".join(text.split()))
+    escaped = "".join(
+        c if unicodedata.category(c) not in _CONTROL_CATEGORIES else _escape(c) for c in " ".join(text.split())
+    )
     head = limit * 2 // 3
-    return shown if len(shown) <= limit else f"{shown[:head]} ... {shown[head + 5 - limit :]}"
+    return escaped if len(escaped) <= limit else f"{escaped[:head]} ... {escaped[head + 5 - limit :]}"
 
 
-def bytes_of(path: Path, limit: int = MAX_TEXT) -> bytes:
-    """The content of a file.
+def read_bytes(path: Path, limit: int = MAX_TEXT_BYTES) -> bytes:
+    """Return the content of a file.
 
     Raises:
-        OSError: it is not there or cannot be read.
-        Unreadable: it is no file but a pipe, a device or a folder; or larger than `limit` bytes.
+        OSError: it does not exist or cannot be read.
+        UnreadableFileError: not a regular file (a pipe, a device or a folder), or larger than `limit` bytes.
     """
-    with told(path), regular_file(path, limit) as file:
+    with input_errors(path), open_regular_file(path, limit) as file:
         data = file.read(limit + 1)
         if len(data) > limit:
-            raise ValueError(_too_long(len(data), limit))
+            raise ValueError(_size_error(len(data), limit))
         return data
 
 
-def regular_file(path: Path, limit: int) -> BinaryIO:
-    """A file, opened.
+def open_regular_file(path: Path, limit: int) -> BinaryIO:
+    """Open a regular file for reading.
 
     Raises:
-        OSError: as `bytes_of`.
-        ValueError: it is no file, or larger than `limit` bytes. For `told`.
+        OSError: as `read_bytes`.
+        ValueError: not a regular file, or larger than `limit` bytes. To be converted by `input_errors`.
     """
     status = path.stat()
     if not stat.S_ISREG(status.st_mode):
         raise ValueError("a file is expected, not a folder, a pipe or a device")
     if status.st_size > limit:
-        raise ValueError(_too_long(status.st_size, limit))
+        raise ValueError(_size_error(status.st_size, limit))
     return path.open("rb")
 
 
-def _too_long(size: int, limit: int) -> str:
-    return f"{size} bytes, more than the {limit} that such a file may have"
+def _size_error(size: int, limit: int) -> str:
+    return f"{size} bytes, more than the {limit} allowed for such a file"
 
 
-def text_of(path: Path, limit: int = MAX_TEXT) -> str:
-    """The content of a text file, UTF-8 with or without its mark; of XML UTF-16 with it, too.
+def read_text(path: Path, limit: int = MAX_TEXT_BYTES) -> str:
+    """Return the content of a text file in UTF-8, with or without byte order mark.
+
+    XML may be in UTF-16 with a byte order mark.
 
     Raises:
-        OSError, Unreadable: as `bytes_of`; it is no text, or has a number of more than 308 digits.
+        OSError, UnreadableFileError: as `read_bytes`; not text, or with a number of more than 308 digits.
     """
-    data = bytes_of(path, limit)
-    with told(path):
+    data = read_bytes(path, limit)
+    with input_errors(path):
         try:
             text = data.decode("utf-16" if data.startswith(_UTF16) else "utf-8-sig")
         except UnicodeDecodeError:
             raise ValueError("not text in UTF-8") from None
         if _DIGITS.search(text):
-            raise ValueError("a number of more than 308 digits in it")
+            raise ValueError("it has a number of more than 308 digits")
         return text
 
 
-def parsed_toml(text: str, limit: int = MAX_TOML) -> dict[str, Any]:
-    """The content of TOML.
+def parse_toml(text: str, limit: int = MAX_TOML_BYTES) -> dict[str, Any]:
+    """Parse TOML.
 
     Raises:
-        ValueError: it is none, has more than `limit` characters or lines with too many dots; RecursionError: nested too
-            deep. For `told`.
+        ValueError: invalid, more than `limit` characters, or lines with too many dots. To be converted by
+            `input_errors`.
+        RecursionError: nested too deep.
     """
     if len(text) > limit:
-        raise ValueError(f"{len(text)} characters, more than the {limit} that TOML may have")
-    if sum(line.count(".") ** 2 for line in text.split("\n")) > MAX_DOTS:
-        raise ValueError("too many dots in a line, which are for keys of many parts")
+        raise ValueError(f"{len(text)} characters, more than the {limit} allowed for TOML")
+    if sum(line.count(".") ** 2 for line in text.split("\n")) > MAX_SQUARED_DOTS:
+        raise ValueError("too many dots in a line")
     return tomllib.loads(text)
 
 
-def resolved(path: Path) -> Path:
-    """The path without links in it; as it is where they lead in a circle."""
+def resolve_path(path: Path) -> Path:
+    """Return the path with its links resolved; circular links are left as they are."""
     return Path(os.path.realpath(path))
 
 
 _UTF16 = (codecs.BOM_UTF16_LE + b"<\0", codecs.BOM_UTF16_BE + b"\0<")
-# Unicode's classes of control characters, marks that turn the direction of writing, halves of characters, line ends, and
-# what has no meaning.
-_STEERING = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"})
+# Unicode categories of control characters, bidirectional marks, surrogates, line separators and unassigned characters.
+_CONTROL_CATEGORIES = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"})
 
 
-def _spelt(character: str) -> str:
+def _escape(character: str) -> str:
     return ascii(character)[1:-1]

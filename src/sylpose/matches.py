@@ -1,4 +1,4 @@
-"""Matches: points that one camera sees in two frames."""
+"""Matches: image points of one camera in two frames."""
 
 from __future__ import annotations
 
@@ -7,39 +7,39 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sylpose.display import Telling, Told
+from sylpose.display import Printable, Summary
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.validation import finite_rows, kind_of
+from sylpose.geometry.validation import check_finite_rows, check_type
 from sylpose.rig import Camera
 
-__all__ = ["STILL_PX", "Matches"]
+__all__ = ["STATIC_PX", "Matches"]
 
-# No point is farther from the middle of an image: 1e6 times what a lens can see (choice).
-MOST_POINT = 1e9
+# Largest coordinate of a point: 1e6 times the field of view of a lens (choice).
+MAX_COORDINATE = 1e9
 
-# A feature displaced by less than this, in pixels, stands still for all that two keypoints can tell.
-STILL_PX = 1.5
+# A feature displaced by less than this, in pixels, is static within the accuracy of keypoints.
+STATIC_PX = 1.5
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Matches(Told):
-    """Points that one camera sees in two frames i and j, undistorted.
+class Matches(Printable):
+    """Matched points of one camera in two frames i and j, undistorted.
 
     Attributes:
-        x: (n, 2) normalised points in frame i.
-        y: (n, 2) the same features' normalised points in frame j.
+        x: (n, 2) normalized points in frame i.
+        y: (n, 2) the same features' normalized points in frame j.
 
     Raises:
-        ValueError: other shapes (nothing is reshaped), no real numbers, or values that are not finite.
+        ValueError: other shapes (nothing is reshaped), or values that are not real and finite.
     """
 
     x: FloatArray
     y: FloatArray
 
     def __post_init__(self) -> None:
-        # Row by row in memory, as the compiled solvers want it.
+        # Contiguous by rows, as the compiled solvers require.
         x, y = (
-            np.array(finite_rows(part, 2, f"matches: {name}", most=MOST_POINT))
+            np.array(check_finite_rows(part, 2, f"matches: {name}", maximum=MAX_COORDINATE))
             for name, part in (("x", self.x), ("y", self.y))
         )
         if x.shape != y.shape:
@@ -48,28 +48,32 @@ class Matches(Told):
         object.__setattr__(self, "y", y)
 
     @classmethod
-    def none(cls) -> Matches:
-        """No matches: what a camera has that does not see the object."""
+    def empty(cls) -> Matches:
+        """Return an empty set, for a camera that does not observe the object."""
         return cls(np.empty((0, 2)), np.empty((0, 2)))
 
     @classmethod
     def from_pixels(cls, camera: Camera, pixels_i: ArrayLike, pixels_j: ArrayLike) -> Matches:
-        """Matches from pixels (n, 2) of the images as recorded; the lens is taken out here, once.
+        """Make matches from pixels of the images as recorded; undistorts them.
+
+        Args:
+            camera: the camera.
+            pixels_i, pixels_j: (n, 2) pixels in frames i and j.
 
         Raises:
-            ValueError: naming the argument: another shape, no real numbers, values that are not finite; not as many in both.
+            ValueError: naming the argument: wrong shape, values that are not real and finite, or different lengths.
         """
-        camera = kind_of(camera, Camera, "camera")
-        i, j = finite_rows(pixels_i, 2, "pixels_i"), finite_rows(pixels_j, 2, "pixels_j")
+        camera = check_type(camera, Camera, "camera")
+        i, j = check_finite_rows(pixels_i, 2, "pixels_i"), check_finite_rows(pixels_j, 2, "pixels_j")
         return cls(camera.normalize(i), camera.normalize(j))
 
     def __len__(self) -> int:
         return len(self.x)
 
-    def _told(self) -> Telling:
-        far = (
+    def _summary(self) -> Summary:
+        motion_text = (
             f", moved by {np.median(np.linalg.norm(self.y - self.x, axis=1)):.3g} of the focal length"
             if len(self)
             else ""
         )
-        return Telling(f"{len(self)} points in two frames{far}" + (" in the median" if far else ""))
+        return Summary(f"{len(self)} points in two frames{motion_text}" + (" (median)" if motion_text else ""))

@@ -1,7 +1,7 @@
-"""The one table of methods: what `--method` and `method=` choose between, what each needs, gives and can use.
+"""Table of the methods: choices of `--method` and `method=`, with their inputs, outputs and features.
 
-README's and `sylpose track --help`'s tables are tested against it. It names functions and does not load them, so that
-`--help` takes no time.
+The tables of README and `sylpose track --help` are tested against it. It names functions without importing them, so
+that `--help` is fast.
 """
 
 from __future__ import annotations
@@ -16,48 +16,52 @@ __all__ = [
     "PAPER_METHODS",
     "TABLE",
     "Method",
-    "features_of",
-    "summary",
+    "format_methods_table",
+    "resolve_features",
 ]
 
 
 class Method(NamedTuple):
-    """A way to find the object's motion. The tracker takes all of them.
+    """Method that estimates the object's motion; the tracker accepts all of them.
 
     Attributes:
-        name: as users say it.
-        needs: what the motion is found from.
-        gives: what comes out and when it is the method to take.
-        features: where a tracked frame's features may come from, the best first; see `FEATURES`.
-        two_frames: whether `estimate_motion` takes it too: between two frames nothing is known of the landmarks yet.
-        moments: whether it is one of the paper's estimators of a rotation, from the pair moments of two frames.
-        function: that does it, `module.function` within `sylpose`.
+        name: as users type it.
+        inputs: the data that the motion is estimated from.
+        output: the result, and when to choose the method.
+        features: possible sources of a tracked frame's features, the best first; see `FEATURES`.
+        supports_two_frames: whether `estimate_motion` accepts it as well; between two frames no landmarks are
+            available.
+        uses_moments: whether it is one of the paper's rotation estimators, which use the pair moments of two frames.
+        function: its implementation, `module.function` within `sylpose`.
     """
 
     name: str
-    needs: str
-    gives: str
+    inputs: str
+    output: str
     features: tuple[str, ...]
-    two_frames: bool
-    moments: bool
+    supports_two_frames: bool
+    uses_moments: bool
     function: str
 
 
-def _paper(name: str, needs: str, gives: str, function: str) -> Method:
-    """Of the paper's estimators: each uses the matches with the frame before alone, and followed features (KLT) have
-    matches with their anchor frame, which is the frame before for one frame only."""
-    return Method(name, needs, gives, ("sift",), True, True, function)
+def _paper_method(name: str, inputs: str, output: str, function: str) -> Method:
+    """Return the entry of one of the paper's estimators.
+
+    These use only the matches with the previous frame. KLT features have matches with their template frame, which is
+    the previous frame for one frame only, so they are not supported.
+    """
+    return Method(name, inputs, output, ("sift",), True, True, function)
 
 
-# In each, the first is the default.
+# The first of each is the default.
 FEATURES = ("auto", "sift", "klt")
-# How cameras that are nodes come to a frame's pose (`landmarks.distributed_alignment`).
+# How distributed camera nodes compute a frame's pose (`landmarks.distributed_alignment`).
 MODES = ("exact", "compact")
 TABLE = (
     Method(
         "landmarks",
-        "places of features on the object, learnt as it turns",
-        "least drift: take it unless there is a reason",
+        "landmarks on the object, mapped while it rotates",
+        "least drift; recommended",
         ("klt", "sift"),
         False,
         False,
@@ -65,59 +69,59 @@ TABLE = (
     ),
     Method(
         "epipolar",
-        "matches with keyframes, perspective, depths half known",
-        "two frames; a check that learns no depths",
+        "matches with keyframes, perspective, weak depth prior",
+        "two frames; a check without a landmark map",
         ("sift", "klt"),
         True,
         False,
         "relative_pose.solver.fit_terms",
     ),
-    _paper(
+    _paper_method(
         "sylvester",
         "second moments of the matches, orthographic",
-        "the paper's centralised rotation; small turns",
+        "the paper's centralized rotation; small rotations",
         "sylvester.centralized.solve_centralized",
     ),
-    _paper(
+    _paper_method(
         "depth-plane",
-        "the same, and a plane for the depth each camera sees",
-        "little bandwidth; flat and faceted objects",
+        "the same, with a depth plane per camera",
+        "low bandwidth; flat and faceted objects",
         "sylvester.depth_plane.solve_depth_plane",
     ),
-    _paper(
+    _paper_method(
         "exchange",
         "as sylvester, moments sent to all cameras",
-        "the answer of sylvester, in one round",
+        "the result of sylvester, in one round",
         "sylvester.distributed.simulation.solve_exchange",
     ),
-    _paper(
+    _paper_method(
         "refine",
-        "as sylvester, rotations alone sent to all cameras",
-        "the answer of sylvester: the paper's refinement",
+        "as sylvester, only rotations sent to all cameras",
+        "the result of sylvester: the paper's refinement",
         "sylvester.distributed.simulation.solve_refine",
     ),
-    _paper(
+    _paper_method(
         "gossip",
-        "as sylvester, moments sent to neighbours only",
-        "the answer of sylvester, without all-to-all links",
+        "as sylvester, moments sent to neighbors only",
+        "the result of sylvester, without all-to-all links",
         "sylvester.distributed.simulation.solve_gossip",
     ),
-    _paper(
+    _paper_method(
         "one-camera",
         "second moments of one camera, with the constraint",
-        "the paper's single camera, to compare",
+        "the paper's single camera, for comparison",
         "sylvester.one_camera.solve_one_camera",
     ),
-    _paper(
+    _paper_method(
         "unconstrained",
-        "second moments of one camera, adjusted afterwards",
-        "what the constraint is better than, to compare",
+        "second moments of one camera, projected to SO(3)",
+        "baseline without the constraint, for comparison",
         "sylvester.one_camera.solve_unconstrained",
     ),
     Method(
         "known-depth",
-        "the landmarks' known places, Sylvester's equation",
-        "2D-3D as in the paper, to compare",
+        "the landmarks' positions, Sylvester's equation",
+        "2D-3D as in the paper, for comparison",
         ("sift", "klt"),
         False,
         False,
@@ -126,37 +130,37 @@ TABLE = (
 )
 
 METHODS = tuple(method.name for method in TABLE)
-MOTION_METHODS = tuple(method.name for method in TABLE if method.two_frames)
-PAPER_METHODS = tuple(method.name for method in TABLE if method.moments)
+MOTION_METHODS = tuple(method.name for method in TABLE if method.supports_two_frames)
+PAPER_METHODS = tuple(method.name for method in TABLE if method.uses_moments)
 
 
-def features_of(method: str, features: str) -> str:
-    """Where a tracked frame's features come from: "sift", or "klt" (followed from SIFT keyframes).
+def resolve_features(method: str, features: str) -> str:
+    """Return the source of a tracked frame's features: "sift", or "klt" (tracked from SIFT keyframes).
 
     Args:
-        method: of `METHODS`.
-        features: of `FEATURES`; "auto" is what suits the method best.
+        method: one of `METHODS`.
+        features: one of `FEATURES`; "auto" selects the best for the method.
 
     Raises:
-        ValueError: an unknown method, unknown features, or features that the method cannot use.
+        ValueError: an unknown method, unknown features, or features that the method does not support.
     """
     for name, choice, choices in (("method", method, METHODS), ("features", features, FEATURES)):
         if not isinstance(choice, str) or choice not in choices:
-            said = ascii(choice)[:60] if isinstance(choice, str) else f"an object of type {type(choice).__name__}"
-            raise ValueError(f"{name}: {said} is not one of {', '.join(choices)}")
+            text = ascii(choice)[:60] if isinstance(choice, str) else f"an object of type {type(choice).__name__}"
+            raise ValueError(f"{name}: {text} is not one of {', '.join(choices)}")
     usable = TABLE[METHODS.index(method)].features
     if features == FEATURES[0]:
         return usable[0]
     if features not in usable:
-        able = ", ".join(other.name for other in TABLE if features in other.features)
+        alternatives = ", ".join(other.name for other in TABLE if features in other.features)
         raise ValueError(
-            f"features: {features!r} is of no use to the method {method!r}, which wants the matches of each frame with the "
-            f"one before; take {' or '.join(map(repr, usable))}, or one of the methods {able}"
+            f"features: {features!r} does not suit the method {method!r}, which needs matches of each frame with the "
+            f"previous one; use {' or '.join(map(repr, usable))}, or one of the methods {alternatives}"
         )
     return features
 
 
-def summary() -> str:
-    """The table for `sylpose track --help`, a line for each method, within 80 columns."""
-    lines = (f"  {m.name + ' *' * ('klt' in m.features):15} {m.needs}" for m in TABLE)
-    return "\n".join(["Methods, and what they find the motion from (*: with --features klt too):", *lines])
+def format_methods_table() -> str:
+    """Format the table for `sylpose track --help`, one line per method, within 80 columns."""
+    lines = (f"  {m.name + ' *' * ('klt' in m.features):15} {m.inputs}" for m in TABLE)
+    return "\n".join(["Methods and the data they use (*: also with --features klt):", *lines])

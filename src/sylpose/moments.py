@@ -1,12 +1,12 @@
-"""Pair moments: all that one camera saw of the motion between two frames, in 45 numbers.
+"""Pair moments: sufficient statistics of one camera's matches between two frames, in 45 numbers.
 
-With k = y ⊗ x (the row-major vec of y x') for each match of normalised points x = (x1, x2, 1) in frame i and
-y = (y1, y2, 1) in frame j, the pair moments are M = Σ w k k', symmetric 9x9. They hold the count, the means and all
-second moments, so every estimator from here on costs the same whatever the number of matches. Moments of disjoint
-sets add.
+With k = y ⊗ x (the row-major vec of y x') for each match of normalized points x = (x1, x2, 1) in frame i and y = (y1,
+y2, 1) in frame j, the pair moments are M = Σ w k k', symmetric 9x9. They contain the count, the means and all second
+moments, so the cost of every estimator that uses them is independent of the number of matches. Moments of disjoint sets
+add.
 
 Source: the epipolar cost vec(E)' M vec(E) is classical (e.g. Hartley & Zisserman, section 11.3, A'A); that the same
-numbers carry the second moments that Chen & Schonfeld (2010) need is our observation.
+numbers contain the second moments that Chen & Schonfeld (2010) need is our observation.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.matrices import symmetric_of, upper_of
-from sylpose.geometry.validation import finite, finite_rows, kind_of, number
+from sylpose.geometry.matrices import pack_upper, unpack_symmetric
+from sylpose.geometry.validation import check_finite, check_finite_rows, check_number, check_type
 
-__all__ = ["LEAST_COUNT", "MOST_MOMENT", "PairMoments"]
+__all__ = ["MAX_MOMENT", "MIN_COUNT", "PairMoments"]
 
-# No moment is larger, no point and no weight (choice: products of a few moments stay in range), and a count that is smaller
-# than this is none: a part of a match that means nothing (choice).
-MOST_MOMENT, MOST_POINT, MOST_WEIGHT, LEAST_COUNT = 1e100, 1e15, 1e36, 1e-36
-# What is no more than rounding, as a share of the largest moment, in a matrix of somebody else (choice).
-ROUNDING = 1e-9
+# Largest moment, point coordinate and weight (choice: products of a few moments stay in range); a smaller count is
+# zero: a negligible part of a match (choice).
+MAX_MOMENT, MAX_COORDINATE, MAX_WEIGHT, MIN_COUNT = 1e100, 1e15, 1e36, 1e-36
+# Rounding error allowed in a matrix from elsewhere, as a fraction of its largest moment (choice).
+MAX_RELATIVE_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,31 +35,31 @@ class PairMoments:
     """Weighted moments of the matches of one camera between two frames.
 
     Attributes:
-        matrix: (9, 9) symmetric, M[3a + b, 3c + d] = Σ w y_a x_b y_c x_d. Normalised units.
+        matrix: (9, 9) symmetric, M[3a + b, 3c + d] = Σ w y_a x_b y_c x_d. Normalized units.
 
     Raises:
-        ValueError: a matrix that is not 9x9, not finite, not symmetric, no sum of squares (an eigenvalue is negative), or
-            has moments beyond 1e100.
+        ValueError: a matrix that is not 9x9, not finite, not symmetric, not positive semidefinite, or has moments
+            beyond 1e100.
     """
 
     matrix: FloatArray
 
     def __post_init__(self) -> None:
-        matrix = np.array(finite(self.matrix, (9, 9), "pair moments: matrix", most=MOST_MOMENT))
+        matrix = np.array(check_finite(self.matrix, (9, 9), "pair moments: matrix", maximum=MAX_MOMENT))
         largest = float(np.abs(matrix).max())
-        if np.abs(matrix - matrix.T).max() > 1e-12 + ROUNDING * largest:
+        if np.abs(matrix - matrix.T).max() > 1e-12 + MAX_RELATIVE_ROUNDING * largest:
             raise ValueError("pair moments: matrix must be symmetric")
-        if largest > 0 and np.linalg.eigvalsh(matrix / largest)[0] < -ROUNDING:
-            raise ValueError("pair moments: matrix must be a sum of squares, but has a negative eigenvalue")
+        if largest > 0 and np.linalg.eigvalsh(matrix / largest)[0] < -MAX_RELATIVE_ROUNDING:
+            raise ValueError("pair moments: matrix must be positive semidefinite, but has a negative eigenvalue")
         matrix.setflags(write=False)
         object.__setattr__(self, "matrix", matrix)
 
     @classmethod
-    def _of(cls, matrix: FloatArray) -> PairMoments:
-        """Of a matrix (9, 9) that is symmetric and a sum of squares as it was made."""
+    def _from_valid_matrix(cls, matrix: FloatArray) -> PairMoments:
+        """Make moments from a (9, 9) matrix that is symmetric and positive semidefinite by construction."""
         largest = np.abs(matrix).max()
-        if not largest <= MOST_MOMENT:  # nor not a number
-            raise ValueError(f"pair moments: matrix has values beyond {MOST_MOMENT:g}")
+        if not largest <= MAX_MOMENT:  # also rejects NaN
+            raise ValueError(f"pair moments: matrix has values beyond {MAX_MOMENT:g}")
         out = object.__new__(cls)
         matrix.setflags(write=False)
         object.__setattr__(out, "matrix", matrix)
@@ -67,78 +67,78 @@ class PairMoments:
 
     @classmethod
     def zero(cls) -> PairMoments:
-        """The moments of no matches: what a camera that sees nothing contributes."""
-        return cls._of(np.zeros((9, 9)))
+        """Return the moments of no matches, for a camera that does not observe the object."""
+        return cls._from_valid_matrix(np.zeros((9, 9)))
 
     @classmethod
     def from_matches(cls, x: ArrayLike, y: ArrayLike, weights: ArrayLike | None = None) -> PairMoments:
-        """Moments of matched points.
+        """Compute the moments of matched points.
 
         Args:
-            x, y: (n, 2) normalised points in frames i and j, or (n, 3) homogeneous ones used as they are (rays turned
-                into another frame, for example).
+            x, y: (n, 2) normalized points in frames i and j, or (n, 3) homogeneous ones used as they are (for example
+                rays rotated into another frame).
             weights: (n,) non-negative; None for ones.
 
         Raises:
-            ValueError: shapes that do not fit, values that are not finite, negative weights.
+            ValueError: incompatible shapes, values that are not finite, negative weights.
         """
         x, y = _homogeneous(x, "x"), _homogeneous(y, "y")
         if len(x) != len(y):
             raise ValueError(f"x has {len(x)} points and y has {len(y)}")
         k = (y[:, :, None] * x[:, None, :]).reshape(-1, 9)
         if weights is None:
-            return cls._of(k.T @ k)
-        w = finite(weights, (len(x),), "weights", most=MOST_WEIGHT)
+            return cls._from_valid_matrix(k.T @ k)
+        w = check_finite(weights, (len(x),), "weights", maximum=MAX_WEIGHT)
         if (w < 0).any():
             raise ValueError(f"weights must be {len(x)} finite, non-negative numbers")
-        return cls._of((k * w[:, None]).T @ k)
+        return cls._from_valid_matrix((k * w[:, None]).T @ k)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> FloatArray:
-        """Its matrix, so that `solve_centralized_batch` takes N lists of C of them."""
+        """Return its matrix, so that `solve_centralized_batch` accepts N lists of C of them."""
         return np.array(self.matrix, dtype=dtype) if copy or dtype is not None else self.matrix
 
     def __add__(self, other: PairMoments) -> PairMoments:
-        """The moments of both sets of matches together."""
+        """Return the moments of the union of both sets of matches."""
         if not isinstance(other, PairMoments):
             return NotImplemented
-        return PairMoments._of(self.matrix + other.matrix)
+        return PairMoments._from_valid_matrix(self.matrix + other.matrix)
 
-    def weighted(self, weight: float) -> PairMoments:
-        """The moments of the same matches, each with so many times its weight.
+    def scale_weights(self, weight: float) -> PairMoments:
+        """Return the moments of the same matches with all weights multiplied by a factor.
 
         Raises:
             ValueError: a weight that is negative, not finite or beyond 1e36.
         """
-        weight = number(weight, "weight", least=0.0, most=MOST_WEIGHT)
-        return self if weight == 1 else PairMoments._of(weight * self.matrix)
+        weight = check_number(weight, "weight", minimum=0.0, maximum=MAX_WEIGHT)
+        return self if weight == 1 else PairMoments._from_valid_matrix(weight * self.matrix)
 
     def to_bytes(self) -> bytes:
-        """360 bytes: the 45 numbers of the upper triangle, row by row, as little-endian float64."""
-        return upper_of(self.matrix).astype("<f8").tobytes()
+        """Return 360 bytes: the 45 numbers of the upper triangle, row by row, as little-endian float64."""
+        return pack_upper(self.matrix).astype("<f8").tobytes()
 
     @classmethod
     def from_bytes(cls, data: bytes) -> PairMoments:
-        """The inverse of `to_bytes`.
+        """Parse the bytes of `to_bytes`.
 
         Raises:
-            ValueError: not 360 bytes, or what `PairMoments` refuses.
+            ValueError: not 360 bytes, or a matrix that `PairMoments` rejects.
         """
-        if len(kind_of(data, bytes, "data")) != 360:
+        if len(check_type(data, bytes, "data")) != 360:
             raise ValueError(f"data: pair moments are 360 bytes, got {len(data)}")
-        return cls(symmetric_of(np.frombuffer(data, "<f8")))
+        return cls(unpack_symmetric(np.frombuffer(data, "<f8")))
 
-    def transformed(self, to: ArrayLike) -> PairMoments:
-        """The moments of A x and A y, for a (3, 3) matrix A: (A ⊗ A) M (A ⊗ A)'.
+    def transform(self, transformation: ArrayLike) -> PairMoments:
+        """Return the moments of A x and A y, for a (3, 3) matrix A: (A ⊗ A) M (A ⊗ A)'.
 
         Raises:
             ValueError: another shape, values that are not finite or beyond 1e15.
         """
-        a = finite(to, (3, 3), "to", most=MOST_POINT)
+        a = check_finite(transformation, (3, 3), "transformation", maximum=MAX_COORDINATE)
         kron = np.kron(a, a)
         matrix = kron @ self.matrix @ kron.T
-        return PairMoments._of((matrix + matrix.T) / 2)
+        return PairMoments._from_valid_matrix((matrix + matrix.T) / 2)
 
-    # The numbers below assume points with a third coordinate of 1, as `from_matches` makes of (n, 2) arrays.
+    # The properties below assume points with a third coordinate of 1, as `from_matches` makes of (n, 2) arrays.
 
     @property
     def count(self) -> float:
@@ -171,10 +171,10 @@ class PairMoments:
         return np.asarray(self.matrix[np.ix_([2, 5], [2, 5])] - self._outer(self.mean_y, self.mean_y))
 
     def _mean(self, sums: FloatArray) -> FloatArray:
-        return np.asarray(sums / self.count) if self.count > LEAST_COUNT else np.full(2, np.nan)
+        return np.asarray(sums / self.count) if self.count > MIN_COUNT else np.full(2, np.nan)
 
     def _outer(self, a: FloatArray, b: FloatArray) -> FloatArray:
-        return self.count * np.outer(a, b) if self.count > LEAST_COUNT else np.zeros((2, 2))
+        return self.count * np.outer(a, b) if self.count > MIN_COUNT else np.zeros((2, 2))
 
 
 def _homogeneous(points: ArrayLike, name: str) -> FloatArray:
@@ -183,8 +183,8 @@ def _homogeneous(points: ArrayLike, name: str) -> FloatArray:
     except ValueError:
         raise ValueError(f"{name} must be (n, 2) or (n, 3), got rows of different lengths") from None
     if shape[1:] == (3,):
-        return finite_rows(points, 3, name, most=MOST_POINT)
+        return check_finite_rows(points, 3, name, maximum=MAX_COORDINATE)
     if shape[1:] != (2,) and shape != (0,):
         raise ValueError(f"{name} must be (n, 2) or (n, 3), got shape {shape}")
-    array = finite_rows(points, 2, name, most=MOST_POINT)
+    array = check_finite_rows(points, 2, name, maximum=MAX_COORDINATE)
     return np.column_stack([array, np.ones(len(array))])

@@ -1,4 +1,4 @@
-"""What the estimators return: frozen results, each with a status that has human text."""
+"""Results of the estimators: frozen records, each with a status and its text."""
 
 from __future__ import annotations
 
@@ -11,19 +11,30 @@ from typing import Any, Self
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.display import Telling, Told, inliers_told, length, lengths, named, place_told, spread, turned, vector
+from sylpose.display import (
+    Printable,
+    Summary,
+    format_inliers,
+    format_length,
+    format_lengths,
+    format_position,
+    format_rotation,
+    format_vector,
+    format_with_sd,
+    truncate_rows,
+)
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
-from sylpose.geometry.matrices import carried, covariance_of
-from sylpose.geometry.validation import kind_of, listed
-from sylpose.rig import single_pose
-from sylpose.status import FrameStatus, Observable, Status
+from sylpose.geometry.matrices import invert_information, propagate_covariance
+from sylpose.geometry.validation import check_list, check_type
+from sylpose.rig import check_single_pose
+from sylpose.status import FrameStatus, Observability, Status
 
 __all__ = [
-    "UNCERTAIN_TURN",
+    "MAX_ROTATION_SD",
     "FramePose",
     "FrameStatus",
     "Motion",
-    "Observable",
+    "Observability",
     "RotationEstimate",
     "Status",
     "Trajectory",
@@ -31,35 +42,38 @@ __all__ = [
 ]
 
 
-# A pose whose turn is not known to this, radians about each axis, one standard deviation, is uncertain (choice).
-UNCERTAIN_TURN = 0.35
+# A pose whose rotation has a larger standard deviation about any axis, in radians, is uncertain (choice).
+MAX_ROTATION_SD = 0.35
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Motion(Told):
-    """The object's motion between two frames, with how well it is known.
+class Motion(Printable):
+    """Motion of the object between two frames, with its uncertainty.
 
     Attributes:
-        status: see `Status`.
-        motion: world points on the object at frame i -> at frame j, X_j = R X_i + t. None when `not status.has_pose`, but
-            for a turn that is not observable, of which the part in `unseen` means nothing, and for AMBIGUOUS and MIXED: then
-            the best guess.
-        center: (3,) the object's centre at frame i, world; `information` refers to its displacement.
-        information: (6, 6) of (w, d): R = exp(w) R̂, d the displacement of `center` (docs/conventions.md).
-        covariance: (6, 6) its inverse; infinite variance along directions that nothing is known of.
-        unseen: (k, 6) directions of (w, d) that the matches leave open, and that the status is about; empty when all six
-            are seen. Where it is not, `information` is that of the matches alone; else it counts in what is believed of
-            the object's place and shape.
-        inliers: per camera a mask over its matches.
-        residuals: (C,) per camera the rms epipolar residual of its inliers, pixels; NaN without inliers.
+        status: outcome; see `Status`.
+        motion: maps world points on the object from frame i to frame j, X_j = R X_i + t. None without
+            `status.has_pose`, with these exceptions: for a rotation that is not observable, the part in `unobservable`
+            is meaningless; for AMBIGUOUS and MIXED it is the best guess.
+        center: (3,) the object's center at frame i, world frame; `information` refers to its translation.
+        information: (6, 6) of (w, d): R = exp(w) R̂, d the translation of `center` (docs/conventions.md).
+        covariance: (6, 6) its inverse; infinite variance along unobservable directions.
+        unobservable: (k, 6) directions of (w, d) that the matches do not constrain and that the status refers to; empty
+            when all six are observable. If it is not empty, `information` comes from the matches alone; otherwise it
+            includes the priors on the object's position and shape.
+        inliers: per camera, a mask over its matches.
+        residuals: (C,) rms epipolar residual of each camera's inliers, pixels; NaN without inliers.
         method: the estimator that was used.
-        iterations: of the solver.
-        faults: a sentence for each camera that is recognised to be at fault: its calibration, its matches or its image;
-            of `estimate_pose`, one for points of another size.
-        rival: of AMBIGUOUS, the other motion that explains the matches, or as many of them, about as well; else None.
-        second: the number of matches of a second body that moves otherwise over that of this one; 0 where none was seen.
-        standing: the share of the matches that stand still while the object moves by little.
-        camera_names: (C,) of the rig; unit: of its lengths, or "".
+        iterations: iterations of the solver.
+        faults: one sentence per camera identified as faulty: its calibration, its matches or its image. For
+            `estimate_pose` also one for model points of a different size.
+        alternative: for AMBIGUOUS, the other motion that explains the matches, or as many of them, about as well; else
+            None.
+        second_body_ratio: number of matches of a second body with a different motion, divided by the number of this
+            one; 0 without one.
+        static_ratio: fraction of the matches that are static while the object moves by little.
+        camera_names: (C,) names of the rig's cameras.
+        unit: length unit of the rig, or "".
     """
 
     status: Status
@@ -67,15 +81,15 @@ class Motion(Told):
     center: FloatArray
     information: FloatArray
     covariance: FloatArray
-    unseen: FloatArray
+    unobservable: FloatArray
     inliers: tuple[BoolArray, ...]
     residuals: FloatArray
     method: str
     iterations: int
     faults: tuple[str, ...] = ()
-    rival: RigidTransform | None = None
-    second: float = 0.0
-    standing: float = 0.0
+    alternative: RigidTransform | None = None
+    second_body_ratio: float = 0.0
+    static_ratio: float = 0.0
     camera_names: tuple[str, ...] = ()
     unit: str = ""
 
@@ -84,100 +98,110 @@ class Motion(Told):
         """(C,) number of inliers per camera."""
         return np.array([int(mask.sum()) for mask in self.inliers], dtype=np.int64)
 
-    def _told(self) -> Telling:
+    def _summary(self) -> Summary:
         status = f"{self.status.value}. {self.status.text}"
         names = self.camera_names or [f"camera {c}" for c in range(len(self.inliers))]
-        of = [inliers_told(n, len(m), r) for n, m, r in zip(self.n_inliers, self.inliers, self.residuals, strict=True)]
-        rows = [*named(list(zip(names, of, strict=True))), *(("at fault", fault) for fault in self.faults)]
-        if self.motion is None:
-            return Telling(self.status.value, rows, status)
-        placed, center = self.method == "pose", self.motion.apply(self.center)
-        by = center if placed else center - self.center
-        sigma = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
-        said = [
-            ("turned", turned(self.motion.rotation, self.covariance[:3, :3])),
-            ("center at" if placed else "center moved by", lengths(by, sigma[3:], self.unit)),
+        inlier_texts = [
+            format_inliers(n, len(m), r) for n, m, r in zip(self.n_inliers, self.inliers, self.residuals, strict=True)
         ]
-        if self.rival is not None:
-            said.append(("or else turned", turned(self.rival.rotation)))
-        if len(self.unseen):
-            said.append(("not seen", f"{len(self.unseen)} of the six directions of (w, d): `unseen`"))
-        where = f"moved {length(float(np.linalg.norm(by)), self.unit)}"
-        if placed:
-            where = f"at {place_told(by)}"
-        elif not np.isfinite(by @ self.covariance[3:, 3:] @ by) or self.status is Status.SCALE_NOT_OBSERVABLE:
-            where = "how far it moved is not seen"
-        brief = f"{self.status.value}, turned {turned(self.motion.rotation)}, {where}"
-        return Telling(
-            f"{brief}, {self.n_inliers.sum()} inliers in {len(self.inliers)} cameras", [*said, *rows], status
+        rows = [
+            *truncate_rows(list(zip(names, inlier_texts, strict=True))),
+            *(("at fault", fault) for fault in self.faults),
+        ]
+        if self.motion is None:
+            return Summary(self.status.value, rows, status)
+        is_pose, center = self.method == "pose", self.motion.apply(self.center)
+        translation = center if is_pose else center - self.center
+        sigma = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        summary_rows = [
+            ("rotation", format_rotation(self.motion.rotation, self.covariance[:3, :3])),
+            ("center at" if is_pose else "translation", format_lengths(translation, sigma[3:], self.unit)),
+        ]
+        if self.alternative is not None:
+            summary_rows.append(("alternative", format_rotation(self.alternative.rotation)))
+        if len(self.unobservable):
+            summary_rows.append(("unobservable", f"{len(self.unobservable)} of the six directions of (w, d)"))
+        translation_text = f"moved {format_length(float(np.linalg.norm(translation)), self.unit)}"
+        if is_pose:
+            translation_text = f"at {format_position(translation)}"
+        elif (
+            not np.isfinite(translation @ self.covariance[3:, 3:] @ translation)
+            or self.status is Status.SCALE_NOT_OBSERVABLE
+        ):
+            translation_text = "translation not observable"
+        brief = f"{self.status.value}, rotated {format_rotation(self.motion.rotation)}, {translation_text}"
+        return Summary(
+            f"{brief}, {self.n_inliers.sum()} inliers in {len(self.inliers)} cameras", [*summary_rows, *rows], status
         )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class RotationEstimate(Told):
-    """A rotation and how well it is known: what every estimator of the paper's answers, with more of its own.
+class RotationEstimate(Printable):
+    """Rotation with its uncertainty: base class of the paper's estimators' results.
 
     Attributes:
-        status: look at it first.
-        rotation: (3, 3) R, X_j = R X_i + t in the world frame: the best guess where a part of the turn is not observable,
-            NaN without any.
-        information: (3, 3) of w, R = exp(w) R̂, world axes, 1/rad². It shows the directions that cannot be observed. Of
-            estimators that ignore depth it counts what surfaces may have done (`sylvester.depth_bias`). Zero without
-            an answer.
-        unseen: (k, 3) unit directions of w that are not seen (docs/conventions.md, "Limits").
-        iterations: of the solver; rounds, of those that exchange messages.
+        status: outcome; check it first.
+        rotation: (3, 3) R, X_j = R X_i + t in the world frame; the best guess where part of the rotation is not
+            observable, NaN without an answer.
+        information: (3, 3) of w, R = exp(w) R̂, world axes, 1/rad². It is small along unobservable directions. For
+            estimators that ignore depth it includes the depth bias (`sylvester.depth_bias`). Zero without an answer.
+        unobservable: (k, 3) unit directions of w that are not observable (docs/conventions.md, "Limits").
+        iterations: iterations of the solver, or communication rounds of distributed estimators.
     """
 
     status: Status
     rotation: FloatArray
     information: FloatArray
-    unseen: FloatArray
+    unobservable: FloatArray
     iterations: int
 
     @property
     def covariance(self) -> FloatArray:
-        """(3, 3) the inverse of `information`; infinite variances on the axes that share an unknown direction."""
-        return covariance_of(self.information)
+        """(3, 3) inverse of `information`; infinite variance on axes that share an unobservable direction."""
+        return invert_information(self.information)
 
-    def _told(self) -> Telling:
-        rows = [("not seen", f"turns about {len(self.unseen)} of three axes: `unseen`")] if len(self.unseen) else []
-        rows += [("iterations", str(self.iterations)), *self._told_besides()]
+    def _summary(self) -> Summary:
+        rows = (
+            [("unobservable", f"rotation about {len(self.unobservable)} of three axes")]
+            if len(self.unobservable)
+            else []
+        )
+        rows += [("iterations", str(self.iterations)), *self._extra_rows()]
         status = f"{self.status.value}. {self.status.text}"
         if not np.isfinite(self.rotation).all():
-            return Telling(self.status.value, rows, status)
+            return Summary(self.status.value, rows, status)
         rotation = Rotation.from_matrix(self.rotation)
-        said = [("turned", turned(rotation, self.covariance)), *rows]
-        return Telling(f"{self.status.value}, turned {turned(rotation)}", said, status)
+        summary_rows = [("rotation", format_rotation(rotation, self.covariance)), *rows]
+        return Summary(f"{self.status.value}, rotated {format_rotation(rotation)}", summary_rows, status)
 
-    def _told_besides(self) -> list[tuple[str, str]]:
-        """Labels and what else an estimator has to say."""
+    def _extra_rows(self) -> list[tuple[str, str]]:
+        """Return further rows, (label, text), of a subclass."""
         return []
 
 
 def pan_tilt_roll(rotation: Rotation) -> FloatArray:
-    """(3,) radians, R = R_y(pan) R_x(tilt) R_z(roll) (docs/conventions.md)."""
-    return np.asarray(kind_of(rotation, Rotation, "rotation").as_euler("YXZ", suppress_warnings=True))
+    """Return (3,) pan, tilt and roll, radians: R = R_y(pan) R_x(tilt) R_z(roll) (docs/conventions.md)."""
+    return np.asarray(check_type(rotation, Rotation, "rotation").as_euler("YXZ", suppress_warnings=True))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FramePose(Told):
+class FramePose(Printable):
     """The object's pose in one frame.
 
     Attributes:
         index: frame number in the recording.
         time: seconds, or the frame number for image folders without time stamps.
-        status: what happened to the frame; when `not status.has_pose`, `world_from_object` is None.
+        status: outcome of the frame; when `not status.has_pose`, `world_from_object` is None.
         world_from_object: the pose.
         covariance: (6, 6) of (w, d), docs/conventions.md; zero in the first frame, whose pose is the definition.
-        inliers: (C,) matches used per camera.
+        inliers: (C,) number of matches used per camera.
         residuals: (C,) rms residual of the inliers per camera, pixels; NaN without inliers.
-        observable: what of the pose can be seen.
-        doubt: (C,) 1, or more for a camera that disagrees with the others: what it says has so many times the variance that
-            its matches give it; infinite for one of whose matches next to none agree; NaN where it is not known.
-        faults: a sentence for each camera that is recognised to be at fault.
-        matches: (C,) features per camera that match what is known of the object, the inliers among them; empty where that
-            is not known.
-        reason: why there is no pose, or none that was measured; "" where there is one.
+        observability: which part of the pose is observable.
+        variance_inflation: (C,) variance inflation factor per camera; 1 if it agrees with the others, inf if almost
+            none of its matches are inliers, NaN if unknown.
+        faults: one sentence per camera identified as faulty.
+        matches: (C,) number of features per camera that match the object model, inliers included; empty if unknown.
+        reason: why there is no pose, or no measured one; "" where there is one.
     """
 
     index: int
@@ -187,47 +211,55 @@ class FramePose(Told):
     covariance: FloatArray
     inliers: IntArray
     residuals: FloatArray
-    observable: Observable = Observable.ALL
-    doubt: FloatArray = field(default_factory=lambda: np.empty(0))
+    observability: Observability = Observability.ALL
+    variance_inflation: FloatArray = field(default_factory=lambda: np.empty(0))
     faults: tuple[str, ...] = ()
     matches: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     reason: str = ""
 
     @property
-    def measured(self) -> bool:
-        """Whether the pose was found in this frame's images: False without one, and where it is carried on only, or hardly
-        known."""
+    def is_measured(self) -> bool:
+        """Whether the images determine the pose; False for predicted or uncertain ones."""
         return self.world_from_object is not None and self.status not in (FrameStatus.COASTING, FrameStatus.UNCERTAIN)
 
     @property
-    def seen(self) -> bool:
-        """Whether the object was found in this frame's images, however well that tells its pose."""
-        return self.measured or self.status is FrameStatus.UNCERTAIN
+    def is_observed(self) -> bool:
+        """Whether the object was found in this frame's images, even if its rotation is uncertain."""
+        return self.is_measured or self.status is FrameStatus.UNCERTAIN
 
-    def judged(self) -> Self:
-        """The same as `UNCERTAIN` where the object was seen but how it is turned is hardly known, and not so where it is."""
-        if not self.seen or self.status is FrameStatus.FIRST:
+    def update_uncertain_status(self) -> Self:
+        """Return the pose with status `UNCERTAIN` set or cleared according to its rotation's covariance.
+
+        Poses without the object in the images, and the first one, are returned unchanged.
+        """
+        if not self.is_observed or self.status is FrameStatus.FIRST:
             return self
-        about = self.covariance[:3, :3]
-        if not np.isfinite(about).all() or np.linalg.eigvalsh(about)[-1] > UNCERTAIN_TURN**2:
+        rotation_covariance = self.covariance[:3, :3]
+        if (
+            not np.isfinite(rotation_covariance).all()
+            or np.linalg.eigvalsh(rotation_covariance)[-1] > MAX_ROTATION_SD**2
+        ):
             return replace(self, status=FrameStatus.UNCERTAIN)
         return replace(self, status=FrameStatus.TRACKED) if self.status is FrameStatus.UNCERTAIN else self
 
-    def of_frame(self, new_from_object: RigidTransform) -> Self:
-        """The pose of another frame of the object: of its axes, and of the place of its origin.
+    def in_object_frame(self, new_from_object: RigidTransform) -> Self:
+        """Return the pose of the object in another object frame, with other axes and another origin.
+
+        Args:
+            new_from_object: maps points of the present object frame to the new one.
 
         Raises:
-            TypeError, ValueError: this is no single transform of finite values.
+            TypeError, ValueError: not a single transform of finite values.
         """
-        new_from_object = single_pose(new_from_object, "new_from_object")
-        before = self.world_from_object
-        if before is None:
+        new_from_object = check_single_pose(new_from_object, "new_from_object")
+        old_pose = self.world_from_object
+        if old_pose is None:
             return self
-        after = before * new_from_object.inv()
-        # An error of the turn moves an origin elsewhere: d + w x r.
-        by, (x, y, z) = np.eye(6), after.translation - before.translation
-        by[3:, :3] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
-        return replace(self, world_from_object=after, covariance=carried(self.covariance, by))
+        new_pose = old_pose * new_from_object.inv()
+        # A rotation error also translates an origin that is elsewhere: d + w x r.
+        jacobian, (x, y, z) = np.eye(6), new_pose.translation - old_pose.translation
+        jacobian[3:, :3] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
+        return replace(self, world_from_object=new_pose, covariance=propagate_covariance(self.covariance, jacobian))
 
     @property
     def sigma(self) -> FloatArray:
@@ -243,36 +275,39 @@ class FramePose(Told):
 
     @property
     def position(self) -> FloatArray:
-        """(3,) the object's centre in the world; NaN without a pose."""
+        """(3,) the object's center in the world; NaN without a pose."""
         if self.world_from_object is None:
             return np.full(3, np.nan)
         return np.asarray(self.world_from_object.translation)
 
-    def _told(self) -> Telling:
+    def _summary(self) -> Summary:
         rows = [("reason", self.reason)] if self.reason else []
         if self.world_from_object is not None:
             angles = np.degrees(self.pan_tilt_roll)
             rows += [
-                ("pan, tilt, roll", f"{vector(angles)}°, ± {vector(np.degrees(self.sigma[:3]), 3)}° about x, y, z"),
-                ("position", spread(self.position, self.sigma[3:])),
+                (
+                    "pan, tilt, roll",
+                    f"{format_vector(angles)}°, ± {format_vector(np.degrees(self.sigma[:3]), 3)}° about x, y, z",
+                ),
+                ("position", format_with_sd(self.position, self.sigma[3:])),
             ]
-        if self.observable is not Observable.ALL:
-            rows.append(("not seen", self.observable.text))
-        of = self.matches if len(self.matches) else self.inliers
-        for c, (n, most, residual) in enumerate(zip(self.inliers, of, self.residuals, strict=True)):
-            rows.append((f"camera {c}", inliers_told(n, most, residual)))
+        if self.observability is not Observability.ALL:
+            rows.append(("unobservable", self.observability.text))
+        n_matches = self.matches if len(self.matches) else self.inliers
+        for c, (n, total, residual) in enumerate(zip(self.inliers, n_matches, self.residuals, strict=True)):
+            rows.append((f"camera {c}", format_inliers(n, total, residual)))
         rows += [("at fault", fault) for fault in self.faults]
         status = f"frame {self.index}, time {self.time:.3f}: {self.status.value}"
-        return Telling(status, rows, f"{status}. {self.status.text}")
+        return Summary(status, rows, f"{status}. {self.status.text}")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Trajectory(Told):
+class Trajectory(Printable):
     """The object's pose in every frame of a recording: a sequence of `FramePose`.
 
     Attributes:
-        frames: in order of time; frames that could not be solved are there with their status and no pose.
-        camera_names: (C,) what the per-camera columns refer to.
+        frames: in order of time; frames without a pose are included, with their status.
+        camera_names: (C,) names that the per-camera values refer to.
         unit: the calibration's length unit, or "".
     """
 
@@ -281,9 +316,9 @@ class Trajectory(Told):
     unit: str = ""
 
     def __init__(self, frames: Sequence[FramePose], camera_names: Sequence[str], unit: str = "") -> None:
-        object.__setattr__(self, "frames", tuple(listed(frames, FramePose, "frames")))
-        object.__setattr__(self, "camera_names", tuple(listed(camera_names, str, "camera_names")))
-        object.__setattr__(self, "unit", kind_of(unit, str, "unit"))
+        object.__setattr__(self, "frames", tuple(check_list(frames, FramePose, "frames")))
+        object.__setattr__(self, "camera_names", tuple(check_list(camera_names, str, "camera_names")))
+        object.__setattr__(self, "unit", check_type(unit, str, "unit"))
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -300,69 +335,77 @@ class Trajectory(Told):
         return np.array([f.time for f in self.frames])
 
     @property
-    def solved(self) -> BoolArray:
-        """(N,) in which frames the pose was found."""
-        return np.array([f.measured for f in self.frames], dtype=bool)
+    def measured_mask(self) -> BoolArray:
+        """(N,) mask of the frames with a measured pose."""
+        return np.array([f.is_measured for f in self.frames], dtype=bool)
 
     @property
     def positions(self) -> FloatArray:
-        """(N, 3) the object's centre in the world; NaN rows where there is no pose."""
+        """(N, 3) the object's center in the world; NaN rows where there is no pose."""
         return np.array([f.position for f in self.frames]).reshape(-1, 3)
 
     @property
-    def turn(self) -> FloatArray:
-        """(N,) angle turned since the first solved frame, radians in [0, pi]; NaN where there is no pose."""
-        turns = np.full(len(self), np.nan)
+    def rotation_angles(self) -> FloatArray:
+        """(N,) rotation angle since the first frame with a pose, radians in [0, pi]; NaN where there is no pose."""
+        angles = np.full(len(self), np.nan)
         rows = [k for k, frame in enumerate(self.frames) if frame.world_from_object is not None]
         poses = [pose for frame in self.frames if (pose := frame.world_from_object) is not None]
         if poses:
-            turned = Rotation.from_quat([pose.rotation.as_quat() for pose in poses])
-            turns[rows] = (turned * poses[0].rotation.inv()).magnitude()
-        return turns
+            rotations = Rotation.from_quat([pose.rotation.as_quat() for pose in poses])
+            angles[rows] = (rotations * poses[0].rotation.inv()).magnitude()
+        return angles
 
-    def _told(self) -> Telling:
-        found = [f for f in self if f.measured]
-        brief = f"{len(found)} of {len(self)} frames with a pose"
-        of = Counter(f.status for f in self).most_common()
-        rows = [("frames", ", ".join(f"{status.value} {count}" for status, count in of))] if of else []
-        if found:
-            turn, moved = self.turn[self.solved], self.positions[self.solved]
-            by = length(float(np.linalg.norm(moved[-1] - moved[0])), self.unit)
-            path = length(float(np.linalg.norm(np.diff(moved, axis=0), axis=1).sum()), self.unit)
-            last, most = np.degrees(turn[-1]), np.degrees(turn.max())
-            brief += f", turned {last:.1f}°, moved {by}"
+    def _summary(self) -> Summary:
+        measured = [f for f in self if f.is_measured]
+        brief = f"{len(measured)} of {len(self)} frames with a pose"
+        status_counts = Counter(f.status for f in self).most_common()
+        rows = (
+            [("frames", ", ".join(f"{status.value} {count}" for status, count in status_counts))]
+            if status_counts
+            else []
+        )
+        if measured:
+            angles, positions = self.rotation_angles[self.measured_mask], self.positions[self.measured_mask]
+            distance = format_length(float(np.linalg.norm(positions[-1] - positions[0])), self.unit)
+            path = format_length(float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum()), self.unit)
+            last, largest = np.degrees(angles[-1]), np.degrees(angles.max())
+            brief += f", rotated {last:.1f}°, moved {distance}"
             rows += [
-                ("time", f"{found[0].time:.3f} to {found[-1].time:.3f}"),
-                ("turned", f"{last:.1f}° from the first to the last, {most:.1f}° at most"),
-                ("moved", f"{by} from the first to the last, along a path of {path}"),
+                ("time", f"{measured[0].time:.3f} to {measured[-1].time:.3f}"),
+                ("rotation", f"{last:.1f}° from the first to the last, {largest:.1f}° at most"),
+                ("translation", f"{distance} from the first to the last, along a path of {path}"),
             ]
         cameras = []
         for c, name in enumerate(self.camera_names):
-            used = [f for f in found if f.inliers[c] > 0]
-            middle = (
+            used = [f for f in measured if f.inliers[c] > 0]
+            medians = (
                 [np.median([f.inliers[c] for f in used]), np.median([f.residuals[c] for f in used])] if used else []
             )
-            said = ", in the median {:.0f} inliers, residual {:.2f} px".format(*middle) if used else ""
-            cameras.append((name, f"used in {len(used)} frames{said}"))
-        return Telling(brief, [*rows, *named(cameras)])
+            median_text = ", median {:.0f} inliers, residual {:.2f} px".format(*medians) if used else ""
+            cameras.append((name, f"used in {len(used)} frames{median_text}"))
+        return Summary(brief, [*rows, *truncate_rows(cameras)])
 
     def plot(self, *, note: str = "") -> Any:
-        """Angles, position, inliers and residuals over time, as in `report.png`: a `matplotlib.figure.Figure`, which a
-        notebook shows.
+        """Plot angles, position, inliers and residuals over time, as in `report.png`.
 
         Args:
-            note: a line below.
+            note: a line of text below the plots.
+
+        Returns:
+            a `matplotlib.figure.Figure`, which notebooks display.
 
         Raises:
-            ValueError: a trajectory without frames.
+            ValueError: the trajectory has no frames.
         """
-        # What draws results, and makes tables of them, stands above them: it is looked up when it is asked for.
-        return import_module("sylpose.report.plots").trajectory_figure(self, note=note)
+        # Plots and tables are in a higher layer than results, so they are imported only when called.
+        return import_module("sylpose.report.plots").draw_trajectory_figure(self, note=note)
 
     def to_dataframe(self) -> Any:
-        """The columns of trajectory.csv (docs/formats.md) as a `pandas.DataFrame`, not rounded: NaN where there is no value.
+        """Return the columns of trajectory.csv (docs/formats.md) as a `pandas.DataFrame`, not rounded.
+
+        Missing values are NaN.
 
         Raises:
             ModuleNotFoundError: pandas is not installed.
         """
-        return import_module("sylpose.report.tables").dataframe(self)
+        return import_module("sylpose.report.tables").to_dataframe(self)

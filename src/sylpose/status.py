@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from enum import Enum
 
-__all__ = ["FrameStatus", "Observable", "Status"]
+__all__ = ["FrameStatus", "Observability", "Status"]
 
-# Words that earlier versions wrote into result files, and the present ones.
-_EARLIER = {
+# Values in result files of earlier versions, and the present ones.
+_LEGACY_VALUES = {
     "turn not observable": "rotation not observable",
     "mostly still": "mostly static",
     "only background": "background only",
@@ -22,19 +22,19 @@ class Status(Enum):
     OK = "ok"
     TOO_FEW_MATCHES = "too few matches"
     SCALE_NOT_OBSERVABLE = "scale not observable"
-    TURN_NOT_OBSERVABLE = "rotation not observable"
+    ROTATION_NOT_OBSERVABLE = "rotation not observable"
     NO_MOTION = "no motion"
     NOT_CERTIFIED = "not certified"
     NOT_CONVERGED = "not converged"
     NOT_CONSISTENT = "no consistent motion"
     AMBIGUOUS = "ambiguous"
     MIXED = "more than one motion"
-    MOSTLY_STILL = "mostly static"
+    MOSTLY_STATIC = "mostly static"
 
     @classmethod
     def _missing_(cls, value: object) -> Status | None:
-        """Accept the words of earlier versions, which result files may contain."""
-        return next((member for member in cls if member.value == _EARLIER.get(str(value))), None)
+        """Accept the values of earlier versions, which result files may contain."""
+        return next((member for member in cls if member.value == _LEGACY_VALUES.get(str(value))), None)
 
     @property
     def text(self) -> str:
@@ -43,7 +43,7 @@ class Status(Enum):
 
     @property
     def has_pose(self) -> bool:
-        """Whether a result with this status carries a usable answer."""
+        """Whether a result with this status has a usable estimate."""
         return self in (Status.OK, Status.SCALE_NOT_OBSERVABLE, Status.NO_MOTION, Status.NOT_CERTIFIED)
 
 
@@ -52,7 +52,7 @@ _TEXTS = {
     Status.TOO_FEW_MATCHES: "Too few matches on the object in all cameras together.",
     Status.SCALE_NOT_OBSERVABLE: "Rotation and translation direction are estimated; the translation's length is not "
     "observable (one camera, or a translation without rotation).",
-    Status.TURN_NOT_OBSERVABLE: "Part of the rotation is not observable from these cameras.",
+    Status.ROTATION_NOT_OBSERVABLE: "Part of the rotation is not observable from these cameras.",
     Status.NO_MOTION: "The object did not move measurably: its matches are static in every camera.",
     Status.NOT_CERTIFIED: "The best solution found; its global optimality is not proved.",
     Status.NOT_CONVERGED: "The solver did not converge within its iteration limit.",
@@ -61,7 +61,8 @@ _TEXTS = {
     "not decide which is the object's.",
     Status.MIXED: "One motion nearly explains the matches, with residuals that are alike among neighbors: two bodies "
     "move, or a camera is miscalibrated.",
-    Status.MOSTLY_STILL: "Most matches are static; those that move are too few, or move too little, to identify the object.",
+    Status.MOSTLY_STATIC: "Most matches are static; the moving ones are too few, or move too little, to identify the "
+    "object.",
 }
 
 
@@ -70,22 +71,22 @@ class FrameStatus(Enum):
 
     FIRST = "first frame"
     TRACKED = "tracked"
-    RELOCALISED = "relocalised"
+    RELOCALIZED = "relocalised"
     COASTING = "coasting"
     UNCERTAIN = "uncertain"
     LOST = "lost"
     TOO_FEW_MATCHES = "too few matches"
     NO_MOTION = "no motion"
     NOT_CONSISTENT = "no consistent motion"
-    ONLY_STILL = "background only"
-    FOUND = "localized"
-    NOT_OBSERVABLE = "rotation not observable"
-    NO_POSE = "no consistent pose"
+    BACKGROUND_ONLY = "background only"
+    LOCALIZED = "localized"
+    ROTATION_NOT_OBSERVABLE = "rotation not observable"
+    NO_CONSISTENT_POSE = "no consistent pose"
 
     @classmethod
     def _missing_(cls, value: object) -> FrameStatus | None:
-        """Accept the words of earlier versions, which result files may contain."""
-        return next((member for member in cls if member.value == _EARLIER.get(str(value))), None)
+        """Accept the values of earlier versions, which result files may contain."""
+        return next((member for member in cls if member.value == _LEGACY_VALUES.get(str(value))), None)
 
     @property
     def text(self) -> str:
@@ -98,52 +99,54 @@ class FrameStatus(Enum):
         return self in (
             FrameStatus.FIRST,
             FrameStatus.TRACKED,
-            FrameStatus.RELOCALISED,
+            FrameStatus.RELOCALIZED,
             FrameStatus.COASTING,
             FrameStatus.UNCERTAIN,
-            FrameStatus.FOUND,
+            FrameStatus.LOCALIZED,
         )
 
 
 _FRAME_TEXTS = {
     FrameStatus.FIRST: "The first frame with the object: all other poses are relative to it.",
     FrameStatus.TRACKED: "The object was tracked from the previous frame.",
-    FrameStatus.RELOCALISED: "The object was found again by its landmarks.",
-    FrameStatus.COASTING: "The object was not found; its pose is predicted by its last motion, with growing uncertainty.",
+    FrameStatus.RELOCALIZED: "The object was found again by its landmarks.",
+    FrameStatus.COASTING: "The object was not found; its pose is predicted from its last motion, with growing "
+    "uncertainty.",
     FrameStatus.UNCERTAIN: "The observations hardly constrain the rotation: very different poses fit as well.",
     FrameStatus.LOST: "The object was not found for too long to predict its pose.",
     FrameStatus.TOO_FEW_MATCHES: "Too few features on the object in all cameras together to start.",
     FrameStatus.NO_MOTION: "Nothing has moved yet that could be the object: its pose is unknown.",
-    FrameStatus.ONLY_STILL: "Everything observed is static and never moved: it may be background. What moved before is "
-    "not visible, so the object's pose is unknown.",
-    FrameStatus.FOUND: "The pose was estimated from this frame alone, by known points on the object.",
-    FrameStatus.NOT_OBSERVABLE: "The rotation is not observable: other rotations explain the observations as well.",
-    FrameStatus.NO_POSE: "No single pose explains enough of the observations.",
+    FrameStatus.BACKGROUND_ONLY: "Everything observed is static and never moved: it may be background. What moved "
+    "before is not visible, so the object's pose is unknown.",
+    FrameStatus.LOCALIZED: "The pose was estimated from this frame alone, by known points on the object.",
+    FrameStatus.ROTATION_NOT_OBSERVABLE: "The rotation is not observable: other rotations explain the observations as "
+    "well.",
+    FrameStatus.NO_CONSISTENT_POSE: "No single pose explains enough of the observations.",
     FrameStatus.NOT_CONSISTENT: "Nothing could be followed as one rigid body for long enough: the pose is unknown.",
 }
 
 
-class Observable(Enum):
+class Observability(Enum):
     """Which part of a frame's pose is observable. `text` explains it in one sentence."""
 
     ALL = "all"
     NO_SCALE = "scale not observable"
-    NO_LENGTH = "translation scale not observable"
+    NO_TRANSLATION_SCALE = "translation scale not observable"
 
     @classmethod
-    def _missing_(cls, value: object) -> Observable | None:
-        """Accept the words of earlier versions, which result files may contain."""
-        return next((member for member in cls if member.value == _EARLIER.get(str(value))), None)
+    def _missing_(cls, value: object) -> Observability | None:
+        """Accept the values of earlier versions, which result files may contain."""
+        return next((member for member in cls if member.value == _LEGACY_VALUES.get(str(value))), None)
 
     @property
     def text(self) -> str:
         """One sentence that explains the value."""
-        return _OBSERVABLE_TEXTS[self]
+        return _OBSERVABILITY_TEXTS[self]
 
 
-_OBSERVABLE_TEXTS = {
-    Observable.ALL: "The whole pose is observable.",
-    Observable.NO_LENGTH: "The object has not rotated: the length of its translation rests on the assumed distance and "
-    "shape until it rotates.",
-    Observable.NO_SCALE: "With one camera, lengths are in units of the object's initial distance.",
+_OBSERVABILITY_TEXTS = {
+    Observability.ALL: "The whole pose is observable.",
+    Observability.NO_TRANSLATION_SCALE: "The object has not rotated: the length of its translation rests on the "
+    "assumed distance and shape until it rotates.",
+    Observability.NO_SCALE: "With one camera, lengths are in units of the object's initial distance.",
 }

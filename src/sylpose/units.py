@@ -1,54 +1,60 @@
-"""Units of length that can be told in each other, and lengths as they are typed."""
+"""Units of length: conversion, and parsing of lengths such as `40mm`."""
 
 from __future__ import annotations
 
 import re
 
-from sylpose.input_limits import one_line
+from sylpose.input_limits import to_one_line
 
-__all__ = ["FIRST_DISTANCES", "METRES", "NoUnit", "length_of", "measured"]
+__all__ = ["INITIAL_DISTANCES", "METERS", "MissingUnitError", "parse_length", "parse_length_with_unit"]
 
-METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
+METERS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
 # With one camera lengths are relative to the object's distance in the first frame (docs/conventions.md).
-FIRST_DISTANCES = "first distances"
-# No length that is typed is smaller or larger (choice).
-LEAST, LARGEST = 1e-9, 1e9
+INITIAL_DISTANCES = "first distances"
+# Smallest and largest length accepted (choice).
+MIN_LENGTH, MAX_LENGTH = 1e-9, 1e9
 
 
-class NoUnit(ValueError):
-    """A length with a unit, of a calibration without one."""
+class MissingUnitError(ValueError):
+    """Error for a length with a unit, with a calibration without one."""
 
 
-def measured(text: str, name: str) -> tuple[float, str]:
-    """A length as it is typed, `0.04` or `40mm`, and its unit, "" without one.
+def parse_length_with_unit(text: str, name: str) -> tuple[float, str]:
+    """Parse a length such as `0.04` or `40mm` into its value and unit, "" without one.
 
     Raises:
-        ValueError: naming it: no positive number, or a unit that is not known.
+        ValueError: naming the argument: not a positive number, or an unknown unit.
     """
-    found = re.fullmatch(r"\s*([0-9.eE+-]+)\s*([A-Za-z]*)\s*", text)
+    match = re.fullmatch(r"\s*([0-9.eE+-]+)\s*([A-Za-z]*)\s*", text)
     try:
-        value = float(found[1]) if found else 0.0
+        value = float(match[1]) if match else 0.0
     except ValueError:
         value = 0.0
-    if found is None or not LEAST <= value <= LARGEST:
-        raise ValueError(f"{name} must be a positive length such as 0.04 or 40mm, got {one_line(text, 80)!a}")
-    if found[2] and found[2] not in METRES:
-        raise ValueError(f"{name}: {one_line(found[2], 80)!a} is no unit of length ({', '.join(METRES)})")
-    return value, found[2]
+    if match is None or not MIN_LENGTH <= value <= MAX_LENGTH:
+        raise ValueError(f"{name} must be a positive length such as 0.04 or 40mm, got {to_one_line(text, 80)!a}")
+    if match[2] and match[2] not in METERS:
+        raise ValueError(f"{name}: {to_one_line(match[2], 80)!a} is not a unit of length ({', '.join(METERS)})")
+    return value, match[2]
 
 
-def length_of(text: str, name: str, unit: str) -> float:
-    """A length as it is typed, in `unit`, which it is in if it does not say its own.
+def parse_length(text: str, name: str, unit: str) -> float:
+    """Parse a length and convert it to `unit`; a length without a unit is in `unit`.
+
+    Args:
+        text: for example `0.04` or `40mm`.
+        name: of the argument, for messages.
+        unit: length unit of the calibration.
 
     Raises:
-        NoUnit: `unit` is none of these, so that it cannot be told in that.
-        ValueError: as `measured`.
+        MissingUnitError: the length has a unit, but `unit` is not a known one.
+        ValueError: as `parse_length_with_unit`.
     """
-    value, its = measured(text, name)
-    if not its:
+    value, own_unit = parse_length_with_unit(text, name)
+    if not own_unit:
         return value
-    if unit not in METRES:
-        raise NoUnit(
-            f"{name} is in {its}, but the calibration does not say its own unit: give it in that, without a name"
+    if unit not in METERS:
+        raise MissingUnitError(
+            f"{name} is in {own_unit}, but the calibration has no unit: give the length in calibration units, "
+            "without a unit"
         )
-    return value * METRES[its] / METRES[unit]
+    return value * METERS[own_unit] / METERS[unit]

@@ -1,13 +1,13 @@
-"""What a camera sees of a motion, also one that sees nothing of the object, or one that does not exist.
+"""Motions and poses expressed in the axes of a camera, which may be virtual.
 
-All cameras share one rotation; each has its own view of it. With X_c = Q X + q and the camera's centre o = -Q'q, the motion
-X_j = R X_i + t is, in the camera's axes,
+All cameras share one rotation; each has a different view of it. With X_c = Q X + q and the camera's center o = -Q'q,
+the motion X_j = R X_i + t is, in the camera's axes,
 
     R_c = Q R Q',   t_c = Q (t + (R - I) o),
 
-and an error (w, d) of it is (Q w, Q d): the uncertainty turns with the axes and does not grow.
+and its error (w, d) becomes (Q w, Q d): the uncertainty rotates with the axes and does not grow.
 
-Source: method.md, section 1; Chen & Schonfeld (2010) give each camera the common rotation in its own axes.
+Source: docs/method/1-notation.md; Chen & Schonfeld (2010) give each camera the common rotation in its axes.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.display import Telling, Told, spread, turned
+from sylpose.display import Printable, Summary, format_rotation, format_with_sd
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.matrices import carried, checked_rotation, covariance_of
-from sylpose.geometry.validation import finite, kind_of, real, shown
-from sylpose.input_limits import one_line
+from sylpose.geometry.matrices import check_rotation, invert_information, propagate_covariance
+from sylpose.geometry.validation import check_finite, check_real, check_type, format_value
+from sylpose.input_limits import to_one_line
 from sylpose.results import FramePose, Motion, RotationEstimate, Status, Trajectory, pan_tilt_roll
-from sylpose.rig import Camera, Rig, single_pose
+from sylpose.rig import Camera, Rig, check_single_pose
 
 __all__ = [
     "MotionView",
     "RotationView",
     "Viewpoint",
-    "camera_from_world_of",
+    "resolve_viewpoint",
     "trajectory_view",
     "view_of_motion",
     "view_of_pose",
@@ -39,22 +39,23 @@ __all__ = [
 ]
 
 
-# A camera (real, or a virtual one as `rig.camera_at` makes), a bare camera_from_world, or a camera's name in a rig.
+# A camera (real, or a virtual one made by `rig.make_look_at_camera`), a bare camera_from_world, or a camera's name in a
+# rig.
 Viewpoint: TypeAlias = Camera | RigidTransform | str
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class MotionView(Told):
-    """The object's motion between two frames in one camera's axes (x right, y down, z forward).
+class MotionView(Printable):
+    """Motion of the object in one camera's axes (x right, y down, z forward).
 
     Attributes:
-        status: of the motion that is viewed.
+        status: of the viewed motion.
         camera_from_world: of the camera.
-        motion: camera points on the object at frame i -> at frame j, X_j = R X_i + t; None where the motion is.
-        center: (3,) the object's centre at frame i, the camera's axes.
-        information: (6, 6) of (w, d): R = exp(w) R̂, d the displacement of `center`, both in the camera's axes.
-        covariance: (6, 6) its inverse; infinite variance along axes in which something is not known.
-        unseen: (k, 6) directions of (w, d) that the matches of the rig leave open.
+        motion: maps camera points on the object from frame i to frame j, X_j = R X_i + t; None if the viewed motion is.
+        center: (3,) the object's center at frame i, in the camera's axes.
+        information: (6, 6) of (w, d): R = exp(w) R̂, d the translation of `center`, both in the camera's axes.
+        covariance: (6, 6) its inverse; infinite variance along axes with an unobservable component.
+        unobservable: (k, 6) directions of (w, d) that the matches of the rig do not constrain.
     """
 
     status: Status
@@ -63,40 +64,40 @@ class MotionView(Told):
     center: FloatArray
     information: FloatArray
     covariance: FloatArray
-    unseen: FloatArray
+    unobservable: FloatArray
 
     @property
     def pan_tilt_roll(self) -> FloatArray:
-        """(3,) radians of the turn as the camera has it, R = R_y(pan) R_x(tilt) R_z(roll); NaN without a motion."""
+        """(3,) radians of the rotation in the camera's axes, R = R_y(pan) R_x(tilt) R_z(roll); NaN without a motion."""
         return np.full(3, np.nan) if self.motion is None else pan_tilt_roll(self.motion.rotation)
 
     @property
-    def displacement(self) -> FloatArray:
-        """(3,) of the object's centre: right, down, away from the camera; NaN without a motion."""
+    def center_translation(self) -> FloatArray:
+        """(3,) translation of the object's center: right, down, away from the camera; NaN without a motion."""
         return np.full(3, np.nan) if self.motion is None else np.asarray(self.motion.apply(self.center) - self.center)
 
     @property
     def sigma(self) -> FloatArray:
-        """(6,) standard deviations: the turn about the camera's x, y, z (radians), then the displacement."""
+        """(6,) standard deviations: rotation about the camera's x, y, z (radians), then translation of the center."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
-    def _told(self) -> Telling:
+    def _summary(self) -> Summary:
         status = f"{self.status.value}. {self.status.text}"
         if self.motion is None:
-            return Telling(self.status.value, sentence=status)
+            return Summary(self.status.value, sentence=status)
         rows = [
-            ("turned", turned(self.motion.rotation, self.covariance[:3, :3])),
-            ("right, down, away", spread(self.displacement, self.sigma[3:])),
+            ("rotation", format_rotation(self.motion.rotation, self.covariance[:3, :3])),
+            ("right, down, away", format_with_sd(self.center_translation, self.sigma[3:])),
         ]
-        return Telling(f"{self.status.value}, turned {turned(self.motion.rotation)}", rows, status)
+        return Summary(f"{self.status.value}, rotated {format_rotation(self.motion.rotation)}", rows, status)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RotationView(RotationEstimate):
-    """An estimate of the object's rotation in one camera's axes: R_c = Q R Q', and so its information.
+    """Estimate of the object's rotation in one camera's axes, R_c = Q R Q'.
 
     Attributes:
-        camera_from_world: of the camera; only its rotation matters.
+        camera_from_world: of the camera; only its rotation is used.
     """
 
     camera_from_world: RigidTransform
@@ -109,76 +110,76 @@ class RotationView(RotationEstimate):
 
 
 def view_of_motion(motion: Motion, camera: Viewpoint, *, rig: Rig | None = None) -> MotionView:
-    """The motion between two frames as a camera has it, with its uncertainty.
+    """Express the motion between two frames, with its uncertainty, in a camera's axes.
 
     Args:
-        motion: of `estimate_motion` (not of `estimate_pose`, whose motion starts in the model's frame).
-        camera: whose view; a name is looked up in `rig`.
-        rig: needed for a name only.
+        motion: from `estimate_motion` (not from `estimate_pose`, whose motion starts in the model's frame).
+        camera: the camera; a name is looked up in `rig`.
+        rig: required for a name only.
 
     Raises:
-        ValueError: a name without a rig or that the rig does not have; a transform that is no single finite one.
+        ValueError: a name without a rig or not in the rig; a transform that is not a single finite one.
     """
-    kind_of(motion, Motion, "motion")
-    finite(motion.information, (6, 6), "motion.information", most=np.inf)
-    center = real(motion.center, "(3,)", "motion.center")  # NaN without matches
-    unseen = finite(motion.unseen, ("k", 6), "motion.unseen", most=np.inf)
+    check_type(motion, Motion, "motion")
+    check_finite(motion.information, (6, 6), "motion.information", maximum=np.inf)
+    center = check_real(motion.center, "(3,)", "motion.center")  # NaN without matches
+    unobservable = check_finite(motion.unobservable, ("k", 6), "motion.unobservable", maximum=np.inf)
     if center.shape != (3,) or (motion.motion is not None and not np.isfinite(center).all()):
         raise ValueError(f"motion.center must be (3,), finite where there is a motion; got shape {center.shape}")
     if motion.motion is not None:
-        single_pose(motion.motion, "motion.motion")
+        check_single_pose(motion.motion, "motion.motion")
     if not isinstance(motion.status, Status) or (motion.motion is None and motion.status.has_pose):
-        raise ValueError(f"motion: a status {shown(motion.status)} without a motion is none of an estimator's")
-    pose = camera_from_world_of(camera, rig)
-    turn = _turn(pose)
-    information = turn @ motion.information @ turn.T
+        raise ValueError(f"motion: status {format_value(motion.status)} requires a motion")
+    pose = resolve_viewpoint(camera, rig)
+    axes_rotation = _block_rotation(pose)
+    information = axes_rotation @ motion.information @ axes_rotation.T
     return MotionView(
         status=motion.status,
         camera_from_world=pose,
         motion=None if motion.motion is None else pose * motion.motion * pose.inv(),
         center=np.asarray(pose.apply(center)),
         information=information,
-        covariance=covariance_of(information),
-        unseen=unseen @ turn.T,
+        covariance=invert_information(information),
+        unobservable=unobservable @ axes_rotation.T,
     )
 
 
 def view_of_rotation(estimate: RotationEstimate, camera: Viewpoint, *, rig: Rig | None = None) -> RotationView:
-    """A rotation as a camera has it: of the estimators that give no translation (`solve_centralized` and its kin).
+    """Express a rotation estimate in a camera's axes.
 
     Args:
-        estimate: of any of them; or a `RotationEstimate` of one's own.
+        estimate: from an estimator without translation, such as `solve_centralized`, or another `RotationEstimate`.
         camera, rig: as in `view_of_motion`.
 
     Raises:
-        ValueError: as `view_of_motion`; a matrix that is neither a rotation nor NaN, an information that is not (3, 3)
-            and finite.
+        ValueError: as `view_of_motion`; a matrix that is neither a rotation nor NaN; an information matrix that is not
+            (3, 3) and finite.
     """
-    kind_of(estimate, RotationEstimate, "estimate")
-    R = real(estimate.rotation, "(3, 3)", "estimate.rotation")
+    check_type(estimate, RotationEstimate, "estimate")
+    R = check_real(estimate.rotation, "(3, 3)", "estimate.rotation")
     if R.shape != (3, 3) or not np.isnan(R).all():
-        R = checked_rotation(R, "estimate.rotation")
-    information = finite(estimate.information, (3, 3), "estimate.information", most=np.inf)
-    unseen = finite(estimate.unseen, ("k", 3), "estimate.unseen", most=np.inf)
+        R = check_rotation(R, "estimate.rotation")
+    information = check_finite(estimate.information, (3, 3), "estimate.information", maximum=np.inf)
+    unobservable = check_finite(estimate.unobservable, ("k", 3), "estimate.unobservable", maximum=np.inf)
     if not isinstance(estimate.status, Status) or (np.isnan(R).any() and estimate.status.has_pose):
-        raise ValueError(f"estimate: a status {shown(estimate.status)} without a rotation is none of an estimator's")
-    pose = camera_from_world_of(camera, rig)
+        raise ValueError(f"estimate: status {format_value(estimate.status)} requires a rotation")
+    pose = resolve_viewpoint(camera, rig)
     Q = pose.rotation.as_matrix()
     return RotationView(
         status=estimate.status,
         rotation=Q @ R @ Q.T,
         information=Q @ information @ Q.T,
-        unseen=unseen @ Q.T,
+        unobservable=unobservable @ Q.T,
         iterations=estimate.iterations,
         camera_from_world=pose,
     )
 
 
 def view_of_pose(pose: FramePose, camera: Viewpoint, *, rig: Rig | None = None) -> FramePose:
-    """The pose in one frame as a camera has it: `world_from_object` is then camera_from_world · world_from_object.
+    """Express the pose in one frame in a camera's axes: camera_from_world · world_from_object.
 
-    The object's frame stays what it was: pan, tilt and roll are not 0 in the first frame unless the camera is parallel to
-    the world. `trajectory_view` turns the object's axes as well.
+    The object frame is unchanged: pan, tilt and roll are not 0 in the first frame unless the camera is parallel to the
+    world. `trajectory_view` rotates the object's axes as well.
 
     Args:
         pose: of a trajectory.
@@ -187,16 +188,18 @@ def view_of_pose(pose: FramePose, camera: Viewpoint, *, rig: Rig | None = None) 
     Raises:
         ValueError: as `view_of_motion`.
     """
-    _check_pose(kind_of(pose, FramePose, "pose"), "pose")
-    camera_from_world = camera_from_world_of(camera, rig)
-    return _pose_from(pose, camera_from_world, _turn(camera_from_world), RigidTransform.identity())
+    _check_pose(check_type(pose, FramePose, "pose"), "pose")
+    camera_from_world = resolve_viewpoint(camera, rig)
+    return _transform_pose(pose, camera_from_world, _block_rotation(camera_from_world), RigidTransform.identity())
 
 
 def trajectory_view(trajectory: Trajectory, camera: Viewpoint, *, rig: Rig | None = None) -> Trajectory:
-    """The trajectory as if the camera's frame were the world: `world_from_object` is then camera_from_object.
+    """Express a trajectory with the camera's frame as the world.
 
-    As in the trajectory itself the object's axes are those of the frame that it is told in, so they are turned along: an
-    orientation of zero, the first frame's, stays zero, and pan, tilt and roll are about the camera's own axes.
+    `world_from_object` becomes camera_from_object.
+
+    The object's axes are parallel to the new world's in the first frame, so they are rotated as well: an orientation of
+    zero stays zero, and pan, tilt and roll are about the camera's axes.
 
     Args:
         trajectory: in the world frame of `camera`.
@@ -205,51 +208,53 @@ def trajectory_view(trajectory: Trajectory, camera: Viewpoint, *, rig: Rig | Non
     Raises:
         ValueError: as `view_of_motion`.
     """
-    for k, pose in enumerate(kind_of(trajectory, Trajectory, "trajectory")):
+    for k, pose in enumerate(check_type(trajectory, Trajectory, "trajectory")):
         _check_pose(pose, f"trajectory[{k}]")
-    camera_from_world = camera_from_world_of(camera, rig)
-    turn = _turn(camera_from_world)
+    camera_from_world = resolve_viewpoint(camera, rig)
+    axes_rotation = _block_rotation(camera_from_world)
     axes = RigidTransform.from_rotation(camera_from_world.rotation.inv())
-    frames = [_pose_from(pose, camera_from_world, turn, axes) for pose in trajectory]
+    frames = [_transform_pose(pose, camera_from_world, axes_rotation, axes) for pose in trajectory]
     return Trajectory(frames, trajectory.camera_names, trajectory.unit)
 
 
-def camera_from_world_of(camera: Viewpoint, rig: Rig | None = None) -> RigidTransform:
-    """The pose of a viewpoint: a camera, a bare camera_from_world, or a name that is looked up in a rig.
+def resolve_viewpoint(camera: Viewpoint, rig: Rig | None = None) -> RigidTransform:
+    """Return the pose of a viewpoint: a camera, a bare camera_from_world, or a camera's name in a rig.
 
     Raises:
-        ValueError: a name without a rig or that the rig does not have; a transform that is no single finite one.
+        ValueError: a name without a rig or not in the rig; a transform that is not a single finite one.
     """
     if isinstance(camera, Camera):
         return camera.camera_from_world
     if isinstance(camera, str):
         if rig is None:
-            raise ValueError(f"camera {shown(camera)} is given by its name, which takes a rig to look it up in")
-        if camera not in kind_of(rig, Rig, "rig").names:
-            raise ValueError(f"camera: no {shown(camera)} in the rig ({one_line(', '.join(rig.names), 200)})")
+            raise ValueError(f"camera {format_value(camera)} is given by name, which requires a rig")
+        if camera not in check_type(rig, Rig, "rig").names:
+            raise ValueError(f"camera: no {format_value(camera)} in the rig ({to_one_line(', '.join(rig.names), 200)})")
         return rig[camera].camera_from_world
     if not isinstance(camera, RigidTransform):
-        raise TypeError(f"camera must be a Camera, a RigidTransform or a camera's name, got {shown(camera)}")
-    return single_pose(camera, "camera: camera_from_world")
+        raise TypeError(f"camera must be a Camera, a RigidTransform or a camera's name, got {format_value(camera)}")
+    return check_single_pose(camera, "camera: camera_from_world")
 
 
 def _check_pose(pose: FramePose, name: str) -> None:
     if pose.world_from_object is not None:
-        single_pose(pose.world_from_object, f"{name}: world_from_object")
-    covariance = real(pose.covariance, "(6, 6)", f"{name}: covariance")
+        check_single_pose(pose.world_from_object, f"{name}: world_from_object")
+    covariance = check_real(pose.covariance, "(6, 6)", f"{name}: covariance")
     if covariance.shape != (6, 6) or not np.isfinite(covariance[~np.eye(6, dtype=bool)]).all():
-        raise ValueError(f"{name}: covariance must be (6, 6), finite beside its diagonal; got shape {covariance.shape}")
+        raise ValueError(f"{name}: covariance must be (6, 6), finite off its diagonal; got shape {covariance.shape}")
     if not (np.diag(covariance) >= 0).all():
         raise ValueError(f"{name}: covariance has a variance that is negative or NaN")
 
 
-def _pose_from(pose: FramePose, camera_from_world: RigidTransform, turn: FloatArray, axes: RigidTransform) -> FramePose:
-    """The pose seen from a camera, of an object whose own frame is changed by `axes`, object_from_its_new_frame."""
-    seen = None if pose.world_from_object is None else camera_from_world * pose.world_from_object * axes
-    return replace(pose, world_from_object=seen, covariance=carried(pose.covariance, turn))
+def _transform_pose(
+    pose: FramePose, camera_from_world: RigidTransform, axes_rotation: FloatArray, axes: RigidTransform
+) -> FramePose:
+    """Express a pose in a camera's axes, with the object frame changed by `axes`, object_from_its_new_frame."""
+    viewed_pose = None if pose.world_from_object is None else camera_from_world * pose.world_from_object * axes
+    return replace(pose, world_from_object=viewed_pose, covariance=propagate_covariance(pose.covariance, axes_rotation))
 
 
-def _turn(camera_from_world: RigidTransform) -> FloatArray:
-    """(6, 6) what takes (w, d) from the world's axes to the camera's."""
+def _block_rotation(camera_from_world: RigidTransform) -> FloatArray:
+    """Return the (6, 6) matrix that rotates (w, d) from the world's axes to the camera's."""
     Q = camera_from_world.rotation.as_matrix()
     return np.asarray(block_diag(Q, Q))

@@ -1,4 +1,4 @@
-"""What is known of the cameras' noise, by `estimate_pose`."""
+"""Known noise of the cameras in `estimate_pose`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Scene = tuple[Rig, list[FloatArray], list[FloatArray], RigidTransform]
 
 
 def scene(seed: int, noise_px: FloatArray, per_camera: int, tag: bool = False) -> Scene:
-    """Points in a cube, other ones for each camera; or the corners of a tag."""
+    """Return points in a cube, different for each camera, or the corners of a tag."""
     rng = np.random.default_rng(seed)
     rig = dome(len(noise_px)) if len(noise_px) > 3 else arc(len(noise_px), 50.0, height=0.3)
     truth = RigidTransform.from_components(rng.uniform(-0.1, 0.1, 3), Rotation.random(rng=rng))
@@ -29,8 +29,8 @@ def scene(seed: int, noise_px: FloatArray, per_camera: int, tag: bool = False) -
     return rig, points, pixels, truth
 
 
-def off(found: Motion, truth: RigidTransform) -> tuple[float, float]:
-    """The turn, radians, and the error's square in units of its covariance."""
+def compute_pose_error(found: Motion, truth: RigidTransform) -> tuple[float, float]:
+    """Return the rotation error, radians, and the squared error in units of its covariance."""
     assert found.motion is not None, found.status
     turn = (truth.rotation * found.motion.rotation.inv()).as_rotvec()
     error = np.concatenate([turn, truth.apply(found.center) - found.motion.apply(found.center)])
@@ -41,27 +41,29 @@ def off(found: Motion, truth: RigidTransform) -> tuple[float, float]:
     ("noise_px", "per_camera", "tag"),
     [(UNEQUAL, 20, False), (UNEQUAL, 3, False), (np.array([0.3, 2.0]), 4, True), (np.array([0.5]), 4, True)],
 )
-def test_covariance_tells_the_error_where_noise_is_unequal(noise_px: FloatArray, per_camera: int, tag: bool) -> None:
+def test_covariance_is_consistent_for_unequal_noise(noise_px: FloatArray, per_camera: int, tag: bool) -> None:
     squares, turns, alone = [], [], []
     for seed in range(100):
         rig, points, pixels, truth = scene(seed, noise_px, per_camera, tag)
         found = estimate_pose(rig, points, pixels, noise_px=noise_px)
-        if found.status is Status.TURN_NOT_OBSERVABLE and tag:  # flat, its mirrored pose is as good
+        if found.status is Status.ROTATION_NOT_OBSERVABLE and tag:  # flat, its mirrored pose is as good
             continue
-        turn, square = off(found, truth)
+        turn, square = compute_pose_error(found, truth)
         squares.append(square)
         turns.append(turn)
-        if (unsaid := estimate_pose(rig, points, pixels)).motion is not None:  # by unknown noise more is not told
-            alone.append(off(unsaid, truth)[0])
+        if (
+            default_result := estimate_pose(rig, points, pixels)
+        ).motion is not None:  # without known noise less is determined
+            alone.append(compute_pose_error(default_result, truth)[0])
     assert len(squares) > 90
-    # Six unknowns, the mean of a hundred has a standard deviation of 0.35. Few matches say more noise than there is as often
-    # as less, and only more is believed.
+    # Six unknowns: the mean of a hundred has a standard deviation of 0.35. Few matches over- and underestimate the
+    # noise equally often, and only overestimates take effect.
     assert 4.0 < np.mean(squares) < 7.0
     if len(noise_px) > 1 and per_camera < 20:
         assert np.sqrt(np.mean(np.square(turns))) < 0.7 * np.sqrt(np.mean(np.square(alone)))
 
 
-def test_twice_the_noise_is_twice_the_standard_deviation() -> None:
+def test_sigma_is_proportional_to_noise() -> None:
     ratios = []
     for seed in range(20):
         sigmas = []
@@ -73,7 +75,7 @@ def test_twice_the_noise_is_twice_the_standard_deviation() -> None:
     assert np.median(ratios) == pytest.approx(2.0, rel=0.03)
 
 
-def test_a_camera_of_infinite_noise_has_no_say() -> None:
+def test_camera_with_infinite_noise_is_ignored() -> None:
     rig, points, pixels, truth = scene(1, np.full(4, 0.5), 12)
     pixels[1] = pixels[1][::-1].copy()
     found = estimate_pose(rig, points, pixels, noise_px=[0.5, np.inf, 0.5, 0.5])
@@ -86,12 +88,12 @@ def test_a_camera_of_infinite_noise_has_no_say() -> None:
     assert [len(mask) for mask in found.inliers] == [12] * 4
     assert not found.inliers[1].any()
     np.testing.assert_allclose(found.residuals[[0, 2, 3]], 0.5 * np.sqrt(2.0), rtol=0.4)
-    assert off(found, truth)[1] < 40.0
+    assert compute_pose_error(found, truth)[1] < 40.0
     nobody = estimate_pose(rig, points, pixels, noise_px=[np.inf] * 4)
     assert nobody.status is Status.TOO_FEW_MATCHES
 
 
-def test_what_is_far_is_far_in_units_of_the_noise() -> None:
+def test_max_error_scales_with_noise() -> None:
     rig, points, pixels, _ = scene(2, np.full(4, 0.1), 12)
     pixels[0][0] += 3.0
     pixels[3][0] += 3.0
@@ -103,7 +105,7 @@ def test_what_is_far_is_far_in_units_of_the_noise() -> None:
 
 
 @pytest.mark.parametrize("wrong", [[0.5], [0.5, 0.5, 0.0, 0.5], [0.5, np.nan, 1, 1]])
-def test_noise_that_is_none_is_refused(wrong: list[float]) -> None:
+def test_invalid_noise_is_rejected(wrong: list[float]) -> None:
     rig, points, pixels, _ = scene(0, UNEQUAL, 5)
     with pytest.raises(ValueError, match="noise_px"):
         estimate_pose(rig, points, pixels, noise_px=wrong)

@@ -1,4 +1,4 @@
-"""The pose of a known model from many cameras: exact, robust, honest about what it cannot see."""
+"""Pose of a known model from many cameras: exact, robust, and consistent about unobservable directions."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose import simulate
-from sylpose.absolute_pose.p3p import three_rays
+from sylpose.absolute_pose.p3p import solve_p3p
 from sylpose.absolute_pose.pose import estimate_pose
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.results import Motion, Status
@@ -26,7 +26,7 @@ LENS = (-0.3, 0.12, 0.001, -0.001, 0.0)
 
 @dataclass(frozen=True)
 class Scene:
-    """What the cameras see of a body, and the truth."""
+    """Observations of a body, and the ground truth."""
 
     rig: Rig
     points: list[FloatArray]
@@ -35,7 +35,7 @@ class Scene:
     truth: RigidTransform
 
     def error(self, found: Motion) -> FloatArray:
-        """(6,) of (w, d): radians, and the displacement of the model's centre."""
+        """Return the (6,) error of (w, d): radians, and the translation of the model's center."""
         assert found.motion is not None, found.status
         turn = (self.truth.rotation * found.motion.rotation.inv()).as_rotvec()
         return np.concatenate([turn, self.truth.apply(found.center) - found.motion.apply(found.center)])
@@ -56,10 +56,12 @@ def scene_of(
     junk: int = 0,
     body: simulate.Body = BODY,
 ) -> Scene:
-    """Points of a body anywhere near the origin, each camera those that face it; the model's frame is off its centre."""
+    """Return points of a body near the origin; each camera observes those that face it, and the model's frame is off
+    its
+    center."""
     rng = np.random.default_rng(seed)
     offset, place = np.array([0.3, -0.2, 0.5]), rng.uniform(-0.1, 0.1, 3)
-    # A board is seen at an angle, not from its edge.
+    # A board is viewed at an angle, not edge-on.
     turns = [
         Rotation.random(rng=rng) if body is BODY else Rotation.from_rotvec(rng.uniform(-1, 1, 3)) for _ in range(2)
     ]
@@ -106,18 +108,16 @@ def degrees_mm(error: FloatArray) -> tuple[float, float]:
 def test_exact_without_noise(seed: int, cameras: int, per_camera: int, body: simulate.Body) -> None:
     scene = scene_of(rig_of(cameras), seed, per_camera, noise_px=0.0, body=body)
     found = solve(scene)
-    if cameras == 1 and (body is BOARD or per_camera == 6) and found.status is Status.TURN_NOT_OBSERVABLE:
-        return  # noise is not believed to be none, and by some another pose is as likely
+    if cameras == 1 and (body is BOARD or per_camera == 6) and found.status is Status.ROTATION_NOT_OBSERVABLE:
+        return  # the noise prior is not zero, and another pose may be as likely
     assert found.status is Status.OK
     assert np.abs(scene.error(found)).max() < 1e-9
     assert all(mask.all() for mask in found.inliers)
 
 
 @pytest.mark.parametrize(("size", "noise", "n", "least"), [(0.06, 0.1, 20, 30), (0.12, 0.3, 4, 20), (0.2, 0.6, 8, 30)])
-def test_flat_models_before_one_camera_are_not_taken_for_their_mirror_image(
-    size: float, noise: float, n: int, least: int
-) -> None:
-    """Tilted two ways, they look nearly alike: what cannot be told is said, and next to nothing is wrong and sure of it."""
+def test_flat_models_are_not_confused_with_mirror_images(size: float, noise: float, n: int, least: int) -> None:
+    """Two tilts look nearly alike: ambiguity is reported, and wrong results of status OK are very rare."""
     rng, rig, found, wrong = np.random.default_rng(3), simulate.arc(1, 0, 1.5, 500, (480, 360)), 0, 0
     camera = rig.cameras[0]
     square = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * size / 2
@@ -139,7 +139,7 @@ def test_flat_models_before_one_camera_are_not_taken_for_their_mirror_image(
 
 
 @pytest.mark.parametrize("lens", ["opencv", "fisheye"])
-def test_lenses_are_taken_out(lens: str) -> None:
+def test_lens_distortion_is_removed(lens: str) -> None:
     coefficients = LENS if lens == "opencv" else (0.1, -0.05, 0.01, 0.002)
     rig = Rig([replace(c, distortion=np.array(coefficients), lens=lens) for c in rig_of(4)])  # type: ignore[arg-type]
     scene = scene_of(rig, 3, noise_px=0.0)
@@ -147,7 +147,7 @@ def test_lenses_are_taken_out(lens: str) -> None:
 
 
 @pytest.mark.parametrize("central", [True, False])
-def test_three_rays_meet_the_three_points(central: bool) -> None:
+def test_p3p_poses_are_exact(central: bool) -> None:
     rng = np.random.default_rng(0)
     rotations, places = np.empty((8, 3, 3)), np.empty((8, 3))
     hits = 0
@@ -158,7 +158,7 @@ def test_three_rays_meet_the_three_points(central: bool) -> None:
         origins = np.tile(rng.uniform(4, 6, 3), (3, 1)) if central else 6.0 * rng.standard_normal((3, 3))
         rays = points - origins
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-        n = three_rays(origins, rays, model, rotations, places)
+        n = solve_p3p(origins, rays, model, rotations, places)
         hit = False
         for r, g in zip(rotations[:n], places[:n], strict=True):
             assert np.allclose(r @ r.T, np.eye(3), atol=1e-9)
@@ -168,13 +168,13 @@ def test_three_rays_meet_the_three_points(central: bool) -> None:
             assert np.einsum("ij,ij->i", offsets, rays).min() > 0
             hit |= np.abs(r - rotation).max() + np.abs(g - place).max() < 1e-3
         hits += hit
-    # Two poses that are very close may both be missed.
+    # Two very close poses may both be missed.
     assert hits >= 0.97 * 300
 
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("body", [BODY, BOARD])
-def test_agrees_with_solve_pnp(seed: int, body: simulate.Body) -> None:
+def test_matches_solve_pnp(seed: int, body: simulate.Body) -> None:
     camera = replace(rig_of(1).cameras[0], distortion=np.array(LENS))
     scene = scene_of(Rig([camera]), seed, body=body)
     found = solve(scene)
@@ -222,7 +222,7 @@ def test_equivariance(seed: int) -> None:
         assert np.array_equal(first.inliers[c][shuffles[k]], found.inliers[k])
 
 
-def test_same_seed_same_result_and_other_seeds_agree() -> None:
+def test_seeds_are_deterministic_and_agree() -> None:
     scene = scene_of(rig_of(4), 1, outliers=0.3)
     first, again, other = solve(scene), solve(scene), solve(scene, seed=7)
     assert first.motion is not None
@@ -271,7 +271,7 @@ def test_outliers_do_not_matter(
         (4, 30, {"body": BOARD, "noise_px": 1.0}),
     ],
 )
-def test_covariance_tells_the_error(cameras: int, per_camera: int, options: dict[str, object]) -> None:
+def test_covariance_is_consistent(cameras: int, per_camera: int, options: dict[str, object]) -> None:
     nees = []
     for seed in range(150):
         scene = scene_of(rig_of(cameras), seed, per_camera, **options)  # type: ignore[arg-type]
@@ -281,8 +281,8 @@ def test_covariance_tells_the_error(cameras: int, per_camera: int, options: dict
     assert 5.0 < np.mean(nees) < 7.0
 
 
-def test_information_is_that_of_the_reprojection_errors() -> None:
-    """The twin: numerical derivatives of what the cameras project, all matches of weight 1."""
+def test_information_matches_reprojection_errors() -> None:
+    """Compare with numerical derivatives of the projections, with all weights 1."""
     scene = scene_of(Rig([replace(c, distortion=np.array(LENS)) for c in rig_of(4)]), 0, per_camera=300)
     found = solve(scene)
     assert found.motion is not None
@@ -305,7 +305,7 @@ def test_information_is_that_of_the_reprojection_errors() -> None:
     assert found.residuals == pytest.approx([np.sqrt((r**2).sum(axis=1).mean()) for r in of_camera], rel=0.02)
 
 
-def test_a_noisy_camera_counts_for_less() -> None:
+def test_noisy_camera_is_down_weighted() -> None:
     errors, alone = [], []
     for seed in range(20):
         scene = scene_of(rig_of(4), seed, noise_px=0.3)
@@ -319,7 +319,7 @@ def test_a_noisy_camera_counts_for_less() -> None:
     assert np.mean(errors) < 1.1 * np.mean(alone)
 
 
-def test_a_camera_turned_against_its_calibration_is_left_out() -> None:
+def test_misrotated_camera_is_rejected() -> None:
     scene = scene_of(rig_of(4), 5)
     off = RigidTransform.from_rotation(Rotation.from_rotvec([0.0, np.deg2rad(2.0), 0.0]))
     first = scene.rig.cameras[0]
@@ -332,19 +332,19 @@ def test_a_camera_turned_against_its_calibration_is_left_out() -> None:
 @pytest.mark.parametrize("cameras", [2, 3, 8])
 @pytest.mark.parametrize("size", [1e-3, 0.6, 25.4, 1e3])
 @pytest.mark.parametrize("body", [BODY, BOARD])
-def test_points_of_another_size_are_no_pose_of_one_camera(cameras: int, size: float, body: simulate.Body) -> None:
-    """Each camera alone sees them at another distance; how many times as large they would have to be is said."""
+def test_wrong_model_scale_is_reported(cameras: int, size: float, body: simulate.Body) -> None:
+    """Each camera alone estimates another distance; the required scale is reported."""
     scene = scene_of(rig_of(cameras), 11, 30, body=body)
     found = estimate_pose(scene.rig, [size * points for points in scene.points], scene.pixels)
     assert found.status is Status.NOT_CONSISTENT
     (fault,) = found.faults
-    told = re.search(r"if they were (\S+) times as large", fault)
-    assert told is not None
-    assert float(told[1]) == pytest.approx(1 / size, rel=0.05)
+    reported = re.search(r"if they were (\S+) times as large", fault)
+    assert reported is not None
+    assert float(reported[1]) == pytest.approx(1 / size, rel=0.05)
 
 
-def test_cameras_that_contradict_each_other_are_counted() -> None:
-    """Two that agree are believed more than two of which each says a pose of its own, and one no more than one."""
+def test_contradicting_cameras_are_counted() -> None:
+    """Two that agree outvote two that each support a different pose; one does not outvote one."""
 
     def turned(scene: Scene, degrees: dict[int, float]) -> Motion:
         by = {c: RigidTransform.from_rotation(Rotation.from_rotvec([0, np.deg2rad(a), 0])) for c, a in degrees.items()}
@@ -362,7 +362,7 @@ def test_cameras_that_contradict_each_other_are_counted() -> None:
     assert turned(four, {0: 10.0, 2: -20.0, 3: 30.0}).status is Status.NOT_CONSISTENT
     one = turned(two, {1: 10.0})
     assert one.status is Status.NOT_CONSISTENT
-    assert not one.faults  # no size would help
+    assert not one.faults  # no scale makes them agree
 
 
 def on_a_line(n: int, points: int = 20) -> Scene:
@@ -382,13 +382,16 @@ def first_few(cameras: int, n: int, copies: int = 1) -> Scene:
 
 
 def far_away(size_px: float, body: simulate.Body) -> Scene:
-    camera = simulate.camera_at("far", (0, 0, -0.2 * 1000 / size_px), (0, 0, 0), 1000.0, (1280, 960))
+    camera = simulate.make_look_at_camera("far", (0, 0, -0.2 * 1000 / size_px), (0, 0, 0), 1000.0, (1280, 960))
     return scene_of(Rig([camera]), 0, 40, body=body)
 
 
 def in_one_place() -> Rig:
     return Rig(
-        [simulate.camera_at(f"cam_{k}", (0, 0, -1.5), (0.3 * k, 0.2 * k, 0), 1000.0, (1280, 960)) for k in (-1, 0, 1)]
+        [
+            simulate.make_look_at_camera(f"cam_{k}", (0, 0, -1.5), (0.3 * k, 0.2 * k, 0), 1000.0, (1280, 960))
+            for k in (-1, 0, 1)
+        ]
     )
 
 
@@ -408,10 +411,10 @@ def one_view() -> Scene:
         (first_few(1, 3), Status.TOO_FEW_MATCHES),
         (first_few(1, 3, copies=20), Status.TOO_FEW_MATCHES),
         (first_few(4, 8, copies=20), Status.OK),
-        (on_a_line(1), Status.TURN_NOT_OBSERVABLE),
-        (on_a_line(4), Status.TURN_NOT_OBSERVABLE),
-        (far_away(1.0, BODY), Status.TURN_NOT_OBSERVABLE),
-        (far_away(5.0, BOARD), Status.TURN_NOT_OBSERVABLE),
+        (on_a_line(1), Status.ROTATION_NOT_OBSERVABLE),
+        (on_a_line(4), Status.ROTATION_NOT_OBSERVABLE),
+        (far_away(1.0, BODY), Status.ROTATION_NOT_OBSERVABLE),
+        (far_away(5.0, BOARD), Status.ROTATION_NOT_OBSERVABLE),
         (scene_of(rig_of(1), 0, 6, junk=1), Status.NOT_CONSISTENT),
         (scene_of(rig_of(1), 0, junk=1), Status.NOT_CONSISTENT),
         (scene_of(rig_of(4), 0, junk=4), Status.NOT_CONSISTENT),
@@ -420,18 +423,18 @@ def one_view() -> Scene:
         (one_view(), Status.OK),
     ],
 )
-def test_what_cannot_be_seen_is_said(scene: Scene, status: Status) -> None:
+def test_unobservable_scenes_have_their_status(scene: Scene, status: Status) -> None:
     found = solve(scene)
     assert found.status is status
     assert (found.motion is not None) == status.has_pose
-    assert (len(found.unseen) > 0) == (status is Status.TURN_NOT_OBSERVABLE)
+    assert (len(found.unobservable) > 0) == (status is Status.ROTATION_NOT_OBSERVABLE)
     assert [len(mask) for mask in found.inliers] == [len(p) for p in scene.points]
 
 
-def test_a_point_behind_a_camera_is_no_inlier() -> None:
+def test_point_behind_a_camera_is_not_an_inlier() -> None:
     scene = scene_of(rig_of(4), 0)
     camera = scene.rig.cameras[0]
-    # Mirrored at the camera's centre a point has the same image, from behind.
+    # Mirrored at the camera's center a point has the same image, from behind.
     behind = scene.truth.inv().apply(2 * camera.center - scene.truth.apply(scene.points[0][:5]))
     scene.points[0][:5] = behind
     found = solve(scene)
@@ -440,7 +443,7 @@ def test_a_point_behind_a_camera_is_no_inlier() -> None:
     assert found.inliers[0][5:].all()
 
 
-def test_many_matches_end() -> None:
+def test_many_matches_terminate() -> None:
     scene = scene_of(rig_of(4), 0, 300, outliers=0.3)
     many = replace(
         scene,
@@ -463,7 +466,7 @@ def test_world_far_from_its_origin() -> None:
 
 
 def camera_named(name: str) -> Camera:
-    return simulate.camera_at(name, (0, 0, -1), (0, 0, 0), 1000.0, (640, 480))
+    return simulate.make_look_at_camera(name, (0, 0, -1), (0, 0, 0), 1000.0, (640, 480))
 
 
 @pytest.mark.parametrize(

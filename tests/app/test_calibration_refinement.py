@@ -1,4 +1,4 @@
-"""`sylpose track --refine-calibration`, as it is typed: what it says and writes; and who is taken for moved."""
+"""`sylpose track --refine-calibration`: output, files and detection of moved cameras."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from benchmarks.camera_motion import bump_of, images_of
+from benchmarks.camera_motion import draw_camera_motion, render_images
 from sylpose import calibration
-from sylpose.app.calibration_refinement import REFINED, REFINED_END, at_the_end, changes, write_refined
-from sylpose.bundle_adjustment.calibration_refinement import Correction, Moved
+from sylpose.app.calibration_refinement import REFINED, REFINED_END, compute_final_rig, describe_changes, write_refined
+from sylpose.bundle_adjustment.calibration_refinement import CalibrationCorrection, MovedCamera
 from sylpose.cli import main
 from sylpose.rig import Rig
-from sylpose.simulate import demo_scene, demo_truth, render_sequence, ring
-from sylpose.simulate.recording_files import session_folder, write_boxes, write_videos
+from sylpose.simulate import compute_demo_truth, make_demo_scene, render_sequence, ring
+from sylpose.simulate.recording_files import create_session_folder, write_boxes, write_videos
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
 
-def test_as_typed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    truth = render_sequence(tmp_path / "s", frames=8, turn_deg=24.0, size=(240, 180), n_cameras=3, boxes=True)
+def test_refinement_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    truth = render_sequence(tmp_path / "s", frames=8, angle_deg=24.0, size=(240, 180), n_cameras=3, boxes=True)
     assert main(["track", str(tmp_path / "s"), "--refine-calibration", "--no-overlay"]) == 0
-    said = capsys.readouterr().out
-    assert "Calibration   cam_0: " in said
-    assert "cam_2: " in said
+    output = capsys.readouterr().out
+    assert "Calibration   cam_0: " in output
+    assert "cam_2: " in output
     refined = calibration.load(tmp_path / "s" / "sylpose" / REFINED)
     assert refined.names == truth.rig.names
     for a, b in zip(refined, truth.rig, strict=True):
@@ -35,42 +35,42 @@ def test_as_typed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert (tmp_path / "s" / "sylpose" / "tracked.tum").exists()
 
 
-def test_a_camera_that_is_knocked_as_typed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    scene = demo_scene(frames=16, turn_deg=40, size=(320, 240), n_cameras=3, seed=4)
-    bump = bump_of(scene, 1, 2.0, 0.02, 2.0)._replace(frame=6)
-    folder = session_folder(tmp_path / "s", scene.rig)
-    write_boxes(folder, {"object": demo_truth(scene).boxes})
-    write_videos(folder, scene.rig, iter(images_of(scene, bump)), scene.frames)
+def test_bumped_camera_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = make_demo_scene(frames=16, angle_deg=40, size=(320, 240), n_cameras=3, seed=4)
+    bump = draw_camera_motion(scene, 1, 2.0, 0.02, 2.0)._replace(frame=6)
+    folder = create_session_folder(tmp_path / "s", scene.rig)
+    write_boxes(folder, {"object": compute_demo_truth(scene).boxes})
+    write_videos(folder, scene.rig, iter(render_images(scene, bump)), scene.frames)
     assert main(["track", str(folder), "--refine-calibration", "--no-overlay"]) == 0
-    said = capsys.readouterr().out
-    found = re.search(r"cam_1 was moved at frame 6: turned by (\S+)° ± \S+°, shifted by (\S+) ± \S+ m\.", said)
+    output = capsys.readouterr().out
+    found = re.search(r"cam_1 was moved at frame 6: rotated by (\S+)° ± \S+°, translated by (\S+) ± \S+ m\.", output)
     assert found is not None
     turned, shifted = map(float, found.groups())
     assert abs(turned - 2.0) < 0.5
-    assert abs(shifted - np.linalg.norm(bump.shift)) < 0.7 * np.linalg.norm(bump.shift)  # 16 frames tell no more
+    assert abs(shifted - np.linalg.norm(bump.translation)) < 0.7 * np.linalg.norm(bump.translation)  # 16 frames only
     then, end = (calibration.load(folder / "sylpose" / name).cameras[1] for name in (REFINED, REFINED_END))
     step = end.camera_from_world.rotation * then.camera_from_world.rotation.inv()
-    assert np.rad2deg((step * bump.turn.inv()).magnitude()) < 1.0
-    assert np.linalg.norm(end.center - then.center - bump.shift) < 0.8 * np.linalg.norm(bump.shift)
+    assert np.rad2deg((step * bump.rotation.inv()).magnitude()) < 1.0
+    assert np.linalg.norm(end.center - then.center - bump.translation) < 0.8 * np.linalg.norm(bump.translation)
 
 
-def test_what_is_said() -> None:
+def test_descriptions_of_changes() -> None:
     rig = ring(2)
-    values, believed = np.zeros((2, 10)), np.tile([0.01] * 6 + [0.01, 5.0, 5.0, 0.02], (2, 1))
-    sd = 0.1 * believed
+    values, prior_sd = np.zeros((2, 10)), np.tile([0.01] * 6 + [0.01, 5.0, 5.0, 0.02], (2, 1))
+    sd = 0.1 * prior_sd
     values[0, 0], values[0, 6] = 0.0087, 0.008
-    sd[1, 3:6] = believed[1, 3:6]
-    one, two = changes(Correction(rig, values, sd, believed), rig, [])
-    assert one == "cam_0: turned by 0.50° (9 standard deviations), focal length +0.80 % (8 standard deviations)."
-    assert two == "cam_1: nothing shown to be off; not told by this recording: place."
+    sd[1, 3:6] = prior_sd[1, 3:6]
+    one, two = describe_changes(CalibrationCorrection(rig, values, sd, prior_sd), rig, [])
+    assert one == "cam_0: rotated by 0.50° (9 standard deviations), focal length +0.80 % (8 standard deviations)."
+    assert two == "cam_1: no significant change; not observable in this recording: position."
 
 
-def test_a_camera_that_was_moved_is_said_and_written_as_it_stands_at_the_end(tmp_path: Path) -> None:
+def test_moved_camera_is_described_and_written_with_its_final_pose(tmp_path: Path) -> None:
     rig, values, sd = ring(2), np.zeros((4, 10)), np.full((4, 10), 1e-3)
     turn, then = np.deg2rad([0.0, 2.0, 0.0]), np.deg2rad([1.0, 0.0, 0.0])
     values[2, 1], values[2, 3], values[3, 5] = np.deg2rad(0.1), 0.008, 0.03
-    believed = np.tile([0.03] * 6 + [0.01, 5.0, 5.0, 0.02], (4, 1))
-    sd[3, 3:6] = believed[3, 3:6]
+    prior_sd = np.tile([0.03] * 6 + [0.01, 5.0, 5.0, 0.02], (4, 1))
+    sd[3, 3:6] = prior_sd[3, 3:6]
     stood = rig.cameras[1].camera_from_world
     places = [rig.cameras[1].center + shift for shift in ([0.008, 0.0, 0.0], [0.008, 0.0, 0.03])]
     turned = Rotation.from_rotvec(values[2, :3]) * stood.rotation
@@ -80,15 +80,15 @@ def test_a_camera_that_was_moved_is_said_and_written_as_it_stands_at_the_end(tmp
         )
         for name, place in zip("ab", places, strict=True)
     ]
-    correction = Correction(Rig([*rig, *later], "m"), values, sd, believed)
-    moved = [Moved(1, 25, 0.01, turn), Moved(1, 40, 0.01, then)]
-    *_, one, other = changes(correction, rig, moved)
-    assert one == "cam_1 was moved at frame 25: turned by 2.10° ± 0.06°, shifted by 0.008 ± 0.001 m."
-    assert other == "cam_1 was moved at frame 40: turned by 1.00° ± 0.06°; not told by this recording: place."
-    end = at_the_end(correction, rig.names, moved)
+    correction = CalibrationCorrection(Rig([*rig, *later], "m"), values, sd, prior_sd)
+    moved = [MovedCamera(1, 25, 0.01, turn), MovedCamera(1, 40, 0.01, then)]
+    *_, one, other = describe_changes(correction, rig, moved)
+    assert one == "cam_1 was moved at frame 25: rotated by 2.10° ± 0.06°, translated by 0.008 ± 0.001 m."
+    assert other == "cam_1 was moved at frame 40: rotated by 1.00° ± 0.06°; not observable in this recording: position."
+    end = compute_final_rig(correction, rig.names, moved)
     assert end.names == rig.names
     np.testing.assert_allclose(end.cameras[1].center, places[1], atol=1e-12)
-    # First the one, then the other, of what is seen turned back by both.
+    # The final pose includes both rotations by which images were compensated.
     expected = Rotation.from_rotvec(turn) * Rotation.from_rotvec(then) * turned
     assert (end.cameras[1].camera_from_world.rotation * expected.inv()).magnitude() < 1e-12
     np.testing.assert_array_equal(

@@ -1,4 +1,4 @@
-"""The command line: what it writes and says, its exit codes, bad input and interrupts."""
+"""The command line: files, output, exit codes, invalid input and interrupts."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ import sylpose
 from sylpose import calibration
 from sylpose.app import check as checks
 from sylpose.app import demo
-from sylpose.app.preview import what_moves
+from sylpose.app.preview import preview_moving_object
 from sylpose.app.run import track_session
 from sylpose.capture import Session, open_session
 from sylpose.cli import main
-from sylpose.display import length
+from sylpose.display import format_length
 from sylpose.frames import FrameSet
 from sylpose.methods import FEATURES, METHODS
 from sylpose.report.files import read_trajectory, read_tum
-from sylpose.report.rigview import meeting_point
+from sylpose.report.rigview import find_axes_intersection
 from sylpose.results import FrameStatus
-from sylpose.rig import Camera, Rig, camera_at
+from sylpose.rig import Camera, Rig, make_look_at_camera
 from sylpose.tracking.frame_solvers import SOLVERS
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import Tracker
@@ -45,11 +45,11 @@ from tests.paths import DATA
 pytestmark = pytest.mark.usefixtures("undrawn")
 
 OUTPUTS = {"trajectory.tum", "trajectory.csv", "tracked.tum", "tracked.csv", "report.png", "report.html", "overlay.mp4"}
-OUTPUTS |= {"settings.toml", "calibration.used.toml"}  # no object.npz: next to nothing is learnt in 12 frames
+OUTPUTS |= {"settings.toml", "calibration.used.toml"}  # no object.npz: 12 frames give too few landmarks
 
 
 class Result:
-    """Exit code and what was said."""
+    """Exit code and output of a command."""
 
     def __init__(self, code: int, out: str, err: str) -> None:
         self.code, self.out, self.err = code, out, err
@@ -60,7 +60,7 @@ Command = Callable[..., Result]
 
 @pytest.fixture
 def run(capsys: pytest.CaptureFixture[str]) -> Command:
-    """Runs a command in this process."""
+    """Return a function that runs a command in this process."""
 
     def command(*args: object) -> Result:
         capsys.readouterr()
@@ -70,8 +70,8 @@ def run(capsys: pytest.CaptureFixture[str]) -> Command:
     return command
 
 
-def one_sentence(result: Result) -> str:
-    """What a refused command said: one line, no traceback, exit code 2."""
+def error_message(result: Result) -> str:
+    """Return the error message of a rejected command: one line, no traceback, exit code 2."""
     assert result.code == 2, result.out + result.err
     lines = result.err.strip().splitlines()
     assert len(lines) == 1, result.err
@@ -85,7 +85,7 @@ def rewrite_calibration(session: Path, change: Callable[[str], str]) -> None:
 
 
 def subset(session: Path, names: list[str]) -> None:
-    """Leaves only some cameras in a session."""
+    """Keep only some cameras of a session."""
     rig = calibration.load(session / "calibration.toml")
     calibration.save(rig.subset(names), session / "calibration.toml")
     for name in set(rig.names) - set(names):
@@ -94,7 +94,7 @@ def subset(session: Path, names: list[str]) -> None:
 
 
 def remux(source: Path, target: Path, frames: int | None = None, **options: str) -> None:
-    """Copies a video's packets, all or the first few."""
+    """Copy a video's packets, all or the first few."""
     with av.open(str(source)) as a, av.open(str(target), "w", options=options) as b:
         stream = b.add_stream_from_template(a.streams.video[0])
         packets = [p for p in a.demux(a.streams.video[0]) if p.dts is not None]
@@ -103,8 +103,8 @@ def remux(source: Path, target: Path, frames: int | None = None, **options: str)
             b.mux(packet)
 
 
-def cut_video(path: Path, share: float) -> None:
-    """As a recorder that lost power leaves it: what the file says of itself at its front, a part of its frames."""
+def truncate_video(path: Path, share: float) -> None:
+    """Truncate a video as after a power failure: its header at the front is complete, its frames are not."""
     whole = path.with_suffix(".tmp.mp4")
     remux(path, whole, movflags="faststart")
     path.write_bytes(whole.read_bytes()[: int(share * whole.stat().st_size)])
@@ -121,7 +121,7 @@ def n_video_frames(path: Path) -> int:
 
 @pytest.fixture(scope="module")
 def tracked(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.CompletedProcess[str]]:
-    """The whole command in a process of its own, once: its folder of outputs and what it said."""
+    """Run the whole command once in its own process; return its output folder and the completed process."""
     out = tmp_path_factory.mktemp("out")
     done = subprocess.run(
         [sys.executable, "-m", "sylpose", "track", str(recording), "--out", str(out)],
@@ -139,7 +139,7 @@ def test_track_writes_all_files(tracked: tuple[Path, subprocess.CompletedProcess
     trajectory = read_trajectory(out / "trajectory.csv")
     assert [frame.index for frame in trajectory] == list(range(FRAMES))
     times, poses = read_tum(out / "trajectory.tum")
-    assert len(times) == int(trajectory.solved.sum()) >= FRAMES - 2
+    assert len(times) == int(trajectory.measured_mask.sum()) >= FRAMES - 2
     assert np.allclose(np.diff(times), 1 / 30) or len(times) < FRAMES
     assert np.allclose(poses[0].rotation.as_matrix(), np.eye(3))
     assert n_video_frames(out / "overlay.mp4") == FRAMES
@@ -148,12 +148,12 @@ def test_track_writes_all_files(tracked: tuple[Path, subprocess.CompletedProcess
     assert cv2.imread(str(out / "report.png")) is not None
 
 
-def test_track_says_what_it_found(tracked: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
+def test_track_prints_a_summary(tracked: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
     out, done = tracked
     assert re.search(rf"Tracked +\d+ of {FRAMES} frames", done.stdout)
     for words in (
-        "Turned",
-        "Moved",
+        "Rotation",
+        "Translation",
         "cam_0",
         "cam_2",
         "frames/s",
@@ -177,22 +177,22 @@ def test_track_shows_progress_on_a_terminal(recording: Path, tmp_path: Path) -> 
     command = [sys.executable, "-m", "sylpose", "track", str(recording), "--stop", "4", "--no-overlay"]
     process = subprocess.Popen([*command, "--out", str(tmp_path)], stdout=follower, stderr=follower)
     os.close(follower)
-    said = b""
+    output = b""
     while True:
         try:
             part = os.read(leader, 65536)
-        except OSError:  # Linux's way to say that the other side is closed
+        except OSError:  # on Linux: the other side is closed
             break
         if not part:
             break
-        said += part
+        output += part
     os.close(leader)
     assert process.wait() == 0
     for words in ("Tracking", "3 cameras", "frames/s", "inliers", "/4"):
-        assert words in said.decode()
+        assert words in output.decode()
 
 
-def test_out_is_in_the_session_by_default_and_old_files_go(run: Command, session: Path) -> None:
+def test_default_output_folder_and_removal_of_old_files(run: Command, session: Path) -> None:
     out = session / "sylpose"
     out.mkdir()
     (out / "overlay.mp4").write_bytes(b"of an earlier run")
@@ -200,27 +200,27 @@ def test_out_is_in_the_session_by_default_and_old_files_go(run: Command, session
     assert result.code == 0, result.err
     assert {file.name for file in out.iterdir()} == OUTPUTS - {"overlay.mp4"}
     assert [frame.index for frame in read_trajectory(out / "trajectory.csv")] == [2, 5, 8]
-    assert "boxes are taken to be of frame 2" in result.out
-    assert run("check", session).code == 0  # the outputs are not taken for cameras
+    assert "boxes are assumed to be of frame 2" in result.out
+    assert run("check", session).code == 0  # the outputs are not mistaken for cameras
 
 
-def test_every_slows_the_overlay_down(run: Command, recording: Path, tmp_path: Path) -> None:
+def test_every_reduces_the_overlay_frame_rate(run: Command, recording: Path, tmp_path: Path) -> None:
     assert run("track", recording, "--every", 3, "--out", tmp_path).code == 0
     assert n_video_frames(tmp_path / "overlay.mp4") == 4
     with av.open(str(tmp_path / "overlay.mp4")) as video:
         assert video.streams.video[0].average_rate == 10
 
 
-@pytest.mark.parametrize("method", ["epipolar", "sylvester", "known-depth"])  # test_tracking has them all
+@pytest.mark.parametrize("method", ["epipolar", "sylvester", "known-depth"])  # test_tracking tests all of them
 def test_other_methods_can_be_chosen(run: Command, recording: Path, tmp_path: Path, method: str) -> None:
     result = run("track", recording, "--stop", 3, "--no-overlay", "--method", method, "--out", tmp_path)
     assert result.code in (0, 1), result.err
     assert len(read_trajectory(tmp_path / "trajectory.csv")) == 3
 
 
-def test_single_camera_is_tracked_and_scale_is_said(run: Command, session: Path) -> None:
+def test_single_camera_is_tracked_and_scale_is_reported(run: Command, session: Path) -> None:
     subset(session, ["cam_1"])
-    (session / "boxes.toml").write_text(f"cam_1 = {box_of(session, 'cam_1')}\n")
+    (session / "boxes.toml").write_text(f"cam_1 = {true_box(session, 'cam_1')}\n")
     result = run("track", session, "--no-overlay", "--stop", 6)
     assert result.code == 0, result.err
     assert "not observable with one camera" in result.out
@@ -228,8 +228,8 @@ def test_single_camera_is_tracked_and_scale_is_said(run: Command, session: Path)
     assert read_trajectory(session / "sylpose" / "trajectory.csv").unit == "first distances"
 
 
-def box_of(session: Path, name: str) -> list[int]:
-    """The object's box in the first frame, from the truth."""
+def true_box(session: Path, name: str) -> list[int]:
+    """Return the object's box in the first frame from ground truth."""
     camera = calibration.load(session / "calibration.toml")[name]
     _, poses = read_tum(session / "groundtruth.tum")
     depth = camera.camera_from_world.apply(poses[0].translation)[2]
@@ -238,16 +238,16 @@ def box_of(session: Path, name: str) -> list[int]:
     return [int(x - half), int(y - half), int(2 * half), int(2 * half)]
 
 
-def test_track_says_what_looks_wrong_at_first_and_when_it_fails(run: Command, session: Path) -> None:
-    """A calibration that holds the poses' inverses."""
+def test_track_prints_warnings_before_and_after_a_failure(run: Command, session: Path) -> None:
+    """The calibration contains inverted poses."""
     (session / "boxes.toml").unlink()
     rig = calibration.load(session / "calibration.toml")
     inverse = Rig([replace(camera, camera_from_world=camera.camera_from_world.inv()) for camera in rig], rig.unit)
     calibration.save(inverse, session / "calibration.toml")
     result = run("track", session, "--no-overlay")
     assert result.code == 1, result.out
-    assert "seems to hold world_from_camera" in " ".join(result.out.split())
-    assert result.err.index("no frame could be solved") < result.err.index("seems to hold world_from_camera")
+    assert "probably contains world_from_camera" in " ".join(result.out.split())
+    assert result.err.index("no frame could be solved") < result.err.index("probably contains world_from_camera")
 
 
 def test_nothing_found_is_exit_code_1(run: Command, session: Path) -> None:
@@ -267,11 +267,11 @@ def test_nothing_found_is_exit_code_1(run: Command, session: Path) -> None:
         assert video.streams.video[0].average_rate == 2
 
 
-# --- what is computed is kept ----------------------------------------------------------------------------------------
+# --- partial results are kept ----------------------------------------------------------------------------------------
 
 
-def endless(session: Path, n: int = 1000) -> None:
-    """Turns a session into folders of n images that play the videos forth and back."""
+def make_endless(session: Path, n: int = 1000) -> None:
+    """Replace a session's videos by folders of n images that play them back and forth."""
     order = [*range(FRAMES), *range(FRAMES - 2, 0, -1)]
     for name in ("cam_0", "cam_1", "cam_2"):
         folder = session / name
@@ -286,15 +286,15 @@ def endless(session: Path, n: int = 1000) -> None:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="sends a POSIX signal")
 @pytest.mark.parametrize("how", [signal.SIGINT, pytest.param(signal.SIGKILL, marks=pytest.mark.slow)])
-def test_interrupt_keeps_what_is_computed(session: Path, how: signal.Signals) -> None:
-    endless(session)
+def test_interrupt_keeps_partial_results(session: Path, how: signal.Signals) -> None:
+    make_endless(session)
     out = session / "sylpose"
     process = subprocess.Popen(
         [sys.executable, "-m", "sylpose", "track", str(session)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        # A shell that starts tests in the background lets its children ignore it.
+        # Children of a shell that starts the tests in the background ignore SIGINT otherwise.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     deadline = time.monotonic() + 60
@@ -304,25 +304,27 @@ def test_interrupt_keeps_what_is_computed(session: Path, how: signal.Signals) ->
         time.sleep(0.02)
     process.send_signal(how)
     _, err = process.communicate(timeout=60)
-    stem = "trajectory" if how == signal.SIGINT else "tracked"  # killed, it cannot say that this is the result
+    stem = "trajectory" if how == signal.SIGINT else "tracked"  # when killed, it cannot rename its result
     for name in (f"{stem}.csv", f"{stem}.tum"):
         assert (out / name).read_text().endswith("\n")
     trajectory = read_trajectory(out / f"{stem}.csv")
     assert [frame.index for frame in trajectory] == list(range(len(trajectory)))
     assert 4 <= len(trajectory) < 1000
-    assert len(read_tum(out / f"{stem}.tum")[0]) in (trajectory.solved.sum(), trajectory.solved.sum() - 1)
+    assert len(read_tum(out / f"{stem}.tum")[0]) in (trajectory.measured_mask.sum(), trajectory.measured_mask.sum() - 1)
     if how == signal.SIGINT:
         assert process.returncode == 130
         (sentence,) = err.strip().splitlines()
-        said = re.fullmatch(r"sylpose: interrupted after (\d+) of 1000 frames; what was computed is in (.*)", sentence)
-        assert said is not None
-        assert len(trajectory) == int(said[1])
-        assert said[2] == str(out)
+        output = re.fullmatch(
+            r"sylpose: interrupted after (\d+) of 1000 frames; the results so far are in (.*)", sentence
+        )
+        assert output is not None
+        assert len(trajectory) == int(output[1])
+        assert output[2] == str(out)
         assert cv2.imread(str(out / "report.png")) is not None
         assert len(trajectory) == n_video_frames(out / "overlay.mp4")
 
 
-def test_a_bug_keeps_what_is_computed_and_its_traceback(
+def test_exception_keeps_partial_results_and_its_traceback(
     run: Command, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     step = Tracker.step
@@ -335,33 +337,30 @@ def test_a_bug_keeps_what_is_computed_and_its_traceback(
     monkeypatch.setattr(Tracker, "step", breaks)
     with pytest.raises(np.linalg.LinAlgError):
         run("track", recording, "--out", tmp_path)
-    assert f"stopped after 3 of 12 frames; what was computed is in {tmp_path}" in capsys.readouterr().err
+    assert f"stopped after 3 of 12 frames; the results so far are in {tmp_path}" in capsys.readouterr().err
     assert len(read_trajectory(tmp_path / "trajectory.csv")) == 3
     assert n_video_frames(tmp_path / "overlay.mp4") == 3
     assert (tmp_path / "report.png").exists()
 
 
-def test_offsets_that_are_used_are_said(run: Command, session: Path, tmp_path: Path) -> None:
+def test_offsets_in_use_are_printed(run: Command, session: Path, tmp_path: Path) -> None:
     (session / "offsets.toml").write_text("cam_0 = 0.0\ncam_1 = 0.004\ncam_2 = -0.002\n")
     result = run("track", session, "--stop", "4", "--no-overlay", "--out", tmp_path / "out")
     assert result.code == 0, result.err
-    assert (
-        "Later than their times say: cam_1 4 ms, cam_2 -2 ms (--offsets, or offsets.toml in the recording)."
-        in result.out
-    )
+    assert "Time offsets: cam_1 4 ms, cam_2 -2 ms (from --offsets, or offsets.toml in the recording)." in result.out
 
 
-def test_without_a_terminal_progress_is_a_line_now_and_then(
+def test_progress_lines_without_a_terminal(
     run: Command, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sylpose.app.progress.BETWEEN_LINES", 0.0)
+    monkeypatch.setattr("sylpose.app.progress.SECONDS_BETWEEN_LINES", 0.0)
     result = run("track", recording, "--stop", "3", "--no-overlay", "--out", tmp_path / "out")
     lines = [line for line in result.err.splitlines() if line.startswith("sylpose: tracked ")]
     assert [line.split(",")[0] for line in lines] == [f"sylpose: tracked {k} of 3 frames" for k in (1, 2, 3)]
     assert lines[-1].endswith("inliers")
 
 
-def test_an_overlay_that_fails_is_said(
+def test_failure_of_the_overlay_is_reported(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: Command
 ) -> None:
     def full(*_: Any) -> None:
@@ -375,11 +374,11 @@ def test_an_overlay_that_fails_is_said(
     assert (tmp_path / "report.png").exists()
 
 
-def test_truncated_video_is_tracked_and_said(run: Command, session: Path) -> None:
-    cut_video(session / "cam_1.mp4", 0.6)
+def test_truncated_video_is_tracked_and_reported(run: Command, session: Path) -> None:
+    truncate_video(session / "cam_1.mp4", 0.6)
     result = run("track", session, "--no-overlay")
     assert result.code == 0, result.err
-    assert re.search(r"cam_1: cam_1.mp4 breaks off after \d+ of 12 frames", result.out)
+    assert re.search(r"cam_1: cam_1.mp4 is cut off after \d+ of 12 frames", result.out)
     trajectory = read_trajectory(session / "sylpose" / "trajectory.csv")
     assert len(trajectory) == FRAMES
     assert trajectory[-1].inliers[1] == 0
@@ -406,11 +405,11 @@ def test_track_session_from_python(recording: Path, tmp_path: Path) -> None:
 
 
 def test_no_such_folder(run: Command, tmp_path: Path) -> None:
-    assert "nowhere: no such folder" in one_sentence(run("track", tmp_path / "nowhere"))
-    assert "nowhere: no such folder" in one_sentence(run("check", tmp_path / "nowhere"))
+    assert "nowhere: no such folder" in error_message(run("track", tmp_path / "nowhere"))
+    assert "nowhere: no such folder" in error_message(run("check", tmp_path / "nowhere"))
 
 
-def test_bad_input_of_a_real_process_has_no_traceback(tmp_path: Path) -> None:
+def test_invalid_input_gives_no_traceback(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "sylpose", "track", str(tmp_path)], capture_output=True, text=True, check=False
     )
@@ -421,33 +420,33 @@ def test_bad_input_of_a_real_process_has_no_traceback(tmp_path: Path) -> None:
 
 def test_no_calibration_or_two(run: Command, session: Path) -> None:
     shutil.copy(session / "calibration.toml", session / "calibration_old.toml")
-    assert "2 calibrations" in one_sentence(run("track", session))
+    assert "2 calibrations" in error_message(run("track", session))
     (session / "calibration_old.toml").unlink()
     (session / "calibration.toml").rename(session / "lenses.toml")
-    assert "no calibration" in one_sentence(run("track", session))
+    assert "no calibration" in error_message(run("track", session))
     (session / "cam_1.mp4").rename(session / "1.mp4")
     result = run("check", session, "--calibration", session / "lenses.toml")
     assert result.code == 0, result.err
-    assert "cam_1 (1.mp4)" in result.out  # names are matched tolerantly, and it is said which
+    assert "cam_1 (1.mp4)" in result.out  # names are matched tolerantly, and the match is shown
 
 
 def test_camera_without_video_and_video_without_camera(run: Command, session: Path) -> None:
     (session / "cam_2.mp4").rename(session / "cam_7.mp4")
-    said = one_sentence(run("track", session))
-    assert "camera cam_2" in said
-    assert "cam_7.mp4" in said
+    output = error_message(run("track", session))
+    assert "camera cam_2" in output
+    assert "cam_7.mp4" in output
 
 
 def test_unreadable_video(run: Command, session: Path) -> None:
     (session / "cam_1.mp4").write_bytes(b"no video")
-    assert "cam_1.mp4" in one_sentence(run("track", session))
+    assert "cam_1.mp4" in error_message(run("track", session))
 
 
 def test_size_that_does_not_match(run: Command, session: Path) -> None:
     rewrite_calibration(session, lambda text: text.replace("[320, 240]", "[640, 480]"))
-    said = one_sentence(run("track", session))
-    assert "320x240" in said
-    assert "640x480" in said
+    output = error_message(run("track", session))
+    assert "320x240" in output
+    assert "640x480" in output
 
 
 @pytest.mark.parametrize(
@@ -461,10 +460,10 @@ def test_size_that_does_not_match(run: Command, session: Path) -> None:
 )
 def test_broken_calibration(run: Command, session: Path, change: Callable[[str], str], words: str) -> None:
     rewrite_calibration(session, change)
-    assert words in one_sentence(run("track", session))
+    assert words in error_message(run("track", session))
 
 
-def test_rotation_that_is_none(run: Command, session: Path) -> None:
+def test_invalid_rotation_matrix(run: Command, session: Path) -> None:
     path = session / "calibration.json"
     calibration.save(calibration.load(session / "calibration.toml"), path)
     (session / "calibration.toml").unlink()
@@ -472,38 +471,38 @@ def test_rotation_that_is_none(run: Command, session: Path) -> None:
     rotation = data["cameras"][1]["R"]
     rotation["data"] = [2 * number for number in rotation["data"]]
     path.write_text(json.dumps(data))
-    assert "cam_1" in one_sentence(run("track", session))
+    assert "cam_1" in error_message(run("track", session))
 
 
-def test_box_outside_the_image_and_boxes_that_do_not_meet(run: Command, session: Path) -> None:
+def test_box_outside_the_image_and_boxes_that_do_not_intersect(run: Command, session: Path) -> None:
     (session / "boxes.toml").write_text("cam_0 = [280, 10, 100, 100]\n")
-    assert "cam_0" in one_sentence(run("track", session))
+    assert "cam_0" in error_message(run("track", session))
     (session / "boxes.toml").write_text("cam_0 = [0, 0, 40, 40]\ncam_2 = [270, 190, 40, 40]\n")
-    assert "boxes" in one_sentence(run("track", session))
+    assert "boxes" in error_message(run("track", session))
     result = run("check", session)
-    assert "boxes" in one_sentence(result)
-    assert "Camera" in result.out  # what was understood is shown all the same
-    assert "boxes.txt" in one_sentence(run("track", session, "--boxes", session / "boxes.txt"))
+    assert "boxes" in error_message(result)
+    assert "Camera" in result.out  # the rig's table is printed nevertheless
+    assert "boxes.txt" in error_message(run("track", session, "--boxes", session / "boxes.txt"))
 
 
 def test_empty_mask(run: Command, session: Path) -> None:
     (session / "masks").mkdir()
     cv2.imwrite(str(session / "masks" / "cam_0.png"), np.zeros((240, 320), np.uint8))
-    said = one_sentence(run("track", session))
-    assert "cam_0.png" in said
-    assert "empty" in said
+    output = error_message(run("track", session))
+    assert "cam_0.png" in output
+    assert "empty" in output
 
 
 def test_offsets(run: Command, session: Path) -> None:
     for wrong in ("cam_1", "cam_1=x", "=3"):
-        assert wrong in one_sentence(run("track", session, "--frame-offset", wrong))
-    assert "cam_9" in one_sentence(run("track", session, "--frame-offset", "cam_9=2"))
+        assert wrong in error_message(run("track", session, "--frame-offset", wrong))
+    assert "cam_9" in error_message(run("track", session, "--frame-offset", "cam_9=2"))
     result = run("check", session, "--frame-offset", "cam_1=2", "--frame-offset", "cam_2=-1")
     assert result.code == 0
     assert "cam_1 has 2 to 13" in result.out
 
 
-def test_frame_counts_that_differ_are_said(run: Command, session: Path) -> None:
+def test_different_frame_counts_are_reported(run: Command, session: Path) -> None:
     remux(session / "cam_2.mp4", session / "short.mp4", frames=8)
     (session / "short.mp4").replace(session / "cam_2.mp4")
     result = run("track", session, "--no-overlay", "--stop", 2)
@@ -516,10 +515,10 @@ def test_out_that_cannot_be_written(run: Command, recording: Path, tmp_path: Pat
     file = tmp_path / "file"
     file.write_text("")
     for out in (file, file / "below"):
-        assert str(out) in one_sentence(run("track", recording, "--out", out))
-        assert str(out) in one_sentence(run("check", recording, "--out", out))
+        assert str(out) in error_message(run("track", recording, "--out", out))
+        assert str(out) in error_message(run("check", recording, "--out", out))
     (tmp_path / "taken" / "trajectory.tum").mkdir(parents=True)
-    assert "trajectory.tum" in one_sentence(run("track", recording, "--out", tmp_path / "taken"))
+    assert "trajectory.tum" in error_message(run("track", recording, "--out", tmp_path / "taken"))
 
 
 @pytest.mark.parametrize(
@@ -537,7 +536,7 @@ def test_wrong_options(run: Command, recording: Path, tmp_path: Path, args: tupl
 # --- check -----------------------------------------------------------------------------------------------------------
 
 
-def test_check_says_what_was_understood(run: Command, recording: Path, tmp_path: Path) -> None:
+def test_check_prints_a_summary(run: Command, recording: Path, tmp_path: Path) -> None:
     result = run("check", recording, "--out", tmp_path)
     assert result.code == 0, result.err
     for words in (
@@ -549,30 +548,30 @@ def test_check_says_what_was_understood(run: Command, recording: Path, tmp_path:
     ):
         assert words in result.out
     assert "Ready to track" in result.out
-    assert "what is in the boxes of cam_0" in result.out
+    assert "Target: the object in the boxes of cam_0" in result.out
     assert cv2.imread(str(tmp_path / "rig.png")) is not None
     assert cv2.imread(str(tmp_path / "follows.png")) is not None
 
 
 def without_boxes(recording: Path) -> Session:
-    """`what_moves` does not look at them."""
+    """Open a recording; `preview_moving_object` ignores its boxes."""
     return open_session(recording)
 
 
-def test_check_says_what_moves_without_boxes(recording: Path) -> None:
-    found = what_moves(without_boxes(recording))
-    assert found.said.startswith("what moves from frame 0 to ")
-    assert found.said.count("cam_") == 3
-    assert found.wrong == ()
+def test_check_describes_the_moving_object_without_boxes(recording: Path) -> None:
+    found = preview_moving_object(without_boxes(recording))
+    assert found.description.startswith("what moves from frame 0 to ")
+    assert found.description.count("cam_") == 3
+    assert found.warnings == ()
     assert all(outline is not None and len(outline) > 3 for outline in found.outlines)
 
 
-def test_check_does_not_promise_what_does_not_move(recording: Path) -> None:
-    """Of one frame nothing can be said; it is drawn all the same."""
-    found = what_moves(without_boxes(recording), looked_at=1)
-    assert len(found.wrong) == 1
-    assert "nothing that could be followed does within the first frame" in found.wrong[0]
-    assert FrameStatus.NO_MOTION.text in found.wrong[0]
+def test_check_warns_if_nothing_moves(recording: Path) -> None:
+    """A single frame shows no motion, but it is drawn nevertheless."""
+    found = preview_moving_object(without_boxes(recording), n_frames=1)
+    assert len(found.warnings) == 1
+    assert "nothing trackable moves within the first frame" in found.warnings[0]
+    assert FrameStatus.NO_MOTION.text in found.warnings[0]
     assert found.frames is not None
     assert found.outlines == (None,) * 3
 
@@ -587,91 +586,91 @@ def test_check_of_real_recordings(run: Command, tmp_path: Path, name: str) -> No
     assert "4 cameras" in result.out
 
 
-def look_warnings(cameras: list[Camera], unit: str = "") -> list[str]:
-    """What is said about a rig."""
+def rig_warnings(cameras: list[Camera], unit: str = "") -> list[str]:
+    """Return the warnings about a rig."""
     rig = Rig(cameras, unit)
-    return checks.look_at(rig, checks.Place(meeting_point(rig), None, "the optical axes"))
+    return checks.check_rig_geometry(rig, checks.ObjectLocation(find_axes_intersection(rig), None, "the optical axes"))
 
 
 def camera(name: str, eye: tuple[float, float, float], target: tuple[float, float, float]) -> Camera:
-    return camera_at(name, eye, target, focal=500.0, size=(640, 480))
+    return make_look_at_camera(name, eye, target, focal=500.0, size=(640, 480))
 
 
 def test_rig_without_faults_has_no_warnings() -> None:
     origin = (0.0, 0.0, 0.0)
-    assert look_warnings([camera("a", (0, 0, -1), origin), camera("b", (1, 0, 0), origin)], "m") == []
-    # A stereo pair with parallel axes has no meeting point, and nothing wrong with it.
-    assert look_warnings([camera("a", (0, 0, 0), (0, 0, 1)), camera("b", (0.1, 0, 0), (0.1, 0, 1))]) == []
+    assert rig_warnings([camera("a", (0, 0, -1), origin), camera("b", (1, 0, 0), origin)], "m") == []
+    # A stereo pair with parallel axes has no intersection, which is no error.
+    assert rig_warnings([camera("a", (0, 0, 0), (0, 0, 1)), camera("b", (0.1, 0, 0), (0.1, 0, 1))]) == []
 
 
-def test_cameras_that_look_away_from_each_other() -> None:
+def test_diverging_cameras_are_reported() -> None:
     cameras = [
         camera("a", (0, 0, 1), (0, 0, 2)),
         camera("b", (1, 0, 0), (2, 0, 0)),
         camera("c", (0, 1, 0), (0, 2, 0.1)),
     ]
-    (said,) = look_warnings(cameras)
-    assert "look away" in said
+    (output,) = rig_warnings(cameras)
+    assert "cameras diverge" in output
     inverted = [
         Camera(c.name, c.size, c.matrix, c.distortion, c.camera_from_world.inv())
         for c in (camera("a", (0.3, 0.2, -1), (0, 0, 0)), camera("b", (1, 0.1, 0.2), (0, 0, 0)))
     ]
-    (said,) = look_warnings(inverted)
-    assert "seems to hold world_from_camera" in said
+    (output,) = rig_warnings(inverted)
+    assert "probably contains world_from_camera" in output
 
 
-def test_one_camera_that_looks_elsewhere_is_named() -> None:
+def test_misdirected_camera_is_named() -> None:
     origin = (0.0, 0.0, 0.0)
     cameras = [
         camera(name, (np.sin(t), 0, -np.cos(t)), origin) for name, t in zip("abcd", (-1, -0.4, 0.3, 1), strict=True)
     ]
     cameras.append(camera("astray", (0, 0, -1.2), (4, 0, -1.0)))
-    (said,) = look_warnings(cameras)
-    assert said.startswith("astray:")
+    (output,) = rig_warnings(cameras)
+    assert output.startswith("astray:")
 
 
-def test_axes_that_miss_each_other_are_said_and_no_fault(session: Path) -> None:
+def test_distance_of_optical_axes_is_described_without_a_warning(session: Path) -> None:
     origin = (0.0, 0.0, 0.0)
     met = [camera("a", (0, 0, -1), origin), camera("b", (1, 0, 0), origin)]
-    assert checks.axes_miss(Rig(met, "m")) == ""
-    assert checks.axes_miss(Rig(met[:1], "m")) == ""
-    beside = Rig([camera("a", (0, 0.036, -1), (0, 0.036, 0)), camera("b", (1, -0.036, 0), (0, -0.036, 0))], "m")
-    assert "miss each other by 36.0 mm, 4 % of" in checks.axes_miss(beside)
-    assert look_warnings(list(beside), "m") == []
-    assert checks.axes_miss(open_session(session).rig) == ""
+    assert checks.describe_axis_miss(Rig(met, "m")) == ""
+    assert checks.describe_axis_miss(Rig(met[:1], "m")) == ""
+    skewed = Rig([camera("a", (0, 0.036, -1), (0, 0.036, 0)), camera("b", (1, -0.036, 0), (0, -0.036, 0))], "m")
+    assert "miss each other by 36.0 mm, 4 % of" in checks.describe_axis_miss(skewed)
+    assert rig_warnings(list(skewed), "m") == []
+    assert checks.describe_axis_miss(open_session(session).rig) == ""
 
 
-def test_cameras_at_one_place_and_a_suspicious_unit() -> None:
+def test_coincident_cameras_and_suspicious_unit() -> None:
     origin = (0.0, 0.0, 0.0)
     cameras = [
         camera("a", (0, 0, -1500), origin),
         camera("b", (0, 0.1, -1500), origin),
         camera("c", (900, 0, 0), origin),
     ]
-    one_place, unit = look_warnings(cameras)
+    one_place, unit = rig_warnings(cameras)
     assert "b and a" in one_place
-    assert "millimetres" in unit
-    assert not any("millimetres" in said for said in look_warnings(cameras, "mm"))
-    (alone,) = look_warnings(cameras[:1])
-    assert "One camera only" in alone
+    assert "millimeters" in unit
+    assert not any("millimeters" in output for output in rig_warnings(cameras, "mm"))
+    (alone,) = rig_warnings(cameras[:1])
+    assert "Only one camera" in alone
 
 
-def warned(session: Session) -> str:
-    """All that `check` says is wrong with a session."""
-    places = {name: checks.object_place(session.of(name)) for name in session.objects}
-    return " ".join([*checks.warnings(session, places), *checks.obstacles(places)])
+def session_warnings(session: Session) -> str:
+    """Return all warnings and errors of `check` about a session."""
+    places = {name: checks.locate_object(session.select_object(name)) for name in session.objects}
+    return " ".join([*checks.list_warnings(session, places), *checks.list_errors(places)])
 
 
 def test_box_that_does_not_fit_the_others_is_named(session: Path) -> None:
     opened = open_session(session)
-    assert warned(opened) == ""
+    assert session_warnings(opened) == ""
     x, y, width, height = (getattr(opened.boxes["cam_1"], key) for key in ("x", "y", "width", "height"))
     shifted = f"cam_1 = [{x}, {y + 0.8 * height}, {width}, {height / 4}]"
     lines = [line for line in (session / "boxes.toml").read_text().splitlines() if "cam_1" not in line]
     (session / "boxes.toml").write_text("\n".join([*lines, shifted]))
-    assert "cam_1" in warned(open_session(session))
+    assert "cam_1" in session_warnings(open_session(session))
     (session / "boxes.toml").write_text(shifted)
-    assert "one camera only" in warned(open_session(session))
+    assert "Only one camera" in session_warnings(open_session(session))
 
 
 # --- demo and score --------------------------------------------------------------------------------------------------
@@ -682,21 +681,21 @@ def test_demo(run: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     args = ("--frames", 6, "--turn", 8, "--cameras", 3)
     result = run("demo", *args)
     assert result.code == 0, result.err
-    assert "Against the truth, motion since the first of 6 frames" in result.out
+    assert "Against ground truth, motion since the first of 6 frames" in result.out
     assert {file.name for file in (tmp_path / "sylpose_demo" / "sylpose").iterdir()} >= OUTPUTS
 
-    # Again, with fewer cameras, into the same folder; a result that is not good enough is exit code 1.
+    # Run again with fewer cameras into the same folder; an inaccurate result gives exit code 1.
     monkeypatch.setattr(demo, "MAX_ERROR_DEG", 0.0)
     result = run("demo", "--frames", 3, "--turn", 3, "--cameras", 2)
     assert result.code == 1
-    assert "did not come out right" in result.err
+    assert "the demo failed" in result.err
 
 
 def test_demo_never_replaces_a_recording(run: Command, session: Path) -> None:
     before = (session / "cam_0.mp4").read_bytes()
-    assert "not empty" in one_sentence(run("demo", "--out", session))
+    assert "not empty" in error_message(run("demo", "--out", session))
     assert (session / "cam_0.mp4").read_bytes() == before
-    assert "at least 2 frames" in one_sentence(run("demo", "--out", session / "new", "--frames", 1))
+    assert "at least 2 frames" in error_message(run("demo", "--out", session / "new", "--frames", 1))
 
 
 def poses(n: int, seed: int) -> RigidTransform:
@@ -704,39 +703,39 @@ def poses(n: int, seed: int) -> RigidTransform:
     return RigidTransform.from_components(rng.normal(0, 1, (n, 3)), Rotation.random(n, rng=rng))
 
 
-def test_score_does_not_depend_on_the_object_frame_and_the_rate() -> None:
+def test_score_is_independent_of_object_frame_and_rate() -> None:
     truth, times = poses(20, 1), np.arange(20) / 10
     elsewhere = truth * poses(1, 2)[0]
-    result = demo.score(times + 0.01, elsewhere, times, truth, [0.1, 0.2, 0.3])
+    result = demo.compute_errors(times + 0.01, elsewhere, times, truth, [0.1, 0.2, 0.3])
     assert result.missing == 0
-    assert max(result.rotation.max(), result.displacement.max()) < 1e-5
-    result = demo.score(times[::2], elsewhere[::2], times, truth, [0.1, 0.2, 0.3])
+    assert max(result.rotation.max(), result.translation.max()) < 1e-5
+    result = demo.compute_errors(times[::2], elsewhere[::2], times, truth, [0.1, 0.2, 0.3])
     assert result.missing == 10
 
 
-def test_score_measures_turn_and_displacement_of_the_centre() -> None:
+def test_score_measures_rotation_and_translation_of_the_center() -> None:
     truth, times = poses(5, 3), np.arange(5.0)
     center = np.array([0.4, -0.2, 1.0])
     wrong = truth.as_matrix()
-    # The last pose is turned by 3 degrees about the true centre there, then shifted by 5 mm.
+    # The last pose is rotated by 3 degrees about the true center there, then translated by 5 mm.
     last_center = (truth[4] * truth[0].inv()).apply(center)
     turn = RigidTransform.from_components(last_center, Rotation.identity()) * RigidTransform.from_rotation(
         Rotation.from_rotvec([0, np.radians(3), 0])
     )
     extra = RigidTransform.from_translation([0.003, 0, 0.004]) * turn * RigidTransform.from_translation(-last_center)
     wrong[4] = (extra * truth[4]).as_matrix()
-    result = demo.score(times, RigidTransform.from_matrix(wrong), times, truth, center)
+    result = demo.compute_errors(times, RigidTransform.from_matrix(wrong), times, truth, center)
     assert result.rotation[-1] == pytest.approx(3.0)
-    assert result.displacement[-1] == pytest.approx(0.005)
+    assert result.translation[-1] == pytest.approx(0.005)
     assert result.rotation[:-1].max() < 1e-5
 
 
-def test_score_of_too_little() -> None:
+def test_score_with_too_few_poses_is_rejected() -> None:
     truth = poses(3, 4)
     with pytest.raises(ValueError, match="only 1 of 3"):
-        demo.score([0.0], truth[:1], [0.0, 1.0, 2.0], truth, [0, 0, 0])
+        demo.compute_errors([0.0], truth[:1], [0.0, 1.0, 2.0], truth, [0, 0, 0])
     with pytest.raises(ValueError, match="two true poses"):
-        demo.score([], truth[:0], [0.0, 1.0, 2.0], truth, [0, 0, 0])
+        demo.compute_errors([], truth[:0], [0.0, 1.0, 2.0], truth, [0, 0, 0])
 
 
 # --- the rest --------------------------------------------------------------------------------------------------------
@@ -755,13 +754,13 @@ def test_calibration_convert(run: Command, recording: Path, tmp_path: Path) -> N
     assert two.names == ("cam_2", "cam_0")
     assert np.array_equal(two["cam_0"].matrix, calibration.load(source)["cam_0"].matrix)
     pair = ("calibration", "convert", source, tmp_path / "pair.yml", "--to", "opencv-stereo")
-    assert "--only" in one_sentence(run(*pair))
+    assert "--only" in error_message(run(*pair))
     assert "which are cam_2 and cam_0" in run(*pair, "--only", "cam_2", "--only", "cam_0").out
-    assert "--only: 'cam_9' is no camera" in one_sentence(run(*pair, "--only", "cam_9"))
-    assert "--only: a camera is given twice" in one_sentence(run(*pair, "--only", "cam_0", "--only", "cam_0"))
-    assert "rig.txt" in one_sentence(run("calibration", "convert", source, tmp_path / "rig.txt"))
+    assert "--only: 'cam_9' is no camera" in error_message(run(*pair, "--only", "cam_9"))
+    assert "--only: a camera is given twice" in error_message(run(*pair, "--only", "cam_0", "--only", "cam_0"))
+    assert "rig.txt" in error_message(run("calibration", "convert", source, tmp_path / "rig.txt"))
     assert run("calibration", "convert", source, tmp_path / "new" / "deep" / "rig.toml").code == 0
-    assert "none.toml" in one_sentence(run("calibration", "convert", tmp_path / "none.toml", target))
+    assert "none.toml" in error_message(run("calibration", "convert", tmp_path / "none.toml", target))
 
 
 def test_help_and_version(run: Command) -> None:
@@ -777,11 +776,11 @@ def test_help_and_version(run: Command) -> None:
 
 
 def test_lengths_are_readable() -> None:
-    assert length(0.0831, "m") == "83.1 mm"
-    assert length(1.5, "m") == "1.50 m"
-    assert length(1234.4, "mm") == "1234 mm"
-    assert length(0.0023, "") == "0.00230 units"
-    assert length(0.0, "m") == "0 mm"
+    assert format_length(0.0831, "m") == "83.1 mm"
+    assert format_length(1.5, "m") == "1.50 m"
+    assert format_length(1234.4, "mm") == "1234 mm"
+    assert format_length(0.0023, "") == "0.00230 units"
+    assert format_length(0.0, "m") == "0 mm"
 
 
 def test_import_is_light() -> None:
@@ -794,34 +793,34 @@ def test_import_is_light() -> None:
         _ = sylpose.nonsense
 
 
-def test_calibrations_are_told_in_another_unit(tmp_path: Path, run: Command) -> None:
+def test_calibrations_are_converted_to_another_unit(tmp_path: Path, run: Command) -> None:
     pose = RigidTransform.from_components([0.25, 0, 2.0], Rotation.identity())
     matrix = np.array([[900.0, 0, 320], [0, 900, 240], [0, 0, 1]])
     source, target = tmp_path / "rig.toml", tmp_path / "out.toml"
     calibration.save(Rig([Camera("a", (640, 480), matrix, np.zeros(5), pose)]), source)
-    assert "does not say" in one_sentence(run("calibration", "convert", source, target, "--unit", "mm"))
+    assert "unknown unit" in error_message(run("calibration", "convert", source, target, "--unit", "mm"))
     assert not target.exists()
     assert run("calibration", "convert", source, target, "--is-in", "m", "--unit", "mm").code == 0
-    told = calibration.load(target)
-    assert told.unit == "mm"
-    np.testing.assert_allclose(told["a"].camera_from_world.translation, [250, 0, 2000])
-    assert "says itself" in one_sentence(run("calibration", "convert", target, source, "--is-in", "m"))
-    assert "one of m, cm, mm" in one_sentence(run("calibration", "convert", target, source, "--unit", "league"))
+    results = calibration.load(target)
+    assert results.unit == "mm"
+    np.testing.assert_allclose(results["a"].camera_from_world.translation, [250, 0, 2000])
+    assert "states that its unit is mm" in error_message(run("calibration", "convert", target, source, "--is-in", "m"))
+    assert "one of m, cm, mm" in error_message(run("calibration", "convert", target, source, "--unit", "league"))
 
 
-def test_results_in_another_unit_about_other_axes(session: Path, tmp_path: Path, run: Command) -> None:
-    """The same poses, a thousand times as far apart, by cameras that are named."""
+def test_results_in_another_unit_and_euler_convention(session: Path, tmp_path: Path, run: Command) -> None:
+    """The poses are the same except for a factor of 1000; one video is named by an option."""
     (session / "cam_0.mp4").rename(session / "left.mp4")
-    asked = ["--stop", "4", "--no-overlay", "--no-smooth", "--video", "cam_0=left.mp4"]
-    assert run("track", session, "--out", tmp_path / "m", *asked).code == 0
-    assert run("track", session, "--out", tmp_path / "mm", *asked, "--unit", "mm", "--euler", "ZXZ").code == 0
+    options = ["--stop", "4", "--no-overlay", "--no-smooth", "--video", "cam_0=left.mp4"]
+    assert run("track", session, "--out", tmp_path / "m", *options).code == 0
+    assert run("track", session, "--out", tmp_path / "mm", *options, "--unit", "mm", "--euler", "ZXZ").code == 0
     metres, millimetres = (read_trajectory(tmp_path / unit / "trajectory.csv") for unit in ("m", "mm"))
     assert (metres.unit, millimetres.unit) == ("m", "mm")
-    assert metres.solved.sum() == 4
+    assert metres.measured_mask.sum() == 4
     for a, b in zip(metres, millimetres, strict=True):
         assert a.world_from_object is not None
         assert b.world_from_object is not None
-        # It settles where steps are a fraction of what is known: rounding may add or spare one.
+        # Iterations stop at a fraction of the standard deviation: rounding may add or save one.
         apart = (a.world_from_object.rotation * b.world_from_object.rotation.inv()).as_rotvec()
         assert (np.abs(apart) <= 0.05 * a.sigma[:3] + 1e-9).all()
         assert (np.abs(b.position / 1000 - a.position) <= 0.05 * a.sigma[3:] + 1e-9).all()
@@ -830,21 +829,21 @@ def test_results_in_another_unit_about_other_axes(session: Path, tmp_path: Path,
     assert calibration.load(tmp_path / "mm" / "calibration.used.toml").unit == "mm"
     assert run("view", tmp_path / "mm", "cam_1", "--euler", "xyz").code == 0
     assert "angle1_x_deg" in (tmp_path / "mm" / "view_cam_1.csv").read_text().splitlines()[0]
-    for option, value, said in (
+    for option, value, output in (
         ("--unit", "league", "one of m, cm"),
-        ("--euler", "XXY", "square"),
+        ("--euler", "XXY", "perpendicular"),
         ("--video", "cam_0", "NAME=FILE"),
         ("--video", "cam_0=gone.mp4", "gone.mp4"),
-        ("--rate", 5, "folders of images"),
+        ("--rate", 5, "image folders"),
     ):
-        others = asked[:4] if option == "--video" else asked
+        others = options[:4] if option == "--video" else options
         refused = run("track", session, "--out", tmp_path / "m", *others, option, value)
-        assert said in one_sentence(refused)
+        assert output in error_message(refused)
 
 
-def test_nothing_depends_on_the_unit(session: Path, tmp_path: Path) -> None:
-    """Lengths times a power of two, which rounds nothing: the same poses as files have them, smoothed and all."""
-    opened, told = open_session(session), []
+def test_results_do_not_depend_on_the_unit(session: Path, tmp_path: Path) -> None:
+    """Scaling lengths by a power of two, which is exact, scales the smoothed poses and changes nothing else."""
+    opened, results = open_session(session), []
     for factor in (1.0, 1024.0):
         poses = [(camera, camera.camera_from_world) for camera in opened.rig]
         moved = [
@@ -852,8 +851,8 @@ def test_nothing_depends_on_the_unit(session: Path, tmp_path: Path) -> None:
             for camera, p in poses
         ]
         run = track_session(opened.with_rig(Rig(moved)), tmp_path / str(factor), stop=4, overlay=False)
-        told.append(run.trajectory)
-    for a, b in zip(*told, strict=True):
+        results.append(run.trajectory)
+    for a, b in zip(*results, strict=True):
         assert a.status is b.status
         assert a.world_from_object is not None
         assert b.world_from_object is not None

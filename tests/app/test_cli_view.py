@@ -1,4 +1,4 @@
-"""`sylpose view`: a finished trajectory as a camera sees it, as a user types it."""
+"""`sylpose view`: a finished trajectory in a camera's frame, from the command line."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from sylpose.simulate import ring
 
 @pytest.fixture
 def session(tmp_path: Path) -> Path:
-    """A session's folder with a finished run of four poses in it."""
+    """Return a session's folder with a finished run of four poses in it."""
     rig = ring(3, height=0.5)
     calibration.save(rig, tmp_path / "calibration.toml")
     with TrajectoryWriter(tmp_path / "sylpose", rig.names, "m") as writer:
@@ -34,13 +34,13 @@ def rig_of(session: Path) -> Rig:
     return calibration.load(session / "calibration.toml")
 
 
-def test_a_camera_of_the_session_is_looked_up(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_view_of_a_camera_of_the_session(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["view", str(session / "sylpose"), "cam_1"]) == 0
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     folder = session / "sylpose"
     for suffix in ("tum", "csv", "png"):
         assert (folder / f"view_cam_1.{suffix}").stat().st_size > 0
-        assert f"view_cam_1.{suffix}" in said
+        assert f"view_cam_1.{suffix}" in output
     assert "cam_1_from_object" in (folder / "view_cam_1.tum").read_text().splitlines()[0]
     camera = rig_of(session)["cam_1"]
     _, seen = read_tum(folder / "view_cam_1.tum")
@@ -51,13 +51,13 @@ def test_a_camera_of_the_session_is_looked_up(session: Path, capsys: pytest.Capt
     assert len(read_trajectory(folder / "view_cam_1.csv")) == 4
 
 
-def test_a_virtual_camera_stands_where_it_is_told(session: Path, tmp_path: Path) -> None:
+def test_view_of_a_virtual_camera(session: Path, tmp_path: Path) -> None:
     out = tmp_path / "views"
     where = ["--from", "0", "-2", "0.001", "--out", str(out)]
     arguments = ["view", str(session / "sylpose" / "trajectory.csv"), "top", *where]
     assert main(arguments) == 0
     _, seen = read_tum(out / "view_top.tum")
-    # It looks at where the object was first: there the object is in front of it, two units away.
+    # It is aimed at the object's first position, two units away.
     np.testing.assert_allclose(seen.translation[0], [0, 0, np.hypot(2.02, np.hypot(0.001, 0))], atol=1e-6)
     assert main([*arguments, "--at", "0.5", "0", "0"]) == 0
     _, again = read_tum(out / "view_top.tum")
@@ -68,29 +68,29 @@ def test_a_virtual_camera_stands_where_it_is_told(session: Path, tmp_path: Path)
     ("arguments", "sentence"),
     [
         (["cam_9"], "no camera 'cam_9' in it (cam_0, cam_1, cam_2)"),
-        (["top", "--at", "0", "0", "0"], "--at needs --from"),
-        (["top", "--from", "0", "0", "9", "--calibration", "x.toml"], "give one of them"),
-        (["top", "--from", "0", "0.02", "0"], "stands at the point that it looks at"),
-        (["top", "--from", "nan", "0", "0"], "--from: three finite numbers"),
-        (["a/b", "--from", "0", "0", "9"], "which no file's name can"),
+        (["top", "--at", "0", "0", "0"], "--at requires --from"),
+        (["top", "--from", "0", "0", "9", "--calibration", "x.toml"], "exclude each other"),
+        (["top", "--from", "0", "0.02", "0"], "its center equals its target"),
+        (["top", "--from", "nan", "0", "0"], "--from: expected three finite numbers"),
+        (["a/b", "--from", "0", "0", "9"], "which file names cannot contain"),
         (["cam_1", "--calibration", "nothing.toml"], "nothing.toml"),
     ],
 )
-def test_what_makes_no_sense_is_refused(
+def test_invalid_arguments_are_rejected(
     session: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], sentence: str
 ) -> None:
     assert main(["view", str(session / "sylpose"), *arguments]) == 2
-    said = capsys.readouterr().err
-    assert sentence in said
-    assert len(said.strip().splitlines()) == 1
+    output = capsys.readouterr().err
+    assert sentence in output
+    assert len(output.strip().splitlines()) == 1
 
 
-def test_results_that_are_not_there_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_missing_results_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["view", str(tmp_path), "cam_1"]) == 2
     assert "trajectory.csv: no such file" in capsys.readouterr().err
 
 
-def test_without_a_calibration_beside_it_one_has_to_be_said(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_calibration_is_required(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (session / "calibration.toml").rename(session / "rig_of_last_week.toml")
     assert main(["view", str(session / "sylpose"), "cam_1"]) == 2
     assert "--calibration FILE" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""`sylpose doctor`: what it says of this installation, and of broken ones."""
+"""`sylpose doctor`: its output for this installation and for broken ones."""
 
 from __future__ import annotations
 
@@ -31,42 +31,42 @@ def name_of(requirement: str) -> str:
 
 
 @pytest.fixture(autouse=True)
-def as_it_stands_in_the_project(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is installed may be of another day."""
+def use_project_requirements(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Use the requirements of pyproject.toml: the installed metadata may be outdated."""
     lines = [*PROJECT["dependencies"]]
     for extra, inside in PROJECT["optional-dependencies"].items():
         lines += [f'{line}; extra == "{extra}"' for line in inside]
     monkeypatch.setattr(doctor, "requires", lambda _: lines)
 
 
-def test_here_everything_works(capsys: pytest.CaptureFixture[str]) -> None:
+def test_working_installation(capsys: pytest.CaptureFixture[str]) -> None:
     warm_up()
     assert main(["doctor"]) == 0
-    said = capsys.readouterr().out
-    assert said.startswith(f"sylpose       {sylpose.__version__} in {Path(sylpose.__file__).parent}\n")
-    assert f"numpy {np.__version__}" in said
-    assert re.search(r"(?m)^Compiled code there; what is compiled is kept in \S", said)
-    assert re.search(r"(?m)^OpenCV        \d\.\d+\.\d+.*: opencv\S*", said)
-    assert "works" in said.splitlines()[-1]
+    output = capsys.readouterr().out
+    assert output.startswith(f"sylpose       {sylpose.__version__} in {Path(sylpose.__file__).parent}\n")
+    assert f"numpy {np.__version__}" in output
+    assert re.search(r"(?m)^Compiled code ready, cached in \S", output)
+    assert re.search(r"(?m)^OpenCV        \d\.\d+\.\d+.*: opencv\S*", output)
+    assert "works" in output.splitlines()[-1]
 
 
-def test_for_programs(capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_output(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["doctor", "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert set(said) == set(Diagnosis.__dataclass_fields__)
-    assert said["problems"] == []
-    assert said["versions"]["sylpose"] == sylpose.__version__
-    # Every dependency was loaded, by its module's name.
-    needed = {doctor._module_of(name_of(line)) for line in PROJECT["dependencies"]}
-    assert needed <= set(said["versions"])
+    output = json.loads(capsys.readouterr().out)
+    assert set(output) == set(Diagnosis.__dataclass_fields__)
+    assert output["problems"] == []
+    assert output["versions"]["sylpose"] == sylpose.__version__
+    # Every dependency was imported, and is listed by its module's name.
+    needed = {doctor._module_name(name_of(line)) for line in PROJECT["dependencies"]}
+    assert needed <= set(output["versions"])
     for module in needed:
-        assert said["versions"][module] != "?", module
+        assert output["versions"][module] != "?", module
     extras = set(PROJECT["optional-dependencies"])
-    assert set(said["extras"]) == extras - doctor.NOT_FOR_USERS
+    assert set(output["extras"]) == extras - doctor.DEVELOPER_EXTRAS
 
 
-def test_what_is_broken_is_said_without_it(tmp_path: Path) -> None:
-    """NumPy, which nearly everything needs, and an OpenCV with windows where there are none."""
+def test_broken_libraries_are_reported(tmp_path: Path) -> None:
+    """Break NumPy, which nearly every module needs, and an OpenCV with GUI on a machine without graphics."""
     for module, error in {"numpy": "no luck", "cv2": "libGL.so.1: cannot open shared object file"}.items():
         (tmp_path / module).mkdir()
         (tmp_path / module / "__init__.py").write_text(f'raise ImportError("{error}")')
@@ -87,14 +87,14 @@ def test_what_is_broken_is_said_without_it(tmp_path: Path) -> None:
     assert "works" not in done.stdout
 
 
-def test_versions_that_are_too_old_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_outdated_versions_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     lines = [*PROJECT["dependencies"], "numpy>=99"]
     monkeypatch.setattr(doctor, "requires", lambda _: lines)
     (problem,) = diagnose().problems
     assert problem.startswith(f"numpy is {np.__version__}, sylpose needs numpy>=99: ")
 
 
-def test_two_opencvs_at_once_are_a_warning_and_none_of_pips_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_several_opencv_packages_give_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
     def installed(*names: str) -> Diagnosis:
         monkeypatch.setattr(
             doctor, "distributions", lambda: [SimpleNamespace(metadata={"Name": name}) for name in names]
@@ -108,11 +108,11 @@ def test_two_opencvs_at_once_are_a_warning_and_none_of_pips_is_not(monkeypatch: 
     )
     assert not both.problems
     none = installed("numpy")
-    assert "of no package of pip's" in none.facts["OpenCV"]
+    assert "not from a pip package" in none.facts["OpenCV"]
     assert not none.warnings
 
 
-def test_what_an_extra_lacks_is_said_with_how_to_get_it(
+def test_missing_extras_are_listed_with_the_pip_command(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     lines = [*PROJECT["dependencies"], 'not-there>=1; extra == "archive"', 'numpy; extra == "archive"']
@@ -121,14 +121,14 @@ def test_what_an_extra_lacks_is_said_with_how_to_get_it(
     assert "archive: python -m pip install 'not-there>=1'\n" in capsys.readouterr().out
 
 
-def test_a_folder_that_cannot_be_written_is_a_warning(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_unwritable_cache_folder_gives_a_warning(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file" / "folder"))
     (warning,) = diagnose().warnings
     assert warning.startswith(f"NUMBA_CACHE_DIR={tmp_path / 'file' / 'folder'} cannot be written")
 
 
-def test_codecs_and_features_are_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_codecs_and_features_are_checked(monkeypatch: pytest.MonkeyPatch) -> None:
     import av
     import cv2
 
@@ -138,5 +138,5 @@ def test_codecs_and_features_are_tried(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(av, "codecs_available", {"mpeg4"})
     monkeypatch.setattr(cv2, "SIFT_create", broken)
     sift, decoding = diagnose().problems
-    assert sift == "SIFT features cannot be found by cv2 (AttributeError: without it)"
+    assert sift == "SIFT features cannot be detected by cv2 (AttributeError: without it)"
     assert decoding.startswith("videos cannot be decoded by av ")

@@ -1,4 +1,4 @@
-"""Frames of one camera for a node: numbered by the clock where it is live, by the file where it is played."""
+"""Frame sources of a node: live frames are numbered by the clock, recorded ones by the file."""
 
 from __future__ import annotations
 
@@ -9,10 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sylpose.app.frame_source import Live, Played
+from sylpose.app.frame_source import LiveSource, RecordedSource
 from sylpose.capture.frame_assembly import Grab
-from sylpose.capture.sources import source_of
-from sylpose.network.frame_announcement import NO_FRAME, WAITS, Roll, common, instant_of
+from sylpose.capture.sources import open_source
+from sylpose.network.frame_announcement import (
+    FRAME_PENDING,
+    NO_FRAME,
+    FrameAnnouncement,
+    choose_frame,
+    find_common_newcomers,
+)
 from sylpose.simulate import render_sequence
 from sylpose.simulate.rigs import ring
 
@@ -22,32 +28,32 @@ RATE = 20.0
 
 
 class Device:
-    """Gives a frame whenever it is told to."""
+    """Simulated device that delivers a frame on each call of `give`."""
 
     def __init__(self) -> None:
-        self.go, self.asked, self.gone = threading.Semaphore(0), threading.Semaphore(0), ""
-        self.given = 0
+        self.go, self.requested, self.failure = threading.Semaphore(0), threading.Semaphore(0), ""
+        self.n_given = 0
         self.size = SIZE
 
     def give(self) -> None:
-        """Until it is taken: the next one is asked for."""
-        assert self.asked.acquire(timeout=60)
+        """Deliver a frame and wait until the reader requests the next one."""
+        assert self.requested.acquire(timeout=60)
         self.go.release()
-        assert self.asked.acquire(timeout=60)
-        self.asked.release()
+        assert self.requested.acquire(timeout=60)
+        self.requested.release()
 
     def read(self) -> Grab | None:
-        self.asked.release()
+        self.requested.release()
         self.go.acquire()
-        if self.gone == "ends":
+        if self.failure == "ends":
             return None
-        if self.gone:
-            raise OSError(self.gone)
-        self.given += 1
-        return Grab(self.size, lambda: np.full((*SIZE[::-1], 3), self.given, np.uint8))
+        if self.failure:
+            raise OSError(self.failure)
+        self.n_given += 1
+        return Grab(self.size, lambda: np.full((*SIZE[::-1], 3), self.n_given, np.uint8))
 
     def close(self) -> None:
-        self.gone = "ends"
+        self.failure = "ends"
         self.go.release()
 
 
@@ -57,24 +63,24 @@ def device() -> Device:
 
 
 @pytest.fixture
-def live(device: Device) -> Live:
-    return Live(1, RIG.cameras[1], 0, RATE, lambda *_: device)
+def live(device: Device) -> LiveSource:
+    return LiveSource(1, RIG.cameras[1], 0, RATE, lambda *_: device)
 
 
-def test_live_frames_are_numbered_by_the_clock(live: Live, device: Device) -> None:
+def test_live_frames_are_numbered_by_the_clock(live: LiveSource, device: Device) -> None:
     before = time.time()
     device.give()
     number, stamp = live.newest(0)
     assert stamp is not None
     assert before <= stamp <= time.time()
     assert number == round(stamp * RATE)
-    # The next one is another frame's time later, and there is none yet.
-    assert live.newest(number + 1) == (WAITS, None)
+    # The next frame is due one period later and is not available yet.
+    assert live.newest(number + 1) == (FRAME_PENDING, None)
     time.sleep(1.5 / RATE)
     device.give()
     later, _ = live.newest(number + 1)
     assert later > number
-    # Both are there until all agree on which one is next.
+    # Both frames are kept until all nodes agree on the next one.
     times = (stamp + 0.001, live.time_of(number), None)
     frames = live.frame_set(number, times)
     assert frames.index == number
@@ -91,9 +97,9 @@ def test_live_frames_are_numbered_by_the_clock(live: Live, device: Device) -> No
 
 
 @pytest.mark.parametrize("how", ["broke", "size"])
-def test_a_live_camera_that_fails_says_why(live: Live, device: Device, how: str) -> None:
+def test_failing_live_camera_reports_the_reason(live: LiveSource, device: Device, how: str) -> None:
     if how == "broke":
-        device.gone = "the cable is out"
+        device.failure = "the cable is out"
     else:
         device.size = (8, 6)
     device.go.release()
@@ -104,13 +110,13 @@ def test_a_live_camera_that_fails_says_why(live: Live, device: Device, how: str)
             time.sleep(0.01)
 
 
-def test_a_recording_is_played_at_its_speed_and_whole(tmp_path: Path) -> None:
-    truth = render_sequence(tmp_path, frames=6, turn_deg=5, n_cameras=2, seed=0)
+def test_recording_is_played_completely_at_its_speed(tmp_path: Path) -> None:
+    truth = render_sequence(tmp_path, frames=6, angle_deg=5, n_cameras=2, seed=0)
     from sylpose import calibration
 
     rig = calibration.load(tmp_path / "calibration.toml")
-    source = source_of(tmp_path / "cam_1.mp4", rig.cameras[1])
-    shots, begun = Played(1, source, speed=1.0), time.monotonic()
+    source = open_source(tmp_path / "cam_1.mp4", rig.cameras[1])
+    shots, begun = RecordedSource(1, source, speed=1.0), time.monotonic()
     taken = []
     for number in range(6):
         assert shots.newest(number) == (number, number / 30)
@@ -124,22 +130,22 @@ def test_a_recording_is_played_at_its_speed_and_whole(tmp_path: Path) -> None:
     assert len(truth.world_from_object) == 6
     shots.close()
     with pytest.raises(FileNotFoundError, match="no such file or folder"):
-        source_of(tmp_path / "cam_7.mp4", rig.cameras[1])
+        open_source(tmp_path / "cam_7.mp4", rig.cameras[1])
 
 
-def roll(newest: int, *newcomers: int) -> Roll:
-    return Roll(newest, 0.0, newcomers, False, True)
+def roll(newest: int, *newcomers: int) -> FrameAnnouncement:
+    return FrameAnnouncement(newest, 0.0, newcomers, False, True)
 
 
-def test_the_next_frame_is_one_that_half_of_the_cameras_have() -> None:
-    assert instant_of([roll(7), roll(7), roll(7)], 7) == 7
-    assert instant_of([roll(7), roll(8), roll(8)], 7) == 8
-    assert instant_of([roll(7), roll(7), roll(8), roll(NO_FRAME)], 7) == 7
-    assert instant_of([roll(WAITS), roll(8), roll(NO_FRAME)], 7) == 8
-    assert instant_of([roll(WAITS), roll(NO_FRAME)], 7) == WAITS
-    assert instant_of([roll(NO_FRAME), roll(NO_FRAME)], 7) == NO_FRAME
+def test_next_frame_is_available_at_half_of_the_cameras() -> None:
+    assert choose_frame([roll(7), roll(7), roll(7)], 7) == 7
+    assert choose_frame([roll(7), roll(8), roll(8)], 7) == 8
+    assert choose_frame([roll(7), roll(7), roll(8), roll(NO_FRAME)], 7) == 7
+    assert choose_frame([roll(FRAME_PENDING), roll(8), roll(NO_FRAME)], 7) == 8
+    assert choose_frame([roll(FRAME_PENDING), roll(NO_FRAME)], 7) == FRAME_PENDING
+    assert choose_frame([roll(NO_FRAME), roll(NO_FRAME)], 7) == NO_FRAME
 
 
-def test_only_whom_all_hear_is_taken_in() -> None:
-    assert common([roll(0, 3, 5), roll(0, 5, 6)]) == {5}
-    assert common([roll(0, 3), roll(0)]) == set()
+def test_only_newcomers_known_to_all_members_join() -> None:
+    assert find_common_newcomers([roll(0, 3, 5), roll(0, 5, 6)]) == {5}
+    assert find_common_newcomers([roll(0, 3), roll(0)]) == set()

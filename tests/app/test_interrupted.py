@@ -1,6 +1,6 @@
-"""Runs that are broken off at any moment, refused, or out of room: nothing is lost, and `--resume` comes to the same bytes.
+"""Runs interrupted at any moment, rejected, or out of disk space: nothing is lost, and `--resume` gives the same bytes.
 
-benchmarks/kills.py does it with signals, in hundreds of processes.
+benchmarks/kills.py does the same with signals in hundreds of processes.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ import pytest
 
 from sylpose import calibration
 from sylpose.app.results_folder import EARLIER
-from sylpose.app.run import has_ended, track_session
-from sylpose.app.run_metadata import SETTINGS, USED
-from sylpose.app.sync import Synced, write_offsets
-from sylpose.atomic_io import beside, replacing
+from sylpose.app.run import has_finished, track_session
+from sylpose.app.run_metadata import SETTINGS, USED_CALIBRATION
+from sylpose.app.sync import TimeOffsets, write_offsets
+from sylpose.atomic_io import partial_path, replace_atomically
 from sylpose.capture import Session, open_session
 from sylpose.cli import main
-from sylpose.sync.speed_correlation import Delays
+from sylpose.sync.speed_correlation import OffsetEstimate
 from sylpose.tracking.tracked_frame import TrackedFrame
 
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -35,17 +35,17 @@ CHANGES = ("open", "os.rename", "os.remove", "os.truncate", "os.mkdir", "os.rmdi
 
 
 class PowerCut(BaseException):
-    """Nothing more is written, whoever tries."""
+    """Simulated power failure: no file operation succeeds any more."""
 
 
-class Cut:
-    """Counts what changes files in a folder, and from some number on lets nothing of it happen."""
+class FileFailures:
+    """Audit hook that counts file changes in a folder, and makes them fail from a given number on."""
 
     def __init__(self) -> None:
-        self.folder, self.count, self.at, self.full = "", 0, -1, False
+        self.folder, self.count, self.first_failure, self.is_disk_full = "", 0, -1, False
 
-    def arm(self, folder: Path, at: int = -1, full: bool = False) -> None:
-        self.folder, self.count, self.at, self.full = str(folder), 0, at, full
+    def arm(self, folder: Path, first_failure: int = -1, is_disk_full: bool = False) -> None:
+        self.folder, self.count, self.first_failure, self.is_disk_full = str(folder), 0, first_failure, is_disk_full
 
     def __call__(self, event: str, args: tuple[Any, ...]) -> None:
         if not self.folder or event not in CHANGES or not isinstance(args[0], (str, os.PathLike)):
@@ -55,22 +55,22 @@ class Cut:
         if not os.fspath(args[0]).startswith(self.folder):
             return
         self.count += 1
-        if 0 <= self.at < self.count:
-            if self.full and event in ("open", "os.mkdir"):
+        if 0 <= self.first_failure < self.count:
+            if self.is_disk_full and event in ("open", "os.mkdir"):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), args[0])
-            if not self.full:
+            if not self.is_disk_full:
                 raise PowerCut
 
 
-CUT = Cut()
-sys.addaudithook(CUT)  # for good
+FILE_FAILURES = FileFailures()
+sys.addaudithook(FILE_FAILURES)  # cannot be removed
 
 
 @pytest.fixture(autouse=True)
 def disarmed() -> Iterator[None]:
     yield
-    CUT.arm(Path())
-    CUT.folder = ""
+    FILE_FAILURES.arm(Path())
+    FILE_FAILURES.folder = ""
 
 
 @pytest.fixture(scope="module")
@@ -84,23 +84,23 @@ def run(session: Session, out: Path, smooth: bool, **options: Any) -> None:
 
 @pytest.fixture(scope="module")
 def whole(opened: Session, tmp_path_factory: pytest.TempPathFactory) -> dict[bool, dict[str, bytes]]:
-    """The texts of runs that nothing disturbed, with smoothing and without; and of one that is longer."""
+    """Return the text files of uninterrupted runs, with and without smoothing."""
     found = {}
     for smooth in (True, False):
         out = tmp_path_factory.mktemp("whole")
         run(opened, out, smooth)
-        found[smooth] = texts(out)
+        found[smooth] = read_texts(out)
     return found
 
 
-def texts(folder: Path) -> dict[str, bytes]:
+def read_texts(folder: Path) -> dict[str, bytes]:
     return {file.name: file.read_bytes() for file in folder.iterdir() if file.suffix in (".tum", ".csv")}
 
 
 EARLIER_RESULT = {"trajectory.tum": b"# an earlier\n", "trajectory.csv": b"index\n" + b"0\n" * 99}
 
 
-def with_earlier(out: Path) -> Path:
+def prepare_earlier_result(out: Path) -> Path:
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir()
     for name, content in EARLIER_RESULT.items():
@@ -117,37 +117,37 @@ def with_earlier(out: Path) -> Path:
         pytest.param(False, True, id="plain-full"),
     ],
 )
-def test_at_any_moment(
+def test_interruption_at_any_moment(
     opened: Session, whole: dict[bool, dict[str, bytes]], tmp_path: Path, smooth: bool, full: bool
 ) -> None:
-    """Over an earlier result, which stays until there is the new one."""
-    out = with_earlier(tmp_path / "out")
-    CUT.arm(out)
+    """An earlier result stays until the new one is complete."""
+    out = prepare_earlier_result(tmp_path / "out")
+    FILE_FAILURES.arm(out)
     run(opened, out, smooth)
-    for at in np.unique(np.linspace(1 + full, CUT.count - 1 - smooth, 3, dtype=int)):
-        with_earlier(out)
-        CUT.arm(out, int(at), full)
-        said = broken(opened, out, smooth)
-        CUT.arm(Path("/nowhere"))
-        assert said == "" or (full and "cannot write " in said and "\n" not in said)
+    for at in np.unique(np.linspace(1 + full, FILE_FAILURES.count - 1 - smooth, 3, dtype=int)):
+        prepare_earlier_result(out)
+        FILE_FAILURES.arm(out, int(at), full)
+        output = run_until_failure(opened, out, smooth)
+        FILE_FAILURES.arm(Path("/nowhere"))
+        assert output == "" or (full and "cannot write " in output and "\n" not in output)
         kept = [{n: (folder / n).read_bytes() for n in RESULTS if (folder / n).exists()} for folder in folders(out)]
         new = {name: whole[smooth][name] for name in RESULTS}
         merged = {name: {its.get(name) for its in kept} for name in RESULTS}
         assert all(merged[name] & {EARLIER_RESULT[name], new[name]} for name in RESULTS), at
-        if not (out / "checkpoint.bin").exists():  # it had not begun, or was at its end
-            if has_ended(opened, out):
-                assert texts(out) in (EARLIER_RESULT, whole[smooth])
+        if not (out / "checkpoint.bin").exists():  # the run had not begun or had ended
+            if has_finished(opened, out):
+                assert read_texts(out) in (EARLIER_RESULT, whole[smooth])
             run(opened, out, smooth)
         else:
-            assert not has_ended(opened, out)
+            assert not has_finished(opened, out)
             run(opened, out, smooth, resume=True)
-        assert texts(out) == whole[smooth], at
+        assert read_texts(out) == whole[smooth], at
         left = {file.name for file in out.iterdir()}
-        assert left == {*whole[smooth], "report.png", "report.html", SETTINGS, USED}, at
+        assert left == {*whole[smooth], "report.png", "report.html", SETTINGS, USED_CALIBRATION}, at
 
 
-def broken(session: Session, out: Path, smooth: bool) -> str:
-    """What a run says that cannot go on."""
+def run_until_failure(session: Session, out: Path, smooth: bool) -> str:
+    """Return the error message of an interrupted run."""
     try:
         run(session, out, smooth)
     except PowerCut:
@@ -161,57 +161,57 @@ def folders(out: Path) -> list[Path]:
     return [out, *(entry for entry in out.iterdir() if entry.is_dir())]
 
 
-def test_a_later_run_that_fails_takes_nothing(opened: Session, tmp_path: Path) -> None:
-    out = with_earlier(tmp_path / "out")
+def test_failing_run_keeps_the_earlier_result(opened: Session, tmp_path: Path) -> None:
+    out = prepare_earlier_result(tmp_path / "out")
 
     def breaks(tracked: TrackedFrame) -> None:
         if tracked.pose.index == 1:
             raise RuntimeError("a bug")
 
-    for _ in range(2):  # and not the second time either
+    for _ in range(2):  # the second failure must not lose it either
         with pytest.raises(RuntimeError):
             run(opened, out, False, on_frame=breaks)
-        assert texts(out / EARLIER) == EARLIER_RESULT
-        assert texts(out)["trajectory.csv"].count(b"\n") == 3  # what was computed
+        assert read_texts(out / EARLIER) == EARLIER_RESULT
+        assert read_texts(out)["trajectory.csv"].count(b"\n") == 3  # partial results
     run(opened, out, False)
     assert not (out / EARLIER).exists()
 
 
-def test_a_resumed_run_that_fails_leaves_what_was_there(
+def test_failing_resumed_run_keeps_the_files(
     opened: Session, whole: dict[bool, dict[str, bytes]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def breaks(*_: object, **__: object) -> None:
         raise RuntimeError("a bug")
 
     with monkeypatch.context() as patch:
-        patch.setattr("sylpose.app.results_folder.ResultsFolder.end", breaks)  # all is there but the end
+        patch.setattr("sylpose.app.results_folder.ResultsFolder.end", breaks)  # fail just before the end
         with pytest.raises(RuntimeError):
             run(opened, tmp_path, True)
-    assert not has_ended(opened, tmp_path)
-    before = texts(tmp_path)
+    assert not has_finished(opened, tmp_path)
+    before = read_texts(tmp_path)
     assert before == whole[True]
     with monkeypatch.context() as patch:
         patch.setattr("sylpose.app.outputs.smooth", breaks)
         with pytest.raises(RuntimeError):
             run(opened, tmp_path, True, resume=True)
-    assert texts(tmp_path) == before
+    assert read_texts(tmp_path) == before
     run(opened, tmp_path, True, resume=True)
-    assert texts(tmp_path) == before
-    assert has_ended(opened, tmp_path)
+    assert read_texts(tmp_path) == before
+    assert has_finished(opened, tmp_path)
 
 
 def test_two_runs_in_one_folder(opened: Session, tmp_path: Path) -> None:
-    said = list[str]()
+    output = list[str]()
 
     def another(_: TrackedFrame) -> None:
-        with pytest.raises(ValueError, match="another run writes its results there") as refused:
-            run(opened, tmp_path, False, resume=bool(said))
-        said.append(str(refused.value))
+        with pytest.raises(ValueError, match="another run is writing its results there") as refused:
+            run(opened, tmp_path, False, resume=bool(output))
+        output.append(str(refused.value))
 
     run(opened, tmp_path, False, on_frame=another)
-    assert len(said) == STOP
-    assert str(tmp_path) in said[0]
-    run(opened, tmp_path, False)  # nobody is there any more
+    assert len(output) == STOP
+    assert str(tmp_path) in output[0]
+    run(opened, tmp_path, False)  # the folder is no longer locked
 
 
 @pytest.mark.parametrize(
@@ -227,38 +227,36 @@ def test_two_runs_in_one_folder(opened: Session, tmp_path: Path) -> None:
         (["--resume", "--every", "0"], "every must be at least 1"),
     ],
 )
-def test_arguments_are_looked_at_first(
+def test_arguments_are_validated_before_files_change(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], words: str
 ) -> None:
-    out = with_earlier(tmp_path / "out")
+    out = prepare_earlier_result(tmp_path / "out")
     (out / "checkpoint.bin").write_bytes(b"of a run that was interrupted")
     before = {file: file.read_bytes() for file in out.iterdir()}
     assert main(["track", str(recording), "--out", str(out), "--no-overlay", *options]) == 2
-    (said,) = capsys.readouterr().err.splitlines()
-    assert words in said
+    (output,) = capsys.readouterr().err.splitlines()
+    assert words in output
     assert {file: file.read_bytes() for file in out.iterdir()} == before
 
 
-def test_results_do_not_go_into_the_recording(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_results_are_not_written_into_the_recording(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (session / "link").symlink_to(session)
     before = sorted(session.rglob("*"))
     for out in (session, session / "link", session / "cam_0.mp4", session / "cam_0.mp4" / "results"):
         for command in ("track", "check"):
             assert main([command, str(session), "--out", str(out)]) == 2
-            said = capsys.readouterr().err.splitlines()
-            assert len(said) == 1
-            assert f"--out {out}: " in said[0]
+            output = capsys.readouterr().err.splitlines()
+            assert len(output) == 1
+            assert f"--out {out}: " in output[0]
     assert sorted(session.rglob("*")) == before
     with pytest.raises(ValueError, match="--checkpoint must be a number of seconds"):
         track_session(open_session(session), checkpoint_seconds=float("nan"))
     assert sorted(session.rglob("*")) == before
     assert main(["sync", str(session), "--out", str(session / "cam_0.mp4")]) == 2
-    assert "no file of offsets that could be replaced" in capsys.readouterr().err
+    assert "exists and is not a file of offsets" in capsys.readouterr().err
 
 
-def test_a_file_that_cannot_be_written_stays_as_it_was(
-    session: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_failed_write_keeps_the_file(session: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = session / "calibration.toml"
     rig, before = calibration.load(path), path.read_bytes()
 
@@ -270,40 +268,40 @@ def test_a_file_that_cannot_be_written_stays_as_it_was(
     with pytest.raises(OSError, match=r"cannot write .*calibration\.toml: no space left"):
         calibration.save(rig, path)
     assert path.read_bytes() == before
-    assert not beside(path).exists()
+    assert not partial_path(path).exists()
     offsets = tmp_path / "offsets.toml"
     offsets.write_bytes(b"cam_0 = 0.1\n")
     none = np.empty(0)
-    nothing = Synced((), 30.0, none, none, (), Delays(none, none, none > 0), none, none, 0, ())
+    nothing = TimeOffsets((), 30.0, none, none, (), OffsetEstimate(none, none, none > 0), none, none, 0, ())
     with pytest.raises(OSError, match=r"cannot write .*offsets\.toml: no space left"):
         write_offsets(nothing, offsets)
     assert offsets.read_bytes() == b"cam_0 = 0.1\n"
 
 
 def test_replacing(tmp_path: Path) -> None:
-    """Links are followed, permissions kept; what is no file is written to as it is."""
+    """Links are followed, permissions kept, and devices written directly."""
     target, link = tmp_path / "a.txt", tmp_path / "b.txt"
     target.write_text("old")
     target.chmod(0o640)
     link.symlink_to(target)
-    with replacing(link) as part:
+    with replace_atomically(link) as part:
         assert part != target
         part.write_text("new")
         assert target.read_text() == "old"
     assert link.is_symlink()
     assert target.read_text() == "new"
     assert target.stat().st_mode & 0o777 == 0o640
-    with replacing(tmp_path / "secret", mode=0o600) as part:
+    with replace_atomically(tmp_path / "secret", mode=0o600) as part:
         part.write_text("x")
     assert (tmp_path / "secret").stat().st_mode & 0o777 == 0o600
-    with replacing("/dev/null") as part:
+    with replace_atomically("/dev/null") as part:
         part.write_text("x")
-    with replacing(tmp_path / "new" / "deep" / "a.txt") as part:
+    with replace_atomically(tmp_path / "new" / "deep" / "a.txt") as part:
         part.write_text("x")
     assert (tmp_path / "new" / "deep" / "a.txt").read_text() == "x"
     with (
         pytest.raises(OSError, match=r"cannot write into .*secret: it is a file"),
-        replacing(tmp_path / "secret" / "a.txt") as part,
+        replace_atomically(tmp_path / "secret" / "a.txt") as part,
     ):
         part.write_text("x")
     assert sorted(file.name for file in tmp_path.iterdir()) == ["a.txt", "b.txt", "new", "secret"]

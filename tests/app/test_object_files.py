@@ -1,4 +1,4 @@
-"""An object that one take has learnt, in another take: the same frame, from the first frame on, and slides have a length."""
+"""Object models of one recording used in another: same object frame from the first frame on, and observable scale."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose import calibration
-from sylpose.app.object_files import CLOUD, OBJECT, known_objects, load_object, save_object, write_cloud
+from sylpose.app.object_files import CLOUD_FILE, OBJECT_FILE, load_known_objects, load_object, save_object, write_cloud
 from sylpose.app.run import track_session
 from sylpose.capture import open_session
 from sylpose.cli import main
-from sylpose.results import Observable
+from sylpose.results import Observability
 from sylpose.rig import Rig
 from sylpose.simulate import Actor, Recording, Scene, arc, chamfered_box, write_recording
 from sylpose.tracking.known_object import KnownObject
-from sylpose.tracking.object_transfer import known_here
+from sylpose.tracking.object_transfer import transfer_object
 from sylpose.tracking.tracker import Tracker
-from sylpose.units import FIRST_DISTANCES
-from tests.recordings import NEXT, RIG, Path_, elsewhere, errors, recorded, slide
+from sylpose.units import INITIAL_DISTANCES
+from tests.recordings import NEXT, RIG, Path_, compute_pose_error, moved_path, slide, write_box_recording
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -34,56 +34,57 @@ pytestmark = pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize(
     ("path", "smooth"),
     [
-        pytest.param(elsewhere, False, id="tracked-elsewhere", marks=pytest.mark.slow),
+        pytest.param(moved_path, False, id="tracked-elsewhere", marks=pytest.mark.slow),
         pytest.param(slide, False, id="tracked-slide"),
-        pytest.param(elsewhere, True, id="smoothed-elsewhere"),
+        pytest.param(moved_path, True, id="smoothed-elsewhere"),
         pytest.param(slide, True, id="smoothed-slide", marks=pytest.mark.slow),
     ],
 )
-def test_another_take_has_the_same_frame_from_its_first_frame_on(
+def test_object_keeps_frame_in_other_recording(
     tmp_path: Path, known: KnownObject, actor_from_object: RigidTransform, path: Path_, smooth: bool
 ) -> None:
-    take = recorded(tmp_path / "take", path, NEXT, seed=5)
+    take = write_box_recording(tmp_path / "take", path, NEXT, seed=5)
     run = track_session(open_session(take), overlay=False, smooth=smooth, known=known)
-    assert all(pose.measured for pose in run.trajectory)
-    assert all(pose.observable is Observable.ALL for pose in run.trajectory)
-    wrong = np.array([errors(pose, path(pose.index) * actor_from_object) for pose in run.trajectory])
+    assert all(pose.is_measured for pose in run.trajectory)
+    assert all(pose.observability is Observability.ALL for pose in run.trajectory)
+    wrong = np.array([compute_pose_error(pose, path(pose.index) * actor_from_object) for pose in run.trajectory])
     assert np.degrees(np.linalg.norm(wrong[:, :3], axis=1)).max() < 0.8
     assert np.linalg.norm(wrong[:, 3:], axis=1).max() < 0.0025
-    # The uncertainty is that of the frame of the other take, from the first frame on, and neither too small nor too large.
+    # The uncertainty refers to the other recording's frame from the first frame on, and is neither too small nor too
+    # large.
     squares = [e @ np.linalg.solve(pose.covariance, e) / 6 for e, pose in zip(wrong, run.trajectory, strict=True)]
     assert 0.05 < np.mean(squares) < 4.0
     assert max(np.degrees(pose.sigma[:3]).max() for pose in run.trajectory) < 1.5
-    # A slide has a length.
+    # Translations have a scale.
     ends = [run.trajectory[k].position for k in (0, -1)]
     true = [path(k).translation + path(k).rotation.apply(actor_from_object.translation) for k in (0, NEXT - 1)]
     assert np.linalg.norm(ends[1] - ends[0]) == pytest.approx(np.linalg.norm(true[1] - true[0]), rel=0.02)
 
 
-def test_an_object_says_what_is_known_of_it(known: KnownObject) -> None:
+def test_object_summary(known: KnownObject) -> None:
     first, *cameras = str(known).splitlines()
     assert first.startswith(("KnownObject: radius 1", "KnownObject: radius 2"))
-    assert f"mm, {len(known.places)} landmarks, {len(known._keyframes)} keyframes" in first
+    assert f"mm, {len(known.positions)} landmarks, {len(known._keyframes)} keyframes" in first
     assert [line.split()[0] for line in cameras] == list(known.camera_names)
-    assert sum(int(line.split()[1]) for line in cameras) == len(known.places)
+    assert sum(int(line.split()[1]) for line in cameras) == len(known.positions)
 
 
 def sights(known: KnownObject) -> int:
-    return sum(len(numbers) for memory in known._cameras.values() for numbers in memory.numbers)
+    return sum(len(numbers) for memory in known._cameras.values() for numbers in memory.landmark_ids)
 
 
-def test_a_take_that_knows_an_object_knows_more_of_it_afterwards(tmp_path: Path, known: KnownObject) -> None:
-    take = recorded(tmp_path / "take", elsewhere, NEXT, seed=5)
+def test_known_object_gains_landmarks(tmp_path: Path, known: KnownObject) -> None:
+    take = write_box_recording(tmp_path / "take", moved_path, NEXT, seed=5)
     track_session(open_session(take), tmp_path / "out", overlay=False, known=known)
-    more = load_object(tmp_path / "out" / OBJECT)
+    more = load_object(tmp_path / "out" / OBJECT_FILE)
     assert len(more._keyframes) > len(known._keyframes)
     assert sights(more) > sights(known)
 
 
-def test_a_run_that_was_broken_off_goes_on_with_the_object(
+def test_resume_with_known_object(
     first: Path, known: KnownObject, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    session = open_session(recorded(tmp_path / "take", elsewhere, 8, seed=5))
+    session = open_session(write_box_recording(tmp_path / "take", moved_path, 8, seed=5))
     whole = track_session(session, tmp_path / "whole", overlay=False, known=known)
     done: list[int] = []
     with pytest.raises(KeyboardInterrupt):
@@ -99,20 +100,20 @@ def test_a_run_that_was_broken_off_goes_on_with_the_object(
         ValueError, match=r"checkpoint\.bin: the interrupted run had known object [0-9a-f]{32}, not none"
     ):
         track_session(session, tmp_path / "out", overlay=False, resume=True)
-    file = f"--object={first / 'sylpose' / OBJECT}"
+    file = f"--object={first / 'sylpose' / OBJECT_FILE}"
     assert main(["track", str(session.path), "--out", str(tmp_path / "out"), "--no-overlay", "--resume", file]) == 0
-    assert "Going on after 4 of 8 frames" in capsys.readouterr().out
+    assert "Resuming after 4 of 8 frames" in capsys.readouterr().out
     for name in ("trajectory.tum", "trajectory.csv", "tracked.csv"):
         assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
     assert len(whole.trajectory) == 8
 
 
-def test_an_object_is_written_and_read(known: KnownObject, tmp_path: Path) -> None:
+def test_object_file_round_trip(known: KnownObject, tmp_path: Path) -> None:
     save_object(known, tmp_path / "again.npz")
     again = load_object(tmp_path / "again.npz")
     assert (again.unit, again.radius, again.camera_names) == (known.unit, known.radius, RIG.names)
-    np.testing.assert_array_equal(known.places, again.places)
-    assert len(known.places) > 300
+    np.testing.assert_array_equal(known.positions, again.positions)
+    assert len(known.positions) > 300
     for one, other in zip(known._keyframes, again._keyframes, strict=True):
         np.testing.assert_array_equal(one.world_from_object.as_matrix(), other.world_from_object.as_matrix())
         np.testing.assert_array_equal(one.covariance, other.covariance)
@@ -120,12 +121,12 @@ def test_an_object_is_written_and_read(known: KnownObject, tmp_path: Path) -> No
         np.testing.assert_array_equal(memory.landmarks.information, again._cameras[name].landmarks.information)
         for k, features in enumerate(memory.features):
             np.testing.assert_array_equal(features.descriptors, again._cameras[name].features[k].descriptors)
-            np.testing.assert_array_equal(memory.numbers[k], again._cameras[name].numbers[k])
+            np.testing.assert_array_equal(memory.landmark_ids[k], again._cameras[name].landmark_ids[k])
             assert np.linalg.norm(features.descriptors, axis=1) == pytest.approx(np.ones(len(features)), abs=1e-3)
 
 
-def test_the_cloud_lies_on_the_object(first: Path, known: KnownObject, actor_from_object: RigidTransform) -> None:
-    data = (first / "sylpose" / CLOUD).read_bytes()
+def test_point_cloud_is_on_object(first: Path, known: KnownObject, actor_from_object: RigidTransform) -> None:
+    data = (first / "sylpose" / CLOUD_FILE).read_bytes()
     head, _, body = data.partition(b"end_header\n")
     count = int(re.search(rb"element vertex (\d+)", head)[1])  # type: ignore[index]
     points = np.frombuffer(body, [("place", "<f4", 3), ("color", "u1", 3), ("sd", "<f4")])
@@ -136,58 +137,59 @@ def test_the_cloud_lies_on_the_object(first: Path, known: KnownObject, actor_fro
     assert (points["sd"] < 0.1 * known.radius).all()
 
 
-def test_what_never_moved_is_not_learnt(tmp_path: Path) -> None:
-    stands = recorded(tmp_path / "take", lambda _: RigidTransform.identity(), 4)
+def test_static_object_is_not_learned(tmp_path: Path) -> None:
+    stands = write_box_recording(tmp_path / "take", lambda _: RigidTransform.identity(), 4)
     track_session(open_session(stands), overlay=False)
-    assert not (stands / "sylpose" / OBJECT).exists()
+    assert not (stands / "sylpose" / OBJECT_FILE).exists()
     assert (stands / "sylpose" / "trajectory.csv").exists()
 
 
-def test_an_object_that_does_not_come_is_not_found(tmp_path: Path, known: KnownObject) -> None:
-    """Another body, painted otherwise."""
-    other = Scene(RIG, (Actor(chamfered_box([0.2, 0.3, 0.2], 77), elsewhere),), 6, 11)
+def test_absent_object_is_not_found(tmp_path: Path, known: KnownObject) -> None:
+    """Track another object with a different texture."""
+    other = Scene(RIG, (Actor(chamfered_box([0.2, 0.3, 0.2], 77), moved_path),), 6, 11)
     write_recording(Recording(other), tmp_path / "take")
     run = track_session(open_session(tmp_path / "take"), overlay=False, known=known)
-    assert not run.trajectory.solved.any()
+    assert not run.trajectory.measured_mask.any()
     assert all(pose.reason for pose in run.trajectory)
 
 
-# --- what cannot be ----------------------------------------------------------------------------------------------------
+# --- invalid input
+# -----------------------------------------------------------------------------------------------------
 
 
 def moved(name: str, angle: float) -> Rig:
-    """The rig with a camera turned about its y axis."""
+    """Return the rig with one camera rotated about its y axis."""
     turn = RigidTransform.from_rotation(Rotation.from_rotvec([0, angle, 0]))
     return Rig([replace(c, camera_from_world=turn * c.camera_from_world) if c.name == name else c for c in RIG], "m")
 
 
-def test_whose_cameras_stand_where_they_stood(known: KnownObject) -> None:
-    """To each other, in any world; those that do not know nothing, and where most do not it is another rig."""
+def test_matching_cameras_of_known_rig(known: KnownObject) -> None:
+    """Match relative camera poses in any world; unmatched ones get none; if most are, it is another rig."""
     with pytest.raises(ValueError, match="its lengths are in m, those of the calibration in mm"):
-        known_here(known, Rig(RIG.cameras, "mm"))
-    with pytest.raises(ValueError, match="one camera has learnt it"):
-        known_here(replace(known, rig=Rig(RIG.cameras, FIRST_DISTANCES)), RIG)
+        transfer_object(known, Rig(RIG.cameras, "mm"))
+    with pytest.raises(ValueError, match="a single camera learned it"):
+        transfer_object(replace(known, rig=Rig(RIG.cameras, INITIAL_DISTANCES)), RIG)
     world = RigidTransform.from_components([3.0, -2.0, 1.0], Rotation.from_rotvec([1.0, 2.0, -0.5]))
     for rig in (RIG, RIG.subset(["cam_0", "cam_2"]), RIG.subset(["cam_1"]), moved("cam_1", 0.002), RIG.in_world(world)):
-        here = known_here(known, rig)
-        assert not here.another_rig
+        here = transfer_object(known, rig)
+        assert not here.is_other_rig
         assert not here.note
-        assert tuple(here.memories) == rig.names
+        assert tuple(here.landmarks) == rig.names
         seen = [rig.cameras[0].camera_from_world * k.world_from_object for k in here.keyframes]
         for pose, keyframe in zip(seen, known._keyframes, strict=True):
             before = known.rig[rig.names[0]].camera_from_world * keyframe.world_from_object
             np.testing.assert_allclose(pose.as_matrix(), before.as_matrix(), atol=2e-3)
-    here = known_here(known, moved("cam_1", 0.1))
-    assert not here.another_rig
-    assert set(here.memories) == {"cam_0", "cam_2", "cam_3"}
-    assert "Elsewhere than when the object was learnt: cam_1," in here.note
-    other = known_here(known, Rig([replace(c, name=n) for c, n in zip(RIG.cameras, "ab", strict=False)], "m"))
-    assert other.another_rig
-    assert "Other cameras have learnt the object" in other.note
-    # What a camera would see there is what one of the others saw.
+    here = transfer_object(known, moved("cam_1", 0.1))
+    assert not here.is_other_rig
+    assert set(here.landmarks) == {"cam_0", "cam_2", "cam_3"}
+    assert "Moved since the object was learned: cam_1," in here.note
+    other = transfer_object(known, Rig([replace(c, name=n) for c, n in zip(RIG.cameras, "ab", strict=False)], "m"))
+    assert other.is_other_rig
+    assert "Other cameras learned the object" in other.note
+    # A camera gets the landmarks that another one saw from that direction.
     for k, keyframe in enumerate(other.keyframes):
-        (camera,) = [name for name, memory in other.memories.items() if len(memory.features[k])]
-        features, places = other.memories[camera].features[k], other.memories[camera].seen_in(k).mean
+        (camera,) = [name for name, memory in other.landmarks.items() if len(memory.features[k])]
+        features, places = other.landmarks[camera].features[k], other.landmarks[camera].select_keyframe(k).mean
         pixels = RIG["cam_0" if camera == "a" else "cam_1"].project(keyframe.world_from_object.apply(places))
         assert np.median(np.linalg.norm(pixels - features.pixels, axis=1)) < 0.5
 
@@ -204,17 +206,17 @@ OTHERS = arc(3, 50, 1.8, 650, (640, 480), height=0.15)
         pytest.param(("cam_1",), True, id="one-smoothed", marks=pytest.mark.slow),
     ],
 )
-def test_another_rig_finds_what_the_first_has_learnt(
+def test_known_object_transfers_to_other_rig(
     tmp_path: Path, known: KnownObject, actor_from_object: RigidTransform, names: tuple[str, ...], smooth: bool
 ) -> None:
-    """Three cameras elsewhere, of other sizes and lenses, or one of them; in the same frame, and not too sure."""
+    """Track with three other cameras, or one of them, in the same object frame and with consistent uncertainty."""
     rig = OTHERS.subset(names)
-    take = recorded(tmp_path / "take", elsewhere, 6, seed=5, rig=rig)
+    take = write_box_recording(tmp_path / "take", moved_path, 6, seed=5, rig=rig)
     run = track_session(open_session(take), overlay=False, smooth=smooth, known=known)
-    assert run.problems == (known_here(known, rig).note,)
+    assert run.problems == (transfer_object(known, rig).note,)
     assert run.trajectory.unit == "m"
-    assert all(pose.measured and pose.observable is Observable.ALL for pose in run.trajectory)
-    wrong = np.array([errors(pose, elsewhere(pose.index) * actor_from_object) for pose in run.trajectory])
+    assert all(pose.is_measured and pose.observability is Observability.ALL for pose in run.trajectory)
+    wrong = np.array([compute_pose_error(pose, moved_path(pose.index) * actor_from_object) for pose in run.trajectory])
     several = len(names) > 1
     assert np.degrees(np.linalg.norm(wrong[:, :3], axis=1)).max() < (0.8 if several else 2.0)
     assert np.linalg.norm(wrong[:, 3:], axis=1).max() < (0.002 if several else 0.01)
@@ -222,19 +224,19 @@ def test_another_rig_finds_what_the_first_has_learnt(
     assert 0.001 < np.mean(squares) < 2.0
     assert 0.2 < max(np.degrees(pose.sigma[:3]).max() for pose in run.trajectory) < 2.5
     if several and smooth:
-        more = load_object(take / "sylpose" / OBJECT)
-        assert more.mark == known.mark
+        more = load_object(take / "sylpose" / OBJECT_FILE)
+        assert more.fingerprint == known.fingerprint
         assert more.rig.names == names
-        assert any(k.stays for k in more._keyframes)
-        with pytest.raises(ValueError, match="refine_calibration: another rig has learnt object"):
+        assert any(k.is_fixed for k in more._keyframes)
+        with pytest.raises(ValueError, match="refine_calibration: object was learned with another rig"):
             track_session(open_session(take), overlay=False, refine_calibration=True, known=known)
 
 
-def test_cameras_that_are_calibrated_anew_make_poses_less_certain(
+def test_recalibrated_cameras_increase_uncertainty(
     tmp_path: Path, known: KnownObject, actor_from_object: RigidTransform
 ) -> None:
-    """By some hundredths of a degree each: by what poses are off then, and not by much more."""
-    take = recorded(tmp_path / "take", elsewhere, 6, seed=5)
+    """Change the calibration by hundredths of a degree: the uncertainty grows as much as the errors."""
+    take = write_box_recording(tmp_path / "take", moved_path, 6, seed=5)
     rng = np.random.default_rng(1)
     turns = [Rotation.from_rotvec(0.0012 * rng.normal(size=3)) for _ in RIG]
     cameras = [
@@ -247,25 +249,23 @@ def test_cameras_that_are_calibrated_anew_make_poses_less_certain(
     usual = np.mean([pose.sigma[:3].min() for pose in same.trajectory])
     for smooth in (False, True):
         run = track_session(session, tmp_path / "out", overlay=False, smooth=smooth, known=known)
-        wrong = [errors(pose, elsewhere(pose.index) * actor_from_object) for pose in run.trajectory]
+        wrong = [compute_pose_error(pose, moved_path(pose.index) * actor_from_object) for pose in run.trajectory]
         squares = [e @ np.linalg.solve(p.covariance, e) / 6 for e, p in zip(wrong, run.trajectory, strict=True)]
         assert 0.02 < np.mean(squares) < 3.0
         assert min(np.degrees(pose.sigma[:3]).min() for pose in run.trajectory) > 0.2
-        # What the object's landmarks know is a little more or less with every machine's rounding: hence as a ratio, which
-        # is 1.5 to 2.1 over the seeds.
+        # The landmarks' information depends on the machine's rounding, so compare a ratio, which is 1.5 to 2.1 over the
+        # seeds.
         assert 1.25 < np.mean([pose.sigma[:3].min() for pose in run.trajectory]) / usual < 4.0
 
 
-def test_options_that_exclude_a_known_object(known: KnownObject, first: Path) -> None:
+def test_options_excluding_known_object(known: KnownObject, first: Path) -> None:
     boxes = open_session(first).boxes
     assert boxes
-    with pytest.raises(ValueError, match="boxes: of an object that is known, none are wanted"):
-        Tracker(RIG, boxes, known=known)
-    with pytest.raises(
-        ValueError, match="method: an object that is known is tracked by 'landmarks', not by 'epipolar'"
-    ):
-        Tracker(RIG, method="epipolar", known=known)
-    with pytest.raises(ValueError, match="distributed: nodes begin with no known object"):
+    with pytest.raises(ValueError, match="boxes: not allowed for a known object"):
+        Tracker(RIG, boxes, known_object=known)
+    with pytest.raises(ValueError, match="method: a known object needs 'landmarks', got 'epipolar'"):
+        Tracker(RIG, method="epipolar", known_object=known)
+    with pytest.raises(ValueError, match="distributed: nodes do not support known objects"):
         track_session(open_session(first), distributed="exact", known=known)
     with pytest.raises(ValueError, match="known: no object 'cup' in"):
         track_session(open_session(first), known={"cup": known})
@@ -274,12 +274,12 @@ def test_options_that_exclude_a_known_object(known: KnownObject, first: Path) ->
 @pytest.mark.parametrize(
     ("said", "words"),
     [
-        ("nowhere.npz", "nowhere.npz: no such file; the object.npz of another run is expected"),
-        ("calibration.toml", "calibration.toml: not an object of sylpose, or damaged"),
+        ("nowhere.npz", "nowhere.npz: no such file; expected the object.npz of an earlier run"),
+        ("calibration.toml", "calibration.toml: not a sylpose object file, or damaged"),
         ("cup=sylpose/object.npz", "cup=sylpose/object.npz: no such file"),
     ],
 )
-def test_files_that_are_no_objects(
+def test_invalid_object_files(
     said: str, words: str, first: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(first)
@@ -291,8 +291,8 @@ def test_files_that_are_no_objects(
     assert {file: file.stat().st_mtime_ns for file in first.rglob("*")} == before
 
 
-def test_twice_and_another_rig(first: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file = str(first / "sylpose" / OBJECT)
+def test_duplicate_object_and_other_unit(first: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = str(first / "sylpose" / OBJECT_FILE)
     assert main(["track", str(first), "--out", str(tmp_path / "out"), "--object", file, "--object", file]) == 2
     assert capsys.readouterr().err == "sylpose: --object: given twice for object\n"
     calibration.save(Rig(RIG.cameras, "mm"), tmp_path / "rig.toml")
@@ -302,22 +302,22 @@ def test_twice_and_another_rig(first: Path, tmp_path: Path, capsys: pytest.Captu
     assert not (tmp_path / "out").exists()
 
 
-def test_a_cloud_that_cannot_be_written_is_said(known: KnownObject, tmp_path: Path) -> None:
+def test_unwritable_point_cloud_is_reported(known: KnownObject, tmp_path: Path) -> None:
     (tmp_path / "taken").mkdir()
     with pytest.raises(OSError, match=r"cannot write .*taken: is a directory"):
         write_cloud(known, tmp_path / "taken")
 
 
-def test_objects_are_told_apart_by_name(first: Path, known: KnownObject) -> None:
-    file, two = str(first / "sylpose" / OBJECT), ("mug", "tray")
-    found = known_objects([f"tray={file}"], two, RIG)
+def test_known_objects_are_assigned_by_name(first: Path, known: KnownObject) -> None:
+    file, two = str(first / "sylpose" / OBJECT_FILE), ("mug", "tray")
+    found = load_known_objects([f"tray={file}"], two, RIG)
     assert [*found] == ["tray"]
-    np.testing.assert_array_equal(found["tray"].places, known.places)
-    assert [*known_objects([f"mug={file}", f"tray={file}"], two, RIG)] == ["mug", "tray"]
-    assert [*known_objects([f"cup={file}"], ("cup",), RIG)] == ["cup"]
-    for said in (file, f"cup={file}"):
-        with pytest.raises(ValueError, match=r"--object: NAME=FILE is expected, for one of mug, tray, got"):
-            known_objects([said], two, RIG)
+    np.testing.assert_array_equal(found["tray"].positions, known.positions)
+    assert [*load_known_objects([f"mug={file}", f"tray={file}"], two, RIG)] == ["mug", "tray"]
+    assert [*load_known_objects([f"cup={file}"], ("cup",), RIG)] == ["cup"]
+    for message in (file, f"cup={file}"):
+        with pytest.raises(ValueError, match=r"--object: expected NAME=FILE, for one of mug, tray, got"):
+            load_known_objects([message], two, RIG)
 
 
 def _arrays(path: Path) -> dict[str, np.ndarray]:
@@ -347,10 +347,10 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
         ("more", lambda _: np.zeros(3)),
     ],
 )
-def test_arrays_that_cannot_be(
+def test_invalid_arrays_are_rejected(
     name: str, change: Callable[[np.ndarray], np.ndarray], first: Path, tmp_path: Path
 ) -> None:
-    arrays = _arrays(first / "sylpose" / OBJECT)
+    arrays = _arrays(first / "sylpose" / OBJECT_FILE)
     arrays[name] = change(arrays.get(name, np.zeros(0)))
     np.savez(tmp_path / "bad.npz", **arrays)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=r"bad\.npz: ") as caught:
@@ -359,8 +359,8 @@ def test_arrays_that_cannot_be(
     assert len(str(caught.value)) < 600
 
 
-def test_a_bomb_is_refused_by_its_size(tmp_path: Path, first: Path) -> None:
-    arrays = _arrays(first / "sylpose" / OBJECT)
+def test_oversized_archive_is_rejected(tmp_path: Path, first: Path) -> None:
+    arrays = _arrays(first / "sylpose" / OBJECT_FILE)
     arrays["points"] = np.zeros((30_000_000, 3))
     with zipfile.ZipFile(tmp_path / "bomb.npz", "w", zipfile.ZIP_DEFLATED) as archive:
         for name, values in arrays.items():
@@ -372,19 +372,19 @@ def test_a_bomb_is_refused_by_its_size(tmp_path: Path, first: Path) -> None:
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(at=st.integers(0, 1 << 30), byte=st.integers(1, 255), cut=st.booleans())
-def test_damaged_files(first: Path, tmp_path: Path, at: int, byte: int, cut: bool) -> None:
-    data = bytearray((first / "sylpose" / OBJECT).read_bytes())
+def test_damaged_object_files(first: Path, tmp_path: Path, at: int, byte: int, cut: bool) -> None:
+    data = bytearray((first / "sylpose" / OBJECT_FILE).read_bytes())
     at %= len(data)
     if cut:
         del data[at:]
     else:
         data[at] ^= byte
     (tmp_path / "bad.npz").write_bytes(data)
-    said = ""
+    message = ""
     try:
-        load_object(tmp_path / "bad.npz")  # a byte of the archive's dates may be any
+        load_object(tmp_path / "bad.npz")  # changed dates in the archive are harmless
     except ValueError as error:
-        said = str(error)
-    assert not cut or said
-    assert not said or said.startswith(f"{tmp_path / 'bad.npz'}: ")
-    assert "\n" not in said
+        message = str(error)
+    assert not cut or message
+    assert not message or message.startswith(f"{tmp_path / 'bad.npz'}: ")
+    assert "\n" not in message

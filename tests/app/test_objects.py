@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.app.demo import score
+from sylpose.app.demo import compute_errors
 from sylpose.app.run import track_session
-from sylpose.atomic_io import boxes_toml
+from sylpose.atomic_io import format_boxes_toml
 from sylpose.capture import open_session
 from sylpose.cli import main
 from sylpose.report.files import read_trajectory, read_tum
-from sylpose.simulate import Actor, Recording, Scene, chamfered_box, demo_scene, write_recording
+from sylpose.simulate import Actor, Recording, Scene, chamfered_box, make_demo_scene, write_recording
 from sylpose.tracking.tracked_frame import TrackedFrame
 
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -32,7 +32,7 @@ TRAJECTORIES = ("trajectory.tum", "trajectory.csv")
 
 @pytest.fixture(scope="module")
 def two(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two painted blocks that turn otherwise, side by side; read only."""
+    """Return a recording of two textured blocks side by side with different rotations; read only."""
 
     def small(scene: Scene, by: float, seed: int) -> Actor:
         body, path = chamfered_box([0.12, 0.1, 0.11], 600.0, seed=seed), scene.actors[0].path
@@ -40,8 +40,8 @@ def two(tmp_path_factory: pytest.TempPathFactory) -> Path:
         return Actor(body, lambda frame: shift * path(frame))
 
     size = (480, 360)
-    mug = demo_scene(frames=6 * FRAMES, turn_deg=90.0, size=size, n_cameras=3)
-    tray = demo_scene(frames=6 * FRAMES, turn_deg=-120.0, size=size, n_cameras=3, seed=4)
+    mug = make_demo_scene(frames=6 * FRAMES, angle_deg=90.0, size=size, n_cameras=3)
+    tray = make_demo_scene(frames=6 * FRAMES, angle_deg=-120.0, size=size, n_cameras=3, seed=4)
     scene = replace(mug, actors=(small(mug, -0.1, 1), small(tray, 0.1, 2)), frames=FRAMES)
     folder = tmp_path_factory.mktemp("two")
     write_recording(Recording(scene, objects=("mug", "tray")), folder)
@@ -50,7 +50,7 @@ def two(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def out(two: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The files of a whole run."""
+    """Return the results of a complete run."""
     folder = tmp_path_factory.mktemp("out")
     assert main(["track", str(two), "--out", str(folder)]) == 0
     return folder
@@ -69,38 +69,38 @@ def test_each_object_has_its_files(out: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["mug", "tray"])
-def test_each_object_is_where_it_is(two: Path, out: Path, name: str) -> None:
+def test_each_object_has_correct_poses(two: Path, out: Path, name: str) -> None:
     times, truth = read_tum(two / f"groundtruth_{name}.tum")
-    result = score(*read_tum(out / name / "trajectory.tum"), times, truth, truth[0].translation)
+    result = compute_errors(*read_tum(out / name / "trajectory.tum"), times, truth, truth[0].translation)
     assert result.missing == 0
     assert result.rotation.max() < 1.5
-    assert result.displacement.max() < 0.003
+    assert result.translation.max() < 0.003
 
 
-def test_other_objects_make_no_difference(two: Path, out: Path, tmp_path: Path) -> None:
-    """One object alone, from the same boxes: the same files."""
+def test_result_is_independent_of_other_objects(two: Path, out: Path, tmp_path: Path) -> None:
+    """Tracking one object alone with the same boxes yields the same files."""
     session = Path(shutil.copytree(two, tmp_path / "session"))
     boxes = tomllib.loads((two / "boxes.toml").read_text())
-    (session / "boxes.toml").write_text(boxes_toml({"": boxes["tray"]}))
+    (session / "boxes.toml").write_text(format_boxes_toml({"": boxes["tray"]}))
     assert main(["track", str(session), "--no-overlay"]) == 0
     for name in TRAJECTORIES:
         assert (session / "sylpose" / name).read_bytes() == (out / "tray" / name).read_bytes()
 
 
-def test_what_is_said(two: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_terminal_output(two: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["track", str(two), "--out", str(tmp_path), "--stop", "3"]) == 0
-    said = capsys.readouterr().out
-    assert "2 objects: mug, tray" in said
-    assert len(re.findall("Tracked +3 of 3 frames", said)) == 2
-    assert re.search("^mug$", said, re.MULTILINE)
-    assert str(tmp_path / "tray" / "report.png") in said
+    message = capsys.readouterr().out
+    assert "2 objects: mug, tray" in message
+    assert len(re.findall("Tracked +3 of 3 frames", message)) == 2
+    assert re.search("^mug$", message, re.MULTILINE)
+    assert str(tmp_path / "tray" / "report.png") in message
     assert main(["check", str(two), "--out", str(tmp_path)]) == 0
-    said = capsys.readouterr().out
+    message = capsys.readouterr().out
     for words in ("Boxes, mug", "Boxes, tray", "Object, mug", "Object, tray", "Ready to track"):
-        assert words in said
+        assert words in message
 
 
-def test_an_object_that_is_not_there_is_named(two: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_missing_object_is_named(two: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     session = Path(shutil.copytree(two, tmp_path / "session"))
     (session / "boxes.toml").unlink()
     for name, value in (("mug", 0), ("tray", 255)):
@@ -113,19 +113,19 @@ def test_an_object_that_is_not_there_is_named(two: Path, tmp_path: Path, capsys:
     _, err = capsys.readouterr()
     assert err.startswith("sylpose: mug: no frame could be solved.")
     assert "tray" not in err
-    # Both are decided in all frames, though at different times: the overlay waits for both.
+    # Both objects become final in all frames, but at different times: the overlay waits for both.
     with av.open(str(session / "sylpose" / "overlay.mp4")) as video:
         assert sum(1 for _ in video.decode(video=0)) == FRAMES
 
 
-def test_boxes_that_do_not_meet_are_of_an_object(two: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_inconsistent_boxes_name_the_object(two: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     boxes = tmp_path / "boxes.toml"
     boxes.write_text((two / "boxes.toml").read_text() + "[lamp]\ncam_0 = [0, 0, 40, 40]\ncam_2 = [430, 310, 40, 40]\n")
     assert main(["check", str(two), "--boxes", str(boxes), "--out", str(tmp_path)]) == 2
     assert "lamp: " in capsys.readouterr().err
 
 
-def test_from_python_and_resumed(two: Path, out: Path, tmp_path: Path) -> None:
+def test_python_call_and_resume(two: Path, out: Path, tmp_path: Path) -> None:
     session = open_session(two)
     part = tmp_path / "part"
 

@@ -1,4 +1,4 @@
-"""report.html of runs: made at their end, the same after an interruption, and made anew by `sylpose report`."""
+"""report.html of runs: written at the end, the same after an interruption, and rebuilt by `sylpose report`."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ import cv2
 import numpy as np
 import pytest
 
-from sylpose.app.page import make_page
+from sylpose.app.page import write_report_page
 from sylpose.app.run import track_session
-from sylpose.app.thumbnails import FEWEST, Album, step_after
+from sylpose.app.thumbnails import MIN_THUMBNAILS, ThumbnailAlbum, thumbnail_step
 from sylpose.capture import open_session
 from sylpose.cli import main
 from sylpose.frames import FrameSet
-from sylpose.report.formats import PAGE
-from sylpose.report.scene import Stills
+from sylpose.report.formats import PAGE_FILE
+from sylpose.report.scene import Thumbnails
 
 FRAMES = 6
 
@@ -32,15 +32,17 @@ def sets(positions: range) -> Iterator[FrameSet]:
         yield FrameSet(100 + 3 * k, float(k), (None, None), (image, None), (None, None))
 
 
-@pytest.mark.parametrize("n", [1, FEWEST, 2 * FEWEST - 1, 2 * FEWEST, 2 * FEWEST + 1, 301])
-def test_an_album_is_spread_evenly_and_bounded(n: int) -> None:
-    album = Album(2)
+@pytest.mark.parametrize(
+    "n", [1, MIN_THUMBNAILS, 2 * MIN_THUMBNAILS - 1, 2 * MIN_THUMBNAILS, 2 * MIN_THUMBNAILS + 1, 301]
+)
+def test_album_is_evenly_spread_and_bounded(n: int) -> None:
+    album = ThumbnailAlbum(2)
     for frames in sets(range(n)):
         album.put(frames)
     stills = album.stills()
-    step = step_after(n)
+    step = thumbnail_step(n)
     assert stills.index.tolist() == [100 + 3 * k for k in range(0, n, step)]
-    assert min(n, FEWEST) <= len(stills.index) < 2 * FEWEST
+    assert min(n, MIN_THUMBNAILS) <= len(stills.index) < 2 * MIN_THUMBNAILS
     for number, (first, second) in zip(stills.index, stills.images, strict=True):
         assert second is None
         assert first is not None
@@ -49,11 +51,11 @@ def test_an_album_is_spread_evenly_and_bounded(n: int) -> None:
 
 
 @pytest.mark.parametrize(("n", "at"), [(5, 2), (60, 47), (60, 48), (200, 100), (200, 199)])
-def test_an_album_goes_on_as_if_nothing_had_been(n: int, at: int) -> None:
-    whole, again = Album(2), Album(2)
+def test_album_after_resume(n: int, at: int) -> None:
+    whole, again = ThumbnailAlbum(2), ThumbnailAlbum(2)
     for frames in sets(range(n)):
         whole.put(frames)
-    again.go_on(at, sets(range(0, at, step_after(at))))
+    again.restore(at, sets(range(0, at, thumbnail_step(at))))
     for frames in sets(range(at, n)):
         again.put(frames)
     assert again.stills().index.tolist() == whole.stills().index.tolist()
@@ -62,11 +64,11 @@ def test_an_album_goes_on_as_if_nothing_had_been(n: int, at: int) -> None:
 
 def run(recording: Path, out: Path, **options: Any) -> bytes:
     track_session(open_session(recording), out, stop=FRAMES, overlay=False, **options)
-    return undated(out / PAGE)
+    return undated(out / PAGE_FILE)
 
 
 def undated(page: Path) -> bytes:
-    """Without when the run began."""
+    """Return the page without the start time of the run."""
     return re.sub(rb"20\d\d-\d\d-\d\d[ T]\d\d:\d\d[^<]*", b"then", page.read_bytes())
 
 
@@ -83,62 +85,62 @@ def images_in(page: Path) -> Any:
     return json.loads(found[1])
 
 
-def test_an_interrupted_run_comes_to_the_same_page(recording: Path, whole: Path, tmp_path: Path) -> None:
-    asked = itertools.count(1)
+def test_interrupted_run_yields_same_page(recording: Path, whole: Path, tmp_path: Path) -> None:
+    arguments = itertools.count(1)
     with pytest.raises(KeyboardInterrupt):
-        run(recording, tmp_path, interrupted=lambda: next(asked) == 4)
-    assert len(images_in(tmp_path / PAGE)["index"]) == 4
-    assert run(recording, tmp_path, resume=True) == undated(whole / PAGE)
-    assert images_in(tmp_path / PAGE)["index"] == list(range(FRAMES))
+        run(recording, tmp_path, interrupted=lambda: next(arguments) == 4)
+    assert len(images_in(tmp_path / PAGE_FILE)["index"]) == 4
+    assert run(recording, tmp_path, resume=True) == undated(whole / PAGE_FILE)
+    assert images_in(tmp_path / PAGE_FILE)["index"] == list(range(FRAMES))
 
 
-def test_a_page_is_made_anew(whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_report_rebuilds_page(whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "out"
     shutil.copytree(whole, folder)
-    page = (whole / PAGE).read_bytes()
-    # From the page that is there; from the recording.
+    page = (whole / PAGE_FILE).read_bytes()
+    # With the images of the existing page; with those of the recording.
     for there in (True, False):
         if not there:
-            (folder / PAGE).unlink()
+            (folder / PAGE_FILE).unlink()
         assert main(["report", str(folder)]) == 0
-        said = capsys.readouterr().out
-        assert said == f"File          {folder / PAGE}\n"
-        assert (folder / PAGE).read_bytes() == page
-    # Of a recording that is not as it was, no images.
-    (folder / PAGE).unlink()
+        message = capsys.readouterr().out
+        assert message == f"File          {folder / PAGE_FILE}\n"
+        assert (folder / PAGE_FILE).read_bytes() == page
+    # A changed recording yields no images.
+    (folder / PAGE_FILE).unlink()
     settings = (folder / "settings.toml").read_text()
     (folder / "settings.toml").write_text(re.sub('images = "....', 'images = "abcd', settings))
     assert main(["report", str(folder)]) == 0
-    said = capsys.readouterr().out
-    assert "a page without images" in said
-    assert "the recording's images are not those of the run" in said
-    assert images_in(folder / PAGE)["index"] == []
-    # What is no page is not taken for one.
-    (folder / PAGE).write_text("<p>mine</p>")
+    message = capsys.readouterr().out
+    assert "the page has no images" in message
+    assert "the recording's images are not those of the run" in message
+    assert images_in(folder / PAGE_FILE)["index"] == []
+    # Another file is not accepted as a page.
+    (folder / PAGE_FILE).write_text("<p>mine</p>")
     assert main(["report", str(folder)]) == 2
-    assert "report.html: no page of sylpose" in capsys.readouterr().err
-    assert (folder / PAGE).read_text() == "<p>mine</p>"
+    assert "report.html: not a page of sylpose" in capsys.readouterr().err
+    assert (folder / PAGE_FILE).read_text() == "<p>mine</p>"
 
 
-def test_what_looked_wrong_before_the_run_is_in_it(session: Path, tmp_path: Path) -> None:
+def test_page_contains_warnings(session: Path, tmp_path: Path) -> None:
     boxes = (session / "boxes.toml").read_text().splitlines()
     (session / "boxes.toml").write_text("\n".join(boxes[:2]))
     track_session(open_session(session), tmp_path, stop=3, overlay=False)
-    page = (tmp_path / PAGE).read_text(encoding="utf-8")
-    said = "A box in one camera only (cam_0): it does not tell how far away the object is"
-    assert f"<li>{said}" in page
-    assert "<h2>What looked wrong before the run</h2>" in page
+    page = (tmp_path / PAGE_FILE).read_text(encoding="utf-8")
+    message = "Only one camera has a box (cam_0): the object"
+    assert f"<li>{message}" in page
+    assert "<h2>Problems found before the run</h2>" in page
 
 
-def test_a_folder_without_a_record_has_a_page(whole: Path, tmp_path: Path) -> None:
-    """As 0.1.0 left them, beside a calibration."""
+def test_page_without_settings(whole: Path, tmp_path: Path) -> None:
+    """Use a folder as written by 0.1.0, next to a calibration."""
     shutil.copy(whole / "trajectory.csv", tmp_path)
     shutil.copy(whole / "calibration.used.toml", tmp_path)
-    page = make_page(tmp_path, Stills()).read_text(encoding="utf-8")
+    page = write_report_page(tmp_path, Thumbnails()).read_text(encoding="utf-8")
     assert f"<h1>{tmp_path.name}</h1>" in page
     assert "sylpose report" in page
 
 
-def test_no_trajectory_is_no_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_missing_trajectory(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["report", str(tmp_path)]) == 2
     assert "trajectory.csv: no such file" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""What is compiled once after an installation is so by processes beside each other, and not again."""
+"""Kernels are compiled once after an installation, by parallel processes."""
 
 from __future__ import annotations
 
@@ -19,93 +19,91 @@ from sylpose.relative_pose.precompile import warm_up
 
 @pytest.fixture
 def elsewhere(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """The parts that other processes are asked for; what would be left then is not done."""
-    asked: list[str] = []
-    monkeypatch.setattr(precompile, "_compiled_elsewhere", asked.append)
-    monkeypatch.setattr(precompile, "cores", lambda: 2)
-    return asked
+    """Record the parts compiled in other processes; the remaining kernel is not compiled."""
+    arguments: list[str] = []
+    monkeypatch.setattr(precompile, "_compile_in_subprocess", arguments.append)
+    monkeypatch.setattr(precompile, "available_cores", lambda: 2)
+    return arguments
 
 
 @pytest.fixture
 def installed(elsewhere: list[str], monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """As after an installation: nothing is there, if no part has been compiled."""
+    """Simulate a new installation: no kernel is cached before its part is compiled."""
     monkeypatch.setattr(precompile, "is_compiled", lambda: len(elsewhere) > 0)
     return elsewhere
 
 
-def test_what_is_compiled_is_not_compiled_again(elsewhere: list[str]) -> None:
+def test_compiled_kernels_are_reused(elsewhere: list[str]) -> None:
     warm_up()
     assert precompile.is_compiled()
     precompile.compile_all()
     assert not elsewhere
 
 
-def test_what_is_of_other_sources_or_another_processor_is_not_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_outdated_kernels_count_as_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     warm_up()
     with monkeypatch.context() as other:
-        other.setattr(kernel_cache, "digest", lambda _: "of other sources")
+        other.setattr(kernel_cache, "compute_digest", lambda _: "of other sources")
         assert not precompile.is_compiled()
-    kernel: Any = robust_fit.robust_fit
+    kernel: Any = robust_fit.fit_robust_motion
     monkeypatch.setattr(type(kernel.targetctx.codegen()), "magic_tuple", lambda _: ("another", "processor", ""))
     assert not precompile.is_compiled()
 
 
-def test_after_an_installation_each_part_is_compiled_once(installed: list[str]) -> None:
+def test_each_part_is_compiled_once(installed: list[str]) -> None:
     seconds: list[float] = []
     precompile.compile_all(seconds.append)
     assert sorted(installed) == sorted(precompile.PARTS)
-    assert sum(seconds) == pytest.approx(precompile.TOTAL)
+    assert sum(seconds) == pytest.approx(precompile.TOTAL_SECONDS)
     precompile.compile_all()
     assert len(installed) == len(precompile.PARTS)
 
 
-def test_where_nothing_can_be_kept_no_process_is_started(installed: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(precompile, "kept_in", lambda: None)
+def test_no_processes_without_cache_folder(installed: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(precompile, "find_kernel_cache", lambda: None)
     precompile.compile_all()
     assert not installed
 
 
-def test_one_core_compiles_in_one_process(installed: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_single_core_compiles_in_one_process(installed: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     ran: list[str] = []
-    monkeypatch.setattr(precompile, "cores", lambda: 1)
+    monkeypatch.setattr(precompile, "available_cores", lambda: 1)
     monkeypatch.setattr(precompile, "PARTS", {"a": (1.0, lambda: ran.append("a")), "b": (2.0, lambda: ran.append("b"))})
     seconds: list[float] = []
     precompile.compile_all(seconds.append)
-    assert (ran, seconds, installed) == (["a", "b"], [1.0, 2.0, precompile.REST], [])
+    assert (ran, seconds, installed) == (["a", "b"], [1.0, 2.0, precompile.REST_SECONDS], [])
 
 
 @pytest.mark.parametrize("kept", [True, False])
 @pytest.mark.usefixtures("installed")
-def test_it_is_said_that_it_compiles_for_how_long_and_where_it_is_kept(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, kept: bool
-) -> None:
-    monkeypatch.setattr(kernel_cache, "_said", set())
+def test_compilation_message(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, kept: bool) -> None:
+    monkeypatch.setattr(kernel_cache, "_logged", set())
     if not kept:
-        monkeypatch.setattr(precompile, "kept_in", lambda: None)
-    precompile.compile_aloud(make_console())
-    precompile.compile_aloud(make_console())
+        monkeypatch.setattr(precompile, "find_kernel_cache", lambda: None)
+    precompile.compile_with_progress(make_console())
+    precompile.compile_with_progress(make_console())
     (line,) = capsys.readouterr().out.splitlines()
     assert line.startswith("Compiling for one to two minutes, ")
-    wanted = f"after an installation or an update; kept in {Path(sylpose.__file__).parent}."
+    wanted = f"after an installation or an update; cached in {Path(sylpose.__file__).parent}."
     if not kept:
-        wanted = "at every start; no folder can be written to keep it in, NUMBA_CACHE_DIR=FOLDER names one."
+        wanted = "at every start; no cache folder is writable, set one with NUMBA_CACHE_DIR=FOLDER."
     assert line.endswith(wanted)
 
 
 @pytest.mark.usefixtures("installed")
-def test_it_is_not_said_again_where_a_kernel_has_said_it(
+def test_compilation_message_is_not_repeated(
     capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(kernel_cache, "_said", set())
-    kernel_cache._announce(Path("kernels"))
-    precompile.compile_aloud(make_console())
+    monkeypatch.setattr(kernel_cache, "_logged", set())
+    kernel_cache._log_compilation(Path("kernels"))
+    precompile.compile_with_progress(make_console())
     assert [record.getMessage()[:17] for record in caplog.records] == ["sylpose compiles "]
     assert capsys.readouterr().out == ""
 
 
-def test_nothing_is_said_where_it_has_been_done(capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_message_if_compiled(capsys: pytest.CaptureFixture[str]) -> None:
     warm_up()
-    precompile.compile_aloud(make_console())
+    precompile.compile_with_progress(make_console())
     assert capsys.readouterr().out == ""
 
 
@@ -114,7 +112,7 @@ def test_every_part_runs(part: str) -> None:
     precompile.main([part])
 
 
-def test_a_part_by_its_name() -> None:
+def test_compile_part_by_name() -> None:
     command = [sys.executable, "-m", "sylpose.app.precompile", "following"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")

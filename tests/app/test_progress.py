@@ -1,4 +1,4 @@
-"""How far a run has come: told to a function, shown as a bar in a terminal, as a line in a notebook, or not at all."""
+"""Progress of a run: calls of a function, a bar in a terminal, a line in a notebook, or nothing."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from sylpose.app.progress import NotebookLine, watched
+from sylpose.app.progress import NotebookProgress, show_progress
 from sylpose.app.run import track_session
 from sylpose.capture import open_session
 from tests.conftest import FRAMES
@@ -17,52 +17,54 @@ from tests.conftest import FRAMES
 pytestmark = pytest.mark.usefixtures("undrawn")
 
 
-def test_a_function_is_told_each_frame(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    told: list[tuple[int, int | None]] = []
+def test_callback_is_called_for_each_frame(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    reported: list[tuple[int, int | None]] = []
     frames: list[int] = []
     track_session(
         open_session(recording),
         tmp_path,
         stop=8,
         overlay=False,
-        progress=lambda done, total: told.append((done, total)),
+        progress=lambda done, total: reported.append((done, total)),
         on_frame=lambda tracked: frames.append(tracked.pose.index),
     )
-    # Beside the other callbacks, and nothing is printed.
-    assert told == [(k, 8) for k in range(1, 9)]
+    # It works with the other callbacks, and nothing is printed.
+    assert reported == [(k, 8) for k in range(1, 9)]
     assert frames == list(range(8))
     captured = capsys.readouterr()
     assert captured.out == captured.err == ""
 
 
-def test_a_resumed_run_goes_on_counting(recording: Path, tmp_path: Path) -> None:
-    told: list[object] = []
+def test_resumed_run_continues_counting(recording: Path, tmp_path: Path) -> None:
+    reported: list[object] = []
     with pytest.raises(KeyboardInterrupt):
         track_session(
-            open_session(recording), tmp_path, overlay=False, interrupted=lambda: len(told) > 0, on_frame=told.append
+            open_session(recording),
+            tmp_path,
+            overlay=False,
+            interrupted=lambda: len(reported) > 0,
+            on_frame=reported.append,
         )
-    said: list[tuple[int, int | None]] = []
+    message: list[tuple[int, int | None]] = []
     track_session(
-        open_session(recording), tmp_path, overlay=False, resume=True, progress=lambda *numbers: said.append(numbers)
+        open_session(recording), tmp_path, overlay=False, resume=True, progress=lambda *numbers: message.append(numbers)
     )
-    first = said[0][0]
+    first = message[0][0]
     assert first > 0
-    assert [done for done, _ in said] == list(range(first, FRAMES + 1))
-    assert {total for _, total in said} == {FRAMES}
+    assert [done for done, _ in message] == list(range(first, FRAMES + 1))
+    assert {total for _, total in message} == {FRAMES}
 
 
-def test_nothing_is_shown_unless_it_is_asked_for(
-    recording: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_no_progress_by_default(recording: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     track_session(open_session(recording), tmp_path, stop=3, overlay=False)
     captured = capfd.readouterr()
     assert captured.out == captured.err == ""
 
 
-def test_a_bar_in_a_terminal(
+def test_bar_in_terminal(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setenv("FORCE_COLOR", "1")  # rich takes anything for a terminal
+    monkeypatch.setenv("FORCE_COLOR", "1")  # rich then treats any output as a terminal
     track_session(open_session(recording), tmp_path, stop=6, overlay=False, progress=True)
     shown = capfd.readouterr().err
     assert "Tracking" in shown
@@ -71,7 +73,7 @@ def test_a_bar_in_a_terminal(
 
 
 class Shown:
-    """A notebook's output: what it has shown."""
+    """Fake of a notebook's output that records what is shown."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []
@@ -87,7 +89,7 @@ class Shown:
 
 @pytest.fixture
 def notebook(monkeypatch: pytest.MonkeyPatch) -> Shown:
-    """As if this were one."""
+    """Simulate a notebook."""
     shown, module = Shown(), ModuleType("IPython.display")
     module.display = shown.display  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "ipykernel", ModuleType("ipykernel"))
@@ -96,21 +98,21 @@ def notebook(monkeypatch: pytest.MonkeyPatch) -> Shown:
     return shown
 
 
-def test_a_line_in_a_notebook(
+def test_line_in_notebook(
     recording: Path, tmp_path: Path, notebook: Shown, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sylpose.app.progress.OFTEN", 0.0)
+    monkeypatch.setattr("sylpose.app.progress.MIN_UPDATE_SECONDS", 0.0)
     track_session(open_session(recording), tmp_path, stop=6, overlay=False, progress=True)
     assert notebook.lines[0] == "Tracking"
     (half,) = (line for line in notebook.lines if " 3 of 6 frames" in line)
     assert half.count("█") == half.count("░") == 15
-    assert any(line.startswith("Refining all poses together, round ") for line in notebook.lines)
+    assert any(line.startswith("Refining all poses jointly, round ") for line in notebook.lines)
     assert notebook.lines[-1].startswith("6 frames in ")
     assert capfd.readouterr().err == ""
 
 
-def test_a_line_does_not_change_too_often(notebook: Shown) -> None:
-    line, frame = NotebookLine(1000, 1), Any
+def test_notebook_line_update_rate(notebook: Shown) -> None:
+    line, frame = NotebookProgress(1000, 1), Any
     for _ in range(999):
         line.update(frame)  # type: ignore[arg-type]
     assert len(notebook.lines) < 100
@@ -118,17 +120,17 @@ def test_a_line_does_not_change_too_often(notebook: Shown) -> None:
     assert "1000 of 1000 frames" in notebook.lines[-1]
 
 
-def test_of_several_objects_frames_are_counted_once() -> None:
-    told: list[tuple[int, int | None]] = []
-    with watched(lambda *numbers: told.append(numbers), 3, None, 2) as shown:
+def test_frames_of_several_objects_are_counted_once() -> None:
+    reported: list[tuple[int, int | None]] = []
+    with show_progress(lambda *numbers: reported.append(numbers), 3, None, 2) as shown:
         shown.skip(4)
         for _ in range(6):
             shown.update(Any)  # type: ignore[arg-type]
-        shown.smoothing(1)
-    assert told == [(4, None), (5, None), (6, None), (7, None)]
+        shown.report_smoothing_round(1)
+    assert reported == [(4, None), (5, None), (6, None), (7, None)]
 
 
 @pytest.mark.parametrize("wrong", [3, "yes", [1]])
-def test_what_is_no_progress_is_refused(recording: Path, tmp_path: Path, wrong: Any) -> None:
+def test_invalid_progress_is_rejected(recording: Path, tmp_path: Path, wrong: Any) -> None:
     with pytest.raises(TypeError, match="progress must be True, None or a function"):
         track_session(open_session(recording), tmp_path / "out", overlay=False, progress=wrong)

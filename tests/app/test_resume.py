@@ -1,4 +1,4 @@
-"""Interrupted runs go on from their checkpoint and come to the same files, byte for byte."""
+"""Interrupted runs resume from their checkpoint and yield the same files, byte for byte."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ import pytest
 from sylpose import calibration
 from sylpose.app import checkpoint as checkpoints
 from sylpose.app.checkpoint import CHECKPOINT
-from sylpose.app.checkpoint_schema import KINDS, RunState
+from sylpose.app.checkpoint_schema import RECORD_TYPES, RunState
 from sylpose.app.run import track_session
-from sylpose.atomic_io import beside
+from sylpose.atomic_io import partial_path
 from sylpose.capture import open_session
 from sylpose.cli import main
 from sylpose.report.files import TrajectoryWriter, read_trajectory
@@ -32,11 +32,11 @@ from sylpose.tracking.tracked_frame import TrackedFrame
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
-# Of the recording's frames; fewer are faster.
+# Number of frames tracked; fewer are faster.
 FRAMES = 7
 STOP = ("--stop", str(FRAMES))
 TRAJECTORIES = ("trajectory.tum", "trajectory.csv")
-# `sylpose` that is killed right after it wrote a frame's line: `-c KILLED LINE arguments`.
+# Program that runs `sylpose` and is killed after writing a frame's line: `-c KILLED LINE arguments`.
 KILLED = """
 import os, signal, sys
 from sylpose.cli import main
@@ -60,7 +60,7 @@ def killed(line: int, *args: object) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture(scope="module")
 def whole(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The files of a run without an interruption."""
+    """Return the results of an uninterrupted run."""
     out = tmp_path_factory.mktemp("whole")
     assert main(["track", str(recording), *STOP, "--no-overlay", "--out", str(out)]) == 0
     return out
@@ -74,28 +74,28 @@ def same(a: Path, b: Path) -> bool:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="sends a POSIX signal")
-def test_a_killed_run_goes_on(recording: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_resume_killed_run(recording: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     args = ("track", recording, *STOP, "--out", tmp_path, "--checkpoint", 0)
     assert killed(5, *args).returncode == -signal.SIGKILL
     assert len(read_trajectory(tmp_path / "tracked.csv")) == 5
     assert (tmp_path / CHECKPOINT).exists()
     assert main([*map(str, args), "--resume"]) == 0
-    said = capsys.readouterr().out
-    assert f"Going on after 4 of {FRAMES} frames." in said  # the fifth was written, but not all of what follows
-    assert re.search(rf"Tracked +\d+ of {FRAMES} frames", said)
+    message = capsys.readouterr().out
+    assert f"Resuming after 4 of {FRAMES} frames." in message  # the fifth frame was only partly written
+    assert re.search(rf"Tracked +\d+ of {FRAMES} frames", message)
     assert same(tmp_path, whole)
     assert (tmp_path / "report.png").exists()
     assert (tmp_path / "overlay.mp4").exists()
     assert (tmp_path / "overlay_4.mp4").exists()
-    assert "overlay_4.mp4" in said
+    assert "overlay_4.mp4" in message
     assert not (tmp_path / CHECKPOINT).exists()
-    # A new run does not leave the old one's second video beside its own.
-    assert main([*map(str, args), "--stop", "1"]) == 1  # no motion in one frame
+    # A new run removes the old run's second video.
+    assert main([*map(str, args), "--stop", "1"]) == 1  # a single frame has no motion
     assert [file.name for file in tmp_path.glob("overlay*")] == ["overlay.mp4"]
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="sends a POSIX signal")
-def test_ctrl_c_saves_where_it_was(
+def test_ctrl_c_saves_checkpoint(
     recording: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     args = ["track", str(recording), *STOP, "--out", str(tmp_path), "--no-overlay"]
@@ -107,7 +107,7 @@ def test_ctrl_c_saves_where_it_was(
         if len(written) == 5:
             os.kill(os.getpid(), signal.SIGINT)
 
-    # Who starts tests in the background may have them ignore it.
+    # Tests started in the background may ignore SIGINT.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         with monkeypatch.context() as patch:
@@ -115,8 +115,8 @@ def test_ctrl_c_saves_where_it_was(
             assert main(args) == 130
     finally:
         signal.signal(signal.SIGINT, before)
-    said = capsys.readouterr().err
-    assert said == f"sylpose: interrupted after 5 of {FRAMES} frames; what was computed is in {tmp_path}\n"
+    message = capsys.readouterr().err
+    assert message == f"sylpose: interrupted after 5 of {FRAMES} frames; the results so far are in {tmp_path}\n"
     assert main([*args, "--resume"]) == 0
     assert same(tmp_path, whole)
 
@@ -129,7 +129,7 @@ class PowerCutError(Exception):
 
 
 def interrupted(session: Path, out: Path, after: int, **options: Any) -> None:
-    """A run that breaks down after a number of frames."""
+    """Start a run that fails after a number of frames."""
     seen: list[TrackedFrame] = []
 
     def breaks(tracked: TrackedFrame) -> None:
@@ -154,19 +154,21 @@ def interrupted(session: Path, out: Path, after: int, **options: Any) -> None:
     ],
     ids=["epipolar", "every other frame", "klt", "smooth", "not smooth", "after the last frame", "from the start"],
 )
-def test_the_continuation_is_exact(session: Path, tmp_path: Path, options: dict[str, Any], after: int) -> None:
+def test_resumed_run_is_exact(session: Path, tmp_path: Path, options: dict[str, Any], after: int) -> None:
     if "every" in options:
-        (session / "boxes.toml").unlink()  # the first frames wait for a motion, with their images
+        (session / "boxes.toml").unlink()  # without boxes, the first frames are buffered with their images
     track_session(open_session(session), tmp_path / "whole", overlay=False, **options)
     interrupted(session, tmp_path / "part", after, **{"checkpoint_seconds": 0, **options})
     run = track_session(open_session(session), tmp_path / "part", overlay=False, resume=True, **options)
     assert same(tmp_path / "part", tmp_path / "whole")
     assert {f.name for f in (tmp_path / "part").iterdir()} == {f.name for f in run.files}
-    assert np.array_equal(run.trajectory.solved, read_trajectory(tmp_path / "whole" / "trajectory.csv").solved)
+    assert np.array_equal(
+        run.trajectory.measured_mask, read_trajectory(tmp_path / "whole" / "trajectory.csv").measured_mask
+    )
 
 
 @pytest.mark.parametrize("where", ["smooth", "write_trajectory"])
-def test_what_ends_while_it_is_finished_goes_on(
+def test_resume_after_failure_while_finishing(
     session: Path, tmp_path: Path, where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     options: dict[str, Any] = {"stop": 5, "overlay": False, "checkpoint_seconds": 0}
@@ -175,7 +177,7 @@ def test_what_ends_while_it_is_finished_goes_on(
     def breaks(*_: object, **__: object) -> None:
         raise PowerCutError
 
-    shutil.copytree(tmp_path / "whole", tmp_path / "part")  # an earlier run's results are not taken for it
+    shutil.copytree(tmp_path / "whole", tmp_path / "part")  # results of an earlier run are not used
     with monkeypatch.context() as patch:
         patch.setattr(f"sylpose.app.outputs.{where}", breaks)
         with pytest.raises(PowerCutError):
@@ -191,7 +193,7 @@ def test_what_ends_while_it_is_finished_goes_on(
 
 
 def refused(capsys: pytest.CaptureFixture[str], *args: object) -> str:
-    """The one sentence that a command is refused with."""
+    """Run a command that fails and return its one-line message."""
     capsys.readouterr()
     assert main(["track", *map(str, args), "--no-overlay", "--resume"]) == 2
     (line,) = capsys.readouterr().err.strip().splitlines()
@@ -203,8 +205,8 @@ def test_nothing_to_resume(recording: Path, whole: Path, tmp_path: Path, capsys:
     assert main(["track", str(recording), *STOP, "--out", str(whole), "--resume"]) == 0
     assert "has ended; there is nothing to resume" in capsys.readouterr().out
     assert {file: file.read_bytes() for file in whole.iterdir()} == before
-    said = refused(capsys, recording, "--out", tmp_path / "new")
-    assert "no interrupted run to resume" in said
+    message = refused(capsys, recording, "--out", tmp_path / "new")
+    assert "no interrupted run to resume" in message
     assert not (tmp_path / "new").exists()
 
 
@@ -218,18 +220,18 @@ def test_other_options_or_another_session(session: Path, capsys: pytest.CaptureF
         ("--stop", 9, "stop none, not 9"),
         ("--features", "klt", "features auto, not klt"),
     ):
-        said = refused(capsys, session, option, value)
-        assert words in said
-        assert "checkpoint.bin" in said
-    assert "time stamps or offsets" in refused(capsys, session, "--frame-offset", "cam_0=1")
-    # Each is looked at before those that were changed already.
+        message = refused(capsys, session, option, value)
+        assert words in message
+        assert "checkpoint.bin" in message
+    assert "timestamps or offsets" in refused(capsys, session, "--frame-offset", "cam_0=1")
+    # Each change is detected before the earlier ones.
     (session / "cam_1.mp4").write_bytes((session / "cam_2.mp4").read_bytes())
-    assert "other images" in refused(capsys, session)
+    assert "images changed since" in refused(capsys, session)
     rig = calibration.load(session / "calibration.toml")
     calibration.save(Rig(rig.cameras, "mm"), session / "calibration.toml")
-    assert "other calibration" in refused(capsys, session)
+    assert "calibration changed since" in refused(capsys, session)
     (session / "boxes.toml").unlink()
-    assert "other boxes" in refused(capsys, session)
+    assert "boxes changed since" in refused(capsys, session)
     assert {file: file.read_bytes() for file in out.iterdir()} == before
 
 
@@ -239,23 +241,23 @@ def test_other_options_or_another_session(session: Path, capsys: pytest.CaptureF
         (lambda data: data[:-200], "damaged"),
         (lambda data: data[: len(data) // 2] + b"x" + data[len(data) // 2 + 1 :], "damaged"),
         (lambda _: b"", "damaged"),
-        (lambda _: pickle.dumps("something else"), "none of sylpose"),
+        (lambda _: pickle.dumps("something else"), "not a sylpose checkpoint"),
         (lambda data: data.replace(b"checkpoint 2", b"checkpoint 1", 1), "written by another version of sylpose"),
     ],
     ids=["cut", "changed", "empty", "foreign", "of another version"],
 )
-def test_a_damaged_checkpoint(
+def test_damaged_checkpoint(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], change: Callable[[bytes], bytes], words: str
 ) -> None:
     path = tmp_path / CHECKPOINT
     interrupted(recording, tmp_path, 1, stop=2)
     path.write_bytes(change(path.read_bytes()))
-    said = refused(capsys, recording, "--out", tmp_path, "--stop", 2)
-    assert words in said
-    assert str(path) in said
+    message = refused(capsys, recording, "--out", tmp_path, "--stop", 2)
+    assert words in message
+    assert str(path) in message
 
 
-def test_a_checkpoint_of_another_version_or_code(
+def test_checkpoint_of_another_version_or_code(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     args = (recording, "--out", tmp_path, "--stop", 2)
@@ -265,20 +267,18 @@ def test_a_checkpoint_of_another_version_or_code(
     assert "written by sylpose 0.0.9, this is" in refused(capsys, *args)
     interrupted(recording, tmp_path, 1, stop=2)
     with monkeypatch.context() as patch:
-        patch.delitem(KINDS, "Joint")
-        with pytest.raises(ValueError, match="another state of sylpose"):
+        patch.delitem(RECORD_TYPES, "JointState")
+        with pytest.raises(ValueError, match="a modified sylpose"):
             checkpoints.load_checkpoint(tmp_path / CHECKPOINT, *header(tmp_path / CHECKPOINT))
 
 
 def header(path: Path) -> tuple[dict[str, str], dict[str, str]]:
-    """Options and session of a checkpoint."""
+    """Return the options and session of a checkpoint."""
     data = json.loads(path.read_bytes().splitlines()[1])
     return data["options"], data["session"]
 
 
-def test_files_that_are_not_as_they_were_left(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_changed_files_are_rejected(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     interrupted(recording, tmp_path, 3, stop=4, checkpoint_seconds=0)
     (tmp_path / "tracked.csv").write_text("")
     assert "tracked.csv" in refused(capsys, recording, "--out", tmp_path, "--stop", 4)
@@ -286,9 +286,7 @@ def test_files_that_are_not_as_they_were_left(
     assert "tracked.tum" in refused(capsys, recording, "--out", tmp_path, "--stop", 4)
 
 
-def test_a_checkpoint_that_cannot_be_written_is_said(
-    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_unwritable_checkpoint_is_reported(recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     save, saved = checkpoints.save_checkpoint, list[Path]()
 
     def full(path: Path, *state: Any) -> None:
@@ -300,14 +298,14 @@ def test_a_checkpoint_that_cannot_be_written_is_said(
     monkeypatch.setattr("sylpose.app.checkpoint_schedule.save_checkpoint", full)
     run = track_session(open_session(recording), tmp_path, stop=3, overlay=False, checkpoint_seconds=0)
     assert len(run.trajectory) == 3
-    (said,) = run.problems
-    assert "checkpoint.bin: no space left" in said
+    (message,) = run.problems
+    assert "checkpoint.bin: no space left" in message
 
 
-def test_a_failed_checkpoint_leaves_the_one_before(tmp_path: Path) -> None:
+def test_failed_checkpoint_keeps_previous_one(tmp_path: Path) -> None:
     path = tmp_path / CHECKPOINT
     checkpoints.save_checkpoint(path, {}, {}, RunState(1, {}, {}))
-    beside(path).mkdir()  # it cannot be written there
+    partial_path(path).mkdir()  # it cannot be written there
     with pytest.raises(OSError, match=r"cannot write .*checkpoint\.bin: "):
         checkpoints.save_checkpoint(path, {}, {}, RunState(2, {}, {}))
     assert checkpoints.load_checkpoint(path, {}, {}).position == 1

@@ -1,4 +1,4 @@
-"""Checkpoints and tracks as data: to the same bits, and whatever else is in a file is refused with a sentence."""
+"""Serialization of checkpoints and tracks: bit exact, and invalid files are rejected with a message."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.app.checkpoint import CHECKPOINT, DIGEST_SIZE, load_checkpoint
-from sylpose.app.checkpoint_schema import FUNCTIONS, KINDS, RunState
+from sylpose.app.checkpoint_schema import FUNCTIONS, RECORD_TYPES, RunState
 from sylpose.app.frame_store import FrameFile
 from sylpose.app.run import track_session
-from sylpose.app.serialization import decoded, encoded
+from sylpose.app.serialization import deserialize, serialize
 from sylpose.capture import open_session
 from sylpose.smoothing.trajectory import Track
 from sylpose.tracking.tracked_frame import TrackedFrame
@@ -30,12 +30,12 @@ ARRAYS = tuple[NDArray[np.float64], ...]
 
 
 def through(value: Any, hint: Any) -> Any:
-    table, *blocks = encoded(value, KINDS, FUNCTIONS)
-    return decoded(memoryview(b"".join([table, *blocks])), len(table), hint, KINDS, FUNCTIONS)
+    table, *blocks = serialize(value, RECORD_TYPES, FUNCTIONS)
+    return deserialize(memoryview(b"".join([table, *blocks])), len(table), hint, RECORD_TYPES, FUNCTIONS)
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([(3,), (4, 3), (3, 2, 5)]))
-def test_every_bit_is_kept(seed: int, shape: tuple[int, ...]) -> None:
+def test_round_trip_is_bit_exact(seed: int, shape: tuple[int, ...]) -> None:
     rng = np.random.default_rng(seed)
     values, fixed = rng.normal(size=tuple(2 * n for n in shape)), rng.normal(size=shape)
     fixed.setflags(write=False)
@@ -47,13 +47,13 @@ def test_every_bit_is_kept(seed: int, shape: tuple[int, ...]) -> None:
         assert a.size == 0 or a.strides == b.strides or a.flags.forc
     turns = Rotation.random(5, rng=rng) * Rotation.random(5, rng=rng)
     poses = RigidTransform.from_components(rng.normal(size=(5, 3)), turns)
-    poses = poses * poses * poses.inv()  # off by rounding, which normalising would take away
+    poses = poses * poses * poses.inv()  # rounding errors that normalization would remove
     assert np.array_equal(through(turns, Rotation).as_quat(), turns.as_quat())
     for pose in (poses, poses[0]):
         assert np.array_equal(through(pose, RigidTransform).as_matrix(), pose.as_matrix())
 
 
-def test_what_is_shared_stays_shared() -> None:
+def test_shared_objects_stay_shared() -> None:
     array = np.zeros(3)
     one, other = through((array, array), ARRAYS)
     assert one is other
@@ -63,9 +63,9 @@ def test_what_is_shared_stays_shared() -> None:
 
 
 @pytest.mark.parametrize("value", [object(), {1, 2}, print, np.array([object()]), b"bytes", 1j, RuntimeError("x")])
-def test_only_data_is_written(value: Any) -> None:
-    with pytest.raises(TypeError, match="is no data"):
-        encoded(value, KINDS, FUNCTIONS)
+def test_other_types_are_not_serialized(value: Any) -> None:
+    with pytest.raises(TypeError, match="cannot be serialized"):
+        serialize(value, RECORD_TYPES, FUNCTIONS)
 
 
 @pytest.mark.parametrize(
@@ -76,7 +76,7 @@ def test_only_data_is_written(value: Any) -> None:
         [["builtins.eval", "1"]],
         [["later", "eval", "1"]],
         [["later", "bundled_together"]],
-        [["Joint"]],
+        [["JointState"]],
         [["list", [0]]],
         [["list", [-1]]],
         [["list", [1]], ["list"]],
@@ -96,20 +96,20 @@ def test_only_data_is_written(value: Any) -> None:
         [["Camera", "a", [0], 1, 2, 3, 4, 5]],
     ],
 )
-def test_made_up_tables_are_refused(entries: list[Any]) -> None:
+def test_invalid_tables_are_rejected(entries: list[Any]) -> None:
     table = msgspec.msgpack.encode([[len(entries) - 1], entries])
     with pytest.raises(ValueError, match=r"."):
-        decoded(memoryview(table + bytes(64)), len(table), RunState, KINDS, FUNCTIONS)
+        deserialize(memoryview(table + bytes(64)), len(table), RunState, RECORD_TYPES, FUNCTIONS)
 
 
-def test_nothing_too_deep() -> None:
+def test_deep_nesting_is_rejected() -> None:
     with pytest.raises(ValueError, match=r"."):
-        decoded(memoryview(b"\x91" * 100_000), 100_000, RunState, KINDS, FUNCTIONS)
+        deserialize(memoryview(b"\x91" * 100_000), 100_000, RunState, RECORD_TYPES, FUNCTIONS)
 
 
 @pytest.fixture(scope="module")
 def checkpoint(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Of a run that was broken off after three frames, with its tracks."""
+    """Return the checkpoint of a run that failed after three frames, with its tracks."""
     out = tmp_path_factory.mktemp("part")
 
     def breaks(tracked: TrackedFrame) -> None:
@@ -126,7 +126,7 @@ def sealed(data: bytes) -> bytes:
 
 
 def said_of(path: Path, data: bytes) -> str:
-    """What is said of a file with that in it; "" if it is read."""
+    """Return the error message for a file with this content; "" if it is read."""
     path.write_bytes(data)
     header = msgspec.json.decode(path.parent.joinpath("header").read_bytes())
     try:
@@ -137,8 +137,7 @@ def said_of(path: Path, data: bytes) -> str:
 
 
 def test_tampered_checkpoints(checkpoint: Path, tmp_path: Path) -> None:
-    """Bytes changed, cut off or put in, mostly in the table, with a checksum that fits and without: one sentence, or a
-    state of the types that it should have."""
+    """Change, remove or insert bytes, with and without a valid checksum: a one-line error, or a state of valid types."""
     good = checkpoint.read_bytes()[:-DIGEST_SIZE]
     first, line, _ = good.split(b"\n", 2)
     (tmp_path / "header").write_bytes(line)
@@ -159,15 +158,15 @@ def test_tampered_checkpoints(checkpoint: Path, tmp_path: Path) -> None:
                 data[at:at] = rng.bytes(int(rng.integers(1, 5)))
         if trial % 10 == 9:
             del data[int(rng.integers(len(data))) :]
-        said = said_of(path, sealed(bytes(data)) if trial % 5 else bytes(data))
-        refused += bool(said)
-        assert not said or str(path) in said
-        assert "\n" not in said
-        assert len(said) < 2000
+        message = said_of(path, sealed(bytes(data)) if trial % 5 else bytes(data))
+        refused += bool(message)
+        assert not message or str(path) in message
+        assert "\n" not in message
+        assert len(message) < 2000
     assert refused > 100
 
 
-def test_a_pickle_is_not_loaded(checkpoint: Path, tmp_path: Path) -> None:
+def test_pickles_are_not_loaded(checkpoint: Path, tmp_path: Path) -> None:
     (tmp_path / "ran").unlink(missing_ok=True)
 
     class Runs:
@@ -201,9 +200,9 @@ def test_tampered_tracks(checkpoint: Path, at: int, bit: int, cut: bool) -> None
         data[at] ^= 1 << bit
     path.write_bytes(data)
     file = FrameFile(path, Track, len(data))
-    if cut and at in between:  # what is there is whole
+    if cut and at in between:  # the remaining frames are complete
         assert len(list(file.read())) == sorted(between).index(at)
     else:
-        with pytest.raises(ValueError, match="is damaged; to start anew leave out --resume"):
+        with pytest.raises(ValueError, match="is damaged; omit --resume to start over"):
             list(file.read())
     file.close()

@@ -1,4 +1,4 @@
-"""`sylpose show` and `track --show`: what is seen on the page, and who may see it (SECURITY.md)."""
+"""`sylpose show` and `track --show`: contents of the page and access to it (SECURITY.md)."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ import numpy as np
 import pytest
 
 from sylpose import calibration
-from sylpose.app.live_page import LivePage, Way
+from sylpose.app.live_page import LivePage, ObjectPath
 from sylpose.app.local_page import HOST
-from sylpose.app.result_player import Player, frames_of
+from sylpose.app.result_player import ResultPlayer, collect_frames
 from sylpose.app.run import track_session
-from sylpose.app.scene_page import MOST_PIECES, SEEN, pieces_of, plain, status_color
+from sylpose.app.scene_page import MAX_PATH_SEGMENTS, TRACKED_COLOR, escape_markdown, split_path, status_color
 from sylpose.app.show import read_scenes
-from sylpose.app.source_recording import recording_of
-from sylpose.app.viewer_server import MISSING, viewer_server
+from sylpose.app.source_recording import open_source_recording
+from sylpose.app.viewer_server import VISER_MISSING, serve_viewer
 from sylpose.capture import open_session
-from sylpose.capture.random_access import SingleFrames
+from sylpose.capture.random_access import RandomAccessReader
 from sylpose.cli import main
 from sylpose.results import FrameStatus
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import track
-from tests.browser import Opened, opened
+from tests.browser import OpenedPage, open_page
 from tests.conftest import FRAMES
 
 TRACKED = 6
@@ -39,7 +39,7 @@ SMALL = {"width": 480, "height": 300}
 
 @pytest.fixture(scope="module")
 def result(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Of the first frames of `recording`."""
+    """Return a result of the first frames of `recording`."""
     out = tmp_path_factory.mktemp("result")
     track_session(open_session(recording), out, stop=TRACKED, overlay=False)
     return out
@@ -48,24 +48,24 @@ def result(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def server() -> Iterator[tuple[Any, str]]:
     pytest.importorskip("viser", reason="the extra `viewer`")
-    with viewer_server() as started:
+    with serve_viewer() as started:
         yield started
 
 
-def wrong_in(shown: Opened) -> list[str]:
-    """What a page's console said that is wrong: not that there is no graphics card, nor what viser uses of three.js."""
+def wrong_in(shown: OpenedPage) -> list[str]:
+    """Return a page's console errors, without those about missing graphics cards and viser's use of three.js."""
     return [line for line in shown.errors if not line.startswith(("THREE.Clock", "[.WebGL"))]
 
 
 def until(what: Callable[[], object]) -> None:
-    """Waits for it, seconds at most."""
+    """Wait for a condition, up to a minute."""
     end = time.monotonic() + 60
     while not what():
         assert time.monotonic() < end, "it did not come about"
         time.sleep(0.02)
 
 
-# --- who is let in ----------------------------------------------------------------------------------------------------
+# --- access control ---------------------------------------------------------------------------------------------------
 
 
 def status_of(port: int, path: str, **headers: str) -> int:
@@ -76,7 +76,7 @@ def status_of(port: int, path: str, **headers: str) -> int:
     return status
 
 
-def test_only_who_has_the_address_is_let_in(server: tuple[Any, str]) -> None:
+def test_access_requires_secret_address(server: tuple[Any, str]) -> None:
     viser, url = server
     port, path = urlsplit(url).port or 0, urlsplit(url).path
     assert viser.get_host() == urlsplit(url).hostname == HOST
@@ -87,23 +87,23 @@ def test_only_who_has_the_address_is_let_in(server: tuple[Any, str]) -> None:
         assert status_of(port, wrong) == 403, wrong
     assert status_of(port, path, Host=f"evil.example:{port}") == 403
     assert status_of(port, path, Origin="http://evil.example") == 403
-    # The socket through which the scene comes.
-    asked = {
+    # The socket that transfers the scene.
+    arguments = {
         "Connection": "Upgrade",
         "Upgrade": "websocket",
         "Sec_WebSocket_Version": "13",
         "Sec_WebSocket_Key": "dGhlIHNhbXBsZSBub25jZQ==",
         "Sec_WebSocket_Protocol": f"viser-v{sys.modules['viser'].__version__}",
     }
-    assert status_of(port, path[:-1], **asked) == 101
-    assert status_of(port, path[:-1], **asked, Origin=f"http://{HOST}:{port}") == 101
-    assert status_of(port, "/", **asked) == 403
-    assert status_of(port, path[:-1], **asked, Origin="http://evil.example") == 403
-    assert status_of(port, path[:-1], **asked, Host=f"evil.example:{port}") == 403
+    assert status_of(port, path[:-1], **arguments) == 101
+    assert status_of(port, path[:-1], **arguments, Origin=f"http://{HOST}:{port}") == 101
+    assert status_of(port, "/", **arguments) == 403
+    assert status_of(port, path[:-1], **arguments, Origin="http://evil.example") == 403
+    assert status_of(port, path[:-1], **arguments, Host=f"evil.example:{port}") == 403
 
 
-def test_no_tunnel_leads_to_it(server: tuple[Any, str], monkeypatch: pytest.MonkeyPatch) -> None:
-    """viser has one, by which a page can be seen from anywhere; any page could ask for it."""
+def test_share_tunnel_is_disabled(server: tuple[Any, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Viser's share tunnel makes a page public, and any page could request it."""
     viser, _ = server
     made: list[object] = []
     monkeypatch.setattr("viser._viser.ViserTunnel", lambda *a, **_: made.append(a))
@@ -115,137 +115,140 @@ def test_no_tunnel_leads_to_it(server: tuple[Any, str], monkeypatch: pytest.Monk
     assert viser.request_share_url() is None
 
 
-def test_a_port_that_is_taken_is_named(server: tuple[Any, str]) -> None:
+def test_used_port_is_named(server: tuple[Any, str]) -> None:
     port = urlsplit(server[1]).port
-    with pytest.raises(OSError, match=f"--port {port}: cannot listen there"), viewer_server(port=port or 0):
+    with pytest.raises(OSError, match=f"--port {port}: cannot listen there"), serve_viewer(port=port or 0):
         pass
-    with pytest.raises(OSError, match=r"--host no\.such\.name"), viewer_server("no.such.name"):
+    with pytest.raises(OSError, match=r"--host no\.such\.name"), serve_viewer("no.such.name"):
         pass
 
 
-def test_without_viser_it_is_said_what_to_install(
+def test_missing_viser_message(
     result: Path, recording: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     monkeypatch.setitem(sys.modules, "viser", None)
     for command in (["show", str(result)], ["track", str(recording), "--show", "--out", str(tmp_path / "out")]):
         assert main(command) == 2
-        assert capsys.readouterr().err == f"sylpose: {MISSING}\n"
+        assert capsys.readouterr().err == f"sylpose: {VISER_MISSING}\n"
     assert not (tmp_path / "out").exists()
 
 
 # --- the recording ----------------------------------------------------------------------------------------------------
 
 
-def test_the_recording_is_found_again(result: Path, recording: Path) -> None:
-    session = recording_of(result)
+def test_source_recording_is_found(result: Path, recording: Path) -> None:
+    session = open_source_recording(result)
     frames = list(open_session(recording).frames(0, 3))
-    with SingleFrames(session) as stills:
-        for image, wanted in zip(stills.at(2), frames[2].images, strict=True):
+    with RandomAccessReader(session) as stills:
+        for image, wanted in zip(stills.read_frame_set(2), frames[2].images, strict=True):
             np.testing.assert_array_equal(image, wanted)
 
 
-def test_frames_that_were_moved_are_where_they_were(session: Path, tmp_path: Path) -> None:
+def test_source_recording_with_frame_offsets(session: Path, tmp_path: Path) -> None:
     (session / "boxes.toml").unlink()
-    asked = ["track", str(session), "--stop", "2", "--no-overlay", "--out", str(tmp_path / "out")]
+    arguments = ["track", str(session), "--stop", "2", "--no-overlay", "--out", str(tmp_path / "out")]
     (session / "offsets.toml").write_text("cam_2 = 0.05\n")
-    assert main([*asked, "--frame-offset", "cam_1=2"]) in (0, 1)
-    opened_again = recording_of(tmp_path / "out")
+    assert main([*arguments, "--frame-offset", "cam_1=2"]) in (0, 1)
+    opened_again = open_source_recording(tmp_path / "out")
     first = opened_again.timeline.frames[0]
     plain_ones = open_session(session).timeline.frames[0]
     assert first.tolist() != plain_ones.tolist()
     moved = session.rename(tmp_path / "elsewhere")
     with pytest.raises(FileNotFoundError):
-        recording_of(tmp_path / "out")
-    assert recording_of(tmp_path / "out", moved).timeline.frames[0].tolist() == first.tolist()
+        open_source_recording(tmp_path / "out")
+    assert open_source_recording(tmp_path / "out", moved).timeline.frames[0].tolist() == first.tolist()
 
 
-def test_another_recording_is_refused(session: Path, tmp_path: Path) -> None:
+def test_changed_recording_is_rejected(session: Path, tmp_path: Path) -> None:
     track_session(open_session(session), tmp_path / "out", stop=2, overlay=False)
     settings = tmp_path / "out" / "settings.toml"
     text = settings.read_text()
-    assert recording_of(tmp_path / "out").n_frames == FRAMES
+    assert open_source_recording(tmp_path / "out").n_frames == FRAMES
     (session / "timestamps.csv").write_text(
         "frame,cam_0,cam_1,cam_2\n" + "".join(f"{k},{k / 20},{k / 20},{k / 20}\n" for k in range(FRAMES))
     )
-    with pytest.raises(ValueError, match="the recording's time stamps or offsets are not those of the run"):
-        recording_of(tmp_path / "out")
+    with pytest.raises(ValueError, match="the recording's timestamps or offsets are not those of the run"):
+        open_source_recording(tmp_path / "out")
     (session / "timestamps.csv").unlink()
     with (session / "cam_0.mp4").open("ab") as file:
         file.write(b"\0" * 8)
     with pytest.raises(ValueError, match="the recording's images are not those of the run"):
-        recording_of(tmp_path / "out")
-    # Whose name would be asked for in the network, with the user's credentials.
+        open_source_recording(tmp_path / "out")
+    # Looking up such a name would send the user's credentials to that computer.
     for elsewhere in (r"\\evil.example\share", "//evil.example/share"):
         where = next(line for line in text.splitlines() if line.startswith("recording = "))
         settings.write_text(text.replace(where, f"recording = '{elsewhere}'"))
         with pytest.raises(ValueError, match="on another computer"):
-            recording_of(tmp_path / "out")
+            open_source_recording(tmp_path / "out")
     settings.write_text(text.partition("[cameras]")[0])
     with pytest.raises(ValueError, match="there is no recording"):
-        recording_of(tmp_path / "out")
+        open_source_recording(tmp_path / "out")
     settings.write_text("recording = 3\n")
-    with pytest.raises(ValueError, match=r"settings\.toml: the settings of a run are expected"):
-        recording_of(tmp_path / "out")
+    with pytest.raises(ValueError, match=r"settings\.toml: expected the settings of a run"):
+        open_source_recording(tmp_path / "out")
     settings.unlink()
     with pytest.raises(FileNotFoundError, match=r"no settings\.toml"):
-        recording_of(tmp_path / "out")
+        open_source_recording(tmp_path / "out")
 
 
 # --- what is drawn ----------------------------------------------------------------------------------------------------
 
 
-def test_a_path_has_gaps_and_colours() -> None:
+def test_path_gaps_and_colors() -> None:
     places = np.arange(30.0).reshape(10, 3)
     places[4] = np.nan
     statuses = [FrameStatus.TRACKED.value] * 10
     statuses[7] = FrameStatus.COASTING.value
-    pieces = pieces_of(places, statuses)
-    assert set(pieces) == {SEEN, status_color(FrameStatus.COASTING.value)}
+    pieces = split_path(places, statuses)
+    assert set(pieces) == {TRACKED_COLOR, status_color(FrameStatus.COASTING.value)}
     starts = sorted(int(piece[0, 0]) // 3 for its in pieces.values() for piece in its)
     assert starts == [0, 1, 2, 5, 6, 7, 8]
     np.testing.assert_array_equal(pieces[status_color("coasting")], places[None, 6:8])
-    assert pieces_of(np.full((3, 3), np.nan), ["lost"] * 3) == {}
-    assert pieces_of(np.empty((0, 3)), []) == {}
+    assert split_path(np.full((3, 3), np.nan), ["lost"] * 3) == {}
+    assert split_path(np.empty((0, 3)), []) == {}
 
 
-def test_a_long_path_is_thinned_out_but_not_its_gaps() -> None:
-    n = 2 * MOST_PIECES + 7
+def test_long_path_is_subsampled_with_gaps() -> None:
+    n = 2 * MAX_PATH_SEGMENTS + 7
     places = np.column_stack([np.arange(n), np.zeros(n), np.zeros(n)]).astype(float)
     places[1001] = np.nan
-    (pieces,) = pieces_of(places, [FrameStatus.TRACKED.value] * n).values()
-    assert MOST_PIECES / 2 < len(pieces) <= MOST_PIECES
+    (pieces,) = split_path(places, [FrameStatus.TRACKED.value] * n).values()
+    assert MAX_PATH_SEGMENTS / 2 < len(pieces) <= MAX_PATH_SEGMENTS
     assert not ((pieces[:, 0, 0] < 1001) & (pieces[:, 1, 0] > 1001)).any()
-    way = Way(most=64)
+    way = ObjectPath(max_points=64)
     for k in range(5000):
         way.add(np.full(3, np.nan) if k == 1001 else np.array([k, 0.0, 0.0]), FrameStatus.TRACKED.value)
-        assert len(way.places) < 64 == way._most
-        assert len(way.places) == len(way.statuses)
-    assert len(way.places) > 30
-    (pieces,) = pieces_of(np.array(way.places), way.statuses).values()
+        assert len(way.positions) < 64 == way._max_points
+        assert len(way.positions) == len(way.statuses)
+    assert len(way.positions) > 30
+    (pieces,) = split_path(np.array(way.positions), way.statuses).values()
     assert not ((pieces[:, 0, 0] < 1001) & (pieces[:, 1, 0] > 1001)).any()
     assert pieces[0, 0, 0] < 200
     assert pieces[-1, 1, 0] > 4700
 
 
-def test_words_of_files_are_no_markdown() -> None:
-    assert plain("<img src=x onerror=alert(1)>\n# **a** {b}") == (
+def test_text_is_escaped_for_markdown() -> None:
+    assert escape_markdown("<img src=x onerror=alert(1)>\n# **a** {b}") == (
         r"\<img src\=x onerror\=alert\(1\)\> \# \*\*a\*\* \{b\}"
     )
-    assert plain("0,3° länger") == r"0\,3° länger"
+    assert escape_markdown("0,3° länger") == r"0\,3° länger"
 
 
-def test_the_slider_moves_the_object(browser: Any, server: tuple[Any, str], result: Path) -> None:
+def test_slider_moves_object(browser: Any, server: tuple[Any, str], result: Path) -> None:
     viser, url = server
     scenes = read_scenes(result)
-    # A name that would be more than a name, if it were no text.
+    # A name that would be markup if it were not escaped.
     (scene,) = scenes.values()
     scenes = {"": replace(scene, cameras=("<img src=x>", *scene.cameras[1:]))}
     rig = calibration.load(result / "calibration.used.toml")
-    with SingleFrames(recording_of(result)) as stills, Player(viser, scenes, rig, stills, "a <b>title</b>") as player:
+    with (
+        RandomAccessReader(open_source_recording(result)) as stills,
+        ResultPlayer(viser, scenes, rig, stills, "a <b>title</b>") as player,
+    ):
         nodes = player.page._objects[""]
         before = np.array(nodes.axes.position)
-        until(lambda: all(image.visible for image in player.page._images))
-        with opened(browser, url, online=True, viewport=SMALL) as shown:
+        until(lambda: all(image.visible for image in player.page._recorded_images))
+        with open_page(browser, url, online=True, viewport=SMALL) as shown:
             shown.page.get_by_role("slider").first.wait_for(timeout=60_000)
             until(lambda: viser.get_clients())
             shown.page.get_by_text("a <b>title</b>").first.wait_for()
@@ -255,36 +258,36 @@ def test_the_slider_moves_the_object(browser: Any, server: tuple[Any, str], resu
             slider = shown.page.get_by_role("slider").first
             slider.focus()
             slider.press("End")
-            until(lambda: player.shown == TRACKED - 1)
+            until(lambda: player.current == TRACKED - 1)
             last = scene.world_from_object[-1, :3, 3]
-            np.testing.assert_allclose(nodes.axes.position, (last - scene.center) / scene.reach, atol=1e-9)
+            np.testing.assert_allclose(nodes.axes.position, (last - scene.center) / scene.camera_distance, atol=1e-9)
             assert np.linalg.norm(nodes.axes.position - before) > 1e-3
             assert nodes.axes.visible
-            assert nodes.doubt.visible
+            assert nodes.ellipsoid.visible
             shown.page.get_by_text(f"{TRACKED} of {TRACKED}").wait_for(timeout=60_000)
             shown.page.wait_for_timeout(500)
             assert shown.page.screenshot(timeout=60_000) != first
-            # As one camera sees it: its image hangs behind the object, and what is drawn of the camera is out of the way.
-            player.page.look(next(iter(viser.get_clients().values())), 1)
-            depth = player.page._images[1].scale
-            assert depth > 1.0 > player.page._images[0].scale
+            # Camera view: the camera's image is behind the object, and its frustum is hidden.
+            player.page.set_view(next(iter(viser.get_clients().values())), 1)
+            depth = player.page._recorded_images[1].scale
+            assert depth > 1.0 > player.page._recorded_images[0].scale
             assert [lines.visible for lines in player.page._lines] == [True, False, True]
             assert shown.page.locator("img[src=x]").count() == 0
             assert wrong_in(shown) == []
             assert all(address.startswith((url, "blob:")) for address in shown.requests)
 
 
-def test_it_plays_to_the_end(server: tuple[Any, str], result: Path) -> None:
+def test_playback_to_the_end(server: tuple[Any, str], result: Path) -> None:
     viser, _ = server
     rig = calibration.load(result / "calibration.used.toml")
-    with Player(viser, read_scenes(result), rig, None, "title") as player:
+    with ResultPlayer(viser, read_scenes(result), rig, None, "title") as player:
         assert player.button.label == "Play"
         player.play(True)
         assert player.button.label == "Pause"
-        until(lambda: player.shown == TRACKED - 1)
+        until(lambda: player.current == TRACKED - 1)
         until(lambda: player.button.label == "Play")
         player.play(True)  # once more, from the first frame
-        assert player.shown < TRACKED - 1
+        assert player.current < TRACKED - 1
         player.play(False)
         # Layers.
         player.page.visible["Points"] = False
@@ -292,13 +295,13 @@ def test_it_plays_to_the_end(server: tuple[Any, str], result: Path) -> None:
         nodes = player.page._objects[""]
         assert not nodes.points.visible
         assert nodes.axes.visible
-        assert nodes.path[SEEN].visible
+        assert nodes.path[TRACKED_COLOR].visible
         player.page.visible["Path"] = False
         player.page.refresh()
-        assert not nodes.path[SEEN].visible
+        assert not nodes.path[TRACKED_COLOR].visible
 
 
-def test_a_frame_without_a_pose_shows_none(server: tuple[Any, str], result: Path) -> None:
+def test_frame_without_pose(server: tuple[Any, str], result: Path) -> None:
     viser, _ = server
     (scene,) = read_scenes(result).values()
     poses = scene.world_from_object.copy()
@@ -306,13 +309,13 @@ def test_a_frame_without_a_pose_shows_none(server: tuple[Any, str], result: Path
     statuses = (*scene.status[:2], "lost", *scene.status[3:])
     reasons = (*scene.reason[:2], "nothing <i>was</i> seen", *scene.reason[3:])
     scenes = {"": replace(scene, world_from_object=poses, status=statuses, reason=reasons)}
-    with Player(viser, scenes, calibration.load(result / "calibration.used.toml"), None, "title") as player:
+    with ResultPlayer(viser, scenes, calibration.load(result / "calibration.used.toml"), None, "title") as player:
         player.show(2)
         nodes = player.page._objects[""]
         assert not nodes.axes.visible
-        assert not nodes.doubt.visible
-        assert "**lost**" in player.words.content
-        assert r"nothing \<i\>was\<\/i\> seen" in player.words.content
+        assert not nodes.ellipsoid.visible
+        assert "**lost**" in player.description.content
+        assert r"nothing \<i\>was\<\/i\> seen" in player.description.content
         player.show(3)
         assert nodes.axes.visible
 
@@ -327,13 +330,13 @@ def test_several_objects_on_one_page(server: tuple[Any, str], result: Path, tmp_
     (tmp_path / "calibration.used.toml").write_bytes((result / "calibration.used.toml").read_bytes())
     scenes = read_scenes(tmp_path)
     assert list(scenes) == ["mug", "tray"]
-    assert frames_of(scenes)[0].tolist() == list(range(TRACKED))
+    assert collect_frames(scenes)[0].tolist() == list(range(TRACKED))
     rig = calibration.load(tmp_path / "calibration.used.toml")
-    with Player(viser, scenes, rig, None, "two") as player:
+    with ResultPlayer(viser, scenes, rig, None, "two") as player:
         player.show(3)
         assert {name: nodes.axes.visible for name, nodes in player.page._objects.items()} == {"mug": True, "tray": True}
-        assert "mug" in player.words.content
-        assert "tray" in player.words.content
+        assert "mug" in player.description.content
+        assert "tray" in player.description.content
     with pytest.raises(FileNotFoundError, match="a folder that sylpose track wrote"):
         read_scenes(tmp_path / "nowhere")
     (tmp_path / "empty").mkdir()
@@ -341,64 +344,62 @@ def test_several_objects_on_one_page(server: tuple[Any, str], result: Path, tmp_
         read_scenes(tmp_path / "empty")
 
 
-# --- as a file --------------------------------------------------------------------------------------------------------
+# --- stand-alone ------------------------------------------------------------------------------------------------------
 
 
-def test_a_page_that_plays_by_itself(
-    browser: Any, result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_standalone_page(browser: Any, result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("viser", reason="the extra `viewer`")
     page = tmp_path / "scene.html"
     assert main(["show", str(result), "--save", str(page)]) == 0
     assert str(page) in capsys.readouterr().out
     assert page.stat().st_size < 8e6
-    with opened(browser, page.as_uri(), viewport=SMALL) as shown:
+    with open_page(browser, page.as_uri(), viewport=SMALL) as shown:
         shown.page.locator("canvas").first.wait_for(timeout=60_000)
         shown.page.wait_for_timeout(1000)
         assert wrong_in(shown) == []
         assert all(address.startswith(("file:", "blob:")) for address in shown.requests)
 
 
-def test_what_cannot_be_shown(result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_invalid_results(result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     def sentence(*args: object) -> str:
         assert main(["show", *map(str, args), "--no-browser"]) == 2
         return capsys.readouterr().err
 
-    assert "a folder that sylpose track wrote is expected" in sentence(tmp_path / "nowhere")
+    assert "expected a folder that sylpose track wrote" in sentence(tmp_path / "nowhere")
     assert "nowhere: no such folder" in sentence(result, "--recording", tmp_path / "nowhere")
 
 
-# --- while it goes on -------------------------------------------------------------------------------------------------
+# --- live page --------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_a_run_that_is_shown_writes_the_same(
+def test_show_does_not_change_results(
     recording: Path, result: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("viser", reason="the extra `viewer`")
     drawn: list[int] = []
-    draw = LivePage._object
+    draw = LivePage._draw_object
 
     def seen(page: LivePage, name: str, tracked: TrackedFrame) -> str:
         drawn.append(tracked.pose.index)
         return draw(page, name, tracked)
 
-    monkeypatch.setattr(LivePage, "_object", seen)
-    asked = ["track", str(recording), "--show", "--no-browser", "--stop", str(TRACKED), "--no-overlay"]
-    assert main([*asked, "--out", str(tmp_path / "shown")]) == 0
-    said = capsys.readouterr()
-    assert "Open http://127.0.0.1:" in said.out
-    assert f"To see it again: sylpose show {tmp_path / 'shown'}" in said.out
-    assert "the page" not in said.err
+    monkeypatch.setattr(LivePage, "_draw_object", seen)
+    arguments = ["track", str(recording), "--show", "--no-browser", "--stop", str(TRACKED), "--no-overlay"]
+    assert main([*arguments, "--out", str(tmp_path / "shown")]) == 0
+    message = capsys.readouterr()
+    assert "Open http://127.0.0.1:" in message.out
+    assert f"To see it again: sylpose show {tmp_path / 'shown'}" in message.out
+    assert "the page" not in message.err
     assert drawn
     for name in ("trajectory.tum", "trajectory.csv", "tracked.tum", "tracked.csv"):
         assert (tmp_path / "shown" / name).read_bytes() == (result / name).read_bytes(), name
 
 
-def test_the_tracker_does_not_wait_for_the_page(
+def test_tracker_does_not_wait_for_page(
     server: tuple[Any, str], recording: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Frames that come while one is drawn are left out, but not out of the path; a page that fails says so and no more."""
+    """Frames that arrive during drawing are skipped, but stay in the path; a failing page reports it once."""
     viser, _ = server
     session = open_session(recording)
     frames = list(track(session.frames(0, 4), session.rig, session.boxes))
@@ -411,21 +412,21 @@ def test_the_tracker_does_not_wait_for_the_page(
 
     monkeypatch.setattr(LivePage, "_draw", slow)
     with LivePage(viser, session.rig, ["object"], "title") as page:
-        for tracked in frames:  # all of them, before the page has looked at one
-            page.put("object", tracked)
+        for tracked in frames:  # all of them, before the page has drawn one
+            page.update("object", tracked)
         assert len(looks) <= 1
         let_go.set()
         nodes = page.page._objects["object"]
-        until(lambda: nodes.axes.visible and len(nodes.path[SEEN].points) == len(frames) - 1)
-        until(lambda: f"Frame {frames[-1].pose.index}" in page.words.content)
-        until(lambda: all(image.visible for image in page.page._images))
+        until(lambda: nodes.axes.visible and len(nodes.path[TRACKED_COLOR].points) == len(frames) - 1)
+        until(lambda: f"Frame {frames[-1].pose.index}" in page.status_text.content)
+        until(lambda: all(image.visible for image in page.page._recorded_images))
         assert nodes.points.visible
 
         def broken(*_: object) -> None:
             raise RuntimeError("no more")
 
-        monkeypatch.setattr(page.page, "pose", broken)
-        page.put("object", frames[0])
-        until(lambda: page.failed)
-        assert page.failed == "the page shows nothing more (RuntimeError: no more)"
-        page.put("object", frames[1])
+        monkeypatch.setattr(page.page, "set_pose", broken)
+        page.update("object", frames[0])
+        until(lambda: page.error)
+        assert page.error == "the page stopped updating (RuntimeError: no more)"
+        page.update("object", frames[1])

@@ -1,4 +1,4 @@
-"""`--world`: everything after it is told in a world of one's own, as it would be otherwise; whichever way it is told."""
+"""`--world`: results in a user-defined world frame are the same up to that transform, for all definitions."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose import calibration
 from sylpose.app.run import track_session
-from sylpose.app.session_options import open_recorded
-from sylpose.app.world import WorldAsked, world_asked, world_of_session
-from sylpose.archive.recordings import Options, find_recordings
+from sylpose.app.session_options import open_recording
+from sylpose.app.world import WorldSpec, resolve_session_world, resolve_world
+from sylpose.archive.recordings import TrackingOptions, find_recordings
 from sylpose.archive.worker import track_recording
 from sylpose.boards.specification import parse_board
 from sylpose.calibration.world import load_world
@@ -24,7 +24,7 @@ from sylpose.report.files import read_trajectory, read_tum
 from sylpose.results import Trajectory
 from sylpose.rig import Rig
 from sylpose.simulate import render_frames, write_sequence
-from tests.boards.drawing import on_the_floor
+from tests.boards.drawing import make_floor_scene
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -34,9 +34,9 @@ FRAMES = 10
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The block of the demo, and a tag on the floor before it; tag.npy is world_from_board."""
+    """Return a recording of the demo's block with a tag on the floor; tag.npy is world_from_board."""
     folder = tmp_path_factory.mktemp("floor") / "recording"
-    scene, world_from_board = on_the_floor(parse_board(TAG, "m"), frames=FRAMES)
+    scene, world_from_board = make_floor_scene(parse_board(TAG, "m"), frames=FRAMES)
     write_sequence(folder, scene)
     np.save(folder / "tag.npy", world_from_board.as_matrix())
     return folder
@@ -49,7 +49,7 @@ def world_from_tag(recording: Path) -> RigidTransform:
 
 @pytest.fixture(scope="module")
 def as_calibrated(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The results in the calibration's own world."""
+    """Return the results in the calibration's world."""
     out = tmp_path_factory.mktemp("results") / "plain"
     assert sylpose("track", recording, "--out", out, "--no-overlay", "-q") == 0
     return out
@@ -57,25 +57,25 @@ def as_calibrated(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> 
 
 @pytest.fixture(scope="module")
 def on_the_tag(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The results in the tag's world."""
+    """Return the results in the tag's world."""
     out = tmp_path_factory.mktemp("results") / "tag"
     assert sylpose("track", recording, "--out", out, "--no-overlay", "-q", "--world", TAG) == 0
     return out
 
 
 def sylpose(*arguments: object) -> int:
-    """Exit code of a command as it is typed."""
+    """Run a command and return its exit code."""
     return main([str(argument) for argument in arguments])
 
 
 def difference(a: RigidTransform, b: RigidTransform) -> tuple[float, float]:
-    """Degrees and length."""
+    """Return the rotation angle in degrees and the distance between two transforms."""
     between = a * b.inv()
     return float(np.degrees(between.rotation.magnitude())), float(np.linalg.norm(a.translation - b.translation))
 
 
 def compared(plain: Trajectory, told: Trajectory, world: RigidTransform, scale: float = 1.0) -> None:
-    """That one trajectory is the other one told in a world: the object's axes are those of its world in the first frame."""
+    """Check that a trajectory is another one in a world frame; object axes equal the world's in the first frame."""
     turn = RigidTransform.from_rotation(world.rotation.inv())
     about = world.rotation.as_matrix()
     assert [pose.status for pose in plain] == [pose.status for pose in told]
@@ -87,10 +87,10 @@ def compared(plain: Trajectory, told: Trajectory, world: RigidTransform, scale: 
         expected = RigidTransform.from_components(scale * expected.translation, expected.rotation)
         degrees, length = difference(after.world_from_object, expected)
         sd = before.sigma
-        # The same but for rounding, of which the choice of inliers makes a share of what is not known.
+        # Equal up to rounding, which can change inliers and so a share of the uncertainty.
         assert degrees <= np.degrees(sd[:3].max()) + 1e-6
         assert length <= scale * sd[3:].max() + 1e-6
-        # Standard deviations of a file have lost their correlations; their sum over all directions is the same.
+        # Files have no correlations; the sum of variances over all directions is the same.
         if before.index:
             for part in (slice(0, 3), slice(3, 6)):
                 ratio = np.linalg.norm(after.sigma[part]) / np.linalg.norm(sd[part])
@@ -100,10 +100,10 @@ def compared(plain: Trajectory, told: Trajectory, world: RigidTransform, scale: 
     assert np.linalg.norm(about - np.eye(3)) > 0.5
 
 
-# --- the same, told otherwise
+# --- equal results
 
 
-def test_results_are_the_same_told_in_the_boards_world(
+def test_results_in_board_world(
     recording: Path, as_calibrated: Path, on_the_tag: Path, world_from_tag: RigidTransform
 ) -> None:
     world = load_world(on_the_tag / "world.toml", calibration.load(recording / "calibration.toml"))
@@ -115,16 +115,16 @@ def test_results_are_the_same_told_in_the_boards_world(
         read_trajectory(on_the_tag / "trajectory.csv"),
         world.world_from_calibration,
     )
-    # z is up: the block floats above the floor, though y goes down where the cameras were calibrated.
+    # z is up: the block is above the floor, while y points down in the calibration's world.
     heights = read_tum(on_the_tag / "trajectory.tum")[1].translation[:, 2]
     assert ((heights > 0.05) & (heights < 0.3)).all()
 
 
-def test_covariances_turn_with_the_world(recording: Path, tmp_path: Path) -> None:
-    """As they are, before they become standard deviations of axes."""
+def test_covariances_rotate_with_world(recording: Path, tmp_path: Path) -> None:
+    """Compare full covariances, before they are reduced to standard deviations of axes."""
     runs = []
-    for asked in (None, WorldAsked("up=0.1,-1,0.3 origin=0.1,0.2,0")):
-        opened = open_recorded(recording, None, None, None, None, world=asked)
+    for requested in (None, WorldSpec("up=0.1,-1,0.3 origin=0.1,0.2,0")):
+        opened = open_recording(recording, None, None, None, None, world=requested)
         runs.append((opened, track_session(opened, tmp_path, overlay=False, smooth=False).trajectory))
     world = runs[1][0].world
     assert world is not None
@@ -135,18 +135,18 @@ def test_covariances_turn_with_the_world(recording: Path, tmp_path: Path) -> Non
             expected = turn @ before.covariance @ turn.T
             ratios += np.linalg.eigvals(np.linalg.solve(expected, after.covariance)).real.tolist()
     assert len(ratios) >= 6 * (FRAMES - 3)
-    # Not turned, they are between 0.01 and 70; other frames see other features by chance.
+    # Without the rotation the ratios are between 0.01 and 70; rounding selects other features in some frames.
     assert 0.3 < min(ratios) <= max(ratios) < 3.0
     assert 0.8 < np.median(ratios) < 1.25
 
 
-def test_all_ways_to_tell_a_world_agree(recording: Path, tmp_path: Path, world_from_tag: RigidTransform) -> None:
-    """The board in the recording, in images elsewhere, three of its points by pixels, its direction and place."""
+def test_world_definitions_agree(recording: Path, tmp_path: Path, world_from_tag: RigidTransform) -> None:
+    """Define it by the board in the recording, in other images, by three points in pixels, and by a direction."""
     rig = calibration.load(recording / "calibration.toml")
     session = open_session(recording)
     pictures = tmp_path / "pictures"
     pictures.mkdir()
-    scene = on_the_floor(parse_board(TAG, "m"), frames=FRAMES)[0]
+    scene = make_floor_scene(parse_board(TAG, "m"), frames=FRAMES)[0]
     for name, image in list(zip(rig.names, next(iter(render_frames(scene))), strict=True))[1:]:
         cv2.imwrite(str(pictures / f"{name}.png"), image)
     points = {"origin": (0, 0, 0), "x": (0.07, 0, 0), "xy": (0, 0.07, 0)}
@@ -158,20 +158,20 @@ def test_all_ways_to_tell_a_world_agree(recording: Path, tmp_path: Path, world_f
     (tmp_path / "points.toml").write_text(text)
     up, origin = world_from_tag.rotation.apply([0, 0, 1]), world_from_tag.translation
     words = "up={},{},{} origin={},{},{}".format(*up, *origin)
-    found = [world_of_session(session, WorldAsked(TAG, frame))[0] for frame in (None, 4)]
-    found += [world_asked(rig, WorldAsked(TAG, images=folder))[0] for folder in (pictures, recording)]
-    found.append(world_asked(rig, WorldAsked(str(tmp_path / "points.toml")))[0])
+    found = [resolve_session_world(session, WorldSpec(TAG, frame))[0] for frame in (None, 4)]
+    found += [resolve_world(rig, WorldSpec(TAG, images=folder))[0] for folder in (pictures, recording)]
+    found.append(resolve_world(rig, WorldSpec(str(tmp_path / "points.toml")))[0])
     for world in found:
         degrees, length = difference(world.world_from_calibration, world_from_tag.inv())
         assert degrees < 0.5
         assert length < 0.003
-    direction = world_asked(rig, WorldAsked(words))[0].world_from_calibration
+    direction = resolve_world(rig, WorldSpec(words))[0].world_from_calibration
     np.testing.assert_allclose(direction.apply(origin), 0, atol=1e-9)
     np.testing.assert_allclose(direction.rotation.apply(up), [0, 0, 1], atol=1e-9)
 
 
-def test_the_file_that_a_run_leaves_tells_the_same_world(recording: Path, on_the_tag: Path, tmp_path: Path) -> None:
-    """Bit for bit, in another unit with lengths in that, and refused where the calibration was moved by it already."""
+def test_world_file_of_run_is_exact(recording: Path, on_the_tag: Path, tmp_path: Path) -> None:
+    """The file is exact, converts units, and is rejected for a calibration that is already in its world."""
     again, other = tmp_path / "again", tmp_path / "mm"
     assert sylpose("track", recording, "--out", again, "--no-overlay", "-q", "--world", on_the_tag / "world.toml") == 0
     for name in ("trajectory.csv", "calibration.used.toml", "world.toml"):
@@ -179,10 +179,10 @@ def test_the_file_that_a_run_leaves_tells_the_same_world(recording: Path, on_the
     assert f'world = "{TAG}, seen in frame 0 by cam_0' in (again / "settings.toml").read_text()
     options = ("--no-overlay", "-q", "--unit", "mm", "--world", on_the_tag / "world.toml", "--euler", "ZYX")
     assert sylpose("track", recording, "--out", other, *options) == 0
-    told = read_trajectory(other / "trajectory.csv")
-    assert told.unit == "mm"
+    reported = read_trajectory(other / "trajectory.csv")
+    assert reported.unit == "mm"
     before = read_trajectory(on_the_tag / "trajectory.csv")
-    for a, b in zip(before, told, strict=True):
+    for a, b in zip(before, reported, strict=True):
         if a.world_from_object is not None and b.world_from_object is not None:
             assert np.linalg.norm(1000 * a.position - b.position) <= b.sigma[3:].max() + 1e-6
     assert calibration.load(other / "calibration.used.toml").unit == "mm"
@@ -191,22 +191,20 @@ def test_the_file_that_a_run_leaves_tells_the_same_world(recording: Path, on_the
     assert "rate = 30.0" in settings
 
 
-def test_an_interrupted_run_goes_on_in_its_world_only(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_resume_requires_same_world(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out, stops = tmp_path / "out", iter(range(100))
-    opened = open_recorded(recording, None, None, None, None, world=WorldAsked(TAG))
+    opened = open_recording(recording, None, None, None, None, world=WorldSpec(TAG))
     with pytest.raises(KeyboardInterrupt):
         track_session(opened, out, overlay=False, checkpoint_seconds=0, interrupted=lambda: next(stops) > 4)
     assert sylpose("track", recording, "--out", out, "--no-overlay", "-q", "--resume") == 2
-    assert "of a run with other calibration than there are now" in capsys.readouterr().err
+    assert "calibration changed since the interrupted run" in capsys.readouterr().err
     assert sylpose("track", recording, "--out", out, "--no-overlay", "-q", "--resume", "--world", TAG) == 0
     whole = tmp_path / "whole"
     assert sylpose("track", recording, "--out", whole, "--no-overlay", "-q", "--world", TAG) == 0
     assert (out / "trajectory.csv").read_bytes() == (whole / "trajectory.csv").read_bytes()
 
 
-def test_results_of_another_world_are_not_left_over(recording: Path, tmp_path: Path) -> None:
+def test_stale_world_file_is_removed(recording: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     for options, there in ((("--world", "up=-y"), True), ((), False)):
         assert (
@@ -215,13 +213,11 @@ def test_results_of_another_world_are_not_left_over(recording: Path, tmp_path: P
         assert (out / "world.toml").exists() == there
 
 
-# --- what else there is to do with it
+# --- other commands
 
 
-def test_views_are_the_same_whatever_the_world(
-    recording: Path, on_the_tag: Path, as_calibrated: Path, tmp_path: Path
-) -> None:
-    """A camera of the calibration as it was, too; and a virtual one stands upright, z being up."""
+def test_views_are_independent_of_world(recording: Path, on_the_tag: Path, as_calibrated: Path, tmp_path: Path) -> None:
+    """Also with a camera of the original calibration; a virtual camera is upright with z up."""
     used, given, plain = tmp_path / "used", tmp_path / "given", tmp_path / "plain"
     assert sylpose("view", on_the_tag, "cam_1", "--out", used) == 0
     assert sylpose("view", on_the_tag, "cam_1", "--out", given, "--calibration", recording / "calibration.toml") == 0
@@ -230,12 +226,12 @@ def test_views_are_the_same_whatever_the_world(
     for way in ways[1:]:
         np.testing.assert_allclose(way.translation, ways[0].translation, atol=1e-3)
     assert sylpose("view", on_the_tag, "side", "--from", 0.3, -1, 0.15, "--at", 0, 0, 0.15, "--out", used) == 0
-    # The camera looks along the floor: its y goes down, by as much as z of the world goes up.
+    # The camera looks along the floor: its y axis is opposite to the world's z axis.
     seen, there = read_tum(used / "view_side.tum")[1], read_tum(on_the_tag / "trajectory.tum")[1]
     np.testing.assert_allclose(np.diff(seen.translation[:, 1]), -np.diff(there.translation[:, 2]), atol=1e-9)
 
 
-def test_a_calibration_is_written_in_another_world(recording: Path, on_the_tag: Path, tmp_path: Path) -> None:
+def test_convert_calibration_to_world(recording: Path, on_the_tag: Path, tmp_path: Path) -> None:
     from_board, from_file = tmp_path / "board.toml", tmp_path / "file.yml"
     assert (
         sylpose(
@@ -257,33 +253,33 @@ def test_a_calibration_is_written_in_another_world(recording: Path, on_the_tag: 
         np.testing.assert_allclose(1000 * a.center, b.center, rtol=1e-12)
 
 
-def test_check_draws_the_world_and_leaves_its_file(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_check_plots_world_and_writes_file(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert sylpose("check", recording, "--out", tmp_path, "--world", TAG) == 0
-    said = capsys.readouterr().out
-    assert f"World         {TAG}, seen in frame 0 by cam_0, cam_1, cam_2, known to" in " ".join(said.split("\n"))
+    message = capsys.readouterr().out
+    assert f"World         {TAG}, seen in frame 0 by cam_0, cam_1, cam_2, sd" in " ".join(message.split("\n"))
     picture = cv2.imread(str(tmp_path / "world.png"))
     assert picture is not None
     assert picture.shape == (360, 3 * 480, 3)
-    # Axes in red, green and blue, as they are drawn into the overlay.
+    # Axes in red, green and blue, as in the overlay.
     for color in ((70, 70, 255), (80, 220, 60), (255, 140, 50)):
         assert (np.abs(picture.astype(int) - color).max(axis=2) < 12).sum() > 30
-    assert load_world(tmp_path / "world.toml", calibration.load(recording / "calibration.toml")).said.startswith(TAG)
+    assert load_world(tmp_path / "world.toml", calibration.load(recording / "calibration.toml")).description.startswith(
+        TAG
+    )
 
 
-def test_a_batch_is_told_in_it_too(recording: Path, on_the_tag: Path, tmp_path: Path) -> None:
-    options = Options(stop=4, smooth=False, overlay=False, unit="mm", world=str(on_the_tag / "world.toml"))
+def test_batch_with_world(recording: Path, on_the_tag: Path, tmp_path: Path) -> None:
+    options = TrackingOptions(stop=4, smooth=False, overlay=False, unit="mm", world=str(on_the_tag / "world.toml"))
     (found,) = find_recordings([str(recording)], options).recordings
     summary = track_recording(found, tmp_path, 1)
     assert summary.status == "done"
-    told = calibration.load(tmp_path / "results" / "calibration.used.toml")
-    for a, b in zip(told, calibration.load(on_the_tag / "calibration.used.toml"), strict=True):
+    reported = calibration.load(tmp_path / "results" / "calibration.used.toml")
+    for a, b in zip(reported, calibration.load(on_the_tag / "calibration.used.toml"), strict=True):
         np.testing.assert_allclose(a.center, 1000 * b.center, rtol=1e-9)
     assert read_trajectory(tmp_path / "results" / "trajectory.csv").unit == "mm"
 
 
-# --- what is no world
+# --- invalid worlds
 
 
 @pytest.mark.parametrize(
@@ -291,19 +287,22 @@ def test_a_batch_is_told_in_it_too(recording: Path, on_the_tag: Path, tmp_path: 
     [
         (("--world", "apriltag:36h11,id=6,size=140mm"), "no camera sees it in frame 0"),
         (("--world", "apriltag:36h11,id=5,size=14cm", "--world-frame", "10"), "the recording has frames 0 to 9"),
-        (("--world", "apriltag:36h11,id=5,size=70mm"), "the cameras see it 2 times as large as that"),
-        (("--world", "apriltag:36h11,id=5"), "size is missing; expected is one such as apriltag:36h11,id=3,size=80mm"),
-        (("--world", TAG, "--world-from", "nowhere"), "nowhere: no such folder; --world-from is a folder with images"),
-        (("--world", "nothing.toml"), "neither a file that is there, nor a board such as charuco:5x7"),
+        (("--world", "apriltag:36h11,id=5,size=70mm"), "the board appears 2 times as large"),
+        (("--world", "apriltag:36h11,id=5"), "size is missing; expected one such as apriltag:36h11,id=3,size=80mm"),
+        (
+            ("--world", TAG, "--world-from", "nowhere"),
+            "nowhere: no such folder; --world-from must be a folder with images",
+        ),
+        (("--world", "nothing.toml"), "neither an existing file, nor a board such as charuco:5x7"),
         (("--world", "up=0,0,0"), "--world must be a direction"),
         (
             ("--world", "up=-y", "--world-frame", "1"),
-            "--world-frame and --world-from are for boards, and --world up=-y is none",
+            "--world-frame and --world-from require a board, but --world up=-y is none",
         ),
-        (("--world-frame", "1"), "--world is missing"),
+        (("--world-frame", "1"), "--world-frame and --world-from require --world"),
     ],
 )
-def test_what_is_no_world_is_said(
+def test_invalid_worlds(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...], said: str
 ) -> None:
     assert sylpose("check", recording, "--out", tmp_path, *options) == 2
@@ -314,9 +313,7 @@ def test_what_is_no_world_is_said(
     assert [*tmp_path.iterdir()] == []
 
 
-def test_a_calibration_without_a_unit_is_told_what_to_do(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_calibration_without_unit_message(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     session = tmp_path / "project" / "videos"
     session.mkdir(parents=True)
     for video in recording.glob("*.mp4"):
@@ -325,33 +322,33 @@ def test_a_calibration_without_a_unit_is_told_what_to_do(
         Rig(calibration.load(recording / "calibration.toml").cameras), tmp_path / "project/calibration.toml"
     )
     given = ("--calibration", tmp_path / "project/calibration.toml", "--out", tmp_path)
-    said = {
+    message = {
         (
             "--unit",
             "mm",
-        ): "does not say its own unit; sylpose calibration convert IN OUT --is-in m writes one that does",
+        ): "does not state its unit; set it with sylpose calibration convert IN OUT --is-in m",
         (
             "--world",
             TAG,
-        ): "size is in mm, but the calibration does not say its own unit: give it in that, without a name",
+        ): "size is in mm, but the calibration has no unit: give the length in calibration units, without a unit",
     }
-    for options, words in said.items():
+    for options, words in message.items():
         assert sylpose("check", session, *given, *options) == 2
         error = capsys.readouterr().err
         assert error.strip().endswith(words)
     assert sylpose("check", session, *given, "--world", "apriltag:36h11,id=5,size=0.14") == 0
     assert sylpose("check", tmp_path) == 2
-    assert "project/calibration.toml is its, say --calibration" in capsys.readouterr().err
+    assert "project/calibration.toml, pass it by --calibration" in capsys.readouterr().err
 
 
-def test_images_elsewhere_that_are_nobodys_are_said(recording: Path, tmp_path: Path) -> None:
+def test_invalid_board_images(recording: Path, tmp_path: Path) -> None:
     rig = calibration.load(recording / "calibration.toml")
-    for name, said in (
-        ("else", "no image, video or folder of images of cam_0, cam_1, cam_2"),
+    for name, message in (
+        ("else", "contains no image, video or image folder of cam_0, cam_1, cam_2"),
         ("cam_0", "not 320x240 pixels"),
     ):
         cv2.imwrite(str(tmp_path / f"{name}.png"), np.zeros((48, 64), np.uint8))
-        with pytest.raises(ValueError, match=said):
-            world_asked(rig, WorldAsked(TAG, images=tmp_path))
-    with pytest.raises(ValueError, match="--world-from FOLDER is missing"):
-        world_asked(rig, WorldAsked(TAG))
+        with pytest.raises(ValueError, match=message):
+            resolve_world(rig, WorldSpec(TAG, images=tmp_path))
+    with pytest.raises(ValueError, match="--world-from FOLDER, with images of the board, is missing"):
+        resolve_world(rig, WorldSpec(TAG))

@@ -1,4 +1,4 @@
-"""Work that is no tracking: what workers do with a recording in these tests is said by the file `do` in it."""
+"""Substitute for the tracking: the file `do` in a recording determines what a worker does with it."""
 
 from __future__ import annotations
 
@@ -9,29 +9,29 @@ from pathlib import Path
 
 import numpy as np
 
-from sylpose.archive.contract import How, Summary
-from sylpose.archive.recordings import Options, Recording, find_recordings
+from sylpose.archive.contract import RunSettings, Summary
+from sylpose.archive.recordings import Recording, TrackingOptions, find_recordings
 
-HOW = How(run="a", work="tests.archive.archive_worker:obey")
+SETTINGS = RunSettings(run="a", work="tests.archive.archive_worker:do_work")
 
 
-def recordings_in(folder: Path, **orders: str) -> list[Recording]:
-    """Recordings of these names, and what is to be done with them."""
+def make_recordings(folder: Path, **orders: str) -> list[Recording]:
+    """Create recordings with these names and instructions."""
     for name, order in orders.items():
         (folder / name).mkdir(parents=True, exist_ok=True)
         (folder / name / "do").write_text(order)
         (folder / name / "calibration.toml").touch()
         (folder / name / "cam_0.mp4").touch()
-    return list(find_recordings([str(folder)], Options()).recordings)
+    return list(find_recordings([str(folder)], TrackingOptions()).recordings)
 
 
-def times_worked(folder: Path, name: str) -> int:
+def count_work(folder: Path, name: str) -> int:
     log = folder / name / "sylpose" / "log"
     return len(log.read_text()) if log.exists() else 0
 
 
-def obey(recording: Recording, folder: Path, threads: int) -> Summary:
-    """Writes two files, unless the order is something else; each time leaves a mark."""
+def do_work(recording: Recording, folder: Path, threads: int) -> Summary:
+    """Write two files, unless instructed otherwise; leave a mark each time."""
     source = Path(recording.url)
     order, _, rest = (source / "do").read_text().partition(" ")
     (source / "sylpose").mkdir(exist_ok=True)  # not among the inputs
@@ -47,7 +47,7 @@ def obey(recording: Recording, folder: Path, threads: int) -> Summary:
         os._exit(3)
     elif order == "sleep" or (order == "sleep-once" and first):
         time.sleep(float(rest))
-    elif order == "wait":  # for a file, not for long where a test has failed
+    elif order == "wait":  # for a file, with a timeout for failed tests
         deadline = time.monotonic() + 60
         while not Path(rest).exists() and time.monotonic() < deadline:
             time.sleep(0.02)

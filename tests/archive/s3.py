@@ -1,4 +1,4 @@
-"""As much of S3 as archives need, in memory: a server for tests of what real clients and processes do with it."""
+"""In-memory S3 server with the operations that archives need, for tests with real clients and processes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Bucket = dict[str, bytes]
 
 @contextmanager
 def s3_server(bucket: Bucket) -> Iterator[str]:
-    """The address of a server with one bucket, "lab"."""
+    """Run a server with one bucket, "lab"; yield its address."""
     lock = threading.Lock()
 
     class Handler(BaseHTTPRequestHandler):
@@ -48,9 +48,9 @@ def s3_server(bucket: Bucket) -> Iterator[str]:
             self.answer(412 if taken else 200, b"", etag_of(content))
 
         def do_GET(self) -> None:
-            asked = {name: values[0] for name, values in parse_qs(urlsplit(self.path).query).items()}
-            if "list-type" in asked:
-                self.answer(200, listing(dict(bucket), asked.get("prefix", ""), asked.get("delimiter", "")))
+            arguments = {name: values[0] for name, values in parse_qs(urlsplit(self.path).query).items()}
+            if "list-type" in arguments:
+                self.answer(200, listing(dict(bucket), arguments.get("prefix", ""), arguments.get("delimiter", "")))
             elif self.key in bucket:
                 self.answer(200, bucket[self.key], etag_of(bucket[self.key]))
             else:

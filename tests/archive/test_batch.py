@@ -1,4 +1,4 @@
-"""`sylpose batch`: what it writes and says, its exit codes; its results are those of `sylpose track`."""
+"""`sylpose batch`: its files, output and exit codes; its results equal those of `sylpose track`."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ import pytest
 
 from sylpose.app.run import track_session
 from sylpose.archive import batch_command, worker
-from sylpose.archive.claims import claimed
-from sylpose.archive.contract import How, process, read_record
-from sylpose.archive.recordings import Options, find_recordings
-from sylpose.archive.stores import place
-from sylpose.archive.summary import gathered
+from sylpose.archive.claims import hold_claim
+from sylpose.archive.contract import RunSettings, process_recording, read_record
+from sylpose.archive.recordings import TrackingOptions, find_recordings
+from sylpose.archive.stores import open_store
+from sylpose.archive.summary import collect_rows
 from sylpose.capture import open_session
 from sylpose.cli import main
-from tests.archive.archive_worker import HOW, recordings_in, times_worked
+from tests.archive.archive_worker import SETTINGS, count_work, make_recordings
 
 COLUMNS = ["recording", "status", "frames", "coverage", "residual_px", "faults", "seconds", "error"]
 
 
 @pytest.fixture
-def simple(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The command without the tracking."""
-    monkeypatch.setattr(How, "work", HOW.work)
-    monkeypatch.setattr(How.__init__, "__defaults__", (HOW.work, *How.__init__.__defaults__[1:]))  # type: ignore[index]
+def substitute_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Replace the tracking by `archive_worker`."""
+    monkeypatch.setattr(RunSettings, "work", SETTINGS.work)
+    monkeypatch.setattr(RunSettings.__init__, "__defaults__", (SETTINGS.work, *RunSettings.__init__.__defaults__[1:]))  # type: ignore[index]
 
 
 def table(out: Path) -> dict[str, dict[str, str]]:
@@ -42,55 +42,55 @@ def table(out: Path) -> dict[str, dict[str, str]]:
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_results_are_those_of_track(recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """From an object store into an object store, and in a folder."""
-    monkeypatch.setattr(worker, "warm", lambda: None)
-    store = place("memory://lab/archive")
+def test_results_equal_track_command(recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From one object store to another, and to a folder."""
+    monkeypatch.setattr(worker, "compile_kernels_once", lambda: None)
+    store = open_store("memory://lab/archive")
     for path in recording.iterdir():
         store.write(f"day 1/turn/{path.name}", path)
-    (found,) = find_recordings([store.url], Options(overlay=False, every=2, seed=3)).recordings
+    (found,) = find_recordings([store.url], TrackingOptions(overlay=False, every=2, seed=3)).recordings
     assert found.name == "day 1/turn"
-    out = place("memory://results")
-    summary = process(found, out, How(run="a", threads=2, scratch=str(tmp_path / "scratch")))
+    out = open_store("memory://results")
+    summary = process_recording(found, out, RunSettings(run="a", threads=2, scratch=str(tmp_path / "scratch")))
     run = track_session(open_session(recording), tmp_path / "track", overlay=False, every=2, seed=3)
     for path in (tmp_path / "track").iterdir():
         if path.suffix in (".csv", ".tum"):
-            assert out.below("day 1/turn").read(path.name) == path.read_bytes(), path.name
+            assert out.join("day 1/turn").read(path.name) == path.read_bytes(), path.name
     assert summary.status == "done"
     assert (summary.frames, summary.coverage) == (len(run.trajectory), 1.0)
     assert summary.residual_px is not None
     assert 0.02 < summary.residual_px < 0.5
-    record = read_record(out.below("day 1/turn"))
+    record = read_record(out.join("day 1/turn"))
     assert record is not None
     assert set(record.files) == {path.name for path in (tmp_path / "track").iterdir()}
     assert list((tmp_path / "scratch").iterdir()) == []
 
 
-def test_errors_name_the_original_not_the_copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(worker, "warm", lambda: None)
-    place("memory://broken/r").write("calibration.toml", b"?")
-    place("memory://broken/r").write("cam_0.mp4", b"?")
-    (found,) = find_recordings(["memory://broken"], Options()).recordings
-    summary = process(found, place(tmp_path / "out"), How(run="a"))
+def test_errors_name_original_not_copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(worker, "compile_kernels_once", lambda: None)
+    open_store("memory://broken/r").write("calibration.toml", b"?")
+    open_store("memory://broken/r").write("cam_0.mp4", b"?")
+    (found,) = find_recordings(["memory://broken"], TrackingOptions()).recordings
+    summary = process_recording(found, open_store(tmp_path / "out"), RunSettings(run="a"))
     assert summary.status == "wrong input"
     assert summary.error.startswith("memory://broken/r/calibration.toml: not valid TOML")
 
 
-@pytest.mark.usefixtures("simple")
+@pytest.mark.usefixtures("substitute_work")
 def test_batch_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder, out = tmp_path / "in", tmp_path / "out"
     orders = {"a": "work", "b": "wrong", "c": "work"}
-    recordings_in(folder, **orders)
+    make_recordings(folder, **orders)
     command = ["batch", str(folder), "--out", str(out), "--jobs", "1"]
     assert main([*command, "--status"]) == 0
     assert "Recordings    3: 3 waiting" in capsys.readouterr().out
     assert main(command) == 1
-    said = capsys.readouterr()
-    assert "3 recordings, 1 at a time" in said.out
-    assert "Recordings    3: 2 done, 1 wrong input" in said.out
-    assert "! b: cam_0 is upside down" in said.out
-    assert "a: cam_1 was moved" in said.out
-    assert said.err.splitlines()[-1] == "sylpose: 1 of 3 recordings without a trajectory"
+    message = capsys.readouterr()
+    assert "3 recordings, 1 at a time" in message.out
+    assert "Recordings    3: 2 done, 1 wrong input" in message.out
+    assert "! b: cam_0 is upside down" in message.out
+    assert "a: cam_1 was moved" in message.out
+    assert message.err.splitlines()[-1] == "sylpose: 1 of 3 recordings without a trajectory"
     rows = table(out)
     assert rows["a"] | {"seconds": ""} == dict(
         zip(COLUMNS, ("a", "done", "7", "0.5", "", "cam_1 was moved", "", ""), strict=True)
@@ -102,24 +102,24 @@ def test_batch_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixtu
         ("b", None, None),
         ("c", 7, 0.5),
     ]
-    # Again: nothing is done; with another seed, all; what is changed is known before.
+    # Again: nothing is done; with another seed, everything; changes are detected beforehand.
     assert main(command) == 1
-    assert "3 of them are finished already" in capsys.readouterr().out
-    assert [times_worked(folder, name) for name in "abc"] == [1, 1, 1]
+    assert "3 of them are already finished" in capsys.readouterr().out
+    assert [count_work(folder, name) for name in "abc"] == [1, 1, 1]
     (folder / "b" / "do").write_text("work now")
     assert main([*command, "--status"]) == 0
     assert table(out)["b"]["status"] == "outdated"
     assert main(command) == 0
-    assert [times_worked(folder, name) for name in "abc"] == [1, 2, 1]
+    assert [count_work(folder, name) for name in "abc"] == [1, 2, 1]
     capsys.readouterr()
-    with claimed(place(out).below("c"), "x"):
+    with hold_claim(open_store(out).join("c"), "x"):
         assert main(["batch", "--status", "--out", str(out)]) == 0
     assert "Recordings    3: 2 done, 1 running" in capsys.readouterr().out
 
 
-@pytest.mark.usefixtures("simple")
-def test_shards_do_their_own_and_status_gathers_all(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    recordings_in(tmp_path / "in", **dict.fromkeys("abcde", "work"))
+@pytest.mark.usefixtures("substitute_work")
+def test_shards_process_their_part_and_status_collects_all(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    make_recordings(tmp_path / "in", **dict.fromkeys("abcde", "work"))
     for k in (1, 2):
         assert main(["batch", str(tmp_path / "in"), "--out", str(tmp_path / "out"), "--shard", f"{k}/2"]) == 0
         assert f"recordings, shard {k}/2 of 5" in capsys.readouterr().out
@@ -133,19 +133,19 @@ def test_shards_do_their_own_and_status_gathers_all(tmp_path: Path, capsys: pyte
     [
         (["in"], "--out DEST is missing"),
         (["--out", "out"], "SOURCE is missing"),
-        (["in", "--out", "out", "--jobs", "2", "--ray", "auto"], "give one of them"),
+        (["in", "--out", "out", "--jobs", "2", "--ray", "auto"], "exclude each other"),
         (["in", "--out", "out", "--shard", "0/3"], "--shard: one of 1/N to N/N"),
         (["nowhere", "--out", "out"], "no such folder"),
-        (["--status", "--out", "out"], "no results of sylpose batch in it"),
+        (["--status", "--out", "out"], "contains no results of sylpose batch"),
         (["in", "--out", "in/a/do"], "cannot"),
         (["in", "--out", "out", "--ray", "auto"], "python3 -m pip install 'sylpose[cluster]'"),
         (["in", "--out", "out", "--start", "5", "--stop", "5"], "--stop must be greater"),
     ],
 )
-def test_what_cannot_be_is_said_in_a_sentence(
+def test_invalid_usage_gives_one_sentence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: list[str], said: str
 ) -> None:
-    recordings_in(tmp_path / "in", a="work")
+    make_recordings(tmp_path / "in", a="work")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, "ray", None)
     assert main(["batch", *words]) == 2
@@ -154,20 +154,20 @@ def test_what_cannot_be_is_said_in_a_sentence(
     assert error.count("\n") == 1
 
 
-def test_many_rows_are_not_all_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = place(tmp_path / "out")
-    recordings = recordings_in(tmp_path / "in", **{f"r{k:03}": "work" for k in range(40)}, s="wrong")
+def test_long_tables_are_truncated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = open_store(tmp_path / "out")
+    recordings = make_recordings(tmp_path / "in", **{f"r{k:03}": "work" for k in range(40)}, s="wrong")
     for recording in recordings:
-        process(recording, out, HOW)
-    batch_command.status_aloud(out, None)
-    assert len(gathered(out)) == len(table(tmp_path / "out")) == 41
-    said = capsys.readouterr().out
-    assert said.count(" done ") <= batch_command.SHOWN + 1
-    assert "Not shown     11: see summary.csv" in said
+        process_recording(recording, out, SETTINGS)
+    batch_command.run_status_command(out, None)
+    assert len(collect_rows(out)) == len(table(tmp_path / "out")) == 41
+    message = capsys.readouterr().out
+    assert message.count(" done ") <= batch_command.MAX_ROWS + 1
+    assert "Not shown     11: see summary.csv" in message
 
 
-def test_an_interrupt_ends_in_130_and_leaves_nothing_half(recording: Path, tmp_path: Path) -> None:
-    """By SIGTERM, as SLURM ends what takes too long; Ctrl-C is the same."""
+def test_interrupt_exits_130_without_partial_results(recording: Path, tmp_path: Path) -> None:
+    """By SIGTERM, as SLURM at the time limit; Ctrl-C is equivalent."""
     for name in ("a", "b"):
         shutil.copytree(recording, tmp_path / "in" / name)
     out, scratch = tmp_path / "out", tmp_path / "scratch"
@@ -178,8 +178,8 @@ def test_an_interrupt_ends_in_130_and_leaves_nothing_half(recording: Path, tmp_p
         time.sleep(0.02)
     run.send_signal(signal.SIGTERM)
     assert run.stderr is not None
-    said = run.stderr.read()
+    message = run.stderr.read()
     assert run.wait(60) == 130
-    assert said == "sylpose: interrupted after 0 of 2; what is finished stays, the same command goes on\n"
+    assert message == "sylpose: interrupted after 0 of 2; finished results are kept, repeat the command to resume\n"
     assert [path for path in out.rglob("*") if path.is_file()] == [out / "batch.txt"]
     assert list(scratch.glob("*")) == []

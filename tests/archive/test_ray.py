@@ -1,4 +1,4 @@
-"""A real Ray cluster of two nodes on this computer, one of which is killed in the middle."""
+"""A real Ray cluster of two nodes on this computer, one of which is killed during the work."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ import pytest
 from sylpose.archive.contract import Summary
 from sylpose.archive.ray_cluster import RayWorkers
 from sylpose.archive.recordings import Recording
-from sylpose.archive.run import Died, run_all
-from sylpose.archive.stores import place
-from tests.archive.archive_worker import HOW, recordings_in, times_worked
+from sylpose.archive.run import WorkerDeath, process_all
+from sylpose.archive.stores import open_store
+from tests.archive.archive_worker import SETTINGS, count_work, make_recordings
 from tests.paths import REPOSITORY
 
 ray: Any = pytest.importorskip("ray")
@@ -24,11 +24,11 @@ GB = 1 << 30
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[Any]:
-    """A head without cores, and two nodes of one core each."""
+    """A head without cores, and two nodes with one core each."""
     from ray.cluster_utils import Cluster
 
     patch = pytest.MonkeyPatch()
-    # Nodes that are processes here find this checkout as those of a real cluster find what is installed.
+    # The nodes are local processes; they import this checkout instead of an installed package.
     patch.setenv("PYTHONPATH", f"{REPOSITORY / 'src'}:{REPOSITORY}")
     patch.setenv("RAY_USAGE_STATS_ENABLED", "0")
     node = {"memory": GB, "object_store_memory": 100 << 20}
@@ -43,20 +43,20 @@ def cluster() -> Iterator[Any]:
         patch.undo()
 
 
-def test_a_cluster_that_cannot_be_used_is_told_in_a_sentence(cluster: Any, tmp_path: Path) -> None:
-    out = place(tmp_path / "out")
-    with pytest.raises(ValueError, match=r"no computer there has 1 cores and 64.0 GB of memory"):
-        RayWorkers(out, HOW, cluster.address, memory=64 * GB)
+def test_unusable_cluster_raises_one_sentence(cluster: Any, tmp_path: Path) -> None:
+    out = open_store(tmp_path / "out")
+    with pytest.raises(ValueError, match=r"no computer in the cluster has 1 cores and 64.0 GB of memory"):
+        RayWorkers(out, SETTINGS, cluster.address, memory=64 * GB)
     assert not ray.is_initialized()
     with pytest.raises(ValueError, match="other processes cannot see it"):
-        RayWorkers(place("memory://x"), HOW, cluster.address)
+        RayWorkers(open_store("memory://x"), SETTINGS, cluster.address)
 
 
-def test_a_node_that_is_killed_costs_nothing_but_time(cluster: Any, tmp_path: Path) -> None:
-    """It is killed while it works on a recording for a minute, which the other one then does in no time."""
-    folder, out = tmp_path / "in", place(tmp_path / "out")
+def test_killed_node_only_delays(cluster: Any, tmp_path: Path) -> None:
+    """It is killed during a recording that takes a minute, which the other node then finishes immediately."""
+    folder, out = tmp_path / "in", open_store(tmp_path / "out")
     orders = {"a": "sleep-once 600", "b": "work", "c": "die", "d": "wrong", "e": "die-once", "f": "work"}
-    recordings = recordings_in(folder, **orders)
+    recordings = make_recordings(folder, **orders)
     found: dict[str, Summary] = {}
     killed: list[Any] = []
 
@@ -66,28 +66,28 @@ def test_a_node_that_is_killed_costs_nothing_but_time(cluster: Any, tmp_path: Pa
 
     def look(*_: int) -> None:
         parent = folder / "a" / "sylpose" / "parent"
-        if not killed and times_worked(folder, "a") and len(found) > 1:
+        if not killed and count_work(folder, "a") and len(found) > 1:
             killed.extend(node for node in nodes if raylet_of(node) == int(parent.read_text()))
             cluster.remove_node(killed[0], allow_graceful=False)
 
     nodes = list(cluster.worker_nodes)
-    deaths: list[Died] = []
-    how = replace(HOW, scratch=str(tmp_path / "scratch"))
+    deaths: list[WorkerDeath] = []
+    how = replace(SETTINGS, scratch=str(tmp_path / "scratch"))
     with RayWorkers(out, how, cluster.address, memory=GB // 2) as workers:
-        assert workers._slots() == 2
-        outcome = workers._outcome
+        assert workers._count_slots() == 2
+        outcome = workers._get_outcome
 
-        def noted(task: Any) -> Summary | Died:
-            said = outcome(task)
-            deaths.extend([said] if isinstance(said, Died) else [])
-            return said
+        def noted(task: Any) -> Summary | WorkerDeath:
+            message = outcome(task)
+            deaths.extend([message] if isinstance(message, WorkerDeath) else [])
+            return message
 
-        workers._outcome = noted  # type: ignore[method-assign]
-        run_all(recordings, out, how, workers, take, look)
+        workers._get_outcome = noted  # type: ignore[method-assign]
+        process_all(recordings, out, how, workers, take, look)
         deadline = time.monotonic() + 60
-        while workers._slots() > 1 and time.monotonic() < deadline:  # Ray may notice later than we do
+        while workers._count_slots() > 1 and time.monotonic() < deadline:  # Ray may notice later
             time.sleep(0.1)
-        assert workers._slots() == 1
+        assert workers._count_slots() == 1
     assert len(killed) == 1
     assert {name: summary.status for name, summary in found.items()} == {
         "a": "done",
@@ -98,9 +98,9 @@ def test_a_node_that_is_killed_costs_nothing_but_time(cluster: Any, tmp_path: Pa
         "f": "done",
     }
     assert found["c"].error == "the worker died (WorkerCrashedError), 2 times"
-    # The computer's end is told from a worker's, and is nobody's fault.
+    # A lost computer is distinguished from a crashed worker and does not count against the recording.
     assert [died.with_node for died in deaths].count(True) == 1
-    assert [times_worked(folder, name) for name in "abcdef"] == [2, 1, 2, 1, 2, 1]
+    assert [count_work(folder, name) for name in "abcdef"] == [2, 1, 2, 1, 2, 1]
     assert out.read("a/threads") == b"1 1"
     assert {file.name for file in out.files()} == {
         *(f"{name}/{file}" for name in "abef" for file in ("done.json", "mug/trajectory.csv", "threads")),

@@ -1,4 +1,4 @@
-"""Which recordings there are, what they are called, and what their digests depend on."""
+"""Discovery of recordings, their names, and the inputs of their digests."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from sylpose.archive.recordings import Options, Recording, find_recordings
-from sylpose.archive.stores import Place, is_url, place, resolved
+from sylpose.archive.recordings import Recording, TrackingOptions, find_recordings
+from sylpose.archive.stores import Store, is_url, open_store, resolve_location
 
 
 def archive(folder: Path, *files: str) -> Path:
@@ -38,14 +38,14 @@ LAB = (
 )
 
 
-def by_name(*sources: object, calibration: str | None = None, out: Place | None = None) -> dict[str, Recording]:
-    found = find_recordings([str(source) for source in sources], Options(), calibration, out)
+def by_name(*sources: object, calibration: str | None = None, out: Store | None = None) -> dict[str, Recording]:
+    found = find_recordings([str(source) for source in sources], TrackingOptions(), calibration, out)
     return {recording.name: recording for recording in found.recordings}
 
 
 def in_memory(name: str, folder: Path) -> str:
-    """The folder's files as objects."""
-    store = place(f"memory://{name}/archive")
+    """Copy the folder's files to an in-memory object store."""
+    store = open_store(f"memory://{name}/archive")
     for path in folder.rglob("*"):
         if path.is_file():
             store.write(path.relative_to(folder).as_posix(), path)
@@ -53,15 +53,15 @@ def in_memory(name: str, folder: Path) -> str:
 
 
 @pytest.mark.parametrize("where", ["folder", "memory"])
-def test_recordings_are_found_below_a_source(tmp_path: Path, where: str) -> None:
+def test_recordings_are_found_below_source(tmp_path: Path, where: str) -> None:
     lab = str(archive(tmp_path / "lab", *LAB))
     lab = lab if where == "folder" else in_memory("found", Path(lab))
-    found = find_recordings([lab], Options())
+    found = find_recordings([lab], TrackingOptions())
     assert {r.name: r.url for r in found.recordings} == {"day1/a": f"{lab}/day1/a", "day1/b": f"{lab}/day1/b"}
-    assert found.remarks == (f"{lab}: not taken, for want of a calibration: day2/video.",)
+    assert found.remarks == (f"{lab}: skipped without a calibration: day2/video.",)
 
 
-def test_one_recording_has_its_own_name_and_one_calibration_may_be_for_all(tmp_path: Path) -> None:
+def test_single_recording_name_and_shared_calibration(tmp_path: Path) -> None:
     lab = archive(tmp_path / "lab", *LAB)
     assert list(by_name(lab / "day1/a")) == ["a"]
     assert list(by_name(lab / "day1")) == ["a", "b"]
@@ -71,11 +71,11 @@ def test_one_recording_has_its_own_name_and_one_calibration_may_be_for_all(tmp_p
     assert set(by_name(lab, calibration=str(lab / "day2/calibration.toml"))) == {"day1/a", "day1/b", "day2/video"}
 
 
-def test_digests_depend_on_what_is_tracked(tmp_path: Path) -> None:
+def test_digests_depend_on_inputs(tmp_path: Path) -> None:
     lab = archive(tmp_path / "lab", *LAB)
     rig = lab / "day2/calibration.toml"
     before = by_name(lab / "day1", lab / "day2", calibration=str(rig))
-    archive(lab, "day1/a/sylpose/trajectory.csv")  # sylpose's own
+    archive(lab, "day1/a/sylpose/trajectory.csv")  # written by sylpose
     assert by_name(lab / "day1", lab / "day2", calibration=str(rig)) == before
     os.utime(lab / "day1/a/cam_0.mp4", ns=(1, 1))
     rig.write_text("moved")
@@ -83,30 +83,30 @@ def test_digests_depend_on_what_is_tracked(tmp_path: Path) -> None:
     assert {name for name in before if before[name].digest != after[name].digest} == {"a", "video"}
 
 
-def test_digests_depend_on_a_worlds_file(tmp_path: Path) -> None:
+def test_digests_depend_on_world_file(tmp_path: Path) -> None:
     lab, world = archive(tmp_path / "lab", *LAB, "floor.toml"), tmp_path / "lab" / "floor.toml"
     (tmp_path / "lab" / "list.csv").write_text("path,world\nday1/a,floor.toml\nday1/b,up=-y\n")
     digests = []
     for content in ("up", "down"):
         world.write_text(content)
-        given = find_recordings([str(lab / "day1")], Options(world=str(world))).recordings
+        given = find_recordings([str(lab / "day1")], TrackingOptions(world=str(world))).recordings
         listed = by_name(lab / "list.csv")
         assert [r.options.world for r in given] == [str(world)] * 2
         assert [r.options.world for r in listed.values()] == [str(world), "up=-y"]
         digests.append([r.digest for r in (*given, *listed.values())])
     changed = [a != b for a, b in zip(*digests, strict=True)]
     assert changed == [True, True, True, False]
-    words = find_recordings([str(lab / "day1")], Options(world="up=-y")).recordings
+    words = find_recordings([str(lab / "day1")], TrackingOptions(world="up=-y")).recordings
     assert words[0].digest != by_name(lab / "day1")["a"].digest
     with pytest.raises(FileNotFoundError, match=r"nothing\.toml: no such file \(world\)"):
-        find_recordings([str(lab / "day1")], Options(world="nothing.toml"))
+        find_recordings([str(lab / "day1")], TrackingOptions(world="nothing.toml"))
 
 
-def test_results_within_an_archive_are_not_looked_through(tmp_path: Path) -> None:
+def test_results_within_archive_are_not_searched(tmp_path: Path) -> None:
     lab = archive(tmp_path / "lab", *LAB, "results/day1/a/calibration.refined.toml", "results/day1/a/cam.mp4")
-    assert set(by_name(lab, out=place(lab / "results"))) == {"day1/a", "day1/b"}
-    with pytest.raises(ValueError, match="would lie among its videos"):
-        by_name(lab, out=place(lab))
+    assert set(by_name(lab, out=open_store(lab / "results"))) == {"day1/a", "day1/b"}
+    with pytest.raises(ValueError, match="would be in the folder of its videos"):
+        by_name(lab, out=open_store(lab))
 
 
 MANIFEST = """
@@ -128,17 +128,15 @@ TABLE = (
 
 @pytest.mark.parametrize(("name", "content"), [("list.toml", MANIFEST), ("list.csv", TABLE)])
 @pytest.mark.parametrize("where", ["folder", "memory"])
-def test_a_manifest_lists_recordings_with_options_of_their_own(
-    tmp_path: Path, name: str, content: str, where: str
-) -> None:
+def test_manifest_with_individual_options(tmp_path: Path, name: str, content: str, where: str) -> None:
     folder = archive(tmp_path / "lab", *LAB)
     (folder / name).write_text(content)
     lab = str(folder) if where == "folder" else in_memory(f"manifest-{name}", folder)
     found = by_name(f"{lab}/{name}")
     assert list(found) == ["day1/a", "second/c"]
     first, second = found.values()
-    assert first.options == Options(start=3)
-    assert second.options == Options(method="epipolar", smooth=False)
+    assert first.options == TrackingOptions(start=3)
+    assert second.options == TrackingOptions(method="epipolar", smooth=False)
     assert second.calibration == f"{lab}/day2/calibration.toml"
     assert first.digest != by_name(lab)["day1/a"].digest
 
@@ -165,11 +163,11 @@ def test_a_manifest_lists_recordings_with_options_of_their_own(
         ("m.csv", "path\nday1/x\n", "day1/x: no such folder"),
         ("m.csv", "path,boxes\nday1/a,b.toml\n", "b.toml: no such file (boxes)"),
         ("m.csv", "path,method\nday1/a,magic\n", "magic"),
-        ("m.csv", "path\nday1/a\nday1/a\n", "would both be called"),
-        ("m.csv", "path,name\nday1/a,x\nday1/b,x/y\n", "recording x/y would lie in the results of x"),
+        ("m.csv", "path\nday1/a\nday1/a\n", "would both be named"),
+        ("m.csv", "path,name\nday1/a,x\nday1/b,x/y\n", "recording x/y would be inside the results of x"),
     ],
 )
-def test_wrong_manifests_are_told_in_a_sentence(tmp_path: Path, name: str, content: str, said: str) -> None:
+def test_invalid_manifests_raise_one_sentence(tmp_path: Path, name: str, content: str, said: str) -> None:
     lab = archive(tmp_path / "lab", *LAB)
     (lab / name).write_text(content)
     with pytest.raises((ValueError, FileNotFoundError)) as error:
@@ -184,12 +182,12 @@ def test_wrong_manifests_are_told_in_a_sentence(tmp_path: Path, name: str, conte
         (["nothing"], "no such folder"),
         (["none.toml"], "no such manifest"),
         (["lab/notes"], "no recording in it (a folder with videos or images and a calibration)"),
-        (["lab/day2"], "but video without a calibration: give one by --calibration"),
-        (["lab/day1", "other"], "give the folder that both lie in"),
+        (["lab/day2"], "but video without a calibration: set one with --calibration"),
+        (["lab/day1", "other"], "use their common parent folder"),
         (["gopher://x/y"], "gopher://x/y: "),
     ],
 )
-def test_wrong_sources_are_told_in_a_sentence(
+def test_invalid_sources_raise_one_sentence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sources: list[str], said: str
 ) -> None:
     archive(tmp_path / "lab", *LAB)
@@ -200,7 +198,7 @@ def test_wrong_sources_are_told_in_a_sentence(
     assert said in str(error.value)
 
 
-def test_links_in_a_circle_end(tmp_path: Path) -> None:
+def test_circular_links_terminate(tmp_path: Path) -> None:
     lab = archive(tmp_path / "lab", *LAB)
     (lab / "day1/again").symlink_to(lab)
     (lab / "linked").symlink_to(archive(tmp_path / "elsewhere", "calibration.toml", "cam_0.mp4"))
@@ -210,8 +208,8 @@ def test_links_in_a_circle_end(tmp_path: Path) -> None:
 def test_places() -> None:
     assert is_url("s3://bucket/x")
     assert not is_url("C:\\recordings")
-    assert place("file:///data/x") == place("/data/x")
-    assert resolved("../x", place("/data/y")).url == "/data/x"
-    assert resolved("x", place("memory://a/b/")).url == "memory://a/b/x"
-    assert resolved("s3://bucket/x", place("/data")).url == "s3://bucket/x"
-    assert place("s3://bucket/x").folder is None
+    assert open_store("file:///data/x") == open_store("/data/x")
+    assert resolve_location("../x", open_store("/data/y")).url == "/data/x"
+    assert resolve_location("x", open_store("memory://a/b/")).url == "memory://a/b/x"
+    assert resolve_location("s3://bucket/x", open_store("/data")).url == "s3://bucket/x"
+    assert open_store("s3://bucket/x").folder is None

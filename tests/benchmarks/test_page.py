@@ -58,7 +58,7 @@ def test_record_round_trip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     assert "2026-01-01" in text
 
 
-def test_file_that_is_no_result_is_refused(tmp_path: Path) -> None:
+def test_invalid_result_file_is_rejected(tmp_path: Path) -> None:
     (tmp_path / "other.json").write_text("{}")
     for name in ("other.json", "missing.json"):
         with pytest.raises(ValueError, match=rf"{name}: not a file of results"):

@@ -1,4 +1,4 @@
-"""The benchmark of two frames: it runs, its scenes and bounds are right, it sees what got worse, and it ends what hangs."""
+"""Two-frame benchmark: command, scenes, bounds, regressions, and solvers that hang."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from benchmarks.two_frames_bound import bounds, sampled_errors
+from benchmarks.two_frames_bound import compute_bounds, sample_errors
 from benchmarks.two_frames_report import (
     FAILED_DEG,
     Figures,
     Results,
-    Tried,
-    fastest_as_good,
-    figures_of,
+    SolverResult,
+    compute_figures,
+    find_misses,
+    find_regressions,
+    find_slow_rows,
     load,
-    misses,
     save,
-    too_slow,
-    worse_than,
+    select_fastest,
 )
 from benchmarks.two_frames_scenes import ROWS, Row, Scene, make_scene
 from benchmarks.two_frames_solvers import Options, Prepare, Worker
@@ -47,7 +47,7 @@ def run(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture(scope="module")
 def results_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """One scene of the base rows of both problems, ours alone."""
+    """Run one scene of the base rows of both problems without peers."""
     path = tmp_path_factory.mktemp("benchmark") / "results.json"
     done = run("--rows", "*ring of 4*", "--scenes", 1, "--no-peers", "--out", path, "--table", "markdown")
     assert done.returncode == 0, done.stderr
@@ -55,7 +55,7 @@ def results_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_one_scene_of_ours(results_file: Path) -> None:
+def test_one_scene_of_sylpose(results_file: Path) -> None:
     results = load(results_file)
     assert [r.name for r in results.rows] == [BASE.name, "pose: ring of 4, 60 points"]
     for r in results.rows:
@@ -70,7 +70,7 @@ def test_saved_results_load_the_same(results_file: Path, tmp_path: Path) -> None
     assert (tmp_path / "again.json").read_text() == results_file.read_text()
 
 
-def test_a_file_that_is_no_baseline_is_refused(tmp_path: Path) -> None:
+def test_invalid_baseline_is_rejected(tmp_path: Path) -> None:
     (tmp_path / "other.json").write_text("{}")
     for name in ("other.json", "missing.json"):
         done = run("--no-peers", "--compare", tmp_path / name)
@@ -78,13 +78,13 @@ def test_a_file_that_is_no_baseline_is_refused(tmp_path: Path) -> None:
         assert f"{name}: not a file of results" in done.stderr
 
 
-def test_rows_that_are_not_there_are_refused() -> None:
+def test_unknown_rows_are_rejected() -> None:
     done = run("--no-peers", "--rows", "no such row")
     assert done.returncode == 2
-    assert "no row is named 'no such row'" in done.stderr
+    assert "no row matches 'no such row'" in done.stderr
 
 
-def test_a_worsened_figure_exits_with_1(results_file: Path, tmp_path: Path) -> None:
+def test_regression_exits_with_1(results_file: Path, tmp_path: Path) -> None:
     results = load(results_file)
     better = [replace(r, deg=[0.5 * v for v in r.deg], loop_ms=r.loop_ms / 10) for r in results.rows[:1]]
     save(replace(results, rows=better), tmp_path / "baseline.json")
@@ -93,78 +93,85 @@ def test_a_worsened_figure_exits_with_1(results_file: Path, tmp_path: Path) -> N
     assert f"- {BASE.name}: median deg" in done.stdout
 
 
-def test_what_counts_as_worse(results_file: Path) -> None:
+def test_regressions(results_file: Path) -> None:
     old = load(results_file)
     first = old.rows[0]
 
     def now(**changes: object) -> Results:
         return replace(old, rows=[replace(first, **changes)])  # type: ignore[arg-type]
 
-    assert not list(worse_than(old, old))
-    assert not list(worse_than(now(mm=[1.05 * first.mm[0]]), old))
-    assert list(worse_than(now(mm=[1.2 * first.mm[0]]), old))
-    assert "without a pose" in list(worse_than(now(deg=[FAILED_DEG]), old))[-1]
-    assert "time" in next(worse_than(now(ours=replace(first.ours, ms=2 * first.ours.ms)), old))
+    assert not list(find_regressions(old, old))
+    assert not list(find_regressions(now(mm=[1.05 * first.mm[0]]), old))
+    assert list(find_regressions(now(mm=[1.2 * first.mm[0]]), old))
+    assert "without a pose" in list(find_regressions(now(deg=[FAILED_DEG]), old))[-1]
+    assert "time" in next(find_regressions(now(ours=replace(first.ours, ms=2 * first.ours.ms)), old))
     # A slower machine is not a slower solver.
-    assert not list(worse_than(now(ours=replace(first.ours, ms=2 * first.ours.ms), loop_ms=2 * first.loop_ms), old))
+    assert not list(
+        find_regressions(now(ours=replace(first.ours, ms=2 * first.ours.ms), loop_ms=2 * first.loop_ms), old)
+    )
 
 
 def test_targets(results_file: Path) -> None:
-    """Missed: errors beyond a tie with any peer, a gain below 1.5 where one is wanted, a slow first call."""
+    """Missed targets are errors beyond a tie, a gain below a required 1.5, and a slow first call."""
     results = load(results_file)
     ours = results.rows[0]
-    figures = figures_of(ours.deg, ours.mm)
+    figures = compute_figures(ours.deg, ours.mm)
 
     def missed(row: Row, factor: float) -> str:
         peer = Figures(*((a * factor, b * factor, c * factor) for a, b, c in figures))
-        tried = Tried("", 1, peer, 1.0, {})
+        tried = SolverResult("", 1, peer, 1.0, {})
         result = replace(ours, name=row.name, peers={"poselib": [tried]})
         now = replace(results, rows=[result], first_call_s=0.5)
-        return "\n".join([*misses(now, by_chance=True), *misses(now, by_chance=False), *too_slow(now)])
+        return "\n".join([*find_misses(now, by_chance=True), *find_misses(now, by_chance=False), *find_slow_rows(now)])
 
     small_turn = next(row for row in ROWS if row.name == "turn 1")
     assert missed(BASE, 0.97) == ""
     assert missed(BASE, 0.8).count("smaller") == 4
     assert missed(small_turn, 1.6) == ""
     assert missed(small_turn, 1.4).count("wanted x1.5") == 4
-    assert list(too_slow(replace(results, first_call_s=1.5)))
+    assert list(find_slow_rows(replace(results, first_call_s=1.5)))
 
 
-def test_peer_time_is_of_the_fastest_setting_that_is_as_accurate(results_file: Path) -> None:
-    ours = load(results_file).rows[0].ours
+def test_peer_is_judged_at_its_fastest_setting_that_is_as_accurate(results_file: Path) -> None:
+    row = load(results_file).rows[0]
 
-    def setting(options: str, factor: float, ms: float) -> Tried:
-        return Tried(options, 1, Figures(*((a * factor, b * factor, c * factor) for a, b, c in ours.figures)), ms, {})
+    def setting(options: str, factor: float, ms: float, spread: float = 1.1) -> SolverResult:
+        """Errors `factor` times as large as sylpose's, with a bootstrap interval of the ratio of this spread."""
+        figures = Figures(*((a * factor, b * factor, c * factor) for a, b, c in row.ours.figures))
+        lower = Figures(*(((1 / factor / spread,) * 3,) * 2))
+        return SolverResult(options, 1, figures, ms, {}, lower)
 
-    quick, equal, exact = setting("quick", 2.0, 1.0), setting("equal", 1.02, 5.0), setting("exact", 0.5, 50.0)
-    # Being more accurate than sylpose costs a peer no time.
-    assert fastest_as_good(ours, [exact, quick, equal]) is equal
-    assert fastest_as_good(ours, [exact, quick]) is exact
-    # None reaches sylpose: the fastest of its best.
-    assert fastest_as_good(ours, [quick, setting("slow", 1.96, 9.0)]) is quick
+    quick, equal, exact = setting("quick", 2.0, 1.0), setting("equal", 1.05, 5.0), setting("exact", 0.5, 50.0)
+    # A peer's time does not count the effort of being more accurate than sylpose.
+    assert select_fastest(row, [exact, quick, equal]) == (equal, True)
+    assert select_fastest(row, [exact, quick]) == (exact, True)
+    # A difference that other scenes may undo is no difference.
+    assert select_fastest(row, [exact, setting("noisy", 2.0, 1.0, spread=3.0)])[0].options == "noisy"
+    # If no set is as accurate as sylpose, the fastest of the peer's best ones counts.
+    assert select_fastest(row, [quick, setting("slow", 1.96, 9.0)]) == (quick, False)
 
 
 @pytest.mark.parametrize("row", [r for r in ROWS if r.cameras <= 16 and r.matches <= 60], ids=lambda r: r.name)
-def test_scenes_are_as_the_row_says(row: Row) -> None:
-    """Points lie where the truth takes them, to the noise; outliers are as many as asked; the same again."""
+def test_scenes_match_the_row(row: Row) -> None:
+    """Points agree with the truth within the noise, the outlier count is as required, and scenes are reproducible."""
     scene = make_scene(row, 0)
     again = make_scene(row, 0)
     assert all(np.array_equal(a, b) for a, b in zip(scene.after, again.after, strict=True))
     assert len(scene.rig) == row.cameras
     for c, (camera, y, points) in enumerate(zip(scene.rig, scene.after, scene.points, strict=True)):
         true = np.isfinite(points).all(axis=1)
-        off = (row.junk or row.miscalibrated > 0) and c == 1
+        off = (row.has_junk_camera or row.calibration_error_deg > 0) and c == 1
         assert len(y) <= row.matches
-        if row.kind != "second_motion":  # whose copy may be out of sight
+        if row.outlier_kind != "second_motion":  # whose copy may be outside the image
             assert true.sum() == (0 if off else len(y) - round(row.outliers * len(y)))
         error = y[true] - camera.project(scene.truth.apply(points[true]))
         if true.any():
-            # In frame i the noise is in the points' direction, and comes along.
+            # The noise of frame i changes the points' direction and propagates to frame j.
             assert np.abs(error).max() < 6 * row.noise * (1.0 if row.problem == "pose" else 2.0)
 
 
 def numerical_bound(scene: Scene, depth_known: bool) -> FloatArray:
-    """The covariance (6, 6) from all observations of all points, their places eliminated, by finite differences."""
+    """Return the covariance (6, 6) from all observations, point positions eliminated, by finite differences."""
     center, information, step = scene.truth.apply(scene.center), np.zeros((6, 6)), 1e-5
     places = 0 if scene.problem == "pose" else 2 if depth_known else 3
     for camera, points in zip(scene.rig, scene.points, strict=True):
@@ -190,24 +197,24 @@ def numerical_bound(scene: Scene, depth_known: bool) -> FloatArray:
 
 
 @pytest.mark.parametrize("name", ["20 matches", "pose: 16 cameras x 2 points"])
-def test_bound_is_that_of_all_unknowns_together(name: str) -> None:
+def test_bound_equals_the_numerical_bound(name: str) -> None:
     scene = make_scene(next(row for row in ROWS if row.name == name), 0)
-    for bound, depth_known in zip(bounds(scene), (False, True), strict=True):
+    for bound, depth_known in zip(compute_bounds(scene), (False, True), strict=True):
         expected = numerical_bound(scene, depth_known)
         sigma = np.sqrt(np.diag(expected))
         np.testing.assert_allclose(bound / np.outer(sigma, sigma), expected / np.outer(sigma, sigma), atol=1e-4)
 
 
-def test_bound_of_motion_loses_by_unknown_depth() -> None:
-    unknown, known = bounds(make_scene(BASE, 0))
+def test_unknown_depth_increases_the_bound() -> None:
+    unknown, known = compute_bounds(make_scene(BASE, 0))
     assert np.linalg.eigvalsh(unknown - known).min() > -1e-9 * np.abs(unknown).max()
-    deg, mm = sampled_errors([known])
+    deg, mm = sample_errors([known])
     assert np.sqrt(np.mean(np.deg2rad(deg) ** 2)) == pytest.approx(np.sqrt(np.trace(known[:3, :3])), rel=0.15)
     assert np.sqrt(np.mean((1e-3 * mm) ** 2)) == pytest.approx(np.sqrt(np.trace(known[3:, 3:])), rel=0.15)
 
 
 def load_fake() -> Prepare:
-    """A solver that hangs in native code, holding the interpreter's lock, dies, raises, or answers."""
+    """Load a solver that hangs in native code with the interpreter lock, dies, raises, or answers."""
 
     def prepare(scene: Scene, options: Options) -> Callable[[], RigidTransform | None]:
         def call() -> RigidTransform | None:
@@ -224,21 +231,21 @@ def load_fake() -> Prepare:
     return prepare
 
 
-def test_what_hangs_or_dies_is_ended_and_the_next_scene_goes_on() -> None:
+def test_hanging_or_dying_solver_is_replaced() -> None:
     scene = make_scene(BASE, 0)
     with Worker(load_fake, limit_s=3.0) as worker:
         worker.start()
         process = worker._process
         assert process is not None
         start = time.perf_counter()
-        assert worker.solve(scene, {"hang": True}).why == "hang"
+        assert worker.solve(scene, {"hang": True}).failure == "hang"
         assert time.perf_counter() - start < 60
-        assert not worker.alive
+        assert not worker.is_alive
         assert process.exitcode == -signal.SIGKILL
         answer = worker.solve(scene, {})
         assert answer.pose is not None
-        assert scene.error(answer.pose) == pytest.approx((0, 0), abs=1e-6)
-        assert worker.solve(scene, {"die": True}).why == "crash"
-        assert worker.solve(scene, {"raise": True}).why == "ValueError: no"
-        assert worker.solve(scene, {"none": True}).why == "no pose"
-    assert not worker.alive
+        assert scene.compute_error(answer.pose) == pytest.approx((0, 0), abs=1e-6)
+        assert worker.solve(scene, {"die": True}).failure == "crash"
+        assert worker.solve(scene, {"raise": True}).failure == "ValueError: no"
+        assert worker.solve(scene, {"none": True}).failure == "no pose"
+    assert not worker.is_alive

@@ -1,4 +1,4 @@
-"""XFeat's network as OpenCV runs it is the one that its authors describe; files that are none of its weights are refused."""
+"""XFeat: the network in OpenCV equals a direct implementation, and invalid weights are rejected."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import correlate
 
-from benchmarks.xfeat import EPSILON, FIELD, match_xfeat, model_of, weights_of
+from benchmarks.xfeat import CELL, EPSILON, build_onnx_model, match_xfeat, read_weights
 from sylpose.features.sift import Features
 from sylpose.geometry.arrays import FloatArray
 
@@ -46,7 +46,7 @@ def weights() -> dict[str, Any]:
 
 
 def naive(w: dict[str, Any], image: FloatArray) -> dict[str, FloatArray]:
-    """The network, as its authors write it."""
+    """Evaluate the network directly, as its authors define it."""
 
     def conv(x: FloatArray, weight: FloatArray, stride: int = 1) -> FloatArray:
         full = [sum(correlate(x[i], kernel, mode="constant") for i, kernel in enumerate(kernels)) for kernels in weight]
@@ -77,7 +77,7 @@ def naive(w: dict[str, Any], image: FloatArray) -> dict[str, FloatArray]:
     x5 = layers(x4, "block5", (2, 1, 1, 1))
     looks = plain(layers(x3 + wide(x4, x3) + wide(x5, x3), "block_fusion", (1, 1)), "block_fusion.2")
     reliable = 1 / (1 + np.exp(-plain(layers(looks, "heatmap_head", (1, 1)), "heatmap_head.2")))
-    fields = image.reshape(height // FIELD, FIELD, width // FIELD, FIELD).transpose(1, 3, 0, 2)
+    fields = image.reshape(height // CELL, CELL, width // CELL, CELL).transpose(1, 3, 0, 2)
     keys = plain(
         layers(fields.reshape(-1, *looks.shape[1:]), "keypoint_head", (1, 1, 1)),
         "keypoint_head.3",
@@ -85,16 +85,16 @@ def naive(w: dict[str, Any], image: FloatArray) -> dict[str, FloatArray]:
     return {"looks": looks, "keys": keys, "reliable": reliable}
 
 
-def test_the_network_is_its_authors(weights: dict[str, Any]) -> None:
+def test_network_equals_direct_implementation(weights: dict[str, Any]) -> None:
     image = np.random.default_rng(1).normal(size=SIZE)
-    net = cv2.dnn.readNetFromONNX(np.frombuffer(model_of(weights, *SIZE), np.uint8))
+    net = cv2.dnn.readNetFromONNX(np.frombuffer(build_onnx_model(weights, *SIZE), np.uint8))
     net.setInput(image[None, None].astype(np.float32), "image")
     expected = naive(weights, image)
     for name, found in zip(expected, net.forward(list(expected)), strict=True):
         np.testing.assert_allclose(found[0], expected[name], atol=1e-3 * np.abs(expected[name]).max())
 
 
-def test_what_is_no_file_of_weights_is_refused(tmp_path: Path) -> None:
+def test_invalid_weights_are_rejected(tmp_path: Path) -> None:
     text, other, code = tmp_path / "text", tmp_path / "other", tmp_path / "code"
     text.write_text("weights")
     with zipfile.ZipFile(other, "w") as archive:
@@ -103,13 +103,13 @@ def test_what_is_no_file_of_weights_is_refused(tmp_path: Path) -> None:
         archive.writestr("a/data.pkl", pickle.dumps(Path))
     for path in (text, other, code):
         with pytest.raises(ValueError, match=f"{path.name}: no weights"):
-            weights_of(path)
+            read_weights(path)
 
 
-def test_matches_are_mutual_and_alike() -> None:
+def test_matches_are_mutual_and_similar() -> None:
     looks = np.eye(4, 64, dtype=np.float32)
     pixels = np.zeros((4, 2))
     a = Features(pixels, pixels, looks)
     b = Features(pixels, pixels, looks[[2, 0, 1, 1]])
     assert match_xfeat(a, b).tolist() == [[0, 1], [1, 2], [2, 0]]
-    assert match_xfeat(a, Features.none()).shape == (0, 2)
+    assert match_xfeat(a, Features.empty()).shape == (0, 2)

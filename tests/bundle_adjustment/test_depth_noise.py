@@ -1,4 +1,4 @@
-"""Relief that is only noise is told from relief that is there."""
+"""Shrinkage of landmark depths: noise is removed, true relief remains."""
 
 from __future__ import annotations
 
@@ -6,91 +6,93 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from benchmarks.translation_only import tracks
+from benchmarks.translation_only import simulate_tracks
 from sylpose.bundle_adjustment import problem
-from sylpose.bundle_adjustment.bundle import bundle
-from sylpose.bundle_adjustment.covariance_inflation import bent
-from sylpose.bundle_adjustment.depth_noise import relief_noise, without_noise
-from sylpose.bundle_adjustment.kernels import Sightings, Views, residuals
+from sylpose.bundle_adjustment.bundle import bundle_adjust
+from sylpose.bundle_adjustment.covariance_inflation import add_second_order_terms
+from sylpose.bundle_adjustment.depth_noise import compute_depth_noise, shrink_depth_noise
+from sylpose.bundle_adjustment.kernels import SortedObservations, Views, compute_residuals
 from sylpose.geometry.arrays import FloatArray
 from sylpose.simulate import arc, ellipsoid
 from sylpose.simulate.bodies import Body
 
 RIG = arc(3, 30.0, 1.5, 1000.0, height=(0.2, -0.2, 0.1))
 ROUND = ellipsoid((0.15, 0.1, 0.12))
-Asked = tuple[Sightings, Views, FloatArray, FloatArray, FloatArray]
+ShrinkArguments = tuple[SortedObservations, Views, FloatArray, FloatArray, FloatArray]
 
 
-def asked_of(body: Body, degrees: float, seed: int, monkeypatch: pytest.MonkeyPatch) -> Asked:
-    """What `without_noise` is asked when a body is refined that slides and turns."""
+def capture_arguments(body: Body, degrees: float, seed: int, monkeypatch: pytest.MonkeyPatch) -> ShrinkArguments:
+    """Return the arguments of `shrink_depth_noise` for a body that translates and rotates."""
     turned = Rotation.from_rotvec([0.3, -0.2, 0.1])
     body = Body(turned.apply(body.points.copy()), turned.apply(body.normals.copy()))
     s = np.linspace(0.0, 1.0, 8)[:, None]
     poses = RigidTransform.from_components(
         s * np.array([0.0, 0.02, 0.2]), Rotation.from_rotvec(np.deg2rad(degrees) * s * np.array([0.3, 0.9, 0.2]))
     )
-    calls: list[Asked] = []
+    calls: list[ShrinkArguments] = []
 
-    def spy(*asked: object) -> FloatArray:
-        calls.append(asked)  # type: ignore[arg-type]
-        return without_noise(*calls[-1])
+    def spy(*arguments: object) -> FloatArray:
+        calls.append(arguments)  # type: ignore[arg-type]
+        return shrink_depth_noise(*calls[-1])
 
-    monkeypatch.setattr(problem, "without_noise", spy)
-    bundle(RIG, tracks(body, poses, RIG, 50, 0.4, seed), poses, 0.15)
+    monkeypatch.setattr(problem, "shrink_depth_noise", spy)
+    bundle_adjust(RIG, simulate_tracks(body, poses, RIG, 50, 0.4, seed), poses, 0.15)
     return calls[-1]
 
 
-def rough(asked: Asked, scatter: float, seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Relief (m,) on planes, the same with the noise that it has here, and what is left without."""
-    seen, views, points, weights, pull = asked
+def make_rough_relief(
+    arguments: ShrinkArguments, scatter: float, seed: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return relief (m,) on planes, the same with noise, and the shrunk values."""
+    seen, views, points, weights, pull = arguments
     noise = np.zeros(len(points))
-    relief_noise(seen, views, points, weights, pull, noise)
+    compute_depth_noise(seen, views, points, weights, pull, noise)
     rng, sd = np.random.default_rng(seed), np.sqrt(noise)
-    above = np.einsum("mi,mi->m", seen.toward, points)
+    above = np.einsum("mi,mi->m", seen.depth_direction, points)
     true = scatter * np.median(sd) * rng.standard_normal(len(points))
     noisy = true + sd * rng.standard_normal(len(points))
-    on_planes = np.ascontiguousarray(points + (noisy - above)[:, None] * seen.toward)
-    left = np.einsum("mi,mi->m", seen.toward, without_noise(seen, views, on_planes, weights, pull))
+    on_planes = np.ascontiguousarray(points + (noisy - above)[:, None] * seen.depth_direction)
+    left = np.einsum("mi,mi->m", seen.depth_direction, shrink_depth_noise(seen, views, on_planes, weights, pull))
     used = noise > 0.0
     return true[used], noisy[used], left[used]
 
 
-def test_noise_is_that_of_each_landmarks_own_system(monkeypatch: pytest.MonkeyPatch) -> None:
-    seen, views, points, weights, pull = asked_of(ROUND, 5.0, 0, monkeypatch)
+def test_noise_matches_each_landmark_system(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen, views, points, weights, pull = capture_arguments(ROUND, 5.0, 0, monkeypatch)
     noise = np.full(len(points), np.nan)
-    relief_noise(seen, views, points, weights, pull, noise)
-    # Derivatives by differences, the landmark's covariance by inversion, and what its observations' noise makes of it.
+    compute_depth_noise(seen, views, points, weights, pull, noise)
+    # Numerical derivatives, the landmark's covariance by inversion, and its part due to observation noise.
     slopes, h = np.empty((len(seen.frame), 2, 3)), 1e-5
     for j in range(3):
         ends = np.empty((2, len(seen.frame), 2))
         for end, sign in zip(ends, (1.0, -1.0), strict=True):
-            residuals(seen, views, np.ascontiguousarray(points + sign * h * np.eye(3)[j]), end)
+            compute_residuals(seen, views, np.ascontiguousarray(points + sign * h * np.eye(3)[j]), end)
         slopes[:, :, j] = (ends[0] - ends[1]) / (2.0 * h)
     information = np.add.reduceat(np.einsum("n,nai,naj->nij", weights, slopes, slopes), seen.start[:-1])
-    beliefs = pull[0] * seen.toward[:, :, None] * seen.toward[:, None] + pull[1] * np.eye(3)
-    moved = np.einsum("mij,mj->mi", np.linalg.inv(information + beliefs), seen.toward)
+    beliefs = pull[0] * seen.depth_direction[:, :, None] * seen.depth_direction[:, None] + pull[1] * np.eye(3)
+    moved = np.einsum("mij,mj->mi", np.linalg.inv(information + beliefs), seen.depth_direction)
     used = np.isfinite(noise)
     assert used.mean() > 0.8
     np.testing.assert_allclose(noise[used], np.einsum("mi,mij,mj->m", moved, information, moved)[used], rtol=1e-4)
 
 
-def test_noise_goes_and_relief_stays(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of a plane nothing is left; what is there stays, and is nearer to what it was without noise."""
-    asked = asked_of(ROUND, 5.0, 0, monkeypatch)
+def test_noise_is_removed_and_relief_remains(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A plane keeps no relief; true relief remains, closer to its noise-free value."""
+    arguments = capture_arguments(ROUND, 5.0, 0, monkeypatch)
     for seed in range(4):
-        _, noisy, left = rough(asked, 0.0, seed)
+        _, noisy, left = make_rough_relief(arguments, 0.0, seed)
         assert np.sum(left**2) < 0.15 * np.sum(noisy**2)
-        true, noisy, left = rough(asked, 1.0, seed)
+        true, noisy, left = make_rough_relief(arguments, 1.0, seed)
         assert np.sum((left - true) ** 2) < 0.3 * np.sum((noisy - true) ** 2)
         assert 0.3 < np.sum(left**2) / np.sum(true**2) < 2.0
-        true, noisy, left = rough(asked, 10.0, seed)
+        true, noisy, left = make_rough_relief(arguments, 10.0, seed)
         assert np.sum((left - true) ** 2) < 0.8 * np.sum((noisy - true) ** 2)
         assert 0.8 < np.sum(left**2) / np.sum(true**2) < 1.1
 
 
-def test_a_camera_with_hardly_a_landmark() -> None:
-    """Nothing is told of its relief: landmarks stay."""
-    seen = Sightings(
+def test_camera_with_few_landmarks() -> None:
+    """With too few landmarks there is no relief estimate: they are unchanged."""
+    seen = SortedObservations(
         np.array([0, 2]),
         np.array([0, 1]),
         np.zeros(2, np.int64),
@@ -115,10 +117,10 @@ def test_a_camera_with_hardly_a_landmark() -> None:
         np.zeros((1, 4)),
     )
     points = np.array([[0.1, 0.0, 0.05]])
-    np.testing.assert_array_equal(without_noise(seen, views, points, np.ones(2), np.array([1.0, 1e-3])), points)
+    np.testing.assert_array_equal(shrink_depth_noise(seen, views, points, np.ones(2), np.array([1.0, 1e-3])), points)
 
 
-def test_a_product_of_two_doubts() -> None:
+def test_product_of_two_uncertainties() -> None:
     rng = np.random.default_rng(0)
     roots = rng.standard_normal((2, 3, 3))
     turns, away = roots[0] @ roots[0].T, roots[1] @ roots[1].T
@@ -126,8 +128,8 @@ def test_a_product_of_two_doubts() -> None:
     covariance[0, :3, :3] = turns
     w, p = (rng.standard_normal((400_000, 3)) @ root.T for root in roots)
     drawn = np.cross(w, p)
-    added = bent(covariance, away[None])[0] - covariance[0]
+    added = add_second_order_terms(covariance, away[None])[0] - covariance[0]
     np.testing.assert_allclose(added[3:, 3:], drawn.T @ drawn / len(drawn), atol=0.02 * np.trace(added))
     assert not added[:3].any()
     assert not added[:, :3].any()
-    np.testing.assert_array_equal(bent(covariance, np.zeros((1, 3, 3))), covariance)
+    np.testing.assert_array_equal(add_second_order_terms(covariance, np.zeros((1, 3, 3))), covariance)

@@ -1,4 +1,4 @@
-"""Frames that a refinement gives up, because their poses start far off, are found again; those that contradict are named."""
+"""Frames that a refinement loses because their poses start far off are relocalized; inconsistent ones are detected."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.bundle_adjustment.bundle import Observations, bundle
-from sylpose.bundle_adjustment.lost_frames import counted_of, found_again, given_up
-from sylpose.bundle_adjustment.scale_prior import bundle_sized
+from sylpose.bundle_adjustment.bundle import Observations, bundle_adjust
+from sylpose.bundle_adjustment.lost_frames import find_lost_frames, find_repeated_observations, relocalize_lost_frames
+from sylpose.bundle_adjustment.scale_prior import bundle_adjust_with_scale
 from sylpose.geometry.arrays import BoolArray
-from tests.bundle_adjustment.test_bundle import RADIUS, RIG, error, off, path, tracks
+from tests.bundle_adjustment.test_bundle import RADIUS, RIG, disturb_poses, error, path, tracks
 
 FRAMES, AWAY = 16, (5, 11)
 
@@ -24,8 +24,9 @@ def seen() -> tuple[RigidTransform, Observations]:
 
 
 def disturbed(poses: RigidTransform, axis: tuple[float, float, float] = (0.6, 0.0, 0.8)) -> RigidTransform:
-    """All a little, and two of them by 170 degrees and a third of the radius; from less a refinement finds back."""
-    out = list(off(poses))
+    """Disturb all poses slightly, and two by 170 degrees and a third of the radius; smaller errors are corrected by a
+    refinement."""
+    out = list(disturb_poses(poses))
     for k in AWAY:
         turn = Rotation.from_rotvec(np.deg2rad(170.0) * np.array(axis))
         out[k] = RigidTransform.from_components(out[k].translation + RADIUS / 3, turn * out[k].rotation)
@@ -37,49 +38,49 @@ def first() -> BoolArray:
 
 
 @pytest.mark.parametrize("axis", [(1.0, 0.0, 0.0), (0.6, 0.0, 0.8), (0.0, 0.6, 0.8)])
-def test_a_frame_that_starts_far_off_is_found_again(
+def test_frame_with_far_start_is_relocalized(
     seen: tuple[RigidTransform, Observations], axis: tuple[float, float, float]
 ) -> None:
     truth, observations = seen
     start = disturbed(truth, axis)
-    alone = bundle(RIG, observations, start, RADIUS)
-    np.testing.assert_array_equal(np.flatnonzero(given_up(alone, observations)), AWAY)
-    found = bundle_sized(RIG, observations, start, RADIUS)
-    assert not given_up(found, observations).any()
-    best = bundle(RIG, observations, truth, RADIUS)
+    alone = bundle_adjust(RIG, observations, start, RADIUS)
+    np.testing.assert_array_equal(np.flatnonzero(find_lost_frames(alone, observations)), AWAY)
+    found = bundle_adjust_with_scale(RIG, observations, start, RADIUS)
+    assert not find_lost_frames(found, observations).any()
+    best = bundle_adjust(RIG, observations, truth, RADIUS)
     left = error(best.world_from_object, found.world_from_object)[1:]
     assert np.einsum("ni,nij,nj->n", left, np.linalg.inv(found.covariance[1:]), left).max() < 0.1
     assert ((found.weights > 0) != (best.weights > 0)).sum() <= 3
 
 
-def test_what_contradicts_all_others_is_given_up_and_nothing_else(seen: tuple[RigidTransform, Observations]) -> None:
+def test_only_the_inconsistent_frame_is_lost(seen: tuple[RigidTransform, Observations]) -> None:
     truth, observations = seen
     rng, image = np.random.default_rng(3), observations.image.copy()
     junk = observations.frame == AWAY[0]
     image[junk] = rng.uniform(-0.15, 0.15, (int(junk.sum()), 2))
-    told = replace(observations, image=image)
-    found = bundle_sized(RIG, told, off(truth), RADIUS)
-    assert np.flatnonzero(given_up(found, told)).tolist() == [AWAY[0]]
-    assert found_again(RIG, told, found, first()) is None
+    reported = replace(observations, image=image)
+    found = bundle_adjust_with_scale(RIG, reported, disturb_poses(truth), RADIUS)
+    assert np.flatnonzero(find_lost_frames(found, reported)).tolist() == [AWAY[0]]
+    assert relocalize_lost_frames(RIG, reported, found, first()) is None
     others = np.setdiff1d(np.arange(FRAMES), AWAY[0])
     assert np.abs(error(truth, found.world_from_object)[others, :3]).max() < np.deg2rad(0.3)
 
 
-def test_a_frame_that_stays_is_not_looked_for(seen: tuple[RigidTransform, Observations]) -> None:
+def test_fixed_frame_is_not_relocalized(seen: tuple[RigidTransform, Observations]) -> None:
     truth, observations = seen
     start = disturbed(truth)
-    alone = bundle(RIG, observations, start, RADIUS)
+    alone = bundle_adjust(RIG, observations, start, RADIUS)
     stays = first()
     stays[list(AWAY)] = True
-    assert found_again(RIG, observations, alone, stays) is None
-    again = found_again(RIG, observations, alone, first())
+    assert relocalize_lost_frames(RIG, observations, alone, stays) is None
+    again = relocalize_lost_frames(RIG, observations, alone, first())
     assert again is not None
     moved = np.abs(error(alone.world_from_object, again)).max(axis=1) > 0
     np.testing.assert_array_equal(np.flatnonzero(moved), AWAY)
     assert np.abs(error(truth, again)[list(AWAY), :3]).max() < np.deg2rad(1.0)
 
 
-def test_landmarks_seen_once_say_nothing(seen: tuple[RigidTransform, Observations]) -> None:
+def test_landmarks_observed_once_are_ignored(seen: tuple[RigidTransform, Observations]) -> None:
     _, observations = seen
     counts = np.bincount(observations.landmark)
-    np.testing.assert_array_equal(counted_of(observations), counts[observations.landmark] >= 2)
+    np.testing.assert_array_equal(find_repeated_observations(observations), counts[observations.landmark] >= 2)

@@ -1,4 +1,4 @@
-"""What tests of calibration formats share: points to project, and a camera that is compared with a format's own formulas."""
+"""Shared helpers of the calibration format tests: points, and reference projection formulas."""
 
 from __future__ import annotations
 
@@ -11,21 +11,22 @@ from scipy.spatial.transform import Rotation
 from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Camera
 
-# No rotation here is symmetric: one that is read transposed is found out.
+# No rotation here is symmetric: a transposed one is detected.
 TURN: FloatArray = Rotation.from_euler("ZYX", [0.4, -0.3, 0.7]).as_matrix()
 OTHER_TURN: FloatArray = Rotation.from_euler("XYZ", [-0.5, 0.2, 1.1]).as_matrix()
 
 
-def in_front(turn: FloatArray, shift: FloatArray) -> FloatArray:
-    """(20, 3) world points in front of a camera with X_c = turn X + shift that looks along z, within 30 degrees."""
+def points_in_front(rotation: FloatArray, translation: FloatArray) -> FloatArray:
+    """Return (20, 3) world points within 30 degrees of the axis of a camera with X_c = turn X + shift that looks along
+    z."""
     rng = np.random.default_rng(1)
     z = rng.uniform(2.0, 5.0, 20)
     in_camera = np.column_stack([z * rng.uniform(-0.5, 0.5, 20), z * rng.uniform(-0.4, 0.4, 20), z])
-    return np.asarray((in_camera - shift) @ turn)
+    return np.asarray((in_camera - translation) @ rotation)
 
 
-def brown(x: float, y: float, k: list[float], p: list[float]) -> tuple[float, float]:
-    """Brown's lens with OpenCV's order of the tangential terms: of a point on the plane z = 1."""
+def apply_brown(x: float, y: float, k: list[float], p: list[float]) -> tuple[float, float]:
+    """Apply Brown's lens model with OpenCV's order of tangential terms to a point on the plane z = 1."""
     r2 = x * x + y * y
     radial = 1.0 + sum(term * r2 ** (i + 1) for i, term in enumerate(k))
     return (
@@ -34,8 +35,8 @@ def brown(x: float, y: float, k: list[float], p: list[float]) -> tuple[float, fl
     )
 
 
-def equidistant(x: float, y: float, k: list[float]) -> tuple[float, float]:
-    """Kannala and Brandt's lens: of a point on the plane z = 1."""
+def apply_equidistant(x: float, y: float, k: list[float]) -> tuple[float, float]:
+    """Apply Kannala and Brandt's lens model to a point on the plane z = 1."""
     r = float(np.hypot(x, y))
     theta = float(np.arctan(r))
     scale = theta * (1 + sum(term * theta ** (2 * i + 2) for i, term in enumerate(k))) / r
@@ -43,13 +44,13 @@ def equidistant(x: float, y: float, k: list[float]) -> tuple[float, float]:
 
 
 def assert_projects(camera: Camera, points: FloatArray, pixel: Callable[[FloatArray], tuple[float, float]]) -> None:
-    """The camera sees each point where the format's own formulas say, in pixels whose first one's centre is (0, 0)."""
+    """Assert that the camera projects points as the format's formulas do, with the first pixel's center at (0, 0)."""
     expected = np.array([pixel(point) for point in points])
     assert np.isfinite(expected).all()
     np.testing.assert_allclose(camera.project(points), expected, atol=1e-9, rtol=0)
 
 
-def write(path: Path, text: str) -> Path:
+def write_file(path: Path, text: str) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(text, encoding="utf-8")
     return path

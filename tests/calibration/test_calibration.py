@@ -1,4 +1,4 @@
-"""Calibration files: the real ones, every format, round trips, and bad input."""
+"""Calibration files: real ones, every format, round trips, and invalid input."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from tests.paths import DATA
 SUFFIXES = (".toml", ".yml", ".yaml", ".json", ".xml")
 
 
-def recording(name: str) -> Path:
+def recording_path(name: str) -> Path:
     if not (DATA / name).is_dir():
         pytest.skip(f"the recording {name} is not here")
     return DATA / name
 
 
 def random_rig(seed: int = 0, unit: str = "m") -> Rig:
-    """A camera for every number of distortion terms, with names that need care."""
+    """Return a rig with one camera per number of distortion terms, and names that require quoting."""
     rng = np.random.default_rng(seed)
     lenses: list[tuple[LensModel, int]] = [("opencv", n) for n in (4, 5, 8, 12, 14)] + [("fisheye", 4)]
     names = ["cam_0", "left camera", "Kamera é", 'the "top" one', "3", "it's a.b"]
@@ -39,7 +39,7 @@ def random_rig(seed: int = 0, unit: str = "m") -> Rig:
 
 
 def assert_same(a: Rig, b: Rig) -> None:
-    """Equal bit for bit."""
+    """Assert equality bit for bit."""
     assert a.names == b.names
     for x, y in zip(a, b, strict=True):
         assert (x.size, x.lens) == (y.size, y.lens)
@@ -48,7 +48,7 @@ def assert_same(a: Rig, b: Rig) -> None:
         np.testing.assert_array_equal(x.camera_from_world.as_matrix(), y.camera_from_world.as_matrix())
 
 
-def write(path: Path, text: str) -> Path:
+def write_file(path: Path, text: str) -> Path:
     path.write_text(text, encoding="utf-8")
     return path
 
@@ -63,7 +63,7 @@ def same_pose(pose: RigidTransform, rvec: Any, tvec: Any) -> bool:
 
 
 def test_temple() -> None:
-    path = calibration.find(recording("temple"))
+    path = calibration.find(recording_path("temple"))
     rig = calibration.load(path)
     tables = tomllib.loads(path.read_text())
     assert rig.names == ("cam_0", "cam_1", "cam_2", "cam_3")
@@ -78,7 +78,7 @@ def test_temple() -> None:
 
 
 def test_board4() -> None:
-    path = calibration.find(recording("board4"))
+    path = calibration.find(recording_path("board4"))
     rig = calibration.load(path)
     tables = tomllib.loads(path.read_text())["cameras"]
     assert rig.names == ("cam_0", "cam_1", "cam_2", "cam_3")
@@ -94,7 +94,7 @@ def test_board4() -> None:
 @pytest.mark.parametrize("name", ["temple", "board4"])
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_real_files_round_trip(name: str, suffix: str, tmp_path: Path) -> None:
-    rig = calibration.load(calibration.find(recording(name)))
+    rig = calibration.load(calibration.find(recording_path(name)))
     calibration.save(rig, tmp_path / f"calibration{suffix}")
     assert_same(rig, calibration.load(tmp_path / f"calibration{suffix}"))
 
@@ -113,7 +113,7 @@ def test_round_trip_is_exact(suffix: str, unit: str, tmp_path: Path) -> None:
         assert back.unit == unit
 
 
-def test_conversion_through_all_formats_changes_nothing(tmp_path: Path) -> None:
+def test_conversion_through_all_formats_is_lossless(tmp_path: Path) -> None:
     rig = random_rig()
     converted = rig
     for suffix in (*SUFFIXES, ".toml"):
@@ -122,15 +122,15 @@ def test_conversion_through_all_formats_changes_nothing(tmp_path: Path) -> None:
     assert_same(rig, converted)
 
 
-def test_format_is_told_from_the_content(tmp_path: Path) -> None:
+def test_format_is_detected_from_content(tmp_path: Path) -> None:
     rig = random_rig()
     for suffix in SUFFIXES:
         calibration.save(rig, tmp_path / f"a{suffix}")
         text = (tmp_path / f"a{suffix}").read_text(encoding="utf-8")
-        assert_same(rig, calibration.load(write(tmp_path / "calibration.txt", "\ufeff" + text)))
+        assert_same(rig, calibration.load(write_file(tmp_path / "calibration.txt", "\ufeff" + text)))
 
 
-def test_own_format_is_what_it_says(tmp_path: Path) -> None:
+def test_native_format(tmp_path: Path) -> None:
     calibration.save(random_rig(), tmp_path / "a.toml")
     text = (tmp_path / "a.toml").read_text(encoding="utf-8")
     data = tomllib.loads(text)
@@ -150,7 +150,7 @@ def test_own_format_is_what_it_says(tmp_path: Path) -> None:
     assert "X_camera = rotation X_world + translation" in text
 
 
-def test_written_filestorage_is_opencvs(tmp_path: Path) -> None:
+def test_written_filestorage_is_read_by_opencv(tmp_path: Path) -> None:
     rig = random_rig()
     for suffix in (".yml", ".json", ".xml"):
         calibration.save(rig, tmp_path / f"a{suffix}")
@@ -160,12 +160,12 @@ def test_written_filestorage_is_opencvs(tmp_path: Path) -> None:
         np.testing.assert_array_equal(node.getNode("camera_matrix").mat(), rig.cameras[1].matrix)
 
 
-def test_save_needs_a_known_suffix(tmp_path: Path) -> None:
+def test_save_requires_a_known_suffix(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"a\.csv: a calibration is written as one of \.toml"):
         calibration.save(random_rig(), tmp_path / "a.csv")
 
 
-# TOML formats in their variants
+# TOML formats and their variants
 
 ANIPOSE = """
 [cam_0]
@@ -224,7 +224,7 @@ camera_from_world = { rotation = [[1, 0, 0], [0, 1, 0], [0, 0, 1]], translation 
 
 
 def test_anipose(tmp_path: Path) -> None:
-    rig = calibration.load(write(tmp_path / "calibration.toml", ANIPOSE))
+    rig = calibration.load(write_file(tmp_path / "calibration.toml", ANIPOSE))
     assert rig.names == ("left", "right")
     assert [c.lens for c in rig] == ["opencv", "fisheye"]
     assert rig["right"].size == (640, 480)
@@ -234,7 +234,7 @@ def test_anipose(tmp_path: Path) -> None:
 
 
 def test_caliscope(tmp_path: Path) -> None:
-    rig = calibration.load(write(tmp_path / "camera_array.toml", CALISCOPE))
+    rig = calibration.load(write_file(tmp_path / "camera_array.toml", CALISCOPE))
     assert rig.names == ("cam_0", "cam_12")
     assert [c.lens for c in rig] == ["opencv", "fisheye"]
     assert same_pose(rig["cam_0"].camera_from_world, [0.1, 0.2, 0.3], [1, 2, 3])
@@ -245,18 +245,18 @@ def test_rounded_rotation_becomes_the_nearest_one(tmp_path: Path) -> None:
     exact = Rotation.from_rotvec([0.3, -0.5, 0.7])
     rows = np.round(exact.as_matrix(), 4).tolist()
     text = OWN.replace("[[1, 0, 0], [0, 1, 0], [0, 0, 1]]", str(rows))
-    rotation = calibration.load(write(tmp_path / "a.toml", text)).cameras[0].rotation
+    rotation = calibration.load(write_file(tmp_path / "a.toml", text)).cameras[0].rotation
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-14)
     u, _, vt = np.linalg.svd(np.array(rows))
     np.testing.assert_allclose(rotation, u @ vt, atol=1e-14)
 
 
-# OpenCV's FileStorage: the layouts that people write
+# OpenCV's FileStorage: common layouts
 
 LENS = "distortion_coefficients: [0.1, 0.0, 0.0, 0.0, 0.0]"
 K = "[[800.0, 0, 320], [0, 800, 240], [0, 0, 1]]"
 STORAGE: dict[str, str] = {
-    "a node per camera, OpenCV's matrices": f"""%YAML:1.0
+    "one node per camera, OpenCV's matrices": f"""%YAML:1.0
 ---
 date: "today"
 board: {{ name: "charuco", size: [5, 7] }}
@@ -376,7 +376,7 @@ cameras:
 
 @pytest.mark.parametrize("layout", STORAGE)
 def test_filestorage_layouts(layout: str, tmp_path: Path) -> None:
-    rig = calibration.load(write(tmp_path / "calibration.yml", STORAGE[layout]))
+    rig = calibration.load(write_file(tmp_path / "calibration.yml", STORAGE[layout]))
     assert rig.names == ("cam_0",)
     camera = rig.cameras[0]
     assert camera.size == (640, 480)
@@ -387,7 +387,7 @@ def test_filestorage_layouts(layout: str, tmp_path: Path) -> None:
 
 
 def json_camera(**changes: Any) -> dict[str, Any]:
-    """A camera's node; a change to None takes a key away."""
+    """Return a camera's node; a change to None removes a key."""
     node = {
         "camera_matrix": [[800, 0, 320], [0, 800, 240], [0, 0, 1]],
         "distortion_coefficients": [0.1, 0, 0, 0],
@@ -401,7 +401,7 @@ def json_camera(**changes: Any) -> dict[str, Any]:
 
 def load_json(tmp_path: Path, **changes: Any) -> Camera:
     text = json.dumps({"cam_0": json_camera(), "cam_1": json_camera(**changes)})
-    return calibration.load(write(tmp_path / "calibration.json", text))["cam_1"]
+    return calibration.load(write_file(tmp_path / "calibration.json", text))["cam_1"]
 
 
 @pytest.mark.parametrize(
@@ -437,11 +437,11 @@ def test_filestorage_poses_as_one_matrix(tmp_path: Path) -> None:
         ({"image_width": None, "image_height": None}, "missing key 'image_width'"),
         ({"R": None}, "missing key 'R'"),
         ({"T": None}, "missing key 'T'"),
-        ({"K": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}, "camera_matrix and K mean the same"),
+        ({"K": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}, "camera_matrix and K are synonyms"),
         ({"camera_matrix": [[1, 0], [0, 1]]}, "the matrix must be 3x3"),
         ({"camera_matrix": [[1, 0], [0]]}, "the matrix must be numbers, in rows of equal length"),
         ({"camera_matrix": "see elsewhere"}, "the matrix must be numbers"),
-        ({"camera_matrix": {"rows": 3, "cols": 3, "data": [1]}}, "must be a matrix with rows, cols and as much data"),
+        ({"camera_matrix": {"rows": 3, "cols": 3, "data": [1]}}, "must be a matrix with rows, cols and matching data"),
         ({"distortion_coefficients": [0.1, 0.2]}, "2 distortion terms"),
         ({"fisheye": True, "distortion_coefficients": [0.1] * 5}, "5 distortion terms; the fisheye model"),
         ({"distortion_coefficients": [float("nan"), 0, 0, 0]}, "the distortion has values that are not finite"),
@@ -454,7 +454,7 @@ def test_filestorage_poses_as_one_matrix(tmp_path: Path) -> None:
         ({"extrinsics": np.eye(4).tolist()}, "its pose is given twice"),
         ({"R": None, "T": None, "extrinsics": np.eye(3).tolist()}, "camera_from_world must be a 3x4 or 4x4"),
         ({"fisheye": "maybe"}, "fisheye must be true or false, got 'maybe'"),
-        ({"fisheye": True, "distortion_model": "plumb_bob"}, "a fisheye and not to be one"),
+        ({"fisheye": True, "distortion_model": "plumb_bob"}, "both fisheye and not fisheye"),
         ({"distortion_model": "mirror"}, "distortion_model 'mirror' is not known"),
     ],
 )
@@ -464,7 +464,7 @@ def test_bad_filestorage_camera(changes: dict[str, Any], message: str, tmp_path:
     assert "\n" not in str(caught.value)
 
 
-# Bad TOML: (file, what is replaced, by what, message)
+# Invalid TOML: (file, old text, new text, message)
 
 MATRIX = "matrix = [[800.0, 0.0, 320.0], [0.0, 800.0, 240.0], [0.0, 0.0, 1.0]]"
 BAD_TOML: dict[str, tuple[str, str, str, str]] = {
@@ -520,7 +520,7 @@ def test_bad_toml(bad: str, tmp_path: Path) -> None:
     text, old, new, message = BAD_TOML[bad]
     assert old in text
     with pytest.raises(ValueError, match=rf"calibration\.toml: .*{message}") as caught:
-        calibration.load(write(tmp_path / "calibration.toml", text.replace(old, new, 1) if old else text))
+        calibration.load(write_file(tmp_path / "calibration.toml", text.replace(old, new, 1) if old else text))
     assert "\n" not in str(caught.value)
 
 
@@ -528,7 +528,7 @@ def test_bad_toml(bad: str, tmp_path: Path) -> None:
     ("name", "text", "message"),
     [
         ("a.json", '{"cam_0": ', "not valid JSON"),
-        ("a.json", '{"cam_0": {}, "cam_0": {}}', "'cam_0' is there twice"),
+        ("a.json", '{"cam_0": {}, "cam_0": {}}', "duplicate key 'cam_0'"),
         ("a.json", '{"name": "npm"}', "not a calibration of a known format"),
         ("a.json", '{"cameras": 3}', "'cameras' must be a map or a sequence"),
         ("a.json", '{"cameras": []}', "cameras: a rig needs at least one camera"),
@@ -540,10 +540,10 @@ def test_bad_toml(bad: str, tmp_path: Path) -> None:
             "cameras: two cameras of the same name in a, a",
         ),
         ("a.json", json.dumps({"unit": 3, "cam_0": json_camera()}), "unit must be a string"),
-        ("a.json", json.dumps(json_camera()), "holds a single lens"),
-        ("a.yml", "%YAML:1.0\n---\na: 1\na: 2\n", "'a' is there twice"),
+        ("a.json", json.dumps(json_camera()), "contains a single lens"),
+        ("a.yml", "%YAML:1.0\n---\na: 1\na: 2\n", "duplicate key 'a'"),
         ("a.yml", "cam_0: [\n", "not valid YAML: .*line 2"),
-        ("a.yml", "cam_0: &a\n  K: 1\ncam_1: *a\n", "YAML's aliases"),
+        ("a.yml", "cam_0: &a\n  K: 1\ncam_1: *a\n", "YAML aliases"),
         ("a.yml", "", "not a calibration of a known format"),
         ("a.xml", "<opencv_storage><a>", "not valid XML"),
         ("a.xml", "<html></html>", "not a calibration of a known format"),
@@ -552,7 +552,7 @@ def test_bad_toml(bad: str, tmp_path: Path) -> None:
 )
 def test_bad_files(name: str, text: str, message: str, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=rf"{name}: {message}") as caught:
-        calibration.load(write(tmp_path / name, text))
+        calibration.load(write_file(tmp_path / name, text))
     assert "\n" not in str(caught.value)
 
 
@@ -579,22 +579,22 @@ def test_no_such_file(tmp_path: Path) -> None:
 )
 def test_find(name: str, tmp_path: Path) -> None:
     for other in ("dataset.toml", "boxes.toml", "session.toml", "timestamps.csv", "cam_0.mp4", "calibration.png"):
-        write(tmp_path / other, "")
+        write_file(tmp_path / other, "")
     (tmp_path / "calibration").mkdir()
-    write(tmp_path / name, "")
+    write_file(tmp_path / name, "")
     assert calibration.find(tmp_path) == tmp_path / name
     assert calibration.find(str(tmp_path)) == tmp_path / name
 
 
 def test_find_none(tmp_path: Path) -> None:
-    write(tmp_path / "dataset.toml", "")
+    write_file(tmp_path / "dataset.toml", "")
     with pytest.raises(ValueError, match="no calibration in it; expected one such as"):
         calibration.find(tmp_path)
 
 
 def test_find_two(tmp_path: Path) -> None:
-    write(tmp_path / "camera_array.toml", "")
-    write(tmp_path / "calibration.yml", "")
+    write_file(tmp_path / "camera_array.toml", "")
+    write_file(tmp_path / "calibration.yml", "")
     with pytest.raises(ValueError, match=r"2 calibrations \(calibration.yml, camera_array.toml\)"):
         calibration.find(tmp_path)
 
@@ -611,7 +611,7 @@ def test_find_no_folder(tmp_path: Path) -> None:
         *("intri.yml", "intrinsics.yml", "stereo_params.pickle", "camera1.Pmat.cal", "rig_config.json"),
     ],
 )
-def test_find_as_programs_call_theirs(name: str, tmp_path: Path) -> None:
+def test_find_by_program_names(name: str, tmp_path: Path) -> None:
     for other in (
         "boxes.toml",
         "timestamps.csv",
@@ -621,18 +621,18 @@ def test_find_as_programs_call_theirs(name: str, tmp_path: Path) -> None:
         "camera2.Pmat.cal",
         "cameras.txt",
     ):
-        write(tmp_path / other, "")
-    write(tmp_path / name, "")
+        write_file(tmp_path / other, "")
+    write_file(tmp_path / name, "")
     assert calibration.find(tmp_path) == tmp_path / name
-    write(tmp_path / "calibration.toml", "")
+    write_file(tmp_path / "calibration.toml", "")
     assert calibration.find(tmp_path) == tmp_path / "calibration.toml"
 
 
 @pytest.mark.parametrize("name", ["calibration", "calib_2024", "sparse/0"])
 def test_find_folders(name: str, tmp_path: Path) -> None:
     rig = random_rig()
-    (tmp_path / "calibration_images").mkdir()  # nothing that could be a calibration in it
-    write(tmp_path / "calibration_images" / "0.png", "")
+    (tmp_path / "calibration_images").mkdir()  # contains no calibration
+    write_file(tmp_path / "calibration_images" / "0.png", "")
     (tmp_path / name).mkdir(parents=True)
     calibration.save(rig, tmp_path / name / "calibration.toml")
     assert calibration.find(tmp_path) == tmp_path / name
@@ -642,32 +642,32 @@ def test_find_folders(name: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("stereoParams.mat", r"a Matlab file, which is not read; write stereoParams as JSON"),
-        ("system.cal", r"a \.cal is not read; of OptiTrack, \.mcal is"),
-        ("calibration.csv", "a table is not read as a calibration"),
-        ("stereo.npz", "NumPy's arrays are not read"),
+        ("stereoParams.mat", r"Matlab files are not supported; write stereoParams as JSON"),
+        ("system.cal", r"\.cal is not supported; use OptiTrack's \.mcal"),
+        ("calibration.csv", "tables are not supported as calibrations"),
+        ("stereo.npz", "NumPy arrays have no standard names"),
     ],
 )
-def test_programs_whose_files_are_read_in_another_form(name: str, message: str, tmp_path: Path) -> None:
+def test_unsupported_files_name_alternatives(name: str, message: str, tmp_path: Path) -> None:
     (tmp_path / name).write_bytes(b"\x93\xff\x00")
     with pytest.raises(ValueError, match=rf"{name}: {message}"):
         calibration.load(tmp_path / name)
 
 
-def test_the_known_formats_are_said_whole(tmp_path: Path) -> None:
+def test_known_formats_are_listed_completely(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"known are sylpose, .* NeRF and DeepLabCut$"):
-        calibration.load(write(tmp_path / "a.txt", "hello there"))
+        calibration.load(write_file(tmp_path / "a.txt", "hello there"))
 
 
 def test_folders_with_several(tmp_path: Path) -> None:
     for name in ("calib_a.toml", "calib_b.toml"):
         calibration.save(random_rig(), tmp_path / name)
-    with pytest.raises(ValueError, match=r"calib_a\.toml, calib_b\.toml; say which one to use"):
+    with pytest.raises(ValueError, match=r"calib_a\.toml, calib_b\.toml; specify which one to use"):
         calibration.load(tmp_path)
 
 
 def test_folders_without_a_calibration(tmp_path: Path) -> None:
-    write(tmp_path / "notes.txt", "")
+    write_file(tmp_path / "notes.txt", "")
     with pytest.raises(ValueError, match="no calibration of a known format in this folder; known are sylpose"):
         calibration.load(tmp_path)
 
@@ -679,4 +679,4 @@ def test_format_of(tmp_path: Path) -> None:
         ("a.toml", OWN, "sylpose TOML"),
         ("a.yml", next(iter(STORAGE.values())), "OpenCV FileStorage"),
     ):
-        assert calibration.format_of(write(tmp_path / name, text)) == format_
+        assert calibration.format_name(write_file(tmp_path / name, text)) == format_

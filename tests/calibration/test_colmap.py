@@ -1,4 +1,4 @@
-"""COLMAP's models, text and binary, and its rig_config: its formulas, pixels that begin at 0.5, one pose for a camera."""
+"""COLMAP models, text and binary, and rig_config: formulas, pixels beginning at 0.5, one pose per camera."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from sylpose import calibration
 from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Rig
-from tests.calibration.reference_projections import assert_projects, in_front, write
+from tests.calibration.reference_projections import assert_projects, points_in_front, write_file
 
 CAMERAS = """# Camera list with one line of data per camera:
 #   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]
@@ -32,8 +32,8 @@ POSES = {
 }
 
 
-def images(names: dict[str, int], poses: dict[str, tuple[list[float], list[float]]] | None = None) -> str:
-    """images.txt: by name the number of the lens; every second image has no points."""
+def format_images(names: dict[str, int], poses: dict[str, tuple[list[float], list[float]]] | None = None) -> str:
+    """Format images.txt from lens IDs by image name; every second image has no points."""
     text = "# Image list with two lines of data per image:\n#   IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n"
     for k, (name, camera) in enumerate(names.items()):
         q, t = (poses or {}).get(name, POSES[camera])
@@ -45,8 +45,8 @@ def images(names: dict[str, int], poses: dict[str, tuple[list[float], list[float
 RIG = {"left/0.png": 1, "left/1.png": 1, "right/0.png": 2, "right/1.png": 2, "deep/down/top/0.png": 7}
 
 
-def turned(camera: int, point: FloatArray) -> FloatArray:
-    """The point in the camera: its documentation's rotation of a quaternion (w, x, y, z), and translation."""
+def transform_point(camera: int, point: FloatArray) -> FloatArray:
+    """Transform a point to the camera by COLMAP's documented formula of quaternion (w, x, y, z) and translation."""
     (w, x, y, z), t = POSES[camera]
     matrix = [
         [1 - 2 * y * y - 2 * z * z, 2 * x * y - 2 * w * z, 2 * x * z + 2 * w * y],
@@ -57,7 +57,7 @@ def turned(camera: int, point: FloatArray) -> FloatArray:
 
 
 def left(point: FloatArray) -> tuple[float, float]:
-    a, b, c = turned(1, point)
+    a, b, c = transform_point(1, point)
     u, v = a / c, b / c
     r2 = u * u + v * v
     radial = -0.1 * r2 + 0.02 * r2 * r2
@@ -67,7 +67,7 @@ def left(point: FloatArray) -> tuple[float, float]:
 
 
 def right(point: FloatArray) -> tuple[float, float]:
-    a, b, c = turned(2, point)
+    a, b, c = transform_point(2, point)
     u, v = a / c, b / c
     r2 = u * u + v * v
     radial = (1 + 0.2 * r2 - 0.1 * r2**2 + 0.03 * r2**3) / (1 + 0.1 * r2 - 0.05 * r2**2 + 0.01 * r2**3)
@@ -77,7 +77,7 @@ def right(point: FloatArray) -> tuple[float, float]:
 
 
 def top(point: FloatArray) -> tuple[float, float]:
-    a, b, c = turned(7, point)
+    a, b, c = transform_point(7, point)
     r = np.hypot(a, b)
     theta = np.arctan2(r, c)
     scale = (theta + 0.05 * theta**3) / r
@@ -90,20 +90,20 @@ def check(rig: Rig) -> None:
     seen: list[tuple[int, Callable[[FloatArray], tuple[float, float]]]] = [(1, left), (2, right), (7, top)]
     for camera, (number, pixel) in zip(rig, seen, strict=True):
         shift = np.array(POSES[number][1])
-        turn = np.column_stack([turned(number, axis) - shift for axis in np.eye(3)])
-        assert_projects(camera, in_front(turn, shift), pixel)
+        turn = np.column_stack([transform_point(number, axis) - shift for axis in np.eye(3)])
+        assert_projects(camera, points_in_front(turn, shift), pixel)
 
 
 @pytest.fixture
 def model(tmp_path: Path) -> Path:
-    write(tmp_path / "model" / "cameras.txt", CAMERAS)
-    write(tmp_path / "model" / "images.txt", images(RIG))
-    write(tmp_path / "model" / "points3D.txt", "# 3D point list\n1 0 0 1 255 0 0 0.5 1 0\n")
+    write_file(tmp_path / "model" / "cameras.txt", CAMERAS)
+    write_file(tmp_path / "model" / "images.txt", format_images(RIG))
+    write_file(tmp_path / "model" / "points3D.txt", "# 3D point list\n1 0 0 1 255 0 0 0.5 1 0\n")
     return tmp_path / "model"
 
 
-def binary(folder: Path, names: dict[str, int]) -> None:
-    """The same as COLMAP writes it in binary: little endian, numbers of models instead of their names."""
+def write_binary(folder: Path, names: dict[str, int]) -> None:
+    """Write the same model in COLMAP's binary format: little endian, model IDs instead of names."""
     numbers = {"OPENCV": 4, "FULL_OPENCV": 6, "SIMPLE_RADIAL_FISHEYE": 8}
     lines = [line.split() for line in CAMERAS.splitlines() if line[0] != "#"]
     data = struct.pack("<Q", len(lines))
@@ -122,19 +122,19 @@ def binary(folder: Path, names: dict[str, int]) -> None:
 @pytest.mark.parametrize("given", ["", "cameras.txt", "images.txt", "points3D.txt"])
 def test_text(given: str, model: Path) -> None:
     check(calibration.load(model / given))
-    assert calibration.format_of(model / given) == "COLMAP model"
+    assert calibration.format_name(model / given) == "COLMAP model"
 
 
 @pytest.mark.parametrize("given", ["", "cameras.bin", "images.bin"])
 def test_binary(given: str, model: Path) -> None:
     for file in model.iterdir():
         file.unlink()
-    binary(model, RIG)
+    write_binary(model, RIG)
     check(calibration.load(model / given))
 
 
-def test_colmap_itself_agrees(model: Path, tmp_path: Path) -> None:
-    """What pycolmap makes of the text, in binary, with rigs and frames; and its projections."""
+def test_pycolmap_agrees(model: Path, tmp_path: Path) -> None:
+    """Compare with pycolmap: its binary conversion of the text, with rigs and frames, and its projections."""
     pycolmap = pytest.importorskip("pycolmap")
     reconstruction = pycolmap.Reconstruction(model)
     (tmp_path / "binary").mkdir()
@@ -143,47 +143,47 @@ def test_colmap_itself_agrees(model: Path, tmp_path: Path) -> None:
     check(calibration.load(tmp_path / "binary"))
 
 
-# Which images are of which camera
+# Assignment of images to cameras
 
 
-def test_images_in_no_folder(model: Path) -> None:
+def test_images_without_folders(model: Path) -> None:
     names = {"a.png": 1, "b.png": 2, "c.png": 7}
-    write(model / "images.txt", images(names))
+    write_file(model / "images.txt", format_images(names))
     assert calibration.load(model).names == ("a", "b", "c")
-    # Several of each lens, which agree: as many cameras as lenses.
-    write(model / "images.txt", images({"a0.png": 1, "a1.png": 1, "b0.png": 2, "b1.png": 2}))
+    # Several consistent images of each lens: as many cameras as lenses.
+    write_file(model / "images.txt", format_images({"a0.png": 1, "a1.png": 1, "b0.png": 2, "b1.png": 2}))
     assert calibration.load(model).names == ("1", "2")
     # One lens for all: each image is a camera.
     poses = {"x.png": POSES[1], "y.png": POSES[2], "z.png": POSES[7]}
-    write(model / "images.txt", images(dict.fromkeys(poses, 1), poses))
+    write_file(model / "images.txt", format_images(dict.fromkeys(poses, 1), poses))
     rig = calibration.load(model)
     assert rig.names == ("x", "y", "z")
     np.testing.assert_array_equal(rig["x"].matrix, rig["z"].matrix)
 
 
-def moved(degrees: float, shift: float) -> tuple[list[float], list[float]]:
-    """The pose of lens 1 with another turn and its centre elsewhere."""
+def perturb_pose(degrees: float, distance: float) -> tuple[list[float], list[float]]:
+    """Return lens 1's pose with another rotation and center."""
     q, t = POSES[1]
     rotation = Rotation.from_quat(np.roll(q, -1))
     other = Rotation.from_rotvec([0, np.radians(degrees), 0]) * rotation
-    center = -rotation.inv().apply(t) + [shift, 0, 0]
+    center = -rotation.inv().apply(t) + [distance, 0, 0]
     return np.roll(other.as_quat(), 1).tolist(), (-other.apply(center)).tolist()
 
 
 def test_poses_of_one_camera_are_averaged(model: Path) -> None:
     names = dict.fromkeys([f"left/{k}.png" for k in range(4)], 1) | {"right/0.png": 2}
-    off = [moved(0.05, 0), moved(-0.05, 0), moved(0, 1e-3), moved(0, -1e-3)]
+    off = [perturb_pose(0.05, 0), perturb_pose(-0.05, 0), perturb_pose(0, 1e-3), perturb_pose(0, -1e-3)]
     poses = {f"left/{k}.png": pose for k, pose in enumerate(off)}
-    write(model / "images.txt", images(names, poses))
-    found, exact = calibration.load(model)["left"].camera_from_world, moved(0, 0)
+    write_file(model / "images.txt", format_images(names, poses))
+    found, exact = calibration.load(model)["left"].camera_from_world, perturb_pose(0, 0)
     np.testing.assert_allclose(found.translation, exact[1], atol=1e-6)
     assert (found.rotation * Rotation.from_quat(np.roll(exact[0], -1)).inv()).magnitude() < 1e-8
 
 
 @pytest.mark.parametrize(("degrees", "shift"), [(3.0, 0.0), (0.0, 0.5)])
-def test_a_camera_that_moves_is_refused(degrees: float, shift: float, model: Path) -> None:
+def test_moving_camera_is_rejected(degrees: float, shift: float, model: Path) -> None:
     names = {"left/0.png": 1, "left/1.png": 1, "right/0.png": 2}
-    write(model / "images.txt", images(names, {"left/1.png": moved(degrees, shift)}))
+    write_file(model / "images.txt", format_images(names, {"left/1.png": perturb_pose(degrees, shift)}))
     with pytest.raises(ValueError, match=r"images do not have one pose") as caught:
         calibration.load(model)
     # Their mean is halfway.
@@ -194,7 +194,7 @@ def test_a_camera_that_moves_is_refused(degrees: float, shift: float, model: Pat
 @pytest.mark.parametrize(
     ("file", "old", "new", "message"),
     [
-        ("cameras.txt", "OPENCV 640", "FOV 640", "camera left: COLMAP's model FOV is none of OpenCV's"),
+        ("cameras.txt", "OPENCV 640", "FOV 640", "camera left: COLMAP's model FOV is not supported"),
         ("cameras.txt", "OPENCV 640", "RADIAL 640", "camera left: the parameters of RADIAL must be 5 numbers, got 8"),
         (
             "cameras.txt",
@@ -209,37 +209,37 @@ def test_a_camera_that_moves_is_refused(degrees: float, shift: float, model: Pat
         ("images.txt", "2.0", "nan", "image right/0.png: its pose"),
     ],
 )
-def test_what_cannot_be_used(file: str, old: str, new: str, message: str, model: Path) -> None:
+def test_invalid_models_are_rejected(file: str, old: str, new: str, message: str, model: Path) -> None:
     text = (model / file).read_text()
     assert old in text
-    write(model / file, text.replace(old, new, 1))
+    write_file(model / file, text.replace(old, new, 1))
     with pytest.raises(ValueError, match=message):
         calibration.load(model)
 
 
-def test_half_a_model(model: Path) -> None:
+def test_incomplete_model_is_rejected(model: Path) -> None:
     (model / "images.txt").unlink()
-    with pytest.raises(ValueError, match=r"cameras\.txt: this is part of a COLMAP model, .*images must lie beside it"):
+    with pytest.raises(ValueError, match=r"cameras\.txt: this is part of a COLMAP model, .*images must be next to it"):
         calibration.load(model)
-    write(model / "images.txt", "# nothing\n")
+    write_file(model / "images.txt", "# nothing\n")
     with pytest.raises(ValueError, match="no image of this COLMAP model has a pose"):
         calibration.load(model)
 
 
 @pytest.mark.parametrize("cut", [4, 11, 40, 90, 150])
 @pytest.mark.parametrize("name", ["cameras.bin", "images.bin"])
-def test_binary_that_breaks_off(name: str, cut: int, model: Path) -> None:
-    binary(model, RIG)
+def test_truncated_binary_is_rejected(name: str, cut: int, model: Path) -> None:
+    write_binary(model, RIG)
     data = (model / name).read_bytes()
     (model / name).write_bytes(data[:cut])
-    with pytest.raises(ValueError, match=rf"{name}: it breaks off"):
+    with pytest.raises(ValueError, match=rf"{name}: the file is truncated"):
         calibration.load(model / name)
 
 
 # rig_config
 
 
-def config(**changes: Any) -> list[dict[str, Any]]:
+def make_rig_config(**changes: Any) -> list[dict[str, Any]]:
     q, t = POSES[2]
     second = {
         "image_prefix": "rig1/right/",
@@ -259,14 +259,14 @@ def config(**changes: Any) -> list[dict[str, Any]]:
 
 
 def test_rig_config(tmp_path: Path) -> None:
-    file = write(tmp_path / "rig_config.json", json.dumps(config()))
+    file = write_file(tmp_path / "rig_config.json", json.dumps(make_rig_config()))
     rig = calibration.load(file, lambda names: dict.fromkeys(names, (640, 480)))
     assert rig.names == ("left", "right")
-    points = in_front(np.eye(3), np.zeros(3))
+    points = points_in_front(np.eye(3), np.zeros(3))
     assert_projects(rig["left"], points, lambda p: (500 * p[0] / p[2] + 319.5, 501 * p[1] / p[2] + 239.5))
     shift = np.array(POSES[2][1])
-    turn = np.column_stack([turned(2, axis) - shift for axis in np.eye(3)])
-    assert_projects(rig["right"], in_front(turn, shift), right)
+    turn = np.column_stack([transform_point(2, axis) - shift for axis in np.eye(3)])
+    assert_projects(rig["right"], points_in_front(turn, shift), right)
 
 
 @pytest.mark.parametrize(
@@ -274,13 +274,13 @@ def test_rig_config(tmp_path: Path) -> None:
     [
         ({"camera_params": None}, "camera right: this is a COLMAP rig_config without its camera_model_name"),
         ({"cam_from_rig_rotation": None}, "camera right: .* without its cam_from_rig_rotation"),
-        ({"cam_from_rig_rotation": [1, 1, 0, 0]}, "camera right: .* is no unit quaternion"),
+        ({"cam_from_rig_rotation": [1, 1, 0, 0]}, "camera right: .* is not a unit quaternion"),
     ],
 )
-def test_rig_config_that_cannot_be_used(changes: dict[str, Any], message: str, tmp_path: Path) -> None:
-    file = write(tmp_path / "rig_config.json", json.dumps(config(**changes)))
+def test_invalid_rig_config_is_rejected(changes: dict[str, Any], message: str, tmp_path: Path) -> None:
+    file = write_file(tmp_path / "rig_config.json", json.dumps(make_rig_config(**changes)))
     with pytest.raises(ValueError, match=rf"rig_config\.json: {message}"):
         calibration.load(file, lambda names: dict.fromkeys(names, (640, 480)))
-    file = write(tmp_path / "rig_config.json", json.dumps(config() + config()))
-    with pytest.raises(ValueError, match="of 2 rigs, and does not tell"):
+    file = write_file(tmp_path / "rig_config.json", json.dumps(make_rig_config() + make_rig_config()))
+    with pytest.raises(ValueError, match="of 2 rigs, without the poses between them"):
         calibration.load(file)

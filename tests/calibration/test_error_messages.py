@@ -1,4 +1,4 @@
-"""What a calibration says of its own error is read where there is one, and kept in sylpose's own format."""
+"""Reprojection errors stored in calibrations are read, and kept in sylpose's own format."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ translation = [0.0, 0.0, 1.0]
 """
 
 
-def test_read(tmp_path: Path) -> None:
+def test_error_is_read(tmp_path: Path) -> None:
     path = tmp_path / "calibration.toml"
     path.write_text(CAMERA.format(table="cam_0") + "[metadata]\nadjusted = true\nerror = 0.41\n")
     assert calibration.load(path).cameras[0].error_px == 0.41
@@ -33,26 +33,26 @@ def test_read(tmp_path: Path) -> None:
     assert calibration.load(path).cameras[0].error_px is None
 
 
-def test_kept(tmp_path: Path) -> None:
+def test_error_is_kept(tmp_path: Path) -> None:
     rig = ring(2)
-    said = Rig([replace(rig.cameras[0], error_px=0.25), rig.cameras[1]])
-    calibration.save(said, tmp_path / "c.toml")
+    with_error = Rig([replace(rig.cameras[0], error_px=0.25), rig.cameras[1]])
+    calibration.save(with_error, tmp_path / "c.toml")
     assert [c.error_px for c in calibration.load(tmp_path / "c.toml")] == [0.25, None]
     with pytest.raises(ValueError, match="error_px"):
         replace(rig.cameras[0], error_px=-1.0)
 
 
 @pytest.mark.parametrize("suffix", [".yml", ".json", ".xml"])
-def test_kept_by_opencv(tmp_path: Path, suffix: str) -> None:
+def test_error_is_kept_by_opencv(tmp_path: Path, suffix: str) -> None:
     rig = ring(2)
-    said = Rig([replace(rig.cameras[0], error_px=0.25), rig.cameras[1]])
-    calibration.save(said, tmp_path / f"c{suffix}")
+    with_error = Rig([replace(rig.cameras[0], error_px=0.25), rig.cameras[1]])
+    calibration.save(with_error, tmp_path / f"c{suffix}")
     assert [c.error_px for c in calibration.load(tmp_path / f"c{suffix}")] == [0.25, None]
 
 
-def test_opencvs_names(tmp_path: Path) -> None:
-    """One of all cameras beside them, as its calibration sample writes it, unless one says its own; what is no number is
-    an error that names the camera."""
+def test_opencv_error_keys(tmp_path: Path) -> None:
+    """The error of all cameras, as in OpenCV's calibration sample, applies unless a camera has its own; an invalid
+    value is reported with the camera's name."""
     path = tmp_path / "c.json"
     calibration.save(ring(2), path)
     data = json.loads(path.read_text())

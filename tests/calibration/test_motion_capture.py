@@ -1,4 +1,4 @@
-"""Calibrations of Qualisys, Vicon and OptiTrack, by what is known of their formulas."""
+"""Calibrations of Qualisys, Vicon and OptiTrack, by their documented formulas."""
 
 from __future__ import annotations
 
@@ -9,22 +9,29 @@ import pytest
 
 from sylpose import calibration
 from sylpose.geometry.arrays import FloatArray
-from tests.calibration.reference_projections import OTHER_TURN, TURN, assert_projects, brown, in_front, write
+from tests.calibration.reference_projections import (
+    OTHER_TURN,
+    TURN,
+    apply_brown,
+    assert_projects,
+    points_in_front,
+    write_file,
+)
 
 CENTER = np.array([1250.5, -2340.25, 1820.125])
-# The rows of a camera that looks along -z with y up, and that of one that looks along z with y down: turned about x.
+# Rows of a camera that looks along -z with y up, and of one that looks along z with y down: rotated about x.
 BACK = np.diag([1.0, -1.0, -1.0])
 
 
-def in_view(turn: FloatArray) -> FloatArray:
-    """Points, in mm, in front of a camera of ours at CENTER."""
-    return CENTER + 1000.0 * in_front(turn, np.zeros(3))
+def points_in_view(rotation: FloatArray) -> FloatArray:
+    """Return points, in mm, in front of an OpenCV camera at CENTER."""
+    return CENTER + 1000.0 * points_in_front(rotation, np.zeros(3))
 
 
 # Qualisys
 
 
-def qualisys(**changes: str) -> str:
+def make_qualisys(**changes: str) -> str:
     turn = BACK @ TURN
     rows = (
         " ".join(f'r{i + 1}{j + 1}="{turn[i, j]!r}"' for i in range(3) for j in range(3))
@@ -58,29 +65,29 @@ def qualisys(**changes: str) -> str:
 
 
 def test_qualisys(tmp_path: Path) -> None:
-    rig = calibration.load(write(tmp_path / "take.qca.txt", qualisys()))
-    assert rig.names == ("26580",)  # the one that is a calibrated video camera
+    rig = calibration.load(write_file(tmp_path / "take.qca.txt", make_qualisys()))
+    assert rig.names == ("26580",)  # the only calibrated video camera
     assert rig.unit == "mm"
     assert rig.cameras[0].size == (1920, 1080)
 
     def pixel(point: FloatArray) -> tuple[float, float]:
         turn = BACK @ TURN
         x, y, z = (sum(turn[i, j] * (point - CENTER)[j] for j in range(3)) for i in range(3))
-        u, v = brown(x / -z, -y / -z, [-0.04545, 0.139604, 0.001], [0.000615, -0.000391])
+        u, v = apply_brown(x / -z, -y / -z, [-0.04545, 0.139604, 0.001], [0.000615, -0.000391])
         return (107872.5 * u + 60827.25) / 64, (107880.25 * v + 32684.125) / 64 - 4
 
-    assert_projects(rig.cameras[0], in_view(TURN), pixel)
+    assert_projects(rig.cameras[0], points_in_view(TURN), pixel)
 
 
 def test_qualisys_without_video_cameras(tmp_path: Path) -> None:
-    text = qualisys(**{"Miqus Video": "Oqus 300+"})
-    assert calibration.load(write(tmp_path / "take.qca.txt", text)).names == ("26580", "12039")
+    text = make_qualisys(**{"Miqus Video": "Oqus 300+"})
+    assert calibration.load(write_file(tmp_path / "take.qca.txt", text)).names == ("26580", "12039")
 
 
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('viewrotation="0"', 'viewrotation="180"', "camera 26580: viewrotation is 180: its video is exported turned"),
+        ('viewrotation="0"', 'viewrotation="180"', "camera 26580: viewrotation is 180: its video is exported rotated"),
         ('skew="0.000000"', 'skew="64"', "camera 26580: the matrix has skew"),
         ("radialDistortion2", "radialDistortion9", "camera 26580: missing 'radialDistortion2'"),
         ("<transform", "<place", "camera 26580: missing 'r11'"),
@@ -88,23 +95,23 @@ def test_qualisys_without_video_cameras(tmp_path: Path) -> None:
         ('calibrated="true" message', 'calibrated="false" message', "at least one camera"),
     ],
 )
-def test_qualisys_that_cannot_be_used(old: str, new: str, message: str, tmp_path: Path) -> None:
+def test_invalid_qualisys_is_rejected(old: str, new: str, message: str, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=rf"take\.qca\.txt: .*{message}"):
-        calibration.load(write(tmp_path / "take.qca.txt", qualisys(**{old: new})))
+        calibration.load(write_file(tmp_path / "take.qca.txt", make_qualisys(**{old: new})))
 
 
 # Vicon
 
 
-def quaternion(turn: FloatArray) -> list[float]:
-    """x y z w, from a matrix whose trace is positive."""
-    w = np.sqrt(1 + np.trace(turn)) / 2
-    x, y, z = (turn[2, 1] - turn[1, 2]), (turn[0, 2] - turn[2, 0]), (turn[1, 0] - turn[0, 1])
+def to_quaternion(rotation: FloatArray) -> list[float]:
+    """Return x y z w of a rotation matrix with positive trace."""
+    w = np.sqrt(1 + np.trace(rotation)) / 2
+    x, y, z = (rotation[2, 1] - rotation[1, 2]), (rotation[0, 2] - rotation[2, 0]), (rotation[1, 0] - rotation[0, 1])
     return [float(v) for v in (x / (4 * w), y / (4 * w), z / (4 * w), w)]
 
 
-def vicon(lens: str, **changes: str) -> str:
-    turn, center = (" ".join(map(str, values)) for values in (quaternion(TURN), CENTER.tolist()))
+def make_vicon(lens: str, **changes: str) -> str:
+    turn, center = (" ".join(map(str, values)) for values in (to_quaternion(TURN), CENTER.tolist()))
     frame = f"""<KeyFrame FOCAL_LENGTH="1620.5" FRAME="0" IMAGE_ERROR="0.18" ORIENTATION="{turn}" POSITION="{center}"
         PRINCIPAL_POINT="965.25 538.5" {lens} WORLD_ERROR="0.4"/>"""
     camera = f"""<Camera ACTIVE_THRESHOLD="1" DEVICEID="2107213" DISPLAY_TYPE="Vue" ISDV="2" NAME="" PIXEL_ASPECT_RATIO="1"
@@ -123,12 +130,12 @@ def vicon(lens: str, **changes: str) -> str:
     return text
 
 
-def straight(pixel: FloatArray, middle: tuple[float, float], k: list[float]) -> FloatArray:
-    """Vicon's correction of a pixel."""
-    x, y = pixel[0] - middle[0], pixel[1] - middle[1]
+def undistort(pixel: FloatArray, center: tuple[float, float], k: list[float]) -> FloatArray:
+    """Apply Vicon's undistortion to a pixel."""
+    x, y = pixel[0] - center[0], pixel[1] - center[1]
     r2 = x * x + y * y
     scale = 1 + sum(term * r2 ** (i + 1) for i, term in enumerate(k))
-    return np.array([middle[0] + scale * x, middle[1] + scale * y])
+    return np.array([center[0] + scale * x, center[1] + scale * y])
 
 
 @pytest.mark.parametrize(
@@ -141,32 +148,37 @@ def straight(pixel: FloatArray, middle: tuple[float, float], k: list[float]) -> 
     ],
 )
 def test_vicon(lens: str, middle: tuple[float, float], k: list[float], tmp_path: Path) -> None:
-    rig = calibration.load(write(tmp_path / "take.xcp", vicon(lens)))
-    assert rig.names == ("2107213",)  # not the one that sees markers, nor that which was not calibrated
+    rig = calibration.load(write_file(tmp_path / "take.xcp", make_vicon(lens)))
+    assert rig.names == ("2107213",)  # neither the marker camera nor the uncalibrated one
     camera = rig.cameras[0]
     assert (camera.size, rig.unit, camera.error_px) == ((1920, 1080), "mm", 0.18)
-    points = in_view(TURN)
+    points = points_in_view(TURN)
     pixels = camera.project(points)
     inside = ((pixels >= 0) & (pixels < (1920, 1080))).all(axis=1)
     assert inside.sum() > 10
     for point, pixel in zip(points[inside], pixels[inside], strict=True):
-        # The ray of the corrected pixel leads to the point: K [R | -R C].
-        x, y, w, q = (*quaternion(TURN)[:2], quaternion(TURN)[3], quaternion(TURN)[2])
+        # The undistorted pixel's ray passes through the point: K [R | -R C].
+        x, y, w, q = (*to_quaternion(TURN)[:2], to_quaternion(TURN)[3], to_quaternion(TURN)[2])
         v, from_center = np.array([x, y, q]), point - CENTER
         seen = from_center + 2 * w * np.cross(v, from_center) + 2 * np.cross(v, np.cross(v, from_center))
         ideal = np.array([1620.5 * seen[0] / seen[2] + 965.25, 1620.5 * seen[1] / seen[2] + 538.5])
-        np.testing.assert_allclose(straight(pixel, middle, k), ideal, atol=0.025 if any(k) else 1e-9)
+        np.testing.assert_allclose(undistort(pixel, middle, k), ideal, atol=0.025 if any(k) else 1e-9)
 
 
 @pytest.mark.parametrize(
     ("lens", "old", "new", "message"),
     [
-        ('VICON_RADIAL="3e-06 0"', "", "", "camera 2107213: (none of OpenCV's lens models|its lens does not show)"),
+        (
+            'VICON_RADIAL="3e-06 0"',
+            "",
+            "",
+            "camera 2107213: (none of OpenCV's lens models|its lens model is not valid)",
+        ),
         (
             'VICON_RADIAL="3e-08 0"',
             'RATIO="1"',
             'RATIO="1.05"',
-            "camera 2107213: a lens with distortion on pixels that are not",
+            "camera 2107213: lens distortion with non-square pixels is not",
         ),
         ('VICON_RADIAL="0 0"', "FOCAL_LENGTH", "LENGTH", "camera 2107213: missing 'FOCAL_LENGTH'"),
         (
@@ -185,17 +197,17 @@ def test_vicon(lens: str, middle: tuple[float, float], k: list[float], tmp_path:
         ),
     ],
 )
-def test_vicon_that_cannot_be_used(lens: str, old: str, new: str, message: str, tmp_path: Path) -> None:
-    text = vicon(lens, **({old: new} if old else {}))
+def test_invalid_vicon_is_rejected(lens: str, old: str, new: str, message: str, tmp_path: Path) -> None:
+    text = make_vicon(lens, **({old: new} if old else {}))
     with pytest.raises(ValueError, match=rf"take\.xcp: .*{message}"):
-        calibration.load(write(tmp_path / "take.xcp", text))
+        calibration.load(write_file(tmp_path / "take.xcp", text))
 
 
 # OptiTrack
 
 
-def optitrack(**changes: str) -> str:
-    """OrientMatrix: the rows of what turns the camera, which looks along -z, to the world."""
+def make_optitrack(**changes: str) -> str:
+    """Format a .mcal; OrientMatrix has the rows of the rotation to the world from a camera that looks along -z."""
     turn = (BACK @ OTHER_TURN).T
     orient = " ".join(f'OrientMatrix{i}="{v}"' for i, v in enumerate(turn.ravel().tolist()))
     color = f"""<Camera Serial="C11764">
@@ -223,7 +235,7 @@ def optitrack(**changes: str) -> str:
 
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-8"])
 def test_optitrack(encoding: str, tmp_path: Path) -> None:
-    (tmp_path / "system.mcal").write_bytes(optitrack().encode(encoding))
+    (tmp_path / "system.mcal").write_bytes(make_optitrack().encode(encoding))
     rig = calibration.load(tmp_path / "system.mcal")
     assert rig.names == ("C11764",)
     assert (rig.cameras[0].size, rig.unit) == ((1920, 1080), "m")
@@ -232,15 +244,15 @@ def test_optitrack(encoding: str, tmp_path: Path) -> None:
         turn = (BACK @ OTHER_TURN).T
         off = point - CENTER / 1000
         x, y, z = (sum(turn[i, j] * off[i] for i in range(3)) for j in range(3))
-        u, v = brown(x / -z, -y / -z, [-0.12, 0.05, -0.01], [0.0005, -0.001])
+        u, v = apply_brown(x / -z, -y / -z, [-0.12, 0.05, -0.01], [0.0005, -0.001])
         return 1120.5 * u + 955.5, 1121.25 * v + 541.25
 
-    assert_projects(rig.cameras[0], in_view(OTHER_TURN) / 1000, pixel)
+    assert_projects(rig.cameras[0], points_in_view(OTHER_TURN) / 1000, pixel)
 
 
-def test_optitrack_without_colour_cameras(tmp_path: Path) -> None:
-    text = optitrack(**{'ImagerIndex="30"': 'ImagerIndex="00"'})
-    assert calibration.load(write(tmp_path / "a.mcal", text)).names == ("M21614", "C11764")
+def test_optitrack_without_color_cameras(tmp_path: Path) -> None:
+    text = make_optitrack(**{'ImagerIndex="30"': 'ImagerIndex="00"'})
+    assert calibration.load(write_file(tmp_path / "a.mcal", text)).names == ("M21614", "C11764")
 
 
 @pytest.mark.parametrize(
@@ -249,13 +261,13 @@ def test_optitrack_without_colour_cameras(tmp_path: Path) -> None:
         (
             "IntrinsicStandardCameraModel",
             "IntrinsicOther",
-            "camera C11764: no IntrinsicStandardCameraModel: its lens is in Opti",
+            "camera C11764: no IntrinsicStandardCameraModel: its lens has only Opti",
         ),
         ("OrientMatrix4", "OrientMatrix9", "camera C11764: missing 'OrientMatrix4'"),
         ("ImagerPixelWidth", "Width", "camera C11764: missing 'ImagerPixelWidth'"),
         ("<Extrinsic ", "<Extrinsics ", "OptiTrack, without a Camera with its Extrinsic"),
     ],
 )
-def test_optitrack_that_cannot_be_used(old: str, new: str, message: str, tmp_path: Path) -> None:
+def test_invalid_optitrack_is_rejected(old: str, new: str, message: str, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=rf"a\.mcal: .*{message}"):
-        calibration.load(write(tmp_path / "a.mcal", optitrack(**{old: new})))
+        calibration.load(write_file(tmp_path / "a.mcal", make_optitrack(**{old: new})))

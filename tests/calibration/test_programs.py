@@ -14,11 +14,11 @@ from sylpose.geometry.arrays import FloatArray
 from tests.calibration.reference_projections import (
     OTHER_TURN,
     TURN,
+    apply_brown,
+    apply_equidistant,
     assert_projects,
-    brown,
-    equidistant,
-    in_front,
-    write,
+    points_in_front,
+    write_file,
 )
 
 SHIFT = np.array([-120.5, 3.25, 15.0])
@@ -27,8 +27,8 @@ SHIFT = np.array([-120.5, 3.25, 15.0])
 # Matlab
 
 
-def matlab(newer: bool = False, **changes: Any) -> dict[str, Any]:
-    """jsonencode(toStruct(stereoParams)): matrices of old versions stand behind rows of points."""
+def make_matlab(newer: bool = False, **changes: Any) -> dict[str, Any]:
+    """Format jsonencode(toStruct(stereoParams)); matrices of old versions apply to row vectors."""
     first = np.array([[800.5, 0, 321.0], [0, 801.5, 241.0], [0, 0, 1]])
     lenses = []
     for k, matrix in (([-0.2, 0.05], first), ([-0.3, 0.1, -0.02], first + np.diag([10, 20, 0]))):
@@ -45,21 +45,21 @@ def matlab(newer: bool = False, **changes: Any) -> dict[str, Any]:
 
 @pytest.mark.parametrize("newer", [False, True])
 def test_matlab(newer: bool, tmp_path: Path) -> None:
-    rig = calibration.load(write(tmp_path / "stereo.json", json.dumps(matlab(newer))))
+    rig = calibration.load(write_file(tmp_path / "stereo.json", json.dumps(make_matlab(newer))))
     assert (rig.names, rig.unit, rig.cameras[0].size) == (("1", "2"), "mm", (640, 480))
 
     def first(point: FloatArray) -> tuple[float, float]:
-        """Of a row: [x y z] K', from pixel (1, 1) on."""
-        x, y = brown(point[0] / point[2], point[1] / point[2], [-0.2, 0.05], [0.001, -0.002])
+        """Project row vectors, [x y z] K', with pixels from (1, 1)."""
+        x, y = apply_brown(point[0] / point[2], point[1] / point[2], [-0.2, 0.05], [0.001, -0.002])
         return 800.5 * x + 321.0 - 1, 801.5 * y + 241.0 - 1
 
     def second(point: FloatArray) -> tuple[float, float]:
         row = [sum(point[i] * TURN.T[i, j] for i in range(3)) + SHIFT[j] for j in range(3)]
-        x, y = brown(row[0] / row[2], row[1] / row[2], [-0.3, 0.1, -0.02], [0.001, -0.002])
+        x, y = apply_brown(row[0] / row[2], row[1] / row[2], [-0.3, 0.1, -0.02], [0.001, -0.002])
         return 810.5 * x + 321.0 - 1, 821.5 * y + 241.0 - 1
 
-    assert_projects(rig["1"], in_front(np.eye(3), np.zeros(3)), first)
-    assert_projects(rig["2"], in_front(TURN, SHIFT), second)
+    assert_projects(rig["1"], points_in_front(np.eye(3), np.zeros(3)), first)
+    assert_projects(rig["2"], points_in_front(TURN, SHIFT), second)
 
 
 @pytest.mark.parametrize(
@@ -71,25 +71,25 @@ def test_matlab(newer: bool, tmp_path: Path) -> None:
             {"CameraParameters1": {"MappingCoefficients": [1, 2, 3, 4]}},
             r"camera 1: Matlab's fisheye model \(Scaramuzza's\)",
         ),
-        ({"CameraParameters1": matlab()["CameraParameters1"] | {"ImageSize": []}}, "how large the images of 1, 2 are"),
+        ({"CameraParameters1": make_matlab()["CameraParameters1"] | {"ImageSize": []}}, "has no image size of 1, 2"),
         (
-            {"CameraParameters1": matlab()["CameraParameters1"] | {"ImageSize": [3]}},
+            {"CameraParameters1": make_matlab()["CameraParameters1"] | {"ImageSize": [3]}},
             "camera 1: ImageSize must be 2 numbers",
         ),
         (
-            {"CameraParameters1": matlab()["CameraParameters1"] | {"RadialDistortion": 1}},
+            {"CameraParameters1": make_matlab()["CameraParameters1"] | {"RadialDistortion": 1}},
             "RadialDistortion must be 2 or 3",
         ),
     ],
 )
-def test_matlab_that_cannot_be_used(changes: dict[str, Any], message: str, tmp_path: Path) -> None:
+def test_invalid_matlab_is_rejected(changes: dict[str, Any], message: str, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=rf"stereo\.json: .*{message}"):
-        calibration.load(write(tmp_path / "stereo.json", json.dumps(matlab(**changes))))
+        calibration.load(write_file(tmp_path / "stereo.json", json.dumps(make_matlab(**changes))))
 
 
 def test_matlab_of_one_camera(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="these are Matlab's parameters of one camera"):
-        calibration.load(write(tmp_path / "a.json", json.dumps(matlab()["CameraParameters1"])))
+        calibration.load(write_file(tmp_path / "a.json", json.dumps(make_matlab()["CameraParameters1"])))
 
 
 # Metashape
@@ -98,8 +98,8 @@ def test_matlab_of_one_camera(tmp_path: Path) -> None:
 SCALE, CHUNK_SHIFT = 0.5, np.array([10.0, -20.0, 5.0])
 
 
-def metashape(**changes: str) -> str:
-    """Two sensors; the chunk's transform; a camera that is not aligned."""
+def make_metashape(**changes: str) -> str:
+    """Format a Metashape export with two sensors, a chunk transform, and an unaligned camera."""
     pose = np.eye(4)
     pose[:3] = np.column_stack([TURN.T, [3.0, -4.0, 2.0]])
     other = np.eye(4)
@@ -148,17 +148,17 @@ def metashape(**changes: str) -> str:
 
 
 def test_metashape(tmp_path: Path) -> None:
-    rig = calibration.load(write(tmp_path / "cameras.xml", metashape()))
+    rig = calibration.load(write_file(tmp_path / "cameras.xml", make_metashape()))
     assert rig.names == ("cam_left", "cam_right")
     assert [camera.size for camera in rig] == [(1920, 1080), (1280, 960)]
 
     def in_camera(point: FloatArray, turn: FloatArray, center: FloatArray) -> FloatArray:
-        """World to chunk to camera, by the inverses of what the file has."""
+        """Transform world to chunk to camera, by the inverses of the file's transforms."""
         chunk = OTHER_TURN.T @ (point - CHUNK_SHIFT) / SCALE
         return np.array([sum(turn[i, j] * (chunk - center)[j] for j in range(3)) for i in range(3)])
 
     def left(point: FloatArray) -> tuple[float, float]:
-        """The manual's formulas of frame cameras, pixels from the corner of the image on."""
+        """Apply the manual's formulas of frame cameras, with pixels from the image's corner."""
         a, b, c = in_camera(point, TURN, np.array([3.0, -4.0, 2.0]))
         x, y = a / c, b / c
         r2 = x * x + y * y
@@ -169,14 +169,14 @@ def test_metashape(tmp_path: Path) -> None:
 
     def right(point: FloatArray) -> tuple[float, float]:
         a, b, c = in_camera(point, OTHER_TURN, np.array([-1.0, 2.0, 6.0]))
-        x, y = equidistant(a / c, b / c, [0.04, -0.01, 0.0, 0.001])
+        x, y = apply_equidistant(a / c, b / c, [0.04, -0.01, 0.0, 0.001])
         return 1280 * 0.5 + 1 + 600 * x - 0.5, 960 * 0.5 + 2 + 600 * y - 0.5
 
     for name, turn, center, pixel in (
         ("cam_left", TURN, [3.0, -4.0, 2.0], left),
         ("cam_right", OTHER_TURN, [-1.0, 2.0, 6.0], right),
     ):
-        in_chunk = in_front(turn, -turn @ np.array(center))
+        in_chunk = points_in_front(turn, -turn @ np.array(center))
         assert_projects(rig[name], SCALE * in_chunk @ OTHER_TURN.T + CHUNK_SHIFT, pixel)
 
 
@@ -186,7 +186,7 @@ def test_metashape(tmp_path: Path) -> None:
         ("<b1>2.5</b1>", "<b2>2.5</b2>", "camera cam_left: b2 of Metashape's frame model is not in OpenCV's"),
         ("<k3>", "<k4>0.1</k4><k3>", "camera cam_left: k4 of Metashape's frame model is not in OpenCV's"),
         ('type="fisheye" class', 'type="spherical" class', "camera cam_right: Metashape's 'spherical' camera model"),
-        ("<f>1500.5</f>", "<fx>1500.5</fx>", "camera cam_left: its calibration is in the form of an old PhotoScan"),
+        ("<f>1500.5</f>", "<fx>1500.5</fx>", "camera cam_left: its calibration has the format of an old PhotoScan"),
         ("<f>1500.5</f>", "", "camera cam_left: missing 'f'"),
         ('<sensor id="1"', '<sensor id="7"', "camera cam_right: its sensor 1 is not in this file"),
         ("<scale locked", "<scale old='", "not valid XML"),
@@ -198,20 +198,20 @@ def test_metashape(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_metashape_that_cannot_be_used(old: str, new: str, message: str, tmp_path: Path) -> None:
+def test_invalid_metashape_is_rejected(old: str, new: str, message: str, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=rf"cameras\.xml: .*{message}"):
-        calibration.load(write(tmp_path / "cameras.xml", metashape(**{old: new})))
+        calibration.load(write_file(tmp_path / "cameras.xml", make_metashape(**{old: new})))
 
 
 def test_metashape_without_poses_or_with_several_chunks(tmp_path: Path) -> None:
-    text = metashape()
+    text = make_metashape()
     chunk = text.partition("<chunk")[2].partition("</chunk>")[0]
-    file = write(tmp_path / "a.xml", text.replace("</chunk>", f"</chunk><chunk{chunk}</chunk>"))
+    file = write_file(tmp_path / "a.xml", text.replace("</chunk>", f"</chunk><chunk{chunk}</chunk>"))
     with pytest.raises(ValueError, match="2 chunks with cameras"):
         calibration.load(file)
     with pytest.raises(ValueError, match="no camera in this file of Metashape is aligned"):
         calibration.load(
-            write(
+            write_file(
                 file,
                 text.replace("<transform>0", "<was>0")
                 .replace("<transform>-", "<was>-")
@@ -223,8 +223,8 @@ def test_metashape_without_poses_or_with_several_chunks(tmp_path: Path) -> None:
 # NeRF
 
 
-def nerf(**changes: Any) -> dict[str, Any]:
-    """As instant-ngp's colmap2nerf writes it: cameras that look along -z with y up, in the world."""
+def make_nerf(**changes: Any) -> dict[str, Any]:
+    """Format transforms.json as instant-ngp's colmap2nerf: cameras look along -z with y up, in the world."""
     frames = []
     for name, turn, center in (("left", TURN, [1.0, 2.0, 3.0]), ("right", OTHER_TURN, [-2.0, 0.5, 1.0])):
         pose = np.eye(4)
@@ -248,65 +248,65 @@ def nerf(**changes: Any) -> dict[str, Any]:
     return {key: value for key, value in (data | changes).items() if value is not None}
 
 
-def seen(point: FloatArray, turn: FloatArray, center: list[float]) -> tuple[float, float]:
-    """x to the right and y up over the distance along -z; images' y goes down."""
-    camera_to_world = turn.T @ np.diag([1.0, -1.0, -1.0])
+def project_nerf(point: FloatArray, rotation: FloatArray, center: list[float]) -> tuple[float, float]:
+    """Project with x right and y up over the distance along -z; image y points down."""
+    camera_to_world = rotation.T @ np.diag([1.0, -1.0, -1.0])
     x, y, z = (sum(camera_to_world[i, j] * (point - center)[i] for i in range(3)) for j in range(3))
     return x / -z, -(y / -z)
 
 
 def test_nerf(tmp_path: Path) -> None:
-    rig = calibration.load(write(tmp_path / "transforms.json", json.dumps(nerf())))
+    rig = calibration.load(write_file(tmp_path / "transforms.json", json.dumps(make_nerf())))
     assert rig.names == ("left", "right")
 
     def pixel(point: FloatArray) -> tuple[float, float]:
-        x, y = brown(*seen(point, OTHER_TURN, [-2.0, 0.5, 1.0]), [-0.05, 0.01], [0.001, -0.0005])
+        x, y = apply_brown(*project_nerf(point, OTHER_TURN, [-2.0, 0.5, 1.0]), [-0.05, 0.01], [0.001, -0.0005])
         return 700.5 * x + 325.5 - 0.5, 701.25 * y + 242.25 - 0.5
 
-    points = in_front(OTHER_TURN, -OTHER_TURN @ np.array([-2.0, 0.5, 1.0]))
+    points = points_in_front(OTHER_TURN, -OTHER_TURN @ np.array([-2.0, 0.5, 1.0]))
     assert_projects(rig["right"], points, pixel)
 
 
-def test_nerf_by_the_angle(tmp_path: Path) -> None:
-    """Blender's: an angle of view and nothing else, nor a size."""
-    data = {"camera_angle_x": 0.9, "frames": nerf()["frames"]}
+def test_nerf_field_of_view(tmp_path: Path) -> None:
+    """Blender's variant has only a field of view, and no image size."""
+    data = {"camera_angle_x": 0.9, "frames": make_nerf()["frames"]}
     for frame, name in zip(data["frames"], ("r_0", "r_1"), strict=True):
         frame["file_path"] = f"./train/{name}"
-    file = write(tmp_path / "transforms.json", json.dumps(data))
-    with pytest.raises(ValueError, match="does not say how large the images of r_0, r_1 are"):
+    file = write_file(tmp_path / "transforms.json", json.dumps(data))
+    with pytest.raises(ValueError, match="has no image size of r_0, r_1"):
         calibration.load(file)
     rig = calibration.load(file, lambda names: dict.fromkeys(names, (800, 600)))
 
     def pixel(point: FloatArray) -> tuple[float, float]:
-        x, y = seen(point, TURN, [1.0, 2.0, 3.0])
+        x, y = project_nerf(point, TURN, [1.0, 2.0, 3.0])
         focal = 0.5 * 800 / np.tan(0.5 * 0.9)
         return focal * x + 800 / 2 - 0.5, focal * y + 600 / 2 - 0.5
 
-    assert_projects(rig["r_0"], in_front(TURN, -TURN @ np.array([1.0, 2.0, 3.0])), pixel)
+    assert_projects(rig["r_0"], points_in_front(TURN, -TURN @ np.array([1.0, 2.0, 3.0])), pixel)
 
 
-def test_nerf_of_lenses_of_their_own_and_frames_in_folders(tmp_path: Path) -> None:
-    """Several frames of each camera, in a folder each; one of them a fisheye."""
+def test_nerf_lenses_per_frame_in_folders(tmp_path: Path) -> None:
+    """Several frames per camera, in one folder each; one camera is a fisheye."""
     frames = []
-    for frame in nerf()["frames"]:
+    for frame in make_nerf()["frames"]:
         name = Path(frame["file_path"]).stem
         frames += [frame | {"file_path": f"images/{name}/{k}.png"} for k in range(3)]
     frames = [f | {"camera_model": "OPENCV_FISHEYE", "fl_x": 500} if "right" in f["file_path"] else f for f in frames]
-    rig = calibration.load(write(tmp_path / "transforms.json", json.dumps(nerf(frames=frames))))
+    rig = calibration.load(write_file(tmp_path / "transforms.json", json.dumps(make_nerf(frames=frames))))
     assert rig.names == ("left", "right")
     assert [camera.lens for camera in rig] == ["opencv", "fisheye"]
     frames[0] = frames[0] | {"transform_matrix": frames[-1]["transform_matrix"]}
     with pytest.raises(ValueError, match="camera left: its 3 images do not have one pose"):
-        calibration.load(write(tmp_path / "transforms.json", json.dumps(nerf(frames=frames))))
+        calibration.load(write_file(tmp_path / "transforms.json", json.dumps(make_nerf(frames=frames))))
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"camera_model": "EQUIRECTANGULAR"}, "camera left: camera_model 'EQUIRECTANGULAR' is none of OpenCV's"),
+        ({"camera_model": "EQUIRECTANGULAR"}, "camera left: camera_model 'EQUIRECTANGULAR' is not supported"),
         (
             {"fl_x": None, "fl_y": None, "camera_angle_x": None},
-            "camera left: transforms.json says neither fl_x nor camera",
+            "camera left: transforms.json has neither fl_x nor camera",
         ),
         ({"k4": 0.1}, "camera left: k4 is not in OpenCV's lens model"),
         ({"w": "wide"}, "camera left: w and h must be numbers"),
@@ -316,6 +316,6 @@ def test_nerf_of_lenses_of_their_own_and_frames_in_folders(tmp_path: Path) -> No
         ),
     ],
 )
-def test_nerf_that_cannot_be_used(changes: dict[str, Any], message: str, tmp_path: Path) -> None:
+def test_invalid_nerf_is_rejected(changes: dict[str, Any], message: str, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=rf"transforms\.json: .*{message}"):
-        calibration.load(write(tmp_path / "transforms.json", json.dumps(nerf(**changes))))
+        calibration.load(write_file(tmp_path / "transforms.json", json.dumps(make_nerf(**changes))))

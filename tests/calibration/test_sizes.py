@@ -1,4 +1,4 @@
-"""Sizes of images that a calibration does not tell: from the recording's videos, or from who asks."""
+"""Image sizes missing in a calibration: from the recording's videos, or from options."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from sylpose import calibration, open_session
 from sylpose.cli import main
 
 
-def without_sizes(session: Path) -> Path:
-    """The session's calibration as JSON that does not say how large the images are, in its place."""
+def remove_sizes(session: Path) -> Path:
+    """Replace the session's calibration by JSON without image sizes."""
     file = session / "calibration.json"
     calibration.save(calibration.load(session / "calibration.toml"), file)
     data = json.loads(file.read_text())
@@ -23,13 +23,13 @@ def without_sizes(session: Path) -> Path:
     return file
 
 
-def test_from_the_videos(session: Path) -> None:
-    without_sizes(session)
+def test_sizes_from_videos(session: Path) -> None:
+    remove_sizes(session)
     assert [camera.size for camera in open_session(session).rig] == [(320, 240)] * 3
 
 
-def test_names_are_matched_and_named(session: Path) -> None:
-    without_sizes(session)
+def test_video_names_are_matched(session: Path) -> None:
+    remove_sizes(session)
     for video in session.glob("*.mp4"):
         video.rename(session / video.name.replace("cam_", "Port-0"))
     assert [camera.size for camera in open_session(session).rig] == [(320, 240)] * 3
@@ -40,13 +40,13 @@ def test_names_are_matched_and_named(session: Path) -> None:
     assert len(open_session(session, cameras={name: odd.name}).rig) == 3
 
 
-def test_from_the_command_line(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file = without_sizes(session)
-    asked = ["calibration", "convert", str(file), str(session / "a.toml")]
-    assert main(asked) == 2
+def test_sizes_from_options(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = remove_sizes(session)
+    command = ["calibration", "convert", str(file), str(session / "a.toml")]
+    assert main(command) == 2
     assert "--size WIDTHxHEIGHT" in capsys.readouterr().err
-    assert main([*asked, "--size", "320x240", "--size", "cam_1=640x480"]) == 0
+    assert main([*command, "--size", "320x240", "--size", "cam_1=640x480"]) == 0
     assert [c.size for c in calibration.load(session / "a.toml")] == [(320, 240), (640, 480), (320, 240)]
-    assert main([*asked, "--size", "320"]) == 2
-    assert "CAM=WIDTHxHEIGHT is expected, such as 1280x720, got '320'" in capsys.readouterr().err
-    assert main([*asked, "--size", "cam_9=3x2"]) == 2
+    assert main([*command, "--size", "320"]) == 2
+    assert "CAM=WIDTHxHEIGHT, such as 1280x720, got '320'" in capsys.readouterr().err
+    assert main([*command, "--size", "cam_9=3x2"]) == 2

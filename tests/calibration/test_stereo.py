@@ -1,4 +1,4 @@
-"""OpenCV's stereo calibrations: what its sample writes, in two files or one, and what people write like it."""
+"""OpenCV stereo calibrations: output of its sample, in two files or one, and common variants."""
 
 from __future__ import annotations
 
@@ -13,9 +13,16 @@ import pytest
 from sylpose import calibration
 from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Rig
-from tests.calibration.reference_projections import OTHER_TURN, TURN, assert_projects, brown, in_front, write
+from tests.calibration.reference_projections import (
+    OTHER_TURN,
+    TURN,
+    apply_brown,
+    assert_projects,
+    points_in_front,
+    write_file,
+)
 
-# As samples/cpp/stereo_calib.cpp writes them.
+# Output of samples/cpp/stereo_calib.cpp.
 INTRINSICS = """%YAML:1.0
 ---
 M1: !!opencv-matrix
@@ -43,8 +50,8 @@ SHIFT = np.array([-3.25, 0.5, 0.75])
 SIZE = (640, 480)
 
 
-def extrinsics() -> str:
-    """With the matrices of rectification, which must not be mistaken for poses."""
+def format_extrinsics() -> str:
+    """Format extrinsics with rectification matrices, which must not be mistaken for poses."""
     storage = cv2.FileStorage(".yml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
     for name, matrix in [("R", TURN), ("T", SHIFT[:, None]), ("R1", OTHER_TURN), ("R2", OTHER_TURN.T)]:
         storage.write(name, np.ascontiguousarray(matrix))
@@ -54,39 +61,39 @@ def extrinsics() -> str:
     return str(storage.releaseAndGetString())
 
 
-def sizes(names: Any) -> dict[str, tuple[int, int]]:
+def lookup_sizes(names: Any) -> dict[str, tuple[int, int]]:
     return dict.fromkeys(names, SIZE)
 
 
 def first(point: FloatArray) -> tuple[float, float]:
-    x, y = brown(point[0] / point[2], point[1] / point[2], [-0.28, 0.1, -0.02], [0.001, -0.002])
+    x, y = apply_brown(point[0] / point[2], point[1] / point[2], [-0.28, 0.1, -0.02], [0.001, -0.002])
     return 536.5 * x + 342.25, 537.5 * y + 235.5
 
 
 def second(point: FloatArray) -> tuple[float, float]:
     a, b, c = (sum(TURN[i, j] * point[j] for j in range(3)) + SHIFT[i] for i in range(3))
-    x, y = brown(a / c, b / c, [-0.29, 0.11, 0.01], [-0.001, 0.003])
+    x, y = apply_brown(a / c, b / c, [-0.29, 0.11, 0.01], [-0.001, 0.003])
     return 542.0 * x + 327.5, 541.5 * y + 248.25
 
 
 def check(rig: Rig, names: tuple[str, str] = ("1", "2")) -> None:
     assert rig.names == names
-    assert_projects(rig.cameras[0], in_front(np.eye(3), np.zeros(3)), first)
-    assert_projects(rig.cameras[1], in_front(TURN, SHIFT), second)
+    assert_projects(rig.cameras[0], points_in_front(np.eye(3), np.zeros(3)), first)
+    assert_projects(rig.cameras[1], points_in_front(TURN, SHIFT), second)
 
 
 @pytest.mark.parametrize("given", ["intrinsics.yml", "extrinsics.yml"])
 def test_two_files(given: str, tmp_path: Path) -> None:
-    write(tmp_path / "intrinsics.yml", INTRINSICS)
-    write(tmp_path / "extrinsics.yml", extrinsics())
-    check(calibration.load(tmp_path / given, sizes))
-    assert calibration.format_of(tmp_path / given) == "OpenCV stereo"
+    write_file(tmp_path / "intrinsics.yml", INTRINSICS)
+    write_file(tmp_path / "extrinsics.yml", format_extrinsics())
+    check(calibration.load(tmp_path / given, lookup_sizes))
+    assert calibration.format_name(tmp_path / given) == "OpenCV stereo"
 
 
 def test_one_file(tmp_path: Path) -> None:
-    text = INTRINSICS + extrinsics().partition("---\n")[2]
-    check(calibration.load(write(tmp_path / "stereo.yml", text), sizes))
-    check(calibration.load(write(tmp_path / "stereo.yml", text + "image_width: 640\nimage_height: 480\n")))
+    text = INTRINSICS + format_extrinsics().partition("---\n")[2]
+    check(calibration.load(write_file(tmp_path / "stereo.yml", text), lookup_sizes))
+    check(calibration.load(write_file(tmp_path / "stereo.yml", text + "image_width: 640\nimage_height: 480\n")))
 
 
 NAMES = [
@@ -111,20 +118,20 @@ def dictionary(keys: tuple[str, str, str, str] = ("K1", "D1", "K2", "D2")) -> di
 
 
 @pytest.mark.parametrize(("a", "b", "c", "d", "names"), NAMES)
-def test_other_names(a: str, b: str, c: str, d: str, names: tuple[str, str], tmp_path: Path) -> None:
-    check(calibration.load(write(tmp_path / "a.json", json.dumps(dictionary((a, b, c, d))))), names)
+def test_key_variants(a: str, b: str, c: str, d: str, names: tuple[str, str], tmp_path: Path) -> None:
+    check(calibration.load(write_file(tmp_path / "a.json", json.dumps(dictionary((a, b, c, d))))), names)
 
 
-def test_more_cameras_with_poses_of_their_own(tmp_path: Path) -> None:
+def test_more_cameras_with_own_poses(tmp_path: Path) -> None:
     data = dictionary() | {"K3": dictionary()["K2"], "D3": dictionary()["D2"]}
     data |= {"R1": np.eye(3).tolist(), "T1": [0, 0, 0], "R2": TURN.tolist(), "T2": SHIFT.tolist()}
     data |= {"R3": TURN.tolist(), "T3": SHIFT.tolist()}
-    rig = calibration.load(write(tmp_path / "a.json", json.dumps(data)))
+    rig = calibration.load(write_file(tmp_path / "a.json", json.dumps(data)))
     assert rig.names == ("1", "2", "3")
-    assert_projects(rig["3"], in_front(TURN, SHIFT), second)
+    assert_projects(rig["3"], points_in_front(TURN, SHIFT), second)
     del data["T3"]
     with pytest.raises(ValueError, match=r"a\.json: 3 camera matrices and one R and T"):
-        calibration.load(write(tmp_path / "a.json", json.dumps(data)))
+        calibration.load(write_file(tmp_path / "a.json", json.dumps(data)))
 
 
 @pytest.mark.parametrize(
@@ -134,34 +141,36 @@ def test_more_cameras_with_poses_of_their_own(tmp_path: Path) -> None:
         (
             {"R", "T"},
             {"R1": [0, 0, 0], "R2": [0, 0, 0]},
-            r"R1 and R2 are those that rectify images\); needed are R and T",
+            r"R1 and R2 only rectify images\); it requires R and T",
         ),
         (
             {"K1", "K2", "D1", "D2"},
             {},
-            "R and T alone; needed are camera matrices and lenses .*intrinsics.yml beside it",
+            "R and T alone; it requires camera matrices and lenses .*intrinsics.yml next to it",
         ),
-        ({"D2"}, {}, "camera 2: no distortion beside 'K2'"),
-        ({"imageSize"}, {}, "does not say how large the images of 1, 2 are"),
-        (set(), {"xi1": 0.5}, "xi1: cv2.omnidir's model is none that sylpose has"),
+        ({"D2"}, {}, "camera 2: no distortion next to 'K2'"),
+        ({"imageSize"}, {}, "has no image size of 1, 2"),
+        (set(), {"xi1": 0.5}, "xi1: cv2.omnidir's model is not supported"),
         ({"K2"}, {"K2": 3}, "camera 2: the matrix must be 3x3"),
         ({"R"}, {"R": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}, "camera 2: .* a reflection"),
     ],
 )
-def test_what_cannot_be_used(missing: set[str], added: dict[str, Any], message: str, tmp_path: Path) -> None:
+def test_invalid_stereo_files_are_rejected(
+    missing: set[str], added: dict[str, Any], message: str, tmp_path: Path
+) -> None:
     data = {key: value for key, value in dictionary().items() if key not in missing} | added
     with pytest.raises(ValueError, match=rf"stereo\.json: .*{message}"):
-        calibration.load(write(tmp_path / "stereo.json", json.dumps(data)))
+        calibration.load(write_file(tmp_path / "stereo.json", json.dumps(data)))
 
 
-def test_cameras_beside_a_pose_are_no_stereo(tmp_path: Path) -> None:
-    """Nodes of cameras, and R and T of something else."""
+def test_camera_nodes_with_pose_are_not_stereo(tmp_path: Path) -> None:
+    """Camera nodes, and R and T of something else."""
     node = {"K": dictionary()["K1"], "D": dictionary()["D1"], "size": SIZE, "R": [0, 0, 0], "T": [0, 0, 1]}
     data = {"left": node, "right": node, "R": [0.1, 0, 0], "T": [1, 2, 3]}
-    assert calibration.format_of(write(tmp_path / "a.json", json.dumps(data))) == "OpenCV FileStorage"
+    assert calibration.format_name(write_file(tmp_path / "a.json", json.dumps(data))) == "OpenCV FileStorage"
 
 
 def test_fisheye(tmp_path: Path) -> None:
     data = dictionary() | {"D1": [0.1, 0.01, 0, 0], "D2": [0.1, 0, 0, 0.02], "fisheye": True}
-    rig = calibration.load(write(tmp_path / "a.json", json.dumps(data)))
+    rig = calibration.load(write_file(tmp_path / "a.json", json.dumps(data)))
     assert [camera.lens for camera in rig] == ["fisheye", "fisheye"]

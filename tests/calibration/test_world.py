@@ -1,4 +1,4 @@
-"""A world of one's own: all ways to tell it agree, its file gives it back, and what is no world is refused by name."""
+"""User-defined worlds: all definitions agree, files round-trip, and invalid ones are rejected."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.calibration.world import World, load_world, save_world, told_in, up_in_words, world_with_up
+from sylpose.calibration.world import World, load_world, parse_up_world, save_world, transform_rig, world_with_up
 from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Rig
 from sylpose.simulate import arc
 
 RIG = Rig(arc(4, 40.0, 1.5, 900.0, (1280, 960), height=0.6, distortion=(-0.1, 0.02, 0, 0, 0)).cameras, "m")
-# Not symmetric in any way, so that a transposed rotation is found out.
+# Not symmetric, so that a transposed rotation is detected.
 TURN = Rotation.from_rotvec([0.4, -1.1, 0.7])
 POSE = RigidTransform.from_components([0.3, -0.2, 0.5], TURN)
 
 
-def centers(rig: Rig) -> FloatArray:
+def camera_centers(rig: Rig) -> FloatArray:
     return np.array([camera.center for camera in rig])
 
 
-def written(folder: Path, text: str) -> Path:
+def write_world(folder: Path, text: str) -> Path:
     path = folder / "world.toml"
     path.write_text(text, encoding="utf-8")
     return path
@@ -35,11 +35,11 @@ def written(folder: Path, text: str) -> Path:
 # --- a rig in a world
 
 
-def test_a_rig_in_a_world_sees_the_same() -> None:
-    """Points and cameras move together; with a scale, too."""
+def test_projections_are_unchanged_in_a_world() -> None:
+    """Points and cameras transform together, also with a scale."""
     points = np.random.default_rng(0).uniform(-0.2, 0.2, (20, 3))
     for world in (World(POSE, "", "m", 1.0, "m"), World(POSE, "", "m", 1000.0, "mm"), World(POSE, "", "m", 2.5, "")):
-        rig = told_in(RIG, world)
+        rig = transform_rig(RIG, world)
         assert rig.unit == world.world_unit
         assert rig.names == RIG.names
         for before, after in zip(RIG, rig, strict=True):
@@ -47,27 +47,33 @@ def test_a_rig_in_a_world_sees_the_same() -> None:
             np.testing.assert_allclose(after.project(moved), before.project(points), atol=1e-8)
 
 
-def test_a_world_is_of_a_unit() -> None:
+def test_world_units() -> None:
     world = World(POSE, "", "m", 1.0, "m")
-    millimetres = told_in(RIG.in_unit("mm"), world)
-    assert millimetres.unit == "mm"
-    np.testing.assert_allclose(centers(millimetres), 1000 * centers(told_in(RIG, world)), rtol=1e-12)
+    in_millimeters = transform_rig(RIG.in_unit("mm"), world)
+    assert in_millimeters.unit == "mm"
+    np.testing.assert_allclose(
+        camera_centers(in_millimeters), 1000 * camera_centers(transform_rig(RIG, world)), rtol=1e-12
+    )
     scaled = World(POSE, "", "m", 3.0, "ft")
-    np.testing.assert_allclose(centers(told_in(RIG.in_unit("mm"), scaled)), centers(told_in(RIG, scaled)), rtol=1e-12)
-    with pytest.raises(ValueError, match="found in m, and the calibration is in a unit that is not said"):
-        told_in(Rig(RIG.cameras), world)
+    np.testing.assert_allclose(
+        camera_centers(transform_rig(RIG.in_unit("mm"), scaled)), camera_centers(transform_rig(RIG, scaled)), rtol=1e-12
+    )
+    with pytest.raises(ValueError, match="defined in m, and the calibration is in an unknown unit"):
+        transform_rig(Rig(RIG.cameras), world)
     nameless = World(POSE)
-    np.testing.assert_allclose(centers(told_in(Rig(RIG.cameras), nameless)), POSE.apply(centers(RIG)), rtol=1e-12)
+    np.testing.assert_allclose(
+        camera_centers(transform_rig(Rig(RIG.cameras), nameless)), POSE.apply(camera_centers(RIG)), rtol=1e-12
+    )
 
 
 # --- files
 
 
-def test_a_world_survives_its_file(tmp_path: Path) -> None:
+def test_world_file_round_trip(tmp_path: Path) -> None:
     world = World(POSE, 'a "board"\nand more', "m", 0.5, "ft")
     save_world(world, tmp_path / "world.toml")
     back = load_world(tmp_path / "world.toml", RIG)
-    assert (back.said, back.unit, back.scale, back.world_unit) == (world.said, "m", 0.5, "ft")
+    assert (back.description, back.unit, back.scale, back.world_unit) == (world.description, "m", 0.5, "ft")
     np.testing.assert_array_equal(back.world_from_calibration.as_matrix(), POSE.as_matrix())
 
 
@@ -79,7 +85,7 @@ def test_matrices_and_quaternions_are_read(tmp_path: Path) -> None:
         f"quaternion = {quaternion}\ntranslation = [0.3, -0.2, 0.5]",
         f"rotation = {matrix[:3, :3].tolist()}\ntranslation = [0.3, -0.2, 0.5]",
     ):
-        world = load_world(written(tmp_path, f'unit = "m"\n[world_from_calibration]\n{given}\n'), RIG)
+        world = load_world(write_world(tmp_path, f'unit = "m"\n[world_from_calibration]\n{given}\n'), RIG)
         np.testing.assert_allclose(world.world_from_calibration.as_matrix(), matrix, atol=1e-12)
         assert (world.unit, world.scale, world.world_unit) == ("m", 1.0, "m")
 
@@ -102,42 +108,45 @@ def test_matrices_and_quaternions_are_read(tmp_path: Path) -> None:
         ("hello = 1", "'hello' is neither origin, x, xy"),
         ("[origin]\ncam_0 = [1, 2]", "x is missing"),
         ("origin = [0, 0, 0]\nx = [1, 0, 0]", "xy is missing"),
-        ("origin = [0, 0, 0]\nx = [1, 0, 0]\nxy = [2, 0.01, 0]", "its points are on a line"),
-        ("origin = [0, 0, 0]\nx = [0, 0, 0]\nxy = [2, 1, 0]", "two of its points are one"),
-        ("origin = [0, 0, 0]\nx = [1, 0, 0]\nxy = [0, 0, 0]", "two of its points are one"),
+        ("origin = [0, 0, 0]\nx = [1, 0, 0]\nxy = [2, 0.01, 0]", "its points are collinear"),
+        ("origin = [0, 0, 0]\nx = [0, 0, 0]\nxy = [2, 1, 0]", "two of its points coincide"),
+        ("origin = [0, 0, 0]\nx = [1, 0, 0]\nxy = [0, 0, 0]", "two of its points coincide"),
         ("origin = [0, 0]\nx = [1, 0, 0]\nxy = [0, 1, 0]", "origin: three coordinates are expected"),
         ("origin = 5\nx = [1, 0, 0]\nxy = [0, 1, 0]", "origin: pixels by camera, or three coordinates"),
-        ("origin = [0, 0, 0]\nx = [1, 0, 0]\n[xy]\ncam_0 = [1, 2]", "xy: pixels in two cameras at least"),
+        ("origin = [0, 0, 0]\nx = [1, 0, 0]\n[xy]\ncam_0 = [1, 2]", "xy: pixels in at least two cameras"),
         (
             "origin = [0, 0, 0]\nx = [1, 0, 0]\n[xy]\ncam_9 = [1, 2]",
-            "xy: 'cam_9' is no camera of the calibration (cam_0",
+            "xy: 'cam_9' is not a camera of the calibration (cam_0",
         ),
         ("origin = [0, 0, 0]\nx = [1, 0, 0]\n[xy]\ncam_0 = [1, 2]\ncam_1 = [3]", "xy: cam_1: two pixels are expected"),
         ("distance = 0\norigin = [0, 0, 0]\nx = [1, 0, 0]\nxy = [0, 1, 0]", "distance must be a positive length"),
-        ('distance = "2 leagues"\norigin = [0, 0, 0]\nx = [1, 0, 0]\nxy = [0, 1, 0]', "distance: 'leagues' is no unit"),
+        (
+            'distance = "2 leagues"\norigin = [0, 0, 0]\nx = [1, 0, 0]\nxy = [0, 1, 0]',
+            "distance: 'leagues' is not a unit",
+        ),
     ],
 )
-def test_what_is_no_world_is_said_in_a_sentence(tmp_path: Path, text: str, said: str) -> None:
-    with pytest.raises(ValueError) as caught:  # noqa: PT011 - what it says is looked at below
-        load_world(written(tmp_path, text), RIG)
+def test_invalid_worlds_are_rejected(tmp_path: Path, text: str, said: str) -> None:
+    with pytest.raises(ValueError) as caught:  # noqa: PT011 - the message is checked below
+        load_world(write_world(tmp_path, text), RIG)
     sentence = str(caught.value)
     assert said in sentence
     assert sentence.startswith(str(tmp_path / "world.toml"))
     assert sentence.isprintable()
 
 
-# --- a direction that goes up
+# --- up direction
 
 
-def test_up_is_up_and_x_stays_where_it_goes() -> None:
-    world = up_in_words("up=0,-2,0", "m")
+def test_up_becomes_z_and_x_stays_horizontal() -> None:
+    world = parse_up_world("up=0,-2,0", "m")
     assert world is not None
     pose = world.world_from_calibration
     np.testing.assert_allclose(
         pose.rotation.apply([[0, -1, 0], [1, 0, 0], [0, 0, 1]]), [[0, 0, 1], [1, 0, 0], [0, 1, 0]], atol=1e-15
     )
     for text in ("up=-y", " up = -y ", "up=0,-1e-3,0.0"):
-        same = up_in_words(text, "m")
+        same = parse_up_world(text, "m")
         assert same is not None
         np.testing.assert_allclose(same.world_from_calibration.as_matrix(), pose.as_matrix(), atol=1e-15)
     for seed in range(20):
@@ -150,33 +159,35 @@ def test_up_is_up_and_x_stays_where_it_goes() -> None:
         x = pose.rotation.apply([1, 0, 0])
         assert abs(x[1]) < 1e-12
         assert x[0] > 0
-    # x is upright: y tells.
+    # x is vertical: y defines it.
     np.testing.assert_allclose(
         world_with_up([1, 0, 0]).world_from_calibration.rotation.apply([0, 1, 0]), [1, 0, 0], atol=1e-15
     )
 
 
 @pytest.mark.parametrize("between", [",", " ", ", ", ";"])
-def test_up_may_have_an_origin(between: str) -> None:
-    world = up_in_words(f"up=-y{between}origin=0.1, 0.2,-3e-1")
+def test_up_with_origin(between: str) -> None:
+    world = parse_up_world(f"up=-y{between}origin=0.1, 0.2,-3e-1")
     assert world is not None
     np.testing.assert_allclose(world.world_from_calibration.apply([0.1, 0.2, -0.3]), 0, atol=1e-15)
 
 
-def test_what_is_no_direction_is_said() -> None:
-    assert up_in_words("chessboard:9x6,square=1") is None
-    assert up_in_words("upwards.toml") is None
+def test_invalid_up_is_rejected() -> None:
+    assert parse_up_world("chessboard:9x6,square=1") is None
+    assert parse_up_world("upwards.toml") is None
     for text in ("up=", "up=1,2", "up=w", "up=1,2,3,4", "up=-y origin=1,2", "up=-y origin=1,2,3 4", "up=nan,0,1"):
         with pytest.raises(ValueError, match="is expected"):
-            up_in_words(text)
+            parse_up_world(text)
     with pytest.raises(ValueError, match="up must be a direction"):
-        up_in_words("up=0,0,0")
+        parse_up_world("up=0,0,0")
 
 
 # --- three points
 
 
-def pixels_of(place: FloatArray, cameras: tuple[str, ...] = RIG.names, noise: Callable[[], Any] | None = None) -> str:
+def format_pixels(
+    place: FloatArray, cameras: tuple[str, ...] = RIG.names, noise: Callable[[], Any] | None = None
+) -> str:
     lines = []
     for name in cameras:
         pixel = RIG[name].project(place)[0] + (0 if noise is None else noise())
@@ -184,27 +195,27 @@ def pixels_of(place: FloatArray, cameras: tuple[str, ...] = RIG.names, noise: Ca
     return "\n".join(lines)
 
 
-def test_three_points_make_the_same_world_by_pixels_and_by_coordinates(tmp_path: Path) -> None:
+def test_points_by_pixels_and_coordinates_agree(tmp_path: Path) -> None:
     true = POSE.inv().apply(np.array([[0, 0, 0], [0.3, 0, 0], [-0.1, 0.2, 0]]))
     by_hand = "".join(f"{name} = {place.tolist()}\n" for name, place in zip(("origin", "x", "xy"), true, strict=True))
     by_pixels = "".join(
-        f"[{name}]\n{pixels_of(place)}\n" for name, place in zip(("origin", "x", "xy"), true, strict=True)
+        f"[{name}]\n{format_pixels(place)}\n" for name, place in zip(("origin", "x", "xy"), true, strict=True)
     )
     for text in (by_hand, by_pixels):
-        world = load_world(written(tmp_path, text), RIG)
+        world = load_world(write_world(tmp_path, text), RIG)
         np.testing.assert_allclose(world.world_from_calibration.as_matrix(), POSE.as_matrix(), atol=1e-7)
         assert (world.unit, world.scale, world.world_unit) == ("m", 1.0, "m")
-    # A measured distance makes lengths true.
-    for said, scale, unit in (("'600 mm'", 2000.0, "mm"), ("0.6", 2.0, "m")):
-        world = load_world(written(tmp_path, f"distance = {said}\n{by_hand}"), RIG)
+    # A measured distance sets the scale.
+    for distance, scale, unit in (("'600 mm'", 2000.0, "mm"), ("0.6", 2.0, "m")):
+        world = load_world(write_world(tmp_path, f"distance = {distance}\n{by_hand}"), RIG)
         assert world.scale == pytest.approx(scale)
         assert world.world_unit == unit
-        rig = told_in(RIG, world)
-        np.testing.assert_allclose(centers(rig), scale * POSE.apply(centers(RIG)), rtol=1e-7)
+        rig = transform_rig(RIG, world)
+        np.testing.assert_allclose(camera_centers(rig), scale * POSE.apply(camera_centers(RIG)), rtol=1e-7)
 
 
-def test_more_points_lay_the_plane_better(tmp_path: Path) -> None:
-    """Pixels that are picked by hand: by more of them the plane's tilt is nearer; both are right to what a pixel tells."""
+def test_more_points_improve_the_plane(tmp_path: Path) -> None:
+    """With manual picks, more points reduce the plane's tilt error; both are correct to the pick accuracy."""
     corners = {
         "origin": (0, 0),
         "x": (0.4, 0),
@@ -217,24 +228,27 @@ def test_more_points_lay_the_plane_better(tmp_path: Path) -> None:
     for seed in range(12):
         rng = np.random.default_rng(seed)
         tables = [
-            f"[{name}]\n{pixels_of(POSE.inv().apply([x, y, 0]), noise=partial(rng.normal, 0, 1.0, 2))}\n"
+            f"[{name}]\n{format_pixels(POSE.inv().apply([x, y, 0]), noise=partial(rng.normal, 0, 1.0, 2))}\n"
             for name, (x, y) in corners.items()
         ]
         for n in off:
-            world = load_world(written(tmp_path, "".join(tables[:n])), RIG)
+            world = load_world(write_world(tmp_path, "".join(tables[:n])), RIG)
             z = world.world_from_calibration.rotation.inv().apply([0, 0, 1])
             off[n].append(float(np.degrees(np.arccos(min(z @ TURN.inv().apply([0, 0, 1]), 1)))))
     assert 0.02 < np.mean(off[6]) < np.mean(off[3]) < 1.0
 
 
-def test_points_that_cameras_do_not_agree_on_are_named(tmp_path: Path) -> None:
+def test_inconsistent_points_are_reported(tmp_path: Path) -> None:
     true = POSE.inv().apply(np.array([[0, 0, 0], [0.3, 0, 0], [-0.1, 0.2, 0]]))
-    off = f"[origin]\ncam_0 = {(RIG['cam_0'].project(true[0])[0] + [50, -60]).tolist()}\n{pixels_of(true[0], ('cam_2',))}\n"
+    off = (
+        f"[origin]\ncam_0 = {(RIG['cam_0'].project(true[0])[0] + [50, -60]).tolist()}\n"
+        f"{format_pixels(true[0], ('cam_2',))}\n"
+    )
     text = f"x = {true[1].tolist()}\nxy = {true[2].tolist()}\n{off}"
     with pytest.raises(
-        ValueError, match="origin: the cameras do not mean the same point; the nearest one is missed by cam_0"
+        ValueError, match="origin: the cameras' pixels are inconsistent; the nearest point is missed by cam_0"
     ):
-        load_world(written(tmp_path, text), RIG)
+        load_world(write_world(tmp_path, text), RIG)
     twin = Rig(
         [
             *RIG.cameras[:1],
@@ -245,5 +259,7 @@ def test_points_that_cameras_do_not_agree_on_are_named(tmp_path: Path) -> None:
         "m",
     )
     one = f"{RIG['cam_0'].project(true[0])[0].tolist()}"
-    with pytest.raises(ValueError, match="origin: cam_0, twin see it from nearly one side"):
-        load_world(written(tmp_path, f"x = [1, 0, 0]\nxy = [0, 1, 0]\n[origin]\ncam_0 = {one}\ntwin = {one}\n"), twin)
+    with pytest.raises(ValueError, match="origin: cam_0, twin see it from nearly one direction"):
+        load_world(
+            write_world(tmp_path, f"x = [1, 0, 0]\nxy = [0, 1, 0]\n[origin]\ncam_0 = {one}\ntwin = {one}\n"), twin
+        )

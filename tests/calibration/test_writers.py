@@ -1,4 +1,4 @@
-"""Rigs written in other programs' formats: read again they are the same to 1e-12; what a format has not is refused."""
+"""Rigs written in other programs' formats: read back they agree to 1e-12; unsupported properties are rejected."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose import calibration
-from sylpose.calibration.writers import FORMATS
+from sylpose.calibration.writers import OUTPUT_FORMATS
 from sylpose.cli import calibrations, main
 from sylpose.rig import Camera, LensModel, Rig
 from sylpose.simulate import ring
 
 
-def rig_of(lenses: list[tuple[LensModel, int]], unit: str = "") -> Rig:
-    """A camera for each lens and number of terms."""
+def make_rig(lenses: list[tuple[LensModel, int]], unit: str = "") -> Rig:
+    """Return a rig with one camera per lens and number of terms."""
     rng = np.random.default_rng(7)
     cameras = []
     for i, (lens, n) in enumerate(lenses):
@@ -28,8 +28,8 @@ def rig_of(lenses: list[tuple[LensModel, int]], unit: str = "") -> Rig:
     return Rig(cameras, unit)
 
 
-def assert_alike(rig: Rig, back: Rig) -> None:
-    """The same to 1e-12, terms that are zero aside."""
+def assert_equal_rigs(rig: Rig, back: Rig) -> None:
+    """Assert equality to 1e-12, apart from zero terms."""
     for camera, its in zip(rig, back, strict=True):
         assert (camera.size, camera.lens) == (its.size, its.lens)
         np.testing.assert_allclose(its.matrix, camera.matrix, atol=1e-12)
@@ -56,17 +56,17 @@ ALL: list[tuple[LensModel, int]] = [("opencv", n) for n in (4, 5, 8, 12, 14)]
 def test_round_trips(
     to: str, name: str, lenses: list[tuple[LensModel, int]], keeps_world: bool, tmp_path: Path
 ) -> None:
-    rig = rig_of(lenses)
+    rig = make_rig(lenses)
     notes = calibration.save(rig, tmp_path / name, to)
     back = calibration.load(tmp_path / name)
-    assert_alike(rig if keeps_world else rig.in_world(rig.cameras[0].camera_from_world), back)
+    assert_equal_rigs(rig if keeps_world else rig.in_world(rig.cameras[0].camera_from_world), back)
     if to not in ("kalibr", "opencv-stereo"):
         assert back.names == rig.names
     assert ("its world is the frame of camera view-0" in notes) == (not keeps_world)
 
 
-def test_names_tell_the_format(tmp_path: Path) -> None:
-    rig = rig_of([("opencv", 4), ("opencv", 4)])
+def test_names_imply_the_format(tmp_path: Path) -> None:
+    rig = make_rig([("opencv", 4), ("opencv", 4)])
     for name, format_ in (
         ("a.toml", "sylpose TOML"),
         ("a.yml", "OpenCV FileStorage"),
@@ -74,8 +74,8 @@ def test_names_tell_the_format(tmp_path: Path) -> None:
         ("model", "COLMAP model"),
     ):
         calibration.save(rig, tmp_path / name)
-        assert calibration.format_of(tmp_path / name) == format_
-    calibration.save(rig, tmp_path / "model")  # once more
+        assert calibration.format_name(tmp_path / name) == format_
+    calibration.save(rig, tmp_path / "model")  # overwrite
     assert not list(tmp_path.rglob("*.part*"))
 
 
@@ -89,12 +89,12 @@ def test_names_tell_the_format(tmp_path: Path) -> None:
             [("opencv", 4), ("opencv", 12)],
             "camera view-1: .* does not have the terms s1, s2, s3, s4 of its",
         ),
-        ("opencv-stereo", "a.yml", ALL, "is of two cameras, not of 5"),
+        ("opencv-stereo", "a.yml", ALL, "has two cameras, not 5"),
         (
             "opencv-stereo",
             "a.yml",
             [("opencv", 4), ("fisheye", 4)],
-            "has no cameras of different lens models: view-0, view-1",
+            "requires equal lens models: those of view-0 and view-1 differ",
         ),
         ("kalibr", "a.toml", [("opencv", 4)], r"a\.toml: kalibr is written as one of \.yaml, \.yml"),
         (
@@ -103,35 +103,40 @@ def test_names_tell_the_format(tmp_path: Path) -> None:
             [("opencv", 4)],
             "to must be one of sylpose, opencv, opencv-stereo, anipose, kalibr, colmap, got",
         ),
-        (None, "a.csv", [("opencv", 4)], r"a\.csv: a calibration is written as one of \.toml, .*; or say which format"),
+        (
+            None,
+            "a.csv",
+            [("opencv", 4)],
+            r"a\.csv: a calibration is written as one of \.toml, .*; or specify the format",
+        ),
     ],
 )
-def test_what_is_not_written(
+def test_unsupported_rigs_are_rejected(
     to: str | None, name: str, lenses: list[tuple[LensModel, int]], message: str, tmp_path: Path
 ) -> None:
     with pytest.raises(ValueError, match=message):
-        calibration.save(rig_of(lenses), tmp_path / name, to)
+        calibration.save(make_rig(lenses), tmp_path / name, to)
     assert not list(tmp_path.iterdir())
 
 
-def test_names_with_blanks_are_not_colmaps(tmp_path: Path) -> None:
+def test_colmap_rejects_names_with_blanks(tmp_path: Path) -> None:
     rig = Rig([replace(ring(1).cameras[0], name="left camera")])
-    with pytest.raises(ValueError, match="camera left camera: names in COLMAP have no blanks"):
+    with pytest.raises(ValueError, match="camera left camera: names in COLMAP must not have blanks"):
         calibration.save(rig, tmp_path / "model")
 
 
-def test_kalibr_is_in_metres(tmp_path: Path) -> None:
-    rig = rig_of([("opencv", 4), ("opencv", 4)], "mm")
+def test_kalibr_is_in_meters(tmp_path: Path) -> None:
+    rig = make_rig([("opencv", 4), ("opencv", 4)], "mm")
     notes = calibration.save(rig, tmp_path / "camchain.yaml")
     assert "lengths are in m" in notes
     assert "cam0 is view-0, cam1 is view-1" in notes
     back = calibration.load(tmp_path / "camchain.yaml")
     assert back.unit == "m"
-    assert_alike(rig.in_world(rig.cameras[0].camera_from_world).in_unit("m"), back)
+    assert_equal_rigs(rig.in_world(rig.cameras[0].camera_from_world).in_unit("m"), back)
 
 
-def test_opencv_reads_stereo(tmp_path: Path) -> None:
-    rig = rig_of([("opencv", 5), ("opencv", 5)])
+def test_stereo_is_read_by_opencv(tmp_path: Path) -> None:
+    rig = make_rig([("opencv", 5), ("opencv", 5)])
     calibration.save(rig, tmp_path / "stereo.yml", "opencv-stereo")
     storage = cv2.FileStorage(str(tmp_path / "stereo.yml"), cv2.FILE_STORAGE_READ)
     np.testing.assert_array_equal(storage.getNode("M2").mat(), rig.cameras[1].matrix)
@@ -141,9 +146,9 @@ def test_opencv_reads_stereo(tmp_path: Path) -> None:
     np.testing.assert_allclose(turn @ first + shift, second, atol=1e-12)
 
 
-def test_colmap_reads_its_own(tmp_path: Path) -> None:
+def test_colmap_is_read_by_pycolmap(tmp_path: Path) -> None:
     pycolmap = pytest.importorskip("pycolmap")
-    rig = rig_of([("opencv", 4), ("opencv", 8), ("fisheye", 4)])
+    rig = make_rig([("opencv", 4), ("opencv", 8), ("fisheye", 4)])
     calibration.save(rig, tmp_path / "model")
     model = pycolmap.Reconstruction(tmp_path / "model")
     for image in model.images.values():
@@ -154,13 +159,13 @@ def test_colmap_reads_its_own(tmp_path: Path) -> None:
 
 
 def test_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert tuple(FORMATS) == calibrations.WRITTEN
-    rig = rig_of([("opencv", 4), ("opencv", 4)])
+    assert tuple(OUTPUT_FORMATS) == calibrations.OUTPUT_FORMATS
+    rig = make_rig([("opencv", 4), ("opencv", 4)])
     calibration.save(rig, tmp_path / "a.toml")
-    ask = ["calibration", "convert", str(tmp_path / "a.toml")]
-    assert main([*ask, str(tmp_path / "b.toml"), "--to", "anipose"]) == 0
-    assert calibration.format_of(tmp_path / "b.toml") == "Anipose TOML"
-    assert main([*ask, str(tmp_path / "camchain.yaml")]) == 0
+    command = ["calibration", "convert", str(tmp_path / "a.toml")]
+    assert main([*command, str(tmp_path / "b.toml"), "--to", "anipose"]) == 0
+    assert calibration.format_name(tmp_path / "b.toml") == "Anipose TOML"
+    assert main([*command, str(tmp_path / "camchain.yaml")]) == 0
     assert "its world is the frame of camera view-0; cam0 is view-0, cam1 is view-1" in capsys.readouterr().out
-    assert main([*ask, str(tmp_path / "b.toml"), "--to", "maya"]) == 2
+    assert main([*command, str(tmp_path / "b.toml"), "--to", "maya"]) == 2
     assert "to must be one of sylpose" in capsys.readouterr().err

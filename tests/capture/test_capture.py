@@ -1,4 +1,4 @@
-"""Sessions: each delivered frame is identified by the camera's and the frame's number painted into it."""
+"""Sessions: each delivered frame is identified by the camera and frame number painted into it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose import calibration
 from sylpose.capture import Session, open_session
-from sylpose.capture.names import image_files, image_numbers, match_names, several_of
+from sylpose.capture.names import find_repeated_recordings, image_files, image_numbers, match_names
 from sylpose.capture.sources import Source
 from sylpose.capture.timeline import build_timeline, load_timestamps
 from sylpose.frames import Box, FrameSet
@@ -31,25 +31,25 @@ BITS = 10
 
 
 def paint(camera: int, frame: int, size: tuple[int, int] = SIZE) -> NDArray[np.uint8]:
-    """Ten black or white fields: the bits of 256 * camera + frame."""
+    """Draw ten black or white fields: the bits of 256 * camera + frame."""
     bits = [(camera * 256 + frame) >> b & 1 for b in range(BITS)]
     row = np.repeat(np.array(bits, np.uint8) * 220 + 16, size[0] // BITS)
     return np.ascontiguousarray(np.broadcast_to(row[None, :, None], (size[1], size[0], 3)))
 
 
-def seen(image: NDArray[np.uint8] | None) -> tuple[int, int] | None:
-    """(camera, frame) painted into an image."""
+def decode_painted(image: NDArray[np.uint8] | None) -> tuple[int, int] | None:
+    """Decode the (camera, frame) painted into an image."""
     if image is None:
         return None
     fields = image.mean(axis=(0, 2)).reshape(BITS, -1)[:, 4:-4].mean(axis=1) > 127
     return divmod(int((fields * (1 << np.arange(BITS))).sum()), 256)
 
 
-def shown(frame_set: FrameSet) -> tuple[int | None, ...]:
-    """The frame number that each camera gives; checks that it is this camera's."""
+def painted_numbers(frame_set: FrameSet) -> tuple[int | None, ...]:
+    """Return each camera's frame number, after checking that the image belongs to the camera."""
     numbers: list[int | None] = []
     for c, image in enumerate(frame_set.images):
-        code = seen(image)
+        code = decode_painted(image)
         assert code is None or code[0] == c
         numbers.append(None if code is None else code[1])
     return tuple(numbers)
@@ -73,7 +73,7 @@ def write_video(
         stream.width, stream.height, stream.pix_fmt = *size, pixels
         for i, k in enumerate(frames):
             image = paint(camera, k, size)
-            if noise:  # makes frames big, so that half of the bytes is about half of the frames
+            if noise:  # large frames, so that half of the bytes contain about half of the frames
                 image = np.clip(image + rng.integers(-noise, noise, image.shape), 0, 255).astype(np.uint8)
             frame = av.VideoFrame.from_ndarray(image, format="bgr24")
             if pts is not None:
@@ -99,7 +99,7 @@ def make_calibration(path: Path, n: int = 2) -> None:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A session's folder of two cameras with a calibration and nothing else."""
+    """A session folder with a calibration of two cameras and nothing else."""
     make_calibration(tmp_path)
     return tmp_path
 
@@ -114,17 +114,17 @@ def two_folders(folder: Path, n: int = 3) -> None:
     write_images(folder / "cam_1", 1, range(n))
 
 
-def all_shown(
+def read_all_painted(
     session: Session, start: int = 0, stop: int | None = None, every: int = 1
 ) -> list[tuple[int | None, ...]]:
     with warnings.catch_warnings():
-        warnings.simplefilter("error")  # nothing is wrong with these
-        return [shown(frame_set) for frame_set in session.frames(start, stop, every)]
+        warnings.simplefilter("error")  # no warnings expected
+        return [painted_numbers(frame_set) for frame_set in session.frames(start, stop, every)]
 
 
-def read(session: Session) -> tuple[list[tuple[int | None, ...]], list[str]]:
+def read_with_problems(session: Session) -> tuple[list[tuple[int | None, ...]], list[str]]:
     problems: list[str] = []
-    return [shown(frame_set) for frame_set in session.frames(on_problem=problems.append)], problems
+    return [painted_numbers(frame_set) for frame_set in session.frames(on_problem=problems.append)], problems
 
 
 # Real recordings
@@ -139,7 +139,7 @@ def test_temple() -> None:
     frame_sets = list(session.frames())
     assert [f.time for f in frame_sets] == [0, 1, 2, 3, 4, 5, 6]
     assert all(image is not None and image.shape == (480, 640, 3) for f in frame_sets for image in f.images)
-    # The same photograph is cam_0's last and cam_1's second.
+    # cam_0's last and cam_1's second are the same photograph.
     assert np.array_equal(np.asarray(frame_sets[6].images[0]), np.asarray(frame_sets[1].images[1]))
 
 
@@ -161,7 +161,7 @@ def test_board4() -> None:
 # Videos
 
 
-def test_a_title_that_is_no_utf8_is_no_reason_to_refuse_a_video(folder: Path) -> None:
+def test_video_with_non_utf8_title_is_accepted(folder: Path) -> None:
     for c in range(2):
         path = folder / f"cam_{c}.mkv"
         with av.open(str(path), "w") as container:
@@ -177,7 +177,7 @@ def test_a_title_that_is_no_utf8_is_no_reason_to_refuse_a_video(folder: Path) ->
 @pytest.mark.parametrize(
     ("codec", "suffix"), [("mpeg4", "mp4"), ("mjpeg", "avi"), ("ffv1", "mkv"), ("mpeg4", "MOV"), ("mpeg4", "ts")]
 )
-def test_every_frame_of_every_camera_in_order(folder: Path, codec: str, suffix: str) -> None:
+def test_all_frames_are_delivered_in_order(folder: Path, codec: str, suffix: str) -> None:
     for c in range(2):
         write_video(folder / f"cam_{c}.{suffix}", c, range(9), codec)
     session = open_session(folder)
@@ -185,7 +185,7 @@ def test_every_frame_of_every_camera_in_order(folder: Path, codec: str, suffix: 
     assert session.n_frames == 9
     assert session.rate == 10
     assert [source.kind for source in session.sources] == ["video", "video"]
-    assert all_shown(session) == [(k, k) for k in range(9)]
+    assert read_all_painted(session) == [(k, k) for k in range(9)]
     assert [f.time for f in session.frames()] == pytest.approx(np.arange(9) / 10)
     assert next(session.frames()).times == (None, None)
 
@@ -193,45 +193,45 @@ def test_every_frame_of_every_camera_in_order(folder: Path, codec: str, suffix: 
 def test_start_stop_every(folder: Path) -> None:
     two_videos(folder, 9, 9)
     session = open_session(folder)
-    assert all_shown(session, start=2, stop=8, every=3) == [(2, 2), (5, 5)]
-    assert all_shown(session, start=7, stop=100) == [(7, 7), (8, 8)]
+    assert read_all_painted(session, start=2, stop=8, every=3) == [(2, 2), (5, 5)]
+    assert read_all_painted(session, start=7, stop=100) == [(7, 7), (8, 8)]
     assert [f.index for f in session.frames(start=2, every=3)] == [2, 5, 8]
 
 
 @pytest.mark.parametrize(
     "arguments", [{"start": -1}, {"start": 8}, {"stop": 0}, {"stop": -2}, {"start": 3, "stop": 3}, {"every": 0}]
 )
-def test_start_stop_every_out_of_range_fail_at_the_call(folder: Path, arguments: dict[str, int]) -> None:
+def test_start_stop_every_out_of_range_raise_at_call(folder: Path, arguments: dict[str, int]) -> None:
     two_videos(folder)
     session = open_session(folder)
     with pytest.raises(ValueError, match=list(arguments)[-1]):
         session.frames(**arguments)  # type: ignore[arg-type]
 
 
-def test_videos_and_folders_mixed(folder: Path) -> None:
+def test_mixed_videos_and_folders(folder: Path) -> None:
     write_video(folder / "cam_0.mp4", 0, range(4))
     write_images(folder / "cam_1", 1, range(4), "frame_{}.png")
     session = open_session(folder)
-    assert all_shown(session) == [(k, k) for k in range(4)]
+    assert read_all_painted(session) == [(k, k) for k in range(4)]
     assert session.rate == 10
 
 
-def test_cameras_that_end_early(folder: Path) -> None:
+def test_cameras_ending_early(folder: Path) -> None:
     two_videos(folder, 3, 5)
     session = open_session(folder)
     assert session.n_frames == 5
     assert "cam_0 3, cam_1 5" in session.warnings[0]
-    assert all_shown(session) == [(0, 0), (1, 1), (2, 2), (None, 3), (None, 4)]
+    assert read_all_painted(session) == [(0, 0), (1, 1), (2, 2), (None, 3), (None, 4)]
 
 
 def test_offsets(folder: Path) -> None:
     two_videos(folder, 4, 4)
     late = open_session(folder, offsets={"cam_1": 2})
     assert late.n_frames == 6
-    assert all_shown(late) == [(0, None), (1, None), (2, 0), (3, 1), (None, 2), (None, 3)]
-    assert all_shown(late, start=1, every=2) == [(1, None), (3, 1), (None, 3)]
+    assert read_all_painted(late) == [(0, None), (1, None), (2, 0), (3, 1), (None, 2), (None, 3)]
+    assert read_all_painted(late, start=1, every=2) == [(1, None), (3, 1), (None, 3)]
     early = open_session(folder, offsets={"cam_1": -2})
-    assert all_shown(early) == [(0, 2), (1, 3), (2, None), (3, None)]
+    assert read_all_painted(early) == [(0, 2), (1, 3), (2, None), (3, None)]
     assert "cam_1" in early.warnings[0]
     with pytest.raises(ValueError, match="cam_9"):
         open_session(folder, offsets={"cam_9": 1})
@@ -241,28 +241,28 @@ def test_offsets(folder: Path) -> None:
         open_session(folder, offsets={"cam_0": -4, "cam_1": -5})
 
 
-def test_variable_frame_rate_counts_frames_as_they_come(folder: Path) -> None:
+def test_variable_frame_rate_numbers_frames_consecutively(folder: Path) -> None:
     write_video(folder / "cam_0.mkv", 0, range(6), "ffv1", pts=[0, 1, 3, 4, 6, 7])
     write_video(folder / "cam_1.mkv", 1, range(6), "ffv1")
-    assert [shown(f) for f in open_session(folder).frames()] == [(k, k) for k in range(6)]
+    assert [painted_numbers(f) for f in open_session(folder).frames()] == [(k, k) for k in range(6)]
 
 
-def test_a_jump_of_the_clock_is_said(folder: Path) -> None:
+def test_clock_jump_is_reported(folder: Path) -> None:
     write_video(folder / "cam_0.mkv", 0, range(6), "ffv1", pts=[0, 1, 2, 30, 31, 32])
     write_video(folder / "cam_1.mkv", 1, range(6), "ffv1")
-    frames, problems = read(open_session(folder))
+    frames, problems = read_with_problems(open_session(folder))
     assert frames == [(k, k) for k in range(6)]
     assert len(problems) == 1
     assert "cam_0.mkv jumps by 2.80 s after frame 2" in problems[0]
 
 
-def test_different_rates_are_said(folder: Path) -> None:
+def test_different_rates_are_reported(folder: Path) -> None:
     write_video(folder / "cam_0.mp4", 0, range(4), rate=10)
     write_video(folder / "cam_1.mp4", 1, range(4), rate=15)
     assert "cam_0 10, cam_1 15" in " ".join(open_session(folder).warnings)
 
 
-def test_frames_hidden_by_an_edit_list_do_not_count(folder: Path) -> None:
+def test_frames_hidden_by_edit_list_are_not_counted(folder: Path) -> None:
     write_video(folder / "whole.mp4", 0, range(9))
     with av.open(str(folder / "whole.mp4")) as whole, av.open(str(folder / "cam_0.mp4"), "w") as cut:
         stream = whole.streams.video[0]
@@ -276,10 +276,10 @@ def test_frames_hidden_by_an_edit_list_do_not_count(folder: Path) -> None:
     write_video(folder / "cam_1.mp4", 1, range(3, 9))
     session = open_session(folder)
     assert session.warnings == ()
-    assert all_shown(session) == [(k, k) for k in range(3, 9)]
+    assert read_all_painted(session) == [(k, k) for k in range(3, 9)]
 
 
-def test_memory_does_not_grow(folder: Path) -> None:
+def test_memory_is_bounded_while_reading(folder: Path) -> None:
     two_videos(folder, 40, 40)
     references: list[weakref.ref[NDArray[np.uint8]]] = []
     most = 0
@@ -287,10 +287,10 @@ def test_memory_does_not_grow(folder: Path) -> None:
         references += [weakref.ref(image) for image in frame_set.images if image is not None]
         most = max(most, sum(reference() is not None for reference in references))
     assert len(references) == 80
-    assert most <= 4  # this frame set, and the one before it while it is being replaced
+    assert most <= 4  # this frame set, and the previous one while it is being replaced
 
 
-def test_closing_stops_the_threads(folder: Path) -> None:
+def test_closing_stops_threads(folder: Path) -> None:
     two_videos(folder)
     frames = open_session(folder).frames()
     next(frames)
@@ -302,31 +302,31 @@ def test_closing_stops_the_threads(folder: Path) -> None:
 # Damaged videos
 
 
-def cut_in_half(path: Path) -> None:
+def truncate_file(path: Path) -> None:
     data = path.read_bytes()
     path.write_bytes(data[: len(data) // 2])
 
 
-def test_a_video_without_its_index_cannot_be_opened(folder: Path) -> None:
+def test_video_without_index_is_rejected(folder: Path) -> None:
     two_videos(folder)
-    cut_in_half(folder / "cam_1.mp4")
+    truncate_file(folder / "cam_1.mp4")
     with pytest.raises(ValueError, match=r"cam_1\.mp4: cannot be opened"):
         open_session(folder)
 
 
-def test_a_file_that_is_no_video(folder: Path) -> None:
+def test_non_video_file_is_rejected(folder: Path) -> None:
     write_video(folder / "cam_0.mp4", 0, range(2))
     (folder / "cam_1.mp4").write_bytes(b"")
     with pytest.raises(ValueError, match=r"cam_1\.mp4"):
         open_session(folder)
 
 
-def test_a_video_cut_within_its_first_frame(folder: Path) -> None:
+def test_video_truncated_in_first_frame_is_rejected(folder: Path) -> None:
     write_video(folder / "cam_0.mp4", 0, range(2))
     write_video(folder / "cam_1.avi", 1, range(2), "mjpeg", noise=20)
     data = (folder / "cam_1.avi").read_bytes()
     (folder / "cam_1.avi").write_bytes(data[: data.index(b"movi") + 100])
-    with pytest.raises(ValueError, match=r"cam_1\.avi: no frame of this video can be read"):
+    with pytest.raises(ValueError, match=r"cam_1\.avi: no frame of this video is readable"):
         open_session(folder)
 
 
@@ -339,38 +339,38 @@ def test_a_video_cut_within_its_first_frame(folder: Path) -> None:
         ("mjpeg", "mp4", "frag_keyframe+empty_moov"),
     ],
 )
-def test_a_cut_video_gives_what_can_be_read(folder: Path, codec: str, suffix: str, movflags: str) -> None:
+def test_truncated_video_is_read_up_to_its_end(folder: Path, codec: str, suffix: str, movflags: str) -> None:
     write_video(folder / f"cam_0.{suffix}", 0, range(40), codec, noise=20, movflags=movflags)
     write_video(folder / "cam_1.mp4", 1, range(40))
-    cut_in_half(folder / f"cam_0.{suffix}")
+    truncate_file(folder / f"cam_0.{suffix}")
     session = open_session(folder)
-    frames, problems = read(session)
+    frames, problems = read_with_problems(session)
     assert [row[1] for row in frames] == list(range(40))
     numbers = [row[0] for row in frames]
     n = numbers.index(None)
     assert 5 < n < 30
     assert numbers == [*range(n), *[None] * (40 - n)]
-    said = [sentence for sentence in (*session.warnings, *problems) if "breaks off" in sentence]
-    assert len(said) == 1
-    assert f"cam_0.{suffix}" in said[0]
-    assert str(n) in said[0]
+    message = [sentence for sentence in (*session.warnings, *problems) if "is cut off" in sentence]
+    assert len(message) == 1
+    assert f"cam_0.{suffix}" in message[0]
+    assert str(n) in message[0]
 
 
-def test_when_all_cameras_break_off_the_iteration_ends(folder: Path) -> None:
+def test_iteration_ends_when_all_videos_are_truncated(folder: Path) -> None:
     for c in range(2):
         write_video(folder / f"cam_{c}.mp4", c, range(40), "mjpeg", noise=20, movflags="faststart")
-        cut_in_half(folder / f"cam_{c}.mp4")
+        truncate_file(folder / f"cam_{c}.mp4")
     session = open_session(folder)
     assert session.n_frames == 40
-    frames, problems = read(session)
+    frames, problems = read_with_problems(session)
     assert 5 < len(frames) < 30
     assert all(row != (None, None) for row in frames)
     assert len(problems) == 2
-    with pytest.warns(UserWarning, match=r"breaks off after \d+ of 40 frames"):
+    with pytest.warns(UserWarning, match=r"is cut off after \d+ of 40 frames"):
         list(session.frames())
 
 
-def test_damage_in_the_middle(folder: Path) -> None:
+def test_damaged_frames_are_skipped(folder: Path) -> None:
     write_video(folder / "cam_0.mp4", 0, range(40), "mjpeg", noise=20)
     write_video(folder / "cam_1.mp4", 1, range(40))
     data = bytearray((folder / "cam_0.mp4").read_bytes())
@@ -380,15 +380,15 @@ def test_damage_in_the_middle(folder: Path) -> None:
     problems: list[str] = []
     frame_sets = list(open_session(folder).frames(on_problem=problems.append))
     assert len(frame_sets) == 40
-    assert [seen(f.images[0]) for f in frame_sets[:15]] == [(0, k) for k in range(15)]
-    assert seen(frame_sets[-1].images[0]) in (None, (0, 39))  # never another frame than the one it says
+    assert [decode_painted(f.images[0]) for f in frame_sets[:15]] == [(0, k) for k in range(15)]
+    assert decode_painted(frame_sets[-1].images[0]) in (None, (0, 39))  # never the wrong frame
     assert problems
 
 
 # Image folders
 
 
-def test_natural_order_and_kinds_of_images(tmp_path: Path) -> None:
+def test_natural_order_and_image_formats(tmp_path: Path) -> None:
     for name in ("10.png", "9.PNG", "2.png", ".hidden.png", "notes.txt"):
         (tmp_path / name).touch()
     files = image_files(tmp_path)
@@ -401,24 +401,24 @@ def test_natural_order_and_kinds_of_images(tmp_path: Path) -> None:
         image_files(tmp_path)
 
 
-def test_equal_numbers_are_one_instant(folder: Path) -> None:
+def test_images_are_aligned_by_number(folder: Path) -> None:
     write_images(folder / "cam_0", 0, [10, 20, 30, 40])
     write_images(folder / "cam_1", 1, [20, 40, 50], "img{}.png")
     session = open_session(folder)
-    assert all_shown(session) == [(10, None), (20, 20), (30, None), (40, 40), (None, 50)]
+    assert read_all_painted(session) == [(10, None), (20, 20), (30, None), (40, 40), (None, 50)]
     assert [f.time for f in session.frames()] == [0, 1, 2, 3, 4]
-    assert "cam_1: 2 images that other cameras have are missing, the first is number 10" in " ".join(session.warnings)
+    assert "cam_1: 2 images are missing that other cameras have, the first is number 10" in " ".join(session.warnings)
 
 
-def test_numbers_without_any_in_common_are_counted_in_order(folder: Path) -> None:
+def test_images_without_common_numbers_are_numbered_in_order(folder: Path) -> None:
     write_images(folder / "cam_0", 0, range(3))
     write_images(folder / "cam_1", 1, range(100, 103))
     session = open_session(folder)
-    assert all_shown(session) == [(0, 100), (1, 101), (2, 102)]
-    assert "counted in order" in session.warnings[0]
+    assert read_all_painted(session) == [(0, 100), (1, 101), (2, 102)]
+    assert "numbered in order" in session.warnings[0]
 
 
-def test_grey_and_deep_images(folder: Path) -> None:
+def test_gray_and_16_bit_images(folder: Path) -> None:
     two_folders(folder, 4)
     images = folder / "cam_0"
     cv2.imwrite(str(images / "0000.png"), paint(0, 0)[:, :, 0])
@@ -433,12 +433,12 @@ def test_grey_and_deep_images(folder: Path) -> None:
         assert np.array_equal(image, paint(0, k))
 
 
-def test_unreadable_images_and_other_sizes_are_missing_and_said(folder: Path) -> None:
+def test_unreadable_and_wrong_size_images_are_reported(folder: Path) -> None:
     two_folders(folder, 5)
     (folder / "cam_0" / "0001.png").write_bytes(b"no image")
     cv2.imwrite(str(folder / "cam_1" / "0002.png"), paint(1, 2, (80, 48)))
     (folder / "cam_1" / "0003.png").write_bytes(b"")
-    frames, problems = read(open_session(folder))
+    frames, problems = read_with_problems(open_session(folder))
     assert frames == [(0, 0), (None, 1), (2, None), (3, None), (4, 4)]
     assert len(problems) == 3
     assert "cam_0" in problems[0]
@@ -446,18 +446,18 @@ def test_unreadable_images_and_other_sizes_are_missing_and_said(folder: Path) ->
     assert "80x48, not 160x48" in problems[1]
 
 
-def test_a_cut_jpeg_is_missing(folder: Path) -> None:
+def test_truncated_jpeg_is_missing(folder: Path) -> None:
     for c in range(2):
         write_images(folder / f"cam_{c}", c, range(3), "{}.jpg")
     data = (folder / "cam_0" / "1.jpg").read_bytes()
     (folder / "cam_0" / "1.jpg").write_bytes(data[: len(data) - 40])
-    frames, problems = read(open_session(folder))
+    frames, problems = read_with_problems(open_session(folder))
     assert frames == [(0, 0), (None, 1), (2, 2)]
     assert "1.jpg" in problems[0]
 
 
 @pytest.mark.parametrize("kind", ["video", "images"])
-def test_sizes_that_do_not_match_the_calibration(folder: Path, kind: str) -> None:
+def test_sizes_must_match_calibration(folder: Path, kind: str) -> None:
     write_images(folder / "cam_0", 0, range(2))
     if kind == "video":
         write_video(folder / "cam_1.mp4", 1, range(2), size=(80, 48))
@@ -472,12 +472,12 @@ def test_sizes_that_do_not_match_the_calibration(folder: Path, kind: str) -> Non
 
 
 @pytest.mark.parametrize("name", ["cam_0", "0", "cam0", "Cam-0", "CAM 00", "port_0", "camera.0"])
-def test_tolerant_names(name: str) -> None:
+def test_names_are_matched_tolerantly(name: str) -> None:
     assert match_names([name, "cam_1"], ["cam_0", "cam_1"]) == {name: "cam_0", "cam_1": "cam_1"}
     assert match_names(["cam_0"], [name]) == {"cam_0": name}
 
 
-def test_names_that_must_not_match() -> None:
+def test_ambiguous_names_are_rejected() -> None:
     assert match_names(["cam_1", "left"], ["cam_0", "right"]) == {}
     assert match_names(["0_1"], ["cam_01"]) == {}
     assert match_names(["Left"], ["cam_left"]) == {"Left": "cam_left"}
@@ -488,7 +488,7 @@ def test_names_that_must_not_match() -> None:
         match_names(["0"], ["cam_0", "port_0"])
 
 
-def test_what_is_no_camera(folder: Path) -> None:
+def test_other_entries_are_not_cameras(folder: Path) -> None:
     two_videos(folder, 3, 3)
     (folder / "sylpose").mkdir()
     (folder / "run2").mkdir()
@@ -499,10 +499,10 @@ def test_what_is_no_camera(folder: Path) -> None:
     write_video(folder / "overlay.mp4", 0, range(3))
     (folder / "._cam_0.mp4").write_bytes(b"made by another system")
     (folder / "empty").mkdir()
-    assert all_shown(open_session(folder)) == [(k, k) for k in range(3)]
+    assert read_all_painted(open_session(folder)) == [(k, k) for k in range(3)]
 
 
-def test_cameras_without_video_and_the_reverse_are_all_named(tmp_path: Path) -> None:
+def test_unmatched_cameras_and_videos_are_all_listed(tmp_path: Path) -> None:
     make_calibration(tmp_path, 4)
     for name in ("cam_0", "cam_2", "cam_7"):
         write_video(tmp_path / f"{name}.mp4", 0, range(2))
@@ -510,14 +510,14 @@ def test_cameras_without_video_and_the_reverse_are_all_named(tmp_path: Path) -> 
         open_session(tmp_path)
 
 
-def test_two_sources_for_one_camera(folder: Path) -> None:
+def test_two_sources_for_one_camera_are_rejected(folder: Path) -> None:
     two_videos(folder, 2, 2)
     write_images(folder / "cam_1", 1, range(2))
     with pytest.raises(ValueError, match=r"cam_1 and cam_1\.mp4 are both for camera cam_1"):
         open_session(folder)
 
 
-def test_no_such_folder(tmp_path: Path) -> None:
+def test_missing_folder_is_rejected(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="nowhere: no such folder"):
         open_session(tmp_path / "nowhere")
     make_calibration(tmp_path)
@@ -530,7 +530,7 @@ def test_no_such_folder(tmp_path: Path) -> None:
 # Boxes
 
 
-def test_boxes(folder: Path) -> None:
+def test_boxes_are_read(folder: Path) -> None:
     two_folders(folder)
     (folder / "boxes.toml").write_text("1 = [-0.4, 2, 160.2, 20.5]")
     (folder / "other.toml").write_text("cam_0 = [1, 2, 3, 4]")
@@ -554,7 +554,7 @@ def test_boxes(folder: Path) -> None:
         ('cam_0 = "here"', "cam_0"),
     ],
 )
-def test_bad_boxes(folder: Path, text: str, match: str) -> None:
+def test_invalid_boxes_are_rejected(folder: Path, text: str, match: str) -> None:
     two_folders(folder)
     (folder / "boxes.toml").write_text(text)
     with pytest.raises(ValueError, match=match):
@@ -564,16 +564,16 @@ def test_bad_boxes(folder: Path, text: str, match: str) -> None:
 # Masks
 
 
-def mask(folder: Path, name: str, white: bool = True, size: tuple[int, int] = SIZE) -> None:
+def write_mask(folder: Path, name: str, white: bool = True, size: tuple[int, int] = SIZE) -> None:
     image = np.zeros(size[::-1], np.uint8)
     image[5:10, 5 : 10 + int("".join(filter(str.isdigit, name)) or 0) % 100] = 255 * white
     (folder / name).parent.mkdir(parents=True, exist_ok=True)
     cv2.imwrite(str(folder / name), image)
 
 
-def test_masks_for_all_frames(folder: Path) -> None:
+def test_static_masks(folder: Path) -> None:
     two_videos(folder, 3, 2)
-    mask(folder, "masks/cam_1.png")
+    write_mask(folder, "masks/cam_1.png")
     session = open_session(folder)
     assert session.masks == folder / "masks"
     masks = [f.masks for f in session.frames()]
@@ -583,7 +583,7 @@ def test_masks_for_all_frames(folder: Path) -> None:
     assert masks[0][1].shape == SIZE[::-1]
     assert masks[0][1].sum() == 30
     assert masks[1][1] is masks[0][1]
-    assert masks[2][1] is None  # no image, no mask
+    assert masks[2][1] is None  # no mask without an image
 
 
 @pytest.mark.parametrize("kind", ["video", "images"])
@@ -595,43 +595,43 @@ def test_masks_by_frame_number(folder: Path, kind: str) -> None:
     else:
         write_images(folder / "cam_1", 1, range(7, 10))
     silhouettes = folder / "silhouettes"
-    mask(silhouettes, f"1/mask_{first}.png")
-    mask(silhouettes, f"1/mask_{first + 2}.png")
-    mask(silhouettes, "1/mask_55.png")
+    write_mask(silhouettes, f"1/mask_{first}.png")
+    write_mask(silhouettes, f"1/mask_{first + 2}.png")
+    write_mask(silhouettes, "1/mask_55.png")
     session = open_session(folder, masks=silhouettes)
-    assert "the first is 55" in session.warnings[0]
+    assert "the first is number 55" in session.warnings[0]
     areas = [None if f.masks[1] is None else int(f.masks[1].sum()) for f in session.frames()]
     assert areas == [25 + 5 * (10 + first), None, 25 + 5 * (12 + first)]
 
 
-def test_bad_masks(folder: Path) -> None:
+def test_invalid_masks_are_rejected(folder: Path) -> None:
     two_videos(folder, 3, 3)
     cases: list[tuple[str, bool, tuple[int, int], str]] = [
         ("m1/cam_0.png", False, SIZE, r"cam_0\.png: the mask is empty"),
         ("m2/cam_0.png", True, (80, 48), r"cam_0\.png: 80x48, not 160x48 pixels"),
-        ("m3/cam_8.png", True, SIZE, "cam_8 is no camera"),
-        ("m4/cam_0/0001.png", False, SIZE, r"0001\.png: empty"),
+        ("m3/cam_8.png", True, SIZE, "cam_8 is not a camera"),
+        ("m4/cam_0/0001.png", False, SIZE, r"0001\.png: this and all later masks are empty"),
         ("m5/cam_0/0001.png", True, (80, 48), r"0001\.png: 80x48, not 160x48 pixels"),
-        ("m6/cam_0/0100.png", True, SIZE, "no mask has the number of a frame"),
+        ("m6/cam_0/0100.png", True, SIZE, "no mask number matches a frame"),
         ("m7/cam_0/first.png", True, SIZE, "number"),
     ]
     for name, white, size, match in cases:
-        mask(folder, name, white, size)
+        write_mask(folder, name, white, size)
         with pytest.raises(ValueError, match=match):
             open_session(folder, masks=(folder / name.split("/")[0]), offsets={"cam_1": 0})
         for entry in sorted((folder / name.split("/")[0]).rglob("*"), reverse=True):
             entry.rmdir() if entry.is_dir() else entry.unlink()
-    with pytest.raises(ValueError, match="holds no masks"):
+    with pytest.raises(ValueError, match="contains no masks"):
         open_session(folder, masks=folder / "m1")
     with pytest.raises(FileNotFoundError, match="nowhere"):
         open_session(folder, masks=folder / "nowhere")
 
 
-def test_a_mask_that_cannot_be_read_later_is_said(folder: Path) -> None:
+def test_unreadable_later_mask_is_reported(folder: Path) -> None:
     two_videos(folder, 3, 3)
-    mask(folder, "masks/cam_0/0.png")
-    mask(folder, "masks/cam_0/1.png", size=(80, 48))
-    mask(folder, "masks/cam_0/2.png", white=False)  # out of sight: allowed once the object was seen
+    write_mask(folder, "masks/cam_0/0.png")
+    write_mask(folder, "masks/cam_0/1.png", size=(80, 48))
+    write_mask(folder, "masks/cam_0/2.png", white=False)  # empty masks are allowed after the first object mask
     problems: list[str] = []
     masks = [f.masks[0] for f in open_session(folder).frames(on_problem=problems.append)]
     assert [None if m is None else bool(m.any()) for m in masks] == [True, None, False]
@@ -639,16 +639,16 @@ def test_a_mask_that_cannot_be_read_later_is_said(folder: Path) -> None:
     assert "1.png" in problems[0]
 
 
-# Time stamps
+# Timestamps
 
 
-def test_time_stamps_say_which_frame_is_when(folder: Path) -> None:
+def test_timestamps_assign_frames(folder: Path) -> None:
     two_videos(folder, 4, 3)
     (folder / "timestamps.csv").write_text("frame,cam_1,cam_0\n0,0.10,0.12\n1,,0.31\n2,0.50,0.52\n3,0.70,0.72\n")
     session = open_session(folder)
     assert session.warnings == ()
     assert session.rate == pytest.approx(5)
-    assert all_shown(session) == [(0, 0), (1, None), (2, 1), (3, 2)]
+    assert read_all_painted(session) == [(0, 0), (1, None), (2, 1), (3, 2)]
     frame_sets = list(session.frames())
     assert [f.time for f in frame_sets] == pytest.approx([0.11, 0.31, 0.51, 0.71])
     assert frame_sets[1].times == (0.31, None)
@@ -657,12 +657,12 @@ def test_time_stamps_say_which_frame_is_when(folder: Path) -> None:
         open_session(folder, offsets={"cam_0": 1})
 
 
-def test_time_stamps_that_do_not_fit_the_frames(folder: Path) -> None:
+def test_mismatched_timestamp_counts_are_reported(folder: Path) -> None:
     two_videos(folder, 5, 2)
     (folder / "timestamps.csv").write_text("frame,cam_0,cam_1\n" + "".join(f"{k},{k},{k}.5\n" for k in range(4)))
     session = open_session(folder)
-    assert session.warnings == ("cam_0 has 4 time stamps and 5 frames.", "cam_1 has 4 time stamps and 2 frames.")
-    assert all_shown(session) == [(0, 0), (1, 1), (2, None), (3, None)]
+    assert session.warnings == ("cam_0 has 4 timestamps and 5 frames.", "cam_1 has 4 timestamps and 2 frames.")
+    assert read_all_painted(session) == [(0, 0), (1, 1), (2, None), (3, None)]
 
 
 @pytest.mark.parametrize(
@@ -673,7 +673,7 @@ def test_time_stamps_that_do_not_fit_the_frames(folder: Path) -> None:
         ("frame,cam_0,cam_1,cam_2\n", "line 1.*cam_2"),
         ("frame,cam_0,cam_1,cam_1\n0,1,1,1\n", "line 1"),
         ("cam_0,cam_1\n0,1\n", "line 1.*frame"),
-        ("frame,cam_0,cam_1\n", "no time stamps"),
+        ("frame,cam_0,cam_1\n", "no timestamps"),
         ("frame,cam_0,cam_1\n0,1,1\n2,2,2\n", "line 3.*frame 1"),
         ("frame,cam_0,cam_1\n0,1,1\n1,1,2\n", "line 3.*increase"),
         ("frame,cam_0,cam_1\n0,1,1\n1,,\n", "line 3.*no camera"),
@@ -683,7 +683,7 @@ def test_time_stamps_that_do_not_fit_the_frames(folder: Path) -> None:
         ("frame,cam_0,cam_1\n0,1\n", "line 2.*3 columns"),
     ],
 )
-def test_bad_time_stamps(tmp_path: Path, text: str, match: str) -> None:
+def test_invalid_timestamps_are_rejected(tmp_path: Path, text: str, match: str) -> None:
     path = tmp_path / "timestamps.csv"
     path.write_text(text)
     with pytest.raises(ValueError, match=match):
@@ -692,10 +692,10 @@ def test_bad_time_stamps(tmp_path: Path, text: str, match: str) -> None:
 
 def test_timeline_without_files() -> None:
     sources = tuple(Source(f"cam_{c}", Path(f"cam_{c}.mp4"), "video", SIZE, n, 5.0) for c, n in enumerate((2, 3)))
-    timeline, said = build_timeline(sources, None, {"cam_0": 2})
+    timeline, message = build_timeline(sources, None, {"cam_0": 2})
     assert timeline.frames.tolist() == [[-1, 0], [-1, 1], [0, 2], [1, -1]]
     assert timeline.times.tolist() == [0, 0.2, 0.4, pytest.approx(0.6)]
-    assert len(said) == 1
+    assert len(message) == 1
 
 
 @pytest.mark.parametrize(
@@ -706,16 +706,16 @@ def test_timeline_without_files() -> None:
         (["2024-05-01 left raw", "2024-05-01 right raw"], ["Left", "Right"]),
     ],
 )
-def test_names_that_share_words_are_matched_by_those_in_which_they_differ(files: list[str], cameras: list[str]) -> None:
+def test_names_are_matched_by_distinguishing_words(files: list[str], cameras: list[str]) -> None:
     assert match_names(files, cameras) == dict(zip(files, cameras, strict=True))
     assert match_names(files[::-1], cameras) == dict(zip(files, cameras, strict=True))
-    # Not where one is left over, on either side, or nothing tells them apart.
+    # Not if one remains unmatched, on either side, or if the names do not differ.
     assert match_names([*files, f"{files[0]}x"], cameras) == {}
     assert match_names(files, [*cameras, "x_y"]) == {}
     assert match_names(["run a", "run b"], ["top", "side"]) == {}
 
 
-def test_several_recordings_in_one_folder_are_told_as_such(folder: Path) -> None:
+def test_several_recordings_in_one_folder_are_reported(folder: Path) -> None:
     two_videos(folder)
     text = (folder / "calibration.toml").read_text()
     (folder / "calibration.toml").write_text(text.replace("cam_0", "A").replace("cam_1", "B"))
@@ -730,11 +730,11 @@ def test_several_recordings_in_one_folder_are_told_as_such(folder: Path) -> None
         open_session(folder)
     session = open_session(folder, cameras={"A": "vid2-camA.mp4", "B": "vid2-camB.mp4"})
     assert [source.path.name for source in session.sources] == ["vid2-camA.mp4", "vid2-camB.mp4"]
-    assert several_of(["a1", "b1"], ["a", "b"]) == []
-    assert several_of(["x_a", "y_a", "x_b"], ["a", "b"]) == []
+    assert find_repeated_recordings(["a1", "b1"], ["a", "b"]) == []
+    assert find_repeated_recordings(["x_a", "y_a", "x_b"], ["a", "b"]) == []
 
 
-def test_cameras_are_named_where_names_do_not_tell(folder: Path) -> None:
+def test_cameras_can_be_assigned_explicitly(folder: Path) -> None:
     two_videos(folder)
     (folder / "cam_0.mp4").rename(folder / "GX010042.mp4")
     (folder / "cam_1.mp4").rename(folder / "GX010007.mp4")
@@ -743,26 +743,26 @@ def test_cameras_are_named_where_names_do_not_tell(folder: Path) -> None:
     named: dict[str, Path | str] = {"cam_0": "GX010042.mp4", "cam_1": folder / "GX010007.mp4"}
     session = open_session(folder, cameras=named)
     assert [source.path.name for source in session.sources] == ["GX010042.mp4", "GX010007.mp4"]
-    numbers, problems = read(session)
+    numbers, problems = read_with_problems(session)
     assert numbers == [(k, k) for k in range(8)]
     assert not problems
     swapped = open_session(folder, cameras={"cam_1": "GX010042.mp4", "cam_0": "GX010007.mp4"})
     assert [source.path.name for source in swapped.sources] == ["GX010007.mp4", "GX010042.mp4"]
-    # Only the other one is looked for.
+    # Only the other one is searched.
     (folder / "GX010007.mp4").rename(folder / "cam_1.mp4")
     assert open_session(folder, cameras={"cam_0": "GX010042.mp4"}).sources[1].path.name == "cam_1.mp4"
-    for cameras, said in (
-        ({"cam_9": "GX010042.mp4"}, "'cam_9' is no camera"),
-        ({"cam_0": "GX010042.mp4", "cam_1": "GX010042.mp4"}, "named for camera cam_0 and for camera cam_1"),
+    for cameras, message in (
+        ({"cam_9": "GX010042.mp4"}, "'cam_9' is not a camera"),
+        ({"cam_0": "GX010042.mp4", "cam_1": "GX010042.mp4"}, "assigned to both camera cam_0 and camera cam_1"),
         ({"cam_0": "."}, "no images in this folder"),
     ):
-        with pytest.raises(ValueError, match=said):
+        with pytest.raises(ValueError, match=message):
             open_session(folder, cameras=cameras)
     with pytest.raises(FileNotFoundError, match="gone"):
         open_session(folder, cameras={"cam_0": "gone.mp4"})
 
 
-def test_images_have_the_rate_that_is_given(folder: Path) -> None:
+def test_images_use_given_rate(folder: Path) -> None:
     two_folders(folder)
     session = open_session(folder, rate=25)
     assert session.rate == 25
@@ -771,11 +771,11 @@ def test_images_have_the_rate_that_is_given(folder: Path) -> None:
         with pytest.raises(ValueError, match="rate: frames per second"):
             open_session(folder, rate=rate)
     (folder / "timestamps.csv").write_text("frame,cam_0,cam_1\n0,0,0\n1,1,1\n2,2,2\n")
-    with pytest.raises(ValueError, match="csv says"):
+    with pytest.raises(ValueError, match=r"come from timestamps\.csv"):
         open_session(folder, rate=25)
 
 
-def test_a_recording_with_another_rig_is_of_the_same_cameras(folder: Path) -> None:
+def test_with_rig_requires_same_cameras(folder: Path) -> None:
     two_videos(folder)
     session = open_session(folder)
     assert session.with_rig(Rig(session.rig.cameras, "m")).rig.unit == "m"

@@ -1,4 +1,4 @@
-"""Cameras that are left out: with images or without, and whatever else the recording has of them."""
+"""Excluded cameras, with or without images, and the data that the recording contains about them."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from sylpose import calibration
-from sylpose.app.checkpoint import fingerprint
-from sylpose.app.run_metadata import USED, write_record
-from sylpose.app.source_recording import recording_of
+from sylpose.app.checkpoint import compute_fingerprint
+from sylpose.app.run_metadata import USED_CALIBRATION, write_run_metadata
+from sylpose.app.source_recording import open_source_recording
 from sylpose.capture import open_session
 from sylpose.cli import main
 from sylpose.simulate import ring
@@ -30,7 +30,7 @@ def write_images(folder: Path) -> None:
 
 @pytest.fixture(params=[True, False], ids=["with its images", "without them"])
 def session(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
-    """A recording that has boxes, masks, time stamps and offsets of all, and images of the last camera or not."""
+    """A recording with boxes, masks, timestamps and offsets of all cameras, with or without the last camera's images."""
     calibration.save(RIG, tmp_path / "calibration.toml")
     for name in RIG.names if request.param else (A, B):
         write_images(tmp_path / name)
@@ -38,63 +38,64 @@ def session(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     (tmp_path / "masks").mkdir()
     for name in RIG.names:
         cv2.imwrite(str(tmp_path / "masks" / f"{name}.png"), np.full((48, 64), 255, np.uint8))
-    # The last row is of the last camera alone.
+    # Only the last camera has a frame in the last row.
     rows = [f"{k},{k / 10},{k / 10 + 0.001},{k / 10 + 0.002}" for k in range(N)]
     (tmp_path / "timestamps.csv").write_text("\n".join([f"frame,{A},{B},{C}", *rows[:-1], f"3,,,{0.302}", ""]))
     (tmp_path / "offsets.toml").write_text(f"{A} = 0.01\n{C} = 0.02\n")
     return tmp_path
 
 
-def test_all_of_it_is_left_out(session: Path) -> None:
+def test_data_of_excluded_camera_is_ignored(session: Path) -> None:
     opened = open_session(session, without=[C])
     assert opened.rig.names == (A, B)
     assert opened.without == (C,)
     assert [source.camera for source in opened.sources] == [A, B]
     assert sorted(opened.boxes) == [A, B]
     assert len(opened._masks["object"]) == 2
-    assert opened.n_frames == N - 1  # an instant that only the other one has is none
+    assert opened.n_frames == N - 1  # a frame set of the excluded camera alone is dropped
     np.testing.assert_allclose(opened.timeline.stamps, [[k / 10, k / 10 + 0.001] for k in range(N - 1)])
     assert find_offsets(opened) == {A: 0.01}
     (session / "timestamps.csv").write_text(f"frame,{A},{B}\n" + "".join(f"{k},{k / 10},{k / 10}\n" for k in range(N)))
     assert open_session(session, without=[C]).n_frames == N
 
 
-def test_a_run_says_so_and_is_opened_again(session: Path) -> None:
+def test_run_records_exclusion_and_can_be_reopened(session: Path) -> None:
     opened = open_session(session, without=[C])
-    write_record(session / "result", opened, {})
+    write_run_metadata(session / "result", opened, {})
     assert f'\nwithout = ["{C}"]\n' in (session / "result" / "settings.toml").read_text()
-    assert calibration.load(session / "result" / USED).names == (A, B)
-    again = recording_of(session / "result")
+    assert calibration.load(session / "result" / USED_CALIBRATION).names == (A, B)
+    again = open_source_recording(session / "result")
     assert again.rig.names == (A, B)
     assert [frames.time for frames in again.frames()] == [frames.time for frames in opened.frames()]
 
 
-def test_a_run_with_other_cameras_does_not_go_on(session: Path) -> None:
-    one, other = (fingerprint(open_session(session, without=names)) for names in ([C], [B, C]))
+def test_run_with_other_cameras_cannot_resume(session: Path) -> None:
+    one, other = (compute_fingerprint(open_session(session, without=names)) for names in ([C], [B, C]))
     for name in ("calibration", "images"):
         assert one[name] != other[name]
 
 
-def test_wrong_names_and_the_refusal(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for without, said in (
-        (["cam_9"], f"without: 'cam_9' is no camera of calibration.toml \\({A}, {B}, {C}\\)"),
-        ([A, B, C], "without: no camera of calibration.toml is left"),
+def test_invalid_exclusions_are_rejected(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for without, message in (
+        (["cam_9"], f"without: 'cam_9' is not a camera of calibration.toml \\({A}, {B}, {C}\\)"),
+        ([A, B, C], "without: no camera of calibration.toml remains"),
         ("cam", "without"),
     ):
-        with pytest.raises((ValueError, TypeError), match=said):
+        with pytest.raises((ValueError, TypeError), match=message):
             open_session(session, without=without)
     for command in ("track", "check", "box", "sync"):
         assert main([command, str(session), "--exclude-camera", "cam_9"]) == 2
-        assert "--exclude-camera: 'cam_9' is no camera" in capsys.readouterr().err
+        assert "--exclude-camera: 'cam_9' is not a camera" in capsys.readouterr().err
     if not (session / C).exists():
         with pytest.raises(
-            ValueError, match=rf"no video or image folder for camera {C} .*, --exclude-camera {C} leaves a camera"
+            ValueError,
+            match=rf"no video or image folder for camera {C} .*, or exclude a camera with --exclude-camera {C}",
         ):
             open_session(session)
     else:
         assert open_session(session).rig.names == RIG.names
 
 
-def test_live_cameras_are_not_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_live_cameras_cannot_be_excluded(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["track", str(tmp_path), "--follow", "--exclude-camera", A]) == 2
     assert "--exclude-camera: of live cameras" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Single frames in any order are those that come when all are read in theirs."""
+"""Frames read in any order equal those read sequentially."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose import calibration
 from sylpose.capture import open_session
-from sylpose.capture.random_access import AHEAD, SingleFrames
+from sylpose.capture.random_access import MAX_SEQUENTIAL_FRAMES, RandomAccessReader
 from sylpose.geometry.arrays import Image
 from sylpose.rig import Camera, Rig
 
-SIZE, FRAMES = (64, 48), 3 * AHEAD
-# Containers and coders whose frames are found in different ways: with and without pictures that refer to later ones, with
-# key frames that those before them in time need, too, and without any times of showing.
+SIZE, FRAMES = (64, 48), 3 * MAX_SEQUENTIAL_FRAMES
+# Containers and codecs with different seek behavior: with and without frames that reference later ones, with keyframes
+# that earlier frames reference, too, and without timestamps.
 KINDS = {
     "mp4": ("libx264", {"bf": "3", "g": "30"}),
     "mkv": ("libx264", {"bf": "2", "g": "25", "x264-params": "open-gop=1"}),
@@ -43,7 +43,7 @@ def folder_of(path: Path, names: tuple[str, ...] = ("cam_0",)) -> Path:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_frames_of_videos(kind: str, tmp_path: Path) -> None:
+def test_random_access_to_videos(kind: str, tmp_path: Path) -> None:
     codec, options = KINDS[kind]
     if codec not in av.codecs_available:
         pytest.skip(f"FFmpeg here has no {codec}")
@@ -58,15 +58,15 @@ def test_frames_of_videos(kind: str, tmp_path: Path) -> None:
     every = [frames.images[0] for frames in session.frames()]
     assert len(every) == FRAMES
     order = [*np.random.default_rng(5).integers(0, FRAMES, 25).tolist(), 7, 8, 9, 9, FRAMES - 1, 0]
-    with SingleFrames(session) as stills:
+    with RandomAccessReader(session) as stills:
         for k in order:
-            (image,) = stills.at(k)
+            (image,) = stills.read_frame_set(k)
             np.testing.assert_array_equal(image, every[k], err_msg=f"frame {k}")
         with pytest.raises(ValueError, match=f"index must be in 0 ... {FRAMES - 1}"):
-            stills.at(FRAMES)
+            stills.read_frame_set(FRAMES)
 
 
-def test_images_and_cameras_that_miss_some(tmp_path: Path) -> None:
+def test_random_access_with_missing_images(tmp_path: Path) -> None:
     folder = folder_of(tmp_path / "recording", ("cam_0", "cam_1"))
     for name in ("cam_0", "cam_1"):
         (folder / name).mkdir()
@@ -74,13 +74,13 @@ def test_images_and_cameras_that_miss_some(tmp_path: Path) -> None:
             cv2.imwrite(str(folder / name / f"{k}.png"), picture(k))
     (folder / "cam_1" / "2.png").write_bytes(b"no image")
     session = open_session(folder, offsets={"cam_1": 1})
-    with SingleFrames(session) as stills:
-        first, second = stills.at(3)
+    with RandomAccessReader(session) as stills:
+        first, second = stills.read_frame_set(3)
         np.testing.assert_array_equal(first, picture(3))
-        assert second is None  # its third image, which is broken
-        first, second = stills.at(0)
+        assert second is None  # its third image, which is damaged
+        first, second = stills.read_frame_set(0)
         np.testing.assert_array_equal(first, picture(0))
         assert second is None
-        first, second = stills.at(4)
+        first, second = stills.read_frame_set(4)
         assert first is None
         np.testing.assert_array_equal(second, picture(3))

@@ -1,4 +1,4 @@
-"""Exports, read back by readers of others, or by what is documented of their structure: poses to float32, gaps as gaps."""
+"""Exports, read back by independent readers or by the format's specification: poses to float32, gaps as gaps."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sylpose.app.export import export
+from sylpose.app.export import export_trajectory
 from sylpose.cli import main
-from sylpose.exports.formats import FORMATS
-from sylpose.exports.poses import UP_UNKNOWN, Poses
+from sylpose.exports.formats import EXPORT_FORMATS
+from sylpose.exports.poses import UP_UNKNOWN_NOTE, Poses
 from sylpose.report.files import read_tum, write_trajectory
 from sylpose.results import FramePose, FrameStatus, Trajectory
-from tests.exports.paths import COASTING, FOUND, MISSING, RATE, N, markers_at, path, pose_at
+from tests.exports.paths import COASTING, FOUND, MISSING, RATE, N, make_trajectory, markers_at, pose_at
 
 GAPS = [k for k in range(N) if k not in FOUND]
 
 
 def matrices(positions: Any, quaternions: Any) -> Any:
-    """(n, 4, 4) of poses told as position and quaternion, w last."""
+    """Return poses (n, 4, 4) of positions and quaternions, w last."""
     poses = np.tile(np.eye(4), (len(positions), 1, 1))
     poses[:, :3, :3], poses[:, :3, 3] = Rotation.from_quat(np.array(quaternions)).as_matrix(), positions
     return poses
@@ -38,15 +38,15 @@ EXPECTED = np.array([pose_at(k).as_matrix() for k in FOUND])
 
 
 def test_tum(tmp_path: Path) -> None:
-    assert export(path(), tmp_path / "a.tum") == []
+    assert export_trajectory(make_trajectory(), tmp_path / "a.tum") == []
     times, poses = read_tum(tmp_path / "a.tum")
     np.testing.assert_allclose(times, [2 + k / RATE for k in FOUND])
     np.testing.assert_allclose(poses.as_matrix(), EXPECTED, atol=1e-12)
 
 
 def test_trc(tmp_path: Path) -> None:
-    """Header of OpenSim's documentation; in mm; empty cells in gaps."""
-    assert export(path(), tmp_path / "a.trc", name="mug") == []
+    """Header of OpenSim's documentation; lengths in mm; empty cells in gaps."""
+    assert export_trajectory(make_trajectory(), tmp_path / "a.trc", name="mug") == []
     lines = (tmp_path / "a.trc").read_text().splitlines()
     assert lines[0] == "PathFileType\t4\t(X/Y/Z)\ta.trc"
     head = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=True))
@@ -75,11 +75,13 @@ def test_trc(tmp_path: Path) -> None:
 
 
 def test_bvh(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"2 between the first pose and the last have none; .* --start 4 --stop 7$"):
-        export(path(), tmp_path / "a.bvh")
-    assert export(path(), tmp_path / "a.bvh", start=9, stop=13) == [
+    with pytest.raises(
+        ValueError, match=r"2 frames between the first pose and the last have no pose; .* --start 4 --stop 7$"
+    ):
+        export_trajectory(make_trajectory(), tmp_path / "a.bvh")
+    assert export_trajectory(make_trajectory(), tmp_path / "a.bvh", start=9, stop=13) == [
         "its frames are 9 to 11 of the recording",
-        UP_UNKNOWN,
+        UP_UNKNOWN_NOTE,
     ]
     words = (tmp_path / "a.bvh").read_text().split()
     assert words[:3] == ["HIERARCHY", "ROOT", "object"]
@@ -94,13 +96,13 @@ def test_bvh(tmp_path: Path) -> None:
     for row, k in zip(rows, (6, 7, 8), strict=True):
         z, x, y = np.radians(row[3:])
         about = (Rotation.from_rotvec(v) for v in ([0, 0, z], [x, 0, 0], [0, y, 0]))
-        turn = next(about) * next(about) * next(about)  # in the order of the channels, each about axes turned so far
+        turn = next(about) * next(about) * next(about)  # in the order of the channels, each about the rotated axes
         np.testing.assert_allclose(turn.as_matrix(), pose_at(k).as_matrix()[:3, :3], atol=1e-12)
         np.testing.assert_allclose(row[:3], pose_at(k).translation, atol=1e-12)
 
 
 def test_csv(tmp_path: Path) -> None:
-    export(path(), tmp_path / "a.csv", start=4)
+    export_trajectory(make_trajectory(), tmp_path / "a.csv", start=4)
     with (tmp_path / "a.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [int(row["index"]) for row in rows] == list(range(4, N + 3))
@@ -114,8 +116,8 @@ def test_csv(tmp_path: Path) -> None:
 # glTF
 
 
-def gltf_of(file: Path) -> tuple[dict[str, Any], bytes]:
-    """By its specification: JSON with a buffer in it, or a header and chunks."""
+def parse_gltf(file: Path) -> tuple[dict[str, Any], bytes]:
+    """Parse glTF by its specification: JSON with an embedded buffer, or a header and chunks."""
     data = file.read_bytes()
     if file.suffix == ".gltf":
         content = json.loads(data)
@@ -143,8 +145,8 @@ def accessor(content: dict[str, Any], data: bytes, k: int) -> Any:
 
 @pytest.mark.parametrize("name", ["a.glb", "a.gltf"])
 def test_gltf(name: str, tmp_path: Path) -> None:
-    assert export(path("mm"), tmp_path / name, name="mug") == [UP_UNKNOWN]
-    content, data = gltf_of(tmp_path / name)
+    assert export_trajectory(make_trajectory("mm"), tmp_path / name, name="mug") == [UP_UNKNOWN_NOTE]
+    content, data = parse_gltf(tmp_path / name)
     assert content["asset"]["version"] == "2.0"
     assert content["buffers"][0]["byteLength"] <= len(data)
     (animation,) = content["animations"]
@@ -160,7 +162,7 @@ def test_gltf(name: str, tmp_path: Path) -> None:
     found = matrices(positions * 1000, tracks["rotation"][1])  # the unit was mm, and glTF's is m
     np.testing.assert_allclose(found, EXPECTED, atol=1e-5)
     quaternions = tracks["rotation"][1]
-    assert (np.sum(quaternions[1:] * quaternions[:-1], axis=1) > 0).all()  # none goes the long way round
+    assert (np.sum(quaternions[1:] * quaternions[:-1], axis=1) > 0).all()  # all take the shorter way
     # Hidden in gaps: the last step of the scale up to each frame.
     changes, scale = tracks["scale"]
     for k in range(N):
@@ -175,7 +177,7 @@ def test_gltf(name: str, tmp_path: Path) -> None:
 def test_c3d(tmp_path: Path) -> None:
     pytest.importorskip("ezc3d")
     c3d = pytest.importorskip("c3d")
-    assert export(path(), tmp_path / "a.c3d", name="mug") == []
+    assert export_trajectory(make_trajectory(), tmp_path / "a.c3d", name="mug") == []
     with (tmp_path / "a.c3d").open("rb") as file:
         reader = c3d.Reader(file)
         assert [label.strip() for label in reader.point_labels] == ["mug_O", "mug_X", "mug_Y", "mug_Z"]
@@ -185,7 +187,7 @@ def test_c3d(tmp_path: Path) -> None:
     assert len(frames) == N
     for k, (_, points, _) in enumerate(frames):
         if k in GAPS:
-            assert (points[:, 3] == -1).all()  # the residual of points that were not seen
+            assert (points[:, 3] == -1).all()  # the residual of missing points
         else:
             np.testing.assert_allclose(points[:, :3], 1000 * markers_at(k, 0.1), atol=1e-3)
             assert (points[:, 3] >= 0).all()
@@ -196,7 +198,7 @@ def test_c3d(tmp_path: Path) -> None:
 
 def test_parquet(tmp_path: Path) -> None:
     pq = pytest.importorskip("pyarrow.parquet")
-    export(path(), tmp_path / "a.parquet")
+    export_trajectory(make_trajectory(), tmp_path / "a.parquet")
     table = pq.read_table(tmp_path / "a.parquet")
     assert table.num_rows == N
     assert table["tx"].null_count == len(MISSING)
@@ -215,7 +217,7 @@ def test_rosbag(tmp_path: Path) -> None:
     from rosbags.rosbag2 import Reader
     from rosbags.typesys import Stores, get_typestore
 
-    assert export(path("mm"), tmp_path / "bag", "rosbag", name="my mug") == []
+    assert export_trajectory(make_trajectory("mm"), tmp_path / "bag", "rosbag", name="my mug") == []
     assert sorted(file.suffix for file in (tmp_path / "bag").iterdir()) == [".db3", ".yaml"]
     assert not list(tmp_path.glob(".*"))
     store = get_typestore(Stores.ROS2_HUMBLE)
@@ -238,8 +240,8 @@ def test_rosbag(tmp_path: Path) -> None:
         places = [[p.x, p.y, p.z] for _, p, _ in found]
         turns = [[q.x, q.y, q.z, q.w] for _, _, q in found]
         np.testing.assert_allclose(matrices(1000 * np.array(places), turns), EXPECTED, atol=1e-12)
-    with pytest.raises(ValueError, match="is there already, and no bag is replaced"):
-        export(path(), tmp_path / "bag", "rosbag")
+    with pytest.raises(ValueError, match="already exists, and bags are not replaced"):
+        export_trajectory(make_trajectory(), tmp_path / "bag", "rosbag")
 
 
 # USD
@@ -250,7 +252,7 @@ def test_usd(name: str, tmp_path: Path) -> None:
     pytest.importorskip("pxr")
     from pxr import Usd, UsdGeom
 
-    assert export(path("cm"), tmp_path / name, name="2 mugs") == [UP_UNKNOWN]
+    assert export_trajectory(make_trajectory("cm"), tmp_path / name, name="2 mugs") == [UP_UNKNOWN_NOTE]
     stage = Usd.Stage.Open(str(tmp_path / name))
     assert UsdGeom.GetStageMetersPerUnit(stage) == 0.01
     node = UsdGeom.Xformable(stage.GetPrimAtPath("/world/_2_mugs"))
@@ -276,42 +278,42 @@ def frames_at(times: list[float]) -> Trajectory:
 
 
 @pytest.mark.parametrize("name", ["a.trc", "a.bvh"])
-def test_frames_at_no_steady_rate(name: str, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"has one rate for all frames, and these are 0\.04 to 0\.12 s apart"):
-        export(frames_at([0.0, 0.04, 0.08, 0.2]), tmp_path / name)
-    export(frames_at([0.0, 0.04, 0.081, 0.12]), tmp_path / name)
-    export(frames_at([0.0, 0.04, 0.08, 0.2]), tmp_path / "a.glb")
-    export(frames_at([7.0]), tmp_path / name)  # one frame has any
+def test_variable_rate_is_rejected(name: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"requires a constant rate, and frames are 0\.04 to 0\.12 s apart"):
+        export_trajectory(frames_at([0.0, 0.04, 0.08, 0.2]), tmp_path / name)
+    export_trajectory(frames_at([0.0, 0.04, 0.081, 0.12]), tmp_path / name)
+    export_trajectory(frames_at([0.0, 0.04, 0.08, 0.2]), tmp_path / "a.glb")
+    export_trajectory(frames_at([7.0]), tmp_path / name)  # a single frame has any rate
 
 
 @pytest.mark.parametrize(
     ("name", "to", "message"),
     [
-        ("a.fbx", None, r"a\.fbx: its name does not tell a format; say --to csv\|tum\|trc"),
+        ("a.fbx", None, r"a\.fbx: unknown file name extension; give --to csv\|tum\|trc"),
         ("a.fbx", "fbx", "--to must be one of csv, tum"),
-        ("a.c3d", "trc", r"a\.c3d: trc is written as one of \.trc"),
+        ("a.c3d", "trc", r"a\.c3d: the file name of trc must end in one of \.trc"),
     ],
 )
 def test_names_that_do_not_fit(name: str, to: str | None, message: str, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=message):
-        export(path(), tmp_path / name, to)
+        export_trajectory(make_trajectory(), tmp_path / name, to)
 
 
 # Which way is up
 
 
-def test_z_up_is_turned_or_said(tmp_path: Path) -> None:
-    """The world's up is shown as each format has it; the poses below are the same as without."""
-    assert export(path(), tmp_path / "z.gltf", z_up=True) == []
-    export(path(), tmp_path / "a.gltf")
-    (turned, data), (plain, before) = gltf_of(tmp_path / "z.gltf"), gltf_of(tmp_path / "a.gltf")
+def test_z_up_is_rotated_or_noted(tmp_path: Path) -> None:
+    """Each format's up axis is set; the poses below are unchanged."""
+    assert export_trajectory(make_trajectory(), tmp_path / "z.gltf", z_up=True) == []
+    export_trajectory(make_trajectory(), tmp_path / "a.gltf")
+    (turned, data), (plain, before) = parse_gltf(tmp_path / "z.gltf"), parse_gltf(tmp_path / "a.gltf")
     assert data == before
     assert "rotation" not in plain["nodes"][0]
     root = Rotation.from_quat(turned["nodes"][0]["rotation"])
     np.testing.assert_allclose(root.apply([[0, 0, 1], [1, 0, 0]]), [[0, 1, 0], [1, 0, 0]], atol=1e-12)
     for name, z_up in (("z.bvh", True), ("a.bvh", False)):
-        *_, said = export(path(), tmp_path / name, start=9, stop=12, z_up=z_up)
-        assert ("turned" in said) == z_up
+        *_, note = export_trajectory(make_trajectory(), tmp_path / name, start=9, stop=12, z_up=z_up)
+        assert ("rotated" in note) == z_up
     poses = [
         np.array((tmp_path / name).read_text().partition("Frame Time: ")[2].split()[1:], float).reshape(-1, 6)
         for name in ("z.bvh", "a.bvh")
@@ -324,12 +326,12 @@ def test_z_up_is_turned_or_said(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("z_up", [True, False])
-def test_usd_and_c3d_say_what_is_up(z_up: bool, tmp_path: Path) -> None:
+def test_usd_and_c3d_store_up_axis(z_up: bool, tmp_path: Path) -> None:
     UsdGeom = pytest.importorskip("pxr.UsdGeom")
     Usd, ezc3d = pytest.importorskip("pxr.Usd"), pytest.importorskip("ezc3d")
-    assert export(path(), tmp_path / "a.usda", z_up=z_up) == ([] if z_up else [UP_UNKNOWN])
+    assert export_trajectory(make_trajectory(), tmp_path / "a.usda", z_up=z_up) == ([] if z_up else [UP_UNKNOWN_NOTE])
     assert UsdGeom.GetStageUpAxis(Usd.Stage.Open(str(tmp_path / "a.usda"))) == ("Z" if z_up else "Y")
-    assert export(path(), tmp_path / "a.c3d", z_up=z_up) == []
+    assert export_trajectory(make_trajectory(), tmp_path / "a.c3d", z_up=z_up) == []
     point = ezc3d.c3d(str(tmp_path / "a.c3d"))["parameters"]["POINT"]
     assert [point[name]["value"] for name in ("X_SCREEN", "Y_SCREEN") if name in point] == [["+X"], ["+Z"]] * z_up
 
@@ -338,22 +340,22 @@ def test_usd_and_c3d_say_what_is_up(z_up: bool, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["a.csv", "a.tum", "a.glb", "a.parquet", "a.c3d", "a.usda"])
-def test_ranges_without_frames_are_refused(name: str, tmp_path: Path) -> None:
-    if FORMATS[export_format(name)].package:
-        pytest.importorskip(FORMATS[export_format(name)].package)
-    for start, stop, said in ((40, None, "--start 40"), (9, 5, "--start 9 --stop 5")):
-        with pytest.raises(ValueError, match=f"the trajectory has frames 3 to 12, {said} asked for"):
-            export(path(), tmp_path / name, start=start, stop=stop)
+def test_empty_frame_ranges_are_rejected(name: str, tmp_path: Path) -> None:
+    if EXPORT_FORMATS[export_format(name)].package:
+        pytest.importorskip(EXPORT_FORMATS[export_format(name)].package)
+    for start, stop, options in ((40, None, "--start 40"), (9, 5, "--start 9 --stop 5")):
+        with pytest.raises(ValueError, match=f"the trajectory has frames 3 to 12, requested: {options}"):
+            export_trajectory(make_trajectory(), tmp_path / name, start=start, stop=stop)
     assert not list(tmp_path.iterdir())
 
 
 def export_format(name: str) -> str:
-    return next(to for to, its in FORMATS.items() if Path(name).suffix in its.suffixes)
+    return next(to for to, its in EXPORT_FORMATS.items() if Path(name).suffix in its.suffixes)
 
 
-def test_frames_are_counted_that_are_in_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Into a folder that is made."""
-    write_trajectory(tmp_path, path())
+def test_frame_count_matches_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The output folder is created."""
+    write_trajectory(tmp_path, make_trajectory())
     out = tmp_path / "new" / "deep" / "a.csv"
     assert main(["export", str(tmp_path), "--out", str(out), "--start", "4", "--stop", "8"]) == 0
     assert "3 of 4 frames have a measured pose" in capsys.readouterr().out
@@ -362,60 +364,60 @@ def test_frames_are_counted_that_are_in_the_file(tmp_path: Path, capsys: pytest.
     assert len(out.read_text().splitlines()) == 5
 
 
-def test_a_world_of_ones_own_is_told_by_the_settings(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_trajectory(tmp_path, path())
+def test_user_world_is_read_from_settings(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_trajectory(tmp_path, make_trajectory())
     (tmp_path / "world.toml").write_text("")  # of `sylpose check`
     for world, rotated in (("", False), ('[options]\nworld = "up=-y"\n', True)):
         (tmp_path / "settings.toml").write_text(world)
         assert main(["export", str(tmp_path), "--out", str(tmp_path / "a.gltf")]) == 0
-        assert ("does not say where up is" in capsys.readouterr().out.replace("\n", " ")) != rotated
-        assert ("rotation" in gltf_of(tmp_path / "a.gltf")[0]["nodes"][0]) == rotated
+        assert ("its up direction is unknown" in capsys.readouterr().out.replace("\n", " ")) != rotated
+        assert ("rotation" in parse_gltf(tmp_path / "a.gltf")[0]["nodes"][0]) == rotated
 
 
 @pytest.mark.parametrize("name", ["a.tum", "a.trc", "a.bvh", "a.glb"])
 def test_nothing_to_export(name: str, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="no pose was measured in the 1 frames that are asked for"):
-        export(path(), tmp_path / name, start=3, stop=4)
+    with pytest.raises(ValueError, match="no pose was measured in the 1 selected frames"):
+        export_trajectory(make_trajectory(), tmp_path / name, start=3, stop=4)
     assert not list(tmp_path.iterdir())
 
 
-def test_packages_that_are_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_packages_are_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sylpose.app.export.find_spec", lambda _: None)
-    for to, its in FORMATS.items():
+    for to, its in EXPORT_FORMATS.items():
         if its.package:
             with pytest.raises(ValueError, match=rf"--to {to} needs .* pip install 'sylpose\[{its.extra}\]'"):
-                export(path(), tmp_path / f"a{(*its.suffixes, '')[0]}", to)
+                export_trajectory(make_trajectory(), tmp_path / f"a{(*its.suffixes, '')[0]}", to)
 
 
-def test_names_have_no_blanks_where_words_are_told_by_them(tmp_path: Path) -> None:
-    export(path(), tmp_path / "a.trc", name="my mug")
+def test_names_have_no_blanks_in_text_formats(tmp_path: Path) -> None:
+    export_trajectory(make_trajectory(), tmp_path / "a.trc", name="my mug")
     assert "my_mug_O" in (tmp_path / "a.trc").read_text()
-    export(path(), tmp_path / "a.bvh", name="my mug", stop=7)
+    export_trajectory(make_trajectory(), tmp_path / "a.bvh", name="my mug", stop=7)
     assert "ROOT my_mug\n" in (tmp_path / "a.bvh").read_text()
     for name in ("", " ", "a\nb"):
         with pytest.raises(ValueError, match="the object's name must be text"):
-            export(path(), tmp_path / "b.trc", name=name)
+            export_trajectory(make_trajectory(), tmp_path / "b.trc", name=name)
 
 
-def test_lengths_without_a_unit_are_said(tmp_path: Path) -> None:
+def test_unknown_unit_is_noted(tmp_path: Path) -> None:
     for name in ("a.trc", "a.glb"):
-        said, *_ = export(path(""), tmp_path / name)
-        assert "which does not say its unit" in said
+        note, *_ = export_trajectory(make_trajectory(""), tmp_path / name)
+        assert "unknown unit" in note
 
 
-def test_poses_are_the_measured_ones() -> None:
-    poses = Poses.of(path())
-    np.testing.assert_array_equal(np.flatnonzero(poses.found), FOUND)
+def test_only_measured_poses_are_exported() -> None:
+    poses = Poses.from_trajectory(make_trajectory())
+    np.testing.assert_array_equal(np.flatnonzero(poses.has_pose), FOUND)
     assert np.isnan(poses.quaternions[GAPS]).all()
     assert (np.sum(poses.quaternions[FOUND][1:] * poses.quaternions[FOUND][:-1], axis=1) > 0).all()
-    assert poses.trimmed().indices == list(range(4, 12))
+    assert poses.trim().indices == list(range(4, 12))
 
 
 def test_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_trajectory(tmp_path / "run" / "mug", path())
+    write_trajectory(tmp_path / "run" / "mug", make_trajectory())
     (tmp_path / "run" / "settings.toml").write_text("")
     assert main(["export", str(tmp_path / "run" / "mug"), "--out", str(tmp_path / "a.trc")]) == 0
     assert "6 of 10 frames have a measured pose." in capsys.readouterr().out
     assert "mug_O" in (tmp_path / "a.trc").read_text()
     assert main(["export", str(tmp_path / "run" / "mug"), "--out", str(tmp_path / "a.bvh")]) == 2
-    assert "bvh cannot say that a frame has no pose" in capsys.readouterr().err
+    assert "bvh cannot represent gaps" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Sampson's distance is the distance, to first order, that a pair of points must move to fit the geometry."""
+"""The Sampson distance is the first-order distance by which a pair of points must move to fit the geometry."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.epipolar import essential, sampson
+from sylpose.geometry.epipolar import essential_matrix, sampson_scale
 
 
 def pair(seed: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -24,16 +24,16 @@ def pair(seed: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
 
 @settings(max_examples=20)
 @given(st.integers(0, 2**32 - 1))
-def test_a_point_seen_twice_has_no_residual(seed: int) -> None:
+def test_exact_pair_has_no_residual(seed: int) -> None:
     rotation, translation, x, y = pair(seed)
-    assert abs(y @ essential(rotation, translation) @ x) < 1e-12
+    assert abs(y @ essential_matrix(rotation, translation) @ x) < 1e-12
 
 
 @settings(max_examples=10)
 @given(st.integers(0, 2**32 - 1))
-def test_it_is_how_far_both_points_must_move(seed: int) -> None:
+def test_sampson_is_distance_to_the_geometry(seed: int) -> None:
     rotation, translation, x, y = pair(seed)
-    E = essential(rotation, translation)
+    E = essential_matrix(rotation, translation)
     off = 1e-3 * np.random.default_rng(seed).standard_normal(4)
     x, y = x + np.append(off[:2], 0.0), y + np.append(off[2:], 0.0)
 
@@ -47,21 +47,23 @@ def test_it_is_how_far_both_points_must_move(seed: int) -> None:
         constraints={"type": "eq", "fun": residual},
         tol=1e-12,
     )
-    found = abs(y @ E @ x) / sampson(E, x, y)
+    found = abs(y @ E @ x) / sampson_scale(E, x, y)
     assert found == pytest.approx(np.linalg.norm(least.x), rel=0.01, abs=1e-7)
     assert found <= np.linalg.norm(off) * 1.01
 
 
-def test_stacks_are_what_each_is() -> None:
+def test_stacks_match_single_calls() -> None:
     each = [pair(seed) for seed in range(4)]
     rotations, translations, x, y = (np.array(part) for part in zip(*each, strict=True))
-    E = essential(rotations, translations)
+    E = essential_matrix(rotations, translations)
     for k, (r, t, a, b) in enumerate(each):
-        np.testing.assert_allclose(E[k], essential(r, t), atol=1e-15)
-        assert sampson(E, x, y)[k] == pytest.approx(float(sampson(E[k], a, b)), rel=1e-12)
-    np.testing.assert_allclose(sampson(E[0], x, y), [sampson(E[0], a, b) for a, b in zip(x, y, strict=True)])
+        np.testing.assert_allclose(E[k], essential_matrix(r, t), atol=1e-15)
+        assert sampson_scale(E, x, y)[k] == pytest.approx(float(sampson_scale(E[k], a, b)), rel=1e-12)
+    np.testing.assert_allclose(
+        sampson_scale(E[0], x, y), [sampson_scale(E[0], a, b) for a, b in zip(x, y, strict=True)]
+    )
 
 
 def test_no_motion_has_no_distance() -> None:
-    E = essential(np.eye(3), np.zeros(3))
-    assert np.ones(3) @ E @ np.ones(3) / sampson(E, np.ones(3), np.ones(3)) == 0.0
+    E = essential_matrix(np.eye(3), np.zeros(3))
+    assert np.ones(3) @ E @ np.ones(3) / sampson_scale(E, np.ones(3), np.ones(3)) == 0.0

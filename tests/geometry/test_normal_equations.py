@@ -1,4 +1,4 @@
-"""Normal equations with a camera's own unknowns eliminated: the same answer as with all unknowns kept."""
+"""Normal equations with a camera's unknowns eliminated: the same solution as with all unknowns."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.normal_equations import add_turned, eliminate, image_row, turn_rows
+from sylpose.geometry.normal_equations import add_rotated, compute_image_row, eliminate_block, rotate_rows
 
 SEEDS = st.integers(0, 2**32 - 1)
 OWN = st.sampled_from([1, 3, 6, 7])
@@ -17,23 +17,23 @@ SOME = settings(max_examples=30)
 
 
 def system(rng: np.random.Generator, n: int) -> tuple[FloatArray, FloatArray]:
-    """A positive definite matrix (n, n), units far apart, and a right side (n,)."""
+    """Return a positive definite matrix (n, n), with very different units, and a right side (n,)."""
     j = rng.standard_normal((n + 3, n)) * 10.0 ** rng.uniform(-2, 2, n)
     return j.T @ j, j.T @ rng.standard_normal(n + 3)
 
 
 @SOME
 @given(SEEDS, OWN, st.sampled_from([3, 6]))
-def test_eliminated_or_not_the_answer_is_the_same(seed: int, k: int, n: int) -> None:
+def test_elimination_preserves_the_solution(seed: int, k: int, n: int) -> None:
     matrix, right = system(np.random.default_rng(seed), n + k)
     block, coupled = matrix[n:, n:].copy(), np.column_stack([matrix[n:, :n], right[n:]])
     kept = np.column_stack([matrix[:n, :n], right[:n]])
-    assert eliminate(block, coupled, kept)
+    assert eliminate_block(block, coupled, kept)
     x = np.linalg.solve(kept[:, :n], kept[:, n])
     z = coupled[:, n] - coupled[:, :n] @ x
     units = np.sqrt(np.diag(matrix))
     np.testing.assert_allclose(units * np.append(x, z), units * np.linalg.solve(matrix, right), rtol=1e-7, atol=1e-9)
-    # What is left is the information about the others: the inverse of their part of the inverse.
+    # The remainder is the marginal information of the others: the inverse of their block of the inverse.
     left = np.linalg.inv(np.linalg.inv(matrix / units / units[:, None])[:n, :n])
     np.testing.assert_allclose(kept[:, :n] / units[:n] / units[:n, None], left, rtol=1e-7, atol=1e-9)
     np.testing.assert_allclose(
@@ -43,43 +43,43 @@ def test_eliminated_or_not_the_answer_is_the_same(seed: int, k: int, n: int) -> 
 
 @SOME
 @given(SEEDS, OWN)
-def test_only_the_lower_triangle_of_the_block_is_read(seed: int, k: int) -> None:
+def test_only_the_lower_triangle_is_read(seed: int, k: int) -> None:
     matrix, right = system(np.random.default_rng(seed), 6 + k)
     found = []
     for block in (matrix[6:, 6:].copy(), np.tril(matrix[6:, 6:])):
         coupled, kept = np.column_stack([matrix[6:, :6], right[6:]]), np.column_stack([matrix[:6, :6], right[:6]])
-        assert eliminate(block, coupled, kept)
+        assert eliminate_block(block, coupled, kept)
         found.append((coupled, kept))
     for a, b in zip(*found, strict=True):
         np.testing.assert_array_equal(a, b)
 
 
 @pytest.mark.parametrize("block", [np.zeros((3, 3)), np.diag([1.0, -1.0, 1.0]), np.full((3, 3), np.nan)])
-def test_own_unknowns_that_are_not_determined_are_said(block: FloatArray) -> None:
-    assert not eliminate(block.copy(), np.ones((3, 7)), np.ones((6, 7)))
+def test_singular_block_is_reported(block: FloatArray) -> None:
+    assert not eliminate_block(block.copy(), np.ones((3, 7)), np.ones((6, 7)))
 
 
 @SOME
 @given(SEEDS)
-def test_forms_and_rows_turn_with_both_halves(seed: int) -> None:
+def test_forms_and_rows_are_rotated(seed: int) -> None:
     rng = np.random.default_rng(seed)
     q = Rotation.random(rng=rng).as_matrix()
     both = np.kron(np.eye(2), q)
     matrix, _ = system(rng, 6)
     total = np.ones((6, 7))
-    # Whatever stands above the diagonal or beyond the motion's part.
-    add_turned(np.block([[np.tril(matrix) + np.triu(np.full((6, 6), np.nan), 1), np.full((6, 2), np.nan)]]), q, total)
+    # Arbitrary values above the diagonal and beyond the motion's part.
+    add_rotated(np.block([[np.tril(matrix) + np.triu(np.full((6, 6), np.nan), 1), np.full((6, 2), np.nan)]]), q, total)
     np.testing.assert_allclose(total[:, :6], 1.0 + both.T @ matrix @ both, rtol=1e-9, atol=1e-9 * np.abs(matrix).max())
     assert (total[:, 6] == 1.0).all()
     rows, out = rng.standard_normal((4, 6)), np.zeros((4, 7))
-    turn_rows(rows, q, out)
+    rotate_rows(rows, q, out)
     np.testing.assert_allclose(out[:, :6], rows @ both, atol=1e-12)
     assert not out[:, 6].any()
 
 
 @SOME
 @given(SEEDS, st.floats(0.1, 10.0))
-def test_a_row_is_the_derivative_of_an_image_in_a_direction(seed: int, scale: float) -> None:
+def test_row_is_directional_image_derivative(seed: int, scale: float) -> None:
     rng = np.random.default_rng(seed)
     s, place = rng.standard_normal(3), np.array([0.3, -0.2, 6.0])
     angle = rng.uniform(0, 2 * np.pi)
@@ -93,8 +93,8 @@ def test_a_row_is_the_derivative_of_an_image_in_a_direction(seed: int, scale: fl
     expected = [(image(h * e) - image(-h * e)) / (2 * h) for e in np.eye(6)]
     x, y, z = place + s
     row = np.empty(6)
-    # All of it known up to a scale: the row by (w, d) does not change.
+    # With everything known up to a scale, the row by (w, d) does not change.
     n0, n1 = direction
     s0, s1, s2 = scale * s
-    image_row(n0, n1, x / z, y / z, scale * z, s0, s1, s2, scale, row)
+    compute_image_row(n0, n1, x / z, y / z, scale * z, s0, s1, s2, scale, row)
     np.testing.assert_allclose(row, expected, rtol=1e-6, atol=1e-8)

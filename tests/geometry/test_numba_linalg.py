@@ -1,4 +1,4 @@
-"""The hand-written group and the small linear algebra: axioms near nothing, near half a turn, and between."""
+"""SO(3) and small linear algebra: axioms near zero, near 180 degrees, and between."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.numba_linalg import cholesky, cholesky_solve, rotation_of, rotvec_of, solve_factored, turn_by
+from sylpose.geometry.numba_linalg import apply_rotvec, cholesky, cholesky_solve, so3_exp, so3_log, solve_factored
 
 SEEDS = st.integers(0, 2**32 - 1)
 SOME = settings(max_examples=25)
-# On both sides of every branch: the series of exp ends at 1e-6, log's half of the sine at 1e-9 / 2, its half-turn branch at
-# a trace of -0.9, which is 2.824.
+# Both sides of every branch: the series of exp ends at 1e-6, log's half of the sine at 1e-9 / 2, its 180 degree branch
+# at a trace of -0.9, which is 2.824.
 ANGLES = [0.0, 1e-300, 1e-12, 4e-10, 1e-9, 1e-7, 0.99e-6, 1.01e-6, 1e-3, 1.0, 2.0, 2.82, 2.83, np.pi - 1e-3]
 HALF = [np.pi - 1e-7, np.pi - 1e-9, np.pi]
 AXES = [
@@ -27,30 +27,30 @@ every_axis = pytest.mark.parametrize("axis", AXES, ids=lambda a: "{:.0e},{:.0e},
 
 def exp(w: FloatArray) -> FloatArray:
     out = np.full((3, 3), np.nan)
-    rotation_of(np.asarray(w, dtype=float), out)
+    so3_exp(np.asarray(w, dtype=float), out)
     return out
 
 
 def log(rotation: FloatArray) -> FloatArray:
     out = np.full(3, np.nan)
-    rotvec_of(np.ascontiguousarray(rotation), out)
+    so3_log(np.ascontiguousarray(rotation), out)
     return out
 
 
 def turned(w: FloatArray, rotation: FloatArray) -> FloatArray:
     out = np.full((3, 3), np.nan)
-    turn_by(np.asarray(w, dtype=float), np.ascontiguousarray(rotation), out)
+    apply_rotvec(np.asarray(w, dtype=float), np.ascontiguousarray(rotation), out)
     return out
 
 
 def some_turn(seed: int) -> FloatArray:
-    """A rotation vector of any of the angles, its axis anywhere."""
+    """Return a rotation vector with one of the angles and any axis."""
     rng = np.random.default_rng(seed)
     axis = rng.standard_normal(3)
     return np.asarray(rng.choice([*ANGLES, *HALF]) * axis / np.linalg.norm(axis))
 
 
-# --- exp and log -------------------------------------------------------------------------------------------------------
+# --- exp and log ------------------------------------------------------------------------------------------------------
 
 
 @every_axis
@@ -60,12 +60,12 @@ def test_exp_is_the_rotation_of_its_vector(angle: float, axis: FloatArray) -> No
     np.testing.assert_allclose(rotation, Rotation.from_rotvec(angle * axis).as_matrix(), rtol=0, atol=3e-15)
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=3e-15)
     assert np.linalg.det(rotation) == pytest.approx(1.0, abs=3e-15)
-    # Small turns keep their digits: the antisymmetric part is the sine, to the last of them.
+    # Small rotations keep their digits: the antisymmetric part is the sine, to the last digit.
     sines = 0.5 * (rotation - rotation.T)[[2, 0, 1], [1, 2, 0]]
     np.testing.assert_allclose(sines, np.sin(angle) * axis, rtol=1e-9, atol=1e-16 if angle < 1e-2 else 1e-15)
 
 
-def test_nothing_is_the_identity() -> None:
+def test_zero_vector_is_the_identity() -> None:
     np.testing.assert_array_equal(exp(np.zeros(3)), np.eye(3))
     np.testing.assert_array_equal(log(np.eye(3)), np.zeros(3))
 
@@ -76,7 +76,7 @@ def test_log_is_the_inverse_of_exp(angle: float, axis: FloatArray) -> None:
     w = angle * axis
     found = log(exp(w))
     if angle == np.pi:
-        # Half a turn about an axis is one about its opposite.
+        # A rotation by 180 degrees is also one about the opposite axis.
         assert min(np.linalg.norm(found - w), np.linalg.norm(found + w)) < 1e-7
     else:
         # Rounding of R, 1e-16, by the sine that remains.
@@ -93,12 +93,12 @@ def test_exp_is_the_inverse_of_log(seed: int) -> None:
     np.testing.assert_allclose(log(rotation), Rotation.from_matrix(rotation).as_rotvec(), atol=1e-9)
 
 
-# --- the group ---------------------------------------------------------------------------------------------------------
+# --- the group --------------------------------------------------------------------------------------------------------
 
 
 @SOME
 @given(SEEDS)
-def test_the_opposite_turn_is_the_inverse(seed: int) -> None:
+def test_opposite_rotation_is_the_inverse(seed: int) -> None:
     w = some_turn(seed)
     np.testing.assert_allclose(exp(-w), exp(w).T, atol=1e-15)
     np.testing.assert_allclose(turned(-w, exp(w)), np.eye(3), atol=1e-14)
@@ -106,11 +106,11 @@ def test_the_opposite_turn_is_the_inverse(seed: int) -> None:
 
 @SOME
 @given(SEEDS)
-def test_turning_is_composition(seed: int) -> None:
+def test_turn_by_is_composition(seed: int) -> None:
     a, b = some_turn(seed), some_turn(seed + 1)
     expected = (Rotation.from_rotvec(a) * Rotation.from_rotvec(b)).as_matrix()
     np.testing.assert_allclose(turned(a, exp(b)), expected, atol=1e-14)
-    # The identity on either side.
+    # The identity on each side.
     np.testing.assert_array_equal(turned(np.zeros(3), exp(b)), exp(b))
     np.testing.assert_allclose(turned(a, np.eye(3)), exp(a), atol=1e-16)
 
@@ -125,21 +125,21 @@ def test_composition_is_associative(seed: int) -> None:
 
 @SOME
 @given(SEEDS)
-def test_conjugation_turns_the_axis(seed: int) -> None:
+def test_conjugation_rotates_the_axis(seed: int) -> None:
     w, by = some_turn(seed), exp(some_turn(seed + 1))
     np.testing.assert_allclose(by @ exp(w) @ by.T, exp(by @ w), atol=2e-14)
 
 
 @SOME
 @given(SEEDS, st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))
-def test_turns_about_one_axis_add(seed: int, a: float, b: float) -> None:
+def test_rotations_about_one_axis_add(seed: int, a: float, b: float) -> None:
     axis = np.random.default_rng(seed).standard_normal(3)
     np.testing.assert_allclose(
         turned(a * axis, exp(b * axis)), exp((a + b) * axis), atol=3e-15 * float(1 + axis @ axis)
     )
 
 
-# --- Cholesky ----------------------------------------------------------------------------------------------------------
+# --- Cholesky ---------------------------------------------------------------------------------------------------------
 
 
 def positive(seed: int, n: int, condition: float) -> FloatArray:
@@ -152,14 +152,14 @@ def positive(seed: int, n: int, condition: float) -> FloatArray:
 
 @SOME
 @given(SEEDS, st.integers(1, 8), st.sampled_from([1.0, 1e3, 1e8, 1e12]))
-def test_the_factor_is_numpys(seed: int, n: int, condition: float) -> None:
+def test_cholesky_matches_numpy(seed: int, n: int, condition: float) -> None:
     a = positive(seed, n, condition)
     factor = a.copy()
     assert cholesky(factor)
     lower = np.tril(factor)
     np.testing.assert_allclose(lower @ lower.T, a, rtol=0, atol=1e-14)
     np.testing.assert_allclose(lower, np.linalg.cholesky(a), rtol=0, atol=1e-15 * max(10.0, condition))
-    # Above the diagonal nothing is read nor written.
+    # Elements above the diagonal are neither read nor written.
     np.testing.assert_array_equal(np.triu(factor, 1), np.triu(a, 1))
 
 
@@ -179,10 +179,10 @@ def test_solutions_solve(seed: int, n: int, condition: float) -> None:
 
 
 @pytest.mark.parametrize("n", [1, 3, 6])
-def test_what_is_not_positive_definite_is_refused(n: int) -> None:
+def test_indefinite_matrix_is_rejected(n: int) -> None:
     none = [np.zeros((n, n)), -np.eye(n), np.full((n, n), np.nan), np.diag([*np.ones(n - 1), -1e-12])]
     if n > 1:
-        none.append(np.ones((n, n)))  # singular: the second pivot is exactly nothing
+        none.append(np.ones((n, n)))  # singular: the second pivot is exactly zero
     for a in none:
         b = np.ones(n)
         assert not cholesky(a.copy())
@@ -192,8 +192,8 @@ def test_what_is_not_positive_definite_is_refused(n: int) -> None:
 
 @SOME
 @given(SEEDS, st.integers(2, 6))
-def test_near_singular_is_factored_or_refused_never_wrong(seed: int, n: int) -> None:
-    """At a condition of 1e17 rounding decides, but what is factored multiplies back."""
+def test_near_singular_is_factored_or_rejected(seed: int, n: int) -> None:
+    """At a condition of 1e17 rounding decides, but a factor must multiply back."""
     a = positive(seed, n, 1e17)
     factor = a.copy()
     if cholesky(factor):

@@ -1,4 +1,4 @@
-"""What users give in other shapes is refused by name, never reshaped."""
+"""Arguments of other shapes are rejected by name, never reshaped."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sylpose import Matches
-from sylpose.geometry.validation import finite_rows, rows
+from sylpose.geometry.validation import check_finite_rows, check_rows
 from sylpose.simulate import ring
 
 GOOD = np.linspace(-0.1, 0.1, 24).reshape(12, 2)
@@ -52,10 +52,10 @@ def test_cameras_never_reshape(wrong: str) -> None:
     assert camera.project([0.0, 0.0, 0.1]).shape == (1, 2)
 
 
-def test_what_fits_is_taken() -> None:
+def test_valid_shapes_are_accepted() -> None:
     shapes: list[Any] = [[], np.empty((0, 2)), np.empty((0, 3))]
     for empty in shapes:
-        assert rows(empty, 2, "a").shape == (0, 2)
-    assert rows([[1, 2]], 2, "a").dtype == float
-    assert finite_rows(GOOD, 2, "a") is GOOD
+        assert check_rows(empty, 2, "a").shape == (0, 2)
+    assert check_rows([[1, 2]], 2, "a").dtype == float
+    assert check_finite_rows(GOOD, 2, "a") is GOOD
     assert Matches(GOOD, GOOD).x is not GOOD

@@ -1,4 +1,4 @@
-"""Who tells listeners different things is found by what these tell each other; and nobody else has to go alone."""
+"""A camera that sends different messages is identified from the receivers' reports; no other is excluded alone."""
 
 from __future__ import annotations
 
@@ -6,49 +6,50 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sylpose.network.byzantine import NOBODY_LIES, Blame, liars
+from sylpose.network.byzantine import NO_EVIDENCE, FaultEvidence, find_faulty_cameras
 
 TRUE = b"true"
 
 
 @st.composite
 def disputes(draw: st.DrawFn) -> tuple[int, dict[int, dict[int, bytes]], dict[int, frozenset[int]]]:
-    """One camera tells each listener what it likes, and tells of the others what it likes."""
+    """One camera sends any message to each receiver, and reports anything about the others."""
     n = draw(st.integers(4, 7))
     liar = draw(st.integers(0, n - 1))
-    told = st.sampled_from([TRUE, b"a", b"b"])
+    reported = st.sampled_from([TRUE, b"a", b"b"])
     rows = {c: dict.fromkeys(range(n), TRUE) for c in range(n)}
     for c in range(n):
-        rows[c][liar] = draw(told)
-        rows[liar][c] = draw(told)
-    same = all(rows[c] == rows[0] for c in range(n) if c != liar)
+        rows[c][liar] = draw(reported)
+        rows[liar][c] = draw(reported)
+    correct = [c for c in range(n) if c != liar]
+    same = all(rows[c] == rows[correct[0]] for c in correct)
     everyone = frozenset(range(n))
-    # Of an honest one's next word only those say that something is wrong who heard something else, or the liar.
+    # Only the faulty camera, or receivers of another message, accuse a correct camera's next message.
     accused = {c: frozenset({liar} & everyone if same else everyone - {c}) for c in range(n) if c != liar}
     accused[liar] = draw(st.frozensets(st.sampled_from(sorted(everyone - {liar}))))
     return liar, rows, accused
 
 
 @given(dispute=disputes())
-def test_the_liar_goes_or_whom_it_accuses(
+def test_faulty_camera_or_accused_is_excluded(
     dispute: tuple[int, dict[int, dict[int, bytes]], dict[int, frozenset[int]]],
 ) -> None:
     liar, rows, accused = dispute
-    out, blame = liars(rows, accused)
-    assert blame.alone <= {liar}
-    assert all(liar in pair for pair in blame.pairs)
+    out, blame = find_faulty_cameras(rows, accused)
+    assert blame.faulty <= {liar}
+    assert all(liar in pair for pair in blame.suspect_pairs)
     assert 1 <= len(out) <= 2
-    if liar not in out:  # it accuses the one that goes
-        assert blame.pairs == {out | {liar}}
-    # What is left has heard the same of those that are left.
+    if liar not in out:  # it accuses the excluded one
+        assert blame.suspect_pairs == {out | {liar}}
+    # The remaining cameras received the same from each other.
     left = sorted(rows.keys() - out)
     assert all(len({rows[c][k] for c in left if c != k}) == 1 for k in left)
-    # In whatever order it is told.
-    assert liars(dict(sorted(rows.items(), reverse=True)), accused) == (out, blame)
+    # The order of the reports does not matter.
+    assert find_faulty_cameras(dict(sorted(rows.items(), reverse=True)), accused) == (out, blame)
 
 
 def rows_of(n: int, **odd: bytes) -> dict[int, dict[int, bytes]]:
-    """All heard the same, but for `c3_of_1`: what camera 3 heard of camera 1."""
+    """Reports in which all received the same, except `c3_of_1`: what camera 3 received from camera 1."""
     rows = {c: dict.fromkeys(range(n), TRUE) for c in range(n)}
     for name, data in odd.items():
         by, of = name[1:].split("_of_")
@@ -56,34 +57,34 @@ def rows_of(n: int, **odd: bytes) -> dict[int, dict[int, bytes]]:
     return rows
 
 
-def test_one_against_one_is_undecided_until_there_is_another() -> None:
+def test_single_accusation_is_undecided_until_second() -> None:
     nobody = dict.fromkeys(range(5), frozenset[int]())
-    out, blame = liars(rows_of(5, c3_of_1=b"x"), nobody)
+    out, blame = find_faulty_cameras(rows_of(5, c3_of_1=b"x"), nobody)
     assert out == {1}
-    assert blame == Blame(frozenset(), frozenset({frozenset({1, 3})}))
-    assert blame.bars(1, frozenset({0, 2, 3}))
-    assert not blame.bars(1, frozenset({0, 1, 2}))
-    assert blame.sentences() == {1: "it or camera 3 lies of what it told", 3: "it or camera 1 lies of what it told"}
-    # The accuser accuses another one.
+    assert blame == FaultEvidence(frozenset(), frozenset({frozenset({1, 3})}))
+    assert blame.excludes(1, frozenset({0, 2, 3}))
+    assert not blame.excludes(1, frozenset({0, 1, 2}))
+    assert blame.describe() == {1: "it or camera 3 reports false messages", 3: "it or camera 1 reports false messages"}
+    # The accuser accuses another camera.
     rest = {c: row for c, row in rows_of(5, c3_of_4=b"x").items() if c != 1}
-    out, blame = liars(rest, nobody, blame)
+    out, blame = find_faulty_cameras(rest, nobody, blame)
     assert out == {3}
-    assert blame == Blame(frozenset({3}), frozenset())
-    assert not blame.bars(1, frozenset({0, 2, 4}))
-    assert blame.sentences() == {3: "it told others something else"}
-    assert Blame(frozenset(), frozenset({frozenset({0, 1})})).sentences(["a", "b"]) == {
-        0: "it or b lies of what it told",
-        1: "it or a lies of what it told",
+    assert blame == FaultEvidence(frozenset({3}), frozenset())
+    assert not blame.excludes(1, frozenset({0, 2, 4}))
+    assert blame.describe() == {3: "it sent different messages to different cameras"}
+    assert FaultEvidence(frozenset(), frozenset({frozenset({0, 1})})).describe(["a", "b"]) == {
+        0: "it or b reports false messages",
+        1: "it or a reports false messages",
     }
 
 
 @pytest.mark.parametrize(("accused", "out"), [({0: {2}, 1: {2}}, {2}), ({0: {2}}, {2}), ({}, set()), ({2: {2}}, set())])
-def test_who_heard_the_same_and_says_otherwise(accused: dict[int, set[int]], out: set[int]) -> None:
-    said = {c: frozenset(accused.get(c, ())) for c in range(4)}
-    assert liars(rows_of(4), said)[0] == out
+def test_false_accusations(accused: dict[int, set[int]], out: set[int]) -> None:
+    message = {c: frozenset(accused.get(c, ())) for c in range(4)}
+    assert find_faulty_cameras(rows_of(4), message)[0] == out
 
 
-def test_of_three_the_one_who_told_is_believed_less() -> None:
-    """Two listeners cannot tell which of the three lies."""
-    assert liars(rows_of(3, c2_of_0=b"x"), dict.fromkeys(range(3), frozenset[int]()))[0] == {0}
-    assert liars(rows_of(2), {0: frozenset({1}), 1: frozenset({0})}, NOBODY_LIES)[0] == {0, 1}
+def test_with_three_cameras_sender_is_excluded() -> None:
+    """Two receivers cannot determine which of the three is faulty."""
+    assert find_faulty_cameras(rows_of(3, c2_of_0=b"x"), dict.fromkeys(range(3), frozenset[int]()))[0] == {0}
+    assert find_faulty_cameras(rows_of(2), {0: frozenset({1}), 1: frozenset({0})}, NO_EVIDENCE)[0] == {0, 1}

@@ -1,4 +1,4 @@
-"""Nodes on two machines, as far as the network is concerned, one of which is unplugged and plugged in again."""
+"""Nodes on two machines (network namespaces), one of which is unplugged and plugged in again."""
 
 from __future__ import annotations
 
@@ -16,55 +16,55 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.report.files import read_trajectory
 from sylpose.results import FramePose, FrameStatus
-from sylpose.simulate import demo_scene, demo_truth, render_frames
-from sylpose.simulate.recording_files import session_folder, write_videos
+from sylpose.simulate import compute_demo_truth, make_demo_scene, render_frames
+from sylpose.simulate.recording_files import create_session_folder, write_videos
 from tests.clips import SIZE
 
 pytest.importorskip("zenoh")
 
-# By the address of a machine, its cameras.
+# Cameras by the address of a machine.
 MACHINES = {"10.9.0.1": (0, 1, 2), "10.9.0.2": (3, 4)}
 CAMERAS = 5
-# Frames of a turn by so many degrees, which the object then goes back, and so on; at such a share of 30 per second.
+# Frames of a rotation by so many degrees, forward and back repeatedly, at this share of 30 per second.
 TURN, DEGREES, LOOPS, SPEED = 31, 60.0, 15, 0.1
-DEADLINE = 90.0  # seconds, of a busy machine
-MOST_DEG = 1.5  # of five cameras, and of one or two for a few frames
+DEADLINE = 90.0  # seconds, on a busy machine
+MOST_DEG = 1.5  # with five cameras, and with one or two for a few frames
 
 
 class Machines:
-    """Some, in network namespaces of this one, and a switch to which each has a cable."""
+    """Machines in network namespaces, each connected to a switch by a cable."""
 
     def __init__(self) -> None:
-        self._holds: list[subprocess.Popen[bytes]] = []
-        # The switch is the first.
+        self._is_valid_mixture: list[subprocess.Popen[bytes]] = []
+        # The first is the switch.
         self._hold(["unshare", "--user", "--map-root-user", "--net"])
         self._ip(0, "link add switch type bridge")
         self._ip(0, "link set switch up")
         for k, address in enumerate(MACHINES, 1):
             self._hold([*self._inside(0), "unshare", "--net"])
-            self._ip(0, f"link add cable{k} type veth peer name cable netns {self._holds[k].pid}")
+            self._ip(0, f"link add cable{k} type veth peer name cable netns {self._is_valid_mixture[k].pid}")
             self._ip(0, f"link set cable{k} up master switch")
             self._ip(k, f"addr add {address}/24 dev cable")
             self._ip(k, "link set cable up")
             self._ip(k, "link set lo up")
 
     def _hold(self, command: list[str]) -> None:
-        """A process that a namespace is there for."""
+        """Start a process that keeps a namespace alive."""
         waits = "import sys; print('here', flush=True); sys.stdin.read()"
         pipe = subprocess.PIPE
         process = subprocess.Popen([*command, sys.executable, "-c", waits], stdin=pipe, stdout=pipe, stderr=pipe)
-        self._holds.append(process)
+        self._is_valid_mixture.append(process)
         assert process.stdout is not None
         if process.stdout.readline().strip() != b"here":
             self.close()
             pytest.skip("no network namespaces here")
 
     def inside(self, machine: int) -> list[str]:
-        """What runs a command on one of them."""
+        """Return the command prefix that runs a command on a machine."""
         return self._inside(machine + 1)
 
     def _inside(self, k: int) -> list[str]:
-        return ["nsenter", "--target", str(self._holds[k].pid), "--user", "--net", "--preserve-credentials"]
+        return ["nsenter", "--target", str(self._is_valid_mixture[k].pid), "--user", "--net", "--preserve-credentials"]
 
     def _ip(self, k: int, command: str) -> None:
         done = subprocess.run([*self._inside(k), "ip", *command.split()], capture_output=True, check=False)
@@ -73,16 +73,16 @@ class Machines:
             pytest.skip(f"ip {command}: {done.stderr.decode()}")
 
     def unplug(self) -> None:
-        """The second machine."""
+        """Unplug the second machine."""
         self._ip(0, "link set cable2 nomaster")
 
     def plug_in(self) -> None:
-        """It again."""
+        """Plug the second machine in again."""
         self._ip(0, "link set cable2 master switch")
 
     def close(self) -> None:
-        """End them."""
-        for process in reversed(self._holds):
+        """Stop all machines."""
+        for process in reversed(self._is_valid_mixture):
             process.kill()
             process.communicate()
 
@@ -100,34 +100,34 @@ def machines() -> Iterator[Machines]:
 def scene_folder(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Rotation]]:
     """A recording, and the true orientations in each frame of a loop."""
     folder = tmp_path_factory.mktemp("loop")
-    scene = demo_scene(frames=TURN, turn_deg=DEGREES, size=SIZE, n_cameras=CAMERAS, seed=4)
+    scene = make_demo_scene(frames=TURN, angle_deg=DEGREES, size=SIZE, n_cameras=CAMERAS, seed=4)
     images = list(render_frames(scene))
-    session_folder(folder, scene.rig)
+    create_session_folder(folder, scene.rig)
     write_videos(folder, scene.rig, images + images[-2:0:-1], 2 * TURN - 2, repeats=LOOPS)
-    true = [pose.rotation for pose in demo_truth(scene).world_from_object]
+    true = [pose.rotation for pose in compute_demo_truth(scene).world_from_object]
     return folder, true + true[-2:0:-1]
 
 
-class Said:
-    """The last line of each node about a frame: its number, status, and who took part."""
+class NodeReports:
+    """The last line of each node about a frame: its number, status and members."""
 
     LINE = re.compile(r": frame (\d+) (\w[\w ]*?)(?: at .*?)?; with (.*?);")
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
 
-    def who(self, c: int) -> set[int]:
-        """Who took part in what it last tracked; nobody where it did not."""
+    def last_members(self, c: int) -> set[int]:
+        """Return the members in its last tracked frame; empty if it did not track."""
         found = self.LINE.findall((self._folder / f"{c}.txt").read_text())
         if not found or found[-1][1] != "tracked":
             return set()
         return {int(name.removeprefix("cam_")) for name in found[-1][2].split(", ")}
 
-    def until(self, what: Callable[[int], set[int]]) -> None:
-        """Each node is with those that are named for it."""
+    def wait_for_groups(self, what: Callable[[int], set[int]]) -> None:
+        """Wait until each node is in the expected group."""
         end = time.monotonic() + DEADLINE
-        while any(self.who(c) != what(c) for c in range(CAMERAS)):
-            assert time.monotonic() < end, {c: self.who(c) for c in range(CAMERAS)}
+        while any(self.last_members(c) != what(c) for c in range(CAMERAS)):
+            assert time.monotonic() < end, {c: self.last_members(c) for c in range(CAMERAS)}
             time.sleep(0.05)
 
 
@@ -136,7 +136,7 @@ def group(c: int) -> set[int]:
 
 
 @pytest.mark.slow
-def test_two_groups_go_on_and_become_one_again(
+def test_partitioned_groups_continue_and_merge(
     machines: Machines, scene_folder: tuple[Path, list[Rotation]], tmp_path: Path
 ) -> None:
     folder, true = scene_folder
@@ -150,53 +150,53 @@ def test_two_groups_go_on_and_become_one_again(
                 with (tmp_path / f"{c}.txt").open("wb") as out:
                     command += ["--out", str(tmp_path)]
                     nodes.append(subprocess.Popen(command, stdout=out, stderr=subprocess.STDOUT))
-        said, everybody = Said(tmp_path), set(range(CAMERAS))
-        said.until(lambda _: everybody)
+        message, everybody = NodeReports(tmp_path), set(range(CAMERAS))
+        message.wait_for_groups(lambda _: everybody)
         machines.unplug()
-        said.until(group)
+        message.wait_for_groups(group)
         apart = {c: len(rows(tmp_path, c)) for c in range(CAMERAS)}
         end = time.monotonic() + DEADLINE
         while any(len(rows(tmp_path, c)) < apart[c] + 4 for c in range(CAMERAS)):
             assert time.monotonic() < end, "a group stands still"
             time.sleep(0.05)
         machines.plug_in()
-        said.until(lambda _: everybody)
+        message.wait_for_groups(lambda _: everybody)
     finally:
         for process in nodes:
             process.kill()
             process.wait()
     found = [rows(tmp_path, c) for c in range(CAMERAS)]
-    # Who went back to what the larger group was at says those frames again: the last word counts.
+    # A node that joined the larger group reports some frames again: the last report counts.
     last = [{pose.index: pose for pose in found[c]} for c in range(CAMERAS)]
     common = sorted(set.intersection(*map(set, last)))
     larger = max(MACHINES.values(), key=len)
     assert all(sorted(last[c]) == list(range(max(last[c]) + 1)) for c in larger), "frames are missing"
     for poses in last:
         assert all(poses[number].status is FrameStatus.TRACKED for number in common[1:])
-        assert off(poses, true) < MOST_DEG
+        assert max_rotation_error(poses, true) < MOST_DEG
     for cameras in MACHINES.values():
         for c in cameras:
-            assert all(same(last[c][number], last[cameras[0]][number]) for number in common)
-    # All were the same before, were not while they were apart, and are again: as the larger group has it.
-    alike = [same(last[0][number], last[-1][number]) for number in common]
+            assert all(is_same_pose(last[c][number], last[cameras[0]][number]) for number in common)
+    # All agree before the partition and after it, on the larger group's poses, but not during it.
+    alike = [is_same_pose(last[0][number], last[-1][number]) for number in common]
     assert alike[0]
     assert alike[-1]
 
 
 def rows(folder: Path, c: int) -> list[FramePose]:
-    """What a node has written so far, whole lines."""
+    """Read the complete lines that a node has written so far."""
     file = folder / f"cam_{c}.csv"
     return list(read_trajectory(file)) if file.exists() else []
 
 
-def same(mine: FramePose, its: FramePose) -> bool:
+def is_same_pose(mine: FramePose, its: FramePose) -> bool:
     if mine.world_from_object is None or its.world_from_object is None:
         return mine.world_from_object is its.world_from_object
     return np.array_equal(mine.world_from_object.as_matrix(), its.world_from_object.as_matrix())
 
 
-def off(poses: Mapping[int, FramePose], true: list[Rotation]) -> float:
-    """Degrees, at most, of the turn since the first frame with a pose."""
+def max_rotation_error(poses: Mapping[int, FramePose], true: list[Rotation]) -> float:
+    """Return the largest rotation error since the first frame with a pose, degrees."""
     solved = {number: p.world_from_object for number, p in poses.items() if p.world_from_object is not None}
     first = min(solved)
     worst = 0.0

@@ -1,4 +1,4 @@
-"""Nodes on a real network on this machine: processes and sessions, keys, deaths."""
+"""Nodes on a real network on this machine: processes and sessions, keys, crashes."""
 
 from __future__ import annotations
 
@@ -15,30 +15,37 @@ import numpy as np
 import pytest
 
 from sylpose import calibration
-from sylpose.app.network_demo import node_command
+from sylpose.app.network_demo import build_node_command
 from sylpose.capture import open_session
 from sylpose.cli import main
 from sylpose.network.keys import make_keys
-from sylpose.network.membership import Answer, Ask, Present, Tell
+from sylpose.network.membership import ExchangeRequest, Membership, Request, Response
 from sylpose.network.node import Node, track_by_node
-from sylpose.network.rounds import Patience
-from sylpose.network.runner import Runner
-from sylpose.network.simulation import Recorded, Reel
+from sylpose.network.rounds import Timeouts
+from sylpose.network.runner import NodeRunner
+from sylpose.network.simulation import FrameBuffer, RecordedCamera
 from sylpose.network.wire_format import Welcome
-from sylpose.network.zenoh_transport import LOOPBACK, Links, Place, Wire, digest_of, watch_network
+from sylpose.network.zenoh_transport import (
+    LOOPBACK,
+    LinkSettings,
+    NodeAddress,
+    ZenohTransport,
+    compute_rig_digest,
+    watch_network,
+)
 from sylpose.report.files import read_trajectory
 from sylpose.simulate import render_sequence
 from sylpose.simulate.demo import DemoTruth
 from sylpose.sylvester.distributed.messages import Packet
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import track
-from tests.clips import SIZE, Clip, errors
+from tests.clips import SIZE, Clip, compute_pose_errors
 from tests.network.test_simulation import FRAMES, clip  # noqa: F401
 
 pytest.importorskip("zenoh")
 
 NAMES = ("cam_0", "cam_1", "cam_2")
-DEADLINE = 90.0  # seconds, of a busy machine
+DEADLINE = 90.0  # seconds, on a busy machine
 SMALL = (240, 180)
 
 
@@ -53,18 +60,20 @@ def network() -> str:
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, DemoTruth]:
     folder = tmp_path_factory.mktemp("recording")
-    return folder, render_sequence(folder, frames=6, turn_deg=12, n_cameras=3, seed=5, size=SIZE)
+    return folder, render_sequence(folder, frames=6, angle_deg=12, n_cameras=3, seed=5, size=SIZE)
 
 
-def test_processes_have_the_trajectory_of_one(recording: tuple[Path, DemoTruth], network: str, tmp_path: Path) -> None:
-    """With keys; a fourth one, whose keys are of another authority, is not let in."""
+def test_processes_reproduce_single_process_trajectory(
+    recording: tuple[Path, DemoTruth], network: str, tmp_path: Path
+) -> None:
+    """With keys; a fourth node, with keys of another authority, is not admitted."""
     folder, _ = recording
     file = folder / "calibration.toml"
     for keys in ("keys", "others"):
         make_keys(tmp_path / keys, NAMES)
     links = ["--network", network, "--speed", "0"]
     poses: list[str] = []
-    listener = Links(LOOPBACK, keys=tmp_path / "keys")
+    listener = LinkSettings(LOOPBACK, keys=tmp_path / "keys")
     session = watch_network(listener, network, lambda *_: None, lambda _, line: poses.append(line))
 
     def node(name: str, keys: str, *more: str) -> subprocess.Popen[str]:
@@ -76,12 +85,12 @@ def test_processes_have_the_trajectory_of_one(recording: tuple[Path, DemoTruth],
     nodes = [node(name, "keys", "--wait", "60") for name in NAMES]
     foreign = node("cam_1", "others", "--wait", "0")
     try:
-        said = [process.communicate(timeout=DEADLINE)[0] for process in (*nodes, foreign)]
+        message = [process.communicate(timeout=DEADLINE)[0] for process in (*nodes, foreign)]
     finally:
         for process in (*nodes, foreign):
             process.kill()
     session.close()
-    assert [process.returncode for process in nodes] == [0, 0, 0], said
+    assert [process.returncode for process in nodes] == [0, 0, 0], message
     session_there = open_session(folder)
     expected = list(track(session_there.frames(), session_there.rig))
     for name in NAMES:
@@ -93,7 +102,7 @@ def test_processes_have_the_trajectory_of_one(recording: tuple[Path, DemoTruth],
                 np.testing.assert_allclose(
                     mine.world_from_object.as_matrix(), its.pose.world_from_object.as_matrix(), atol=1e-7
                 )
-    # Whoever listens has it, too: a line for each frame of each node.
+    # Observers receive it as well: a line for each frame of each node.
     lines = [json.loads(line) for line in poses]
     assert {line["node"] for line in lines} == set(NAMES)
     last = [line for line in lines if line["frame"] == 5]
@@ -102,21 +111,21 @@ def test_processes_have_the_trajectory_of_one(recording: tuple[Path, DemoTruth],
     pose = expected[-1].pose.world_from_object
     assert pose is not None
     np.testing.assert_allclose(last[0]["position"], pose.translation, atol=1e-7)
-    # The other one found itself alone.
-    assert "with cam_1;" in said[-1]
-    assert "cam_0" not in said[-1]
+    # The fourth node remained alone.
+    assert "with cam_1;" in message[-1]
+    assert "cam_0" not in message[-1]
 
 
 @pytest.mark.slow
-def test_eight_processes_say_what_one_finds(network: str, tmp_path: Path) -> None:
-    """Small pictures, so that two cores suffice."""
+def test_eight_processes_agree_with_one(network: str, tmp_path: Path) -> None:
+    """Small images, so that two cores suffice."""
     folder, names = tmp_path / "recording", [f"cam_{c}" for c in range(8)]
-    render_sequence(folder, frames=6, turn_deg=15, n_cameras=8, seed=7, size=SMALL)
+    render_sequence(folder, frames=6, angle_deg=15, n_cameras=8, seed=7, size=SMALL)
     poses: list[str] = []
-    session = watch_network(Links(), network, lambda *_: None, lambda _, line: poses.append(line))
+    session = watch_network(LinkSettings(), network, lambda *_: None, lambda _, line: poses.append(line))
     nodes = []
     for name in names:
-        nodes.append(subprocess.Popen(node_command(name, folder, tmp_path / name, network, 0.0, DEADLINE)))
+        nodes.append(subprocess.Popen(build_node_command(name, folder, tmp_path / name, network, 0.0, DEADLINE)))
     try:
         assert [node.wait(DEADLINE) for node in nodes] == [0] * 8
     finally:
@@ -131,16 +140,16 @@ def test_eight_processes_say_what_one_finds(network: str, tmp_path: Path) -> Non
         pose = frame.pose.world_from_object
         of_frame = [line for line in lines if line["frame"] == frame.pose.index]
         assert [line["node"] for line in sorted(of_frame, key=lambda line: str(line["node"]))] == names
-        said = [(line["status"], line["position"], line["quaternion"]) for line in of_frame]
-        assert said == [said[0]] * 8
-        assert said[0][0] == frame.pose.status.value
+        message = [(line["status"], line["position"], line["quaternion"]) for line in of_frame]
+        assert message == [message[0]] * 8
+        assert message[0][0] == frame.pose.status.value
         assert all(line["took_part"] == names for line in of_frame)
         if pose is None:
-            assert said[0][1] is None
+            assert message[0][1] is None
             continue
-        # As JSON says it; products of matrices may round otherwise where arrays lie elsewhere in memory.
-        np.testing.assert_allclose(said[0][1], pose.translation, rtol=0, atol=1e-12)
-        np.testing.assert_allclose(said[0][2], pose.rotation.as_quat(), rtol=0, atol=1e-12)
+        # To the precision of JSON; matrix products may round differently if the memory layout differs.
+        np.testing.assert_allclose(message[0][1], pose.translation, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(message[0][2], pose.rotation.as_quat(), rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -149,17 +158,17 @@ def test_eight_processes_say_what_one_finds(network: str, tmp_path: Path) -> Non
         (["cam_9", "--source", "cam_0.mp4"], "no camera 'cam_9' in it (cam_0, cam_1, cam_2)"),
         (
             ["cam_0", "--source", "nothing.mp4"],
-            "--source nothing.mp4: no such file or folder, and no number of a camera",
+            "--source nothing.mp4: no such file or folder, and not a camera number",
         ),
         (["cam_0", "--source", "0"], "--rate HZ is needed with a camera or a stream"),
-        (["cam_0"], "a node is a camera and its images: CAMERA and --source are needed"),
+        (["cam_0"], "a node requires a camera and its images: give CAMERA and --source"),
         (["cam_0", "--source", "{folder}/cam_0.mp4", "--keys", "no_keys"], "no_keys/ca.pem: no such file"),
         (["cam_0", "--source", "{folder}/cam_0.mp4", "--network", "a/b"], "network 'a/b': a name of letters"),
         (["cam_0", "--source", "{folder}/cam_0.mp4", "--listen", "1.2.3.4:1"], "cannot listen at 1.2.3.4:1"),
-        (["--view", "cam_0", "--source", "x"], "--view is a node without a camera"),
+        (["--view", "cam_0", "--source", "x"], "--view runs a node without a camera"),
     ],
 )
-def test_bad_nodes_are_told_why(
+def test_invalid_nodes_get_reason(
     recording: tuple[Path, DemoTruth],
     options: list[str],
     why: str,
@@ -177,31 +186,31 @@ def test_bad_nodes_are_told_why(
 # --- sessions ---------------------------------------------------------------------------------------------------------
 
 
-class Sessions:
-    """Nodes in threads of this process, each with a session of its own."""
+class RunningNodes:
+    """Nodes in threads of this process, each with its own session."""
 
     def __init__(self, of: Clip, network: str) -> None:
         self.clip, self.network = of, network
         self.found: dict[int, list[TrackedFrame]] = {}
         self.refused: dict[int, dict[str, str]] = {}
         self._stops: dict[int, threading.Event] = {}
-        self._threads: list[threading.Thread] = []
+        self._thread_pool: list[threading.Thread] = []
         self.errors: list[BaseException] = []
 
     def start(self, c: int, pause: float = 0.0) -> None:
-        """A node on the clip, a frame after each pause."""
+        """Start a node on the clip, with a pause after each frame."""
         stop = self._stops[c] = threading.Event()
         self.found[c] = []
         thread = threading.Thread(target=self._run, args=(c, stop, pause), daemon=True)
-        self._threads.append(thread)
+        self._thread_pool.append(thread)
         thread.start()
 
     def _run(self, c: int, stop: threading.Event, pause: float) -> None:
         rig, found = self.clip.rig, self.found[c]
 
-        def work(ask: Callable[[Ask, int], Answer]) -> None:
-            shots = Recorded(c, Reel(self.clip.frames()))
-            for frame in track_by_node(Node(c, len(rig), ask), rig, shots, self.clip.boxes, enters=True):
+        def work(ask: Callable[[Request, int], Response]) -> None:
+            shots = RecordedCamera(c, FrameBuffer(self.clip.frames()))
+            for frame in track_by_node(Node(c, len(rig), ask), rig, shots, self.clip.boxes, must_join=True):
                 found.append(frame)
                 time.sleep(pause)
 
@@ -209,10 +218,10 @@ class Sessions:
             return 0 if stop.is_set() else wire.send(packets)
 
         try:
-            present = Present(c, len(rig), time.time_ns() % 2**32, 500, Patience(50, 1500))
-            runner = Runner(present, work, send)  # type: ignore[arg-type]
-            place = Place(rig.names[c], digest_of(rig), self.network)
-            wire = Wire(place, rig.names, Links(), runner.heard, gone=runner.gone)
+            present = Membership(c, len(rig), time.time_ns() % 2**32, 500, Timeouts(50, 1500))
+            runner = NodeRunner(present, work, send)  # type: ignore[arg-type]
+            place = NodeAddress(rig.names[c], compute_rig_digest(rig), self.network)
+            wire = ZenohTransport(place, rig.names, LinkSettings(), runner.receive, on_disconnect=runner.report_lost)
             self.refused[c] = wire.refused
             try:
                 runner.run(lambda _: None, stop.is_set)
@@ -222,34 +231,34 @@ class Sessions:
             self.errors.append(error)
 
     def kill(self, c: int) -> None:
-        """Nothing is heard of it any more."""
+        """Stop a node without further messages."""
         self._stops[c].set()
 
     def wait(self, until: Callable[[], bool]) -> None:
-        """Until something is so."""
+        """Wait until a condition holds."""
         end = time.monotonic() + DEADLINE
         while not until():
             assert not self.errors, self.errors
-            assert time.monotonic() < end, "nothing came of it"
+            assert time.monotonic() < end, "timed out"
             time.sleep(0.01)
 
     def join(self) -> None:
-        """Until all are through."""
-        for thread in self._threads:
+        """Wait until all nodes have finished."""
+        for thread in self._thread_pool:
             thread.join(DEADLINE)
             assert not thread.is_alive()
         assert not self.errors, self.errors
 
 
 @pytest.fixture
-def sessions(clip: Clip, network: str) -> Iterator[Sessions]:  # noqa: F811
-    running = Sessions(clip, network)
+def sessions(clip: Clip, network: str) -> Iterator[RunningNodes]:  # noqa: F811
+    running = RunningNodes(clip, network)
     yield running
     for c in list(running.found):
         running.kill(c)
 
 
-def test_a_node_that_is_killed_comes_back(sessions: Sessions) -> None:
+def test_killed_node_rejoins(sessions: RunningNodes) -> None:
     for c in range(3):
         sessions.start(c, pause=0.4)
     sessions.wait(lambda: len(sessions.found[1]) >= 2)
@@ -262,8 +271,8 @@ def test_a_node_that_is_killed_comes_back(sessions: Sessions) -> None:
     assert again, "it did not come back"
     for c in (0, 2):
         assert len(sessions.found[c]) == FRAMES
-        assert errors(sessions.found[c], sessions.clip.truth)[:, 0].max() < 1.2
-    # What it says is what the others say, before and after.
+        assert compute_pose_errors(sessions.found[c], sessions.clip.truth)[:, 0].max() < 1.2
+    # Its results equal the others', before and after.
     others = {f.pose.index: f.pose for f in sessions.found[0]}
     for frame in (*before[:-1], *again):
         mine, its = frame.pose.world_from_object, others[frame.pose.index].world_from_object
@@ -272,23 +281,27 @@ def test_a_node_that_is_killed_comes_back(sessions: Sessions) -> None:
         np.testing.assert_array_equal(mine.as_matrix(), its.as_matrix())
 
 
-def test_names_are_taken_once_and_other_calibrations_are_named(sessions: Sessions, tmp_path: Path) -> None:
+def test_duplicate_names_and_other_calibrations_are_rejected(sessions: RunningNodes, tmp_path: Path) -> None:
     sessions.start(0)
     sessions.wait(lambda: 0 in sessions.refused)
     rig = sessions.clip.rig
-    with pytest.raises(ValueError, match="cam_0: another node of that name is in network"):
-        Wire(Place("cam_0", digest_of(rig), sessions.network), rig.names, Links(), lambda *_: None)
+    with pytest.raises(ValueError, match=r"cam_0: another node in network .* already has this name"):
+        ZenohTransport(
+            NodeAddress("cam_0", compute_rig_digest(rig), sessions.network), rig.names, LinkSettings(), lambda *_: None
+        )
     calibration.save(rig, tmp_path / "rig.toml")
-    assert digest_of(calibration.load(tmp_path / "rig.toml")) == digest_of(rig)
-    other = Wire(Place("cam_1", "0123456789abcdef", sessions.network), rig.names, Links(), lambda *_: None)
+    assert compute_rig_digest(calibration.load(tmp_path / "rig.toml")) == compute_rig_digest(rig)
+    other = ZenohTransport(
+        NodeAddress("cam_1", "0123456789abcdef", sessions.network), rig.names, LinkSettings(), lambda *_: None
+    )
     sessions.wait(lambda: "cam_1" in sessions.refused[0])
-    assert "its calibration or its options are others" in sessions.refused[0]["cam_1"]
+    assert "its calibration or its options differ" in sessions.refused[0]["cam_1"]
     sessions.wait(lambda: "cam_0" in other.refused)
     other.close()
 
 
-def test_who_has_gone_is_noticed_at_once(clip: Clip, network: str) -> None:  # noqa: F811
-    """By its links: nobody has to wait for as long as a camera may be silent."""
+def test_lost_node_is_detected_immediately(clip: Clip, network: str) -> None:  # noqa: F811
+    """By the closed link, without waiting for the inactivity timeout."""
     names, gone = clip.rig.names, list[int]()
     ends = threading.Event()
 
@@ -296,11 +309,13 @@ def test_who_has_gone_is_noticed_at_once(clip: Clip, network: str) -> None:  # n
         gone.append(camera)
         ends.set()
 
-    rig = digest_of(clip.rig)
-    here = Wire(Place(names[0], rig, network), names, Links(), lambda *_: None, gone=on_gone)
-    there = Wire(Place(names[2], rig, network), names, Links(), lambda *_: None)
-    other = Wire(Place(names[1], "0123456789abcdef", network), names, Links(), lambda *_: None)
-    # It has been seen, so its end is, too.
+    rig = compute_rig_digest(clip.rig)
+    here = ZenohTransport(
+        NodeAddress(names[0], rig, network), names, LinkSettings(), lambda *_: None, on_disconnect=on_gone
+    )
+    there = ZenohTransport(NodeAddress(names[2], rig, network), names, LinkSettings(), lambda *_: None)
+    other = ZenohTransport(NodeAddress(names[1], "0123456789abcdef", network), names, LinkSettings(), lambda *_: None)
+    # Its presence was observed, so its end must be.
     end = time.monotonic() + DEADLINE
     while names[1] not in here.refused:
         assert time.monotonic() < end
@@ -312,23 +327,23 @@ def test_who_has_gone_is_noticed_at_once(clip: Clip, network: str) -> None:  # n
     assert gone == [2]
 
 
-def test_of_who_has_gone_no_word_is_waited_for() -> None:
-    """As if it had been silent for long; a word that comes all the same counts."""
+def test_lost_node_is_not_awaited() -> None:
+    """It counts as inactive; a message that arrives nevertheless is accepted."""
 
-    def work(ask: Callable[[Ask, int], Answer]) -> None:
-        ask(Tell(b"mine"), 0)
+    def work(ask: Callable[[Request, int], Response]) -> None:
+        ask(ExchangeRequest(b"mine"), 0)
 
-    patience = Patience(50, 1500)
+    patience = Timeouts(50, 1500)
     group = Welcome(0, 0, frozenset({0, 1}), b"")
-    runner = Runner(Present(0, 2, patience=patience, welcome=group), work, lambda _: 0)
+    runner = NodeRunner(Membership(0, 2, timeouts=patience, welcome=group), work, lambda _: 0)
     begun, ended = time.monotonic(), list[float]()
 
-    def on_tick(present: Present) -> None:
+    def on_tick(present: Membership) -> None:
         if present.ticks == 3:
-            runner.gone(1)
+            runner.report_lost(1)
         if present.members == (0,) and not ended:
             ended.append(float(present.ticks))
 
     runner.run(on_tick, lambda: bool(ended) or time.monotonic() - begun > DEADLINE)
     assert ended
-    assert 3 < ended[0] < 3 + patience.silent / 2
+    assert 3 < ended[0] < 3 + patience.inactive / 2

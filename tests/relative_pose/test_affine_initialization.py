@@ -1,4 +1,4 @@
-"""Two cameras' affine maps of a flat object: one of the turns that fit them is about the true one."""
+"""Initial rotations from two cameras' affine maps of a flat object: one is close to the true rotation."""
 
 from __future__ import annotations
 
@@ -10,56 +10,56 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.relative_pose.affine_initialization import FEW, affine_turns
-from sylpose.relative_pose.terms import Stack, TermData, object_place, stack_terms
+from sylpose.relative_pose.affine_initialization import N_AFFINE_TERMS, estimate_affine_rotations
+from sylpose.relative_pose.terms import Stack, TermData, locate_object, stack_terms
 from sylpose.rig import Rig
 from sylpose.simulate import arc, plane, random_motion, ring, simulate_matches
 from sylpose.simulate.bodies import Body
-from tests.scenes import data_of, sums_of
+from tests.scenes import make_moment_sums, make_terms
 
 BOARD = plane((0.2, 0.3))
 RIG = arc(2, 40, 2.5)
 
 
-def stack_of(rig: Rig, seed: int, turn: float, body: Body = BOARD, earlier: RigidTransform | None = None) -> Stack:
+def make_stack(rig: Rig, seed: int, turn: float, body: Body = BOARD, earlier: RigidTransform | None = None) -> Stack:
     rng = np.random.default_rng(seed)
     motion = random_motion(turn, 0.01, rng)
     start = RigidTransform.from_rotation(Rotation.random(rng=rng))
     pair = simulate_matches(rig, body, motion, rng=rng, noise_px=0.0, start=start)
-    data = [replace(term, base_from_reference=earlier) for term in data_of(rig, pair.matches)]
-    return stack_terms(data, *object_place(data))
+    data = [replace(term, start_from_reference=earlier) for term in make_terms(rig, pair.matches)]
+    return stack_terms(data, *locate_object(data))
 
 
-def turns_of(stack: Stack) -> FloatArray:
-    turns = np.zeros((2**FEW, 3))
-    return turns[: affine_turns(stack, sums_of(stack, 0.5), turns)]
+def estimate_rotvecs(stack: Stack) -> FloatArray:
+    rotvecs = np.zeros((2**N_AFFINE_TERMS, 3))
+    return rotvecs[: estimate_affine_rotations(stack, make_moment_sums(stack, 0.5), rotvecs)]
 
 
-def off(turns: FloatArray, rotation: Rotation) -> float:
-    """The share of the true turn that the nearest one is off by."""
-    return float((Rotation.from_rotvec(turns) * rotation.inv()).magnitude().min() / rotation.magnitude())
+def compute_relative_error(rotvecs: FloatArray, rotation: Rotation) -> float:
+    """Return the error of the nearest rotation, relative to the true angle."""
+    return float((Rotation.from_rotvec(rotvecs) * rotation.inv()).magnitude().min() / rotation.magnitude())
 
 
 @pytest.mark.parametrize("turn", [0.5, 3.0, 12.0])
-def test_one_of_them_is_about_the_turn(turn: float) -> None:
+def test_one_candidate_is_near_the_true_rotation(turn: float) -> None:
     shares = []
     for seed in range(60):
         rotation = random_motion(turn, 0.01, np.random.default_rng(seed)).rotation
-        stack = stack_of(RIG, seed, turn)
-        found = turns_of(stack)
+        stack = make_stack(RIG, seed, turn)
+        found = estimate_rotvecs(stack)
         if len(found):
-            shares.append(off(found, rotation))
+            shares.append(compute_relative_error(found, rotation))
     assert len(shares) > 50  # else a camera sees the board from its edge, or not at all
-    # To first order: what is left is perspective and the turn's square.
+    # First-order model: perspective and the squared rotation remain.
     assert np.median(shares) < 0.35
     assert np.quantile(shares, 0.9) < 0.6
 
 
-def test_the_mirrored_turn_is_among_them_too() -> None:
-    """The lines meet in the turn; those of the second planes pass elsewhere."""
+def test_candidates_include_the_mirrored_rotation() -> None:
+    """The lines meet in the true rotation; those of the second planes pass elsewhere."""
     apart = []
     for seed in range(20):
-        found = turns_of(stack_of(RIG, seed, 5.0))
+        found = estimate_rotvecs(make_stack(RIG, seed, 5.0))
         if len(found):
             gaps = (
                 Rotation.from_rotvec(np.repeat(found, 4, axis=0)) * Rotation.from_rotvec(np.tile(found, (4, 1))).inv()
@@ -71,21 +71,21 @@ def test_the_mirrored_turn_is_among_them_too() -> None:
 @pytest.mark.parametrize(
     ("rig", "body", "earlier"),
     [
-        (ring(3), BOARD, None),  # more cameras leave little choice
-        (RIG, plane((0.3, 0.002)), None),  # nothing is seen across a line
-        (RIG, BOARD, RigidTransform.from_rotation(Rotation.from_rotvec([0.0, 0.3, 0.0]))),  # of another frame
+        (ring(3), BOARD, None),  # more cameras hardly leave an ambiguity
+        (RIG, plane((0.3, 0.002)), None),  # collinear points
+        (RIG, BOARD, RigidTransform.from_rotation(Rotation.from_rotvec([0.0, 0.3, 0.0]))),  # another reference frame
     ],
     ids=["three cameras", "a line", "another frame"],
 )
-def test_where_it_says_nothing_there_are_none(rig: Rig, body: Body, earlier: RigidTransform | None) -> None:
+def test_degenerate_terms_give_no_candidates(rig: Rig, body: Body, earlier: RigidTransform | None) -> None:
     for seed in range(5):
-        assert len(turns_of(stack_of(rig, seed, 5.0, body, earlier))) == 0
+        assert len(estimate_rotvecs(make_stack(rig, seed, 5.0, body, earlier))) == 0
 
 
 @pytest.mark.parametrize("x", [np.zeros((8, 2)), np.full((8, 2), 0.1), np.linspace(0, 0.1, 16).reshape(8, 2)])
-def test_points_without_sense_give_none(x: ArrayLike) -> None:
+def test_degenerate_points_give_no_candidates(x: ArrayLike) -> None:
     points = np.asarray(x, float)
     data = [
         TermData(c, points, points + 1e-3, camera.rotation, camera.center, camera.focal) for c, camera in enumerate(RIG)
     ]
-    assert len(turns_of(stack_terms(data, np.zeros(3), 0.1))) == 0
+    assert len(estimate_rotvecs(stack_terms(data, np.zeros(3), 0.1))) == 0

@@ -1,4 +1,4 @@
-"""The rays through what cameras see of one object meet, but for one that is calibrated wrongly."""
+"""Rays from the cameras to the object intersect, except those of a wrongly calibrated camera."""
 
 from __future__ import annotations
 
@@ -7,70 +7,70 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from benchmarks.robust_pairs import of_four, turned
-from sylpose.relative_pose.coverage import another_looks_elsewhere, missed
-from sylpose.relative_pose.fit import Solved, no_fit
-from sylpose.relative_pose.leave_one_out import without_faults
+from benchmarks.robust_pairs import rotate_calibration, simulate_four_cameras
+from sylpose.relative_pose.coverage import compute_ray_miss, is_other_camera_misaligned
+from sylpose.relative_pose.fit import Solution, make_failed_fit
+from sylpose.relative_pose.leave_one_out import solve_without_faulty_cameras
 from sylpose.relative_pose.motion import estimate_motion
 from sylpose.relative_pose.solver import fit_terms
-from sylpose.relative_pose.terms import TermData, object_place
+from sylpose.relative_pose.terms import TermData, locate_object
 from sylpose.results import Status
-from tests.scenes import data_of
+from tests.scenes import make_terms
 
 SCENES = 30
 
 
-def test_they_meet_in_one_point_and_another_unit_changes_nothing() -> None:
+def test_rays_meet_in_any_length_unit() -> None:
     for seed in range(SCENES):
-        rig, pair = of_four(seed)
-        data = data_of(rig, pair.matches)
-        assert 0.0 < missed(data) < 0.5
+        rig, pair = simulate_four_cameras(seed)
+        data = make_terms(rig, pair.matches)
+        assert 0.0 < compute_ray_miss(data) < 0.5
         larger = [TermData(t.camera, t.x, t.y, t.rotation, 1e3 * t.center, t.focal) for t in data]
-        assert missed(larger) == pytest.approx(missed(data))
-        # Rays through one point miss it by nothing.
+        assert compute_ray_miss(larger) == pytest.approx(compute_ray_miss(data))
+        # Rays through one point have zero distance to it.
         one = [
             TermData(t.camera, 0.1 * t.x - np.median(0.1 * t.x, axis=0), t.y, t.rotation, -t.rotation[2], 1.0)
             for t in data
         ]
-        assert missed(one) == pytest.approx(0.0, abs=1e-9)
+        assert compute_ray_miss(one) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_it_speaks_for_those_that_are_not_at_fault() -> None:
+def test_good_cameras_are_exonerated() -> None:
     right = 0
     for seed in range(SCENES):
-        rig, pair = of_four(seed)
-        data = data_of(rig, pair.matches)
-        assert not any(another_looks_elsewhere(data, term) for term in data)
-        told, bad = turned(rig, 20.0, seed)
-        data = data_of(told, pair.matches)
-        spoken = [another_looks_elsewhere(data, term) for term in data]
-        k = told.names.index(bad)
-        assert not spoken[k]
-        right += all(s for c, s in enumerate(spoken) if c != k)
+        rig, pair = simulate_four_cameras(seed)
+        data = make_terms(rig, pair.matches)
+        assert not any(is_other_camera_misaligned(data, term) for term in data)
+        faulty_rig, bad = rotate_calibration(rig, 20.0, seed)
+        data = make_terms(faulty_rig, pair.matches)
+        exonerated = [is_other_camera_misaligned(data, term) for term in data]
+        k = faulty_rig.names.index(bad)
+        assert not exonerated[k]
+        right += all(s for c, s in enumerate(exonerated) if c != k)
     assert right >= 0.8 * SCENES
 
 
 @pytest.mark.parametrize("degrees", [10.0, 20.0])
-def test_a_good_camera_is_not_named_for_another(degrees: float) -> None:
-    """One of sixty was."""
-    rig, pair = of_four(56)
-    told, bad = turned(rig, degrees, 56)
-    found = estimate_motion(told, pair.matches)
+def test_good_camera_is_not_named_for_a_faulty_one(degrees: float) -> None:
+    """Regression: this was one of sixty scenes in which it was."""
+    rig, pair = simulate_four_cameras(56)
+    faulty_rig, bad = rotate_calibration(rig, degrees, 56)
+    found = estimate_motion(faulty_rig, pair.matches)
     assert all(text.startswith(f"camera {bad}: ") for text in found.faults)
 
 
-def test_where_no_part_but_one_has_a_pose_it_is_asked_all_the_same() -> None:
-    """Of four cameras, in which leaving out but one leads to a pose."""
-    rig, pair = of_four(2)
-    data = data_of(rig, pair.matches)
+def test_single_subset_with_a_pose_is_checked() -> None:
+    """Of four cameras, only leaving out the first gives a pose."""
+    rig, pair = simulate_four_cameras(2)
+    data = make_terms(rig, pair.matches)
 
-    def solve(terms: Sequence[TermData], near: Solved | None = None) -> Solved:
-        cameras, place = [term.camera for term in terms], object_place(terms)
+    def solve(terms: Sequence[TermData], start: Solution | None = None) -> Solution:
+        cameras, place = [term.camera for term in terms], locate_object(terms)
         if len(cameras) > 1 and cameras != [1, 2, 3]:
-            return Solved(no_fit(terms, Status.NOT_CONVERGED), *place)
-        guesses = [] if near is None else [(near.fit.rotation, near.fit.shift)]
-        return Solved(fit_terms(terms, *place, guesses, np.random.default_rng(0)), *place)
+            return Solution(make_failed_fit(terms, Status.NOT_CONVERGED), *place)
+        guesses = [] if start is None else [(start.fit.rotation, start.fit.translation)]
+        return Solution(fit_terms(terms, *place, guesses, np.random.default_rng(0)), *place)
 
-    found = without_faults(data, solve(data), rig.names, solve)
+    found = solve_without_faulty_cameras(data, solve(data), rig.names, solve)
     assert found.fit.status.has_pose
     assert not found.fit.faults or found.fit.faults[0].startswith(f"camera {rig.names[0]}")

@@ -1,4 +1,4 @@
-"""Cameras at fault in two frames: named and left out, and good cameras that are neither."""
+"""Faulty cameras in two frames are named and removed; good cameras are not."""
 
 from __future__ import annotations
 
@@ -13,45 +13,45 @@ from sylpose.relative_pose.motion import estimate_motion
 from sylpose.results import Motion, Status
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import SimulatedPair, arc, box, dome, random_motion, simulate_matches
-from tests.scenes import BODY, around, degrees, error
+from tests.scenes import BODY, compute_motion_error, compute_rotation_degrees, make_zigzag_rig
 
 BAD = "cam_2"
 
 
-def scene(rig: Rig, seed: int, turn: float = 10.0, **options: object) -> SimulatedPair:
+def make_scene(rig: Rig, seed: int, turn: float = 10.0, **options: object) -> SimulatedPair:
     rng = np.random.default_rng(seed)
     return simulate_matches(rig, BODY, random_motion(turn, 0.02, rng), rng=rng, **options)  # type: ignore[arg-type]
 
 
-def with_camera(rig: Rig, camera: Camera) -> Rig:
+def replace_camera(rig: Rig, camera: Camera) -> Rig:
     return Rig([camera if c.name == camera.name else c for c in rig], rig.unit)
 
 
-def turned(rig: Rig, angle: float, seed: int) -> Rig:
-    """The rig with the bad camera's calibration turned about a random axis, degrees."""
+def rotate_bad_camera(rig: Rig, angle: float, seed: int) -> Rig:
+    """Return the rig with the bad camera's calibration rotated about a random axis, degrees."""
     axis = np.random.default_rng(seed).standard_normal(3)
-    turn = Rotation.from_rotvec(np.deg2rad(angle) * axis / np.linalg.norm(axis))
-    wrong = RigidTransform.from_rotation(turn) * rig[BAD].camera_from_world
-    return with_camera(rig, replace(rig[BAD], camera_from_world=wrong))
+    rotation = Rotation.from_rotvec(np.deg2rad(angle) * axis / np.linalg.norm(axis))
+    wrong = RigidTransform.from_rotation(rotation) * rig[BAD].camera_from_world
+    return replace_camera(rig, replace(rig[BAD], camera_from_world=wrong))
 
 
-def frozen(rig: Rig, pair: SimulatedPair, seed: int) -> list[Matches]:
+def freeze_bad_camera(rig: Rig, pair: SimulatedPair, seed: int) -> list[Matches]:
     matches = list(pair.matches)
     x = matches[rig.names.index(BAD)].x
     matches[rig.names.index(BAD)] = Matches(x, x + 3e-4 * np.random.default_rng(seed).standard_normal(x.shape))
     return matches
 
 
-def by_hand(rig: Rig, pair: SimulatedPair, method: str = "epipolar") -> float:
-    """The error, degrees, of the others."""
+def compute_error_of_others(rig: Rig, pair: SimulatedPair, method: str = "epipolar") -> float:
+    """Return the error, degrees, of the other cameras alone."""
     others = [c for c, name in enumerate(rig.names) if name != BAD]
     found = estimate_motion(
         rig.subset([rig.names[c] for c in others]), [pair.matches[c] for c in others], method=method
     )
-    return degrees(error(pair, found))
+    return compute_rotation_degrees(compute_motion_error(pair, found))
 
 
-def only_bad_is_named(found: Motion, rig: Rig) -> bool:
+def is_only_bad_named(found: Motion, rig: Rig) -> bool:
     return bool(
         len(found.faults) == 1
         and found.faults[0].startswith(f"camera {BAD}: ")
@@ -66,79 +66,84 @@ def only_bad_is_named(found: Motion, rig: Rig) -> bool:
         *(pytest.param(*other, marks=pytest.mark.slow) for other in ((6, 5.0), (4, 10.0), (6, 20.0), (4, 45.0))),
     ],
 )
-def test_a_wrong_calibration_is_named_and_left_out(cameras: int, angle: float) -> None:
-    rig, ratios, named = around(cameras), [], 0
-    # What is hardly wrong shows in some scenes, and not in others.
+def test_wrong_calibration_is_named_and_removed(cameras: int, angle: float) -> None:
+    rig, ratios, named = make_zigzag_rig(cameras), [], 0
+    # Small calibration errors are visible in some scenes only.
     scenes = 24 if angle < 10 else 8
     for seed in range(scenes):
-        pair = scene(rig, seed)
-        found = estimate_motion(turned(rig, angle, seed), pair.matches)
-        ratios.append(degrees(error(pair, found)) / by_hand(rig, pair))
-        named += only_bad_is_named(found, rig)
+        pair = make_scene(rig, seed)
+        found = estimate_motion(rotate_bad_camera(rig, angle, seed), pair.matches)
+        ratios.append(compute_rotation_degrees(compute_motion_error(pair, found)) / compute_error_of_others(rig, pair))
+        named += is_only_bad_named(found, rig)
     assert np.median(ratios) < 2.0
-    # Least with few cameras: a regression, as are the figures.
+    # Fewest with few cameras; the figures are regression values.
     assert named >= {5.0: 8, 10.0: 4}.get(angle, 6)
 
 
 @pytest.mark.parametrize("cameras", [3, 4, 6])
 @pytest.mark.parametrize("kind", ["junk", "frozen"])
-def test_junk_and_frozen_cameras_are_named_and_left_out(cameras: int, kind: str) -> None:
-    rig, ratios, named = around(cameras), [], 0
+def test_junk_and_frozen_cameras_are_named_and_removed(cameras: int, kind: str) -> None:
+    rig, ratios, named = make_zigzag_rig(cameras), [], 0
     for seed in range(4):
-        pair = scene(rig, seed, junk=(BAD,) if kind == "junk" else ())
-        matches = frozen(rig, pair, seed) if kind == "frozen" else pair.matches
+        pair = make_scene(rig, seed, junk=(BAD,) if kind == "junk" else ())
+        matches = freeze_bad_camera(rig, pair, seed) if kind == "frozen" else pair.matches
         found = estimate_motion(rig, matches)
-        ratios.append(degrees(error(pair, found)) / by_hand(rig, pair))
-        named += only_bad_is_named(found, rig) and kind in found.faults[0]
+        ratios.append(compute_rotation_degrees(compute_motion_error(pair, found)) / compute_error_of_others(rig, pair))
+        named += is_only_bad_named(found, rig) and kind in found.faults[0]
     assert named >= 3
     assert np.median(ratios) < 2.0
 
 
 @pytest.mark.parametrize("method", ["sylvester", "depth-plane"])
 @pytest.mark.parametrize("kind", ["junk", "frozen", "calibration"])
-def test_the_papers_methods_go_on_without_a_camera_at_fault(method: str, kind: str) -> None:
-    rig = around(8)
-    pair = scene(rig, 4, junk=(BAD,) if kind == "junk" else ())
-    matches = frozen(rig, pair, 0) if kind == "frozen" else pair.matches
-    found = estimate_motion(turned(rig, 20.0, 0) if kind == "calibration" else rig, matches, method=method)
-    assert only_bad_is_named(found, rig)
+def test_paper_methods_work_without_a_faulty_camera(method: str, kind: str) -> None:
+    rig = make_zigzag_rig(8)
+    pair = make_scene(rig, 4, junk=(BAD,) if kind == "junk" else ())
+    matches = freeze_bad_camera(rig, pair, 0) if kind == "frozen" else pair.matches
+    found = estimate_motion(rotate_bad_camera(rig, 20.0, 0) if kind == "calibration" else rig, matches, method=method)
+    assert is_only_bad_named(found, rig)
     assert kind in found.faults[0]
-    assert degrees(error(pair, found)) < 2 * by_hand(rig, pair, method) + 0.05
+    assert (
+        compute_rotation_degrees(compute_motion_error(pair, found))
+        < 2 * compute_error_of_others(rig, pair, method) + 0.05
+    )
 
 
-def test_two_wrong_calibrations_are_both_found() -> None:
-    rig, pair = around(8), scene(around(8), 1)
-    told = turned(rig, 20.0, 1)
+def test_two_wrong_calibrations_are_found() -> None:
+    rig, pair = make_zigzag_rig(8), make_scene(make_zigzag_rig(8), 1)
+    faulty_rig = rotate_bad_camera(rig, 20.0, 1)
     wrong = RigidTransform.from_rotation(Rotation.from_rotvec([0.2, -0.2, 0.1])) * rig["cam_5"].camera_from_world
-    told = with_camera(told, replace(rig["cam_5"], camera_from_world=wrong))
-    found = estimate_motion(told, pair.matches)
+    faulty_rig = replace_camera(faulty_rig, replace(rig["cam_5"], camera_from_world=wrong))
+    found = estimate_motion(faulty_rig, pair.matches)
     assert [text.split(":")[0] for text in found.faults] == ["camera cam_2", "camera cam_5"]
-    assert degrees(error(pair, found)) < 2 * by_hand(rig, pair)
+    assert compute_rotation_degrees(compute_motion_error(pair, found)) < 2 * compute_error_of_others(rig, pair)
 
 
-def test_one_word_against_another_is_none() -> None:
-    rig = around(3).subset(["cam_1", BAD])
-    found = estimate_motion(turned(rig, 20.0, 0), scene(rig, 0).matches)
+def test_faulty_camera_of_two_is_not_named() -> None:
+    rig = make_zigzag_rig(3).subset(["cam_1", BAD])
+    found = estimate_motion(rotate_bad_camera(rig, 20.0, 0), make_scene(rig, 0).matches)
     assert found.faults == ()
 
 
 @pytest.mark.parametrize(
-    "rig", [around(4), arc(4, 20.0), pytest.param(dome(8), marks=pytest.mark.slow)], ids=["around", "arc", "dome"]
+    "rig",
+    [make_zigzag_rig(4), arc(4, 20.0), pytest.param(dome(8), marks=pytest.mark.slow)],
+    ids=["around", "arc", "dome"],
 )
 @pytest.mark.parametrize("kind", ["uniform", "static", "second_motion"])
 def test_good_cameras_with_outliers_are_not_named(rig: Rig, kind: str) -> None:
     named = 0
     for seed in range(3):
         for turn in (2.0, 10.0):
-            assert estimate_motion(rig, scene(rig, seed, turn).matches).faults == ()
-            pair = scene(rig, seed, turn, outliers=0.3, outlier_kind=kind)
+            assert estimate_motion(rig, make_scene(rig, seed, turn).matches).faults == ()
+            pair = make_scene(rig, seed, turn, outliers=0.3, outlier_kind=kind)
             named += bool(estimate_motion(rig, pair.matches).faults)
-    # Two small motions are hard to tell from one that a camera sees wrongly.
+    # Two small motions are hard to distinguish from one that a wrongly calibrated camera sees.
     assert named <= (1 if kind == "second_motion" else 0)
 
 
-def test_a_good_camera_that_was_led_astray_is_heard_again() -> None:
-    # Seeds at which a camera had taken background for the object, and pulled the others along.
+def test_good_camera_with_background_is_restored() -> None:
+    # Seeds at which a camera fitted the background and biased the others.
     rig, body = arc(8, 20.0), box((0.2, 0.15, 0.1))
     for seed in (0, 1):
         rng = np.random.default_rng(seed)
@@ -149,10 +154,10 @@ def test_a_good_camera_that_was_led_astray_is_heard_again() -> None:
         assert found.n_inliers.min() > 0
 
 
-def test_same_input_same_output() -> None:
-    rig = around(6)
-    pair, told = scene(rig, 3), turned(rig, 10.0, 3)
-    first, again = (estimate_motion(told, pair.matches) for _ in range(2))
+def test_result_is_deterministic() -> None:
+    rig = make_zigzag_rig(6)
+    pair, faulty_rig = make_scene(rig, 3), rotate_bad_camera(rig, 10.0, 3)
+    first, again = (estimate_motion(faulty_rig, pair.matches) for _ in range(2))
     assert first.motion is not None
     assert again.motion is not None
     np.testing.assert_array_equal(first.motion.as_matrix(), again.motion.as_matrix())

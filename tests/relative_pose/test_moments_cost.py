@@ -1,4 +1,4 @@
-"""The compiled cost of a motion: derivatives, naive twins written from its formulas, symmetries."""
+"""Compiled cost of a motion: derivatives, reference implementations from its formulas, symmetries."""
 
 from __future__ import annotations
 
@@ -14,17 +14,27 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.moments import PairMoments
 from sylpose.relative_pose.moments_cost import (
     PRIOR_MATCHES,
-    Normal,
-    Sums,
-    along_variance,
-    moments_into,
-    term_equations,
-    term_misfit,
+    MomentSums,
+    NormalEquations,
+    build_term_equations,
+    compute_moments,
+    compute_term_misfit,
+    estimate_along_variance,
 )
 from sylpose.relative_pose.terms import Candidate, Stack, TermData, stack_terms
 from sylpose.rig import Rig
 from sylpose.simulate import SimulatedPair, arc, plane, random_motion, simulate_matches
-from tests.scenes import BODY, around, at, carried, data_of, epipolar_px, sums_of, truth, variance_of
+from tests.scenes import (
+    BODY,
+    compute_epipolar_px,
+    compute_variance,
+    get_true_motion,
+    make_candidate,
+    make_moment_sums,
+    make_terms,
+    make_zigzag_rig,
+    transform_terms,
+)
 
 SEEDS = st.integers(0, 2**32 - 1)
 KAPPAS = [0.0, 0.3, 1.0]
@@ -33,74 +43,76 @@ SIGMA_PX = 0.5
 FEW = settings(max_examples=15)
 
 
-def scene(seed: int, rig: Rig | None = None, noise_px: float = 0.5) -> SimulatedPair:
+def make_scene(seed: int, rig: Rig | None = None, noise_px: float = 0.5) -> SimulatedPair:
     rng = np.random.default_rng(seed)
     motion = random_motion(rng.uniform(1, 20), rng.uniform(0.005, 0.05), rng)
-    return simulate_matches(around(4) if rig is None else rig, BODY, motion, rng=rng, noise_px=noise_px, per_camera=30)
+    return simulate_matches(
+        make_zigzag_rig(4) if rig is None else rig, BODY, motion, rng=rng, noise_px=noise_px, per_camera=30
+    )
 
 
-def data_of_scene(seed: int, *, earlier: bool) -> tuple[list[TermData], FloatArray]:
-    """Three terms and the object's centre; of an earlier reference (a1 is not a2) if so wanted."""
-    pair = scene(seed, around(3))
-    data = data_of(around(3), pair.matches)
+def make_scene_terms(seed: int, *, earlier: bool) -> tuple[list[TermData], FloatArray]:
+    """Return three terms and the object's center; optionally of an earlier reference (a1 is not a2)."""
+    pair = make_scene(seed, make_zigzag_rig(3))
+    data = make_terms(make_zigzag_rig(3), pair.matches)
     if not earlier:
         return data, pair.center
     known = random_motion(8.0, 0.05, np.random.default_rng(seed))
-    return [replace(t, base_from_reference=known) for t in data], np.asarray(known.apply(pair.center))
+    return [replace(t, start_from_reference=known) for t in data], np.asarray(known.apply(pair.center))
 
 
-def candidate(seed: int) -> tuple[FloatArray, FloatArray]:
-    """Some motion (R, d), away from the identity."""
+def draw_motion(seed: int) -> tuple[FloatArray, FloatArray]:
+    """Return a motion (R, d) away from the identity."""
     rng = np.random.default_rng(seed)
     axis = rng.standard_normal(3)
     rotation = Rotation.from_rotvec(rng.uniform(0.02, 0.5) * axis / np.linalg.norm(axis))
     return rotation.as_matrix(), 0.05 * rng.standard_normal(3)
 
 
-def some_surface(seed: int, stack: Stack, t: int) -> FloatArray:
+def draw_depth_model(seed: int, stack: Stack, t: int) -> FloatArray:
     steps = np.random.default_rng(seed).uniform(-1, 1, 3)
     return np.asarray(stack.plane_mean[t] + stack.plane_sd[t] * steps)
 
 
-# --- naive twins: loops over matches, straight from the formulas ------------------------------------------------------
+# --- reference implementations: loops over matches, directly from the formulas ----------------------------------------
 
 
-def skew(v: FloatArray) -> FloatArray:
+def make_skew_matrix(v: FloatArray) -> FloatArray:
     return np.cross(np.eye(3), v)
 
 
-def camera_view(
-    stack: Stack, t: int, rotation: FloatArray, shift: FloatArray, surface: FloatArray
+def compute_camera_view(
+    stack: Stack, t: int, rotation: FloatArray, translation: FloatArray, depth_model: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """R and τ in the camera's axes, the homography of the surface's plane, the essential matrix."""
+    """Return R and τ in the camera's axes, the homography of the planar depth model, the essential matrix."""
     r = stack.qy[t] @ rotation @ stack.qx[t].T
-    tau = stack.qy[t] @ (rotation @ stack.a1[t] - stack.a2[t] + shift)
-    # ρ = (α0 + (α1, α2)·(x - anchor) / spread) times the inverse depth of the object's centre.
-    slopes = surface[1:] / stack.spread[t]
-    of_plane = stack.inverse_depth[t] * np.append(slopes, surface[0] - slopes @ stack.anchor[t])
-    return r, tau, r + np.outer(tau, of_plane), skew(tau) @ r
+    tau = stack.qy[t] @ (rotation @ stack.a1[t] - stack.a2[t] + translation)
+    # ρ = (α0 + (α1, α2)·(x - anchor) / spread) times the inverse depth of the object's center.
+    slopes = depth_model[1:] / stack.spread[t]
+    of_plane = stack.inverse_depth[t] * np.append(slopes, depth_model[0] - slopes @ stack.anchor[t])
+    return r, tau, r + np.outer(tau, of_plane), make_skew_matrix(tau) @ r
 
 
-def term_matches(stack: Stack, t: int) -> tuple[FloatArray, FloatArray]:
-    """Homogeneous x and y (n, 3) of a term."""
+def get_term_matches(stack: Stack, t: int) -> tuple[FloatArray, FloatArray]:
+    """Return homogeneous x and y (n, 3) of a term."""
     part = slice(stack.offsets[t], stack.offsets[t + 1])
     ones = np.ones((stack.offsets[t + 1] - stack.offsets[t], 1))
     return np.hstack([stack.x[part], ones]), np.hstack([stack.y[part], ones])
 
 
-def weighted_residuals(
+def compute_residuals(
     stack: Stack,
     t: int,
     weights: FloatArray,
     variance: float,
     kappa: float,
     rotation: FloatArray,
-    shift: FloatArray,
-    surface: FloatArray,
+    translation: FloatArray,
+    depth_model: FloatArray,
 ) -> FloatArray:
-    """All residuals of a term, each over its standard deviation: half their square is the cost."""
-    _, _, homography, essential = camera_view(stack, t, rotation, shift, surface)
-    x, y = term_matches(stack, t)
+    """Return all residuals of a term, each over its standard deviation: half their square is the cost."""
+    _, _, homography, essential = compute_camera_view(stack, t, rotation, translation, depth_model)
+    x, y = get_term_matches(stack, t)
     mean_x, mean_y = np.average(x, axis=0, weights=weights), np.average(y, axis=0, weights=weights)
     depth = homography[2] @ mean_x
     g = np.sum((essential @ mean_x)[:2] ** 2) + np.sum((essential.T @ mean_y)[:2] ** 2)
@@ -109,51 +121,54 @@ def weighted_residuals(
         transfer = (yi[:2] * (homography[2] @ xi) - homography[:2] @ xi) / depth
         found += list(np.sqrt(w * (1 - kappa) / (2 * variance)) * transfer)
         found.append(np.sqrt(w * kappa / variance) * (yi @ essential @ xi) / np.sqrt(g))
-    found += list((surface - stack.plane_mean[t]) / stack.plane_sd[t])
+    found += list((depth_model - stack.plane_mean[t]) / stack.plane_sd[t])
     return np.array(found)
 
 
-def moved(
-    step: FloatArray, rotation: FloatArray, shift: FloatArray, surface: FloatArray
+def apply_step(
+    step: FloatArray, rotation: FloatArray, translation: FloatArray, depth_model: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The unknowns after a step (w, d, α)."""
-    return Rotation.from_rotvec(step[:3]).as_matrix() @ rotation, shift + step[3:6], surface + step[6:]
+    """Return the unknowns after a step (w, d, α)."""
+    return Rotation.from_rotvec(step[:3]).as_matrix() @ rotation, translation + step[3:6], depth_model + step[6:]
 
 
-def equations(
+def build_equations(
     stack: Stack,
     t: int,
     weights: FloatArray,
     kappa: float,
     rotation: FloatArray,
-    shift: FloatArray,
-    surface: FloatArray,
+    translation: FloatArray,
+    depth_model: FloatArray,
     *,
     full: bool = True,
 ) -> tuple[FloatArray, FloatArray, float]:
-    """`term_equations` at noise of SIGMA_PX: Hessian, gradient, cost."""
+    """Return Hessian, gradient and cost of `build_term_equations` at noise of SIGMA_PX."""
     n = len(stack.focal)
-    normal = Normal(np.full((n, 9, 9), np.nan), np.full((n, 9), np.nan))
-    sums = sums_of_term(stack, t, weights, variance_of(stack, SIGMA_PX))
-    value = term_equations(stack, sums, t, kappa, at(stack, t, rotation, shift, surface), normal, full)
+    normal = NormalEquations(np.full((n, 9, 9), np.nan), np.full((n, 9), np.nan))
+    sums = make_term_sums(stack, t, weights, compute_variance(stack, SIGMA_PX))
+    value = build_term_equations(
+        stack, sums, t, kappa, make_candidate(stack, t, rotation, translation, depth_model), normal, full
+    )
     return normal.hessian[t], normal.gradient[t], value
 
 
-def sums_of_term(stack: Stack, t: int, weights: FloatArray, variance: FloatArray) -> Sums:
-    """Of one term, weighted; of the others nothing."""
+def make_term_sums(stack: Stack, t: int, weights: FloatArray, variance: FloatArray) -> MomentSums:
+    """Return the moment sums of one weighted term; the others are NaN."""
     moments = np.full((len(stack.focal), 9, 9), np.nan)
-    moments[t] = PairMoments.from_matches(*term_matches(stack, t), weights).matrix
-    return Sums(moments, variance)
+    moments[t] = PairMoments.from_matches(*get_term_matches(stack, t), weights).matrix
+    return MomentSums(moments, variance)
 
 
-def cost(
-    stack: Stack, kappa: float, rotation: FloatArray, shift: FloatArray, surfaces: FloatArray | None = None
+def compute_cost(
+    stack: Stack, kappa: float, rotation: FloatArray, translation: FloatArray, depth_models: FloatArray | None = None
 ) -> float:
-    """Of all terms, at their expected surfaces unless said otherwise."""
-    alpha = stack.plane_mean if surfaces is None else surfaces
+    """Return the cost of all terms, at the mean of their prior by default."""
+    alpha = stack.plane_mean if depth_models is None else depth_models
     counts = np.diff(stack.offsets)
     return sum(
-        equations(stack, t, np.ones(n), kappa, rotation, shift, alpha[t], full=False)[2] for t, n in enumerate(counts)
+        build_equations(stack, t, np.ones(n), kappa, rotation, translation, alpha[t], full=False)[2]
+        for t, n in enumerate(counts)
     )
 
 
@@ -161,22 +176,22 @@ def cost(
 @pytest.mark.parametrize("earlier", [False, True], ids=["static", "earlier"])
 @FEW
 @given(seed=SEEDS)
-def test_cost_and_derivatives_are_those_of_a_loop_over_matches(earlier: bool, kappa: float, seed: int) -> None:
-    data, center = data_of_scene(seed, earlier=earlier)
+def test_cost_and_derivatives_equal_a_loop_over_matches(earlier: bool, kappa: float, seed: int) -> None:
+    data, center = make_scene_terms(seed, earlier=earlier)
     stack = stack_terms(data, center, RADIUS)
     assert np.allclose(stack.a1, stack.a2) != earlier
-    rng, (rotation, shift) = np.random.default_rng(seed), candidate(seed)
+    rng, (rotation, translation) = np.random.default_rng(seed), draw_motion(seed)
     t = int(rng.integers(len(data)))
-    weights, surface = rng.uniform(0, 1, len(data[t])), some_surface(seed, stack, t)
-    variance = float(variance_of(stack, SIGMA_PX)[t])
+    weights, depth_model = rng.uniform(0, 1, len(data[t])), draw_depth_model(seed, stack, t)
+    variance = float(compute_variance(stack, SIGMA_PX)[t])
 
     def residuals(step: FloatArray) -> FloatArray:
-        at = moved(step, rotation, shift, surface)
-        return weighted_residuals(stack, t, weights, variance, kappa, *at)
+        at = apply_step(step, rotation, translation, depth_model)
+        return compute_residuals(stack, t, weights, variance, kappa, *at)
 
     here, size = residuals(np.zeros(9)), 1e-6
     jacobian = np.column_stack([(residuals(s) - residuals(-s)) / (2 * size) for s in size * np.eye(9)])
-    hessian, gradient, value = equations(stack, t, weights, kappa, rotation, shift, surface)
+    hessian, gradient, value = build_equations(stack, t, weights, kappa, rotation, translation, depth_model)
     assert value == pytest.approx(0.5 * here @ here, rel=1e-8)
     expected = jacobian.T @ jacobian
     units = np.sqrt(np.diag(expected))
@@ -184,28 +199,28 @@ def test_cost_and_derivatives_are_those_of_a_loop_over_matches(earlier: bool, ka
     largest = np.linalg.norm(here)
     np.testing.assert_allclose(gradient / units / largest, jacobian.T @ here / units / largest, atol=1e-6)
     np.testing.assert_array_equal(hessian, hessian.T)
-    # The cost alone is the same number.
-    assert equations(stack, t, weights, kappa, rotation, shift, surface, full=False)[2] == pytest.approx(
-        value, rel=1e-12
-    )
+    # Without derivatives the cost is the same.
+    assert build_equations(stack, t, weights, kappa, rotation, translation, depth_model, full=False)[
+        2
+    ] == pytest.approx(value, rel=1e-12)
 
 
 @pytest.mark.parametrize("kappa", KAPPAS)
 @FEW
 @given(seed=SEEDS)
-def test_the_gradient_is_that_of_the_cost(kappa: float, seed: int) -> None:
-    """Denominators included: nothing in the cost is held fixed but κ."""
-    data, center = data_of_scene(seed, earlier=True)
-    stack, (rotation, shift) = stack_terms(data, center, RADIUS), candidate(seed)
-    surface, weights, size = some_surface(seed, stack, 1), np.ones(len(data[1])), 1e-5
-    hessian, gradient, _ = equations(stack, 1, weights, kappa, rotation, shift, surface)
+def test_gradient_is_the_derivative_of_the_cost(kappa: float, seed: int) -> None:
+    """Including the denominators: only κ is fixed in the cost."""
+    data, center = make_scene_terms(seed, earlier=True)
+    stack, (rotation, translation) = stack_terms(data, center, RADIUS), draw_motion(seed)
+    depth_model, weights, size = draw_depth_model(seed, stack, 1), np.ones(len(data[1])), 1e-5
+    hessian, gradient, _ = build_equations(stack, 1, weights, kappa, rotation, translation, depth_model)
     numeric = np.zeros(9)
-    # Steps of a like effect in all unknowns, by the curvature.
+    # Scale the steps by the curvature.
     units = np.sqrt(np.diag(hessian) / np.diag(hessian).max())
     for k in range(9):
         step = size * np.eye(9)[k] / units[k]
         ends = [
-            equations(stack, 1, weights, kappa, *moved(s, rotation, shift, surface), full=False)[2]
+            build_equations(stack, 1, weights, kappa, *apply_step(s, rotation, translation, depth_model), full=False)[2]
             for s in (step, -step)
         ]
         numeric[k] = (ends[0] - ends[1]) / (2 * size)
@@ -215,15 +230,15 @@ def test_the_gradient_is_that_of_the_cost(kappa: float, seed: int) -> None:
 
 @FEW
 @given(SEEDS)
-def test_the_variance_along_the_line_equals_a_loop_over_matches(seed: int) -> None:
-    data, center = data_of_scene(seed, earlier=bool(seed % 2))
-    stack, (rotation, shift) = stack_terms(data, center, RADIUS), candidate(seed)
+def test_variance_along_the_line_equals_a_loop_over_matches(seed: int) -> None:
+    data, center = make_scene_terms(seed, earlier=bool(seed % 2))
+    stack, (rotation, translation) = stack_terms(data, center, RADIUS), draw_motion(seed)
     rng = np.random.default_rng(seed)
     for t, term in enumerate(data):
-        surface, weights = some_surface(seed, stack, t), rng.uniform(0, 1, len(term))
-        variance = float(variance_of(stack, rng.uniform(0.2, 5))[t])
-        x, y = term_matches(stack, t)
-        _, tau, homography, _ = camera_view(stack, t, rotation, shift, surface)
+        depth_model, weights = draw_depth_model(seed, stack, t), rng.uniform(0, 1, len(term))
+        variance = float(compute_variance(stack, rng.uniform(0.2, 5))[t])
+        x, y = get_term_matches(stack, t)
+        _, tau, homography, _ = compute_camera_view(stack, t, rotation, translation, depth_model)
         mean = homography @ np.average(x, axis=0, weights=weights)
         line = (tau[:2] - mean[:2] / mean[2] * tau[2]) / mean[2]
         parallax = np.linalg.norm(line)
@@ -231,16 +246,16 @@ def test_the_variance_along_the_line_equals_a_loop_over_matches(seed: int) -> No
         for xi, yi, w in zip(x, y, weights, strict=True):
             transfer = (yi[:2] * (homography[2] @ xi) - homography[:2] @ xi) / mean[2]
             squares += w * (transfer @ line / parallax) ** 2
-        believed = 2 * variance + (stack.plane_relief[t] * stack.inverse_depth[t] * parallax) ** 2
+        prior_variance = 2 * variance + (stack.plane_residual_depth[t] * stack.inverse_depth[t] * parallax) ** 2
         free = max(weights.sum() - 3, 0)
-        logs = free * np.log(max(squares / max(free, 1), 2 * variance)) + PRIOR_MATCHES * np.log(believed)
+        logs = free * np.log(max(squares / max(free, 1), 2 * variance)) + PRIOR_MATCHES * np.log(prior_variance)
         expected = np.exp(logs / (free + PRIOR_MATCHES))
-        sums = sums_of_term(stack, t, weights, np.full(len(data), variance))
-        kappa, v = along_variance(stack, sums, t, at(stack, t, rotation, shift, surface))
+        sums = make_term_sums(stack, t, weights, np.full(len(data), variance))
+        kappa, v = estimate_along_variance(stack, sums, t, make_candidate(stack, t, rotation, translation, depth_model))
         if kappa > 0:
             assert v == pytest.approx(expected, rel=1e-7)
         else:
-            # What may be noise is noise.
+            # An excess within the noise counts as noise.
             assert expected < 2 * variance * (1 + 2.1 * np.sqrt(2 / (weights.sum() + PRIOR_MATCHES)))
             assert v == pytest.approx(2 * variance)
         assert kappa == pytest.approx(1 - 2 * variance / v)
@@ -250,13 +265,13 @@ def test_the_variance_along_the_line_equals_a_loop_over_matches(seed: int) -> No
 @FEW
 @given(SEEDS)
 def test_epipolar_squares_equal_a_loop_over_matches(seed: int) -> None:
-    data, center = data_of_scene(seed, earlier=True)
-    stack, (rotation, shift) = stack_terms(data, center, RADIUS), candidate(seed)
-    sums = sums_of(stack, SIGMA_PX)
+    data, center = make_scene_terms(seed, earlier=True)
+    stack, (rotation, translation) = stack_terms(data, center, RADIUS), draw_motion(seed)
+    sums = make_moment_sums(stack, SIGMA_PX)
     for t in range(len(data)):
         ones = np.ones(len(data[t]))
-        alone = weighted_residuals(stack, t, ones, 1.0, 1.0, rotation, shift, stack.plane_mean[t])
-        assert term_misfit(stack, sums, t, Candidate(rotation, shift, stack.plane_mean)) == pytest.approx(
+        alone = compute_residuals(stack, t, ones, 1.0, 1.0, rotation, translation, stack.plane_mean[t])
+        assert compute_term_misfit(stack, sums, t, Candidate(rotation, translation, stack.plane_mean)) == pytest.approx(
             alone @ alone, rel=1e-7
         )
 
@@ -268,62 +283,62 @@ def test_moments_are_pair_moments(seed: int, n: int) -> None:
     x, y, weights = rng.standard_normal((n, 2)), rng.standard_normal((n, 2)), rng.uniform(0, 1, n)
     weights[::3] = 0.0
     found = np.full((9, 9), np.nan)
-    moments_into(x, y, weights, found)
+    compute_moments(x, y, weights, found)
     np.testing.assert_allclose(found, PairMoments.from_matches(x, y, weights).matrix, rtol=1e-12, atol=1e-12)
     np.testing.assert_array_equal(found, found.T)
 
 
-# --- what the residuals are -------------------------------------------------------------------------------------------
+# --- residuals --------------------------------------------------------------------------------------------------------
 
 
 @FEW
 @given(SEEDS)
-def test_the_truth_has_no_epipolar_residual_without_noise(seed: int) -> None:
-    pair = scene(seed, noise_px=0)
-    data = data_of(around(4), pair.matches)
-    rotation, shift = truth(pair, pair.center)
-    assert cost(stack_terms(data, pair.center, RADIUS), 1.0, rotation, shift) < 1e-8
+def test_true_motion_has_no_epipolar_residual_without_noise(seed: int) -> None:
+    pair = make_scene(seed, noise_px=0)
+    data = make_terms(make_zigzag_rig(4), pair.matches)
+    rotation, translation = get_true_motion(pair, pair.center)
+    assert compute_cost(stack_terms(data, pair.center, RADIUS), 1.0, rotation, translation) < 1e-8
     for term in data:
-        assert np.abs(epipolar_px(term, pair.center, rotation, shift)).max() < 1e-6
+        assert np.abs(compute_epipolar_px(term, pair.center, rotation, translation)).max() < 1e-6
 
 
 @FEW
 @given(SEEDS)
-def test_a_plane_leaves_nothing_at_all_without_noise(seed: int) -> None:
-    """The inverse depth of a planar object is linear in the image: the right surface explains every point."""
+def test_plane_has_no_residual_without_noise(seed: int) -> None:
+    """The inverse depth of a planar object is linear in the image: the right depth model explains every point."""
     rng, rig = np.random.default_rng(seed), arc(3, 30)
     motion = random_motion(rng.uniform(1, 20), rng.uniform(0.005, 0.05), rng)
     pair = simulate_matches(rig, plane(), motion, rng=rng, noise_px=0, per_camera=30)
-    data = data_of(rig, pair.matches)
-    stack, (rotation, shift) = stack_terms(data, pair.center, RADIUS), truth(pair, pair.center)
+    data = make_terms(rig, pair.matches)
+    stack, (rotation, translation) = stack_terms(data, pair.center, RADIUS), get_true_motion(pair, pair.center)
     for t, (term, depths) in enumerate(zip(data, pair.depths, strict=True)):
         basis = np.column_stack([np.ones(len(term)), (term.x - stack.anchor[t]) / stack.spread[t]])
-        surface, *_ = np.linalg.lstsq(basis, 1 / depths / stack.inverse_depth[t], rcond=None)
-        off = (surface - stack.plane_mean[t]) / stack.plane_sd[t]
+        depth_model, *_ = np.linalg.lstsq(basis, 1 / depths / stack.inverse_depth[t], rcond=None)
+        off = (depth_model - stack.plane_mean[t]) / stack.plane_sd[t]
         for kappa in KAPPAS:
-            found = equations(stack, t, np.ones(len(term)), kappa, rotation, shift, surface)[2]
+            found = build_equations(stack, t, np.ones(len(term)), kappa, rotation, translation, depth_model)[2]
             assert found == pytest.approx(0.5 * off @ off, abs=1e-8)
 
 
-def test_residuals_measure_pixels() -> None:
-    """Noise of 0.5 px in both images is an epipolar distance of 0.5 px, and a cost of half per match."""
-    pair = scene(1)
-    data = data_of(around(4), pair.matches)
-    rotation, shift = truth(pair, pair.center)
-    found = np.concatenate([epipolar_px(t, pair.center, rotation, shift) for t in data])
+def test_residuals_are_in_pixels() -> None:
+    """Noise of 0.5 px in both images gives an epipolar distance of 0.5 px, and a cost of one half per match."""
+    pair = make_scene(1)
+    data = make_terms(make_zigzag_rig(4), pair.matches)
+    rotation, translation = get_true_motion(pair, pair.center)
+    found = np.concatenate([compute_epipolar_px(t, pair.center, rotation, translation) for t in data])
     assert np.sqrt(np.mean(found**2)) == pytest.approx(0.5, rel=0.15)
     stack = stack_terms(data, pair.center, RADIUS)
-    assert cost(stack, 1.0, rotation, shift) == pytest.approx(0.5 * len(found), rel=0.3)
+    assert compute_cost(stack, 1.0, rotation, translation) == pytest.approx(0.5 * len(found), rel=0.3)
 
 
 @pytest.mark.parametrize("kappa", KAPPAS)
-def test_no_motion_is_nothing_special(kappa: float) -> None:
-    """At the identity the epipolar part says nothing, and all numbers stay finite."""
-    data, center = data_of_scene(0, earlier=False)
+def test_identity_is_not_singular(kappa: float) -> None:
+    """At the identity the epipolar part vanishes, and all values are finite."""
+    data, center = make_scene_terms(0, earlier=False)
     stack = stack_terms(data, center, RADIUS)
     for t, term in enumerate(data):
-        surface = stack.plane_mean[t]
-        found = equations(stack, t, np.ones(len(term)), kappa, np.eye(3), np.zeros(3), surface)
+        depth_model = stack.plane_mean[t]
+        found = build_equations(stack, t, np.ones(len(term)), kappa, np.eye(3), np.zeros(3), depth_model)
         moves = term.focal * np.linalg.norm(term.y - term.x, axis=1)
         assert found[2] == pytest.approx(0.5 * (1 - kappa) / 2 * np.sum((moves / SIGMA_PX) ** 2), rel=1e-9)
         assert np.isfinite(found[0]).all()
@@ -336,77 +351,85 @@ def test_no_motion_is_nothing_special(kappa: float) -> None:
 @pytest.mark.parametrize("kappa", KAPPAS)
 @FEW
 @given(seed=SEEDS)
-def test_cost_does_not_depend_on_the_world_frame(kappa: float, seed: int) -> None:
+def test_cost_is_invariant_to_the_world_frame(kappa: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    pair, (rotation, shift) = scene(seed), candidate(seed)
-    data = data_of(around(4), pair.matches)
+    pair, (rotation, translation) = make_scene(seed), draw_motion(seed)
+    data = make_terms(make_zigzag_rig(4), pair.matches)
     change = RigidTransform.from_components(5 * rng.standard_normal(3), Rotation.random(rng=rng))
-    turn = change.rotation.as_matrix()
-    there = stack_terms(carried(data, change), np.asarray(change.apply(pair.center)), RADIUS)
-    expected = cost(stack_terms(data, pair.center, RADIUS), kappa, rotation, shift)
-    assert cost(there, kappa, turn @ rotation @ turn.T, turn @ shift) == pytest.approx(expected, rel=1e-8)
+    world_rotation = change.rotation.as_matrix()
+    there = stack_terms(transform_terms(data, change), np.asarray(change.apply(pair.center)), RADIUS)
+    expected = compute_cost(stack_terms(data, pair.center, RADIUS), kappa, rotation, translation)
+    assert compute_cost(
+        there, kappa, world_rotation @ rotation @ world_rotation.T, world_rotation @ translation
+    ) == pytest.approx(expected, rel=1e-8)
 
 
 @pytest.mark.parametrize("kappa", KAPPAS)
 @FEW
 @given(seed=SEEDS, scale=st.floats(1e-3, 1e3))
-def test_cost_does_not_depend_on_the_unit_of_length(kappa: float, seed: int, scale: float) -> None:
-    pair, (rotation, shift) = scene(seed), candidate(seed)
-    data = data_of(around(4), pair.matches)
+def test_cost_is_invariant_to_the_length_unit(kappa: float, seed: int, scale: float) -> None:
+    pair, (rotation, translation) = make_scene(seed), draw_motion(seed)
+    data = make_terms(make_zigzag_rig(4), pair.matches)
     scaled = stack_terms([replace(t, center=scale * t.center) for t in data], scale * pair.center, scale * RADIUS)
-    expected = cost(stack_terms(data, pair.center, RADIUS), kappa, rotation, shift)
-    assert cost(scaled, kappa, rotation, scale * shift) == pytest.approx(expected, rel=1e-8)
+    expected = compute_cost(stack_terms(data, pair.center, RADIUS), kappa, rotation, translation)
+    assert compute_cost(scaled, kappa, rotation, scale * translation) == pytest.approx(expected, rel=1e-8)
 
 
 @FEW
 @given(SEEDS)
-def test_the_epipolar_part_does_not_depend_on_the_centre(seed: int) -> None:
-    """(R, d) about one centre is (R, d') about another; only the plane part knows where the object is."""
-    pair, (rotation, shift) = scene(seed), candidate(seed)
-    data, by = data_of(around(4), pair.matches), np.array([0.1, -0.05, 0.2])
+def test_epipolar_part_is_invariant_to_the_center(seed: int) -> None:
+    """(R, d) about one center is (R, d') about another; only the planar part depends on the object's location."""
+    pair, (rotation, translation) = make_scene(seed), draw_motion(seed)
+    data, by = make_terms(make_zigzag_rig(4), pair.matches), np.array([0.1, -0.05, 0.2])
     other = stack_terms(data, pair.center + by, RADIUS)
-    expected = cost(stack_terms(data, pair.center, RADIUS), 1.0, rotation, shift)
-    assert cost(other, 1.0, rotation, shift + rotation @ by - by) == pytest.approx(expected, rel=1e-8)
+    expected = compute_cost(stack_terms(data, pair.center, RADIUS), 1.0, rotation, translation)
+    assert compute_cost(other, 1.0, rotation, translation + rotation @ by - by) == pytest.approx(expected, rel=1e-8)
 
 
 @FEW
 @given(SEEDS)
-def test_the_epipolar_part_treats_both_frames_alike(seed: int) -> None:
-    """The cost of a motion is that of its inverse with the frames swapped."""
-    pair, (rotation, shift) = scene(seed), candidate(seed)
-    data = data_of(around(4), pair.matches)
+def test_epipolar_part_is_symmetric_in_the_frames(seed: int) -> None:
+    """The cost of a motion equals that of its inverse with the frames swapped."""
+    pair, (rotation, translation) = make_scene(seed), draw_motion(seed)
+    data = make_terms(make_zigzag_rig(4), pair.matches)
     swapped = stack_terms([replace(t, x=t.y, y=t.x) for t in data], pair.center, RADIUS)
-    expected = cost(stack_terms(data, pair.center, RADIUS), 1.0, rotation, shift)
-    assert cost(swapped, 1.0, rotation.T, -rotation.T @ shift) == pytest.approx(expected, rel=1e-8)
+    expected = compute_cost(stack_terms(data, pair.center, RADIUS), 1.0, rotation, translation)
+    assert compute_cost(swapped, 1.0, rotation.T, -rotation.T @ translation) == pytest.approx(expected, rel=1e-8)
 
 
 @pytest.mark.parametrize("kappa", KAPPAS)
 @FEW
 @given(seed=SEEDS)
-def test_cost_does_not_depend_on_the_order_of_matches(kappa: float, seed: int) -> None:
-    pair, (rotation, shift) = scene(seed), candidate(seed)
-    data, rng = data_of(around(4), pair.matches), np.random.default_rng(seed)
-    shuffled = [t.subset(rng.permutation(len(t))) for t in data]  # an index array shuffles as well as it picks
-    expected = cost(stack_terms(data, pair.center, RADIUS), kappa, rotation, shift)
-    assert cost(stack_terms(shuffled, pair.center, RADIUS), kappa, rotation, shift) == pytest.approx(expected, rel=1e-9)
+def test_cost_is_invariant_to_the_order_of_matches(kappa: float, seed: int) -> None:
+    pair, (rotation, translation) = make_scene(seed), draw_motion(seed)
+    data, rng = make_terms(make_zigzag_rig(4), pair.matches), np.random.default_rng(seed)
+    shuffled = [t.subset(rng.permutation(len(t))) for t in data]  # an index array may permute
+    expected = compute_cost(stack_terms(data, pair.center, RADIUS), kappa, rotation, translation)
+    assert compute_cost(stack_terms(shuffled, pair.center, RADIUS), kappa, rotation, translation) == pytest.approx(
+        expected, rel=1e-9
+    )
 
 
 @pytest.mark.parametrize("kappa", KAPPAS)
 @FEW
 @given(seed=SEEDS)
-def test_an_earlier_reference_equals_the_composed_motion(kappa: float, seed: int) -> None:
-    """Matches with an earlier frame and the known motion since: the cost of both motions one after the other."""
+def test_earlier_reference_equals_the_composed_motion(kappa: float, seed: int) -> None:
+    """Matches with an earlier frame and the known motion since then: the cost equals that of the composed motion."""
     rng = np.random.default_rng(seed)
-    pair, center, (rotation, shift) = scene(seed), np.array([0.02, 0.01, -0.03]), candidate(seed)
+    pair, center, (rotation, translation) = make_scene(seed), np.array([0.02, 0.01, -0.03]), draw_motion(seed)
     known = random_motion(rng.uniform(0, 40), 0.1, rng)
-    data = data_of(around(4), pair.matches)
-    since = [replace(t, base_from_reference=known) for t in data]
+    data = make_terms(make_zigzag_rig(4), pair.matches)
+    since = [replace(t, start_from_reference=known) for t in data]
     earlier = np.asarray(known.inv().apply(center))
-    # X -> R (B X - g) + g + d, spoken of as a motion about B^-1 g.
-    both, further = rotation @ known.rotation.as_matrix(), center + shift - earlier
+    # X -> R (B X - g) + g + d, expressed as a motion about B^-1 g.
+    both, further = rotation @ known.rotation.as_matrix(), center + translation - earlier
     before, after = stack_terms(data, earlier, RADIUS), stack_terms(since, center, RADIUS)
-    assert cost(after, kappa, rotation, shift) == pytest.approx(cost(before, kappa, both, further), rel=1e-8)
+    assert compute_cost(after, kappa, rotation, translation) == pytest.approx(
+        compute_cost(before, kappa, both, further), rel=1e-8
+    )
     for a, b in zip(since, data, strict=True):
         np.testing.assert_allclose(
-            epipolar_px(a, center, rotation, shift), epipolar_px(b, earlier, both, further), atol=1e-6
+            compute_epipolar_px(a, center, rotation, translation),
+            compute_epipolar_px(b, earlier, both, further),
+            atol=1e-6,
         )

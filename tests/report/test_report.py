@@ -1,4 +1,4 @@
-"""Reports: trajectory files, plots, overlay videos, the picture of the rig."""
+"""Trajectory files, plots, overlay videos and rig pictures."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.atomic_io import output_folder
+from sylpose.atomic_io import make_output_folder
 from sylpose.geometry.arrays import FloatArray, Image
-from sylpose.geometry.euler_angles import angles_of
+from sylpose.geometry.euler_angles import parse_euler_angles
 from sylpose.report import drawing, overlay, plots
 from sylpose.report.files import TrajectoryWriter, read_trajectory, read_tum, write_trajectory, write_tum
-from sylpose.report.overlay import OverlayWriter, Shown
-from sylpose.report.plots import plot_trajectory, summary
-from sylpose.report.rigview import describe_rig, meeting_point, plot_rig, view_axes
-from sylpose.results import FramePose, FrameStatus, Observable, Trajectory
+from sylpose.report.overlay import OverlayObject, OverlayWriter
+from sylpose.report.plots import plot_trajectory, summarize_trajectory
+from sylpose.report.rigview import compute_view_axes, describe_rig, find_axes_intersection, plot_rig
+from sylpose.results import FramePose, FrameStatus, Observability, Trajectory
 from sylpose.rig import Camera, Rig
 from tests.paths import DATA
 
@@ -58,8 +58,8 @@ def frame_pose(
     )
 
 
-def turning(n: int, degrees: float, axis: str = "y", cameras: int = 2) -> Trajectory:
-    """Turns by `degrees` per frame; frame 2 has no pose, of frame 3 the displacement is not known."""
+def make_rotating_trajectory(n: int, degrees: float, axis: str = "y", cameras: int = 2) -> Trajectory:
+    """Make a trajectory that rotates by `degrees` per frame; frame 2 has no pose, frame 3 no known translation."""
     frames = [frame_pose(0, RigidTransform.from_translation([0, 0, 2.0]), FrameStatus.FIRST, sigma=0, cameras=cameras)]
     for i in range(1, n):
         pose = RigidTransform.from_components(
@@ -69,16 +69,16 @@ def turning(n: int, degrees: float, axis: str = "y", cameras: int = 2) -> Trajec
         if i == 2:
             frame = frame_pose(i, None, FrameStatus.TOO_FEW_MATCHES, cameras=cameras)
         if i == 3:
-            frame = replace(frame, observable=Observable.NO_SCALE)
+            frame = replace(frame, observability=Observability.NO_SCALE)
             frame.covariance[range(3, 6), range(3, 6)] = np.inf
         frames.append(frame)
     return Trajectory(frames, [f"cam_{i}" for i in range(cameras)], "m")
 
 
-def looking(
+def make_camera_looking_at(
     name: str, place: FloatArray, at: FloatArray, size: tuple[int, int] = (320, 240), roll: float = 0
 ) -> Camera:
-    """A camera at `place` that looks at `at`, the world's z up in its image; `roll` turns it about its axis."""
+    """Place a camera at `place` looking at `at`, with the world's z up in its image; `roll` rotates it about its axis."""
     z = (at - place) / np.linalg.norm(at - place)
     x = np.cross(z, [0, 0, 1.0])
     x /= np.linalg.norm(x)
@@ -91,11 +91,13 @@ def looking(
 def ring(n: int, height: float, sizes: tuple[tuple[int, int], ...] = ((320, 240),)) -> Rig:
     angles = 2 * np.pi * np.arange(n) / n
     places = np.column_stack([2 * np.cos(angles), 2 * np.sin(angles), np.full(n, height)])
-    return Rig([looking(f"cam_{i}", p, np.zeros(3), sizes[i % len(sizes)]) for i, p in enumerate(places)], "m")
+    return Rig(
+        [make_camera_looking_at(f"cam_{i}", p, np.zeros(3), sizes[i % len(sizes)]) for i, p in enumerate(places)], "m"
+    )
 
 
-def moved(rig: Rig, world_from_new: RigidTransform) -> Rig:
-    """The same rig in other world coordinates."""
+def move_rig(rig: Rig, world_from_new: RigidTransform) -> Rig:
+    """Return the same rig in other world coordinates."""
     return Rig(
         [
             Camera(c.name, c.size, c.matrix, c.distortion, c.camera_from_world * world_from_new, c.lens)
@@ -108,9 +110,9 @@ def moved(rig: Rig, world_from_new: RigidTransform) -> Rig:
 # Files
 
 
-def test_what_is_written_is_read_back(tmp_path: Path) -> None:
+def test_trajectory_round_trip(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
-    trajectory = turning(9, 33)
+    trajectory = make_rotating_trajectory(9, 33)
     frames = [frame_pose(8, RigidTransform.from_components(rng.normal(size=3), Rotation.random(rng=rng)), time=1.7e9)]
     with TrajectoryWriter(tmp_path / "deep" / "out", NAMES, "mm") as writer:
         for frame in (*trajectory.frames[:-1], *frames):
@@ -127,13 +129,13 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
         np.testing.assert_array_equal(a.inliers, b.inliers)
         np.testing.assert_allclose(a.residuals, b.residuals, rtol=1e-5)
     times, poses = read_tum(tmp_path / "deep" / "out" / "trajectory.tum")
-    np.testing.assert_array_equal(times, back.times[back.solved])
-    np.testing.assert_allclose(poses.translation, back.positions[back.solved])
+    np.testing.assert_array_equal(times, back.times[back.measured_mask])
+    np.testing.assert_allclose(poses.translation, back.positions[back.measured_mask])
 
 
-def test_the_csv_has_empty_cells_instead_of_nan_and_inf(tmp_path: Path) -> None:
+def test_csv_has_empty_cells_instead_of_nan_and_inf(tmp_path: Path) -> None:
     with TrajectoryWriter(tmp_path, NAMES) as writer:
-        for frame in turning(5, 10):
+        for frame in make_rotating_trajectory(5, 10):
             writer.write(frame)
     with (tmp_path / "trajectory.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
@@ -149,28 +151,28 @@ def test_the_csv_has_empty_cells_instead_of_nan_and_inf(tmp_path: Path) -> None:
 
 def test_every_line_is_on_disk_at_once(tmp_path: Path) -> None:
     with TrajectoryWriter(tmp_path, NAMES) as writer:
-        for i, frame in enumerate(turning(5, 10)):
+        for i, frame in enumerate(make_rotating_trajectory(5, 10)):
             writer.write(frame)
             assert len(read_trajectory(tmp_path / "trajectory.csv")) == i + 1
             assert (tmp_path / "trajectory.tum").read_text().endswith("\n")
     assert len(read_tum(tmp_path / "trajectory.tum")[0]) == 4
 
 
-def test_a_frame_that_is_told_again_replaces_what_was_told_from_there_on(tmp_path: Path) -> None:
-    """Of a node that has gone back to where others are."""
-    told, again = turning(6, 10), turning(6, 20)
+def test_rewritten_frame_replaces_later_frames(tmp_path: Path) -> None:
+    """For a node that rejoins the others at an earlier frame."""
+    first_pass, second_pass = make_rotating_trajectory(6, 10), make_rotating_trajectory(6, 20)
     with TrajectoryWriter(tmp_path / "both", NAMES) as writer:
-        for frame in (*told, *again.frames[3:]):
+        for frame in (*first_pass, *second_pass.frames[3:]):
             writer.write(frame)
     with TrajectoryWriter(tmp_path / "once", NAMES) as writer:
-        for frame in (*told.frames[:3], *again.frames[3:]):
+        for frame in (*first_pass.frames[:3], *second_pass.frames[3:]):
             writer.write(frame)
     for name in ("trajectory.csv", "trajectory.tum"):
         assert (tmp_path / "both" / name).read_bytes() == (tmp_path / "once" / name).read_bytes()
 
 
-def test_an_exception_in_the_block_keeps_what_was_written(tmp_path: Path) -> None:
-    trajectory = turning(3, 10)
+def test_exception_keeps_written_frames(tmp_path: Path) -> None:
+    trajectory = make_rotating_trajectory(3, 10)
 
     def interrupted() -> None:
         with TrajectoryWriter(tmp_path, NAMES) as writer:
@@ -184,7 +186,7 @@ def test_an_exception_in_the_block_keeps_what_was_written(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("axis", ["x", "y", "z"])
 def test_quaternions_do_not_jump(tmp_path: Path, axis: str) -> None:
-    trajectory = turning(60, 13, axis)
+    trajectory = make_rotating_trajectory(60, 13, axis)
     with TrajectoryWriter(tmp_path, NAMES) as writer:
         for frame in trajectory:
             writer.write(frame)
@@ -215,18 +217,18 @@ def test_a_real_tum_file() -> None:
     assert np.degrees(poses.rotation[6].magnitude()) == pytest.approx(6 * 7.66, abs=0.1)
 
 
-def test_an_out_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+def test_unwritable_output_is_reported(tmp_path: Path) -> None:
     blocker = tmp_path / "file.txt"
     blocker.write_text("")
     with pytest.raises(OSError, match=r"file\.txt: it is a file, a folder was expected"):
         TrajectoryWriter(blocker, NAMES)
     with pytest.raises(OSError, match=r"cannot write .*file\.txt/out: not a directory"):
-        output_folder(blocker / "out")
+        make_output_folder(blocker / "out")
     (tmp_path / "taken" / "trajectory.csv").mkdir(parents=True)
     with pytest.raises(OSError, match=r"cannot write .*trajectory\.csv: is a directory"):
         TrajectoryWriter(tmp_path / "taken", NAMES)
     for write in (
-        lambda path: plot_trajectory(turning(4, 5), path),
+        lambda path: plot_trajectory(make_rotating_trajectory(4, 5), path),
         lambda path: plot_rig(ring(3, 1), path),
         lambda path: OverlayWriter(path, ring(3, 1), 5),
         lambda path: write_tum(path, [0.0], RigidTransform.identity(1)),
@@ -236,30 +238,30 @@ def test_an_out_that_cannot_be_written_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_a_full_disk_is_named(tmp_path: Path) -> None:
+def test_full_disk_is_reported(tmp_path: Path) -> None:
     (tmp_path / "trajectory.csv").symlink_to("/dev/full")
     with pytest.raises(OSError, match=r"cannot write .*trajectory\.csv: no space left on device"):
         TrajectoryWriter(tmp_path, NAMES)
 
 
-def test_counts_that_do_not_fit_the_cameras(tmp_path: Path) -> None:
+def test_wrong_number_of_cameras_is_rejected(tmp_path: Path) -> None:
     with (
         TrajectoryWriter(tmp_path, NAMES) as writer,
         pytest.raises(ValueError, match="frame 0: 3 inlier counts and 3 residuals for 2 cameras"),
     ):
-        writer.write(turning(3, 5, cameras=3)[0])
+        writer.write(make_rotating_trajectory(3, 5, cameras=3)[0])
 
 
-def test_files_that_are_no_trajectories(tmp_path: Path) -> None:
+def test_invalid_trajectory_files_are_rejected(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     path.write_text("a,b\n1,2\n")
-    with pytest.raises(ValueError, match=r"t\.csv: not a trajectory of sylpose, columns missing: index, time"):
+    with pytest.raises(ValueError, match=r"t\.csv: not a sylpose trajectory, columns missing: index, time"):
         read_trajectory(path)
     path.write_text("")
-    with pytest.raises(ValueError, match=r"t\.csv: not a trajectory"):
+    with pytest.raises(ValueError, match=r"t\.csv: not a sylpose trajectory"):
         read_trajectory(path)
     with TrajectoryWriter(tmp_path, NAMES) as writer:
-        for frame in turning(4, 5):
+        for frame in make_rotating_trajectory(4, 5):
             writer.write(frame)
     whole = (tmp_path / "trajectory.csv").read_text()
     for broken in (whole[:-30], whole.replace("too few matches", "too few stars"), whole.replace(",2,", ",two,")):
@@ -283,7 +285,7 @@ def test_files_that_are_no_trajectories(tmp_path: Path) -> None:
 def test_equal_reports_are_equal_files(tmp_path: Path, end: str) -> None:
     files = [tmp_path / f"{k}.{end}" for k in range(2)]
     for file in files:
-        plot_trajectory(turning(6, 9), file, note="demo")
+        plot_trajectory(make_rotating_trajectory(6, 9), file, note="demo")
     assert files[0].read_bytes() == files[1].read_bytes()
     magic = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}
     assert files[0].read_bytes().startswith(magic[end])
@@ -291,7 +293,7 @@ def test_equal_reports_are_equal_files(tmp_path: Path, end: str) -> None:
 
 @pytest.mark.parametrize("n", [1, 3, 6, 120])
 def test_report_of_any_length(tmp_path: Path, n: int) -> None:
-    plot_trajectory(turning(n, 9, cameras=3), tmp_path / "report.png")
+    plot_trajectory(make_rotating_trajectory(n, 9, cameras=3), tmp_path / "report.png")
     picture = cv2.imread(str(tmp_path / "report.png"))
     assert picture is not None
     assert min(picture.shape[:2]) > 800
@@ -301,72 +303,74 @@ def test_report_of_any_length(tmp_path: Path, n: int) -> None:
 def test_report_without_any_pose(tmp_path: Path) -> None:
     lost = Trajectory([frame_pose(i, None, FrameStatus.NO_MOTION) for i in range(4)], NAMES)
     plot_trajectory(lost, tmp_path / "report.png")
-    assert summary(lost) == "0 of 4 frames with a pose"
+    assert summarize_trajectory(lost) == "0 of 4 frames with a pose"
     reasons = [f"cam_{k} is dark" for k in range(4)] * 2 + [f"frame_{k}" for k in range(6)]
-    told = Trajectory([replace(frame_pose(i, None, FrameStatus.LOST), reason=r) for i, r in enumerate(reasons)], NAMES)
-    plot_trajectory(told, tmp_path / "why.svg", note="cup_$1, méthode <x>")
-    said = " ".join("".join(text.itertext()) for text in ElementTree.parse(tmp_path / "why.svg").iter())
+    with_reasons = Trajectory(
+        [replace(frame_pose(i, None, FrameStatus.LOST), reason=r) for i, r in enumerate(reasons)], NAMES
+    )
+    plot_trajectory(with_reasons, tmp_path / "why.svg", note="cup_$1, méthode <x>")
+    figure_text = " ".join("".join(text.itertext()) for text in ElementTree.parse(tmp_path / "why.svg").iter())
     for words in (
         FrameStatus.LOST.text[:40],
         "2 frames: cam_3 is dark",
         "and 2 more reasons",
         "cup_$1, méthode <x>",
     ):
-        assert words in said, words
+        assert words in figure_text, words
     with pytest.raises(ValueError, match="no frames"):
         plot_trajectory(Trajectory([], NAMES), tmp_path / "none.png")
     assert not (tmp_path / "none.png").exists()
 
 
-def test_summary_says_what_is_known() -> None:
-    assert summary(turning(6, 10)) == (
-        "5 of 6 frames with a pose, turned 50.0° from the first to the last, moved 50 mm, residual 0.50 px (median)"
+def test_summary_text() -> None:
+    assert summarize_trajectory(make_rotating_trajectory(6, 10)) == (
+        "5 of 6 frames with a pose, rotated 50.0° from first to last frame, moved 50 mm, residual 0.50 px (median)"
     )
-    assert "how far it moved is not observable" in summary(turning(4, 10))
+    assert "translation scale not observable" in summarize_trajectory(make_rotating_trajectory(4, 10))
 
 
-def test_coasting_is_told_from_measuring(tmp_path: Path) -> None:
-    frames = list(turning(10, 10))
+def test_coasting_is_in_the_summary(tmp_path: Path) -> None:
+    frames = list(make_rotating_trajectory(10, 10))
     frames[5:7] = [replace(frame, status=FrameStatus.COASTING) for frame in frames[4:6]]
     trajectory = Trajectory(frames, NAMES, "m")
-    assert "coasting in 2" in summary(trajectory)
+    assert "coasting in 2" in summarize_trajectory(trajectory)
     plot_trajectory(trajectory, tmp_path / "report.png")
     assert cv2.imread(str(tmp_path / "report.png")) is not None
 
 
-def test_frames_without_a_length_are_shaded(tmp_path: Path) -> None:
-    plain = turning(10, 10)
-    straight = [replace(f, observable=Observable.NO_LENGTH) if 5 <= f.index < 8 else f for f in plain]
+def test_frames_of_unknown_length_are_shaded(tmp_path: Path) -> None:
+    plain = make_rotating_trajectory(10, 10)
+    straight = [replace(f, observability=Observability.NO_TRANSLATION_SCALE) if 5 <= f.index < 8 else f for f in plain]
     panel = Figure().add_subplot()
-    (_, _, entry) = plots._shade([panel], Trajectory(straight, NAMES, "m"))
+    (_, _, entry) = plots._shade_frames([panel], Trajectory(straight, NAMES, "m"))
     assert entry.get_label() == "translation scale not observable"
     colors = [patch.get_facecolor()[:3] for patch in panel.patches]
-    assert colors.count(to_rgb(plots.STRAIGHT_COLOR)) == 1
-    (strip,) = [p for p in panel.patches if p.get_facecolor()[:3] == to_rgb(plots.STRAIGHT_COLOR)]
+    assert colors.count(to_rgb(plots.UNKNOWN_LENGTH_COLOR)) == 1
+    (strip,) = [p for p in panel.patches if p.get_facecolor()[:3] == to_rgb(plots.UNKNOWN_LENGTH_COLOR)]
     low, high = strip.get_extents().transformed(panel.transData.inverted()).intervalx
     assert (low, high) == (pytest.approx(4.5 / 7), pytest.approx(7.5 / 7))
-    assert len(plots._shade([panel], plain)) == 2
+    assert len(plots._shade_frames([panel], plain)) == 2
     plot_trajectory(Trajectory(straight, NAMES, "m"), tmp_path / "report.png")
     assert (tmp_path / "report.png").stat().st_size > 10_000
 
 
 @pytest.mark.parametrize(("axis", "column"), [("y", 0), ("x", 1), ("z", 2)])
-def test_plotted_angles_are_those_of_the_csv_and_broken_where_they_go_round(
+def test_plotted_angles_match_csv_and_break_at_wraps(
     axis: str, column: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    trajectory = turning(90, 7.3, axis)
+    trajectory = make_rotating_trajectory(90, 7.3, axis)
     write_trajectory(tmp_path, trajectory)
     with (tmp_path / "trajectory.csv").open(newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["pan_deg"]]
     in_csv = np.array([[float(row[f"{name}_deg"]) for name in ("pan", "tilt", "roll")] for row in rows])
     lines: list[tuple[FloatArray, FloatArray]] = []
-    draw = plots._line
+    draw = plots._plot_line
 
     def noted(panel: Axes, x: FloatArray, y: FloatArray, *rest: Any) -> None:
         lines.append((x, y))
         draw(panel, x, y, *rest)
 
-    monkeypatch.setattr(plots, "_line", noted)
+    monkeypatch.setattr(plots, "_plot_line", noted)
     plot_trajectory(trajectory, tmp_path / "report.png")
     drawn = np.column_stack([y for _, y in lines[:3]])
     np.testing.assert_allclose(drawn[np.isfinite(drawn).all(axis=1)], in_csv, atol=1e-6)
@@ -375,9 +379,9 @@ def test_plotted_angles_are_those_of_the_csv_and_broken_where_they_go_round(
     assert np.nanmax(np.abs(np.diff(in_csv[:, column]))) > (plots.JUMP_DEG if axis != "x" else 7.0)
 
 
-def test_other_angles_have_columns_of_their_own_and_are_drawn(tmp_path: Path) -> None:
-    trajectory = turning(30, 7.3, "z")
-    about = angles_of("ZXZ")
+def test_other_angles_have_columns_and_are_plotted(tmp_path: Path) -> None:
+    trajectory = make_rotating_trajectory(30, 7.3, "z")
+    about = parse_euler_angles("ZXZ")
     write_trajectory(tmp_path, trajectory, angles=about)
     with (tmp_path / "trajectory.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
@@ -386,20 +390,20 @@ def test_other_angles_have_columns_of_their_own_and_are_drawn(tmp_path: Path) ->
         if pose.world_from_object is None:
             assert own == ["", "", ""]
             continue
-        turn = about.rotation(np.radians([float(cell) for cell in own])) * pose.world_from_object.rotation.inv()
+        turn = about.to_rotation(np.radians([float(cell) for cell in own])) * pose.world_from_object.rotation.inv()
         assert turn.magnitude() < 1e-7
     read = read_trajectory(tmp_path / "trajectory.csv")
     np.testing.assert_allclose(read.positions, trajectory.positions, atol=1e-9)
-    assert [label for label, _ in plots.angle_labels(angles_of("XYZ"))] == [
+    assert [label for label, _ in plots.angle_labels(parse_euler_angles("XYZ"))] == [
         f"angle{k} (about {c})" for k, c in enumerate("xyz", 1)
     ]
     plot_trajectory(trajectory, tmp_path / "report.png", angles=about)
     assert (tmp_path / "report.png").stat().st_size > 10_000
 
 
-def test_shaded_strips_reach_half_way_to_the_next_frame() -> None:
+def test_shading_extends_half_a_frame() -> None:
     times = np.array([0.0, 1.0, 2.0, 4.0, 5.0])
-    strips = list(plots._strips(times, np.array([True, False, True, True, False])))
+    strips = list(plots._compute_intervals(times, np.array([True, False, True, True, False])))
     assert strips == [(-0.5, 0.5), (1.5, 4.5)]
 
 
@@ -411,23 +415,23 @@ def overlay_frames(path: Path) -> list[Image]:
         return [np.asarray(f.to_ndarray(format="bgr24")) for f in container.decode(video=0)]
 
 
-def blank(rig: Rig, value: int = 90) -> list[Image | None]:
+def make_blank_images(rig: Rig, value: int = 90) -> list[Image | None]:
     return [np.full((c.size[1], c.size[0], 3), value, np.uint8) for c in rig]
 
 
 CENTERED = frame_pose(4, RigidTransform.identity(), cameras=3)
 
 
-def test_overlay_can_be_read_while_it_is_written(tmp_path: Path) -> None:
+def test_overlay_is_readable_while_written(tmp_path: Path) -> None:
     rig = ring(3, 1)
     matches = [(np.full((5, 2), 50.0), np.full((5, 2), 60.0))] * 3
     with OverlayWriter(tmp_path / "o.mp4", rig, 5) as writer:
         for k in range(23):
-            writer.write(blank(rig, 5 * k), CENTERED, matches, 0.3)
+            writer.write(make_blank_images(rig, 5 * k), CENTERED, matches, 0.3)
         shutil.copy(tmp_path / "o.mp4", tmp_path / "copy.mp4")
     whole, part = overlay_frames(tmp_path / "o.mp4"), overlay_frames(tmp_path / "copy.mp4")
     assert len(whole) == 23
-    # A second may be missing, and the fragment that was not yet closed.
+    # The last second may be missing, with the fragment that was still open.
     assert len(part) >= 15
     np.testing.assert_array_equal(part[14], whole[14])
     assert whole[0].shape[0] % 2 == whole[0].shape[1] % 2 == 0
@@ -447,7 +451,7 @@ def test_overlay_of_mixed_sizes_with_each_encoder(
     monkeypatch.setattr(overlay, "ENCODERS", [e for e in overlay.ENCODERS if e[0] == encoder])
     rig = ring(5, 1, sizes=((321, 241), (200, 300), (640, 362)))
     pose = frame_pose(1, RigidTransform.identity(), cameras=5)
-    images = blank(rig)
+    images = make_blank_images(rig)
     images[1] = None
     images[2] = np.full((362, 640), 90, np.uint8)
     with OverlayWriter(tmp_path / "o.mp4", rig, rate, max_width=1001) as writer:
@@ -459,27 +463,29 @@ def test_overlay_of_mixed_sizes_with_each_encoder(
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_an_overlay_on_a_full_disk_ends_with_a_sentence(tmp_path: Path) -> None:
-    """However often it is gone on with: FFmpeg crashes where a header was not written and frames follow."""
+def test_overlay_on_full_disk_raises_oserror(tmp_path: Path) -> None:
+    """Also on repeated writes: FFmpeg crashes if frames follow a missing header."""
     (tmp_path / "o.mp4").symlink_to("/dev/full")
     rig = ring(3, 1)
     writer = OverlayWriter(tmp_path / "o.mp4", rig, 5)
     for _ in range(3):
         with pytest.raises(OSError, match=r"cannot write .*o\.mp4: no space left on device"):
-            writer.write(blank(rig, 0), frame_pose(0, RigidTransform.identity(), cameras=3), [None] * 3, 0.5)
+            writer.write(
+                make_blank_images(rig, 0), frame_pose(0, RigidTransform.identity(), cameras=3), [None] * 3, 0.5
+            )
     writer.close()
     writer.close()
 
 
-def test_axes_are_drawn_where_the_camera_sees_them(tmp_path: Path) -> None:
-    """One camera, its tile enlarged: each axis' colour lies at the projection of its middle, lens included."""
-    camera = looking("a", np.array([2.0, 1.0, 1.0]), np.zeros(3), (400, 300))
+def test_axes_are_drawn_at_their_projections(tmp_path: Path) -> None:
+    """With one camera and an enlarged tile, each axis' color is at the projection of its midpoint, lens included."""
+    camera = make_camera_looking_at("a", np.array([2.0, 1.0, 1.0]), np.zeros(3), (400, 300))
     camera = Camera("a", camera.size, camera.matrix, np.array([-0.3, 0.1, 0.01, 0, 0]), camera.camera_from_world)
     rig = Rig([camera])
     turn = Rotation.from_rotvec([0.3, -0.2, 0.4])
     pose = frame_pose(1, RigidTransform.from_components([0.1, 0.2, -0.1], turn), cameras=1)
     with OverlayWriter(tmp_path / "o.mp4", rig, 5) as writer:
-        picture = writer.draw(blank(rig, 0), pose, [None], 0.5)
+        picture = writer.draw(make_blank_images(rig, 0), pose, [None], 0.5)
         bar = writer._layout.bar
     scale = picture.shape[1] / 400
     for axis, color in zip(np.eye(3), drawing.AXIS_COLORS, strict=True):
@@ -499,7 +505,7 @@ def test_axes_are_not_drawn_where_the_lens_model_folds_back() -> None:
     points = np.array([[0.1, 0, 1], [1.7, 0, 1], [0, 0, -1]])
     assert np.isfinite(camera.project(points)[1]).all()  # inside the image, by the polynomial
     assert 0 < camera.project(points)[1, 0] < 640
-    np.testing.assert_array_equal(np.isfinite(drawing.project(camera, points))[:, 0], [True, False, False])
+    np.testing.assert_array_equal(np.isfinite(drawing.project_points(camera, points))[:, 0], [True, False, False])
 
 
 def n_painted(picture: NDArray[np.uint8], color: tuple[int, int, int], near: int = 0) -> int:
@@ -509,38 +515,48 @@ def n_painted(picture: NDArray[np.uint8], color: tuple[int, int, int], near: int
 def test_coasting_axes_are_pale_and_dashed(tmp_path: Path) -> None:
     rig = ring(3, 1)
     with OverlayWriter(tmp_path / "o.mp4", rig, 5) as writer:
-        measured = writer.draw(blank(rig), CENTERED, [None] * 3, 0.3)
-        coasting = writer.draw(blank(rig), replace(CENTERED, status=FrameStatus.COASTING), [None] * 3, 0.3)
+        measured = writer.draw(make_blank_images(rig), CENTERED, [None] * 3, 0.3)
+        coasting = writer.draw(make_blank_images(rig), replace(CENTERED, status=FrameStatus.COASTING), [None] * 3, 0.3)
     for color in drawing.AXIS_COLORS:
         assert n_painted(measured, color) > 50 > n_painted(coasting, color)
-    assert not np.array_equal(coasting, writer.draw(blank(rig), frame_pose(4, None, cameras=3), [None] * 3, 0.3))
+    assert not np.array_equal(
+        coasting, writer.draw(make_blank_images(rig), frame_pose(4, None, cameras=3), [None] * 3, 0.3)
+    )
 
 
-def test_a_noisy_camera_is_not_green(tmp_path: Path) -> None:
+def test_noisy_camera_is_not_green(tmp_path: Path) -> None:
     rig = ring(3, 1)
     with OverlayWriter(tmp_path / "o.mp4", rig, 5) as writer:
-        alike = writer.draw(blank(rig), replace(CENTERED, residuals=np.array([0.3, 0.3, 0.3])), [None] * 3, 0.3)
-        noisy = writer.draw(blank(rig), replace(CENTERED, residuals=np.array([0.3, 3.0, 0.3])), [None] * 3, 0.3)
-    # Letters are smoothed, by OpenCV 4 so much that hardly a pixel has their own colour.
-    assert n_painted(noisy, overlay.WARN, 20) > n_painted(alike, overlay.WARN, 20) + 30
-    assert n_painted(noisy, overlay.GOOD, 20) < n_painted(alike, overlay.GOOD, 20) - 30
+        alike = writer.draw(
+            make_blank_images(rig), replace(CENTERED, residuals=np.array([0.3, 0.3, 0.3])), [None] * 3, 0.3
+        )
+        noisy = writer.draw(
+            make_blank_images(rig), replace(CENTERED, residuals=np.array([0.3, 3.0, 0.3])), [None] * 3, 0.3
+        )
+    # Letters are antialiased, by OpenCV 4 so much that hardly a pixel has their own color.
+    assert n_painted(noisy, overlay.WARN_COLOR, 20) > n_painted(alike, overlay.WARN_COLOR, 20) + 30
+    assert n_painted(noisy, overlay.GOOD_COLOR, 20) < n_painted(alike, overlay.GOOD_COLOR, 20) - 30
 
 
-def test_features_and_rejected_matches_are_drawn_without_a_pose_too(tmp_path: Path) -> None:
+def test_features_and_rejected_matches_are_drawn_without_pose(tmp_path: Path) -> None:
     rig = ring(3, 1)
     looked_at = [(np.array([[20.0, 30], [40, 30]]), np.array([[60.0, 40]]))] * 3
     lost = replace(frame_pose(4, None, cameras=3), reason="4 of 300 features match what is known of the object")
     with OverlayWriter(tmp_path / "o.mp4", rig, 5) as writer:
-        without = writer.draw_objects(blank(rig), [Shown("", lost, [None] * 3, 0.3)])
-        drawn = writer.draw_objects(blank(rig), [Shown("", lost, [None] * 3, 0.3, looked_at=looked_at)])
-        with pytest.raises(ValueError, match="3 looked_at"):
-            writer.draw_objects(blank(rig), [Shown("", lost, [None] * 3, 0.3, looked_at=looked_at[:1])])
-    assert n_painted(drawn, overlay.REJECTED) > n_painted(without, overlay.REJECTED)
+        without = writer.draw_objects(make_blank_images(rig), [OverlayObject("", lost, [None] * 3, 0.3)])
+        drawn = writer.draw_objects(
+            make_blank_images(rig), [OverlayObject("", lost, [None] * 3, 0.3, candidates=looked_at)]
+        )
+        with pytest.raises(ValueError, match="3 candidates"):
+            writer.draw_objects(
+                make_blank_images(rig), [OverlayObject("", lost, [None] * 3, 0.3, candidates=looked_at[:1])]
+            )
+    assert n_painted(drawn, overlay.REJECTED_COLOR) > n_painted(without, overlay.REJECTED_COLOR)
     changed = (drawn != without).any(axis=2).sum()
     assert 3 * 20 < changed < 3 * 600
 
 
-def test_why_there_is_no_pose_is_in_the_files(tmp_path: Path) -> None:
+def test_reason_for_missing_pose_is_in_the_files(tmp_path: Path) -> None:
     seen = replace(frame_pose(0, RigidTransform.identity(), cameras=2), matches=np.array([30, 40]))
     lost = replace(frame_pose(1, None, cameras=2), matches=np.array([3, 0]), reason='3 of 90 features, "known"; gone')
     with TrajectoryWriter(tmp_path, ("a", "b")) as writer:
@@ -552,13 +568,13 @@ def test_why_there_is_no_pose_is_in_the_files(tmp_path: Path) -> None:
     assert [list(f.matches) for f in back] == [[30, 40], [3, 0], []]
 
 
-def test_an_overlay_says_what_it_is_of_in_its_head(tmp_path: Path) -> None:
+def test_overlay_note_is_in_the_title_bar(tmp_path: Path) -> None:
     rig, drawn = ring(3, 1), []
     for note in ("", "poses as tracked"):
         with OverlayWriter(tmp_path / "o.mp4", rig, 10.0, note=note) as writer:
-            drawn.append(np.split(writer.draw(blank(rig), CENTERED, [None] * 3, 0.3), [writer._layout.bar]))
+            drawn.append(np.split(writer.draw(make_blank_images(rig), CENTERED, [None] * 3, 0.3), [writer._layout.bar]))
     (head, below), (noted, below_it) = drawn
-    assert n_painted(noted, drawing.GREY, 20) > n_painted(head, drawing.GREY, 20) + 30
+    assert n_painted(noted, drawing.GRAY, 20) > n_painted(head, drawing.GRAY, 20) + 30
     np.testing.assert_array_equal(below, below_it)
 
 
@@ -566,29 +582,31 @@ def test_overlay_of_several_objects(tmp_path: Path) -> None:
     rig = ring(3, 1)
     region = [np.array([[10.0, 10], [90, 10], [50, 80]])] * 3
     lost = frame_pose(4, None, FrameStatus.LOST, cameras=3)
-    mug = Shown("mug", CENTERED, [None] * 3, 0.3, region, overlay.object_color(0))
-    objects = [mug, Shown("tray", lost, [None] * 3, np.nan, color=overlay.object_color(1))]
+    mug = OverlayObject("mug", CENTERED, [None] * 3, 0.3, region, overlay.object_color(0))
+    objects = [mug, OverlayObject("tray", lost, [None] * 3, np.nan, color=overlay.object_color(1))]
     with OverlayWriter(tmp_path / "o.mp4", rig, 5) as writer:
-        picture = writer.draw_objects(blank(rig), objects)
-        writer.write_objects(blank(rig), objects)
+        picture = writer.draw_objects(make_blank_images(rig), objects)
+        writer.write_objects(make_blank_images(rig), objects)
         with pytest.raises(ValueError, match="needs 3 matches"):
-            writer.write_objects(blank(rig), [replace(objects[0], matches=[])])
+            writer.write_objects(make_blank_images(rig), [replace(objects[0], matches=[])])
     assert n_painted(picture, overlay.OBJECT_COLORS[0], 60) > 50
-    assert n_painted(picture, overlay.BAD, 60) > 10
+    assert n_painted(picture, overlay.BAD_COLOR, 60) > 10
     assert len(overlay_frames(tmp_path / "o.mp4")) == 1
 
 
-def test_a_pose_behind_or_on_a_camera_draws_nothing_and_does_no_harm(tmp_path: Path) -> None:
+def test_pose_behind_camera_is_not_drawn(tmp_path: Path) -> None:
     rig = ring(3, 1)
     with OverlayWriter(tmp_path / "o.mp4", rig, 5) as writer:
         for place in (rig.cameras[0].center, 3 * rig.cameras[0].center, np.full(3, 1e12)):
             pose = frame_pose(1, RigidTransform.from_translation(place), cameras=3)
-            writer.write(blank(rig), pose, [(np.empty((0, 2)), np.empty((0, 2)))] * 3, 0.5)
-        writer.write(blank(rig), frame_pose(2, None, FrameStatus.NOT_CONSISTENT, cameras=3), [None] * 3, 0.5)
+            writer.write(make_blank_images(rig), pose, [(np.empty((0, 2)), np.empty((0, 2)))] * 3, 0.5)
+        writer.write(
+            make_blank_images(rig), frame_pose(2, None, FrameStatus.NOT_CONSISTENT, cameras=3), [None] * 3, 0.5
+        )
     assert len(overlay_frames(tmp_path / "o.mp4")) == 4
 
 
-def test_an_overlay_without_frames_is_closed_quietly(tmp_path: Path) -> None:
+def test_empty_overlay_is_closed_without_error(tmp_path: Path) -> None:
     with OverlayWriter(tmp_path / "o.mp4", ring(2, 1), 5) as writer:
         pass
     writer.close()
@@ -603,9 +621,9 @@ def test_overlay_bad_input(tmp_path: Path) -> None:
         OverlayWriter(tmp_path / "o.mp4", rig, 5, max_width=10)
     with OverlayWriter(tmp_path / "o.mp4", rig, 5) as writer:
         with pytest.raises(ValueError, match="needs 3 images, one per camera, got 2"):
-            writer.write(blank(rig)[:2], CENTERED, [None] * 3, 0.3)
+            writer.write(make_blank_images(rig)[:2], CENTERED, [None] * 3, 0.3)
         with pytest.raises(ValueError, match="needs 3 matches"):
-            writer.write(blank(rig), CENTERED, [None] * 2, 0.3)
+            writer.write(make_blank_images(rig), CENTERED, [None] * 2, 0.3)
         with pytest.raises(ValueError, match="camera cam_0: the image is 10x20, its calibration 320x240"):
             writer.write([np.zeros((20, 10, 3), np.uint8), None, None], CENTERED, [None] * 3, 0.3)
 
@@ -615,41 +633,48 @@ def test_overlay_bad_input(tmp_path: Path) -> None:
 
 @settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(3, 9), height=st.sampled_from([-1.5, 0.0, 0.8, 3.0]))
-def test_above_is_above_whatever_the_worlds_axes(seed: int, n: int, height: float) -> None:
+def test_view_axes_are_independent_of_the_world(seed: int, n: int, height: float) -> None:
     rng = np.random.default_rng(seed)
     transform = RigidTransform.from_components(rng.normal(size=3), Rotation.random(rng=rng))
-    axes = view_axes(moved(ring(n, height), transform)) @ transform.rotation.inv().as_matrix()
+    axes = compute_view_axes(move_rig(ring(n, height), transform)) @ transform.rotation.inv().as_matrix()
     np.testing.assert_allclose(axes[2], [0, 0, 1], atol=1e-6)
     # The first camera, at (2, 0), looks ahead; right-handed.
     np.testing.assert_allclose(axes[1], [-1, 0, 0], atol=1e-6)
     np.testing.assert_allclose(np.cross(axes[0], axes[1]), axes[2], atol=1e-9)
 
 
-def test_above_with_few_or_rolled_cameras() -> None:
+def test_view_axes_with_few_or_rolled_cameras() -> None:
     ahead = np.array([0, 5.0, 0])
-    pair = Rig([looking(n, np.array([x, 0, 0]), np.array([x, 5, 0])) for n, x in (("l", -0.1), ("r", 0.1))])
-    np.testing.assert_allclose(view_axes(pair), np.eye(3), atol=1e-6)
-    single = Rig([looking("one", np.zeros(3), ahead)])
-    np.testing.assert_allclose(view_axes(single), np.eye(3), atol=1e-6)
-    # Two of five lie on their sides, one hangs upside down.
+    pair = Rig(
+        [make_camera_looking_at(n, np.array([x, 0, 0]), np.array([x, 5, 0])) for n, x in (("l", -0.1), ("r", 0.1))]
+    )
+    np.testing.assert_allclose(compute_view_axes(pair), np.eye(3), atol=1e-6)
+    single = Rig([make_camera_looking_at("one", np.zeros(3), ahead)])
+    np.testing.assert_allclose(compute_view_axes(single), np.eye(3), atol=1e-6)
+    # Two of five cameras are rotated by 90 degrees, one is upside down.
     rolls = (0, np.pi / 2, 0, -np.pi / 2, np.pi)
     places = [np.array([2 * np.sin(a), -2 * np.cos(a), 0.7]) for a in np.radians([-70, -35, 0, 35, 70])]
-    arc = Rig([looking(f"{i}", p, np.zeros(3), roll=r) for i, (p, r) in enumerate(zip(places, rolls, strict=True))])
-    assert view_axes(arc)[2] @ [0, 0, 1] > 0.99
+    arc = Rig(
+        [
+            make_camera_looking_at(f"{i}", p, np.zeros(3), roll=r)
+            for i, (p, r) in enumerate(zip(places, rolls, strict=True))
+        ]
+    )
+    assert compute_view_axes(arc)[2] @ [0, 0, 1] > 0.99
 
 
-def test_where_the_axes_meet() -> None:
-    point = meeting_point(ring(4, 1))
+def test_intersection_of_optical_axes() -> None:
+    point = find_axes_intersection(ring(4, 1))
     assert point is not None
     np.testing.assert_allclose(point, 0, atol=1e-9)
-    assert meeting_point(Rig(ring(4, 1).cameras[:1])) is None
-    away = Rig([looking(f"{i}", p, 3 * p) for i, p in enumerate(np.eye(3) + 0.1)])
-    assert meeting_point(away) is None
-    parallel = Rig([looking(f"{x}", np.array([x, 0, 0]), np.array([x, 5, 0])) for x in (0.0, 0.3, 0.5)])
-    assert meeting_point(parallel) is None
+    assert find_axes_intersection(Rig(ring(4, 1).cameras[:1])) is None
+    away = Rig([make_camera_looking_at(f"{i}", p, 3 * p) for i, p in enumerate(np.eye(3) + 0.1)])
+    assert find_axes_intersection(away) is None
+    parallel = Rig([make_camera_looking_at(f"{x}", np.array([x, 0, 0]), np.array([x, 5, 0])) for x in (0.0, 0.3, 0.5)])
+    assert find_axes_intersection(parallel) is None
 
 
-def test_rig_in_figures() -> None:
+def test_rig_description() -> None:
     rows = describe_rig(ring(4, 0))
     assert [row.name for row in rows] == ["cam_0", "cam_1", "cam_2", "cam_3"]
     np.testing.assert_allclose(rows[0].angles, [0, 90, 180, 90], atol=1e-6)
@@ -676,14 +701,14 @@ def test_pictures_of_rigs(tmp_path: Path) -> None:
         picture = cv2.imread(str(tmp_path / f"{i}.png"))
         assert picture is not None
         assert 400 < min(picture.shape[:2]) <= max(picture.shape[:2]) < 2000
-    with pytest.raises(ValueError, match="centre must be three finite numbers"):
+    with pytest.raises(ValueError, match="center must be three finite numbers"):
         plot_rig(ring(3, 1), tmp_path / "a.png", [0, np.nan, 0])
     with pytest.raises(ValueError, match="radius must be a positive"):
         plot_rig(ring(3, 1), tmp_path / "a.png", None, -1.0)
 
 
 @pytest.mark.skipif(not TEMPLE.exists(), reason="../shared/data/temple is not there")
-def test_the_temples_rig_is_as_its_makers_say() -> None:
+def test_temple_rig_matches_its_documentation() -> None:
     """4 views 38 degrees apart, around a vertical axis that is the world's y."""
     tables = tomllib.loads((TEMPLE / "calibration.toml").read_text())
     cameras = [
@@ -701,4 +726,4 @@ def test_the_temples_rig_is_as_its_makers_say() -> None:
     rows = describe_rig(rig, [0.02775, 0.04181, -0.05467])
     assert [round(rows[i].angles[i + 1]) for i in range(3)] == [38, 38, 38]
     assert all(0.5 < row.distance < 0.6 and row.off_axis < 5 for row in rows)
-    assert abs(view_axes(rig)[2] @ [0, 1, 0]) > 0.99
+    assert abs(compute_view_axes(rig)[2] @ [0, 1, 0]) > 0.99

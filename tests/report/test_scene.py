@@ -1,4 +1,4 @@
-"""What is shown of a result in three dimensions."""
+"""3D scene of a result."""
 
 from __future__ import annotations
 
@@ -10,19 +10,21 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose import calibration
-from sylpose.app.run_metadata import USED
+from sylpose.app.run_metadata import USED_CALIBRATION
 from sylpose.app.scene import read_scene
 from sylpose.report.files import write_trajectory
-from sylpose.report.scene import FRUSTUM, GRID, Cloud, Scene, scene_of
+from sylpose.report.scene import FRUSTUM_DEPTH_RATIO, IMAGE_GRID, PointCloud, Scene, build_scene
 from sylpose.results import FramePose, FrameStatus, Trajectory
-from sylpose.rig import Rig, camera_at
+from sylpose.rig import Rig, make_look_at_camera
 
 CAMERAS = ("left", "right", "above")
 
 
 def rig(unit: str = "m") -> Rig:
     eyes = ((1.0, 0, 0), (0, 1.2, 0), (0, 0.1, 0.9))
-    return Rig([camera_at(n, eye, (0, 0, 0), 800, (640, 480)) for n, eye in zip(CAMERAS, eyes, strict=True)], unit)
+    return Rig(
+        [make_look_at_camera(n, eye, (0, 0, 0), 800, (640, 480)) for n, eye in zip(CAMERAS, eyes, strict=True)], unit
+    )
 
 
 def trajectory(n: int = 5, lost: tuple[int, ...] = ()) -> Trajectory:
@@ -36,32 +38,32 @@ def trajectory(n: int = 5, lost: tuple[int, ...] = ()) -> Trajectory:
     return Trajectory(frames, CAMERAS, "m")
 
 
-def test_cameras_and_poses_are_where_they_are() -> None:
+def test_scene_geometry() -> None:
     bent = [replace(camera, distortion=np.array([-0.2, 0.05, 0.001, 0, 0])) for camera in rig()]
     its = Rig(bent, "m")
-    scene = scene_of(trajectory(lost=(3,)), its)
+    scene = build_scene(trajectory(lost=(3,)), its)
     for c, camera in enumerate(its):
         assert np.allclose(scene.world_from_camera[c, :3, 3], camera.center)
-        # The frustum's end is where the image's pixels look, at one depth.
-        sheet = scene.sheets[c]
-        assert np.allclose(camera.project(sheet[0]), [[x, 0] for x in np.linspace(0, 639, GRID)], atol=0.05)
-        assert np.allclose(camera.project(sheet[:, -1]), [[639, y] for y in np.linspace(0, 479, GRID)], atol=0.05)
+        # The far plane is the back-projection of image points at one depth.
+        sheet = scene.image_planes[c]
+        assert np.allclose(camera.project(sheet[0]), [[x, 0] for x in np.linspace(0, 639, IMAGE_GRID)], atol=0.05)
+        assert np.allclose(camera.project(sheet[:, -1]), [[639, y] for y in np.linspace(0, 479, IMAGE_GRID)], atol=0.05)
         assert np.allclose(scene.corners[c], [sheet[0, 0], sheet[0, -1], sheet[-1, -1], sheet[-1, 0]])
         depth = (sheet - camera.center) @ camera.direction
-        assert np.allclose(depth, FRUSTUM * scene.reach)
+        assert np.allclose(depth, FRUSTUM_DEPTH_RATIO * scene.camera_distance)
     assert np.isnan(scene.world_from_object[3]).all()
     assert np.isfinite(np.delete(scene.world_from_object, 3, axis=0)).all()
     assert np.allclose(scene.world_from_object[2, :3, 3], [0.02, 0, 0])
     assert scene.status[3] == "lost"
     assert scene.reason == ("", "", "", "nothing was seen", "")
     assert scene.measured.tolist() == [True, True, True, False, True]
-    assert 0.9 < scene.reach < 1.2
+    assert 0.9 < scene.camera_distance < 1.2
     assert len(scene.points) == 0 < scene.axis_length
 
 
-def test_points_have_the_colour_of_the_camera_that_saw_them() -> None:
-    cloud = Cloud(np.eye(3), np.array([2, 0, 2]), 0.1)
-    scene = scene_of(trajectory(), rig(), cloud)
+def test_points_have_their_cameras_color() -> None:
+    cloud = PointCloud(np.eye(3), np.array([2, 0, 2]), 0.1)
+    scene = build_scene(trajectory(), rig(), cloud)
     assert scene.axis_length == 0.1
     assert np.array_equal(scene.point_colors, scene.colors[[2, 0, 2]])
     assert len({*map(tuple, scene.colors.tolist())}) == 3
@@ -70,20 +72,20 @@ def test_points_have_the_colour_of_the_camera_that_saw_them() -> None:
 @pytest.mark.parametrize("lost", [(), (0, 1, 2, 3, 4)])
 def test_a_result_folder_is_read_with_and_without_poses(tmp_path: Path, lost: tuple[int, ...]) -> None:
     write_trajectory(tmp_path, trajectory(lost=lost))
-    calibration.save(rig(), tmp_path / USED)
+    calibration.save(rig(), tmp_path / USED_CALIBRATION)
     scene = read_scene(tmp_path)
     assert isinstance(scene, Scene)
     assert scene.index.tolist() == [10, 11, 12, 13, 14]
     assert np.isfinite(scene.world_from_object).all() == (not lost)
-    # Without a pose, it is where the cameras look.
+    # Without a pose, the center is the point the cameras look at.
     assert np.linalg.norm(scene.center) < 0.03
     assert scene.covariance.shape == (5, 6, 6)
 
 
-def test_another_rig_is_refused(tmp_path: Path) -> None:
+def test_other_rig_is_rejected(tmp_path: Path) -> None:
     write_trajectory(tmp_path, trajectory())
-    calibration.save(rig().subset(CAMERAS[:2]), tmp_path / USED)
+    calibration.save(rig().subset(CAMERAS[:2]), tmp_path / USED_CALIBRATION)
     with pytest.raises(ValueError, match=r"it has the cameras left, right, the trajectory left, right, above"):
         read_scene(tmp_path)
     with pytest.raises(ValueError, match="trajectory: of the cameras"):
-        scene_of(trajectory(), rig().subset(CAMERAS[:2]))
+        build_scene(trajectory(), rig().subset(CAMERAS[:2]))

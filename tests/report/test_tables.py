@@ -1,4 +1,4 @@
-"""A trajectory as columns: those of trajectory.csv, not rounded."""
+"""Trajectory tables: the columns of trajectory.csv, not rounded."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.report.files import write_trajectory
-from sylpose.report.tables import columns_of
-from sylpose.results import FramePose, FrameStatus, Observable, Trajectory
+from sylpose.report.tables import build_columns
+from sylpose.results import FramePose, FrameStatus, Observability, Trajectory
 
 
 def trajectory() -> Trajectory:
-    """Turns by more than half a turn, so that a quaternion's sign changes; of one frame nothing is known."""
+    """Rotate by more than half a turn, so that a quaternion's sign changes; one frame has unbounded uncertainty."""
     rng, frames = np.random.default_rng(0), []
     for k in range(12):
         pose = RigidTransform.from_components(rng.normal(size=3), Rotation.from_rotvec([0.2, 0.7 * k, -0.1]))
@@ -33,24 +33,24 @@ def trajectory() -> Trajectory:
                 rng.integers(0, 99, 2),
                 np.array([0.3, np.nan]) + rng.random(),
                 matches=rng.integers(99, 200, 2),
-                doubt=np.array([1.25, np.inf]),
+                variance_inflation=np.array([1.25, np.inf]),
             )
         )
-    frames[3] = replace(frames[3], covariance=np.diag([np.inf] * 6), observable=Observable.NO_SCALE)
+    frames[3] = replace(frames[3], covariance=np.diag([np.inf] * 6), observability=Observability.NO_SCALE)
     frames[5] = replace(
         frames[5],
         status=FrameStatus.LOST,
         world_from_object=None,
-        reason="nobody, and nothing",
+        reason="no object, no match",
         faults=("a, b", "c"),
         matches=np.empty(0, np.int64),
-        doubt=np.empty(0),
+        variance_inflation=np.empty(0),
     )
     return Trajectory(frames, ["left", "right"], "m")
 
 
-def test_columns_are_those_of_the_file(tmp_path: Path) -> None:
-    found = columns_of(trajectory())
+def test_columns_match_the_file(tmp_path: Path) -> None:
+    found = build_columns(trajectory())
     _, path = write_trajectory(tmp_path, trajectory())
     with path.open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
@@ -62,30 +62,30 @@ def test_columns_are_those_of_the_file(tmp_path: Path) -> None:
             if isinstance(value, str) or cell == "inf":
                 assert str(value) == cell
             elif cell == "":
-                # Without a value, or a standard deviation that is unbounded.
+                # No value, or an unbounded standard deviation.
                 assert math.isnan(value) or (math.isinf(value) and name.endswith(("_sd", "_sd_deg")))
             else:
                 assert value == pytest.approx(float(cell), rel=1e-3 if name.startswith("variance_inflation") else 1e-5)
 
 
-def test_nothing_has_columns_too() -> None:
-    found = columns_of(Trajectory([], ["left"]))
+def test_empty_trajectory_has_columns() -> None:
+    found = build_columns(Trajectory([], ["left"]))
     assert {"index", "tx", "inliers_left", "reason"} <= set(found)
     assert not any(found.values())
 
 
-def test_a_dataframe_where_there_is_pandas() -> None:
+def test_dataframe() -> None:
     pandas = pytest.importorskip("pandas")
     found = trajectory().to_dataframe()
     assert isinstance(found, pandas.DataFrame)
-    assert list(found.columns) == list(columns_of(trajectory()))
+    assert list(found.columns) == list(build_columns(trajectory()))
     assert found["time"].iloc[2] == trajectory()[2].time
     assert found.loc[found["status"] == "tracked", "tx"].notna().all()
     assert found["tx"].isna().sum() == 1
     np.testing.assert_array_equal(found[["tx", "ty", "tz"]].to_numpy(), trajectory().positions)
 
 
-def test_without_pandas_it_is_said_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_pandas_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(ModuleNotFoundError, match=r"needs pandas: python3 -m pip install 'sylpose\[export\]'"):
         trajectory().to_dataframe()

@@ -1,4 +1,4 @@
-"""What surfaces may have done to rotations that ignore depth: covariances that hold, and directions that are not seen."""
+"""Depth bias: covariance of rotations estimated with depth ignored, and unobservable directions."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from sylpose.simulate import Body, arc, box, dome, ellipsoid, plane, random_moti
 from sylpose.sylvester import depth_bias
 from sylpose.sylvester.centralized import CentralizedSolution, solve_centralized
 from sylpose.sylvester.one_camera import solve_one_camera
-from sylpose.sylvester.orthographic import views_of
-from tests.scenes import around
+from sylpose.sylvester.orthographic import compute_views
+from tests.scenes import make_zigzag_rig
 
 
-class Judged(NamedTuple):
-    """A solution, its error in degrees, the squared error in units of its covariance, and of noise alone."""
+class EvaluatedSolution(NamedTuple):
+    """Solution with its error in degrees, and the squared error in units of its covariance and of noise alone."""
 
     solution: CentralizedSolution
     degrees: float
@@ -30,14 +30,16 @@ class Judged(NamedTuple):
     by_noise: float
 
 
-def judged(solution: CentralizedSolution, truth: FloatArray) -> Judged:
+def evaluate_solution(solution: CentralizedSolution, truth: FloatArray) -> EvaluatedSolution:
     w = Rotation.from_matrix(truth @ solution.rotation.T).as_rotvec()
     of_noise = w @ solution.noise_information @ w
-    return Judged(solution, float(np.degrees(np.linalg.norm(w))), float(w @ solution.information @ w), float(of_noise))
+    return EvaluatedSolution(
+        solution, float(np.degrees(np.linalg.norm(w))), float(w @ solution.information @ w), float(of_noise)
+    )
 
 
-def modelled(seed: int, lean: float, turn_deg: float = 8.0, n: int = 8) -> Judged:
-    """Orthographic cameras that see what is assumed: planes that lean by chance, in part by the body's shape."""
+def simulate_model(seed: int, lean: float, turn_deg: float = 8.0, n: int = 8) -> EvaluatedSolution:
+    """Simulate the model: orthographic cameras with random surface slopes, partly due to the body's shape."""
     rng = np.random.default_rng(seed)
     cameras, moments = np.asarray(Rotation.random(n, rng=rng).as_matrix()), []
     truth = random_motion(turn_deg, 0.0, rng).rotation.as_matrix()
@@ -45,40 +47,42 @@ def modelled(seed: int, lean: float, turn_deg: float = 8.0, n: int = 8) -> Judge
     for q in cameras:
         x = 0.05 * rng.standard_normal((60, 2))
         common = -q[:2] @ (shape + shape.T) @ q[2] / 2
-        slopes = lean * (depth_bias.OWN * rng.standard_normal(2) + depth_bias.SHAPE * common)
+        slopes = lean * (depth_bias.CAMERA_SHARE * rng.standard_normal(2) + depth_bias.BODY_SHARE * common)
         points = np.column_stack([x, x @ slopes + 0.01 * rng.standard_normal(60)])
         y = np.exp(depth_bias.LOG_SCALE * rng.standard_normal()) * (points @ (q @ truth @ q.T).T)[:, :2]
         moments.append(PairMoments.from_matches(*(p + 3e-4 * rng.standard_normal(p.shape) for p in (x, y))))
-    return judged(solve_centralized(cameras, moments, aim=False), truth)
+    return evaluate_solution(solve_centralized(cameras, moments, aim=False), truth)
 
 
-def seen(rig: Rig, body: Body, turn_deg: float, seeds: range) -> Iterator[Judged]:
-    """A body of any orientation that turns about any axis, through perspective lenses, with noise."""
+def simulate_body(rig: Rig, body: Body, turn_deg: float, seeds: range) -> Iterator[EvaluatedSolution]:
+    """Simulate a randomly oriented body that rotates about a random axis, in perspective with noise."""
     rotations = np.array([camera.rotation for camera in rig])
     for seed in seeds:
         rng = np.random.default_rng(seed)
         motion, start = random_motion(turn_deg, 0.02, rng), RigidTransform.from_rotation(Rotation.random(rng=rng))
         matches = simulate_matches(rig, body, motion, rng=rng, start=start).matches
         moments = [PairMoments.from_matches(m.x, m.y) for m in matches]
-        yield judged(solve_centralized(rotations, moments), motion.rotation.as_matrix())
+        yield evaluate_solution(solve_centralized(rotations, moments), motion.rotation.as_matrix())
 
 
 @pytest.mark.parametrize("lean", [0.25, 0.5, 1.0])
-def test_where_surfaces_lean_as_assumed_errors_are_what_the_covariance_says(lean: float) -> None:
-    """3 in the mean is right, 2.4 in the median: where slopes are 1, the bias is not linear in them. Noise alone would be
-    tens to hundreds of times too sure."""
-    found = [modelled(seed, lean) for seed in range(150)]
+def test_errors_match_the_covariance_for_assumed_slopes(lean: float) -> None:
+    """The expected mean is 3, the median 2.4; for slopes of 1 the bias is not linear.
+
+    The noise-only covariance would be tens to hundreds of times too small.
+    """
+    found = [simulate_model(seed, lean) for seed in range(150)]
     assert 1.4 < np.median([f.nees for f in found]) < 3.0
     assert 2.0 < np.mean([f.nees for f in found]) < 6.0
     assert np.mean([f.by_noise for f in found]) > 15.0
 
 
-def test_where_depth_is_uncorrelated_no_more_is_said_than_noise_and_chance_leave_open() -> None:
-    """The paper's model: the data tell that nothing leans."""
-    found = [modelled(seed, 0.0) for seed in range(150)]
+def test_covariance_for_uncorrelated_depth() -> None:
+    """The paper's model: the estimated slopes are zero."""
+    found = [simulate_model(seed, 0.0) for seed in range(150)]
     assert 0.3 < np.mean([f.nees for f in found]) < 3.5
-    said = [np.trace(f.solution.covariance) / np.trace(np.linalg.inv(f.solution.noise_information)) for f in found]
-    assert np.median(said) < 4.0
+    ratios = [np.trace(f.solution.covariance) / np.trace(np.linalg.inv(f.solution.noise_information)) for f in found]
+    assert np.median(ratios) < 4.0
     assert {f.solution.status for f in found} == {Status.OK}
 
 
@@ -94,8 +98,8 @@ QUICK = (("ellipsoid", 1.0), ("box", 5.0), ("board", 20.0))
         for turn in (1.0, 5.0, 20.0)
     ],
 )
-def test_errors_on_surfaces_are_what_the_covariance_says(body: str, turn: float) -> None:
-    found = list(seen(around(5), BODIES[body], turn, range(30)))
+def test_errors_match_the_covariance_on_surfaces(body: str, turn: float) -> None:
+    found = list(simulate_body(make_zigzag_rig(5), BODIES[body], turn, range(30)))
     assert 1.0 < np.mean([f.nees for f in found]) < 6.0
     assert max(f.nees for f in found) < 30.0
     if turn > 1.0:
@@ -103,44 +107,44 @@ def test_errors_on_surfaces_are_what_the_covariance_says(body: str, turn: float)
 
 
 @pytest.mark.parametrize("rig", [ring(4), ring(8), arc(4, 38.0), arc(2, 60.0)])
-def test_cameras_in_one_plane_never_pretend_to_see_the_turn_about_its_normal(rig: Rig) -> None:
-    """Their errors are as large as the turn itself, certified or not."""
+def test_coplanar_cameras_do_not_observe_rotation_about_the_normal(rig: Rig) -> None:
+    """Their errors are as large as the rotation itself, certified or not."""
     for body in BODIES.values():
-        found = list(seen(rig, body, 6.0, range(12)))
+        found = list(simulate_body(rig, body, 6.0, range(12)))
         assert max(f.degrees for f in found) > 3.0
         assert any(f.solution.certified for f in found) or len(rig) == 2
         for f in found:
-            assert f.solution.status is Status.TURN_NOT_OBSERVABLE or f.nees < 12.0
-        vertical = [np.abs(f.solution.unseen[:, 1]).max(initial=0.0) for f in found]
+            assert f.solution.status is Status.ROTATION_NOT_OBSERVABLE or f.nees < 12.0
+        vertical = [np.abs(f.solution.unobservable[:, 1]).max(initial=0.0) for f in found]
         assert np.median(vertical) > 0.9
 
 
-def test_good_rigs_see_all_of_the_turn() -> None:
-    for rig in (around(8), dome(6)):
-        found = list(seen(rig, BODIES["ellipsoid"], 5.0, range(20)))
+def test_good_rigs_observe_all_directions() -> None:
+    for rig in (make_zigzag_rig(8), dome(6)):
+        found = list(simulate_body(rig, BODIES["ellipsoid"], 5.0, range(20)))
         assert {f.solution.status for f in found} == {Status.OK}
-        # The covariance is not wide for the sake of it.
+        # The covariance is not too large either.
         sd = [np.degrees(np.sqrt(np.linalg.eigvalsh(f.solution.covariance)[-1])) for f in found]
         assert np.median(sd) < 1.2
 
 
-def test_two_cameras_never_say_that_all_is_seen() -> None:
-    """Of a board between two that look at each other an answer was 160 degrees off, and certified."""
-    found = [f for body in BODIES.values() for f in seen(ring(2), body, 6.0, range(20))]
-    assert {f.solution.status for f in found} == {Status.TURN_NOT_OBSERVABLE}
-    assert min(len(f.solution.unseen) for f in found) == 1
+def test_two_cameras_have_an_unobservable_direction() -> None:
+    """For a board between two opposite cameras, a certified rotation was wrong by 160 degrees."""
+    found = [f for body in BODIES.values() for f in simulate_body(ring(2), body, 6.0, range(20))]
+    assert {f.solution.status for f in found} == {Status.ROTATION_NOT_OBSERVABLE}
+    assert min(len(f.solution.unobservable) for f in found) == 1
     assert any(f.solution.certified for f in found)
 
 
-def test_one_camera_does_not_see_turns_out_of_its_image() -> None:
-    """Both of its answers may be far off."""
-    for f in seen(around(1), BODIES["ellipsoid"], 5.0, range(10)):
-        assert f.solution.status is Status.TURN_NOT_OBSERVABLE
-        assert len(f.solution.unseen) == 2
+def test_one_camera_does_not_observe_out_of_plane_rotation() -> None:
+    """Both of its solutions may be far from the truth."""
+    for f in simulate_body(make_zigzag_rig(1), BODIES["ellipsoid"], 5.0, range(10)):
+        assert f.solution.status is Status.ROTATION_NOT_OBSERVABLE
+        assert len(f.solution.unobservable) == 2
 
 
-def test_the_bias_is_linear_in_slopes_as_said() -> None:
-    """A naive twin: exact affine images with known small slopes, solved, against the derivative."""
+def test_bias_is_linear_in_the_slopes() -> None:
+    """Compare solutions of exact affine images with small known slopes to the derivative."""
     rng = np.random.default_rng(3)
     cameras = np.asarray(Rotation.random(4, rng=rng).as_matrix())
     truth = Rotation.from_rotvec([0.2, -0.1, 0.15]).as_matrix()
@@ -150,19 +154,19 @@ def test_the_bias_is_linear_in_slopes_as_said() -> None:
         seen_from = (q @ truth @ q.T)[:2]
         moments.append(PairMoments.from_matches(points, np.column_stack([points, points @ a]) @ seen_from.T))
     found = solve_centralized(cameras, moments, aim=False).rotation
-    views = views_of(cameras, moments, aim=False)
-    maps = depth_bias._maps(views, truth)
+    views = compute_views(cameras, moments, aim=False)
+    maps = depth_bias._compute_maps(views, truth)
     of_axes = np.einsum("cji,cj->ci", np.linalg.eigh(views.s_xx)[1], slopes)
-    moved = np.zeros((4, 4))  # both sides in the same units
+    moved = np.zeros((4, 4))  # both in the same units
     moved[:, :2] = maps.by_slopes * of_axes
-    B = np.einsum("cik,cil->kl", maps.by_turn, maps.by_turn)
-    expected = np.linalg.solve(B, np.einsum("cik,ci->k", maps.by_turn, moved))
+    B = np.einsum("cik,cil->kl", maps.by_rotation, maps.by_rotation)
+    expected = np.linalg.solve(B, np.einsum("cik,ci->k", maps.by_rotation, moved))
     w = Rotation.from_matrix(found @ truth.T).as_rotvec()
     np.testing.assert_allclose(w, expected, atol=0.01 * float(np.linalg.norm(expected)))
     assert np.linalg.norm(expected) > 1e-6
 
 
-def test_it_turns_with_the_world_and_is_the_same_for_both_of_one_cameras_answers() -> None:
+def test_equivariant_and_equal_for_mirrored_solutions() -> None:
     rng = np.random.default_rng(5)
     q, new = (np.asarray(Rotation.random(rng=rng).as_matrix()) for _ in range(2))
     x = 0.05 * rng.standard_normal((30, 2))

@@ -1,4 +1,4 @@
-"""Points known in 3D: agreement with SVD, quaternions and a general minimiser, degenerate sets, certificates, refusals."""
+"""Points known in 3D: agreement with SVD, quaternions and a general minimizer, degenerate sets, certificates, bad input."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sylpose.results import Status
 from sylpose.sylvester import so3
 from sylpose.sylvester.equation import solve_generalized_sylvester, solve_sylvester
 from sylpose.sylvester.known_depth import KnownDepthSolution, solve_2d3d, solve_3d3d
-from tests.scenes import angle
+from tests.scenes import compute_angle
 
 seeds = st.integers(0, 2**32 - 1)
 quick = settings(max_examples=25, deadline=None)
@@ -29,13 +29,13 @@ def random_rotation(rng: np.random.Generator) -> FloatArray:
 
 
 def kabsch(x: FloatArray, y: FloatArray, w: FloatArray) -> FloatArray:
-    """SciPy's, by singular values, about the weighted means."""
+    """Solve by SciPy's singular value method, about the weighted means."""
     found, _ = Rotation.align_vectors(y - w @ y / w.sum(), x - w @ x / w.sum(), weights=w)
     return np.asarray(found.as_matrix())
 
 
 def horn(x: FloatArray, y: FloatArray, w: FloatArray) -> FloatArray:
-    """By the largest eigenvector of a 4x4 matrix over quaternions (Horn, 1987): always a rotation."""
+    """Solve by the largest eigenvector of a 4x4 quaternion matrix (Horn, 1987): always a rotation."""
     C = (w[:, None] * (y - w @ y / w.sum())).T @ (x - w @ x / w.sum())
     skew = np.array([C[2, 1] - C[1, 2], C[0, 2] - C[2, 0], C[1, 0] - C[0, 1]])
     Q = np.block([[np.trace(C).reshape(1, 1), skew[None]], [skew[:, None], C + C.T - np.trace(C) * np.eye(3)]])
@@ -57,18 +57,18 @@ def scale_3d(x: FloatArray, w: FloatArray) -> float:
 @given(seeds, st.integers(3, 20), st.sampled_from([0.0, 0.1, 3.0]), st.sampled_from([1.0, -1.0]))
 @quick
 def test_3d3d_equals_svd_and_quaternions(seed: int, n: int, noise: float, handedness: float) -> None:
-    """Random sets, weighted, with little and nothing but noise; mirrored ones, whose best orthogonal matrix is none."""
+    """Random weighted sets with little noise or pure noise, and mirrored ones (best orthogonal matrix a reflection)."""
     rng = np.random.default_rng(seed)
     x, w, turn = rng.normal(size=(n, 3)) * [2, 1, 0.5] + 3, rng.uniform(0.1, 2, size=n), random_rotation(rng)
     y = (x * [1, 1, handedness]) @ turn.T - 1 + noise * rng.normal(size=x.shape)
     solution = solve_3d3d(x, y, w)
-    assert angle(solution.rotation, kabsch(x, y, w)) < 1e-9
-    assert angle(solution.rotation, horn(x, y, w)) < 1e-9
+    assert compute_angle(solution.rotation, kabsch(x, y, w)) < 1e-9
+    assert compute_angle(solution.rotation, horn(x, y, w)) < 1e-9
     assert np.linalg.det(solution.rotation) == pytest.approx(1, abs=1e-12)
     assert solution.costs[0] == pytest.approx(half_squares(x, y, w, solution.rotation) / scale_3d(x, w), abs=1e-12)
     assert solution.certified
     if noise == 0 and handedness == 1:
-        assert angle(solution.rotation, turn) < 1e-9
+        assert compute_angle(solution.rotation, turn) < 1e-9
         np.testing.assert_allclose(solution.translation, -1 * np.ones(3), atol=1e-12)
 
 
@@ -81,55 +81,55 @@ def test_3d3d_of_flat_sets_equals_svd_and_quaternions(seed: int, n: int, noise: 
     turn = Rotation.from_rotvec(turn_angle * random_rotation(rng)[0]).as_matrix()
     y = (x + noise * rng.normal(size=(n, 2)) @ plane) @ turn.T + 1  # flat in both frames
     solution = solve_3d3d(x, y, w)
-    assert angle(solution.rotation, kabsch(x, y, w)) < 1e-9
-    assert angle(solution.rotation, horn(x, y, w)) < 1e-9
+    assert compute_angle(solution.rotation, kabsch(x, y, w)) < 1e-9
+    assert compute_angle(solution.rotation, horn(x, y, w)) < 1e-9
     if noise == 0:
-        assert angle(solution.rotation, turn) < 1e-9
+        assert compute_angle(solution.rotation, turn) < 1e-9
 
 
 @given(seeds, st.integers(2, 12), st.floats(0, np.pi))
 @quick
-def test_3d3d_of_collinear_sets_is_the_least_turn_of_those_as_good(seed: int, n: int, turn_angle: float) -> None:
-    """What is seen equals SVD: the cost and where the line goes. The turn about the line is free in both."""
+def test_3d3d_of_collinear_sets_is_the_smallest_rotation(seed: int, n: int, turn_angle: float) -> None:
+    """Cost and direction of the line equal those of SVD; the rotation about the line is free in both."""
     rng = np.random.default_rng(seed)
     line, w = random_rotation(rng)[0], rng.uniform(0.1, 2, size=n)
     turn = Rotation.from_rotvec(turn_angle * random_rotation(rng)[0]).as_matrix()
     x = np.linspace(-1, 2, n)[:, None] * line + rng.normal(size=3)
     y = x @ turn.T + rng.normal(size=3)
     solution = solve_3d3d(x, y, w)
-    assert solution.status is Status.TURN_NOT_OBSERVABLE
+    assert solution.status is Status.ROTATION_NOT_OBSERVABLE
     after = turn @ line
     np.testing.assert_allclose(solution.rotation @ line, after, atol=1e-9)
-    with warnings.catch_warnings(action="ignore", category=UserWarning):  # "not uniquely defined", as a rule
+    with warnings.catch_warnings(action="ignore", category=UserWarning):  # SciPy warns "not uniquely defined"
         scipys = kabsch(x, y, w)
     np.testing.assert_allclose(solution.rotation @ line, scipys @ line, atol=1e-9)
     assert solution.costs[0] * scale_3d(x, w) == pytest.approx(half_squares(x, y, w, scipys), abs=1e-12)
     between = 2 * np.arctan2(np.linalg.norm(after - line), np.linalg.norm(after + line))
-    assert angle(solution.rotation, np.eye(3)) == pytest.approx(between, abs=1e-7)
-    assert solution.unseen.shape == (1, 3)
-    assert abs(solution.unseen[0] @ after) == pytest.approx(1, abs=1e-9)
+    assert compute_angle(solution.rotation, np.eye(3)) == pytest.approx(between, abs=1e-7)
+    assert solution.unobservable.shape == (1, 3)
+    assert abs(solution.unobservable[0] @ after) == pytest.approx(1, abs=1e-9)
     np.testing.assert_allclose(solution.rotation @ x[0] + solution.translation, y[0], atol=1e-9)
 
 
-def test_3d3d_of_a_line_that_turns_round_is_half_a_turn() -> None:
+def test_3d3d_of_a_reversed_line_is_a_half_turn() -> None:
     x = np.outer([-1.0, 0.5, 2], [0.6, 0, 0.8])
     solution = solve_3d3d(x, -x)
     np.testing.assert_allclose(solution.rotation @ x.T, -x.T, atol=1e-12)
     assert np.linalg.det(solution.rotation) == pytest.approx(1)
-    assert angle(solution.rotation, np.eye(3)) == pytest.approx(np.pi)
+    assert compute_angle(solution.rotation, np.eye(3)) == pytest.approx(np.pi)
 
 
-def test_3d3d_of_points_that_fall_together_tells_the_displacement_only() -> None:
+def test_3d3d_of_coincident_points_gives_translation_only() -> None:
     x = np.tile([1.0, 2, 3], (4, 1))
     solution = solve_3d3d(x, x + 0.5)
-    assert solution.status is Status.TURN_NOT_OBSERVABLE
+    assert solution.status is Status.ROTATION_NOT_OBSERVABLE
     assert np.isnan(solution.rotation).all()
-    assert len(solution.unseen) == 3
-    np.testing.assert_allclose(solution.displacement, 0.5)
-    # Together in the second frame only: no turn is better than another.
+    assert len(solution.unobservable) == 3
+    np.testing.assert_allclose(solution.center_translation, 0.5)
+    # Coincident in the second frame only: all rotations are equivalent.
     solution = solve_3d3d(x + np.eye(4)[:, :3], x)
-    assert solution.status is Status.TURN_NOT_OBSERVABLE
-    assert len(solution.unseen) == 3
+    assert solution.status is Status.ROTATION_NOT_OBSERVABLE
+    assert len(solution.unobservable) == 3
 
 
 @given(seeds, st.sampled_from([0.1, 1.0]), st.sampled_from([1.0, -1.0]))
@@ -143,23 +143,23 @@ def test_3d3d_solves_sylvesters_equation(seed: int, noise: float, handedness: fl
     S, C, L, R = dx.T @ dx / scale, dy.T @ dx / scale, solution.multiplier, solution.rotation
     np.testing.assert_allclose(R @ S + L @ R, C, atol=1e-10)
     np.testing.assert_allclose(L, L.T, atol=1e-10)
-    # As A N + N B = C it has one solution unless eigenvalues of L and -S collide.
+    # As A N + N B = C it has a unique solution unless eigenvalues of L and -S collide.
     assert np.abs(np.add.outer(np.linalg.eigvalsh(L), np.linalg.eigvalsh(S))).min() > 1e-9
     np.testing.assert_allclose(solve_sylvester(L, S, C), R, atol=1e-4)
 
 
 @given(seeds)
 @quick
-def test_3d3d_swapped_frames_give_the_inverse_and_worlds_turn_with_it(seed: int) -> None:
+def test_3d3d_inverse_and_equivariance(seed: int) -> None:
     rng = np.random.default_rng(seed)
     x, w = rng.normal(size=(9, 3)), rng.integers(1, 4, size=9)
     y = x @ random_rotation(rng).T + 0.3 * rng.normal(size=x.shape)
     solution = solve_3d3d(x, y, w)
-    assert angle(solve_3d3d(y, x, w).rotation, solution.rotation.T) < 1e-9
+    assert compute_angle(solve_3d3d(y, x, w).rotation, solution.rotation.T) < 1e-9
     new, shift = random_rotation(rng), rng.normal(size=3)
     turned = solve_3d3d(x @ new.T + shift, y @ new.T + shift, w)
     np.testing.assert_allclose(turned.rotation, new @ solution.rotation @ new.T, atol=1e-10)
-    np.testing.assert_allclose(turned.displacement, new @ solution.displacement, atol=1e-10)
+    np.testing.assert_allclose(turned.center_translation, new @ solution.center_translation, atol=1e-10)
     np.testing.assert_allclose(turned.information, new @ solution.information @ new.T, atol=1e-8 * w.sum())
     repeated = solve_3d3d(np.repeat(x, w, axis=0), np.repeat(y, w, axis=0))
     np.testing.assert_allclose(repeated.rotation, solution.rotation, atol=1e-10)
@@ -170,7 +170,7 @@ def test_3d3d_swapped_frames_give_the_inverse_and_worlds_turn_with_it(seed: int)
 
 
 class Scene:
-    """One rigid object of which each camera sees points of its own, known in frame i, imaged in frame j."""
+    """Rigid object; each camera observes its own points, known in frame i, imaged in frame j."""
 
     def __init__(self, seed: int, cameras: int, noise: float = 0.0, shape: tuple[float, float, float] = (1, 0.8, 0.6)):
         rng = np.random.default_rng(seed)
@@ -190,7 +190,7 @@ class Scene:
         return solve_2d3d(self.rotations, self.points, self.images, centers=self.centers, weights=w)
 
     def residuals(self, R: FloatArray) -> FloatArray:
-        """Of the images about their means, per camera."""
+        """Return the residuals of the images about their means, per camera."""
         out = [
             (y - y.mean(axis=0)) - (x - x.mean(axis=0)) @ (q[:2] @ R).T
             for x, y, q in zip(self.points, self.images, self.rotations, strict=True)
@@ -205,28 +205,30 @@ class Scene:
 @given(seeds, st.integers(1, 4))
 @quick
 def test_2d3d_is_exact_and_certified_without_noise(seed: int, cameras: int) -> None:
-    """One camera is enough if the points are not flat: the depths tell which of the mirrored turns it is."""
+    """One camera is sufficient if the points are not flat: depth resolves the mirror ambiguity."""
     scene = Scene(seed, cameras)
     solution = scene.solve(weights=True)
     assert solution.certified
     assert solution.status is Status.OK
-    assert angle(solution.rotation, scene.turn) < 1e-7
+    assert compute_angle(solution.rotation, scene.turn) < 1e-7
     assert len(solution.candidates) == 1
     moved = scene.turn @ solution.center + scene.shift - solution.center
     if cameras > 1:
-        cond = np.linalg.cond(solution.displacement_information)
-        np.testing.assert_allclose(solution.displacement, moved, atol=1e-7 * cond)
+        cond = np.linalg.cond(solution.center_translation_information)
+        np.testing.assert_allclose(solution.center_translation, moved, atol=1e-7 * cond)
         return
     axis = scene.rotations[0, 2]
-    np.testing.assert_allclose(solution.displacement, moved - axis * (axis @ moved), atol=1e-6)
+    np.testing.assert_allclose(solution.center_translation, moved - axis * (axis @ moved), atol=1e-6)
     np.testing.assert_allclose(
-        solution.displacement_information @ axis, 0, atol=1e-9 * np.abs(solution.displacement_information).max()
+        solution.center_translation_information @ axis,
+        0,
+        atol=1e-9 * np.abs(solution.center_translation_information).max(),
     )
 
 
 @given(seeds, st.integers(1, 3), st.sampled_from([0.05, 1.0]))
 @settings(max_examples=8, deadline=None)
-def test_2d3d_equals_a_general_minimiser_from_many_starts(seed: int, cameras: int, noise: float) -> None:
+def test_2d3d_equals_a_general_minimizer_from_many_starts(seed: int, cameras: int, noise: float) -> None:
     scene = Scene(seed, cameras, noise)
 
     def run(start: FloatArray) -> tuple[float, FloatArray]:
@@ -242,12 +244,12 @@ def test_2d3d_equals_a_general_minimiser_from_many_starts(seed: int, cameras: in
     cost, rotation = min((run(s) for s in Rotation.create_group("T").as_matrix()), key=lambda found: found[0])
     solution = scene.solve()
     assert solution.costs[0] * scene.scale == pytest.approx(cost, rel=1e-9)
-    assert angle(solution.rotation, rotation) < 1e-5
+    assert compute_angle(solution.rotation, rotation) < 1e-5
 
 
 @given(seeds, st.integers(1, 3), st.sampled_from([0.1, 1.0]))
 @quick
-def test_2d3d_no_rotation_is_better_and_the_certificate_holds(seed: int, cameras: int, noise: float) -> None:
+def test_2d3d_certificate_against_random_rotations(seed: int, cameras: int, noise: float) -> None:
     scene = Scene(seed, cameras, noise)
     solution = scene.solve()
     others = Rotation.random(200, rng=np.random.default_rng(seed)).as_matrix()
@@ -263,7 +265,7 @@ def test_2d3d_no_rotation_is_better_and_the_certificate_holds(seed: int, cameras
         np.testing.assert_allclose(gaps, 0.5 * np.einsum("ni,ij,nj->n", apart, K, apart), atol=1e-9)
 
 
-def test_2d3d_is_certified_as_a_rule_from_one_camera_on() -> None:
+def test_2d3d_is_usually_certified() -> None:
     for cameras in (1, 2, 3):
         certified = [Scene(seed, cameras, 0.05).solve().certified for seed in range(20)]
         assert np.mean(certified) >= 0.95
@@ -271,7 +273,7 @@ def test_2d3d_is_certified_as_a_rule_from_one_camera_on() -> None:
 
 @given(seeds)
 @quick
-def test_2d3d_solves_the_generalised_equation(seed: int) -> None:
+def test_2d3d_solves_the_generalized_equation(seed: int) -> None:
     scene = Scene(seed, 3, 0.1)
     solution = scene.solve()
     A = [q.T @ P.T @ P @ q for q in scene.rotations]
@@ -287,26 +289,28 @@ def test_2d3d_solves_the_generalised_equation(seed: int) -> None:
 @given(seeds)
 @quick
 def test_2d3d_of_flat_points_in_one_camera_has_a_mirrored_solution(seed: int) -> None:
-    """The mirror of the turn, through the image, of the mirror through the plane."""
+    """The second solution is the mirror image through the image plane of the mirror image through the object's plane."""
     scene = Scene(seed, 1, 0.0, (1, 0.8, 0))
     solution = scene.solve()
     normal = np.linalg.svd(scene.points[0] - scene.points[0].mean(axis=0))[2][2]
     axis = scene.rotations[0, 2]
     mirrored = (np.eye(3) - 2 * np.outer(axis, axis)) @ scene.turn @ (np.eye(3) - 2 * np.outer(normal, normal))
     for expected in (scene.turn, mirrored):
-        assert min(angle(c, expected) for c in solution.candidates) < 1e-3  # where they merge, half of the digits
-    if angle(scene.turn, mirrored) > 0.2:
+        assert (
+            min(compute_angle(c, expected) for c in solution.candidates) < 1e-3
+        )  # where both coincide, half of the digits
+    if compute_angle(scene.turn, mirrored) > 0.2:
         assert not solution.certified
         assert solution.status is not Status.OK
         np.testing.assert_allclose(solution.costs[:2], 0, atol=1e-9)
-        # A second camera decides.
+        # A second camera resolves the ambiguity.
         both = Scene(seed, 2, 0.0, (1, 0.8, 0)).solve()
         assert both.costs[0] < 1e-9
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.02])
 def test_2d3d_of_a_plane_is_certified_from_three_cameras(noise: float) -> None:
-    """Its normal is in no image: two columns of the rotation are what is seen, the third follows."""
+    """The normal is not in any image: two columns of the rotation are observed, the third follows."""
     certified = 0
     for seed in range(20):
         rng = np.random.default_rng(seed)
@@ -321,8 +325,8 @@ def test_2d3d_of_a_plane_is_certified_from_three_cameras(noise: float) -> None:
         if solution.certified:
             assert solution.status is Status.OK
             assert len(solution.costs) == 1
-            assert angle(solution.rotation, turn) < (0.1 if noise else 1e-6)
-            # No rotation is better.
+            assert compute_angle(solution.rotation, turn) < (0.1 if noise else 1e-6)
+            # No rotation has a lower cost.
             others = np.asarray(Rotation.random(500, rng=rng).as_matrix())
             squares = np.zeros(501)
             for p, q, y in zip(points, rotations, images, strict=True):
@@ -333,20 +337,20 @@ def test_2d3d_of_a_plane_is_certified_from_three_cameras(noise: float) -> None:
 
 
 @pytest.mark.parametrize("offset", [0.0, 1e7])
-def test_far_from_the_origin_points_are_still_spread(offset: float) -> None:
+def test_points_far_from_the_origin_have_spread(offset: float) -> None:
     """As in map coordinates."""
     rng = np.random.default_rng(3)
     x, turn = rng.normal(size=(12, 3)), random_rotation(rng)
     there = offset * np.array([1.0, -0.5, 0.3])
     solution = solve_3d3d(x + there, x @ turn.T + 2 * there)
     assert solution.status is Status.OK
-    assert angle(solution.rotation, turn) < 1e-7
+    assert compute_angle(solution.rotation, turn) < 1e-7
     rotations = np.array([random_rotation(rng) for _ in range(3)])
     images = [(x @ turn.T + 2 * there) @ q[:2].T for q in rotations]
     solution = solve_2d3d(rotations, [x + there] * 3, images)
     assert solution.status is Status.OK
-    assert angle(solution.rotation, turn) < 1e-7
-    # Points that fall together there are not.
+    assert compute_angle(solution.rotation, turn) < 1e-7
+    # Coincident points there have no spread.
     point = np.tile(there + rng.normal(size=3), (12, 1))
     assert np.isnan(solve_3d3d(point, x).rotation).all()
     assert np.isnan(solve_2d3d(rotations, [point] * 3, images).rotation).all()
@@ -358,13 +362,13 @@ def test_weights_of_any_size_give_the_same_rotation(weight: float) -> None:
     x, turn = rng.normal(size=(12, 3)), random_rotation(rng)
     y = x @ turn.T + [1.0, 2, 3]
     solution = solve_3d3d(x, y, np.full(12, weight))
-    assert angle(solution.rotation, turn) < 1e-7
-    np.testing.assert_allclose(solution.displacement, (y - x).mean(axis=0))
-    # As many points as the weights are together: next to none see nothing.
-    assert solution.status is (Status.OK if weight > 1e-6 else Status.TURN_NOT_OBSERVABLE)
+    assert compute_angle(solution.rotation, turn) < 1e-7
+    np.testing.assert_allclose(solution.center_translation, (y - x).mean(axis=0))
+    # The sum of the weights counts as the number of points: tiny weights leave nothing observable.
+    assert solution.status is (Status.OK if weight > 1e-6 else Status.ROTATION_NOT_OBSERVABLE)
 
 
-def test_weights_beyond_the_range_of_numbers_are_refused() -> None:
+def test_too_large_weights_raise() -> None:
     x, y = np.random.default_rng(0).normal(size=(2, 12, 3))
     with pytest.raises(ValueError, match="there are no points"):
         solve_3d3d(x, y, np.full(12, 1e-310))
@@ -374,17 +378,17 @@ def test_weights_beyond_the_range_of_numbers_are_refused() -> None:
         solve_2d3d(np.eye(3)[None], [x], [y[:, :2]], weights=[np.full(12, 1e300)])
 
 
-def test_2d3d_of_a_line_leaves_the_turn_about_it_open() -> None:
+def test_2d3d_of_a_line_does_not_observe_rotation_about_it() -> None:
     scene = Scene(0, 3, 0.0, (1, 0, 0))
     points = [
         x - scene.points[0][0] for x in scene.points
-    ]  # one line through all: the cameras' sets share its direction
+    ]  # one line through all points: the cameras' sets share its direction
     solution = solve_2d3d(scene.rotations, points, scene.images)
-    assert solution.status is Status.TURN_NOT_OBSERVABLE
+    assert solution.status is Status.ROTATION_NOT_OBSERVABLE
     line = points[0][1] / np.linalg.norm(points[0][1])
     after = scene.turn @ line
     np.testing.assert_allclose(solution.rotation @ line, after, atol=1e-6)
-    assert abs(solution.unseen[0] @ after) == pytest.approx(1, abs=1e-6)
+    assert abs(solution.unobservable[0] @ after) == pytest.approx(1, abs=1e-6)
 
 
 @given(seeds)
@@ -400,12 +404,12 @@ def test_2d3d_symmetries(seed: int) -> None:
         centers=scene.centers @ new.T + shift,
         weights=scene.weights,
     )
-    assert angle(turned.rotation, new @ reference.rotation @ new.T) < 1e-7
-    np.testing.assert_allclose(turned.displacement, new @ reference.displacement, atol=1e-6)
+    assert compute_angle(turned.rotation, new @ reference.rotation @ new.T) < 1e-7
+    np.testing.assert_allclose(turned.center_translation, new @ reference.center_translation, atol=1e-6)
     np.testing.assert_allclose(
         turned.information, new @ reference.information @ new.T, atol=1e-6 * reference.information.max()
     )
-    # Another order, a silent camera, and every point twice with half of the weight.
+    # Other order, a camera without points, and every point twice with half of the weight.
     order = [2, 0, 1]
     same = solve_2d3d(
         [*scene.rotations[order], np.eye(3)],
@@ -414,15 +418,15 @@ def test_2d3d_symmetries(seed: int) -> None:
         centers=[*scene.centers[order], np.zeros(3)],
         weights=[*(np.repeat(scene.weights[c], 2) / 2 for c in order), np.empty(0)],
     )
-    assert angle(same.rotation, reference.rotation) < 1e-7
-    np.testing.assert_allclose(same.displacement, reference.displacement, atol=1e-7)
+    assert compute_angle(same.rotation, reference.rotation) < 1e-7
+    np.testing.assert_allclose(same.center_translation, reference.center_translation, atol=1e-7)
     np.testing.assert_allclose(same.information, reference.information, rtol=1e-5, atol=1e-5)
-    # A shift of all images by a camera's own amount changes the displacement alone.
+    # A translation of all images of a camera changes the object's translation only.
     moved = solve_2d3d(scene.rotations, scene.points, [y + 1 for y in scene.images], weights=scene.weights)
-    assert angle(moved.rotation, reference.rotation) < 1e-7
+    assert compute_angle(moved.rotation, reference.rotation) < 1e-7
 
 
-# --- Uncertainty, refusals --------------------------------------------------------------------------------------------
+# --- Uncertainty, bad input -------------------------------------------------------------------------------------------
 
 
 @given(seeds)
@@ -453,7 +457,7 @@ def test_information_against_finite_differences(seed: int) -> None:
 
 @pytest.mark.parametrize("cameras", [0, 1, 3])
 def test_information_agrees_with_sampling(cameras: int) -> None:
-    """Normalised errors, squared, average the unknowns' number. 0 cameras: 3D-3D."""
+    """Normalized squared errors average the number of unknowns. 0 cameras: 3D-3D."""
     turns, shifts = [], []
     for seed in range(300):
         if cameras:
@@ -464,15 +468,15 @@ def test_information_agrees_with_sampling(cameras: int) -> None:
             x, turn, shift = rng.normal(size=(12, 3)), random_rotation(rng), rng.normal(size=3)
             solution = solve_3d3d(x, x @ turn.T + shift + 0.02 * rng.normal(size=x.shape))
         w = Rotation.from_matrix(turn @ solution.rotation.T).as_rotvec()
-        d = turn @ solution.center + shift - solution.center - solution.displacement
+        d = turn @ solution.center + shift - solution.center - solution.center_translation
         turns.append(w @ solution.information @ w)
-        shifts.append(d @ solution.displacement_information @ d)
-    # The variance is the mean square about the fit, too small by its degrees of freedom.
+        shifts.append(d @ solution.center_translation_information @ d)
+    # The variance is the mean square about the fit, too small by the degrees of freedom.
     assert 2.4 < np.mean(turns) < 4.5
     assert 1.2 < np.mean(shifts) < 4.5
 
 
-def test_bad_input_is_refused() -> None:
+def test_invalid_input_raises() -> None:
     x = np.random.default_rng(0).normal(size=(5, 3))
     for bad, message in (
         ((x[:, :2], x), r"x must be \(n, 3\), got shape \(5, 2\)"),
@@ -503,11 +507,11 @@ def test_bad_input_is_refused() -> None:
     with pytest.raises(ValueError, match="no camera has points"):
         solve_2d3d(q, [x[:0]], [y[:0]])
     together = solve_2d3d(q, [np.ones((4, 3))], [np.zeros((4, 2))])
-    assert together.status is Status.TURN_NOT_OBSERVABLE
+    assert together.status is Status.ROTATION_NOT_OBSERVABLE
     assert np.isnan(together.rotation).all()
 
 
-def test_3d3d_equals_the_minimiser_that_all_cameras_share() -> None:
+def test_3d3d_equals_the_general_so3_minimizer() -> None:
     rng = np.random.default_rng(1)
     x = rng.normal(size=(10, 3))
     y = x @ random_rotation(rng).T + 0.2 * rng.normal(size=x.shape)
@@ -517,5 +521,7 @@ def test_3d3d_equals_the_minimiser_that_all_cameras_share() -> None:
     candidates, certified, _ = so3.minimize(H / scale, h / scale)
     assert certified
     solution = solve_3d3d(x, y)
-    assert angle(solution.rotation, candidates[0]) < 1e-8
-    np.testing.assert_allclose(solution.multiplier, so3.multiplier_of(H / scale, h / scale, candidates[0]), atol=1e-8)
+    assert compute_angle(solution.rotation, candidates[0]) < 1e-8
+    np.testing.assert_allclose(
+        solution.multiplier, so3.compute_multiplier(H / scale, h / scale, candidates[0]), atol=1e-8
+    )

@@ -1,4 +1,4 @@
-"""What several files of these tests track."""
+"""Fixtures shared by the tracking tests."""
 
 from __future__ import annotations
 
@@ -9,5 +9,5 @@ from tests.clips import Clip, turning_clip
 
 @pytest.fixture(scope="module")
 def clip() -> Clip:
-    """`turning_clip`, where a file has none of its own."""
+    """Return `turning_clip`, for files without a clip fixture."""
     return turning_clip()

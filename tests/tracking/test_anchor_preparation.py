@@ -1,4 +1,4 @@
-"""What is prepared beside the frames: the next anchor, and frames that are refined together."""
+"""Background work: preparation of the next anchor, and joint refinement of frames."""
 
 from __future__ import annotations
 
@@ -11,76 +11,80 @@ import numpy as np
 import pytest
 
 from sylpose.frames import FrameSet
-from sylpose.geometry.future import Later
-from sylpose.tracking.anchor_preparation import LATER
-from sylpose.tracking.joint_state import Joint
+from sylpose.geometry.future import BackgroundResult
+from sylpose.tracking.anchor_preparation import JOIN_DELAY
+from sylpose.tracking.joint_state import JointState
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import Tracker
-from sylpose.tracking.window import LATER as REFINED_LATER
-from tests.clips import Clip, errors, frame_sets, moving_scene, turned
-from tests.stored import go_on, stored
+from sylpose.tracking.window import RESULT_DELAY as REFINED_LATER
+from tests.clips import Clip, compute_pose_errors, frame_sets, make_rotated_pose, moving_scene
+from tests.stored import dump_state, restore_state
 
 FRAMES = 66
 
 
 @pytest.fixture(scope="module")
 def clip() -> Clip:
-    """A turn by 1.1 degrees per frame: two anchors are outlived."""
-    return Clip.render(moving_scene(lambda k: turned(1.1 * k, np.array([2e-3, 0.0, 1e-3]) * k), FRAMES, n_cameras=3))
+    """Rotation by 1.1 degrees per frame: two anchors are replaced."""
+    return Clip.render(
+        moving_scene(lambda k: make_rotated_pose(1.1 * k, np.array([2e-3, 0.0, 1e-3]) * k), FRAMES, n_cameras=3)
+    )
 
 
-def states(tracker: Tracker, frames: Sequence[FrameSet]) -> tuple[list[TrackedFrame], list[Joint]]:
-    """The frames tracked, and what was known after each."""
+def track_states(tracker: Tracker, frames: Sequence[FrameSet]) -> tuple[list[TrackedFrame], list[JointState]]:
+    """Track the frames and return the state after each."""
     decided, known = [], []
     for frame in frames:
         decided += tracker.step(frame)
-        known.append(tracker.remembered().joint)
+        known.append(tracker.copy_snapshot().state)
     return decided, known
 
 
 @pytest.fixture(scope="module")
-def tracked(clip: Clip) -> tuple[list[TrackedFrame], list[Joint]]:
+def tracked_and_states(clip: Clip) -> tuple[list[TrackedFrame], list[JointState]]:
     with Tracker(clip.rig, clip.boxes) as tracker:
-        return states(tracker, clip.frames())
+        return track_states(tracker, clip.frames())
 
 
-def test_the_next_anchor_joins_a_fixed_number_of_frames_later(tracked: tuple[list[TrackedFrame], list[Joint]]) -> None:
-    joints, joined = tracked[1], 0
+def test_next_anchor_joins_after_fixed_delay(tracked_and_states: tuple[list[TrackedFrame], list[JointState]]) -> None:
+    joints, joined = tracked_and_states[1], 0
     for before, after in pairwise(joints):
-        if before.renewal is not None and after.renewal != before.renewal:
+        if before.next_anchor_number is not None and after.next_anchor_number != before.next_anchor_number:
             assert after.anchor is not None
-            assert after.anchor.frame.number == before.renewal
-            assert after.base.number == before.renewal + LATER
-            assert after.anchor.age == LATER
+            assert after.anchor.frame.number == before.next_anchor_number
+            assert after.last_frame.number == before.next_anchor_number + JOIN_DELAY
+            assert after.anchor.age == JOIN_DELAY
             joined += 1
     assert joined >= 2
-    # From then on nothing is searched while the object is in sight: no frame is its own anchor.
-    first = next(k for k, joint in enumerate(joints) if joint.renewal is not None)
-    assert all(j.anchor is not None and j.anchor.frame.number < j.base.number for j in joints[first:])
+    # From then on no detection in the foreground is needed while the object is visible: no frame is its own anchor.
+    first = next(k for k, joint in enumerate(joints) if joint.next_anchor_number is not None)
+    assert all(j.anchor is not None and j.anchor.frame.number < j.last_frame.number for j in joints[first:])
 
 
-def test_frames_are_refined_together_beside_the_next_ones(tracked: tuple[list[TrackedFrame], list[Joint]]) -> None:
-    joints, finished = tracked[1], 0
+def test_joint_refinement_runs_in_background(tracked_and_states: tuple[list[TrackedFrame], list[JointState]]) -> None:
+    joints, finished = tracked_and_states[1], 0
     for before, after in pairwise(joints):
-        if before.pending is not None and after.pending is not before.pending:
-            assert after.base.number == before.pending.number + REFINED_LATER
+        if before.pending_refinement is not None and after.pending_refinement is not before.pending_refinement:
+            assert after.last_frame.number == before.pending_refinement.number + REFINED_LATER
             finished += 1
     assert finished >= 1
 
 
-def test_it_is_as_good_as_if_all_were_done_at_once(tracked: tuple[list[TrackedFrame], list[Joint]], clip: Clip) -> None:
-    error = errors(tracked[0], clip.truth)
+def test_background_work_keeps_accuracy(
+    tracked_and_states: tuple[list[TrackedFrame], list[JointState]], clip: Clip
+) -> None:
+    error = compute_pose_errors(tracked_and_states[0], clip.truth)
     assert len(error) == FRAMES - 1
     assert 0.0 < np.median(error[:, 0]) < 0.15
-    assert error[2:, 0].max() < 0.4  # at first it moves by less than what stands still may
+    assert error[2:, 0].max() < 0.4  # the first motion is below the static threshold
 
 
-def test_landmarks_go_on_under_their_numbers(clip: Clip) -> None:
-    """What is found anew of what keyframes have seen is the same landmark: else a turn back would drift."""
+def test_landmarks_keep_their_numbers(clip: Clip) -> None:
+    """Features detected again that match keyframes keep their landmarks: otherwise a reversed motion would drift."""
     images = clip.images[:28]
     with Tracker(clip.rig, clip.boxes) as tracker:
-        decided, joints = states(tracker, frame_sets([*images, *images[::-1]]))
-    assert any(joint.renewal is not None for joint in joints)
+        decided, joints = track_states(tracker, frame_sets([*images, *images[::-1]]))
+    assert any(joint.next_anchor_number is not None for joint in joints)
     first, last = decided[0].pose.world_from_object, decided[-1].pose.world_from_object
     assert first is not None
     assert last is not None
@@ -88,41 +92,41 @@ def test_landmarks_go_on_under_their_numbers(clip: Clip) -> None:
     assert np.degrees(off.rotation.magnitude()) < 0.2
 
 
-def test_a_camera_that_saw_nothing_of_the_frame_is_looked_at_again(clip: Clip) -> None:
+def test_camera_without_image_recovers(clip: Clip) -> None:
     with Tracker(clip.rig, clip.boxes) as tracker:
-        decided, joints = states(tracker, clip.frames()[:8])
+        decided, joints = track_states(tracker, clip.frames()[:8])
         hidden: list[int] = []
         for frame in clip.frames()[8:]:
             images = frame.images
-            if joints[-1].renewal is None and not hidden:
-                images = (None, *images[1:])  # until the next anchor begins, and in its own frame
+            if joints[-1].next_anchor_number is None and not hidden:
+                images = (None, *images[1:])  # until the next anchor's preparation starts, and in its frame
             elif not hidden:
                 hidden.append(frame.index)
             decided += tracker.step(replace(frame, images=images))
-            joints.append(tracker.remembered().joint)
+            joints.append(tracker.copy_snapshot().state)
     assert hidden
-    assert errors(decided, clip.truth)[2:, 0].max() < 0.5
+    assert compute_pose_errors(decided, clip.truth)[2:, 0].max() < 0.5
     assert decided[-1].pose.inliers[0] > 20
 
 
-def test_saved_and_loaded_or_gone_back_it_comes_to_the_same(
-    tracked: tuple[list[TrackedFrame], list[Joint]], clip: Clip
+def test_checkpoint_and_restore_give_equal_results(
+    tracked_and_states: tuple[list[TrackedFrame], list[JointState]], clip: Clip
 ) -> None:
-    plain, joints = tracked
+    plain, joints = tracked_and_states
     frames = clip.frames()
-    at = next(k for k, joint in enumerate(joints) if joint.renewal is not None) + 2
-    pending = next((k for k, joint in enumerate(joints) if joint.pending is not None), at) + 1
+    at = next(k for k, joint in enumerate(joints) if joint.next_anchor_number is not None) + 2
+    pending = next((k for k, joint in enumerate(joints) if joint.pending_refinement is not None), at) + 1
     stops, found = {at, pending}, []
     tracker = Tracker(clip.rig, clip.boxes)
     for k, frame in enumerate(frames):
         if k in stops:
-            memory = tracker.remembered()
+            memory = tracker.copy_snapshot()
             tracker.step(replace(frame, images=frame.images[::-1]))
-            tracker.go_back(memory)
-            data = stored(tracker)
+            tracker.restore(memory)
+            data = dump_state(tracker)
             tracker.close()
             tracker = Tracker(clip.rig, clip.boxes)
-            go_on(tracker, data)
+            restore_state(tracker, data)
         found += tracker.step(frame)
     tracker.close()
     for one, other in zip(found, plain, strict=True):
@@ -132,17 +136,17 @@ def test_saved_and_loaded_or_gone_back_it_comes_to_the_same(
         np.testing.assert_array_equal(a, b)
 
 
-def broken(number: int) -> int:
+def raise_error(number: int) -> int:
     raise ValueError(f"no {number}")
 
 
-def test_what_is_computed_later_raises_when_it_is_asked_for() -> None:
+def test_background_error_is_raised_on_access() -> None:
     with pytest.raises(ValueError, match="no 7"):
-        Later(broken, 7).value()
+        BackgroundResult(raise_error, 7).value()
 
 
-def test_what_is_computed_later_is_begun_at_once_and_waited_for() -> None:
+def test_background_task_starts_at_once_and_is_awaited() -> None:
     go = Event()
-    waits = Later(go.wait, 10.0)
+    waits = BackgroundResult(go.wait, 10.0)
     go.set()
     assert waits.value()

@@ -1,4 +1,4 @@
-"""In boxes it is the middle that tells whether the object moves, or somebody who passes by."""
+"""Box motion: the center of the boxes shows whether the object moves or something else does."""
 
 from __future__ import annotations
 
@@ -13,30 +13,35 @@ from sylpose.landmarks.landmark_table import LandmarkTable
 from sylpose.results import FrameStatus
 from sylpose.rig import Rig
 from sylpose.simulate import Actor, ring
-from sylpose.tracking.box_motion import middle_stands, still_ones
-from sylpose.tracking.camera import CameraPart
-from sylpose.tracking.camera_executor import OneProcess
-from sylpose.tracking.context import Team
-from sylpose.tracking.frame import CameraFrame, Frame, Pair, SolvedFrame
+from sylpose.tracking.box_motion import is_box_center_static, select_static_matches
+from sylpose.tracking.camera import CameraTracker
+from sylpose.tracking.camera_executor import LocalExecutor
+from sylpose.tracking.context import TrackerContext
+from sylpose.tracking.frame import CameraFrame, Frame, FrameMatches, SolvedFrame
 from sylpose.tracking.frame_solvers import SOLVERS
-from sylpose.tracking.joint_state import Joint
+from sylpose.tracking.joint_state import JointState
 from sylpose.tracking.object_model import ObjectModel
 from sylpose.tracking.tracker import track
-from tests.clips import Clip, errors, moving_scene, slab, statuses, turned
+from tests.clips import Clip, compute_pose_errors, make_rotated_pose, make_slab, moving_scene, statuses
 
 RADIUS = 0.15
 RIG = ring(3, 1.5, 1000.0)
 
 
-def asked(shifts: list[tuple[float, float]], rig: Rig = RIG) -> tuple[bool, list[int]]:
-    """Whether the middle stands where in each camera what is at the middle, and what is at the edge, moves by so many pixels
-    (NaN: nothing is seen there); and how many matches of each stand."""
-    crew = OneProcess(len(rig), 1)
+def simulate_box_motion(shifts: list[tuple[float, float]], rig: Rig = RIG) -> tuple[bool, list[int]]:
+    """Simulate displacements at the center and at the edge of each camera's box, pixels (NaN: no features).
+
+    Returns:
+        whether the center is static; number of static matches per camera.
+    """
+    executor = LocalExecutor(len(rig), 1)
     start, rng = RigidTransform.identity(), np.random.default_rng(0)
     cloud = rng.uniform(-RADIUS, RADIUS, (200, 3))
     n = len(rig)
     first = SolvedFrame(0, 0.0, np.zeros(n), start, np.zeros((6, 6)), np.zeros((n, 3)), np.ones(n, bool))
-    joint = Joint(ObjectModel(np.zeros(3), RADIUS, cloud, bounded=True, guessed=True)).begun(first)
+    state = JointState(ObjectModel(np.zeros(3), RADIUS, cloud, is_bounded=True, is_depth_guessed=True)).set_first_frame(
+        first
+    )
     pairs, cameras = [], []
     for camera, moves in zip(rig, shifts, strict=True):
         outline = camera.project(cloud)
@@ -45,67 +50,67 @@ def asked(shifts: list[tuple[float, float]], rig: Rig = RIG) -> tuple[bool, list
         seen = [(low + size * where, px) for where, px in zip(at, moves, strict=True) if np.isfinite(px)]
         before = np.concatenate([np.empty((0, 2)), *(places for places, _ in seen)])
         after = before + np.repeat([px for _, px in seen], 30)[:, None] * np.array([0.6, 0.8])
-        pairs.append([pair_of(before, after)] if len(before) else [])
+        pairs.append([make_pair(before, after)] if len(before) else [])
         cameras.append(
-            CameraFrame(features(after), np.zeros(len(after), bool), LandmarkTable(), np.full(len(after), -1))
+            CameraFrame(make_features(after), np.zeros(len(after), bool), LandmarkTable(), np.full(len(after), -1))
         )
     frame = Frame(1, 1.0, np.zeros(len(rig)), cameras)
-    parts = [CameraPart(c, camera) for c, camera in enumerate(rig)]
-    team = Team(rig, parts, crew, SOLVERS["landmarks"], False, np.zeros(len(rig)), 0)
-    rest = still_ones(team, frame, pairs)
-    return middle_stands(team, joint, frame, pairs), [sum(map(len, of)) for of in rest]
+    camera_trackers = [CameraTracker(c, camera) for c, camera in enumerate(rig)]
+    context = TrackerContext(rig, camera_trackers, executor, SOLVERS["landmarks"], False, np.zeros(len(rig)), 0)
+    rest = select_static_matches(context, frame, pairs)
+    return is_box_center_static(context, state, frame, pairs), [sum(map(len, of)) for of in rest]
 
 
-def features(pixels: FloatArray) -> Features:
+def make_features(pixels: FloatArray) -> Features:
     return Features(pixels, pixels / 1000.0, np.zeros((len(pixels), 128), np.float32))
 
 
-def pair_of(before: FloatArray, after: FloatArray) -> Pair:
+def make_pair(before: FloatArray, after: FloatArray) -> FrameMatches:
     n = len(before)
     table = LandmarkTable()
     known = Landmarks(
         np.zeros((n, 3)), np.tile(np.eye(3), (n, 1, 1)), np.ones(n, int), np.zeros(n, bool), before, np.full(n, -1)
     )
-    earlier = CameraFrame(features(before), np.zeros(n, bool), table, table.learn(known))
-    return Pair.of(0, earlier, features(after), np.column_stack([np.arange(n), np.arange(n)]))
+    earlier = CameraFrame(make_features(before), np.zeros(n, bool), table, table.update(known))
+    return FrameMatches.from_indices(0, earlier, make_features(after), np.column_stack([np.arange(n), np.arange(n)]))
 
 
 @pytest.mark.parametrize(
     ("shifts", "stands"),
     [
-        ([(0.1, 12.0), (0.1, 12.0), (0.1, 0.1)], True),  # somebody passes by behind it
+        ([(0.1, 12.0), (0.1, 12.0), (0.1, 0.1)], True),  # a person passes behind it
         ([(0.1, 12.0), (0.1, 0.1), (0.1, 0.1)], True),
-        ([(12.0, 0.1), (12.0, 0.1), (12.0, 0.1)], False),  # the object moves before a wall
-        ([(12.0, 0.1), (12.0, 0.1), (0.1, 0.1)], False),  # something stands before one camera
-        ([(5.0, 60.0), (5.0, 60.0), (5.0, 60.0)], False),  # it moves, too, and somebody faster
-        ([(0.1, 0.1), (0.1, 0.1), (0.1, 0.1)], False),  # nothing moves: nothing is to be told apart
-        ([(3.0, 9.0), (3.0, 9.0), (3.0, 9.0)], False),  # it turns about its middle
-        ([(np.nan, 12.0), (np.nan, 12.0), (np.nan, 12.0)], False),  # the middle has no features
+        ([(12.0, 0.1), (12.0, 0.1), (12.0, 0.1)], False),  # the object moves in front of a wall
+        ([(12.0, 0.1), (12.0, 0.1), (0.1, 0.1)], False),  # something static covers one camera
+        ([(5.0, 60.0), (5.0, 60.0), (5.0, 60.0)], False),  # it moves too, a person faster
+        ([(0.1, 0.1), (0.1, 0.1), (0.1, 0.1)], False),  # nothing moves
+        ([(3.0, 9.0), (3.0, 9.0), (3.0, 9.0)], False),  # it rotates about its center
+        ([(np.nan, 12.0), (np.nan, 12.0), (np.nan, 12.0)], False),  # no features at the center
         ([(np.nan, np.nan)] * 3, False),
     ],
 )
-def test_the_middle_tells(shifts: list[tuple[float, float]], stands: bool) -> None:
-    assert asked(shifts)[0] is stands
+def test_static_box_center(shifts: list[tuple[float, float]], stands: bool) -> None:
+    assert simulate_box_motion(shifts)[0] is stands
 
 
-def test_what_is_left_is_what_stands() -> None:
-    assert asked([(0.1, 12.0), (12.0, 0.1), (np.nan, np.nan)])[1] == [30, 30, 0]
+def test_static_matches_are_selected() -> None:
+    assert simulate_box_motion([(0.1, 12.0), (12.0, 0.1), (np.nan, np.nan)])[1] == [30, 30, 0]
 
 
-def test_somebody_passes_by_behind_an_object_at_rest() -> None:
-    """He is seen in the boxes of most cameras, and is larger than the object; then the object moves, too."""
+def test_person_passing_behind_static_object() -> None:
+    """The person is visible in most boxes and larger than the object; then the object moves too."""
     rest, moving = 8, 4
 
     def path(frame: float) -> RigidTransform:
-        return turned(3.0 * max(frame - rest + 1, 0.0))
+        return make_rotated_pose(3.0 * max(frame - rest + 1, 0.0))
 
-    def walks(frame: float) -> RigidTransform:
-        return turned(1.0 * frame, [-0.45 + 0.08 * frame, 0.0, 0.45])
+    def walking_path(frame: float) -> RigidTransform:
+        return make_rotated_pose(1.0 * frame, [-0.45 + 0.08 * frame, 0.0, 0.45])
 
-    clip = Clip.render(moving_scene(path, rest + moving, [Actor(slab((0.4, 0.8, 0.2), 30), walks)]))
+    clip = Clip.render(moving_scene(path, rest + moving, [Actor(make_slab((0.4, 0.8, 0.2), 30), walking_path)]))
     tracked = list(track(clip.frames(), clip.rig, clip.boxes))
     assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * (rest + moving - 1)
-    error = errors(tracked, clip.truth)
+    error = compute_pose_errors(tracked, clip.truth)
     assert error[: rest - 1, 0].max() < 0.1
     assert error[: rest - 1, 1].max() < 1.0
     assert error[:, 0].max() < 1.0

@@ -1,4 +1,4 @@
-"""Where the object is: what the boxes allow, and its outline in each image."""
+"""Object region: the volume inside the boxes, and its outline in each image."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.frames import Box
 from sylpose.geometry.arrays import FloatArray
-from sylpose.rig import Camera, Rig, camera_at
+from sylpose.rig import Camera, Rig, make_look_at_camera
 from sylpose.simulate import arc, ring
-from sylpose.tracking.region import polygon_mask, region_polygon, volume_from_boxes
+from sylpose.tracking.region import carve_box_volume, project_outline, rasterize_outline
 
 CORNERS = np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1]), axis=-1).reshape(-1, 3) / 2.0
 
@@ -23,8 +23,8 @@ def rig() -> Rig:
     return ring(4, 1.5, 1000.0, height=(0.4, -0.1, 0.2, 0.5), distortion=(-0.1, 0.02, 0.0, 0.0))
 
 
-def boxes_of(rig: Rig, points: FloatArray) -> dict[str, Box]:
-    """Tight boxes around points, cut off at the images' rims."""
+def make_boxes(rig: Rig, points: FloatArray) -> dict[str, Box]:
+    """Tight boxes around points, clipped to the images."""
     boxes = {}
     for camera in rig:
         pixels = camera.project(points)
@@ -34,19 +34,19 @@ def boxes_of(rig: Rig, points: FloatArray) -> dict[str, Box]:
     return boxes
 
 
-def block(sides: tuple[float, float, float], at: tuple[float, float, float], turn: float = 0.4) -> FloatArray:
+def make_block(sides: tuple[float, float, float], at: tuple[float, float, float], turn: float = 0.4) -> FloatArray:
     pose = RigidTransform.from_components(at, Rotation.from_rotvec([turn, -turn / 2, turn / 3]))
     return np.asarray(pose.apply(CORNERS * np.array(sides)))
 
 
-def reaches(points: FloatArray, corners: FloatArray, slack: float) -> bool:
-    """Whether the cloud's extent includes the corners in every direction tried, but for `slack`."""
+def covers(points: FloatArray, corners: FloatArray, slack: float) -> bool:
+    """Return whether the cloud's extent covers the corners in all tested directions, within `slack`."""
     directions = np.random.default_rng(0).standard_normal((200, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     return bool(((points @ directions.T).max(axis=0) + slack >= (corners @ directions.T).max(axis=0)).all())
 
 
-# --- the boxes' hull
+# --- visual hull of the boxes
 
 
 @settings(max_examples=20, deadline=None)
@@ -56,31 +56,31 @@ def reaches(points: FloatArray, corners: FloatArray, slack: float) -> bool:
     turn=st.floats(-1.5, 1.5),
     n=st.integers(2, 5),
 )
-def test_the_hull_contains_the_object(
+def test_hull_contains_object(
     sides: tuple[float, float, float], at: tuple[float, float, float], turn: float, n: int
 ) -> None:
     rig = ring(n, 1.5, 1000.0, height=0.3) if n > 2 else arc(2, 70, 1.5, 1000.0, height=0.3)
-    corners = block(sides, at, turn)
-    center, points = volume_from_boxes(rig, boxes_of(rig, corners))
-    # The grid is as fine as a twentieth of what it is laid over.
-    assert reaches(points, corners, 0.12 * max(sides))
+    corners = make_block(sides, at, turn)
+    center, points = carve_box_volume(rig, make_boxes(rig, corners))
+    # The grid spacing is a twentieth of its extent.
+    assert covers(points, corners, 0.12 * max(sides))
     assert np.linalg.norm(center - np.array(at)) < 0.35 * max(sides)
 
 
 @pytest.mark.parametrize("long_axis", [0, 1, 2])
-def test_the_hull_contains_a_long_object_that_a_camera_sees_end_on(long_axis: int) -> None:
+def test_hull_contains_long_object_seen_end_on(long_axis: int) -> None:
     rig = arc(3, 90, 1.5, 1000.0)  # cam_1 looks along z, the others along x
     sides = [0.06, 0.06, 0.06]
     sides[long_axis] = 0.5
-    corners = block((sides[0], sides[1], sides[2]), (0, 0, 0), turn=0)
-    center, points = volume_from_boxes(rig, boxes_of(rig, corners))
-    assert reaches(points, corners, 0.06)
+    corners = make_block((sides[0], sides[1], sides[2]), (0, 0, 0), turn=0)
+    center, points = carve_box_volume(rig, make_boxes(rig, corners))
+    assert covers(points, corners, 0.06)
     assert np.linalg.norm(center) < 0.03
 
 
-def test_the_hull_projects_into_the_boxes(rig: Rig) -> None:
-    boxes = boxes_of(rig, block((0.2, 0.3, 0.15), (0.05, 0, -0.05)))
-    _, points = volume_from_boxes(rig, boxes)
+def test_hull_projects_into_boxes(rig: Rig) -> None:
+    boxes = make_boxes(rig, make_block((0.2, 0.3, 0.15), (0.05, 0, -0.05)))
+    _, points = carve_box_volume(rig, boxes)
     for name, box in boxes.items():
         pixels = rig[name].project(points)
         slack = 0.04 * max(box.width, box.height)
@@ -88,27 +88,27 @@ def test_the_hull_projects_into_the_boxes(rig: Rig) -> None:
         assert (pixels < [box.x + box.width + slack, box.y + box.height + slack]).all()
 
 
-def test_the_center_is_where_the_boxes_middles_meet(rig: Rig) -> None:
+def test_center_is_intersection_of_box_centers(rig: Rig) -> None:
     at = np.array([0.04, -0.06, 0.02])
     boxes = {}
     for camera in rig:
         u, v = camera.project(at)[0]
         boxes[camera.name] = Box(round(u) - 40, round(v) - 30, 81, 61)
-    center, _ = volume_from_boxes(rig, boxes)
+    center, _ = carve_box_volume(rig, boxes)
     np.testing.assert_allclose(center, at, atol=2e-3)
 
 
-def test_some_cameras_boxes_are_enough(rig: Rig) -> None:
-    corners = block((0.2, 0.3, 0.15), (0.05, 0, -0.05))
-    all_boxes = boxes_of(rig, corners)
-    center, points = volume_from_boxes(rig, {name: all_boxes[name] for name in ("cam_3", "cam_1", "cam_0")})
-    assert reaches(points, corners, 0.04)
+def test_boxes_of_some_cameras_suffice(rig: Rig) -> None:
+    corners = make_block((0.2, 0.3, 0.15), (0.05, 0, -0.05))
+    all_boxes = make_boxes(rig, corners)
+    center, points = carve_box_volume(rig, {name: all_boxes[name] for name in ("cam_3", "cam_1", "cam_0")})
+    assert covers(points, corners, 0.04)
     assert np.linalg.norm(center - [0.05, 0, -0.05]) < 0.05
 
 
-def test_one_camera_puts_the_object_at_distance_one(rig: Rig) -> None:
+def test_single_camera_places_object_at_distance_one(rig: Rig) -> None:
     camera = rig.cameras[2]
-    center, points = volume_from_boxes(rig, {"cam_2": Box(600, 440, 100, 80)})
+    center, points = carve_box_volume(rig, {"cam_2": Box(600, 440, 100, 80)})
     assert np.linalg.norm(center - camera.center) == pytest.approx(1)
     middle = camera.project(center)[0]
     np.testing.assert_allclose(middle, [649.5, 479.5], atol=1e-3)
@@ -116,85 +116,85 @@ def test_one_camera_puts_the_object_at_distance_one(rig: Rig) -> None:
     assert np.ptp(pixels, axis=0) == pytest.approx([100, 80], rel=0.2)
 
 
-def test_a_box_at_the_rim_says_nothing_about_what_is_outside() -> None:
+def test_box_at_image_border_is_unbounded_there() -> None:
     # cam_0 sees the object's right half: its box ends where the image does.
-    looks_aside = camera_at("cam_0", (0, 0, -1.5), (0.9, 0, 0), 1000.0, (1280, 960))
+    looks_aside = make_look_at_camera("cam_0", (0, 0, -1.5), (0.9, 0, 0), 1000.0, (1280, 960))
     rig = Rig([looks_aside, *ring(4, 1.5, 1000.0, height=0.3).cameras[1:]])
-    corners = block((0.3, 0.2, 0.2), (0, 0, 0), turn=0)
+    corners = make_block((0.3, 0.2, 0.2), (0, 0, 0), turn=0)
     pixels = looks_aside.project(corners)
     assert pixels[:, 0].min() < -30
     assert pixels[:, 0].max() > 100
-    boxes = boxes_of(rig, corners)
+    boxes = make_boxes(rig, corners)
     assert boxes["cam_0"].x == 0
-    _, points = volume_from_boxes(rig, boxes)
-    assert reaches(points, corners, 0.04)
+    _, points = carve_box_volume(rig, boxes)
+    assert covers(points, corners, 0.04)
 
 
 @pytest.mark.parametrize(
     "boxes",
     [
         {"cam_0": Box(0, 100, 50, 50), "cam_1": Box(600, 800, 50, 50)},
-        # Rays that meet behind the cameras.
+        # Rays that intersect behind the cameras.
         {"cam_0": Box(100, 450, 60, 60), "cam_1": Box(1200, 450, 60, 60)},
         {"cam_0": Box(600, 450, 60, 60), "cam_1": Box(600, 450, 60, 60), "cam_2": Box(600, 20, 60, 60)},
     ],
 )
-def test_boxes_that_do_not_meet_are_refused(boxes: dict[str, Box]) -> None:
+def test_disjoint_boxes_are_rejected(boxes: dict[str, Box]) -> None:
     rig = arc(4, 25, 1.5, 1000.0)
-    with pytest.raises(ValueError, match=r"boxes: no place in space .*cam_0, cam_1"):
-        volume_from_boxes(rig, boxes)
+    with pytest.raises(ValueError, match=r"boxes: the boxes of cam_0, cam_1(, cam_2)? do not intersect"):
+        carve_box_volume(rig, boxes)
 
 
-def test_a_box_of_an_unknown_camera_is_refused(rig: Rig) -> None:
+def test_box_of_unknown_camera_is_rejected(rig: Rig) -> None:
     with pytest.raises(ValueError, match="cam_9"):
-        volume_from_boxes(rig, {"cam_0": Box(600, 450, 60, 60), "cam_9": Box(600, 450, 60, 60)})
+        carve_box_volume(rig, {"cam_0": Box(600, 450, 60, 60), "cam_9": Box(600, 450, 60, 60)})
 
 
 # --- outlines
 
 
-def test_the_outline_surrounds_the_points_with_a_margin(rig: Rig) -> None:
-    camera, corners = rig.cameras[1], block((0.2, 0.3, 0.15), (0.05, 0, -0.05))
+def test_outline_surrounds_points_with_margin(rig: Rig) -> None:
+    camera, corners = rig.cameras[1], make_block((0.2, 0.3, 0.15), (0.05, 0, -0.05))
     pixels = camera.project(corners)
     for growth in (0.1, 0.5):
-        outline = region_polygon(camera, corners, growth)
+        outline = project_outline(camera, corners, growth)
         assert outline is not None
         margin = max(12.0, growth * float(np.ptp(pixels, axis=0).max()))
         contour = outline.astype(np.float32).reshape(-1, 1, 2)
         assert cv2.isContourConvex(contour)
         inside = [cv2.pointPolygonTest(contour, (float(u), float(v)), True) for u, v in pixels]
-        # The margin is an octagon, which is narrower than its circle between its corners.
+        # The margin is an octagon, narrower than its circle between the corners.
         assert min(inside) > 0.9 * margin
         assert min(inside) < 1.1 * margin
 
 
-def test_a_small_object_has_a_margin_of_twelve_pixels(rig: Rig) -> None:
-    outline = region_polygon(rig.cameras[0], block((0.01, 0.01, 0.01), (0, 0, 0)), 0.1)
+def test_small_object_has_margin_of_twelve_pixels(rig: Rig) -> None:
+    outline = project_outline(rig.cameras[0], make_block((0.01, 0.01, 0.01), (0, 0, 0)), 0.1)
     assert outline is not None
     assert (np.ptp(outline, axis=0) > 24).all()
     assert (np.ptp(outline, axis=0) < 40).all()
 
 
 @pytest.mark.parametrize("at", [(5.0, 0.0, 0.0), (0.0, 5.0, 0.0), (0.0, 0.0, -5.0)])
-def test_out_of_view_there_is_no_outline(at: tuple[float, float, float]) -> None:
-    camera = camera_at("cam_0", (0, 0, -1.5), (0, 0, 0), 1000.0, (1280, 960), (-0.3, 0.1, 0, 0))
-    assert region_polygon(camera, block((0.1, 0.1, 0.1), at), 0.15) is None
+def test_no_outline_out_of_view(at: tuple[float, float, float]) -> None:
+    camera = make_look_at_camera("cam_0", (0, 0, -1.5), (0, 0, 0), 1000.0, (1280, 960), (-0.3, 0.1, 0, 0))
+    assert project_outline(camera, make_block((0.1, 0.1, 0.1), at), 0.15) is None
 
 
-def test_an_object_partly_in_view_has_an_outline() -> None:
-    camera = camera_at("cam_0", (0, 0, -1.5), (0, 0, 0), 1000.0, (1280, 960))
+def test_partly_visible_object_has_outline() -> None:
+    camera = make_look_at_camera("cam_0", (0, 0, -1.5), (0, 0, 0), 1000.0, (1280, 960))
     at_the_rim = (1.5 * 0.64, 0.0, 0.0)
-    outline = region_polygon(camera, block((0.2, 0.2, 0.2), at_the_rim), 0.15)
+    outline = project_outline(camera, make_block((0.2, 0.2, 0.2), at_the_rim), 0.15)
     assert outline is not None
-    assert polygon_mask(outline, camera.size)[:, -1].any()
+    assert rasterize_outline(outline, camera.size)[:, -1].any()
 
 
 # --- masks
 
 
-def test_a_mask_is_true_inside_its_outline() -> None:
+def test_mask_is_true_inside_outline() -> None:
     outline = np.array([[10.2, 5.1], [30.4, 8.0], [25.0, 28.7], [12.0, 20.0]])
-    mask = polygon_mask(outline, (40, 30))
+    mask = rasterize_outline(outline, (40, 30))
     assert mask.shape == (30, 40)
     assert mask.dtype == np.bool_
     for v, u in np.argwhere(mask | ~mask):
@@ -203,30 +203,30 @@ def test_a_mask_is_true_inside_its_outline() -> None:
             assert mask[v, u] == (distance > 0)
 
 
-def test_a_mask_is_cut_off_at_the_image() -> None:
-    mask = polygon_mask(np.array([[-50.0, -40.0], [20.0, -40.0], [20.0, 10.0], [-50.0, 10.0]]), (64, 48))
+def test_mask_is_clipped_to_image() -> None:
+    mask = rasterize_outline(np.array([[-50.0, -40.0], [20.0, -40.0], [20.0, 10.0], [-50.0, 10.0]]), (64, 48))
     assert mask[:11, :21].all()
     assert mask.sum() == 11 * 21
-    assert not polygon_mask(np.array([[-50.0, -40.0], [-20.0, -40.0], [-20.0, -10.0]]), (64, 48)).any()
+    assert not rasterize_outline(np.array([[-50.0, -40.0], [-20.0, -40.0], [-20.0, -10.0]]), (64, 48)).any()
 
 
-def test_region_and_mask_agree_for_all_cameras(rig: Rig) -> None:
-    corners = block((0.2, 0.3, 0.15), (0.05, 0, -0.05))
+def test_region_and_mask_agree(rig: Rig) -> None:
+    corners = make_block((0.2, 0.3, 0.15), (0.05, 0, -0.05))
     for camera in rig:
-        outline = region_polygon(camera, corners, 0.15)
+        outline = project_outline(camera, corners, 0.15)
         assert outline is not None
-        mask = polygon_mask(outline, camera.size)
+        mask = rasterize_outline(outline, camera.size)
         column, row = np.round(camera.project(corners)).astype(int).T
         assert mask[row, column].all()
         assert 0 < mask.mean() < 0.5
 
 
-def test_a_camera_without_a_view_of_the_boxes_is_no_trouble(rig: Rig) -> None:
+def test_camera_without_view_of_boxes(rig: Rig) -> None:
     away = Camera(
         "away", (640, 480), rig.cameras[0].matrix, np.empty(0), RigidTransform.from_translation([0.0, 0.0, -30.0])
     )
     wide = Rig([*rig.cameras, away])
-    boxes = boxes_of(rig, block((0.2, 0.2, 0.2), (0, 0, 0)))
-    center, points = volume_from_boxes(wide, boxes)
-    assert region_polygon(away, points, 0.15) is None
+    boxes = make_boxes(rig, make_block((0.2, 0.2, 0.2), (0, 0, 0)))
+    center, points = carve_box_volume(wide, boxes)
+    assert project_outline(away, points, 0.15) is None
     assert np.linalg.norm(center) < 0.05

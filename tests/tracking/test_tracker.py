@@ -1,4 +1,4 @@
-"""The tracker on rendered sequences: what it finds, and what it says when there is nothing to be found."""
+"""The tracker on rendered sequences: accuracy, and status when nothing can be found."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.frames import Box, FrameSet
 from sylpose.geometry.arrays import BoolArray
 from sylpose.methods import METHODS
-from sylpose.results import FrameStatus, Observable
+from sylpose.results import FrameStatus, Observability
 from sylpose.rig import Camera, Rig
-from sylpose.simulate import arc, demo_scene
+from sylpose.simulate import arc, make_demo_scene
 from sylpose.tracking.frame import CameraFrame
-from sylpose.tracking.joint_state import RECENT
-from sylpose.tracking.region import polygon_mask, region_polygon
+from sylpose.tracking.joint_state import N_RECENT_FRAMES
+from sylpose.tracking.region import project_outline, rasterize_outline
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import Tracker, track
 from tests.clips import (
@@ -31,19 +31,19 @@ from tests.clips import (
     Images,
     Masks,
     assert_valid,
-    errors,
+    compute_pose_errors,
+    compute_squared_mahalanobis,
     frame_sets,
     inliers,
-    normalised_squares,
-    rested,
+    prepend_rest,
     statuses,
-    tracked_turning,
+    track_turning_clip,
 )
 
 
 @pytest.fixture(scope="module")
 def tracked() -> tuple[TrackedFrame, ...]:
-    return tracked_turning(True)
+    return track_turning_clip(True)
 
 
 # --- the main job
@@ -53,7 +53,7 @@ def test_with_boxes(clip: Clip, tracked: Sequence[TrackedFrame]) -> None:
     assert [f.pose.index for f in tracked] == list(range(FRAMES))
     np.testing.assert_allclose([f.pose.time for f in tracked], clip.truth.times)
     assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * (FRAMES - 1)
-    error = errors(tracked, clip.truth)
+    error = compute_pose_errors(tracked, clip.truth)
     assert error[:, 0].max() < HALF_DEGREE
     assert error[:, 1].max() < 1.5
     assert (inliers(tracked)[1:] > 10).all()
@@ -62,16 +62,16 @@ def test_with_boxes(clip: Clip, tracked: Sequence[TrackedFrame]) -> None:
 
 
 def test_without_boxes(clip: Clip) -> None:
-    tracked = tracked_turning(False)
+    tracked = track_turning_clip(False)
     assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * (FRAMES - 1)
-    error = errors(tracked, clip.truth)
+    error = compute_pose_errors(tracked, clip.truth)
     assert error[:, 0].max() < HALF_DEGREE
     assert error[:, 1].max() < 1.5
     assert_valid(tracked)
 
 
-def test_the_objects_frame_is_as_documented(clip: Clip, tracked: Sequence[TrackedFrame]) -> None:
-    """Axes parallel to the world's, origin at the object's centre, in the first frame."""
+def test_object_frame_is_as_documented(clip: Clip, tracked: Sequence[TrackedFrame]) -> None:
+    """Axes parallel to the world's, origin at the object's center, in the first frame."""
     first = tracked[0].pose.world_from_object
     assert first is not None
     np.testing.assert_array_equal(first.rotation.as_matrix(), np.eye(3))
@@ -80,33 +80,33 @@ def test_the_objects_frame_is_as_documented(clip: Clip, tracked: Sequence[Tracke
     assert 0.3 * extent < tracked[0].radius < 1.5 * extent
 
 
-def test_matches_and_regions_are_on_the_object(clip: Clip, tracked: Sequence[TrackedFrame]) -> None:
+def test_matches_and_regions_are_on_object(clip: Clip, tracked: Sequence[TrackedFrame]) -> None:
     shown = 0
     for f in tracked[1:]:
         vertices = clip.truth.world_from_object[f.pose.index].apply(clip.truth.vertices)
         for camera, matches, region in zip(clip.rig, f.matches, f.regions, strict=True):
             assert region is not None
-            if matches is None:  # none with the last frame, but with others
+            if matches is None:  # matches with other frames only
                 continue
             shown += 1
             before, now = matches
             assert before.shape == now.shape
-            outline = region_polygon(camera, vertices, 0.0)
+            outline = project_outline(camera, vertices, 0.0)
             assert outline is not None
-            on_object = polygon_mask(outline, camera.size)
-            searched = polygon_mask(region, camera.size)
+            on_object = rasterize_outline(outline, camera.size)
+            searched = rasterize_outline(region, camera.size)
             column, row = np.round(now).astype(int).T
             assert on_object[row, column].mean() > 0.9
             assert searched[row, column].mean() > 0.97
     assert shown >= 3
 
 
-def test_a_later_start_and_skipped_frames(clip: Clip) -> None:
+def test_late_start_and_skipped_frames(clip: Clip) -> None:
     frames = clip.frames()[1::2]
     tracked = list(track(frames, clip.rig))
     assert [f.pose.index for f in tracked] == [1, 3, 5, 7]
     assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * 3
-    assert errors(tracked, clip.truth)[:, 0].max() < HALF_DEGREE
+    assert compute_pose_errors(tracked, clip.truth)[:, 0].max() < HALF_DEGREE
 
 
 def test_cameras_of_different_sizes() -> None:
@@ -116,42 +116,42 @@ def test_cameras_of_different_sizes() -> None:
     for camera, size, focal in zip(rig, sizes, (420, 380, 400), strict=True):
         matrix = np.array([[focal, 0, (size[0] - 1) / 2], [0, focal, (size[1] - 1) / 2], [0, 0, 1]])
         cameras.append(Camera(camera.name, size, matrix, np.empty(0), camera.camera_from_world))
-    clip = Clip.render(demo_scene(rig=Rig(cameras), frames=6, turn_deg=18))
+    clip = Clip.render(make_demo_scene(rig=Rig(cameras), frames=6, angle_deg=18))
     for boxes in (clip.boxes, None):
         tracked = list(track(clip.frames(), clip.rig, boxes))
         assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * 5
-        assert errors(tracked, clip.truth)[:, 0].max() < HALF_DEGREE
+        assert compute_pose_errors(tracked, clip.truth)[:, 0].max() < HALF_DEGREE
 
 
-# exchange and gossip: below
+# exchange and gossip are tested below
 @pytest.mark.parametrize("method", [method for method in METHODS if method not in ("exchange", "gossip")])
-def test_every_method_runs(clip: Clip, method: str) -> None:
+def test_all_methods_run(clip: Clip, method: str) -> None:
     tracked = list(track(clip.frames(), clip.rig, clip.boxes, method=method))
     alone = method in ("one-camera", "unconstrained")
-    said = {FrameStatus.TRACKED, FrameStatus.UNCERTAIN} if alone else {FrameStatus.TRACKED}
+    output = {FrameStatus.TRACKED, FrameStatus.UNCERTAIN} if alone else {FrameStatus.TRACKED}
     assert statuses(tracked)[0] is FrameStatus.FIRST
-    assert set(statuses(tracked)[1:]) <= said
+    assert set(statuses(tracked)[1:]) <= output
     assert not alone or statuses(tracked)[-1] is FrameStatus.UNCERTAIN
     assert_valid(tracked)
-    error = errors(tracked, clip.truth)
-    if alone:  # a single camera sees a turn out of its image poorly
+    error = compute_pose_errors(tracked, clip.truth)
+    if alone:  # a single camera measures out-of-plane rotation poorly
         assert error[:, 0].max() < 40
     elif method in (
         "sylvester",
         "exchange",
         "refine",
         "gossip",
-    ):  # depth is ignored (docs/method.md, "The paper"): they drift
+    ):  # depth is ignored (docs/method/2-sylvester.md, "The paper"): they drift
         assert error[0, 0] < 2.5
         assert error[:, 0].max() < 20
-    elif method == "epipolar":  # in small images a frame now and then is off by some degrees; the next one is not
+    elif method == "epipolar":  # in small images single frames are off by some degrees
         assert np.median(error[:, 0]) < HALF_DEGREE
         assert error[:, 0].max() < 4
     else:
         assert error[:, 0].max() < HALF_DEGREE
 
 
-def test_the_distributed_methods_come_to_the_centralised_answer(clip: Clip) -> None:
+def test_distributed_methods_match_centralized_solution(clip: Clip) -> None:
     frames = list(clip.frames())[:3]
     expected = list(track(frames, clip.rig, clip.boxes, method="sylvester"))[-1].pose.world_from_object
     assert expected is not None
@@ -161,53 +161,53 @@ def test_the_distributed_methods_come_to_the_centralised_answer(clip: Clip) -> N
         np.testing.assert_allclose(found.as_matrix(), expected.as_matrix(), atol=1e-6)
 
 
-# --- at rest
+# --- static objects
 
 
 @pytest.mark.parametrize("features", ["sift", "klt"])
-def test_an_object_in_a_box_at_rest_at_first(features: str) -> None:
-    """What is known of it by its box alone grows old before it moves."""
-    clip = Clip.render(rested(demo_scene(frames=10, turn_deg=25, size=SIZE, n_cameras=3, seed=1), 6, 3))
+def test_initially_static_object_in_box(features: str) -> None:
+    """Landmarks with depths from boxes only age before the object moves."""
+    clip = Clip.render(prepend_rest(make_demo_scene(frames=10, angle_deg=25, size=SIZE, n_cameras=3, seed=1), 6, 3))
     tracked = list(track(clip.frames(), clip.rig, clip.boxes, features=features))
     assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * 8
-    assert errors(tracked, clip.truth)[:, 0].max() < HALF_DEGREE
+    assert compute_pose_errors(tracked, clip.truth)[:, 0].max() < HALF_DEGREE
 
 
 @pytest.mark.parametrize("n_cameras", [2, 3])
-def test_an_object_at_rest_at_first(n_cameras: int) -> None:
+def test_initially_static_object(n_cameras: int) -> None:
     rest, moving = 5, 4
-    scene = demo_scene(frames=10, turn_deg=25, size=SIZE, n_cameras=n_cameras, seed=1)
-    clip = Clip.render(rested(scene, rest, moving))
+    scene = make_demo_scene(frames=10, angle_deg=25, size=SIZE, n_cameras=n_cameras, seed=1)
+    clip = Clip.render(prepend_rest(scene, rest, moving))
     given = []
     with Tracker(clip.rig) as tracker:
         for frame in clip.frames():
             given.append(tracker.step(frame))
         assert tracker.flush() == []
-    # Held back until it moves, then all at once and in order.
+    # Results are held back until it moves, then returned at once and in order.
     counts = [len(g) for g in given]
     assert counts[:rest] == [0] * rest
     assert sum(counts) == rest + moving
     tracked = [f for g in given for f in g]
     assert [f.pose.index for f in tracked] == list(range(rest + moving))
     assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * (rest + moving - 1)
-    error = errors(tracked, clip.truth)
+    error = compute_pose_errors(tracked, clip.truth)
     assert error[: rest - 1, 0].max() < 0.1
     assert error[: rest - 1, 1].max() < 0.3
     assert error[:, 0].max() < HALF_DEGREE
     assert error[:, 1].max() < (5 if n_cameras == 2 else 1.5)
-    # The room was at rest with it, but is no part of it.
+    # The room was static too, but is not part of the object.
     assert (inliers(tracked)[rest + 1 :] > 20).all()
     assert_valid(tracked)
 
 
-def test_an_object_at_rest_for_long(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sylpose.tracking.state_machine.PATIENCE", 3)
+def test_long_static_object(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sylpose.tracking.state_machine.MAX_BUFFERED_FRAMES", 3)
     images = [clip.images[0]] * 6 + clip.images[1:4]
     with Tracker(clip.rig) as tracker:
         given = [tracker.step(frame) for frame in frame_sets(images)]
     tracked = [f for g in given for f in g]
     assert [f.pose.index for f in tracked] == list(range(9))
-    # Memory is bounded: the first ones are given up.
+    # Memory is bounded: the oldest frames are dropped.
     first = statuses(tracked).index(FrameStatus.FIRST)
     assert 2 <= first <= 5
     assert statuses(tracked) == [FrameStatus.NO_MOTION] * first + [FrameStatus.FIRST] + [FrameStatus.TRACKED] * (
@@ -220,9 +220,9 @@ def test_an_object_at_rest_for_long(clip: Clip, monkeypatch: pytest.MonkeyPatch)
     assert np.rad2deg((found.rotation * true.inv()).magnitude()) < HALF_DEGREE
 
 
-def test_an_object_that_never_moves() -> None:
-    scene = demo_scene(frames=2, size=SIZE, n_cameras=2)
-    clip = Clip.render(rested(scene, 4, 0))
+def test_never_moving_object() -> None:
+    scene = make_demo_scene(frames=2, size=SIZE, n_cameras=2)
+    clip = Clip.render(prepend_rest(scene, 4, 0))
     tracked = list(track(clip.frames(), clip.rig))
     assert statuses(tracked) == [FrameStatus.NO_MOTION] * 4
     assert [f.pose.index for f in tracked] == [0, 1, 2, 3]
@@ -231,7 +231,7 @@ def test_an_object_that_never_moves() -> None:
 
 
 @pytest.mark.parametrize("method", ["landmarks", "epipolar", "sylvester"])
-def test_an_object_that_pauses(clip: Clip, method: str) -> None:
+def test_pausing_object(clip: Clip, method: str) -> None:
     images = [*clip.images[:3], clip.images[2], clip.images[2], *clip.images[3:5]]
     tracked = list(track(frame_sets(images), clip.rig, clip.boxes, method=method))
     assert all(f.pose.world_from_object is not None for f in tracked)
@@ -248,45 +248,45 @@ def test_an_object_that_pauses(clip: Clip, method: str) -> None:
 
 
 def silhouettes(clip: Clip) -> list[list[BoolArray]]:
-    """Where the object is, a little generously."""
+    """Masks of the object, slightly enlarged."""
     masks = []
     for k in range(len(clip.images)):
         vertices = clip.truth.world_from_object[k].apply(clip.truth.vertices)
-        outlines = [region_polygon(camera, vertices, 0.0) for camera in clip.rig]
+        outlines = [project_outline(camera, vertices, 0.0) for camera in clip.rig]
         masks.append(
-            [polygon_mask(o, camera.size) for o, camera in zip(outlines, clip.rig, strict=True) if o is not None]
+            [rasterize_outline(o, camera.size) for o, camera in zip(outlines, clip.rig, strict=True) if o is not None]
         )
     return masks
 
 
-def test_masks_bound_what_is_looked_at(clip: Clip) -> None:
+def test_masks_bound_detection(clip: Clip) -> None:
     masks: list[Masks] = [list(m) for m in silhouettes(clip)]
-    # The left half of cam_0's view of the object is covered by something.
+    # The left half of the object in cam_0 is covered.
     for k, frame in enumerate(masks):
         covered = np.array(frame[0])
         covered[:, : int(np.flatnonzero(covered.any(axis=0)).mean())] = False
         masks[k] = [covered, *frame[1:]]
     tracked = list(track(frame_sets(clip.images, masks), clip.rig))
     assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * (FRAMES - 1)
-    assert errors(tracked, clip.truth)[:, 0].max() < HALF_DEGREE
+    assert compute_pose_errors(tracked, clip.truth)[:, 0].max() < HALF_DEGREE
     for f, frame in zip(tracked[1:], masks[1:], strict=True):
         for matches, mask in zip(f.matches, frame, strict=True):
             assert mask is not None
             if matches is None:
                 continue
-            # Within a pixel, which rounding may cost at the border.
+            # Within a pixel, due to rounding at the border.
             near = np.pad(mask, 1)
             wide = near[:-2, 1:-1] | near[2:, 1:-1] | near[1:-1, :-2] | near[1:-1, 2:] | mask
             column, row = np.round(matches[1]).astype(int).T
             assert wide[row, column].all()
 
 
-def test_an_empty_mask_leaves_a_camera_out(clip: Clip) -> None:
+def test_empty_mask_excludes_camera(clip: Clip) -> None:
     masks: list[Masks] = [[m[0], np.zeros_like(m[1]), None] for m in silhouettes(clip)]
     tracked = list(track(frame_sets(clip.images, masks), clip.rig, clip.boxes))
     assert not inliers(tracked)[:, 1].any()
     assert (inliers(tracked)[1:, [0, 2]] > 20).all()
-    assert errors(tracked, clip.truth)[:, 0].max() < 0.8
+    assert compute_pose_errors(tracked, clip.truth)[:, 0].max() < 0.8
 
 
 # --- one camera
@@ -294,41 +294,41 @@ def test_an_empty_mask_leaves_a_camera_out(clip: Clip) -> None:
 
 @pytest.fixture(scope="module")
 def monocular() -> Clip:
-    return Clip.render(demo_scene(frames=6, turn_deg=22, size=(480, 360), n_cameras=1))
+    return Clip.render(make_demo_scene(frames=6, angle_deg=22, size=(480, 360), n_cameras=1))
 
 
 @pytest.mark.parametrize("with_boxes", [True, False])
-def test_one_camera_sees_the_turn_and_not_the_scale(monocular: Clip, with_boxes: bool) -> None:
+def test_single_camera_measures_rotation_without_scale(monocular: Clip, with_boxes: bool) -> None:
     tracked = list(track(monocular.frames(), monocular.rig, monocular.boxes if with_boxes else None))
     assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * 5
-    assert [f.pose.observable for f in tracked[1:]] == [Observable.NO_SCALE] * 5
+    assert [f.pose.observability for f in tracked[1:]] == [Observability.NO_SCALE] * 5
     assert_valid(tracked)
-    assert errors(tracked, monocular.truth)[:, 0].max() < 2
+    assert compute_pose_errors(tracked, monocular.truth)[:, 0].max() < 2
     first = tracked[0].pose.world_from_object
     assert first is not None
-    # At distance 1 of the camera.
+    # At distance 1 from the camera.
     assert np.linalg.norm(first.translation - monocular.rig.cameras[0].center) == pytest.approx(1, abs=1e-6)
 
 
 @pytest.mark.parametrize("method", ["epipolar", "sylvester"])
-def test_one_camera_by_other_methods(monocular: Clip, method: str) -> None:
+def test_single_camera_with_other_methods(monocular: Clip, method: str) -> None:
     tracked = list(track(monocular.frames(), monocular.rig, monocular.boxes, method=method))
     assert len(tracked) == 6
     assert statuses(tracked)[0] is FrameStatus.FIRST
-    assert all(f.pose.observable is Observable.NO_SCALE for f in tracked[1:] if f.pose.measured)
+    assert all(f.pose.observability is Observability.NO_SCALE for f in tracked[1:] if f.pose.is_measured)
     assert_valid(tracked)
 
 
-def test_one_camera_loses_sight(monocular: Clip) -> None:
+def test_single_camera_relocalizes(monocular: Clip) -> None:
     images: list[Images] = [(None,) if k == 3 else frame for k, frame in enumerate(monocular.images)]
     tracked = list(track(frame_sets(images), monocular.rig, monocular.boxes))
     assert statuses(tracked)[3] is FrameStatus.COASTING
-    # That it was found again is not hidden by what one camera cannot see.
-    assert statuses(tracked)[4:] == [FrameStatus.RELOCALISED, FrameStatus.TRACKED]
-    assert [f.pose.observable for f in tracked[4:]] == [Observable.NO_SCALE] * 2
+    # The status reports relocalization despite the unobservable scale.
+    assert statuses(tracked)[4:] == [FrameStatus.RELOCALIZED, FrameStatus.TRACKED]
+    assert [f.pose.observability for f in tracked[4:]] == [Observability.NO_SCALE] * 2
 
 
-# --- the same again
+# --- reproducibility
 
 
 def assert_same(a: Sequence[TrackedFrame], b: Sequence[TrackedFrame]) -> None:
@@ -344,13 +344,13 @@ def assert_same(a: Sequence[TrackedFrame], b: Sequence[TrackedFrame]) -> None:
 
 
 @pytest.mark.parametrize("with_boxes", [True, False])
-def test_the_number_of_threads_changes_nothing(clip: Clip, with_boxes: bool) -> None:
+def test_thread_count_does_not_change_results(clip: Clip, with_boxes: bool) -> None:
     boxes, frames = clip.boxes if with_boxes else None, clip.frames()[:4]
     one, four = (list(track(frames, clip.rig, boxes, workers=n)) for n in (1, 4))
     assert_same(one, four)
 
 
-def test_another_run_changes_nothing(clip: Clip, tracked: Sequence[TrackedFrame]) -> None:
+def test_repeated_run_gives_equal_results(clip: Clip, tracked: Sequence[TrackedFrame]) -> None:
     assert_same(list(track(clip.frames(), clip.rig, clip.boxes)), tracked)
 
 
@@ -366,22 +366,22 @@ def test_another_run_changes_nothing(clip: Clip, tracked: Sequence[TrackedFrame]
         ("sift", False),
     ],
 )
-def test_going_back_leaves_no_trace(clip: Clip, with_boxes: bool, features: str) -> None:
-    """What a frame taught is forgotten, whichever: its answer and all later ones are those of who never saw it before."""
+def test_restored_snapshot_is_exact(clip: Clip, with_boxes: bool, features: str) -> None:
+    """After restoring a snapshot, all results equal those of a tracker that never processed the frame."""
     boxes, frames = clip.boxes if with_boxes else None, clip.frames()[:6]
     with Tracker(clip.rig, boxes, features=features, workers=1) as tracker:
         plain = [f for frame in frames for f in tracker.step(frame)]
     with Tracker(clip.rig, boxes, features=features, workers=1) as tracker:
         found = []
         for k, frame in enumerate(frames):
-            memory = tracker.remembered()
-            tracker.step(replace(frame, images=frame.images[::-1]))  # other images, and then the same
-            tracker.go_back(memory)
-            memory = tracker.remembered()
+            memory = tracker.copy_snapshot()
+            tracker.step(replace(frame, images=frame.images[::-1]))  # different images first, then the true ones
+            tracker.restore(memory)
+            memory = tracker.copy_snapshot()
             tracker.step(frame)
             for later in frames[k + 1 : k + 3]:
                 tracker.step(later)
-            tracker.go_back(memory)
+            tracker.restore(memory)
             found += tracker.step(frame)
     assert len(found) == len(plain) > 2
     for one, other in zip(found, plain, strict=True):
@@ -391,11 +391,11 @@ def test_going_back_leaves_no_trace(clip: Clip, with_boxes: bool, features: str)
             assert one.pose.world_from_object is not None
             a, b = one.pose.world_from_object.as_matrix(), other.pose.world_from_object.as_matrix()
             np.testing.assert_array_equal(a, b)
-        for mine, its in zip(one.sightings, other.sightings, strict=True):
-            np.testing.assert_array_equal(mine.place, its.place)
+        for mine, its in zip(one.observations, other.observations, strict=True):
+            np.testing.assert_array_equal(mine.positions, its.positions)
 
 
-def test_uncertainty_grows_and_covers_the_error(clip: Clip, tracked: Sequence[TrackedFrame]) -> None:
+def test_uncertainty_grows_and_covers_error(clip: Clip, tracked: Sequence[TrackedFrame]) -> None:
     sigmas = np.array([f.pose.sigma for f in tracked])
     assert not sigmas[0].any()
     assert (sigmas[1:] > 0).all()
@@ -403,10 +403,10 @@ def test_uncertainty_grows_and_covers_the_error(clip: Clip, tracked: Sequence[Tr
     assert spread[-1] > spread[1]
     assert (spread[2:] > 0.7 * spread[1:-1]).all()
     assert np.rad2deg(spread[-1]) < 2
-    assert normalised_squares(tracked, clip.truth).max() < 60
+    assert compute_squared_mahalanobis(tracked, clip.truth).max() < 60
 
 
-def test_fewer_cameras_know_less(clip: Clip, tracked: Sequence[TrackedFrame]) -> None:
+def test_fewer_cameras_are_less_certain(clip: Clip, tracked: Sequence[TrackedFrame]) -> None:
     rig = clip.rig.subset(["cam_0", "cam_1"])
     boxes = {name: box for name, box in clip.boxes.items() if name in rig.names}
     two = list(track(frame_sets([frame[:2] for frame in clip.images]), rig, boxes))
@@ -416,9 +416,11 @@ def test_fewer_cameras_know_less(clip: Clip, tracked: Sequence[TrackedFrame]) ->
 # --- memory
 
 
-def test_images_are_let_go_and_references_are_bounded(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_images_are_released_and_references_bounded(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sylpose.tracking.keyframes.MAX_KEYFRAMES", 3)
-    monkeypatch.setattr("sylpose.tracking.keyframes.NEW_TURN", np.radians(1.0))  # nearly every frame is a keyframe
+    monkeypatch.setattr(
+        "sylpose.tracking.keyframes.MIN_NEW_ROTATION", np.radians(1.0)
+    )  # nearly every frame is a keyframe
     alive: list[list[weakref.ref[Any]]] = []
     references = []
 
@@ -430,20 +432,20 @@ def test_images_are_let_go_and_references_are_bounded(clip: Clip, monkeypatch: p
             del images
             if k % 4 == 3:
                 gc.collect()
-                # What was given last may still be in the caller's hands.
+                # The caller may still hold the last one.
                 assert not any(ref() is not None for refs in alive[: k - 1] for ref in refs)
                 references.append(sum(isinstance(o, CameraFrame) for o in gc.get_objects()))
 
     for f in track(frames(), clip.rig, clip.boxes):
         del f
     assert len(alive) == 2 * FRAMES - 4
-    # The keyframes, the last frames and the current one, of each of three cameras.
-    assert max(references) <= 3 * (3 + RECENT + 1)
+    # The keyframes, the last frames and the current one, in each of three cameras.
+    assert max(references) <= 3 * (3 + N_RECENT_FRAMES + 1)
     assert references[-1] >= 3 * 3
 
 
-def test_frames_that_wait_for_motion_are_few(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sylpose.tracking.state_machine.PATIENCE", 2)
+def test_number_of_buffered_frames_is_bounded(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sylpose.tracking.state_machine.MAX_BUFFERED_FRAMES", 2)
     refs: list[weakref.ref[Any]] = []
     with Tracker(clip.rig) as tracker:
         for k in range(6):
@@ -458,7 +460,7 @@ def test_frames_that_wait_for_motion_are_few(clip: Clip, monkeypatch: pytest.Mon
 # --- bad input
 
 
-def test_an_unknown_method_is_refused(clip: Clip) -> None:
+def test_unknown_method_is_rejected(clip: Clip) -> None:
     with pytest.raises(ValueError, match=r"method: 'magic' is not one of landmarks, epipolar, sylvester"):
         list(track(clip.frames(), clip.rig, clip.boxes, method="magic"))
 
@@ -467,26 +469,26 @@ def test_an_unknown_method_is_refused(clip: Clip) -> None:
     ("boxes", "message"),
     [
         ({"cam_7": Box(10, 10, 50, 50)}, "cam_7"),
-        ({"cam_0": Box(0, 0, 20, 20), "cam_1": Box(290, 210, 20, 20)}, "no place in space .*cam_0, cam_1"),
+        ({"cam_0": Box(0, 0, 20, 20), "cam_1": Box(290, 210, 20, 20)}, "the boxes of cam_0, cam_1 do not intersect"),
     ],
 )
-def test_impossible_boxes_are_refused(clip: Clip, boxes: Mapping[str, Box], message: str) -> None:
+def test_impossible_boxes_are_rejected(clip: Clip, boxes: Mapping[str, Box], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Tracker(clip.rig, boxes)
 
 
-def test_no_frames_no_results(clip: Clip) -> None:
+def test_no_frames_give_no_results(clip: Clip) -> None:
     assert list(track([], clip.rig)) == []
     assert list(track([], clip.rig, clip.boxes)) == []
 
 
-def test_one_frame(clip: Clip) -> None:
+def test_single_frame(clip: Clip) -> None:
     assert statuses(track(clip.frames()[:1], clip.rig, clip.boxes)) == [FrameStatus.FIRST]
     assert statuses(track(clip.frames()[:1], clip.rig)) == [FrameStatus.NO_MOTION]
 
 
-def test_results_come_as_the_frames_do(clip: Clip) -> None:
-    """Nothing is read ahead, and what was found is there when a recording breaks off."""
+def test_results_are_streamed(clip: Clip) -> None:
+    """No frame is read ahead, and results are available when a recording ends abruptly."""
     taken = 0
 
     def frames() -> Iterable[FrameSet]:

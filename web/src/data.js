@@ -19,7 +19,7 @@ export function readData() {
   data.n = data.index.length;
   data.hasPose = Array.from({ length: data.n }, (_, k) => Number.isFinite(data.place[3 * k]));
   data.anyPose = data.hasPose.includes(true);
-  // Times as they are told; seconds since 1970, or long after whatever it was, since the first frame.
+  // Displayed times: large ones, such as seconds since 1970, are relative to the first frame.
   data.times = Array.from(data.time, (t) => data.start - data.since + t);
   data.kinds = Array.from(data.status, (s) => kindOf(data.statuses[s][0], data.statuses[s][2]));
   return data;
@@ -30,7 +30,7 @@ export function readImages(data) {
   images.axes = shorts(images.axes);
   images.points = shorts(images.points);
   images.n = images.index.length;
-  // By frame of the page: the image that is nearest to it.
+  // Index of the nearest image, by frame of the page.
   images.nearest = Array.from(data.index, (number) => {
     let best = -1;
     images.index.forEach((other, k) => {
@@ -41,7 +41,7 @@ export function readImages(data) {
   return images;
 }
 
-// A few kinds of statuses have a colour each.
+// Groups of statuses with a color each.
 function kindOf(status, hasPose) {
   if (!hasPose) return "none";
   return { relocalised: "again", coasting: "coasting", uncertain: "uncertain" }[status] ?? "tracked";
@@ -50,7 +50,7 @@ function kindOf(status, hasPose) {
 export const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 export const kindColor = (kind) => css(`--${kind}`);
 
-// The same hue, light enough to be seen on dark ground, or dark enough on light ground.
+// Adapt a color's lightness to be visible on the background, keeping its hue.
 export function readable(color) {
   const dark = matchMedia("(prefers-color-scheme: dark)").matches;
   let rgb = [1, 3, 5].map((k) => parseInt(color.slice(k, k + 2), 16) / 255);
@@ -61,7 +61,7 @@ export function readable(color) {
   return `#${rgb.map((v) => Math.round(255 * Math.min(v, 1)).toString(16).padStart(2, "0")).join("")}`;
 }
 
-// An element with attributes, and text or children; text is never taken for markup.
+// Create an element with attributes, and text or children; text is never parsed as markup.
 export function make(name, attributes = {}, ...children) {
   const svg = ["svg", "path", "circle"].includes(name);
   const element = svg ? document.createElementNS("http://www.w3.org/2000/svg", name) : document.createElement(name);
@@ -70,14 +70,14 @@ export function make(name, attributes = {}, ...children) {
   return element;
 }
 
-// With so many digits; what they round to zero has no sign.
+// Format with the given number of decimals; a rounded zero has no sign.
 export function fixed(value, digits) {
   if (!Number.isFinite(value)) return "\u2013";
-  const said = value.toFixed(digits);
-  return said.replace("-", /[1-9]/.test(said) ? "\u2212" : "");
+  const text = value.toFixed(digits);
+  return text.replace("-", /[1-9]/.test(text) ? "\u2212" : "");
 }
 
-// Three digits that tell something, of a number that is known by itself.
+// Format with three significant digits.
 export function digits3(value) {
   if (!Number.isFinite(value)) return "\u2013";
   if (value === 0) return "0";

@@ -1,4 +1,4 @@
-// One frame is current: the slider, the view, the images and the plots all show it, and any of them may choose another.
+// The current frame is shared by the slider, the view, the images and the plots; each of them can select another.
 
 import { digits3, fixed, kindColor, make, readData, readImages } from "./data.js";
 import "./page.css";
@@ -7,12 +7,12 @@ import { makeStills } from "./stills.js";
 import { makeViewer } from "./viewer.js";
 
 const $ = (id) => document.getElementById(id);
-// Frames per second where frames have no times.
+// Playback rate, frames per second, if frames have no times.
 const RATE = 8;
 
 const data = readData();
 const images = readImages(data);
-// First and last frame, and kind, of frames of one kind one after the other.
+// Runs of consecutive frames of one kind: first frame, last frame, kind.
 data.stretches = [];
 data.kinds.forEach((kind, k) => {
   const last = data.stretches.at(-1);
@@ -24,7 +24,7 @@ const slider = $("slider");
 const play = $("play");
 let current = 0;
 
-// --- the view, which some computers cannot draw ------------------------------------------------------------------------
+// --- the 3D view, which requires WebGL ----------------------------------------------------------------------------------
 let viewer = null;
 try {
   viewer = makeViewer($("view"), data, images);
@@ -34,7 +34,7 @@ try {
   views.addEventListener("change", () => viewer.fit(views.value));
   $("reset").addEventListener("click", () => viewer.fit(views.value));
 } catch (error) {
-  $("view").append(make("p", { class: "none" }, `This browser draws nothing in three dimensions (${error.message}).`));
+  $("view").append(make("p", { class: "none" }, `This browser cannot draw in three dimensions (${error.message}).`));
 }
 const stills = images.n ? makeStills($("stills"), data, images) : null;
 if (!images.n) $("images").hidden = !$("images").querySelector("a");
@@ -60,26 +60,26 @@ function band() {
 new ResizeObserver(band).observe($("band"));
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", band);
 
-const names = { tracked: "tracked", again: "found again", coasting: "coasting", uncertain: "uncertain", none: "no pose" };
+const names = { tracked: "tracked", again: "relocalized", coasting: "coasting", uncertain: "uncertain", none: "no pose" };
 for (const kind of Object.keys(names)) {
   if (!data.kinds.includes(kind)) continue;
   $("band-legend").append(make("span", { class: kind }, make("i", {}), names[kind]));
 }
 
-// --- what is said of the current frame ---------------------------------------------------------------------------------
+// --- facts of the current frame ----------------------------------------------------------------------------------------
 const precision = Math.min(7, Math.max(0, 3 - Math.floor(Math.log10(Math.max(data.axisLength, 1e-9)))));
 const time = (k) => (data.inSeconds ? `${fixed(data.times[k], 3)} s` : "");
 
 function facts(k) {
   if (!data.hasPose[k]) return [];
   const axes = ["x", "y", "z"];
-  const sd = (j, factor) => (Number.isFinite(data.sigma[6 * k + j]) ? digits3(data.sigma[6 * k + j] * factor) : "not bounded");
+  const sd = (j, factor) => (Number.isFinite(data.sigma[6 * k + j]) ? digits3(data.sigma[6 * k + j] * factor) : "unbounded");
   const place = axes.map((axis, j) => [
     axis, fixed(data.place[3 * k + j] + data.center[j], precision), sd(3 + j, data.sd[0]), sd(j, 1),
   ]);
   const turns = data.angles.map((name, j) => [name, fixed(data.angle[3 * k + j], 2)]);
   return [
-    table(["", `position, ${data.unit}`, `sd, ${data.sd[1]}`, "sd of turn, \u00b0"], place), table(["", "angle, \u00b0"], turns),
+    table(["", `position, ${data.unit}`, `sd, ${data.sd[1]}`, "rotation sd, \u00b0"], place), table(["", "angle, \u00b0"], turns),
   ];
 }
 
@@ -88,7 +88,7 @@ function table(head, rows) {
   return make("table", {}, make("thead", {}, line(head, "th")), make("tbody", {}, ...rows.map((row) => line(row, "td"))));
 }
 
-function tell(k) {
+function showFacts(k) {
   const [status, text] = data.statuses[data.status[k]];
   const reason = data.reasons[data.reason[k]];
   const fault = data.faults[data.fault[k]];
@@ -98,9 +98,9 @@ function tell(k) {
   $("now-facts").replaceChildren(...facts(k));
   const why = [reason && `${reason[0].toUpperCase()}${reason.slice(1)}${/[.!?]$/.test(reason) ? "" : "."}`, fault].filter(Boolean);
   $("why").replaceChildren(...[text, ...why].map((sentence, i) => make("p", i ? { class: "reason" } : {}, sentence)));
-  const said = $("view-said");
-  said.hidden = data.hasPose[k];
-  said.textContent = data.hasPose[k] ? "" : `${status}: ${reason || text}`;
+  const overlay = $("view-said");
+  overlay.hidden = data.hasPose[k];
+  overlay.textContent = data.hasPose[k] ? "" : `${status}: ${reason || text}`;
   slider.setAttribute("aria-valuetext", `frame ${data.index[k]}${data.inSeconds ? `, ${time(k)}` : ""}, ${status}`);
   const j = images.nearest[k];
   if (j >= 0) {
@@ -120,11 +120,11 @@ function go(k) {
     viewer?.showStill(j, stills.sources(j));
   }
   plots.show(current);
-  tell(current);
+  showFacts(current);
 }
 
 // --- time --------------------------------------------------------------------------------------------------------------
-let started = null; // when playing: what the clock said, and the time of the recording then
+let started = null; // while playing: clock and recording times of the start
 function tick(now) {
   if (!started) return;
   const speed = Number($("speed").value);

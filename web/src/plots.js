@@ -1,4 +1,4 @@
-// What changes over time, in panels that zoom together.
+// Plots over time, in panels that zoom together.
 
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
@@ -6,7 +6,7 @@ import { css, digits3, fixed, kindColor, make, readable } from "./data.js";
 
 const AXES = ["x", "y", "z"];
 const HEIGHT = 168;
-// Angles that change by more have gone round, degrees (as in report.png).
+// Angles that change by more have wrapped around, degrees (as in report.png).
 const JUMP = 150;
 
 export function makePlots(box, data, onPick) {
@@ -15,7 +15,7 @@ export function makePlots(box, data, onPick) {
   const measured = Array.from(data.kinds, (kind) => kind === "tracked" || kind === "again");
   const both = data.moved[0];
   const panels = [];
-  let zooming = true; // until all panels are there
+  let zooming = true; // until all panels exist
   let current = 0;
 
   const ofAxes = (array, width, first, factor, begin = [0, 0, 0]) => AXES.map((name, j) => ({
@@ -28,9 +28,9 @@ export function makePlots(box, data, onPick) {
     const turns = data.angles.map((name, j) => ({
       name, color: () => css(`--${AXES[data.angleAxes[j]]}`), values: column(data.angle, 3, j), round: true,
     }));
-    const total = { name: "total turn", color: () => css("--ink"), values: column(data.turn, 1, 0), dash: [5, 4], thin: true };
+    const total = { name: "total rotation", color: () => css("--ink"), values: column(data.turn, 1, 0), dash: [5, 4], thin: true };
     add("Angles", "degrees", [...turns, total]);
-    add("Standard deviation of the turn, about", "degrees", ofAxes(data.sigma, 6, 0, 1), { zero: true });
+    add("Standard deviation of the rotation, about", "degrees", ofAxes(data.sigma, 6, 0, 1), { zero: true });
     add("Standard deviation of the position, along", data.sd[1], ofAxes(data.sigma, 6, 3, data.sd[0]), { zero: true });
   }
   const c = data.cameras.length;
@@ -121,7 +121,7 @@ export function makePlots(box, data, onPick) {
     };
   }
 
-  // Behind frames that were not found in their images, the colour of their status.
+  // Shade frames without a measured pose in the color of their status.
   function shade(u) {
     const { left, top, width, height } = u.bbox;
     u.ctx.save();
@@ -148,7 +148,7 @@ export function makePlots(box, data, onPick) {
     return (u, s, first, last, gaps) => {
       const own = [];
       for (let k = Math.max(1, first); k <= last; k++) {
-        // At least two pixels wide: frames may be nearer to each other than that.
+        // At least two pixels wide, as frames may be closer than that.
         if (jumps[k]) own.push([-1, 0].map((d) => Math.round(u.valToPos(data.times[k + d], "x", true)) + 2 * d + 1));
       }
       return [...gaps, ...own].sort((a, b) => a[0] - b[0]);
@@ -177,7 +177,7 @@ export function makePlots(box, data, onPick) {
     const at = Math.min(Math.max(data.times[current], range[0]), range[1]);
     const low = Math.max(first, at - (at - range[0]) * factor);
     const high = Math.min(last, at + (range[1] - at) * factor);
-    // No closer than two frames.
+    // The range has at least two frames.
     if (high - low >= (2 * (last - first)) / Math.max(2, n - 1)) set(low, high);
     return undefined;
   }
@@ -204,7 +204,7 @@ export function makePlots(box, data, onPick) {
   function values(k) {
     const at = k ?? current;
     for (const { lines, size } of panels) {
-      for (const line of lines) line.value.textContent = told(line.values[at], size);
+      for (const line of lines) line.value.textContent = formatValue(line.values[at], size);
     }
   }
 
@@ -231,8 +231,8 @@ export function makePlots(box, data, onPick) {
 }
 
 const number = (value) => (Number.isFinite(value) ? value : null);
-// Nothing of it is left where it is next to nothing of what the panel has (choice: what rounding leaves is less).
-function told(value, size) {
+// Values negligible relative to the panel's range are shown as 0 (choice: above rounding errors).
+function formatValue(value, size) {
   if (value === null || value === undefined) return "\u2013";
   if (Math.abs(value) < 1e-5 * size) return "0";
   const whole = Number.isInteger(value);

@@ -1,4 +1,4 @@
-// The cameras' images of the frame that is nearest, with the object's axes and points drawn into them.
+// Camera images of the nearest frame, with the object's axes and points drawn in.
 
 import { make, readable } from "./data.js";
 
@@ -80,7 +80,7 @@ export function makeStills(box, data, images) {
       const parts = [];
       if (Number.isFinite(inliers)) parts.push(Number.isFinite(matches) ? `${inliers} of ${matches} matches` : `${inliers} inliers`);
       if (Number.isFinite(residual)) parts.push(`${residual.toFixed(2)} px`);
-      if (data.doubt[k * n + c] > 2) parts.push("doubted");
+      if (data.doubt[k * n + c] > 2) parts.push("disagrees");
       words.textContent = parts.join(", ");
       words.classList.toggle("doubted", data.doubt[k * n + c] > 2);
     }

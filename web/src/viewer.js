@@ -1,4 +1,4 @@
-// The rig, the object and its way, in three dimensions. Lengths are in cameras' distances (`reach`), so that all scenes are alike.
+// 3D view of the rig, the object and its path. Lengths are normalized by the cameras' distance (`reach`).
 
 import {
   BufferGeometry, CanvasTexture, Color, DoubleSide, Float32BufferAttribute, Group, LineBasicMaterial, LineSegments, Mesh,
@@ -11,7 +11,7 @@ import { LineSegments2 } from "three/addons/lines/LineSegments2.js";
 import { LineSegmentsGeometry } from "three/addons/lines/LineSegmentsGeometry.js";
 import { css, digits3, kindColor, make, readable } from "./data.js";
 
-// Degrees, from top to bottom.
+// Vertical field of view, degrees.
 const FIELD = 38;
 const AXIS_VARIABLES = ["--x", "--y", "--z"];
 
@@ -20,7 +20,7 @@ export function makeViewer(box, data, images) {
   const [right, ahead, up] = data.axes.map((row) => new Vector3(...row));
   const vector = (array, k) => new Vector3(array[3 * k], array[3 * k + 1], array[3 * k + 2]).multiplyScalar(scale);
   const eyes = data.cameras.map((_, c) => vector(data.eyes, c));
-  // The end of each camera's frustum, by rows; what a lens bends is bent back.
+  // Far plane of each camera's frustum, by rows, with lens distortion removed.
   const g = data.grid;
   const sheets = data.cameras.map((_, c) => Array.from({ length: g * g }, (__, k) => vector(data.sheets, g * g * c + k)));
   const corners = sheets.map((sheet) => [0, g - 1, g * g - 1, g * (g - 1)].map((k) => sheet[k]));
@@ -40,7 +40,7 @@ export function makeViewer(box, data, images) {
   const eye = new PerspectiveCamera(FIELD, 1, 0.002, 200);
   eye.up.copy(up);
   const controls = new OrbitControls(eye, canvas);
-  // The wheel scrolls the page until somebody has clicked into the view.
+  // The wheel scrolls the page until the view is clicked.
   controls.enableZoom = false;
   canvas.addEventListener("focus", () => (controls.enableZoom = true));
   canvas.addEventListener("blur", () => (controls.enableZoom = false));
@@ -48,8 +48,8 @@ export function makeViewer(box, data, images) {
   canvas.addEventListener("pointerdown", () => canvas.focus({ preventScroll: true }));
 
   const named = [];
-  // --- what stands -----------------------------------------------------------------------------------------------------
-  // What is only believed may be anywhere, and is not what the view is made to fit.
+  // --- static parts ----------------------------------------------------------------------------------------------------
+  // The view is fitted to measured poses; predicted ones may be anywhere.
   const sure = places.filter((p, k) => p && ["tracked", "again"].includes(data.kinds[k]));
   const standing = [...eyes, ...corners.flat(), ...sure, new Vector3()];
   const far = Math.max(...standing.map((p) => p.length()), 3 * radius);
@@ -117,7 +117,7 @@ export function makeViewer(box, data, images) {
     return mesh;
   });
 
-  // The way, in the colours of statuses; of what is only believed in theirs.
+  // The path, in the colors of the frames' statuses.
   const pairs = [];
   const wayKinds = [];
   places.forEach((place, k) => {
@@ -154,18 +154,18 @@ export function makeViewer(box, data, images) {
     object.add(lines([new Vector3(), end], 4, () => css(AXIS_VARIABLES[k])));
   }
 
-  // Two standard deviations along the world's axes, drawn larger by a power of ten so that they can be seen.
+  // Two standard deviations along the world's axes, enlarged by a power of ten to be visible.
   const sizes = places.map((p, k) => (p ? Math.max(...[3, 4, 5].map((j) => data.sigma[6 * k + j])) : NaN));
   const known = sizes.filter((s) => s > 0).sort((a, b) => a - b);
   const usual = known[Math.floor(0.9 * known.length)] ?? 0;
   const larger = usual > 0 ? Math.max(1, 10 ** Math.floor(Math.log10((0.7 * data.axisLength) / (2 * usual)))) : 1;
-  const cloudOfDoubt = new Mesh(
+  const uncertaintyEllipsoid = new Mesh(
     new SphereGeometry(1, 40, 20), new MeshBasicMaterial({ transparent: true, opacity: 0.28, depthWrite: false }),
   );
-  cloudOfDoubt.userData.color = () => css("--accent");
-  world.add(cloudOfDoubt);
+  uncertaintyEllipsoid.userData.color = () => css("--accent");
+  world.add(uncertaintyEllipsoid);
 
-  // --- labels, colours, sizes -------------------------------------------------------------------------------------------
+  // --- labels, colors, sizes --------------------------------------------------------------------------------------------
   function label(text, at, kind, c) {
     const element = make("span", { class: kind }, text);
     labels.append(element);
@@ -210,7 +210,7 @@ export function makeViewer(box, data, images) {
   }
   controls.addEventListener("change", draw);
 
-  // As near from a side as leaves a margin around all that is to be seen, in whose middle it looks.
+  // Place the eye on the given side, looking at the center, as near as a margin around all points allows.
   function stand(seen, back) {
     const side = new Vector3().crossVectors(up, back).normalize();
     const over = new Vector3().crossVectors(back, side);
@@ -225,7 +225,7 @@ export function makeViewer(box, data, images) {
     return { target, from: target.clone().addScaledVector(back, away) };
   }
 
-  // How much of the object, at some places of its way, cameras' images would hide from there.
+  // Count points around the object, at some path positions, that the cameras' images hide from an eye position.
   const some = sure.length ? [0, 0.5, 1].map((t) => sure[Math.round(t * (sure.length - 1))]) : [new Vector3()];
   const rim = some.flatMap((p) => [right, ahead, up].flatMap((v) => [-1, 0, 1].map((s) => p.clone().addScaledVector(v, s * radius))));
   function hidden(from) {
@@ -238,8 +238,8 @@ export function makeViewer(box, data, images) {
     }).length;
   }
 
-  // Whence the object is seen: the first of these sides, from the front round and then from higher up, from where images hide
-  // the least of it.
+  // Viewing directions to try, around from the front and then from higher up; the first one with the least occlusion by
+  // images is chosen.
   const sides = [0.88, 1.6, 3].flatMap((height) => [0, 1, -1, 2, -2, 3, -3, 4, -4, 5, -5, 6].map((k) => {
     const around = Math.atan2(0.36, 0.8) + (k * Math.PI) / 6;
     return ahead.clone().multiplyScalar(-Math.cos(around)).addScaledVector(right, Math.sin(around)).addScaledVector(up, height).normalize();
@@ -266,7 +266,7 @@ export function makeViewer(box, data, images) {
     eye.up.copy(up);
     eye.fov = FIELD;
     if (c >= 0) through(c);
-    // Through a camera, its image is behind all that is drawn.
+    // In a camera's view, its image is behind everything else.
     pictures.forEach((mesh, k) => {
       mesh.renderOrder = k === c ? -1 : 0;
       mesh.material.depthTest = mesh.material.depthWrite = k !== c;
@@ -276,7 +276,7 @@ export function makeViewer(box, data, images) {
     draw();
   }
 
-  // As a camera sees it, with its whole image in the view.
+  // Look through a camera, with its whole image in the view.
   function through(c) {
     const [a, b, , d] = corners[c];
     const look = vector(data.looks, c).multiplyScalar(data.reach);
@@ -296,7 +296,7 @@ export function makeViewer(box, data, images) {
     draw();
   }
 
-  // --- what moves -------------------------------------------------------------------------------------------------------
+  // --- moving parts -----------------------------------------------------------------------------------------------------
   let current = -1;
   function show(k) {
     current = k;
@@ -309,13 +309,13 @@ export function makeViewer(box, data, images) {
       object.matrix.set(r[0], r[1], r[2], x, r[3], r[4], r[5], y, r[6], r[7], r[8], z, 0, 0, 0, 1);
       object.matrixWorldNeedsUpdate = true;
     }
-    // Where it was last is shown pale.
+    // Without a pose, the last one is shown pale.
     object.traverse((o) => o.material && (o.material.opacity = has ? 1 : 0.18));
     const sigma = [3, 4, 5].map((j) => data.sigma[6 * k + j] * 2 * larger * scale);
-    cloudOfDoubt.visible = has && sigma.every((s) => s > 0 && s < far);
-    if (cloudOfDoubt.visible) {
-      cloudOfDoubt.position.copy(places[k]);
-      cloudOfDoubt.scale.set(...sigma);
+    uncertaintyEllipsoid.visible = has && sigma.every((s) => s > 0 && s < far);
+    if (uncertaintyEllipsoid.visible) {
+      uncertaintyEllipsoid.position.copy(places[k]);
+      uncertaintyEllipsoid.scale.set(...sigma);
     }
     draw();
   }
@@ -351,8 +351,8 @@ export function makeViewer(box, data, images) {
   resize();
   recolor();
   fit();
-  const said = [`grid ${digits3(spacing)} ${data.unit}`];
-  if (usual > 0) said.push(`ellipsoid: \u00b1 2 standard deviations${larger > 1 ? `, ${larger} times as large` : ""}`);
-  if (!originNear) said.push("the world's origin is out of view");
-  return { show, showStill, fit, legend: said, matrix: () => object.matrix.toArray(), visible: () => object.visible, hidden: () => hidden(eye.position) };
+  const legend = [`grid ${digits3(spacing)} ${data.unit}`];
+  if (usual > 0) legend.push(`ellipsoid: \u00b1 2 standard deviations${larger > 1 ? `, ${larger} times as large` : ""}`);
+  if (!originNear) legend.push("the world's origin is out of view");
+  return { show, showStill, fit, legend, matrix: () => object.matrix.toArray(), visible: () => object.visible, hidden: () => hidden(eye.position) };
 }

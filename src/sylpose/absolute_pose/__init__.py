@@ -1,1 +1,1 @@
-"""Where an object of known points is: `pose.estimate_pose`, solvePnP for many cameras."""
+"""Absolute pose of an object with known points: `pose.estimate_pose`, solvePnP for many cameras."""

@@ -1,7 +1,7 @@
 """Compiled loops of `estimate_pose`: robust scores, the search for a start, and the fit.
 
-All of them take the same `Views`: n matches sorted by camera. A pose is R (3, 3) and g (3,): a model point X, relative to
-the model's centre, lies at R X + g.
+All of them take the same `Views`: n matches sorted by camera. A pose is R (3, 3) and g (3,): a model point X, relative
+to the model's center, is at R X + g.
 """
 
 from __future__ import annotations
@@ -10,175 +10,218 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sylpose.absolute_pose.p3p import three_rays
+from sylpose.absolute_pose.p3p import solve_p3p
 from sylpose.absolute_pose.pose_noise import (
     CUTOFF,
-    GAIN,
+    INFORMATION_GAIN,
     MEDIAN_SQUARE,
     Noise,
-    measure_noise,
-    median_square,
+    compute_median_square,
+    compute_weights,
+    estimate_noise,
     set_noise,
-    weigh,
 )
 from sylpose.absolute_pose.pose_views import Views
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.numba_linalg import cholesky_solve, kernel, leaf, turn_by
+from sylpose.geometry.numba_linalg import apply_rotvec, cholesky_solve, kernel, leaf
 from sylpose.geometry.robust_loss import BIQUARTIC_BOUND, biquartic, biquartic_loss
 
-__all__ = ["by_chance", "drawn_good", "fit", "information", "minimize", "score", "search"]
+__all__ = [
+    "compute_chance",
+    "compute_information",
+    "compute_score",
+    "fit_pose",
+    "minimize",
+    "sample_inlier_ratio",
+    "search_samples",
+]
 
 
-# Rounds of re-weighting at the median's noise level (choice).
+# Iterations of re-weighting with the median's noise (choice).
 MEDIAN_ROUNDS = 3
 
 
-class Room(NamedTuple):
-    """For one camera at a time: turn (3, 3) and shift (3,) from the model to it, and a match's two rows (2, 6)."""
+class Workspace(NamedTuple):
+    """Workspace for one camera.
 
-    turn: FloatArray
-    shift: FloatArray
+    Attributes:
+        camera_rotation, camera_translation: (3, 3), (3,) from the model to the camera.
+        row: (2, 6) a match's two rows.
+    """
+
+    camera_rotation: FloatArray
+    camera_translation: FloatArray
     row: FloatArray
 
 
 @kernel
-def _make_room() -> Room:
-    """Empty."""
-    return Room(np.empty((3, 3)), np.empty(3), np.empty((2, 6)))
+def _make_workspace() -> Workspace:
+    """Allocate a workspace."""
+    return Workspace(np.empty((3, 3)), np.empty(3), np.empty((2, 6)))
 
 
 @leaf
 def _camera_from_model(
-    views: Views, c: int, rotation: FloatArray, place: FloatArray, turn: FloatArray, shift: FloatArray
+    views: Views,
+    c: int,
+    rotation: FloatArray,
+    translation: FloatArray,
+    camera_rotation: FloatArray,
+    camera_translation: FloatArray,
 ) -> None:
-    """turn (3, 3) and shift (3,) become those from the model to camera c."""
-    q = views.turns[c]
+    """Write the transform from the model to camera c to rotation (3, 3), translation (3,)."""
+    q = views.rotations[c]
     for i in range(3):
-        shift[i] = views.shifts[c, i] + q[i, 0] * place[0] + q[i, 1] * place[1] + q[i, 2] * place[2]
+        camera_translation[i] = (
+            views.translations[c, i] + q[i, 0] * translation[0] + q[i, 1] * translation[1] + q[i, 2] * translation[2]
+        )
         for j in range(3):
-            turn[i, j] = q[i, 0] * rotation[0, j] + q[i, 1] * rotation[1, j] + q[i, 2] * rotation[2, j]
+            camera_rotation[i, j] = q[i, 0] * rotation[0, j] + q[i, 1] * rotation[1, j] + q[i, 2] * rotation[2, j]
 
 
 @leaf
-def _seen(views: Views, k: int, turn: FloatArray, shift: FloatArray) -> tuple[float, float, float, float, float]:
-    """Match k in its camera: depth, normalised image (2), reprojection error in pixels (2); for positive depths only."""
+def _project_match(
+    views: Views, k: int, camera_rotation: FloatArray, camera_translation: FloatArray
+) -> tuple[float, float, float, float, float]:
+    """Project match k: depth, normalized image (2), reprojection error in pixels (2); for positive depths only."""
     x, y, z = views.points[k, 0], views.points[k, 1], views.points[k, 2]
-    depth = turn[2, 0] * x + turn[2, 1] * y + turn[2, 2] * z + shift[2]
-    nearness = 1.0 / depth
-    u = (turn[0, 0] * x + turn[0, 1] * y + turn[0, 2] * z + shift[0]) * nearness
-    v = (turn[1, 0] * x + turn[1, 1] * y + turn[1, 2] * z + shift[1]) * nearness
+    depth = camera_rotation[2, 0] * x + camera_rotation[2, 1] * y + camera_rotation[2, 2] * z + camera_translation[2]
+    inverse_depth = 1.0 / depth
+    u = (
+        camera_rotation[0, 0] * x + camera_rotation[0, 1] * y + camera_rotation[0, 2] * z + camera_translation[0]
+    ) * inverse_depth
+    v = (
+        camera_rotation[1, 0] * x + camera_rotation[1, 1] * y + camera_rotation[1, 2] * z + camera_translation[1]
+    ) * inverse_depth
     du, dv = u - views.images[k, 0], v - views.images[k, 1]
-    by = views.to_pixels
-    return depth, u, v, by[k, 0] * du + by[k, 1] * dv, by[k, 2] * du + by[k, 3] * dv
+    jacobian = views.to_pixels
+    return depth, u, v, jacobian[k, 0] * du + jacobian[k, 1] * dv, jacobian[k, 2] * du + jacobian[k, 3] * dv
 
 
 @leaf
-def _squares(views: Views, rotation: FloatArray, place: FloatArray, out: FloatArray, room: Room) -> None:
-    """out (n,): squared reprojection errors, pixels; infinite behind a camera."""
-    turn, shift, _ = room
-    for c in range(len(views.turns)):
-        _camera_from_model(views, c, rotation, place, turn, shift)
+def _compute_squares(
+    views: Views, rotation: FloatArray, translation: FloatArray, out: FloatArray, workspace: Workspace
+) -> None:
+    """Write squared reprojection errors, pixels, to out (n,); infinite behind a camera."""
+    camera_rotation, camera_translation, _ = workspace
+    for c in range(len(views.rotations)):
+        _camera_from_model(views, c, rotation, translation, camera_rotation, camera_translation)
         for k in range(views.start[c], views.start[c + 1]):
-            depth, _, _, r0, r1 = _seen(views, k, turn, shift)
+            depth, _, _, r0, r1 = _project_match(views, k, camera_rotation, camera_translation)
             out[k] = r0 * r0 + r1 * r1 if depth > 0.0 else np.inf
 
 
 @kernel
-def drawn_good(views: Views, rotation: FloatArray, place: FloatArray, top: float) -> float:
-    """The share of `search`'s samples whose three matches are all within sqrt(top) pixels of a pose."""
+def sample_inlier_ratio(views: Views, rotation: FloatArray, translation: FloatArray, max_square: float) -> float:
+    """Return the fraction of samples of three matches that are all inliers of a pose.
+
+    Samples are those of `search_samples`; inliers are within sqrt(max_square) pixels.
+    """
     squares = np.empty(len(views.points))
-    _squares(views, rotation, place, squares, _make_room())
-    n_cameras, good, by_camera = len(views.turns), 0, 0.0
+    _compute_squares(views, rotation, translation, squares, _make_workspace())
+    n_cameras, n_inliers, camera_ratios = len(views.rotations), 0, 0.0
     for c in range(n_cameras):
-        first, end, of_camera = views.start[c], views.start[c + 1], 0
+        first, end, camera_inliers = views.start[c], views.start[c + 1], 0
         for k in range(first, end):
-            of_camera += squares[k] < top
-        good += of_camera
-        by_camera += of_camera / (end - first)
-    return 0.5 * ((good / len(squares)) ** 3 + (by_camera / n_cameras) ** 3)
+            camera_inliers += squares[k] < max_square
+        n_inliers += camera_inliers
+        camera_ratios += camera_inliers / (end - first)
+    return 0.5 * ((n_inliers / len(squares)) ** 3 + (camera_ratios / n_cameras) ** 3)
 
 
 @kernel
-def by_chance(views: Views, place: FloatArray, weights: FloatArray, noise: Noise) -> tuple[int, float]:
-    """Of the matches that agree with a pose, by their weights (n,): how many they are, and the sum of the logarithms of how
-    likely random ones do: the share of the object's image that a circle of `CUTOFF` sigma covers."""
-    square, agree, log_share = 0.0, 0, 0.0
+def compute_chance(views: Views, translation: FloatArray, weights: FloatArray, noise: Noise) -> tuple[int, float]:
+    """Return the number of inliers and the sum of the logarithms of a random match's probability of being one.
+
+    Inliers are the matches with weights (n,). The probability is the fraction of the object's image that a circle of
+    `CUTOFF` sigma covers.
+    """
+    square, n_inliers, log_share = 0.0, 0, 0.0
     for k in range(len(views.points)):
         for i in range(3):
             square += views.points[k, i] ** 2
     radius = np.sqrt(square / len(views.points))
-    for c in range(len(views.turns)):
-        of_camera = 0
+    for c in range(len(views.rotations)):
+        camera_inliers = 0
         for k in range(views.start[c], views.start[c + 1]):
-            of_camera += weights[k] > 0.0
-        q, by = views.turns[c, 2], views.to_pixels[views.start[c]]
-        depth = max(q[0] * place[0] + q[1] * place[1] + q[2] * place[2] + views.shifts[c, 2], 1e-300)
-        size = np.sqrt(abs(by[0] * by[3] - by[1] * by[2])) * radius / depth
-        log_share += of_camera * np.log(min(max(CUTOFF**2 * noise.variances[c] / size**2, 1e-12), 1.0))
-        agree += of_camera
-    return agree, log_share
+            camera_inliers += weights[k] > 0.0
+        q, jacobian = views.rotations[c, 2], views.to_pixels[views.start[c]]
+        depth = max(
+            q[0] * translation[0] + q[1] * translation[1] + q[2] * translation[2] + views.translations[c, 2], 1e-300
+        )
+        size = np.sqrt(abs(jacobian[0] * jacobian[3] - jacobian[1] * jacobian[2])) * radius / depth
+        log_share += camera_inliers * np.log(min(max(CUTOFF**2 * noise.variances[c] / size**2, 1e-12), 1.0))
+        n_inliers += camera_inliers
+    return n_inliers, log_share
 
 
 @kernel
-def score(views: Views, rotation: FloatArray, place: FloatArray, top: float, bound: float) -> float:
-    """Sum over the matches of the loss with the cutoff sqrt(top) pixels, each between 0 and 1; given up beyond `bound`."""
-    return _score(views, rotation, place, top, bound, _make_room())
+def compute_score(
+    views: Views, rotation: FloatArray, translation: FloatArray, max_square: float, bound: float
+) -> float:
+    """Return the sum of the matches' losses, each between 0 and 1; stop beyond `bound`.
+
+    The cutoff is sqrt(max_square) pixels.
+    """
+    return _compute_score(views, rotation, translation, max_square, bound, _make_workspace())
 
 
 @leaf
-def _score(views: Views, rotation: FloatArray, place: FloatArray, top: float, bound: float, room: Room) -> float:
-    turn, shift, _ = room
+def _compute_score(
+    views: Views, rotation: FloatArray, translation: FloatArray, max_square: float, bound: float, workspace: Workspace
+) -> float:
+    camera_rotation, camera_translation, _ = workspace
     total = 0.0
-    for c in range(len(views.turns)):
-        _camera_from_model(views, c, rotation, place, turn, shift)
+    for c in range(len(views.rotations)):
+        _camera_from_model(views, c, rotation, translation, camera_rotation, camera_translation)
         for k in range(views.start[c], views.start[c + 1]):
-            depth, _, _, r0, r1 = _seen(views, k, turn, shift)
-            share = (r0 * r0 + r1 * r1) / top if depth > 0.0 else 2.0
-            total += biquartic_loss(share) / BIQUARTIC_BOUND
+            depth, _, _, r0, r1 = _project_match(views, k, camera_rotation, camera_translation)
+            ratio = (r0 * r0 + r1 * r1) / max_square if depth > 0.0 else 2.0
+            total += biquartic_loss(ratio) / BIQUARTIC_BOUND
         if total > bound:
             return total
     return total
 
 
 @leaf
-def _normal_equations(
+def _build_normal_equations(
     views: Views,
     rotation: FloatArray,
-    place: FloatArray,
+    translation: FloatArray,
     noise: Noise,
     hessian: FloatArray,
     gradient: FloatArray,
-    room: Room,
+    workspace: Workspace,
 ) -> float:
-    """hessian (6, 6) and gradient (6,) by (w, d) of the re-weighted squares in units of their variance, and the loss."""
+    """Write hessian (6, 6) and gradient (6,) by (w, d) of the re-weighted squares, in variances; return the loss."""
     for i in range(6):
         gradient[i] = 0.0
         for j in range(6):
             hessian[i, j] = 0.0
-    turn, shift, row = room
+    camera_rotation, camera_translation, row = workspace
     loss = 0.0
-    for c in range(len(views.turns)):
-        _camera_from_model(views, c, rotation, place, turn, shift)
-        q = views.turns[c]
-        variance, top = noise.variances[c], noise.tops[c]
+    for c in range(len(views.rotations)):
+        _camera_from_model(views, c, rotation, translation, camera_rotation, camera_translation)
+        q = views.rotations[c]
+        variance, cutoff = noise.variances[c], noise.cutoffs[c]
         for k in range(views.start[c], views.start[c + 1]):
-            depth, u, v, r0, r1 = _seen(views, k, turn, shift)
-            share = (r0 * r0 + r1 * r1) / top if depth > 0.0 else 2.0
-            loss += 0.5 * top / variance * biquartic_loss(share)
-            if not share < 1.0:
+            depth, u, v, r0, r1 = _project_match(views, k, camera_rotation, camera_translation)
+            ratio = (r0 * r0 + r1 * r1) / cutoff if depth > 0.0 else 2.0
+            loss += 0.5 * cutoff / variance * biquartic_loss(ratio)
+            if not ratio < 1.0:
                 continue
-            weight = biquartic(share) / variance
-            # The point relative to the model's centre, turned into the world.
+            weight = biquartic(ratio) / variance
+            # The point relative to the model's center, rotated into the world.
             x, y, z = views.points[k, 0], views.points[k, 1], views.points[k, 2]
             x0 = rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z
             x1 = rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z
             x2 = rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z
-            by = views.to_pixels
-            nearness = 1.0 / depth
+            jacobian = views.to_pixels
+            inverse_depth = 1.0 / depth
             for j in range(3):
-                by_u, by_v = (q[0, j] - u * q[2, j]) * nearness, (q[1, j] - v * q[2, j]) * nearness
-                row[0, 3 + j] = by[k, 0] * by_u + by[k, 1] * by_v
-                row[1, 3 + j] = by[k, 2] * by_u + by[k, 3] * by_v
+                d_u, d_v = (q[0, j] - u * q[2, j]) * inverse_depth, (q[1, j] - v * q[2, j]) * inverse_depth
+                row[0, 3 + j] = jacobian[k, 0] * d_u + jacobian[k, 1] * d_v
+                row[1, 3 + j] = jacobian[k, 2] * d_u + jacobian[k, 3] * d_v
             for i in range(2):
                 row[i, 0] = x1 * row[i, 5] - x2 * row[i, 4]
                 row[i, 1] = x2 * row[i, 3] - x0 * row[i, 5]
@@ -195,44 +238,48 @@ def _normal_equations(
 
 
 @leaf
-def _loss(views: Views, rotation: FloatArray, place: FloatArray, noise: Noise, room: Room) -> float:
-    """The loss alone, as `_normal_equations` has it."""
-    turn, shift, _ = room
+def _compute_loss(
+    views: Views, rotation: FloatArray, translation: FloatArray, noise: Noise, workspace: Workspace
+) -> float:
+    """Return the loss as in `_build_normal_equations`."""
+    camera_rotation, camera_translation, _ = workspace
     loss = 0.0
-    for c in range(len(views.turns)):
-        _camera_from_model(views, c, rotation, place, turn, shift)
-        top = noise.tops[c]
-        each = 0.5 * top / noise.variances[c]
+    for c in range(len(views.rotations)):
+        _camera_from_model(views, c, rotation, translation, camera_rotation, camera_translation)
+        cutoff = noise.cutoffs[c]
+        loss_scale = 0.5 * cutoff / noise.variances[c]
         for k in range(views.start[c], views.start[c + 1]):
-            depth, _, _, r0, r1 = _seen(views, k, turn, shift)
-            loss += each * biquartic_loss((r0 * r0 + r1 * r1) / top if depth > 0.0 else 2.0)
+            depth, _, _, r0, r1 = _project_match(views, k, camera_rotation, camera_translation)
+            loss += loss_scale * biquartic_loss((r0 * r0 + r1 * r1) / cutoff if depth > 0.0 else 2.0)
     return loss
 
 
 @leaf
-def _copy_pose(rotation: FloatArray, place: FloatArray, to_rotation: FloatArray, to_place: FloatArray) -> None:
+def _copy_pose(
+    rotation: FloatArray, translation: FloatArray, to_rotation: FloatArray, to_translation: FloatArray
+) -> None:
     for i in range(3):
-        to_place[i] = place[i]
+        to_translation[i] = translation[i]
         for j in range(3):
             to_rotation[i, j] = rotation[i, j]
 
 
 @kernel
 def minimize(
-    views: Views, rotation: FloatArray, place: FloatArray, noise: Noise, steps: int, damping: float
+    views: Views, rotation: FloatArray, translation: FloatArray, noise: Noise, steps: int, damping: float
 ) -> tuple[float, float]:
-    """Levenberg-Marquardt on the loss at a fixed noise level, in place.
+    """Run Levenberg-Marquardt on the loss with constant noise, in place.
 
     Returns:
-        what the last step promised to lower the loss by, and the damping to go on with.
+        predicted decrease of the last step, and the damping to continue with.
     """
     hessian, gradient = np.empty((6, 6)), np.empty(6)
     new_hessian, new_gradient = np.empty((6, 6)), np.empty(6)
-    new_rotation, new_place = np.empty((3, 3)), np.empty(3)
-    damped, step, room = np.empty((6, 6)), np.empty(6), _make_room()
-    loss = _normal_equations(views, rotation, place, noise, hessian, gradient, room)
-    promised = np.inf
-    for step_ in range(steps):
+    new_rotation, new_translation = np.empty((3, 3)), np.empty(3)
+    damped, step, workspace = np.empty((6, 6)), np.empty(6), _make_workspace()
+    loss = _build_normal_equations(views, rotation, translation, noise, hessian, gradient, workspace)
+    predicted_decrease = np.inf
+    for iteration in range(steps):
         for i in range(6):
             for j in range(6):
                 damped[i, j] = hessian[i, j]
@@ -240,143 +287,151 @@ def minimize(
             step[i] = -gradient[i]
         if not cholesky_solve(damped, step):
             damping = max(10.0 * damping, 1e-8)
-            promised = np.inf
+            predicted_decrease = np.inf
             continue
-        promised = 0.0
+        predicted_decrease = 0.0
         for i in range(6):
-            promised -= 0.5 * step[i] * gradient[i]
-        turn_by(step[:3], rotation, new_rotation)
+            predicted_decrease -= 0.5 * step[i] * gradient[i]
+        apply_rotvec(step[:3], rotation, new_rotation)
         for i in range(3):
-            new_place[i] = place[i] + step[3 + i]
-        if step_ + 1 < steps:
-            new_loss = _normal_equations(views, new_rotation, new_place, noise, new_hessian, new_gradient, room)
+            new_translation[i] = translation[i] + step[3 + i]
+        if iteration + 1 < steps:
+            new_loss = _build_normal_equations(
+                views, new_rotation, new_translation, noise, new_hessian, new_gradient, workspace
+            )
         else:
-            # No step follows that would need more.
-            new_loss = _loss(views, new_rotation, new_place, noise, room)
+            # The last step needs no derivatives.
+            new_loss = _compute_loss(views, new_rotation, new_translation, noise, workspace)
         if new_loss <= loss:
-            _copy_pose(new_rotation, new_place, rotation, place)
+            _copy_pose(new_rotation, new_translation, rotation, translation)
             hessian, new_hessian, gradient, new_gradient = new_hessian, hessian, new_gradient, gradient
             loss = new_loss
             damping = 0.1 * damping if damping > 1e-6 else 0.0
         else:
             damping = max(10.0 * damping, 1e-3)
-    return promised, damping
+    return predicted_decrease, damping
 
 
 @kernel
-def fit(
+def fit_pose(
     views: Views,
     rotation: FloatArray,
-    place: FloatArray,
-    top: float,
-    rounds: int,
-    steps: int,
+    translation: FloatArray,
+    max_square: float,
+    max_iterations: int,
+    max_steps: int,
     squares: FloatArray,
     weights: FloatArray,
     noise: Noise,
 ) -> tuple[int, float, bool]:
-    """The robust fit from a start, in place: re-weighting at the noise level that the distances show.
+    """Fit a pose robustly from a start, in place, by re-weighting with the noise estimated from the residuals.
 
-    The median tells the noise at first, since it bears outliers and a start that is not exact; then the weighted mean
-    square does, which is the better measure once outliers are out.
+    The median estimates the noise at first, because it tolerates outliers and an inexact start; then the weighted mean
+    square does, which is more efficient without outliers.
 
     Args:
-        top: squared distances beyond it are outliers whatever the noise.
-        rounds, steps: at most so many rounds of so many steps each (arguments, since Numba compiles a version of
-            `minimize` for every constant).
-        squares, weights: (n,) and noise, filled.
+        max_square: squared distances beyond it are outliers whatever the noise.
+        max_iterations, max_steps: maximum number of iterations and steps in each (arguments, because Numba compiles a
+            version of `minimize` for every constant).
+        squares, weights, noise: (n,), (n,) and the noise, filled.
 
     Returns:
-        rounds used, degrees of freedom, and whether it settled.
+        iterations used, degrees of freedom, and whether it converged.
     """
-    damping, freedom, promised, change, room = 1e-4, 1.0, np.inf, np.inf, _make_room()
-    round_ = 0
-    for round_ in range(rounds):
-        _squares(views, rotation, place, squares, room)
-        before = noise.variances[0]
-        if round_ < MEDIAN_ROUNDS:
-            median, count = median_square(squares, top)
+    damping, freedom, predicted_decrease, change, workspace = 1e-4, 1.0, np.inf, np.inf, _make_workspace()
+    iteration = 0
+    for iteration in range(max_iterations):
+        _compute_squares(views, rotation, translation, squares, workspace)
+        previous_variance = noise.variances[0]
+        if iteration < MEDIAN_ROUNDS:
+            median, count = compute_median_square(squares, max_square)
             if count < 4:
-                return round_, 1.0, False
-            # Six unknowns have been fitted.
+                return iteration, 1.0, False
+            # Corrected for six fitted unknowns.
             variance = median / MEDIAN_SQUARE * count / max(count - 3.0, 1.0)
-            for c in range(len(noise.tops)):
-                set_noise(noise, c, variance, views.least, max(2.0 * count - 6.0, 1.0), top)
+            for c in range(len(noise.cutoffs)):
+                set_noise(noise, c, variance, views.min_variance, max(2.0 * count - 6.0, 1.0), max_square)
         else:
-            weigh(squares, views.start, noise, weights)
-            freedom = measure_noise(squares, views.start, weights, views.least, top, noise)
-            change = abs(noise.variances[0] / before - 1.0)
-        if round_ > MEDIAN_ROUNDS and promised < 1e-10 and change < 1e-4:
+            compute_weights(squares, views.start, noise, weights)
+            freedom = estimate_noise(squares, views.start, weights, views.min_variance, max_square, noise)
+            change = abs(noise.variances[0] / previous_variance - 1.0)
+        if iteration > MEDIAN_ROUNDS and predicted_decrease < 1e-10 and change < 1e-4:
             break
-        promised, damping = minimize(views, rotation, place, noise, steps, damping)
-    weigh(squares, views.start, noise, weights)
-    return round_, freedom, promised < 1e-4 and change < 0.1
+        predicted_decrease, damping = minimize(views, rotation, translation, noise, max_steps, damping)
+    compute_weights(squares, views.start, noise, weights)
+    return iteration, freedom, predicted_decrease < 1e-4 and change < 0.1
 
 
 @kernel
-def information(views: Views, rotation: FloatArray, place: FloatArray, noise: Noise, out: FloatArray) -> None:
-    """out (6, 6) becomes the information about (w, d): the inverse of the covariance that these weights have."""
-    _normal_equations(views, rotation, place, noise, out, np.empty(6), _make_room())
+def compute_information(
+    views: Views, rotation: FloatArray, translation: FloatArray, noise: Noise, out: FloatArray
+) -> None:
+    """Write the information on (w, d) to out (6, 6): the inverse of the covariance of the weighted estimate."""
+    _build_normal_equations(views, rotation, translation, noise, out, np.empty(6), _make_workspace())
     for i in range(6):
         for j in range(6):
-            out[i, j] *= GAIN
+            out[i, j] *= INFORMATION_GAIN
 
 
 @kernel
-def search(
+def search_samples(
     views: Views,
     draws: FloatArray,
-    top: float,
-    steps: int,
+    max_square: float,
+    n_steps: int,
     rotations: FloatArray,
-    places: FloatArray,
+    translations: FloatArray,
     scores: FloatArray,
 ) -> None:
-    """Random samples of three matches; each that is the best so far is improved on all matches and kept.
+    """Sample three matches at random; each best pose so far is refined on all matches and kept.
 
     Args:
-        draws: (S, 6) uniform in [0, 1), what the samples are made of.
-        top: squared distance beyond which a match is wrong, pixels squared.
-        steps: that improve a pose.
-        rotations: (K, 3, 3), places: (K, 3), scores: (K + 1,): the poses kept, best first, and the score of the best sample;
-            infinite scores to begin with.
+        draws: (S, 6) uniform in [0, 1), from which samples are made.
+        max_square: squared distance beyond which a match is an outlier, pixels squared.
+        n_steps: refinement steps of a pose.
+        rotations, translations, scores: (K, 3, 3), (K, 3), (K + 1,): the poses kept, best first, and the score of the
+            best sample; infinite scores initially.
     """
-    n, n_cameras, kept = len(views.points), len(views.turns), len(places)
+    n, n_cameras, n_kept = len(views.points), len(views.rotations), len(translations)
     origins, rays, model = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    found_rotations, found_places, room = np.empty((8, 3, 3)), np.empty((8, 3)), _make_room()
-    noise = Noise(np.full(n_cameras, top / (CUTOFF * CUTOFF)), np.full(n_cameras, top))
+    found_rotations, found_translations, workspace = np.empty((8, 3, 3)), np.empty((8, 3)), _make_workspace()
+    noise = Noise(np.full(n_cameras, max_square / (CUTOFF * CUTOFF)), np.full(n_cameras, max_square))
     for s in range(len(draws)):
         for i in range(3):
             k = int(draws[s, i] * n)
-            if s % 2 == 1:  # every camera as often as another: one with many wrong matches must not be all there is
+            if s % 2 == 1:  # uniform over cameras: one with many outliers must not dominate
                 c = int(draws[s, 3 + i] * n_cameras)
                 k = views.start[c] + int(draws[s, i] * (views.start[c + 1] - views.start[c]))
             c = 0
             while k >= views.start[c + 1]:
                 c += 1
-            q, shift = views.turns[c], views.shifts[c]
+            q, camera_translation = views.rotations[c], views.translations[c]
             u, v = views.images[k, 0], views.images[k, 1]
             length = np.sqrt(u * u + v * v + 1.0)
             for j in range(3):
-                origins[i, j] = -(q[0, j] * shift[0] + q[1, j] * shift[1] + q[2, j] * shift[2])
+                origins[i, j] = -(
+                    q[0, j] * camera_translation[0] + q[1, j] * camera_translation[1] + q[2, j] * camera_translation[2]
+                )
                 rays[i, j] = (q[0, j] * u + q[1, j] * v + q[2, j]) / length
                 model[i, j] = views.points[k, j]
         best = -1
-        for h in range(three_rays(origins, rays, model, found_rotations, found_places)):
-            value = _score(views, found_rotations[h], found_places[h], top, scores[kept], room)
-            if value < scores[kept]:
-                scores[kept], best = value, h
+        for h in range(solve_p3p(origins, rays, model, found_rotations, found_translations)):
+            value = _compute_score(
+                views, found_rotations[h], found_translations[h], max_square, scores[n_kept], workspace
+            )
+            if value < scores[n_kept]:
+                scores[n_kept], best = value, h
         if best < 0:
             continue
-        rotation, place = found_rotations[best], found_places[best]
-        minimize(views, rotation, place, noise, steps, 1e-3)
-        value = _score(views, rotation, place, top, scores[kept - 1], room)
-        if not value < scores[kept - 1]:
+        rotation, translation = found_rotations[best], found_translations[best]
+        minimize(views, rotation, translation, noise, n_steps, 1e-3)
+        value = _compute_score(views, rotation, translation, max_square, scores[n_kept - 1], workspace)
+        if not value < scores[n_kept - 1]:
             continue
-        at = kept - 1
-        while at > 0 and value < scores[at - 1]:
-            _copy_pose(rotations[at - 1], places[at - 1], rotations[at], places[at])
-            scores[at] = scores[at - 1]
-            at -= 1
-        _copy_pose(rotation, place, rotations[at], places[at])
-        scores[at] = value
+        position = n_kept - 1
+        while position > 0 and value < scores[position - 1]:
+            _copy_pose(rotations[position - 1], translations[position - 1], rotations[position], translations[position])
+            scores[position] = scores[position - 1]
+            position -= 1
+        _copy_pose(rotation, translation, rotations[position], translations[position])
+        scores[position] = value

@@ -1,4 +1,4 @@
-"""The noise of each camera in `estimate_pose`: from the median at first, then from the weighted squares; compiled."""
+"""Compiled: noise of each camera in `estimate_pose`, from the median at first, then from the weighted squares."""
 
 from __future__ import annotations
 
@@ -8,26 +8,39 @@ import numpy as np
 
 from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.geometry.numba_linalg import kernel, leaf
-from sylpose.geometry.robust_loss import biquartic, biquartic_on_noise
+from sylpose.geometry.robust_loss import biquartic, biquartic_noise_response
 
-__all__ = ["CUTOFF", "GAIN", "MEDIAN_SQUARE", "Noise", "measure_noise", "median_square", "set_noise", "weigh"]
+__all__ = [
+    "CUTOFF",
+    "INFORMATION_GAIN",
+    "MEDIAN_SQUARE",
+    "Noise",
+    "compute_median_square",
+    "compute_weights",
+    "estimate_noise",
+    "set_noise",
+]
 
 
 # Cutoff of the biquartic weights: nearly 1 up to two sigma, 0 beyond five (choice).
 CUTOFF = 5.0
-# For Gaussian noise: what the mean weight and the mean weighted square lose to these weights, and what the information that
-# the weights say then lacks (derived).
-_ON_NOISE = biquartic_on_noise(CUTOFF)
-LOST_WEIGHT, LOST_SQUARE, GAIN = 1.0 - _ON_NOISE.weight, 1.0 - _ON_NOISE.square, _ON_NOISE.gain
-# The median of the squared length of two Gaussian coordinates, in variances of one (derived).
+# For Gaussian noise: reduction of the mean weight and of the mean weighted square by these weights, and the factor
+# missing in the information from the weights (derived).
+_NOISE_RESPONSE = biquartic_noise_response(CUTOFF)
+WEIGHT_LOSS, SQUARE_LOSS, INFORMATION_GAIN = (
+    1.0 - _NOISE_RESPONSE.weight,
+    1.0 - _NOISE_RESPONSE.square,
+    _NOISE_RESPONSE.gain,
+)
+# Median of the squared length of two Gaussian coordinates, in variances of one (derived).
 MEDIAN_SQUARE = 2.0 * np.log(2.0)
-# A cutoff that loses a good match less often than once in exp(WIDE) where the noise level is itself uncertain (choice).
-WIDE = 8.0
-# Distances from rounding alone, pixels: below it, nothing is noise (choice).
+# The cutoff loses an inlier less often than once in exp(LOG_MISS_ODDS) with an uncertain noise level (choice).
+LOG_MISS_ODDS = 8.0
+# Distances due to rounding alone, pixels: a lower limit of the noise (choice).
 ROUNDING_PX = 1e-6
-# A camera has a noise of its own when its variance differs from the others' by so many standard deviations, and when it
+# A camera has an individual noise level if its variance differs from the others' by so many standard deviations and it
 # has so many degrees of freedom (choice).
-OWN_NOISE, OWN_FREEDOM = 4.0, 8.0
+MIN_DEVIATION_SIGMAS, MIN_OWN_FREEDOM = 4.0, 8.0
 
 
 class Noise(NamedTuple):
@@ -35,21 +48,24 @@ class Noise(NamedTuple):
 
     Attributes:
         variances: (C,) of a coordinate, pixels squared.
-        tops: (C,) squared distances, pixels squared, from which on a match is an outlier.
+        cutoffs: (C,) squared distances, pixels squared, from which on a match is an outlier.
     """
 
     variances: FloatArray
-    tops: FloatArray
+    cutoffs: FloatArray
 
 
 @leaf
-def median_square(squares: FloatArray, top: float) -> tuple[float, int]:
-    """The median of the squares below `top`, to a thousandth, and their number: bisection needs no copy and no sorting."""
+def compute_median_square(squares: FloatArray, max_square: float) -> tuple[float, int]:
+    """Return the median of the squares below `max_square`, to a thousandth, and their number.
+
+    Bisection needs no copy and no sorting.
+    """
     count = 0
     for s in squares:
-        count += s < top
-    low, high = 0.0, top
-    # Noise may be anywhere between rounding and the top: halve the exponent first.
+        count += s < max_square
+    low, high = 0.0, max_square
+    # The noise is anywhere between rounding and the cutoff: halve the exponent first.
     for _ in range(60):
         if high < 1.001 * low:
             break
@@ -67,32 +83,31 @@ def median_square(squares: FloatArray, top: float) -> tuple[float, int]:
 
 
 @leaf
-def weigh(squares: FloatArray, start: IntArray, noise: Noise, weights: FloatArray) -> None:
-    """weights (n,) of squared distances (n,)."""
+def compute_weights(squares: FloatArray, start: IntArray, noise: Noise, weights: FloatArray) -> None:
+    """Write the weights (n,) of squared distances (n,)."""
     for c in range(len(start) - 1):
         for k in range(start[c], start[c + 1]):
-            weights[k] = biquartic(squares[k] / noise.tops[c])
+            weights[k] = biquartic(squares[k] / noise.cutoffs[c])
 
 
 @leaf
-def set_noise(noise: Noise, c: int, variance: float, least: float, freedom: float, top: float) -> None:
-    """Camera c gets a variance, which is not less than what is believed at least, known with so many degrees of freedom, and
-    the cutoff that goes with it."""
-    variance = max(variance, least, ROUNDING_PX * ROUNDING_PX)
-    # Few degrees of freedom may show far too little noise: the cutoff is then Student's, not Gauss's.
-    factor = max(CUTOFF * CUTOFF, freedom * (np.exp(min(2.0 * WIDE / freedom, 50.0)) - 1.0))
+def set_noise(noise: Noise, c: int, variance: float, min_variance: float, freedom: float, max_square: float) -> None:
+    """Set camera c's variance, at least `min_variance`, and its cutoff for so many degrees of freedom."""
+    variance = max(variance, min_variance, ROUNDING_PX * ROUNDING_PX)
+    # Few degrees of freedom may underestimate the noise: the cutoff is then Student's, not Gauss's.
+    factor = max(CUTOFF * CUTOFF, freedom * (np.exp(min(2.0 * LOG_MISS_ODDS / freedom, 50.0)) - 1.0))
     noise.variances[c] = variance
-    noise.tops[c] = min(factor * variance, top)
+    noise.cutoffs[c] = min(factor * variance, max_square)
 
 
 @kernel
-def measure_noise(
-    squares: FloatArray, start: IntArray, weights: FloatArray, least: float, top: float, noise: Noise
+def estimate_noise(
+    squares: FloatArray, start: IntArray, weights: FloatArray, min_variance: float, max_square: float, noise: Noise
 ) -> float:
-    """The noise from the weighted squares: one level for all cameras, its own for a camera that certainly differs.
+    """Estimate the noise from the weighted squares: one level for all cameras except significantly different ones.
 
     Args:
-        least: no variance is believed to be less.
+        min_variance: lower limit of the variances.
 
     Returns:
         degrees of freedom.
@@ -101,35 +116,42 @@ def measure_noise(
     sums, counts = np.zeros(n_cameras), np.zeros(n_cameras)
     total = 0.0
     for c in range(n_cameras):
-        agree = 0
+        n_inliers = 0
         for k in range(start[c], start[c + 1]):
             if weights[k] > 0.0:
                 sums[c] += weights[k] * squares[k]
                 counts[c] += weights[k]
-                agree += 1
-        # What the weights take from Gaussian noise goes with the fourth power of the cutoff.
-        lost = (CUTOFF * CUTOFF * noise.variances[c] / noise.tops[c]) ** 2
-        sums[c] /= 1.0 - min(lost * LOST_SQUARE, 0.5)
-        counts[c] = 2.0 * min(counts[c] / (1.0 - min(lost * LOST_WEIGHT, 0.5)), float(agree))
+                n_inliers += 1
+        # The reduction by the weights of Gaussian noise goes with the fourth power of the cutoff.
+        loss_factor = (CUTOFF * CUTOFF * noise.variances[c] / noise.cutoffs[c]) ** 2
+        sums[c] /= 1.0 - min(loss_factor * SQUARE_LOSS, 0.5)
+        counts[c] = 2.0 * min(counts[c] / (1.0 - min(loss_factor * WEIGHT_LOSS, 0.5)), float(n_inliers))
         total += counts[c]
     freedom = max(total - 6.0, 1.0)
-    left = freedom / max(total, 1.0)
-    own = np.zeros(n_cameras, np.bool_)
+    freedom_ratio = freedom / max(total, 1.0)
+    has_own_noise = np.zeros(n_cameras, np.bool_)
     common = 1.0
     for _ in range(3):
         squared, free = 0.0, 0.0
         for c in range(n_cameras):
-            if not own[c]:
-                squared, free = squared + sums[c], free + left * counts[c]
+            if not has_own_noise[c]:
+                squared, free = squared + sums[c], free + freedom_ratio * counts[c]
         if free <= 0.0:
             break
         common = max(squared / free, ROUNDING_PX * ROUNDING_PX)
         for c in range(n_cameras):
-            mine = left * counts[c]
-            # A camera most of whose matches disagree has outliers, not noise.
-            if mine >= OWN_FREEDOM and counts[c] >= start[c + 1] - start[c]:
-                ratio = np.log(max(sums[c] / mine, ROUNDING_PX * ROUNDING_PX) / common)
-                own[c] = abs(ratio) > OWN_NOISE * np.sqrt(2.0 / mine + 2.0 / free)
+            own_freedom = freedom_ratio * counts[c]
+            # A camera with mostly inconsistent matches has outliers, not noise.
+            if own_freedom >= MIN_OWN_FREEDOM and counts[c] >= start[c + 1] - start[c]:
+                ratio = np.log(max(sums[c] / own_freedom, ROUNDING_PX * ROUNDING_PX) / common)
+                has_own_noise[c] = abs(ratio) > MIN_DEVIATION_SIGMAS * np.sqrt(2.0 / own_freedom + 2.0 / free)
     for c in range(n_cameras):
-        set_noise(noise, c, sums[c] / (left * counts[c]) if own[c] else common, least, freedom, top)
+        set_noise(
+            noise,
+            c,
+            sums[c] / (freedom_ratio * counts[c]) if has_own_noise[c] else common,
+            min_variance,
+            freedom,
+            max_square,
+        )
     return freedom

@@ -1,5 +1,7 @@
-"""The search for the pose of a known model: from samples of three matches to the best robust fits, and whether chance or
-other cameras say as much against one."""
+"""Search for the pose of a known model: from samples of three matches to the best robust fits.
+
+Includes tests of whether a pose may be due to chance, and of whether other cameras contradict it.
+"""
 
 from __future__ import annotations
 
@@ -9,193 +11,227 @@ from math import lgamma
 
 import numpy as np
 
-from sylpose.absolute_pose.pose_kernels import by_chance, drawn_good, fit, minimize, score, search
+from sylpose.absolute_pose.pose_kernels import (
+    compute_chance,
+    compute_score,
+    fit_pose,
+    minimize,
+    sample_inlier_ratio,
+    search_samples,
+)
 from sylpose.absolute_pose.pose_noise import CUTOFF, Noise
-from sylpose.absolute_pose.pose_views import Views, agreeing, part_of
+from sylpose.absolute_pose.pose_views import Views, count_inliers, select_matches
 from sylpose.geometry.arrays import FloatArray
 
-__all__ = ["MIN_MATCHES", "SAYS", "Pose", "best_poses", "by_luck", "contradicted", "of_each_camera"]
+__all__ = [
+    "MIN_INLIER_RATIO",
+    "MIN_MATCHES",
+    "Pose",
+    "find_single_camera_poses",
+    "is_by_chance",
+    "is_contradicted",
+    "search_poses",
+]
 
 # Three matches have several exact poses; the fourth decides (derived).
 MIN_MATCHES = 4
-# Samples: at least, at most, and the chance that none of them was free of outliers (choice).
-MIN_SAMPLES, MAX_SAMPLES, MISSED = 20, 3000, 1e-4
-# Poses are searched with at most so many matches, evenly from the cameras (choice).
-SEARCHED = 500
-# Poses that are followed, the steps that improve each, and the rounds of re-weighting (choice).
-KEPT, SEARCH_STEPS, ROUNDS = 6, 5, 50
-# A start that scores worse than the best by this factor and this many matches is not followed (choice).
-WORSE, WORSE_BY = 2.0, 3.0
-# Poses that differ by less than this angle are one (choice).
-SAME_TURN = 0.05
-# A pose counts as chance when random matches would show one as good more often than this (choice).
-BY_CHANCE = 0.01
-# A camera says the pose that so large a share of its matches agree with (choice: a majority).
-SAYS = 0.5
+# Minimum and maximum number of samples, and the probability that none is free of outliers (choice).
+MIN_SAMPLES, MAX_SAMPLES, MISS_PROBABILITY = 20, 3000, 1e-4
+# Maximum number of matches used in the search, evenly from the cameras (choice).
+MAX_SEARCH_MATCHES = 500
+# Poses kept, refinement steps of each, and iterations of re-weighting (choice).
+N_KEPT, SEARCH_STEPS, MAX_ITERATIONS = 6, 5, 50
+# A start is discarded if its score exceeds the best by this factor and this number of matches (choice).
+MAX_SCORE_RATIO, MAX_SCORE_EXCESS = 2.0, 3.0
+# Poses that differ by a smaller angle, radians, are duplicates (choice).
+SAME_ROTATION = 0.05
+# A pose is due to chance if random matches give one as good with a higher expected number (choice).
+MAX_FALSE_ALARMS = 0.01
+# A camera supports a pose if this fraction of its matches are inliers (choice: a majority).
+MIN_INLIER_RATIO = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """A fitted pose: rotation and place in the kernels' terms, and what the fit says of itself."""
+    """Fitted pose: rotation and translation as in the kernels, and the fit's diagnostics."""
 
     rotation: FloatArray
-    place: FloatArray
+    translation: FloatArray
     squares: FloatArray
     weights: FloatArray
     noise: Noise
-    rounds: int
+    iterations: int
     freedom: float
-    settled: bool
+    converged: bool
 
 
-def best_poses(views: Views, top: float, thin: FloatArray, rng: np.random.Generator) -> list[Pose]:
-    """Search, follow the best distinct poses, fit the best two to all matches; best first.
+def search_poses(views: Views, max_square: float, thin_axis: FloatArray, rng: np.random.Generator) -> list[Pose]:
+    """Search for distinct poses, refine them, and fit the best two to all matches; best first.
 
     Args:
-        top: squared distance beyond which a match is wrong.
-        thin: (3,) the direction in which the model extends least.
+        max_square: squared distance beyond which a match is an outlier.
+        thin_axis: (3,) the direction in which the model extends least.
     """
-    few = _subset(views, rng)
-    rotations, places, scores = np.zeros((KEPT, 3, 3)), np.zeros((KEPT, 3)), np.full(KEPT + 1, np.inf)
-    done, wanted = 0, MIN_SAMPLES
-    while done < wanted:
-        draws = rng.random((min(wanted - done, 200), 6))
-        search(few, draws, top, SEARCH_STEPS, rotations, places, scores)
-        done += len(draws)
-        wanted = _samples(few, rotations[0], places[0], top) if scores[0] < np.inf else MAX_SAMPLES
-    starts = [(rotations[k], places[k]) for k in range(KEPT) if scores[k] < np.inf]
+    subset = _select_subset(views, rng)
+    rotations, translations, scores = np.zeros((N_KEPT, 3, 3)), np.zeros((N_KEPT, 3)), np.full(N_KEPT + 1, np.inf)
+    n_done, n_samples = 0, MIN_SAMPLES
+    while n_done < n_samples:
+        draws = rng.random((min(n_samples - n_done, 200), 6))
+        search_samples(subset, draws, max_square, SEARCH_STEPS, rotations, translations, scores)
+        n_done += len(draws)
+        n_samples = (
+            _required_samples(subset, rotations[0], translations[0], max_square) if scores[0] < np.inf else MAX_SAMPLES
+        )
+    starts = [(rotations[k], translations[k]) for k in range(N_KEPT) if scores[k] < np.inf]
     if not starts:
         return []
-    mirrored = _mirrored(*starts[0], thin)
-    minimize(few, *mirrored, _largest_noise(views, top), 10, 1e-3)
+    mirrored = _mirror_pose(*starts[0], thin_axis)
+    minimize(subset, *mirrored, _max_noise(views, max_square), 10, 1e-3)
     poses: list[Pose] = []
-    for rotation, place in [*starts, mirrored]:
-        if score(few, rotation, place, top, np.inf) > WORSE * scores[0] + WORSE_BY or _known(poses, rotation):
+    for rotation, translation in [*starts, mirrored]:
+        if compute_score(subset, rotation, translation, max_square, np.inf) > MAX_SCORE_RATIO * scores[
+            0
+        ] + MAX_SCORE_EXCESS or _is_known(poses, rotation):
             continue
-        pose = _fitted(few, rotation, place, top)
-        if pose is not None and not _known(poses, pose.rotation):
+        pose = _fit_pose(subset, rotation, translation, max_square)
+        if pose is not None and not _is_known(poses, pose.rotation):
             poses.append(pose)
-    poses = _best_first(few, poses)
-    if few is not views:
-        fitted = [_fitted(views, pose.rotation, pose.place, top) for pose in poses[:2]]
-        poses = _best_first(views, [pose for pose in fitted if pose is not None])
+    poses = _sort_by_false_alarms(subset, poses)
+    if subset is not views:
+        fitted = [_fit_pose(views, pose.rotation, pose.translation, max_square) for pose in poses[:2]]
+        poses = _sort_by_false_alarms(views, [pose for pose in fitted if pose is not None])
     return poses
 
 
-def _best_first(views: Views, poses: list[Pose]) -> list[Pose]:
-    return sorted(poses, key=lambda pose: _log_chance(views, pose)) if len(poses) > 1 else poses
+def _sort_by_false_alarms(views: Views, poses: list[Pose]) -> list[Pose]:
+    return sorted(poses, key=lambda pose: _log_false_alarms(views, pose)) if len(poses) > 1 else poses
 
 
-def _subset(views: Views, rng: np.random.Generator) -> Views:
-    """At most about `SEARCHED` of the matches, as many of each camera as it has, up to the same number."""
+def _select_subset(views: Views, rng: np.random.Generator) -> Views:
+    """Select about `MAX_SEARCH_MATCHES` matches at most, evenly from the cameras."""
     counts = np.diff(views.start)
-    if counts.sum() <= SEARCHED:
+    if counts.sum() <= MAX_SEARCH_MATCHES:
         return views
-    # Cameras with few matches leave their share to the others.
-    quota = SEARCHED // len(counts)
+    # Cameras with few matches leave their quota to the others.
+    quota = MAX_SEARCH_MATCHES // len(counts)
     for _ in range(3):
-        open_ = counts > quota
-        if not open_.any():
+        has_more = counts > quota
+        if not has_more.any():
             break
-        quota = max(1, int((SEARCHED - counts[~open_].sum()) // open_.sum()))
+        quota = max(1, int((MAX_SEARCH_MATCHES - counts[~has_more].sum()) // has_more.sum()))
     picked = [
         first + (np.arange(n) if n <= quota else rng.choice(n, quota, replace=False))
         for first, n in zip(views.start[:-1], counts, strict=True)
     ]
     start = np.concatenate([[0], np.cumsum([len(p) for p in picked])])
-    every = np.concatenate(picked)
+    indices = np.concatenate(picked)
     return views._replace(
-        points=views.points[every], images=views.images[every], to_pixels=views.to_pixels[every], start=start
+        points=views.points[indices], images=views.images[indices], to_pixels=views.to_pixels[indices], start=start
     )
 
 
-def _samples(views: Views, rotation: FloatArray, place: FloatArray, top: float) -> int:
-    """How many samples it takes that one, but for a chance of `MISSED`, is free of outliers."""
-    share = drawn_good(views, rotation, place, top)
-    if share >= 1.0:
+def _required_samples(views: Views, rotation: FloatArray, translation: FloatArray, max_square: float) -> int:
+    """Return the number of samples for which one is free of outliers except with probability `MISS_PROBABILITY`."""
+    inlier_ratio = sample_inlier_ratio(views, rotation, translation, max_square)
+    if inlier_ratio >= 1.0:
         return MIN_SAMPLES
-    return int(np.clip(np.log(MISSED) / np.log1p(-max(share, 1e-9)), MIN_SAMPLES, MAX_SAMPLES))
+    return int(np.clip(np.log(MISS_PROBABILITY) / np.log1p(-max(inlier_ratio, 1e-9)), MIN_SAMPLES, MAX_SAMPLES))
 
 
-def _mirrored(rotation: FloatArray, place: FloatArray, thin: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The pose that looks most alike from the cameras' middle, which is the world's origin: a flat object tilted the other
-    way. A half turn about its normal, then one about the line of sight, leave its scaled orthographic image as it was."""
-    sight = place / max(float(np.linalg.norm(place)), 1e-300)
-    half_turns = [2.0 * np.outer(axis, axis) - np.eye(3) for axis in (sight, thin)]
-    return half_turns[0] @ rotation @ half_turns[1], place.copy()
+def _mirror_pose(rotation: FloatArray, translation: FloatArray, thin_axis: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the mirror pose of a flat object, which looks most alike from the cameras' center, the world's origin.
+
+    Rotations by 180 degrees about the object's normal, then about the viewing direction, preserve its scaled
+    orthographic image.
+    """
+    viewing_ray = translation / max(float(np.linalg.norm(translation)), 1e-300)
+    half_turns = [2.0 * np.outer(axis, axis) - np.eye(3) for axis in (viewing_ray, thin_axis)]
+    return half_turns[0] @ rotation @ half_turns[1], translation.copy()
 
 
-def _known(poses: Sequence[Pose], rotation: FloatArray) -> bool:
-    return any(np.linalg.norm(rotation - pose.rotation) < np.sqrt(2.0) * SAME_TURN for pose in poses)
+def _is_known(poses: Sequence[Pose], rotation: FloatArray) -> bool:
+    return any(np.linalg.norm(rotation - pose.rotation) < np.sqrt(2.0) * SAME_ROTATION for pose in poses)
 
 
-def _largest_noise(views: Views, top: float) -> Noise:
-    """The same in all cameras: what the largest cutoff allows."""
-    return Noise(np.full(len(views.turns), top / CUTOFF**2), np.full(len(views.turns), top))
+def _max_noise(views: Views, max_square: float) -> Noise:
+    """Return the noise of the largest cutoff, for all cameras."""
+    return Noise(np.full(len(views.rotations), max_square / CUTOFF**2), np.full(len(views.rotations), max_square))
 
 
-def _fitted(views: Views, rotation: FloatArray, place: FloatArray, top: float) -> Pose | None:
-    """The robust fit from a start; None where fewer than `MIN_MATCHES` matches are left."""
-    rotation, place = rotation.copy(), place.copy()
-    squares, weights, noise = np.empty(len(views.points)), np.zeros(len(views.points)), _largest_noise(views, top)
-    rounds, freedom, settled = fit(views, rotation, place, top, ROUNDS, 1, squares, weights, noise)
+def _fit_pose(views: Views, rotation: FloatArray, translation: FloatArray, max_square: float) -> Pose | None:
+    """Fit a pose robustly from a start; None if fewer than `MIN_MATCHES` inliers remain."""
+    rotation, translation = rotation.copy(), translation.copy()
+    squares, weights, noise = np.empty(len(views.points)), np.zeros(len(views.points)), _max_noise(views, max_square)
+    iterations, freedom, converged = fit_pose(
+        views, rotation, translation, max_square, MAX_ITERATIONS, 1, squares, weights, noise
+    )
     if np.count_nonzero(weights) < MIN_MATCHES:
         return None
-    return Pose(rotation, place, squares, weights, noise, rounds, freedom, settled)
+    return Pose(rotation, translation, squares, weights, noise, iterations, freedom, converged)
 
 
-def _log_chance(views: Views, pose: Pose) -> float:
-    """The logarithm of how many poses as good as this one random matches would show, at most.
+def _log_false_alarms(views: Views, pose: Pose) -> float:
+    """Return the logarithm of the number of false alarms (NFA).
 
-    A random match agrees with the share of the object's image that a circle of `CUTOFF` sigma covers; the agreeing
-    matches, and the three among them that determine the pose, may be chosen. This weighs the number of matches that agree
-    against how well they do: of poses of the same data the one with the least is the best.
+    This is the expected number of poses as good as this one from random matches. A random match is an inlier with a
+    probability equal to the fraction of the object's image that a circle of `CUTOFF` sigma covers; the inliers, and the
+    three of them that determine the pose, may be chosen. This balances the number of inliers against their accuracy: of
+    poses of the same data the one with the smallest value is the best.
 
     Source: Moisan & Stival, a contrario RANSAC, 2004.
     """
-    n, (k, log_share) = len(pose.weights), by_chance(views, pose.place, pose.weights, pose.noise)
+    n, (k, log_share) = len(pose.weights), compute_chance(views, pose.translation, pose.weights, pose.noise)
     choices = lgamma(n + 1) - lgamma(n - k + 1) - lgamma(4) - lgamma(k - 2)
     return float(np.log(n) + choices + (k - 3) / k * log_share)
 
 
-def by_luck(views: Views, pose: Pose) -> bool:
-    """Whether random matches might show a pose as good. Where all matches agree there is no choice that chance could have
-    made, and it is those that a pose does not satisfy anyway that must agree."""
+def is_by_chance(views: Views, pose: Pose) -> bool:
+    """Return whether random matches could give a pose as good.
+
+    If all matches are inliers, there was no choice among them, and only the matches beyond the minimal three count as
+    evidence.
+    """
     if not pose.weights.all():
-        return bool(_log_chance(views, pose) > np.log(BY_CHANCE))
-    k, log_share = by_chance(views, pose.place, pose.weights, pose.noise)
-    return bool((k - 3) / k * log_share > np.log(BY_CHANCE))
+        return bool(_log_false_alarms(views, pose) > np.log(MAX_FALSE_ALARMS))
+    k, log_share = compute_chance(views, pose.translation, pose.weights, pose.noise)
+    return bool((k - 3) / k * log_share > np.log(MAX_FALSE_ALARMS))
 
 
-def of_each_camera(views: Views, top: float, thin: FloatArray, seed: int) -> Iterator[tuple[int, Pose]]:
-    """The cameras that say a pose by themselves, and which one: a majority of their matches, and more than `MIN_MATCHES`,
-    agree with it, by no luck."""
+def find_single_camera_poses(
+    views: Views, max_square: float, thin_axis: FloatArray, seed: int
+) -> Iterator[tuple[int, Pose]]:
+    """Yield the cameras that support a pose alone, with that pose.
+
+    A majority of their matches, and more than `MIN_MATCHES`, are inliers, not by chance.
+    """
     counts = np.diff(views.start)
     for c in np.flatnonzero(counts >= MIN_MATCHES):
-        own, _ = part_of(views, np.repeat(np.arange(len(counts)) == c, counts))
-        poses = best_poses(own, top, thin, np.random.default_rng(seed))
+        camera_views, _ = select_matches(views, np.repeat(np.arange(len(counts)) == c, counts))
+        poses = search_poses(camera_views, max_square, thin_axis, np.random.default_rng(seed))
         if (
             poses
-            and np.count_nonzero(poses[0].weights) > max(MIN_MATCHES, SAYS * counts[c])
-            and not by_luck(own, poses[0])
+            and np.count_nonzero(poses[0].weights) > max(MIN_MATCHES, MIN_INLIER_RATIO * counts[c])
+            and not is_by_chance(camera_views, poses[0])
         ):
             yield int(c), poses[0]
 
 
-def contradicted(views: Views, pose: Pose, top: float, thin: FloatArray, seed: int) -> bool:
-    """Whether as many cameras say another pose, by which none is to be believed more: of two, that one is turned against its
-    calibration; of several, each of which says one of its own, that the model is too large. Cameras of wrong matches say
-    none."""
-    agree, counts = agreeing(views, pose.weights), np.diff(views.start)
-    contrary = (agree < SAYS * counts) & (counts - agree >= MIN_MATCHES)
-    say = int(np.count_nonzero(agree >= SAYS * counts))
-    if not contrary.any() or contrary.sum() < say:
+def is_contradicted(views: Views, pose: Pose, max_square: float, thin_axis: FloatArray, seed: int) -> bool:
+    """Return whether at least as many cameras support another pose, so that neither can be preferred.
+
+    With two cameras, one may be miscalibrated; with several that support different poses, the model may be too large.
+    Cameras with wrong matches support none.
+    """
+    inliers, counts = count_inliers(views, pose.weights), np.diff(views.start)
+    is_opposing = (inliers < MIN_INLIER_RATIO * counts) & (counts - inliers >= MIN_MATCHES)
+    n_supporting = int(np.count_nonzero(inliers >= MIN_INLIER_RATIO * counts))
+    if not is_opposing.any() or is_opposing.sum() < n_supporting:
         return False
-    others, some = part_of(views, (pose.weights == 0.0) & np.repeat(contrary, counts))
-    if say <= 1:
-        return any(True for _ in of_each_camera(others, top, thin, seed))
-    poses = best_poses(others, top, thin, np.random.default_rng(seed))
-    if not poses or by_luck(others, poses[0]):
+    others, has_matches = select_matches(views, (pose.weights == 0.0) & np.repeat(is_opposing, counts))
+    if n_supporting <= 1:
+        return any(True for _ in find_single_camera_poses(others, max_square, thin_axis, seed))
+    poses = search_poses(others, max_square, thin_axis, np.random.default_rng(seed))
+    if not poses or is_by_chance(others, poses[0]):
         return False
-    instead = agreeing(others, poses[0].weights) > agree[some]
-    return int(np.count_nonzero(instead)) >= say
+    has_more_inliers = count_inliers(others, poses[0].weights) > inliers[has_matches]
+    return int(np.count_nonzero(has_more_inliers)) >= n_supporting

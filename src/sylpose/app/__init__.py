@@ -1,4 +1,5 @@
-"""What the commands do, for Python as well: `run` tracks a session, `check` looks for what is wrong with one, `demo` makes
-a recording with known truth. `aloud`, `notes` and `text` are how they speak on a terminal; `sylpose.cli` ties them to their
-options.
+"""Implementations of the commands, for use from Python as well; `sylpose.cli` defines their options.
+
+`run` tracks a session, `check` validates one, `demo` renders a recording with ground truth. `console`,
+`console_output` and `progress` write to the terminal.
 """

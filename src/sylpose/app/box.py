@@ -1,4 +1,4 @@
-"""`sylpose box`: where the objects are in the first frame, drawn by the user on a page in the browser."""
+"""`sylpose box`: a browser page on which the user draws the objects' boxes in the first frame."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ from typing import TypeVar
 import msgspec
 
 from sylpose.app import console_output
-from sylpose.app.box_hints import hints
-from sylpose.app.check import concerns
-from sylpose.app.local_page import Answer, Get, LocalPage, as_json, open_browser
-from sylpose.atomic_io import boxes_toml, replacing
+from sylpose.app.box_hints import compute_box_hints
+from sylpose.app.check import check_session
+from sylpose.app.local_page import GetHandler, LocalPage, Response, json_response, open_browser
+from sylpose.atomic_io import format_boxes_toml, replace_atomically
 from sylpose.capture import Session
-from sylpose.capture.boxes import UNNAMED, boxes_in
+from sylpose.capture.boxes import DEFAULT_OBJECT_NAME, parse_boxes
 from sylpose.frames import Box
 from sylpose.geometry.arrays import FloatArray, Image
-from sylpose.input_limits import one_line
-from sylpose.report.pictures import jpeg, smaller
-from sylpose.tracking.region import volume_from_boxes
+from sylpose.input_limits import to_one_line
+from sylpose.report.pictures import encode_jpeg, shrink_image
+from sylpose.tracking.region import carve_box_volume
 
-__all__ = ["Drawing", "box_aloud"]
+__all__ = ["BoxEditor", "run_box_command"]
 
-# The page's own files.
-PAGES = Path(__file__).parent / "pages"
-KINDS = {"box.html": "text/html; charset=utf-8", "box.css": "text/css", "box.js": "text/javascript"}
-# The longer side of an image on the page, pixels (choice: a large screen's); boxes are in those of the recording.
-LONGEST = 2560
-# Seconds between two looks at whether it has ended (choice).
-ASK = 0.2
+# Folder of the page's files.
+PAGE_FOLDER = Path(__file__).parent / "pages"
+MEDIA_TYPES = {"box.html": "text/html; charset=utf-8", "box.css": "text/css", "box.js": "text/javascript"}
+# Longer side of an image on the page in pixels (choice: a large screen's); boxes use the recording's pixels.
+MAX_IMAGE_SIDE = 2560
+# Seconds between two checks whether the boxes are saved (choice).
+POLL_INTERVAL = 0.2
 
 T = TypeVar("T")
 
@@ -42,161 +42,173 @@ Boxes = dict[str, dict[str, Box]]
 
 
 @dataclass(eq=False)
-class Drawing:
-    """What the page is about, and what comes of it.
+class BoxEditor:
+    """State of the page: its inputs and the boxes that were saved.
 
     Attributes:
-        session: with the boxes that there are.
-        start: the frame.
-        images: of its cameras, None where one has none.
-        out: where the boxes go.
-        next: the command that goes on with them.
-        saved: what was written, once `ended` is set.
+        session: the recording, with its existing boxes.
+        start: number of the frame in which boxes are drawn.
+        images: image of each camera; None if a camera has none.
+        out: file to which the boxes are written.
+        next_command: command that continues with the boxes.
+        saved: boxes that were written, once `ended` is set.
     """
 
     session: Session
     start: int
     images: tuple[Image | None, ...]
     out: Path
-    next: str
+    next_command: str
     saved: Boxes = field(default_factory=dict)
     ended: threading.Event = field(default_factory=threading.Event)
 
-    def state(self, _: Mapping[str, str]) -> Answer:
-        """What the page begins with."""
+    def send_state(self, _: Mapping[str, str]) -> Response:
+        """Return the initial state of the page as JSON."""
         rig = self.session.rig
         cameras = [
             {"name": camera.name, "width": camera.size[0], "height": camera.size[1], "image": image is not None}
             for camera, image in zip(rig, self.images, strict=True)
         ]
-        boxes = {name: _numbers(self.session.of(name).boxes) for name in self.session.objects}
+        boxes = {name: _boxes_to_numbers(self.session.select_object(name).boxes) for name in self.session.objects}
         recording = self.session.path.resolve().name
-        return as_json({"recording": recording, "frame": self.start, "cameras": cameras, "boxes": boxes})
+        return json_response({"recording": recording, "frame": self.start, "cameras": cameras, "boxes": boxes})
 
-    def image(self, asked: Mapping[str, str]) -> Answer:
-        """A camera's image."""
-        shown = dict(zip(self.session.rig.names, self.images, strict=True)).get(asked.get("camera", ""))
-        if shown is None:
+    def send_image(self, query: Mapping[str, str]) -> Response:
+        """Return a camera's image as JPEG."""
+        image = dict(zip(self.session.rig.names, self.images, strict=True)).get(query.get("camera", ""))
+        if image is None:
             raise ValueError("no such camera, or it has no image")
-        return Answer(jpeg(smaller(shown, LONGEST)), "image/jpeg")
+        return Response(encode_jpeg(shrink_image(image, MAX_IMAGE_SIDE)), "image/jpeg")
 
-    def hints(self, asked: Mapping[str, str]) -> Answer:
-        """What the boxes of one object tell of it in the other cameras."""
-        sent = _sent(asked.get("boxes", "").encode(), dict[str, Numbers])
-        boxes = next(iter(self._checked({UNNAMED: sent}).values())) if sent else {}
-        found = hints(self.session.rig, boxes)
+    def send_hints(self, query: Mapping[str, str]) -> Response:
+        """Return epipolar bands and suggested boxes in the other cameras for one object's boxes."""
+        numbers = _decode_json(query.get("boxes", "").encode(), dict[str, Numbers])
+        boxes = next(iter(self._validate({DEFAULT_OBJECT_NAME: numbers}).values())) if numbers else {}
+        found = compute_box_hints(self.session.rig, boxes)
         bands = {
             name: [
-                {"of": of, "outline": _points(band.outline), "middle": _points(band.middle)} for of, band in its.items()
+                {
+                    "of": other,
+                    "outline": _to_page_coordinates(band.outline),
+                    "middle": _to_page_coordinates(band.center_curve),
+                }
+                for other, band in by_other.items()
             ]
-            for name, its in found.bands.items()
+            for name, by_other in found.bands.items()
         }
-        return as_json({"bands": bands, "boxes": _numbers(found.boxes), "wrong": found.wrong})
+        return json_response({"bands": bands, "boxes": _boxes_to_numbers(found.boxes), "wrong": found.error})
 
-    def save(self, body: bytes) -> Answer:
-        """Writes the boxes of all objects, and ends."""
-        sent = {name: its for name, its in _sent(body, dict[str, dict[str, Numbers]]).items() if its}
+    def save(self, body: bytes) -> Response:
+        """Write the boxes of all objects and end the command."""
+        sent = {
+            name: by_camera
+            for name, by_camera in _decode_json(body, dict[str, dict[str, Numbers]]).items()
+            if by_camera
+        }
         if not sent:
-            raise ValueError("there is no box yet: drag one around the object, in two cameras or more")
-        boxes = self._checked(sent)
+            raise ValueError("there is no box yet: drag one around the object in at least two cameras")
+        boxes = self._validate(sent)
         if self.session.masks is not None and {*boxes} != {*self.session.objects}:
             raise ValueError(
                 f"{self.session.masks} has masks of {', '.join(self.session.objects)}: the boxes must be of the same "
                 f"objects, not of {', '.join(boxes)}"
             )
-        for name, its in boxes.items():
-            if len(its) > 1:
+        for name, by_camera in boxes.items():
+            if len(by_camera) > 1:
                 try:
-                    volume_from_boxes(self.session.rig, its)
+                    carve_box_volume(self.session.rig, by_camera)
                 except ValueError as error:
                     raise ValueError(str(error) if len(boxes) == 1 else f"{name}: {error}") from None
-        with replacing(self.out) as part:
-            part.write_text(_text(boxes), encoding="utf-8")
+        with replace_atomically(self.out) as part:
+            part.write_text(_format_boxes_toml(boxes), encoding="utf-8")
         self.saved = boxes
-        return as_json({"file": str(self.out), "next": self.next}, then=self.ended.set)
+        return json_response({"file": str(self.out), "next": self.next_command}, on_sent=self.ended.set)
 
-    def page(self, port: int) -> LocalPage:
-        """All of it, to be served."""
+    def build_page(self, port: int) -> LocalPage:
+        """Return the page with its request handlers, ready to be served."""
 
-        def file(name: str) -> Get:
-            return lambda _: Answer((PAGES / name).read_bytes(), KINDS[name])
+        def file(name: str) -> GetHandler:
+            return lambda _: Response((PAGE_FOLDER / name).read_bytes(), MEDIA_TYPES[name])
 
         gets = {"": file("box.html"), "box.css": file("box.css"), "box.js": file("box.js")}
-        gets |= {"state": self.state, "image": self.image, "hints": self.hints}
+        gets |= {"state": self.send_state, "image": self.send_image, "hints": self.send_hints}
         return LocalPage(gets, {"boxes": self.save}, port)
 
-    def _checked(self, sent: Mapping[str, Mapping[str, Numbers]]) -> Boxes:
-        """As they are when they are read from the file."""
-        given = {name: {camera: Box(*box) for camera, box in its.items()} for name, its in sent.items()}
-        return boxes_in(_text(given), self.session.rig, Path(self.out.name))
+    def _validate(self, sent: Mapping[str, Mapping[str, Numbers]]) -> Boxes:
+        """Validate boxes exactly as if they were read from a file."""
+        given = {name: {camera: Box(*box) for camera, box in by_camera.items()} for name, by_camera in sent.items()}
+        return parse_boxes(_format_boxes_toml(given), self.session.rig, Path(self.out.name))
 
 
-def box_aloud(
+def run_box_command(
     session: Session, out: Path | None, options: Sequence[str], *, start: int, port: int, browser: bool
 ) -> Path:
-    """Boxes that are drawn on a page, from the headline to what to type next; returns the file.
+    """Let the user draw boxes on a browser page and write them.
 
     Args:
-        session: with the boxes that there are.
-        out: where the boxes go; None: boxes.toml in the recording.
-        options: that `sylpose track` needs too for this recording.
-        start: the frame that they are of.
-        port: of the page; 0 for any.
-        browser: open it there.
+        session: the recording, with its existing boxes.
+        out: file to write; None: boxes.toml in the recording.
+        options: options that `sylpose track` needs as well for this recording.
+        start: number of the frame in which boxes are drawn.
+        port: port of the page; 0 for any free one.
+        browser: open the page in the user's browser.
+
+    Returns:
+        the file with the boxes.
 
     Raises:
-        KeyboardInterrupt: with a sentence; nothing was written.
-        ValueError: a frame that the recording does not have, or in which no camera has an image.
-        OSError: naming the port that is taken.
+        KeyboardInterrupt: interrupted by the user, with a message; nothing was written.
+        ValueError: the recording does not have the frame, or no camera has an image in it.
+        OSError: the port is in use; the message names it.
     """
     console = console_output.make_console()
-    console.print(console_output.headline(session))
-    words = ["sylpose", "track", str(session.path), *options, *(["--start", str(start)] if start else [])]
-    words += [] if out is None else ["--boxes", str(out)]
+    console.print(console_output.format_headline(session))
+    command = ["sylpose", "track", str(session.path), *options, *(["--start", str(start)] if start else [])]
+    command += [] if out is None else ["--boxes", str(out)]
     problems: list[str] = []
     with closing(session.frames(start, start + 1, on_problem=problems.append)) as frames:
         images = next(frames, None)
     console_output.print_warnings(console, problems)
     if images is None or all(image is None for image in images.images):
-        raise ValueError(f"{session.path}: no camera has an image in frame {start}, to draw boxes in")
+        raise ValueError(f"{session.path}: no camera has an image in frame {start} to draw boxes in")
     file = session.path / "boxes.toml" if out is None else out
-    drawing = Drawing(session, start, images.images, file, shlex.join(words))
+    drawing = BoxEditor(session, start, images.images, file, shlex.join(command))
     try:
-        with drawing.page(port) as page:
+        with drawing.build_page(port) as page:
             opened = browser and open_browser(page.url)
             console.print(f"{'Opened' if opened else 'Open'} {page.url} in a browser", soft_wrap=True)
-            console.print("Save there writes the boxes and ends this; Ctrl-C leaves everything as it was.")
-            while not drawing.ended.wait(ASK):  # Ctrl-C does not come through on Windows while one waits for good
+            console.print("Save on that page writes the boxes and ends this command; Ctrl-C changes nothing.")
+            while not drawing.ended.wait(POLL_INTERVAL):  # on Windows, Ctrl-C does not interrupt a wait without timeout
                 pass
     except KeyboardInterrupt:
         raise KeyboardInterrupt("interrupted; no boxes were written") from None
     boxes = drawing.saved
-    console_output.print_warnings(console, concerns(replace(session, objects=tuple(boxes), _boxes=boxes), start))
-    of = ", ".join(dict.fromkeys(camera for its in boxes.values() for camera in its))
-    what = "Boxes" if len(boxes) == 1 else f"Boxes of {', '.join(boxes)}"
-    console.print(f"{what} in {of}: {file}", soft_wrap=True)
-    console.print(f"Next: {drawing.next}", soft_wrap=True)
+    console_output.print_warnings(console, check_session(replace(session, objects=tuple(boxes), _boxes=boxes), start))
+    cameras = ", ".join(dict.fromkeys(camera for by_camera in boxes.values() for camera in by_camera))
+    label = "Boxes" if len(boxes) == 1 else f"Boxes of {', '.join(boxes)}"
+    console.print(f"{label} in {cameras}: {file}", soft_wrap=True)
+    console.print(f"Next: {drawing.next_command}", soft_wrap=True)
     return file
 
 
-def _sent(data: bytes, kind: type[T]) -> T:
-    """What the page has sent."""
+def _decode_json(data: bytes, kind: type[T]) -> T:
+    """Decode JSON sent by the page."""
     try:
         return msgspec.json.decode(data, type=kind)
     except msgspec.MsgspecError as error:
-        raise ValueError(f"boxes by camera are expected ({one_line(str(error))})") from None
+        raise ValueError(f"boxes by camera are expected ({to_one_line(str(error))})") from None
 
 
-def _text(boxes: Mapping[str, Mapping[str, Box]]) -> str:
-    """boxes.toml; of one object without a name, without a table."""
-    named = {"" if list(boxes) == [UNNAMED] else name: its for name, its in boxes.items()}
-    return boxes_toml({name: _numbers(its) for name, its in named.items()})
+def _format_boxes_toml(boxes: Mapping[str, Mapping[str, Box]]) -> str:
+    """Return the content of boxes.toml; a single unnamed object gets no table."""
+    named = {"" if list(boxes) == [DEFAULT_OBJECT_NAME] else name: by_camera for name, by_camera in boxes.items()}
+    return format_boxes_toml({name: _boxes_to_numbers(by_camera) for name, by_camera in named.items()})
 
 
-def _numbers(boxes: Mapping[str, Box]) -> dict[str, Numbers]:
+def _boxes_to_numbers(boxes: Mapping[str, Box]) -> dict[str, Numbers]:
     return {camera: (box.x, box.y, box.width, box.height) for camera, box in boxes.items()}
 
 
-def _points(pixels: FloatArray) -> list[list[float]]:
-    """As the page draws them: there the middle of the first pixel is at (0.5, 0.5), as boxes are from edge to edge."""
+def _to_page_coordinates(pixels: FloatArray) -> list[list[float]]:
+    """Convert pixels to the page's coordinates, in which the center of the first pixel is at (0.5, 0.5)."""
     return [[round(x, 1), round(y, 1)] for x, y in (pixels + 0.5).tolist()]

@@ -1,4 +1,4 @@
-"""What boxes in some cameras tell of where the object is in the others: bands of epipolar curves, and boxes."""
+"""Hints for drawing boxes: epipolar bands and suggested boxes in cameras without a box."""
 
 from __future__ import annotations
 
@@ -9,190 +9,213 @@ import numpy as np
 
 from sylpose.frames import Box
 from sylpose.geometry.arrays import BoolArray, FloatArray
-from sylpose.report.drawing import project
+from sylpose.report.drawing import project_points
 from sylpose.rig import Camera, Rig
-from sylpose.tracking.region import volume_from_boxes
+from sylpose.tracking.region import carve_box_volume
 
-__all__ = ["Band", "Hints", "epipolar_band", "epipolar_curve", "hints"]
+__all__ = ["BoxHints", "EpipolarBand", "compute_box_hints", "compute_epipolar_band", "compute_epipolar_curve"]
 
-# A curve is looked at in so many places first, and drawn by so many in and around the image (choice: a step in the image of
-# a wide lens is a few pixels, in which no lens bends a line by a tenth of one).
-LOOKED_AT, DRAWN = 361, 128
-# How far around the image that is, in images (choice: what ends there is joined by straight lines, that miss it).
+# Samples of a curve to find its visible part, and samples of that part (choice: a step in the image of a wide lens is a
+# few pixels, over which no lens bends a line by a tenth of one).
+N_SEARCH_SAMPLES, N_CURVE_SAMPLES = 361, 128
+# Curves are kept up to this many image sizes outside the image (choice: lines that join their ends miss the image).
 MARGIN = 2.0
-# Points on each side of a box whose curves may bound its band (choice).
-ON_A_SIDE = 9
-# A band that spans more than this about the line through both cameras has one of them inside its box (derived: one that has
-# not spans less than half a turn; less by what its rim is sampled and lenses bend).
-WIDEST = 0.9 * np.pi
-# Cameras nearer to each other than this share of how far they are from the world's origin are in one place (rounding).
-ONE_PLACE = 1e-9
-# Of a suggested box that is cut off by the image's rim so much is inside at least (choice: less would be a guess).
-LEAST_INSIDE = 0.25
+# Points on each side of a box whose epipolar curves may bound the band (choice).
+POINTS_PER_SIDE = 9
+# A band that spans a larger angle about the baseline has its camera inside the other one's box (derived: otherwise it
+# spans less than 180 degrees, reduced by the sampling of its outline and the bending by lenses).
+MAX_BAND_ANGLE = 0.9 * np.pi
+# Cameras whose baseline is below this share of their distance from the world's origin are coincident (rounding).
+MIN_BASELINE_RATIO = 1e-9
+# Smallest share of a suggested box that must be inside the image (choice: less would be a guess).
+MIN_VISIBLE_RATIO = 0.25
 
 
 @dataclass(frozen=True, eq=False)
-class Band:
-    """Where in one camera's image something is that is inside a box of another camera, at whatever distance.
+class EpipolarBand:
+    """Epipolar band: region of one camera's image that may show the content of another camera's box.
 
     Attributes:
-        outline: (k, 2) pixels, a polygon that goes beyond the image's rim; empty where the other camera itself is inside the
-            box: then that can be anywhere.
-        middle: (m, 2) pixels, the curve of the box's middle, from near to far; empty where the image does not show it.
+        outline: (k, 2) pixels, a polygon that extends beyond the image border; empty if this camera itself is inside
+            the box, so that its content can be anywhere.
+        center_curve: (m, 2) pixels, the epipolar curve of the box center from near to far; empty if not visible in the
+            image.
     """
 
     outline: FloatArray
-    middle: FloatArray
+    center_curve: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
-class Hints:
-    """What the boxes of one object tell, by camera.
+class BoxHints:
+    """Hints derived from the boxes of one object.
 
     Attributes:
-        bands: of each camera, by the camera whose box tells it.
-        boxes: of cameras without a box that see where the others meet: a box around that.
-        wrong: a sentence where they meet nowhere; else "".
+        bands: bands by camera name, then by the name of the camera whose box defines them.
+        boxes: suggested boxes by name of each camera without a box that sees the intersection of the others.
+        error: error message if the boxes do not intersect in space; else "".
     """
 
-    bands: dict[str, dict[str, Band]] = field(default_factory=dict)
+    bands: dict[str, dict[str, EpipolarBand]] = field(default_factory=dict)
     boxes: dict[str, Box] = field(default_factory=dict)
-    wrong: str = ""
+    error: str = ""
 
 
-def hints(rig: Rig, boxes: Mapping[str, Box]) -> Hints:
-    """What the boxes of one object, by camera, tell of it in the other cameras."""
+def compute_box_hints(rig: Rig, boxes: Mapping[str, Box]) -> BoxHints:
+    """Compute epipolar bands and suggested boxes in the other cameras from one object's boxes.
+
+    Args:
+        rig: the cameras.
+        boxes: boxes of one object by camera name.
+    """
     bands = {
-        camera.name: {name: epipolar_band(rig[name], box, camera) for name, box in boxes.items() if name != camera.name}
+        camera.name: {
+            name: compute_epipolar_band(rig[name], box, camera) for name, box in boxes.items() if name != camera.name
+        }
         for camera in rig
     }
     if len(boxes) < 2:
-        return Hints(bands)
+        return BoxHints(bands)
     try:
-        center, points = volume_from_boxes(rig, boxes)
+        center, points = carve_box_volume(rig, boxes)
     except ValueError as error:
-        return Hints(bands, wrong=str(error))
-    # Boxes from one side leave open how deep the object is: hardly deeper than it is wide and high (choice).
-    reach = max(_half_diagonal(rig[name], box, center) for name, box in boxes.items())
-    points = points[np.linalg.norm(points - center, axis=1) <= reach]
-    around = {camera.name: _box_around(camera, points) for camera in rig if camera.name not in boxes}
-    return Hints(bands, {name: box for name, box in around.items() if box is not None})
+        return BoxHints(bands, error=str(error))
+    # Boxes from one side leave the object's depth open: limit it to the object's width and height (choice).
+    max_radius = max(_half_diagonal(rig[name], box, center) for name, box in boxes.items())
+    points = points[np.linalg.norm(points - center, axis=1) <= max_radius]
+    suggested = {camera.name: _compute_bounding_box(camera, points) for camera in rig if camera.name not in boxes}
+    return BoxHints(bands, {name: box for name, box in suggested.items() if box is not None})
 
 
-def epipolar_curve(seen_by: Camera, pixel: FloatArray, camera: Camera) -> FloatArray:
-    """Where a camera sees what another one sees at a pixel, at whatever distance.
+def compute_epipolar_curve(other: Camera, pixel: FloatArray, camera: Camera) -> FloatArray:
+    """Compute the epipolar curve of another camera's pixel, including lens distortion.
 
     Args:
-        seen_by: the other camera.
-        pixel: (2,) of its image as recorded.
-        camera: whose image the curve is in.
+        other: the other camera.
+        pixel: (2,) pixel of its recorded (distorted) image.
+        camera: camera in whose image the curve is computed.
 
     Returns:
-        (n, 2) pixels of the image as recorded, from near to far: a curve in the image and around it; empty where it does
-        not come near the image, and of cameras in one place.
+        (n, 2) pixels of the recorded image from near to far, in the image and around it; empty if the curve does not
+        pass near the image or the cameras coincide.
     """
-    ray = seen_by.rays(pixel[None])[0]
-    towards = _baseline(seen_by, camera)
-    return np.empty((0, 2)) if towards is None else _curve(camera, towards, ray)
+    ray = other.rays(pixel[None])[0]
+    baseline = _baseline_direction(other, camera)
+    return np.empty((0, 2)) if baseline is None else _project_ray(camera, baseline, ray)
 
 
-def epipolar_band(seen_by: Camera, box: Box, camera: Camera) -> Band:
-    """Where a camera sees what is inside a box of another one, at whatever distance."""
-    nothing = np.empty((0, 2))
-    towards = _baseline(seen_by, camera)
-    if towards is None:
-        return Band(nothing, nothing)
-    rim = seen_by.rays(_rim(box))
-    middle = seen_by.rays([[box.x + (box.width - 1) / 2, box.y + (box.height - 1) / 2]])[0]
-    curve = _curve(camera, towards, middle)
-    # Each ray is in a plane through both cameras: those that are turned the most about their connection bound the band.
-    sideways = np.cross(towards, middle)
-    turned = np.arctan2(rim @ sideways, rim @ np.cross(sideways, towards))
-    if np.ptp(turned) > WIDEST:
-        return Band(nothing, curve)
-    # The outermost that come near the image.
-    order = np.argsort(turned).tolist()
+def compute_epipolar_band(other: Camera, box: Box, camera: Camera) -> EpipolarBand:
+    """Compute the region of a camera's image that may show the content of another camera's box.
+
+    Args:
+        other: the camera with the box.
+        box: the box in its recorded image, pixels.
+        camera: camera in whose image the band is computed.
+    """
+    empty = np.empty((0, 2))
+    baseline = _baseline_direction(other, camera)
+    if baseline is None:
+        return EpipolarBand(empty, empty)
+    outline_rays = other.rays(_sample_outline(box))
+    center_ray = other.rays([[box.x + (box.width - 1) / 2, box.y + (box.height - 1) / 2]])[0]
+    curve = _project_ray(camera, baseline, center_ray)
+    # Each ray lies in an epipolar plane: the rays with the extreme plane angles about the baseline bound the band.
+    sideways = np.cross(baseline, center_ray)
+    plane_angles = np.arctan2(outline_rays @ sideways, outline_rays @ np.cross(sideways, baseline))
+    if np.ptp(plane_angles) > MAX_BAND_ANGLE:
+        return EpipolarBand(empty, curve)
+    # Find the outermost curves that pass near the image.
+    order = np.argsort(plane_angles).tolist()
     curves: dict[int, FloatArray] = {}
     for ks in (order, order[::-1]):
         for k in ks:
-            curves[k] = curves.get(k, _curve(camera, towards, rim[k]))
+            curves[k] = curves.get(k, _project_ray(camera, baseline, outline_rays[k]))
             if len(curves[k]):
                 break
-    shown = [k for k in order if len(curves.get(k, nothing))]
-    if len(shown) < 2:
-        return Band(nothing, curve)
-    first, last = shown[0], shown[-1]
-    # Where they end at infinity the box's rim ends it too: that side of it which is farther from the other camera.
-    sides = [[(first + step * k) % len(rim) for k in range((step * (last - first)) % len(rim) + 1)] for step in (1, -1)]
-    far = min(sides, key=lambda side: float((rim[side] @ towards).mean()))
-    between = project(camera, camera.center + rim[far])
-    return Band(np.concatenate([curves[first], between[_around(camera, between)], curves[last][::-1]]), curve)
+    visible = [k for k in order if len(curves.get(k, empty))]
+    if len(visible) < 2:
+        return EpipolarBand(empty, curve)
+    first, last = visible[0], visible[-1]
+    # At infinity the band ends at the box's outline: at its side farther from the epipole.
+    sides = [
+        [(first + step * k) % len(outline_rays) for k in range((step * (last - first)) % len(outline_rays) + 1)]
+        for step in (1, -1)
+    ]
+    far = min(sides, key=lambda side: float((outline_rays[side] @ baseline).mean()))
+    far_edge = project_points(camera, camera.center + outline_rays[far])
+    return EpipolarBand(
+        np.concatenate([curves[first], far_edge[_is_near_image(camera, far_edge)], curves[last][::-1]]), curve
+    )
 
 
-def _rim(box: Box) -> FloatArray:
-    """(4 `ON_A_SIDE`, 2) pixels around a box, in order, on the outer edges of its pixels."""
-    share = np.arange(ON_A_SIDE)[:, None] / ON_A_SIDE
+def _sample_outline(box: Box) -> FloatArray:
+    """Sample (4 `POINTS_PER_SIDE`, 2) pixels around a box in order, on the outer edges of its pixels."""
+    share = np.arange(POINTS_PER_SIDE)[:, None] / POINTS_PER_SIDE
     low = np.array([box.x, box.y]) - 0.5
     right, down = np.array([box.width, 0.0]), np.array([0.0, box.height])
     corners = [low, low + right, low + right + down, low + down]
     return np.concatenate([a + share * (b - a) for a, b in zip(corners, [*corners[1:], low], strict=True)])
 
 
-def _baseline(seen_by: Camera, camera: Camera) -> FloatArray | None:
-    """(3,) unit vector from a camera to the other one; None where they are in one place."""
-    towards = seen_by.center - camera.center
-    length = float(np.linalg.norm(towards))
-    if length <= ONE_PLACE * max(np.linalg.norm(seen_by.center), np.linalg.norm(camera.center)):
+def _baseline_direction(other: Camera, camera: Camera) -> FloatArray | None:
+    """Return the unit vector (3,) from `camera` to `other`; None if they coincide."""
+    baseline = other.center - camera.center
+    length = float(np.linalg.norm(baseline))
+    if length <= MIN_BASELINE_RATIO * max(np.linalg.norm(other.center), np.linalg.norm(camera.center)):
         return None
-    return np.asarray(towards / length)
+    return np.asarray(baseline / length)
 
 
-def _curve(camera: Camera, towards: FloatArray, ray: FloatArray) -> FloatArray:
-    """The image of a ray (3,) that begins at the camera in the direction `towards`.
+def _project_ray(camera: Camera, baseline: FloatArray, ray: FloatArray) -> FloatArray:
+    """Project a ray (3,) of the other camera, which is in direction `baseline`, into this camera's image.
 
-    Seen from this camera it is an arc, from that camera's place to the ray's own direction at infinity: which way a point
-    of it is, is known without any distance.
+    Seen from this camera the ray is an arc of directions, from the other camera's direction to the ray's own direction
+    at infinity. No depths are needed to compute it.
     """
-    across = ray - (ray @ towards) * towards
-    length = float(np.linalg.norm(across))
-    if length < ONE_PLACE:
+    perpendicular = ray - (ray @ baseline) * baseline
+    length = float(np.linalg.norm(perpendicular))
+    if length < MIN_BASELINE_RATIO:
         return np.empty((0, 2))
-    across = across / length
+    perpendicular = perpendicular / length
 
-    def seen(angles: FloatArray) -> FloatArray:
-        directions = np.cos(angles)[:, None] * towards + np.sin(angles)[:, None] * across
-        return project(camera, camera.center + directions)
+    def project_angles(angles: FloatArray) -> FloatArray:
+        directions = np.cos(angles)[:, None] * baseline + np.sin(angles)[:, None] * perpendicular
+        return project_points(camera, camera.center + directions)
 
-    end = float(np.arctan2(length, ray @ towards))
-    angles = np.linspace(0.0, end, LOOKED_AT)
-    runs = np.flatnonzero(np.diff(np.concatenate([[False], _around(camera, seen(angles)), [False]]).astype(int)))
+    end = float(np.arctan2(length, ray @ baseline))
+    angles = np.linspace(0.0, end, N_SEARCH_SAMPLES)
+    runs = np.flatnonzero(
+        np.diff(np.concatenate([[False], _is_near_image(camera, project_angles(angles)), [False]]).astype(int))
+    )
     if not len(runs):
         return np.empty((0, 2))
     begin, stop = max(runs.reshape(-1, 2).tolist(), key=lambda run: run[1] - run[0])
-    pixels = seen(np.linspace(angles[max(begin - 1, 0)], angles[min(stop, LOOKED_AT - 1)], DRAWN))
-    return pixels[_around(camera, pixels)]
+    pixels = project_angles(
+        np.linspace(angles[max(begin - 1, 0)], angles[min(stop, N_SEARCH_SAMPLES - 1)], N_CURVE_SAMPLES)
+    )
+    return pixels[_is_near_image(camera, pixels)]
 
 
 def _half_diagonal(camera: Camera, box: Box, point: FloatArray) -> float:
-    """Of what fills a box and is as far away as a point."""
+    """Return half the diagonal, in length units, of an object that fills a box at the depth of a point."""
     depth = float(camera.rotation[2] @ (point - camera.center))
     return 0.5 * float(np.hypot(box.width, box.height)) / camera.focal * depth
 
 
-def _around(camera: Camera, pixels: FloatArray) -> BoolArray:
-    """(n,) which pixels are in the image or near it."""
+def _is_near_image(camera: Camera, pixels: FloatArray) -> BoolArray:
+    """Return (n,) which pixels are in the image or near it."""
     size = np.array(camera.size)
     return np.asarray(((pixels > -MARGIN * size) & (pixels < (1 + MARGIN) * size)).all(axis=1))
 
 
-def _box_around(camera: Camera, points: FloatArray) -> Box | None:
-    """The box of world points (n, 3) in whole pixels, as far as it is in the image; None where little of it is."""
-    pixels = project(camera, points)
+def _compute_bounding_box(camera: Camera, points: FloatArray) -> Box | None:
+    """Return the box of world points (n, 3) in whole pixels, clipped to the image; None if too little is inside."""
+    pixels = project_points(camera, points)
     if not len(pixels) or not np.isfinite(pixels).all():
         return None
     low, high = np.floor(pixels.min(axis=0) + 0.5), np.ceil(pixels.max(axis=0) + 0.5)
     left_top, right_bottom = np.maximum(low, 0.0), np.minimum(high, np.array(camera.size))
     inside = right_bottom - left_top
-    if (inside < 2).any() or inside.prod() < LEAST_INSIDE * (high - low).prod():
+    if (inside < 2).any() or inside.prod() < MIN_VISIBLE_RATIO * (high - low).prod():
         return None
     return Box(*left_top.tolist(), *inside.tolist())

@@ -1,4 +1,4 @@
-"""What a run that is not at its end consists of, and of what kinds of objects: nothing else is read from a checkpoint."""
+"""Schema of checkpoints: the state of an unfinished run and the object types that may be read from a file."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from sylpose.app.serialization import Kind
+from sylpose.app.serialization import SerializableType
 from sylpose.bundle_adjustment.bundle import Observations
-from sylpose.features.klt import Patches, Tracks
+from sylpose.features.klt import TemplatePatches, Tracks
 from sylpose.features.sift import Features
-from sylpose.features.static_background import Backdrop, Steadied, Turn
+from sylpose.features.static_background import CameraRotation, RotationRectifier, StaticBackground
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.landmarks.landmark_filter import Landmarks
@@ -19,130 +19,140 @@ from sylpose.report.files import WriterState
 from sylpose.results import FramePose
 from sylpose.rig import Camera, Rig
 from sylpose.smoothing.trajectory import Track
-from sylpose.tracking.anchor_preparation import looked_for
-from sylpose.tracking.camera import CameraPart
-from sylpose.tracking.camera_motion_detection import View, Watch
+from sylpose.tracking.anchor_preparation import find_new_features
+from sylpose.tracking.camera import CameraTracker
+from sylpose.tracking.camera_motion_detection import CameraMotionDetector, View
 from sylpose.tracking.frame import CameraFrame, Frame, SolvedFrame
-from sylpose.tracking.joint_state import Joint, Nudge, Refinement
-from sylpose.tracking.klt_frontend import Anchor, CameraAnchor, Followed, Renewal
-from sylpose.tracking.motion_model import Velocity
+from sylpose.tracking.joint_state import JointState, Nudge, Refinement
+from sylpose.tracking.klt_frontend import Anchor, CameraAnchor, NextAnchor, TrackedFeatures
+from sylpose.tracking.motion_model import VelocityModel
 from sylpose.tracking.object_model import ObjectModel
-from sylpose.tracking.reports import Seen
-from sylpose.tracking.state_machine import Waiting
-from sylpose.tracking.tracked_frame import Sightings
-from sylpose.tracking.tracker import Memory
-from sylpose.tracking.window import bundled_together
+from sylpose.tracking.reports import NewObservations
+from sylpose.tracking.state_machine import BufferedFrame
+from sylpose.tracking.tracked_frame import LandmarkObservations
+from sylpose.tracking.tracker import TrackerSnapshot
+from sylpose.tracking.window import bundle_frames
 
-__all__ = ["FUNCTIONS", "KINDS", "OutputState", "RunState"]
+__all__ = ["FUNCTIONS", "RECORD_TYPES", "OutputState", "RunState"]
 
 
 @dataclass(frozen=True, eq=False)
 class OutputState:
-    """How far an `ObjectOutput` has come; `n_tracks` is the length in bytes of what is kept for smoothing."""
+    """Progress of an `ObjectOutput`; `tracks_bytes` is the length in bytes of the data stored for smoothing."""
 
     writer: WriterState = field(default_factory=lambda: WriterState(0, 0, None))
-    n_tracks: int = 0
+    tracks_bytes: int = 0
 
 
 @dataclass(frozen=True, eq=False)
 class RunState:
-    """All that the next frames depend on.
+    """Complete state of a run on which its next frames depend.
 
     Attributes:
-        position: number of frames that were taken in.
-        trackers, outputs: by object.
+        position: number of frames processed.
+        trackers, outputs: state by object name.
     """
 
     position: int
-    trackers: dict[str, Memory]
+    trackers: dict[str, TrackerSnapshot]
     outputs: dict[str, OutputState]
 
 
 def _check_table(table: LandmarkTable) -> None:
     rows: Landmarks = vars(table)["_rows"]
     if not 0 <= vars(table)["_used"] <= len(rows.id):
-        raise ValueError("no table of landmarks: more are used than there are")
+        raise ValueError("no landmark table: more rows used than present")
 
 
 def _check_output(state: OutputState) -> None:
-    if min(state.writer.tum_bytes, state.writer.csv_bytes, state.n_tracks) < 0:
-        raise ValueError("files of less than no bytes")
+    if min(state.writer.tum_bytes, state.writer.csv_bytes, state.tracks_bytes) < 0:
+        raise ValueError("negative file sizes")
 
 
-_PART = {
+_CAMERA_PART_FIELDS = {
     "index": int,
     "camera": Camera,
     "frames": dict[int, CameraFrame],
     "anchor": CameraAnchor | None,
-    "renewal": Renewal | None,
-    "surroundings": Features,
+    "next_anchor": NextAnchor | None,
+    "background_features": Features,
     "table": LandmarkTable,
     "noise_px": float,
     "view": View,
-    "watch": Watch,
+    "motion_detector": CameraMotionDetector,
 }
-_WATCH = {
+_WATCH_FIELDS = {
     "camera": Camera,
-    "backdrop": Backdrop | None,
-    "stood": BoolArray,
-    "steady": Steadied | None,
-    "turned": Turn | None,
-    "since": int,
-    "odd": int,
+    "background": StaticBackground | None,
+    "is_static": BoolArray,
+    "stabilizer": RotationRectifier | None,
+    "last_rotation": CameraRotation | None,
+    "first_frame": int,
+    "n_changed": int,
     "pause": int,
 }
-_KINDS = (
-    Kind(RunState),
-    Kind(OutputState, check=_check_output),
-    Kind(WriterState, {"quaternion": (4,)}),
-    Kind(Memory),
-    Kind(Joint, {"refined": (6, 6)}),
-    Kind(ObjectModel, {"center": (3,), "points": ("n", 3)}),
-    Kind(SolvedFrame, {"late": ("c",), "covariance": (6, 6), "viewpoints": ("c", 3), "sees": ("c",)}),
-    Kind(Anchor),
-    Kind(Velocity, {"twist": (6,), "unsteady": (6,)}),
-    Kind(Nudge, {"turn": (3,)}),
-    Kind(Refinement, {"names": ("m",)}),
-    Kind(Seen, {"frame": ("n",), "landmark": ("n",), "image": ("n", 2), "known": ("m",), "place": ("m", 3)}),
-    Kind(Observations, {"frame": ("n",), "camera": ("n",), "landmark": ("n",), "image": ("n", 2)}),
-    Kind(Waiting),
-    Kind(Frame, {"late": ("c",)}),
-    Kind(FrameSet),
-    Kind(CameraFrame, {"background": ("n",), "numbers": ("m",)}),
-    Kind(CameraPart, fields=_PART, plain=True),
-    Kind(CameraAnchor, {"alive": ("n",)}),
-    Kind(Renewal, {"rows": ("n",)}),
-    Kind(Followed, {"rows": ("m",), "before": ("m", 2)}),
-    Kind(Watch, {"stood": ("n",)}, _WATCH, plain=True),
-    Kind(Backdrop, {"small": ("h", "w"), "pixels": ("n", 2), "patches": ("n", "s")}),
-    Kind(Turn, {"rotation": (3, 3)}),
-    Kind(Steadied, {"rotation": (3, 3)}, {"camera": Camera, "rotation": FloatArray}),
-    Kind(Features, {"pixels": ("n", 2), "normalized": ("n", 2), "descriptors": ("n", 128), "faint": ("n",)}),
-    Kind(Patches, {"filters": ("n", "s", 8), "contrast": ("n",), "sd": ("n",)}),
-    Kind(Tracks, {"pixels": ("n", 2), "warps": ("n", 2, 2), "followed": ("n",)}),
-    Kind(
+_RECORD_TYPES = (
+    SerializableType(RunState),
+    SerializableType(OutputState, check=_check_output),
+    SerializableType(WriterState, {"quaternion": (4,)}),
+    SerializableType(TrackerSnapshot),
+    SerializableType(JointState, {"refined_covariance": (6, 6)}),
+    SerializableType(ObjectModel, {"center": (3,), "points": ("n", 3)}),
+    SerializableType(
+        SolvedFrame, {"time_offsets": ("c",), "covariance": (6, 6), "viewpoints": ("c", 3), "is_visible": ("c",)}
+    ),
+    SerializableType(Anchor),
+    SerializableType(VelocityModel, {"twist": (6,), "change_variance": (6,)}),
+    SerializableType(Nudge, {"rotation": (3,)}),
+    SerializableType(Refinement, {"landmark_cameras": ("m",)}),
+    SerializableType(
+        NewObservations,
+        {"frame": ("n",), "landmark": ("n",), "image": ("n", 2), "landmark_ids": ("m",), "positions": ("m", 3)},
+    ),
+    SerializableType(Observations, {"frame": ("n",), "camera": ("n",), "landmark": ("n",), "image": ("n", 2)}),
+    SerializableType(BufferedFrame),
+    SerializableType(Frame, {"time_offsets": ("c",)}),
+    SerializableType(FrameSet),
+    SerializableType(CameraFrame, {"background": ("n",), "landmark_ids": ("m",)}),
+    SerializableType(CameraTracker, fields=_CAMERA_PART_FIELDS, sets_attributes=True),
+    SerializableType(CameraAnchor, {"is_alive": ("n",)}),
+    SerializableType(NextAnchor, {"rows": ("n",)}),
+    SerializableType(TrackedFeatures, {"rows": ("m",), "previous_pixels": ("m", 2)}),
+    SerializableType(CameraMotionDetector, {"is_static": ("n",)}, _WATCH_FIELDS, sets_attributes=True),
+    SerializableType(StaticBackground, {"small_image": ("h", "w"), "pixels": ("n", 2), "patches": ("n", "s")}),
+    SerializableType(CameraRotation, {"rotation": (3, 3)}),
+    SerializableType(RotationRectifier, {"rotation": (3, 3)}, {"camera": Camera, "rotation": FloatArray}),
+    SerializableType(
+        Features, {"pixels": ("n", 2), "normalized": ("n", 2), "descriptors": ("n", 128), "faint": ("n",)}
+    ),
+    SerializableType(TemplatePatches, {"filters": ("n", "s", 8), "contrast": ("n",), "sd": ("n",)}),
+    SerializableType(Tracks, {"pixels": ("n", 2), "warps": ("n", 2, 2), "tracked": ("n",)}),
+    SerializableType(
         Landmarks,
         {
             "mean": ("n", 3),
             "information": ("n", 3, 3),
-            "seen": ("n",),
-            "moved": ("n",),
+            "n_observations": ("n",),
+            "has_moved": ("n",),
             "origin": ("n", 2),
             "id": ("n",),
         },
     ),
-    Kind(
+    SerializableType(
         LandmarkTable,
         fields={"_rows": Landmarks, "_used": int, "_next": int},
-        plain=True,
+        sets_attributes=True,
         check=_check_table,
     ),
-    Kind(Camera),
-    Kind(Rig),
-    Kind(Track, {"late": ("c",)}),
-    Kind(Sightings, {"landmark": ("n",), "normalized": ("n", 2), "place": ("n", 3), "moved": ("n",)}),
-    Kind(FramePose, {"covariance": (6, 6), "inliers": ("c",), "residuals": ("c",)}),
+    SerializableType(Camera),
+    SerializableType(Rig),
+    SerializableType(Track, {"time_offsets": ("c",)}),
+    SerializableType(
+        LandmarkObservations,
+        {"landmark_ids": ("n",), "normalized": ("n", 2), "positions": ("n", 3), "has_moved": ("n",)},
+    ),
+    SerializableType(FramePose, {"covariance": (6, 6), "inliers": ("c",), "residuals": ("c",)}),
 )
-# By the names that stand in checkpoints.
-KINDS = {kind.type.__name__: kind for kind in _KINDS}
-FUNCTIONS: dict[str, Callable[..., Any]] = {"bundled_together": bundled_together, "looked_for": looked_for}
+# Keys are the type names written in checkpoints.
+RECORD_TYPES = {kind.type.__name__: kind for kind in _RECORD_TYPES}
+FUNCTIONS: dict[str, Callable[..., Any]] = {"bundle_frames": bundle_frames, "find_new_features": find_new_features}

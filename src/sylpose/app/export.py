@@ -1,4 +1,4 @@
-"""`sylpose export`: a finished trajectory in another program's format."""
+"""`sylpose export`: export of a finished trajectory to other programs' formats."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from sylpose.app import console_output
-from sylpose.app.run_metadata import root_of, world_said
+from sylpose.app.run_metadata import find_run_folder, read_world_definition
 from sylpose.app.view import read_result
-from sylpose.exports.formats import FORMATS
+from sylpose.exports.formats import EXPORT_FORMATS
 from sylpose.exports.poses import Poses
 from sylpose.results import Trajectory
 
-__all__ = ["export", "export_aloud"]
+__all__ = ["export_trajectory", "run_export_command"]
 
-# Where each is written; of those that have all columns, the trajectory, of others the poses.
-_TABLES = {"csv": "text.write_csv", "parquet": "parquet.write_parquet"}
-_OF_POSES = {
+# Writer of each format below sylpose.exports: formats with all columns take the trajectory, the others its poses.
+_TABLE_WRITERS = {"csv": "text.write_csv", "parquet": "parquet.write_parquet"}
+_POSE_WRITERS = {
     "tum": "text.write_tum",
     "trc": "text.write_trc",
     "bvh": "text.write_bvh",
@@ -28,28 +28,37 @@ _OF_POSES = {
 }
 
 
-def export_aloud(
+def run_export_command(
     result: Path, out: Path, to: str | None, name: str | None, start: int | None, stop: int | None
 ) -> None:
-    """Writes the trajectory of a run in another format, and says what is in the file.
+    """Export a run's trajectory to another format and print a summary.
+
+    Args:
+        result: the run's folder or its trajectory.csv.
+        out: file to write, or folder of a ROS bag.
+        to: format; None: derived from the name of `out`.
+        name: name of the object in the file; None: the result folder's name, or "object".
+        start, stop: first frame, and first frame that is omitted; None for no limit.
 
     Raises:
-        ValueError, OSError: as `export` and `read_result`; no frames between `start` and `stop`.
+        ValueError, OSError: as `export_trajectory` and `read_result`; no frames between `start` and `stop`.
     """
     trajectory = read_result(result)
     folder = result if result.is_dir() else result.parent
-    own = folder.name if root_of(folder) != folder else "object"
-    asked = _between(trajectory, start, stop)
-    notes = export(asked, out, to, name=name or own, z_up=world_said(result) is not None)
+    default_name = folder.name if find_run_folder(folder) != folder else "object"
+    selected = _select_frames(trajectory, start, stop)
+    notes = export_trajectory(
+        selected, out, to, name=name or default_name, z_up=read_world_definition(result) is not None
+    )
     console = console_output.make_console()
-    found = sum(frame.measured for frame in asked)
-    console.print(f"{found} of {len(asked)} frames have a measured pose.")
+    found = sum(frame.is_measured for frame in selected)
+    console.print(f"{found} of {len(selected)} frames have a measured pose.")
     for note in notes:
         console.print(f"{note[0].upper()}{note[1:]}.", highlight=False)
     console_output.print_files(console, "File" if out.is_file() else "Folder", [out])
 
 
-def export(
+def export_trajectory(
     trajectory: Trajectory,
     out: Path,
     to: str | None = None,
@@ -62,49 +71,52 @@ def export(
     """Write a trajectory in another format.
 
     Args:
-        out: the file, or the folder of a bag.
-        to: one of `FORMATS`; None for what the file's name tells.
-        name: of the object, in formats that have one.
-        start, stop: numbers of frames, of which the latter is the first that is left out.
-        z_up: the world's z axis is known to go up, as in a world of one's own.
+        trajectory: the trajectory to write.
+        out: the file, or the folder of a ROS bag.
+        to: one of `FORMATS`; None: derived from the file's name.
+        name: name of the object, for formats that contain one.
+        start, stop: first frame, and first frame that is omitted; None for no limit.
+        z_up: the world's z axis is known to point up, as in a user-defined world.
 
     Returns:
-        sentences on what is otherwise in the file.
+        notes on differences between the file and the trajectory.
 
     Raises:
-        ValueError: another format, or a name that does not fit it; a package that is not installed; no frames
-            between `start` and `stop`, or no poses in them; what the format cannot hold.
-        OSError: naming the file that cannot be written.
+        ValueError: an unknown format, or a file name that does not match it; a required package is not installed; no
+            frames between `start` and `stop`, or no poses in them; content that the format does not support.
+        OSError: the file cannot be written; the message names it.
     """
     suffix = out.suffix.lower()
     if to is None:
-        to = next((known for known, its in FORMATS.items() if suffix in its.suffixes), None)
+        to = next(
+            (format_name for format_name, file_format in EXPORT_FORMATS.items() if suffix in file_format.suffixes), None
+        )
         if to is None:
-            raise ValueError(f"{out}: its name does not tell a format; say --to {'|'.join(FORMATS)}")
-    if to not in FORMATS:
-        raise ValueError(f"--to must be one of {', '.join(FORMATS)}, got {to!r}")
-    its = FORMATS[to]
-    if its.suffixes and suffix not in its.suffixes:
-        raise ValueError(f"{out}: {to} is written as one of {', '.join(its.suffixes)}")
-    if its.package and find_spec(its.package) is None:
-        raise ValueError(f"--to {to} needs {its.package}, which is not installed: pip install 'sylpose[{its.extra}]'")
-    module, _, function = {**_TABLES, **_OF_POSES}[to].partition(".")
+            raise ValueError(f"{out}: unknown file name extension; give --to {'|'.join(EXPORT_FORMATS)}")
+    if to not in EXPORT_FORMATS:
+        raise ValueError(f"--to must be one of {', '.join(EXPORT_FORMATS)}, got {to!r}")
+    file_format = EXPORT_FORMATS[to]
+    if file_format.suffixes and suffix not in file_format.suffixes:
+        raise ValueError(f"{out}: the file name of {to} must end in one of {', '.join(file_format.suffixes)}")
+    if file_format.package and find_spec(file_format.package) is None:
+        raise ValueError(
+            f"--to {to} needs {file_format.package}, which is not installed: pip install 'sylpose[{file_format.extra}]'"
+        )
+    module, _, function = {**_TABLE_WRITERS, **_POSE_WRITERS}[to].partition(".")
     write = getattr(import_module(f"sylpose.exports.{module}"), function)
-    asked = _between(trajectory, start, stop)
-    return list(write(asked if to in _TABLES else Poses.of(asked, name, z_up), out))
+    selected = _select_frames(trajectory, start, stop)
+    return list(write(selected if to in _TABLE_WRITERS else Poses.from_trajectory(selected, name, z_up), out))
 
 
-def _between(trajectory: Trajectory, start: int | None, stop: int | None) -> Trajectory:
-    """The frames that are asked for.
+def _select_frames(trajectory: Trajectory, start: int | None, stop: int | None) -> Trajectory:
+    """Return the part of a trajectory from frame `start` to before frame `stop`.
 
     Raises:
-        ValueError: there are none.
+        ValueError: it contains no frame.
     """
     kept = [f for f in trajectory if (start is None or f.index >= start) and (stop is None or f.index < stop)]
     if not kept:
-        asked = "".join(f" --{end} {n}" for end, n in (("start", start), ("stop", stop)) if n is not None)
-        has = f"frames {trajectory[0].index} to {trajectory[-1].index}" if len(trajectory) else "none"
-        raise ValueError(
-            f"no frame to export: the trajectory has {has}, {asked.strip() or 'and that is all'} asked for"
-        )
+        options = "".join(f" --{end} {n}" for end, n in (("start", start), ("stop", stop)) if n is not None)
+        available = f"frames {trajectory[0].index} to {trajectory[-1].index}" if len(trajectory) else "none"
+        raise ValueError(f"no frame to export: the trajectory has {available}, requested: {options.strip() or 'all'}")
     return Trajectory(kept, trajectory.camera_names, trajectory.unit)

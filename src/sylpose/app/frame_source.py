@@ -1,4 +1,4 @@
-"""One camera's frames for a node, numbered alike at all cameras: of a recording that is played, or of a live camera."""
+"""Frame sources of a node: one camera's frames, from a recording or a live camera, numbered the same at all nodes."""
 
 from __future__ import annotations
 
@@ -14,95 +14,101 @@ from sylpose.capture.sources import Source
 from sylpose.capture.streams import Device, open_device
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import Image
-from sylpose.network.frame_announcement import NO_FRAME, WAITS
+from sylpose.network.frame_announcement import FRAME_PENDING, NO_FRAME
 from sylpose.rig import Camera
 
-__all__ = ["Live", "Played"]
+__all__ = ["LiveSource", "RecordedSource"]
 
-# Frames of a live camera that are kept until all agree on which one is next; seconds to wait for one (choice).
-KEPT, LONGEST = 16, 0.3
-# Frames per second of a recording that does not say (choice: then its times are numbers of frames).
-NO_RATE = 1.0
+# Frames of a live camera that are kept until all nodes agree on the next one; seconds to wait for a frame (choice).
+MAX_KEPT_FRAMES, MAX_WAIT = 16, 0.3
+# Frames per second of a recording without a frame rate (choice: then its times are frame numbers).
+DEFAULT_RATE = 1.0
 
 
-def _instant(
-    camera: int, number: int, times: Sequence[float | None], otherwise: float, image: Image | None
+def _make_frame_set(
+    camera: int, number: int, times: Sequence[float | None], default_time: float, image: Image | None
 ) -> FrameSet:
     known = [t for t in times if t is not None]
-    # Of equal times the mean may be another number, by rounding.
-    when = otherwise if not known else known[0] if len(set(known)) == 1 else fmean(known)
+    # By rounding, the mean of equal times may differ from them.
+    timestamp = default_time if not known else known[0] if len(set(known)) == 1 else fmean(known)
     images = tuple(image if c == camera else None for c in range(len(times)))
-    return FrameSet(number, when, tuple(times), images, (None,) * len(times))
+    return FrameSet(number, timestamp, tuple(times), images, (None,) * len(times))
 
 
-class Played:
-    """A recording, played at its speed, or as fast as it is asked for: no frame is left out.
+class RecordedSource:
+    """Recording played at its frame rate, or as fast as frames are requested; no frame is dropped.
 
     Args:
-        camera: its number.
-        rate: frames per second; None: as the recording says.
-        speed: how many times as fast; 0: as fast as it is asked for.
+        camera: index of the camera.
+        source: its recording.
+        rate: frames per second; None: the recording's own rate.
+        speed: playback speed as a multiple of the rate; 0: as fast as frames are requested.
     """
 
     def __init__(self, camera: int, source: Source, rate: float | None = None, speed: float = 1.0) -> None:
         self._camera, self._source, self._speed = camera, source, speed
-        self._rate = rate or source.rate or NO_RATE
-        self._paced = speed if rate or source.rate else 0.0
+        self._rate = rate or source.rate or DEFAULT_RATE
+        self._pace = speed if rate or source.rate else 0.0
         self._reader = CameraReader(source, {})
-        self._begun: float | None = None  # when frame 0 was, or would have been
-        self._last = 0  # that was asked for
+        self._start_time: float | None = None  # monotonic time of frame 0, shown or not
+        self._last_requested = 0  # number of the last requested frame
 
     def newest(self, wanted: int) -> tuple[int, float | None]:
-        """See `Shots`."""
+        """See `CameraFrames`."""
         if wanted >= self._source.n_frames:
             return NO_FRAME, None
-        if self._paced:
-            since = wanted / (self._rate * self._paced)
-            if self._begun is None or wanted not in (self._last, self._last + 1):  # it was taken in somewhere else
-                self._begun = time.monotonic() - since
-            self._last = wanted
-            time.sleep(max(self._begun + since - time.monotonic(), 0.0))
+        if self._pace:
+            elapsed = wanted / (self._rate * self._pace)
+            if self._start_time is None or wanted not in (
+                self._last_requested,
+                self._last_requested + 1,
+            ):  # the node joined at another frame
+                self._start_time = time.monotonic() - elapsed
+            self._last_requested = wanted
+            time.sleep(max(self._start_time + elapsed - time.monotonic(), 0.0))
         return wanted, self.time_of(wanted)
 
     def time_of(self, number: int) -> float | None:
-        """See `Shots`."""
+        """See `CameraFrames`."""
         return number / self._rate
 
     def frame_set(self, number: int, times: Sequence[float | None]) -> FrameSet:
-        """See `Shots`."""
+        """See `CameraFrames`."""
         image = self._reader.read(number).image if number < self._source.n_frames else None
-        return _instant(self._camera, number, times, number / self._rate, image)
+        return _make_frame_set(self._camera, number, times, number / self._rate, image)
 
     def close(self) -> None:
         """Close the recording."""
         self._reader.close()
 
 
-class Live:
-    """A camera or a stream: frames are numbered by the clock, which all nodes have to have alike.
+class LiveSource:
+    """Live camera or stream whose frames are numbered by the clock; all nodes need synchronized clocks.
 
     Args:
-        camera: its number, and what it is.
-        source: its number or path, or its URL. rate: of all cameras, frames per second.
-        opener: of the device.
+        camera: index of the camera.
+        model: its calibration.
+        source: device number, path or URL.
+        rate: frames per second, the same for all cameras.
+        opener: function that opens the device.
 
     Raises:
-        OSError: it cannot be opened.
+        OSError: the device cannot be opened.
     """
 
     def __init__(
         self,
         camera: int,
-        of: Camera,
+        model: Camera,
         source: int | str,
         rate: float,
         opener: Callable[[int | str, tuple[int, int], float | None], Device] = open_device,
     ) -> None:
-        self._camera, self._rate, self._size, self._what = camera, rate, of.size, str(source)
-        self._device = opener(source, of.size, rate)
-        self._shots: OrderedDict[int, tuple[float, Image]] = OrderedDict()
-        self._news = threading.Condition()
-        self._ended, self._error, self._silent = False, "", False
+        self._camera, self._rate, self._size, self._name = camera, rate, model.size, str(source)
+        self._device = opener(source, model.size, rate)
+        self._frames: OrderedDict[int, tuple[float, Image]] = OrderedDict()
+        self._condition = threading.Condition()
+        self._ended, self._error, self._has_stalled = False, "", False
         self._reader = threading.Thread(target=self._run, daemon=True)
         self._reader.start()
 
@@ -110,12 +116,12 @@ class Live:
         try:
             self._read()
         except Exception as error:
-            self._error = f"{self._what}: {error}"
+            self._error = f"{self._name}: {error}"
         finally:
             self._device.close()
-            with self._news:
+            with self._condition:
                 self._ended = True
-                self._news.notify()
+                self._condition.notify()
 
     def _read(self) -> None:
         clock = StreamClock()
@@ -124,47 +130,47 @@ class Live:
             if grab is None:
                 break
             if grab.size != self._size:
-                self._error = f"{self._what}: images of {grab.size[0]}x{grab.size[1]}, calibrated are {self._size}"
+                self._error = f"{self._name}: images of {grab.size[0]}x{grab.size[1]}, the calibration has {self._size}"
                 break
-            taken = clock.host_time(grab.pts, time.time())
-            if taken is None:
+            host_time = clock.to_host_time(grab.pts, time.time())
+            if host_time is None:
                 continue
-            with self._news:
-                self._shots[round(taken * self._rate)] = taken, grab.pixels()
-                while len(self._shots) > KEPT:
-                    self._shots.popitem(last=False)
-                self._news.notify()
+            with self._condition:
+                self._frames[round(host_time * self._rate)] = host_time, grab.pixels()
+                while len(self._frames) > MAX_KEPT_FRAMES:
+                    self._frames.popitem(last=False)
+                self._condition.notify()
 
     def newest(self, wanted: int) -> tuple[int, float | None]:
-        """See `Shots`.
+        """See `CameraFrames`.
 
         Raises:
-            ValueError: the camera gave images of another size, or broke.
+            ValueError: the camera failed, or its images have another size than its calibration.
         """
-        with self._news:
-            # The others wait, too: not long for one that gives nothing for some time.
-            longest = 1.0 / self._rate if self._silent else LONGEST
-            self._news.wait_for(lambda: self._ended or max(self._shots, default=-1) >= wanted, longest)
-            newest = max(self._shots, default=-1)
-            self._silent = newest < wanted
+        with self._condition:
+            # The other nodes wait as well: wait only briefly for a camera that has stalled.
+            timeout = 1.0 / self._rate if self._has_stalled else MAX_WAIT
+            self._condition.wait_for(lambda: self._ended or max(self._frames, default=-1) >= wanted, timeout)
+            newest = max(self._frames, default=-1)
+            self._has_stalled = newest < wanted
             if newest >= wanted:
-                return newest, self._shots[newest][0]
+                return newest, self._frames[newest][0]
             if self._error:
                 raise ValueError(self._error)
-            return (NO_FRAME if self._ended else WAITS), None
+            return (NO_FRAME if self._ended else FRAME_PENDING), None
 
     def time_of(self, number: int) -> float | None:
-        """See `Shots`."""
-        with self._news:
-            return self._shots[number][0] if number in self._shots else None
+        """See `CameraFrames`."""
+        with self._condition:
+            return self._frames[number][0] if number in self._frames else None
 
     def frame_set(self, number: int, times: Sequence[float | None]) -> FrameSet:
-        """See `Shots`."""
-        with self._news:
-            image = self._shots[number][1] if number in self._shots else None
-        return _instant(self._camera, number, times, number / self._rate, image)
+        """See `CameraFrames`."""
+        with self._condition:
+            image = self._frames[number][1] if number in self._frames else None
+        return _make_frame_set(self._camera, number, times, number / self._rate, image)
 
     def close(self) -> None:
-        """Close the camera, once it has given what it is giving."""
+        """Close the camera after the frame that it is reading."""
         self._ended = True
-        self._reader.join(LONGEST)
+        self._reader.join(MAX_WAIT)

@@ -1,4 +1,4 @@
-"""What is found in the frames, in files, since it is much: one frame after the other, as data."""
+"""Storage of per-frame results in files, one record per frame."""
 
 from __future__ import annotations
 
@@ -10,86 +10,86 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Generic, TypeVar
 
-from sylpose.app.checkpoint_schema import KINDS
-from sylpose.app.serialization import decoded, encoded
-from sylpose.atomic_io import writing
+from sylpose.app.checkpoint_schema import RECORD_TYPES
+from sylpose.app.serialization import deserialize, serialize
+from sylpose.atomic_io import output_errors
 
 __all__ = ["FrameFile"]
 
-# Before each frame: bytes of its table and of all that follows, and a checksum of that.
+# Header of each record: size of its table in bytes, size of its whole content, checksum of the content.
 _FRAME = struct.Struct("<QQI")
-DAMAGED = "is damaged; to start anew leave out --resume"
+DAMAGED_MESSAGE = "is damaged; omit --resume to start over"
 
 T = TypeVar("T")
 
 
 class FrameFile(Generic[T]):
-    """A file that grows by a thing for each frame. What could not be written whole is not in it.
+    """File that grows by one record per frame; a record that was not written completely is not part of it.
 
     Args:
-        path: of the file; of a folder, for one without a name, which is gone with the process, however that ends.
-        kind: of the things, one of `app.checkpoint_schema`.
-        length: bytes that are gone on with; what follows them is written over, by the same. 0: a new file.
+        path: the file; or a folder for an unnamed temporary file, which disappears when the process ends.
+        kind: type of the records, one of `app.checkpoint_schema`.
+        length: number of bytes of an existing file to keep; the rest is overwritten. 0: a new file.
 
     Raises:
-        OSError: naming the path, when it cannot be written.
-        ValueError: naming it, when it is shorter than that.
+        OSError: the file cannot be written; the message names it.
+        ValueError: the file is shorter than `length`; the message names it.
     """
 
     def __init__(self, path: Path, kind: type[T], length: int = 0) -> None:
         self.path, self._kind, self._end = path, kind, length
         if length and (not path.is_file() or path.stat().st_size < length):
-            raise ValueError(f"{path}: is not as the interrupted run left it, which cannot be gone on with")
-        # Without a buffer of its own, what is counted as written has been.
+            raise ValueError(f"{path}: has changed since the interrupted run, which therefore cannot be resumed")
+        # Unbuffered: bytes counted as written have been passed to the operating system.
         self._file: IO[bytes]
-        with writing(path):
+        with output_errors(path):
             if path.is_dir():
                 self._file = tempfile.TemporaryFile(buffering=0, dir=path)  # noqa: SIM115 (open until `close`)
             else:
                 self._file = path.open("r+b" if length else "w+b", buffering=0)
 
-    def write(self, thing: T) -> None:
-        """Appends a frame."""
-        table, *blocks = encoded(thing, KINDS, {})
+    def write(self, record: T) -> None:
+        """Append the record of a frame."""
+        table, *blocks = serialize(record, RECORD_TYPES, {})
         content = b"".join([table, *blocks])
         data = memoryview(_FRAME.pack(len(table), len(content), zlib.crc32(content)) + content)
-        with writing(self.path):
+        with output_errors(self.path):
             self._file.seek(self._end)
-            left = data
-            while left:
-                left = left[self._file.write(left) :]
+            remaining = data
+            while remaining:
+                remaining = remaining[self._file.write(remaining) :]
         self._end += len(data)
 
     def length(self) -> int:
-        """In bytes; all that was written is then on the disk."""
-        with writing(self.path):
+        """Return the length in bytes, after flushing everything to the disk."""
+        with output_errors(self.path):
             os.fsync(self._file.fileno())
         return self._end
 
     def read(self) -> Iterator[T]:
-        """All frames, in order.
+        """Yield all records in order.
 
         Raises:
-            ValueError: naming the file, which is not as it was written.
+            ValueError: the file is damaged; the message names it.
         """
-        at = 0
-        while at < self._end:
-            self._file.seek(at)
+        offset = 0
+        while offset < self._end:
+            self._file.seek(offset)
             head = self._file.read(_FRAME.size)
             if len(head) < _FRAME.size:
-                raise ValueError(f"{self.path}: {DAMAGED}")
+                raise ValueError(f"{self.path}: {DAMAGED_MESSAGE}")
             length, size, checksum = _FRAME.unpack(head)
-            at += _FRAME.size + size
-            content = self._file.read(size) if at <= self._end else b""
+            offset += _FRAME.size + size
+            content = self._file.read(size) if offset <= self._end else b""
             if len(content) != size or zlib.crc32(content) != checksum:
-                raise ValueError(f"{self.path}: {DAMAGED}")
+                raise ValueError(f"{self.path}: {DAMAGED_MESSAGE}")
             try:
-                thing: T = decoded(memoryview(content), length, self._kind, KINDS, {})
+                record: T = deserialize(memoryview(content), length, self._kind, RECORD_TYPES, {})
             except ValueError:
-                raise ValueError(f"{self.path}: {DAMAGED}") from None
-            yield thing
+                raise ValueError(f"{self.path}: {DAMAGED_MESSAGE}") from None
+            yield record
 
     def close(self) -> None:
-        """Raises OSError, naming the file, when that fails."""
-        with writing(self.path):
+        """Close the file; raise OSError, which names the file, if that fails."""
+        with output_errors(self.path):
             self._file.close()

@@ -1,4 +1,4 @@
-"""`sylpose track --show`: the page of a run that goes on. The tracker leaves each frame there and does not wait for it."""
+"""`sylpose track --show`: browser page of a running tracker, which hands over each frame without waiting."""
 
 from __future__ import annotations
 
@@ -9,77 +9,77 @@ from typing import Any, Self
 
 import numpy as np
 
-from sylpose.app.result_player import add_layers, add_views, said_of
-from sylpose.app.scene_page import MOST_PIECES, ScenePage, plain
+from sylpose.app.result_player import add_layer_controls, add_view_control, describe_pose
+from sylpose.app.scene_page import MAX_PATH_SEGMENTS, ScenePage, escape_markdown
 from sylpose.geometry.arrays import FloatArray
-from sylpose.report.scene import scene_of
+from sylpose.report.scene import build_scene
 from sylpose.results import Trajectory
 from sylpose.rig import Rig
 from sylpose.tracking.tracked_frame import TrackedFrame
 
-__all__ = ["LivePage", "Way"]
+__all__ = ["LivePage", "ObjectPath"]
 
-# Seconds between two looks at what is there (choice: what the tracker would do meanwhile takes a tenth longer at most).
-PAUSE = 0.2
+# Seconds between two updates of the page (choice: slows the tracker down by a tenth at most).
+UPDATE_INTERVAL = 0.2
 
 
-class Way:
-    """Where an object was, in bounded memory: of too many frames every second is left out, gaps stay.
+class ObjectPath:
+    """Path of an object in bounded memory: when full, every second point is dropped and gaps are kept.
 
     Attributes:
-        places: (3,) each; NaN without a pose.
-        statuses: of the same frames.
+        positions: positions (3,); NaN without a pose.
+        statuses: status values of the same frames.
     """
 
-    def __init__(self, most: int = MOST_PIECES) -> None:
-        self.places: list[FloatArray] = []
+    def __init__(self, max_points: int = MAX_PATH_SEGMENTS) -> None:
+        self.positions: list[FloatArray] = []
         self.statuses: list[str] = []
-        self._most, self._every, self._left = most, 1, 0
-        self._lost = False
+        self._max_points, self._stride, self._n_skipped = max_points, 1, 0
+        self._has_gap = False
 
-    def add(self, place: FloatArray, status: str) -> None:
-        """One frame more."""
-        self._lost |= not np.isfinite(place).all()
-        self._left += 1
-        if self._left < self._every:
+    def add(self, position: FloatArray, status: str) -> None:
+        """Append the position and status of a frame."""
+        self._has_gap |= not np.isfinite(position).all()
+        self._n_skipped += 1
+        if self._n_skipped < self._stride:
             return
-        self.places.append(np.full(3, np.nan) if self._lost else np.array(place))
+        self.positions.append(np.full(3, np.nan) if self._has_gap else np.array(position))
         self.statuses.append(status)
-        self._left, self._lost = 0, False
-        if len(self.places) >= self._most:
-            pairs = zip(self.places[::2], self.places[1::2], strict=False)
-            self.places = [b if np.isfinite(a).all() else a for a, b in pairs]
+        self._n_skipped, self._has_gap = 0, False
+        if len(self.positions) >= self._max_points:
+            pairs = zip(self.positions[::2], self.positions[1::2], strict=False)
+            self.positions = [b if np.isfinite(a).all() else a for a, b in pairs]
             self.statuses = self.statuses[1::2]
-            self._every *= 2
+            self._stride *= 2
 
 
 class LivePage:
-    """The page of a run; a context manager within which it is alive, with a thread beside the tracker's.
+    """Page of a running tracker; a context manager that updates it in a thread of its own.
 
     Args:
-        server: of viser.
-        rig: in the unit of the poses.
-        objects: their names.
-        title: what is tracked.
+        server: viser server.
+        rig: the cameras, in the length unit of the poses.
+        objects: names of the objects.
+        title: title of the page.
 
     Attributes:
-        failed: a sentence, if the page has come to its end before the run.
+        error: error message if the page stopped before the run ended, else "".
     """
 
     def __init__(self, server: Any, rig: Rig, objects: Sequence[str], title: str) -> None:
-        scene = scene_of(Trajectory([], rig.names, rig.unit), rig)
-        self.page, self.failed = ScenePage(server, scene, rig), ""
+        scene = build_scene(Trajectory([], rig.names, rig.unit), rig)
+        self.page, self.error = ScenePage(server, scene, rig), ""
         self._server, self._scene = server, scene
-        self._names = {name: name if len(objects) > 1 else "" for name in objects}
-        self._ways = {name: Way() for name in objects}
+        self._labels = {name: name if len(objects) > 1 else "" for name in objects}
+        self._paths = {name: ObjectPath() for name in objects}
         self._latest: dict[str, TrackedFrame] = {}
-        self._lock, self._news, self._ended = threading.Lock(), threading.Event(), threading.Event()
+        self._lock, self._updated, self._ended = threading.Lock(), threading.Event(), threading.Event()
         for name in objects:
             self.page.add(name)
-        server.gui.add_markdown(f"**{plain(title)}**")
-        self.words = server.gui.add_markdown("Nothing is tracked yet.")
-        add_views(server, self.page, objects, rig.names)
-        add_layers(server, self.page, self._news.set)
+        server.gui.add_markdown(f"**{escape_markdown(title)}**")
+        self.status_text = server.gui.add_markdown("Nothing is tracked yet.")
+        add_view_control(server, self.page, objects, rig.names)
+        add_layer_controls(server, self.page, self._updated.set)
         self._thread = threading.Thread(target=self._run, name="sylpose-show", daemon=True)
 
     def __enter__(self) -> Self:
@@ -88,67 +88,75 @@ class LivePage:
 
     def __exit__(self, *_: type[BaseException] | BaseException | TracebackType | None) -> None:
         self._ended.set()
-        self._news.set()
+        self._updated.set()
         self._thread.join()
 
-    def put(self, name: str, tracked: TrackedFrame) -> None:
-        """One object in one frame. What was not drawn by then is left out, but for the path."""
+    def update(self, name: str, tracked: TrackedFrame) -> None:
+        """Hand over an object's latest frame; frames not yet drawn are dropped except for their path points."""
         with self._lock:
             self._latest[name] = tracked
-            self._ways[name].add(tracked.pose.position, tracked.pose.status.value)
-        self._news.set()
+            self._paths[name].add(tracked.pose.position, tracked.pose.status.value)
+        self._updated.set()
 
-    def say(self, words: str) -> None:
-        """What the run does now."""
-        self.words.content = plain(words)
+    def show_status(self, message: str) -> None:
+        """Show a message about the state of the run."""
+        self.status_text.content = escape_markdown(message)
 
     def _run(self) -> None:
         while not self._ended.is_set():
-            self._news.wait()
-            self._news.clear()
+            self._updated.wait()
+            self._updated.clear()
             try:
                 self._draw()
-            except Exception as error:  # whatever it is, the run goes on
-                self.failed = f"the page shows nothing more ({type(error).__name__}: {error})"
+            except Exception as error:  # an error of the page must not end the run
+                self.error = f"the page stopped updating ({type(error).__name__}: {error})"
                 return
-            self._ended.wait(PAUSE)
+            self._ended.wait(UPDATE_INTERVAL)
 
     def _draw(self) -> None:
         with self._lock:
             latest, self._latest = self._latest, {}
-            ways = {name: (np.array(way.places), list(way.statuses)) for name, way in self._ways.items() if way.places}
+            paths = {
+                name: (np.array(path.positions), list(path.statuses))
+                for name, path in self._paths.items()
+                if path.positions
+            }
         if not latest:
             return
-        said = []
+        texts = []
         newest = max(latest.values(), key=lambda tracked: tracked.pose.index)
         with self._server.atomic():
             for name, tracked in latest.items():
-                said.append(self._object(name, tracked))
-            for name, (places, statuses) in ways.items():
-                self.page.path(name, places, statuses)
-        self.page.images(newest.frames.images)
-        self.words.content = "\n\n".join([f"Frame {newest.pose.index}, {newest.pose.time:.3f}", *said])
+                texts.append(self._draw_object(name, tracked))
+            for name, (positions, statuses) in paths.items():
+                self.page.set_path(name, positions, statuses)
+        self.page.set_images(newest.frames.images)
+        self.status_text.content = "\n\n".join([f"Frame {newest.pose.index}, {newest.pose.time:.3f}", *texts])
 
-    def _object(self, name: str, tracked: TrackedFrame) -> str:
-        """Draws it, and says what is known of it."""
+    def _draw_object(self, name: str, tracked: TrackedFrame) -> str:
+        """Draw an object and return the text about it."""
         pose = tracked.pose
         matrix = np.full((4, 4), np.nan) if pose.world_from_object is None else pose.world_from_object.as_matrix()
         radius = tracked.radius if tracked.radius > 0 else self._scene.axis_length
-        self.page.sized(name, radius, float(pose.sigma[3:].max()))
-        self.page.pose(name, matrix, pose.covariance)
-        seen = [sights.place for sights in tracked.sightings]
-        colors = np.repeat(self._scene.colors[: len(seen)], [len(places) for places in seen], axis=0)
-        if seen:
-            points = np.concatenate(seen)
-            # What is not known to be on it, or hardly where, is left out.
+        self.page.set_size(name, radius, float(pose.sigma[3:].max()))
+        self.page.set_pose(name, matrix, pose.covariance)
+        positions = [sightings.positions for sightings in tracked.observations]
+        colors = np.repeat(
+            self._scene.colors[: len(positions)],
+            [len(positions_of_camera) for positions_of_camera in positions],
+            axis=0,
+        )
+        if positions:
+            points = np.concatenate(positions)
+            # Leave out distant points: they are not on the object, or their position is uncertain.
             near = np.linalg.norm(points, axis=1) < 2.0 * radius
-            self.page.points(name, points[near], colors[near])
-        return said_of(
-            self._names[name],
+            self.page.set_points(name, points[near], colors[near])
+        return describe_pose(
+            self._labels[name],
             self._scene.unit,
             pose.status,
             pose.reason,
             matrix,
             pose.covariance,
-            self.page.larger(name),
+            self.page.compute_enlargement(name),
         )

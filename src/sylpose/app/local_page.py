@@ -1,7 +1,7 @@
-"""A page for the browser of who started the command, and for nobody else: on this computer, by an address that is a secret.
+"""Local web page for the user who started the command, served on this computer under a secret URL.
 
-Another user of the computer does not know the address; another page in the same browser does not either, and a name that
-somebody has pointed at this computer (DNS rebinding) is refused.
+Other users of the computer and other pages in the same browser lack the secret. Requests by a foreign host name that
+resolves to this computer (DNS rebinding) are refused.
 """
 
 from __future__ import annotations
@@ -26,22 +26,22 @@ import msgspec
 __all__ = [
     "HOST",
     "MAX_BODY",
-    "Answer",
-    "Get",
+    "GetHandler",
     "LocalPage",
-    "Post",
-    "as_json",
-    "new_secret",
+    "PostHandler",
+    "Response",
+    "check_request_path",
+    "create_secret",
+    "json_response",
     "open_browser",
-    "path_within",
 ]
 
 HOST = "127.0.0.1"
-# Bytes of what a page may send (choice: a hundred objects in a hundred cameras).
+# Largest request body in bytes (choice: a hundred objects in a hundred cameras).
 MAX_BODY = 2**20
-# Seconds that who has connected may take to ask (choice).
-PATIENCE = 10.0
-# Nothing from elsewhere, and no page around this one.
+# Seconds that a connection may take to send its request (choice).
+REQUEST_TIMEOUT = 10.0
+# Load nothing from other origins, and forbid embedding in other pages.
 _HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; "
@@ -54,61 +54,61 @@ _HEADERS = {
 
 
 @dataclass(frozen=True)
-class Answer:
-    """What is answered.
+class Response:
+    """Response to an HTTP request.
 
     Attributes:
-        body: its bytes.
-        kind: their media type.
-        status: HTTP's.
-        then: called once it is on its way.
+        body: content.
+        media_type: media type of the content.
+        status: HTTP status code.
+        on_sent: function to call once the response is sent.
     """
 
     body: bytes
-    kind: str
+    media_type: str
     status: int = 200
-    then: Callable[[], None] | None = None
+    on_sent: Callable[[], None] | None = None
 
 
-def as_json(value: object, status: int = 200, then: Callable[[], None] | None = None) -> Answer:
-    """A value as JSON."""
-    return Answer(msgspec.json.encode(value), "application/json", status, then)
+def json_response(value: object, status: int = 200, on_sent: Callable[[], None] | None = None) -> Response:
+    """Return a response with a value as JSON."""
+    return Response(msgspec.json.encode(value), "application/json", status, on_sent)
 
 
 class Headers(Protocol):
-    """Of a request."""
+    """Headers of a request."""
 
     def get(self, name: str, /) -> str | None: ...
 
 
-Get = Callable[[Mapping[str, str]], Answer]
-Post = Callable[[bytes], Answer]
+GetHandler = Callable[[Mapping[str, str]], Response]
+PostHandler = Callable[[bytes], Response]
 
 
 class LocalPage:
-    """A context within which the page is served, by threads beside this one.
+    """Context manager that serves a page from background threads.
 
-    A `ValueError` of what answers becomes `{"error": sentence}` with status 400.
+    A `ValueError` of a handler becomes `{"error": message}` with status 400.
 
     Args:
-        gets: by path, what answers with the query's values; "" is the page itself.
-        posts: by path, what answers to the bytes that are sent.
-        port: 0 for any that is free.
+        gets: GET handlers by path, called with the query's values; "" is the page itself.
+        posts: POST handlers by path, called with the request body.
+        port: port to listen at; 0 for any free one.
 
     Attributes:
-        url: of the page, the secret in it.
+        url: URL of the page, including the secret.
 
     Raises:
-        OSError: naming the port that is taken.
+        OSError: the port is in use; the message names it.
     """
 
-    def __init__(self, gets: Mapping[str, Get], posts: Mapping[str, Post], port: int = 0) -> None:
-        secret = new_secret()
+    def __init__(self, gets: Mapping[str, GetHandler], posts: Mapping[str, PostHandler], port: int = 0) -> None:
+        secret = create_secret()
         try:
             self._server = _Server((HOST, port), _Handler)
         except (OSError, OverflowError) as error:
-            why = getattr(error, "strerror", None) or str(error)
-            raise OSError(f"--port {port}: cannot listen there ({why.lower()}); 0 takes one that is free") from None
+            reason = getattr(error, "strerror", None) or str(error)
+            raise OSError(f"--port {port}: cannot listen there ({reason.lower()}); 0 selects a free port") from None
         self._server.gets, self._server.posts, self._server.secret = dict(gets), dict(posts), secret
         self.url = f"http://{HOST}:{self._server.server_address[1]}/{secret}/"
         self._thread = threading.Thread(target=self._server.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True)
@@ -125,113 +125,113 @@ class LocalPage:
 
 class _Server(ThreadingHTTPServer):
     daemon_threads = True
-    # Elsewhere it lets a port be taken again at once; on Windows by two programs at a time.
+    # On POSIX this allows reusing a port at once; on Windows it would let two programs share it.
     allow_reuse_address = os.name != "nt"
-    gets: dict[str, Get]
-    posts: dict[str, Post]
+    gets: dict[str, GetHandler]
+    posts: dict[str, PostHandler]
     secret: str
 
     def server_bind(self) -> None:
-        """Without a look at what the host's name is, which takes seconds where no name server answers."""
+        """Bind without resolving the host name, which takes seconds if no name server responds."""
         TCPServer.server_bind(self)
         self.server_name, self.server_port = HOST, self.server_address[1]
 
     def handle_error(self, request: socket.socket | tuple[bytes, socket.socket], client_address: Any) -> None:
-        """Who has gone before the answer is no error of ours; anything else is a bug, which keeps its traceback."""
+        """Ignore clients that disconnected early; print the traceback of any other error, which is a bug."""
         if not isinstance(sys.exception(), (ConnectionError, TimeoutError)):
             super().handle_error(request, client_address)
 
 
 class _Handler(BaseHTTPRequestHandler):
     server: _Server
-    timeout = PATIENCE
+    timeout = REQUEST_TIMEOUT
     server_version, sys_version = "sylpose", ""
 
     def do_GET(self) -> None:
-        self._give(self._answer(self.server.gets, self._query))
+        self._send(self._respond(self.server.gets, self._parse_query))
 
     def do_POST(self) -> None:
-        self._give(self._answer(self.server.posts, self._body))
+        self._send(self._respond(self.server.posts, self._read_body))
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Nothing: the address is a secret."""
+        """Log nothing: the address is secret."""
 
-    def _answer(self, known: Mapping[str, Callable[[Any], Answer]], given: Callable[[], Any]) -> Answer:
+    def _respond(self, handlers: Mapping[str, Callable[[Any], Response]], read_input: Callable[[], Any]) -> Response:
         try:
-            path = path_within(self.path, self.headers, self.server.secret, self.server.server_port)
+            path = check_request_path(self.path, self.headers, self.server.secret, self.server.server_port)
         except PermissionError as error:
-            return _refused(403, str(error))
-        if path not in known:
-            return _refused(404, "no such page")
+            return _error_response(403, str(error))
+        if path not in handlers:
+            return _error_response(404, "no such page")
         try:
-            return known[path](given())
-        except _Refused as refused:
-            return refused.answer
+            return handlers[path](read_input())
+        except _RequestError as refused:
+            return refused.response
         except ValueError as error:
-            return _refused(400, str(error))
+            return _error_response(400, str(error))
 
-    def _query(self) -> dict[str, str]:
+    def _parse_query(self) -> dict[str, str]:
         return dict(parse_qsl(urlsplit(self.path).query, max_num_fields=10))
 
-    def _body(self) -> bytes:
-        said = self.headers.get("Content-Length", "")
-        if not (said.isascii() and said.isdigit()) or "Transfer-Encoding" in self.headers:
-            raise _Refused(_refused(411, "how long it is has to be said"))
-        if len(said) > 9 or int(said) > MAX_BODY:
-            raise _Refused(_refused(413, f"more than the {MAX_BODY} bytes that may be sent"))
-        return self.rfile.read(int(said))
+    def _read_body(self) -> bytes:
+        length = self.headers.get("Content-Length", "")
+        if not (length.isascii() and length.isdigit()) or "Transfer-Encoding" in self.headers:
+            raise _RequestError(_error_response(411, "a Content-Length is required"))
+        if len(length) > 9 or int(length) > MAX_BODY:
+            raise _RequestError(_error_response(413, f"longer than the allowed {MAX_BODY} bytes"))
+        return self.rfile.read(int(length))
 
-    def _give(self, answer: Answer) -> None:
-        self.send_response(answer.status)
+    def _send(self, response: Response) -> None:
+        self.send_response(response.status)
         for name, value in _HEADERS.items():
             self.send_header(name, value)
-        self.send_header("Content-Type", answer.kind)
-        self.send_header("Content-Length", str(len(answer.body)))
+        self.send_header("Content-Type", response.media_type)
+        self.send_header("Content-Length", str(len(response.body)))
         self.end_headers()
-        self.wfile.write(answer.body)
+        self.wfile.write(response.body)
         self.wfile.flush()
-        if answer.then is not None:
-            answer.then()
+        if response.on_sent is not None:
+            response.on_sent()
 
 
-class _Refused(Exception):
-    def __init__(self, answer: Answer) -> None:
+class _RequestError(Exception):
+    def __init__(self, response: Response) -> None:
         super().__init__()
-        self.answer = answer
+        self.response = response
 
 
-def new_secret() -> str:
-    """Part of an address that nobody can guess."""
+def create_secret() -> str:
+    """Create an unguessable part of a URL."""
     return secrets.token_urlsafe(24)
 
 
-def path_within(asked: str, headers: Headers, secret: str, port: int, *, by_any_name: bool = False) -> str:
-    """The path below the secret of what was asked for, without its query.
+def check_request_path(target: str, headers: Headers, secret: str, port: int, *, any_host: bool = False) -> str:
+    """Check a request's host, origin and secret, and return its path below the secret without the query.
 
     Args:
-        asked: "/secret/path?query".
-        headers: of the request.
-        port: that the page listens at, on this computer.
-        by_any_name: the page listens elsewhere too, where it has names that are not known here.
+        target: request target, "/secret/path?query".
+        headers: headers of the request.
+        secret: secret of the page.
+        port: port at which the page listens on this computer.
+        any_host: accept any host name, for a page that also listens on other network interfaces.
 
     Raises:
-        PermissionError: asked for by another name than this computer's own, from a page of somebody else, or without the
-            secret.
+        PermissionError: a host name that is not this computer's, a request from another page, or a wrong secret.
     """
     host, origin = headers.get("Host"), headers.get("Origin")
-    if (not by_any_name and host not in (f"{HOST}:{port}", f"localhost:{port}")) or origin not in (
+    if (not any_host and host not in (f"{HOST}:{port}", f"localhost:{port}")) or origin not in (
         None,
         f"http://{host}",
     ):
-        raise PermissionError("asked for by another name than this computer's own")
-    given, _, path = urlsplit(asked).path[1:].partition("/")
-    if not hmac.compare_digest(given.encode(), secret.encode()):
+        raise PermissionError("requested by a host name other than this computer's")
+    token, _, path = urlsplit(target).path[1:].partition("/")
+    if not hmac.compare_digest(token.encode(), secret.encode()):
         raise PermissionError("the address is not the one that was printed")
     return path
 
 
 def open_browser(url: str) -> bool:
-    """Opens a page in the user's browser; says whether there is one. None that would run in the terminal."""
+    """Open a page in the user's browser, unless it is a terminal browser; return whether that succeeded."""
     try:
         browser = webbrowser.get()
     except webbrowser.Error:
@@ -239,5 +239,5 @@ def open_browser(url: str) -> bool:
     return type(browser) is not webbrowser.GenericBrowser and browser.open(url)
 
 
-def _refused(status: int, sentence: str) -> Answer:
-    return as_json({"error": sentence}, status)
+def _error_response(status: int, message: str) -> Response:
+    return json_response({"error": message}, status)

@@ -1,4 +1,4 @@
-"""An object as files: object.npz for another take (docs/formats.md, "object.npz"), object.ply to look at."""
+"""Object files: object.npz for other recordings (docs/formats.md, "object.npz") and object.ply for viewing."""
 
 from __future__ import annotations
 
@@ -16,25 +16,34 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
 from sylpose import __version__
-from sylpose.atomic_io import replacing
+from sylpose.atomic_io import replace_atomically
 from sylpose.features.sift import Features
 from sylpose.geometry.arrays import FloatArray
-from sylpose.input_limits import told
+from sylpose.input_limits import input_errors
 from sylpose.landmarks.landmark_filter import Landmarks
 from sylpose.rig import Camera, Rig
 from sylpose.tracking.frame import SolvedFrame
-from sylpose.tracking.known_object import FEWEST, CameraMemory, KnownObject, ObjectFrame
+from sylpose.tracking.known_object import MIN_KEYFRAMES, CameraLandmarks, KnownObject, ObjectFrame
 from sylpose.tracking.object_transfer import check_unit
 
-__all__ = ["CLOUD", "DRAWN", "OBJECT", "checksum_of", "known_objects", "load_object", "save_object", "write_cloud"]
+__all__ = [
+    "CLOUD_FILE",
+    "MAX_DRAWN_DEPTH_SD",
+    "OBJECT_FILE",
+    "load_known_objects",
+    "load_object",
+    "object_checksum",
+    "save_object",
+    "write_cloud",
+]
 
-OBJECT, CLOUD = "object.npz", "object.ply"
+OBJECT_FILE, CLOUD_FILE = "object.npz", "object.ply"
 FORMAT = "sylpose object 1"
-# Bytes of all arrays together; lengths in the calibration's unit (choice).
-LARGEST, FARTHEST = 1 << 29, 1e9
-# Landmarks whose depth is known to this share of the object's radius are drawn (choice).
-DRAWN = 0.1
-# Rows of colours, from cameras that are told apart to the eye.
+# Largest total size of the arrays in bytes, and largest length in the calibration's unit (choice).
+MAX_BYTES, MAX_LENGTH = 1 << 29, 1e9
+# Landmarks whose depth sd is below this share of the object's radius are drawn (choice).
+MAX_DRAWN_DEPTH_SD = 0.1
+# Colors of the cameras, easy to distinguish.
 COLORS = np.array(
     [[213, 94, 0], [0, 114, 178], [0, 158, 115], [204, 121, 167], [230, 159, 0], [86, 180, 233]], np.uint8
 )
@@ -82,43 +91,50 @@ class _Header(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     version: Annotated[str, msgspec.Meta(pattern=r"^[\w.+-]{1,40}$")]
     mark: Annotated[str, msgspec.Meta(pattern=r"^[0-9a-f]{1,64}$")]
     unit: _TEXT
-    radius: Annotated[float, msgspec.Meta(gt=0, lt=FARTHEST)]
+    radius: Annotated[float, msgspec.Meta(gt=0, lt=MAX_LENGTH)]
     scale_sd: Annotated[float, msgspec.Meta(ge=0, le=1)]
-    object_from_learnt: _POSE
+    object_from_learned: _POSE
     frame_sd: Annotated[
-        list[Annotated[float, msgspec.Meta(ge=0, lt=FARTHEST)]], msgspec.Meta(min_length=6, max_length=6)
+        list[Annotated[float, msgspec.Meta(ge=0, lt=MAX_LENGTH)]], msgspec.Meta(min_length=6, max_length=6)
     ]
-    frame_said: _TEXT
+    frame_description: _TEXT
     cameras: Annotated[list[_Camera], msgspec.Meta(min_length=1, max_length=10_000)]
 
 
 def save_object(known: KnownObject, path: Path | str) -> None:
-    """Writes what is known of an object.
+    """Write an object model to a file.
 
     Args:
-        known: of `load_object`, or as a run has learnt it.
-        path: of the file, object.npz as a rule; replaced when it is there.
+        known: from `load_object` or from a run.
+        path: the file, usually object.npz; replaced if it exists.
 
     Raises:
-        OSError: naming the file, when it cannot be written.
+        OSError: the file cannot be written; the message names it.
     """
     parts = dict[str, list[NDArray[Any]]]()
     arrays: dict[str, NDArray[Any]] = {
         "points": known._points,
         "keyframe_time": np.array([k.time for k in known._keyframes]),
-        "keyframe_age": np.array([k.age for k in known._keyframes]),
-        "keyframe_stays": np.array([k.stays for k in known._keyframes]),
+        "keyframe_age": np.array([k.landmark_age for k in known._keyframes]),
+        "keyframe_stays": np.array([k.is_fixed for k in known._keyframes]),
         "keyframe_world_from_object": np.array([k.world_from_object.as_matrix() for k in known._keyframes]),
         "keyframe_covariance": np.array([k.covariance for k in known._keyframes]),
     }
     for c, memory in enumerate(known._cameras.values()):
-        its = memory.landmarks
-        _put(parts, "landmark", camera=np.full(len(its), c), id=its.id, place=its.mean, information=its.information)
-        _put(parts, "landmark", seen=its.seen, origin=its.origin)
-        for k, (features, numbers) in enumerate(zip(memory.features, memory.numbers, strict=True)):
+        landmarks = memory.landmarks
+        _append_rows(
+            parts,
+            "landmark",
+            camera=np.full(len(landmarks), c),
+            id=landmarks.id,
+            place=landmarks.mean,
+            information=landmarks.information,
+        )
+        _append_rows(parts, "landmark", seen=landmarks.n_observations, origin=landmarks.origin)
+        for k, (features, numbers) in enumerate(zip(memory.features, memory.landmark_ids, strict=True)):
             n = len(features)
-            _put(parts, "feature", camera=np.full(n, c), keyframe=np.full(n, k), landmark=numbers)
-            _put(
+            _append_rows(parts, "feature", camera=np.full(n, c), keyframe=np.full(n, k), landmark=numbers)
+            _append_rows(
                 parts,
                 "feature",
                 pixels=features.pixels,
@@ -130,21 +146,21 @@ def save_object(known: KnownObject, path: Path | str) -> None:
     header = _Header(
         FORMAT,
         __version__,
-        known.mark,
+        known.fingerprint,
         known.unit,
         known.radius,
         known.scale_sd,
-        frame.from_learnt.as_matrix().tolist(),
+        frame.from_learned.as_matrix().tolist(),
         frame.sd.tolist(),
-        frame.said,
-        [_told(known.rig[name]) for name in known._cameras],
+        frame.description,
+        [_encode_camera(known.rig[name]) for name in known._cameras],
     )
     typed = {name: arrays[name].astype(f"<{kind}") for name, (kind, _) in _ARRAYS.items()}
-    with replacing(path) as part, part.open("wb") as file:
+    with replace_atomically(path) as part, part.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, header=np.array(msgspec.json.encode(header).decode()), **typed)
 
 
-def _told(camera: Camera) -> _Camera:
+def _encode_camera(camera: Camera) -> _Camera:
     return _Camera(
         camera.name,
         camera.size,
@@ -156,25 +172,25 @@ def _told(camera: Camera) -> _Camera:
     )
 
 
-def _put(parts: dict[str, list[NDArray[Any]]], of: str, **rows: NDArray[Any]) -> None:
+def _append_rows(parts: dict[str, list[NDArray[Any]]], prefix: str, **rows: NDArray[Any]) -> None:
     for name, values in rows.items():
-        parts.setdefault(f"{of}_{name}", []).append(values)
+        parts.setdefault(f"{prefix}_{name}", []).append(values)
 
 
 def load_object(path: Path | str) -> KnownObject:
-    """Reads what `save_object` has written.
+    """Read an object model that `save_object` has written.
 
     Args:
-        path: of object.npz.
+        path: the file, usually object.npz.
 
     Raises:
         FileNotFoundError: no such file.
-        ValueError: naming the file: it is no object of sylpose, of another format, damaged or absurd.
+        ValueError: not a sylpose object file, another format, damaged, or values out of range; the message names it.
     """
     path = Path(path)
     if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such file; the object.npz of another run is expected")
-    with told(path):
+        raise FileNotFoundError(f"{path}: no such file; expected the object.npz of an earlier run")
+    with input_errors(path):
         try:
             header, arrays = _read(path)
         except (
@@ -187,167 +203,171 @@ def load_object(path: Path | str) -> KnownObject:
             OSError,
             ValueError,
         ) as error:
-            raise ValueError(f"not an object of sylpose, or damaged ({error})") from None
-        return _object(header, arrays)
+            raise ValueError(f"not a sylpose object file, or damaged ({error})") from None
+        return _decode_object(header, arrays)
 
 
 def _read(path: Path) -> tuple[_Header, dict[str, NDArray[Any]]]:
     with zipfile.ZipFile(path) as archive:
         infos = archive.infolist()
         if sorted(info.filename for info in infos) != sorted(f"{name}.npy" for name in (*_ARRAYS, "header")):
-            raise ValueError("other arrays than an object has")
-        if sum(info.file_size for info in infos) > LARGEST:
-            raise ValueError(f"more than {LARGEST >> 20} MB")
+            raise ValueError("its arrays are not those of a sylpose object")
+        if sum(info.file_size for info in infos) > MAX_BYTES:
+            raise ValueError(f"more than {MAX_BYTES >> 20} MB")
     arrays, sizes = dict[str, NDArray[Any]](), dict[str, int]()
     with np.load(path, allow_pickle=False) as file:
-        word = file["header"]
-        if word.dtype.kind != "U" or word.shape:
-            raise ValueError("its header is no word")
-        header = msgspec.json.decode(str(word), type=_Header)
+        header_text = file["header"]
+        if header_text.dtype.kind != "U" or header_text.shape:
+            raise ValueError("its header is not a string")
+        header = msgspec.json.decode(str(header_text), type=_Header)
         if header.format != FORMAT:
             raise ValueError(f"the format is {header.format!r}; this version of sylpose reads {FORMAT!r}")
         for name, (kind, shape) in _ARRAYS.items():
             values = file[name]
             rows = len(values) if values.ndim else 0
-            wanted = tuple(n if isinstance(n, int) else sizes.setdefault(n, rows) for n in shape)
-            if values.dtype != np.dtype(f"<{kind}") or values.shape != wanted:
+            expected = tuple(n if isinstance(n, int) else sizes.setdefault(n, rows) for n in shape)
+            if values.dtype != np.dtype(f"<{kind}") or values.shape != expected:
                 raise ValueError(f"{name} has the type {values.dtype} and the shape {values.shape}")
-            if kind != "i8" and not (np.abs(values.astype(float)) <= FARTHEST**2).all():
-                raise ValueError(f"{name} has numbers that are not finite, or absurd")
+            if kind != "i8" and not (np.abs(values.astype(float)) <= MAX_LENGTH**2).all():
+                raise ValueError(f"{name} has numbers that are not finite or too large")
             arrays[name] = values
     return header, arrays
 
 
-def _object(header: _Header, a: Mapping[str, NDArray[Any]]) -> KnownObject:
-    """Raises ValueError: arrays that contradict each other."""
+def _decode_object(header: _Header, a: Mapping[str, NDArray[Any]]) -> KnownObject:
+    """Build the object model; raise ValueError for arrays that contradict each other."""
     k, c = len(a["keyframe_time"]), len(header.cameras)
-    if k < FEWEST or (np.diff(a["keyframe_time"]) <= 0).any():
+    if k < MIN_KEYFRAMES or (np.diff(a["keyframe_time"]) <= 0).any():
         raise ValueError("too few keyframes, or out of order")
-    poses = _poses("keyframe_world_from_object", a["keyframe_world_from_object"])
+    poses = _decode_poses("keyframe_world_from_object", a["keyframe_world_from_object"])
     for name in ("keyframe_covariance", "landmark_information"):
         if not _are_covariances(a[name]):
-            raise ValueError(f"{name} has matrices that are not symmetric and positive")
-    whole = {"landmark_camera": c, "feature_camera": c, "feature_keyframe": k}
-    for name, most in {**whole, "keyframe_stays": 2, "landmark_id": 1 << 31, "landmark_seen": 1 << 31}.items():
-        if ((a[name] < 0) | (a[name] >= most)).any():
-            raise ValueError(f"{name} has numbers of what is not there")
+            raise ValueError(f"{name} has matrices that are not positive semidefinite")
+    limits = {"landmark_camera": c, "feature_camera": c, "feature_keyframe": k}
+    for name, limit in {**limits, "keyframe_stays": 2, "landmark_id": 1 << 31, "landmark_seen": 1 << 31}.items():
+        if ((a[name] < 0) | (a[name] >= limit)).any():
+            raise ValueError(f"{name} has indices out of range")
     frames = tuple(
         SolvedFrame(
             number=i,
             time=float(a["keyframe_time"][i]),
-            late=np.empty(0),
+            time_offsets=np.empty(0),
             world_from_object=poses[i],
             covariance=a["keyframe_covariance"][i],
             viewpoints=np.empty((0, 3)),
-            sees=np.empty(0, bool),
-            age=float(a["keyframe_age"][i]),
-            stays=bool(a["keyframe_stays"][i]),
+            is_visible=np.empty(0, bool),
+            landmark_age=float(a["keyframe_age"][i]),
+            is_fixed=bool(a["keyframe_stays"][i]),
         )
         for i in range(k)
     )
-    cameras = [_camera(told) for told in header.cameras]
-    (from_learnt,) = _poses("object_from_learnt", [header.object_from_learnt])
-    frame = ObjectFrame(from_learnt, np.array(header.frame_sd), header.frame_said)
+    cameras = [_decode_camera(camera) for camera in header.cameras]
+    (from_learned,) = _decode_poses("object_from_learned", [header.object_from_learned])
+    frame = ObjectFrame(from_learned, np.array(header.frame_sd), header.frame_description)
     return KnownObject(
         Rig(cameras, header.unit),
         header.radius,
         header.mark,
         a["points"],
         frames,
-        {camera.name: _memory(i, k, a) for i, camera in enumerate(cameras)},
+        {camera.name: _decode_camera_landmarks(i, k, a) for i, camera in enumerate(cameras)},
         frame,
         header.scale_sd,
     )
 
 
-def _camera(told: _Camera) -> Camera:
-    (pose,) = _poses(f"camera {told.name}: camera_from_world", [told.camera_from_world])
-    matrix = _matrices(f"camera {told.name}: matrix", [told.matrix], 3)[0]
-    return Camera(told.name, told.size, matrix, np.array(told.distortion), pose, told.lens, told.error_px)
+def _decode_camera(stored: _Camera) -> Camera:
+    (pose,) = _decode_poses(f"camera {stored.name}: camera_from_world", [stored.camera_from_world])
+    matrix = _decode_matrices(f"camera {stored.name}: matrix", [stored.matrix], 3)[0]
+    return Camera(stored.name, stored.size, matrix, np.array(stored.distortion), pose, stored.lens, stored.error_px)
 
 
-def _matrices(name: str, given: ArrayLike, n: int) -> FloatArray:
-    """(k, n, n) of lists of rows, which may be of any length."""
-    matrices = np.array(given, dtype=object)
+def _decode_matrices(name: str, values: ArrayLike, n: int) -> FloatArray:
+    """Convert lists of rows, whose lengths are checked, to matrices (k, n, n)."""
+    matrices = np.array(values, dtype=object)
     if matrices.shape[1:] != (n, n):
-        raise ValueError(f"{name}: no {n} x {n} matrix")
+        raise ValueError(f"{name}: expected a {n} x {n} matrix")
     return matrices.astype(float)
 
 
-def _poses(name: str, given: ArrayLike) -> list[RigidTransform]:
-    """Of matrices (k, 4, 4), to the bit."""
-    matrices = _matrices(name, given, 4)
-    about = matrices[:, :3, :3]
-    known = bool((np.abs(matrices) <= FARTHEST).all())
-    rigid = known and np.abs(about @ about.swapaxes(1, 2) - np.eye(3)).max() < 1e-6 and (np.linalg.det(about) > 0).all()
+def _decode_poses(name: str, values: ArrayLike) -> list[RigidTransform]:
+    """Convert matrices (k, 4, 4) to transforms without changing their values."""
+    matrices = _decode_matrices(name, values, 4)
+    rotations = matrices[:, :3, :3]
+    finite = bool((np.abs(matrices) <= MAX_LENGTH).all())
+    rigid = (
+        finite
+        and np.abs(rotations @ rotations.swapaxes(1, 2) - np.eye(3)).max() < 1e-6
+        and (np.linalg.det(rotations) > 0).all()
+    )
     if not rigid or not (matrices[:, 3] == [0, 0, 0, 1]).all():
-        raise ValueError(f"{name} has matrices that are no poses")
+        raise ValueError(f"{name} has matrices that are not rigid transforms")
     return [RigidTransform(matrix, normalize=False) for matrix in matrices]
 
 
 def _are_covariances(matrices: FloatArray) -> bool:
-    """Whether matrices (n, d, d) are symmetric and positive, to rounding."""
+    """Return whether matrices (n, d, d) are symmetric and positive semidefinite, up to rounding."""
     rounding = 1e-6 * np.abs(matrices).max(axis=(1, 2), initial=0.0)[:, None]
     symmetric = np.abs(matrices - matrices.swapaxes(1, 2)).max(axis=(1, 2), initial=0.0)[:, None] <= rounding
     return bool(symmetric.all() and (np.linalg.eigvalsh(matrices) >= -rounding).all())
 
 
-def _memory(c: int, keyframes: int, a: Mapping[str, NDArray[Any]]) -> CameraMemory:
-    mine = a["landmark_camera"] == c
-    ids = a["landmark_id"][mine]
+def _decode_camera_landmarks(c: int, keyframes: int, a: Mapping[str, NDArray[Any]]) -> CameraLandmarks:
+    of_camera = a["landmark_camera"] == c
+    ids = a["landmark_id"][of_camera]
     if (np.diff(ids) <= 0).any():
-        raise ValueError("landmark_id: numbers that are not in order")
+        raise ValueError("landmark_id: ids are not increasing")
     landmarks = Landmarks(
-        mean=a["landmark_place"][mine],
-        information=a["landmark_information"][mine],
-        seen=a["landmark_seen"][mine],
-        moved=np.ones(len(ids), bool),
-        origin=a["landmark_origin"][mine],
+        mean=a["landmark_place"][of_camera],
+        information=a["landmark_information"][of_camera],
+        n_observations=a["landmark_seen"][of_camera],
+        has_moved=np.ones(len(ids), bool),
+        origin=a["landmark_origin"][of_camera],
         id=ids,
     )
     features, numbers = [], []
     for k in range(keyframes):
-        at = (a["feature_camera"] == c) & (a["feature_keyframe"] == k)
-        looks = a["feature_descriptor"][at].astype(np.float32)
-        features.append(Features(a["feature_pixels"][at], a["feature_normalized"][at], looks))
-        numbers.append(a["feature_landmark"][at])
+        selected = (a["feature_camera"] == c) & (a["feature_keyframe"] == k)
+        descriptors = a["feature_descriptor"][selected].astype(np.float32)
+        features.append(Features(a["feature_pixels"][selected], a["feature_normalized"][selected], descriptors))
+        numbers.append(a["feature_landmark"][selected])
     if not np.isin(np.concatenate(numbers), ids).all():
-        raise ValueError("feature_landmark has numbers of what is not there")
-    return CameraMemory(landmarks, tuple(features), tuple(numbers))
+        raise ValueError("feature_landmark refers to missing landmarks")
+    return CameraLandmarks(landmarks, tuple(features), tuple(numbers))
 
 
-def known_objects(given: Sequence[str] | None, objects: Sequence[str], rig: Rig) -> dict[str, KnownObject]:
-    """What `--object` asks for, by name of the object.
+def load_known_objects(values: Sequence[str] | None, objects: Sequence[str], rig: Rig) -> dict[str, KnownObject]:
+    """Load the object models of `--object`, by name.
 
     Args:
-        given: FILE, or NAME=FILE where there are several.
-        objects: their names.
-        rig: that is going to see them.
+        values: FILE, or NAME=FILE for several objects.
+        objects: names of the session's objects.
+        rig: cameras of the session.
 
     Raises:
-        FileNotFoundError, ValueError: as `load_object` and `check_unit`; names that there are not, or twice.
+        FileNotFoundError, ValueError: as `load_object` and `check_unit`; a name that is unknown or given twice.
     """
     known: dict[str, KnownObject] = {}
-    for text in given or ():
-        name, found, file = text.partition("=")
-        if len(objects) == 1 and (not found or name != objects[0]):
+    for text in values or ():
+        name, separator, file = text.partition("=")
+        if len(objects) == 1 and (not separator or name != objects[0]):
             name, file = objects[0], text
-        elif name not in objects or not found:
-            raise ValueError(f"--object: NAME=FILE is expected, for one of {', '.join(objects)}, got {text!r}")
+        elif name not in objects or not separator:
+            raise ValueError(f"--object: expected NAME=FILE, for one of {', '.join(objects)}, got {text!r}")
         if name in known:
             raise ValueError(f"--object: given twice for {name}")
-        its = load_object(file)
-        with told(file):
-            check_unit(its, rig)
-        known[name] = its
+        model = load_object(file)
+        with input_errors(file):
+            check_unit(model, rig)
+        known[name] = model
     return known
 
 
-def checksum_of(known: KnownObject) -> str:
-    """Of what a result depends on in it."""
-    total, frame = hashlib.blake2b(digest_size=16), known.frame.from_learnt.as_matrix().tolist()
-    told = [known.unit, known.radius, known.scale_sd, frame, [k.time for k in known._keyframes]]
-    total.update(json.dumps(told).encode())
+def object_checksum(known: KnownObject) -> str:
+    """Return a checksum of the parts of an object model on which a run's result depends."""
+    total, frame = hashlib.blake2b(digest_size=16), known.frame.from_learned.as_matrix().tolist()
+    content = [known.unit, known.radius, known.scale_sd, frame, [k.time for k in known._keyframes]]
+    total.update(json.dumps(content).encode())
     for name, memory in known._cameras.items():
         total.update(name.encode())
         total.update(memory.landmarks.mean.tobytes())
@@ -355,24 +375,25 @@ def checksum_of(known: KnownObject) -> str:
 
 
 def write_cloud(known: KnownObject, path: Path | str) -> None:
-    """The places of the landmarks that are known well, as points in the object's frame with the colour of the camera that
-    saw them and their standard deviation, in PLY.
+    """Write the landmarks with small depth uncertainty as a point cloud (PLY) in the object's frame.
+
+    Each point has the color of its camera and its standard deviation.
 
     Raises:
-        OSError: naming the file, when it cannot be written.
+        OSError: the file cannot be written; the message names it.
     """
     rows = []
     for c, memory in enumerate(known._cameras.values()):
         sd = memory.landmarks.depth_sd
-        good = sd < DRAWN * known.radius
-        table = np.zeros(int(good.sum()), [("place", "<f4", 3), ("color", "u1", 3), ("sd", "<f4")])
-        places = known.frame.from_learnt.apply(memory.landmarks.mean[good]).reshape(-1, 3)
-        table["place"], table["color"], table["sd"] = places, COLORS[c % len(COLORS)], sd[good]
+        precise = sd < MAX_DRAWN_DEPTH_SD * known.radius
+        table = np.zeros(int(precise.sum()), [("place", "<f4", 3), ("color", "u1", 3), ("sd", "<f4")])
+        positions = known.frame.from_learned.apply(memory.landmarks.mean[precise]).reshape(-1, 3)
+        table["place"], table["color"], table["sd"] = positions, COLORS[c % len(COLORS)], sd[precise]
         rows.append(table)
     points, unit = np.concatenate(rows), known.unit or "units of the calibration"
-    said = [f"comment places on the object, in {unit}; cameras: {', '.join(known._cameras)}"]
-    said += [f"element vertex {len(points)}", *(f"property float {n}" for n in "xyz")]
-    said += [*(f"property uchar {n}" for n in ("red", "green", "blue")), "property float sd", "end_header"]
-    head = "\n".join(["ply", "format binary_little_endian 1.0", *said]) + "\n"
-    with replacing(path) as part:
+    header_lines = [f"comment landmarks on the object, in {unit}; cameras: {', '.join(known._cameras)}"]
+    header_lines += [f"element vertex {len(points)}", *(f"property float {n}" for n in "xyz")]
+    header_lines += [*(f"property uchar {n}" for n in ("red", "green", "blue")), "property float sd", "end_header"]
+    head = "\n".join(["ply", "format binary_little_endian 1.0", *header_lines]) + "\n"
+    with replace_atomically(path) as part:
         part.write_bytes(head.encode("ascii", "replace") + points.tobytes())

@@ -1,4 +1,4 @@
-"""`sylpose object`: what is in an object's file, its frame and its size set, a result told in another frame."""
+"""`sylpose object`: show an object file, set its frame or size, and re-express a result in its frame."""
 
 from __future__ import annotations
 
@@ -11,102 +11,112 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose import calibration
 from sylpose.app import console_output
-from sylpose.app.object_boards import board_frame
-from sylpose.app.object_files import CLOUD, OBJECT, load_object, save_object, write_cloud
+from sylpose.app.object_boards import estimate_board_frame
+from sylpose.app.object_files import CLOUD_FILE, OBJECT_FILE, load_object, save_object, write_cloud
 from sylpose.app.object_frames import (
-    Points,
-    extent_frame,
-    moved_frame,
-    one_of_draws,
-    plane_frame,
-    points_frame,
+    PointParser,
+    frame_from_extent,
+    frame_from_plane,
+    frame_from_points,
+    make_joint_sampler,
+    move_frame,
 )
-from sylpose.app.point_selection import KNOWN_DEPTH, Picked, known_well, result_of
-from sylpose.app.run_metadata import SETTINGS, USED
-from sylpose.atomic_io import output_folder
+from sylpose.app.point_selection import MAX_DEPTH_SD_RATIO, PickedPoint, precise_landmarks, read_object_run
+from sylpose.app.run_metadata import SETTINGS, USED_CALIBRATION
+from sylpose.atomic_io import make_output_folder
 from sylpose.geometry.arrays import FloatArray
-from sylpose.input_limits import told
+from sylpose.input_limits import input_errors
 from sylpose.report.files import write_trajectory
 from sylpose.report.plots import plot_trajectory
 from sylpose.results import FramePose, Trajectory
 from sylpose.tracking.known_object import KnownObject
-from sylpose.units import FIRST_DISTANCES
+from sylpose.units import INITIAL_DISTANCES
 
-__all__ = ["apply_aloud", "frame_aloud", "scale_aloud", "show_aloud"]
+__all__ = [
+    "run_object_apply_command",
+    "run_object_frame_command",
+    "run_object_scale_command",
+    "run_object_show_command",
+]
 
-# Axes less certain than this, radians, are said to be (choice).
-HARDLY = np.radians(5.0)
-# Draws that tell how uncertain a distance is (choice).
-DRAWS = 200
+# Axes with a larger standard deviation, radians, cause a warning (choice).
+MAX_AXIS_SD = np.radians(5.0)
+# Monte Carlo draws for the uncertainty of a distance (choice).
+N_DRAWS = 200
 
 
 # --- show ------------------------------------------------------------------------------------------------------------
 
 
-def show_aloud(path: Path) -> None:
-    """Says what is in an object's file.
+def run_object_show_command(path: Path) -> None:
+    """Print the contents of an object file.
 
     Raises:
         FileNotFoundError, ValueError: as `load_object`.
     """
     known, console = load_object(path), console_output.make_console()
-    console_output.print_facts(console, facts_of(known))
+    console_output.print_facts(console, object_facts(known))
     rows = []
     for name, memory in known._cameras.items():
         sd = memory.landmarks.depth_sd
-        well = sd[sd < KNOWN_DEPTH * known.radius]
+        precise = sd[sd < MAX_DEPTH_SD_RATIO * known.radius]
         views = sum(len(features) > 0 for features in memory.features)
-        middle = console_output.length(float(np.median(well)), known.unit) if len(well) else "-"
-        rows.append([name, str(len(sd)), str(len(well)), middle, str(views)])
-    console_output.print_table(console, ["camera", "landmarks", "known well", "their median sd", "in keyframes"], rows)
+        median_sd = console_output.format_length(float(np.median(precise)), known.unit) if len(precise) else "-"
+        rows.append([name, str(len(sd)), str(len(precise)), median_sd, str(views)])
+    console_output.print_table(console, ["camera", "landmarks", "precise", "their median sd", "in keyframes"], rows)
 
 
-def facts_of(known: KnownObject) -> list[tuple[str, str]]:
-    """What is said of an object."""
-    good, unit = known_well(known), known.unit
-    bound = console_output.length(KNOWN_DEPTH * known.radius, unit)
-    turns = Rotation.concatenate([k.world_from_object.rotation for k in known._keyframes])
-    angle = np.degrees((turns * turns[0].inv()).magnitude().max())
+def object_facts(known: KnownObject) -> list[tuple[str, str]]:
+    """Return the labeled facts that are printed about an object."""
+    precise, unit = precise_landmarks(known), known.unit
+    bound = console_output.format_length(MAX_DEPTH_SD_RATIO * known.radius, unit)
+    rotations = Rotation.concatenate([k.world_from_object.rotation for k in known._keyframes])
+    angle = np.degrees((rotations * rotations[0].inv()).magnitude().max())
     facts = [
         (
             "Object",
-            f"{known.mark}, {len(known.places)} landmarks, {len(good)} of them known well: to {bound} in depth",
+            f"{known.fingerprint}, {len(known.positions)} landmarks, {len(precise)} of them with a depth sd below {bound}",
         ),
-        ("Keyframes", f"{len(known._keyframes)}, turned by {angle:.0f}° at most"),
-        ("Radius", console_output.length(known.radius, unit)),
+        ("Keyframes", f"{len(known._keyframes)}, rotated by up to {angle:.0f}°"),
+        ("Radius", console_output.format_length(known.radius, unit)),
     ]
-    if len(good):
-        size = np.ptp(good, axis=0)
-        facts.append(("Extent", " x ".join(console_output.length(float(s), unit) for s in size) + " along its axes"))
-    if unit == FIRST_DISTANCES:
+    if len(precise):
+        size = np.ptp(precise, axis=0)
         facts.append(
-            ("Unit", "the first distance from the one camera that has learnt it; sylpose object scale sets another")
+            ("Extent", " x ".join(console_output.format_length(float(s), unit) for s in size) + " along its axes")
+        )
+    if unit == INITIAL_DISTANCES:
+        facts.append(
+            ("Unit", "the first distance from the only camera of its run; set another with sylpose object scale")
         )
     else:
-        sized = f", all lengths to {100 * known.scale_sd:.2g} %" if known.scale_sd else ""
-        facts.append(("Unit", (unit or "that of the calibration, which does not say it") + sized))
-    facts.append(("Frame", known.frame.said or "that of the take that has learnt it"))
+        scale_text = f", all lengths to {100 * known.scale_sd:.2g} %" if known.scale_sd else ""
+        facts.append(("Unit", (unit or "that of the calibration, which does not state it") + scale_text))
+    facts.append(("Frame", known.frame.description or "that of the recording of its run"))
     if known.frame.sd.any():
-        facts.append(("", sd_words(known.frame.sd, unit)))
-    moved, turned = known.frame.from_learnt.translation, known.frame.from_learnt.rotation.magnitude()
-    if moved.any() or turned:
-        far = console_output.length(float(np.linalg.norm(moved)), unit)
-        facts.append(("", f"origin {far} from where it was learnt, axes turned by {np.degrees(turned):.1f}°"))
+        facts.append(("", format_frame_sd(known.frame.sd, unit)))
+    offset, angle_from_learned = known.frame.from_learned.translation, known.frame.from_learned.rotation.magnitude()
+    if offset.any() or angle_from_learned:
+        distance = console_output.format_length(float(np.linalg.norm(offset)), unit)
+        facts.append(
+            ("", f"origin {distance} from that of its run, axes rotated by {np.degrees(angle_from_learned):.1f}°")
+        )
     return facts
 
 
-def sd_words(sd: FloatArray, unit: str) -> str:
-    """Standard deviations of a frame for people."""
+def format_frame_sd(sd: FloatArray, unit: str) -> str:
+    """Format the standard deviations of a frame for printing."""
     axes = ", ".join(f"{np.degrees(s):.2f}°" for s in sd[:3])
     return (
-        f"origin to {console_output.length(float(np.linalg.norm(sd[3:])), unit)}, axes to {axes} about x, y, z (one sd)"
+        f"origin to {console_output.format_length(float(np.linalg.norm(sd[3:])), unit)}, "
+        f"axes to {axes} about x, y, z (one sd)"
     )
 
 
 # --- frame -----------------------------------------------------------------------------------------------------------
 
 
-def frame_aloud(
+def run_object_frame_command(
     source: Path,
     target: Path,
     *,
@@ -120,65 +130,71 @@ def frame_aloud(
     recording: Path | None = None,
     result: Path | None = None,
 ) -> None:
-    """Sets the frame of an object, writes it as another file, and says how certain it is.
+    """Set the frame of an object, write it to another file and print its uncertainty.
 
     Args:
-        origin, x, xy: points (`app.point_selection.picked`).
-        plane: "largest", or points on it.
-        extent: by the directions in which it extends.
-        turn: "X,Y,Z" degrees about the present axes, in this order.
-        board: that is on it, in a recording (`boards.specification.parse_board`).
-        result: folder of a run that has seen it, for points that are pixels; None: where the object lies.
+        source: the object file.
+        target: file for the object in its new frame.
+        origin, x, xy: points (`app.point_selection.parse_point`).
+        plane: "largest", or points on a plane.
+        extent: use the object's principal directions.
+        turn: "X,Y,Z", angles in degrees about the present axes, in this order.
+        board: a board on the object (`boards.specification.parse_board`).
+        recording: recording in which the board is visible.
+        result: folder of a run of the object, for pixel points; None for the folder of `source`.
 
     Raises:
-        FileNotFoundError, ValueError, OSError: files; options that do not go together; points that tell no frame.
+        FileNotFoundError, ValueError, OSError: files; options that exclude each other; points that define no frame.
     """
     known = load_object(source)
-    ways = {"--xy": xy, "--plane": plane, "--extent": extent, "--turn": turn, "--board": board}
-    asked = [name for name, given in ways.items() if given]
+    definitions = {"--xy": xy, "--plane": plane, "--extent": extent, "--turn": turn, "--board": board}
+    requested = [name for name, given in definitions.items() if given]
     points = {name for name, given in (("--origin", origin), ("--x", x)) if given}
-    # With each way, the points that there may be.
+    # Points that each definition accepts.
     allowed = {"": {"--origin"}, "--xy": {"--origin", "--x"}, "--plane": {"--origin", "--x"}, "--turn": {"--origin"}}
-    if not asked and "--origin" not in points:
+    if not requested and "--origin" not in points:
         raise ValueError(
-            "nothing says which frame: --origin, --x and --xy (three points), --plane, --extent, --board, --turn or --origin"
+            "no frame is given: use --origin alone, --origin with --x and --xy, --plane, --extent, --board or --turn"
         )
-    if more := [*asked[1:], *sorted(points - allowed.get("".join(asked[:1]), set()))]:
-        raise ValueError(f"{' and '.join([*asked[:1], *more])}: these do not go together")
+    if conflicting := [*requested[1:], *sorted(points - allowed.get("".join(requested[:1]), set()))]:
+        raise ValueError(f"{' and '.join([*requested[:1], *conflicting])}: these options cannot be combined")
     if (board is None) != (recording is None):
-        raise ValueError("--board and --recording: what is on the object, and a recording in which it is seen")
+        raise ValueError(
+            "--board and --recording require each other: a board on the object, and a recording that shows it"
+        )
     if xy and len(points) < 2:
-        raise ValueError("--xy: three points are --origin, --x and --xy")
-    picks = Points(known, source, result)
+        raise ValueError("--xy requires three points: --origin, --x and --xy")
+    point_parser = PointParser(known, source, result)
     if board is not None and recording is not None:
-        found = board_frame(picks.result, recording, board)
+        new_frame = estimate_board_frame(point_parser.result, recording, board)
     elif plane:
-        found = plane_frame(picks, plane, origin, x)
+        new_frame = frame_from_plane(point_parser, plane, origin, x)
     elif extent:
-        found = extent_frame(known)
+        new_frame = frame_from_extent(known)
     elif xy and x and origin:
-        found = points_frame(picks, origin, x, xy)
+        new_frame = frame_from_points(point_parser, origin, x, xy)
     else:
-        found = moved_frame(picks, origin, turn)
-    with told(target):
-        new = known.in_frame(*found)
-    write_object(new, target)
+        new_frame = move_frame(point_parser, origin, turn)
+    with input_errors(target):
+        framed = known.to_frame(*new_frame)
+    write_object(framed, target)
     console = console_output.make_console()
-    console_output.print_facts(console, [fact for fact in facts_of(new) if fact[0] in ("Frame", "", "Extent")])
-    if found.sd[:3].max() > HARDLY:
-        console_output.print_warnings(console, [f"its axes are hardly told: {sd_words(found.sd, known.unit)}"])
+    console_output.print_facts(console, [fact for fact in object_facts(framed) if fact[0] in ("Frame", "", "Extent")])
+    if new_frame.sd[:3].max() > MAX_AXIS_SD:
+        console_output.print_warnings(console, [f"The axes are uncertain: {format_frame_sd(new_frame.sd, known.unit)}"])
     console_output.print_files(console, "Files", [target, target.with_suffix(".ply")])
 
 
 def write_object(known: KnownObject, target: Path) -> None:
-    """The object's file, and its cloud beside it.
+    """Write an object file, and its point cloud next to it.
 
     Raises:
-        ValueError: another ending; OSError: naming the file that cannot be written.
+        ValueError: the suffix is not .npz.
+        OSError: the file cannot be written; the message names it.
     """
     if target.suffix != ".npz":
-        raise ValueError(f"{target}: an object's file ends in .npz")
-    output_folder(target.parent)
+        raise ValueError(f"{target}: the suffix of an object file must be .npz")
+    make_output_folder(target.parent)
     save_object(known, target)
     write_cloud(known, target.with_suffix(".ply"))
 
@@ -186,7 +202,7 @@ def write_object(known: KnownObject, target: Path) -> None:
 # --- scale -----------------------------------------------------------------------------------------------------------
 
 
-def scale_aloud(
+def run_object_scale_command(
     source: Path,
     target: Path | None,
     between: tuple[str, str],
@@ -194,108 +210,118 @@ def scale_aloud(
     unit: str | None = None,
     result: Path | None = None,
 ) -> None:
-    """Compares the distance of two points of an object with what it is said to be, and writes an object of one camera that
-    much larger or smaller.
+    """Compare the distance of two object points with a known length; scale an object of a single camera to it.
 
     Args:
-        target: None: only say how far off it is.
-        between: two points (`app.point_selection.picked`).
-        distance: that they are apart.
-        unit: of the distance.
-        result: as in `frame_aloud`.
+        source: the object file.
+        target: file for the scaled object; None to only compare.
+        between: two points (`app.point_selection.parse_point`).
+        distance: the known length between them.
+        unit: unit of `distance`.
+        result: as in `run_object_frame_command`.
 
     Raises:
-        FileNotFoundError, ValueError, OSError: as `frame_aloud`; an object whose lengths cameras have measured is written.
+        FileNotFoundError, ValueError, OSError: as `run_object_frame_command`; a target for an object with measured
+            lengths.
     """
     known = load_object(source)
     if not (np.isfinite(distance) and distance > 0):
-        raise ValueError(f"--distance: a positive length is expected, got {distance}")
-    points = Points(known, source, result)
-    a, b = (points("--between", words) for words in between)
-    apart = float(np.linalg.norm(b.place - a.place))
-    if not apart > 0:
-        raise ValueError("--between: the two points are one")
-    sd = _apart_sd(a, b) / apart
-    open_size = known.unit == FIRST_DISTANCES
-    if not open_size and unit not in (None, known.unit):
-        raise ValueError(f"--unit {unit}: the object's lengths are in {known.unit or 'a unit that is not said'}")
+        raise ValueError(f"--distance: expected a positive length, got {distance}")
+    points = PointParser(known, source, result)
+    a, b = (points("--between", lengths_text) for lengths_text in between)
+    measured_distance = float(np.linalg.norm(b.position - a.position))
+    if not measured_distance > 0:
+        raise ValueError("--between: the two points coincide")
+    sd = _distance_sd(a, b) / measured_distance
+    has_free_scale = known.unit == INITIAL_DISTANCES
+    if not has_free_scale and unit not in (None, known.unit):
+        raise ValueError(f"--unit {unit}: the object's lengths are in {known.unit or 'an unknown unit'}")
     console = console_output.make_console()
-    if open_size:
+    if has_free_scale:
         facts = [
             (
-                "Apart",
-                f"{console_output.length(apart, FIRST_DISTANCES)}, said to be {console_output.length(distance, unit or '')}",
+                "Distance",
+                f"{console_output.format_length(measured_distance, INITIAL_DISTANCES)}, "
+                f"given as {console_output.format_length(distance, unit or '')}",
             )
         ]
-        facts.append(("Size", f"{distance / apart:.6g} times, to {100 * sd:.2g} % (one sd)"))
+        facts.append(("Scale", f"{distance / measured_distance:.6g}, to {100 * sd:.2g} % (one sd)"))
     else:
-        off = apart / distance - 1.0
-        measured, given = (console_output.length(value, known.unit) for value in (apart, distance))
-        words = f"{measured} as measured, {given} as said"
-        facts = [("Apart", words), ("Off", f"{100 * off:+.2f} %, measured to {100 * sd:.2g} % (one sd)")]
+        error = measured_distance / distance - 1.0
+        measured_text, given_text = (
+            console_output.format_length(value, known.unit) for value in (measured_distance, distance)
+        )
+        lengths_text = f"{measured_text} measured, {given_text} given"
+        facts = [("Distance", lengths_text), ("Error", f"{100 * error:+.2f} %, measured to {100 * sd:.2g} % (one sd)")]
     console_output.print_facts(console, facts)
     if target is None:
         return
-    if not open_size:
+    if not has_free_scale:
         raise ValueError(
-            f"{source}: its lengths were measured by calibrated cameras; another size would contradict them in every take. "
-            "If it is off, the calibration is: calibrate again, or scale the calibration's unit"
+            f"{source}: its lengths were measured by calibrated cameras, and scaling would contradict them in every "
+            "recording. Correct the calibration instead: calibrate again or scale its unit"
         )
-    write_object(known.sized(distance / apart, unit or "", min(sd, 1.0)), target)
+    write_object(known.scaled(distance / measured_distance, unit or "", min(sd, 1.0)), target)
     console_output.print_files(console, "Files", [target, target.with_suffix(".ply")])
 
 
-def _apart_sd(a: Picked, b: Picked) -> float:
-    """Standard deviation of how far two points are apart."""
-    rng, found = np.random.default_rng(0), []
-    for _ in range(DRAWS):
-        one = one_of_draws(rng)
-        found.append(float(np.linalg.norm(one(b) - one(a))))
-    return float(np.std(found))
+def _distance_sd(a: PickedPoint, b: PickedPoint) -> float:
+    """Return the standard deviation of the distance between two points."""
+    rng, distances = np.random.default_rng(0), []
+    for _ in range(N_DRAWS):
+        sample = make_joint_sampler(rng)
+        distances.append(float(np.linalg.norm(sample(b) - sample(a))))
+    return float(np.std(distances))
 
 
 # --- apply -----------------------------------------------------------------------------------------------------------
 
 
-def apply_aloud(path: Path, result: Path, out: Path, plot_format: str = "png") -> None:
-    """Tells the trajectory of a finished run in the frame of an object's file, in another folder.
+def run_object_apply_command(path: Path, result: Path, out: Path, plot_format: str = "png") -> None:
+    """Re-express the trajectory of a finished run in the frame of an object file, in a new folder.
 
     Args:
-        path: of the object, in its new frame.
+        path: object file with the new frame.
         result: folder of the run.
         out: folder for the files.
+        plot_format: suffix of the report plot.
 
     Raises:
-        FileNotFoundError, ValueError, OSError: files that are missing, a run of another object, the run's own folder.
+        FileNotFoundError, ValueError, OSError: missing files, a run of another object, or the run's folder as `out`.
     """
     known = load_object(path)
-    its = result_of(result, known)
+    run = read_object_run(result, known)
     if out.resolve() == path.resolve().parent or (out / SETTINGS).exists():
-        raise ValueError(f"{out}: a run's results, or the object, are there; another folder is expected")
+        raise ValueError(f"{out}: contains the results of a run, or the object; choose another folder")
     trajectory = Trajectory(
-        [retold(pose, its.frame_from_its) for pose in its.trajectory],
-        its.trajectory.camera_names,
-        its.trajectory.unit,
+        [change_object_frame(pose, run.frame_from_run) for pose in run.trajectory],
+        run.trajectory.camera_names,
+        run.trajectory.unit,
     )
-    # What is left there of another run would be taken for this one's.
-    for name in (OBJECT, CLOUD):
-        (output_folder(out) / name).unlink(missing_ok=True)
+    # Files left by another run would be taken for those of this one.
+    for name in (OBJECT_FILE, CLOUD_FILE):
+        (make_output_folder(out) / name).unlink(missing_ok=True)
     files = write_trajectory(out, trajectory)
-    calibration.save(its.rig, out / USED)
-    picture = out / f"report.{plot_format}"
-    plot_trajectory(trajectory, picture, note=f"{result.resolve().name}, in the frame of {path.name}")
-    save_object(replace(load_object(result / OBJECT), frame=known.frame), out / OBJECT)
-    console_output.print_files(console_output.make_console(), "Files", [*files, picture, out / USED, out / OBJECT])
+    calibration.save(run.rig, out / USED_CALIBRATION)
+    plot_path = out / f"report.{plot_format}"
+    plot_trajectory(trajectory, plot_path, note=f"{result.resolve().name}, in the frame of {path.name}")
+    save_object(replace(load_object(result / OBJECT_FILE), frame=known.frame), out / OBJECT_FILE)
+    console_output.print_files(
+        console_output.make_console(), "Files", [*files, plot_path, out / USED_CALIBRATION, out / OBJECT_FILE]
+    )
 
 
-def retold(pose: FramePose, new_from_object: RigidTransform) -> FramePose:
-    """A pose of which the standard deviations alone are known, of another frame; those of its place are then at most what
-    they come to, however the errors of turn and place are correlated."""
-    after = pose.of_frame(new_from_object)
-    if pose.world_from_object is None or after.world_from_object is None:
+def change_object_frame(pose: FramePose, new_from_object: RigidTransform) -> FramePose:
+    """Re-express a pose with known standard deviations but unknown correlations in another object frame.
+
+    The resulting standard deviations of the position are upper bounds for any correlation of rotation and position
+    errors.
+    """
+    changed = pose.in_object_frame(new_from_object)
+    if pose.world_from_object is None or changed.world_from_object is None:
         return pose
-    x, y, z = np.abs(after.world_from_object.translation - pose.world_from_object.translation)
+    x, y, z = np.abs(changed.world_from_object.translation - pose.world_from_object.translation)
     lever = np.array([[0.0, z, y], [z, 0.0, x], [y, x, 0.0]])
-    turned = np.where(lever > 0.0, lever * np.where(lever > 0.0, pose.sigma[:3], 0.0), 0.0).sum(axis=1)
-    sd = np.concatenate([pose.sigma[:3], pose.sigma[3:] + turned])
-    return replace(after, covariance=np.diag(sd**2))
+    lever_sd = np.where(lever > 0.0, lever * np.where(lever > 0.0, pose.sigma[:3], 0.0), 0.0).sum(axis=1)
+    sd = np.concatenate([pose.sigma[:3], pose.sigma[3:] + lever_sd])
+    return replace(changed, covariance=np.diag(sd**2))

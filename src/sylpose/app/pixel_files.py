@@ -1,4 +1,4 @@
-"""Where cameras see named points in frames, as tables: one of all cameras, or one of each as DeepLabCut writes them."""
+"""Tables of image points by frame and camera: one table for all cameras, or DeepLabCut's tables, one per camera."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ import numpy as np
 
 from sylpose.capture.names import match_names
 from sylpose.geometry.arrays import FloatArray
-from sylpose.input_limits import MAX_TABLE, one_line, text_of, told
-from sylpose.rig import MAX_PX
+from sylpose.input_limits import MAX_TABLE_BYTES, input_errors, read_text, to_one_line
+from sylpose.rig import MAX_FOCAL_PX
 
-__all__ = ["LIKELIHOOD", "Sightings", "load_pixels"]
+__all__ = ["MIN_LIKELIHOOD", "ImagePoints", "load_image_points"]
 
-# Points that a network is less sure of count as not seen (choice: DeepLabCut's own pcutoff).
-LIKELIHOOD = 0.6
-# Words for a column.
-_NAMES = {
+# Points with a lower likelihood are ignored (choice: DeepLabCut's default pcutoff).
+MIN_LIKELIHOOD = 0.6
+# Accepted names of the columns.
+_COLUMN_NAMES = {
     "camera": ("camera", "cam"),
     "frame": ("frame",),
     "name": ("name", "point", "bodypart"),
@@ -30,175 +30,204 @@ _NAMES = {
     "likelihood": ("likelihood", "score", "confidence"),
     "time": ("time",),
 }
-_NEEDED = ("camera", "frame", "name", "u", "v")
-MOST_FRAME = 2**53
+_REQUIRED_COLUMNS = ("camera", "frame", "name", "u", "v")
+MAX_FRAME = 2**53
 
 
 @dataclass(frozen=True, eq=False)
-class Sightings:
-    """What cameras see.
+class ImagePoints:
+    """Image points of named object points.
 
     Attributes:
-        frames: their numbers, in order.
-        times: seconds by frame, where the tables say them.
-        seen: by frame and camera, (2,) pixels by the name of a point.
-        names: of all points, in the order in which they are first named.
+        frames: frame numbers, increasing.
+        times: seconds by frame, if the tables contain times.
+        pixels: pixels (2,) by the point's name, by frame and camera.
+        names: names of all points, in order of first appearance.
     """
 
     frames: tuple[int, ...]
     times: Mapping[int, float]
-    seen: Mapping[tuple[int, str], Mapping[str, FloatArray]]
+    pixels: Mapping[tuple[int, str], Mapping[str, FloatArray]]
     names: tuple[str, ...]
 
 
-class _Collected:
-    """Rows as they are read."""
+class _Accumulator:
+    """Accumulator for the rows of all tables."""
 
-    def __init__(self, least: float) -> None:
-        self.least = least
-        self.seen = dict[tuple[int, str], dict[str, FloatArray]]()
+    def __init__(self, min_likelihood: float) -> None:
+        self.min_likelihood = min_likelihood
+        self.pixels = dict[tuple[int, str], dict[str, FloatArray]]()
         self.times = dict[int, float]()
         self.frames, self.names = set[int](), dict[str, None]()
 
-    def take(self, frame: int, camera: str, name: str, u: float, v: float, likelihood: float) -> None:
-        """Raises ValueError: a point that is there twice, or pixels that are none."""
+    def add(self, frame: int, camera: str, name: str, u: float, v: float, likelihood: float) -> None:
+        """Add an image point; raise ValueError for a duplicate or a pixel out of range."""
         self.frames.add(frame)
         self.names[name] = None
-        if np.isnan([u, v]).any() or not likelihood >= self.least:
+        if np.isnan([u, v]).any() or not likelihood >= self.min_likelihood:
             return
-        if not max(abs(u), abs(v)) <= MAX_PX:
-            raise ValueError(f"{u}, {v} is no pixel")
-        points = self.seen.setdefault((frame, camera), {})
+        if not max(abs(u), abs(v)) <= MAX_FOCAL_PX:
+            raise ValueError(f"{u}, {v} is not a valid pixel")
+        points = self.pixels.setdefault((frame, camera), {})
         if name in points:
-            raise ValueError(f"{camera} sees {name!r} twice in frame {frame}")
+            raise ValueError(f"{camera} has {name!r} twice in frame {frame}")
         points[name] = np.array([u, v])
 
 
-def load_pixels(
-    files: Sequence[Path], cameras: Sequence[str], named: Mapping[str, str] | None = None, least: float = LIKELIHOOD
-) -> Sightings:
-    """Reads tables `camera,frame,name,u,v` (`likelihood` and `time` may follow), of all cameras, or DeepLabCut's, of one
-    camera each: the one that the file's name begins with.
+def load_image_points(
+    files: Sequence[Path],
+    cameras: Sequence[str],
+    file_by_camera: Mapping[str, str] | None = None,
+    min_likelihood: float = MIN_LIKELIHOOD,
+) -> ImagePoints:
+    """Read tables of image points.
+
+    A table has the columns `camera,frame,name,u,v`, optionally with `likelihood` and `time`, for all cameras, or is
+    DeepLabCut's table of one camera, whose name begins the file's name.
 
     Args:
-        cameras: of the rig.
-        named: by camera, files whose names do not tell it.
-        least: likelihood of a point that counts as seen.
+        files: the tables.
+        cameras: names of the rig's cameras.
+        file_by_camera: files by camera, for files whose names do not match.
+        min_likelihood: smallest likelihood of a point that is used.
 
     Raises:
-        FileNotFoundError: naming a file that is not there.
-        ValueError: naming the file and the line: another table, an unknown camera, a point that is there twice.
+        FileNotFoundError: a file is missing; the message names it.
+        ValueError: naming the file and the line: another format, an unknown camera, a duplicate point.
     """
-    found, own = _Collected(least), {Path(file): camera for camera, file in (named or {}).items()}
-    if unknown := [camera for camera in (named or {}) if camera not in cameras]:
+    collected, camera_by_file = (
+        _Accumulator(min_likelihood),
+        {Path(file): camera for camera, file in (file_by_camera or {}).items()},
+    )
+    if unknown := [camera for camera in (file_by_camera or {}) if camera not in cameras]:
         raise ValueError(f"--video: no camera {', '.join(unknown)} in the calibration ({', '.join(cameras)})")
-    by = dict[str, Path]()
-    for path in [*files, *own]:
-        text = text_of(path, MAX_TABLE)
-        with told(path):
+    file_of_camera = dict[str, Path]()
+    for path in [*files, *camera_by_file]:
+        text = read_text(path, MAX_TABLE_BYTES)
+        with input_errors(path):
             rows = csv.reader(io.StringIO(text, newline=""))
             header = [cell.strip() for cell in next(rows, [])]
             if header[:1] == ["scorer"]:
-                camera = own.get(path) or _camera_of(path, cameras)
-                if camera in by:
-                    raise ValueError(f"of {camera}, as {by[camera].name} is")
-                by[camera] = path
-                _from_network(rows, camera, found)
-            elif path in own:
-                raise ValueError(
-                    "one camera's table, as DeepLabCut writes it, is expected: its first line begins with scorer"
-                )
+                camera = camera_by_file.get(path) or _match_camera(path, cameras)
+                if camera in file_of_camera:
+                    raise ValueError(f"belongs to {camera}, like {file_of_camera[camera].name}")
+                file_of_camera[camera] = path
+                _read_deeplabcut(rows, camera, collected)
+            elif path in camera_by_file:
+                raise ValueError("expected a DeepLabCut table of one camera, whose first line begins with scorer")
             else:
-                _from_table(rows, header, cameras, found)
-    return Sightings(tuple(sorted(found.frames)), found.times, found.seen, tuple(found.names))
+                _read_table(rows, header, cameras, collected)
+    return ImagePoints(tuple(sorted(collected.frames)), collected.times, collected.pixels, tuple(collected.names))
 
 
-def _camera_of(path: Path, cameras: Sequence[str]) -> str:
-    """DeepLabCut puts the name of its network behind that of the video."""
+def _match_camera(path: Path, cameras: Sequence[str]) -> str:
+    """Find a file's camera; DeepLabCut appends the name of its network to the video's name."""
     stem = re.split(r"DLC|DeepCut", path.stem, maxsplit=1)[0].rstrip("_-. ") or path.stem
     camera = match_names([stem], cameras).get(stem)
     if camera is None:
         raise ValueError(
-            f"its name begins with that of no camera ({', '.join(cameras)}); --video NAME=FILE says whose it is"
+            f"its name begins with no camera's name ({', '.join(cameras)}); assign it with --video NAME=FILE"
         )
     return camera
 
 
-def _from_network(rows: Iterator[Sequence[str]], camera: str, found: _Collected) -> None:
-    """The rest of DeepLabCut's table: `bodyparts`, `coords`, then a row for each frame."""
+def _read_deeplabcut(rows: Iterator[Sequence[str]], camera: str, collected: _Accumulator) -> None:
+    """Read the rest of a DeepLabCut table: `bodyparts`, `coords`, then one row per frame."""
     parts, coords = ([cell.strip() for cell in next(rows, [])] for _ in range(2))
     if parts[:1] == ["individuals"]:
-        raise ValueError("of several animals: one object's points are expected")
+        raise ValueError("has several individuals; expected the points of one object")
     if parts[:1] != ["bodyparts"] or coords[:1] != ["coords"] or len(parts) != len(coords):
-        raise ValueError("lines 2 and 3 of DeepLabCut's table are bodyparts and coords")
+        raise ValueError("lines 2 and 3 of a DeepLabCut table must be bodyparts and coords")
     columns = dict[str, dict[str, int]]()
-    for k, (part, what) in enumerate(zip(parts[1:], coords[1:], strict=True), start=1):
-        if what in columns.setdefault(part, {}):
-            raise ValueError(f"line 3: {one_line(what, 40)} of {one_line(part, 40)} is there twice")
-        columns[part][what] = k
-    for part, its in columns.items():
-        if not {"x", "y"} <= its.keys() <= {"x", "y", "likelihood"}:
-            raise ValueError(f"line 3: x, y and likelihood of {one_line(part, 60)} are expected")
+    for k, (part, coordinate) in enumerate(zip(parts[1:], coords[1:], strict=True), start=1):
+        if coordinate in columns.setdefault(part, {}):
+            raise ValueError(f"line 3: {to_one_line(coordinate, 40)} of {to_one_line(part, 40)} occurs twice")
+        columns[part][coordinate] = k
+    for part, coordinate_columns in columns.items():
+        if not {"x", "y"} <= coordinate_columns.keys() <= {"x", "y", "likelihood"}:
+            raise ValueError(f"line 3: expected x, y and likelihood of {to_one_line(part, 60)}")
     for number, row in enumerate(rows, start=4):
         if not any(cell.strip() for cell in row):
             continue
         try:
             if len(row) != len(parts):
-                raise ValueError(f"{len(parts)} cells are expected, got {len(row)}")
-            frame = _frame(row[0])
-            for part, its in columns.items():
-                likelihood = _number(row[its["likelihood"]], np.nan) if "likelihood" in its else np.inf
-                found.take(frame, camera, part, _number(row[its["x"]]), _number(row[its["y"]]), likelihood)
+                raise ValueError(f"expected {len(parts)} cells, got {len(row)}")
+            frame = _parse_frame(row[0])
+            for part, coordinate_columns in columns.items():
+                likelihood = (
+                    _parse_number(row[coordinate_columns["likelihood"]], np.nan)
+                    if "likelihood" in coordinate_columns
+                    else np.inf
+                )
+                collected.add(
+                    frame,
+                    camera,
+                    part,
+                    _parse_number(row[coordinate_columns["x"]]),
+                    _parse_number(row[coordinate_columns["y"]]),
+                    likelihood,
+                )
         except ValueError as error:
             raise ValueError(f"line {number}: {error}") from None
 
 
-def _from_table(
-    rows: Iterator[Sequence[str]], header: Sequence[str], cameras: Sequence[str], found: _Collected
+def _read_table(
+    rows: Iterator[Sequence[str]], header: Sequence[str], cameras: Sequence[str], collected: _Accumulator
 ) -> None:
-    at = dict[str, int]()
+    column_index = dict[str, int]()
     for k, cell in enumerate(header):
-        what = next((name for name, words in _NAMES.items() if cell.lower() in words), None)
-        if what is None or what in at:
-            raise ValueError(f"line 1: the column {one_line(cell, 40)!r} is not known, or there twice")
-        at[what] = k
-    if missing := [name for name in _NEEDED if name not in at]:
-        raise ValueError(f"line 1: the columns {','.join(_NEEDED)} are expected; {', '.join(missing)} missing")
+        column = next((name for name, words in _COLUMN_NAMES.items() if cell.lower() in words), None)
+        if column is None or column in column_index:
+            raise ValueError(f"line 1: the column {to_one_line(cell, 40)!r} is unknown or occurs twice")
+        column_index[column] = k
+    if missing := [name for name in _REQUIRED_COLUMNS if name not in column_index]:
+        raise ValueError(f"line 1: expected the columns {','.join(_REQUIRED_COLUMNS)}; {', '.join(missing)} missing")
     matched = dict[str, str]()
     for number, row in enumerate(rows, start=2):
         if not any(cell.strip() for cell in row):
             continue
         try:
             if len(row) != len(header):
-                raise ValueError(f"{len(header)} cells are expected, got {len(row)}")
-            word, name = row[at["camera"]].strip(), row[at["name"]].strip()
-            if word not in matched:
-                camera = match_names([word], cameras).get(word)
+                raise ValueError(f"expected {len(header)} cells, got {len(row)}")
+            camera_text, name = row[column_index["camera"]].strip(), row[column_index["name"]].strip()
+            if camera_text not in matched:
+                camera = match_names([camera_text], cameras).get(camera_text)
                 if camera is None:
-                    raise ValueError(f"no camera {one_line(word, 60)!r} in the calibration ({', '.join(cameras)})")
-                matched[word] = camera
+                    raise ValueError(
+                        f"no camera {to_one_line(camera_text, 60)!r} in the calibration ({', '.join(cameras)})"
+                    )
+                matched[camera_text] = camera
             if not name:
                 raise ValueError("a point without a name")
-            frame = _frame(row[at["frame"]])
-            likelihood = _number(row[at["likelihood"]], np.nan) if "likelihood" in at else np.inf
-            if "time" in at:
-                time = _number(row[at["time"]])
-                if not np.isfinite(time) or found.times.setdefault(frame, time) != time:
+            frame = _parse_frame(row[column_index["frame"]])
+            likelihood = (
+                _parse_number(row[column_index["likelihood"]], np.nan) if "likelihood" in column_index else np.inf
+            )
+            if "time" in column_index:
+                time = _parse_number(row[column_index["time"]])
+                if not np.isfinite(time) or collected.times.setdefault(frame, time) != time:
                     raise ValueError(f"frame {frame} has no time, or two")
-            found.take(frame, matched[word], name, _number(row[at["u"]]), _number(row[at["v"]]), likelihood)
+            collected.add(
+                frame,
+                matched[camera_text],
+                name,
+                _parse_number(row[column_index["u"]]),
+                _parse_number(row[column_index["v"]]),
+                likelihood,
+            )
         except ValueError as error:
             raise ValueError(f"line {number}: {error}") from None
 
 
-def _frame(cell: str) -> int:
-    number = _number(cell)
-    if not 0 <= number <= MOST_FRAME or number != round(number):
-        raise ValueError(f"{one_line(cell, 40)!r} is no frame's number")
+def _parse_frame(cell: str) -> int:
+    number = _parse_number(cell)
+    if not 0 <= number <= MAX_FRAME or number != round(number):
+        raise ValueError(f"{to_one_line(cell, 40)!r} is not a frame number")
     return int(number)
 
 
-def _number(cell: str, empty: float = np.nan) -> float:
+def _parse_number(cell: str, empty: float = np.nan) -> float:
     try:
         return float(cell) if cell.strip() else empty
     except ValueError:
-        raise ValueError(f"{one_line(cell, 40)!r} is no number") from None
+        raise ValueError(f"{to_one_line(cell, 40)!r} is not a number") from None

@@ -1,4 +1,4 @@
-"""Points known on an object, as files made by hand or by CAD: named points, vertices, markers (docs/formats.md)."""
+"""Files of known object points, made by hand or by CAD: named points, vertices, markers (docs/formats.md)."""
 
 from __future__ import annotations
 
@@ -14,221 +14,238 @@ import numpy as np
 
 from sylpose.boards.specification import Board, parse_board
 from sylpose.geometry.arrays import FloatArray
-from sylpose.input_limits import bytes_of, one_line, parsed_toml, text_of, told
+from sylpose.input_limits import input_errors, parse_toml, read_bytes, read_text, to_one_line
 from sylpose.rig import MAX_LENGTH
-from sylpose.units import METRES, length_of
+from sylpose.units import METERS, parse_length
 
-__all__ = ["Layout", "PointModel", "load_points"]
+__all__ = ["MarkerLayout", "PointModel", "load_points"]
 
-# Bytes of a file of points or vertices (choice), and so many of them: each is looked for in every frame (choice).
-LARGEST, MOST_POINTS = 1 << 26, 1_000_000
-# Markers of one object, and the difference of their numbers (choice: the largest family has fewer).
-MOST_MARKERS = 10_000
-# Corners of a marker are square to this share of its side (choice: three decimals), and its axes to this cosine.
-SQUARE, ACROSS = 0.02, 1e-3
-# A marker looks inwards that is so many of its sides behind the middle of all (choice).
-INWARDS = 0.25
-# Bytes that PLY's header has at most (choice).
-PLY_HEADER = 1 << 14
+# Largest size of a file of points in bytes, and largest number of points, each of which is used in every frame
+# (choice).
+MAX_BYTES, MAX_POINTS = 1 << 26, 1_000_000
+# Largest number of markers on an object, and largest difference of their ids (choice: the largest family has fewer).
+MAX_MARKERS = 10_000
+# Tolerance of a marker's squareness as a share of its side (choice: three decimals), and as a cosine between its axes.
+SQUARE_TOLERANCE, MAX_AXIS_COSINE = 0.02, 1e-3
+# A marker faces inwards if the center of all markers is this many of its sides in front of it (choice).
+MIN_INWARD_RATIO = 0.25
+# Largest size of a PLY header in bytes (choice).
+MAX_PLY_HEADER = 1 << 14
 _COLUMNS = ("name", "x", "y", "z")
 
 
 @dataclass(frozen=True, eq=False)
-class Layout:
+class MarkerLayout:
     """Markers on an object.
 
     Attributes:
-        marker: what detectors look for, one of them.
-        corners: (4, 3) by number, object's frame, in the order of `Board.points`: from the upper left one on, clockwise.
+        marker: specification of one of them, for the detector.
+        corners: corners (4, 3) by id in the object's frame, clockwise from the upper left (the order of
+            `Board.points`).
     """
 
     marker: Board
     corners: Mapping[int, FloatArray]
 
     @property
-    def inwards(self) -> tuple[int, ...]:
-        """Numbers of markers that look towards the middle of all: their corners may be told the wrong way round."""
+    def inward_markers(self) -> tuple[int, ...]:
+        """Return the ids of markers that face the center of all markers: their corners may be in the wrong order."""
         corners = np.array([*self.corners.values()])
         centers = corners.mean(axis=1)
         right, up = corners[:, 1] - corners[:, 0], corners[:, 0] - corners[:, 3]
-        out = np.einsum("ni,ni->n", np.cross(right, up), centers - centers.mean(axis=0))
+        outward = np.einsum("ni,ni->n", np.cross(right, up), centers - centers.mean(axis=0))
         sides = np.linalg.norm(right, axis=1)
-        return tuple(name for name, far in zip(self.corners, out / sides**3, strict=True) if far < -INWARDS)
+        return tuple(
+            name
+            for name, distance in zip(self.corners, outward / sides**3, strict=True)
+            if distance < -MIN_INWARD_RATIO
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class PointModel:
-    """What is known of an object.
+    """Known points and markers of an object.
 
     Attributes:
-        unit: of lengths, "" where the file does not say it.
-        points: (3,) by name, object's frame.
-        markers: on it, None without any.
+        unit: length unit, "" if the file has none.
+        points: positions (3,) by name, in the object's frame.
+        markers: its markers, or None.
     """
 
     unit: str
     points: Mapping[str, FloatArray] = field(default_factory=dict)
-    markers: Layout | None = None
+    markers: MarkerLayout | None = None
 
     def in_unit(self, unit: str, is_in: str | None = None) -> PointModel:
-        """The same, its lengths in a calibration's unit.
+        """Return the model with lengths in the calibration's unit.
 
         Args:
-            is_in: its unit, where the file does not say it.
+            unit: the calibration's unit.
+            is_in: the model's unit if the file has none.
 
         Raises:
-            ValueError: units that cannot be told in each other, or contradict what the file says.
+            ValueError: units that cannot be converted, or that contradict the file.
         """
-        if is_in is not None and (is_in not in METRES or self.unit not in ("", is_in)):
-            raise ValueError(f"--is-in {is_in}: one of {', '.join(METRES)} is expected, and what the file says itself")
-        its = self.unit or is_in or ""
-        if its in ("", unit):
+        if is_in is not None and (is_in not in METERS or self.unit not in ("", is_in)):
+            raise ValueError(f"--is-in {is_in}: expected one of {', '.join(METERS)}, without contradicting the file")
+        source_unit = self.unit or is_in or ""
+        if source_unit in ("", unit):
             return replace(self, unit=unit)
-        if its not in METRES or unit not in METRES:
+        if source_unit not in METERS or unit not in METERS:
             raise ValueError(
-                f"its lengths are in {its}, those of the calibration {f'in {unit}' if unit else 'in no unit that is said'}"
+                f"its lengths are in {source_unit}, those of the calibration "
+                f"{f'in {unit}' if unit else 'in an unknown unit'}"
             )
-        scale, markers = METRES[its] / METRES[unit], self.markers
+        scale, markers = METERS[source_unit] / METERS[unit], self.markers
         if markers is not None:
-            markers = replace(markers, corners={name: scale * its for name, its in markers.corners.items()})
+            markers = replace(
+                markers, corners={name: scale * source_unit for name, source_unit in markers.corners.items()}
+            )
         return PointModel(unit, {name: scale * place for name, place in self.points.items()}, markers)
 
 
 def load_points(path: Path) -> PointModel:
-    """Reads points by the file's ending: .csv (`name,x,y,z`), .toml (points, or markers), .ply, .obj (vertices, named by
-    their numbers, the first of which is 0).
+    """Read object points; the file's suffix selects the format.
+
+    Args:
+        path: .csv (`name,x,y,z`), .toml (points or markers), .ply or .obj (vertices, named by their index from 0).
 
     Raises:
         FileNotFoundError: no such file.
-        ValueError: naming the file, and the line where there is one: another ending, or not what is expected.
+        ValueError: naming the file, and the line if possible: another suffix, or invalid content.
     """
-    readers = {".csv": _from_csv, ".toml": _from_toml, ".ply": _from_ply, ".obj": _from_obj}
+    readers = {".csv": _read_csv, ".toml": _read_toml, ".ply": _read_ply, ".obj": _read_obj}
     if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such file; points or markers of an object are expected")
-    with told(path):
+        raise FileNotFoundError(f"{path}: no such file; expected points or markers of an object")
+    with input_errors(path):
         if path.suffix.lower() not in readers:
             raise ValueError(f"points are read from {', '.join(readers)}")
         model = readers[path.suffix.lower()](path)
         if not model.points and model.markers is None:
-            raise ValueError("no points in it")
+            raise ValueError("contains no points")
         return model
 
 
-def _place(values: Any, name: str) -> FloatArray:
+def _parse_position(values: Any, name: str) -> FloatArray:
     good = isinstance(values, list | tuple) and len(values) == 3
     if not good or not all(
         isinstance(v, int | float) and not isinstance(v, bool) and abs(v) <= MAX_LENGTH for v in values
     ):
-        raise ValueError(f"{one_line(name, 60)}: three numbers of at most {MAX_LENGTH:g} are expected")
+        raise ValueError(f"{to_one_line(name, 60)}: expected three numbers of at most {MAX_LENGTH:g}")
     return np.array(values, dtype=float)
 
 
-def _from_csv(path: Path) -> PointModel:
-    rows = csv.reader(io.StringIO(text_of(path, LARGEST), newline=""))
+def _read_csv(path: Path) -> PointModel:
+    rows = csv.reader(io.StringIO(read_text(path, MAX_BYTES), newline=""))
     header = [cell.strip().lower() for cell in next(rows, [])]
     if sorted(header) != sorted(_COLUMNS):
-        raise ValueError(f"line 1: the columns {','.join(_COLUMNS)} are expected, got {one_line(','.join(header), 60)}")
-    at, points = [header.index(column) for column in _COLUMNS], dict[str, FloatArray]()
+        raise ValueError(f"line 1: expected the columns {','.join(_COLUMNS)}, got {to_one_line(','.join(header), 60)}")
+    columns, points = [header.index(column) for column in _COLUMNS], dict[str, FloatArray]()
     for row in rows:
         if not any(cell.strip() for cell in row):
             continue
         try:
             if len(row) != len(header):
-                raise ValueError(f"{len(header)} cells are expected, got {len(row)}")
-            name = row[at[0]].strip()
+                raise ValueError(f"expected {len(header)} cells, got {len(row)}")
+            name = row[columns[0]].strip()
             if not name or name in points:
-                raise ValueError(f"the point {name!r} is there twice" if name else "a point without a name")
-            points[name] = _place([float(row[k]) for k in at[1:]], name)
+                raise ValueError(f"the point {name!r} occurs twice" if name else "a point without a name")
+            points[name] = _parse_position([float(row[k]) for k in columns[1:]], name)
         except ValueError as error:
             raise ValueError(f"line {rows.line_num}: {error}") from None
-        _not_too_many(len(points))
+        _check_count(len(points))
     return PointModel("", points)
 
 
-def _not_too_many(n: int) -> None:
-    if n > MOST_POINTS:
-        raise ValueError(f"more than {MOST_POINTS} points")
+def _check_count(n: int) -> None:
+    if n > MAX_POINTS:
+        raise ValueError(f"more than {MAX_POINTS} points")
 
 
-def _from_toml(path: Path) -> PointModel:
+def _read_toml(path: Path) -> PointModel:
     try:
-        data = parsed_toml(text_of(path))
+        data = parse_toml(read_text(path))
     except tomllib.TOMLDecodeError as error:
         raise ValueError(f"not TOML ({error})") from None
     if unknown := data.keys() - {"unit", "points", "markers", "family", "size"}:
         raise ValueError(
-            f"{one_line(', '.join(sorted(unknown)), 60)}: unit, points, markers, family and size are known"
+            f"{to_one_line(', '.join(sorted(unknown)), 60)}: expected only unit, points, markers, family and size"
         )
     unit = data.get("unit", "")
-    if unit not in ("", *METRES):
-        raise ValueError(f"unit: one of {', '.join(METRES)} is expected, got {one_line(repr(unit), 60)}")
+    if unit not in ("", *METERS):
+        raise ValueError(f"unit: expected one of {', '.join(METERS)}, got {to_one_line(repr(unit), 60)}")
     points, markers = data.get("points", {}), data.get("markers")
     if not isinstance(points, dict):
-        raise ValueError("points: a table is expected, NAME = [x, y, z]")
-    named = {name: _place(place, f"points: {name}") for name, place in points.items()}
+        raise ValueError("points: expected a table, NAME = [x, y, z]")
+    named = {name: _parse_position(place, f"points: {name}") for name, place in points.items()}
     if markers is None:
-        if more := data.keys() & {"family", "size"}:
-            raise ValueError(f"{', '.join(sorted(more))}: of markers, and there are none")
+        if unused := data.keys() & {"family", "size"}:
+            raise ValueError(f"{', '.join(sorted(unused))}: only for markers, and there are none")
         return PointModel(unit, named)
-    if not isinstance(markers, dict) or not 0 < len(markers) <= MOST_MARKERS:
-        raise ValueError("markers: a table for each is expected, [markers.NUMBER]")
-    return PointModel(unit, named, _layout(markers, data.get("family"), data.get("size"), unit))
+    if not isinstance(markers, dict) or not 0 < len(markers) <= MAX_MARKERS:
+        raise ValueError("markers: expected one table per marker, [markers.NUMBER]")
+    return PointModel(unit, named, _parse_layout(markers, data.get("family"), data.get("size"), unit))
 
 
-def _layout(markers: Mapping[str, Any], family: Any, size: Any, unit: str) -> Layout:
-    """Of tables by number, each with `corners`, or `center`, `x` and `y`."""
+def _parse_layout(markers: Mapping[str, Any], family: Any, size: Any, unit: str) -> MarkerLayout:
+    """Parse the tables of markers by id, each with `corners`, or `center`, `x` and `y`."""
     if not isinstance(family, str):
-        raise ValueError("family: that of the markers is expected, such as apriltag:36h11 or aruco:4X4_50")
+        raise ValueError("family: expected that of the markers, such as apriltag:36h11 or aruco:4X4_50")
     side = None
     if size is not None:
-        side = length_of(
+        side = parse_length(
             str(size) if isinstance(size, int | float) and not isinstance(size, bool) else f"{size}", "size", unit
         )
     corners = dict[int, FloatArray]()
-    for word, table in markers.items():
-        if not word.isascii() or not word.isdecimal() or len(word) > 5 or not isinstance(table, dict):
-            raise ValueError(f"markers: tables by number are expected, [markers.3], got {one_line(word, 60)}")
-        if int(word) in corners:
-            raise ValueError(f"markers.{word}: the number is there twice")
-        corners[int(word)] = _corners(table, f"markers.{word}", side)
-    if max(corners) - min(corners) >= MOST_MARKERS:
-        raise ValueError(f"markers: numbers from {min(corners)} to {max(corners)} are of no one family")
-    # A size that detectors do not use.
+    for number, table in markers.items():
+        if not number.isascii() or not number.isdecimal() or len(number) > 5 or not isinstance(table, dict):
+            raise ValueError(f"markers: expected tables by number, [markers.3], got {to_one_line(number, 60)}")
+        if int(number) in corners:
+            raise ValueError(f"markers.{number}: the number occurs twice")
+        corners[int(number)] = _parse_corners(table, f"markers.{number}", side)
+    if max(corners) - min(corners) >= MAX_MARKERS:
+        raise ValueError(f"markers: numbers from {min(corners)} to {max(corners)} are not of one family")
+    # The detector does not use the size.
     marker = parse_board(f"{family},id={min(corners)},size=1", "")
     if marker.kind != "marker":
         raise ValueError(
-            f"family: {one_line(family, 60)} is none of single markers, such as apriltag:36h11 or aruco:4X4_50"
+            f"family: {to_one_line(family, 60)} is not a family of single markers, such as apriltag:36h11 or "
+            "aruco:4X4_50"
         )
-    return Layout(marker, dict(sorted(corners.items())))
+    return MarkerLayout(marker, dict(sorted(corners.items())))
 
 
-def _corners(table: Mapping[str, Any], name: str, side: float | None) -> FloatArray:
-    """(4, 3) of a marker, from the upper left one on, clockwise, as it is printed."""
+def _parse_corners(table: Mapping[str, Any], name: str, side: float | None) -> FloatArray:
+    """Return a marker's corners (4, 3), clockwise from the upper left as printed."""
     if table.keys() == {"corners"}:
-        given = table["corners"]
-        if not isinstance(given, list) or len(given) != 4:
-            raise ValueError(
-                f"{name}.corners: four points are expected, from the upper left one on, clockwise as printed"
-            )
-        places = np.array([_place(place, f"{name}.corners") for place in given])
+        values = table["corners"]
+        if not isinstance(values, list) or len(values) != 4:
+            raise ValueError(f"{name}.corners: expected four points, clockwise from the upper left as printed")
+        places = np.array([_parse_position(place, f"{name}.corners") for place in values])
         sides = np.roll(places, -1, axis=0) - places
         length = float(np.linalg.norm(sides, axis=1).mean())
-        off = max(float(np.linalg.norm(sides[0] + sides[2])), abs(float(sides[0] @ sides[1])) / max(length, 1e-300))
-        if not length > 0 or off > SQUARE * length or np.ptp(np.linalg.norm(sides, axis=1)) > SQUARE * length:
-            raise ValueError(f"{name}.corners: they are those of no square")
-        if side is not None and abs(side - length) > SQUARE * length:
-            raise ValueError(f"{name}.corners: its sides are {length:.6g} long, and size says {side:.6g}")
+        deviation = max(
+            float(np.linalg.norm(sides[0] + sides[2])), abs(float(sides[0] @ sides[1])) / max(length, 1e-300)
+        )
+        if (
+            not length > 0
+            or deviation > SQUARE_TOLERANCE * length
+            or np.ptp(np.linalg.norm(sides, axis=1)) > SQUARE_TOLERANCE * length
+        ):
+            raise ValueError(f"{name}.corners: they do not form a square")
+        if side is not None and abs(side - length) > SQUARE_TOLERANCE * length:
+            raise ValueError(f"{name}.corners: its sides are {length:.6g} long, but size is {side:.6g}")
         return places
     if table.keys() != {"center", "x", "y"}:
         raise ValueError(
-            f"{name}: corners, or center, x and y are expected, got {one_line(', '.join(table) or 'nothing', 60)}"
+            f"{name}: expected corners, or center, x and y, got {to_one_line(', '.join(table) or 'nothing', 60)}"
         )
     if side is None:
-        raise ValueError(f"{name}: size is missing, how long the side of a marker is")
-    center, x, y = (_place(table[key], f"{name}.{key}") for key in ("center", "x", "y"))
+        raise ValueError(f"{name}: size, the length of a marker's side, is missing")
+    center, x, y = (_parse_position(table[key], f"{name}.{key}") for key in ("center", "x", "y"))
     lengths = [float(np.linalg.norm(axis)) for axis in (x, y)]
-    if not min(lengths) > 0 or abs(float(x @ y)) > ACROSS * lengths[0] * lengths[1]:
-        raise ValueError(f"{name}: x and y, to its right and to its upper side, are to be square to each other")
+    if not min(lengths) > 0 or abs(float(x @ y)) > MAX_AXIS_COSINE * lengths[0] * lengths[1]:
+        raise ValueError(f"{name}: x and y, to its right and its upper side, must be perpendicular")
     x, y = side / 2 * x / lengths[0], side / 2 * y / lengths[1]
     return np.array([center - x + y, center + x + y, center + x - y, center - x - y])
 
@@ -236,16 +253,16 @@ def _corners(table: Mapping[str, Any], name: str, side: float | None) -> FloatAr
 # --- vertices --------------------------------------------------------------------------------------------------------
 
 
-def _numbered(places: FloatArray) -> PointModel:
-    _not_too_many(len(places))
-    if not (np.abs(places) <= MAX_LENGTH).all():  # nor not a number
-        raise ValueError(f"vertices that are not finite, or beyond {MAX_LENGTH:g}")
+def _make_numbered_model(places: FloatArray) -> PointModel:
+    _check_count(len(places))
+    if not (np.abs(places) <= MAX_LENGTH).all():  # also rejects NaN
+        raise ValueError(f"vertices are not finite, or beyond {MAX_LENGTH:g}")
     return PointModel("", {str(k): place for k, place in enumerate(places)})
 
 
-def _from_obj(path: Path) -> PointModel:
+def _read_obj(path: Path) -> PointModel:
     places = list[Sequence[float]]()
-    for number, line in enumerate(text_of(path, LARGEST).splitlines(), start=1):
+    for number, line in enumerate(read_text(path, MAX_BYTES).splitlines(), start=1):
         words = line.split()
         if words[:1] != ["v"]:
             continue
@@ -254,12 +271,12 @@ def _from_obj(path: Path) -> PointModel:
         except ValueError:
             places.append([])
         if len(places[-1]) != 3:
-            raise ValueError(f"line {number}: a vertex is three numbers after v")
-        _not_too_many(len(places))
-    return _numbered(np.array(places, dtype=float).reshape(-1, 3))
+            raise ValueError(f"line {number}: expected three numbers after v")
+        _check_count(len(places))
+    return _make_numbered_model(np.array(places, dtype=float).reshape(-1, 3))
 
 
-_PLY = {
+_PLY_TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),
     **dict.fromkeys(("uchar", "uint8"), "u1"),
     **dict.fromkeys(("short", "int16"), "i2"),
@@ -269,15 +286,15 @@ _PLY = {
     **dict.fromkeys(("float", "float32"), "f4"),
     **dict.fromkeys(("double", "float64"), "f8"),
 }
-_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
+_PLY_BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
 
 
-def _from_ply(path: Path) -> PointModel:
-    data = bytes_of(path, LARGEST)
-    head, found, _ = data[:PLY_HEADER].partition(b"end_header")
+def _read_ply(path: Path) -> PointModel:
+    data = read_bytes(path, MAX_BYTES)
+    head, end, _ = data[:MAX_PLY_HEADER].partition(b"end_header")
     body = data[data.find(b"\n", len(head)) + 1 :]
     lines = [line.split() for line in head.decode("ascii", "replace").splitlines()]
-    if not found or lines[:1] != [["ply"]]:
+    if not end or lines[:1] != [["ply"]]:
         raise ValueError("not PLY: its header is missing")
     form = next((line[1] for line in lines if line[:1] == ["format"] and len(line) == 3), "")
     count, fields, first = -1, list[tuple[str, str]](), ""
@@ -288,25 +305,28 @@ def _from_ply(path: Path) -> PointModel:
                 raise ValueError("its first element is not vertex")
             if count >= 0:
                 break
-            count = int(line[2]) if len(line) == 3 and line[2].isdecimal() and len(line[2]) < 10 else MOST_POINTS + 1
+            count = int(line[2]) if len(line) == 3 and line[2].isdecimal() and len(line[2]) < 10 else MAX_POINTS + 1
         elif line[:1] == ["property"] and count >= 0:
-            if len(line) != 3 or line[1] not in _PLY or line[2] in dict(fields):
-                raise ValueError("its vertices have a property that is no number, or one twice")
-            fields.append((line[2], _PLY[line[1]]))
-    _not_too_many(count)
+            if len(line) != 3 or line[1] not in _PLY_TYPES or line[2] in dict(fields):
+                raise ValueError("its vertices have a property that is not a number, or one twice")
+            fields.append((line[2], _PLY_TYPES[line[1]]))
+    _check_count(count)
     names = [name for name, _ in fields]
     if count < 0 or not {"x", "y", "z"} <= {*names}:
         raise ValueError("it has no vertices with x, y and z")
     if form == "ascii":
         words = body.decode("ascii", "replace").split(maxsplit=count * len(fields))[: count * len(fields)]
         if len(words) < count * len(fields):
-            raise ValueError("it ends before its vertices do")
+            raise ValueError("it ends before its last vertex")
         table = np.array([float(word) for word in words]).reshape(count, len(fields))
-        return _numbered(table[:, [names.index(axis) for axis in "xyz"]])
-    if form not in _ORDERS:
-        raise ValueError(f"its format is {one_line(form, 40) or 'missing'}; {', '.join(['ascii', *_ORDERS])} are read")
-    row = np.dtype([(name, _ORDERS[form] + kind) for name, kind in fields])
+        return _make_numbered_model(table[:, [names.index(axis) for axis in "xyz"]])
+    if form not in _PLY_BYTE_ORDERS:
+        raise ValueError(
+            f"its format is {to_one_line(form, 40) or 'missing'}; supported are "
+            f"{', '.join(['ascii', *_PLY_BYTE_ORDERS])}"
+        )
+    row = np.dtype([(name, _PLY_BYTE_ORDERS[form] + kind) for name, kind in fields])
     if len(body) < count * row.itemsize:
-        raise ValueError("it ends before its vertices do")
+        raise ValueError("it ends before its last vertex")
     records = np.frombuffer(body, row, count)
-    return _numbered(np.column_stack([records[axis].astype(float) for axis in "xyz"]))
+    return _make_numbered_model(np.column_stack([records[axis].astype(float) for axis in "xyz"]))

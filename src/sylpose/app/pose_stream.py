@@ -1,4 +1,4 @@
-"""Who is told each pose as soon as it is known: whoever reads stdout, or a UDP port."""
+"""Stream of poses during a run, to stdout or a UDP port."""
 
 from __future__ import annotations
 
@@ -8,45 +8,45 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
-__all__ = ["STDOUT", "listener"]
+__all__ = ["STDOUT", "open_pose_stream"]
 
 STDOUT = "-"
 _UDP = re.compile(r"udp://(\[[0-9a-fA-F:.%\w]+\]|[^\[\]/:]+):(\d{1,5})")
 
 
 @contextmanager
-def listener(to: str) -> Iterator[Callable[[str], None]]:
-    """What tells a line to somebody.
+def open_pose_stream(destination: str) -> Iterator[Callable[[str], None]]:
+    """Open a stream; yield a function that sends one line.
 
     Args:
-        to: "-" for stdout, or udp://HOST:PORT, each line a datagram; nobody needs to be there.
+        destination: "-" for stdout, or udp://HOST:PORT for one datagram per line; a receiver is not required.
 
     Raises:
-        ValueError: neither of these; a host that is not known.
-        BrokenPipeError: while telling: whoever read stdout has gone.
+        ValueError: neither of these, or an unknown host.
+        BrokenPipeError: while sending, if the reader of stdout has closed it.
     """
-    if to == STDOUT:
-        yield _print
+    if destination == STDOUT:
+        yield _print_line
         return
-    found = _UDP.fullmatch(to)
-    if found is None or not 0 < int(found[2]) < 1 << 16:
-        raise ValueError(f"--stream: - for stdout, or udp://HOST:PORT is expected, got {to!r}")
+    match = _UDP.fullmatch(destination)
+    if match is None or not 0 < int(match[2]) < 1 << 16:
+        raise ValueError(f"--stream: expected - for stdout or udp://HOST:PORT, got {destination!r}")
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(
-            found[1].strip("[]"), int(found[2]), type=socket.SOCK_DGRAM
+            match[1].strip("[]"), int(match[2]), type=socket.SOCK_DGRAM
         )[0]
     except (OSError, UnicodeError):
-        raise ValueError(f"--stream {to}: no such host") from None
+        raise ValueError(f"--stream {destination}: no such host") from None
     with socket.socket(family, kind, protocol) as out:
         out.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
 
         def send(line: str) -> None:
-            with suppress(OSError):  # nobody listens, or the network is down: the next one may arrive
+            with suppress(OSError):  # no receiver, or the network is down: the next line may arrive
                 out.sendto(line.encode(), address)
 
         yield send
 
 
-def _print(line: str) -> None:
+def _print_line(line: str) -> None:
     sys.stdout.write(line + "\n")
     sys.stdout.flush()

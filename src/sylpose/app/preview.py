@@ -1,4 +1,4 @@
-"""What a recording's object is without boxes: what moves at first, looked for as the tracker does, in a few frames."""
+"""Preview of what will be tracked without boxes: the tracker is run on the first frames."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from itertools import islice
 
 import numpy as np
 
-from sylpose.app.session_warnings import boxes_by
+from sylpose.app.session_warnings import boxes_hint
 from sylpose.capture import Session
 from sylpose.frames import Box, FrameSet
 from sylpose.geometry.arrays import FloatArray
@@ -16,75 +16,77 @@ from sylpose.results import FrameStatus
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import Tracker
 
-__all__ = ["Follows", "box_outlines", "what_moves"]
+__all__ = ["Preview", "box_outlines", "preview_moving_object"]
 
-# So many frames are looked at (choice).
-LOOKED_AT = 30
-# The object's directions by which its motion in the images is told (derived).
-AROUND = np.concatenate([np.eye(3), -np.eye(3)])
+# Number of frames that are tracked (choice).
+PREVIEW_FRAMES = 30
+# Directions of the points on the object whose motion in the images is reported (derived).
+DIRECTIONS = np.concatenate([np.eye(3), -np.eye(3)])
 
 
 @dataclass(frozen=True, eq=False)
-class Follows:
-    """What will be followed.
+class Preview:
+    """Preview of the tracked object.
 
     Attributes:
-        frames: the first frame, which is what is drawn into; None for a recording without any.
-        outlines: by camera (k, 2) pixels in it, None where the object is not seen or not known.
-        said: a sentence.
-        wrong: sentences for what looks wrong with it.
+        frames: the first frame, for drawing; None for a recording without frames.
+        outlines: by camera, outline (k, 2) in pixels, or None if the object is not visible or unknown.
+        description: description.
+        warnings: warnings.
     """
 
     frames: FrameSet | None
     outlines: tuple[FloatArray | None, ...]
-    said: str
-    wrong: tuple[str, ...] = ()
+    description: str
+    warnings: tuple[str, ...] = ()
 
 
-def what_moves(session: Session, looked_at: int = LOOKED_AT) -> Follows:
-    """What moves against the standing background in the first frames, as `track` would begin with it."""
-    names, decided, first = session.rig.names, list[TrackedFrame](), None
+def preview_moving_object(session: Session, n_frames: int = PREVIEW_FRAMES) -> Preview:
+    """Find what moves against the static background in the first frames, as `track` does."""
+    names, tracked, first = session.rig.names, list[TrackedFrame](), None
     with Tracker(session.rig) as tracker:
-        for frames in islice(session.frames(), looked_at):
+        for frames in islice(session.frames(), n_frames):
             first = frames if first is None else first
-            decided += tracker.step(frames)
-            if any(f.pose.seen for f in decided[1:]):
+            tracked += tracker.step(frames)
+            if any(f.pose.is_observed for f in tracked[1:]):
                 break
         else:
-            decided += tracker.flush()
-    solved = [f for f in decided if f.pose.seen]
+            tracked += tracker.flush()
+    solved = [f for f in tracked if f.pose.is_observed]
     if len(solved) < 2:
-        statuses = [f.pose.status for f in decided]
+        statuses = [f.pose.status for f in tracked]
         why = statuses[-1].text if statuses else FrameStatus.TOO_FEW_MATCHES.text
-        within = f"the first {len(decided)} frames" if len(decided) > 1 else "the first frame"
-        said = (
-            f"Without boxes, the object is what moves, and nothing that could be followed does within {within}. {why} "
-            f"Boxes would say what it is: {boxes_by(session)}."
+        range_text = f"the first {len(tracked)} frames" if len(tracked) > 1 else "the first frame"
+        description = (
+            f"Without boxes, the moving object is tracked, but nothing trackable moves within {range_text}. {why} "
+            f"Select the object with boxes: {boxes_hint(session)}."
         )
-        return Follows(first, (None,) * len(names), "nothing yet", (said,))
+        return Preview(first, (None,) * len(names), "nothing yet", (description,))
     begin, end = solved[0], solved[-1]
-    moved = _moved(session, begin, end)
-    seen = [
+    displacements = _median_displacements(session, begin, end)
+    counts = [
         f"{name} {n} features, {px:.0f} px"
-        for name, n, px in zip(names, end.pose.inliers.tolist(), moved, strict=True)
+        for name, n, px in zip(names, end.pose.inliers.tolist(), displacements, strict=True)
         if n
     ]
-    said = f"what moves from frame {begin.pose.index} to {end.pose.index}: {', '.join(seen)}"
-    return Follows(begin.frames, begin.regions, said, (begin.note,) if begin.note else ())
+    description = f"what moves from frame {begin.pose.index} to {end.pose.index}: {', '.join(counts)}"
+    return Preview(begin.frames, begin.regions, description, (begin.note,) if begin.note else ())
 
 
-def _moved(session: Session, begin: TrackedFrame, end: TrackedFrame) -> Sequence[float]:
-    """By camera, by how much the object's surface is displaced in the images, pixels, in the middle."""
-    before, now = begin.pose.world_from_object, end.pose.world_from_object
-    assert before is not None
-    assert now is not None
-    points = begin.radius * AROUND
-    shifts = [camera.project(now.apply(points)) - camera.project(before.apply(points)) for camera in session.rig]
-    return [float(np.median(np.linalg.norm(shift, axis=1))) for shift in shifts]
+def _median_displacements(session: Session, begin: TrackedFrame, end: TrackedFrame) -> Sequence[float]:
+    """Return the median displacement of the object's surface in each camera's images, pixels."""
+    first_pose, last_pose = begin.pose.world_from_object, end.pose.world_from_object
+    assert first_pose is not None
+    assert last_pose is not None
+    points = begin.radius * DIRECTIONS
+    displacements = [
+        camera.project(last_pose.apply(points)) - camera.project(first_pose.apply(points)) for camera in session.rig
+    ]
+    return [float(np.median(np.linalg.norm(shift, axis=1))) for shift in displacements]
 
 
 def box_outlines(session: Session, boxes: Mapping[str, Box]) -> tuple[FloatArray | None, ...]:
-    """By camera (4, 2) the corners of its box, or None."""
+    """Return the corners (4, 2) of each camera's box, or None without one."""
 
     def corners(box: Box) -> FloatArray:
         right, bottom = box.x + box.width - 1, box.y + box.height - 1

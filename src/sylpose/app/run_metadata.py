@@ -1,4 +1,4 @@
-"""What a run was asked for and the calibration that it used, beside its results: written, and read again."""
+"""Metadata of a run: its options and calibration, written next to the results and read again."""
 
 from __future__ import annotations
 
@@ -12,148 +12,173 @@ from pathlib import Path
 from typing import Any
 
 from sylpose import __version__, calibration
-from sylpose.app.checkpoint import checksum_of_rig, fingerprint
-from sylpose.atomic_io import output_folder, replacing, toml_key, toml_string
+from sylpose.app.checkpoint import compute_fingerprint, compute_rig_checksum
+from sylpose.atomic_io import format_toml_key, format_toml_string, make_output_folder, replace_atomically
 from sylpose.calibration.world import save_world
 from sylpose.capture import Session
 from sylpose.capture.live import LiveSession
-from sylpose.input_limits import parsed_toml, text_of, told
+from sylpose.input_limits import input_errors, parse_toml, read_text
 from sylpose.rig import Rig
 
 __all__ = [
     "SETTINGS",
-    "USED",
+    "USED_CALIBRATION",
     "WORLD",
-    "checksum",
-    "root_of",
-    "settings_of",
-    "table",
-    "world_said",
-    "write_record",
-    "write_record_of_tables",
+    "file_checksum",
+    "find_run_folder",
+    "read_settings",
+    "read_world_definition",
+    "settings_table",
+    "write_run_metadata",
+    "write_table_run_metadata",
 ]
 
-SETTINGS, USED, WORLD = "settings.toml", "calibration.used.toml", "world.toml"
-# Whose versions answers may depend on, to rounding; OpenCV in whatever flavour there is.
+SETTINGS, USED_CALIBRATION, WORLD = "settings.toml", "calibration.used.toml", "world.toml"
+# Packages whose versions may change results by rounding; OpenCV in any of its variants.
 _OPENCV = ("opencv-python-headless", "opencv-python", "opencv-contrib-python-headless", "opencv-contrib-python")
 _PACKAGES = ("numpy", "scipy", "numba", "av", *_OPENCV)
-_HEAD = f"# What this run of sylpose was asked for. The calibration that it used is beside it, in {USED}.\n"
+_HEADER = (
+    f"# Options of this run of sylpose. The calibration that it used is in {USED_CALIBRATION}, in the same folder.\n"
+)
 
 
-def write_record(
-    folder: Path, session: Session | LiveSession, options: Mapping[str, object], noticed: Sequence[str] = ()
+def write_run_metadata(
+    folder: Path, session: Session | LiveSession, options: Mapping[str, object], warnings: Sequence[str] = ()
 ) -> list[Path]:
-    """Writes `settings.toml` and `calibration.used.toml`, and `world.toml` of a session that is told in a world of one's
-    own; returns these files.
+    """Write `settings.toml` and `calibration.used.toml`, and `world.toml` if the session has its own world frame.
 
     Args:
-        options: numbers, words or tables of these by the names that `track_session` has for them; None is left out.
-        noticed: sentences about what looked wrong before the run.
+        folder: folder of the run; created if missing.
+        session: the session that is tracked.
+        options: numbers, strings or tables of these, by their names in `track_session`; None is omitted.
+        warnings: warnings from before the run.
+
+    Returns:
+        The files.
 
     Raises:
-        OSError: naming the file that cannot be written.
+        OSError: the file cannot be written; the message names it.
     """
-    of_session = {"rate": session.rate, "unit": session.rig.unit or None, "world": session.world and session.world.said}
-    of: dict[str, object] = {
+    session_options = {
+        "rate": session.rate,
+        "unit": session.rig.unit or None,
+        "world": session.world and session.world.description,
+    }
+    inputs: dict[str, object] = {
         "recording": str(session.path.resolve()),
         "calibration": str(session.calibration.resolve()),
     }
-    rest = ""
+    tables = ""
     if isinstance(session, Session):
-        of |= _known({"rate": session.rate, "without": [*session.without] or None})
+        inputs |= _drop_none({"rate": session.rate, "without": [*session.without] or None})
         if session.timeline.offsets:
-            rest += _table("frame_offsets", session.timeline.offsets)
-        rest += _table("cameras", {source.camera: str(source.path.resolve()) for source in session.sources})
-        rest += "\n# Of what the result depends on; images count by their names and sizes."
-        rest += _table("checksums", fingerprint(session))
-    files = _write(folder, session.rig, of, {**options, **_known(of_session)}, noticed, rest)
+            tables += _format_table("frame_offsets", session.timeline.offsets)
+        tables += _format_table("cameras", {source.camera: str(source.path.resolve()) for source in session.sources})
+        tables += "\n# Checksums of the inputs; of images, their names and sizes."
+        tables += _format_table("checksums", compute_fingerprint(session))
+    files = _write_metadata(folder, session.rig, inputs, {**options, **_drop_none(session_options)}, warnings, tables)
     if session.world is None:
         return files
     save_world(session.world, folder / WORLD)
     return [*files, folder / WORLD]
 
 
-def write_record_of_tables(
+def write_table_run_metadata(
     folder: Path,
     tables: Sequence[Path],
-    given: Path,
+    calibration_file: Path,
     rig: Rig,
     options: Mapping[str, object],
-    noticed: Sequence[str] = (),
+    warnings: Sequence[str] = (),
 ) -> list[Path]:
-    """The same of what is not of a recording but of tables of pixels, and of a calibration's file.
+    """Write the same files for a run on tables of image points instead of a recording.
+
+    Args:
+        folder: folder of the run; created if missing.
+        tables: files with image points.
+        calibration_file: the calibration's file.
+        rig: the cameras.
+        options: as in `write_run_metadata`.
+        warnings: warnings from before the run.
 
     Raises:
         OSError: naming the file that cannot be written, or read.
     """
-    of = {"tables": [str(table.resolve()) for table in tables], "calibration": str(given.resolve())}
-    sums = {str(table.resolve()): checksum(table) for table in tables} | {"calibration": checksum_of_rig(rig)}
-    asked = {**options, **_known({"unit": rig.unit or None})}
-    return _write(folder, rig, of, asked, noticed, _table("checksums", sums))
+    inputs = {"tables": [str(table.resolve()) for table in tables], "calibration": str(calibration_file.resolve())}
+    checksums = {str(table.resolve()): file_checksum(table) for table in tables} | {
+        "calibration": compute_rig_checksum(rig)
+    }
+    run_options = {**options, **_drop_none({"unit": rig.unit or None})}
+    return _write_metadata(folder, rig, inputs, run_options, warnings, _format_table("checksums", checksums))
 
 
-def checksum(file: Path) -> str:
-    """Of all that is in a file."""
+def file_checksum(file: Path) -> str:
+    """Return the BLAKE2b checksum of a file's content."""
     return hashlib.blake2b(file.read_bytes(), digest_size=16).hexdigest()
 
 
-def _write(
-    folder: Path, rig: Rig, of: Mapping[str, object], asked: Mapping[str, object], noticed: Sequence[str], rest: str
+def _write_metadata(
+    folder: Path,
+    rig: Rig,
+    inputs: Mapping[str, object],
+    options: Mapping[str, object],
+    warnings: Sequence[str],
+    tables: str,
 ) -> list[Path]:
-    """Both files: what the run is of, its options, and the tables after them."""
-    output_folder(folder)
-    asked = _known(asked)
-    text = f"{_HEAD}begun = {datetime.now(UTC).isoformat(timespec='seconds')}\n{_lines(of)}"
-    if noticed:
-        text += _lines({"noticed": [*noticed]})
-    text += _table("options", {name: value for name, value in asked.items() if not isinstance(value, Mapping)})
-    for name, value in asked.items():
+    """Write both files: the run's inputs, its options, and the tables after them."""
+    make_output_folder(folder)
+    options = _drop_none(options)
+    text = f"{_HEADER}started = {datetime.now(UTC).isoformat(timespec='seconds')}\n{_format_lines(inputs)}"
+    if warnings:
+        text += _format_lines({"warnings": [*warnings]})
+    text += _format_table("options", {name: value for name, value in options.items() if not isinstance(value, Mapping)})
+    for name, value in options.items():
         if isinstance(value, Mapping):
-            text += _table(name, value)
-    text += rest + _table("versions", _versions())
-    with replacing(folder / SETTINGS) as part:
+            text += _format_table(name, value)
+    text += tables + _format_table("versions", _collect_versions())
+    with replace_atomically(folder / SETTINGS) as part:
         part.write_text(text, encoding="utf-8")
-    calibration.save(rig, folder / USED)
-    return [folder / SETTINGS, folder / USED]
+    calibration.save(rig, folder / USED_CALIBRATION)
+    return [folder / SETTINGS, folder / USED_CALIBRATION]
 
 
-def _known(values: Mapping[str, object]) -> dict[str, object]:
+def _drop_none(values: Mapping[str, object]) -> dict[str, object]:
     return {name: value for name, value in values.items() if value is not None}
 
 
-def root_of(folder: Path) -> Path:
-    """The folder of the run: of several objects, each has a folder in it."""
+def find_run_folder(folder: Path) -> Path:
+    """Return the folder of the run that contains `folder`, which may be that of one of several objects."""
     return folder.parent if not (folder / SETTINGS).is_file() and (folder.parent / SETTINGS).is_file() else folder
 
 
-def settings_of(folder: Path) -> dict[str, Any]:
-    """What settings.toml says; nothing where there is none, as of runs of 0.1.0."""
-    file = root_of(folder) / SETTINGS
+def read_settings(folder: Path) -> dict[str, Any]:
+    """Read settings.toml; return an empty dictionary if it does not exist, as for runs of 0.1.0."""
+    file = find_run_folder(folder) / SETTINGS
     if not file.is_file():
         return {}
-    content = text_of(file)
-    with told(file):
-        return parsed_toml(content)
+    content = read_text(file)
+    with input_errors(file):
+        return parse_toml(content)
 
 
-def table(settings: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+def settings_table(settings: Mapping[str, Any], name: str) -> Mapping[str, Any]:
     table = settings.get(name)
     return table if isinstance(table, dict) else {}
 
 
-def world_said(result: Path) -> str | None:
-    """By what the world of a result was told, whose z axis goes up; None of one that is told in its calibration's world.
+def read_world_definition(result: Path) -> str | None:
+    """Return the definition of a result's own world frame (z up), or None for the calibration's world.
 
     Args:
         result: folder of the run, or of one of its objects, or a file in it.
     """
     folder = result if result.is_dir() else result.parent
-    # A world.toml alone does not tell: `sylpose check` leaves one, too.
-    world = table(settings_of(folder), "options").get("world")
+    # The existence of world.toml does not decide it: `sylpose check` writes one, too.
+    world = settings_table(read_settings(folder), "options").get("world")
     return None if world is None else str(world)
 
 
-def _versions() -> dict[str, str]:
+def _collect_versions() -> dict[str, str]:
     found = {"sylpose": __version__, "python": platform.python_version(), "system": platform.platform(terse=True)}
     for package in _PACKAGES:
         with suppress(PackageNotFoundError):
@@ -161,17 +186,17 @@ def _versions() -> dict[str, str]:
     return found
 
 
-def _table(name: str, values: Mapping[str, object]) -> str:
-    return f"\n[{name}]\n{_lines(values)}"
+def _format_table(name: str, values: Mapping[str, object]) -> str:
+    return f"\n[{name}]\n{_format_lines(values)}"
 
 
-def _lines(values: Mapping[str, object]) -> str:
-    return "".join(f"{toml_key(key)} = {_value(value)}\n" for key, value in values.items())
+def _format_lines(values: Mapping[str, object]) -> str:
+    return "".join(f"{format_toml_key(key)} = {_format_value(value)}\n" for key, value in values.items())
 
 
-def _value(value: object) -> str:
+def _format_value(value: object) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, list):
-        return f"[{', '.join(map(_value, value))}]"
-    return toml_string(value) if isinstance(value, str) else repr(value)
+        return f"[{', '.join(map(_format_value, value))}]"
+    return format_toml_string(value) if isinstance(value, str) else repr(value)

@@ -1,4 +1,4 @@
-"""What a run comes to."""
+"""Result of a run."""
 
 from __future__ import annotations
 
@@ -12,18 +12,17 @@ __all__ = ["Run"]
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """What `track_session` did.
+    """Result of `track_session`.
 
     Attributes:
-        trajectories: of all frames, by object; with one camera their unit is "first distances", unless the object's size is
-            known from another take.
-        files: that were written.
-        problems: sentences about what could not be read.
-        seconds: where the time went: "reading", "tracking" (detection, matching, solving), "saving" (checkpoints),
-            "overlay", "smoothing" and "plots".
-        changes: by object, what was found wrong with the calibration, a sentence for each camera; nothing unless that was
-            asked for.
-        network: by object, what its nodes told each other, a sentence; nothing where one process did everything.
+        trajectories: trajectory by object; with one camera their unit is "first distances", unless the object's size is
+            known from another recording.
+        files: the files written.
+        problems: messages about frames and files that could not be read.
+        seconds: time by stage: "reading", "tracking" (detection, matching, solving), "saving" (checkpoints), "overlay",
+            "smoothing" and "plots".
+        changes: by object, corrections of the calibration, one sentence per camera; empty without `refine_calibration`.
+        network: by object, the communication cost of its nodes in one sentence; empty for a single process.
     """
 
     trajectories: dict[str, Trajectory]
@@ -35,10 +34,10 @@ class Run:
 
     @property
     def trajectory(self) -> Trajectory:
-        """Of the only object.
+        """Return the trajectory of the only object.
 
         Raises:
-            ValueError: there are several.
+            ValueError: there are several objects.
         """
         if len(self.trajectories) > 1:
             raise ValueError(f"several objects ({', '.join(self.trajectories)}): take one of `trajectories`")

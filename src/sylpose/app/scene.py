@@ -1,4 +1,4 @@
-"""What is shown of a finished run in three dimensions, read from the files in its folder."""
+"""3D scene of a finished run, read from the files in its folder."""
 
 from __future__ import annotations
 
@@ -8,50 +8,49 @@ import numpy as np
 
 from sylpose import calibration
 from sylpose.app.calibration_refinement import REFINED
-from sylpose.app.object_files import DRAWN, OBJECT, load_object
-from sylpose.app.view import calibration_of, read_result
-from sylpose.report.scene import Cloud, Scene, Stills, scene_of
+from sylpose.app.object_files import MAX_DRAWN_DEPTH_SD, OBJECT_FILE, load_object
+from sylpose.app.view import find_calibration, read_result
+from sylpose.report.scene import PointCloud, Scene, Thumbnails, build_scene
 from sylpose.results import Trajectory
 from sylpose.rig import Rig
 from sylpose.tracking.known_object import KnownObject
 
-__all__ = ["calibration_used", "cloud_of", "read_cloud", "read_scene", "rig_of"]
+__all__ = ["find_used_calibration", "load_rig", "make_cloud", "read_cloud", "read_scene"]
 
 
-def read_scene(result: Path, given: Path | None = None, stills: Stills | None = None) -> Scene:
-    """The cameras, the object and its way, of a run.
+def read_scene(result: Path, calibration_file: Path | None = None, stills: Thumbnails | None = None) -> Scene:
+    """Read the cameras, the object and its path.
 
     Args:
-        result: folder of the run, of several objects one object's, or its trajectory.csv.
-        given: a calibration; None for that of the run.
+        result: folder of the run, or of one of several objects, or its trajectory.csv.
+        calibration_file: a calibration; None for that of the run.
         stills: images of some frames.
 
     Raises:
-        FileNotFoundError: there is no trajectory.
-        ValueError: files that are not what they should be, or of other cameras.
+        FileNotFoundError: no trajectory.
+        ValueError: invalid files, or files of other cameras.
     """
     trajectory = read_result(result)
     folder = result if result.is_dir() else result.parent
-    rig = rig_of(trajectory, calibration_used(folder) if given is None else given)
-    return scene_of(trajectory, rig, read_cloud(folder / OBJECT, rig.names), stills)
+    rig = load_rig(trajectory, find_used_calibration(folder) if calibration_file is None else calibration_file)
+    return build_scene(trajectory, rig, read_cloud(folder / OBJECT_FILE, rig.names), stills)
 
 
-def calibration_used(folder: Path) -> Path:
-    """That the poses in a run's folder are of: refined with them, or as it was given.
+def find_used_calibration(folder: Path) -> Path:
+    """Return the calibration file of the poses in a run's folder: the refined one, or else the one used.
 
     Raises:
-        ValueError: there is none.
+        ValueError: no calibration.
     """
     refined = folder / REFINED
-    return refined if refined.is_file() else calibration_of(folder, None)
+    return refined if refined.is_file() else find_calibration(folder, None)
 
 
-def rig_of(trajectory: Trajectory, file: Path) -> Rig:
-    """The rig of a calibration, in the unit that the trajectory is told in: with one camera that is a distance, which no
-    calibration knows.
+def load_rig(trajectory: Trajectory, file: Path) -> Rig:
+    """Load the rig of a calibration with the trajectory's unit, which with one camera differs from the calibration's.
 
     Raises:
-        ValueError: of other cameras.
+        ValueError: a calibration of other cameras.
     """
     rig = calibration.load(file)
     if rig.names != trajectory.camera_names:
@@ -61,25 +60,25 @@ def rig_of(trajectory: Trajectory, file: Path) -> Rig:
     return Rig(rig.cameras, trajectory.unit)
 
 
-def read_cloud(file: Path, names: tuple[str, ...]) -> Cloud | None:
-    """Of object.npz, for cameras of these names; None where there is no such file.
+def read_cloud(file: Path, names: tuple[str, ...]) -> PointCloud | None:
+    """Read the point cloud of object.npz for cameras with these names; return None if the file does not exist.
 
     Raises:
-        ValueError: naming the file, which is none of an object, or of other cameras.
+        ValueError: naming the file: not an object, or of other cameras.
     """
     if not file.is_file():
         return None
     known = load_object(file)
     if unknown := {*known.camera_names} - {*names}:
-        raise ValueError(f"{file}: it is of {', '.join(sorted(unknown))}, no cameras of the calibration")
-    return cloud_of(known, names)
+        raise ValueError(f"{file}: it has the cameras {', '.join(sorted(unknown))}, which the calibration lacks")
+    return make_cloud(known, names)
 
 
-def cloud_of(known: KnownObject, names: tuple[str, ...]) -> Cloud:
-    """The places of landmarks that are known well, as in object.ply."""
+def make_cloud(known: KnownObject, names: tuple[str, ...]) -> PointCloud:
+    """Return the point cloud of the landmarks with a small depth sd, as in object.ply."""
     points, cameras = [np.empty((0, 3))], [np.empty(0, np.int64)]
     for name, memory in known._cameras.items():
-        good = memory.landmarks.depth_sd < DRAWN * known.radius
-        points.append(memory.landmarks.mean[good])
-        cameras.append(np.full(int(good.sum()), names.index(name)))
-    return Cloud(np.concatenate(points), np.concatenate(cameras), known.radius)
+        precise = memory.landmarks.depth_sd < MAX_DRAWN_DEPTH_SD * known.radius
+        points.append(memory.landmarks.mean[precise])
+        cameras.append(np.full(int(precise.sum()), names.index(name)))
+    return PointCloud(np.concatenate(points), np.concatenate(cameras), known.radius)

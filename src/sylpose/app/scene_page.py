@@ -1,6 +1,6 @@
-"""Cameras, objects and where they went, drawn into a viser page from the arrays of `report.scene`.
+"""Viser page with cameras, objects and their paths, drawn from the arrays of `report.scene`.
 
-Lengths are drawn in the cameras' distances, about the scene's middle, so that all scenes are alike to the page.
+Lengths are divided by the extent of the cameras and centered on the scene, so that the page's sizes fit all scenes.
 """
 
 from __future__ import annotations
@@ -14,94 +14,94 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sylpose.geometry.arrays import FloatArray, Image, IntArray
-from sylpose.report.pictures import straightened
+from sylpose.report.pictures import build_undistortion_map
 from sylpose.report.scene import Scene
 from sylpose.results import FrameStatus
 from sylpose.rig import Rig
 
-__all__ = ["DEVIATIONS", "LAYERS", "NOTHING", "ScenePage", "pieces_of", "plain", "status_color"]
+__all__ = ["DRAWN_SDS", "LAYERS", "NO_POSE_COLOR", "ScenePage", "escape_markdown", "split_path", "status_color"]
 
-# The longer side of the images, pixels (choice: sharp enough beside the object, 20 kB each).
-IMAGE = 480
-# Pieces of a path (choice: more is not seen, and takes megabytes).
-MOST_PIECES = 20_000
-# Points on an object (choice).
-MOST_POINTS = 20_000
-# Standard deviations that are drawn, and of the object's radius, how large they are to look usually (choice).
-DEVIATIONS, DOUBT_SIZE = 2.0, 0.7
-# How deep a camera's frustum is, in the cameras' distances (choice).
-FRUSTUM = 0.16
-# The first look, in the cameras' distances: its field of view from top to bottom, a page's width, how high it is, the room
-# around, and how near to the line to the middle a camera is in the way (choice).
-FOV, ASPECT, ELEVATION, AROUND, FREE = np.deg2rad(40.0), 1.15, np.deg2rad(33.0), 1.15, 0.35
-# How far an object is seen from that is looked at from near, in its radii (choice).
-NEAR = 5.5
-# Cells and sections of the floor, on a light page and on a dark one.
-FLOOR = {False: ((236, 236, 236), (214, 214, 214)), True: ((44, 46, 50), (66, 69, 75))}
+# Longer side of the images, pixels (choice: sharp enough next to the object, 20 kB each).
+IMAGE_SIZE = 480
+# Largest number of line segments of a path (choice: more are not visible and take megabytes).
+MAX_PATH_SEGMENTS = 20_000
+# Largest number of points of an object (choice).
+MAX_POINTS = 20_000
+# Drawn multiple of the standard deviation, and its usual size on the page as a share of the object's radius (choice).
+DRAWN_SDS, ELLIPSOID_SIZE = 2.0, 0.7
+# Depth of a camera's frustum, in the scene's extent (choice).
+FRUSTUM_DEPTH = 0.16
+# Initial view, lengths in the scene's extent: vertical field of view, aspect ratio, elevation, margin, and the distance
+# from the line of view at which a camera blocks it (choice).
+FOV, ASPECT, ELEVATION, VIEW_MARGIN, BLOCKING_DISTANCE = np.deg2rad(40.0), 1.15, np.deg2rad(33.0), 1.15, 0.35
+# Distance of the close-up view of an object, in its radii (choice).
+CLOSEUP_DISTANCE = 5.5
+# Colors of the floor's cells and sections, on a light and on a dark page.
+FLOOR_COLORS = {False: ((236, 236, 236), (214, 214, 214)), True: ((44, 46, 50), (66, 69, 75))}
 LAYERS = ("Cameras", "Images", "Path", "Axes", "Points", "Uncertainty", "Floor")
 Rgb = tuple[int, int, int]
 
-# What a frame was, in the path and beside its status: seen; seen again; carried on; hardly known; without a pose.
-SEEN, NOTHING = (31, 119, 220), (150, 150, 150)
+# Colors of frames in the path and next to their status: tracked, relocalized, coasting, uncertain; without a pose.
+TRACKED_COLOR, NO_POSE_COLOR = (31, 119, 220), (150, 150, 150)
 _COLORS: dict[str, Rgb] = {
-    FrameStatus.RELOCALISED.value: (142, 68, 173),
+    FrameStatus.RELOCALIZED.value: (142, 68, 173),
     FrameStatus.COASTING.value: (243, 156, 18),
     FrameStatus.UNCERTAIN.value: (231, 76, 60),
 }
 
 
 def status_color(status: str) -> Rgb:
-    """Of a frame with a pose of this status, `FrameStatus.value`."""
-    return _COLORS.get(status, SEEN)
+    """Return the color of a frame with a pose and this status, `FrameStatus.value`."""
+    return _COLORS.get(status, TRACKED_COLOR)
 
 
-def plain(text: str) -> str:
-    """Text as Markdown that says no more than that, whatever is in it."""
+def escape_markdown(text: str) -> str:
+    """Escape text for Markdown, so that it is shown literally."""
     return "".join(
         f"\\{c}" if c.isascii() and not c.isalnum() and not c.isspace() else c for c in " ".join(text.split())
     )
 
 
 @dataclass(eq=False)
-class Nodes:
-    """What is drawn of one object, and what of it can be shown now."""
+class ObjectNodes:
+    """Scene nodes of one object, and their current state."""
 
     axes: Any
     points: Any
-    doubt: Any
+    ellipsoid: Any
     path: dict[Rgb, Any]
-    larger: float = 1.0
+    enlargement: float = 1.0
     size: float = 0.0
-    places: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
-    posed: bool = False
-    doubtful: bool = False
+    positions: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    has_pose: bool = False
+    has_ellipsoid: bool = False
 
 
 class ScenePage:
-    """A page of a viser server: the cameras of a scene, and objects in it.
+    """Page of a viser server with the cameras of a scene and the objects in it.
 
     Args:
-        server: of viser.
-        scene: its cameras, its middle, its axes.
+        server: a viser server.
+        scene: the scene's cameras, center and axes.
         rig: the same cameras, with their lenses.
 
     Attributes:
-        visible: by layer of `LAYERS`; `refresh` after a change.
+        visible: visibility by layer of `LAYERS`; call `refresh` after a change.
     """
 
     def __init__(self, server: Any, scene: Scene, rig: Rig) -> None:
         self.server, self._scene, self._api = server, scene, server.scene
         self.visible = dict.fromkeys(LAYERS, True)
-        self._objects: dict[str, Nodes] = {}
-        self._seen_from: int | None = None
+        self._objects: dict[str, ObjectNodes] = {}
+        self._view_camera: int | None = None
         right, ahead, up = scene.axes
         self._api.set_up_direction(tuple(up))
-        # Nothing is drawn that would be prettier for reflections and shadows, which slow graphics pay for with seconds.
+        # Shadows and reflections do not help here, and cost seconds on slow graphics.
         self._api.configure_default_lights(cast_shadow=False)
         self._api.configure_environment_map(hdri=None)
         server.initial_camera.fov = FOV
-        server.initial_camera.look_at = (0.0, 0.0, 0.0)
-        server.initial_camera.position = tuple(self._first_look())
+        server.initial_camera.check_rig_geometry = (0.0, 0.0, 0.0)
+        server.initial_camera.position = tuple(self._choose_viewpoint())
         self._floor = self._api.add_grid(
             "/floor",
             width=4.0,
@@ -110,67 +110,69 @@ class ScenePage:
             section_size=0.5,
             cell_thickness=0.6,
             section_thickness=1.0,
-            cell_color=FLOOR[False][0],
-            section_color=FLOOR[False][1],
+            cell_color=FLOOR_COLORS[False][0],
+            section_color=FLOOR_COLORS[False][1],
             shadow_opacity=0.0,
             wxyz=_wxyz(np.column_stack([right, ahead, np.cross(right, ahead)])),
-            position=tuple(self._low() * up),
+            position=tuple(self._floor_height() * up),
         )
         self._lines: list[Any] = []
         self._labels: list[Any] = []
-        self._images: list[Any] = []
-        self._straight = [straightened(camera, IMAGE) for camera in rig]
+        self._recorded_images: list[Any] = []
+        self._rectified = [build_undistortion_map(camera, IMAGE_SIZE) for camera in rig]
         for c, name in enumerate(scene.cameras):
-            self._camera(c, name)
+            self._add_camera(c, name)
 
-    def _first_look(self) -> FloatArray:
-        """(3,) from where all cameras are seen, the nearer the better, and none is in the way."""
+    def _choose_viewpoint(self) -> FloatArray:
+        """Choose the nearest viewpoint (3,) that shows all cameras without one of them blocking the view."""
         right, ahead, up = self._scene.axes
-        eyes = self._at(self._scene.world_from_camera[:, :3, 3])
+        centers = self._to_page(self._scene.world_from_camera[:, :3, 3])
         best, nearest = -3.0 * ahead, np.inf
         for angle in np.deg2rad(np.arange(-180, 180, 10)):
             level = np.sin(angle) * right - np.cos(angle) * ahead
             view = np.cos(ELEVATION) * level + np.sin(ELEVATION) * up
             sideways = np.cross(up, view)
             above = np.cross(view, sideways) / np.linalg.norm(sideways)
-            beside = eyes @ sideways / np.linalg.norm(sideways)
-            room = np.tan(FOV / 2) * np.array([[ASPECT], [1.0]])
-            away = float((eyes @ view + np.abs(np.stack([beside, eyes @ above])) / room).max())
-            blocked = (eyes @ view > 0) & (np.hypot(beside, eyes @ above) < FREE)
-            # Rather from behind the cameras, which shows their images, than from their other side.
-            rank = away + 10.0 * float(blocked.sum()) + 0.3 * abs(float(angle))
+            horizontal = centers @ sideways / np.linalg.norm(sideways)
+            half_size = np.tan(FOV / 2) * np.array([[ASPECT], [1.0]])
+            distance = float((centers @ view + np.abs(np.stack([horizontal, centers @ above])) / half_size).max())
+            blocked = (centers @ view > 0) & (np.hypot(horizontal, centers @ above) < BLOCKING_DISTANCE)
+            # Prefer views from behind the cameras, which show their images.
+            rank = distance + 10.0 * float(blocked.sum()) + 0.3 * abs(float(angle))
             if rank < nearest:
-                best, nearest = AROUND * max(away, 1.0) * view, rank
+                best, nearest = VIEW_MARGIN * max(distance, 1.0) * view, rank
         return np.asarray(best)
 
-    def _low(self) -> float:
-        """Below everything that stands: the lowest camera, or the object."""
+    def _floor_height(self) -> float:
+        """Return the height of the floor, below the lowest camera and the object."""
         up = self._scene.axes[2]
-        heights = self._at(self._scene.world_from_camera[:, :3, 3]) @ up
-        return float(min(heights.min(), -1.2 * self._scene.axis_length / self._scene.reach)) - 0.03
+        heights = self._to_page(self._scene.world_from_camera[:, :3, 3]) @ up
+        return float(min(heights.min(), -1.2 * self._scene.axis_length / self._scene.camera_distance)) - 0.03
 
-    def _at(self, points: FloatArray) -> FloatArray:
-        """World points (..., 3) as they are drawn."""
-        return np.asarray((points - self._scene.center) / self._scene.reach)
+    def _to_page(self, points: FloatArray) -> FloatArray:
+        """Convert world points (..., 3) to page coordinates."""
+        return np.asarray((points - self._scene.center) / self._scene.camera_distance)
 
-    def _camera(self, c: int, name: str) -> None:
-        scene, straight = self._scene, self._straight[c]
+    def _add_camera(self, c: int, name: str) -> None:
+        scene, straight = self._scene, self._rectified[c]
         color = tuple(scene.colors[c].tolist())
-        eye, turned = self._at(scene.world_from_camera[c, :3, 3]), scene.world_from_camera[c, :3, :3]
+        center, rotation = self._to_page(scene.world_from_camera[c, :3, 3]), scene.world_from_camera[c, :3, :3]
         (left, top), (right, bottom) = straight.low, straight.high
         end = np.array([[left, top, 1], [right, top, 1], [right, bottom, 1], [left, bottom, 1]])
-        corners = eye + FRUSTUM * end @ turned.T
+        corners = center + FRUSTUM_DEPTH * end @ rotation.T
         around = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
-        edges = np.concatenate([np.stack([np.broadcast_to(eye, (4, 3)), corners], axis=1), around])
-        # Not below the camera's name, which may be any.
+        edges = np.concatenate([np.stack([np.broadcast_to(center, (4, 3)), corners], axis=1), around])
+        # Node names use the index: a camera's name may contain any characters.
         self._lines.append(
             self._api.add_line_segments(
                 f"/camera{c}", edges.astype(np.float32), color, thickness=2.0, thickness_units="screen"
             )
         )
-        behind = eye - 0.04 * turned[:, 2]
-        self._labels.append(self._api.add_label(f"/name{c}", name, position=tuple(behind), anchor="bottom-center"))
-        self._images.append(
+        label_position = center - 0.04 * rotation[:, 2]
+        self._labels.append(
+            self._api.add_label(f"/name{c}", name, position=tuple(label_position), anchor="bottom-center")
+        )
+        self._recorded_images.append(
             self._api.add_image(
                 f"/image{c}",
                 np.zeros((2, 2, 3), np.uint8),
@@ -180,21 +182,21 @@ class ScenePage:
                 jpeg_quality=80,
                 cast_shadow=False,
                 receive_shadow=False,
-                wxyz=_wxyz(turned),
+                wxyz=_wxyz(rotation),
                 visible=False,
             )
         )
-        self._hang(c, FRUSTUM)
+        self._place_image(c, FRUSTUM_DEPTH)
 
-    def _hang(self, c: int, depth: float) -> None:
-        """A camera's image so far before it, as large as it is there."""
-        straight, pose = self._straight[c], self._scene.world_from_camera[c]
+    def _place_image(self, c: int, depth: float) -> None:
+        """Place a camera's image at a depth, scaled to fill its field of view."""
+        straight, pose = self._rectified[c], self._scene.world_from_camera[c]
         middle = np.append(0.5 * (straight.low + straight.high), 1.0)
-        self._images[c].position = tuple(self._at(pose[:3, 3]) + depth * pose[:3, :3] @ middle)
-        self._images[c].scale = depth
+        self._recorded_images[c].position = tuple(self._to_page(pose[:3, 3]) + depth * pose[:3, :3] @ middle)
+        self._recorded_images[c].scale = depth
 
     def add(self, name: str) -> None:
-        """An object, of which nothing is known yet."""
+        """Add an object without pose, points or path."""
         key = f"/object{len(self._objects)}"
         axes = self._api.add_frame(key, visible=False)
         points = self._api.add_point_cloud(
@@ -205,8 +207,14 @@ class ScenePage:
             precision="float32",
             visible=False,
         )
-        doubt = self._api.add_icosphere(
-            f"{key}_doubt", 1.0, (60, 140, 230), opacity=0.3, cast_shadow=False, receive_shadow=False, visible=False
+        uncertainty = self._api.add_icosphere(
+            f"{key}_uncertainty",
+            1.0,
+            (60, 140, 230),
+            opacity=0.3,
+            cast_shadow=False,
+            receive_shadow=False,
+            visible=False,
         )
         path = {
             color: self._api.add_line_segments(
@@ -217,141 +225,143 @@ class ScenePage:
                 thickness_units="screen",
                 visible=False,
             )
-            for k, color in enumerate((SEEN, *_COLORS.values()))
+            for k, color in enumerate((TRACKED_COLOR, *_COLORS.values()))
         }
-        self._objects[name] = Nodes(axes, points, doubt, path)
-        self.sized(name, self._scene.axis_length)
+        self._objects[name] = ObjectNodes(axes, points, uncertainty, path)
+        self.set_size(name, self._scene.axis_length)
 
-    def sized(self, name: str, radius: float, usual_sd: float = np.nan) -> None:
-        """An object's radius, and how far off its place usually is, one standard deviation, in the scene's unit."""
-        nodes, size = self._objects[name], radius / self._scene.reach
+    def set_size(self, name: str, radius: float, usual_sd: float = np.nan) -> None:
+        """Set an object's radius and the usual standard deviation of its position, in the scene's unit."""
+        nodes, size = self._objects[name], radius / self._scene.camera_distance
         nodes.size = size
         nodes.axes.axes_length, nodes.axes.axes_radius, nodes.axes.origin_radius = 1.25 * size, 0.03 * size, 0.05 * size
         nodes.points.point_size = 0.02 * size
-        wanted = DOUBT_SIZE * radius / (DEVIATIONS * usual_sd) if usual_sd > 0 else 1.0
-        nodes.larger = max(1.0, 10.0 ** float(np.floor(np.log10(wanted))))
+        wanted = ELLIPSOID_SIZE * radius / (DRAWN_SDS * usual_sd) if usual_sd > 0 else 1.0
+        nodes.enlargement = max(1.0, 10.0 ** float(np.floor(np.log10(wanted))))
 
-    def larger(self, name: str) -> float:
-        """How many times as large as they are an object's standard deviations are drawn, so that they are seen."""
-        return self._objects[name].larger
+    def compute_enlargement(self, name: str) -> float:
+        """Return the factor by which an object's standard deviations are enlarged to be visible."""
+        return self._objects[name].enlargement
 
-    def points(self, name: str, points: FloatArray, colors: IntArray) -> None:
-        """Points (n, 3) on an object in its frame, with colours (n, 3)."""
-        every = max(1, -(-len(points) // MOST_POINTS))
+    def set_points(self, name: str, points: FloatArray, colors: IntArray) -> None:
+        """Set an object's points (n, 3), in its frame, and their colors (n, 3)."""
+        every = max(1, -(-len(points) // MAX_POINTS))
         nodes = self._objects[name]
         if len(points):
-            nodes.points.points = (points[::every] / self._scene.reach).astype(np.float32)
+            nodes.points.points = (points[::every] / self._scene.camera_distance).astype(np.float32)
             nodes.points.colors = colors[::every].astype(np.uint8)
-        self._shown(nodes)
+        self._update_visibility(nodes)
 
-    def path(self, name: str, places: FloatArray, statuses: Sequence[str]) -> None:
-        """Where an object was, world (n, 3), NaN where it was not found; in the colours of the statuses (n)."""
+    def set_path(self, name: str, places: FloatArray, statuses: Sequence[str]) -> None:
+        """Set an object's path: world positions (n, 3), NaN if unknown, in the colors of their statuses (n)."""
         nodes = self._objects[name]
-        nodes.places = self._at(places)
-        for color, pieces in pieces_of(nodes.places, statuses).items():
+        nodes.positions = self._to_page(places)
+        for color, pieces in split_path(nodes.positions, statuses).items():
             nodes.path[color].points = pieces
-        self._paths(nodes)
+        self._update_paths(nodes)
 
-    def pose(self, name: str, world_from_object: FloatArray | None, covariance: FloatArray | None) -> None:
-        """Where an object is, (4, 4), or that it was not found; and how well its place is known, (6, 6) of (w, d)."""
+    def set_pose(self, name: str, world_from_object: FloatArray | None, covariance: FloatArray | None) -> None:
+        """Set an object's pose (4, 4), or None, and its covariance (6, 6) of (w, d)."""
         nodes = self._objects[name]
-        nodes.posed = world_from_object is not None and bool(np.isfinite(world_from_object).all())
-        nodes.doubtful = False
-        if nodes.posed and world_from_object is not None:
+        nodes.has_pose = world_from_object is not None and bool(np.isfinite(world_from_object).all())
+        nodes.has_ellipsoid = False
+        if nodes.has_pose and world_from_object is not None:
             nodes.axes.wxyz = _wxyz(world_from_object[:3, :3])
-            nodes.axes.position = tuple(self._at(world_from_object[:3, 3]))
+            nodes.axes.position = tuple(self._to_page(world_from_object[:3, 3]))
             if covariance is not None and np.isfinite(covariance[3:, 3:]).all():
                 values, vectors = np.linalg.eigh(covariance[3:, 3:])
-                sizes = DEVIATIONS * nodes.larger * np.sqrt(np.maximum(values, 0.0)) / self._scene.reach
-                # One of nothing is as good as none: the first frame defines what all others are relative to.
-                nodes.doubtful = bool(sizes[-1] > 0)
-                nodes.doubt.scale = tuple(np.maximum(sizes, 1e-4))
-                nodes.doubt.wxyz = _wxyz(vectors * np.linalg.det(vectors))
-                nodes.doubt.position = nodes.axes.position
-        self._shown(nodes)
+                sizes = DRAWN_SDS * nodes.enlargement * np.sqrt(np.maximum(values, 0.0)) / self._scene.camera_distance
+                # The first frame has a zero covariance, as it defines the reference: draw none.
+                nodes.has_ellipsoid = bool(sizes[-1] > 0)
+                nodes.ellipsoid.scale = tuple(np.maximum(sizes, 1e-4))
+                nodes.ellipsoid.wxyz = _wxyz(vectors * np.linalg.det(vectors))
+                nodes.ellipsoid.position = nodes.axes.position
+        self._update_visibility(nodes)
 
-    def images(self, images: Sequence[Image | None]) -> None:
-        """Of all cameras, BGR."""
-        for node, straight, image in zip(self._images, self._straight, images, strict=True):
+    def set_images(self, images: Sequence[Image | None]) -> None:
+        """Set the images (BGR) of all cameras."""
+        for node, straight, image in zip(self._recorded_images, self._rectified, images, strict=True):
             if image is not None:
-                node.image = np.ascontiguousarray(straight.of(image)[..., ::-1])
+                node.image = np.ascontiguousarray(straight.apply(image)[..., ::-1])
             node.visible = image is not None and self.visible["Images"]
 
     def refresh(self) -> None:
-        """Shows the layers that are `visible`; images with the next ones."""
+        """Apply `visible` to all layers; hidden images reappear with the next ones."""
         for c, (lines, label) in enumerate(zip(self._lines, self._labels, strict=True)):
-            lines.visible = self.visible["Cameras"] and c != self._seen_from  # it would be around the eye
+            lines.visible = self.visible["Cameras"] and c != self._view_camera  # the viewpoint is inside it
             label.visible = self.visible["Cameras"]
-        for node in self._images:
+        for node in self._recorded_images:
             node.visible = node.visible and self.visible["Images"]
-        self._floor.visible = self.visible["Floor"] and self._seen_from is None
+        self._floor.visible = self.visible["Floor"] and self._view_camera is None
         for nodes in self._objects.values():
-            self._paths(nodes)
-            self._shown(nodes)
+            self._update_paths(nodes)
+            self._update_visibility(nodes)
 
-    def _paths(self, nodes: Nodes) -> None:
+    def _update_paths(self, nodes: ObjectNodes) -> None:
         for path in nodes.path.values():
             path.visible = self.visible["Path"] and bool(path.points.any())
 
-    def darken(self, dark: bool) -> None:
-        """The page's ground is dark, or light again."""
-        self._floor.cell_color, self._floor.section_color = FLOOR[dark]
+    def set_dark(self, dark: bool) -> None:
+        """Switch the colors for a dark or a light background."""
+        self._floor.cell_color, self._floor.section_color = FLOOR_COLORS[dark]
         for c, lines in enumerate(self._lines):
             color = self._scene.colors[c]
             lines.colors = (color + (255 - color) // 2 if dark else color).astype(np.uint8)
 
-    def _shown(self, nodes: Nodes) -> None:
-        nodes.axes.visible = nodes.posed
+    def _update_visibility(self, nodes: ObjectNodes) -> None:
+        nodes.axes.visible = nodes.has_pose
         nodes.axes.show_axes = self.visible["Axes"]
         nodes.points.visible = self.visible["Points"] and len(nodes.points.points) > 1
-        nodes.doubt.visible = nodes.doubtful and self.visible["Uncertainty"]
+        nodes.ellipsoid.visible = nodes.has_ellipsoid and self.visible["Uncertainty"]
 
-    def look(self, client: Any, camera: int | None, near: str | None = None) -> None:
-        """Lets who looks at the page see as a camera does, its image behind the object, or an object from near, or all."""
+    def set_view(self, client: Any, camera: int | None, object_name: str | None = None) -> None:
+        """Set a client's view: that of a camera with its image behind the object, a close-up of an object, or all."""
         with self.server.atomic():
-            if self._seen_from is not None:
-                self._hang(self._seen_from, FRUSTUM)
+            if self._view_camera is not None:
+                self._place_image(self._view_camera, FRUSTUM_DEPTH)
             if camera is not None:
-                self._hang(camera, self._beyond(camera))
-            self._seen_from = camera
+                self._place_image(camera, self._depth_behind_objects(camera))
+            self._view_camera = camera
             self.refresh()
         start = self.server.initial_camera
-        up, eye, target, fov = self._scene.axes[2], start.position, start.look_at, start.fov
+        up, eye, target, fov = self._scene.axes[2], start.position, start.check_rig_geometry, start.fov
         if camera is not None:
-            pose, straight = self._scene.world_from_camera[camera], self._straight[camera]
+            pose, straight = self._scene.world_from_camera[camera], self._rectified[camera]
             middle = np.append(0.5 * (straight.low + straight.high), 1.0)
-            up, eye = -pose[:3, 1], self._at(pose[:3, 3])
+            up, eye = -pose[:3, 1], self._to_page(pose[:3, 3])
             target = eye + pose[:3, :3] @ middle
             fov = 2 * float(np.arctan(0.5 * (straight.high[1] - straight.low[1])))
-        elif near is not None:
-            nodes = self._objects[near]
+        elif object_name is not None:
+            nodes = self._objects[object_name]
             target = np.array(nodes.axes.position)
-            eye = target + NEAR * nodes.size * eye / np.linalg.norm(eye)
+            eye = target + CLOSEUP_DISTANCE * nodes.size * eye / np.linalg.norm(eye)
         with client.atomic():
             client.camera.up_direction = tuple(up)
-            client.camera.position, client.camera.look_at, client.camera.fov = tuple(eye), tuple(target), fov
+            client.camera.position, client.camera.check_rig_geometry, client.camera.fov = tuple(eye), tuple(target), fov
 
-    def _beyond(self, c: int) -> float:
-        """A depth at which nothing of any object was before a camera."""
+    def _depth_behind_objects(self, c: int) -> float:
+        """Return a depth behind all objects in a camera's view."""
         pose = self._scene.world_from_camera[c]
         depths = [
-            (nodes.places - self._at(pose[:3, 3])) @ pose[:3, 2] + 2 * nodes.size for nodes in self._objects.values()
+            (nodes.positions - self._to_page(pose[:3, 3])) @ pose[:3, 2] + 2 * nodes.size
+            for nodes in self._objects.values()
         ]
         return float(np.nanmax(np.concatenate([[1.0], *depths])))
 
 
-def pieces_of(places: FloatArray, statuses: Sequence[str]) -> dict[Rgb, NDArray[np.float32]]:
-    """A path as pieces of lines (m, 2, 3) by colour: between frames that follow each other, both with a place.
+def split_path(positions: FloatArray, statuses: Sequence[str]) -> dict[Rgb, NDArray[np.float32]]:
+    """Split a path into line segments (m, 2, 3) by color, between consecutive frames with positions.
 
-    Of more than `MOST_PIECES` frames every n-th is taken; where one between them has no place, neither has the line.
+    Paths of more than `MAX_PATH_SEGMENTS` frames are subsampled; a segment is omitted if a frame in between has no
+    position.
     """
-    n = len(places)
-    chosen = np.arange(0, n, max(1, -(-n // MOST_PIECES)))
-    lost = np.concatenate([[0], np.cumsum(~np.isfinite(places).all(axis=1))])
+    n = len(positions)
+    chosen = np.arange(0, n, max(1, -(-n // MAX_PATH_SEGMENTS)))
+    n_missing = np.concatenate([[0], np.cumsum(~np.isfinite(positions).all(axis=1))])
     a, b = chosen[:-1], chosen[1:]
-    whole = lost[b + 1] == lost[a]
-    a, b = a[whole], b[whole]
-    lines = np.stack([places[a], places[b]], axis=1).astype(np.float32)
+    complete = n_missing[b + 1] == n_missing[a]
+    a, b = a[complete], b[complete]
+    lines = np.stack([positions[a], positions[b]], axis=1).astype(np.float32)
     colors = [status_color(statuses[k]) for k in b.tolist()]
     return {color: lines[[c == color for c in colors]] for color in dict.fromkeys(colors)}
 

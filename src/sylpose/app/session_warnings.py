@@ -1,4 +1,4 @@
-"""What to know about a session before it is tracked."""
+"""Warnings about a session before it is tracked."""
 
 from __future__ import annotations
 
@@ -9,42 +9,42 @@ import numpy as np
 from sylpose.capture import Session
 from sylpose.capture.live import LiveSession
 
-__all__ = ["boxes_by", "notes"]
+__all__ = ["boxes_hint", "find_session_warnings"]
 
-# Time stamps of one frame set that are further from their mean than this, frames, are said to be wrong (choice:
-# a frame late beside a frame early is what cameras without a common trigger do).
-FAR_APART = 2.0
+# Timestamps of one frame set that deviate more from their mean, frames, cause a warning (choice: cameras without a
+# common trigger reach one frame in either direction).
+MAX_TIMESTAMP_SPREAD = 2.0
 
 
-def notes(session: Session | LiveSession, start: int = 0) -> list[str]:
-    """What to know about a session before it is tracked from frame `start` on, in sentences."""
-    found = [*session.warnings]
+def find_session_warnings(session: Session | LiveSession, start: int = 0) -> list[str]:
+    """Return warnings about a session that is tracked from frame `start` on, as sentences."""
+    warnings = [*session.warnings]
     if isinstance(session, LiveSession):
-        return found
+        return warnings
     n, parts = session.n_frames, []
     for name, column in zip(session.rig.names, session.timeline.frames.T, strict=True):
-        shown = np.flatnonzero(column >= 0)
-        if not len(shown):
+        present = np.flatnonzero(column >= 0)
+        if not len(present):
             parts.append(f"{name} has none of them")
-        elif len(shown) < n:
-            missing = int(shown[-1] - shown[0] + 1 - len(shown))
-            within = f" without {missing} in between" if missing else ""
-            parts.append(f"{name} has {shown[0]} to {shown[-1]}{within}")
+        elif len(present) < n:
+            missing = int(present[-1] - present[0] + 1 - len(present))
+            gap_text = f" without {missing} in between" if missing else ""
+            parts.append(f"{name} has {present[0]} to {present[-1]}{gap_text}")
     if parts:
-        found.append(f"Not every camera has all frames 0 to {n - 1}: {', '.join(parts)}.")
-    apart = session.timeline.stamps - session.timeline.times[:, None]
-    if session.rate and np.nanmax(np.abs(apart), initial=0.0) * session.rate > FAR_APART:
-        worst = float(np.nanmax(np.abs(apart)))
-        found.append(
-            f"The cameras' time stamps of one frame set are up to {worst:.3g} s from their mean: frames of different times "
-            "are taken for one. Are the clocks the same?"
+        warnings.append(f"Not every camera has all frames 0 to {n - 1}: {', '.join(parts)}.")
+    deviations = session.timeline.stamps - session.timeline.times[:, None]
+    if session.rate and np.nanmax(np.abs(deviations), initial=0.0) * session.rate > MAX_TIMESTAMP_SPREAD:
+        worst = float(np.nanmax(np.abs(deviations)))
+        warnings.append(
+            f"The cameras' timestamps of one frame set are up to {worst:.3g} s from their mean, so frames of different "
+            "times are combined. Check that the clocks are synchronized."
         )
     # All objects have boxes or none.
-    if session.of(session.objects[0]).boxes and start > 0:
-        found.append(f"The boxes are taken to be of frame {start}, where tracking starts.")
-    return found
+    if session.select_object(session.objects[0]).boxes and start > 0:
+        warnings.append(f"The boxes are assumed to be of frame {start}, where tracking starts.")
+    return warnings
 
 
-def boxes_by(session: Session | LiveSession) -> str:
-    """What to type for boxes of a session."""
+def boxes_hint(session: Session | LiveSession) -> str:
+    """Return the option or command that provides boxes for a session."""
     return "--boxes" if isinstance(session, LiveSession) else f"sylpose box {shlex.quote(str(session.path))} draws them"

@@ -1,4 +1,4 @@
-"""`sylpose show`: a result in three dimensions, on a page in the browser."""
+"""`sylpose show`: show a result in 3D on a page in the browser."""
 
 from __future__ import annotations
 
@@ -9,65 +9,65 @@ from pathlib import Path
 from sylpose import calibration
 from sylpose.app import console_output
 from sylpose.app.local_page import HOST, open_browser
-from sylpose.app.result_player import Player, saved_page
+from sylpose.app.result_player import ResultPlayer, render_standalone_page
 from sylpose.app.scene import read_scene
-from sylpose.app.source_recording import recording_of
-from sylpose.app.view import calibration_of
-from sylpose.app.viewer_server import viewer_server
-from sylpose.atomic_io import replacing
+from sylpose.app.source_recording import open_source_recording
+from sylpose.app.view import find_calibration
+from sylpose.app.viewer_server import serve_viewer
+from sylpose.atomic_io import replace_atomically
 from sylpose.capture import Session
-from sylpose.capture.random_access import SingleFrames
+from sylpose.capture.random_access import RandomAccessReader
 from sylpose.report.scene import Scene
 
-__all__ = ["read_scenes", "show_aloud"]
+__all__ = ["read_scenes", "run_show_command"]
 
 
-def show_aloud(
+def run_show_command(
     result: Path,
-    given: Path | None,
-    moved: Path | None,
+    calibration_file: Path | None,
+    recording: Path | None,
     *,
     save: Path | None,
     host: str,
     port: int,
     browser: bool,
 ) -> None:
-    """Shows a result until Ctrl-C, or writes it into a file.
+    """Serve a page with a result until Ctrl-C, or write it to a file.
 
     Args:
         result: folder of the run, or of one of its objects.
-        given: a calibration; None for that of the run.
-        moved: where the recording is now; None: where it was.
-        save: an HTML file that shows the same, to be written instead.
-        host, port: where the page listens.
-        browser: open it there.
+        calibration_file: a calibration; None for that of the run.
+        recording: present folder of the recording; None if it was not moved.
+        save: an HTML file to write instead of serving the page.
+        host, port: address of the page.
+        browser: open the page in the browser.
 
     Raises:
-        ValueError, OSError: as `read_scenes` and `viewer_server`; a file that cannot be written.
+        ValueError, OSError: as `read_scenes` and `serve_viewer`; a file that cannot be written.
     """
     console = console_output.make_console()
-    scenes = read_scenes(result, given)
-    rig = calibration.load(calibration_of(result, given))
-    session, why = _recording(result, moved)
+    scenes = read_scenes(result, calibration_file)
+    rig = calibration.load(find_calibration(result, calibration_file))
+    session, reason = _try_open_recording(result, recording)
     first = next(iter(scenes.values()))
     objects = f", {len(scenes)} objects: {', '.join(scenes)}" if len(scenes) > 1 else ""
     console.print(f"{result}: {len(first.cameras)} cameras, {len(first.index)} frames{objects}", soft_wrap=True)
-    if why:
-        console_output.print_warnings(console, [f"No images: {why}"])
+    if reason:
+        console_output.print_warnings(console, [f"No images: {reason}"])
     with ExitStack() as stack:
-        stills = None if session is None else stack.enter_context(SingleFrames(session))
+        stills = None if session is None else stack.enter_context(RandomAccessReader(session))
         if save is not None:
-            with replacing(save) as part:
-                part.write_text(saved_page(scenes, rig, stills), encoding="utf-8")
+            with replace_atomically(save) as part:
+                part.write_text(render_standalone_page(scenes, rig, stills), encoding="utf-8")
             console_output.print_files(console, "File", [save])
             return
-        server, url = stack.enter_context(viewer_server(host, port))
-        stack.enter_context(Player(server, scenes, rig, stills, _title(result.resolve())))
+        server, url = stack.enter_context(serve_viewer(host, port))
+        stack.enter_context(ResultPlayer(server, scenes, rig, stills, _format_title(result.resolve())))
         opened = browser and open_browser(url)
-        console.print(f"{'Opened' if opened else 'Open'} {url} in a browser; Ctrl-C ends it.", soft_wrap=True)
+        console.print(f"{'Opened' if opened else 'Open'} {url} in a browser; press Ctrl-C to stop.", soft_wrap=True)
         if host != HOST:
             console_output.print_warnings(
-                console, ["Who knows this address can see it, from other computers too, unencrypted."]
+                console, ["Anyone with this address can view the page, also from other computers, unencrypted."]
             )
         try:
             while True:
@@ -76,39 +76,39 @@ def show_aloud(
             return
 
 
-def read_scenes(result: Path, given: Path | None = None) -> dict[str, Scene]:
-    """By object, what is shown of a run; "" for one that has no name.
+def read_scenes(result: Path, calibration_file: Path | None = None) -> dict[str, Scene]:
+    """Read the scenes of a run by object; "" is the name of a single object.
 
     Args:
-        result: folder of the run, which may have a folder for each of several objects.
-        given: a calibration; None for that of the run.
+        result: folder of the run, which has a subfolder for each of several objects.
+        calibration_file: a calibration; None for that of the run.
 
     Raises:
-        FileNotFoundError: there is no trajectory.
-        ValueError: files that are not what they should be, or of other cameras; no frame.
+        FileNotFoundError: no trajectory.
+        ValueError: invalid files, or files of other cameras; no frames.
     """
     if not result.is_dir():
-        raise FileNotFoundError(f"{result}: a folder that sylpose track wrote is expected")
+        raise FileNotFoundError(f"{result}: expected a folder that sylpose track wrote")
     folders = {"": result}
     if not (result / "trajectory.csv").is_file():
         found = sorted(file.parent for file in result.glob("*/trajectory.csv"))
         folders = {folder.name: folder for folder in found} or folders
-    scenes = {name: read_scene(folder, given) for name, folder in folders.items()}
+    scenes = {name: read_scene(folder, calibration_file) for name, folder in folders.items()}
     if not any(len(scene.index) for scene in scenes.values()):
-        raise ValueError(f"{result}: no frame in it that could be shown")
+        raise ValueError(f"{result}: contains no frames to show")
     return scenes
 
 
-def _title(result: Path) -> str:
-    """The recording's name, where the results are in it."""
+def _format_title(result: Path) -> str:
+    """Return the recording's name if the results are in its folder, else the folder's name."""
     return result.parent.name if result.name == "sylpose" else result.name
 
 
-def _recording(result: Path, moved: Path | None) -> tuple[Session | None, str]:
-    """The recording, or why there is none; where somebody said where it is, that is an error."""
+def _try_open_recording(result: Path, recording: Path | None) -> tuple[Session | None, str]:
+    """Open the recording, or return why it is unavailable; with an explicit folder that is an error."""
     try:
-        return recording_of(result, moved), ""
+        return open_source_recording(result, recording), ""
     except (ValueError, OSError) as error:
-        if moved is not None:
+        if recording is not None:
             raise
         return None, str(error)

@@ -1,4 +1,4 @@
-"""The recording that a result is of, opened as its run had opened it: to look at the images."""
+"""Source recording of a result, opened with the settings of its run to read the images."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from typing import Any
 
 import msgspec
 
-from sylpose.app.checkpoint import fingerprint
-from sylpose.app.run_metadata import SETTINGS, USED, root_of
+from sylpose.app.checkpoint import compute_fingerprint
+from sylpose.app.run_metadata import SETTINGS, USED_CALIBRATION, find_run_folder
 from sylpose.capture import Session
 from sylpose.capture.session import reopen_session
-from sylpose.input_limits import Unreadable, parsed_toml, text_of, told
-from sylpose.sync.offsets import retimed
+from sylpose.input_limits import UnreadableFileError, input_errors, parse_toml, read_text
+from sylpose.sync.offsets import apply_offsets
 
-__all__ = ["recording_of"]
+__all__ = ["open_source_recording"]
 
 
 class _Settings(msgspec.Struct, frozen=True):
-    """What of settings.toml says where the images are and which belong together."""
+    """Part of settings.toml that locates the images and matches their frames."""
 
     recording: str = ""
     cameras: dict[str, str] = {}
@@ -30,48 +30,50 @@ class _Settings(msgspec.Struct, frozen=True):
     checksums: dict[str, str] = {}
 
 
-def recording_of(result: Path, moved: Path | None = None) -> Session:
-    """The recording of a run, exactly as it was.
+def open_source_recording(result: Path, recording: Path | None = None) -> Session:
+    """Open the recording of a run and verify that it is unchanged.
 
     Args:
         result: folder of the run, or of one of its objects.
-        moved: where the recording is now; None: where it was.
+        recording: present folder of the recording; None if it was not moved.
 
     Raises:
-        FileNotFoundError: it is not there, or the result does not say where it was.
-        ValueError: it was of live cameras; it is no more what it was.
+        FileNotFoundError: no recording there, or a result without its path.
+        ValueError: a run of live cameras; a recording that was changed.
     """
-    run = root_of(result)
+    run = find_run_folder(result)
     if not (run / SETTINGS).is_file():
-        raise FileNotFoundError(f"{result}: no {SETTINGS}, which says where the recording is")
-    settings = _settings(run / SETTINGS)
+        raise FileNotFoundError(f"{result}: no {SETTINGS}, which contains the recording's path")
+    settings = _read_settings(run / SETTINGS)
     if not settings.cameras:
-        raise ValueError(f"{run}: of live cameras, a folder that grew, or tables of pixels: there is no recording")
+        raise ValueError(
+            f"{run}: the run had live cameras, a growing folder or tables of pixels: there is no recording"
+        )
     path, cameras = Path(settings.recording), dict(settings.cameras)
-    if moved is not None:
-        path = moved
+    if recording is not None:
+        path = recording
         cameras = {name: Path(file).name for name, file in cameras.items()}
     elif any(name.startswith(("\\\\", "//")) for name in (settings.recording, *cameras.values())):
-        # To ask for it would tell a computer that the result's author has chosen who asks.
-        raise ValueError(f"{run / SETTINGS}: the recording is on another computer; say --recording DIR if it is yours")
-    session = reopen_session(path, run / USED, settings.frame_offsets, cameras, None, settings.without)
-    if session.rate is None and settings.rate is not None:  # that was said, of folders of images
+        # Access would send the user's credentials to a computer that the result's author has chosen.
+        raise ValueError(f"{run / SETTINGS}: the recording is on another computer; give --recording DIR if it is yours")
+    session = reopen_session(path, run / USED_CALIBRATION, settings.frame_offsets, cameras, None, settings.without)
+    if session.rate is None and settings.rate is not None:  # given by --rate, for image folders
         rate = settings.rate
-        session = reopen_session(path, run / USED, settings.frame_offsets, cameras, rate, settings.without)
-    session = retimed(session, [settings.offsets.get(name, 0.0) for name in session.rig.names])
-    now = fingerprint(session)
-    for name in ("images", "time stamps or offsets"):
+        session = reopen_session(path, run / USED_CALIBRATION, settings.frame_offsets, cameras, rate, settings.without)
+    session = apply_offsets(session, [settings.offsets.get(name, 0.0) for name in session.rig.names])
+    now = compute_fingerprint(session)
+    for name in ("images", "timestamps or offsets"):
         if settings.checksums.get(name) != now[name]:
             raise ValueError(f"{path}: the recording's {name} are not those of the run")
-    # Only the images are wanted.
+    # Only the images are needed.
     return replace(session, masks=None, _masks={}, _boxes={})
 
 
-def _settings(file: Path) -> _Settings:
-    text = text_of(file)
-    with told(file):
+def _read_settings(file: Path) -> _Settings:
+    text = read_text(file)
+    with input_errors(file):
         try:
-            raw: dict[str, Any] = parsed_toml(text)
+            raw: dict[str, Any] = parse_toml(text)
             return msgspec.convert(raw, _Settings)
         except msgspec.MsgspecError as error:
-            raise Unreadable(f"{file}: the settings of a run are expected ({error})") from None
+            raise UnreadableFileError(f"{file}: expected the settings of a run ({error})") from None

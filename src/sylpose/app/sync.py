@@ -1,4 +1,4 @@
-"""A recording's cameras and how far apart in time they are: session -> offsets.toml."""
+"""`sylpose sync`: estimate the time offsets between a recording's cameras and write offsets.toml."""
 
 from __future__ import annotations
 
@@ -12,92 +12,100 @@ import numpy as np
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from sylpose.app import console_output
-from sylpose.app.precompile import compile_aloud
-from sylpose.atomic_io import output_folder, replacing, toml_key
+from sylpose.app.precompile import compile_with_progress
+from sylpose.atomic_io import format_toml_key, make_output_folder, replace_atomically
 from sylpose.capture import Session
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import FloatArray, Image
 from sylpose.results import Status
 from sylpose.rig import Rig
 from sylpose.smoothing.trajectory import Track, smooth
-from sylpose.sync.offsets import OFFSETS_FILE, load_offsets, retimed
-from sylpose.sync.speed_correlation import Delays, Pulse, coarse_offsets, image_speed, small_grey, split_offsets
+from sylpose.sync.offsets import OFFSETS_FILE, apply_offsets, load_offsets
+from sylpose.sync.speed_correlation import (
+    OffsetEstimate,
+    SpeedSignal,
+    compute_image_speed,
+    estimate_coarse_offsets,
+    split_offsets,
+    to_small_gray,
+)
 from sylpose.tracking.tracker import track
 
-__all__ = ["Known", "Synced", "sync_aloud", "sync_session", "write_offsets"]
+__all__ = ["OffsetPrecision", "TimeOffsets", "run_sync_command", "sync_session", "write_offsets"]
 
-# Wraps the frames of a loop to show how far it is: what is done, how many they are, the frames.
-Watch = Callable[[str, int, Iterable[FrameSet]], Iterable[FrameSet]]
+# Wraps the frames of a loop to show its progress: description, number of frames, frames.
+ProgressWrapper = Callable[[str, int, Iterable[FrameSet]], Iterable[FrameSet]]
 
-# Of the search by speeds, seconds (choice: cameras started by hand).
+# Search range of the speed correlation, seconds (choice: cameras started by hand).
 MAX_LAG = 3.0
-# The object is tracked for so many frames at most, so many times, until no offset changes by so much (seconds), or by
-# more than its standard deviation (choice: 20 s at 30 per second; what moves by 1000 px/s moves by 0.1 px in it).
-TRACKED, ROUNDS, SETTLED = 600, 4, 1e-4
-# It is tracked again only where other frames belong together than was thought, an offset having changed by so many frames
-# since: tracked with offsets that are off by half a frame, it tells the same of them (measured: benchmarks/sync.py).
-AGAIN = 0.75
-# Followed features are three times as exact as those found anew in every frame, for a third of the time; but their errors go
-# along with the motion, by about so many pixels, as if the camera were late (measured: benchmarks/sync.py).
-FEATURES, ALONG_PX = "klt", 0.01
-# What is believed of the offsets before each round, frames; and what a camera's must be known to, to count as found
-# (choice: whole frames are known by then; docs/sync.md promises a twentieth).
-BELIEF, FOUND = 0.5, 0.05
-# The offsets are also estimated from parts of the recording alone, so many at most and of so many frames at least (choice).
-PARTS, PART = 6, 16
+# Largest number of tracked frames, largest number of rounds, and the change of an offset in seconds at which they have
+# converged, if it is not below its sd (choice: 20 s at 30 per second; a motion of 1000 px/s covers 0.1 px in it).
+MAX_TRACKED_FRAMES, MAX_ROUNDS, CONVERGENCE_SECONDS = 600, 4, 1e-4
+# The object is tracked again only after an offset has changed by so many frames, which changes the matching of frames:
+# with offsets that are off by half a frame, tracking yields the same estimates (measured: benchmarks/sync.py).
+RETRACK_FRAMES = 0.75
+# Features tracked by KLT are three times as precise as those detected in every frame, in a third of the time; but their
+# errors along the motion, in pixels, act like a time offset (measured: benchmarks/sync.py).
+FEATURES, ERROR_ALONG_MOTION_PX = "klt", 0.01
+# Prior sd of the offsets in each round, and largest sd of an offset that counts as found, both in frames (choice: whole
+# frames are known from the correlation; docs/sync.md specifies a twentieth).
+PRIOR_SD_FRAMES, MAX_SD_FRAMES = 0.5, 0.05
+# The offsets are also estimated from separate parts of the recording: largest number of parts, fewest frames (choice).
+MAX_PARTS, MIN_PART_FRAMES = 6, 16
 
 
-class Known(Enum):
-    """How well a camera's offset is known. `known.text` is a sentence for people."""
+class OffsetPrecision(Enum):
+    """Precision of a camera's offset; `text` is an explanation."""
 
     FINE = "found"
     COARSE = "to about a frame"
-    NOT = "not shown"
+    UNOBSERVABLE = "not observable"
 
     @property
     def text(self) -> str:
-        """One sentence that says what it means."""
+        """Return one sentence that explains the value."""
         return _TEXTS[self]
 
 
 _TEXTS = {
-    Known.FINE: "Found from the object's poses.",
-    Known.COARSE: "Found from how the speed changes, in whole frames; the poses do not show the rest.",
-    Known.NOT: "The motion does not show it: the object's speed has to change, in view of this camera.",
+    OffsetPrecision.FINE: "Estimated from the object's poses.",
+    OffsetPrecision.COARSE: "Estimated from changes of speed, to whole frames; the poses do not constrain the fraction.",
+    OffsetPrecision.UNOBSERVABLE: "Not observable from the motion: the object's speed must change "
+    "while this camera sees it.",
 }
 
 
 @dataclass(frozen=True, eq=False)
-class Synced:
-    """How far apart C cameras are in time, and how well that is known.
+class TimeOffsets:
+    """Time offsets of C cameras.
 
     Attributes:
-        cameras: their names.
+        cameras: names of the cameras.
         rate: frames per second.
-        offsets: (C,) seconds by which each camera's images are later than their times say, their mean 0; a camera of which
-            nothing is known is taken to be as late as its time stamps or frame numbers say.
-        sd: (C,) standard deviations, infinite when not known.
-        known: how well, by camera.
-        coarse: what the speeds alone tell.
-        before, after: (C,) rms residual of the tracked object, pixels, with whole frames only and with the offsets; NaN
-            where it was not seen.
-        tracked: number of frames.
-        problems: sentences about what could not be read, and what went wrong.
+        offsets: (C,) delays in seconds of each camera's images relative to their timestamps, with mean 0; a camera
+            without an estimate is assumed to have correct timestamps or frame numbers.
+        sd: (C,) standard deviations, infinite if unknown.
+        precision: precision by camera.
+        coarse: estimate from the speeds alone.
+        before, after: (C,) rms residual of the tracked object in pixels, with whole-frame offsets and with the final
+            ones; NaN if it was not seen.
+        tracked: number of tracked frames.
+        problems: messages about unreadable frames and failures.
     """
 
     cameras: tuple[str, ...]
     rate: float
     offsets: FloatArray
     sd: FloatArray
-    known: tuple[Known, ...]
-    coarse: Delays
+    precision: tuple[OffsetPrecision, ...]
+    coarse: OffsetEstimate
     before: FloatArray
     after: FloatArray
     tracked: int
     problems: tuple[str, ...]
 
 
-def _unwatched(_what: str, _total: int, frames: Iterable[FrameSet]) -> Iterable[FrameSet]:
+def _show_no_progress(_description: str, _total: int, frames: Iterable[FrameSet]) -> Iterable[FrameSet]:
     return frames
 
 
@@ -108,78 +116,100 @@ def sync_session(
     start: int = 0,
     stop: int | None = None,
     seed: int = 0,
-    watch: Watch = _unwatched,
-) -> Synced:
-    """Estimate how far apart in time a session's cameras are.
+    show_progress: ProgressWrapper = _show_no_progress,
+) -> TimeOffsets:
+    """Estimate the time offsets between a session's cameras.
 
-    First to about a frame, from how the speed of each camera's pictures changes; then from the object, tracked with
-    these offsets, its poses, places of its features and the offsets refined together, until these settle.
+    First the offsets are estimated to about a frame by correlating the speeds of motion in the cameras' images. Then
+    the object is tracked with these offsets, and poses, landmarks and offsets are refined jointly, until the offsets
+    converge.
 
     Args:
-        session: of `open_session`; of several objects, the first is tracked.
-        max_lag: seconds that two cameras may be apart, beside what their time stamps say.
+        session: session from `open_session`; of several objects, the first is tracked.
+        max_lag: largest offset in seconds between two cameras, relative to their timestamps.
         start, stop: frames start ... stop - 1; the object is tracked in 600 of them at most.
         seed: as in `track`.
-        watch: wraps the loops over frames, to show how far they are.
+        show_progress: wraps the loops over frames, to show their progress.
+
+    Returns:
+        The offsets with their standard deviations.
 
     Raises:
-        ValueError: one camera only; a recording whose rate is not known; frames that the session does not have.
+        ValueError: a single camera; a recording with unknown frame rate; frames outside the session.
     """
     if len(session.rig) < 2:
-        raise ValueError(f"{session.path}: one camera alone has nothing to be synchronised with")
+        raise ValueError(f"{session.path}: synchronization requires at least two cameras")
     if session.rate is None:
         raise ValueError(
-            f"{session.path}: how far apart in time its cameras are can only be told when its frames have times: videos or "
-            "timestamps.csv are expected"
+            f"{session.path}: time offsets can only be estimated if the frames have times; provide videos or "
+            "timestamps.csv"
         )
     rate, n = session.rate, len(session.rig)
     problems: list[str] = []
-    looked = _pulses(session, start, stop, problems.append, watch)
-    coarse = coarse_offsets(looked, rate, max_lag)
-    whole = split_offsets(coarse.offsets, rate)[0] / rate
-    whole -= whole.mean()
-    one = session.of(session.objects[0])
-    offsets, sd, settled, frames = whole, np.full(n, np.inf), False, 0
+    speeds = _measure_speeds(session, start, stop, problems.append, show_progress)
+    coarse = estimate_coarse_offsets(speeds, rate, max_lag)
+    whole_frames = split_offsets(coarse.offsets, rate)[0] / rate
+    whole_frames -= whole_frames.mean()
+    single_object = session.select_object(session.objects[0])
+    offsets, sd, converged, frames = whole_frames, np.full(n, np.inf), False, 0
     before = after = np.full(n, np.nan)
-    followed, then = list[Track](), offsets  # with these offsets; frames without a pose have no delays
-    for k in range(ROUNDS):
-        if k == 0 or (np.abs(offsets - then) * rate > AGAIN).any():
-            moved, then = retimed(one, offsets), offsets
-            end = min(moved.n_frames if stop is None else stop, start + TRACKED, moved.n_frames)
-            # What is wrong with the files has been said.
-            sets = watch(f"Tracking, round {k + 1}", end - start, moved.frames(start, end, 1, _unsaid))
-            seen = track(sets, moved.rig, moved.boxes or None, features=FEATURES, seed=seed)
-            followed = [Track.of(tracked) for tracked in seen]
-        tracks = [replace(one_of, late=one_of.late + (offsets - then)[: len(one_of.late)]) for one_of in followed]
-        found = smooth(tracks, moved.rig, offsets_sd=BELIEF / rate)
-        frames = sum(t.pose.measured for t in tracks)
-        if found.status is Status.TOO_FEW_MATCHES:
-            problems.append("The object could not be tracked: its poses tell nothing.")
+    tracked_frames, tracking_offsets = (
+        list[Track](),
+        offsets,
+    )  # `then`: offsets used for tracking; frames without a pose have no delays
+    for k in range(MAX_ROUNDS):
+        if k == 0 or (np.abs(offsets - tracking_offsets) * rate > RETRACK_FRAMES).any():
+            shifted, tracking_offsets = apply_offsets(single_object, offsets), offsets
+            end = min(shifted.n_frames if stop is None else stop, start + MAX_TRACKED_FRAMES, shifted.n_frames)
+            # Problems of the files have been reported before.
+            sets = show_progress(
+                f"Tracking, round {k + 1}", end - start, shifted.frames(start, end, 1, _ignore_problem)
+            )
+            tracking = track(sets, shifted.rig, shifted.boxes or None, features=FEATURES, seed=seed)
+            tracked_frames = [Track.from_tracked(tracked) for tracked in tracking]
+        tracks = [
+            replace(
+                tracked_frame,
+                time_offsets=tracked_frame.time_offsets
+                + (offsets - tracking_offsets)[: len(tracked_frame.time_offsets)],
+            )
+            for tracked_frame in tracked_frames
+        ]
+        refined = smooth(tracks, shifted.rig, offsets_sd=PRIOR_SD_FRAMES / rate)
+        frames = sum(t.pose.is_measured for t in tracks)
+        if refined.status is Status.TOO_FEW_MATCHES:
+            problems.append("The object could not be tracked, so its poses give no offsets.")
             sd = np.full(n, np.inf)
             break
         if k == 0:
-            before = smooth(tracks, moved.rig).sigma_px
-        after = found.sigma_px
-        offsets, sd = offsets + found.offsets, found.offsets_sd
-        settled = bool((np.abs(found.offsets) < np.maximum(SETTLED, sd)).all())
-        if settled:
+            before = smooth(tracks, shifted.rig).sigma_px
+        after = refined.sigma_px
+        offsets, sd = offsets + refined.offsets, refined.offsets_sd
+        converged = bool((np.abs(refined.offsets) < np.maximum(CONVERGENCE_SECONDS, sd)).all())
+        if converged:
             break
-    sd = np.hypot(sd * _disagreement(tracks, one.rig, BELIEF / rate), ALONG_PX / _speeds(tracks, one.rig))
-    fine = sd < FOUND / rate
-    if fine.sum() < 2:  # an offset is one from another camera
+    sd = np.hypot(
+        sd * _scatter_ratio(tracks, single_object.rig, PRIOR_SD_FRAMES / rate),
+        ERROR_ALONG_MOTION_PX / _image_speeds(tracks, single_object.rig),
+    )
+    fine = sd < MAX_SD_FRAMES / rate
+    if fine.sum() < 2:  # an offset is relative to another camera
         fine[:] = False
-    if fine.any() and not settled:
-        problems.append(f"The offsets still change after {ROUNDS} rounds.")
-    offsets = np.where(fine, offsets, whole)
-    # In whole frames nothing is known better than to a part of one.
-    rough = np.where(coarse.told, np.hypot(coarse.sd, 0.3 / rate), np.inf)
-    known = [Known.FINE if f else Known.COARSE if c else Known.NOT for f, c in zip(fine, coarse.told, strict=True)]
-    return Synced(
+    if fine.any() and not converged:
+        problems.append(f"The offsets still change after {MAX_ROUNDS} rounds.")
+    offsets = np.where(fine, offsets, whole_frames)
+    # Offsets in whole frames are never more precise than a part of a frame.
+    coarse_sd = np.where(coarse.is_determined, np.hypot(coarse.sd, 0.3 / rate), np.inf)
+    precision = [
+        OffsetPrecision.FINE if f else OffsetPrecision.COARSE if c else OffsetPrecision.UNOBSERVABLE
+        for f, c in zip(fine, coarse.is_determined, strict=True)
+    ]
+    return TimeOffsets(
         session.rig.names,
         rate,
         offsets - offsets.mean(),
-        np.where(fine, sd, rough),
-        tuple(known),
+        np.where(fine, sd, coarse_sd),
+        tuple(precision),
         coarse,
         before,
         after,
@@ -188,79 +218,82 @@ def sync_session(
     )
 
 
-def _disagreement(tracks: Sequence[Track], rig: Rig, belief: float) -> float:
-    """How many times their standard deviations the offsets from parts of the recording differ; at least 1.
+def _scatter_ratio(tracks: Sequence[Track], rig: Rig, prior_sd: float) -> float:
+    """Return the ratio, at least 1, of the scatter of offsets from parts of the recording to their standard deviations.
 
-    What the motion does not show comes out of errors that look like motion, and differently in every part.
+    Unobservable offsets are determined by errors that resemble motion and differ between the parts.
     """
-    n = min(len(tracks) // PART, PARTS)
+    n = min(len(tracks) // MIN_PART_FRAMES, MAX_PARTS)
     if n < 2:
         return 1.0
     edges = np.linspace(0, len(tracks), n + 1).astype(int)
-    parts = [smooth(tracks[i:j], rig, offsets_sd=belief) for i, j in pairwise(edges)]
+    parts = [smooth(tracks[i:j], rig, offsets_sd=prior_sd) for i, j in pairwise(edges)]
     parts = [part for part in parts if part.status is not Status.TOO_FEW_MATCHES]
     if len(parts) < 2:
         return 1.0
     values, sds = np.array([p.offsets for p in parts]), np.array([p.offsets_sd for p in parts])
     mean = (values / sds**2).sum(axis=0) / (1.0 / sds**2).sum(axis=0)
-    # The offsets' mean is 0: one camera's follows from the others'.
-    freedom = (len(parts) - 1) * (len(rig) - 1)
-    return float(np.sqrt(max((((values - mean) / sds) ** 2).sum() / freedom, 1.0)))
+    # The offsets have mean 0, which removes one degree of freedom.
+    degrees_of_freedom = (len(parts) - 1) * (len(rig) - 1)
+    return float(np.sqrt(max((((values - mean) / sds) ** 2).sum() / degrees_of_freedom, 1.0)))
 
 
-def _speeds(tracks: Sequence[Track], rig: Rig) -> FloatArray:
-    """(C,) how fast the object moves in each camera's images, pixels per second (root of the mean square); where it was not
-    seen to move, next to nothing."""
+def _image_speeds(tracks: Sequence[Track], rig: Rig) -> FloatArray:
+    """Return the rms speed (C,) of the object in each camera's images, pixels per second; tiny without observations."""
     squares, counts = np.full(len(rig), 1e-12), np.ones(len(rig))
     for before, now in pairwise(tracks):
-        for c, (there, here) in enumerate(zip(before.sightings, now.sightings, strict=True)):
-            _, i, j = np.intersect1d(there.landmark, here.landmark, return_indices=True)
-            moved = rig.cameras[c].focal * (here.normalized[j] - there.normalized[i])
-            squares[c] += np.sum((moved / (now.pose.time - before.pose.time)) ** 2)
+        for c, (previous_observations, observations) in enumerate(
+            zip(before.observations, now.observations, strict=True)
+        ):
+            _, i, j = np.intersect1d(previous_observations.landmark_ids, observations.landmark_ids, return_indices=True)
+            displacement = rig.cameras[c].focal * (observations.normalized[j] - previous_observations.normalized[i])
+            squares[c] += np.sum((displacement / (now.pose.time - before.pose.time)) ** 2)
             counts[c] += len(i)
     return np.asarray(np.sqrt(squares / counts))
 
 
-def _pulses(
-    session: Session, start: int, stop: int | None, on_problem: Callable[[str], None], watch: Watch
-) -> list[Pulse]:
-    """How fast each camera's pictures move."""
+def _measure_speeds(
+    session: Session, start: int, stop: int | None, on_problem: Callable[[str], None], show_progress: ProgressWrapper
+) -> list[SpeedSignal]:
+    """Measure the speed of motion in each camera's images."""
     rate = session.rate or 1.0
     last: list[tuple[float, Image] | None] = [None] * len(session.rig)
     samples: list[list[tuple[float, float]]] = [[] for _ in session.rig]
     frames = session.frames(start, stop, on_problem=on_problem)
     end = session.n_frames if stop is None else min(stop, session.n_frames)
-    for frame_set in watch("Looking", end - start, frames):
+    for frame_set in show_progress("Reading", end - start, frames):
         for c, (image, stamp) in enumerate(zip(frame_set.images, frame_set.times, strict=True)):
             if image is None:
                 continue
-            now = (frame_set.time if stamp is None else stamp, small_grey(image))
+            now = (frame_set.time if stamp is None else stamp, to_small_gray(image))
             before = last[c]
             if before is not None and now[0] - before[0] < 2.5 / rate:
-                speed = image_speed(before[1], now[1]) / ((now[0] - before[0]) * rate)
+                speed = compute_image_speed(before[1], now[1]) / ((now[0] - before[0]) * rate)
                 samples[c].append(((now[0] + before[0]) / 2, speed))
             last[c] = now
-    return [Pulse(*np.array(s).reshape(-1, 2).T) for s in samples]
+    return [SpeedSignal(*np.array(s).reshape(-1, 2).T) for s in samples]
 
 
-def write_offsets(synced: Synced, path: Path) -> None:
-    """The offsets as TOML, `cam_0 = 0.0042`, with what is known of each as a comment.
+def write_offsets(offsets: TimeOffsets, path: Path) -> None:
+    """Write the offsets as TOML, `cam_0 = 0.0042`, each with its precision as a comment.
 
     Raises:
-        OSError: naming the file.
+        OSError: the file cannot be written; the message names it.
     """
-    lines = ["# Seconds by which each camera's images are later than their times say, as found by `sylpose sync`."]
-    for name, offset, sd, known in zip(synced.cameras, synced.offsets, synced.sd, synced.known, strict=True):
-        key = toml_key(name)
-        about = f"give or take {sd:.6f}" if np.isfinite(sd) else "not shown by the motion"
+    lines = ["# Delay of each camera's images relative to their timestamps, seconds, estimated by `sylpose sync`."]
+    for name, offset, sd, known in zip(offsets.cameras, offsets.offsets, offsets.sd, offsets.precision, strict=True):
+        key = format_toml_key(name)
+        precision_text = f"+- {sd:.6f} (1 sd)" if np.isfinite(sd) else "not observable from the motion"
         lines.append(
-            f"{key} = {offset:.6f}  # {known.value}: {about}" if np.isfinite(sd) else f"{key} = 0.0  # {about}"
+            f"{key} = {offset:.6f}  # {known.value}: {precision_text}"
+            if np.isfinite(sd)
+            else f"{key} = 0.0  # {precision_text}"
         )
-    with replacing(path) as part:
+    with replace_atomically(path) as part:
         part.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def sync_aloud(
+def run_sync_command(
     session: Session,
     out: Path | None = None,
     *,
@@ -268,72 +301,78 @@ def sync_aloud(
     start: int = 0,
     stop: int | None = None,
     seed: int = 0,
-) -> Synced:
-    """`sync_session` with everything that is said about it; writes the offsets unless none is known.
+) -> TimeOffsets:
+    """Run `sync_session` with terminal output, and write the offsets unless all are unknown.
 
     Args:
-        out: the file; None: `offsets.toml` in the session's folder.
+        session: as in `sync_session`.
+        out: the file; None for `offsets.toml` in the session's folder.
+        max_lag, start, stop, seed: as in `sync_session`.
 
     Raises:
-        KeyboardInterrupt: with a sentence.
+        KeyboardInterrupt: with a message.
         ValueError, OSError: as `sync_session` and `write_offsets`.
     """
     path = session.path / OFFSETS_FILE if out is None else out
-    _check_asked(session, out, seed)
+    _check_arguments(session, out, seed)
     console = console_output.make_console()
-    console.print(console_output.headline(session))
+    console.print(console_output.format_headline(session))
     console_output.print_warnings(console, session.warnings)
-    compile_aloud(console)
-    progress = _Watching()
+    compile_with_progress(console)
+    progress = _ProgressBars()
     try:
-        synced = sync_session(session, max_lag=max_lag, start=start, stop=stop, seed=seed, watch=progress)
+        synced = sync_session(session, max_lag=max_lag, start=start, stop=stop, seed=seed, show_progress=progress)
     except KeyboardInterrupt:
-        raise KeyboardInterrupt(f"interrupted; {path} is as it was") from None
+        raise KeyboardInterrupt(f"interrupted; {path} is unchanged") from None
     finally:
         progress.stop()
     console.print()
     console_output.print_table(
-        console, ("Camera", "late", "give or take", "frames", "residual", "offset"), _rows(synced)
+        console, ("Camera", "delay", "+- 1 sd", "frames", "residual", "offset"), _table_rows(synced)
     )
     console.print()
-    found = [*synced.problems]
-    for known in (Known.COARSE, Known.NOT):
-        names = [name for name, k in zip(synced.cameras, synced.known, strict=True) if k is known]
+    warnings = [*synced.problems]
+    for known in (OffsetPrecision.COARSE, OffsetPrecision.UNOBSERVABLE):
+        names = [name for name, k in zip(synced.cameras, synced.precision, strict=True) if k is known]
         if names:
-            found.append(f"{', '.join(names)}: {known.text[0].lower()}{known.text[1:]}")
-    console_output.print_warnings(console, found)
-    if any(known is not Known.NOT for known in synced.known):
+            warnings.append(f"{', '.join(names)}: {known.text[0].lower()}{known.text[1:]}")
+    console_output.print_warnings(console, warnings)
+    if any(known is not OffsetPrecision.UNOBSERVABLE for known in synced.precision):
         write_offsets(synced, path)
         console_output.print_files(console, "Offsets", [path])
     return synced
 
 
-def _check_asked(session: Session, out: Path | None, seed: int) -> None:
-    """Raises ValueError, before any frame is looked at, for what would only fail at the end, or replace another file."""
+def _check_arguments(session: Session, out: Path | None, seed: int) -> None:
+    """Check the arguments before reading frames.
+
+    Raises:
+        ValueError: arguments that would fail later or replace another file.
+    """
     if seed < 0:
         raise ValueError(f"--seed must not be negative, got {seed}")
     if out is not None:
-        output_folder(out.parent)
+        make_output_folder(out.parent)
     if out is not None and out.exists():
         try:
             load_offsets(out, session.rig.names)
         except (OSError, ValueError):
-            raise ValueError(f"--out {out}: is there, and no file of offsets that could be replaced") from None
+            raise ValueError(f"--out {out}: exists and is not a file of offsets, so it is not replaced") from None
 
 
-def _rows(synced: Synced) -> list[list[str]]:
+def _table_rows(synced: TimeOffsets) -> list[list[str]]:
     rows = []
-    for c, (name, known) in enumerate(zip(synced.cameras, synced.known, strict=True)):
-        late, sd = 1e3 * synced.offsets[c], 1e3 * synced.sd[c]
-        digits = 2 if known is Known.FINE else 0
-        shown = known is not Known.NOT
+    for c, (name, known) in enumerate(zip(synced.cameras, synced.precision, strict=True)):
+        delay, sd = 1e3 * synced.offsets[c], 1e3 * synced.sd[c]
+        digits = 2 if known is OffsetPrecision.FINE else 0
+        is_known = known is not OffsetPrecision.UNOBSERVABLE
         residual = f"{synced.before[c]:.2f} to {synced.after[c]:.2f} px" if np.isfinite(synced.before[c]) else "-"
         rows.append(
             [
                 name,
-                f"{late:.{digits}f} ms" if shown else "-",
-                f"{sd:.{digits}f} ms" if shown else "-",
-                f"{synced.offsets[c] * synced.rate:.{digits}f}" if shown else "-",
+                f"{delay:.{digits}f} ms" if is_known else "-",
+                f"{sd:.{digits}f} ms" if is_known else "-",
+                f"{synced.offsets[c] * synced.rate:.{digits}f}" if is_known else "-",
                 residual,
                 known.value,
             ]
@@ -341,8 +380,8 @@ def _rows(synced: Synced) -> list[list[str]]:
     return rows
 
 
-class _Watching:
-    """A progress bar on stderr for one loop after the other; nothing when that is no terminal."""
+class _ProgressBars:
+    """Progress bar on stderr for successive loops; nothing without a terminal."""
 
     def __init__(self) -> None:
         console = console_output.make_console(stderr=True)
@@ -355,8 +394,8 @@ class _Watching:
         self._progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
         self._progress.start()
 
-    def __call__(self, what: str, total: int, frames: Iterable[FrameSet]) -> Iterator[FrameSet]:
-        task = self._progress.add_task(what, total=total)
+    def __call__(self, description: str, total: int, frames: Iterable[FrameSet]) -> Iterator[FrameSet]:
+        task = self._progress.add_task(description, total=total)
         for frame_set in frames:
             yield frame_set
             self._progress.advance(task)
@@ -366,5 +405,5 @@ class _Watching:
         self._progress.stop()
 
 
-def _unsaid(problem: str) -> None:
+def _ignore_problem(problem: str) -> None:
     pass

@@ -1,22 +1,22 @@
-"""What this process may use of the computer that it runs on."""
+"""Cores and memory available to this process."""
 
 from __future__ import annotations
 
 import os
 from contextlib import suppress
 
-__all__ = ["cores", "memory_of_machine"]
+__all__ = ["available_cores", "available_memory"]
 
 
-def cores() -> int:
-    """That this process may use: SLURM and containers give fewer than there are."""
+def available_cores() -> int:
+    """Return the number of cores that this process may use; SLURM and containers may limit them."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
-def memory_of_machine() -> int | None:
-    """Bytes; what a SLURM job or a container may have where that is less; None where nobody says."""
+def available_memory() -> int | None:
+    """Return the memory in bytes, limited by a SLURM job or a container; None if unknown."""
     sizes = []
     with suppress(ValueError, OSError, AttributeError):
         sizes.append(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))

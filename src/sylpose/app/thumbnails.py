@@ -1,4 +1,4 @@
-"""Small pictures of some frames of a run, spread evenly over it however long it turns out to be."""
+"""Thumbnails of some frames of a run, evenly spread for any length of the run."""
 
 from __future__ import annotations
 
@@ -7,23 +7,23 @@ from collections.abc import Iterable
 import numpy as np
 
 from sylpose.frames import FrameSet
-from sylpose.report.pictures import thumbnail
-from sylpose.report.scene import Stills
+from sylpose.report.pictures import encode_thumbnail
+from sylpose.report.scene import Thumbnails
 
-__all__ = ["FEWEST", "Album", "step_after"]
+__all__ = ["MIN_THUMBNAILS", "ThumbnailAlbum", "thumbnail_step"]
 
-# So many frames are kept at least, where there are as many, and below twice as many (choice: one a second or two of a usual
-# recording).
-FEWEST = 24
+# Smallest number of frames that are kept, if the run has as many; at most twice as many (choice: one per second or two
+# of a usual recording).
+MIN_THUMBNAILS = 24
 
 
-class Album:
-    """Keeps every frame at first, and every second one of what there is whenever it has twice as many as it should.
+class ThumbnailAlbum:
+    """Collection of thumbnails that drops every second frame whenever it has twice the intended number.
 
-    What is kept depends on how many frames there were, and on nothing else.
+    The kept frames depend only on the number of frames.
 
     Args:
-        cameras: how many.
+        cameras: number of cameras.
     """
 
     def __init__(self, cameras: int) -> None:
@@ -33,33 +33,34 @@ class Album:
         self._position = 0
 
     def put(self, frames: FrameSet) -> None:
-        """The next frame of the run."""
+        """Add the next frame of the run."""
         if self._position % self._step == 0:
-            self._kept.append((frames.index, tuple(thumbnail(image, self._cameras) for image in frames.images)))
+            self._kept.append((frames.index, tuple(encode_thumbnail(image, self._cameras) for image in frames.images)))
         self._position += 1
-        if len(self._kept) == 2 * FEWEST:
+        if len(self._kept) == 2 * MIN_THUMBNAILS:
             self._kept, self._step = self._kept[::2], 2 * self._step
 
-    def go_on(self, position: int, again: Iterable[FrameSet]) -> None:
-        """As if the first `position` frames of a run had been put in.
+    def restore(self, position: int, frames_kept: Iterable[FrameSet]) -> None:
+        """Restore the state after the first `position` frames of a run.
 
         Args:
-            again: every `step_after(position)`-th of them.
+            position: number of frames.
+            frames_kept: every `thumbnail_step(position)`-th of them.
         """
-        self._step = step_after(position)
-        for frames in again:
-            self._kept.append((frames.index, tuple(thumbnail(image, self._cameras) for image in frames.images)))
+        self._step = thumbnail_step(position)
+        for frames in frames_kept:
+            self._kept.append((frames.index, tuple(encode_thumbnail(image, self._cameras) for image in frames.images)))
         self._position = position
 
-    def stills(self) -> Stills:
-        """What there is by now."""
+    def stills(self) -> Thumbnails:
+        """Return the thumbnails kept so far."""
         index = np.array([number for number, _ in self._kept], np.int64)
-        return Stills(index, tuple(images for _, images in self._kept))
+        return Thumbnails(index, tuple(images for _, images in self._kept))
 
 
-def step_after(position: int) -> int:
-    """Of so many frames every how many-th is kept."""
+def thumbnail_step(position: int) -> int:
+    """Return the spacing of the frames kept after `position` frames."""
     step = 1
-    while -(-position // step) >= 2 * FEWEST:
+    while -(-position // step) >= 2 * MIN_THUMBNAILS:
         step *= 2
     return step

@@ -1,4 +1,4 @@
-"""`track_session` for a terminal: what is known before, a progress bar, interrupts, what was found."""
+"""`sylpose track` in a terminal: warnings, progress bar, interrupts and summary."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sylpose.app import console_output
-from sylpose.app.check import concerns, object_place, obstacles
-from sylpose.app.pose_stream import STDOUT, listener
-from sylpose.app.precompile import compile_aloud
+from sylpose.app.check import check_session, list_errors, locate_object
+from sylpose.app.pose_stream import STDOUT, open_pose_stream
+from sylpose.app.precompile import compile_with_progress
 from sylpose.app.progress import TrackingProgress
 from sylpose.app.results_folder import EARLIER
-from sylpose.app.run import Run, output_path, track_session, unit_of
-from sylpose.app.session_warnings import boxes_by
+from sylpose.app.run import Run, output_path, result_unit, track_session
+from sylpose.app.session_warnings import boxes_hint
 from sylpose.capture import Session
 from sylpose.capture.live import LiveSession
-from sylpose.report.json_lines import pose_line
+from sylpose.report.json_lines import format_pose_line
 from sylpose.results import FramePose
 from sylpose.rig import Rig
 from sylpose.tracking.tracked_frame import TrackedFrame
@@ -28,10 +28,10 @@ from sylpose.tracking.tracked_frame import TrackedFrame
 if TYPE_CHECKING:
     from sylpose.app.live_page import LivePage
 
-__all__ = ["track_aloud", "why_nothing"]
+__all__ = ["explain_failures", "run_track_command"]
 
 
-def track_aloud(
+def run_track_command(
     session: Session | LiveSession,
     out: Path | None,
     *,
@@ -43,56 +43,67 @@ def track_aloud(
     browser: bool = True,
     **options: Any,
 ) -> Run:
-    """`track_session` with everything that is said about it; `options` are those of `track_session`.
+    """Run `track_session` with terminal output.
 
-    Ctrl-C ends the run after the present frame, twice at once. Live sessions end with it as if the cameras had ended.
+    The first Ctrl-C ends the run after the current frame, the second one immediately. A live session ends as if its
+    cameras had stopped.
 
     Args:
-        quiet: only what looks wrong is said, on stderr.
-        verbose: a line for each frame.
-        poses: who is told each pose (`app.pose_stream`); where that is stdout, everything else goes to stderr.
-        show: what is tracked is shown on a page meanwhile (`app.live_page`), at this port, in the browser.
+        session: as in `track_session`.
+        out: as in `track_session`.
+        quiet: print only warnings, on stderr.
+        verbose: print one line per frame.
+        poses: destination of the pose stream (`app.pose_stream`); if it is stdout, all other output goes to stderr.
+        show: show the run on a page in the browser (`app.live_page`).
+        port: port of that page.
+        browser: open the page in the browser.
+        options: the options of `track_session`.
+
+    Returns:
+        The result of `track_session`.
 
     Raises:
-        KeyboardInterrupt: with a sentence.
-        ValueError, OSError: as `track_session`; both quiet and verbose; a listener that there cannot be.
+        KeyboardInterrupt: with a message.
+        ValueError, OSError: as `track_session`; both quiet and verbose; an invalid stream destination.
     """
     if quiet and verbose:
         raise ValueError("--quiet and --verbose exclude each other")
     with ExitStack() as stack:
-        tell = None if poses is None else stack.enter_context(listener(poses))
+        stream_pose = None if poses is None else stack.enter_context(open_pose_stream(poses))
         known = next(iter((options.get("known") or {}).values()), None)
-        rig = Rig(session.rig.cameras, unit_of(session.rig, known))
-        page = stack.enter_context(_shown(session, rig, out, port, browser, poses == STDOUT)) if show else None
-        return _track_aloud(session, out, tell, page, poses == STDOUT, quiet, verbose, options)
+        rig = Rig(session.rig.cameras, result_unit(session.rig, known))
+        page = (
+            stack.enter_context(_serve_live_page(session, rig, out, port, browser, poses == STDOUT)) if show else None
+        )
+        return _track_with_output(session, out, stream_pose, page, poses == STDOUT, quiet, verbose, options)
 
 
 @contextmanager
-def _shown(
+def _serve_live_page(
     session: Session | LiveSession, rig: Rig, out: Path | None, port: int, browser: bool, to_stdout: bool
 ) -> Iterator[LivePage]:
-    """A page on which a run is shown while it goes on; `rig` has its poses' unit."""
+    """Serve a page that shows the run while it is tracked; `rig` has the unit of its poses."""
     from sylpose.app.live_page import LivePage
     from sylpose.app.local_page import open_browser
-    from sylpose.app.viewer_server import viewer_server
+    from sylpose.app.viewer_server import serve_viewer
 
     with (
-        viewer_server(port=port) as (server, url),
+        serve_viewer(port=port) as (server, url),
         LivePage(server, rig, session.objects, session.path.resolve().name) as page,
     ):
         opened = browser and open_browser(url)
         console = console_output.make_console(stderr=to_stdout)
         console.print(f"{'Opened' if opened else 'Open'} {url} in a browser.", soft_wrap=True)
         yield page
-    if page.failed:
-        console_output.say(page.failed)
+    if page.error:
+        console_output.print_to_stderr(page.error)
     console.print(f"To see it again: sylpose show {shlex.quote(str(output_path(session, out)))}", soft_wrap=True)
 
 
-def _track_aloud(
+def _track_with_output(
     session: Session | LiveSession,
     out: Path | None,
-    tell: Callable[[str], None] | None,
+    stream_pose: Callable[[str], None] | None,
     page: LivePage | None,
     to_stdout: bool,
     quiet: bool,
@@ -100,19 +111,19 @@ def _track_aloud(
     options: dict[str, Any],
 ) -> Run:
     console = console_output.make_console(stderr=to_stdout, quiet=quiet)
-    warned = console_output.make_console(stderr=True) if quiet else console
-    known = options.get("known") or {}  # boxes of those are not used
-    places = {name: object_place(session.of(name)) for name in session.objects if name not in known}
-    if wrong := obstacles(places):
-        raise ValueError(f"{'; '.join(wrong)} ({boxes_by(session)} anew)")
-    console.print(console_output.headline(session))
+    warning_console = console_output.make_console(stderr=True) if quiet else console
+    known = options.get("known") or {}  # their boxes are not used
+    object_boxes = {name: locate_object(session.select_object(name)) for name in session.objects if name not in known}
+    if errors := list_errors(object_boxes):
+        raise ValueError(f"{'; '.join(errors)}; correct the boxes: {boxes_hint(session)}")
+    console.print(console_output.format_headline(session))
     if session.world is not None:
-        console.print(f"World: {session.world.said or 'of a file'}.", highlight=False)
+        console.print(f"World: {session.world.description or 'from a file'}.", highlight=False)
     start, stop, every = options.get("start", 0), options.get("stop"), options.get("every", 1)
-    console_output.print_warnings(warned, concerns(session, start))
+    console_output.print_warnings(warning_console, check_session(session, start))
     if offsets := {name: seconds for name, seconds in (options.get("offsets") or {}).items() if seconds}:
-        late = ", ".join(f"{name} {1000 * seconds:.4g} ms" for name, seconds in offsets.items())
-        console.print(f"Later than their times say: {late} (--offsets, or offsets.toml in the recording).")
+        offsets_text = ", ".join(f"{name} {1000 * seconds:.4g} ms" for name, seconds in offsets.items())
+        console.print(f"Time offsets: {offsets_text} (from --offsets, or offsets.toml in the recording).")
     frames = None
     if session.n_frames is not None:
         frames = len(range(start, session.n_frames if stop is None else min(stop, session.n_frames), max(every, 1)))
@@ -120,17 +131,17 @@ def _track_aloud(
         frames = len(range(start, stop, max(every, 1)))
     problems: list[str] = []
     last: TrackedFrame | None = None
-    units = {name: unit_of(session.rig, known.get(name)) for name in session.objects}
-    compile_aloud(console)
+    units = {name: result_unit(session.rig, known.get(name)) for name in session.objects}
+    compile_with_progress(console)
     with (
         TrackingProgress(len(session.rig), frames, len(session.objects), quiet=quiet) as progress,
-        _interrupts(session) as asked,
+        _defer_interrupts(session) as is_interrupted,
     ):
 
         def on_problem(problem: str) -> None:
             problems.append(problem)
-            if isinstance(session, LiveSession):  # it may go on for hours
-                console_output.print_warnings(warned, [problem])
+            if isinstance(session, LiveSession):  # report at once: it may run for hours
+                console_output.print_warnings(warning_console, [problem])
 
         def on_frame(tracked: TrackedFrame) -> None:
             nonlocal last
@@ -139,20 +150,22 @@ def _track_aloud(
 
         def on_pose(name: str, pose: FramePose) -> None:
             if page is not None and last is not None:
-                page.put(name, last)  # it is the same frame's
+                page.update(name, last)  # `last` is the same frame
             of = name if len(session.objects) > 1 else ""
             if verbose:
-                console.print(console_output.frame_line(of, pose, session.rig.names, units[name]), soft_wrap=True)
-            if tell is not None:
-                tell(pose_line(pose, session.rig.names, units[name], **({"object": of} if of else {})))
+                console.print(
+                    console_output.format_frame_line(of, pose, session.rig.names, units[name]), soft_wrap=True
+                )
+            if stream_pose is not None:
+                stream_pose(format_pose_line(pose, session.rig.names, units[name], **({"object": of} if of else {})))
 
         def on_smoothing(number: int) -> None:
-            progress.smoothing(number)
+            progress.report_smoothing_round(number)
             if page is not None:
-                page.say("All poses are refined together.")
+                page.show_status("All poses are refined jointly.")
 
         def on_resume(done: int) -> None:
-            console.print(f"Going on after {done} of {frames} frames.")
+            console.print(f"Resuming after {done} of {frames} frames.")
             progress.skip(done)
 
         try:
@@ -164,72 +177,74 @@ def _track_aloud(
                 on_pose=on_pose,
                 on_smoothing=on_smoothing,
                 on_problem=on_problem,
-                interrupted=asked,
+                interrupted=is_interrupted,
                 **options,
             )
         except BaseException as error:
             progress.stop()
             if not isinstance(session, LiveSession):
-                console_output.print_warnings(warned, problems)
+                console_output.print_warnings(warning_console, problems)
             of = "" if frames is None else f" of {frames}"
             folder = output_path(session, out)
-            said = f"after {progress.done}{of} frames; what was computed is in {folder}"
+            progress_text = f"after {progress.done}{of} frames; the results so far are in {folder}"
             if (folder / EARLIER).exists():
-                said += f", what was there before in {folder / EARLIER}"
+                progress_text += f", earlier results in {folder / EARLIER}"
             if isinstance(error, KeyboardInterrupt):
-                raise KeyboardInterrupt(f"interrupted {said}") from None
+                raise KeyboardInterrupt(f"interrupted {progress_text}") from None
             if progress.tracked:
-                console_output.say(f"stopped {said}")
+                console_output.print_to_stderr(f"stopped {progress_text}")
             raise
     console.print()
     console_output.print_summary(console, run, progress.tracked)
     if quiet and not isinstance(session, LiveSession):
-        console_output.print_warnings(warned, run.problems)
+        console_output.print_warnings(warning_console, run.problems)
     return run
 
 
 @contextmanager
-def _interrupts(session: Session | LiveSession) -> Iterator[Callable[[], bool]]:
-    """Within it the first Ctrl-C is only remembered; gives what tells whether there was one."""
-    asked = threading.Event()
-    before = signal.getsignal(signal.SIGINT)
-    # Only the main thread may; and whoever ignores or handles interrupts has a reason.
-    if threading.current_thread() is not threading.main_thread() or before is not signal.default_int_handler:
-        yield asked.is_set
+def _defer_interrupts(session: Session | LiveSession) -> Iterator[Callable[[], bool]]:
+    """Defer the first Ctrl-C; yield a function that returns whether it was pressed."""
+    pressed = threading.Event()
+    previous = signal.getsignal(signal.SIGINT)
+    # Only the main thread can set handlers, and an application's own handler is kept.
+    if threading.current_thread() is not threading.main_thread() or previous is not signal.default_int_handler:
+        yield pressed.is_set
         return
 
-    def remember(*_: object) -> None:
-        signal.signal(signal.SIGINT, before)
+    def handle(*_: object) -> None:
+        signal.signal(signal.SIGINT, previous)
         if isinstance(session, LiveSession):
-            session.stop()  # the ordinary end of a live session
+            session.stop()  # the regular end of a live session
         else:
-            asked.set()
+            pressed.set()
 
-    signal.signal(signal.SIGINT, remember)
+    signal.signal(signal.SIGINT, handle)
     try:
-        yield asked.is_set
+        yield pressed.is_set
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, previous)
 
 
-def why_nothing(session: Session | LiveSession, run: Run) -> list[str]:
-    """A sentence for each object that was found in no frame."""
-    said = []
+def explain_failures(session: Session | LiveSession, run: Run) -> list[str]:
+    """Explain for each object without a solved frame why there is none, one sentence per object."""
+    reasons = []
     for name, trajectory in run.trajectories.items():
-        if console_output.solved(trajectory):
+        if console_output.select_solved_frames(trajectory):
             continue
         prefix = f"{name}: " if len(run.trajectories) > 1 else ""
         statuses = [frame.status for frame in trajectory if frame.world_from_object is None]
         if not len(trajectory):
-            said.append(f"{prefix}no frame was tracked")
+            reasons.append(f"{prefix}no frame was tracked")
         elif not statuses:
-            said.append(f"{prefix}no motion could be found: there is only the first frame, to which all is relative")
+            reasons.append(
+                f"{prefix}no motion could be estimated: there is only the first frame, the reference of all poses"
+            )
         else:
             sentence = f"{prefix}no frame could be solved. {max(statuses, key=statuses.count).text}"
-            if not session.of(name).boxes and session.masks is None:
+            if not session.select_object(name).boxes and session.masks is None:
                 sentence += (
-                    f" Boxes of the object in the first frame ({boxes_by(session)}) or masks (--masks) would help to find "
-                    "it."
+                    f" Provide boxes of the object in the first frame ({boxes_hint(session)}) or masks (--masks) to "
+                    "select it."
                 )
-            said.append(sentence)
-    return said
+            reasons.append(sentence)
+    return reasons

@@ -1,4 +1,4 @@
-"""What `--world` asks for: a board that is seen, a direction, or a file -> `World`."""
+"""World frames from `--world`: a detected board, a direction, or a file."""
 
 from __future__ import annotations
 
@@ -11,44 +11,44 @@ from pathlib import Path
 
 import numpy as np
 
-from sylpose.boards.board_pose import Sighting, find_board
+from sylpose.boards.board_pose import BoardObservation, find_board
 from sylpose.boards.specification import EXAMPLES, Board, is_board, parse_board
-from sylpose.calibration.world import World, load_world, up_in_words
+from sylpose.calibration.world import World, load_world, parse_up_world
 from sylpose.capture import Session
 from sylpose.capture.frame_readers import CameraReader
 from sylpose.capture.images import read_image
 from sylpose.capture.names import IMAGE_SUFFIXES, match_names
 from sylpose.capture.session import SessionBase
-from sylpose.capture.sources import NO_CAMERAS, VIDEO_SUFFIXES, source_of
+from sylpose.capture.sources import NON_CAMERA_NAMES, VIDEO_SUFFIXES, open_source
 from sylpose.geometry.arrays import Image
-from sylpose.input_limits import one_line
+from sylpose.input_limits import to_one_line
 from sylpose.results import Status
 from sylpose.rig import Rig
-from sylpose.units import METRES
+from sylpose.units import METERS
 
-__all__ = ["WorldAsked", "asked_world", "in_words", "world_asked", "world_of_session"]
+__all__ = ["WorldSpec", "is_world_text", "parse_world_option", "resolve_session_world", "resolve_world"]
 
-# A board that is seen as so much larger or smaller than was said is another one (choice: a printer's scaling is less).
-SIZE_OFF = 0.05
+# Largest log ratio of a board's measured to its given size (choice: a printer's scaling is less).
+MAX_LOG_SIZE_RATIO = 0.05
 
-_WHY = {
+_FAILURE_REASONS = {
     Status.TOO_FEW_MATCHES: "fewer than four of its points",
-    Status.TURN_NOT_OBSERVABLE: "how it is tilted cannot be told; more cameras, or a larger board, would tell it",
-    Status.SCALE_NOT_OBSERVABLE: "how far away it is cannot be told; more cameras, or a larger board, would tell it",
-    Status.NOT_CONSISTENT: "what they see of it does not fit together: it is another board, or a camera was moved",
+    Status.ROTATION_NOT_OBSERVABLE: "its tilt is not observable; use more cameras or a larger board",
+    Status.SCALE_NOT_OBSERVABLE: "its distance is not observable; use more cameras or a larger board",
+    Status.NOT_CONSISTENT: "their detections are inconsistent: it is another board, or a camera was moved",
 }
 
-Images = Callable[[], Sequence[Image | None]]
+ImageReader = Callable[[], Sequence[Image | None]]
 
 
 @dataclass(frozen=True)
-class WorldAsked:
-    """The options about a world, as they were given.
+class WorldSpec:
+    """World options of a command.
 
     Attributes:
         world: a board, a direction or a file.
-        frame: of the images in which the board is looked for; None: the first.
-        images: a folder with them, instead of the recording.
+        frame: number of the frame in which the board is detected; None for the first.
+        images: folder with images of the board, instead of the recording.
     """
 
     world: str
@@ -56,149 +56,159 @@ class WorldAsked:
     images: Path | None = None
 
 
-def in_words(world: str) -> bool:
-    """Whether a world is told in words, a board or a direction, and not by a file."""
+def is_world_text(world: str) -> bool:
+    """Return whether a world is given as text (a board or a direction) instead of a file."""
     return is_board(world) or re.match(r"\s*up\s*=", world) is not None
 
 
-def asked_world(world: str | None, frame: int | None, images: Path | None) -> WorldAsked | None:
-    """The three options of a command.
+def parse_world_option(world: str | None, frame: int | None, images: Path | None) -> WorldSpec | None:
+    """Combine the three world options of a command; return None without `--world`.
 
     Raises:
-        ValueError: the others without the first.
+        ValueError: the other options without `--world`.
     """
     if world is None and (frame is not None or images is not None):
-        raise ValueError("--world-frame and --world-from say where a board is seen: --world is missing")
-    return None if world is None else WorldAsked(world, frame, images)
+        raise ValueError("--world-frame and --world-from require --world")
+    return None if world is None else WorldSpec(world, frame, images)
 
 
-def world_of_session(session: SessionBase, asked: WorldAsked) -> tuple[World, list[str]]:
-    """The world that is asked for, of a session in its calibration's own one; and sentences on what to know of it.
+def resolve_session_world(session: SessionBase, spec: WorldSpec) -> tuple[World, list[str]]:
+    """Determine the requested world of a session that is in its calibration's world; also return notes about it.
 
     Raises:
-        ValueError: as `world_asked`; a board in images of live cameras, or a frame that the session does not have.
+        ValueError: as `resolve_world`; a board in images of live cameras, or a frame that the session does not have.
     """
 
-    def seen() -> Sequence[Image | None]:
-        frame = asked.frame or 0
+    def read_images() -> Sequence[Image | None]:
+        frame = spec.frame or 0
         if not isinstance(session, Session):
             raise ValueError(
-                "--world: a board is looked for in a recording: give images of it by --world-from, or a world.toml"
+                "--world: live cameras cannot detect a board; give images of it with --world-from, or a world.toml"
             )
         if not 0 <= frame < session.n_frames:
             raise ValueError(f"--world-frame {frame}: the recording has frames 0 to {session.n_frames - 1}")
         with closing(session.frames(frame, frame + 1, on_problem=lambda _: None)) as frames:
             return next(frames).images
 
-    return world_asked(session.rig, asked, seen)
+    return resolve_world(session.rig, spec, read_images)
 
 
-def world_asked(rig: Rig, asked: WorldAsked, seen: Images | None = None) -> tuple[World, list[str]]:
-    """The world that is asked for, and sentences on what to know of it.
+def resolve_world(rig: Rig, spec: WorldSpec, read_images: ImageReader | None = None) -> tuple[World, list[str]]:
+    """Determine the requested world frame.
 
     Args:
-        rig: as calibrated, in its own world.
-        seen: gives what its cameras see, where boards are looked for if not in images elsewhere.
+        rig: the cameras in the calibration's world.
+        spec: the world options.
+        read_images: returns the cameras' images, in which boards are detected unless the options give other images.
+
+    Returns:
+        The world, and notes about it as sentences.
 
     Raises:
-        ValueError: what is asked for is none of the three; a board that is not seen, or not where it is said to be.
+        ValueError: neither a board, a direction nor a file; a board that is not detected, or of another size.
         OSError: a file that cannot be read.
     """
-    text = asked.world
+    text = spec.world
     is_file = Path(text).is_file()
     if is_board(text) and not is_file:
         board = parse_board(text, rig.unit)
-        if asked.images is not None:
-            seen = partial(_images_of, asked.images, rig, asked.frame or 0)
-        elif seen is None:
-            raise ValueError(
-                f"--world {_shown(text)}: --world-from FOLDER is missing: images in which the board is seen"
-            )
-        frame = f"frame {asked.frame or 0}" + (f" of {asked.images}" if asked.images is not None else "")
-        return _of_board(rig, board, find_board(rig, seen(), board), frame)
-    if asked.frame is not None or asked.images is not None:
-        raise ValueError(f"--world-frame and --world-from are for boards, and --world {_shown(text)} is none")
+        if spec.images is not None:
+            read_images = partial(_read_board_images, spec.images, rig, spec.frame or 0)
+        elif read_images is None:
+            raise ValueError(f"--world {_shorten(text)}: --world-from FOLDER, with images of the board, is missing")
+        frame = f"frame {spec.frame or 0}" + (f" of {spec.images}" if spec.images is not None else "")
+        return _make_board_world(rig, board, find_board(rig, read_images(), board), frame)
+    if spec.frame is not None or spec.images is not None:
+        raise ValueError(f"--world-frame and --world-from require a board, but --world {_shorten(text)} is none")
     if is_file:
         return load_world(text, rig), []
-    if (world := up_in_words(text, rig.unit)) is not None:
+    if (world := parse_up_world(text, rig.unit)) is not None:
         return world, []
     raise ValueError(
-        f"--world {_shown(text)}: neither a file that is there, nor a board such as {EXAMPLES[0]}, nor a direction such as "
-        "up=0,-1,0"
+        f"--world {_shorten(text)}: neither an existing file, nor a board such as {EXAMPLES[0]}, nor a direction such "
+        "as up=0,-1,0"
     )
 
 
-def _of_board(rig: Rig, board: Board, found: Sighting, frame: str) -> tuple[World, list[str]]:
-    """Raises ValueError: a board that is not seen, not surely, or of another size."""
-    what = f"--world {_shown(board.text)}"
-    problems = "".join(f"; {problem}" for problem in found.problems)
-    if not found.cameras:
-        raise ValueError(f"{what}: no camera sees it in {frame}{problems}")
-    if found.size is not None and abs(np.log(found.size)) > SIZE_OFF:
+def _make_board_world(rig: Rig, board: Board, detection: BoardObservation, frame: str) -> tuple[World, list[str]]:
+    """Create the world of a detected board; raise ValueError if it is not detected, ambiguous, or of another size."""
+    option_text = f"--world {_shorten(board.text)}"
+    problems = "".join(f"; {problem}" for problem in detection.problems)
+    if not detection.cameras:
+        raise ValueError(f"{option_text}: no camera sees it in {frame}{problems}")
+    if detection.size_ratio is not None and abs(np.log(detection.size_ratio)) > MAX_LOG_SIZE_RATIO:
         raise ValueError(
-            f"{what}: the cameras see it {found.size:.3g} times as large as that: a length in it is wrong, or the "
-            f"calibration is not in {rig.unit or 'the same unit'}"
+            f"{option_text}: the board appears {detection.size_ratio:.3g} times as large: its given length is wrong, "
+            f"or the calibration is not in {rig.unit or 'the same unit'}"
         )
-    by = ", ".join(rig.names[c] for c in found.cameras)
-    if found.motion.motion is None or found.motion.status is not Status.OK:
-        why = _WHY.get(found.motion.status, "where it is cannot be told")
-        raise ValueError(f"{what}: {by} see{'s' if len(found.cameras) == 1 else ''} it in {frame}, but {why}{problems}")
-    notes = [f"The board of the world: {problem}." for problem in found.problems]
-    if found.alike > 1:
-        first = rig.names[found.cameras[0]]
+    camera_names = ", ".join(rig.names[c] for c in detection.cameras)
+    if detection.motion.motion is None or detection.motion.status is not Status.OK:
+        reason = _FAILURE_REASONS.get(detection.motion.status, "its pose is unknown")
+        raise ValueError(
+            f"{option_text}: {camera_names} see{'s' if len(detection.cameras) == 1 else ''} it in {frame}, but "
+            f"{reason}{problems}"
+        )
+    notes = [f"The board of the world: {problem}." for problem in detection.problems]
+    if detection.n_symmetries > 1:
+        first = rig.names[detection.cameras[0]]
         notes.append(
-            f"The board looks the same after {'half' if found.alike == 2 else 'a quarter of'} a turn: x of the world is "
-            f"what is most to the right for {first}."
+            f"The board is symmetric under rotations by {360 // detection.n_symmetries}°: the world's x axis is the "
+            f"one that points most to the right for {first}."
         )
-    said = f"{board.text}, seen in {frame} by {by}, {_how_well(found, rig.unit)}"
-    return World(found.motion.motion.inv(), said, rig.unit, 1.0, rig.unit), notes
+    description = f"{board.text}, seen in {frame} by {camera_names}, {_format_pose_sd(detection, rig.unit)}"
+    return World(detection.motion.motion.inv(), description, rig.unit, 1.0, rig.unit), notes
 
 
-def _how_well(found: Sighting, unit: str) -> str:
-    """The standard deviations of where the board is."""
-    sd = np.sqrt(np.diag(found.motion.covariance))
-    turn, place = float(np.degrees(sd[:3].max())), float(sd[3:].max())
-    length = f"{1e3 * METRES[unit] * place:.2g} mm" if unit in METRES else f"{place:.2g}"
-    return f"known to {turn:.2g} deg and {length}"
+def _format_pose_sd(detection: BoardObservation, unit: str) -> str:
+    """Format the standard deviations of the board's pose."""
+    sd = np.sqrt(np.diag(detection.motion.covariance))
+    rotation, position = float(np.degrees(sd[:3].max())), float(sd[3:].max())
+    length = f"{1e3 * METERS[unit] * position:.2g} mm" if unit in METERS else f"{position:.2g}"
+    return f"sd {rotation:.2g} deg and {length}"
 
 
-def _images_of(folder: Path, rig: Rig, frame: int) -> list[Image | None]:
-    """What cameras see in a folder with an image, a video or a folder of images for each; None where it has none.
+def _read_board_images(folder: Path, rig: Rig, frame: int) -> list[Image | None]:
+    """Read one image per camera from a folder with images, videos or image folders; None for cameras without.
 
     Raises:
         FileNotFoundError: no such folder.
-        ValueError: nothing in it that is a camera's; images of another size; a frame that there is not.
+        ValueError: no files of the cameras; images of another size; a missing frame.
     """
     if not folder.is_dir():
-        raise FileNotFoundError(f"{folder}: no such folder; --world-from is a folder with images of the board")
+        raise FileNotFoundError(f"{folder}: no such folder; --world-from must be a folder with images of the board")
     entries = {
         entry.name if entry.is_dir() else entry.stem: entry
         for entry in sorted(folder.iterdir())
         if not entry.name.startswith(".")
-        and entry.name.lower() not in NO_CAMERAS
+        and entry.name.lower() not in NON_CAMERA_NAMES
         and (entry.is_dir() or entry.suffix.lower() in IMAGE_SUFFIXES | VIDEO_SUFFIXES)
     }
     matched = match_names(entries, rig.names)
     if not matched:
         raise ValueError(
-            f"{folder}: no image, video or folder of images of {one_line(', '.join(rig.names), 200)} in it"
+            f"{folder}: contains no image, video or image folder of {to_one_line(', '.join(rig.names), 200)}"
         )
-    of: Mapping[str, Path] = {camera: entries[name] for name, camera in matched.items()}
-    images = [_image_of(of[camera.name], rig, camera.name, frame) if camera.name in of else None for camera in rig]
+    path_by_camera: Mapping[str, Path] = {camera: entries[name] for name, camera in matched.items()}
+    images = [
+        _read_board_image(path_by_camera[camera.name], rig, camera.name, frame)
+        if camera.name in path_by_camera
+        else None
+        for camera in rig
+    ]
     if all(image is None for image in images):
         raise ValueError(f"--world-frame {frame}: no camera has an image of this number in {folder}")
     return images
 
 
-def _image_of(entry: Path, rig: Rig, name: str, frame: int) -> Image | None:
+def _read_board_image(entry: Path, rig: Rig, name: str, frame: int) -> Image | None:
     if entry.is_file() and entry.suffix.lower() in IMAGE_SUFFIXES:
         return read_image(entry, rig[name].size)
-    source = source_of(entry, rig[name])
+    source = open_source(entry, rig[name])
     if frame >= source.n_frames:
         return None
     with closing(CameraReader(source, {})) as reader:
         return reader.read(frame).image
 
 
-def _shown(text: str) -> str:
-    return one_line(text, 100)
+def _shorten(text: str) -> str:
+    return to_one_line(text, 100)

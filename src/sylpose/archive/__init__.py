@@ -1,5 +1,5 @@
-"""Archives: thousands of recordings tracked by one contract, on one computer, a SLURM array or a Ray cluster.
+"""Archives: batch tracking of thousands of recordings, on one computer, a SLURM array or a Ray cluster.
 
-`contract.py` says what is done with one recording; those who call it for all (`processes.py`, `ray_cluster.py`) add nothing
-to that. docs/archive.md tells the rest.
+`contract.py` defines the work on one recording; the drivers (`processes.py`, `ray_cluster.py`) only call it for all.
+See docs/archive.md.
 """

@@ -1,4 +1,4 @@
-"""An archive tracked for a terminal: one line of progress, failures as they come, a table at the end."""
+"""Terminal interface of batch tracking: a progress line, failures as they occur, and a final table."""
 
 from __future__ import annotations
 
@@ -15,104 +15,121 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.text import Text
 
 from sylpose.app import console_output
-from sylpose.archive.contract import How, Summary
-from sylpose.archive.processes import Processes, default_jobs
+from sylpose.archive.contract import RunSettings, Summary
+from sylpose.archive.processes import ProcessWorkers, choose_default_jobs
 from sylpose.archive.ray_cluster import RayWorkers
-from sylpose.archive.recordings import Found, Recording
-from sylpose.archive.run import run_all, shard_of
-from sylpose.archive.stores import Place
-from sylpose.archive.summary import Row, finished_before, gathered, row_of, write_summary
+from sylpose.archive.recordings import FoundRecordings, Recording
+from sylpose.archive.run import process_all, select_shard
+from sylpose.archive.stores import Store
+from sylpose.archive.summary import Row, collect_rows, find_finished_recordings, make_row, write_summary
 
-__all__ = ["batch_aloud", "status_aloud"]
+__all__ = ["run_batch_command", "run_status_command"]
 
-# Rows of the table that is printed, those with something to say first; all are in summary.csv (choice: a screen).
-SHOWN = 30
+# Largest number of printed rows, those with messages first; summary.csv contains all (choice: a screen).
+MAX_ROWS = 30
 HEADER = ("Recording", "status", "frames", "found", "residual", "time")
 
 
-def batch_aloud(
-    found: Found,
-    destination: Place,
-    how: How,
+def run_batch_command(
+    found: FoundRecordings,
+    destination: Store,
+    settings: RunSettings,
     *,
     jobs: int | None = None,
     ray: str | None = None,
     shard: str | None = None,
     memory: int | None = None,
 ) -> list[Row]:
-    """Tracks all recordings and says what became of them; how each stands at the end.
+    """Track all recordings and print the results.
 
     Args:
-        jobs: processes; None: as many as there are cores and memory for.
-        ray: address of a cluster, instead of processes.
-        shard: "3/100": only these; then no summary is written, since others are at work on theirs.
-        memory: bytes for each.
+        found: the recordings.
+        destination: where the results go.
+        settings: settings of the run.
+        jobs: number of processes; None: as many as cores and memory allow.
+        ray: address of a Ray cluster, instead of processes.
+        shard: "3/100": only this part; then no summary is written, since other shards run in parallel.
+        memory: bytes for each recording.
+
+    Returns:
+        One row per recording, in their order.
 
     Raises:
-        KeyboardInterrupt: with a sentence; SIGTERM too, by which SLURM ends what takes too long.
-        ValueError, OSError: wrong options; the destination cannot be written.
+        KeyboardInterrupt: with a message; also on SIGTERM, which SLURM sends at the time limit.
+        ValueError, OSError: invalid options, or the destination is not writable.
     """
     console = console_output.make_console()
-    recordings = list(found.recordings) if shard is None else shard_of(found.recordings, shard)
-    # A destination that cannot be written is better found out now than a thousand times.
+    recordings = list(found.recordings) if shard is None else select_shard(found.recordings, shard)
+    # Fail now rather than once per recording if the destination is not writable.
     destination.write("batch.txt", b"Results of sylpose batch, a folder for each recording: docs/archive.md\n")
     console_output.print_warnings(console, found.remarks)
-    how = replace(how, run=how.run or uuid.uuid4().hex)
-    jobs = jobs or default_jobs(how.threads)
-    where = f"Ray at {ray}" if ray else f"{min(jobs, max(len(recordings), 1))} at a time"
-    part = f", shard {shard} of {len(found.recordings)}" if shard else ""
+    settings = replace(settings, run=settings.run or uuid.uuid4().hex)
+    jobs = jobs or choose_default_jobs(settings.threads)
+    workers_text = f"Ray at {ray}" if ray else f"{min(jobs, max(len(recordings), 1))} at a time"
+    shard_text = f", shard {shard} of {len(found.recordings)}" if shard else ""
     n = len(recordings)
     console.print(
-        Text.assemble((f"{n} recording{'' if n == 1 else 's'}", "bold"), f"{part}, {where} -> {destination.url}")
+        Text.assemble(
+            (f"{n} recording{'' if n == 1 else 's'}", "bold"), f"{shard_text}, {workers_text} -> {destination.url}"
+        )
     )
-    before = finished_before(recordings, destination, how)
-    rows = {name: row_of(name, summary) for name, summary in before.items()}
-    if before:
-        console.print(f"{len(before)} of them {'is' if len(before) == 1 else 'are'} finished already.")
-    left = [recording for recording in recordings if recording.name not in before]
-    with _Line(n, list(rows.values())) as line, _interrupted_by_sigterm():
+    finished_summaries = find_finished_recordings(recordings, destination, settings)
+    rows = {name: make_row(name, summary) for name, summary in finished_summaries.items()}
+    if finished_summaries:
+        console.print(
+            f"{len(finished_summaries)} of them {'is' if len(finished_summaries) == 1 else 'are'} already finished."
+        )
+    remaining = [recording for recording in recordings if recording.name not in finished_summaries]
+    with _ProgressLine(n, list(rows.values())) as line, _sigterm_as_interrupt():
 
-        def take(recording: Recording, summary: Summary) -> None:
-            rows[recording.name] = row_of(recording.name, summary)
-            line.take(rows[recording.name])
+        def add_result(recording: Recording, summary: Summary) -> None:
+            rows[recording.name] = make_row(recording.name, summary)
+            line.add_row(rows[recording.name])
 
         try:
             with (
-                RayWorkers(destination, how, ray, memory)
+                RayWorkers(destination, settings, ray, memory)
                 if ray
-                else Processes(destination, how, jobs, memory) as workers
+                else ProcessWorkers(destination, settings, jobs, memory) as workers
             ):
-                run_all(left, destination, how, workers, take, line.look)
+                process_all(remaining, destination, settings, workers, add_result, line.show_counts)
         except KeyboardInterrupt:
             raise KeyboardInterrupt(
-                f"interrupted after {len(rows)} of {n}; what is finished stays, the same command goes on"
+                f"interrupted after {len(rows)} of {n}; finished results are kept, repeat the command to resume"
             ) from None
     ordered = [rows[recording.name] for recording in recordings]
     _print_rows(console, ordered)
     if shard is None:
-        _print_written(console, write_summary(destination, ordered))
+        _print_files(console, write_summary(destination, ordered))
     else:
         console.print(f"All shards in one table: sylpose batch --status --out {destination.url}", soft_wrap=True)
     return ordered
 
 
-def status_aloud(destination: Place, recordings: Sequence[Recording] | None) -> list[Row]:
-    """Says how all recordings stand, and writes the summary anew.
+def run_status_command(destination: Store, recordings: Sequence[Recording] | None) -> list[Row]:
+    """Print the status of all recordings and rewrite the summary.
+
+    Args:
+        destination: where the results are.
+        recordings: None for all in the destination.
+
+    Returns:
+        One row per recording.
 
     Raises:
-        ValueError: nothing there.
+        ValueError: the destination contains no results.
     """
-    rows = gathered(destination, recordings)
+    rows = collect_rows(destination, recordings)
     if not rows:
-        raise ValueError(f"{destination.url}: no results of sylpose batch in it")
+        raise ValueError(f"{destination.url}: contains no results of sylpose batch")
     console = console_output.make_console()
     _print_rows(console, rows)
-    _print_written(console, write_summary(destination, rows))
+    _print_files(console, write_summary(destination, rows))
     return rows
 
 
-class _Line:
-    """The line of progress, and a line for each failure; where nobody looks (a log) a line for each recording."""
+class _ProgressLine:
+    """Progress line with one line per failure; without a terminal (a log) one line per recording."""
 
     def __init__(self, n: int, before: list[Row]) -> None:
         self._n, self._rows = n, before
@@ -121,78 +138,84 @@ class _Line:
             TextColumn("Tracking"),
             BarColumn(),
             MofNCompleteColumn(),
-            TextColumn("{task.fields[said]}"),
+            TextColumn("{task.fields[counts]}"),
             TimeRemainingColumn(compact=True),
             console=self._console,
             transient=True,
             disable=not self._console.is_terminal,
         )
-        self._task = self._progress.add_task("", total=n, completed=len(before), said="")
+        self._task = self._progress.add_task("", total=n, completed=len(before), counts="")
 
-    def __enter__(self) -> _Line:
+    def __enter__(self) -> _ProgressLine:
         self._progress.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self._progress.stop()
 
-    def take(self, row: Row) -> None:
+    def add_row(self, row: Row) -> None:
         self._rows.append(row)
         self._progress.update(self._task, completed=len(self._rows))
         if row.error or not self._console.is_terminal:
-            said = row.error or f"{row.frames} frames, found in {_share(row)}, {row.seconds:.0f} s"
+            text = row.error or f"{row.frames} frames, found in {_format_coverage(row)}, {row.seconds:.0f} s"
             style = "" if row.status == "done" else "bold yellow"
-            line = Text.assemble(f"{len(self._rows)}/{self._n} {row.recording}: ", (row.status, style), f": {said}")
+            line = Text.assemble(f"{len(self._rows)}/{self._n} {row.recording}: ", (row.status, style), f": {text}")
             self._console.print(line, soft_wrap=True)
 
-    def look(self, running: int, held: int) -> None:
-        wrong = sum(row.status != "done" for row in self._rows)
-        parts = [f"{running} running"] + [f"{held} held by others"] * bool(held) + [f"{wrong} failed"] * bool(wrong)
-        self._progress.update(self._task, said=", ".join(parts))
+    def show_counts(self, running: int, held: int) -> None:
+        n_failed = sum(row.status != "done" for row in self._rows)
+        parts = (
+            [f"{running} running"] + [f"{held} held by others"] * bool(held) + [f"{n_failed} failed"] * bool(n_failed)
+        )
+        self._progress.update(self._task, counts=", ".join(parts))
 
 
 def _print_rows(console: Console, rows: Sequence[Row]) -> None:
-    said = [row for row in rows if row.status != "done" or row.error or row.faults]
-    shown = list(rows) if len(rows) <= SHOWN else said[:SHOWN]
+    with_messages = [row for row in rows if row.status != "done" or row.error or row.faults]
+    shown = list(rows) if len(rows) <= MAX_ROWS else with_messages[:MAX_ROWS]
     if shown:
         console.print()
-        console_output.print_table(console, HEADER, (_cells(row) for row in shown))
-    notes = [f"{row.recording}: {'; '.join(filter(None, (row.error, row.faults)))}" for row in shown if row in said]
+        console_output.print_table(console, HEADER, (_format_row(row) for row in shown))
+    notes = [
+        f"{row.recording}: {'; '.join(filter(None, (row.error, row.faults)))}" for row in shown if row in with_messages
+    ]
     if any(not note.endswith(": ") for note in notes):
         console.print()
         console_output.print_warnings(console, [note for note in notes if not note.endswith(": ")])
     console.print()
     counts = Counter(row.status for row in rows)
-    parts = [f"{n} {status}" for status, n in sorted(counts.items(), key=lambda item: (item[0] != "done", item[0]))]
-    facts = [("Recordings", f"{len(rows)}: {', '.join(parts)}")]
+    count_texts = [
+        f"{n} {status}" for status, n in sorted(counts.items(), key=lambda item: (item[0] != "done", item[0]))
+    ]
+    facts = [("Recordings", f"{len(rows)}: {', '.join(count_texts)}")]
     if len(shown) < len(rows):
         facts.append(("Not shown", f"{len(rows) - len(shown)}: see summary.csv"))
     if seconds := sum(row.seconds or 0.0 for row in rows):
-        facts.append(("Time", f"{_duration(seconds)} of work in all"))
+        facts.append(("Time", f"{_format_duration(seconds)} in total, over all recordings"))
     console_output.print_facts(console, facts)
 
 
-def _print_written(console: Console, files: Sequence[str]) -> None:
+def _print_files(console: Console, files: Sequence[str]) -> None:
     console_output.print_facts(console, [("Files" if k == 0 else "", file) for k, file in enumerate(files)])
 
 
-def _cells(row: Row) -> tuple[str, ...]:
+def _format_row(row: Row) -> tuple[str, ...]:
     return (
         row.recording,
         row.status,
         "-" if row.frames is None else str(row.frames),
-        _share(row),
+        _format_coverage(row),
         "-" if row.residual_px is None else f"{row.residual_px:.2f} px",
-        "-" if row.seconds is None else _duration(row.seconds),
+        "-" if row.seconds is None else _format_duration(row.seconds),
     )
 
 
-def _share(row: Row) -> str:
-    # Downwards: 100% is said of all frames only.
+def _format_coverage(row: Row) -> str:
+    # Rounded down: 100% means all frames.
     return "-" if row.coverage is None else f"{int(100 * row.coverage)}%"
 
 
-def _duration(seconds: float) -> str:
+def _format_duration(seconds: float) -> str:
     if seconds < 100:
         return f"{seconds:.1f} s"
     minutes, hours = round(seconds / 60), int(seconds // 3600)
@@ -200,7 +223,7 @@ def _duration(seconds: float) -> str:
 
 
 @contextlib.contextmanager
-def _interrupted_by_sigterm() -> Iterator[None]:
+def _sigterm_as_interrupt() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -208,8 +231,8 @@ def _interrupted_by_sigterm() -> Iterator[None]:
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    before = signal.signal(signal.SIGTERM, interrupt)
+    previous_handler = signal.signal(signal.SIGTERM, interrupt)
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        signal.signal(signal.SIGTERM, previous_handler)

@@ -1,7 +1,7 @@
-"""The contract by which an archive is tracked, whoever calls it: docs/archive.md, "The contract".
+"""Processing of one recording, by the contract in docs/archive.md, "The contract".
 
-`process` is idempotent: what is finished with the same inputs, options and version is not done again. Results appear in the
-destination only when they are complete, `done.json` last of all.
+`process_recording` is idempotent: a recording finished with the same inputs, options and version is not processed
+again. Results appear in the destination only when they are complete, `done.json` last of all.
 """
 
 from __future__ import annotations
@@ -19,45 +19,46 @@ from typing import Literal
 import msgspec
 
 from sylpose import __version__
-from sylpose.archive.claims import Held, claimed, here, process_lives
+from sylpose.archive.claims import RecordingHeldError, hold_claim, host_id, is_process_alive
 from sylpose.archive.recordings import Recording
-from sylpose.archive.stores import Place
+from sylpose.archive.stores import Store
 
 __all__ = [
-    "DONE",
-    "FAILED",
-    "How",
+    "DONE_FILE",
+    "FAILED_FILE",
     "Record",
+    "RunSettings",
     "Status",
     "Summary",
-    "finished",
-    "give_up",
-    "process",
+    "find_finished",
+    "mark_crashed",
+    "process_recording",
     "read_record",
 ]
 
-DONE, FAILED = "done.json", "failed.json"
-# How often what a disk or a network failed at is tried, and seconds before it is tried again, doubled each time (choice).
-IO_TRIES, PAUSE = 3, 2.0
-SCRATCH = "sylpose-scratch"
+DONE_FILE, FAILED_FILE = "done.json", "failed.json"
+# Attempts after disk or network failures, and seconds before the first retry, doubled each time (choice).
+MAX_IO_ATTEMPTS, FIRST_RETRY_S = 3, 2.0
+SCRATCH_PREFIX = "sylpose-scratch"
 
 Status = Literal["done", "nothing found", "wrong input", "i/o error", "crashed", "bug", "held"]
-# What has results, and what would only fail again with the same inputs.
-FINISHED, HOPELESS = ("done", "nothing found"), ("wrong input",)
+# Statuses with results, and statuses that would recur with the same inputs.
+FINISHED_STATUSES, FINAL_FAILURES = ("done", "nothing found"), ("wrong input",)
 
 
 class Summary(msgspec.Struct, frozen=True, kw_only=True):
-    """What is known of a recording after it was worked on.
+    """Summary of the work on a recording.
 
     Attributes:
-        status: "done", "nothing found" (tracked, but no pose in any frame), or why it failed; "held" by another worker.
-        frames: tracked.
-        coverage: the share of them in which the object was found; of several objects, the least.
-        residual_px: median over cameras and frames; of several objects, the largest.
-        faults: sentences about cameras at fault.
-        seconds: that it took.
-        error: one sentence; "" where nothing is wrong.
-        notes: what could not be read, and other things to know.
+        status: "done", "nothing found" (tracked, but no pose in any frame), or the kind of failure; "held" by another
+            worker.
+        frames: number of tracked frames.
+        coverage: share of frames in which the object was localized; the least of several objects.
+        residual_px: median over cameras and frames, pixels; the largest of several objects.
+        faults: messages about faulty cameras.
+        seconds: processing time.
+        error: one sentence; "" without an error.
+        notes: unreadable data and other messages.
     """
 
     status: Status
@@ -75,7 +76,7 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Record(msgspec.Struct, frozen=True, kw_only=True):
-    """What `done.json` and `failed.json` hold; `files` are those beside it that belong to it."""
+    """Content of `done.json` and `failed.json`; `files` are the result files in the same folder."""
 
     summary: Summary
     files: tuple[str, ...] = ()
@@ -86,20 +87,20 @@ class Record(msgspec.Struct, frozen=True, kw_only=True):
     traceback: str = ""
 
 
-# Works on a recording: writes results into the folder `results` below the one given, with so many threads.
+# Processes a recording: writes into the folder `results` below the given folder, using the given number of threads.
 Work = Callable[[Recording, Path, int], Summary]
 
 
 @dataclass(frozen=True)
-class How:
-    """What is the same for all recordings of a run.
+class RunSettings:
+    """Settings common to all recordings of a run.
 
     Attributes:
-        run: a name that no other run has.
-        work: "package.module:function", a `Work`; the tracking itself.
-        threads: that one recording may use.
-        scratch: where recordings and results lie while they are worked on; None: the system's folder for that.
-        retry_failed: try again what failed as wrong input.
+        run: a unique name of the run.
+        work: "package.module:function", a `Work`; by default the tracking.
+        threads: number of threads per recording.
+        scratch: folder for temporary copies and results; None: the system's temporary folder.
+        retry_failed: retry recordings that failed with wrong input.
     """
 
     run: str
@@ -109,142 +110,155 @@ class How:
     retry_failed: bool = False
 
 
-def _work_of(how: How) -> Work:
-    module, _, name = how.work.partition(":")
+def _load_work(settings: RunSettings) -> Work:
+    module, _, name = settings.work.partition(":")
     work: Work = getattr(__import__(module, fromlist=[name]), name)
     return work
 
 
-def process(recording: Recording, destination: Place, how: How) -> Summary:
-    """Work on a recording, unless it is done already or another worker is at it; nothing but interrupts is raised.
+def process_recording(recording: Recording, destination: Store, settings: RunSettings) -> Summary:
+    """Process a recording, unless it is finished or another worker holds it; only interrupts are raised.
 
-    Everything is written into a scratch folder first, then into the destination, which has `done.json` last.
+    Results are written into a scratch folder first, then into the destination, `done.json` last.
+
+    Args:
+        recording: the recording.
+        destination: where the results go.
+        settings: settings of the run.
 
     Returns:
-        What is found out, or was: errors too are summaries.
+        The new or existing summary; errors are summaries, too.
     """
-    place, start = destination.below(recording.name), time.monotonic()
+    store, start = destination.join(recording.name), time.monotonic()
     try:
-        if summary := finished(place, recording, how):
+        if summary := find_finished(store, recording, settings):
             return summary
-        with claimed(place, how.run) as claim:
-            # Another one may have finished between the two.
-            if summary := finished(place, recording, how):
+        with hold_claim(store, settings.run) as claim:
+            # Another worker may have finished meanwhile.
+            if summary := find_finished(store, recording, settings):
                 return summary
-            with _scratch(how.scratch) as folder:
-                summary, trace = _worked(recording, Path(folder), how)
+            with _make_scratch(settings.scratch) as folder:
+                summary, trace = _run_work(recording, Path(folder), settings)
                 summary = msgspec.structs.replace(summary, seconds=round(time.monotonic() - start, 3))
-                if not claim.counts:
-                    return Summary(status="held", error="another worker has taken it over")
-                _publish(place, Path(folder) / "results", _record(recording, summary, trace))
+                if not claim.is_current:
+                    return Summary(status="held", error="another worker took it over")
+                _publish_results(store, Path(folder) / "results", _make_record(recording, summary, trace))
             return summary
-    except Held as held:
+    except RecordingHeldError as held:
         return Summary(status="held", error=str(held))
     except OSError as error:
-        return Summary(status="i/o error", error=_sentence(error), seconds=time.monotonic() - start)
+        return Summary(status="i/o error", error=_describe_error(error), seconds=time.monotonic() - start)
 
 
-def give_up(recording: Recording, destination: Place, how: How, why: str) -> Summary:
-    """What becomes of a recording whose worker died, and died again; unless another run is at it by now, or was."""
-    place = destination.below(recording.name)
+def mark_crashed(recording: Recording, destination: Store, settings: RunSettings, reason: str) -> Summary:
+    """Mark a recording as crashed after its workers died, unless another run works on it or has finished it."""
+    store = destination.join(recording.name)
     try:
-        with claimed(place, how.run):
-            if summary := finished(place, recording, how):
+        with hold_claim(store, settings.run):
+            if summary := find_finished(store, recording, settings):
                 return summary
-            summary = Summary(status="crashed", error=why)
-            _publish(place, None, _record(recording, summary, ""))
+            summary = Summary(status="crashed", error=reason)
+            _publish_results(store, None, _make_record(recording, summary, ""))
             return summary
-    except Held as held:
+    except RecordingHeldError as held:
         return Summary(status="held", error=str(held))
     except OSError as error:
-        return Summary(status="crashed", error=f"{why}; {_sentence(error)}")
+        return Summary(status="crashed", error=f"{reason}; {_describe_error(error)}")
 
 
-def read_record(place: Place) -> Record | None:
-    """What the last worker left: of a recording that is finished or failed, else None."""
-    for name in (DONE, FAILED):
-        content = place.read(name)
+def read_record(store: Store) -> Record | None:
+    """Return the record of a finished or failed recording, else None."""
+    for name in (DONE_FILE, FAILED_FILE):
+        content = store.read(name)
         if content is not None:
             try:
                 return msgspec.json.decode(content, type=Record)
-            except msgspec.MsgspecError:  # of another version
+            except msgspec.MsgspecError:  # written by another version
                 return None
     return None
 
 
-def finished(place: Place, recording: Recording, how: How) -> Summary | None:
-    """What is known of a recording that need not be worked on again."""
-    record = read_record(place)
+def find_finished(store: Store, recording: Recording, settings: RunSettings) -> Summary | None:
+    """Return the summary of a recording that need not be processed again, else None."""
+    record = read_record(store)
     if record is None or record.digest != recording.digest:
         return None
     status = record.summary.status
-    return record.summary if status in FINISHED or (status in HOPELESS and not how.retry_failed) else None
+    return (
+        record.summary
+        if status in FINISHED_STATUSES or (status in FINAL_FAILURES and not settings.retry_failed)
+        else None
+    )
 
 
-def _worked(recording: Recording, folder: Path, how: How) -> tuple[Summary, str]:
-    """What came out, and the traceback of a bug."""
-    work = _work_of(how)
-    for attempt in range(IO_TRIES):
+def _run_work(recording: Recording, folder: Path, settings: RunSettings) -> tuple[Summary, str]:
+    """Run the work with retries; return the summary, and the traceback of a bug."""
+    work = _load_work(settings)
+    for attempt in range(MAX_IO_ATTEMPTS):
         try:
             (folder / "results").mkdir(parents=True, exist_ok=True)
-            return work(recording, folder, how.threads), ""
+            return work(recording, folder, settings.threads), ""
         except MemoryError:
-            return Summary(status="crashed", error="more memory was needed than one recording may have"), ""
+            return Summary(status="crashed", error="it exceeded the memory limit of one recording"), ""
         except (FileNotFoundError, PermissionError, IsADirectoryError, NotADirectoryError) as error:
-            return Summary(status="wrong input", error=_sentence(error)), ""
+            return Summary(status="wrong input", error=_describe_error(error)), ""
         except OSError as error:
-            if attempt == IO_TRIES - 1:
-                return Summary(status="i/o error", error=f"{_sentence(error)} (tried {IO_TRIES} times)"), ""
+            if attempt == MAX_IO_ATTEMPTS - 1:
+                return Summary(
+                    status="i/o error", error=f"{_describe_error(error)} (tried {MAX_IO_ATTEMPTS} times)"
+                ), ""
             shutil.rmtree(folder / "results", ignore_errors=True)
-            time.sleep(PAUSE * 2**attempt)
+            time.sleep(FIRST_RETRY_S * 2**attempt)
         except Exception as error:
             if isinstance(error, ValueError) and type(error).__name__ != "LinAlgError":
-                return Summary(status="wrong input", error=_sentence(error)), ""
-            said = f"{type(error).__name__}: {error}".split("\n", 1)[0]
-            return Summary(status="bug", error=f"{said} (failed.json has the traceback)"), traceback.format_exc()
+                return Summary(status="wrong input", error=_describe_error(error)), ""
+            message = f"{type(error).__name__}: {error}".split("\n", 1)[0]
+            return Summary(status="bug", error=f"{message} (failed.json has the traceback)"), traceback.format_exc()
     raise AssertionError("unreachable")
 
 
-def _publish(place: Place, results: Path | None, record: Record) -> None:
-    """What an earlier run wrote makes room first, its `done.json` before all else; what says that it is whole comes last.
-    Other files that lie there are left alone."""
-    earlier = read_record(place)
-    for name in (DONE, FAILED, *(earlier.files if earlier else ())):
-        place.remove(name)
-    done = record.summary.status in FINISHED
+def _publish_results(store: Store, results: Path | None, record: Record) -> None:
+    """Replace the results of an earlier run.
+
+    The earlier `done.json` is removed first, and the new one written last. Other files are left unchanged.
+    """
+    earlier = read_record(store)
+    for name in (DONE_FILE, FAILED_FILE, *(earlier.files if earlier else ())):
+        store.remove(name)
+    done = record.summary.status in FINISHED_STATUSES
     paths = sorted(path for path in results.rglob("*") if path.is_file()) if results is not None and done else []
     names = tuple(path.relative_to(results).as_posix() for path in paths if results is not None)
     for name, path in zip(names, paths, strict=True):
-        place.write(name, path)
+        store.write(name, path)
     record = msgspec.structs.replace(record, files=names)
-    place.write(DONE if done else FAILED, msgspec.json.format(msgspec.json.encode(record), indent=1))
+    store.write(DONE_FILE if done else FAILED_FILE, msgspec.json.format(msgspec.json.encode(record), indent=1))
 
 
-def _record(recording: Recording, summary: Summary, trace: str) -> Record:
+def _make_record(recording: Recording, summary: Summary, trace: str) -> Record:
     return Record(
         summary=summary,
         digest=recording.digest,
         version=__version__,
         recording=recording,
-        host=here(),
+        host=host_id(),
         traceback=trace,
     )
 
 
-def _scratch(parent: str | None) -> tempfile.TemporaryDirectory[str]:
-    """A folder that is removed afterwards; what workers that were killed have left is removed before."""
+def _make_scratch(parent: str | None) -> tempfile.TemporaryDirectory[str]:
+    """Create a temporary folder, after removing those left by killed workers."""
     root = Path(parent or tempfile.gettempdir())
     root.mkdir(parents=True, exist_ok=True)
-    for left in root.glob(f"{SCRATCH}-{here()}-*"):
-        pid = left.name.removeprefix(f"{SCRATCH}-{here()}-").partition("-")[0]
-        if pid.isdigit() and not process_lives(int(pid)):
-            shutil.rmtree(left, ignore_errors=True)
+    for leftover in root.glob(f"{SCRATCH_PREFIX}-{host_id()}-*"):
+        pid = leftover.name.removeprefix(f"{SCRATCH_PREFIX}-{host_id()}-").partition("-")[0]
+        if pid.isdigit() and not is_process_alive(int(pid)):
+            shutil.rmtree(leftover, ignore_errors=True)
     return tempfile.TemporaryDirectory(
-        prefix=f"{SCRATCH}-{here()}-{os.getpid()}-", dir=root, ignore_cleanup_errors=True
+        prefix=f"{SCRATCH_PREFIX}-{host_id()}-{os.getpid()}-", dir=root, ignore_cleanup_errors=True
     )
 
 
-def _sentence(error: Exception) -> str:
+def _describe_error(error: Exception) -> str:
     if isinstance(error, OSError) and error.filename is not None and error.strerror:
         return f"{error.filename}: {error.strerror.lower()}"
     return " ".join(str(error).split()) or type(error).__name__

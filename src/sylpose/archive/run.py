@@ -1,4 +1,4 @@
-"""All recordings of an archive given to workers, wherever these are; a worker that dies costs only what it was at."""
+"""Distribution of all recordings to workers; a worker that dies loses only its current recording."""
 
 from __future__ import annotations
 
@@ -8,91 +8,97 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from sylpose.archive.contract import How, Summary, give_up
+from sylpose.archive.contract import RunSettings, Summary, mark_crashed
 from sylpose.archive.recordings import Recording
-from sylpose.archive.stores import Place
+from sylpose.archive.stores import Store
 
-__all__ = ["Died", "Workers", "run_all", "shard_of"]
+__all__ = ["WorkerDeath", "Workers", "process_all", "select_shard"]
 
-# How often a recording may cost a worker its life, and how often a computer that is gone may have had it (choice: a crash is
-# tried again once; computers that are taken away say nothing about a recording).
-CRASHES, LOST_NODES = 2, 10
-# Seconds between two looks at what other workers hold, and at the workers (choice).
-LOOK_AGAIN, WAIT = 5.0, 0.5
+# Worker crashes, and lost computers, after which a recording is abandoned (choice: a crash is retried once; lost
+# computers are not a recording's fault).
+MAX_CRASHES, MAX_LOST_NODES = 2, 10
+# Seconds between checks of recordings held by other workers, and of the own workers (choice).
+HELD_CHECK_INTERVAL, WORKER_CHECK_INTERVAL = 5.0, 0.5
 
 
 @dataclass(frozen=True)
-class Died:
-    """A worker that ended without an answer.
+class WorkerDeath:
+    """A worker that ended without a result.
 
     Attributes:
-        why: a sentence.
-        with_node: the whole computer went away.
+        reason: why it ended.
+        with_node: the whole computer was lost.
     """
 
-    why: str
+    reason: str
     with_node: bool = False
 
 
 class Workers(Protocol):
-    """What a driver is: takes recordings and gives what `process` says of them."""
+    """Driver interface: accepts recordings and returns the results of `process_recording`."""
 
     def has_room(self) -> bool:
-        """Whether one more recording may be submitted."""
+        """Return whether one more recording may be submitted."""
 
     def submit(self, recording: Recording) -> None: ...
 
-    def running(self) -> int:
-        """How many recordings are submitted and have no outcome."""
+    def count_running(self) -> int:
+        """Return the number of submitted recordings without an outcome."""
 
-    def outcomes(self, seconds: float) -> list[tuple[Recording, Summary | Died]]:
-        """What has come since the last time; waits so long for the first."""
+    def wait_for_outcomes(self, seconds: float) -> list[tuple[Recording, Summary | WorkerDeath]]:
+        """Return new outcomes, after waiting up to `seconds` for the first."""
 
 
-def run_all(
+def process_all(
     recordings: Sequence[Recording],
-    destination: Place,
-    how: How,
+    destination: Store,
+    settings: RunSettings,
     workers: Workers,
     on_outcome: Callable[[Recording, Summary], None],
-    on_look: Callable[[int, int], None] = lambda *_: None,
+    on_progress: Callable[[int, int], None] = lambda *_: None,
 ) -> None:
-    """Gives all recordings to workers. One whose worker dies is tried once more, then given up.
+    """Distribute all recordings to workers; one whose worker dies is retried once, then abandoned.
 
-    What other runs hold is looked at again until they have finished it or their claim has expired.
+    Recordings held by other runs are checked again until these finish them or their claim expires.
 
     Args:
+        recordings: to be processed.
+        destination: where the results go.
+        settings: settings of the run.
+        workers: the driver.
         on_outcome: called once with each recording.
-        on_look: called now and then with how many are worked on, and how many others hold.
+        on_progress: called regularly with the numbers of running recordings and of those held by others.
     """
-    waiting, deaths, lost = deque(recordings), Counter[str](), Counter[str]()
+    waiting, deaths, lost_nodes = deque(recordings), Counter[str](), Counter[str]()
     held: list[tuple[float, Recording]] = []
-    while waiting or held or workers.running():
+    while waiting or held or workers.count_running():
         now = time.monotonic()
         waiting.extend(recording for due, recording in held if due <= now)
         held = [(due, recording) for due, recording in held if due > now]
         while waiting and workers.has_room():
             workers.submit(waiting.popleft())
-        on_look(workers.running(), len(held))
-        if not workers.running():
-            time.sleep(WAIT)
+        on_progress(workers.count_running(), len(held))
+        if not workers.count_running():
+            time.sleep(WORKER_CHECK_INTERVAL)
             continue
-        for recording, outcome in workers.outcomes(WAIT):
-            if isinstance(outcome, Died):
-                count = lost if outcome.with_node else deaths
+        for recording, outcome in workers.wait_for_outcomes(WORKER_CHECK_INTERVAL):
+            if isinstance(outcome, WorkerDeath):
+                count = lost_nodes if outcome.with_node else deaths
                 count[recording.name] += 1
-                if deaths[recording.name] < CRASHES and lost[recording.name] < LOST_NODES:
+                if deaths[recording.name] < MAX_CRASHES and lost_nodes[recording.name] < MAX_LOST_NODES:
                     waiting.appendleft(recording)
                     continue
-                outcome = give_up(recording, destination, how, f"{outcome.why}, {count[recording.name]} times")
+                outcome = mark_crashed(
+                    recording, destination, settings, f"{outcome.reason}, {count[recording.name]} times"
+                )
             if outcome.status == "held":
-                held.append((time.monotonic() + LOOK_AGAIN, recording))
+                held.append((time.monotonic() + HELD_CHECK_INTERVAL, recording))
             else:
                 on_outcome(recording, outcome)
 
 
-def shard_of(recordings: Sequence[Recording], shard: str) -> list[Recording]:
-    """Every N-th recording, from the K-th on, for "K/N".
+def select_shard(recordings: Sequence[Recording], shard: str) -> list[Recording]:
+    """Return every N-th recording, starting with the K-th, for a shard "K/N".
 
     Raises:
         ValueError: not of this form, or K not in 1 ... N.

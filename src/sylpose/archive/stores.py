@@ -1,4 +1,4 @@
-"""Folders and object stores behind one small interface: files by their names below a place."""
+"""Common interface to folders and object stores: files by their paths below a location."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from obstore.exceptions import (
 )
 from obstore.store import LocalStore, MemoryStore, from_url
 
-__all__ = ["File", "Place", "is_url", "place", "resolved"]
+__all__ = ["Store", "StoredFile", "is_url", "open_store", "resolve_location"]
 
 
 @dataclass(frozen=True)
-class File:
-    """A file of a place.
+class StoredFile:
+    """A file below a location.
 
     Attributes:
-        name: path below the place, with "/".
+        name: path below the location, with "/".
         size: in bytes.
-        tag: changes when the content does: an object store's etag, a folder's time of last change.
+        tag: changes with the content: an object store's etag, a file's modification time.
     """
 
     name: str
@@ -40,10 +40,10 @@ class File:
 
 
 @dataclass(frozen=True)
-class Place:
-    """A folder, or a prefix of an object store; can be sent to other processes.
+class Store:
+    """A folder, or a prefix of an object store; picklable.
 
-    Everything raises OSError with a sentence that names what could not be read or written.
+    All methods raise OSError with a message that names the unreadable or unwritable file.
 
     Attributes:
         url: `s3://bucket/prefix` and the like; the absolute path of a folder.
@@ -53,126 +53,126 @@ class Place:
 
     @property
     def folder(self) -> Path | None:
-        """None in object stores."""
+        """Path of the folder; None in object stores."""
         return None if is_url(self.url) else Path(self.url)
 
-    def below(self, name: str) -> Place:
-        return Place(f"{self.url.rstrip('/')}/{name}")
+    def join(self, name: str) -> Store:
+        return Store(f"{self.url.rstrip('/')}/{name}")
 
     def read(self, name: str) -> bytes | None:
-        """None where there is no such file."""
-        with self._spoken("read", name):
+        """Read a file; None if it does not exist."""
+        with self._describe_errors("read", name):
             try:
-                return bytes(obstore.get(*self._at(name)).bytes())
+                return bytes(obstore.get(*self._locate(name)).bytes())
             except FileNotFoundError:
                 return None
 
     def write(self, name: str, content: bytes | Path) -> None:
-        """The file appears whole, in place of an older one."""
-        with self._spoken("write", name):
-            obstore.put(*self._at(name), content)
+        """Write a file atomically, replacing an existing one."""
+        with self._describe_errors("write", name):
+            obstore.put(*self._locate(name), content)
 
     def create(self, name: str, content: bytes) -> bool:
-        """False where there is such a file already: of several that try at once, one succeeds."""
-        with self._spoken("write", name):
+        """Create a file; False if it exists. Of several concurrent attempts only one succeeds."""
+        with self._describe_errors("write", name):
             try:
-                obstore.put(*self._at(name), content, mode="create")
+                obstore.put(*self._locate(name), content, mode="create")
             except (AlreadyExistsError, PreconditionError):
                 return False
             return True
 
     def remove(self, name: str) -> None:
-        """Nothing happens where there is no such file."""
-        with self._spoken("remove", name):
+        """Remove a file, if it exists."""
+        with self._describe_errors("remove", name):
             try:
-                obstore.delete(*self._at(name))
+                obstore.delete(*self._locate(name))
             except FileNotFoundError:
                 return
 
     def fetch(self, name: str, target: Path) -> None:
-        """Copies a file into a folder's."""
+        """Copy a file to a local path."""
         target.parent.mkdir(parents=True, exist_ok=True)
-        with self._spoken("read", name), target.open("wb") as file:
-            for part in obstore.get(*self._at(name)).stream():
+        with self._describe_errors("read", name), target.open("wb") as file:
+            for part in obstore.get(*self._locate(name)).stream():
                 file.write(bytes(part))
 
     def names(self) -> list[str]:
-        """Of the files directly here, sorted; none where there is nothing."""
-        with self._spoken("list"):
-            store, prefix = self._at("")
+        """Return the names of the files directly in this location, sorted; empty if it does not exist."""
+        with self._describe_errors("list"):
+            store, prefix = self._locate("")
             found = obstore.list_with_delimiter(store, prefix or None)["objects"]
             return sorted(entry["path"].rpartition("/")[2] for entry in found)
 
-    def files(self) -> list[File]:
-        """All below, sorted by name; a folder's links are followed, hidden files are left out."""
-        with self._spoken("list"):
-            found = list(_walk(Path(self.url)) if self.folder is not None else self._listed())
+    def files(self) -> list[StoredFile]:
+        """Return all files below this location, sorted by name; links are followed, hidden files skipped."""
+        with self._describe_errors("list"):
+            found = list(_walk(Path(self.url)) if self.folder is not None else self._list_objects())
         return sorted(found, key=lambda file: file.name)
 
-    def _listed(self) -> Iterator[File]:
-        store, prefix = self._at("")
+    def _list_objects(self) -> Iterator[StoredFile]:
+        store, prefix = self._locate("")
         for entries in obstore.list(store, prefix or None):
             for entry in entries:
                 name = entry["path"][len(prefix) :].lstrip("/")
-                if name and not _hidden(name):
-                    yield File(name, entry["size"], str(entry["e_tag"] or entry["last_modified"].isoformat()))
+                if name and not _is_hidden(name):
+                    yield StoredFile(name, entry["size"], str(entry["e_tag"] or entry["last_modified"].isoformat()))
 
-    def _at(self, name: str) -> tuple[Any, str]:
-        """The store, and a file's path in it."""
+    def _locate(self, name: str) -> tuple[Any, str]:
+        """Return the store, and a file's path in it."""
         if not is_url(self.url):
-            return _folder_store(), _absolute(f"{self.url.rstrip('/')}/{name}")
-        root, path = _split(self.url)
+            return _folder_store(), _relative_to_root(f"{self.url.rstrip('/')}/{name}")
+        root, path = _split_url(self.url)
         return _store(root), "/".join(part for part in (path, name) if part)
 
     @contextmanager
-    def _spoken(self, what: str, name: str = "") -> Iterator[None]:
+    def _describe_errors(self, action: str, name: str = "") -> Iterator[None]:
         where = f"{self.url}/{name}".rstrip("/")
         try:
             yield
         except FileNotFoundError:
-            raise FileNotFoundError(f"cannot {what} {where}: no such file") from None
+            raise FileNotFoundError(f"cannot {action} {where}: no such file") from None
         except NotImplementedError:
-            raise OSError(f"cannot {what} {where}: this kind of store cannot do that") from None
+            raise OSError(f"cannot {action} {where}: this kind of store does not support it") from None
         except (PermissionDeniedError, UnauthenticatedError) as error:
-            raise PermissionError(f"cannot {what} {where}: {_first_line(error)}") from None
+            raise PermissionError(f"cannot {action} {where}: {_first_line(error)}") from None
         except BaseError as error:
             kind = PermissionError if "os error 13" in str(error) else OSError
-            raise kind(f"cannot {what} {where}: {_first_line(error)}") from None
+            raise kind(f"cannot {action} {where}: {_first_line(error)}") from None
 
 
-def place(where: str | Path) -> Place:
-    """A place of a URL, or of a folder's path.
+def open_store(location: str | Path) -> Store:
+    """Return the store of a URL or of a folder's path.
 
     Raises:
-        ValueError: a URL of no known kind.
+        ValueError: an unsupported URL.
     """
-    text = str(where)
+    text = str(location)
     if not is_url(text):
-        return Place(Path(text).expanduser().absolute().as_posix())
+        return Store(Path(text).expanduser().absolute().as_posix())
     text = text.rstrip("/")
     if text.startswith("file://"):
-        return Place(text.removeprefix("file://") or "/")
+        return Store(text.removeprefix("file://") or "/")
     try:
-        _store(_split(text)[0])
+        _store(_split_url(text)[0])
     except BaseError as error:
         raise ValueError(f"{text}: {_first_line(error)}") from None
-    return Place(text)
+    return Store(text)
 
 
-def is_url(where: str) -> bool:
-    """`s3://bucket/prefix`, but not `C:\\recordings`."""
-    return re.match(r"[A-Za-z][\w+.-]+://", where) is not None
+def is_url(location: str) -> bool:
+    """Return whether a location is a URL, such as `s3://bucket/prefix`, but not `C:\\recordings`."""
+    return re.match(r"[A-Za-z][\w+.-]+://", location) is not None
 
 
-def resolved(where: str, base: Place) -> Place:
-    """What a manifest in `base` calls `where`: a URL, an absolute path, or a path from there."""
-    if is_url(where) or Path(where).expanduser().is_absolute():
-        return place(where)
-    return base.below(where) if base.folder is None else place(os.path.normpath(base.folder / where))
+def resolve_location(location: str, base: Store) -> Store:
+    """Resolve a location in a manifest in `base`: a URL, an absolute path, or a path relative to `base`."""
+    if is_url(location) or Path(location).expanduser().is_absolute():
+        return open_store(location)
+    return base.join(location) if base.folder is None else open_store(os.path.normpath(base.folder / location))
 
 
-def _split(url: str) -> tuple[str, str]:
-    """`s3://bucket` and the path in it."""
+def _split_url(url: str) -> tuple[str, str]:
+    """Split a URL into its root, such as `s3://bucket`, and the path in it."""
     scheme, _, rest = url.partition("://")
     host, _, path = rest.partition("/")
     return f"{scheme}://{host}", path
@@ -180,7 +180,7 @@ def _split(url: str) -> tuple[str, str]:
 
 @cache
 def _store(root: str) -> Any:
-    # In this process only: for tests and trials.
+    # In-memory stores exist in this process only: for tests.
     return MemoryStore() if root.startswith("memory://") else from_url(root)
 
 
@@ -189,30 +189,30 @@ def _folder_store() -> Any:
     return LocalStore()
 
 
-def _absolute(path: str) -> str:
+def _relative_to_root(path: str) -> str:
     return Path(path).as_posix().lstrip("/")
 
 
-def _walk(folder: Path) -> Iterator[File]:
-    seen: set[str] = set()
+def _walk(folder: Path) -> Iterator[StoredFile]:
+    visited: set[str] = set()
     for where, folders, names in os.walk(folder, followlinks=True):
         real = os.path.realpath(where)
-        if real in seen:  # links in a circle
+        if real in visited:  # circular links
             folders.clear()
             continue
-        seen.add(real)
+        visited.add(real)
         folders[:] = sorted(name for name in folders if not name.startswith("."))
         for name in names:
             path = Path(where, name)
             if not name.startswith(".") and path.is_file():
                 stat = path.stat()
-                yield File(path.relative_to(folder).as_posix(), stat.st_size, str(stat.st_mtime_ns))
+                yield StoredFile(path.relative_to(folder).as_posix(), stat.st_size, str(stat.st_mtime_ns))
 
 
-def _hidden(name: str) -> bool:
+def _is_hidden(name: str) -> bool:
     return any(part.startswith(".") for part in name.split("/"))
 
 
 def _first_line(error: Exception) -> str:
-    """Without the addresses and structures that follow it."""
+    """Return the error's first line, without the addresses and structures that follow."""
     return str(error).strip().split("\n", 1)[0].rstrip(" {:")

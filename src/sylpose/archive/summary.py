@@ -1,4 +1,4 @@
-"""What became of all recordings of an archive: read from its destination, as a table in CSV and Parquet."""
+"""Summary of all recordings of an archive, read from its destination, as a CSV and Parquet table."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from sylpose.archive.claims import CLAIM, holder, is_alive
-from sylpose.archive.contract import DONE, FAILED, How, Record, Summary, finished, read_record
+from sylpose.archive.claims import CLAIM_PREFIX, is_alive, read_current_claim
+from sylpose.archive.contract import DONE_FILE, FAILED_FILE, Record, RunSettings, Summary, find_finished, read_record
 from sylpose.archive.recordings import Recording
-from sylpose.archive.stores import Place
+from sylpose.archive.stores import Store
 
-__all__ = ["Row", "finished_before", "gathered", "row_of", "write_summary"]
+__all__ = ["Row", "collect_rows", "find_finished_recordings", "make_row", "write_summary"]
 
-# Files that are read at once (choice: an object store's answers take a while each).
-AT_ONCE = 16
+# Number of parallel reads (choice: object stores have high latency).
+N_PARALLEL_READS = 16
 
 
 @dataclass(frozen=True)
 class Row:
-    """A recording; the fields are the columns.
+    """Summary of a recording; the fields are the columns.
 
     Attributes:
         recording: its name.
         status: a `Summary`'s, or "waiting", "running", "outdated" (finished with other inputs, options or version).
-        frames, coverage, residual_px, faults, seconds, error: as in `Summary`, the faults in one text.
+        frames, coverage, residual_px, faults, seconds, error: as in `Summary`, the faults joined.
     """
 
     recording: str
@@ -44,7 +44,7 @@ class Row:
 COLUMNS = tuple(Row.__dataclass_fields__)
 
 
-def row_of(name: str, summary: Summary) -> Row:
+def make_row(name: str, summary: Summary) -> Row:
     tracked = summary.status in ("done", "nothing found")
     return Row(
         recording=name,
@@ -58,48 +58,57 @@ def row_of(name: str, summary: Summary) -> Row:
     )
 
 
-def finished_before(recordings: Sequence[Recording], destination: Place, how: How) -> dict[str, Summary]:
-    """By name, what is known of the recordings that need not be worked on again."""
-    with ThreadPoolExecutor(AT_ONCE) as pool:
-        known = pool.map(lambda recording: finished(destination.below(recording.name), recording, how), recordings)
+def find_finished_recordings(
+    recordings: Sequence[Recording], destination: Store, settings: RunSettings
+) -> dict[str, Summary]:
+    """Return the summaries of recordings that need not be processed again, by name."""
+    with ThreadPoolExecutor(N_PARALLEL_READS) as pool:
+        known = pool.map(
+            lambda recording: find_finished(destination.join(recording.name), recording, settings), recordings
+        )
         return {r.name: summary for r, summary in zip(recordings, known, strict=True) if summary is not None}
 
 
-def gathered(destination: Place, recordings: Iterable[Recording] | None = None) -> list[Row]:
-    """What is known of all recordings, sorted by name.
+def collect_rows(destination: Store, recordings: Iterable[Recording] | None = None) -> list[Row]:
+    """Collect the status of all recordings, sorted by name.
 
     Args:
-        recordings: None for those that have something in the destination.
+        destination: where the results are.
+        recordings: None for all in the destination.
     """
-    kept = [f.name.rpartition("/") for f in destination.files()]
-    known = {folder for folder, _, name in kept if name in (DONE, FAILED) or name.startswith(CLAIM)} - {""}
-    claimed = {folder for folder, _, name in kept if name.startswith(CLAIM)}
+    files = [f.name.rpartition("/") for f in destination.files()]
+    with_record = {
+        folder for folder, _, name in files if name in (DONE_FILE, FAILED_FILE) or name.startswith(CLAIM_PREFIX)
+    } - {""}
+    with_claim = {folder for folder, _, name in files if name.startswith(CLAIM_PREFIX)}
     wanted = (
-        dict[str, Recording | None](dict.fromkeys(known)) if recordings is None else {r.name: r for r in recordings}
+        dict[str, Recording | None](dict.fromkeys(with_record))
+        if recordings is None
+        else {r.name: r for r in recordings}
     )
 
     def row(name: str) -> Row:
-        place = destination.below(name)
-        record = read_record(place) if name in known else None
-        claim = holder(place) if name in claimed else None
+        store = destination.join(name)
+        record = read_record(store) if name in with_record else None
+        claim = read_current_claim(store) if name in with_claim else None
         if claim is not None and is_alive(claim):
             return Row(name, "running", error=f"by process {claim.pid} of {claim.host}")
-        return _row(name, record, wanted[name])
+        return _make_status_row(name, record, wanted[name])
 
-    with ThreadPoolExecutor(AT_ONCE) as pool:
+    with ThreadPoolExecutor(N_PARALLEL_READS) as pool:
         return list(pool.map(row, sorted(wanted)))
 
 
-def _row(name: str, record: Record | None, recording: Recording | None) -> Row:
+def _make_status_row(name: str, record: Record | None, recording: Recording | None) -> Row:
     if record is None:
         return Row(name, "waiting")
     if recording is not None and record.digest != recording.digest:
-        return Row(name, "outdated", error="its files, the options or sylpose have changed since")
-    return row_of(name, record.summary)
+        return Row(name, "outdated", error="its files, the options or the version of sylpose have changed")
+    return make_row(name, record.summary)
 
 
-def write_summary(destination: Place, rows: Sequence[Row]) -> list[str]:
-    """Writes summary.csv, and summary.parquet where PyArrow is installed; returns where."""
+def write_summary(destination: Store, rows: Sequence[Row]) -> list[str]:
+    """Write summary.csv, and summary.parquet if PyArrow is installed; return their locations."""
     text = io.StringIO(newline="")
     table = csv.writer(text)
     table.writerow(COLUMNS)

@@ -1,2 +1,3 @@
-"""Calibration targets: what users call them (`specification`), found in one image (`detection`), and where they are, by all
-cameras together (`location`)."""
+"""Calibration targets: text descriptions (`specification`), detection in one image (`detection`), and pose from all
+cameras (`board_pose`).
+"""

@@ -1,4 +1,4 @@
-"""Where a calibration target is, by all cameras that see it at one instant."""
+"""Pose of a calibration target from all cameras that see it at one time."""
 
 from __future__ import annotations
 
@@ -11,212 +11,239 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.absolute_pose.pose import estimate_pose
 from sylpose.boards.detection import Detection, detect
 from sylpose.boards.specification import Board
-from sylpose.frames import FrameSet, check_frames
+from sylpose.frames import FrameSet, check_frame_set
 from sylpose.geometry.arrays import FloatArray, Image, IntArray
-from sylpose.geometry.validation import items, kind_of
+from sylpose.geometry.validation import check_sequence, check_type
 from sylpose.results import Motion
 from sylpose.rig import Camera, Rig
 
-__all__ = ["Sighting", "find_board", "joined"]
+__all__ = ["BoardObservation", "combine_detections", "find_board"]
 
-# A size that is known less surely than to this share is not told (choice: a printer's scaling is a few percent).
-SIZE_KNOWN = 0.0125
-# Two cameras' rays that miss each other by more, pixels, are of no common point; their points are as good as this (choice).
-MISSED_PX, USUAL_PX = 5.0, 0.5
-# Points around a circle that stand for it (choice).
-AROUND = 32
-# Cameras that see a target so many pixels from where the others do are named (choice: a calibration that has not changed is
-# good to one).
-ELSEWHERE_PX = 3.0
+# The size ratio is only reported if its relative uncertainty is below this (choice: a printer's scaling is a few
+# percent).
+MAX_SIZE_UNCERTAINTY = 0.0125
+# Rays of two cameras that miss each other by more than this, pixels, have no common point; assumed noise of points,
+# pixels (choice).
+MAX_RAY_DISTANCE_PX, TYPICAL_NOISE_PX = 5.0, 0.5
+# Points that approximate a circle (choice).
+CIRCLE_SAMPLES = 32
+# Cameras whose target is off by more than this many pixels from the others' are reported (choice: an unchanged
+# calibration is accurate to one).
+MAX_CAMERA_ERROR_PX = 3.0
 
 
 @dataclass(frozen=True, eq=False)
-class Sighting:
-    """What C cameras see of a target at one instant.
+class BoardObservation:
+    """Observation of a target by C cameras at one time.
 
     Attributes:
-        points: (n_c, 3) by camera, in the target's frame; empty where it is not seen.
-        pixels: (n_c, 2) by camera, in the image as recorded; of circles where their centres would be seen.
-        motion: world_from_board with its status and covariance, as `estimate_pose` has it.
-        alike: how many turns of the target look the same; beyond 1, the one that was taken is a choice: that whose x axis is
-            most to the right in the image of the first camera that sees it.
-        size: how large it is by where the rays of two cameras meet, as a share of how large it was said to be; None where
-            nothing tells.
-        problems: sentences on what looks wrong.
+        points: (n_c, 3) by camera, in the target's frame; empty where it is not detected.
+        pixels: (n_c, 2) by camera, in the image as recorded; for circles, the projections of their centers.
+        motion: world_from_board with its status and covariance, as of `estimate_pose`.
+        n_symmetries: number of rotations of the target that look the same. If above 1, the x axis points as far right
+            as possible in the first camera's image.
+        size_ratio: ratio of measured to specified size, from the rays of two cameras; None if unknown.
+        problems: sentences about detected problems.
     """
 
     points: tuple[FloatArray, ...]
     pixels: tuple[FloatArray, ...]
     motion: Motion
-    alike: int
-    size: float | None
+    n_symmetries: int
+    size_ratio: float | None
     problems: tuple[str, ...]
 
     @property
     def cameras(self) -> tuple[int, ...]:
-        """Numbers of the cameras that see it."""
+        """Return the indices of the cameras that detected it."""
         return tuple(c for c, pixels in enumerate(self.pixels) if len(pixels))
 
 
-def find_board(rig: Rig, images: Sequence[Image | None], board: Board, *, seed: int = 0) -> Sighting:
-    """Looks for a target in the images of all cameras at one instant, and where it is.
+def find_board(rig: Rig, images: Sequence[Image | None], board: Board, *, seed: int = 0) -> BoardObservation:
+    """Detect a target in the images of all cameras at one time, and estimate its pose.
 
     Args:
         rig: C cameras.
         images: C images (h, w) or (h, w, 3) BGR as recorded, None where a camera has none.
-        board: of `parse_board`, in the rig's unit.
-        seed: of the search. Same input and seed, same result.
+        board: board from `parse_board`, in the rig's unit.
+        seed: seed of the random search; same input and seed give the same result.
+
+    Returns:
+        detected points and the target's pose.
 
     Raises:
         TypeError, ValueError: not one image per camera, of its size; this OpenCV has no detector for the target.
     """
-    n = len(kind_of(rig, Rig, "rig"))
-    images = items(images, "images", n)
-    nothing = (None,) * n
-    check_frames(FrameSet(0, 0.0, nothing, tuple(images), nothing), rig)
-    board = kind_of(board, Board, "board")
-    none = Detection(np.empty(0, np.int64), np.empty((0, 2)))
-    seen = [none if image is None else detect(image, camera, board) for camera, image in zip(rig, images, strict=True)]
-    return joined(rig, seen, board, seed=seed)
+    n = len(check_type(rig, Rig, "rig"))
+    images = check_sequence(images, "images", n)
+    missing = (None,) * n
+    check_frame_set(FrameSet(0, 0.0, missing, tuple(images), missing), rig)
+    board = check_type(board, Board, "board")
+    no_detection = Detection(np.empty(0, np.int64), np.empty((0, 2)))
+    detections = [
+        no_detection if image is None else detect(image, camera, board)
+        for camera, image in zip(rig, images, strict=True)
+    ]
+    return combine_detections(rig, detections, board, seed=seed)
 
 
-def joined(rig: Rig, seen: Sequence[Detection], board: Board, *, seed: int = 0) -> Sighting:
-    """What the cameras see of a target, put together: of targets that look the same after a turn, all see the same turn.
+def combine_detections(rig: Rig, detections: Sequence[Detection], board: Board, *, seed: int = 0) -> BoardObservation:
+    """Combine the detections of all cameras, with a consistent orientation of symmetric targets.
 
-    Cameras are taken one after the other, those that see most first; each with the turn by which it agrees best with those
-    before.
+    Cameras are processed in order of decreasing extent. Each takes the symmetry that agrees best with the previous
+    ones.
 
     Args:
-        seen: of each camera of the rig.
+        rig: the cameras.
+        detections: detection of each camera.
+        board: the target.
+        seed: seed of the random search.
     """
-    turns: dict[int, IntArray] = {}
-    order = sorted((c for c, its in enumerate(seen) if len(its.numbers)), key=lambda c: -_extent(seen[c]))
-    if len(board.alike) > 1:
+    symmetries: dict[int, IntArray] = {}
+    order = sorted(
+        (c for c, detection in enumerate(detections) if len(detection.indices)),
+        key=lambda c: -_compute_extent(detections[c]),
+    )
+    if len(board.symmetries) > 1:
         for c in order:
-            ways = board.alike if turns else board.alike[:1]
-            misfits = [_misfit(_fit(rig, seen, board, {**turns, c: way}, seed)) for way in ways]
-            turns[c] = ways[misfits.index(min(misfits))]
-        turns = _chosen(seen, board, turns)
+            candidates = board.symmetries if symmetries else board.symmetries[:1]
+            misfits = [
+                _compute_misfit(_fit_pose(rig, detections, board, {**symmetries, c: way}, seed)) for way in candidates
+            ]
+            symmetries[c] = candidates[misfits.index(min(misfits))]
+        symmetries = _choose_orientation(detections, board, symmetries)
     else:
-        turns = dict.fromkeys(order, board.alike[0])
-    points, pixels = _matches(seen, board, turns)
+        symmetries = dict.fromkeys(order, board.symmetries[0])
+    points, pixels = _collect_matches(detections, board, symmetries)
     motion = estimate_pose(rig, points, pixels, seed=seed)
     if board.diameter and motion.motion is not None:
         world_from_board = motion.motion
         pixels = tuple(
-            its - _off_center(camera, world_from_board, where, board.diameter)
-            for camera, where, its in zip(rig, points, pixels, strict=True)
+            detection - _compute_center_offsets(camera, world_from_board, where, board.diameter)
+            for camera, where, detection in zip(rig, points, pixels, strict=True)
         )
         motion = estimate_pose(rig, points, pixels, seed=seed)
-    problems = [f"{rig.names[c]}: {its.problem}" for c, its in enumerate(seen) if its.problem]
-    size = _size_seen(rig, seen, board)
-    problems += _elsewhere(rig, points, pixels, motion)
-    return Sighting(points, pixels, motion, len(board.alike), size, tuple(problems))
+    problems = [f"{rig.names[c]}: {detection.problem}" for c, detection in enumerate(detections) if detection.problem]
+    size = _estimate_size_ratio(rig, detections, board)
+    problems += _describe_inconsistent(rig, points, pixels, motion)
+    return BoardObservation(points, pixels, motion, len(board.symmetries), size, tuple(problems))
 
 
-def _matches(
-    seen: Sequence[Detection], board: Board, turns: Mapping[int, IntArray]
+def _collect_matches(
+    detections: Sequence[Detection], board: Board, symmetries: Mapping[int, IntArray]
 ) -> tuple[tuple[FloatArray, ...], tuple[FloatArray, ...]]:
     points, pixels = [], []
-    for c, its in enumerate(seen):
-        points.append(board.points[turns[c][its.numbers]] if c in turns else np.empty((0, 3)))
-        pixels.append(its.pixels if c in turns else np.empty((0, 2)))
+    for c, detection in enumerate(detections):
+        points.append(board.points[symmetries[c][detection.indices]] if c in symmetries else np.empty((0, 3)))
+        pixels.append(detection.pixels if c in symmetries else np.empty((0, 2)))
     return tuple(points), tuple(pixels)
 
 
-def _fit(rig: Rig, seen: Sequence[Detection], board: Board, turns: Mapping[int, IntArray], seed: int) -> Motion:
-    return estimate_pose(rig, *_matches(seen, board, turns), seed=seed)
+def _fit_pose(
+    rig: Rig, detections: Sequence[Detection], board: Board, symmetries: Mapping[int, IntArray], seed: int
+) -> Motion:
+    return estimate_pose(rig, *_collect_matches(detections, board, symmetries), seed=seed)
 
 
-def _misfit(motion: Motion) -> tuple[float, float]:
-    """What is less for the better of two poses of the same matches: those that disagree, then the residual."""
-    off = sum(int(np.count_nonzero(~its)) for its in motion.inliers)
-    return off, float(np.nanmax(motion.residuals, initial=0.0))
+def _compute_misfit(motion: Motion) -> tuple[float, float]:
+    """Return the misfit of a pose for comparison: number of outliers, then the residual."""
+    n_outliers = sum(int(np.count_nonzero(~its)) for its in motion.inliers)
+    return n_outliers, float(np.nanmax(motion.residuals, initial=0.0))
 
 
-def _off_center(camera: Camera, world_from_board: RigidTransform, centers: FloatArray, diameter: float) -> FloatArray:
-    """(n, 2) pixels from where circles' centres (n, 3) are seen to the middles of what is seen of them, whose nearer parts
-    look larger."""
-    around = 2 * np.pi * np.arange(AROUND) / AROUND
-    ring = diameter / 2 * np.column_stack([np.cos(around), np.sin(around), np.zeros(AROUND)])
+def _compute_center_offsets(
+    camera: Camera, world_from_board: RigidTransform, centers: FloatArray, diameter: float
+) -> FloatArray:
+    """Compute offsets (n, 2), pixels, from projected circle centers (n, 3) to the centroids of the circles' images.
+
+    They differ because the nearer part of a circle looks larger.
+    """
+    ring_angles = 2 * np.pi * np.arange(CIRCLE_SAMPLES) / CIRCLE_SAMPLES
+    ring = diameter / 2 * np.column_stack([np.cos(ring_angles), np.sin(ring_angles), np.zeros(CIRCLE_SAMPLES)])
     places = world_from_board.apply((centers[:, None] + ring).reshape(-1, 3))
     middles = camera.project(world_from_board.apply(centers).reshape(-1, 3))
-    off = camera.project(places).reshape(-1, AROUND, 2) - middles[:, None]
-    after = np.roll(off, -1, axis=1)
-    areas = off[..., 0] * after[..., 1] - off[..., 1] * after[..., 0]
-    # The centre of a polygon is that of its triangles, by their areas.
-    return np.asarray((areas[..., None] * (off + after)).sum(axis=1) / (3 * areas.sum(axis=1, keepdims=True)))
+    offsets = camera.project(places).reshape(-1, CIRCLE_SAMPLES, 2) - middles[:, None]
+    next_offsets = np.roll(offsets, -1, axis=1)
+    areas = offsets[..., 0] * next_offsets[..., 1] - offsets[..., 1] * next_offsets[..., 0]
+    # The centroid of a polygon is the area-weighted mean of its triangles' centroids.
+    return np.asarray(
+        (areas[..., None] * (offsets + next_offsets)).sum(axis=1) / (3 * areas.sum(axis=1, keepdims=True))
+    )
 
 
-def _extent(its: Detection) -> float:
-    """How large it is in the image, pixels."""
-    return float(np.linalg.norm(np.ptp(its.pixels, axis=0)))
+def _compute_extent(detection: Detection) -> float:
+    """Return the size of a detection in the image, pixels."""
+    return float(np.linalg.norm(np.ptp(detection.pixels, axis=0)))
 
 
-def _chosen(seen: Sequence[Detection], board: Board, turns: Mapping[int, IntArray]) -> dict[int, IntArray]:
-    """The same with the target turned so that its x axis is most to the right in the first camera's image."""
-    if not turns:
+def _choose_orientation(
+    detections: Sequence[Detection], board: Board, symmetries: Mapping[int, IntArray]
+) -> dict[int, IntArray]:
+    """Rotate the target so that its x axis points as far right as possible in the first camera's image."""
+    if not symmetries:
         return {}
-    first = min(turns)
-    its = seen[first]
+    first = min(symmetries)
+    detection = detections[first]
 
-    def to_the_right(way: IntArray) -> float:
-        x = board.points[way[turns[first][its.numbers]], 0]
-        return float((x - x.mean()) @ (its.pixels[:, 0] - its.pixels[:, 0].mean()))
+    def measure_rightness(way: IntArray) -> float:
+        x = board.points[way[symmetries[first][detection.indices]], 0]
+        return float((x - x.mean()) @ (detection.pixels[:, 0] - detection.pixels[:, 0].mean()))
 
-    best = max(board.alike, key=to_the_right)
-    return {c: best[turn] for c, turn in turns.items()}
+    best = max(board.symmetries, key=measure_rightness)
+    return {c: best[turn] for c, turn in symmetries.items()}
 
 
-def _elsewhere(rig: Rig, points: Sequence[FloatArray], pixels: Sequence[FloatArray], motion: Motion) -> list[str]:
-    """A sentence on each camera that sees the target elsewhere than the others."""
+def _describe_inconsistent(
+    rig: Rig, points: Sequence[FloatArray], pixels: Sequence[FloatArray], motion: Motion
+) -> list[str]:
+    """Describe each camera that sees the target at another position than the others."""
     found = []
     for camera, where, its in zip(rig, points, pixels, strict=True):
         if motion.motion is not None and len(its):
-            off = np.linalg.norm(camera.project(motion.motion.apply(where).reshape(-1, 3)) - its, axis=1)
-            far = float(np.median(np.nan_to_num(off, nan=np.inf)))
-            if far > ELSEWHERE_PX:
-                found.append(f"{camera.name} sees it elsewhere than the other cameras, {far:.0f} px off")
+            errors = np.linalg.norm(camera.project(motion.motion.apply(where).reshape(-1, 3)) - its, axis=1)
+            error = float(np.median(np.nan_to_num(errors, nan=np.inf)))
+            if error > MAX_CAMERA_ERROR_PX:
+                found.append(f"{camera.name} sees it at another position than the other cameras, {error:.0f} px off")
     return found
 
 
-def _size_seen(rig: Rig, seen: Sequence[Detection], board: Board) -> float | None:
-    """As `Sighting` has it, the median over pairs of cameras."""
+def _estimate_size_ratio(rig: Rig, detections: Sequence[Detection], board: Board) -> float | None:
+    """Estimate the size ratio of `BoardObservation`, the median over pairs of cameras."""
     ratios = []
-    with_points = [c for c, its in enumerate(seen) if len(its.numbers)]
+    with_points = [c for c, its in enumerate(detections) if len(its.indices)]
     for i, a in enumerate(with_points):
         for b in with_points[i + 1 :]:
             pair = (rig.cameras[a], rig.cameras[b])
-            met = [_met(pair, seen[a], seen[b], way) for way in board.alike]
-            miss, points, numbers, doubt = min(met, key=lambda its: its[0])
-            if miss > MISSED_PX or len(numbers) < 3 or doubt > SIZE_KNOWN:
+            intersections = [_intersect_rays(pair, detections[a], detections[b], way) for way in board.symmetries]
+            miss, points, numbers, uncertainty = min(intersections, key=lambda its: its[0])
+            if miss > MAX_RAY_DISTANCE_PX or len(numbers) < 3 or uncertainty > MAX_SIZE_UNCERTAINTY:
                 continue
             spreads = [np.linalg.norm(x - x.mean(axis=0)) for x in (points, board.points[numbers])]
             ratios.append(float(spreads[0] / spreads[1]))
     return float(np.median(ratios)) if ratios else None
 
 
-def _met(
-    pair: tuple[Camera, Camera], a: Detection, b: Detection, way: IntArray
+def _intersect_rays(
+    pair: tuple[Camera, Camera], a: Detection, b: Detection, symmetry: IntArray
 ) -> tuple[float, FloatArray, IntArray, float]:
-    """Where the rays of two cameras meet, the target of the second one being turned.
+    """Intersect the rays of two cameras, with a symmetry applied to the second one's detection.
 
     Returns:
-        the median distance by which they miss each other, pixels; (m, 3) places of the m points that both see; their
-        numbers; and by what share their size may be off.
+        the median distance between rays, pixels; (m, 3) midpoints of the m common points; their numbers; and the
+        relative uncertainty of their size.
     """
-    numbers, in_a, in_b = np.intersect1d(a.numbers, way[b.numbers], return_indices=True)
+    numbers, in_a, in_b = np.intersect1d(a.indices, symmetry[b.indices], return_indices=True)
     if not len(numbers):
         return np.inf, np.empty((0, 3)), numbers, np.inf
-    one, other = pair[0].rays(a.pixels[in_a]), pair[1].rays(b.pixels[in_b])
+    rays, other_rays = pair[0].rays(a.pixels[in_a]), pair[1].rays(b.pixels[in_b])
     between = pair[1].center - pair[0].center
-    cosine = (one * other).sum(axis=1)
+    cosine = (rays * other_rays).sum(axis=1)
     sine = np.maximum(1.0 - cosine**2, 1e-12)
-    far = (one @ between - cosine * (other @ between)) / sine
-    back = (cosine * (one @ between) - other @ between) / sine
-    ends = pair[0].center + far[:, None] * one, pair[1].center + back[:, None] * other
-    miss = np.linalg.norm(ends[0] - ends[1], axis=1) * pair[0].focal / np.maximum(far, 1e-12)
+    depths = (rays @ between - cosine * (other_rays @ between)) / sine
+    other_depths = (cosine * (rays @ between) - other_rays @ between) / sine
+    ends = pair[0].center + depths[:, None] * rays, pair[1].center + other_depths[:, None] * other_rays
+    miss = np.linalg.norm(ends[0] - ends[1], axis=1) * pair[0].focal / np.maximum(depths, 1e-12)
     extent = float(np.linalg.norm(np.ptp(a.pixels[in_a], axis=0)))
-    doubt = USUAL_PX / (float(np.sqrt(np.median(sine))) * max(extent, 1e-12))
-    good = (far > 0) & (back > 0)
-    return float(np.median(np.where(good, miss, np.inf))), (ends[0] + ends[1]) / 2, numbers, doubt
+    uncertainty = TYPICAL_NOISE_PX / (float(np.sqrt(np.median(sine))) * max(extent, 1e-12))
+    in_front = (depths > 0) & (other_depths > 0)
+    return float(np.median(np.where(in_front, miss, np.inf))), (ends[0] + ends[1]) / 2, numbers, uncertainty

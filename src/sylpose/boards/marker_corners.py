@@ -1,4 +1,7 @@
-"""The corners of a marker where its four edges meet: finer than corners found by themselves, which blur draws inwards."""
+"""Marker corners as intersections of fitted edges.
+
+They are more accurate than separately detected corners, which blur pulls inwards.
+"""
 
 from __future__ import annotations
 
@@ -10,83 +13,89 @@ import numpy as np
 from sylpose.geometry.arrays import FloatArray, Image
 from sylpose.rig import Camera
 
-__all__ = ["corners_of_edges"]
+__all__ = ["refine_marker_corners"]
 
-# OpenCV's way of saying that both coordinates are in the first map.
-NO_MAP: Any = None
+# Second map of cv2.remap: None, since the first map has both coordinates.
+NO_SECOND_MAP: Any = None
 
-# An edge is looked at within this share of its length, at most so many times and so often by its length in pixels; across it
-# so far, by the width of a bit and in pixels, in steps (choice: the bits beside it are not to be looked at).
-WITHIN, MOST_LOOKS, LOOKS_PER_PX = 0.76, 60, 0.7
-ACROSS_BITS, LEAST_ACROSS, MOST_ACROSS, STEP = 0.7, 1.5, 8.0, 0.25
-# Of a profile's slopes those of this share of the steepest are of the edge (choice); looks of less than this share of the
-# usual contrast, or so many times further off than usual, are not used (choice).
-STEEP, CONTRAST, ASTRAY = 0.25, 0.5, 3.0
-# Windows are moved to where edges were found so many times (choice: out of focus they are as wide as the windows).
-PASSES = 2
-# An edge is not fitted to fewer looks, and no corner moves further, pixels (choice).
-FEWEST, MOST_MOVED = 4, 2.5
+# Sampling of an edge. Along it: the share of its length, and the maximum number of intensity profiles and their density
+# per pixel. Across it: the reach in bit widths, its bounds in pixels, and the step (choice: adjacent bits must stay
+# outside).
+EDGE_SHARE, MAX_PROFILES, PROFILES_PER_PX = 0.76, 60, 0.7
+REACH_BITS, MIN_REACH, MAX_REACH, SAMPLE_STEP = 0.7, 1.5, 8.0, 0.25
+# Slopes below this share of a profile's steepest are ignored (choice); profiles with less than this share of the median
+# contrast, or whose distance from the edge exceeds this multiple of the median, are rejected (choice).
+MIN_SLOPE_RATIO, MIN_CONTRAST_RATIO, OUTLIER_RATIO = 0.25, 0.5, 3.0
+# Number of passes that recenter the windows on the edges (choice: out of focus they are as wide as the windows).
+N_PASSES = 2
+# Minimum number of profiles per edge, and maximum movement of a corner, pixels (choice).
+MIN_PROFILES, MAX_MOVE_PX = 4, 2.5
 
 
-def corners_of_edges(grey: Image, camera: Camera, corners: FloatArray, bits: int) -> FloatArray:
-    """Corners of a dark marker on light ground.
+def refine_marker_corners(gray: Image, camera: Camera, corners: FloatArray, bits: int) -> FloatArray:
+    """Refine the corners of a dark marker on light ground.
 
     Args:
-        grey: (h, w).
-        corners: (4, 2) in the image as recorded, around the marker, known to a pixel or two.
+        gray: (h, w).
+        camera: that took the image.
+        corners: (4, 2) in the image as recorded, in order around the marker, accurate to a pixel or two.
         bits: along a side of the marker, border included.
 
     Returns:
-        (4, 2) likewise, where straight lines through the lens meet; those given where no edges are found.
+        (4, 2) intersections of edges that are straight after undistortion; the given corners if edges are not found.
     """
     refined = corners
-    for _ in range(PASSES):
-        refined = _pass(grey, camera, refined, bits)
-    return refined if np.linalg.norm(refined - corners, axis=1).max() <= MOST_MOVED else corners
+    for _ in range(N_PASSES):
+        refined = _refine_once(gray, camera, refined, bits)
+    return refined if np.linalg.norm(refined - corners, axis=1).max() <= MAX_MOVE_PX else corners
 
 
-def _pass(grey: Image, camera: Camera, corners: FloatArray, bits: int) -> FloatArray:
-    lines = [_line(grey, camera, corners[k], corners[(k + 1) % 4], corners.mean(axis=0), bits) for k in range(4)]
-    known = [line for line in lines if line is not None]
-    if len(known) < 4:
+def _refine_once(gray: Image, camera: Camera, corners: FloatArray, bits: int) -> FloatArray:
+    lines = [_fit_edge(gray, camera, corners[k], corners[(k + 1) % 4], corners.mean(axis=0), bits) for k in range(4)]
+    found_lines = [line for line in lines if line is not None]
+    if len(found_lines) < 4:
         return corners
-    met = np.cross(np.roll(known, 1, axis=0), known)
-    return camera.denormalize(met[:, :2] / met[:, 2:]) if (np.abs(met[:, 2]) > 1e-12).all() else corners
+    intersections = np.cross(np.roll(found_lines, 1, axis=0), found_lines)
+    return (
+        camera.denormalize(intersections[:, :2] / intersections[:, 2:])
+        if (np.abs(intersections[:, 2]) > 1e-12).all()
+        else corners
+    )
 
 
-def _line(
-    grey: Image, camera: Camera, start: FloatArray, end: FloatArray, inside: FloatArray, bits: int
+def _fit_edge(
+    gray: Image, camera: Camera, start: FloatArray, end: FloatArray, inside: FloatArray, bits: int
 ) -> FloatArray | None:
-    """(3,) the line along an edge, in normalised coordinates; None where there is none."""
-    along = end - start
-    length = float(np.linalg.norm(along))
-    looks = int(np.clip(LOOKS_PER_PX * length, FEWEST, MOST_LOOKS))
-    share = 0.5 + WITHIN * (np.arange(looks) / (looks - 1) - 0.5)
-    outward = np.array([along[1], -along[0]]) / max(length, 1e-12)
+    """Fit the line (3,) along an edge in normalized coordinates; None if there is none."""
+    edge = end - start
+    length = float(np.linalg.norm(edge))
+    n_profiles = int(np.clip(PROFILES_PER_PX * length, MIN_PROFILES, MAX_PROFILES))
+    fractions = 0.5 + EDGE_SHARE * (np.arange(n_profiles) / (n_profiles - 1) - 0.5)
+    outward = np.array([edge[1], -edge[0]]) / max(length, 1e-12)
     if outward @ (start - inside) < 0:
         outward = -outward
-    reach = float(np.clip(ACROSS_BITS * length / bits, LEAST_ACROSS, MOST_ACROSS))
-    steps = np.arange(-reach, reach + STEP / 2, STEP)
-    places = (start + share[:, None] * along)[:, None] + steps[:, None] * outward
-    profiles = cv2.remap(grey, places.astype(np.float32), NO_MAP, cv2.INTER_LINEAR).astype(float)
+    reach = float(np.clip(REACH_BITS * length / bits, MIN_REACH, MAX_REACH))
+    steps = np.arange(-reach, reach + SAMPLE_STEP / 2, SAMPLE_STEP)
+    places = (start + fractions[:, None] * edge)[:, None] + steps[:, None] * outward
+    profiles = cv2.remap(gray, places.astype(np.float32), NO_SECOND_MAP, cv2.INTER_LINEAR).astype(float)
     slopes = np.maximum(np.diff(profiles, axis=1), 0.0)
     steepest = slopes.max(axis=1, keepdims=True)
-    slopes[slopes < STEEP * steepest] = 0.0
+    slopes[slopes < MIN_SLOPE_RATIO * steepest] = 0.0
     contrast = np.ptp(profiles, axis=1)
-    good = (steepest[:, 0] > 0) & (contrast > CONTRAST * np.median(contrast))
-    if good.sum() < FEWEST:
+    is_sharp = (steepest[:, 0] > 0) & (contrast > MIN_CONTRAST_RATIO * np.median(contrast))
+    if is_sharp.sum() < MIN_PROFILES:
         return None
-    slopes = slopes[good]
-    offset = slopes @ (steps[:-1] + STEP / 2) / slopes.sum(axis=1)
-    points = camera.normalize((start + share[good][:, None] * along) + offset[:, None] * outward)
+    slopes = slopes[is_sharp]
+    offset = slopes @ (steps[:-1] + SAMPLE_STEP / 2) / slopes.sum(axis=1)
+    points = camera.normalize((start + fractions[is_sharp][:, None] * edge) + offset[:, None] * outward)
     for _ in range(2):
         mean = points.mean(axis=0)
         normal = np.linalg.svd(points - mean)[2][1]
-        off = np.abs((points - mean) @ normal)
-        near = off <= ASTRAY * max(float(np.median(off)), 1e-12) * 1.5
-        if near.sum() < FEWEST:
+        distances = np.abs((points - mean) @ normal)
+        is_inlier = distances <= OUTLIER_RATIO * max(float(np.median(distances)), 1e-12) * 1.5
+        if is_inlier.sum() < MIN_PROFILES:
             return None
-        points = points[near]
+        points = points[is_inlier]
     mean = points.mean(axis=0)
     normal = np.linalg.svd(points - mean)[2][1]
     return np.array([*normal, -normal @ mean])

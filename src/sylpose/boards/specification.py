@@ -1,7 +1,7 @@
-"""Calibration targets in words, such as `charuco:5x7,square=0.04,marker=0.03,dict=4X4_50`, and the points on them.
+"""Text descriptions of calibration targets, and the target points that they define.
 
-The frame of a target (docs/conventions.md): x to the right along the page as it was printed, y up the page, z out of it,
-towards whoever looks at it.
+An example is `charuco:5x7,square=0.04,marker=0.03,dict=4X4_50`. The frame of a target (docs/conventions.md): x to the
+right along the printed page, y up the page, z out of it, towards the viewer.
 """
 
 from __future__ import annotations
@@ -14,13 +14,23 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sylpose.geometry.arrays import FloatArray, IntArray
-from sylpose.geometry.validation import finite, finite_rows, items, kind_of, number, one_of, shown, truth, whole
-from sylpose.input_limits import one_line
-from sylpose.units import NoUnit, length_of
+from sylpose.geometry.validation import (
+    check_bool,
+    check_choice,
+    check_finite,
+    check_finite_rows,
+    check_integer,
+    check_number,
+    check_sequence,
+    check_type,
+    format_value,
+)
+from sylpose.input_limits import to_one_line
+from sylpose.units import MissingUnitError, parse_length
 
 __all__ = ["EXAMPLES", "Board", "is_board", "parse_board"]
 
-# One of each kind, as it is typed.
+# One example of each kind.
 EXAMPLES = (
     "charuco:5x7,square=40mm,marker=30mm,dict=4X4_50",
     "chessboard:9x6,square=25mm",
@@ -30,7 +40,7 @@ EXAMPLES = (
     "aruco:4X4_50,id=0,size=50mm",
     "aprilgrid:6x6,size=88mm,gap=0.3",
 )
-# OpenCV's dictionaries without their prefix DICT_ (OpenCV 4.8), by what is told apart of a name: its capitals.
+# OpenCV's dictionaries without their prefix DICT_ (OpenCV 4.8), by upper-case name.
 DICTIONARIES = {
     name.upper(): name
     for name in (
@@ -40,292 +50,301 @@ DICTIONARIES = {
         *(f"APRILTAG_{family}" for family in ("16h5", "25h9", "36h10", "36h11")),
     )
 }
-# No target has more points a side (choice).
-MOST_A_SIDE = 100
-MOST_TAGS, MOST_BORDER = 10_000, 4
+# Maximum number of points per side, of tags, and of border bits (choice).
+MAX_SIDE = 100
+MAX_TAGS, MAX_BORDER = 10_000, 4
 
 
 @dataclass(frozen=True, eq=False)
 class Board:
-    """A calibration target.
+    """Calibration target.
 
     Attributes:
         kind: "charuco", "chessboard", "circles", "acircles", "marker" or "aprilgrid".
-        text: as it was typed.
-        size: (columns, rows): squares of a ChArUco board, inner corners of a chessboard, circles, tags; (1, 1) of a marker.
-        points: (N, 3) in its frame, z = 0; detections name them by their rows.
-        alike: rows of `points` (N,) in the order in which it looks the same after a turn; the first is no turn at all.
-        dictionary: of its markers, OpenCV's name without DICT_; "" without any.
-        first_id: the least of its markers' numbers.
-        marker_share: a ChArUco board's marker by its square.
-        border: black bits around a marker's code.
-        half_turned: the marker is printed upside down, as OpenCV has it.
-        diameter: of its circles.
+        text: its description.
+        size: (columns, rows): squares of a ChArUco board, inner corners of a chessboard, circles, tags; (1, 1) of a
+            marker.
+        points: (N, 3) in its frame, z = 0; detections refer to them by row.
+        symmetries: symmetries, as permutations (N,) of the rows of `points`; the first is the identity.
+        dictionary: dictionary of its markers, OpenCV's name without DICT_; "" without markers.
+        first_id: lowest ID of its markers.
+        marker_ratio: ratio of marker to square size of a ChArUco board.
+        border: width of the black border around a marker's code, in bits.
+        is_upside_down: whether the marker is printed upside down relative to OpenCV's.
+        diameter: diameter of its circles.
 
     Raises:
-        TypeError, ValueError: naming what is none of these, or does not fit the others.
+        TypeError, ValueError: naming an argument that is invalid or does not fit the others.
     """
 
     kind: str
     text: str
     size: tuple[int, int]
     points: FloatArray
-    alike: tuple[IntArray, ...]
+    symmetries: tuple[IntArray, ...]
     dictionary: str = ""
     first_id: int = 0
-    marker_share: float = 1.0
+    marker_ratio: float = 1.0
     border: int = 1
-    half_turned: bool = False
+    is_upside_down: bool = False
     diameter: float = 0.0
 
     def __post_init__(self) -> None:
         columns, rows = (
-            whole(side, "size", least=1, most=MOST_A_SIDE) for side in items(self.size, "size", 2, "sides")
+            check_integer(side, "size", minimum=1, maximum=MAX_SIDE)
+            for side in check_sequence(self.size, "size", 2, "sides")
         )
         counts = {"charuco": (columns - 1) * (rows - 1), "marker": 4, "aprilgrid": 4 * columns * rows}
-        kind = one_of(self.kind, ("charuco", "chessboard", "circles", "acircles", "marker", "aprilgrid"), "kind")
-        points = finite_rows(self.points, 3, "points")
+        kind = check_choice(self.kind, ("charuco", "chessboard", "circles", "acircles", "marker", "aprilgrid"), "kind")
+        points = check_finite_rows(self.points, 3, "points")
         n = counts.get(kind, columns * rows)
         if len(points) != n:
             raise ValueError(f"points: {len(points)} for a target of {n}")
-        alike = tuple(finite(way, (n,), "alike") for way in items(self.alike, "alike"))
-        if not alike or any((np.sort(way) != np.arange(n)).any() for way in alike):
-            raise ValueError(f"alike must have the numbers 0 to {n - 1} in some order each")
+        symmetries = tuple(
+            check_finite(way, (n,), "symmetries") for way in check_sequence(self.symmetries, "symmetries")
+        )
+        if not symmetries or any((np.sort(way) != np.arange(n)).any() for way in symmetries):
+            raise ValueError(f"symmetries must be permutations of 0 to {n - 1}")
         object.__setattr__(self, "size", (columns, rows))
         object.__setattr__(self, "points", points)
-        object.__setattr__(self, "alike", tuple(way.astype(np.int64) for way in alike))
-        kind_of(self.text, str, "text")
-        if kind_of(self.dictionary, str, "dictionary") not in ("", *DICTIONARIES.values()):
-            raise ValueError(f"dictionary: {shown(self.dictionary)} is none of OpenCV's")
-        truth(self.half_turned, "half_turned")
-        whole(self.first_id, "first_id", most=MOST_TAGS)
-        whole(self.border, "border", least=1, most=MOST_BORDER)
-        number(self.marker_share, "marker_share", above=0.0, most=1.0)
-        number(self.diameter, "diameter", least=0.0)
+        object.__setattr__(self, "symmetries", tuple(way.astype(np.int64) for way in symmetries))
+        check_type(self.text, str, "text")
+        if check_type(self.dictionary, str, "dictionary") not in ("", *DICTIONARIES.values()):
+            raise ValueError(f"dictionary: {format_value(self.dictionary)} is not one of OpenCV's")
+        check_bool(self.is_upside_down, "is_upside_down")
+        check_integer(self.first_id, "first_id", maximum=MAX_TAGS)
+        check_integer(self.border, "border", minimum=1, maximum=MAX_BORDER)
+        check_number(self.marker_ratio, "marker_ratio", above=0.0, maximum=1.0)
+        check_number(self.diameter, "diameter", minimum=0.0)
 
 
 def is_board(text: str) -> bool:
-    """Whether a text is a description of a target, right or wrong."""
+    """Return whether a text is a target's description, valid or not."""
     kind, colon, _ = text.partition(":")
     return bool(colon) and kind.strip().lower() in _KINDS
 
 
 def parse_board(text: str, unit: str = "") -> Board:
-    """A target as users describe it; `EXAMPLES` has one of each kind.
+    """Parse a target's description; `EXAMPLES` has one of each kind.
 
     Args:
-        text: KIND:WHAT,KEY=VALUE,...
-        unit: of the points, the calibration's; lengths are in it, unless one has a unit of its own (`25mm`).
+        text: KIND:LAYOUT,KEY=VALUE,...
+        unit: unit of the points, the calibration's; lengths are in it unless given with their own unit (`25mm`).
+
+    Returns:
+        the target, its points in `unit`.
 
     Raises:
-        TypeError, ValueError: in one sentence, what of the description is wrong, and what was expected.
+        TypeError, ValueError: one sentence on what is wrong in the description, and what is expected.
     """
-    text, unit = kind_of(text, str, "text"), kind_of(unit, str, "unit")
+    text, unit = check_type(text, str, "text"), check_type(unit, str, "unit")
     kind, _, rest = text.partition(":")
     kind = kind.strip().lower()
     if not is_board(text):
         raise ValueError(
-            f"{_shown(text)} is no board or marker: expected is one such as {EXAMPLES[0]} or {EXAMPLES[1]}; known are "
+            f"{_quote(text)} is not a board or marker; expected one such as {EXAMPLES[0]} or {EXAMPLES[1]}; known are "
             f"{', '.join(_KINDS)}"
         )
-    what, *settings = [part.strip() for part in rest.split(",")]
+    layout, *assignments = [part.strip() for part in rest.split(",")]
     values: dict[str, str] = {}
-    for setting in settings:
-        key, equals, value = (part.strip() for part in setting.partition("="))
+    for assignment in assignments:
+        key, equals, value = (part.strip() for part in assignment.partition("="))
         if not equals or not key or not value:
-            raise ValueError(f"{_shown(text)}: KEY=VALUE is expected between the commas, got {_shown(setting)}")
+            raise ValueError(f"{_quote(text)}: KEY=VALUE is expected between the commas, got {_quote(assignment)}")
         if key.lower() in values:
-            raise ValueError(f"{_shown(text)}: {_shown(key)} is given twice")
+            raise ValueError(f"{_quote(text)}: {_quote(key)} is given twice")
         values[key.lower()] = value
     try:
-        asked = _Asked(values, unit)
-        board = _KINDS[kind](what, text, asked)
-        asked.nothing_else()
-    except NoUnit as error:
-        raise ValueError(f"{_shown(text)}: {error}") from None
+        parsed = _Settings(values, unit)
+        board = _KINDS[kind](layout, text, parsed)
+        parsed.reject_unknown()
+    except MissingUnitError as error:
+        raise ValueError(f"{_quote(text)}: {error}") from None
     except ValueError as error:
         example = next(e for e in EXAMPLES if e.startswith(f"{kind}:"))
-        raise ValueError(f"{_shown(text)}: {error}; expected is one such as {example}") from None
+        raise ValueError(f"{_quote(text)}: {error}; expected one such as {example}") from None
     return board
 
 
-class _Asked:
-    """The settings of a description, each taken once."""
+class _Settings:
+    """Settings of a description, with tracking of those used."""
 
     def __init__(self, values: Mapping[str, str], unit: str) -> None:
-        self._values, self._unit, self._known = values, unit, list[str]()
+        self._values, self._unit, self._used = values, unit, list[str]()
 
     def text(self, key: str) -> str | None:
-        self._known.append(key)
+        self._used.append(key)
         return self._values.get(key)
 
     def length(self, key: str) -> float:
         value = self.text(key)
         if value is None:
             raise ValueError(f"{key} is missing")
-        return length_of(value, key, self._unit)
+        return parse_length(value, key, self._unit)
 
-    def whole(self, key: str, otherwise: int | None, most: int) -> int:
+    def integer(self, key: str, default: int | None, maximum: int) -> int:
         value = self.text(key)
-        if value is None and otherwise is not None:
-            return otherwise
-        if value is None or not re.fullmatch(r"[0-9]{1,9}", value) or int(value) > most:
-            got = "is missing" if value is None else f"must be a whole number from 0 to {most}, got {_shown(value)}"
+        if value is None and default is not None:
+            return default
+        if value is None or not re.fullmatch(r"[0-9]{1,9}", value) or int(value) > maximum:
+            got = "is missing" if value is None else f"must be a whole number from 0 to {maximum}, got {_quote(value)}"
             raise ValueError(f"{key} {got}")
         return int(value)
 
-    def nothing_else(self) -> None:
-        if unknown := [key for key in self._values if key not in self._known]:
-            raise ValueError(f"it has no {_shown(unknown[0])} (known are {', '.join(self._known)})")
+    def reject_unknown(self) -> None:
+        if unknown := [key for key in self._values if key not in self._used]:
+            raise ValueError(f"it has no {_quote(unknown[0])} (known are {', '.join(self._used)})")
 
 
-def _charuco(what: str, text: str, asked: _Asked) -> Board:
-    columns, rows = _sides(what, "squares")
-    square, marker = asked.length("square"), asked.length("marker")
+def _build_charuco(layout: str, text: str, settings: _Settings) -> Board:
+    columns, rows = _parse_sides(layout, "squares")
+    square, marker = settings.length("square"), settings.length("marker")
     if not marker < square:
         raise ValueError("marker must be smaller than square")
-    dictionary = _dictionary(asked.text("dict") or "")
+    dictionary = _parse_dictionary(settings.text("dict") or "")
     # OpenCV counts the inner corners from the top row of the page.
     column, row = (grid.ravel() for grid in np.meshgrid(np.arange(1, columns), np.arange(1, rows)))
-    points = _plane(square * column, square * (rows - row))
-    return Board("charuco", text, (columns, rows), points, _as_it_is(points), dictionary, 0, marker / square)
+    points = _make_planar_points(square * column, square * (rows - row))
+    return Board("charuco", text, (columns, rows), points, _identity_symmetry(points), dictionary, 0, marker / square)
 
 
-def _chessboard(what: str, text: str, asked: _Asked) -> Board:
-    columns, rows = _sides(what, "inner corners", 3)
-    points = _grid(columns, rows, asked.length("square"))
+def _build_chessboard(layout: str, text: str, settings: _Settings) -> Board:
+    columns, rows = _parse_sides(layout, "inner corners", 3)
+    points = _make_grid(columns, rows, settings.length("square"))
     numbers = np.arange(len(points)).reshape(rows, columns)
-    # Colours tell a half turn where one number of corners is even and the other odd; where both are the same odd number,
-    # they tell a quarter turn.
-    turns = [0] if (columns + rows) % 2 else [0, 1, 2, 3] if columns == rows and columns % 2 == 0 else [0, 2]
-    return Board("chessboard", text, (columns, rows), points, tuple(np.rot90(numbers, k).ravel() for k in turns))
+    # Colors resolve the half rotation if one number of corners is even and the other odd, and the quarter rotation if
+    # both are the same odd number.
+    rotations = [0] if (columns + rows) % 2 else [0, 1, 2, 3] if columns == rows and columns % 2 == 0 else [0, 2]
+    return Board("chessboard", text, (columns, rows), points, tuple(np.rot90(numbers, k).ravel() for k in rotations))
 
 
-def _circles(what: str, text: str, asked: _Asked) -> Board:
-    columns, rows = _sides(what, "circles", 3)
-    spacing = asked.length("spacing")
-    points = _grid(columns, rows, spacing)
+def _build_circles(layout: str, text: str, settings: _Settings) -> Board:
+    columns, rows = _parse_sides(layout, "circles", 3)
+    spacing = settings.length("spacing")
+    points = _make_grid(columns, rows, spacing)
     numbers = np.arange(len(points)).reshape(rows, columns)
-    turns = [0, 1, 2, 3] if columns == rows else [0, 2]
-    alike = tuple(np.rot90(numbers, k).ravel() for k in turns)
-    return Board("circles", text, (columns, rows), points, alike, diameter=_diameter(asked, spacing))
+    rotations = [0, 1, 2, 3] if columns == rows else [0, 2]
+    symmetries = tuple(np.rot90(numbers, k).ravel() for k in rotations)
+    return Board("circles", text, (columns, rows), points, symmetries, diameter=_parse_diameter(settings, spacing))
 
 
-def _acircles(what: str, text: str, asked: _Asked) -> Board:
-    columns, rows = _sides(what, "circles", 3)
+def _build_acircles(layout: str, text: str, settings: _Settings) -> Board:
+    columns, rows = _parse_sides(layout, "circles", 3)
     if rows % 2 == 0:
-        raise ValueError("of an even number of rows it looks the same after half a turn: an odd one is expected")
-    spacing = asked.length("spacing")
+        raise ValueError("an odd number of rows is required: with an even one it is symmetric under half a rotation")
+    spacing = settings.length("spacing")
     column, row = (grid.ravel() for grid in np.meshgrid(np.arange(columns), np.arange(rows)))
-    points = _plane(2 * column + row % 2, rows - 1 - row) * spacing
-    diameter = _diameter(asked, np.sqrt(2.0) * spacing)
-    return Board("acircles", text, (columns, rows), points, _as_it_is(points), diameter=diameter)
+    points = _make_planar_points(2 * column + row % 2, rows - 1 - row) * spacing
+    diameter = _parse_diameter(settings, np.sqrt(2.0) * spacing)
+    return Board("acircles", text, (columns, rows), points, _identity_symmetry(points), diameter=diameter)
 
 
-def _diameter(asked: _Asked, apart: float) -> float:
-    diameter = asked.length("diameter")
-    if not diameter < apart:
-        raise ValueError("diameter must be less than what lies between the circles' centres")
+def _parse_diameter(settings: _Settings, center_distance: float) -> float:
+    diameter = settings.length("diameter")
+    if not diameter < center_distance:
+        raise ValueError("diameter must be less than the distance between the circles' centers")
     return diameter
 
 
-def _apriltag(what: str, text: str, asked: _Asked) -> Board:
-    # OpenCV draws and reads AprilTags upside down: docs/conventions.md takes the images of those who made them.
-    return _marker(_dictionary(_family(what)), text, asked, half_turned=True)
+def _build_apriltag(family: str, text: str, settings: _Settings) -> Board:
+    # OpenCV draws and reads AprilTags upside down: docs/conventions.md follows the original AprilTag images.
+    return _build_marker(_parse_dictionary(_parse_family(family)), text, settings, is_upside_down=True)
 
 
-def _aruco(what: str, text: str, asked: _Asked) -> Board:
-    return _marker(_dictionary(what), text, asked, half_turned=False)
+def _build_aruco(dictionary: str, text: str, settings: _Settings) -> Board:
+    return _build_marker(_parse_dictionary(dictionary), text, settings, is_upside_down=False)
 
 
-def _marker(dictionary: str, text: str, asked: _Asked, *, half_turned: bool) -> Board:
-    half = asked.length("size") / 2
-    points = _plane(np.array([-half, half, half, -half]), np.array([half, half, -half, -half]))
-    number, border = asked.whole("id", None, MOST_TAGS), _border(asked, 1)
-    return Board("marker", text, (1, 1), points, _as_it_is(points), dictionary, number, 1.0, border, half_turned)
+def _build_marker(dictionary: str, text: str, settings: _Settings, *, is_upside_down: bool) -> Board:
+    half = settings.length("size") / 2
+    points = _make_planar_points(np.array([-half, half, half, -half]), np.array([half, half, -half, -half]))
+    number, border = settings.integer("id", None, MAX_TAGS), _parse_border(settings, 1)
+    return Board(
+        "marker", text, (1, 1), points, _identity_symmetry(points), dictionary, number, 1.0, border, is_upside_down
+    )
 
 
-def _aprilgrid(what: str, text: str, asked: _Asked) -> Board:
-    columns, rows = _sides(what, "tags")
-    size = asked.length("size")
-    gap = asked.text("gap")
+def _build_aprilgrid(layout: str, text: str, settings: _Settings) -> Board:
+    columns, rows = _parse_sides(layout, "tags")
+    size = settings.length("size")
+    gap = settings.text("gap")
     try:
         share = float(gap or "")
     except ValueError:
         share = np.nan
-    if not 0 < share < MOST_A_SIDE:
+    if not 0 < share < MAX_SIDE:
         raise ValueError("gap must be the space between two tags by a tag's size, such as 0.3 (Kalibr's tagSpacing)")
     step = (1 + share) * size
     column, row = (grid.ravel() for grid in np.meshgrid(np.arange(columns), np.arange(rows)))
-    # Numbered along the lowest row first, each with its corners from the lower left one around against the clock.
+    # Numbered along the lowest row first, each with its corners counterclockwise from the lower left one.
     corners = np.array([[0, 0], [size, 0], [size, size], [0, size]])
     places = np.asarray(step * np.column_stack([column, row])[:, None] + corners, dtype=float).reshape(-1, 2)
-    points = _plane(places[:, 0], places[:, 1])
-    dictionary = _dictionary(_family(asked.text("family") or "36h11"))
-    first, border = asked.whole("start", 0, MOST_TAGS), _border(asked, 2)
-    return Board("aprilgrid", text, (columns, rows), points, _as_it_is(points), dictionary, first, 1.0, border)
+    points = _make_planar_points(places[:, 0], places[:, 1])
+    dictionary = _parse_dictionary(_parse_family(settings.text("family") or "36h11"))
+    first, border = settings.integer("start", 0, MAX_TAGS), _parse_border(settings, 2)
+    return Board("aprilgrid", text, (columns, rows), points, _identity_symmetry(points), dictionary, first, 1.0, border)
 
 
-_KINDS: Mapping[str, Callable[[str, str, _Asked], Board]] = {
-    "charuco": _charuco,
-    "chessboard": _chessboard,
-    "circles": _circles,
-    "acircles": _acircles,
-    "apriltag": _apriltag,
-    "aruco": _aruco,
-    "aprilgrid": _aprilgrid,
+_KINDS: Mapping[str, Callable[[str, str, _Settings], Board]] = {
+    "charuco": _build_charuco,
+    "chessboard": _build_chessboard,
+    "circles": _build_circles,
+    "acircles": _build_acircles,
+    "apriltag": _build_apriltag,
+    "aruco": _build_aruco,
+    "aprilgrid": _build_aprilgrid,
 }
 
 
-def _sides(what: str, of: str, least: int = 2) -> tuple[int, int]:
-    found = re.fullmatch(r"([0-9]{1,4})\s*[xX]\s*([0-9]{1,4})", what)
+def _parse_sides(layout: str, item: str, minimum: int = 2) -> tuple[int, int]:
+    found = re.fullmatch(r"([0-9]{1,4})\s*[xX]\s*([0-9]{1,4})", layout)
     sides = (int(found[1]), int(found[2])) if found else (0, 0)
-    if not least <= min(sides) <= max(sides) <= MOST_A_SIDE:
+    if not minimum <= min(sides) <= max(sides) <= MAX_SIDE:
         raise ValueError(
-            f"columns and rows of {of} are expected, such as 9x6, {least} to {MOST_A_SIDE} each, got {_shown(what)}"
+            f"columns and rows of {item} are expected, such as 9x6, {minimum} to {MAX_SIDE} each, got {_quote(layout)}"
         )
     return sides
 
 
-def _dictionary(name: str) -> str:
+def _parse_dictionary(name: str) -> str:
     bare = name.upper().removeprefix("DICT_")
     if bare not in DICTIONARIES:
-        got = _shown(name) if name else "none"
+        got = _quote(name) if name else "none"
         raise ValueError(
-            "a dictionary of markers is expected, such as 4X4_50, 6X6_250, ARUCO_ORIGINAL or APRILTAG_36h11 (OpenCV's), "
-            f"got {got}"
+            "a dictionary of markers is expected, such as 4X4_50, 6X6_250, ARUCO_ORIGINAL or APRILTAG_36h11 "
+            f"(OpenCV's), got {got}"
         )
     return DICTIONARIES[bare]
 
 
-def _family(name: str) -> str:
-    """The name of a family of AprilTags, 36h11 or tag36h11, as a dictionary's."""
+def _parse_family(name: str) -> str:
+    """Return the dictionary name of an AprilTag family, 36h11 or tag36h11."""
     bare = name.upper().removeprefix("DICT_").removeprefix("APRILTAG_").removeprefix("TAG")
     return f"APRILTAG_{bare}" if f"APRILTAG_{bare}" in DICTIONARIES else name
 
 
-def _border(asked: _Asked, otherwise: int) -> int:
-    border = asked.whole("border", otherwise, MOST_BORDER)
+def _parse_border(settings: _Settings, default: int) -> int:
+    border = settings.integer("border", default, MAX_BORDER)
     if border < 1:
         raise ValueError("border must be at least 1 bit")
     return border
 
 
-def _grid(columns: int, rows: int, step: float) -> FloatArray:
-    """(N, 3) row by row from the lower left."""
+def _make_grid(columns: int, rows: int, step: float) -> FloatArray:
+    """Return grid points (N, 3), row by row from the lower left."""
     column, row = (grid.ravel() for grid in np.meshgrid(np.arange(columns), np.arange(rows)))
-    return _plane(step * column, step * row)
+    return _make_planar_points(step * column, step * row)
 
 
-def _plane(x: ArrayLike, y: ArrayLike) -> FloatArray:
-    """(N, 3) of coordinates (N,)."""
+def _make_planar_points(x: ArrayLike, y: ArrayLike) -> FloatArray:
+    """Return points (N, 3) with z = 0 of coordinates (N,)."""
     flat = np.array([x, y], dtype=float).T
     return np.column_stack([flat, np.zeros(len(flat))])
 
 
-def _as_it_is(points: FloatArray) -> tuple[IntArray]:
+def _identity_symmetry(points: FloatArray) -> tuple[IntArray]:
     return (np.arange(len(points)),)
 
 
-def _shown(text: str) -> str:
-    return ascii(one_line(text, 80))
+def _quote(text: str) -> str:
+    return ascii(to_one_line(text, 80))

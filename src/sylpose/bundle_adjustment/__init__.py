@@ -1,1 +1,1 @@
-"""The poses and landmarks of several frames refined together, with what each camera has once for all of them (`bundle`)."""
+"""Bundle adjustment: joint refinement of all frames' poses, landmarks and per-camera parameters (`bundle`)."""

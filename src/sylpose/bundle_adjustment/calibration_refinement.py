@@ -1,7 +1,7 @@
-"""What a calibration may have got wrong: what is believed of it, and the rig that is left when it is corrected.
+"""Calibration errors: their prior, their estimation, and the corrected rig.
 
-A camera may be turned and shifted, its focal length, its principal point and its lens's first radial coefficient may be
-off. A turn or a shift that all cameras share is no error: it is where the world is. What is believed is free of it.
+A camera's rotation and center, focal length, principal point and first radial coefficient may be wrong. A rotation or
+translation common to all cameras is not an error: it only changes the world frame. The prior excludes it.
 """
 
 from __future__ import annotations
@@ -12,193 +12,206 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.bundle_adjustment.camera_parameters import Shared
-from sylpose.bundle_adjustment.kernels import LENS, SHIFT, TURN
+from sylpose.bundle_adjustment.camera_parameters import CameraParameters
+from sylpose.bundle_adjustment.kernels import LENS, ROTATION, TRANSLATION
 from sylpose.bundle_adjustment.problem import Problem, State
 from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.rig import Camera, Rig
 
 __all__ = [
-    "EXACT",
-    "MOVED_SHARE",
-    "N_LENS",
-    "Correction",
-    "Doubt",
-    "Moved",
-    "apart",
-    "corrected",
-    "correction_of",
-    "doubting",
-    "freed",
-    "lens_slopes",
-    "usual_doubt",
-    "with_doubt",
-    "with_moved",
+    "MOVED_TRANSLATION_RATIO",
+    "NEAR_EXACT_SCALES",
+    "N_LENS_PARAMETERS",
+    "CalibrationCorrection",
+    "CalibrationPrior",
+    "MovedCamera",
+    "add_calibration_errors",
+    "add_calibration_parameters",
+    "add_moved_cameras",
+    "correct_rig",
+    "default_calibration_prior",
+    "free_calibration",
+    "linearize_lenses",
+    "make_correction",
+    "mean_camera_distance",
 ]
 
 
-# A camera's unknowns of the lens: focal length, relative; principal point, pixels; first radial coefficient (derived).
-N_LENS = 4
-# What calibrations typically leave, one standard deviation: degrees, the share of the cameras' distance from each other,
-# the focal length's share, pixels, and of the radial coefficient (choice: after what Anipose's and Caliscope's users see).
-TURN_DEG, SHIFT_SHARE, FOCAL_SHARE, MIDDLE_PX, BEND = 0.5, 0.003, 0.01, 5.0, 0.02
-# A lens whose calibration says its own reprojection error is believed in proportion to it: these are typical of one of so
-# many pixels; but no better than that by so much. Of where cameras stand that error says nothing (choice).
-TYPICAL_PX, BEST_SHARE = 1.0, 0.2
-# A camera that was bumped into may be turned and shifted by so much, one standard deviation (choice).
-MOVED_DEG, MOVED_SHARE = 5.0, 0.03
-# A calibration that is off by this share of what is believed is taken for exact (choice: from 0 there is no way back).
-EXACT = np.array([1.0, 1e-9, 1e-9, 1e-9])
-# Steps of differences by the lens, in the units of its unknowns, and by the normalised point (choice).
-STEPS, NEAR = np.array([1e-4, 1e-1, 1e-1, 1e-4]), 1e-4
+# Lens parameters of a camera: relative focal length; principal point, pixels; first radial coefficient (derived).
+N_LENS_PARAMETERS = 4
+# Typical calibration errors, one standard deviation: degrees; fraction of the cameras' distance from each other;
+# fraction of the focal length; pixels; and of the radial coefficient (choice: from reports of users of Anipose and
+# Caliscope).
+ROTATION_SD_DEG, TRANSLATION_SD_RATIO, FOCAL_SD_RATIO, PRINCIPAL_POINT_SD_PX, RADIAL_SD = 0.5, 0.003, 0.01, 5.0, 0.02
+# The errors of a lens are scaled by the calibration's reported reprojection error: these are typical for one of so many
+# pixels; the scale has a lower limit. That error contains no information on the cameras' poses (choice).
+TYPICAL_ERROR_PX, MIN_ERROR_RATIO = 1.0, 0.2
+# Rotation and translation of a moved camera, one standard deviation (choice).
+MOVED_ROTATION_SD_DEG, MOVED_TRANSLATION_RATIO = 5.0, 0.03
+# Scales of the prior for a calibration treated as exact (choice: scales of 0 could not be undone).
+NEAR_EXACT_SCALES = np.array([1.0, 1e-9, 1e-9, 1e-9])
+# Finite difference steps of the lens parameters, in their units, and of the normalized point (choice).
+LENS_STEPS, POINT_STEP = np.array([1e-4, 1e-1, 1e-1, 1e-4]), 1e-4
 
 
 @dataclass(frozen=True, eq=False)
-class Doubt:
-    """Standard deviations of what may be wrong with each of C cameras.
+class CalibrationPrior:
+    """Prior standard deviations of the calibration errors of C cameras.
 
     Attributes:
-        turn: (C,) radians about each axis; shift: (C,) length units, of the centre, along each axis.
-        lens: (C, 4) of the focal length, relative; of the principal point, pixels, both coordinates; of the first radial
+        rotation_sd: (C,) radians about each axis.
+        translation_sd: (C,) length units, of the center along each axis.
+        lens: (C, 4) of the relative focal length; of the principal point, pixels, both coordinates; of the first radial
             coefficient.
-        before: (C,) a camera that was bumped into is two, one after the other: the number of what it was before, -1 where
-            that is nothing. What was wrong then still is, turn and shift are what came to it, and the lens is that one's.
+        predecessor: (C,) a camera that was moved becomes two, one after the other: index of its predecessor, -1 without
+            one. The predecessor's errors still apply; rotation and translation are relative to it, and its lens is
+            shared.
     """
 
-    turn: FloatArray
-    shift: FloatArray
+    rotation_sd: FloatArray
+    translation_sd: FloatArray
     lens: FloatArray
-    before: IntArray
+    predecessor: IntArray
 
 
 @dataclass(frozen=True, eq=False)
-class Moved:
-    """A camera that stood elsewhere from some frame on.
+class MovedCamera:
+    """Camera whose pose changed at some frame.
 
     Attributes:
-        camera: index in the rig; frame: the recording's number of the first frame after it.
-        turn_sd: radians, how far it may be turned about each axis beside what is known of it.
-        turn: (3,) rotation vector, camera's axes, that its images are turned back by since then.
+        camera: index in the rig.
+        frame: number in the recording of the first frame after the change.
+        rotation_sd: radians, prior standard deviation of the rotation about each axis, beyond what is known.
+        rotation: (3,) rotation vector, camera's axes, by which its images are rotated back from then on.
     """
 
     camera: int
     frame: int
-    turn_sd: float = np.deg2rad(MOVED_DEG)
-    turn: FloatArray = field(default_factory=lambda: np.zeros(3))
+    rotation_sd: float = np.deg2rad(MOVED_ROTATION_SD_DEG)
+    rotation: FloatArray = field(default_factory=lambda: np.zeros(3))
 
 
 @dataclass(frozen=True, eq=False)
-class Correction:
-    """What a refinement says of a calibration.
+class CalibrationCorrection:
+    """Result of a calibration refinement.
 
     Attributes:
-        rig: corrected.
-        values, sd: (C, 10) what is off, and its standard deviation: turn (radians, camera's axes) and shift of the centre
-            (length units, world's axes), then the lens as in `Doubt`. Of a camera that was bumped into, what came to what it
-            was before.
-        believed: (C, 10) the standard deviation before, without what turns or shifts all cameras as one.
+        rig: the corrected rig.
+        values, sd: (C, 10) errors and their standard deviations: rotation (radians, camera's axes) and translation of
+            the center (length units, world's axes), then the lens as in `CalibrationPrior`. For a moved camera relative
+            to its predecessor.
+        prior_sd: (C, 10) prior standard deviations, without the rotation and translation common to all cameras.
     """
 
     rig: Rig
     values: FloatArray
     sd: FloatArray
-    believed: FloatArray
+    prior_sd: FloatArray
 
 
-def apart(rig: Iterable[Camera]) -> float:
-    """How far the cameras are from their middle, in the mean; 1 of a single one."""
+def mean_camera_distance(rig: Iterable[Camera]) -> float:
+    """Return the cameras' mean distance from their centroid; 1 for a single one."""
     centers = np.array([camera.center for camera in rig])
     return float(np.linalg.norm(centers - centers.mean(axis=0), axis=1).mean()) or 1.0
 
 
-def usual_doubt(rig: Rig) -> Doubt:
-    """What calibrations typically leave; of a lens less where its own calibration says that it fits better than most."""
-    size = apart(rig)
-    share = np.array([1.0 if c.error_px is None else np.clip(c.error_px / TYPICAL_PX, BEST_SHARE, 1.0) for c in rig])
-    lens = np.array([FOCAL_SHARE, MIDDLE_PX, MIDDLE_PX, BEND])
+def default_calibration_prior(rig: Rig) -> CalibrationPrior:
+    """Return the typical errors of calibrations; smaller for lenses with a small reported reprojection error."""
+    size = mean_camera_distance(rig)
+    scales = np.array(
+        [1.0 if c.error_px is None else np.clip(c.error_px / TYPICAL_ERROR_PX, MIN_ERROR_RATIO, 1.0) for c in rig]
+    )
+    lens = np.array([FOCAL_SD_RATIO, PRINCIPAL_POINT_SD_PX, PRINCIPAL_POINT_SD_PX, RADIAL_SD])
     n = len(rig)
-    return Doubt(
-        np.full(n, np.deg2rad(TURN_DEG)), np.full(n, SHIFT_SHARE * size), share[:, None] * lens, np.full(n, -1)
+    return CalibrationPrior(
+        np.full(n, np.deg2rad(ROTATION_SD_DEG)),
+        np.full(n, TRANSLATION_SD_RATIO * size),
+        scales[:, None] * lens,
+        np.full(n, -1),
     )
 
 
-def with_moved(rig: Rig, doubt: Doubt, moved: Sequence[Moved]) -> tuple[Rig, Doubt]:
-    """With a camera more for each that was moved, in order of time: the same one, that stands nobody knows quite where."""
-    shift, stood, before = MOVED_SHARE * apart(rig), np.arange(len(rig)), []
+def add_moved_cameras(rig: Rig, prior: CalibrationPrior, moved: Sequence[MovedCamera]) -> tuple[Rig, CalibrationPrior]:
+    """Add a camera for each change of pose, in order of time: a copy with an uncertain pose."""
+    translation_sd, current, predecessors = MOVED_TRANSLATION_RATIO * mean_camera_distance(rig), np.arange(len(rig)), []
     for i, m in enumerate(moved):
-        before.append(stood[m.camera])
-        stood[m.camera] = len(rig) + i
-    again = [replace(rig.cameras[m.camera], name=f"{rig.cameras[m.camera].name} from frame {m.frame}") for m in moved]
-    return Rig([*rig, *again], rig.unit), Doubt(
-        np.append(doubt.turn, [m.turn_sd for m in moved]),
-        np.append(doubt.shift, np.full(len(moved), shift)),
-        np.vstack([doubt.lens, doubt.lens[[m.camera for m in moved]]]),
-        np.append(doubt.before, np.array(before, np.int64)),
+        predecessors.append(current[m.camera])
+        current[m.camera] = len(rig) + i
+    copies = [replace(rig.cameras[m.camera], name=f"{rig.cameras[m.camera].name} from frame {m.frame}") for m in moved]
+    return Rig([*rig, *copies], rig.unit), CalibrationPrior(
+        np.append(prior.rotation_sd, [m.rotation_sd for m in moved]),
+        np.append(prior.translation_sd, np.full(len(moved), translation_sd)),
+        np.vstack([prior.lens, prior.lens[[m.camera for m in moved]]]),
+        np.append(prior.predecessor, np.array(predecessors, np.int64)),
     )
 
 
-def with_doubt(shared: Shared, rig: Rig, doubt: Doubt) -> Shared:
-    """With the calibration's unknowns as well: (C, K) columns become those of `kernels` up to the lens.
+def add_calibration_parameters(parameters: CameraParameters, rig: Rig, prior: CalibrationPrior) -> CameraParameters:
+    """Add the calibration parameters: (C, K) columns become those of `kernels` up to the lens.
 
-    They are held, but for where cameras stand that were bumped into.
+    They are fixed, except for the poses of moved cameras.
     """
-    n, width, first = len(rig), LENS + N_LENS, np.flatnonzero(doubt.before < 0)
-    k = 6 * n + N_LENS * len(first)
+    n, width, first = len(rig), LENS + N_LENS_PARAMETERS, np.flatnonzero(prior.predecessor < 0)
+    k = 6 * n + N_LENS_PARAMETERS * len(first)
     own = np.zeros((n, width, k))
     for c in range(n):
-        own[c, TURN:SHIFT, 6 * c : 6 * c + 3] = doubt.turn[c] * np.eye(3)
-        own[c, SHIFT:LENS, 6 * c + 3 : 6 * c + 6] = doubt.shift[c] * np.eye(3)
-    standing = (6 * first[:, None] + np.arange(6)).ravel()
-    own[:, :, standing] = own[:, :, standing] @ _not_common([rig.cameras[c] for c in first], doubt, first)
+        own[c, ROTATION:TRANSLATION, 6 * c : 6 * c + 3] = prior.rotation_sd[c] * np.eye(3)
+        own[c, TRANSLATION:LENS, 6 * c + 3 : 6 * c + 6] = prior.translation_sd[c] * np.eye(3)
+    pose_columns = (6 * first[:, None] + np.arange(6)).ravel()
+    own[:, :, pose_columns] = own[:, :, pose_columns] @ _common_motion_projector(
+        [rig.cameras[c] for c in first], prior, first
+    )
     for i, c in enumerate(first.tolist()):
-        lens = 6 * n + N_LENS * i
-        own[c, LENS:, lens : lens + N_LENS] = np.diag(doubt.lens[c])
-    for c, before in enumerate(doubt.before.tolist()):
-        if before >= 0:
-            own[c] += own[before]
-    mean, spread = np.zeros((n, width)), np.zeros((n, width, shared.spread.shape[2] + k))
-    mean[:, :TURN] = shared.mean[:, :TURN]
-    spread[:, :TURN, : shared.spread.shape[2]] = shared.spread[:, :TURN]
-    spread[:, :, shared.spread.shape[2] :] = own
-    stands = np.repeat(doubt.before < 0, 6)
-    kind = np.concatenate([shared.kind, stands * np.tile(np.repeat([1, 2], 3), n), np.full(k - 6 * n, 3)])
-    stays = np.concatenate([shared.held, kind[len(shared.kind) :] > 0])
-    return Shared(mean, spread, shared.n_offsets, kind, np.ones(4), stays)
+        lens = 6 * n + N_LENS_PARAMETERS * i
+        own[c, LENS:, lens : lens + N_LENS_PARAMETERS] = np.diag(prior.lens[c])
+    for c, predecessor in enumerate(prior.predecessor.tolist()):
+        if predecessor >= 0:
+            own[c] += own[predecessor]
+    mean, spread = np.zeros((n, width)), np.zeros((n, width, parameters.basis.shape[2] + k))
+    mean[:, :ROTATION] = parameters.mean[:, :ROTATION]
+    spread[:, :ROTATION, : parameters.basis.shape[2]] = parameters.basis[:, :ROTATION]
+    spread[:, :, parameters.basis.shape[2] :] = own
+    is_initial = np.repeat(prior.predecessor < 0, 6)
+    kind = np.concatenate([parameters.kind, is_initial * np.tile(np.repeat([1, 2], 3), n), np.full(k - 6 * n, 3)])
+    fixed = np.concatenate([parameters.fixed, kind[len(parameters.kind) :] > 0])
+    return CameraParameters(mean, spread, parameters.n_offsets, kind, np.ones(4), fixed)
 
 
-def _not_common(rig: Sequence[Camera], doubt: Doubt, which: IntArray) -> FloatArray:
-    """(6 C, 6 C) takes out of turns and shifts of cameras, in standard deviations, what turns and shifts all of them as one.
+def _common_motion_projector(rig: Sequence[Camera], prior: CalibrationPrior, indices: IntArray) -> FloatArray:
+    """Return the (6 C, 6 C) projection that removes rotations and translations common to all cameras.
+
+    It acts on rotations and translations in standard deviations.
 
     Args:
-        which: (C,) they are in the doubt.
+        indices: (C,) their indices in the prior.
     """
     centers, common = np.array([c.center for c in rig]), np.zeros((6 * len(rig), 6))
-    middle = centers.mean(axis=0)
-    size = apart(rig)
+    centroid = centers.mean(axis=0)
+    size = mean_camera_distance(rig)
     for c, camera in enumerate(rig):
-        turn, shift = doubt.turn[which[c]], doubt.shift[which[c]]
-        # The world turned by w: X' = X + w x (X - middle), so Q' = Q exp(-w) = exp(-Q w) Q.
-        common[6 * c : 6 * c + 3, :3] = -camera.rotation / turn
-        x, y, z = centers[c] - middle
-        common[6 * c + 3 : 6 * c + 6, :3] = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]) / shift
-        common[6 * c + 3 : 6 * c + 6, 3:] = size * np.eye(3) / shift
+        rotation_sd, translation_sd = prior.rotation_sd[indices[c]], prior.translation_sd[indices[c]]
+        # The world rotated by w: X' = X + w x (X - middle), so Q' = Q exp(-w) = exp(-Q w) Q.
+        common[6 * c : 6 * c + 3, :3] = -camera.rotation / rotation_sd
+        x, y, z = centers[c] - centroid
+        common[6 * c + 3 : 6 * c + 6, :3] = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]) / translation_sd
+        common[6 * c + 3 : 6 * c + 6, 3:] = size * np.eye(3) / translation_sd
     q = np.linalg.qr(common)[0]
     return np.asarray(np.eye(len(common)) - q @ q.T)
 
 
-def corrected(rig: Rig, values: FloatArray) -> Rig:
-    """The rig with corrections (C, K), columns as in `kernels`."""
-    return Rig([_corrected(camera, v) for camera, v in zip(rig, values, strict=True)], rig.unit)
+def correct_rig(rig: Rig, values: FloatArray) -> Rig:
+    """Return the rig with corrections (C, K), columns as in `kernels`."""
+    return Rig([_correct_camera(camera, v) for camera, v in zip(rig, values, strict=True)], rig.unit)
 
 
-def _corrected(camera: Camera, values: FloatArray) -> Camera:
-    turn = Rotation.from_rotvec(values[TURN:SHIFT]) * camera.camera_from_world.rotation
-    center = camera.center + values[SHIFT:LENS]
-    pose = RigidTransform.from_components(-turn.apply(center), turn)
-    return replace(_with_lens(camera, values[LENS : LENS + N_LENS]), camera_from_world=pose)
+def _correct_camera(camera: Camera, values: FloatArray) -> Camera:
+    rotation = Rotation.from_rotvec(values[ROTATION:TRANSLATION]) * camera.camera_from_world.rotation
+    center = camera.center + values[TRANSLATION:LENS]
+    pose = RigidTransform.from_components(-rotation.apply(center), rotation)
+    return replace(_correct_lens(camera, values[LENS : LENS + N_LENS_PARAMETERS]), camera_from_world=pose)
 
 
-def _with_lens(camera: Camera, lens: FloatArray) -> Camera:
+def _correct_lens(camera: Camera, lens: FloatArray) -> Camera:
     matrix, distortion = camera.matrix.copy(), camera.distortion.copy()
     matrix[[0, 1], [0, 1]] *= 1.0 + lens[0]
     matrix[:2, 2] += lens[1:3]
@@ -206,72 +219,101 @@ def _with_lens(camera: Camera, lens: FloatArray) -> Camera:
     return replace(camera, matrix=matrix, distortion=distortion)
 
 
-def lens_slopes(
+def linearize_lenses(
     rig: Rig, cameras: IntArray, image: FloatArray, lens: Sequence[FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
-    """Normalised points (n, 2) of the rig's cameras (n,), and what `Sightings.lens` (n, 3, 4) is.
+    """Linearize normalized points in the lens parameters.
 
-    They are linearised at lenses that are already corrected, C times (4,): the points, plus by what they move times the
-    lens, are then what they are with that lens.
+    Args:
+        rig: the cameras.
+        cameras: (n,) camera of each point.
+        image: (n, 2) points normalized by the rig.
+        lens: C corrections (4,) at which to linearize.
+
+    Returns:
+        (n, 2) points at zero correction, to which the derivatives times a correction are added, and
+        `SortedObservations.lens` (n, 3, 4).
     """
-    slopes, moved = np.zeros((len(image), 3, N_LENS)), image.copy()
+    jacobians, points = np.zeros((len(image), 3, N_LENS_PARAMETERS)), image.copy()
     for c, camera in enumerate(rig):
-        mine = cameras == c
-        if not mine.any():
+        own = cameras == c
+        if not own.any():
             continue
-        now = _with_lens(camera, lens[c])
-        x = image[mine]
+        corrected_camera = _correct_lens(camera, lens[c])
+        x = image[own]
         if np.any(lens[c]):
-            x = now.normalize(camera.denormalize(x))
-        by_x = _pixels_by_point(now, x)
-        for j, (h, u) in enumerate(zip(STEPS, np.eye(N_LENS), strict=True)):
-            more, less = _with_lens(now, h * u), _with_lens(now, -h * u)
-            by_lens = (more.denormalize(x) - less.denormalize(x)) / (2 * h)
-            # What stays is the pixel.
-            slopes[mine, :2, j] = -np.linalg.solve(by_x, by_lens[..., None])[..., 0]
-            area = [np.linalg.det(_pixels_by_point(camera, x)) for camera in (more, less)]
-            slopes[mine, 2, j] = np.log(area[0] / area[1]) / (4 * h)
-        slopes[mine, :, 0] /= 1.0 + lens[c][0]  # a relative change of `now` is larger than one of `camera` by as much
-        moved[mine] = x - slopes[mine, :2] @ lens[c]
-    return moved, slopes
+            x = corrected_camera.normalize(camera.denormalize(x))
+        point_jacobian = _pixel_jacobian(corrected_camera, x)
+        for j, (h, u) in enumerate(zip(LENS_STEPS, np.eye(N_LENS_PARAMETERS), strict=True)):
+            upper, lower = _correct_lens(corrected_camera, h * u), _correct_lens(corrected_camera, -h * u)
+            lens_jacobian = (upper.denormalize(x) - lower.denormalize(x)) / (2 * h)
+            # The pixel is constant.
+            jacobians[own, :2, j] = -np.linalg.solve(point_jacobian, lens_jacobian[..., None])[..., 0]
+            area = [np.linalg.det(_pixel_jacobian(camera, x)) for camera in (upper, lower)]
+            jacobians[own, 2, j] = np.log(area[0] / area[1]) / (4 * h)
+        jacobians[own, :, 0] /= 1.0 + lens[c][0]  # relative to the corrected focal length
+        points[own] = x - jacobians[own, :2] @ lens[c]
+    return points, jacobians
 
 
-def _pixels_by_point(camera: Camera, x: FloatArray) -> FloatArray:
-    """(n, 2, 2) derivative of pixels by normalised points (n, 2)."""
+def _pixel_jacobian(camera: Camera, x: FloatArray) -> FloatArray:
+    """Return (n, 2, 2) derivatives of pixels by normalized points (n, 2)."""
     return np.stack(
-        [(camera.denormalize(x + NEAR * u) - camera.denormalize(x - NEAR * u)) / (2 * NEAR) for u in np.eye(2)], axis=2
+        [
+            (camera.denormalize(x + POINT_STEP * u) - camera.denormalize(x - POINT_STEP * u)) / (2 * POINT_STEP)
+            for u in np.eye(2)
+        ],
+        axis=2,
     )
 
 
-def doubting(problem: Problem, state: State, rig: Rig, doubt: Doubt) -> tuple[Problem, State]:
-    """A problem in which the calibration is doubted as well, and a state of it: its calibration is the given one, which is
-    held."""
-    shared = with_doubt(problem.shared, rig, doubt)
-    z = np.concatenate([state.z, np.zeros(shared.spread.shape[2] - len(state.z))])
-    return relinearised(replace(problem, shared=shared), problem.sightings.image, rig, z), replace(state, z=z)
+def add_calibration_errors(problem: Problem, state: State, rig: Rig, prior: CalibrationPrior) -> tuple[Problem, State]:
+    """Add calibration errors to a problem and its state; they are zero and fixed."""
+    parameters = add_calibration_parameters(problem.camera_parameters, rig, prior)
+    z = np.concatenate([state.z, np.zeros(parameters.basis.shape[2] - len(state.z))])
+    return relinearize_lenses(
+        replace(problem, camera_parameters=parameters), problem.observations.image, rig, z
+    ), replace(state, z=z)
 
 
-def freed(problem: Problem) -> Problem:
-    """One in which what the calibration got wrong is estimated."""
-    return replace(problem, shared=replace(problem.shared, held=problem.shared.held & (problem.shared.kind == 0)))
+def free_calibration(problem: Problem) -> Problem:
+    """Return the problem with calibration errors estimated."""
+    return replace(
+        problem,
+        camera_parameters=replace(
+            problem.camera_parameters, fixed=problem.camera_parameters.fixed & (problem.camera_parameters.kind == 0)
+        ),
+    )
 
 
-def rescaled(problem: Problem, state: State, shares: FloatArray) -> tuple[Problem, State]:
-    """The same state in a problem in which each kind (4,) is believed to be off by a share of what it was at first."""
-    more = (shares / problem.shared.shares)[problem.shared.kind]
-    shared = replace(problem.shared, spread=problem.shared.spread * more, shares=shares)
-    return replace(problem, shared=shared), replace(state, z=state.z / more)
+def rescale_calibration_prior(problem: Problem, state: State, scales: FloatArray) -> tuple[Problem, State]:
+    """Scale the prior of each kind of parameters (4,), relative to the initial one, without changing the state."""
+    factors = (scales / problem.camera_parameters.scales)[problem.camera_parameters.kind]
+    parameters = replace(problem.camera_parameters, basis=problem.camera_parameters.basis * factors, scales=scales)
+    return replace(problem, camera_parameters=parameters), replace(state, z=state.z / factors)
 
 
-def relinearised(problem: Problem, image: FloatArray, rig: Rig, z: FloatArray) -> Problem:
-    """With lenses that are linearised where z (k,) has them; image (n, 2) are the points as the rig normalises them."""
-    lens = problem.shared.of(z)[:, LENS:]
-    moved, slopes = lens_slopes(rig, problem.sightings.camera, image, list(lens))
-    return replace(problem, sightings=problem.sightings._replace(image=moved, lens=slopes))
+def relinearize_lenses(problem: Problem, image: FloatArray, rig: Rig, z: FloatArray) -> Problem:
+    """Linearize the lenses at z (k,); image (n, 2) are the points as normalized by the rig."""
+    lens = problem.camera_parameters.evaluate(z)[:, LENS:]
+    points, jacobians = linearize_lenses(rig, problem.observations.camera, image, list(lens))
+    return replace(problem, observations=problem.observations._replace(image=points, lens=jacobians))
 
 
-def correction_of(shared: Shared, rig: Rig, before: IntArray, z: FloatArray, covariance: FloatArray) -> Correction:
-    """Of a refinement's shared unknowns z (k,) and their covariance (k, k); before (C,) as in `Doubt`."""
-    spread = shared.spread[:, TURN:] - (before >= 0)[:, None, None] * shared.spread[before, TURN:]
+def make_correction(
+    parameters: CameraParameters, rig: Rig, predecessor: IntArray, z: FloatArray, covariance: FloatArray
+) -> CalibrationCorrection:
+    """Make the correction from the shared parameters.
+
+    Args:
+        predecessor: (C,) as in `CalibrationPrior`.
+        z: (k,) the shared parameters.
+        covariance: (k, k) of z.
+    """
+    spread = (
+        parameters.basis[:, ROTATION:] - (predecessor >= 0)[:, None, None] * parameters.basis[predecessor, ROTATION:]
+    )
     sd = np.sqrt(np.maximum(np.einsum("cik,kl,cil->ci", spread, covariance, spread), 0.0))
-    return Correction(corrected(rig, shared.of(z)), spread @ z, sd, np.linalg.norm(spread, axis=2))
+    return CalibrationCorrection(
+        correct_rig(rig, parameters.evaluate(z)), spread @ z, sd, np.linalg.norm(spread, axis=2)
+    )

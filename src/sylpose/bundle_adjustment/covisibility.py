@@ -1,4 +1,4 @@
-"""Which frames share landmarks, and which of them that ties to one that stays."""
+"""Covisibility of frames, and their connection to fixed frames."""
 
 from __future__ import annotations
 
@@ -6,32 +6,36 @@ import numpy as np
 from scipy.sparse import block_array, coo_array, csr_array, eye_array, tril
 from scipy.sparse.csgraph import connected_components
 
-from sylpose.bundle_adjustment.kernels import Sightings
+from sylpose.bundle_adjustment.kernels import SortedObservations
 from sylpose.geometry.arrays import BoolArray, IntArray
 
-__all__ = ["pattern_of", "tied_frames"]
+__all__ = ["covisibility_pattern", "find_connected_frames"]
 
 
-def pattern_of(sightings: Sightings, often: BoolArray) -> csr_array:
-    """(F, F) lower triangle of which moving frames share landmarks."""
-    n = int(sightings.free.max()) + 1
-    sees = _incidence(sightings, sightings.free[sightings.frame], n, often)
-    pattern = csr_array(tril(sees @ sees.T + eye_array(n), format="csr"))
+def covisibility_pattern(observations: SortedObservations, repeated: BoolArray) -> csr_array:
+    """Return (F, F) lower triangle of the covisibility of moving frames."""
+    n = int(observations.free_index.max()) + 1
+    incidence = _incidence(observations, observations.free_index[observations.frame], n, repeated)
+    pattern = csr_array(tril(incidence @ incidence.T + eye_array(n), format="csr"))
     pattern.sort_indices()
     return pattern
 
 
-def tied_frames(sightings: Sightings, often: BoolArray, anchored: BoolArray) -> BoolArray:
-    """(N,) frames that landmarks connect to an anchored one."""
-    n = len(anchored)
-    sees = _incidence(sightings, sightings.frame, n, often)
-    _, part = connected_components(block_array([[None, sees], [sees.T, None]]), directed=False)
-    return np.asarray(np.isin(part[:n], part[:n][anchored]))
+def find_connected_frames(observations: SortedObservations, repeated: BoolArray, fixed: BoolArray) -> BoolArray:
+    """Return (N,) mask of the frames that landmarks connect to a fixed one."""
+    n = len(fixed)
+    incidence = _incidence(observations, observations.frame, n, repeated)
+    _, part = connected_components(block_array([[None, incidence], [incidence.T, None]]), directed=False)
+    return np.asarray(np.isin(part[:n], part[:n][fixed]))
 
 
-def _incidence(sightings: Sightings, rows: IntArray, n_rows: int, often: BoolArray) -> csr_array:
-    """(n_rows, m) which rows see which landmarks, of those seen at least twice; rows (n,) of the observations, or -1."""
-    landmark = np.repeat(np.arange(len(often)), np.diff(sightings.start))
-    used = often[landmark] & (rows >= 0)
+def _incidence(observations: SortedObservations, rows: IntArray, n_rows: int, repeated: BoolArray) -> csr_array:
+    """Return (n_rows, m) incidence of rows and landmarks observed at least twice.
+
+    Args:
+        rows: (n,) row of each observation, or -1.
+    """
+    landmark = np.repeat(np.arange(len(repeated)), np.diff(observations.start))
+    used = repeated[landmark] & (rows >= 0)
     entries = (np.ones(int(used.sum())), (rows[used], landmark[used]))
-    return coo_array(entries, shape=(n_rows, len(often))).tocsr()
+    return coo_array(entries, shape=(n_rows, len(repeated))).tocsr()

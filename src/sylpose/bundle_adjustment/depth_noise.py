@@ -1,78 +1,101 @@
-"""What of the landmarks' relief is only noise: without it they tell less of small turns.
+"""Shrinkage of noisy landmark depths, which otherwise overstate the information on small rotations.
 
-A turn is told by relief: by how far landmarks are in front of, or behind, the plane that goes through them. Of a body that
-has hardly turned that is not known, but fitted all the same, from the noise of where it is seen, and seems to tell the turn:
-of a plane that is only displaced, the more the more wrong it is. So the information is that of landmarks with the relief
-that is likeliest: if relief has a variance of its own, found from all landmarks of a camera, and one's noise another, each
-has only the share of it that the first has in the sum.
+The information on a rotation comes from relief: the distances of landmarks from their common plane. If the body hardly
+rotates, the relief is unknown but still fitted to noise. The fitted relief then seems to determine the rotation, most
+for a translating plane. So the information is computed with the most likely relief: with a relief variance, estimated
+from all landmarks of a camera, and a noise variance per landmark, each relief is multiplied by the ratio of the first
+to their sum.
 
-Source: errors in variables, W. A. Fuller, "Measurement Error Models", 1987; unequal variances, B. Efron, C. Morris, "Stein's
-estimation rule and its competitors", 1973; their use here is ours.
+Source: errors in variables, W. A. Fuller, "Measurement Error Models", 1987; unequal variances, B. Efron, C. Morris,
+"Stein's estimation rule and its competitors", 1973; their use here is ours.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from sylpose.bundle_adjustment.kernels import Sightings, Views, eliminated, longest_track
+from sylpose.bundle_adjustment.kernels import SortedObservations, Views, eliminate_landmark, longest_track
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.numba_linalg import kernel
 
-__all__ = ["without_noise"]
+__all__ = ["shrink_depth_noise"]
 
-# Landmarks that a plane is put through, at least: three would lie on it (choice).
-FEWEST = 6
-# Rounds in which the relief's own variance is found (choice).
-ROUNDS = 20
+# Minimum number of landmarks for a plane fit: three would be exactly on it (choice).
+MIN_LANDMARKS = 6
+# Iterations of the estimate of the relief variance (choice).
+MAX_ITERATIONS = 20
 
 
-def without_noise(
-    seen: Sightings, views: Views, points: FloatArray, weights: FloatArray, pull: FloatArray
+def shrink_depth_noise(
+    observations: SortedObservations, views: Views, points: FloatArray, weights: FloatArray, landmark_prior: FloatArray
 ) -> FloatArray:
-    """Landmarks (m, 3) with the relief that those at `points` have but for noise.
+    """Return landmarks (m, 3) with their relief shrunk by its noise.
 
-    Args: as of `elimination.reduce`, at the optimum.
+    Args:
+        observations, views, points, weights, landmark_prior: as of `eliminate_landmarks`, at the optimum.
     """
     noise = np.full(len(points), np.nan)
-    relief_noise(seen, views, points, weights, pull, noise)
-    above = np.einsum("mi,mi->m", seen.toward, points)
+    compute_depth_noise(observations, views, points, weights, landmark_prior, noise)
+    depths = np.einsum("mi,mi->m", observations.depth_direction, points)
     change = np.zeros(len(points))
-    for c in np.unique(seen.viewer):
-        mine = np.flatnonzero((seen.viewer == c) & np.isfinite(noise))
-        if len(mine) < FEWEST:
+    for c in np.unique(observations.first_viewer):
+        own = np.flatnonzero((observations.first_viewer == c) & np.isfinite(noise))
+        if len(own) < MIN_LANDMARKS:
             continue
-        plane = np.linalg.lstsq(seen.across[mine], above[mine], rcond=None)[0]
-        relief = above[mine] - seen.across[mine] @ plane
-        change[mine] = -relief * noise[mine] / (noise[mine] + _scatter(relief**2, noise[mine]))
-    return np.ascontiguousarray(points + change[:, None] * seen.toward)
+        plane = np.linalg.lstsq(observations.depth_basis[own], depths[own], rcond=None)[0]
+        relief = depths[own] - observations.depth_basis[own] @ plane
+        change[own] = -relief * noise[own] / (noise[own] + _estimate_relief_variance(relief**2, noise[own]))
+    return np.ascontiguousarray(points + change[:, None] * observations.depth_direction)
 
 
-def _scatter(squares: FloatArray, noise: FloatArray) -> float:
-    """Variance of the relief itself, of squares (n,) of it that noise has a part in, of a variance of its own each; next to
-    nothing where noise explains them."""
+def _estimate_relief_variance(squares: FloatArray, noise: FloatArray) -> float:
+    """Estimate the variance of the relief from squares (n,) of noisy values with individual noise variances.
+
+    It is close to zero where noise explains the squares.
+    """
     out = float(np.median(squares))
-    least = 1e-6 * (out + float(np.median(noise)))
-    for _ in range(ROUNDS):
-        weights = (out + noise + least) ** -2.0
-        out = max(float(weights @ (squares - noise) / weights.sum()), least)
+    minimum = 1e-6 * (out + float(np.median(noise)))
+    for _ in range(MAX_ITERATIONS):
+        weights = (out + noise + minimum) ** -2.0
+        out = max(float(weights @ (squares - noise) / weights.sum()), minimum)
     return out
 
 
 @kernel
-def relief_noise(
-    seen: Sightings, views: Views, points: FloatArray, weights: FloatArray, pull: FloatArray, out: FloatArray
+def compute_depth_noise(
+    observations: SortedObservations,
+    views: Views,
+    points: FloatArray,
+    weights: FloatArray,
+    landmark_prior: FloatArray,
+    out: FloatArray,
 ) -> None:
-    """out (m,) becomes the variance that noise gives each landmark's distance, as seen by its viewer, at known poses; those
-    without an observation of weight are left out."""
-    longest, n_shared = longest_track(seen.start), views.shared.shape[1]
-    e, by_pose, by_point = np.empty((longest, 2)), np.empty((longest, 2, 6)), np.empty((longest, 2, 3))
-    by_shared = np.zeros((longest, 2, n_shared))
+    """Write the noise variance of each landmark's depth, in its viewer's direction at known poses, to out (m,).
+
+    Landmarks without a weighted observation are left unchanged.
+    """
+    longest, n_shared = longest_track(observations.start), views.parameters.shape[1]
+    e, pose_jacobian, point_jacobian = np.empty((longest, 2)), np.empty((longest, 2, 6)), np.empty((longest, 2, 3))
+    shared_jacobian = np.zeros((longest, 2, n_shared))
     root, slope, v = np.zeros((3, 3)), np.empty(3), np.empty(3)
     for i in range(points.shape[0]):
-        if not eliminated(seen, views, points[i], i, weights, pull, e, by_pose, by_shared, by_point, root, slope):
+        if not eliminate_landmark(
+            observations,
+            views,
+            points[i],
+            i,
+            weights,
+            landmark_prior,
+            e,
+            pose_jacobian,
+            shared_jacobian,
+            point_jacobian,
+            root,
+            slope,
+        ):
             continue
-        u = seen.toward[i]
-        # By how much the landmark moves for each unit that its distance is asked to change: V u, V = root' root.
+        u = observations.depth_direction[i]
+        # Change of the landmark per unit of gradient along u: V u, V = root' root.
         for j in range(3):
             v[j] = root[j, 0] * u[0] + root[j, 1] * u[1] + root[j, 2] * u[2]
         whole = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
@@ -80,5 +103,5 @@ def relief_noise(
         for j in range(3):
             moved = root[0, j] * v[0] + root[1, j] * v[1] + root[2, j] * v[2]
             size += moved * moved
-        # V less what it owes to beliefs, V (V^-1 - pull) V, along u.
-        out[i] = max(whole - pull[0] * whole * whole - pull[1] * size, 0.0)
+        # V without the contribution of the prior, V (V^-1 - P) V with P the prior's information, along u.
+        out[i] = max(whole - landmark_prior[0] * whole * whole - landmark_prior[1] * size, 0.0)

@@ -1,10 +1,11 @@
-"""Compiled loops of the joint refinement: residuals, their derivatives, and each landmark's own small system.
+"""Compiled loops of the bundle adjustment: residuals, derivatives, and each landmark's 3x3 system.
 
-Observations are sorted by landmark, then by frame. A landmark X of the object is seen by camera c in frame k at
-p = M (R X) + b, M = Q E and b = Q (t + u - o), where E and u carry frame k's pose to the camera's own instant.
+Observations are sorted by landmark, then by frame. A landmark X of the object is observed by camera c in frame k at p =
+M (R X) + b, M = Q E and b = Q (t + u - o), where E and u move frame k's pose to the camera's timestamp.
 
-Beside the frames' poses there are unknowns that each camera has once for all frames, its *shared* ones: the columns
-`OFFSET`, `DEPTH`, `TURN`, `SHIFT` and `LENS` below. What is believed of them, and which are free, `shared` says.
+In addition to the frames' poses there are *shared* parameters, which each camera has once for all frames: the columns
+`TIME_OFFSET`, `DEPTH`, `ROTATION`, `TRANSLATION` and `LENS` below. Their prior, and which are free, is in
+`camera_parameters`.
 """
 
 from __future__ import annotations
@@ -20,41 +21,42 @@ __all__ = [
     "BEHIND_PX",
     "DEPTH",
     "LENS",
-    "OFFSET",
-    "SHIFT",
-    "TURN",
-    "Sightings",
+    "ROTATION",
+    "TIME_OFFSET",
+    "TRANSLATION",
+    "SortedObservations",
     "Views",
-    "above_surface",
-    "derivatives",
-    "eliminated",
+    "compute_depth_residual",
+    "compute_derivatives",
+    "compute_residuals",
+    "eliminate_landmark",
     "longest_track",
-    "pixels",
-    "residuals",
+    "pixel_scale",
 ]
 
 
-# What is behind a camera is this far from where it is seen, pixels: an outlier at any noise (choice).
+# Residual of a landmark behind a camera, pixels: an outlier at any noise (choice).
 BEHIND_PX = 1e6
-# A camera's shared unknowns (derived: they follow each other): seconds by which it is late; how far in front of the
-# object's origin the surface is that it sees, and by how much that rises to the right and downwards; then, only where its
-# calibration is in question, its turn (camera's axes) and the shift of its centre (world's axes), and its lens.
-OFFSET, DEPTH, TURN, SHIFT, LENS = 0, 1, 4, 7, 10
+# Columns of a camera's shared parameters (derived: consecutive): time offset, seconds, positive for a delay; depth of
+# the observed surface in front of the object's origin, and its slopes to the right and downwards; then, only if the
+# calibration is uncertain, rotation (camera's axes), translation of the center (world's axes), and lens.
+TIME_OFFSET, DEPTH, ROTATION, TRANSLATION, LENS = 0, 1, 4, 7, 10
 
 
-class Sightings(NamedTuple):
-    """n observations of m landmarks.
+class SortedObservations(NamedTuple):
+    """Observations sorted by landmark: n observations of m landmarks.
 
     Attributes:
         start: (m + 1,) landmark i has the observations start[i] to start[i + 1].
-        frame, camera: (n,), frames not falling within a landmark.
-        image: (n, 2) normalised.
-        lens: (n, 3, L) by what the normalised point moves with the camera's L unknowns of the lens, and by what share what
-            is one pixel there; L may be 0.
-        free: (N,) number of each frame among those that move, rising, or -1 for a frame that is fixed.
-        viewer: (m,) the camera that saw a landmark first.
-        toward: (m, 3) unit vector from the object's origin towards it then, object's frame.
-        across: (m, 3) 1, and how far a landmark is to the right and below as seen by it: what its depth is linear in.
+        frame, camera: (n,) indices; frames do not decrease within a landmark.
+        image: (n, 2) normalized points.
+        lens: (n, 3, L) derivatives of the normalized point by the camera's L lens parameters, and of the logarithm of a
+            pixel's size there; L may be 0.
+        free_index: (N,) number of each frame among the free ones, increasing, or -1 for a fixed frame.
+        first_viewer: (m,) the camera that observed a landmark first.
+        depth_direction: (m, 3) unit vector from the object's origin towards it at that time, object's frame.
+        depth_basis: (m, 3) 1, and the landmark's offset to the right and below in that view: the basis in which its
+            depth is linear.
     """
 
     start: IntArray
@@ -62,89 +64,91 @@ class Sightings(NamedTuple):
     camera: IntArray
     image: FloatArray
     lens: FloatArray
-    free: IntArray
-    viewer: IntArray
-    toward: FloatArray
-    across: FloatArray
+    free_index: IntArray
+    first_viewer: IntArray
+    depth_direction: FloatArray
+    depth_basis: FloatArray
 
 
 class Views(NamedTuple):
-    """N frames as C cameras see them.
+    """N frames as observed by C cameras.
 
     Attributes:
-        turns: (N, 3, 3) R of world_from_object.
-        carried: (N, C, 3, 3) M; place: (N, C, 3) b, see the module.
-        spin, drift: (N, C, 3) the object's angular velocity and its origin's velocity, camera's axes, per second.
-        rotations: (C, 3, 3) Q of camera_from_world; twists: (C, 3, 3) what its rotation vector's change turns it by.
+        object_rotations: (N, 3, 3) R of world_from_object.
+        camera_from_object, translations: (N, C, 3, 3) M and (N, C, 3) b, see the module.
+        angular_velocity, linear_velocity: (N, C, 3) the object's angular velocity and its origin's velocity, camera's
+            axes, per second.
+        rotations: (C, 3, 3) Q of camera_from_world.
+        rotvec_jacobians: (C, 3, 3) rotation per change of the camera's rotation vector.
         focals: (C,) pixels.
-        shared: (C, K) the cameras' shared unknowns.
+        parameters: (C, K) the cameras' shared parameters.
     """
 
-    turns: FloatArray
-    carried: FloatArray
-    place: FloatArray
-    spin: FloatArray
-    drift: FloatArray
+    object_rotations: FloatArray
+    camera_from_object: FloatArray
+    translations: FloatArray
+    angular_velocity: FloatArray
+    linear_velocity: FloatArray
     rotations: FloatArray
-    twists: FloatArray
+    rotvec_jacobians: FloatArray
     focals: FloatArray
-    shared: FloatArray
+    parameters: FloatArray
 
 
 @kernel
-def residuals(seen: Sightings, views: Views, points: FloatArray, out: FloatArray) -> None:
-    """out (n, 2) becomes where landmarks (m, 3) project to minus where they are seen, pixels."""
+def compute_residuals(observations: SortedObservations, views: Views, points: FloatArray, out: FloatArray) -> None:
+    """Write the reprojection errors of landmarks (m, 3), projection minus observation, to out (n, 2), pixels."""
     y = np.empty(3)
     for i in range(points.shape[0]):
-        for n in range(seen.start[i], seen.start[i + 1]):
-            k, c = seen.frame[n], seen.camera[n]
-            r, m, b = views.turns[k], views.carried[k, c], views.place[k, c]
+        for n in range(observations.start[i], observations.start[i + 1]):
+            k, c = observations.frame[n], observations.camera[n]
+            r, m, b = views.object_rotations[k], views.camera_from_object[k, c], views.translations[k, c]
             for a in range(3):
                 y[a] = r[a, 0] * points[i, 0] + r[a, 1] * points[i, 1] + r[a, 2] * points[i, 2]
             z = m[2, 0] * y[0] + m[2, 1] * y[1] + m[2, 2] * y[2] + b[2]
             if z > 1e-9:
-                focal = views.focals[c] * pixels(seen, views, n)
+                focal = views.focals[c] * pixel_scale(observations, views, n)
                 for a in range(2):
                     p = m[a, 0] * y[0] + m[a, 1] * y[1] + m[a, 2] * y[2] + b[a]
-                    image = seen.image[n, a]
-                    for j in range(seen.lens.shape[2]):
-                        image += seen.lens[n, a, j] * views.shared[c, LENS + j]
+                    image = observations.image[n, a]
+                    for j in range(observations.lens.shape[2]):
+                        image += observations.lens[n, a, j] * views.parameters[c, LENS + j]
                     out[n, a] = focal * (p / z - image)
             else:
                 out[n, 0], out[n, 1] = BEHIND_PX, 0.0
 
 
 @kernel
-def pixels(seen: Sightings, views: Views, n: int) -> float:
-    """By what a pixel of observation n is larger than with the lens as given.
+def pixel_scale(observations: SortedObservations, views: Views, n: int) -> float:
+    """Return the size of observation n's pixel relative to that of the given lens.
 
-    Without this, a longer focal length would make all residuals less, and be found.
+    Without this factor, a longer focal length would reduce all residuals.
     """
-    out, c = 1.0, seen.camera[n]
-    for j in range(seen.lens.shape[2]):
-        out += seen.lens[n, 2, j] * views.shared[c, LENS + j]
+    out, c = 1.0, observations.camera[n]
+    for j in range(observations.lens.shape[2]):
+        out += observations.lens[n, 2, j] * views.parameters[c, LENS + j]
     return out
 
 
 @kernel
-def derivatives(
-    seen: Sightings,
+def compute_derivatives(
+    observations: SortedObservations,
     views: Views,
     point: FloatArray,
     n: int,
     e: FloatArray,
-    by_pose: FloatArray,
-    by_shared: FloatArray,
-    by_point: FloatArray,
+    pose_jacobian: FloatArray,
+    shared_jacobian: FloatArray,
+    point_jacobian: FloatArray,
 ) -> None:
-    """One observation's residual (2,) and its derivatives by (w, d) (2, 6), by its camera's shared unknowns (2, K) and by
-    the landmark (2, 3), pixels.
+    """Write one observation's residual (2,) and its derivatives, pixels.
 
-    The landmark must be in front of the camera. The columns `DEPTH` are left alone: no residual depends on them.
+    They are by (w, d) (2, 6), by its camera's shared parameters (2, K) and by the landmark (2, 3). The landmark must be
+    in front of the camera. The columns `DEPTH` are not written: no residual depends on them.
     """
-    k, c = seen.frame[n], seen.camera[n]
-    r, m, b, q = views.turns[k], views.carried[k, c], views.place[k, c], views.rotations[c]
-    spin, drift = views.spin[k, c], views.drift[k, c]
+    k, c = observations.frame[n], observations.camera[n]
+    r, m, b, q = views.object_rotations[k], views.camera_from_object[k, c], views.translations[k, c], views.rotations[c]
+    angular_velocity, linear_velocity = views.angular_velocity[k, c], views.linear_velocity[k, c]
     y0 = r[0, 0] * point[0] + r[0, 1] * point[1] + r[0, 2] * point[2]
     y1 = r[1, 0] * point[0] + r[1, 1] * point[1] + r[1, 2] * point[2]
     y2 = r[2, 0] * point[0] + r[2, 1] * point[1] + r[2, 2] * point[2]
@@ -152,85 +156,98 @@ def derivatives(
     g1 = m[1, 0] * y0 + m[1, 1] * y1 + m[1, 2] * y2
     g2 = m[2, 0] * y0 + m[2, 1] * y1 + m[2, 2] * y2
     p0, p1, z = g0 + b[0], g1 + b[1], g2 + b[2]
-    larger = pixels(seen, views, n)
-    focal = views.focals[c] * larger
+    scale_factor = pixel_scale(observations, views, n)
+    focal = views.focals[c] * scale_factor
     scale = focal / z
-    # How the point moves in the camera's axes while time passes.
-    v0 = spin[1] * g2 - spin[2] * g1 + drift[0]
-    v1 = spin[2] * g0 - spin[0] * g2 + drift[1]
-    v2 = spin[0] * g1 - spin[1] * g0 + drift[2]
-    calibrated = views.shared.shape[1] > TURN
+    # Velocity of the point in the camera's axes.
+    v0 = angular_velocity[1] * g2 - angular_velocity[2] * g1 + linear_velocity[0]
+    v1 = angular_velocity[2] * g0 - angular_velocity[0] * g2 + linear_velocity[1]
+    v2 = angular_velocity[0] * g1 - angular_velocity[1] * g0 + linear_velocity[2]
+    has_calibration = views.parameters.shape[1] > ROTATION
     for a in range(2):
         image = (p0 if a == 0 else p1) / z
-        seen_at = seen.image[n, a]
+        observed = observations.image[n, a]
         h0 = scale * (m[a, 0] - image * m[2, 0])
         h1 = scale * (m[a, 1] - image * m[2, 1])
         h2 = scale * (m[a, 2] - image * m[2, 2])
-        by_pose[a, 0] = y1 * h2 - y2 * h1
-        by_pose[a, 1] = y2 * h0 - y0 * h2
-        by_pose[a, 2] = y0 * h1 - y1 * h0
+        pose_jacobian[a, 0] = y1 * h2 - y2 * h1
+        pose_jacobian[a, 1] = y2 * h0 - y0 * h2
+        pose_jacobian[a, 2] = y0 * h1 - y1 * h0
         for j in range(3):
-            by_pose[a, 3 + j] = scale * (q[a, j] - image * q[2, j])
-            by_point[a, j] = h0 * r[0, j] + h1 * r[1, j] + h2 * r[2, j]
-        by_shared[a, OFFSET] = scale * ((v0 if a == 0 else v1) - image * v2)
-        if calibrated:
-            # By p it is scale (1, 0, -image) or scale (0, 1, -image), and p moves by the turn x p.
+            pose_jacobian[a, 3 + j] = scale * (q[a, j] - image * q[2, j])
+            point_jacobian[a, j] = h0 * r[0, j] + h1 * r[1, j] + h2 * r[2, j]
+        shared_jacobian[a, TIME_OFFSET] = scale * ((v0 if a == 0 else v1) - image * v2)
+        if has_calibration:
+            # The derivative by p is scale (1, 0, -image) or scale (0, 1, -image), and p moves by the rotation x p.
             x, y = (scale, 0.0) if a == 0 else (0.0, scale)
             t0 = -p1 * scale * image - z * y
             t1 = z * x + p0 * scale * image
             t2 = p0 * y - p1 * x
             for j in range(3):
-                twist = views.twists[c]
-                by_shared[a, TURN + j] = t0 * twist[0, j] + t1 * twist[1, j] + t2 * twist[2, j]
-                by_shared[a, SHIFT + j] = -by_pose[a, 3 + j]
-            for j in range(seen.lens.shape[2]):
-                seen_at += seen.lens[n, a, j] * views.shared[c, LENS + j]
-                by_shared[a, LENS + j] = -focal * seen.lens[n, a, j]
-        e[a] = focal * (image - seen_at)
-        for j in range(seen.lens.shape[2]):
-            by_shared[a, LENS + j] += e[a] * seen.lens[n, 2, j] / larger
+                rotvec_jacobian = views.rotvec_jacobians[c]
+                shared_jacobian[a, ROTATION + j] = (
+                    t0 * rotvec_jacobian[0, j] + t1 * rotvec_jacobian[1, j] + t2 * rotvec_jacobian[2, j]
+                )
+                shared_jacobian[a, TRANSLATION + j] = -pose_jacobian[a, 3 + j]
+            for j in range(observations.lens.shape[2]):
+                observed += observations.lens[n, a, j] * views.parameters[c, LENS + j]
+                shared_jacobian[a, LENS + j] = -focal * observations.lens[n, a, j]
+        e[a] = focal * (image - observed)
+        for j in range(observations.lens.shape[2]):
+            shared_jacobian[a, LENS + j] += e[a] * observations.lens[n, 2, j] / scale_factor
 
 
 @kernel
-def eliminated(
-    seen: Sightings,
+def eliminate_landmark(
+    observations: SortedObservations,
     views: Views,
     point: FloatArray,
     i: int,
     weights: FloatArray,
-    pull: FloatArray,
+    landmark_prior: FloatArray,
     e: FloatArray,
-    by_pose: FloatArray,
-    by_shared: FloatArray,
-    by_point: FloatArray,
+    pose_jacobian: FloatArray,
+    shared_jacobian: FloatArray,
+    point_jacobian: FloatArray,
     root: FloatArray,
     slope: FloatArray,
 ) -> bool:
-    """All that concerns landmark i: its observations' residuals and derivatives, and the landmark's own 3x3 system.
+    """Compute all terms of landmark i: its observations' residuals and derivatives, and its 3x3 system.
 
     root (3, 3) becomes the inverse of the Cholesky factor of its information, slope (3,) root times its gradient.
 
     Args:
-        pull: (2,) information, 1/length², that its depth is that of the surface, and that it is at the origin.
+        landmark_prior: (2,) prior information, 1/length², on its depth at the surface, and on its position at the
+            origin.
 
     Returns:
-        False where no observation has weight: the landmark then stays where it is.
+        False if no observation has weight: the landmark is then not moved.
     """
-    first, last = seen.start[i], seen.start[i + 1]
-    u, r = seen.toward[i], pull[0] * above_surface(seen, views, point, i)
-    v00, v11, v22 = pull[1] + pull[0] * u[0] * u[0], pull[1] + pull[0] * u[1] * u[1], pull[1] + pull[0] * u[2] * u[2]
-    v10, v20, v21 = pull[0] * u[1] * u[0], pull[0] * u[2] * u[0], pull[0] * u[2] * u[1]
-    g0, g1, g2 = pull[1] * point[0] + r * u[0], pull[1] * point[1] + r * u[1], pull[1] * point[2] + r * u[2]
-    used = False
+    first, last = observations.start[i], observations.start[i + 1]
+    u, r = observations.depth_direction[i], landmark_prior[0] * compute_depth_residual(observations, views, point, i)
+    v00, v11, v22 = (
+        landmark_prior[1] + landmark_prior[0] * u[0] * u[0],
+        landmark_prior[1] + landmark_prior[0] * u[1] * u[1],
+        landmark_prior[1] + landmark_prior[0] * u[2] * u[2],
+    )
+    v10, v20, v21 = landmark_prior[0] * u[1] * u[0], landmark_prior[0] * u[2] * u[0], landmark_prior[0] * u[2] * u[1]
+    g0, g1, g2 = (
+        landmark_prior[1] * point[0] + r * u[0],
+        landmark_prior[1] * point[1] + r * u[1],
+        landmark_prior[1] * point[2] + r * u[2],
+    )
+    has_weight = False
     for n in range(first, last):
         w = weights[n]
         if w <= 0.0:
             continue
-        used = True
+        has_weight = True
         o = n - first
-        derivatives(seen, views, point, n, e[o], by_pose[o], by_shared[o], by_point[o])
+        compute_derivatives(
+            observations, views, point, n, e[o], pose_jacobian[o], shared_jacobian[o], point_jacobian[o]
+        )
         for a in range(2):
-            x, y, z = by_point[o, a]
+            x, y, z = point_jacobian[o, a]
             r = w * e[o, a]
             v00 += w * x * x
             v10 += w * y * x
@@ -253,16 +270,16 @@ def eliminated(
     slope[0] = root[0, 0] * g0
     slope[1] = root[1, 0] * g0 + root[1, 1] * g1
     slope[2] = root[2, 0] * g0 + root[2, 1] * g1 + root[2, 2] * g2
-    return used
+    return has_weight
 
 
 @kernel
-def above_surface(seen: Sightings, views: Views, point: FloatArray, i: int) -> float:
-    """How much nearer than its viewer's surface a landmark is to its viewer."""
-    u, height = seen.toward[i], views.shared[seen.viewer[i]]
+def compute_depth_residual(observations: SortedObservations, views: Views, point: FloatArray, i: int) -> float:
+    """Return how much nearer to its viewer a landmark is than its viewer's surface."""
+    u, parameters = observations.depth_direction[i], views.parameters[observations.first_viewer[i]]
     out: float = u[0] * point[0] + u[1] * point[1] + u[2] * point[2]
     for j in range(3):
-        out -= seen.across[i, j] * height[DEPTH + j]
+        out -= observations.depth_basis[i, j] * parameters[DEPTH + j]
     return out
 
 

@@ -1,8 +1,8 @@
-"""Frames that a refinement gave up: found again among the landmarks, and refined once more.
+"""Relocalization of frames that a refinement lost.
 
-Where a pose starts far from where its frame was seen, a robust refinement does not bring it back: it counts all that the
-frame saw as outliers, agrees the better with all other frames, and the pose strays. Its landmarks are known from these other
-frames, so it can be found by itself (`absolute_pose`), whatever it was before.
+A robust refinement does not recover a pose that starts far from the truth: it treats all observations of the frame as
+outliers, agrees better with all other frames, and the pose drifts. Its landmarks are known from these other frames, so
+the pose can be estimated independently (`absolute_pose`), whatever it was before.
 """
 
 from __future__ import annotations
@@ -11,52 +11,64 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.absolute_pose.pose import estimate_pose
-from sylpose.bundle_adjustment.bundle import Bundled, Observations
+from sylpose.bundle_adjustment.bundle import BundleResult, Observations
 from sylpose.geometry.arrays import BoolArray, IntArray
 from sylpose.results import Status
 from sylpose.rig import Rig
 
-__all__ = ["agreed_of", "counted_of", "found_again", "given_up"]
+__all__ = ["count_frame_inliers", "find_lost_frames", "find_repeated_observations", "relocalize_lost_frames"]
 
-# A frame is given up where no more than this share agrees of what it saw, this being at least so much (choice).
-AGREED, LEAST = 0.5, 12
-
-
-def counted_of(seen: Observations) -> BoolArray:
-    """(n,) the observations that say something: those of landmarks that are seen more than once."""
-    return np.asarray(np.bincount(seen.landmark)[seen.landmark] > 1)
+# A frame is lost if at most this fraction of its observations are inliers and it has at least so many (choice).
+MAX_INLIER_RATIO, MIN_OBSERVATIONS = 0.5, 12
 
 
-def agreed_of(found: Bundled, seen: Observations, counted: BoolArray) -> tuple[IntArray, IntArray]:
-    """Of each frame (N), how many of the observations that count (n,) agree with a refinement, and how many there are."""
-    frames = len(found.covariance)
-    agreed, saw = (np.bincount(seen.frame[some], minlength=frames) for some in (counted & (found.weights > 0), counted))
-    return agreed, saw
+def find_repeated_observations(observations: Observations) -> BoolArray:
+    """Return (n,) mask of the informative observations: those of landmarks observed more than once."""
+    return np.asarray(np.bincount(observations.landmark)[observations.landmark] > 1)
 
 
-def given_up(found: Bundled, seen: Observations) -> BoolArray:
-    """(N,) the frames that a refinement gave up."""
-    agreed, saw = agreed_of(found, seen, counted_of(seen))
-    return np.asarray((saw >= LEAST) & (agreed <= AGREED * saw))
+def count_frame_inliers(
+    result: BundleResult, observations: Observations, repeated: BoolArray
+) -> tuple[IntArray, IntArray]:
+    """Return for each frame (N,) the number of counted observations (n,) that are inliers, and their total number."""
+    frames = len(result.covariance)
+    inliers, totals = (
+        np.bincount(observations.frame[mask], minlength=frames) for mask in (repeated & (result.weights > 0), repeated)
+    )
+    return inliers, totals
 
 
-def found_again(rig: Rig, seen: Observations, found: Bundled, stays: BoolArray) -> RigidTransform | None:
-    """The poses (N), those of frames that were given up as the landmarks tell them; None where they tell of none.
+def find_lost_frames(result: BundleResult, observations: Observations) -> BoolArray:
+    """Return (N,) mask of the lost frames."""
+    inliers, totals = count_frame_inliers(result, observations, find_repeated_observations(observations))
+    return np.asarray((totals >= MIN_OBSERVATIONS) & (inliers <= MAX_INLIER_RATIO * totals))
+
+
+def relocalize_lost_frames(
+    rig: Rig, observations: Observations, result: BundleResult, fixed_mask: BoolArray
+) -> RigidTransform | None:
+    """Return the poses (N,) with lost frames relocalized by the landmarks; None if none succeeds.
 
     Args:
-        stays: (N,) frames whose poses stay.
+        fixed_mask: (N,) fixed frames.
     """
-    lost = given_up(found, seen)
-    # Known from where others saw them.
-    good = np.bincount(seen.landmark, (found.weights > 0) & ~lost[seen.frame], minlength=len(found.landmarks)) > 1
-    poses, again = list(found.world_from_object), False
-    for k in np.flatnonzero(lost & ~stays).tolist():
-        of_cameras = [
-            np.flatnonzero((seen.frame == k) & (seen.camera == c) & good[seen.landmark]) for c in range(len(rig))
+    lost = find_lost_frames(result, observations)
+    # Landmarks supported by observations in other frames.
+    supported = (
+        np.bincount(
+            observations.landmark, (result.weights > 0) & ~lost[observations.frame], minlength=len(result.landmarks)
+        )
+        > 1
+    )
+    poses, has_new_pose = list(result.world_from_object), False
+    for k in np.flatnonzero(lost & ~fixed_mask).tolist():
+        camera_indices = [
+            np.flatnonzero((observations.frame == k) & (observations.camera == c) & supported[observations.landmark])
+            for c in range(len(rig))
         ]
-        points = [found.landmarks[seen.landmark[mine]] for mine in of_cameras]
-        pixels = [camera.denormalize(seen.image[mine]) for camera, mine in zip(rig, of_cameras, strict=True)]
-        told = estimate_pose(rig, points, pixels)
-        if told.status is Status.OK and told.motion is not None:
-            poses[k], again = told.motion, True
-    return RigidTransform.concatenate(poses) if again else None
+        points = [result.landmarks[observations.landmark[own]] for own in camera_indices]
+        pixels = [camera.denormalize(observations.image[own]) for camera, own in zip(rig, camera_indices, strict=True)]
+        estimate = estimate_pose(rig, points, pixels)
+        if estimate.status is Status.OK and estimate.motion is not None:
+            poses[k], has_new_pose = estimate.motion, True
+    return RigidTransform.concatenate(poses) if has_new_pose else None

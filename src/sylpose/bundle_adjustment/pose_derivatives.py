@@ -1,4 +1,4 @@
-"""How poses that are known frame by frame go on between frames: their derivatives by time."""
+"""Time derivatives of poses that are known frame by frame."""
 
 from __future__ import annotations
 
@@ -7,70 +7,85 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.geometry.arrays import FloatArray
 
-__all__ = ["exact_motion", "motion", "speed_noise"]
+__all__ = ["differentiate_quadratic", "differentiate_quartic", "velocity_variance"]
 
-# Poses that a polynomial of the fourth degree goes through (derived).
-NEAR = 5
+# Poses that determine a polynomial of the fourth degree (derived).
+STENCIL_SIZE = 5
 
 
-def motion(turns: FloatArray, places: FloatArray, times: FloatArray) -> FloatArray:
-    """(N, 2, 6) first and second derivatives of the poses by time, from parabolas through three neighbours.
+def differentiate_quadratic(rotations: FloatArray, translations: FloatArray, times: FloatArray) -> FloatArray:
+    """Differentiate poses by parabolas through three neighbors.
 
     Args:
-        turns: (N, 3, 3) rotations; places: (N, 3).
-        times: (N,) rising.
+        rotations: (N, 3, 3) rotations.
+        translations: (N, 3) translations.
+        times: (N,) increasing.
+
+    Returns:
+        (N, 2, 6) first and second time derivatives.
     """
     out = np.zeros((len(times), 2, 6))
     if len(times) < 2:
         return out
     gap = np.diff(times)[:, None]
-    turn = Rotation.from_matrix(turns[1:] @ turns[:-1].transpose(0, 2, 1)).as_rotvec()
-    speed = np.hstack([turn, np.diff(places, axis=0)]) / gap
+    rotation_steps = Rotation.from_matrix(rotations[1:] @ rotations[:-1].transpose(0, 2, 1)).as_rotvec()
+    velocity = np.hstack([rotation_steps, np.diff(translations, axis=0)]) / gap
     if len(times) == 2:
-        out[:, 0] = speed
+        out[:, 0] = velocity
         return out
-    before, after = gap[:-1], gap[1:]
-    out[1:-1, 0] = (after * speed[:-1] + before * speed[1:]) / (before + after)
-    out[1:-1, 1] = 2.0 * (speed[1:] - speed[:-1]) / (before + after)
+    gap_before, gap_after = gap[:-1], gap[1:]
+    out[1:-1, 0] = (gap_after * velocity[:-1] + gap_before * velocity[1:]) / (gap_before + gap_after)
+    out[1:-1, 1] = 2.0 * (velocity[1:] - velocity[:-1]) / (gap_before + gap_after)
     out[0, 1], out[-1, 1] = out[1, 1], out[-2, 1]
     out[0, 0] = out[1, 0] - gap[0] * out[1, 1]
     out[-1, 0] = out[-2, 0] + gap[-1] * out[-2, 1]
     return out
 
 
-def exact_motion(turns: FloatArray, places: FloatArray, times: FloatArray) -> FloatArray:
-    """The same from polynomials of the fourth degree through five neighbours, but for two frames at each end.
+def differentiate_quartic(rotations: FloatArray, translations: FloatArray, times: FloatArray) -> FloatArray:
+    """Differentiate poses by polynomials of the fourth degree through five neighbors.
 
-    Parabolas take a motion to and fro for slower than it is, by (2 pi / frames of a period)² / 6: time offsets would come
-    out as much too large.
+    Arguments and result are as of `differentiate_quadratic`, which also applies to the two frames at each end.
+
+    Parabolas underestimate the speed of an oscillating motion by (2 pi / frames of a period)² / 6, and time offsets
+    would be overestimated by the same factor.
     """
-    out = motion(turns, places, times)
-    if len(times) < NEAR:
+    out = differentiate_quadratic(rotations, translations, times)
+    if len(times) < STENCIL_SIZE:
         return out
-    near = np.arange(len(times) - NEAR + 1)[:, None] + np.arange(NEAR)
-    middle = near[:, NEAR // 2]
-    there, here = turns[near], turns[middle].transpose(0, 2, 1)
-    turn = Rotation.from_matrix((there @ here[:, None]).reshape(-1, 3, 3)).as_rotvec().reshape(*near.shape, 3)
-    change = np.concatenate([turn, places[near] - places[middle, None]], axis=2)
-    out[middle] = _slopes(times)[:, 1:3] @ change
+    stencil = np.arange(len(times) - STENCIL_SIZE + 1)[:, None] + np.arange(STENCIL_SIZE)
+    middle = stencil[:, STENCIL_SIZE // 2]
+    stencil_rotations, middle_inverse = rotations[stencil], rotations[middle].transpose(0, 2, 1)
+    rotation_changes = (
+        Rotation.from_matrix((stencil_rotations @ middle_inverse[:, None]).reshape(-1, 3, 3))
+        .as_rotvec()
+        .reshape(*stencil.shape, 3)
+    )
+    change = np.concatenate([rotation_changes, translations[stencil] - translations[middle, None]], axis=2)
+    out[middle] = _stencil_weights(times)[:, 1:3] @ change
     return out
 
 
-def speed_noise(times: FloatArray) -> FloatArray:
-    """(N,) about the variance of the speeds of `exact_motion`, in those of poses whose errors are independent."""
+def velocity_variance(times: FloatArray) -> FloatArray:
+    """Return (N,) approximate variance of the speeds of `differentiate_quartic`.
+
+    The poses are independent, with unit variance.
+    """
     out = 0.5 / np.gradient(times) ** 2
-    out[[0, -1]] *= 13.0  # at the ends, of three poses from one side
-    if len(times) >= NEAR:
-        out[NEAR // 2 : -(NEAR // 2)] = (_slopes(times)[:, 1] ** 2).sum(axis=1)
+    out[[0, -1]] *= 13.0  # one-sided differences of three poses at the ends
+    if len(times) >= STENCIL_SIZE:
+        out[STENCIL_SIZE // 2 : -(STENCIL_SIZE // 2)] = (_stencil_weights(times)[:, 1] ** 2).sum(axis=1)
     return np.asarray(out)
 
 
-def _slopes(times: FloatArray) -> FloatArray:
-    """(N - 4, 5, 5) by how much each of five values counts in the derivatives, from the 0th, of the polynomial through them,
-    at the one in the middle."""
-    near = np.arange(len(times) - NEAR + 1)[:, None] + np.arange(NEAR)
-    away = times[near] - times[near[:, NEAR // 2], None]
-    scale = away[:, -1:] - away[:, :1]
-    powers = (away / scale)[..., None] ** np.arange(NEAR)
+def _stencil_weights(times: FloatArray) -> FloatArray:
+    """Return (N - 4, 5, 5) finite difference weights of five values at the middle one.
+
+    Row k gives the k-th derivative of the polynomial through them.
+    """
+    stencil = np.arange(len(times) - STENCIL_SIZE + 1)[:, None] + np.arange(STENCIL_SIZE)
+    time_differences = times[stencil] - times[stencil[:, STENCIL_SIZE // 2], None]
+    scale = time_differences[:, -1:] - time_differences[:, :1]
+    powers = (time_differences / scale)[..., None] ** np.arange(STENCIL_SIZE)
     factorials = np.array([1.0, 1.0, 2.0, 6.0, 24.0])
-    return np.asarray(np.linalg.inv(powers) * (factorials / scale ** np.arange(NEAR))[..., None])
+    return np.asarray(np.linalg.inv(powers) * (factorials / scale ** np.arange(STENCIL_SIZE))[..., None])

@@ -1,4 +1,4 @@
-"""What the joint refinement minimises: its unknowns, its robust cost, and how a step changes them."""
+"""Bundle adjustment problem: unknowns, robust cost, linear system, and the uncertainty of the solution."""
 
 from __future__ import annotations
 
@@ -8,350 +8,441 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
-from sylpose.bundle_adjustment.camera_parameters import Shared
-from sylpose.bundle_adjustment.covariance_inflation import bent, excess_variance
-from sylpose.bundle_adjustment.depth_noise import without_noise
-from sylpose.bundle_adjustment.kernels import BEHIND_PX, DEPTH, OFFSET, SHIFT, TURN, Sightings, Views, residuals
-from sylpose.bundle_adjustment.pose_derivatives import exact_motion, motion, speed_noise
-from sylpose.bundle_adjustment.reduced_system import Solver, System, told_shares
-from sylpose.bundle_adjustment.schur import Reduced, reduce, substitute
-from sylpose.bundle_adjustment.triangulation import where_rays_meet
+from sylpose.bundle_adjustment.camera_parameters import CameraParameters
+from sylpose.bundle_adjustment.covariance_inflation import add_second_order_terms, compute_variance_inflation
+from sylpose.bundle_adjustment.depth_noise import shrink_depth_noise
+from sylpose.bundle_adjustment.kernels import (
+    BEHIND_PX,
+    DEPTH,
+    ROTATION,
+    TIME_OFFSET,
+    TRANSLATION,
+    SortedObservations,
+    Views,
+    compute_residuals,
+)
+from sylpose.bundle_adjustment.pose_derivatives import differentiate_quadratic, differentiate_quartic, velocity_variance
+from sylpose.bundle_adjustment.reduced_system import Solver, System, estimate_calibration_scales
+from sylpose.bundle_adjustment.schur import ReducedSystem, back_substitute, eliminate_landmarks
+from sylpose.bundle_adjustment.triangulation import triangulate_rays
 from sylpose.geometry.arrays import BoolArray, FloatArray
-from sylpose.geometry.robust_loss import biquartic_losses, biquartic_on_noise, biquartic_weights, robust_sigma
+from sylpose.geometry.robust_loss import biquartic_losses, biquartic_noise_response, biquartic_weights, robust_sigma
 from sylpose.results import Status
 
-__all__ = ["SIDE_RADII", "Fit", "Problem", "State", "Summary"]
+__all__ = ["LATERAL_SD_RADII", "Fit", "FitSummary", "Problem", "State"]
 
 
 # Cutoff of the biquartic weights: nearly 1 up to two sigma, 0 beyond five (choice).
-CUTOFF = 5.0
-# What the weighted mean square of Gaussian noise then lacks (derived).
-SHRINKAGE = biquartic_on_noise(CUTOFF).shrinkage
-# Noise is never believed to be less, pixels, when outliers are told from it (choice); and when it says how well poses are
-# known: of less, errors of pixels' positions and of lenses would be more (choice).
-SIGMA_FLOOR_PX, SIGMA_TOLD_PX = 0.1, 0.02
-# Degrees of freedom from which a camera's own noise level counts as much as that of all cameras together (choice).
-OWN_FREEDOM = 20.0
-# Landmarks lie on their viewer's surface give or take so many of the object's radii, which keeps those with little
-# parallax in place; less where the surfaces' depths are held, so that many together hold them too; and to the side of it
-# as far as anything has ever been (choice).
-DEPTH_RADII, HELD_RADII, SIDE_RADII = 3.0, 0.3, 300.0
-# A median is taken of about so many observations (choice).
-MEDIAN_OF = 2000
+CUTOFF_SIGMAS = 5.0
+# Reduction of the weighted mean square of Gaussian noise by these weights (derived).
+SHRINKAGE = biquartic_noise_response(CUTOFF_SIGMAS).shrinkage
+# Lower limits of the noise, pixels: for outlier rejection (choice); and for the covariance of poses, below which errors
+# of pixel positions and of lenses would dominate (choice).
+MIN_SIGMA_PX, MIN_REPORTED_SIGMA_PX = 0.1, 0.02
+# Degrees of freedom from which a camera's noise estimate weighs as much as that of all cameras together (choice).
+PRIOR_DEGREES_OF_FREEDOM = 20.0
+# Standard deviation of a landmark's depth from its viewer's surface, in radii of the object, which stabilizes landmarks
+# with little parallax; smaller where the surfaces' depths are fixed, so that many landmarks together constrain them;
+# and of its lateral position, large enough to be uninformative (choice).
+DEPTH_SD_RADII, FIXED_DEPTH_SD_RADII, LATERAL_SD_RADII = 3.0, 0.3, 300.0
+# Observations used for a median, about (choice).
+MEDIAN_SAMPLES = 2000
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """What is refined: turns (N, 3, 3), places (N, 3), points (m, 3), z (k,) of the shared unknowns; motion (N, 2, 6), the
-    poses' first and second derivatives by time, follows from neighbouring poses and is held while a step is made."""
+    """Unknowns of the problem.
 
-    turns: FloatArray
-    places: FloatArray
+    Attributes:
+        rotations, translations: (N, 3, 3), (N, 3) world_from_object.
+        points: (m, 3) landmarks.
+        z: (k,) of the shared parameters.
+        pose_derivatives: (N, 2, 6) first and second time derivatives of the poses; they follow from neighboring poses
+            and are constant during a step.
+    """
+
+    rotations: FloatArray
+    translations: FloatArray
     points: FloatArray
     z: FloatArray
-    motion: FloatArray
+    pose_derivatives: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Where the search settled, with the weights (n,), the noise (C,) and the leverage (n,) it ended with."""
+    """Result of the search, with its final weights (n,), noise (C,) and leverage (n,)."""
 
     state: State
     status: Status
-    rounds: int
+    iterations: int
     weights: FloatArray
     sigma: FloatArray
     leverage: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
-class Summary:
-    """sigma (C,) pixels, covariance (N, 6, 6), shared (k, k) of z, excess (N,), and how well the
-    length of the path is known, `length_sd`, `length_share`, `doubt_shares` and `away` as in `Bundled`."""
+class FitSummary:
+    """Uncertainty of the solution.
+
+    Attributes:
+        sigma: (C,) noise, pixels.
+        covariance: (N, 6, 6) of (w, d).
+        parameter_covariance: (k, k) of z.
+        variance_inflation: (N,) as in `BundleResult`.
+        scale_sd, scale_variance_ratio, calibration_scales, surface_covariance: as in `BundleResult`.
+    """
 
     sigma: FloatArray
     covariance: FloatArray
-    shared: FloatArray
-    excess: FloatArray
-    length_sd: float
-    length_share: float
-    doubt_shares: FloatArray
-    away: FloatArray
+    parameter_covariance: FloatArray
+    variance_inflation: FloatArray
+    scale_sd: float
+    scale_variance_ratio: float
+    calibration_scales: FloatArray
+    surface_covariance: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What stays while the state is refined.
+    """Constant data of the problem.
 
     Attributes:
-        sightings: n observations of m landmarks; counted: (n,) 1, or 0 for landmarks seen once.
-        pattern: (F, F) pattern of the frames that move, lower triangle.
-        prior: (N, 6, 6) of (w, d), information about the poses start_turns (N, 3, 3), start_places (N, 3).
+        observations: n observations of m landmarks.
+        repeat_mask: (n,) 1, or 0 for landmarks observed once.
+        pattern: (F, F) covisibility of the moving frames, lower triangle.
+        start_rotations, start_translations: (N, 3, 3), (N, 3) poses at which the prior is centered.
+        prior: (N, 6, 6) information of (w, d) on them.
         radius: of the object, for the landmarks' prior.
-        times: (N,) of the frames; shifts: (N, C) from there to each camera's instant; timed: whether any is not zero, or
-            unknown.
-        shared: what is believed of the unknowns that cameras have once for all frames; while their depths are held, so
-            closely are the landmarks.
-        rotations (C, 3, 3), centers (C, 3), focals (C,): of the cameras.
+        times: (N,) of the frames.
+        time_shifts: (N, C) from there to each camera's timestamp.
+        has_time_shifts: whether any of these is nonzero or unknown.
+        camera_parameters: prior of the per-camera parameters; fixed depths also constrain the landmarks more closely.
+        rotations, centers, focals: (C, 3, 3), (C, 3), (C,) of the cameras.
     """
 
-    sightings: Sightings
-    counted: FloatArray
+    observations: SortedObservations
+    repeat_mask: FloatArray
     pattern: csr_array
-    start_turns: FloatArray
-    start_places: FloatArray
+    start_rotations: FloatArray
+    start_translations: FloatArray
     prior: FloatArray
     radius: float
     times: FloatArray
-    shifts: FloatArray
-    timed: bool
-    shared: Shared
+    time_shifts: FloatArray
+    has_time_shifts: bool
+    camera_parameters: CameraParameters
     rotations: FloatArray
     centers: FloatArray
     focals: FloatArray
 
     @property
-    def fixed(self) -> int:
-        """The first frame that stays where it is."""
-        return int(np.flatnonzero(self.sightings.free < 0)[0])
+    def first_fixed_frame(self) -> int:
+        """The first frame whose pose is fixed."""
+        return int(np.flatnonzero(self.observations.free_index < 0)[0])
 
     @property
-    def pull(self) -> FloatArray:
-        """(2,) information, 1/length², that a landmark is on its viewer's surface, and that it is at the origin."""
-        held = bool(self.shared.held[self.shared.depths].any())
-        return np.array([HELD_RADII if held else DEPTH_RADII, SIDE_RADII]) ** -2.0 / self.radius**2
+    def landmark_prior(self) -> FloatArray:
+        """(2,) prior information, 1/length², on a landmark's depth and on its lateral position."""
+        depths_fixed = bool(self.camera_parameters.fixed[self.camera_parameters.depth_mask].any())
+        return (
+            np.array([FIXED_DEPTH_SD_RADII if depths_fixed else DEPTH_SD_RADII, LATERAL_SD_RADII]) ** -2.0
+            / self.radius**2
+        )
 
-    def views(self, state: State) -> Views:
-        """The frames as each camera sees them at its own instant."""
-        n, c = self.shifts.shape
-        shared = self.shared.of(state.z)
-        rotations, centers, twists = self.rotations, self.centers, np.zeros((c, 3, 3))
-        if shared.shape[1] > TURN:
-            turn = shared[:, TURN:SHIFT]
-            rotations = Rotation.from_rotvec(turn).as_matrix() @ rotations
-            centers = centers + shared[:, SHIFT : SHIFT + 3]
-            twists = np.asarray(np.linalg.inv(_log_slope(turn)), float)
-        carried = np.broadcast_to(rotations, (n, c, 3, 3))
-        place = state.places[:, None] - centers
-        speed = np.zeros((n, c, 6))
-        if self.timed:
-            s = (self.shifts + shared[:, OFFSET])[..., None]
-            first, second = state.motion[:, None, 0], state.motion[:, None, 1]
-            moved, speed = s * first + 0.5 * s**2 * second, first + s * second
-            turn = Rotation.from_rotvec(moved[..., :3].reshape(-1, 3)).as_matrix().reshape(n, c, 3, 3)
-            carried, place = carried @ turn, place + moved[..., 3:]
-        place, spin, drift = (np.einsum("cij,ncj->nci", rotations, v) for v in (place, speed[..., :3], speed[..., 3:]))
-        carried = np.ascontiguousarray(carried)
-        return Views(state.turns, carried, place, spin, drift, rotations, twists, self.focals, shared)
+    def view_frames(self, state: State) -> Views:
+        """Return the frames as observed by each camera at its own timestamp."""
+        n, c = self.time_shifts.shape
+        shared = self.camera_parameters.evaluate(state.z)
+        rotations, centers, rotvec_jacobians = self.rotations, self.centers, np.zeros((c, 3, 3))
+        if shared.shape[1] > ROTATION:
+            rotation = shared[:, ROTATION:TRANSLATION]
+            rotations = Rotation.from_rotvec(rotation).as_matrix() @ rotations
+            centers = centers + shared[:, TRANSLATION : TRANSLATION + 3]
+            rotvec_jacobians = np.asarray(np.linalg.inv(_inverse_left_jacobian(rotation)), float)
+        camera_rotations = np.broadcast_to(rotations, (n, c, 3, 3))
+        translations = state.translations[:, None] - centers
+        velocity = np.zeros((n, c, 6))
+        if self.has_time_shifts:
+            s = (self.time_shifts + shared[:, TIME_OFFSET])[..., None]
+            first, second = state.pose_derivatives[:, None, 0], state.pose_derivatives[:, None, 1]
+            pose_change, velocity = s * first + 0.5 * s**2 * second, first + s * second
+            rotation = Rotation.from_rotvec(pose_change[..., :3].reshape(-1, 3)).as_matrix().reshape(n, c, 3, 3)
+            camera_rotations, translations = camera_rotations @ rotation, translations + pose_change[..., 3:]
+        translations, angular_velocity, linear_velocity = (
+            np.einsum("cij,ncj->nci", rotations, v) for v in (translations, velocity[..., :3], velocity[..., 3:])
+        )
+        camera_rotations = np.ascontiguousarray(camera_rotations)
+        return Views(
+            state.rotations,
+            camera_rotations,
+            translations,
+            angular_velocity,
+            linear_velocity,
+            rotations,
+            rotvec_jacobians,
+            self.focals,
+            shared,
+        )
 
-    def residuals(self, state: State) -> FloatArray:
-        """(n, 2) pixels."""
-        out = np.empty((len(self.sightings.frame), 2))
-        residuals(self.sightings, self.views(state), state.points, out)
+    def compute_residuals(self, state: State) -> FloatArray:
+        """Return (n, 2) residuals, pixels."""
+        out = np.empty((len(self.observations.frame), 2))
+        compute_residuals(self.observations, self.view_frames(state), state.points, out)
         return out
 
-    def where_rays_meet(self, state: State) -> FloatArray:
-        """(m, 3) the points nearest to their rays and, weakly, to the object's centre, at the state's poses."""
+    def triangulate(self, state: State) -> FloatArray:
+        """Return (m, 3) points nearest to their rays and, weakly, to the object's center, at the state's poses."""
         out = np.empty_like(state.points)
-        where_rays_meet(self.sightings, self.views(state), float(self.pull[0]), out)
+        triangulate_rays(self.observations, self.view_frames(state), float(self.landmark_prior[0]), out)
         return out
 
-    def with_strays_back(self, state: State, e: FloatArray, sigma: FloatArray) -> State:
-        """Landmarks that fewer than two observations support start again where their rays meet, at the poses of now."""
+    def reset_stray_landmarks(self, state: State, e: FloatArray, sigma: FloatArray) -> State:
+        """Triangulate landmarks again that fewer than two observations support, at the current poses."""
         if len(e) == 0:
             return state
-        support = np.add.reduceat((self.weights(e, sigma) > 0).astype(float), self.sightings.start[:-1])
-        stray = (support < 2) & (self.counted[self.sightings.start[:-1]] > 0)
-        if not stray.any():
+        support = np.add.reduceat((self.compute_weights(e, sigma) > 0).astype(float), self.observations.start[:-1])
+        is_stray = (support < 2) & (self.repeat_mask[self.observations.start[:-1]] > 0)
+        if not is_stray.any():
             return state
-        points = np.where(stray[:, None], self.where_rays_meet(state), state.points)
+        points = np.where(is_stray[:, None], self.triangulate(state), state.points)
         return replace(state, points=points)
 
-    def weights(self, e: FloatArray, sigma: FloatArray) -> FloatArray:
-        """(n,) robust weights of residuals (n, 2)."""
-        square, top = np.einsum("ni,ni->n", e, e), (CUTOFF * sigma[self.sightings.camera]) ** 2
-        return self.counted * np.where(square < BEHIND_PX**2, biquartic_weights(square / top), 0.0)
+    def compute_weights(self, e: FloatArray, sigma: FloatArray) -> FloatArray:
+        """Return (n,) robust weights of residuals (n, 2)."""
+        square, cutoff = np.einsum("ni,ni->n", e, e), (CUTOFF_SIGMAS * sigma[self.observations.camera]) ** 2
+        return self.repeat_mask * np.where(square < BEHIND_PX**2, biquartic_weights(square / cutoff), 0.0)
 
-    def cost(self, e: FloatArray, sigma: FloatArray, state: State, held: FloatArray | None) -> float:
-        """Half the squares in standard deviations, with weights (n,) that are held, or else saturating for outliers; and
-        the same of what is believed."""
-        q = np.einsum("ni,ni->n", e, e) / (CUTOFF * sigma[self.sightings.camera]) ** 2
-        if held is None:
-            total = 0.5 * CUTOFF**2 * float(self.counted @ biquartic_losses(q))
+    def compute_cost(self, e: FloatArray, sigma: FloatArray, state: State, fixed_weights: FloatArray | None) -> float:
+        """Return half the sum of squares in standard deviations, plus the same of the priors.
+
+        Args:
+            fixed_weights: (n,) fixed weights; None for the robust cost, which saturates for outliers.
+        """
+        q = np.einsum("ni,ni->n", e, e) / (CUTOFF_SIGMAS * sigma[self.observations.camera]) ** 2
+        if fixed_weights is None:
+            total = 0.5 * CUTOFF_SIGMAS**2 * float(self.repeat_mask @ biquartic_losses(q))
         else:
-            total = 0.5 * CUTOFF**2 * float(held @ q)
-        change = self._change(state)
+            total = 0.5 * CUTOFF_SIGMAS**2 * float(fixed_weights @ q)
+        change = self._pose_change(state)
         total += 0.5 * float(np.einsum("ni,nij,nj->", change, self.prior, change))
-        seen, heights = self.sightings, self.shared.of(state.z)[:, DEPTH:TURN]
-        # Landmarks whose observations have no weight stay where they are, and say nothing.
-        trusted = self.counted * (q < 1.0) if held is None else held
-        used = np.add.reduceat(trusted, seen.start[:-1]) > 0 if len(trusted) else np.zeros(0, bool)
-        above = np.einsum("mi,mi->m", seen.toward, state.points) - np.einsum(
-            "mi,mi->m", seen.across, heights[seen.viewer]
+        observations, heights = self.observations, self.camera_parameters.evaluate(state.z)[:, DEPTH:ROTATION]
+        # Landmarks whose observations have no weight are not moved and contribute no cost.
+        weighted = self.repeat_mask * (q < 1.0) if fixed_weights is None else fixed_weights
+        used = np.add.reduceat(weighted, observations.start[:-1]) > 0 if len(weighted) else np.zeros(0, bool)
+        depths = np.einsum("mi,mi->m", observations.depth_direction, state.points) - np.einsum(
+            "mi,mi->m", observations.depth_basis, heights[observations.first_viewer]
         )
-        total += 0.5 * float(self.pull @ [(above[used] ** 2).sum(), (state.points[used] ** 2).sum()])
+        total += 0.5 * float(self.landmark_prior @ [(depths[used] ** 2).sum(), (state.points[used] ** 2).sum()])
         return total + 0.5 * float(state.z @ state.z)
 
-    def noise(self, e: FloatArray, leverage: FloatArray) -> FloatArray:
-        """(C,) noise of each camera, pixels: from the weighted squares of the bulk, which the median tells.
+    def estimate_noise(self, e: FloatArray, leverage: FloatArray) -> FloatArray:
+        """Return (C,) noise of each camera, pixels: from the weighted squares of the inliers, selected by the median.
 
-        Residuals are smaller than the noise by what the unknowns use up; a camera with few observations is taken to be
-        like all together.
+        Residuals are smaller than the noise because the unknowns are fitted to them. A camera with few observations is
+        assigned the noise of all cameras together.
         """
-        n, camera, used = len(self.focals), self.sightings.camera, self.counted > 0
-        poses = 6.0 * self.pattern.shape[0]
-        own = 2.0 - leverage - min(poses / max(float(self.counted.sum()), 1.0), 0.5)
-        coordinates = e / np.sqrt(np.maximum(own, 0.2) / 2.0)[:, None]
-        pooled = robust_sigma(_some(coordinates[used]), SIGMA_FLOOR_PX)
+        n, camera, used = len(self.focals), self.observations.camera, self.repeat_mask > 0
+        n_pose_unknowns = 6.0 * self.pattern.shape[0]
+        freedom = 2.0 - leverage - min(n_pose_unknowns / max(float(self.repeat_mask.sum()), 1.0), 0.5)
+        coordinates = e / np.sqrt(np.maximum(freedom, 0.2) / 2.0)[:, None]
+        pooled = robust_sigma(_subsample(coordinates[used]), MIN_SIGMA_PX)
         of_camera = [coordinates[used & (camera == c)] for c in range(n)]
-        bulk = [robust_sigma(_some(x), SIGMA_FLOOR_PX) if len(x) > OWN_FREEDOM else pooled for x in of_camera]
-        return self.refined_noise(e, self.weights(e, np.array(bulk)), leverage)
+        camera_sigmas = [
+            robust_sigma(_subsample(x), MIN_SIGMA_PX) if len(x) > PRIOR_DEGREES_OF_FREEDOM else pooled
+            for x in of_camera
+        ]
+        return self.estimate_weighted_noise(e, self.compute_weights(e, np.array(camera_sigmas)), leverage)
 
-    def refined_noise(
-        self, e: FloatArray, weights: FloatArray, leverage: FloatArray, least: float = SIGMA_FLOOR_PX
+    def estimate_weighted_noise(
+        self, e: FloatArray, weights: FloatArray, leverage: FloatArray, minimum: float = MIN_SIGMA_PX
     ) -> FloatArray:
-        """(C,) noise of each camera, pixels, at least so many, from the residuals and their weights."""
-        n, camera = len(self.focals), self.sightings.camera
-        poses = 6.0 * self.pattern.shape[0]
-        own = 2.0 - leverage - min(poses / max(float(weights.sum()), 1.0), 0.5)
+        """Return (C,) noise of each camera, pixels, at least `minimum`, from the residuals and their weights."""
+        n, camera = len(self.focals), self.observations.camera
+        n_pose_unknowns = 6.0 * self.pattern.shape[0]
+        observation_freedom = 2.0 - leverage - min(n_pose_unknowns / max(float(weights.sum()), 1.0), 0.5)
         squares = np.bincount(camera, weights * np.einsum("ni,ni->n", e, e) / SHRINKAGE, minlength=n)
-        freedom = np.bincount(camera, weights * np.maximum(own, 0.0), minlength=n)
+        freedom = np.bincount(camera, weights * np.maximum(observation_freedom, 0.0), minlength=n)
         pooled = squares.sum() / max(freedom.sum(), 1e-9)
-        variance = (squares + OWN_FREEDOM * pooled) / (freedom + OWN_FREEDOM)
-        return np.asarray(np.sqrt(np.maximum(variance, least**2)))
+        variance = (squares + PRIOR_DEGREES_OF_FREEDOM * pooled) / (freedom + PRIOR_DEGREES_OF_FREEDOM)
+        return np.asarray(np.sqrt(np.maximum(variance, minimum**2)))
 
-    def summary(self, fit: Fit, tied: BoolArray) -> Summary:
-        """What the search's end says, `tied` (N,) being the frames that anything is known of."""
-        state, e = fit.state, self.residuals(fit.state)
-        sigma = self.refined_noise(e, fit.weights, fit.leverage, SIGMA_TOLD_PX)
-        views, moving = self.views(state), self.sightings.free >= 0
-        scaled = fit.weights / sigma[self.sightings.camera] ** 2
-        # Noise in the landmarks' relief would seem to tell turns.
-        points = without_noise(self.sightings, views, state.points, scaled, self.pull)
-        system = self.system(replace(state, points=points), views, scaled)
-        solver = system.solver()
-        own = solver.frames.inverse_blocks()
-        # Groups that pull apart because the calibration is off are its uncertainty's, which is counted by itself.
-        every = solver.with_held(solver.held & (self.shared.kind == 0))
-        rows = solver.gain.reshape(len(own), 6, -1)
-        noise = own + rows @ every.shared_covariance(considered=False) @ rows.transpose(0, 2, 1)
+    def summarize(self, fit: Fit, connected: BoolArray) -> FitSummary:
+        """Compute the uncertainty of the solution; `connected` (N,) are the frames connected to a fixed one."""
+        state, e = fit.state, self.compute_residuals(fit.state)
+        sigma = self.estimate_weighted_noise(e, fit.weights, fit.leverage, MIN_REPORTED_SIGMA_PX)
+        views, moving = self.view_frames(state), self.observations.free_index >= 0
+        scaled = fit.weights / sigma[self.observations.camera] ** 2
+        # Noise in the landmarks' depths would otherwise appear as information on rotations.
+        points = shrink_depth_noise(self.observations, views, state.points, scaled, self.landmark_prior)
+        system = self.build_system(replace(state, points=points), views, scaled)
+        solver = system.factorize()
+        frame_covariance = solver.frames.inverse_blocks()
+        # Disagreement of groups due to calibration errors is excluded: it is modeled as calibration uncertainty.
+        pose_solver = solver.with_fixed(solver.fixed & (self.camera_parameters.kind == 0))
+        rows = solver.gain.reshape(len(frame_covariance), 6, -1)
+        noise = frame_covariance + rows @ pose_solver.parameter_covariance(include_fixed=False) @ rows.transpose(
+            0, 2, 1
+        )
         excess = np.ones(len(moving))
-        excess[moving] = excess_variance(self.sightings, views, state.points, scaled, self.pull, system, every, noise)
-        usual = float(np.median(excess[moving]))
-        shares = self._told_shares(state, views, scaled, usual)
-        if self.shared.held[self.shared.kind > 0].any():
-            solver = solver.scaled(shares[self.shared.kind])
+        excess[moving] = compute_variance_inflation(
+            self.observations, views, state.points, scaled, self.landmark_prior, system, pose_solver, noise
+        )
+        median_excess = float(np.median(excess[moving]))
+        scales = self._estimate_calibration_scales(state, views, scaled, median_excess)
+        if self.camera_parameters.fixed[self.camera_parameters.kind > 0].any():
+            solver = solver.rescale(scales[self.camera_parameters.kind])
             rows = solver.gain.reshape(rows.shape)
-        # Of what the observations tell, not of what is believed.
-        told = np.linalg.inv(own) - self.prior[moving]
-        own = np.asarray(np.linalg.inv(told / excess[moving, None, None] + self.prior[moving]), float)
+        # Inflates the information of the observations, not that of the prior.
+        information = np.linalg.inv(frame_covariance) - self.prior[moving]
+        frame_covariance = np.asarray(
+            np.linalg.inv(information / excess[moving, None, None] + self.prior[moving]), float
+        )
         covariance = np.zeros((len(moving), 6, 6))
-        covariance[moving] = own + rows @ solver.shared_covariance(usual) @ rows.transpose(0, 2, 1)
+        covariance[moving] = frame_covariance + rows @ solver.parameter_covariance(median_excess) @ rows.transpose(
+            0, 2, 1
+        )
         covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
-        shared = self._shared_covariance(solver, usual)
-        away = self._away(state, scaled, shared)
-        covariance = bent(covariance, away)
-        length = self._length(state, solver, usual, covariance, tied)
-        return Summary(sigma, covariance, shared, excess, *length, shares, away)
+        shared = self._parameter_covariance(solver, median_excess)
+        surface_covariance = self._surface_covariance(state, scaled, shared)
+        covariance = add_second_order_terms(covariance, surface_covariance)
+        scale = self._scale_uncertainty(state, solver, median_excess, covariance, connected)
+        return FitSummary(sigma, covariance, shared, excess, *scale, scales, surface_covariance)
 
-    def _away(self, state: State, weights: FloatArray, shared: FloatArray) -> FloatArray:
-        """(N, 3, 3) covariance of where the surface is that cameras see, all its observations together, from the object's
-        origin; weights (n,) of the observations, shared (k, k) covariance of z."""
-        share = np.bincount(self.sightings.camera, weights, minlength=len(self.focals))
-        toward = self.centers - state.places[:, None]
-        toward *= (share / max(share.sum(), 1e-300))[:, None] / np.linalg.norm(toward, axis=2, keepdims=True)
-        spread = self.shared.spread[:, DEPTH]
-        return np.asarray(np.einsum("kci,cd,kdj->kij", toward, spread @ shared @ spread.T, toward, optimize=True))
+    def _surface_covariance(self, state: State, weights: FloatArray, shared: FloatArray) -> FloatArray:
+        """Return (N, 3, 3) covariance of the mean position of the observed surface relative to the object's origin.
 
-    def _told_shares(self, state: State, views: Views, weights: FloatArray, excess: float) -> FloatArray:
-        """See `told_shares`; of the landmarks as they are, where the cost has its minimum."""
-        if not self.shared.kind.any():
+        Args:
+            weights: (n,) of the observations.
+            shared: (k, k) covariance of z.
+        """
+        camera_weights = np.bincount(self.observations.camera, weights, minlength=len(self.focals))
+        directions = self.centers - state.translations[:, None]
+        directions *= (camera_weights / max(camera_weights.sum(), 1e-300))[:, None] / np.linalg.norm(
+            directions, axis=2, keepdims=True
+        )
+        spread = self.camera_parameters.basis[:, DEPTH]
+        return np.asarray(
+            np.einsum("kci,cd,kdj->kij", directions, spread @ shared @ spread.T, directions, optimize=True)
+        )
+
+    def _estimate_calibration_scales(
+        self, state: State, views: Views, weights: FloatArray, excess: float
+    ) -> FloatArray:
+        """Return `estimate_calibration_scales` for the landmarks at the minimum of the cost."""
+        if not self.camera_parameters.kind.any():
             return np.ones(4)
-        system = self.system(state, views, weights)
-        solver = system.solver()
-        return told_shares(solver.with_held(solver.held & (self.shared.kind == 0)), system, excess)
+        system = self.build_system(state, views, weights)
+        solver = system.factorize()
+        return estimate_calibration_scales(
+            solver.with_fixed(solver.fixed & (self.camera_parameters.kind == 0)), system, excess
+        )
 
-    def with_depths_held(self) -> Problem:
-        """The same with surfaces that stay where they are believed to be."""
-        return replace(self, shared=replace(self.shared, held=self.shared.held | self.shared.depths))
+    def fix_depths(self) -> Problem:
+        """Return the problem with the surfaces' depths fixed at their prior mean."""
+        return replace(
+            self,
+            camera_parameters=replace(
+                self.camera_parameters, fixed=self.camera_parameters.fixed | self.camera_parameters.depth_mask
+            ),
+        )
 
-    def _length(
-        self, state: State, solver: Solver, excess: float, covariance: FloatArray, tied: BoolArray
+    def _scale_uncertainty(
+        self, state: State, solver: Solver, excess: float, covariance: FloatArray, connected: BoolArray
     ) -> tuple[float, float]:
-        """Relative standard deviation of the path's length, and the share it has in the displacements' variance."""
-        moving = self.sightings.free >= 0
-        path = np.where(tied[:, None], state.places - state.places[self.fixed], 0.0)[moving]
+        """Return the path length's relative standard deviation and its fraction of the translations' variance."""
+        moving = self.observations.free_index >= 0
+        path = np.where(connected[:, None], state.translations - state.translations[self.first_fixed_frame], 0.0)[
+            moving
+        ]
         square = float((path**2).sum())
         if not square > 0.0:
             return np.inf, 0.0
-        variance = solver.variance(np.hstack([np.zeros_like(path), path]), excess) / square
-        total = float(np.trace(covariance[tied & moving][:, 3:, 3:], axis1=1, axis2=2).sum())
+        variance = solver.pattern_variance(np.hstack([np.zeros_like(path), path]), excess) / square
+        total = float(np.trace(covariance[connected & moving][:, 3:, 3:], axis1=1, axis2=2).sum())
         return float(np.sqrt(variance / square)), float(min(variance / total, 1.0))
 
-    def _shared_covariance(self, solver: Solver, excess: float) -> FloatArray:
-        """(k, k) of z; of the time offsets without the information that is only noise.
+    def _parameter_covariance(self, solver: Solver, excess: float) -> FloatArray:
+        """Return (k, k) covariance of z, with the spurious information on time offsets removed.
 
-        Speeds are differences of estimated poses, and their noise looks like a motion that is not uniform. A frame's six
-        unknowns are its cameras' information's inverse: so, whatever the noise, each of C cameras seems to learn
-        6 / C (1 - 1 / C) times the variance of its speed, in those of its poses.
+        Speeds are differences of estimated poses, and their noise resembles a nonuniform motion. A frame's six unknowns
+        have the inverse of its cameras' information as covariance. So, whatever the noise, each of C cameras seems to
+        gain 6 / C (1 - 1 / C) times the variance of its speed, in units of the variance of its poses.
         """
-        n = self.shared.n_offsets
-        out = solver.shared_covariance(excess)
+        n = self.camera_parameters.n_offsets
+        out = solver.parameter_covariance(excess)
         if n:
-            noise, share = speed_noise(self.times), 1.0 / (n + 1)
-            variance = float((self.shared.spread[:, OFFSET, :n] ** 2).sum()) / n
-            seeming = 1.0 + 6.0 * share * (1.0 - share) * float(noise.sum()) * variance
-            told = np.linalg.inv(solver.shared_covariance()[:n, :n]) - seeming * np.eye(n)
-            values, vectors = np.linalg.eigh(told)
-            small = vectors @ np.diag(1.0 / (np.maximum(values / excess, 0.0) + 1.0)) @ vectors.T
-            # The rest is taken to know as much of them as before.
+            noise, share = velocity_variance(self.times), 1.0 / (n + 1)
+            variance = float((self.camera_parameters.basis[:, TIME_OFFSET, :n] ** 2).sum()) / n
+            spurious = 1.0 + 6.0 * share * (1.0 - share) * float(noise.sum()) * variance
+            information = np.linalg.inv(solver.parameter_covariance()[:n, :n]) - spurious * np.eye(n)
+            values, vectors = np.linalg.eigh(information)
+            offset_covariance = vectors @ np.diag(1.0 / (np.maximum(values / excess, 0.0) + 1.0)) @ vectors.T
+            # Conservative: the other parameters keep their covariance.
             out[:n, n:] = out[n:, :n] = 0.0
-            out[:n, :n] = small
+            out[:n, :n] = offset_covariance
         return out
 
-    def system(self, state: State, views: Views, weights: FloatArray, pull: FloatArray | None = None) -> System:
-        """The reduced system at a state, weights in 1/pixels²."""
-        f, (c, s) = self.pattern.shape[0], views.shared.shape
-        shapes = ((self.pattern.nnz, 6, 6), (f, 6), (f, 6, c, s), (c, s, c, s), (c, s), (len(self.sightings.frame),))
+    def build_system(
+        self, state: State, views: Views, weights: FloatArray, landmark_prior: FloatArray | None = None
+    ) -> System:
+        """Return the reduced system at a state; weights are in 1/pixels²."""
+        f, (c, s) = self.pattern.shape[0], views.parameters.shape
+        shapes = ((self.pattern.nnz, 6, 6), (f, 6), (f, 6, c, s), (c, s, c, s), (c, s), (len(self.observations.frame),))
         indptr, columns = (a.astype(np.int64) for a in (self.pattern.indptr, self.pattern.indices))
-        out = Reduced(indptr, columns, *(np.zeros(shape) for shape in shapes))
-        reduce(self.sightings, views, state.points, weights, self.pull if pull is None else pull, out)
-        moving = self.sightings.free >= 0
-        change = self._change(state)[moving]
+        out = ReducedSystem(indptr, columns, *(np.zeros(shape) for shape in shapes))
+        eliminate_landmarks(
+            self.observations,
+            views,
+            state.points,
+            weights,
+            self.landmark_prior if landmark_prior is None else landmark_prior,
+            out,
+        )
+        moving = self.observations.free_index >= 0
+        change = self._pose_change(state)[moving]
         slope = np.zeros((f, 6, 6))
-        slope[:, :3, :3], slope[:, 3:, 3:] = _log_slope(change[:, :3]), np.eye(3)
-        pulled = slope.transpose(0, 2, 1) @ self.prior[moving]
-        out.blocks[indptr[1:] - 1] += pulled @ slope
-        out.gradient[:] += np.einsum("nij,nj->ni", pulled, change)
-        return System(out, self.sightings.free, self.shared, state.z)
+        slope[:, :3, :3], slope[:, 3:, 3:] = _inverse_left_jacobian(change[:, :3]), np.eye(3)
+        weighted_slope = slope.transpose(0, 2, 1) @ self.prior[moving]
+        out.blocks[indptr[1:] - 1] += weighted_slope @ slope
+        out.gradient[:] += np.einsum("nij,nj->ni", weighted_slope, change)
+        return System(out, self.observations.free_index, self.camera_parameters, state.z)
 
-    def moved(self, state: State, views: Views, weights: FloatArray, step: FloatArray, z: FloatArray) -> State:
-        """The state after a step of the frames and of z, and the landmarks' that belongs to it."""
+    def apply_step(self, state: State, views: Views, weights: FloatArray, step: FloatArray, z: FloatArray) -> State:
+        """Return the state after a step of the frames and of z, with the corresponding step of the landmarks."""
         points = np.empty_like(state.points)
-        substitute(self.sightings, views, state.points, weights, self.pull, step, self.shared.spread @ z, points)
-        turns = Rotation.from_rotvec(step[:, :3]).as_matrix() @ state.turns
-        return State(turns, state.places + step[:, 3:], points, state.z + z, state.motion)
+        back_substitute(
+            self.observations,
+            views,
+            state.points,
+            weights,
+            self.landmark_prior,
+            step,
+            self.camera_parameters.basis @ z,
+            points,
+        )
+        rotations = Rotation.from_rotvec(step[:, :3]).as_matrix() @ state.rotations
+        return State(rotations, state.translations + step[:, 3:], points, state.z + z, state.pose_derivatives)
 
-    def with_motion(self, state: State) -> State:
-        """The state with the derivatives by time of its own poses."""
-        if not self.timed:
+    def update_derivatives(self, state: State) -> State:
+        """Return the state with the time derivatives of its poses updated."""
+        if not self.has_time_shifts:
             return state
-        of = exact_motion if self.shared.n_offsets else motion
-        return replace(state, motion=of(state.turns, state.places, self.times))
+        differentiate = differentiate_quartic if self.camera_parameters.n_offsets else differentiate_quadratic
+        return replace(state, pose_derivatives=differentiate(state.rotations, state.translations, self.times))
 
-    def _change(self, state: State) -> FloatArray:
-        """(N, 6) of (w, d) since the start."""
-        turn = Rotation.from_matrix(state.turns @ self.start_turns.transpose(0, 2, 1)).as_rotvec()
-        return np.hstack([turn, state.places - self.start_places])
-
-
-def _some(values: FloatArray) -> FloatArray:
-    """Evenly some of the values: enough for a median."""
-    return values[:: max(1, len(values) // MEDIAN_OF)]
+    def _pose_change(self, state: State) -> FloatArray:
+        """Return (N, 6) change of (w, d) since the start."""
+        rotation = Rotation.from_matrix(state.rotations @ self.start_rotations.transpose(0, 2, 1)).as_rotvec()
+        return np.hstack([rotation, state.translations - self.start_translations])
 
 
-def _log_slope(w: FloatArray) -> FloatArray:
-    """(n, 3, 3) the derivative of log(exp(v) exp(w)) by v at 0: the inverse left Jacobian of SO(3)."""
+def _subsample(values: FloatArray) -> FloatArray:
+    """Subsample values evenly, enough for a median."""
+    return values[:: max(1, len(values) // MEDIAN_SAMPLES)]
+
+
+def _inverse_left_jacobian(w: FloatArray) -> FloatArray:
+    """Return (n, 3, 3) derivatives of log(exp(v) exp(w)) by v at 0: the inverse left Jacobian of SO(3)."""
     angle = np.linalg.norm(w, axis=1)
     small = angle < 1e-4
     a = np.where(small, 1.0, angle)

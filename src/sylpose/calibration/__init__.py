@@ -1,31 +1,31 @@
-"""Calibrations: from the files that people have to a `Rig`, and back.
+"""Calibration file readers and writers for `Rig`.
 
     rig = calibration.load("session/calibration.toml")
     calibration.save(rig, "session/calibration.yml")
 
-| format | module | what it looks like |
+| format | module | content |
 |---|---|---|
 | sylpose TOML | `native` | `format = "sylpose-calibration-1"`, `[cameras.NAME]` |
 | Anipose TOML | `anipose` | `[cam_0]`, `[cam_1]`, ..., `[metadata]` |
 | Caliscope TOML | `caliscope` | `[cameras.0]`, `[cameras.1]`, ... |
-| OpenCV FileStorage YAML, JSON, XML | `filestorage` | a node per camera, or a sequence `cameras` |
+| OpenCV FileStorage YAML, JSON, XML | `filestorage` | one node per camera, or a sequence `cameras` |
 | OpenCV stereo | `stereo` | M1 D1 M2 D2 in intrinsics.yml, R T in extrinsics.yml, or all in one |
 | Kalibr | `kalibr` | camchain.yaml: cam0, cam1, ... with T_cn_cnm1 |
 | COLMAP | `colmap` | a folder with cameras.txt and images.txt, or .bin; rig_config.json |
 | ROS | `ros` | camera_info of each camera, and transforms |
-| JARVIS | `jarvis` | a file for each camera: intrinsicMatrix, distortionCoefficients, R, T |
+| JARVIS | `jarvis` | one file per camera: intrinsicMatrix, distortionCoefficients, R, T |
 | Qualisys, Vicon, OptiTrack | `qualisys`, `vicon`, `optitrack` | .qca.txt, .xcp, .mcal |
 | EasyMocap | `easymocap` | intri.yml and extri.yml |
 | MultiCamSelfCal | `multicamselfcal` | camera1.Pmat.cal, ..., with basename1.rad, ... |
 | Matlab | `matlab` | stereoParameters as JSON |
-| Metashape | `metashape` | its cameras as XML |
+| Metashape | `metashape` | cameras exported as XML |
 | NeRF | `nerf` | transforms.json |
 | DeepLabCut | `deeplabcut` | stereo_params.pickle |
 
-`formats` has them all, `written` those that are written. Whatever they hold, a `Rig` has poses `camera_from_world` and
-OpenCV's pixels (docs/conventions.md).
+`formats` lists the formats that are read, `writers` those that are written. In any case a `Rig` has poses
+`camera_from_world` and OpenCV's pixel convention (docs/conventions.md).
 """
 
-from sylpose.calibration.files import find, format_of, load, save
+from sylpose.calibration.files import find, format_name, load, save
 
-__all__ = ["find", "format_of", "load", "save"]
+__all__ = ["find", "format_name", "load", "save"]

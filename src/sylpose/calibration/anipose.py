@@ -1,4 +1,4 @@
-"""Anipose's `calibration.toml` (aniposelib, Pose2Sim, Caliscope's export): a table per camera beside `[metadata]`."""
+"""Anipose's `calibration.toml` (aniposelib, Pose2Sim, Caliscope's export): one table per camera, and `[metadata]`."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from typing import Any
 
 import msgspec
 
-from sylpose.atomic_io import toml_string
-from sylpose.calibration.camera_builder import convert, make_camera, make_pose, make_rig
+from sylpose.atomic_io import format_toml_string
+from sylpose.calibration.camera_builder import convert_table, make_camera, make_pose, make_rig
 from sylpose.rig import Camera, Rig
 
-__all__ = ["CameraTable", "camera_of", "is_anipose", "read", "to_text"]
+__all__ = ["CameraTable", "is_anipose", "make_table_camera", "read", "to_text"]
 
 
 class CameraTable(msgspec.Struct):
-    """A camera as Anipose and Caliscope write it."""
+    """Camera table as written by Anipose and Caliscope."""
 
     size: tuple[float, float]
     matrix: list[list[float]]
@@ -31,40 +31,40 @@ class _NamedTable(CameraTable):
 
 
 def is_anipose(data: dict[str, Any]) -> bool:
-    """Whether a TOML file's content looks like Anipose's: a table that has some of its cameras' keys."""
+    """Return whether decoded TOML looks like Anipose's: a table with some of its camera keys."""
     keys = {"size", "matrix", "distortions", "rotation", "translation"}
     return any(isinstance(table, dict) and len(keys & table.keys()) >= 2 for table in data.values())
 
 
 def read(data: dict[str, Any], path: Path) -> Rig:
-    """The rig; each table but `[metadata]` is a camera, named by its key `name` or else by the table.
+    """Read the rig; each table except `[metadata]` is a camera, named by its key `name` or else by the table.
 
     Raises:
-        ValueError: naming file and camera.
+        ValueError: invalid content; the message names file and camera.
     """
     cameras = []
-    # Anipose says one error for all cameras, in pixels.
+    # Anipose stores one error for all cameras, in pixels.
     metadata = data.get("metadata")
-    whole = metadata.get("error") if isinstance(metadata, dict) else None
+    common_error = metadata.get("error") if isinstance(metadata, dict) else None
     for key, table in data.items():
         if key == "metadata":
             continue
-        told = {"error": whole} | table if isinstance(table, dict) else table
-        entry = convert(told, _NamedTable, f"{path}: camera {key}")
-        cameras.append(camera_of(path, entry.name or key, entry))
+        table_with_error = {"error": common_error} | table if isinstance(table, dict) else table
+        entry = convert_table(table_with_error, _NamedTable, f"{path}: camera {key}")
+        cameras.append(make_table_camera(path, entry.name or key, entry))
     return make_rig(path, cameras)
 
 
 def to_text(rig: Rig) -> str:
-    """The file's text. Every number is as it was; rotations are vectors, as Anipose has them."""
-    return "".join(_table(i, camera) for i, camera in enumerate(rig)) + "[metadata]\nadjusted = false\n"
+    """Format the rig as TOML with exact numbers; rotations are vectors, as in Anipose."""
+    return "".join(_format_table(i, camera) for i, camera in enumerate(rig)) + "[metadata]\nadjusted = false\n"
 
 
-def _table(i: int, camera: Camera) -> str:
+def _format_table(i: int, camera: Camera) -> str:
     pose = camera.camera_from_world
     error = "" if camera.error_px is None else f"error = {camera.error_px!r}\n"
     return f"""[cam_{i}]
-name = {toml_string(camera.name)}
+name = {format_toml_string(camera.name)}
 size = {list(camera.size)}
 matrix = {camera.matrix.tolist()}
 distortions = {camera.distortion.tolist()}
@@ -75,11 +75,11 @@ fisheye = {str(camera.lens == "fisheye").lower()}
 """
 
 
-def camera_of(path: Path, name: str, table: CameraTable) -> Camera:
-    """The camera of a table.
+def make_table_camera(path: Path, name: str, table: CameraTable) -> Camera:
+    """Build the camera of a table.
 
     Raises:
-        ValueError: naming file and camera.
+        ValueError: invalid content; the message names file and camera.
     """
     return make_camera(
         path,

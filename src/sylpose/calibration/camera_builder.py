@@ -1,4 +1,4 @@
-"""From the numbers of a calibration file to a `Camera`: the checks that all formats share."""
+"""Validated conversion from the numbers of a calibration file to a `Camera`, shared by all formats."""
 
 from __future__ import annotations
 
@@ -16,54 +16,54 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Camera, LensModel, Rig
 
 __all__ = [
-    "LENSES",
-    "Sizes",
-    "attribute",
-    "convert",
-    "from_opengl",
-    "lens_named",
-    "lens_terms",
+    "LENS_MODELS",
+    "OPENCV_FROM_OPENGL",
+    "SizeLookup",
+    "convert_table",
+    "intrinsic_matrix",
+    "lens_model_by_name",
+    "lookup_sizes",
     "make_camera",
     "make_pose",
     "make_rig",
-    "matrix_of",
-    "numbers",
-    "plain",
-    "pose_of_matrix",
-    "rigid",
-    "sizes_of",
+    "make_rigid_transform",
+    "parse_attribute",
+    "parse_numbers",
+    "parse_pose_matrix",
+    "standard_lens_terms",
+    "to_plain",
 ]
 
 T = TypeVar("T", bound=msgspec.Struct)
 
-# (width, height) by name, for cameras whose calibration does not say how large their images are: of those that are known.
-Sizes = Callable[[Sequence[str]], Mapping[str, tuple[int, int]]]
+# Lookup of known image sizes, (width, height) by camera name, for calibrations that do not contain them.
+SizeLookup = Callable[[Sequence[str]], Mapping[str, tuple[int, int]]]
 
-# The lens models of OpenCV by the names that formats give them, in small letters.
-LENSES: dict[str, LensModel] = {
+# OpenCV's lens models by the lower-case names used in the formats.
+LENS_MODELS: dict[str, LensModel] = {
     **dict.fromkeys(
         ("opencv", "standard", "pinhole", "perspective", "plumb_bob", "radtan", "radial-tangential"), "opencv"
     ),
     **dict.fromkeys(("brown", "brown_conrady", "rational", "rational_polynomial", "thin_prism", "tilted"), "opencv"),
     **dict.fromkeys(("fisheye", "equidistant", "kannala_brandt"), "fisheye"),
 }
-# Of OpenCV's standard model, in order.
-TERMS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tx", "ty")
-# A camera that looks along -z with y up (OpenGL, Blender, OptiTrack, Qualisys): its axes turned to ours.
-from_opengl = RigidTransform.from_rotation(Rotation.from_quat([1.0, 0.0, 0.0, 0.0]))
+# Distortion coefficients of OpenCV's standard model, in order.
+DISTORTION_TERMS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tx", "ty")
+# Rotation from OpenGL camera axes, looking along -z with y up (OpenGL, Blender, OptiTrack, Qualisys), to OpenCV's.
+OPENCV_FROM_OPENGL = RigidTransform.from_rotation(Rotation.from_quat([1.0, 0.0, 0.0, 0.0]))
 
-# Beyond it products overflow, long before a camera is looked at (choice).
+# Products of larger numbers overflow, before a camera is validated (choice).
 MAX_NUMBER = 1e50
-# Calibrations written with a few digits are still rotations to about 1e-4; a larger gap is a mistake in the file
-# (choice: ten times those).
+# Calibrations written with few digits are rotations to about 1e-4; a larger deviation is a mistake in the file (choice:
+# ten times those).
 ROTATION_TOLERANCE = 1e-3
-# Below this a rotation matrix is as good as float64 makes it, and is taken bit for bit (derived: thousands of
+# Below this deviation a rotation matrix is exact to float64 and is used unchanged, bit for bit (derived: thousands of
 # roundings).
-ROUNDING = 1e-12
+ROUNDING_TOLERANCE = 1e-12
 
 
-def convert(table: Any, kind: type[T], where: str) -> T:
-    """A table of a file as a typed struct.
+def convert_table(table: Any, kind: type[T], where: str) -> T:
+    """Convert a decoded table to a typed struct.
 
     Raises:
         ValueError: beginning with `where`, and naming the key that is missing or of the wrong type.
@@ -90,7 +90,7 @@ def make_camera(
     lens: LensModel,
     error_px: float | None = None,
 ) -> Camera:
-    """A `Camera` from the numbers in a file.
+    """Build a `Camera` from the numbers in a file.
 
     Args:
         path, name: for the messages.
@@ -100,21 +100,21 @@ def make_camera(
         camera_from_world, lens, error_px: as in `Camera`.
 
     Raises:
-        ValueError: naming file and camera, for whatever `Camera` refuses.
+        ValueError: naming file and camera, for anything that `Camera` rejects.
     """
     where = f"{path}: camera {name}"
-    width_height = _array(size, f"{where}: the size")
+    width_height = _to_array(size, f"{where}: the size")
     if width_height.shape != (2,) or (width_height != width_height.round()).any():
         raise ValueError(f"{where}: the size must be two whole numbers (width, height), got {size}")
-    numbers = _array(matrix, f"{where}: the matrix"), _array(distortion, f"{where}: the distortion")
+    arrays = _to_array(matrix, f"{where}: the matrix"), _to_array(distortion, f"{where}: the distortion")
     try:
-        return Camera(name, (int(width_height[0]), int(width_height[1])), *numbers, camera_from_world, lens, error_px)
+        return Camera(name, (int(width_height[0]), int(width_height[1])), *arrays, camera_from_world, lens, error_px)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
 
 
 def make_pose(path: Path, name: str, rotation: Any, translation: Any) -> RigidTransform:
-    """The pose X_b = R X_a + t from the numbers in a file.
+    """Build the pose X_b = R X_a + t from the numbers in a file.
 
     Args:
         path, name: for the messages.
@@ -122,16 +122,16 @@ def make_pose(path: Path, name: str, rotation: Any, translation: Any) -> RigidTr
         translation: 3 numbers.
 
     Raises:
-        ValueError: naming file and camera, for a wrong shape, a value that is not finite, or a matrix that is not
-            a rotation to 1e-3.
+        ValueError: naming file and camera, for a wrong shape, a value that is not finite, or a matrix that is not a
+            rotation to 1e-3.
     """
-    return rigid(f"{path}: camera {name}", rotation, translation)
+    return make_rigid_transform(f"{path}: camera {name}", rotation, translation)
 
 
-def rigid(where: str, rotation: Any, translation: Any) -> RigidTransform:
-    """The same of anything; sentences begin with `where`."""
-    r = _array(rotation, f"{where}: the rotation")
-    t = _array(translation, f"{where}: the translation")
+def make_rigid_transform(where: str, rotation: Any, translation: Any) -> RigidTransform:
+    """Build a pose like `make_pose`, with error messages that begin with `where`."""
+    r = _to_array(rotation, f"{where}: the rotation")
+    t = _to_array(translation, f"{where}: the translation")
     if t.size != 3:
         raise ValueError(f"{where}: the translation must be 3 numbers, got {t.size}")
     if r.size == 3:
@@ -148,20 +148,22 @@ def rigid(where: str, rotation: Any, translation: Any) -> RigidTransform:
         raise ValueError(f"{where}: the rotation is not a rotation matrix but a reflection: its determinant is -1")
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = r, t.ravel()
-    # SciPy's normalisation changes the last bit of half of all rotations; without it, saved files load exactly.
-    return RigidTransform(pose, normalize=gap > ROUNDING)
+    # SciPy's normalization changes the last bit of half of all rotations; without it, saved files load exactly.
+    return RigidTransform(pose, normalize=gap > ROUNDING_TOLERANCE)
 
 
-def pose_of_matrix(path: Path, name: str, what: str, value: Any) -> RigidTransform:
-    """The pose of a 3x4 or 4x4 matrix [R t], by rows or as 12 or 16 numbers.
+def parse_pose_matrix(path: Path, name: str, what: str, value: Any) -> RigidTransform:
+    """Parse the pose of a 3x4 or 4x4 matrix [R t], by rows or as 12 or 16 numbers.
 
     Args:
+        path, name: for the messages.
         what: the matrix's name in the file.
+        value: the matrix.
 
     Raises:
         ValueError: naming file and camera, for another shape or last row, and as `make_pose`.
     """
-    matrix = _array(value, f"{path}: camera {name}: {what}")
+    matrix = _to_array(value, f"{path}: camera {name}: {what}")
     if matrix.size in (12, 16):
         matrix = matrix.reshape(-1, 4)
     if matrix.shape not in ((3, 4), (4, 4)) or (len(matrix) == 4 and not np.array_equal(matrix[3], [0, 0, 0, 1])):
@@ -169,33 +171,35 @@ def pose_of_matrix(path: Path, name: str, what: str, value: Any) -> RigidTransfo
     return make_pose(path, name, matrix[:3, :3], matrix[:3, 3])
 
 
-def matrix_of(fx: float, fy: float, cx: float, cy: float) -> FloatArray:
-    """(3, 3) the intrinsic matrix."""
+def intrinsic_matrix(fx: float, fy: float, cx: float, cy: float) -> FloatArray:
+    """Return the intrinsic matrix (3, 3)."""
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
-def lens_named(word: Any, where: str, what: str) -> LensModel:
-    """OpenCV's model by the name that a file has for it under its key `what`.
+def lens_model_by_name(lens_name: Any, where: str, what: str) -> LensModel:
+    """Look up OpenCV's lens model by the name in a file under its key `what`.
 
     Raises:
         ValueError: a model that OpenCV does not have.
     """
-    if str(word).lower() not in LENSES:
-        raise ValueError(f"{where}: {what} {word!r} is not known; known are {', '.join(LENSES)}")
-    return LENSES[str(word).lower()]
+    if str(lens_name).lower() not in LENS_MODELS:
+        raise ValueError(f"{where}: {what} {lens_name!r} is not known; known are {', '.join(LENS_MODELS)}")
+    return LENS_MODELS[str(lens_name).lower()]
 
 
-def numbers(value: Any, n: int | tuple[int, ...], what: str) -> FloatArray:
-    """(n,) numbers, of a list of any shape or of a text with blanks or commas between them.
+def parse_numbers(value: Any, n: int | tuple[int, ...], what: str) -> FloatArray:
+    """Parse (n,) numbers from a list of any shape, or from text separated by blanks or commas.
 
     Args:
-        n: how many they must be, or may be.
+        value: list or text.
+        n: the required count, or the allowed counts.
+        what: description of the value, for the messages.
 
     Raises:
-        ValueError: naming `what`, for another number of them, what is none, and what is not finite.
+        ValueError: naming `what`, for a wrong count, a value that is not a number, or one that is not finite.
     """
     words = re.split(r"[\s,]+", value.strip()) if isinstance(value, str) else value
-    array = _array(words, what).ravel()
+    array = _to_array(words, what).ravel()
     if array.size not in (n if isinstance(n, tuple) else (n,)):
         raise ValueError(
             f"{what} must be {n if isinstance(n, int) else ' or '.join(map(str, n))} numbers, got {array.size}"
@@ -203,63 +207,63 @@ def numbers(value: Any, n: int | tuple[int, ...], what: str) -> FloatArray:
     return array
 
 
-def plain(value: Any, what: str) -> Any:
-    """A value in which OpenCV's own matrices, and ROS's, are lists of rows.
+def to_plain(value: Any, what: str) -> Any:
+    """Convert matrices of OpenCV and ROS to lists of rows; return other values unchanged.
 
     Raises:
-        ValueError: naming `what`, for a matrix without rows, cols and as much data.
+        ValueError: naming `what`, for a matrix without rows, cols and matching data.
     """
     if not isinstance(value, dict):
         return value
     try:
         return np.reshape(value["data"], (int(value["rows"]), int(value["cols"]))).tolist()
     except (KeyError, TypeError, ValueError, OverflowError):
-        raise ValueError(f"{what} must be a matrix with rows, cols and as much data") from None
+        raise ValueError(f"{what} must be a matrix with rows, cols and matching data") from None
 
 
-def attribute(element: Element | None, name: str, where: str, n: int = 1) -> FloatArray:
-    """(n,) the numbers in an attribute of an XML element.
+def parse_attribute(element: Element | None, name: str, where: str, n: int = 1) -> FloatArray:
+    """Parse the (n,) numbers in an attribute of an XML element.
 
     Raises:
-        ValueError: naming the attribute, where it, or the element, is not there or has other than n numbers.
+        ValueError: naming the attribute, if it or the element is missing or it does not have n numbers.
     """
     if element is None or (value := element.get(name)) is None:
         raise ValueError(f"{where}: missing {name!r}")
-    return numbers(value, n, f"{where}: {name}")
+    return parse_numbers(value, n, f"{where}: {name}")
 
 
-def lens_terms(camera: Camera, n: int, model: str) -> FloatArray:
-    """(n,) the first n of a camera's terms of OpenCV's standard lens, of which a format's model has no more.
+def standard_lens_terms(camera: Camera, n: int, model: str) -> FloatArray:
+    """Return the first n terms of a camera's standard lens, for a format whose model has no more.
 
     Raises:
-        ValueError: naming the camera and the terms that it has and the model has not; for a fisheye lens.
+        ValueError: naming the camera and its terms that the model lacks; for a fisheye lens.
     """
     if camera.lens == "fisheye":
-        raise ValueError(f"camera {camera.name}: {model} does not have its lens, OpenCV's fisheye")
-    terms = np.zeros(len(TERMS))
+        raise ValueError(f"camera {camera.name}: {model} has no equivalent of its lens, OpenCV's fisheye")
+    terms = np.zeros(len(DISTORTION_TERMS))
     terms[: len(camera.distortion)] = camera.distortion
-    if more := [TERMS[i] for i in range(n, len(TERMS)) if terms[i]]:
-        raise ValueError(f"camera {camera.name}: {model} does not have the terms {', '.join(more)} of its lens")
+    if unsupported := [DISTORTION_TERMS[i] for i in range(n, len(DISTORTION_TERMS)) if terms[i]]:
+        raise ValueError(f"camera {camera.name}: {model} does not have the terms {', '.join(unsupported)} of its lens")
     return terms[:n]
 
 
-def sizes_of(path: Path, names: Sequence[str], sizes: Sizes | None) -> dict[str, tuple[int, int]]:
-    """The sizes of the images of cameras of which the file does not say them.
+def lookup_sizes(path: Path, names: Sequence[str], sizes: SizeLookup | None) -> dict[str, tuple[int, int]]:
+    """Look up the image sizes of cameras whose file does not contain them.
 
     Raises:
-        ValueError: naming the file and the cameras whose images nothing tells the size of.
+        ValueError: naming the file and the cameras of unknown image size.
     """
     known = {} if sizes is None else dict(sizes(names))
     if missing := [name for name in names if name not in known]:
         raise ValueError(
-            f"{path}: does not say how large the images of {', '.join(missing)} are, and no videos of these names tell it; "
-            "sylpose calibration convert --size WIDTHxHEIGHT does"
+            f"{path}: has no image size of {', '.join(missing)}, and there are no videos of these names; "
+            "set it with sylpose calibration convert --size WIDTHxHEIGHT"
         )
     return known
 
 
 def make_rig(path: Path, cameras: list[Camera], unit: str = "") -> Rig:
-    """The rig of a file's cameras.
+    """Build the rig of a file's cameras.
 
     Raises:
         ValueError: naming the file, for no camera or two of the same name.
@@ -270,7 +274,7 @@ def make_rig(path: Path, cameras: list[Camera], unit: str = "") -> Rig:
         raise ValueError(f"{path}: {error}") from None
 
 
-def _array(value: Any, what: str) -> FloatArray:
+def _to_array(value: Any, what: str) -> FloatArray:
     try:
         array = np.array(value, dtype=float)
     except (TypeError, ValueError, OverflowError):
@@ -278,5 +282,5 @@ def _array(value: Any, what: str) -> FloatArray:
     if not np.isfinite(array).all():
         raise ValueError(f"{what} has values that are not finite")
     if (np.abs(array) > MAX_NUMBER).any():
-        raise ValueError(f"{what} has values beyond {MAX_NUMBER:g}, which are of nothing that is measured")
+        raise ValueError(f"{what} has values beyond {MAX_NUMBER:g}, which are implausible")
     return array

@@ -1,4 +1,4 @@
-"""The files of a COLMAP model, text and binary: lenses, and images with poses. Points are passed over."""
+"""COLMAP model files, text and binary: lenses, and images with poses. Points are skipped."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from typing import Any, BinaryIO, NamedTuple
 import numpy as np
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.input_limits import MAX_TABLE, one_line, regular_file, told
+from sylpose.input_limits import MAX_TABLE_BYTES, input_errors, open_regular_file, to_one_line
 from sylpose.rig import MAX_LENGTH
 
 __all__ = ["Image", "Lens", "Model", "is_model", "read_model"]
 
-# Lenses and images of a model (choice: a rig of a hundred cameras, a thousand images of each).
+# Maximum number of lenses and of images of a model (choice: a rig of a hundred cameras, a thousand images of each).
 MAX_IMAGES = 100_000
-# Bytes of a line with an image's pose and name (choice: its eight numbers with all digits, and the longest path).
+# Bytes of a line with an image's pose and name (choice: eight numbers with all digits, and the longest path).
 MAX_LINE = 8192
-# A line of cameras.txt or the entry of a binary one has no more parameters (choice: COLMAP's models have 16).
+# Maximum number of parameters in a line of cameras.txt or a binary entry (choice: COLMAP's models have 16).
 MAX_PARAMS = 100
 _FILES = ("cameras", "images", "points3d", "rigs", "frames")
-# By COLMAP's numbers, which its binary files have: name, number of parameters.
-_NUMBERED = (
+# Model names and parameter counts, indexed by COLMAP's model IDs in binary files.
+_MODELS_BY_ID = (
     *(("SIMPLE_PINHOLE", 3), ("PINHOLE", 4), ("SIMPLE_RADIAL", 4), ("RADIAL", 5), ("OPENCV", 8), ("OPENCV_FISHEYE", 8)),
     *(("FULL_OPENCV", 12), ("FOV", 5), ("SIMPLE_RADIAL_FISHEYE", 4), ("RADIAL_FISHEYE", 5), ("THIN_PRISM_FISHEYE", 12)),
     *(
@@ -38,7 +38,7 @@ _NUMBERED = (
 
 
 class Lens(NamedTuple):
-    """An entry of COLMAP's cameras."""
+    """Entry of COLMAP's cameras."""
 
     model: str
     size: tuple[int, int]
@@ -46,7 +46,7 @@ class Lens(NamedTuple):
 
 
 class Image(NamedTuple):
-    """An image with a pose camera_from_world, of the lens with number `camera`: (4,) quaternion, w last, and (3,)."""
+    """Image with pose camera_from_world: (4,) quaternion, w last, and (3,) translation; `camera` is its lens ID."""
 
     name: str
     camera: int
@@ -55,49 +55,49 @@ class Image(NamedTuple):
 
 
 class Model(NamedTuple):
-    """Lenses by number, and images."""
+    """Lenses by ID, and images."""
 
     lenses: dict[int, Lens]
     images: list[Image]
 
 
 def is_model(path: Path) -> bool:
-    """Whether a file's name is one of those in a COLMAP model."""
+    """Return whether a file has the name of a COLMAP model file."""
     return path.stem.lower() in _FILES and path.suffix.lower() in (".txt", ".bin")
 
 
 def read_model(path: Path) -> Model:
-    """The model that a file is part of.
+    """Read the model that a file is part of.
 
     Raises:
         OSError: a file that cannot be read.
-        ValueError: naming the file and the line or entry that is not what it should be; cameras without images.
+        ValueError: naming the file and the invalid line or entry; cameras without images.
     """
     found = {(file.stem.lower(), file.suffix.lower()): file for file in path.parent.iterdir() if is_model(file)}
-    # As COLMAP does, the binary ones, where a model is there in both; the suffix of the given file before that.
+    # If a model exists in both forms, prefer the suffix of the given file, then binary, as COLMAP does.
     for suffix in dict.fromkeys((path.suffix.lower(), ".bin", ".txt")):
         if ("cameras", suffix) in found and ("images", suffix) in found:
             cameras, images = found["cameras", suffix], found["images", suffix]
             break
     else:
-        lacking = [name for name in ("cameras", "images") if not any(name == stem for stem, _ in found)]
+        missing = [name for name in ("cameras", "images") if not any(name == stem for stem, _ in found)]
         raise ValueError(
-            f"{path}: this is part of a COLMAP model, whose lenses are in cameras.txt and poses in images.txt, or in .bin; "
-            f"{' and '.join(lacking) or 'both of one kind'} must lie beside it"
+            f"{path}: this is part of a COLMAP model, whose lenses are in cameras.txt and poses in images.txt, or in "
+            f".bin; {' and '.join(missing) or 'both of one kind'} must be next to it"
         )
-    with told(cameras):
-        lenses = _lenses_of_text(cameras) if suffix == ".txt" else _lenses_of_binary(cameras)
-    with told(images):
-        return Model(lenses, list(_images_of_text(images) if suffix == ".txt" else _images_of_binary(images)))
+    with input_errors(cameras):
+        lenses = _read_text_lenses(cameras) if suffix == ".txt" else _read_binary_lenses(cameras)
+    with input_errors(images):
+        return Model(lenses, list(_read_text_images(images) if suffix == ".txt" else _read_binary_images(images)))
 
 
 # Text
 
 
-def _lenses_of_text(path: Path) -> dict[int, Lens]:
+def _read_text_lenses(path: Path) -> dict[int, Lens]:
     lenses = {}
-    with regular_file(path, MAX_TABLE) as file:
-        for number, line in _lines(file):
+    with open_regular_file(path, MAX_TABLE_BYTES) as file:
+        for number, line in _iterate_lines(file):
             words = line.split(maxsplit=MAX_PARAMS)
             if not words or words[0].startswith("#"):
                 continue
@@ -113,9 +113,9 @@ def _lenses_of_text(path: Path) -> dict[int, Lens]:
     return lenses
 
 
-def _images_of_text(path: Path) -> Iterator[Image]:
-    with regular_file(path, MAX_TABLE) as file:
-        lines = _lines(file)
+def _read_text_images(path: Path) -> Iterator[Image]:
+    with open_regular_file(path, MAX_TABLE_BYTES) as file:
+        lines = _iterate_lines(file)
         count = 0
         for number, line in lines:
             words = line.split(maxsplit=9)
@@ -123,7 +123,7 @@ def _images_of_text(path: Path) -> Iterator[Image]:
                 continue
             try:
                 values = [float(word) for word in words[1:8]]
-                image = _image(words[9].strip(), int(words[8]), np.array(values))
+                image = _make_image(words[9].strip(), int(words[8]), np.array(values))
             except (ValueError, IndexError) as error:
                 what = (
                     str(error)
@@ -132,14 +132,14 @@ def _images_of_text(path: Path) -> Iterator[Image]:
                 )
                 raise ValueError(f"line {number}: {what}") from None
             yield image
-            next(lines, None)  # its points, of which there may be none
+            next(lines, None)  # its points, possibly none
             count += 1
             if count > MAX_IMAGES:
                 raise ValueError(f"more than {MAX_IMAGES} images")
 
 
-def _lines(file: BinaryIO) -> Iterator[tuple[int, str]]:
-    """Number and beginning of each line, however long it is."""
+def _iterate_lines(file: BinaryIO) -> Iterator[tuple[int, str]]:
+    """Yield number and beginning of each line, however long it is."""
     number = 0
     while line := file.readline(MAX_LINE):
         number += 1
@@ -152,51 +152,53 @@ def _lines(file: BinaryIO) -> Iterator[tuple[int, str]]:
 # Binary
 
 
-def _lenses_of_binary(path: Path) -> dict[int, Lens]:
+def _read_binary_lenses(path: Path) -> dict[int, Lens]:
     lenses = {}
-    with regular_file(path, MAX_TABLE) as file:
-        for _ in range(_count(file)):
-            key, model, width, height = _unpacked(file, "<IiQQ")
-            if not 0 <= model < len(_NUMBERED):
-                raise ValueError(f"camera {key}: COLMAP's model number {model} is not known")
-            name, n = _NUMBERED[model]
-            lenses[key] = Lens(name, (width, height), np.array(_unpacked(file, f"<{n}d")))
+    with open_regular_file(path, MAX_TABLE_BYTES) as file:
+        for _ in range(_read_count(file)):
+            key, model, width, height = _unpack(file, "<IiQQ")
+            if not 0 <= model < len(_MODELS_BY_ID):
+                raise ValueError(f"camera {key}: COLMAP's model number {model} is unknown")
+            name, n = _MODELS_BY_ID[model]
+            lenses[key] = Lens(name, (width, height), np.array(_unpack(file, f"<{n}d")))
     return lenses
 
 
-def _images_of_binary(path: Path) -> Iterator[Image]:
-    with regular_file(path, MAX_TABLE) as file:
-        for _ in range(_count(file)):
-            _, *values, camera = _unpacked(file, "<I7dI")
+def _read_binary_images(path: Path) -> Iterator[Image]:
+    with open_regular_file(path, MAX_TABLE_BYTES) as file:
+        for _ in range(_read_count(file)):
+            _, *values, camera = _unpack(file, "<I7dI")
             name = bytearray()
             while (byte := file.read(1)) != b"\0":
                 name += byte
                 if not byte or len(name) > MAX_LINE:
-                    raise ValueError("it breaks off in an image's name")
-            yield _image(name.decode("utf-8", "replace"), camera, np.array(values))
-            (points,) = _unpacked(file, "<Q")
-            # Each has x and y and the number of a point in space.
-            if points > MAX_TABLE:
-                raise ValueError(f"an image of {points} points")
+                    raise ValueError("the file is truncated in an image's name")
+            yield _make_image(name.decode("utf-8", "replace"), camera, np.array(values))
+            (points,) = _unpack(file, "<Q")
+            # Each point has x, y and the ID of a 3D point.
+            if points > MAX_TABLE_BYTES:
+                raise ValueError(f"an image has an implausible number of points, {points}")
             file.seek(24 * points, 1)
 
 
-def _count(file: BinaryIO) -> int:
-    (count,) = _unpacked(file, "<Q")
+def _read_count(file: BinaryIO) -> int:
+    (count,) = _unpack(file, "<Q")
     if count > MAX_IMAGES:
         raise ValueError(f"more than {MAX_IMAGES} entries")
     return int(count)
 
 
-def _unpacked(file: BinaryIO, layout: str) -> tuple[Any, ...]:
+def _unpack(file: BinaryIO, layout: str) -> tuple[Any, ...]:
     data = file.read(struct.calcsize(layout))
     if len(data) < struct.calcsize(layout):
-        raise ValueError("it breaks off: it is not a whole binary file of a COLMAP model")
+        raise ValueError("the file is truncated: not a complete binary file of a COLMAP model")
     return struct.unpack(layout, data)
 
 
-def _image(name: str, camera: int, values: FloatArray) -> Image:
-    """Of quaternion, w first, and translation."""
+def _make_image(name: str, camera: int, values: FloatArray) -> Image:
+    """Build an image from quaternion, w first, and translation."""
     if not np.abs(values).max() <= MAX_LENGTH or not abs(np.linalg.norm(values[:4]) - 1.0) < 1e-3:
-        raise ValueError(f"image {one_line(name, 100)}: its pose is not a unit quaternion, w first, and a translation")
+        raise ValueError(
+            f"image {to_one_line(name, 100)}: its pose is not a unit quaternion, w first, and a translation"
+        )
     return Image(name, camera, np.roll(values[:4], -1), values[4:])

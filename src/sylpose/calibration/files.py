@@ -1,4 +1,4 @@
-"""Calibration files: find one in a folder, load it whatever its format, save a rig."""
+"""Calibration files: find one in a folder, load any format, save a rig."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ import os
 import re
 from pathlib import Path
 
-from sylpose.atomic_io import output_folder, replacing
-from sylpose.calibration.camera_builder import Sizes
-from sylpose.calibration.formats import stands_for, told_format
-from sylpose.calibration.writers import format_for
-from sylpose.input_limits import told
+from sylpose.atomic_io import make_output_folder, replace_atomically
+from sylpose.calibration.camera_builder import SizeLookup
+from sylpose.calibration.formats import detect_format, find_folder_file
+from sylpose.calibration.writers import choose_output_format
+from sylpose.input_limits import input_errors
 from sylpose.rig import Rig
 
-__all__ = ["find", "format_of", "is_calibration_name", "load", "save"]
+__all__ = ["find", "format_name", "is_calibration_name", "load", "save"]
 
-# Names that other programs give to their calibrations.
-_PROGRAMS = (
+# Calibration file names of other programs.
+_PROGRAM_PATTERNS = (
     r".*camchain.*\.ya?ml",
     r".*\.(?:qca\.txt|xcp|mcal)",
     r"transforms\.json",
@@ -30,11 +30,17 @@ SUFFIXES = (".toml", ".yml", ".yaml", ".json", ".xml")
 
 
 def find(folder: str | os.PathLike[str]) -> Path:
-    """The one calibration in a session's folder, by name.
+    """Find the single calibration in a session folder, by name.
 
-    A calibration is called `camera_array`, `cameras` or `rig`, or begins or ends with `calib` or `calibration`
-    (calibration.toml, Calib_scene.toml, camera_calibration.yml), and is TOML, YAML, JSON or XML. Where there is none, it is
-    called as another program calls its own (camchain.yaml, take.xcp, intri.yml), or is a folder `calib...` or `sparse/0`.
+    A calibration is named `camera_array`, `cameras` or `rig`, or its name begins or ends with `calib` or `calibration`
+    (calibration.toml, Calib_scene.toml, camera_calibration.yml); it is TOML, YAML, JSON or XML. Otherwise, names of
+    other programs are accepted (camchain.yaml, take.xcp, intri.yml), then a folder `calib...` or `sparse/0`.
+
+    Args:
+        folder: folder of the session.
+
+    Returns:
+        path of the calibration file or folder.
 
     Raises:
         FileNotFoundError: no such folder.
@@ -44,101 +50,105 @@ def find(folder: str | os.PathLike[str]) -> Path:
     if not folder.is_dir():
         raise FileNotFoundError(f"{folder}: no such folder")
     files = sorted(path for path in folder.iterdir() if path.is_file())
-    found = [path for path in files if _is_called_so(path)] or [path for path in files if _is_of_a_program(path)]
+    found = [path for path in files if _has_calibration_name(path)] or [
+        path for path in files if _has_program_name(path)
+    ]
     if not found:
         inner = sorted(path for path in folder.iterdir() if path.is_dir() and path.name.lower().startswith("calib"))
-        found = [path for path in (*inner, folder / "sparse" / "0") if stands_for(path)]
+        found = [path for path in (*inner, folder / "sparse" / "0") if find_folder_file(path)]
     if not found:
-        below = next(
+        nested = next(
             (path for path in sorted(folder.glob("*/*")) if path.is_file() and is_calibration_name(path)), None
         )
-        instead = f"; if {below} is its, say --calibration, and the folder that the videos are in" if below else ""
+        hint = f"; to use {nested}, pass it by --calibration, with the folder of the videos" if nested else ""
         raise ValueError(
             f"{folder}: no calibration in it; expected one such as calibration.toml, camera_array.toml, "
-            "calibration.yml, .json or .xml, or as another program calls its own (camchain.yaml, intri.yml, take.xcp)"
-            f"{instead}"
+            "calibration.yml, .json or .xml, or a file of another program (camchain.yaml, intri.yml, take.xcp)"
+            f"{hint}"
         )
     if len(found) > 1:
         raise ValueError(
-            f"{folder}: {len(found)} calibrations ({', '.join(p.name for p in found)}); say which one to use"
+            f"{folder}: {len(found)} calibrations ({', '.join(p.name for p in found)}); specify which one to use"
         )
     return found[0]
 
 
-def load(path: str | os.PathLike[str], sizes: Sizes | None = None) -> Rig:
-    """The rig of a calibration; the format is told from the content.
+def load(path: str | os.PathLike[str], sizes: SizeLookup | None = None) -> Rig:
+    """Load the rig of a calibration; the format is detected from the content.
 
     Args:
-        path: a file, or a folder with a calibration that has several.
-        sizes: called with the names of cameras of whose images the calibration does not tell the size: (width, height) by
-            name, of those that are known.
+        path: a file, or the folder of a calibration with several files.
+        sizes: called with the names of cameras whose image size is not in the calibration; returns known (width,
+            height) by name.
 
     Raises:
-        OSError: a file that is not there or cannot be read.
-        ValueError: naming the file, and the camera where there is one: no file of text, or too large (`reading`); not a
-            calibration of a known format; no cameras, or two of the same name; a key that is missing or of the wrong type
-            or shape; a number of distortion terms that OpenCV does not have; a value that is not finite, or absurd; a
-            matrix that is not a rotation; images whose size nothing tells.
+        OSError: a file that is missing or cannot be read.
+        ValueError: naming the file, and the camera if applicable: no text file, or too large (`input_limits`); not a
+            calibration of a known format; no cameras, or two of the same name; a key that is missing or of the wrong
+            type or shape; a number of distortion terms that OpenCV does not have; a value that is not finite, or
+            implausible; a matrix that is not a rotation; unknown image size.
     """
     path = Path(path)
-    with told(path):
-        format_, file, data = told_format(path)
-        with told(file):
-            return format_.rig(data, file, sizes)
+    with input_errors(path):
+        format_, file, data = detect_format(path)
+        with input_errors(file):
+            return format_.read_rig(data, file, sizes)
 
 
-def format_of(path: str | os.PathLike[str]) -> str:
-    """The name of a calibration's format, for people.
+def format_name(path: str | os.PathLike[str]) -> str:
+    """Return the display name of a calibration's format.
 
     Raises:
         OSError, ValueError: as `load`.
     """
     path = Path(path)
-    with told(path):
-        return told_format(path).format_.name
+    with input_errors(path):
+        return detect_format(path).format_.name
 
 
 def save(rig: Rig, path: str | os.PathLike[str], to: str | None = None) -> list[str]:
-    """Write a rig: sylpose's own TOML, OpenCV's FileStorage, or a format of another program.
+    """Write a rig as sylpose's own TOML, OpenCV's FileStorage, or a format of another program.
 
-    Loading gives the same rig back: bit for bit of sylpose's and OpenCV's, up to rounding and what is said of others. A file
-    that is there is replaced once the new one is whole.
+    Loading returns the same rig: bit for bit with sylpose's and OpenCV's formats, otherwise up to rounding and the
+    returned notes. An existing file is replaced once the new one is complete.
 
     Args:
-        to: "sylpose", "opencv", "opencv-stereo", "anipose", "kalibr" or "colmap"; None for what the name tells: sylpose for
-            `.toml`, OpenCV for `.yml`, `.yaml`, `.json` and `.xml`, Kalibr where that is called a camchain, COLMAP for a
+        rig: the cameras.
+        path: path of the file or folder.
+        to: "sylpose", "opencv", "opencv-stereo", "anipose", "kalibr" or "colmap"; None to choose by name: sylpose for
+            `.toml`, OpenCV for `.yml`, `.yaml`, `.json` and `.xml`, Kalibr if the name contains camchain, COLMAP for a
             folder.
 
     Returns:
-        what is otherwise in it than in the rig, such as its world.
+        notes on differences between the file and the rig, such as its world.
 
     Raises:
-        ValueError: a suffix that is none of these, or not of that format; a lens that it does not have, or another number of
-            cameras, by name.
+        ValueError: an unknown suffix, or one that does not fit the format; a lens or number of cameras that the format
+            does not support.
         OSError: a file that cannot be written.
     """
     path = Path(path)
-    written = format_for(path, to)
-    texts = written.texts(rig, path)
+    written = choose_output_format(path, to)
+    texts = written.to_texts(rig, path)
     if not written.suffixes:
-        output_folder(path)
+        make_output_folder(path)
     for file, text in texts.items():
-        with replacing(file) as part:
+        with replace_atomically(file) as part:
             part.write_text(text, encoding="utf-8")
-    return written.notes(rig)
+    return written.list_differences(rig)
 
 
 def is_calibration_name(path: Path) -> bool:
-    """Whether `find` takes a file of this name for a calibration."""
-    return _is_called_so(path) or _is_of_a_program(path)
+    """Return whether `find` accepts a file of this name as a calibration."""
+    return _has_calibration_name(path) or _has_program_name(path)
 
 
-def _is_of_a_program(path: Path) -> bool:
-    """intri.yml and intrinsics.yml stand for the two of them."""
-    return any(re.fullmatch(pattern, path.name, re.IGNORECASE) for pattern in _PROGRAMS)
+def _has_program_name(path: Path) -> bool:
+    """Return whether this is the calibration file of another program; intri.yml and intrinsics.yml represent pairs."""
+    return any(re.fullmatch(pattern, path.name, re.IGNORECASE) for pattern in _PROGRAM_PATTERNS)
 
 
-def _is_called_so(path: Path) -> bool:
+def _has_calibration_name(path: Path) -> bool:
     stem = path.stem.lower()
-    named = stem in ("camera_array", "cameras", "rig") or stem.startswith("calib")
-    return path.suffix.lower() in SUFFIXES and (named or stem.endswith(("calib", "calibration")))
+    has_known_stem = stem in ("camera_array", "cameras", "rig") or stem.startswith("calib")
+    return path.suffix.lower() in SUFFIXES and (has_known_stem or stem.endswith(("calib", "calibration")))

@@ -1,4 +1,4 @@
-"""All formats of calibrations: how each is told and read."""
+"""Registry of calibration formats: how each is detected and read."""
 
 from __future__ import annotations
 
@@ -27,59 +27,59 @@ from sylpose.calibration import (
     stereo,
     vicon,
 )
-from sylpose.calibration.camera_builder import Sizes
+from sylpose.calibration.camera_builder import SizeLookup
 from sylpose.calibration.colmap_model import is_model, read_model
-from sylpose.calibration.incomplete_files import unfinished
-from sylpose.calibration.sniffing import content_of
-from sylpose.input_limits import told
+from sylpose.calibration.incomplete_files import describe_incomplete
+from sylpose.calibration.sniffing import read_content
+from sylpose.input_limits import input_errors
 from sylpose.rig import Rig
 
-__all__ = ["FORMATS", "Format", "stands_for", "told_format"]
+__all__ = ["FORMATS_BY_KIND", "Format", "detect_format", "find_folder_file"]
 
 
 class Format(NamedTuple):
-    """A format of calibrations.
+    """Calibration format.
 
     Attributes:
-        name: for people.
-        tells: whether a file's content is of it, however whole.
-        read: the rig of such a file; of formats that do not say how large images are, with what else tells that.
-        sized: whether every such file says how large its images are.
+        name: name for display.
+        matches: whether a file's content has this format, even if incomplete.
+        read: reader of the rig; with a size lookup for formats without image sizes.
+        has_sizes: whether every file of this format contains image sizes.
     """
 
     name: str
-    tells: Callable[[Any], bool]
+    matches: Callable[[Any], bool]
     read: Callable[..., Rig]
-    sized: bool = True
+    has_sizes: bool = True
 
-    def rig(self, data: Any, path: Path, sizes: Sizes | None) -> Rig:
-        """The rig of a file with this content."""
-        return self.read(data, path) if self.sized else self.read(data, path, sizes)
+    def read_rig(self, data: Any, path: Path, sizes: SizeLookup | None) -> Rig:
+        """Read the rig of a file with this content."""
+        return self.read(data, path) if self.has_sizes else self.read(data, path, sizes)
 
 
-# By the names of their files.
-COLMAP = Format("COLMAP model", is_model, colmap.read)
-NAMED = (
-    Format("MultiCamSelfCal", multicamselfcal.is_multicamselfcal, multicamselfcal.read, sized=False),
-    Format("DeepLabCut pickle", deeplabcut.is_pickle, deeplabcut.read, sized=False),
+# Formats detected by file name.
+COLMAP_FORMAT = Format("COLMAP model", is_model, colmap.read)
+FORMATS_BY_FILE_NAME = (
+    Format("MultiCamSelfCal", multicamselfcal.is_multicamselfcal, multicamselfcal.read, has_sizes=False),
+    Format("DeepLabCut pickle", deeplabcut.is_pickle, deeplabcut.read, has_sizes=False),
 )
-# By kind of content; those that are told by more stand before those that are told by less.
-FORMATS: dict[str, tuple[Format, ...]] = {
+# Formats by kind of content, the more specific ones first.
+FORMATS_BY_KIND: dict[str, tuple[Format, ...]] = {
     "toml": (
         Format("sylpose TOML", lambda data: "format" in data, native.read),
         Format("Caliscope TOML", caliscope.is_caliscope, caliscope.read),
         Format("Anipose TOML", anipose.is_anipose, anipose.read),
     ),
     "plain": (
-        Format("COLMAP rig_config", colmap.is_rig_config, colmap.read_rig_config, sized=False),
-        Format("NeRF transforms", nerf.is_nerf, nerf.read, sized=False),
-        Format("Matlab stereoParameters", matlab.is_matlab, matlab.read, sized=False),
-        Format("JARVIS", jarvis.is_jarvis, jarvis.read, sized=False),
-        Format("EasyMocap", easymocap.is_easymocap, easymocap.read, sized=False),
+        Format("COLMAP rig_config", colmap.is_rig_config, colmap.read_rig_config, has_sizes=False),
+        Format("NeRF transforms", nerf.is_nerf, nerf.read, has_sizes=False),
+        Format("Matlab stereoParameters", matlab.is_matlab, matlab.read, has_sizes=False),
+        Format("JARVIS", jarvis.is_jarvis, jarvis.read, has_sizes=False),
+        Format("EasyMocap", easymocap.is_easymocap, easymocap.read, has_sizes=False),
         Format("ROS camera_info", ros.is_ros, ros.read),
         Format("Kalibr camchain", kalibr.is_kalibr, kalibr.read),
-        Format("OpenCV stereo", stereo.is_stereo, stereo.read, sized=False),
-        Format("OpenCV FileStorage", filestorage.is_calibration, filestorage.read, sized=False),
+        Format("OpenCV stereo", stereo.is_stereo, stereo.read, has_sizes=False),
+        Format("OpenCV FileStorage", filestorage.is_calibration, filestorage.read, has_sizes=False),
     ),
     "xml": (
         Format("Qualisys", qualisys.is_qualisys, qualisys.read),
@@ -89,32 +89,32 @@ FORMATS: dict[str, tuple[Format, ...]] = {
     ),
     "unknown": (),
 }
-KNOWN = (
+KNOWN_FORMATS = (
     "known are sylpose, Anipose and Caliscope TOML, OpenCV (nodes of cameras, or stereo), Kalibr, COLMAP, ROS, JARVIS, "
     "Qualisys, Vicon, OptiTrack, EasyMocap, MultiCamSelfCal, Matlab, Metashape, NeRF and DeepLabCut"
 )
-# Files of programs whose calibrations are read in another form, by their names' ends.
-_IN_ANOTHER_FORM = {
-    ".mat": "a Matlab file, which is not read; write stereoParams as JSON, jsonencode(toStruct(stereoParams))",
-    ".cal": "a .cal is not read; of OptiTrack, .mcal is (of Motive 3.2 and newer), of MultiCamSelfCal camera1.Pmat.cal, ...",
-    ".csv": "a table is not read as a calibration; of OptiTrack, .mcal is (of Motive 3.2 and newer)",
+# Unsupported file types, by suffix, of programs with a supported alternative.
+_UNSUPPORTED_SUFFIXES = {
+    ".mat": "Matlab files are not supported; write stereoParams as JSON, jsonencode(toStruct(stereoParams))",
+    ".cal": ".cal is not supported; use OptiTrack's .mcal (Motive 3.2 or newer), or MultiCamSelfCal's camera1.Pmat.cal, ...",
+    ".csv": "tables are not supported as calibrations; use OptiTrack's .mcal (Motive 3.2 or newer)",
     **dict.fromkeys(
-        (".npy", ".npz"), "NumPy's arrays are not read, whose names are anybody's; write a calibration.toml"
+        (".npy", ".npz"), "NumPy arrays have no standard names and are not supported; write a calibration.toml"
     ),
 }
 
 
-class Told(NamedTuple):
-    """The format of a calibration, its file, and what is in that."""
+class DetectedFormat(NamedTuple):
+    """Detected format of a calibration, its file, and that file's content."""
 
     format_: Format
     path: Path
     data: Any
 
 
-# Names of files that stand for a folder, those that tell more before those that tell less; and whether one calibration may
-# have several of them.
-IN_FOLDERS = (
+# File names that identify a calibration folder, more specific ones first, and whether one calibration may have several
+# of them.
+FOLDER_PATTERNS = (
     (r"cameras\.(?:bin|txt)", True),
     (r"camera[0-9]+\.Pmat\.cal", True),
     (r"stereo_params\.pickle", False),
@@ -126,50 +126,50 @@ IN_FOLDERS = (
 )
 
 
-def told_format(path: Path) -> Told:
-    """The format of a file, or of a folder with several of one calibration, told from its content.
+def detect_format(path: Path) -> DetectedFormat:
+    """Detect the format of a file, or of the folder of one calibration, from its content.
 
     Raises:
         OSError: it cannot be read.
-        ValueError: it is of no format that is known.
+        ValueError: the format is unknown.
     """
     if path.is_dir():
-        if (file := stands_for(path)) is None:
-            raise ValueError(f"{path}: no calibration of a known format in this folder; {KNOWN}")
+        if (file := find_folder_file(path)) is None:
+            raise ValueError(f"{path}: no calibration of a known format in this folder; {KNOWN_FORMATS}")
         path = file
-    with told(path):
-        return _told_format(path)
+    with input_errors(path):
+        return _detect_file_format(path)
 
 
-def stands_for(folder: Path) -> Path | None:
-    """The file of a calibration that is a folder by which it can be told and read; None where there is none.
+def find_folder_file(folder: Path) -> Path | None:
+    """Find the file of a calibration folder by which it is detected and read; None if there is none.
 
     Raises:
-        ValueError: naming the folder, where there are several and it is not clear which.
+        ValueError: naming the folder, if there are several candidates.
     """
     if not folder.is_dir():
         return None
     files = [file for file in sorted(folder.iterdir()) if file.is_file() and not file.name.startswith(".")]
-    for pattern, several in IN_FOLDERS:
+    for pattern, allows_several in FOLDER_PATTERNS:
         if found := [file for file in files if re.fullmatch(pattern, file.name, re.IGNORECASE)]:
-            if len(found) > 1 and not several:
-                raise ValueError(f"{folder}: {', '.join(file.name for file in found)}; say which one to use")
+            if len(found) > 1 and not allows_several:
+                raise ValueError(f"{folder}: {', '.join(file.name for file in found)}; specify which one to use")
             return found[0]
     return None
 
 
-def _told_format(path: Path) -> Told:
+def _detect_file_format(path: Path) -> DetectedFormat:
     if is_model(path):
-        return Told(COLMAP, path, read_model(path))
-    for format_ in NAMED:
-        if format_.tells(path):
-            return Told(format_, path, None)
-    if said := _IN_ANOTHER_FORM.get(path.suffix.lower()):
-        raise ValueError(said)
-    kind, data = content_of(path)
-    for format_ in FORMATS[kind]:
-        if format_.tells(data):
-            return Told(format_, path, data)
-    if (said := unfinished(kind, data)) is not None:
-        raise ValueError(f"no calibration: this looks like a file of {said}")
-    raise ValueError(f"not a calibration of a known format; {KNOWN}")
+        return DetectedFormat(COLMAP_FORMAT, path, read_model(path))
+    for format_ in FORMATS_BY_FILE_NAME:
+        if format_.matches(path):
+            return DetectedFormat(format_, path, None)
+    if hint := _UNSUPPORTED_SUFFIXES.get(path.suffix.lower()):
+        raise ValueError(hint)
+    kind, data = read_content(path)
+    for format_ in FORMATS_BY_KIND[kind]:
+        if format_.matches(data):
+            return DetectedFormat(format_, path, data)
+    if (hint := describe_incomplete(kind, data)) is not None:
+        raise ValueError(f"no calibration: this looks like a file of {hint}")
+    raise ValueError(f"not a calibration of a known format; {KNOWN_FORMATS}")

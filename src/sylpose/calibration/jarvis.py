@@ -1,6 +1,6 @@
-"""JARVIS' folder of calibrations: a file of OpenCV's YAML for each camera, Camera_T.yaml.
+"""JARVIS calibration folder: one OpenCV YAML file per camera, Camera_T.yaml.
 
-Its matrices are for points that stand as rows: [X 1] [R; T] K, so that R and intrinsicMatrix are the transposes of ours.
+Its matrices apply to row vectors: [X 1] [R; T] K. So R and intrinsicMatrix are the transposes of OpenCV's.
 """
 
 from __future__ import annotations
@@ -10,44 +10,56 @@ from typing import Any
 
 import numpy as np
 
-from sylpose.calibration.camera_builder import Sizes, make_camera, make_pose, make_rig, numbers, plain, sizes_of
-from sylpose.calibration.sniffing import documents_beside
+from sylpose.calibration.camera_builder import (
+    SizeLookup,
+    lookup_sizes,
+    make_camera,
+    make_pose,
+    make_rig,
+    parse_numbers,
+    to_plain,
+)
+from sylpose.calibration.sniffing import read_folder_documents
 from sylpose.rig import Rig
 
 __all__ = ["is_jarvis", "read"]
 
 
 def is_jarvis(data: Any) -> bool:
-    """Whether a decoded file has a camera by JARVIS' names."""
+    """Return whether a decoded file has a camera with JARVIS' keys."""
     return isinstance(data, dict) and {"intrinsicMatrix", "distortionCoefficients"} <= data.keys()
 
 
-def read(_: Any, path: Path, sizes: Sizes | None = None) -> Rig:
-    """The rig of all such files in the folder; cameras are called as their files are.
+def read(_: Any, path: Path, sizes: SizeLookup | None = None) -> Rig:
+    """Read the rig of all such files in the folder; cameras are named after their files.
 
     Raises:
-        ValueError: naming the file.
+        ValueError: invalid content; the message names the file.
     """
-    found = {file.stem: (file, data) for file, data in documents_beside(path, "intrinsicMatrix") if is_jarvis(data)}
+    found = {
+        file.stem: (file, data) for file, data in read_folder_documents(path, "intrinsicMatrix") if is_jarvis(data)
+    }
     for file, data in found.values():
         if not {"R", "T"} <= data.keys():
-            raise ValueError(f"{file}: this is a JARVIS file of intrinsics alone; those with R and T, too, are needed")
-    known = sizes_of(path, list(found), sizes)
+            raise ValueError(
+                f"{file}: this is a JARVIS file of intrinsics alone; files that include R and T are required"
+            )
+    known_sizes = lookup_sizes(path, list(found), sizes)
     cameras = []
     for name, (file, data) in found.items():
         where = f"{file}: camera {name}"
-        matrix, turn = (
-            np.reshape(numbers(plain(data[key], f"{where}: {key}"), 9, f"{where}: {key}"), (3, 3)).T
+        matrix, rotation = (
+            np.reshape(parse_numbers(to_plain(data[key], f"{where}: {key}"), 9, f"{where}: {key}"), (3, 3)).T
             for key in ("intrinsicMatrix", "R")
         )
         cameras.append(
             make_camera(
                 file,
                 name,
-                size=known[name],
+                size=known_sizes[name],
                 matrix=matrix,
-                distortion=plain(data["distortionCoefficients"], f"{where}: distortionCoefficients"),
-                camera_from_world=make_pose(file, name, turn, plain(data["T"], f"{where}: T")),
+                distortion=to_plain(data["distortionCoefficients"], f"{where}: distortionCoefficients"),
+                camera_from_world=make_pose(file, name, rotation, to_plain(data["T"], f"{where}: T")),
                 lens="opencv",
             )
         )

@@ -1,6 +1,6 @@
-"""YAML, JSON and XML as plain values: dicts, lists, numbers, strings; and any XML as elements.
+"""YAML, JSON and XML parsing to plain values: dicts, lists, numbers, strings; and XML to elements.
 
-Not by OpenCV, whose parsers end the process on files that are nested deep. Numbers are floats, true and false 1 and 0.
+OpenCV's parsers are not used: they crash the process on deeply nested files. Numbers are floats, booleans 1 and 0.
 """
 
 from __future__ import annotations
@@ -14,97 +14,104 @@ import yaml
 
 from sylpose.input_limits import MAX_DEPTH
 
-__all__ = ["documents", "elements", "from_json", "from_xml", "from_yaml"]
+__all__ = ["parse_json", "parse_opencv_xml", "parse_xml", "parse_yaml", "parse_yaml_documents"]
 
-NO_DOCTYPE = "XML with a document type (<!DOCTYPE>) is not read"
+DOCTYPE_ERROR = "XML with a document type (<!DOCTYPE>) is not supported"
 _NUMBER = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
-_WORDS = {
+_LITERALS = {
     "true": 1.0,
     "false": 0.0,
     ".inf": float("inf"),
     "+.inf": float("inf"),
     "-.inf": -float("inf"),
 } | dict.fromkeys((".nan", "-.nan", "+.nan"), float("nan"))
-# OpenCV's own JSON has comments, and \' for an apostrophe; what is within strings stays.
-_ODD_JSON = re.compile(r"\"(?:\\.|[^\"\\])*\"|/\*.*?\*/|//[^\n]*", re.DOTALL)
+# OpenCV's JSON dialect has comments, and \' for an apostrophe; strings are kept unchanged.
+_OPENCV_JSON = re.compile(r"\"(?:\\.|[^\"\\])*\"|/\*.*?\*/|//[^\n]*", re.DOTALL)
 _YAML_LOADER: Any = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
 
 
-def from_json(text: str) -> Any:
-    """The content of JSON, OpenCV's too.
+def parse_json(text: str) -> Any:
+    """Parse JSON, including OpenCV's dialect.
 
     Raises:
-        ValueError, RecursionError: with the reason, for `told`.
+        ValueError, RecursionError: with the reason, to be wrapped by `input_errors`.
     """
     try:
-        return json.loads(text, object_pairs_hook=_unique)
+        return json.loads(text, object_pairs_hook=_build_unique_dict)
     except json.JSONDecodeError as error:
-        plain = _ODD_JSON.sub(lambda m: m[0].replace("\\'", "'") if m[0][0] == '"' else " ", text)
+        plain = _OPENCV_JSON.sub(lambda m: m[0].replace("\\'", "'") if m[0][0] == '"' else " ", text)
         try:
-            return json.loads(plain, object_pairs_hook=_unique)
+            return json.loads(plain, object_pairs_hook=_build_unique_dict)
         except json.JSONDecodeError:
             raise ValueError(f"not valid JSON: {error}") from None
 
 
-def from_yaml(text: str) -> Any:
-    """The content of YAML's first document, with OpenCV's header or without any.
+def parse_yaml(text: str) -> Any:
+    """Parse the first YAML document, with or without OpenCV's header.
 
     Raises:
-        ValueError: with the reason, for `told`.
+        ValueError: with the reason, to be wrapped by `input_errors`.
     """
-    return next(iter(documents(text, 1)), None)
+    return next(iter(parse_yaml_documents(text, 1)), None)
 
 
-def documents(text: str, most: int = 1000) -> list[Any]:
-    """The contents of YAML's documents, of the first `most` of them.
+def parse_yaml_documents(text: str, max_documents: int = 1000) -> list[Any]:
+    """Parse the first `max_documents` YAML documents of a text.
 
     Raises:
-        ValueError: with the reason, for `told`.
+        ValueError: with the reason, to be wrapped by `input_errors`.
     """
-    if text.startswith("%YAML"):  # OpenCV 4 writes %YAML:1.0, which is none of YAML's own
+    if text.startswith("%YAML"):  # OpenCV 4 writes %YAML:1.0, which is not valid YAML
         text = "\n" + text.partition("\n")[2]
-    text = re.sub(r"\\(.)", lambda m: "'" if m[1] == "'" else m[0], text)  # nor is \' of YAML
+    text = re.sub(r"\\(.)", lambda m: "'" if m[1] == "'" else m[0], text)  # nor is \'
     try:
-        return _from_events(text, most)
+        return _build_documents(text, max_documents)
     except yaml.MarkedYAMLError as error:
         line = f" (line {error.problem_mark.line + 1})" if error.problem_mark else ""
         raise ValueError(f"not valid YAML: {error.problem or error.context}{line}") from None
-    except yaml.YAMLError as error:  # characters that YAML does not have
+    except yaml.YAMLError as error:  # characters that YAML does not allow
         raise ValueError(f"not valid YAML: {error}") from None
 
 
-def _from_events(text: str, most: int) -> list[Any]:
-    """Without recursion: a list of what is open, each a list of its values, or of keys and values in turn."""
+def _build_documents(text: str, max_documents: int) -> list[Any]:
+    """Build documents from parser events without recursion.
+
+    The stack contains the open collections, each a list of its values, or of alternating keys and values.
+    """
     stack: list[list[Any]] = [[]]
     for event in yaml.parse(text, Loader=_YAML_LOADER):
         if isinstance(event, yaml.AliasEvent):
-            raise ValueError("YAML's aliases (*name) are not read")
+            raise ValueError("YAML aliases (*name) are not supported")
         if isinstance(event, yaml.ScalarEvent):
-            key = isinstance(stack[-1], _Map) and len(stack[-1]) % 2 == 0
-            stack[-1].append(event.value if key or event.style else _plain(event.value))
+            key = isinstance(stack[-1], _OpenMap) and len(stack[-1]) % 2 == 0
+            stack[-1].append(event.value if key or event.style else _parse_scalar(event.value))
         elif isinstance(event, yaml.CollectionStartEvent):
-            stack.append(_Map() if isinstance(event, yaml.MappingStartEvent) else [])
+            stack.append(_OpenMap() if isinstance(event, yaml.MappingStartEvent) else [])
             if len(stack) > MAX_DEPTH:
                 raise ValueError(f"values are nested more than {MAX_DEPTH} deep")
         elif isinstance(event, yaml.CollectionEndEvent):
-            done = stack.pop()
-            stack[-1].append(_unique(zip(done[::2], done[1::2], strict=True)) if isinstance(done, _Map) else done)
-        elif isinstance(event, yaml.DocumentEndEvent) and len(stack[0]) >= most:
+            finished = stack.pop()
+            stack[-1].append(
+                _build_unique_dict(zip(finished[::2], finished[1::2], strict=True))
+                if isinstance(finished, _OpenMap)
+                else finished
+            )
+        elif isinstance(event, yaml.DocumentEndEvent) and len(stack[0]) >= max_documents:
             break
     return stack[0]
 
 
-class _Map(list[Any]):
-    """Keys and values in turn."""
+class _OpenMap(list[Any]):
+    """Open mapping, as alternating keys and values."""
 
 
-def from_xml(text: str) -> Any:
-    """The content of OpenCV's XML: elements `_` are a sequence's, texts numbers or strings, several of them a sequence.
+def parse_opencv_xml(text: str) -> Any:
+    """Parse OpenCV's XML: elements `_` form a sequence; text is a number, a string, or a sequence of several.
 
     Raises:
-        ValueError: with the reason, for `told`.
+        ValueError: with the reason, to be wrapped by `input_errors`.
     """
-    parser = ElementTree.XMLParser(target=_Builder())
+    parser = ElementTree.XMLParser(target=_ValueBuilder())
     try:
         parser.feed(text)
         return parser.close()
@@ -112,13 +119,14 @@ def from_xml(text: str) -> Any:
         raise ValueError(f"not valid XML: {error}") from None
 
 
-def elements(text: str) -> ElementTree.Element:
-    """The root of any XML.
+def parse_xml(text: str) -> ElementTree.Element:
+    """Parse any XML and return its root.
 
     Raises:
-        ValueError: with the reason, for `told`; for a document type, which may have entities, too.
+        ValueError: with the reason, to be wrapped by `input_errors`; also for a document type, which may define
+            entities.
     """
-    parser = ElementTree.XMLParser(target=_Elements())
+    parser = ElementTree.XMLParser(target=_ElementBuilder())
     try:
         parser.feed(text)
         root = parser.close()
@@ -128,13 +136,13 @@ def elements(text: str) -> ElementTree.Element:
     return root
 
 
-class _Elements(ElementTree.TreeBuilder):
-    """Elements, but not nested deep, and without document types."""
+class _ElementBuilder(ElementTree.TreeBuilder):
+    """Element builder that rejects deep nesting and document types."""
 
     _depth = 0
 
     def doctype(self, *_: Any) -> None:
-        raise ValueError(NO_DOCTYPE)
+        raise ValueError(DOCTYPE_ERROR)
 
     def start(self, tag: str, attrs: dict[Any, Any], /) -> ElementTree.Element:
         self._depth += 1
@@ -147,14 +155,14 @@ class _Elements(ElementTree.TreeBuilder):
         return super().end(tag)
 
 
-class _Builder:
-    """What `ElementTree`'s parser tells of a document, as plain values."""
+class _ValueBuilder:
+    """`ElementTree` parser target that builds plain values."""
 
     def __init__(self) -> None:
         self._stack: list[tuple[list[tuple[str, Any]], list[str]]] = [([], [])]
 
     def doctype(self, *_: Any) -> None:
-        raise ValueError(NO_DOCTYPE)
+        raise ValueError(DOCTYPE_ERROR)
 
     def start(self, tag: str, _: dict[str, str]) -> None:
         if len(self._stack) == 1 and tag != "opencv_storage":
@@ -169,38 +177,38 @@ class _Builder:
     def end(self, tag: str) -> None:
         children, texts = self._stack.pop()
         if not children:
-            value = _text("".join(texts).strip())
+            value = _parse_xml_text("".join(texts).strip())
         elif all(name == "_" for name, _ in children):
             value = [value for _, value in children]
         else:
-            value = _unique(children)
+            value = _build_unique_dict(children)
         self._stack[-1][0].append((tag, value))
 
     def close(self) -> Any:
         return self._stack[0][0][0][1]
 
 
-def _text(text: str) -> Any:
-    """What is between two tags of XML."""
+def _parse_xml_text(text: str) -> Any:
+    """Parse the text between two XML tags."""
     if len(text) > 1 and text[0] == text[-1] == '"':
         return text[1:-1]
-    values = [_plain(word) for word in text.split()]
+    values = [_parse_scalar(word) for word in text.split()]
     return values if len(values) > 1 else values[0] if values else None
 
 
-def _plain(text: str) -> Any:
-    """A scalar without quotes."""
+def _parse_scalar(text: str) -> Any:
+    """Parse a scalar without quotes."""
     if _NUMBER.fullmatch(text):
         return float(text)
-    return None if text.lower() in ("", "~", "null") else _WORDS.get(text.lower(), text)
+    return None if text.lower() in ("", "~", "null") else _LITERALS.get(text.lower(), text)
 
 
-def _unique(pairs: Any) -> dict[str, Any]:
+def _build_unique_dict(pairs: Any) -> dict[str, Any]:
     content: dict[str, Any] = {}
     for key, value in pairs:
         if not isinstance(key, str):
             raise ValueError("a key must be a word, not a list or a map")
         if key in content:
-            raise ValueError(f"{key!r} is there twice")
+            raise ValueError(f"duplicate key {key!r}")
         content[key] = value
     return content

@@ -1,7 +1,7 @@
-"""Pickles of numbers, read without anything in them being run: dicts, lists, tuples, words, numbers and NumPy's arrays.
+"""Safe reader of pickles with dicts, lists, tuples, strings, numbers and NumPy arrays, without executing their content.
 
-The names that a pickle may call are those of NumPy's arrays and numbers, and they are answered by stand-ins below; every
-other name ends the reading. NumPy's own functions are called with the bytes of an array, its type and shape alone.
+The only callables a pickle may name are those of NumPy's arrays and numbers, replaced by the stand-ins below; any
+other name aborts the reading. NumPy is only called with an array's bytes, dtype and shape.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from sylpose.input_limits import one_line
+from sylpose.input_limits import to_one_line
 
-__all__ = ["unpickled"]
+__all__ = ["load_safely"]
 
-# Of numbers, as NumPy spells them: f8, <i4, ...
+# Numeric dtypes, as NumPy spells them: f8, <i4, ...
 _TYPE = re.compile("[<>=|]?([fiub][1248])")
-# What makes values, and keeps and takes them; no opcode that would call, other than with what is in `_Unpickler`.
+# Opcodes that build, store and fetch values; none calls anything other than the names in `_Unpickler`.
 _OPCODES = frozenset(
     (
         *("PROTO", "FRAME", "STOP", "MARK", "POP", "POP_MARK", "DUP", "NONE", "NEWTRUE", "NEWFALSE", "INT", "BININT"),
@@ -53,40 +53,40 @@ _OPCODES = frozenset(
 )
 
 
-def unpickled(data: bytes) -> Any:
-    """What is in a pickle; arrays are of float64.
+def load_safely(data: bytes) -> Any:
+    """Load a pickle; arrays become float64.
 
     Raises:
-        ValueError: it is none, or has anything but numbers, words, dicts, lists and arrays in it, which is named.
+        ValueError: not a pickle, or, by name, content other than numbers, strings, dicts, lists and arrays.
     """
-    wrong = ""
+    problem = ""
     try:
         for opcode, argument, _ in pickletools.genops(data):
             if opcode.name not in _OPCODES:
-                wrong = wrong or f"a pickle with {opcode.name} in it, which numbers and arrays do not need"
+                problem = problem or f"a pickle with the opcode {opcode.name}, which numbers and arrays do not need"
             elif opcode.name in ("PUT", "LONG_BINPUT") and not 0 <= int(argument or 0) <= len(data):
-                wrong = wrong or "a pickle that keeps values in places that it cannot have"
-        if wrong:
-            raise _Refused(wrong)
+                problem = problem or "a pickle with invalid memo indices"
+        if problem:
+            raise _UnsafePickleError(problem)
         return _Unpickler(io.BytesIO(data)).load()
-    except _Refused:
+    except _UnsafePickleError:
         raise
     except RecursionError:
         raise
-    except Exception as error:  # whatever the bytes make of the machine that reads them
+    except Exception as error:  # malformed bytes can raise any exception
         raise ValueError(f"not a pickle of numbers and arrays ({type(error).__name__})") from None
 
 
-class _Refused(ValueError):
-    """What a pickle has in it and may not."""
+class _UnsafePickleError(ValueError):
+    """Content that is not allowed in a pickle."""
 
 
-class _Type:
-    """A type of numbers, as an array's `dtype` is kept."""
+class _NumericType:
+    """Numeric dtype of an array."""
 
     def __init__(self, name: Any, *_: Any) -> None:
         if not isinstance(name, str) or not (match := _TYPE.fullmatch(name)):
-            raise _Refused(f"a pickle with an array of {one_line(repr(name), 40)}, and not of numbers, in it")
+            raise _UnsafePickleError(f"a pickle with an array of {to_one_line(repr(name), 40)} instead of numbers")
         self.name = match[1]
         self.order = "<"
 
@@ -95,20 +95,20 @@ class _Type:
 
     def numbers(self, raw: Any) -> Any:
         if not isinstance(raw, bytes):
-            raise _Refused("a pickle with an array without its bytes in it")
-        # Beside a single byte there is no order.
+            raise _UnsafePickleError("a pickle with an array without data")
+        # A single byte has no order.
         return np.frombuffer(raw, self.order + self.name).astype(float)
 
 
 class _Array:
-    """An array that is being read; `value` once it is."""
+    """Array under construction; `value` is set at the end."""
 
     value: Any = None
 
     def __setstate__(self, state: Any) -> None:
         _, shape, kind, by_columns, raw = state
-        if not isinstance(kind, _Type) or not all(isinstance(n, int) and n >= 0 for n in shape):
-            raise _Refused("a pickle with an array of no shape or type in it")
+        if not isinstance(kind, _NumericType) or not all(isinstance(n, int) and n >= 0 for n in shape):
+            raise _UnsafePickleError("a pickle with an array without shape or type")
         self.value = kind.numbers(raw).reshape(shape, order="F" if by_columns else "C")
 
 
@@ -117,8 +117,8 @@ def _array(*_: Any) -> _Array:
 
 
 def _scalar(kind: Any, raw: Any) -> float:
-    if not isinstance(kind, _Type):
-        raise _Refused("a pickle with a number of no type in it")
+    if not isinstance(kind, _NumericType):
+        raise _UnsafePickleError("a pickle with a number without type")
     return float(kind.numbers(raw)[0])
 
 
@@ -128,26 +128,26 @@ def _from_buffer(raw: Any, kind: Any, shape: Any, order: Any) -> _Array:
     return array
 
 
-def _encoded(text: Any, encoding: Any = "latin1") -> bytes:
-    """Bytes, as Python 2 had them and protocols below 3 write them."""
+def _encode_latin1(text: Any, encoding: Any = "latin1") -> bytes:
+    """Return the bytes of a Python 2 string, as protocols below 3 store them."""
     if not isinstance(text, str) or encoding != "latin1":
-        raise _Refused("a pickle with words in an encoding in it")
+        raise _UnsafePickleError("a pickle with encoded strings")
     return text.encode("latin1")
 
 
-_STAND_INS: dict[str, Any] = {"_codecs.encode": _encoded}
+_REPLACEMENTS: dict[str, Any] = {"_codecs.encode": _encode_latin1}
 for _core in ("numpy.core", "numpy._core"):
-    _STAND_INS[f"{_core}.multiarray._reconstruct"] = _array
-    _STAND_INS[f"{_core}.multiarray.scalar"] = _scalar
-    _STAND_INS[f"{_core}.numeric._frombuffer"] = _from_buffer
-_STAND_INS["numpy.dtype"] = _Type
-# Named, but never called: the type that `_reconstruct` is told.
-_STAND_INS["numpy.ndarray"] = "numpy.ndarray"
+    _REPLACEMENTS[f"{_core}.multiarray._reconstruct"] = _array
+    _REPLACEMENTS[f"{_core}.multiarray.scalar"] = _scalar
+    _REPLACEMENTS[f"{_core}.numeric._frombuffer"] = _from_buffer
+_REPLACEMENTS["numpy.dtype"] = _NumericType
+# Named, but never called: the type argument of `_reconstruct`.
+_REPLACEMENTS["numpy.ndarray"] = "numpy.ndarray"
 
 
 class _Unpickler(pickle.Unpickler):
     def find_class(self, module: str, name: str, /) -> Any:
         full = f"{module}.{name}"
-        if full not in _STAND_INS:
-            raise _Refused(f"a pickle that wants {one_line(full, 60)}, which is not read: it would be run")
-        return _STAND_INS[full]
+        if full not in _REPLACEMENTS:
+            raise _UnsafePickleError(f"a pickle that refers to {to_one_line(full, 60)}, which is not allowed")
+        return _REPLACEMENTS[full]

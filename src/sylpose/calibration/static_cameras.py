@@ -1,8 +1,8 @@
-"""Cameras that stand still, from the poses of their images, of which photogrammetry has one each (COLMAP, Metashape, NeRF).
+"""Static cameras from the poses of individual images, as photogrammetry has them (COLMAP, Metashape, NeRF).
 
-A camera that does not move has the same pose in all of its images, up to what such a program's own error makes of it. Images
-in folders are of the camera that the folder is called after; those in no folder of the camera with their lens, where all
-those with one lens have one pose, or else each of a camera of its own.
+A static camera has the same pose in all of its images, up to the program's own error. Images in folders belong to the
+camera named after the folder. Images without folder belong to the camera of their lens if all images of each lens
+agree in rotation; otherwise each belongs to its own camera.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.geometry.arrays import FloatArray
 
-__all__ = ["Shot", "Still", "path_of", "still_cameras", "told_apart"]
+__all__ = ["PosedImage", "StaticCamera", "find_static_cameras", "image_path", "make_unique_names"]
 
-# How far a camera's poses, one of each image, may be apart: twice what images with some hundred points have (choice), as an
-# angle in degrees and a share of the largest distance between cameras.
-MAX_TURN, MAX_SHIFT = 0.2, 0.005
-_IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".pgm", ".ppm", ".jp2", ".dng", ".exr")
+# Maximum deviation among a camera's poses: twice that of images with some hundred points (choice), as an angle in
+# degrees and a fraction of the largest distance between cameras.
+MAX_ROTATION_DEG, MAX_TRANSLATION_RATIO = 0.2, 0.005
+_IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".pgm", ".ppm", ".jp2", ".dng", ".exr")
 
 
-class Shot(NamedTuple):
-    """An image with a pose camera_from_world: (4,) quaternion, w last, and (3,) translation. `lens` is the key of its lens.
+class PosedImage(NamedTuple):
+    """Image with a pose camera_from_world: (4,) quaternion, w last, and (3,) translation.
 
-    Its path is without the suffix of its file.
+    Its path has no file suffix; `lens` is the key of its lens.
     """
 
     path: PurePosixPath
@@ -36,63 +36,63 @@ class Shot(NamedTuple):
     translation: FloatArray
 
 
-class Still(NamedTuple):
-    """A camera that stood still, with the key of its lens."""
+class StaticCamera(NamedTuple):
+    """Static camera, with the key of its lens."""
 
     name: str
     lens: str
     camera_from_world: RigidTransform
 
 
-def path_of(name: str) -> PurePosixPath:
-    """An image's path by a name that has a suffix, or has none."""
+def image_path(name: str) -> PurePosixPath:
+    """Return an image's path from a name with or without suffix."""
     path = PurePosixPath(name.replace("\\", "/"))
-    return path.with_suffix("") if path.suffix.lower() in _IMAGES else path
+    return path.with_suffix("") if path.suffix.lower() in _IMAGE_SUFFIXES else path
 
 
-def still_cameras(shots: Sequence[Shot], path: Path) -> list[Still]:
-    """The cameras of images, in the order of their lenses, then of their names.
+def find_static_cameras(images: Sequence[PosedImage], path: Path) -> list[StaticCamera]:
+    """Find the cameras of images, in the order of their lenses, then of their names.
 
     Raises:
-        ValueError: naming the file, and the camera of which the images have several poses or lenses; no images.
+        ValueError: naming the file, and the camera whose images have several poses or lenses; no images.
     """
-    if not shots:
+    if not images:
         raise ValueError(f"{path}: no image in it has a pose")
-    groups = _by_camera(shots)
-    means = {name: _mean(its) for name, its in groups.items()}
+    groups = _group_by_camera(images)
+    means = {name: _mean_pose(camera_images) for name, camera_images in groups.items()}
     centers = np.array([pose.inv().translation for pose in means.values()])
     extent = max(float(np.linalg.norm(centers - center, axis=1).max()) for center in centers)
-    order = {lens: k for k, lens in enumerate(dict.fromkeys(shot.lens for shot in shots))}
+    order = {lens: k for k, lens in enumerate(dict.fromkeys(shot.lens for shot in images))}
     found = []
-    for name, its in groups.items():
-        if len(lenses := sorted({shot.lens for shot in its})) > 1:
+    for name, camera_images in groups.items():
+        if len(lenses := sorted({shot.lens for shot in camera_images})) > 1:
             raise ValueError(
-                f"{path}: camera {name}: its {len(its)} images have {len(lenses)} lenses: {', '.join(lenses)}"
+                f"{path}: camera {name}: its {len(camera_images)} images have {len(lenses)} lenses: {', '.join(lenses)}"
             )
-        _check_still(name, its, means[name], extent, path)
-        found.append(Still(name, its[0].lens, means[name]))
+        _check_static(name, camera_images, means[name], extent, path)
+        found.append(StaticCamera(name, camera_images[0].lens, means[name]))
     return sorted(found, key=lambda still: (order[still.lens], still.name))
 
 
-def told_apart(folders: Sequence[PurePosixPath]) -> list[str]:
-    """Names of folders: their last parts, where these are different."""
+def make_unique_names(folders: Sequence[PurePosixPath]) -> list[str]:
+    """Return unique names of folders: their last parts if these differ, else their full paths."""
     last = [folder.name for folder in folders]
     return last if len(set(last)) == len(last) else ["_".join(folder.parts) for folder in folders]
 
 
-def _by_camera(shots: Sequence[Shot]) -> dict[str, list[Shot]]:
-    """By the camera's name."""
-    in_folders = all(len(shot.path.parts) > 1 for shot in shots)
-    of_lens: dict[str, list[Shot]] = {}
-    for shot in shots:
-        of_lens.setdefault(shot.lens, []).append(shot)
-    together = all(_spread(its, _mean(its))[0] <= MAX_TURN for its in of_lens.values())
-    found: dict[PurePosixPath, list[Shot]] = {}
-    for shot in shots:
-        key = shot.path.parent if in_folders else PurePosixPath(shot.lens) if together else shot.path
-        found.setdefault(key, []).append(shot)
+def _group_by_camera(images: Sequence[PosedImage]) -> dict[str, list[PosedImage]]:
+    """Group images by the camera's name."""
+    in_folders = all(len(image.path.parts) > 1 for image in images)
+    images_by_lens: dict[str, list[PosedImage]] = {}
+    for image in images:
+        images_by_lens.setdefault(image.lens, []).append(image)
+    poses_agree = all(_compute_spread(its, _mean_pose(its))[0] <= MAX_ROTATION_DEG for its in images_by_lens.values())
+    found: dict[PurePosixPath, list[PosedImage]] = {}
+    for image in images:
+        key = image.path.parent if in_folders else PurePosixPath(image.lens) if poses_agree else image.path
+        found.setdefault(key, []).append(image)
     if in_folders:
-        names = told_apart(list(found))
+        names = make_unique_names(list(found))
     else:
         names = [its[0].path.name if len(its) == 1 else str(key) for key, its in found.items()]
     if len(set(names)) < len(names):
@@ -100,35 +100,35 @@ def _by_camera(shots: Sequence[Shot]) -> dict[str, list[Shot]]:
     return dict(zip(names, found.values(), strict=True))
 
 
-def _poses(shots: Sequence[Shot]) -> RigidTransform:
-    """camera_from_world of each image."""
-    turns = Rotation.from_quat(np.array([shot.quaternion for shot in shots]))
-    return RigidTransform.from_components(np.array([shot.translation for shot in shots]), turns)
+def _stack_poses(images: Sequence[PosedImage]) -> RigidTransform:
+    """Return camera_from_world of each image."""
+    rotations = Rotation.from_quat(np.array([shot.quaternion for shot in images]))
+    return RigidTransform.from_components(np.array([shot.translation for shot in images]), rotations)
 
 
-def _mean(shots: Sequence[Shot]) -> RigidTransform:
-    """camera_from_world of a camera that stood still."""
-    poses = _poses(shots)
+def _mean_pose(images: Sequence[PosedImage]) -> RigidTransform:
+    """Return the mean camera_from_world of a static camera."""
+    poses = _stack_poses(images)
     if (poses.as_matrix() == poses[0].as_matrix()).all():
         return poses[0]
     rotation = poses.rotation.mean()
     return RigidTransform.from_components(-rotation.apply(poses.inv().translation.mean(axis=0)), rotation)
 
 
-def _spread(shots: Sequence[Shot], mean: RigidTransform) -> tuple[float, float]:
-    """The largest turn, degrees, and the largest distance of an image's pose from their mean."""
-    poses = _poses(shots)
-    shifts = np.linalg.norm(poses.inv().translation - mean.inv().translation, axis=1)
-    return float(np.degrees((poses.rotation * mean.rotation.inv()).magnitude().max())), float(shifts.max())
+def _compute_spread(images: Sequence[PosedImage], mean: RigidTransform) -> tuple[float, float]:
+    """Return the largest deviation of an image's pose from the mean: rotation in degrees, and distance."""
+    poses = _stack_poses(images)
+    distances = np.linalg.norm(poses.inv().translation - mean.inv().translation, axis=1)
+    return float(np.degrees((poses.rotation * mean.rotation.inv()).magnitude().max())), float(distances.max())
 
 
-def _check_still(name: str, shots: Sequence[Shot], mean: RigidTransform, extent: float, path: Path) -> None:
-    turn, shift = _spread(shots, mean)
-    # One camera alone: how far it is from the origin, which such programs have among the points.
+def _check_static(name: str, images: Sequence[PosedImage], mean: RigidTransform, extent: float, path: Path) -> None:
+    rotation, distance = _compute_spread(images, mean)
+    # With a single camera, use its distance from the origin, which such programs place among the points.
     scale = extent if extent > 0 else float(np.linalg.norm(mean.inv().translation))
-    if turn <= MAX_TURN and shift <= MAX_SHIFT * scale:
+    if rotation <= MAX_ROTATION_DEG and distance <= MAX_TRANSLATION_RATIO * scale:
         return
     raise ValueError(
-        f"{path}: camera {name}: its {len(shots)} images do not have one pose: they are up to {turn:.2f} degrees and "
-        f"{shift:.2g} units away from their mean; sylpose is for cameras that do not move"
+        f"{path}: camera {name}: its {len(images)} images do not have one pose: they are up to {rotation:.2f} degrees "
+        f"and {distance:.2g} units away from their mean; sylpose requires static cameras"
     )

@@ -1,4 +1,4 @@
-"""A world by three points or more: its origin, one on its x axis, and others of its plane z = 0."""
+"""World from three or more points: its origin, one on its x axis, and others on its plane z = 0."""
 
 from __future__ import annotations
 
@@ -9,115 +9,129 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.validation import shown
-from sylpose.input_limits import one_line
-from sylpose.rig import MAX_LENGTH, MAX_PX, Rig, nearest_point_to_rays
-from sylpose.units import measured
+from sylpose.geometry.validation import format_value
+from sylpose.input_limits import to_one_line
+from sylpose.rig import MAX_FOCAL_PX, MAX_LENGTH, Rig, intersect_rays
+from sylpose.units import parse_length_with_unit
 
-__all__ = ["standing_at", "world_of_points"]
+__all__ = ["build_world_from_points", "world_from_axes"]
 
-# Pixels by which a point's rays may miss it in the middle (choice: what is picked by hand is good to three).
-ASTRAY_PX = 10.0
-# Points lie on a line where they extend across it by less than this share (choice: 3 degrees).
-FLAT = 0.05
+# Maximum median reprojection error of a point, pixels (choice: manual picks are accurate to three).
+MAX_POINT_ERROR_PX = 10.0
+# Points are collinear if their extent across the line is below this fraction (choice: 3 degrees).
+MIN_SPREAD_RATIO = 0.05
 
 
-def world_of_points(data: Mapping[str, Any], rig: Rig) -> tuple[RigidTransform, float, str]:
-    """The world of a file's points.
+def build_world_from_points(data: Mapping[str, Any], rig: Rig) -> tuple[RigidTransform, float, str]:
+    """Build the world defined by a file's points.
 
     Args:
         data: `origin`, `x`, `xy` and any others that begin with xy, each a table of pixels by camera or a list of three
-            coordinates in the calibration's world; `distance` from the first to the second, where it is known.
+            coordinates in the calibration's world; optional `distance` from the first to the second.
+        rig: the calibration.
 
     Returns:
-        world_from_calibration, by what its lengths are multiplied, and the unit of lengths then.
+        world_from_calibration, the scale of its lengths, and the unit of scaled lengths.
 
     Raises:
-        ValueError: naming the point: missing, seen by one camera only, seen in different places; points on a line.
+        ValueError: naming the point: missing, seen by a single camera, inconsistent between cameras; collinear points.
     """
     plane = [name for name in data if name.startswith("xy")]
-    known = {"origin", "x", *plane, "distance"}
-    if unknown := [name for name in data if name not in known]:
+    known_keys = {"origin", "x", *plane, "distance"}
+    if unknown := [name for name in data if name not in known_keys]:
         raise ValueError(
-            f"{shown(unknown[0])} is neither origin, x, xy (xy2, ...) nor distance, and this is no world either"
+            f"{format_value(unknown[0])} is neither origin, x, xy (xy2, ...) nor distance, and this is not a world file"
         )
     missing = [name for name in ("origin", "x") if name not in data] + ["xy"] * (not plane)
     if missing:
         raise ValueError(
-            f"points are expected by the names origin, x (on the x axis) and xy (where z = 0): {missing[0]} is missing"
+            f"points origin, x (on the x axis) and xy (on the plane z = 0) are expected: {missing[0]} is missing"
         )
-    places = {name: _place(name, data[name], rig) for name in ("origin", "x", *plane)}
-    origin, along = places["origin"], places["x"] - places["origin"]
+    places = {name: _locate_point(name, data[name], rig) for name in ("origin", "x", *plane)}
+    origin, x_direction = places["origin"], places["x"] - places["origin"]
     others = np.array([places[name] - origin for name in plane])
-    normal = _normal(along, others)
-    pose = standing_at(origin, along - (along @ normal) * normal, normal)
+    normal = _fit_normal(x_direction, others)
+    pose = world_from_axes(origin, x_direction - (x_direction @ normal) * normal, normal)
     if "distance" not in data:
         return pose, 1.0, rig.unit
-    length, unit = measured(str(data["distance"]), "distance")
-    return pose, length / float(np.linalg.norm(along)), unit or rig.unit
+    length, unit = parse_length_with_unit(str(data["distance"]), "distance")
+    return pose, length / float(np.linalg.norm(x_direction)), unit or rig.unit
 
 
-def standing_at(origin: FloatArray, x: FloatArray, z: FloatArray) -> RigidTransform:
-    """world_from_calibration of a world whose axes x and z (square to it, of any length) and origin are these in the
-    calibration's."""
+def world_from_axes(origin: FloatArray, x: FloatArray, z: FloatArray) -> RigidTransform:
+    """Return world_from_calibration of a world by its origin and axes x and z in the calibration's world.
+
+    The axes are orthogonal, of any length.
+    """
     x, z = x / np.linalg.norm(x), z / np.linalg.norm(z)
     rotation = Rotation.from_matrix(np.stack([x, np.cross(z, x), z]))
     return RigidTransform.from_components(-rotation.apply(origin), rotation)
 
 
-def _normal(along: FloatArray, others: FloatArray) -> FloatArray:
-    """(3,) of the plane that fits origin, x and the others (n, 3) best, on the side from which y is to the left of x."""
-    length = float(np.linalg.norm(along))
-    far = float(np.linalg.norm(others, axis=1).max())
-    if not length > 0 or not far > 0:
-        raise ValueError("two of its points are one")
-    across = np.cross(along, others.mean(axis=0))
-    aside = float(np.linalg.norm(across)) / length
-    if aside <= FLAT * max(length, far):
-        raise ValueError("its points are on a line, or nearly: they leave open where z is")
-    rows = np.concatenate([[np.zeros(3), along], others])
+def _fit_normal(x_direction: FloatArray, others: FloatArray) -> FloatArray:
+    """Fit the normal (3,) of the plane through origin, x and the others (n, 3).
+
+    It is oriented so that y is to the left of x.
+    """
+    length = float(np.linalg.norm(x_direction))
+    extent = float(np.linalg.norm(others, axis=1).max())
+    if not length > 0 or not extent > 0:
+        raise ValueError("two of its points coincide")
+    across = np.cross(x_direction, others.mean(axis=0))
+    across_distance = float(np.linalg.norm(across)) / length
+    if across_distance <= MIN_SPREAD_RATIO * max(length, extent):
+        raise ValueError("its points are collinear, or nearly: they do not define z")
+    rows = np.concatenate([[np.zeros(3), x_direction], others])
     normal = np.linalg.svd(rows - rows.mean(axis=0))[2][2]
     return np.asarray(normal if normal @ across > 0 else -normal)
 
 
-def _place(name: str, value: Any, rig: Rig) -> FloatArray:
-    """(3,) where a point is in the calibration's world."""
+def _locate_point(name: str, value: Any, rig: Rig) -> FloatArray:
+    """Compute a point's position (3,) in the calibration's world."""
     if isinstance(value, list):
-        return _numbers(name, value, 3, "three coordinates", MAX_LENGTH)
+        return _parse_coordinates(name, value, 3, "three coordinates", MAX_LENGTH)
     if not isinstance(value, Mapping):
-        raise ValueError(f"{name}: pixels by camera, or three coordinates, are expected, got {shown(value)}")
+        raise ValueError(f"{name}: pixels by camera, or three coordinates, are expected, got {format_value(value)}")
     cameras = []
     for camera in value:
         if camera not in rig.names:
             raise ValueError(
-                f"{name}: {shown(camera)} is no camera of the calibration ({one_line(', '.join(rig.names), 200)})"
+                f"{name}: {format_value(camera)} is not a camera of the calibration "
+                f"({to_one_line(', '.join(rig.names), 200)})"
             )
         cameras.append(rig[camera])
     if len(cameras) < 2:
-        raise ValueError(f"{name}: pixels in two cameras at least are expected, got {len(cameras)}")
-    pixels = [_numbers(f"{name}: {camera.name}", value[camera.name], 2, "two pixels", MAX_PX) for camera in cameras]
+        raise ValueError(f"{name}: pixels in at least two cameras are expected, got {len(cameras)}")
+    pixels = [
+        _parse_coordinates(f"{name}: {camera.name}", value[camera.name], 2, "two pixels", MAX_FOCAL_PX)
+        for camera in cameras
+    ]
     rays = np.concatenate([camera.rays(pixel) for camera, pixel in zip(cameras, pixels, strict=True)])
     centers = np.array([camera.center for camera in cameras])
-    if np.linalg.svd(rays)[1][1] < FLAT / 2:
+    if np.linalg.svd(rays)[1][1] < MIN_SPREAD_RATIO / 2:
         raise ValueError(
-            f"{name}: {', '.join(c.name for c in cameras)} see it from nearly one side, which leaves open how far it is"
+            f"{name}: {', '.join(c.name for c in cameras)} see it from nearly one direction; its distance is "
+            "undetermined"
         )
-    place = nearest_point_to_rays(centers, rays)
-    off = [
+    place = intersect_rays(centers, rays)
+    errors = [
         float(np.linalg.norm(camera.project(place)[0] - pixel)) for camera, pixel in zip(cameras, pixels, strict=True)
     ]
-    if not np.median(np.nan_to_num(off, nan=np.inf)) <= ASTRAY_PX:
-        said = ", ".join(f"{camera.name} by {far:.0f} px" for camera, far in zip(cameras, off, strict=True))
-        raise ValueError(f"{name}: the cameras do not mean the same point; the nearest one is missed by {said}")
+    if not np.median(np.nan_to_num(errors, nan=np.inf)) <= MAX_POINT_ERROR_PX:
+        error_list = ", ".join(
+            f"{camera.name} by {error:.0f} px" for camera, error in zip(cameras, errors, strict=True)
+        )
+        raise ValueError(f"{name}: the cameras' pixels are inconsistent; the nearest point is missed by {error_list}")
     return place
 
 
-def _numbers(name: str, value: Any, n: int, what: str, most: float) -> FloatArray:
+def _parse_coordinates(name: str, value: Any, n: int, what: str, maximum: float) -> FloatArray:
     numbers = value if isinstance(value, list) else []
     if len(numbers) != n or not all(
-        isinstance(v, (int, float)) and not isinstance(v, bool) and abs(v) <= most for v in numbers
+        isinstance(v, (int, float)) and not isinstance(v, bool) and abs(v) <= maximum for v in numbers
     ):
         raise ValueError(
-            f"{name}: {what} are expected, such as [{', '.join(['412.5', '180.0', '30.0'][:n])}], got {shown(str(value))}"
+            f"{name}: {what} are expected, such as [{', '.join(['412.5', '180.0', '30.0'][:n])}], got "
+            f"{format_value(str(value))}"
         )
     return np.array(numbers, dtype=float)

@@ -1,4 +1,4 @@
-"""The formats that rigs are written in, and what of a rig each does not keep."""
+"""Calibration formats for writing, and notes on what each of them does not preserve."""
 
 from __future__ import annotations
 
@@ -9,67 +9,67 @@ from typing import NamedTuple
 from sylpose.calibration import anipose, colmap, filestorage, kalibr, native, stereo
 from sylpose.rig import Rig
 
-__all__ = ["FORMATS", "Written", "format_for"]
+__all__ = ["OUTPUT_FORMATS", "OutputFormat", "choose_output_format"]
 
 _STORAGE = (".yml", ".yaml", ".json", ".xml")
 
 
-class Written(NamedTuple):
-    """A format that rigs are written in.
+class OutputFormat(NamedTuple):
+    """Output format of rigs.
 
     Attributes:
-        suffixes: of its file; none for a folder.
-        texts: the texts of its files, by their paths.
-        notes: sentences on what is otherwise in it than in the rig.
+        suffixes: suffixes of its file; empty for a folder.
+        to_texts: returns the texts of its files, by their paths.
+        list_differences: returns sentences on differences between the files and the rig.
     """
 
     suffixes: tuple[str, ...]
-    texts: Callable[[Rig, Path], dict[Path, str]]
-    notes: Callable[[Rig], list[str]] = lambda _: []
+    to_texts: Callable[[Rig, Path], dict[Path, str]]
+    list_differences: Callable[[Rig], list[str]] = lambda _: []
 
 
-def _one(to_text: Callable[[Rig], str]) -> Callable[[Rig, Path], dict[Path, str]]:
+def _make_single_file(to_text: Callable[[Rig], str]) -> Callable[[Rig, Path], dict[Path, str]]:
     return lambda rig, path: {path: to_text(rig)}
 
 
-def _colmap(rig: Rig, folder: Path) -> dict[Path, str]:
+def _format_colmap(rig: Rig, folder: Path) -> dict[Path, str]:
     return {folder / name: text for name, text in colmap.to_texts(rig).items()}
 
 
-def _unit(rig: Rig) -> list[str]:
-    return [f"it does not say that lengths are in {rig.unit}"] if rig.unit else []
+def _note_unit(rig: Rig) -> list[str]:
+    return [f"it does not contain the length unit, {rig.unit}"] if rig.unit else []
 
 
-def _at_first(rig: Rig) -> list[str]:
+def _note_world(rig: Rig) -> list[str]:
     return [f"its world is the frame of camera {rig.cameras[0].name}"]
 
 
-def _of_kalibr(rig: Rig) -> list[str]:
-    called = ", ".join(f"cam{i} is {name}" for i, name in enumerate(rig.names) if name != f"cam{i}")
-    metres = ["lengths are in m"] if rig.unit not in ("", "m") else []
-    return [*_at_first(rig), *([called] if called else []), *metres]
+def _note_kalibr(rig: Rig) -> list[str]:
+    renamed = ", ".join(f"cam{i} is {name}" for i, name in enumerate(rig.names) if name != f"cam{i}")
+    unit_note = ["lengths are in m"] if rig.unit not in ("", "m") else []
+    return [*_note_world(rig), *([renamed] if renamed else []), *unit_note]
 
 
-FORMATS: dict[str, Written] = {
-    "sylpose": Written((".toml",), _one(native.to_text)),
-    "opencv": Written(_STORAGE, lambda rig, path: {path: filestorage.to_text(rig, path.suffix.lower())}),
-    "opencv-stereo": Written(
+OUTPUT_FORMATS: dict[str, OutputFormat] = {
+    "sylpose": OutputFormat((".toml",), _make_single_file(native.to_text)),
+    "opencv": OutputFormat(_STORAGE, lambda rig, path: {path: filestorage.to_text(rig, path.suffix.lower())}),
+    "opencv-stereo": OutputFormat(
         _STORAGE,
         lambda rig, path: {path: stereo.to_text(rig, path.suffix.lower())},
         lambda rig: [
-            *_at_first(rig),
+            *_note_world(rig),
             f"its cameras are called 1 and 2, which are {' and '.join(rig.names)}",
-            *_unit(rig),
+            *_note_unit(rig),
         ],
     ),
-    "anipose": Written((".toml",), _one(anipose.to_text), _unit),
-    "kalibr": Written((".yaml", ".yml"), _one(kalibr.to_text), _of_kalibr),
-    "colmap": Written((), _colmap, _unit),
+    "anipose": OutputFormat((".toml",), _make_single_file(anipose.to_text), _note_unit),
+    "kalibr": OutputFormat((".yaml", ".yml"), _make_single_file(kalibr.to_text), _note_kalibr),
+    "colmap": OutputFormat((), _format_colmap, _note_unit),
 }
 
 
-def format_for(path: Path, to: str | None) -> Written:
-    """The format that a calibration with this path is written in: the one that is named, or the one that its name tells.
+def choose_output_format(path: Path, to: str | None) -> OutputFormat:
+    """Choose the output format of a calibration: the given one, or the one implied by the file name.
 
     Raises:
         ValueError: no such format, or a name that does not fit it.
@@ -79,13 +79,13 @@ def format_for(path: Path, to: str | None) -> Written:
         if suffix and suffix not in (".toml", *_STORAGE) and not path.is_dir():
             raise ValueError(
                 f"{path}: a calibration is written as one of .toml, {', '.join(_STORAGE)}, or as COLMAP's folder; "
-                f"or say which format: {', '.join(FORMATS)}"
+                f"or specify the format: {', '.join(OUTPUT_FORMATS)}"
             )
         to = "sylpose" if suffix == ".toml" else "opencv" if suffix in _STORAGE else "colmap"
-        if "camchain" in path.stem.lower() and suffix in FORMATS["kalibr"].suffixes:
+        if "camchain" in path.stem.lower() and suffix in OUTPUT_FORMATS["kalibr"].suffixes:
             to = "kalibr"
-    if to not in FORMATS:
-        raise ValueError(f"to must be one of {', '.join(FORMATS)}, got {to!r}")
-    if FORMATS[to].suffixes and suffix not in FORMATS[to].suffixes:
-        raise ValueError(f"{path}: {to} is written as one of {', '.join(FORMATS[to].suffixes)}")
-    return FORMATS[to]
+    if to not in OUTPUT_FORMATS:
+        raise ValueError(f"to must be one of {', '.join(OUTPUT_FORMATS)}, got {to!r}")
+    if OUTPUT_FORMATS[to].suffixes and suffix not in OUTPUT_FORMATS[to].suffixes:
+        raise ValueError(f"{path}: {to} is written as one of {', '.join(OUTPUT_FORMATS[to].suffixes)}")
+    return OUTPUT_FORMATS[to]

@@ -1,4 +1,4 @@
-"""Sessions: the frames of all cameras at one instant, from videos or image folders."""
+"""Recordings and live sessions: synchronized frame sets from videos, image folders and streams."""
 
 from sylpose.capture.session import Session, open_session
 from sylpose.capture.sources import Source

@@ -1,4 +1,4 @@
-"""One camera's frames one after the other, with whatever is wrong with them said and not raised."""
+"""Sequential readers of one camera's frames and masks, which report problems instead of raising."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from sylpose.capture.images import read_image, read_mask
 from sylpose.capture.sources import Source, open_video
 from sylpose.geometry.arrays import BoolArray, Image
 
-__all__ = ["CameraReader", "Reading", "check_readable"]
+__all__ = ["CameraReader", "FrameReading", "check_readable"]
 
-# A jump of a video's own clock by more than this many frames is said: a recorder or a damaged file lost some (choice:
-# a frame or two are not worth a word).
-CLOCK_JUMP = 3.5
+# Jumps of a video's timestamps by more than this many frames are reported: the recorder or a damaged file lost frames
+# (choice: one or two frames are negligible).
+MAX_CLOCK_JUMP_FRAMES = 3.5
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
-    """What one camera gives at one instant, masks by object; `ended` when it will not give anything any more."""
+class FrameReading:
+    """One camera's image and masks (by object) in one frame set; `ended` after the camera's last frame."""
 
     image: Image | None
     masks: dict[str, BoolArray | None]
@@ -34,7 +34,7 @@ class Reading:
     ended: bool
 
 
-class _Reader(Protocol):
+class _FrameReader(Protocol):
     problems: list[str]
     ended: bool
 
@@ -44,31 +44,31 @@ class _Reader(Protocol):
 
 
 def check_readable(source: Source) -> None:
-    """Read the first frame of a video.
+    """Check that the first frame of a video is readable.
 
     Raises:
-        ValueError: naming a video none of whose frames can be read.
+        ValueError: no frame is readable; the message names the video.
     """
     if source.kind == "video":
         with closing(_VideoReader(source)) as reader:
             reader.read(0)
         if reader.ended:
-            raise ValueError(f"{source.path}: no frame of this video can be read")
+            raise ValueError(f"{source.path}: no frame of this video is readable")
 
 
 class CameraReader:
-    """The frames and masks of one camera, for increasing frame numbers; `masks` by object."""
+    """Reader of one camera's frames and masks (by object), for increasing frame numbers."""
 
     def __init__(self, source: Source, masks: Mapping[str, Masks]) -> None:
         self._source, self._masks = source, masks
-        self._reader: _Reader = _VideoReader(source) if source.kind == "video" else _ImageReader(source)
+        self._reader: _FrameReader = _VideoReader(source) if source.kind == "video" else _ImageReader(source)
 
-    def read(self, k: int) -> Reading:
-        """Frame k and its masks; a negative k reads nothing."""
+    def read(self, k: int) -> FrameReading:
+        """Read frame k and its masks; nothing for a negative k."""
         image = self._reader.read(k) if k >= 0 else None
         read = {name: None if image is None else self._mask(masks, k) for name, masks in self._masks.items()}
         problems, self._reader.problems = tuple(self._reader.problems), []
-        return Reading(image, read, problems, self._reader.ended)
+        return FrameReading(image, read, problems, self._reader.ended)
 
     def close(self) -> None:
         self._reader.close()
@@ -80,7 +80,7 @@ class CameraReader:
         try:
             return read_mask(file, self._source.size)
         except (ValueError, OSError) as error:
-            self._reader.problems.append(f"{self._source.camera}: {error}; the frame has no mask.")
+            self._reader.problems.append(f"{self._source.camera}: {error}; this frame has no mask.")
             return None
 
 
@@ -94,7 +94,7 @@ class _ImageReader:
         try:
             return read_image(self._source.files[k], self._source.size)
         except (ValueError, OSError) as error:
-            self.problems.append(f"{self._source.camera}: {error}; this camera misses the frame.")
+            self.problems.append(f"{self._source.camera}: {error}; this frame is missing.")
             return None
 
     def close(self) -> None:
@@ -111,15 +111,15 @@ class _VideoReader:
         self._frames = self._decode()
         self._position = 0
         self._time: float | None = None
-        self._broken: str | None = None
-        self._said: set[str] = set()
+        self._failure: str | None = None
+        self._reported_kinds: set[str] = set()
 
     def read(self, k: int) -> Image | None:
         frame = None
         while self._position <= k and not self.ended:
             frame = next(self._frames, None)
             if frame is None:
-                self._end()
+                self._finish()
                 return None
             self._check_clock(frame)
             self._position += 1
@@ -130,36 +130,36 @@ class _VideoReader:
         self._container.close()
 
     def _decode(self) -> Generator[VideoFrame, None, None]:
-        """All frames up to the first that cannot be read: frames after a gap of unknown length would be out of step."""
+        """Decode all frames up to the first unreadable one: later frames would be out of sync by an unknown gap."""
         try:
             for packet in self._container.demux(self._stream):
-                if packet.is_corrupt:  # cut off by the end of the file
+                if packet.is_corrupt:  # truncated by the end of the file
                     yield from self._stream.decode(None)
-                    self._broken = "the file is cut or damaged there"
+                    self._failure = "the file is truncated or damaged there"
                     return
                 yield from packet.decode()
         except av.error.FFmpegError as error:
-            self._broken = error.strerror
+            self._failure = error.strerror
 
-    def _end(self) -> None:
+    def _finish(self) -> None:
         self.ended = True
-        if self._broken or self._position < self._source.n_frames:
+        if self._failure or self._position < self._source.n_frames:
             self.problems.append(
-                f"{self._source.camera}: {self._source.path.name} breaks off after {self._position} of "
-                f"{self._source.n_frames} frames ({self._broken or 'the file ends'}); this camera gives no more."
+                f"{self._source.camera}: {self._source.path.name} is cut off after {self._position} of "
+                f"{self._source.n_frames} frames ({self._failure or 'the file ends'}); this camera has no more frames."
             )
 
     def _convert(self, frame: VideoFrame) -> Image | None:
         where = f"{self._source.camera}: {self._source.path.name}, frame {self._position - 1}"
         if frame.is_corrupt:
-            self._say("damaged", f"{where} is damaged and left out, and so are later ones that are.")
+            self._report_once("damaged", f"{where} is damaged; damaged frames are skipped.")
             return None
         if (frame.width, frame.height) != self._source.size:
             size = self._source.size
-            self._say(
+            self._report_once(
                 "size",
-                f"{where} is {frame.width}x{frame.height}, not {size[0]}x{size[1]}; it is left out, "
-                "and so are later ones of another size.",
+                f"{where} is {frame.width}x{frame.height}, not {size[0]}x{size[1]}; "
+                "frames of another size are skipped.",
             )
             return None
         return np.asarray(self._reformatter.reformat(frame, format="bgr24").to_ndarray(), dtype=np.uint8)
@@ -167,16 +167,16 @@ class _VideoReader:
     def _check_clock(self, frame: VideoFrame) -> None:
         if self._source.rate and self._time is not None and frame.time is not None:
             jump = frame.time - self._time
-            if jump * self._source.rate > CLOCK_JUMP:
-                self._say(
+            if jump * self._source.rate > MAX_CLOCK_JUMP_FRAMES:
+                self._report_once(
                     "clock",
                     f"{self._source.camera}: {self._source.path.name} jumps by {jump:.2f} s after frame "
-                    f"{self._position - 1}: frames may be lost there; those after it are counted as they come.",
+                    f"{self._position - 1}: frames may be lost there; later frames are numbered consecutively.",
                 )
         self._time = frame.time
 
-    def _say(self, kind: str, sentence: str) -> None:
-        """Said once per kind: a damaged recording can have thousands."""
-        if kind not in self._said:
-            self._said.add(kind)
-            self.problems.append(sentence)
+    def _report_once(self, kind: str, message: str) -> None:
+        """Report a problem once per kind; a damaged recording can have thousands."""
+        if kind not in self._reported_kinds:
+            self._reported_kinds.add(kind)
+            self.problems.append(message)

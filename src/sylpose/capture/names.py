@@ -1,4 +1,4 @@
-"""Names: which file belongs to which camera, and which number an image file has."""
+"""Matching of file names to cameras, and frame numbers in image names."""
 
 from __future__ import annotations
 
@@ -7,48 +7,60 @@ from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from pathlib import Path
 
-__all__ = ["IMAGE_SUFFIXES", "belongs_to", "image_files", "image_numbers", "match_names", "several_of"]
+__all__ = [
+    "IMAGE_SUFFIXES",
+    "find_repeated_recordings",
+    "image_files",
+    "image_numbers",
+    "match_all_names",
+    "match_names",
+]
 
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".pgm", ".ppm", ".jp2"})
 
 
 def match_names(found: Iterable[str], cameras: Sequence[str]) -> dict[str, str]:
-    """Match names of files to names of cameras: exactly, then tolerantly (`cam_0`, `0`, `Cam0`, `cam-00`, `port_0`).
+    """Match file names to camera names: exactly, then tolerantly (`cam_0`, `0`, `Cam0`, `cam-00`, `port_0`).
 
-    Where that finds none, words that all files' names have in common say nothing, nor those that all cameras' have:
-    Pose2Sim's `int_cam01_img` and `cam01`, Anipose's `A` and `vid1-camA`. Only if every camera has its one file by it.
+    If that finds none, words common to all file names are ignored, and words common to all cameras: Pose2Sim's
+    `int_cam01_img` and `cam01`, Anipose's `A` and `vid1-camA`. This applies only if it assigns one file to every
+    camera.
+
+    Args:
+        found: the file names.
+        cameras: the camera names.
 
     Returns:
-        camera's name for each name of `found` that has one.
+        Camera name by file name, for the names that match.
 
     Raises:
-        ValueError: names that are equal but for what is tolerated, so that the match would not be unique.
+        ValueError: names that differ only in tolerated ways, so that the match is not unique.
     """
     names, known = list(found), set(cameras)
     matched = {name: name for name in names if name in known}
     by_key: dict[str, list[str]] = {}
     for camera in cameras:
         if camera not in matched:
-            by_key.setdefault(_key(camera), []).append(camera)
-    alike: dict[str, list[str]] = {}
+            by_key.setdefault(_normalize_name(camera), []).append(camera)
+    names_by_key: dict[str, list[str]] = {}
     for name in names:
         if name not in known:
-            alike.setdefault(_key(name), []).append(name)
+            names_by_key.setdefault(_normalize_name(name), []).append(name)
     for name in names:
-        candidates = by_key.get(_key(name), []) if name not in matched else []
-        rivals = alike.get(_key(name), [])
-        if candidates and len(candidates) + len(rivals) > 2:
-            raise ValueError(f"it is not clear which of {', '.join(rivals)} is which camera of {', '.join(candidates)}")
+        candidates = by_key.get(_normalize_name(name), []) if name not in matched else []
+        same_key_names = names_by_key.get(_normalize_name(name), [])
+        if candidates and len(candidates) + len(same_key_names) > 2:
+            raise ValueError(f"{', '.join(same_key_names)} match the cameras {', '.join(candidates)} ambiguously")
         if candidates:
             matched[name] = candidates[0]
-    return matched or _by_what_differs(names, cameras)
+    return matched or _match_distinct_words(names, cameras)
 
 
-def belongs_to(found: Iterable[str], cameras: Sequence[str], where: Path | str) -> dict[str, str]:
-    """As `match_names`, for names that must all be cameras', each of another.
+def match_all_names(found: Iterable[str], cameras: Sequence[str], where: Path | str) -> dict[str, str]:
+    """Match names as `match_names`, requiring that every name belongs to a different camera.
 
     Raises:
-        ValueError: naming `where` and the names that are no camera's.
+        ValueError: names that match no camera; the message contains `where` and these names.
     """
     names = list(found)
     try:
@@ -57,71 +69,79 @@ def belongs_to(found: Iterable[str], cameras: Sequence[str], where: Path | str) 
         raise ValueError(f"{where}: {error}") from None
     unknown = [name for name in names if name not in matched]
     if unknown:
-        raise ValueError(f"{where}: {', '.join(unknown)} is no camera of the calibration ({', '.join(cameras)})")
+        raise ValueError(f"{where}: {', '.join(unknown)} is not a camera of the calibration ({', '.join(cameras)})")
     return matched
 
 
-def _by_what_differs(names: Sequence[str], cameras: Sequence[str]) -> dict[str, str]:
-    """Camera by name, by the word in which they differ from the others of their kind; nothing unless all are matched."""
+def _match_distinct_words(names: Sequence[str], cameras: Sequence[str]) -> dict[str, str]:
+    """Match names and cameras by their distinguishing words; empty unless all match."""
     if len(names) != len(cameras):
         return {}
-    own, its = _own_words(names), _own_words(cameras)
-    if not all(own) or len(set(own)) < len(own) or set(own) != set(its):
+    file_words, camera_words = _distinct_words(names), _distinct_words(cameras)
+    if not all(file_words) or len(set(file_words)) < len(file_words) or set(file_words) != set(camera_words):
         return {}
-    by_word = dict(zip(its, cameras, strict=True))
-    return {name: by_word[word] for name, word in zip(names, own, strict=True)}
+    by_word = dict(zip(camera_words, cameras, strict=True))
+    return {name: by_word[word] for name, word in zip(names, file_words, strict=True)}
 
 
-def several_of(names: Sequence[str], cameras: Sequence[str]) -> list[str]:
-    """The names of the first camera where several are each camera's by its own word: several recordings in one folder.
-    Nothing otherwise."""
-    each, rest = divmod(len(names), max(len(cameras), 1))
-    if each < 2 or rest:
+def find_repeated_recordings(names: Sequence[str], cameras: Sequence[str]) -> list[str]:
+    """Detect several recordings in one folder.
+
+    Returns:
+        The file names of the first camera if every camera matches the same number (>= 2) of files; otherwise empty.
+    """
+    n_recordings, rest = divmod(len(names), max(len(cameras), 1))
+    if n_recordings < 2 or rest:
         return []
-    having: dict[str, list[str]] = {}
+    names_by_word: dict[str, list[str]] = {}
     for name in names:
-        for word in {_key(word) for word in re.split(r"[\s_.-]+", name)}:
-            having.setdefault(word, []).append(name)
-    its = [having.get(word, []) for word in _own_words(cameras)]
-    return its[0] if {len(those) for those in its} == {each} and len(set().union(*its)) == len(names) else []
+        for word in {_normalize_name(word) for word in re.split(r"[\s_.-]+", name)}:
+            names_by_word.setdefault(word, []).append(name)
+    names_by_camera = [names_by_word.get(word, []) for word in _distinct_words(cameras)]
+    return (
+        names_by_camera[0]
+        if {len(those) for those in names_by_camera} == {n_recordings}
+        and len(set().union(*names_by_camera)) == len(names)
+        else []
+    )
 
 
-def _own_words(names: Sequence[str]) -> list[str]:
-    """Of each name what is left without the words that all have."""
-    split = [[_key(word) for word in re.split(r"[\s_.-]+", name) if word] for name in names]
+def _distinct_words(names: Sequence[str]) -> list[str]:
+    """Return each name without the words common to all names."""
+    split = [[_normalize_name(word) for word in re.split(r"[\s_.-]+", name) if word] for name in names]
     common = set.intersection(*map(set, split)) if len(split) > 1 else set()
     return ["_".join(word for word in words if word not in common) for words in split]
 
 
 def image_files(folder: Path) -> list[Path]:
-    """The images of a folder in natural order (2 before 10), hidden files aside.
+    """List the images of a folder in natural order (2 before 10), without hidden files.
 
     Raises:
-        ValueError: two images that differ in their suffix only.
+        ValueError: two images whose names differ only in the suffix.
     """
     files = [f for f in folder.iterdir() if f.suffix.lower() in IMAGE_SUFFIXES and f.name[0] != "." and f.is_file()]
-    files.sort(key=lambda f: ([int(part) if i % 2 else part for i, part in enumerate(_parts(f.stem))], f.name))
+    files.sort(key=lambda f: ([int(part) if i % 2 else part for i, part in enumerate(_split_digits(f.stem))], f.name))
     for first, second in pairwise(files):
         if first.stem == second.stem:
-            raise ValueError(f"{folder}: {first.name} and {second.name} are two images of one name")
+            raise ValueError(f"{folder}: {first.name} and {second.name} are two images with the same name")
     return files
 
 
 def image_numbers(files: Sequence[Path]) -> tuple[int, ...] | None:
-    """The frame numbers in the names of naturally sorted files: the last number that counts up from file to file."""
-    rows = [[int(part) for part in _parts(file.stem)[1::2]] for file in files]
+    """Return the frame numbers of naturally sorted files: the last number in the names that increases."""
+    rows = [[int(part) for part in _split_digits(file.stem)[1::2]] for file in files]
     if len({len(row) for row in rows}) != 1:
         return None
     columns: list[tuple[int, ...]] = list(zip(*rows, strict=True))
     return next((c for c in reversed(columns) if all(a < b for a, b in pairwise(c))), None)
 
 
-def _parts(stem: str) -> list[str]:
-    """Text and digits in turn, text first."""
+def _split_digits(stem: str) -> list[str]:
+    """Split a name into alternating text and digits, text first."""
     return re.split(r"([0-9]+)", stem)
 
 
-def _key(name: str) -> str:
+def _normalize_name(name: str) -> str:
     lower = name.lower().strip()
     bare = re.sub(r"^(camera|cam|port|video|view)[\s_.-]*", "", lower) or lower
     return str(int(bare)) if re.fullmatch(r"[0-9]+", bare) else re.sub(r"[\s_.-]+", "_", bare)

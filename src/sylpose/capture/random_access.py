@@ -1,4 +1,4 @@
-"""Single frames of a recording, in any order, to be looked at; `Session.frames` reads all of them one after the other."""
+"""Random access to single frames of a recording; `Session.frames` reads them sequentially."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from sylpose.capture.session import Session
 from sylpose.capture.sources import Source, open_video
 from sylpose.geometry.arrays import Image, IntArray
 
-__all__ = ["SingleFrames"]
+__all__ = ["RandomAccessReader"]
 
-# So many frames ahead are rather decoded one after the other than sought by the key frame before them (choice).
-AHEAD = 40
+# Up to this many frames ahead are decoded sequentially instead of seeking to a keyframe (choice).
+MAX_SEQUENTIAL_FRAMES = 40
 
 
-class SingleFrames:
-    """The images of a recording at single instants; a context manager. For one thread at a time.
+class RandomAccessReader:
+    """Random-access reader of a recording's images; a context manager, for one thread at a time.
 
     Raises:
-        OSError, ValueError: a video that cannot be opened any more.
+        OSError, ValueError: a video can no longer be opened.
     """
 
     def __init__(self, session: Session) -> None:
         self._frames = session.timeline.frames
         with ExitStack() as stack:
             self._cameras = [
-                stack.enter_context(_Video(source)) if source.kind == "video" else _Images(source)
+                stack.enter_context(_SeekableVideo(source)) if source.kind == "video" else _ImageFolder(source)
                 for source in session.sources
             ]
             self._open = stack.pop_all()
@@ -44,11 +44,17 @@ class SingleFrames:
     def __exit__(self, *_: type[BaseException] | BaseException | TracebackType | None) -> None:
         self._open.close()
 
-    def at(self, index: int) -> tuple[Image | None, ...]:
-        """By camera, the image (h, w, 3) BGR of an instant; None for one that has none or whose image cannot be read.
+    def read_frame_set(self, index: int) -> tuple[Image | None, ...]:
+        """Read the images of one frame set.
+
+        Args:
+            index: number of the frame set.
+
+        Returns:
+            One image (h, w, 3) BGR per camera; None without a frame or if it is unreadable.
 
         Raises:
-            ValueError: an instant that the recording does not have.
+            ValueError: the index is outside the recording.
         """
         if not 0 <= index < len(self._frames):
             raise ValueError(f"index must be in 0 ... {len(self._frames) - 1} (the session's frames), got {index}")
@@ -56,7 +62,7 @@ class SingleFrames:
         return tuple(None if k < 0 else camera.read(k) for camera, k in zip(self._cameras, row, strict=True))
 
 
-class _Images:
+class _ImageFolder:
     def __init__(self, source: Source) -> None:
         self._source = source
 
@@ -66,8 +72,8 @@ class _Images:
         return None
 
 
-class _Video:
-    """Frame k is the one with the k-th of all packets' times of showing: so it is found again after a jump."""
+class _SeekableVideo:
+    """Random access to a video: frame k has the k-th presentation timestamp of all packets, also after seeking."""
 
     def __init__(self, source: Source) -> None:
         self._source = source
@@ -86,16 +92,16 @@ class _Video:
     def read(self, k: int) -> Image | None:
         if k != self._last[0]:
             frame = None
-            if not self._last[0] < k <= self._last[0] + AHEAD:
-                frame = self._sought(k)
-            self._last = (k, frame if frame is not None else self._counted(k))
+            if not self._last[0] < k <= self._last[0] + MAX_SEQUENTIAL_FRAMES:
+                frame = self._seek(k)
+            self._last = (k, frame if frame is not None else self._decode_until(k))
         frame = self._last[1]
         if frame is None or frame.is_corrupt or (frame.width, frame.height) != self._source.size:
             return None
         return np.asarray(frame.to_ndarray(format="bgr24"), dtype=np.uint8)
 
-    def _counted(self, k: int) -> VideoFrame | None:
-        """By decoding all frames up to it, from the last one or from the first."""
+    def _decode_until(self, k: int) -> VideoFrame | None:
+        """Decode sequentially up to frame k, from the last frame or from the first."""
         position = self._last[0]
         if position >= k:
             self._restart()
@@ -108,27 +114,27 @@ class _Video:
             position += 1
         return frame
 
-    def _sought(self, k: int) -> VideoFrame | None:
-        """By the key frame before it; None where the times do not tell."""
+    def _seek(self, k: int) -> VideoFrame | None:
+        """Seek to the keyframe before frame k and decode; None if the timestamps are unusable."""
         if self._times is None:
-            self._times = self._told_times()
+            self._times = self._read_packet_times()
         if k >= len(self._times):
             return None
-        wanted = int(self._times[k])
+        target = int(self._times[k])
         self._restart()
         with suppress(av.error.FFmpegError):
-            self._container.seek(wanted, stream=self._stream)
+            self._container.seek(target, stream=self._stream)
             for frame in self._decoded:
-                if frame.pts is None or frame.pts > wanted:
+                if frame.pts is None or frame.pts > target:
                     break
-                if frame.pts == wanted:
+                if frame.pts == target:
                     return frame
         self._restart()
         self._last = (-1, None)
         return None
 
-    def _told_times(self) -> IntArray:
-        """Of all packets that are shown, in order; none where one has none, or two have the same."""
+    def _read_packet_times(self) -> IntArray:
+        """Return the sorted timestamps of all shown packets; empty if any is missing or repeated."""
         times = []
         self._restart()
         with suppress(av.error.FFmpegError):
@@ -136,10 +142,10 @@ class _Video:
                 if packet.size and not packet.is_discard:
                     times.append(packet.pts)
         self._last = (-1, None)
-        told = [time for time in times if time is not None]
-        if len(told) < len(times) or len(set(told)) < len(told):
+        known_times = [time for time in times if time is not None]
+        if len(known_times) < len(times) or len(set(known_times)) < len(known_times):
             return np.empty(0, np.int64)
-        return np.array(sorted(told), np.int64)
+        return np.array(sorted(known_times), np.int64)
 
     def _restart(self) -> None:
         self._decoded.close()

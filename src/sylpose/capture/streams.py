@@ -1,4 +1,4 @@
-"""Cameras and network streams: a thread for each, whose frames are put together into frame sets."""
+"""Camera and network streams: one thread per stream, whose frames are assembled into frame sets."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ import numpy as np
 from av.video.frame import VideoFrame
 from av.video.reformatter import VideoReformatter
 
-from sylpose.capture.frame_assembly import TICK, Assembler, Grab, Shot
-from sylpose.capture.sources import ANY_TITLE
+from sylpose.capture.frame_assembly import POLL_INTERVAL, FrameAssembler, Grab, TimedFrame
+from sylpose.capture.sources import METADATA_OPTIONS
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import Image
 from sylpose.rig import Camera
@@ -27,26 +27,26 @@ from sylpose.rig import Camera
 __all__ = ["Device", "Grab", "Opener", "open_device", "read_streams"]
 
 
-# Seconds after which a stream that cannot be opened, or gives nothing, is taken for dead; also the longest wait for all
-# cameras to give their first frame.
+# Seconds after which a stream that cannot be opened or delivers nothing counts as dead; also the longest wait for the
+# first frames of all cameras.
 TIMEOUT = 5.0
-# Pauses before a broken camera is tried again, seconds; it is given up after the last.
-PAUSES = (0.5, 1.0, 2.0, 4.0, 8.0)
-# A connection that lasted so long, in seconds, was a good one: pauses start anew after it.
-STEADY = 10.0
-# Nothing that waits in FFmpeg: no read-ahead, no reordering, half a second of probing instead of five.
-OPTIONS = {
+# Seconds between attempts to reopen a failed camera; after the last attempt it is abandoned.
+RETRY_DELAYS = (0.5, 1.0, 2.0, 4.0, 8.0)
+# A connection that lasted longer than this, in seconds, resets the sequence of pauses.
+STABLE_SECONDS = 10.0
+# No buffering in FFmpeg: no read-ahead, no reordering, half a second of probing instead of five.
+FFMPEG_OPTIONS = {
     "fflags": "nobuffer+discardcorrupt",
     "flags": "low_delay",
     "analyzeduration": "500000",
     "rtsp_transport": "tcp",
 }
-# Packets in a row that cannot be decoded before a stream counts as broken.
+# Consecutive undecodable packets after which a stream counts as broken.
 MAX_UNDECODABLE = 250
 
 
 class Device(Protocol):
-    """An open camera: `read` waits for the next frame; None at the end, OSError when the connection breaks."""
+    """An open camera. `read` blocks until the next frame; None at the end, OSError if the connection breaks."""
 
     def read(self) -> Grab | None: ...
 
@@ -56,20 +56,24 @@ class Device(Protocol):
 Opener = Callable[[], Device]
 
 
-class _Stream:
-    """A network stream, decoded by FFmpeg; all of it, since most codecs cannot leave frames out."""
+class _NetworkStream:
+    """Network stream decoded by FFmpeg. Every frame is decoded, since most codecs cannot skip frames."""
 
     def __init__(self, url: str) -> None:
-        options = OPTIONS if url.startswith("rtsp") else {k: v for k, v in OPTIONS.items() if k != "rtsp_transport"}
+        options = (
+            FFMPEG_OPTIONS
+            if url.startswith("rtsp")
+            else {k: v for k, v in FFMPEG_OPTIONS.items() if k != "rtsp_transport"}
+        )
         try:
-            self._container = av.open(url, options=options, timeout=(TIMEOUT, TIMEOUT), **ANY_TITLE)
+            self._container = av.open(url, options=options, timeout=(TIMEOUT, TIMEOUT), **METADATA_OPTIONS)
         except av.error.FFmpegError as error:
-            raise OSError(_reason(error)) from None
+            raise OSError(_error_reason(error)) from None
         if not self._container.streams.video:
             self._container.close()
-            raise OSError("there is no video in the stream")
+            raise OSError("the stream contains no video")
         self._stream = self._container.streams.video[0]
-        self._stream.codec_context.thread_count = 1  # more threads hold frames back
+        self._stream.codec_context.thread_count = 1  # more threads delay frames
         self._reformatter = VideoReformatter()
         self._frames = self._decode()
 
@@ -77,7 +81,7 @@ class _Stream:
         try:
             frame = next(self._frames, None)
         except av.error.FFmpegError as error:
-            raise OSError(_reason(error)) from None
+            raise OSError(_error_reason(error)) from None
         if frame is None:
             return None
         return Grab((frame.width, frame.height), partial(self._convert, frame), frame.time)
@@ -91,7 +95,7 @@ class _Stream:
         for packet in self._container.demux(self._stream):
             try:
                 frames = packet.decode()
-            except av.error.InvalidDataError:  # a lost packet; the next key frame mends it
+            except av.error.InvalidDataError:  # a lost packet; decoding recovers at the next keyframe
                 bad += 1
                 if bad > MAX_UNDECODABLE:
                     raise
@@ -103,14 +107,14 @@ class _Stream:
         return np.asarray(self._reformatter.reformat(frame, format="bgr24").to_ndarray(), dtype=np.uint8)
 
 
-class _Capture:
-    """A camera of this computer, read by OpenCV on every system; it is asked for the calibration's size."""
+class _LocalCamera:
+    """Local camera read by OpenCV, set to the calibration's image size."""
 
     def __init__(self, source: int | str, size: tuple[int, int], rate: float | None) -> None:
         self._capture = cv2.VideoCapture(source)
         if not self._capture.isOpened():
             self._capture.release()
-            raise OSError("there is no such camera, or another program has it")
+            raise OSError("no such camera, or another program uses it")
         self._capture.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
         self._capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
         self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
@@ -120,7 +124,7 @@ class _Capture:
     def read(self) -> Grab | None:
         good, image = self._capture.read()
         if not good:
-            raise OSError("it gives no frames any more")
+            raise OSError("it no longer delivers frames")
         pixels = np.asarray(image, dtype=np.uint8)
         return Grab((pixels.shape[1], pixels.shape[0]), lambda: pixels)
 
@@ -131,30 +135,35 @@ class _Capture:
 def open_device(source: int | str, size: tuple[int, int], rate: float | None = None) -> Device:
     """Open a camera by number or device path, or a stream by its URL.
 
+    Args:
+        source: device number, device path or URL.
+        size: (width, height) to set on a local camera, pixels.
+        rate: frame rate to set on a local camera, frames per second.
+
     Raises:
-        OSError: saying why it cannot be opened.
+        OSError: it cannot be opened; the message contains the reason.
     """
-    return _Stream(source) if isinstance(source, str) and "://" in source else _Capture(source, size, rate)
+    return _NetworkStream(source) if isinstance(source, str) and "://" in source else _LocalCamera(source, size, rate)
 
 
-def _reason(error: av.error.FFmpegError) -> str:
+def _error_reason(error: av.error.FFmpegError) -> str:
     if isinstance(error, av.error.ExitError):
-        return f"nothing came for {TIMEOUT:g} s"
-    return (error.strerror or type(error).__name__).lower()  # not str(error): it holds the URL, perhaps with a password
+        return f"no data for {TIMEOUT:g} s"
+    return (error.strerror or type(error).__name__).lower()  # not str(error): its URL may contain a password
 
 
-class _Feed:
-    """The thread of one camera: opens it, hands on every frame, and tries again a few times when it breaks."""
+class _CameraThread:
+    """Thread of one camera: opens it, forwards its frames and reconnects after failures."""
 
-    def __init__(self, camera: Camera, opener: Opener, hub: _Hub, pauses: Sequence[float]) -> None:
-        self._camera, self._open, self._hub, self._pauses = camera, opener, hub, pauses
-        self.tried = self.ended = self._out = False
-        self.refused: str | None = None  # why it cannot be used at all
+    def __init__(self, camera: Camera, opener: Opener, hub: _StreamHub, retry_delays: Sequence[float]) -> None:
+        self._camera, self._open, self._hub, self._retry_delays = camera, opener, hub, retry_delays
+        self.has_tried = self.has_ended = self._is_down = False
+        self.rejection: str | None = None  # reason why it is unusable
         self._thread = threading.Thread(target=self._run, name=f"sylpose-live-{camera.name}", daemon=True)
         self._thread.start()
 
     def join(self) -> None:
-        """Wait for the thread: a device that hangs can hold it for as long as its own timeout."""
+        """Wait for the thread; a hanging device can block it for its own timeout."""
         self._thread.join(2 * TIMEOUT)
 
     def _run(self) -> None:
@@ -162,27 +171,27 @@ class _Feed:
         try:
             while not self._hub.stopped.is_set():
                 begin = time.monotonic()
-                reason = self._serve()
-                if self.refused:
-                    self._hub.say(f"{self.refused}; this camera gives no more.", last=True)
-                if self.refused or self._hub.stopped.is_set():
+                reason = self._forward_frames()
+                if self.rejection:
+                    self._hub.add_message(f"{self.rejection}; this camera is not used any more.", is_last=True)
+                if self.rejection or self._hub.stopped.is_set():
                     return
-                if time.monotonic() - begin > STEADY:
+                if time.monotonic() - begin > STABLE_SECONDS:
                     failures = 0
-                again = failures < len(self._pauses)
-                if failures == 0 or not again:
-                    then = "it is tried again" if again else "this camera gives no more"
-                    self._hub.say(f"{self._camera.name}: {reason}; {then}.", last=not again)
-                    self._out = True
-                if not again or self._hub.stopped.wait(self._pauses[failures]):
+                can_retry = failures < len(self._retry_delays)
+                if failures == 0 or not can_retry:
+                    consequence = "reconnecting" if can_retry else "this camera is not used any more"
+                    self._hub.add_message(f"{self._camera.name}: {reason}; {consequence}.", is_last=not can_retry)
+                    self._is_down = True
+                if not can_retry or self._hub.stopped.wait(self._retry_delays[failures]):
                     return
                 failures += 1
         finally:
-            self.ended = True
-            self._hub.lost(self._camera.name)
+            self.has_ended = True
+            self._hub.mark_lost(self._camera.name)
 
-    def _serve(self) -> str:
-        """Hand on frames until there are no more; why that is."""
+    def _forward_frames(self) -> str:
+        """Forward frames until the stream ends; return the reason why it ended."""
         try:
             with closing(self._open()) as device:
                 while not self._hub.stopped.is_set():
@@ -190,31 +199,31 @@ class _Feed:
                     if grab is None:
                         return "the stream has ended"
                     if grab.size != self._camera.size:
-                        self.refused = (
+                        self.rejection = (
                             f"{self._camera.name}: frames of {grab.size[0]}x{grab.size[1]}, but this camera is "
                             f"calibrated at {self._camera.size[0]}x{self._camera.size[1]}"
                         )
                         return ""
                     self._hub.add(self._camera.name, grab)
-                    if self._out:
-                        self._out = False
-                        self._hub.say(f"{self._camera.name}: it is back.")
+                    if self._is_down:
+                        self._is_down = False
+                        self._hub.add_message(f"{self._camera.name}: reconnected.")
             return ""
         except (OSError, ValueError, cv2.error) as error:
             return f"it cannot be read ({error})"
         finally:
-            self.tried = True
-            self._hub.lost(self._camera.name)
+            self.has_tried = True
+            self._hub.mark_lost(self._camera.name)
 
 
-class _Hub:
-    """Where the cameras' threads and the reader meet; `changed` guards everything."""
+class _StreamHub:
+    """Shared state of the camera threads and the reader, guarded by `changed`."""
 
-    def __init__(self, assembler: Assembler, names: Sequence[str], stopped: threading.Event) -> None:
+    def __init__(self, assembler: FrameAssembler, names: Sequence[str], stopped: threading.Event) -> None:
         self.assembler, self.stopped = assembler, stopped
         self.changed = threading.Condition()
         self._number = {name: c for c, name in enumerate(names)}
-        self._said: deque[tuple[str, bool]] = deque(maxlen=100)
+        self._messages: deque[tuple[str, bool]] = deque(maxlen=100)
 
     def add(self, name: str, grab: Grab) -> None:
         arrival = time.monotonic()
@@ -222,77 +231,86 @@ class _Hub:
             self.assembler.add(self._number[name], grab, arrival)
             self.changed.notify()
 
-    def lost(self, name: str) -> None:
+    def mark_lost(self, name: str) -> None:
         with self.changed:
-            self.assembler.gone(self._number[name])
+            self.assembler.mark_unavailable(self._number[name])
             self.changed.notify()
 
-    def say(self, problem: str, *, last: bool = False) -> None:
-        """A sentence for people; `last` of this camera."""
+    def add_message(self, problem: str, *, is_last: bool = False) -> None:
+        """Queue a message for the user; `is_last` marks the final one of a camera."""
         with self.changed:
-            self._said.append((problem, last))
+            self._messages.append((problem, is_last))
             self.changed.notify()
 
-    def heard(self) -> list[tuple[str, bool]]:
+    def take_messages(self) -> list[tuple[str, bool]]:
         with self.changed:
-            said = [*self._said]
-            self._said.clear()
-            return said
+            messages = [*self._messages]
+            self._messages.clear()
+            return messages
 
 
 def read_streams(
     cameras: Iterable[Camera],
     openers: Sequence[Opener],
-    assembler: Assembler,
-    instants: range,
+    assembler: FrameAssembler,
+    indices: range,
     on_problem: Callable[[str], None],
     stopped: threading.Event,
-    pauses: Sequence[float] = PAUSES,
+    retry_delays: Sequence[float] = RETRY_DELAYS,
 ) -> Generator[FrameSet, None, None]:
-    """Frame sets, without masks, of cameras that are opened here and closed at the end.
+    """Open cameras and yield their frame sets, without masks; the cameras are closed at the end.
 
-    Starts when every camera has given a frame or failed, at the latest after TIMEOUT seconds. Times are in seconds since
-    the first set. Sets whose number is not in `instants` are passed over.
+    Starts when every camera has delivered a frame or failed, at the latest after TIMEOUT seconds. Times are in seconds
+    since the first set. Sets whose number is not in `indices` are skipped.
+
+    Args:
+        cameras: the rig's cameras.
+        openers: functions that open the devices, one per camera.
+        assembler: groups the frames into sets.
+        indices: numbers of the frame sets to yield.
+        on_problem: called with messages, in the caller's thread.
+        stopped: ends the iteration when set.
+        retry_delays: seconds between attempts to reopen a failed camera.
 
     Raises:
-        ValueError: a camera whose frames are not of the calibration's size.
-        OSError: no camera gives any frame.
+        ValueError: a camera's frames differ from the calibration's size.
+        OSError: no camera delivers any frame.
     """
     cameras = list(cameras)
-    hub = _Hub(assembler, [camera.name for camera in cameras], stopped)
-    feeds = [_Feed(camera, opener, hub, pauses) for camera, opener in zip(cameras, openers, strict=True)]
-    index, zero = -1, 0.0
-    ends: list[str] = []  # of cameras, before the first set: where there is none they are in the error, and said once
+    hub = _StreamHub(assembler, [camera.name for camera in cameras], stopped)
+    feeds = [_CameraThread(camera, opener, hub, retry_delays) for camera, opener in zip(cameras, openers, strict=True)]
+    index, start_time = -1, 0.0
+    final_messages: list[str] = []  # before the first set: without one they go into the error only
 
-    def tell() -> None:
-        for problem, last in hub.heard():
+    def forward_messages() -> None:
+        for problem, last in hub.take_messages():
             if last and index < 0:
-                ends.append(problem)
+                final_messages.append(problem)
             else:
                 on_problem(problem)
 
     try:
-        _await_first(hub, feeds, tell)
-        while index + 1 < instants.stop:
-            shots = _next_set(hub, feeds, tell)
+        _wait_for_first(hub, feeds, forward_messages)
+        while index + 1 < indices.stop:
+            shots = _wait_for_set(hub, feeds, forward_messages)
             if index < 0:
-                _check_refused(feeds)
-            tell()
+                _check_rejections(feeds)
+            forward_messages()
             if shots is None:
                 if index < 0 and not stopped.is_set():
-                    raise OSError(f"no camera gives any frame: {' '.join(ends)}")
+                    raise OSError(f"no camera delivers any frame: {' '.join(final_messages)}")
                 return
-            while ends:
-                on_problem(ends.pop(0))
+            while final_messages:
+                on_problem(final_messages.pop(0))
             index += 1
             times = [None if shot is None else shot.time for shot in shots]
             mean = fmean(t for t in times if t is not None)
-            zero = mean if index == 0 else zero
-            if index in instants:
+            start_time = mean if index == 0 else start_time
+            if index in indices:
                 yield FrameSet(
                     index,
-                    mean - zero,
-                    tuple(None if t is None else t - zero for t in times),
+                    mean - start_time,
+                    tuple(None if t is None else t - start_time for t in times),
                     tuple(None if shot is None else shot.pixels() for shot in shots),
                     (None,) * len(shots),
                 )
@@ -302,33 +320,37 @@ def read_streams(
             feed.join()
 
 
-def _await_first(hub: _Hub, feeds: Sequence[_Feed], tell: Callable[[], None]) -> None:
+def _wait_for_first(hub: _StreamHub, feeds: Sequence[_CameraThread], forward_messages: Callable[[], None]) -> None:
     deadline = time.monotonic() + TIMEOUT
     while time.monotonic() < deadline and not hub.stopped.is_set():
-        tell()
+        forward_messages()
         with hub.changed:
-            if all(hub.assembler.seen(c) or feed.tried for c, feed in enumerate(feeds)):
+            if all(hub.assembler.has_pending(c) or feed.has_tried for c, feed in enumerate(feeds)):
                 break
-            hub.changed.wait(TICK)
+            hub.changed.wait(POLL_INTERVAL)
     with hub.changed:
-        hub.assembler.begin()
+        hub.assembler.discard_backlog()
 
 
-def _next_set(hub: _Hub, feeds: Sequence[_Feed], tell: Callable[[], None]) -> list[Shot | None] | None:
-    """The next set as soon as there is one; None when all cameras have ended, or the reader is stopped. What is said
-    meanwhile is told at once."""
+def _wait_for_set(
+    hub: _StreamHub, feeds: Sequence[_CameraThread], forward_messages: Callable[[], None]
+) -> list[TimedFrame | None] | None:
+    """Wait for the next set; None when all cameras have ended or the reader is stopped.
+
+    Messages are forwarded while waiting.
+    """
     while not hub.stopped.is_set():
-        tell()
+        forward_messages()
         with hub.changed:
-            ended = all(feed.ended for feed in feeds)
-            shots = hub.assembler.pick(time.monotonic())
+            ended = all(feed.has_ended for feed in feeds)
+            shots = hub.assembler.next_set(time.monotonic())
             if shots is not None or ended:
                 return shots
-            hub.changed.wait(TICK)
+            hub.changed.wait(POLL_INTERVAL)
     return None
 
 
-def _check_refused(feeds: Iterable[_Feed]) -> None:
-    refused = [feed.refused for feed in feeds if feed.refused]
-    if refused:
-        raise ValueError("; ".join(refused))
+def _check_rejections(feeds: Iterable[_CameraThread]) -> None:
+    rejections = [feed.rejection for feed in feeds if feed.rejection]
+    if rejections:
+        raise ValueError("; ".join(rejections))

@@ -1,8 +1,8 @@
 """The command line: `sylpose track`, `batch`, `check`, `box`, `sync`, `show`, `view`, `report`, `demo`, `experiments`,
 `export`, `compare`, `node`, `nodes`, `network`, `calibration`, `object`, `pose` and `doctor`.
 
-Everything but the options is imported where it is used: the tracker and matplotlib take a second each, which `--help` does
-not need.
+The commands import everything but their options in their bodies: the tracker and matplotlib take a second each to load,
+which `--help` does not need.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import typer
 from sylpose import __version__
 from sylpose.cli.common import app
 
-# Loading them gives them to the app, in the order of `--help`.
+# Importing a module registers its commands; the order is that of `--help`.
 from sylpose.cli import track, batch, recordings, studies, results, network, calibrations, objects, poses, doctor  # isort: skip
 
 __all__ = [
@@ -37,11 +37,18 @@ __all__ = [
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command and return its exit code: 0, 1 nothing found, 2 wrong input, 130 interrupted."""
+    """Run a command and return its exit code.
+
+    Args:
+        argv: arguments without the program's name; by default those of the process.
+
+    Returns:
+        0 on success, 1 if nothing was found, 2 for wrong input, 130 if interrupted.
+    """
     for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):  # a terminal without "°" gets "?" and not a crash
+        if hasattr(stream, "reconfigure"):  # print "?" on terminals without "°"
             stream.reconfigure(errors="replace")
-    # OpenCV would write lines of its own about images that it cannot decode.
+    # Keep OpenCV from printing warnings about images that it cannot decode.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     try:
         app(args=None if argv is None else list(argv), prog_name="sylpose")
@@ -50,8 +57,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _version(asked: bool) -> None:
-    if asked:
+def _show_version(requested: bool) -> None:
+    if requested:
         print(f"sylpose {__version__}")
         raise typer.Exit
 
@@ -59,7 +66,7 @@ def _version(asked: bool) -> None:
 @app.callback()
 def _root(
     version: Annotated[
-        bool, typer.Option("--version", help="Say the version and exit.", is_eager=True, callback=_version)
+        bool, typer.Option("--version", help="Show the version and exit.", is_eager=True, callback=_show_version)
     ] = False,
 ) -> None:
     pass

@@ -6,15 +6,32 @@ from typing import Annotated
 
 import typer
 
-from sylpose.cli.common import Overlay, RefineCalibration, Seed, Stop, Unit, World, app, examples, fail, one_of, spoken
-from sylpose.methods import FEATURES, METHODS, features_of
+from sylpose.cli.common import (
+    ADVANCED,
+    INPUT,
+    OUTPUT,
+    GroupedCommand,
+    Overlay,
+    RefineCalibration,
+    Seed,
+    StopFrame,
+    Unit,
+    World,
+    app,
+    exit_with_failures,
+    format_examples,
+    make_choice_check,
+    report_errors,
+)
+from sylpose.methods import FEATURES, METHODS, resolve_features
 
 __all__ = ["batch"]
 
 
 @app.command(
-    short_help="Track thousands of recordings.",
-    epilog=examples(
+    cls=GroupedCommand,
+    short_help="Track many recordings.",
+    epilog=format_examples(
         "sylpose batch archive --out results",
         "sylpose batch recordings.csv --out results --jobs 8",
         "sylpose batch s3://lab/recordings --out s3://lab/results --ray auto",
@@ -22,7 +39,7 @@ __all__ = ["batch"]
         "sylpose batch --status --out results",
     ),
 )
-@spoken
+@report_errors
 def batch(
     source: Annotated[
         list[str] | None,
@@ -32,75 +49,97 @@ def batch(
             show_default=False,
         ),
     ] = None,
-    out: Annotated[str, typer.Option(metavar="DEST", help="Folder or URL: a folder for each recording.")] = "",
+    out: Annotated[
+        str,
+        typer.Option(
+            metavar="DEST", help="Write one folder per recording below this folder or URL.", rich_help_panel=OUTPUT
+        ),
+    ] = "",
     jobs: Annotated[
         int | None,
-        typer.Option(metavar="N", min=1, help="Processes on this computer; as many as it has cores and memory for."),
+        typer.Option(metavar="N", min=1, help="Run N local processes; default: limited by cores and memory."),
     ] = None,
     ray: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="On a Ray cluster instead: auto, or HOST:6379.")
+        str | None, typer.Option(metavar="ADDRESS", help="Run on a Ray cluster instead: auto, or HOST:6379.")
     ] = None,
     shard: Annotated[
-        str | None, typer.Option(metavar="K/N", help="Only every N-th recording from the K-th on: 1/N to N/N.")
+        str | None, typer.Option(metavar="K/N", help="Track only every N-th recording from the K-th on: 1/N to N/N.")
     ] = None,
-    status: Annotated[bool, typer.Option("--status", help="Only say how far it is; write the summary.")] = False,
+    status: Annotated[bool, typer.Option("--status", help="Only report progress and write the summary.")] = False,
     retry_failed: Annotated[
-        bool, typer.Option("--retry-failed", help="Try again what failed as wrong input and has not changed.")
+        bool, typer.Option("--retry-failed", help="Retry unchanged recordings that failed with wrong input.")
     ] = False,
-    threads: Annotated[int, typer.Option(metavar="N", min=1, help="Of each recording.")] = 1,
+    threads: Annotated[int, typer.Option(metavar="N", min=1, help="Use N threads per recording.")] = 1,
     memory: Annotated[
         float | None,
-        typer.Option(metavar="GB", min=0.1, help="Of each recording; by default its share of what there is."),
+        typer.Option(
+            metavar="GB", min=0.1, help="Limit the memory per recording; default: its share of the available memory."
+        ),
     ] = None,
     scratch: Annotated[
-        str | None, typer.Option(metavar="DIR", help="Where recordings are worked on; the system's temporary folder.")
+        str | None,
+        typer.Option(metavar="DIR", help="Process recordings in this folder; default: the system's temporary folder."),
     ] = None,
     calibration: Annotated[
-        str | None, typer.Option(metavar="FILE", help="Of all recordings that have none of their own.")
+        str | None,
+        typer.Option(metavar="FILE", help="Use this calibration for recordings without one.", rich_help_panel=INPUT),
     ] = None,
     method: Annotated[
-        str, typer.Option(metavar="NAME", help="As of track: see there.", callback=one_of(METHODS))
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="Select the estimation method; see sylpose track.",
+            callback=make_choice_check(METHODS),
+            rich_help_panel=ADVANCED,
+        ),
     ] = METHODS[0],
     features: Annotated[
-        str, typer.Option(metavar="|".join(FEATURES), help="As of track.", callback=one_of(FEATURES))
+        str,
+        typer.Option(
+            metavar="|".join(FEATURES),
+            help="Select the features; see sylpose track.",
+            callback=make_choice_check(FEATURES),
+            rich_help_panel=ADVANCED,
+        ),
     ] = FEATURES[0],
     smooth: Annotated[
-        bool | None, typer.Option("--smooth/--no-smooth", help="Refine all poses together at the end.")
+        bool | None,
+        typer.Option("--smooth/--no-smooth", help="Refine all poses jointly at the end.", rich_help_panel=ADVANCED),
     ] = None,
     refine_calibration: RefineCalibration = False,
-    start: Annotated[int, typer.Option(metavar="N", min=0, help="The first frame to track.")] = 0,
-    stop: Stop = None,
-    every: Annotated[int, typer.Option(metavar="N", min=1, help="Track every n-th frame.")] = 1,
+    start: Annotated[int, typer.Option(metavar="N", min=0, help="Start at this frame.", rich_help_panel=INPUT)] = 0,
+    stop: StopFrame = None,
+    every: Annotated[int, typer.Option(metavar="N", min=1, help="Track every N-th frame.", rich_help_panel=INPUT)] = 1,
     overlay: Overlay = True,
     unit: Unit = None,
     world: World = None,
     seed: Seed = 0,
 ) -> None:
-    """All recordings below folders or object-store URLs, or listed in manifests, each as sylpose track would do it.
+    """Track all recordings below folders or object-store URLs, or in manifests, each as with sylpose track.
 
-    What is finished is skipped when the command is given again; a recording that fails costs only itself. DEST has a folder
-    for each, and summary.csv (summary.parquet where PyArrow is installed). Exit code 0: all done; 1: some failed; 2: wrong
-    input.
+    Repeating the command skips finished recordings; a failed recording does not stop the others. DEST gets one folder
+    per recording and summary.csv (summary.parquet if PyArrow is installed). Exit code 0: all done; 1: some failed; 2:
+    wrong input.
     """
     if not out:
         raise ValueError("--out DEST is missing: the folder or URL for the results")
     if not source and not status:
         raise ValueError("SOURCE is missing: folders or URLs with recordings, or manifests")
     if jobs is not None and ray is not None:
-        raise ValueError("--jobs is for this computer, --ray for a cluster: give one of them")
+        raise ValueError("--jobs (this computer) and --ray (a cluster) exclude each other: give only one")
     if stop is not None and stop <= start:
         raise ValueError(f"--stop must be greater than --start ({start}), got {stop}")
-    features_of(method, features)
+    resolve_features(method, features)
 
-    from sylpose.archive.batch_command import batch_aloud, status_aloud
-    from sylpose.archive.contract import How
-    from sylpose.archive.recordings import Options, find_recordings
-    from sylpose.archive.stores import place
+    from sylpose.archive.batch_command import run_batch_command, run_status_command
+    from sylpose.archive.contract import RunSettings
+    from sylpose.archive.recordings import TrackingOptions, find_recordings
+    from sylpose.archive.stores import open_store
 
-    destination = place(out)
+    destination = open_store(out)
     found = None
     if source:
-        options = Options(
+        options = TrackingOptions(
             method=method,
             features=features,
             smooth=smooth,
@@ -115,10 +154,10 @@ def batch(
         )
         found = find_recordings(source, options, calibration, destination)
     if status or found is None:
-        status_aloud(destination, None if found is None else found.recordings)
+        run_status_command(destination, None if found is None else found.recordings)
         return
-    how = How(run="", threads=threads, scratch=scratch, retry_failed=retry_failed)
+    settings = RunSettings(run="", threads=threads, scratch=scratch, retry_failed=retry_failed)
     size = None if memory is None else int(memory * 2**30)
-    rows = batch_aloud(found, destination, how, jobs=jobs, ray=ray, shard=shard, memory=size)
+    rows = run_batch_command(found, destination, settings, jobs=jobs, ray=ray, shard=shard, memory=size)
     if failed := sum(row.status != "done" for row in rows):
-        fail([f"{failed} of {len(rows)} recordings without a trajectory"])
+        exit_with_failures([f"{failed} of {len(rows)} recordings without a trajectory"])

@@ -9,54 +9,81 @@ from typing import Annotated
 
 import typer
 
-from sylpose.cli.common import World, WorldFrame, WorldFrom, app, examples, say, spoken
-from sylpose.units import METRES
+from sylpose.cli.common import (
+    INPUT,
+    OUTPUT,
+    GroupedCommand,
+    World,
+    WorldFrame,
+    WorldFrom,
+    app,
+    format_examples,
+    print_message,
+    report_errors,
+)
+from sylpose.units import METERS
 
 __all__ = ["convert"]
 
-# As `calibration.written` has them, known without loading that.
-WRITTEN = ("sylpose", "opencv", "opencv-stereo", "anipose", "kalibr", "colmap")
+# Same as in `calibration.writers`, repeated here to avoid importing it.
+OUTPUT_FORMATS = ("sylpose", "opencv", "opencv-stereo", "anipose", "kalibr", "colmap")
 
 
-calibration_app = typer.Typer(help="Calibration files: convert.", no_args_is_help=True, rich_markup_mode=None)
+calibration_app = typer.Typer(help="Convert calibration files.", no_args_is_help=True, rich_markup_mode=None)
 app.add_typer(calibration_app, name="calibration")
 
 
 @calibration_app.command(
-    epilog=examples(
+    cls=GroupedCommand,
+    short_help="Convert a calibration to another format or unit.",
+    epilog=format_examples(
         "sylpose calibration convert camera_array.toml calibration.yml",
         "sylpose calibration convert rig.toml floor.toml --world chessboard:9x6,square=25mm --world-from floor_images",
         "sylpose calibration convert camchain.yaml calibration.toml --to anipose",
         "sylpose calibration convert rig.toml stereo.yml --to opencv-stereo --only cam_0 --only cam_2",
         "sylpose calibration convert colmap/sparse/0 calibration.toml",
-    )
+    ),
 )
-@spoken
+@report_errors
 def convert(
     source: Annotated[
-        Path, typer.Argument(metavar="IN", help="Calibration in any format that sylpose reads: a file, or a folder.")
+        Path, typer.Argument(metavar="IN", help="Calibration file or folder in any format that sylpose reads.")
     ],
     target: Annotated[
         Path,
         typer.Argument(
             metavar="OUT",
-            help="A .toml (sylpose's), .yml, .json or .xml (OpenCV's), camchain.yaml (Kalibr's), a folder (COLMAP's).",
+            help="Output: .toml (sylpose), .yml, .json or .xml (OpenCV), camchain.yaml (Kalibr), or a folder (COLMAP).",
         ),
     ],
     to: Annotated[
         str | None,
-        typer.Option(metavar="|".join(WRITTEN), help="The format of OUT; by default what its name tells."),
+        typer.Option(
+            metavar="|".join(OUTPUT_FORMATS),
+            help="Set the format of OUT; default: from its name.",
+            rich_help_panel=OUTPUT,
+        ),
     ] = None,
     unit: Annotated[
-        str | None, typer.Option(metavar="|".join(METRES), help="Of all lengths in OUT; that of IN by default.")
+        str | None,
+        typer.Option(
+            metavar="|".join(METERS),
+            help="Set the length unit of OUT; default: that of IN.",
+            rich_help_panel=OUTPUT,
+        ),
     ] = None,
     is_in: Annotated[
-        str | None, typer.Option(metavar="|".join(METRES), help="The unit of IN, which does not say it itself.")
+        str | None,
+        typer.Option(
+            metavar="|".join(METERS), help="Set the length unit of IN if the file has none.", rich_help_panel=INPUT
+        ),
     ] = None,
     only: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="CAM", help="The cameras in OUT, in this order; may be given several times. All by default."
+            metavar="CAM",
+            help="Write only this camera; repeat for more, in this order. Default: all.",
+            rich_help_panel=OUTPUT,
         ),
     ] = None,
     world: World = None,
@@ -66,31 +93,32 @@ def convert(
         list[str] | None,
         typer.Option(
             metavar="[CAM=]WIDTHxHEIGHT",
-            help="How large images are, where IN does not say it: of all cameras, or of one; may be given several times.",
+            help="Set the image size of all cameras or of one if IN does not contain it. Repeatable.",
+            rich_help_panel=INPUT,
         ),
     ] = None,
 ) -> None:
-    """Write a calibration in another format, another unit or another world.
+    """Convert a calibration to another format, length unit or world frame.
 
-    Read are sylpose, Anipose, Caliscope, OpenCV (FileStorage, stereo), Kalibr, COLMAP, ROS, JARVIS, Qualisys, Vicon,
-    OptiTrack, EasyMocap, MultiCamSelfCal, Matlab, Metashape, NeRF and DeepLabCut.
+    Reads the formats of sylpose, Anipose, Caliscope, OpenCV (FileStorage, stereo), Kalibr, COLMAP, ROS, JARVIS,
+    Qualisys, Vicon, OptiTrack, EasyMocap, MultiCamSelfCal, Matlab, Metashape, NeRF and DeepLabCut.
     """
     from sylpose import calibration
-    from sylpose.app.world import asked_world, world_asked
-    from sylpose.calibration.world import told_in
+    from sylpose.app.world import parse_world_option, resolve_world
+    from sylpose.calibration.world import transform_rig
     from sylpose.rig import Rig
 
-    rig = calibration.load(source, _sizes(size or []))
+    rig = calibration.load(source, _parse_image_sizes(size or []))
     if is_in is not None:
         if rig.unit not in ("", is_in):
-            raise ValueError(f"--is-in {is_in}: {source} says itself that it is in {rig.unit}")
-        if is_in not in METRES:
-            raise ValueError(f"--is-in must be one of {', '.join(METRES)}, got {is_in!r}")
+            raise ValueError(f"--is-in {is_in}: {source} states that its unit is {rig.unit}")
+        if is_in not in METERS:
+            raise ValueError(f"--is-in must be one of {', '.join(METERS)}, got {is_in!r}")
         rig = Rig(rig.cameras, is_in)
     notes: list[str] = []
-    if (asked := asked_world(world, world_frame, world_from)) is not None:
-        found, notes = world_asked(rig, asked)
-        rig = told_in(rig, found)
+    if (world_spec := parse_world_option(world, world_frame, world_from)) is not None:
+        found, notes = resolve_world(rig, world_spec)
+        rig = transform_rig(rig, found)
     rig = rig if unit is None else rig.in_unit(unit)
     if only:
         if unknown := [name for name in only if name not in rig.names]:
@@ -99,23 +127,23 @@ def convert(
             raise ValueError(f"--only: a camera is given twice ({', '.join(only)})")
         rig = rig.subset(only)
     lost = calibration.save(rig, target, to)
-    said = "; ".join([f"{len(rig)} cameras ({', '.join(rig.names)})", *lost])
-    print(f"{target}, {calibration.format_of(target)}: {said}")
+    summary = "; ".join([f"{len(rig)} cameras ({', '.join(rig.names)})", *lost])
+    print(f"{target}, {calibration.format_name(target)}: {summary}")
     for note in notes:
-        say(note)
+        print_message(note)
 
 
-def _sizes(given: Sequence[str]) -> Callable[[Sequence[str]], dict[str, tuple[int, int]]]:
-    """What tells the sizes of the cameras' images, from the words of `--size`."""
-    of_all: tuple[int, int] | None = None
-    own: dict[str, tuple[int, int]] = {}
-    for text in given:
-        name, _, words = text.rpartition("=")
-        match = re.fullmatch(r"([0-9]{1,6})x([0-9]{1,6})", words)
+def _parse_image_sizes(values: Sequence[str]) -> Callable[[Sequence[str]], dict[str, tuple[int, int]]]:
+    """Parse the values of `--size`; return a function from camera names to image sizes."""
+    default_size: tuple[int, int] | None = None
+    size_by_camera: dict[str, tuple[int, int]] = {}
+    for text in values:
+        name, _, size_text = text.rpartition("=")
+        match = re.fullmatch(r"([0-9]{1,6})x([0-9]{1,6})", size_text)
         if match is None:
-            raise ValueError(f"--size: WIDTHxHEIGHT or CAM=WIDTHxHEIGHT is expected, such as 1280x720, got {text!r}")
+            raise ValueError(f"--size: expected WIDTHxHEIGHT or CAM=WIDTHxHEIGHT, such as 1280x720, got {text!r}")
         if name:
-            own[name] = int(match[1]), int(match[2])
+            size_by_camera[name] = int(match[1]), int(match[2])
         else:
-            of_all = int(match[1]), int(match[2])
-    return lambda names: {name: size for name in names if (size := own.get(name, of_all)) is not None}
+            default_size = int(match[1]), int(match[2])
+    return lambda names: {name: size for name in names if (size := size_by_camera.get(name, default_size)) is not None}

@@ -1,4 +1,4 @@
-"""What the commands have in common: how they are asked, how they end, and options that several have."""
+"""Shared parts of the commands: the app, error handling, grouped help and common options."""
 
 from __future__ import annotations
 
@@ -7,25 +7,33 @@ import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, NoReturn, ParamSpec, get_type_hints
+from typing import Annotated, Any, NoReturn, ParamSpec, get_type_hints
 
 import typer
+from typer.core import TyperCommand
 from typer.models import OptionInfo
 
-from sylpose.input_limits import SENTENCE, one_line
-from sylpose.report.formats import FORMATS
-from sylpose.units import METRES
+from sylpose.input_limits import MAX_SENTENCE_LENGTH, to_one_line
+from sylpose.report.formats import PICTURE_FORMATS
+from sylpose.units import METERS
 
 __all__ = [
+    "ADVANCED",
+    "INPUT",
     "INTERRUPTED",
+    "LIVE",
+    "OBJECT",
+    "OUTPUT",
     "WRONG_INPUT",
-    "Axes",
     "BoxesFile",
     "Browser",
     "CalibrationFile",
     "CameraFiles",
+    "EulerAxes",
+    "ExcludedCameras",
+    "FrameOffsets",
+    "GroupedCommand",
     "MasksFolder",
-    "Offsets",
     "OutFolder",
     "Overlay",
     "PlotFormat",
@@ -34,42 +42,44 @@ __all__ = [
     "RefineCalibration",
     "Seed",
     "SessionPath",
-    "Stop",
+    "StopFrame",
     "Unit",
-    "Without",
     "World",
     "WorldFrame",
     "WorldFrom",
     "app",
-    "examples",
-    "fail",
-    "one_of",
-    "say",
-    "spoken",
+    "exit_with_failures",
+    "format_examples",
+    "make_choice_check",
+    "print_message",
+    "report_errors",
 ]
 
 P = ParamSpec("P")
 
 FAILED, WRONG_INPUT, INTERRUPTED = 1, 2, 130
-# Options by the names that Python's functions have for them, where these are not the commands' own.
-_IN_PYTHON = {
+# Sections of `--help`, in their order; options without a section come first, under "Options".
+INPUT, OBJECT, OUTPUT, LIVE, ADVANCED = _SECTIONS = ("Input", "Object", "Output", "Live", "Advanced")
+# Options whose argument in the Python functions has another name than in the command.
+_OPTION_BY_ARGUMENT = {
     "cameras": "--video",
     "known": "--object",
+    "max_time_diff": "--within",
     "offsets": "--frame-offset",
     "plot_format": "--format",
     "up": "--world",
 }
 
 
-def examples(*lines: str) -> str:
-    """Lines below a help text that are not run together."""
+def format_examples(*lines: str) -> str:
+    """Format example lines for an epilog; Click does not rewrap them."""
     return "\b\nExamples:\n" + "\n".join(f"  {line}" for line in lines)
 
 
 app = typer.Typer(
     name="sylpose",
-    help="How a rigid object moves in 3D, from the videos of several calibrated cameras.",
-    epilog=examples("sylpose demo", "sylpose check recording", "sylpose track recording"),
+    help="Measure how a rigid object moves in 3D from the videos of several calibrated cameras.",
+    epilog=format_examples("sylpose demo", "sylpose check recording", "sylpose track recording"),
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -78,64 +88,98 @@ app = typer.Typer(
 )
 
 
-def spoken(command: Callable[P, None]) -> Callable[P, None]:
-    """Wrong input and interrupts end a command with a sentence and an exit code; bugs keep their traceback."""
+class GroupedCommand(TyperCommand):
+    """Command whose `--help` lists the options by their `rich_help_panel`, as plain text."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write one section per panel; `--help` itself ends the last one."""
+        sections: dict[str, list[tuple[str, str]]] = {name: [] for name in ("Arguments", "Options", *_SECTIONS)}
+        last = []
+        for param in self.get_params(ctx):
+            if (record := param.get_help_record(ctx)) is None:
+                continue
+            if param.param_type_name == "argument":
+                sections["Arguments"].append(record)
+            elif "--help" in param.opts:
+                last.append(record)
+            else:
+                sections[getattr(param, "rich_help_panel", None) or "Options"].append(record)
+        used = [name for name in sections if name != "Arguments" and sections[name]] or ["Options"]
+        sections[used[-1]] += last
+        for name, records in sections.items():
+            if records:
+                with formatter.section(name):
+                    formatter.write_dl(records)
+
+
+def report_errors(command: Callable[P, None]) -> Callable[P, None]:
+    """Turn wrong input and interrupts into a one-line message and an exit code; bugs keep their traceback."""
 
     @functools.wraps(command)
     def run(*args: P.args, **kwargs: P.kwargs) -> None:
         try:
             command(*args, **kwargs)
         except KeyboardInterrupt as interrupt:
-            say(str(interrupt) or "interrupted")
+            print_message(str(interrupt) or "interrupted")
             raise typer.Exit(INTERRUPTED) from None
-        except BrokenPipeError:  # nobody reads any more, which Typer handles
+        except BrokenPipeError:  # the reader has closed the pipe; Typer handles it
             raise
         except (ValueError, OSError) as error:
             if type(error).__name__ == "LinAlgError":  # a bug
                 raise
-            said = sentence_of(error)
-            say(as_typed(said, options_of(command), kwargs) if isinstance(error, ValueError) else said)
+            message = format_error(error)
+            print_message(
+                substitute_option_name(message, map_option_names(command), kwargs)
+                if isinstance(error, ValueError)
+                else message
+            )
             raise typer.Exit(WRONG_INPUT) from None
 
     return run
 
 
-def options_of(command: Callable[..., None]) -> dict[str, str]:
-    """A command's options by the names that arguments have in Python."""
+def map_option_names(command: Callable[..., None]) -> dict[str, str]:
+    """Map the names of a command's Python arguments to its options."""
     found: dict[str, str] = {}
     for name, hint in get_type_hints(command, include_extras=True).items():
-        for its in getattr(hint, "__metadata__", ()):
-            if isinstance(its, OptionInfo):
-                # Typer has the first word where an option's default is, until it builds the command.
-                words = [str(w) for w in (its.default, *(its.param_decls or ())) if str(w).startswith("--")]
+        for info in getattr(hint, "__metadata__", ()):
+            if isinstance(info, OptionInfo):
+                # Until Typer builds the command, it keeps the first declaration in `default`.
+                words = [str(w) for w in (info.default, *(info.param_decls or ())) if str(w).startswith("--")]
                 found[name] = words[0].partition("/")[0] if words else f"--{name.replace('_', '-')}"
-    return found | {name: option for name, option in _IN_PYTHON.items() if option in found.values()}
+    return found | {name: option for name, option in _OPTION_BY_ARGUMENT.items() if option in found.values()}
 
 
-def as_typed(sentence: str, options: Mapping[str, str], given: Mapping[str, object]) -> str:
-    """A sentence about a wrong argument of a function with the option in its place that was typed.
+def substitute_option_name(message: str, options: Mapping[str, str], arguments: Mapping[str, object]) -> str:
+    """Replace the Python argument that an error message names by the option that was typed.
 
-    Such sentences begin with the argument's name, or with that of the session or file and then with it. What was typed
-    itself, a folder called "start", say, is no argument's name.
+    Such messages begin with the argument's name, or with the session or file and then the name. A typed value, for
+    example a folder called "start", is not taken for an argument.
 
     Args:
-        options: as `options_of` has them.
-        given: what the command was given.
+        message: the error message.
+        options: options from `map_option_names`.
+        arguments: the command's argument values by name.
+
+    Returns:
+        The message with the option's name; unchanged if it names no argument.
     """
-    typed = {str(value) for value in given.values()}
-    for head in ("", *(f"{value}: " for value in given.values() if isinstance(value, Path))):
-        found = re.match(r"[a-z_]+(?=: | must | cannot )", sentence.removeprefix(head))
-        if sentence.startswith(head) and found and found[0] in options and found[0] not in typed:
-            return f"{head}{options[found[0]]}{sentence.removeprefix(head)[found.end() :]}"
-    return sentence
+    typed_values = {str(value) for value in arguments.values()}
+    for prefix in ("", *(f"{value}: " for value in arguments.values() if isinstance(value, Path))):
+        found = re.match(r"[a-z_]+(?=: | must | cannot )", message.removeprefix(prefix))
+        if message.startswith(prefix) and found and found[0] in options and found[0] not in typed_values:
+            return f"{prefix}{options[found[0]]}{message.removeprefix(prefix)[found.end() :]}"
+    return message
 
 
-def say(sentence: str) -> None:
-    # One line whatever was read, names of files included.
-    print(f"sylpose: {one_line(sentence, SENTENCE)}", file=sys.stderr)
+def print_message(message: str) -> None:
+    """Print a message on stderr as one line that begins with "sylpose: "."""
+    # Names of files may contain line breaks: reduce the message to one line.
+    print(f"sylpose: {to_one_line(message, MAX_SENTENCE_LENGTH)}", file=sys.stderr)
 
 
-def sentence_of(error: ValueError | OSError) -> str:
+def format_error(error: ValueError | OSError) -> str:
+    """Return the message of an error, with the file it concerns."""
     if isinstance(error, OSError) and error.filename is not None and error.strerror:
         return f"{error.filename}: {error.strerror.lower()}"
     return str(error) or type(error).__name__
@@ -147,50 +191,84 @@ SessionPath = Annotated[
 ]
 CalibrationFile = Annotated[
     Path | None,
-    typer.Option("--calibration", metavar="PATH", help="Calibration, a file or folder; found in SESSION if there."),
+    typer.Option(
+        "--calibration",
+        metavar="PATH",
+        help="Read the calibration from this file or folder; by default searched in SESSION.",
+        rich_help_panel=INPUT,
+    ),
 ]
 BoxesFile = Annotated[
     Path | None,
-    typer.Option("--boxes", metavar="FILE", help="The object's boxes in the first frame; SESSION/boxes.toml if any."),
-]
-MasksFolder = Annotated[
-    Path | None, typer.Option("--masks", metavar="DIR", help="Masks of the object; SESSION/masks if there is one.")
-]
-Offsets = Annotated[
-    list[str] | None,
     typer.Option(
-        "--frame-offset", metavar="CAM=N", help="A camera that starts N frames late; may be given several times."
+        "--boxes",
+        metavar="FILE",
+        help="Read the object's boxes in the first frame; default: SESSION/boxes.toml if present.",
+        rich_help_panel=OBJECT,
     ),
 ]
-Axes = Annotated[
+MasksFolder = Annotated[
+    Path | None,
+    typer.Option(
+        "--masks",
+        metavar="DIR",
+        help="Read the object's masks; default: SESSION/masks if present.",
+        rich_help_panel=OBJECT,
+    ),
+]
+FrameOffsets = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--frame-offset",
+        metavar="CAM=N",
+        help="Set by how many frames a camera starts late. Repeatable.",
+        rich_help_panel=INPUT,
+    ),
+]
+EulerAxes = Annotated[
     str | None,
     typer.Option(
         "--euler",
         metavar="AXES",
-        help="Three more angles in the CSV, and those of the plots: XYZ (axes that turn along), xyz (that stand), or three "
+        help="Add three Euler angles to the CSV and plot them: XYZ (intrinsic axes), xyz (extrinsic axes), or three "
         'vectors, "0,0,1 1,0,0 0,1,0".',
+        rich_help_panel=OUTPUT,
     ),
 ]
 CameraFiles = Annotated[
     list[str] | None,
     typer.Option(
-        "--video", metavar="NAME=FILE", help="A camera's video or folder, where its name does not tell; several times."
+        "--video",
+        metavar="NAME=FILE",
+        help="Assign a video or image folder to a camera if its name does not match. Repeatable.",
+        rich_help_panel=INPUT,
     ),
 ]
-Without = Annotated[
+ExcludedCameras = Annotated[
     list[str] | None,
     typer.Option(
-        "--exclude-camera", metavar="CAM", help="Leave a camera out, one without a video, say; several times."
+        "--exclude-camera",
+        metavar="CAM",
+        help="Leave out a camera, for example one without a video. Repeatable.",
+        rich_help_panel=INPUT,
     ),
 ]
 Rate = Annotated[
     float | None,
-    typer.Option("--rate", metavar="HZ", help="Frames per second of folders of images; for times in seconds."),
+    typer.Option(
+        "--rate",
+        metavar="HZ",
+        help="Set the frame rate of image folders, for times in seconds.",
+        rich_help_panel=INPUT,
+    ),
 ]
 Unit = Annotated[
     str | None,
     typer.Option(
-        "--unit", metavar="|".join(METRES), help="Of all lengths in the results; the calibration's by default."
+        "--unit",
+        metavar="|".join(METERS),
+        help="Set the length unit of the results; default: the calibration's.",
+        rich_help_panel=OUTPUT,
     ),
 ]
 World = Annotated[
@@ -198,33 +276,76 @@ World = Annotated[
     typer.Option(
         "--world",
         metavar="WORLD",
-        help="A world of your own, z up: a board on the floor (chessboard:9x6,square=25mm), up=0,-1,0 in the calibration's, "
-        "or a file (world.toml, or three points: docs/formats.md).",
+        help="Set the world frame, z up: a board on the floor (chessboard:9x6,square=25mm), up=0,-1,0 in the calibration's "
+        "frame, or a file (world.toml, or three points: docs/formats.md).",
+        rich_help_panel=OUTPUT,
     ),
 ]
 WorldFrame = Annotated[
-    int | None, typer.Option("--world-frame", metavar="N", min=0, help="The frame that shows the board; the first one.")
+    int | None,
+    typer.Option(
+        "--world-frame",
+        metavar="N",
+        min=0,
+        help="Detect the world board in this frame; default: the first frame.",
+        rich_help_panel=OUTPUT,
+    ),
 ]
 WorldFrom = Annotated[
     Path | None,
-    typer.Option("--world-from", metavar="DIR", help="Images or videos that show the board, instead of SESSION."),
+    typer.Option(
+        "--world-from",
+        metavar="DIR",
+        help="Detect the world board in these images or videos instead of SESSION.",
+        rich_help_panel=OUTPUT,
+    ),
 ]
 OutFolder = Annotated[
-    Path | None, typer.Option("--out", metavar="DIR", help="Where the results go; SESSION/sylpose by default.")
+    Path | None,
+    typer.Option(
+        "--out", metavar="DIR", help="Write the results here; default: SESSION/sylpose.", rich_help_panel=OUTPUT
+    ),
 ]
-Stop = Annotated[int | None, typer.Option(metavar="N", help="The frame to stop before; all by default.")]
-Overlay = Annotated[bool, typer.Option("--overlay/--no-overlay", help="Write overlay.mp4.")]
-Port = Annotated[int, typer.Option("--port", metavar="N", min=0, max=65535, help="Of the page; 0: any that is free.")]
-Browser = Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")]
+StopFrame = Annotated[
+    int | None, typer.Option(metavar="N", help="Stop before this frame; default: the end.", rich_help_panel=INPUT)
+]
+Overlay = Annotated[bool, typer.Option("--overlay/--no-overlay", help="Write overlay.mp4.", rich_help_panel=OUTPUT)]
+Port = Annotated[
+    int,
+    typer.Option(
+        "--port",
+        metavar="N",
+        min=0,
+        max=65535,
+        help="Serve the page on this port; 0: any free port.",
+        rich_help_panel=LIVE,
+    ),
+]
+Browser = Annotated[
+    bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.", rich_help_panel=LIVE)
+]
 RefineCalibration = Annotated[
-    bool, typer.Option("--refine-calibration", help="Smooth; write calibration.refined.toml, too.")
+    bool,
+    typer.Option(
+        "--refine-calibration",
+        help="Smooth and also estimate the calibration's errors; write calibration.refined.toml.",
+        rich_help_panel=ADVANCED,
+    ),
 ]
 Seed = Annotated[
-    int, typer.Option("--seed", metavar="N", help="Of everything random: the same seed gives the same result.")
+    int,
+    typer.Option(
+        "--seed",
+        metavar="N",
+        help="Set the random seed; equal seeds give equal results.",
+        rich_help_panel=ADVANCED,
+    ),
 ]
 
 
-def one_of(choices: Sequence[str]) -> Callable[[str], str]:
+def make_choice_check(choices: Sequence[str]) -> Callable[[str], str]:
+    """Return a Typer callback that accepts only the given choices."""
+
     def check(name: str) -> str:
         if name not in choices:
             raise typer.BadParameter(f"{name!r} is not one of {', '.join(choices)}")
@@ -235,11 +356,18 @@ def one_of(choices: Sequence[str]) -> Callable[[str], str]:
 
 PlotFormat = Annotated[
     str,
-    typer.Option("--format", metavar="|".join(FORMATS), help="Of pictures of trajectories.", callback=one_of(FORMATS)),
+    typer.Option(
+        "--format",
+        metavar="|".join(PICTURE_FORMATS),
+        help="Set the file format of plots.",
+        callback=make_choice_check(PICTURE_FORMATS),
+        rich_help_panel=OUTPUT,
+    ),
 ]
 
 
-def fail(sentences: Sequence[str]) -> NoReturn:
-    for sentence in sentences:
-        say(sentence)
+def exit_with_failures(messages: Sequence[str]) -> NoReturn:
+    """Print the messages and exit with code 1."""
+    for message in messages:
+        print_message(message)
     raise typer.Exit(FAILED)

@@ -6,27 +6,30 @@ from typing import Annotated
 
 import typer
 
-from sylpose.cli.common import app, examples, fail, spoken
+from sylpose.cli.common import app, exit_with_failures, format_examples, report_errors
 
 __all__ = ["doctor"]
 
 
 @app.command(
-    short_help="What is installed, and whether it works.",
-    epilog=examples("sylpose doctor", "sylpose doctor --json", "sylpose doctor --compile"),
+    short_help="Check the installation.",
+    epilog=format_examples("sylpose doctor", "sylpose doctor --json", "sylpose doctor --compile"),
 )
-@spoken
+@report_errors
 def doctor(
-    as_json: Annotated[bool, typer.Option("--json", help="As one object, for programs and reports.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object, for programs and bug reports.")
+    ] = False,
     compile_first: Annotated[
-        bool, typer.Option("--compile", help="Compile what tracking needs now, so that the first run does not.")
+        bool, typer.Option("--compile", help="Compile the tracking kernels now, to save the time in the first run.")
     ] = False,
 ) -> None:
-    """Versions, OpenCV's flavour, cores and memory, where compiled code is kept, extras and how to get them.
+    """Check the installation and list missing optional packages.
 
-    Exit code 1, with sentences, where something that is needed is missing or broken.
+    Shows versions, the OpenCV variant, cores and memory, the cache of compiled code, and the extras with their install
+    commands. Exits with code 1 and a message for each required package that is missing or broken.
     """
-    from sylpose.app.doctor import doctor_aloud
+    from sylpose.app.doctor import run_doctor_command
 
-    if problems := doctor_aloud(as_json=as_json, compile_first=compile_first):
-        fail(problems)
+    if problems := run_doctor_command(as_json=as_json, compile_first=compile_first):
+        exit_with_failures(problems)

@@ -7,130 +7,227 @@ from typing import Annotated
 
 import typer
 
-from sylpose.cli.common import Seed, app, examples, fail, one_of, spoken
-from sylpose.methods import FEATURES, METHODS, MODES, features_of
+from sylpose.cli.common import (
+    ADVANCED,
+    INPUT,
+    LIVE,
+    OBJECT,
+    OUTPUT,
+    GroupedCommand,
+    Seed,
+    app,
+    exit_with_failures,
+    format_examples,
+    make_choice_check,
+    report_errors,
+)
+from sylpose.methods import FEATURES, METHODS, MODES, resolve_features
 
-__all__ = ["demo_of_network", "init", "node", "nodes"]
+__all__ = ["init", "network_demo", "node", "nodes"]
 
 LOOPBACK = "127.0.0.1:0"
 
-network_app = typer.Typer(help="Networks of nodes: keys, a demonstration.", no_args_is_help=True, rich_markup_mode=None)
+network_app = typer.Typer(
+    help="Create keys for a network, or run a demonstration.", no_args_is_help=True, rich_markup_mode=None
+)
 app.add_typer(network_app, name="network")
 
 Network = Annotated[
-    str, typer.Option("--network", metavar="NAME", help="Nodes of the same name and rig find each other.")
+    str,
+    typer.Option("--network", metavar="NAME", help="Join the nodes with the same name and rig.", rich_help_panel=LIVE),
 ]
 Listen = Annotated[
     str,
-    typer.Option("--listen", metavar="HOST:PORT", help="Where others reach this node; only this machine by default."),
+    typer.Option(
+        "--listen",
+        metavar="HOST:PORT",
+        help="Accept connections at this address; default: from this machine only.",
+        rich_help_panel=LIVE,
+    ),
 ]
 Connect = Annotated[
     list[str] | None,
-    typer.Option("--connect", metavar="HOST:PORT", help="A node to begin with; may be given several times."),
+    typer.Option(
+        "--connect", metavar="HOST:PORT", help="Connect to this node first. Repeatable.", rich_help_panel=LIVE
+    ),
 ]
-Keys = Annotated[Path | None, typer.Option("--keys", metavar="DIR", help="This node's keys: see sylpose network init.")]
+Keys = Annotated[
+    Path | None,
+    typer.Option("--keys", metavar="DIR", help="Use the node's keys from sylpose network init.", rich_help_panel=LIVE),
+]
 
 
 @app.command(
-    short_help="One camera on one machine, among others.",
-    epilog=examples(
+    cls=GroupedCommand,
+    short_help="Run one camera as a node of a network.",
+    epilog=format_examples(
         "sylpose node cam_0 --calibration rig.toml --source recording/cam_0.mp4 --boxes recording/boxes.toml",
         "sylpose node cam_2 --calibration rig.toml --source 0 --rate 30 --listen 192.168.1.12:7447 --keys keys",
         "sylpose node --view top --calibration virtual.toml",
     ),
 )
-@spoken
+@report_errors
 def node(
     camera: Annotated[
         str | None, typer.Argument(metavar="CAMERA", help="The camera's name in the calibration.")
     ] = None,
     calibration: Annotated[
-        Path | None, typer.Option("--calibration", metavar="FILE", help="Of the whole rig, the same at all nodes.")
+        Path | None,
+        typer.Option(
+            "--calibration",
+            metavar="FILE",
+            help="Read the calibration of the whole rig, identical on all nodes.",
+            rich_help_panel=INPUT,
+        ),
     ] = None,
     source: Annotated[
         str | None,
-        typer.Option("--source", metavar="DEVICE|FILE|URL|FOLDER", help="Its images: a camera's number, a video, ..."),
+        typer.Option(
+            "--source",
+            metavar="DEVICE|FILE|URL|FOLDER",
+            help="Read the images from a camera (by number), a video, a stream or a folder.",
+            rich_help_panel=INPUT,
+        ),
     ] = None,
     boxes: Annotated[
         Path | None,
-        typer.Option("--boxes", metavar="FILE", help="The object's boxes in the first frame, the same at all nodes."),
+        typer.Option(
+            "--boxes",
+            metavar="FILE",
+            help="Read the object's boxes in the first frame, identical on all nodes.",
+            rich_help_panel=OBJECT,
+        ),
     ] = None,
     view: Annotated[
         str | None,
         typer.Option(
-            "--view", metavar="CAMERA", help="A node without images: the others' poses as this camera sees them."
+            "--view",
+            metavar="CAMERA",
+            help="Run a node without images that writes the others' poses in this camera's frame.",
+            rich_help_panel=OUTPUT,
         ),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Where its results go; ./sylpose_CAMERA by default.")
+        Path | None,
+        typer.Option(
+            "--out",
+            metavar="DIR",
+            help="Write the results here; default: ./sylpose_CAMERA.",
+            rich_help_panel=OUTPUT,
+        ),
     ] = None,
     network: Network = "sylpose",
     listen: Listen = LOOPBACK,
     connect: Connect = None,
     keys: Keys = None,
     multicast: Annotated[
-        bool, typer.Option("--multicast/--no-multicast", help="Look for others on the network that it listens to.")
+        bool,
+        typer.Option(
+            "--multicast/--no-multicast",
+            help="Discover other nodes on the network of --listen.",
+            rich_help_panel=LIVE,
+        ),
     ] = True,
     rate: Annotated[
-        float | None, typer.Option("--rate", metavar="HZ", min=0.001, help="Frames per second, the same at all nodes.")
+        float | None,
+        typer.Option(
+            "--rate",
+            metavar="HZ",
+            min=0.001,
+            help="Set the frame rate, identical on all nodes.",
+            rich_help_panel=INPUT,
+        ),
     ] = None,
     speed: Annotated[
         float,
-        typer.Option("--speed", metavar="X", min=0, help="Of a recording: 2 is twice as fast, 0 as fast as it goes."),
+        typer.Option(
+            "--speed",
+            metavar="X",
+            min=0,
+            help="Set the playback speed of a recording: 2 is twice as fast, 0 as fast as possible.",
+            rich_help_panel=INPUT,
+        ),
     ] = 1.0,
     wait: Annotated[
         float,
-        typer.Option("--wait", metavar="SEC", min=0, help="For the other cameras at first, before it begins without."),
+        typer.Option(
+            "--wait",
+            metavar="SEC",
+            min=0,
+            help="Wait for the other cameras before starting without them.",
+            rich_help_panel=LIVE,
+        ),
     ] = 10.0,
     patience: Annotated[
         float,
         typer.Option(
-            "--patience", metavar="SEC", min=0.1, help="With a camera that is there and does not get on with it."
+            "--patience",
+            metavar="SEC",
+            min=0.1,
+            help="Wait for a connected camera that makes no progress.",
+            rich_help_panel=LIVE,
         ),
     ] = 10.0,
     method: Annotated[
-        str, typer.Option(metavar="|".join(METHODS), help="As of sylpose track.", callback=one_of(METHODS))
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="Select the estimation method; see sylpose track.",
+            callback=make_choice_check(METHODS),
+            rich_help_panel=ADVANCED,
+        ),
     ] = METHODS[0],
     features: Annotated[
-        str, typer.Option(metavar="|".join(FEATURES), help="As of sylpose track.", callback=one_of(FEATURES))
+        str,
+        typer.Option(
+            metavar="|".join(FEATURES),
+            help="Select the features; see sylpose track.",
+            callback=make_choice_check(FEATURES),
+            rich_help_panel=ADVANCED,
+        ),
     ] = FEATURES[0],
     mode: Annotated[
         str,
         typer.Option(
-            metavar="|".join(MODES), help="As one process, or in fewer rounds, nearly so.", callback=one_of(MODES)
+            metavar="|".join(MODES),
+            help="Get the same result as one process (exact), or nearly the same in fewer rounds (compact).",
+            callback=make_choice_check(MODES),
+            rich_help_panel=ADVANCED,
         ),
     ] = MODES[0],
     seed: Seed = 0,
 ) -> None:
-    """One camera of a rig on its own machine: it sees its own images, and finds the pose together with the other cameras.
+    """Run one camera of a rig as a node that estimates the pose jointly with the other cameras.
 
-    All come to the same poses, those that one computer with all images would find; who comes late or comes back takes part
-    again. Writes CAMERA.tum and CAMERA.csv into OUT, and tells each pose to whoever listens (docs/network.md).
+    A node reads only its own images. All nodes get the same poses, equal to those of one computer with all images;
+    nodes may join late or rejoin. Writes CAMERA.tum and CAMERA.csv into OUT and publishes each pose (docs/network.md).
     """
     from sylpose import calibration as calibrations
-    from sylpose.app.view import looked_up
-    from sylpose.network.zenoh_transport import Links
+    from sylpose.app.view import load_camera
+    from sylpose.network.zenoh_transport import LinkSettings
 
-    _need_zenoh()
+    _require_zenoh()
     if calibration is None:
-        raise ValueError("--calibration FILE is needed: the rig's, the same at all nodes")
-    links = Links(listen, tuple(connect or ()), keys, multicast)
+        raise ValueError("--calibration FILE is required: the rig's, identical on all nodes")
+    links = LinkSettings(listen, tuple(connect or ()), keys, multicast)
     if view is not None:
-        from sylpose.app.node_view import view_node_aloud
+        from sylpose.app.node_view import run_node_view_command
 
         if camera is not None or source is not None:
-            raise ValueError("--view is a node without a camera: give no CAMERA and no --source with it")
-        seen = looked_up(view, calibration)
-        if not view_node_aloud(seen, network, links, out if out is not None else Path(f"sylpose_{view}")):
-            fail([f"{view}: nobody in network {network} told a pose"])
+            raise ValueError("--view runs a node without a camera: give no CAMERA and no --source with it")
+        virtual_camera = load_camera(view, calibration)
+        if not run_node_view_command(
+            virtual_camera, network, links, out if out is not None else Path(f"sylpose_{view}")
+        ):
+            exit_with_failures([f"{view}: no node in network {network} published a pose"])
         return
-    from sylpose.app.node import Asked, node_aloud
+    from sylpose.app.node import NodeOptions, run_node_command
 
     if camera is None or source is None:
-        raise ValueError("a node is a camera and its images: CAMERA and --source are needed (or --view CAMERA)")
-    features_of(method, features)
-    links = Links(listen, tuple(connect or ()), keys, multicast, calibrations.load(calibration).names)
-    asked = Asked(
+        raise ValueError("a node requires a camera and its images: give CAMERA and --source (or --view CAMERA)")
+    resolve_features(method, features)
+    links = LinkSettings(listen, tuple(connect or ()), keys, multicast, calibrations.load(calibration).names)
+    options = NodeOptions(
         camera,
         calibration,
         source,
@@ -147,53 +244,59 @@ def node(
         mode,
         seed,
     )
-    if not node_aloud(asked):
-        fail([f"{camera}: no pose was found"])
+    if not run_node_command(options):
+        exit_with_failures([f"{camera}: no pose was found"])
 
 
 @app.command(
-    short_help="Which nodes are there, and how they are.",
-    epilog=examples("sylpose nodes", "sylpose nodes --network lab --keys keys"),
+    cls=GroupedCommand,
+    short_help="List nodes and their status.",
+    epilog=format_examples("sylpose nodes", "sylpose nodes --network lab --keys keys"),
 )
-@spoken
+@report_errors
 def nodes(
     network: Network = "sylpose",
     listen: Listen = LOOPBACK,
     connect: Connect = None,
     keys: Keys = None,
-    seconds: Annotated[float, typer.Option("--seconds", metavar="SEC", min=0.1, help="How long to listen.")] = 2.5,
+    seconds: Annotated[
+        float,
+        typer.Option("--seconds", metavar="SEC", min=0.1, help="Listen for this long.", rich_help_panel=LIVE),
+    ] = 2.5,
 ) -> None:
-    """The nodes of a network: what they do, with whom, frames, latency, bytes and rounds per frame, clocks."""
-    from sylpose.app.node import nodes_aloud
-    from sylpose.network.zenoh_transport import Links
+    """List the nodes of a network: status, peers, frames, latency, bytes and rounds per frame, clocks."""
+    from sylpose.app.node import run_nodes_command
+    from sylpose.network.zenoh_transport import LinkSettings
 
-    _need_zenoh()
-    if not nodes_aloud(network, Links(listen, tuple(connect or ()), keys), seconds):
-        fail([f"nobody is in network {network}"])
+    _require_zenoh()
+    if not run_nodes_command(network, LinkSettings(listen, tuple(connect or ()), keys), seconds):
+        exit_with_failures([f"network {network} has no nodes"])
 
 
 @network_app.command(
-    epilog=examples("sylpose network init keys --calibration rig.toml --host cam0.lab --host cam1.lab")
+    short_help="Create a certificate authority and camera keys.",
+    epilog=format_examples("sylpose network init keys --calibration rig.toml --host cam0.lab --host cam1.lab"),
 )
-@spoken
+@report_errors
 def init(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Where the keys go.")],
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the keys.")],
     calibration: Annotated[
-        Path, typer.Option("--calibration", metavar="FILE", help="Of the rig: a key for each camera.")
+        Path, typer.Option("--calibration", metavar="FILE", help="Create one key per camera of this calibration.")
     ],
     host: Annotated[
-        list[str] | None, typer.Option("--host", metavar="NAME", help="A machine's name or address; may be repeated.")
+        list[str] | None,
+        typer.Option("--host", metavar="NAME", help="Add a machine's name or address to the certificates. Repeatable."),
     ] = None,
 ) -> None:
-    """Make a certificate authority and a key for each camera.
+    """Create a certificate authority and a key for each camera.
 
-    Copy ca.pem, CAMERA.pem and CAMERA.key to that camera's machine; ca.key makes further keys and stays here.
+    Copy ca.pem, CAMERA.pem and CAMERA.key to that camera's machine. Keep ca.key here; it signs further keys.
     """
     from sylpose import calibration as calibrations
     from sylpose.app import console_output
     from sylpose.network.keys import make_keys
 
-    _need_zenoh()
+    _require_zenoh()
     rig = calibrations.load(calibration)
     written = make_keys(folder, rig.names, host or ())
     if written:
@@ -202,30 +305,37 @@ def init(
         print(f"{folder}: has all keys already")
 
 
-@network_app.command("demo", epilog=examples("sylpose network demo", "sylpose network demo --frames 120 --out block"))
-@spoken
-def demo_of_network(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where recording and results go.")] = Path(
+@network_app.command(
+    "demo",
+    cls=GroupedCommand,
+    short_help="Run four nodes on a rendered recording.",
+    epilog=format_examples("sylpose network demo", "sylpose network demo --frames 120 --out block"),
+)
+@report_errors
+def network_demo(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Write the recording and the results here.")] = Path(
         "sylpose_network_demo"
     ),
-    frames: Annotated[int, typer.Option(metavar="N", min=20, help="How many.")] = 60,
-    speed: Annotated[float, typer.Option("--speed", metavar="X", min=0, help="0: as fast as it goes.")] = 0.1,
+    frames: Annotated[int, typer.Option(metavar="N", min=20, help="Render N frames.")] = 60,
+    speed: Annotated[
+        float, typer.Option("--speed", metavar="X", min=0, help="Set the playback speed; 0: as fast as possible.")
+    ] = 0.1,
     seed: Seed = 0,
 ) -> None:
-    """Four nodes, a process each, on a rendered recording; one is killed in the middle and started again.
+    """Run four nodes, one process each, on a rendered recording; kill and restart one midway.
 
-    Draws all four answers over the truth, OUT/network.png.
+    Plots all four results against the ground truth in OUT/network.png.
     """
-    from sylpose.app.network_demo import network_demo_aloud
+    from sylpose.app.network_demo import run_network_demo
 
-    _need_zenoh()
-    if failures := network_demo_aloud(out, frames=frames, speed=speed, seed=seed):
-        fail(failures)
+    _require_zenoh()
+    if failures := run_network_demo(out, frames=frames, speed=speed, seed=seed):
+        exit_with_failures(failures)
 
 
-def _need_zenoh() -> None:
+def _require_zenoh() -> None:
     from importlib.util import find_spec
 
     missing = [name for name in ("zenoh", "cryptography") if find_spec(name) is None]
     if missing:
-        raise ValueError("nodes need the extra [network]: pip install 'sylpose[network]'")
+        raise ValueError("nodes require the extra [network]: pip install 'sylpose[network]'")

@@ -8,83 +8,100 @@ from typing import Annotated
 import typer
 
 from sylpose.cli.common import (
+    ADVANCED,
+    INPUT,
+    OUTPUT,
     CalibrationFile,
     CameraFiles,
+    ExcludedCameras,
+    GroupedCommand,
     PlotFormat,
     Rate,
     Seed,
-    Stop,
+    StopFrame,
     Unit,
-    Without,
     app,
-    examples,
-    fail,
-    spoken,
+    exit_with_failures,
+    format_examples,
+    report_errors,
 )
-from sylpose.units import METRES
+from sylpose.units import METERS
 
 __all__ = ["pose"]
 
 
 @app.command(
-    short_help="An object of known points or markers, frame by frame.",
-    epilog=examples(
+    cls=GroupedCommand,
+    short_help="Solve poses from known object points or markers.",
+    epilog=format_examples(
         "sylpose pose cube.toml recording --out cube",
         "sylpose pose skull.csv pixels.csv --calibration rig.toml --rate 100 --out skull",
         "sylpose pose skull.csv cam_0DLC.csv cam_1DLC.csv --calibration rig.toml --is-in mm",
     ),
 )
-@spoken
+@report_errors
 def pose(
     model: Annotated[
         Path,
-        typer.Argument(
-            metavar="MODEL", help="Points of the object (.csv: name,x,y,z; .toml; .ply, .obj) or markers (.toml)."
-        ),
+        typer.Argument(metavar="MODEL", help="Object points (.csv: name,x,y,z; .toml; .ply, .obj) or markers (.toml)."),
     ],
-    seen: Annotated[
+    observations: Annotated[
         list[Path] | None,
         typer.Argument(
-            metavar="SEEN...",
-            help="A recording, for markers; or where cameras see the points: camera,frame,name,u,v, or DeepLabCut's tables.",
+            metavar="OBSERVATIONS...",
+            help="Recording, for markers; or tables of image points: camera,frame,name,u,v, or DeepLabCut's.",
             show_default=False,
         ),
     ] = None,
     calibration: CalibrationFile = None,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the results go.")] = Path("sylpose_pose"),
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Write the results here.", rich_help_panel=OUTPUT)] = Path(
+        "sylpose_pose"
+    ),
     camera: CameraFiles = None,
-    without: Without = None,
+    without: ExcludedCameras = None,
     rate: Rate = None,
     unit: Unit = None,
     is_in: Annotated[
-        str | None, typer.Option(metavar="|".join(METRES), help="The unit of MODEL, which does not say it itself.")
+        str | None,
+        typer.Option(
+            metavar="|".join(METERS), help="Set the length unit of MODEL if the file has none.", rich_help_panel=INPUT
+        ),
     ] = None,
     likelihood: Annotated[
-        float, typer.Option(metavar="P", min=0, max=1, help="Points of tables that are less likely count as not seen.")
+        float,
+        typer.Option(
+            metavar="P", min=0, max=1, help="Ignore table points with a lower likelihood.", rich_help_panel=ADVANCED
+        ),
     ] = 0.6,
     max_error: Annotated[
-        float, typer.Option(metavar="PX", help="Points further off are wrong: five times the largest noise.")
+        float,
+        typer.Option(
+            metavar="PX",
+            help="Reject points with larger residuals: five times the largest expected noise.",
+            rich_help_panel=ADVANCED,
+        ),
     ] = 12.0,
-    start: Annotated[int, typer.Option(metavar="N", help="The first frame of a recording.")] = 0,
-    stop: Stop = None,
-    every: Annotated[int, typer.Option(metavar="N", help="Every n-th frame of a recording.")] = 1,
+    start: Annotated[int, typer.Option(metavar="N", help="Start at this frame.", rich_help_panel=INPUT)] = 0,
+    stop: StopFrame = None,
+    every: Annotated[int, typer.Option(metavar="N", help="Use every N-th frame.", rich_help_panel=INPUT)] = 1,
     plot_format: PlotFormat = "png",
     seed: Seed = 0,
 ) -> None:
-    """Where an object is whose points are known: solvePnP for many cameras, robust, in each frame by itself.
+    """Solve the pose of an object with known points, robustly, in each frame separately (multi-camera PnP).
 
-    Points are a CAD model's or a marker layout's, in the object's own frame. They are seen by people or networks (tables),
-    or found: markers that are glued to it (AprilTags, ArUco) in a recording. Writes trajectory.tum, trajectory.csv (status,
-    uncertainty, inliers and residuals per camera), report.png, report.html and what it was asked for (settings.toml).
+    The points are those of a CAD model or a marker layout, in the object's frame. Their image positions come from
+    tables (manual or network annotation), or markers on the object (AprilTags, ArUco) are detected in a recording.
+    Writes trajectory.tum, trajectory.csv (status, uncertainty, inliers and residuals per camera), report.png,
+    report.html and the settings of the run (settings.toml).
     """
     from sylpose.app import console_output
-    from sylpose.app.poses import pose_aloud
+    from sylpose.app.poses import run_pose_command
 
-    run = pose_aloud(
+    run = run_pose_command(
         model,
-        seen or [],
+        observations or [],
         out,
-        given=calibration,
+        calibration_file=calibration,
         cameras=camera,
         without=without,
         unit=unit,
@@ -98,7 +115,7 @@ def pose(
         plot_format=plot_format,
         seed=seed,
     )
-    if not console_output.solved(run.trajectory):
+    if not console_output.select_solved_frames(run.trajectory):
         statuses = [frame.status for frame in run.trajectory]
         why = f" {max(statuses, key=statuses.count).text}" if statuses else ""
-        fail([f"the object was found in no frame.{why}"])
+        exit_with_failures([f"the object was not found in any frame.{why}"])

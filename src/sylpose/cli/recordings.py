@@ -9,134 +9,159 @@ from typing import Annotated
 import typer
 
 from sylpose.cli.common import (
+    ADVANCED,
+    INPUT,
+    OUTPUT,
     BoxesFile,
     Browser,
     CalibrationFile,
     CameraFiles,
+    ExcludedCameras,
+    FrameOffsets,
+    GroupedCommand,
     MasksFolder,
-    Offsets,
     OutFolder,
     Port,
     Rate,
     Seed,
     SessionPath,
-    Stop,
+    StopFrame,
     Unit,
-    Without,
     World,
     WorldFrame,
     WorldFrom,
     app,
-    examples,
-    fail,
-    spoken,
+    exit_with_failures,
+    format_examples,
+    report_errors,
 )
 
 __all__ = ["box", "check", "sync"]
 
 
 @app.command(
-    short_help="What is understood, and what looks wrong.",
-    epilog=examples("sylpose check recording", "sylpose check recording --calibration rig.toml --out results"),
+    cls=GroupedCommand,
+    short_help="Validate a recording and report problems.",
+    epilog=format_examples("sylpose check recording", "sylpose check recording --calibration rig.toml --out results"),
 )
-@spoken
+@report_errors
 def check(
     session: SessionPath,
     calibration: CalibrationFile = None,
     boxes: BoxesFile = None,
     masks: MasksFolder = None,
-    offset: Offsets = None,
+    offset: FrameOffsets = None,
     out: OutFolder = None,
     camera: CameraFiles = None,
-    without: Without = None,
+    without: ExcludedCameras = None,
     rate: Rate = None,
     unit: Unit = None,
     world: World = None,
     world_frame: WorldFrame = None,
     world_from: WorldFrom = None,
 ) -> None:
-    """What sylpose understands of a recording, and what looks wrong with it.
+    """Validate a recording and report problems.
 
-    Draws the rig from above and from the side into OUT/rig.png; with --world its axes into OUT/world.png.
+    Plots the rig from above and from the side in OUT/rig.png, and with --world the world axes in OUT/world.png.
     """
-    from sylpose.app.check import check_aloud
-    from sylpose.app.session_options import open_recorded
-    from sylpose.app.world import asked_world
+    from sylpose.app.check import run_check_command
+    from sylpose.app.session_options import open_recording
+    from sylpose.app.world import parse_world_option
 
-    asked = asked_world(world, world_frame, world_from)
-    check_aloud(open_recorded(session, calibration, boxes, masks, offset, camera, rate, unit, asked, without), out)
+    world_spec = parse_world_option(world, world_frame, world_from)
+    run_check_command(
+        open_recording(session, calibration, boxes, masks, offset, camera, rate, unit, world_spec, without), out
+    )
 
 
 @app.command(
-    short_help="Draw boxes of the object on a page in the browser.",
-    epilog=examples("sylpose box recording", "sylpose box recording --start 100 --out at_100.toml"),
+    cls=GroupedCommand,
+    short_help="Draw object boxes on a page in the browser.",
+    epilog=format_examples("sylpose box recording", "sylpose box recording --start 100 --out at_100.toml"),
 )
-@spoken
+@report_errors
 def box(
     session: SessionPath,
     calibration: CalibrationFile = None,
     out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Where the boxes go; SESSION/boxes.toml by default.")
+        Path | None,
+        typer.Option(metavar="FILE", help="Write the boxes here; default: SESSION/boxes.toml.", rich_help_panel=OUTPUT),
     ] = None,
     masks: MasksFolder = None,
-    offset: Offsets = None,
+    offset: FrameOffsets = None,
     camera: CameraFiles = None,
-    without: Without = None,
+    without: ExcludedCameras = None,
     rate: Rate = None,
-    start: Annotated[int, typer.Option(metavar="N", help="The frame to draw into: the first to track.")] = 0,
+    start: Annotated[
+        int, typer.Option(metavar="N", help="Draw in this frame, the first to track.", rich_help_panel=INPUT)
+    ] = 0,
     port: Port = 0,
     browser: Browser = True,
 ) -> None:
-    """Draw boxes of the object, or of several, into the first frame of each camera, on a page in the browser.
+    """Draw boxes of one or several objects in the first frame of each camera, on a page in the browser.
 
-    The box in one camera shows in all others where the object may be; two suggest the rest. Begins with the boxes that
-    there are. Only this computer can open the page.
+    The page shows where the object of one box can be in the other cameras; from two boxes it suggests the rest.
+    Existing boxes are loaded. Only this computer can open the page.
     """
-    from sylpose.app.box import box_aloud
-    from sylpose.app.session_options import open_recorded
+    from sylpose.app.box import run_box_command
+    from sylpose.app.session_options import open_recording
     from sylpose.capture.live import is_live
 
     if is_live(session):
-        raise ValueError(f"{session}: of live cameras; boxes are drawn into recordings")
-    there = out if out is not None and out.exists() else None
-    opened = open_recorded(session, calibration, there, masks, offset, camera, rate, without=without)
-    given: dict[str, Sequence[object] | None] = {
+        raise ValueError(f"{session}: has live cameras; boxes can only be drawn in recordings")
+    existing = out if out is not None and out.exists() else None
+    opened = open_recording(session, calibration, existing, masks, offset, camera, rate, without=without)
+    option_values: dict[str, Sequence[object] | None] = {
         "--calibration": [calibration],
         "--masks": [masks],
         "--frame-offset": offset,
         "--video": camera,
         "--rate": [rate],
     }
-    words = [(name, str(value)) for name, values in given.items() for value in values or () if value is not None]
-    options = [word for pair in words for word in pair]
-    box_aloud(opened, out, options, start=start, port=port, browser=browser)
+    pairs = [
+        (name, str(value)) for name, values in option_values.items() for value in values or () if value is not None
+    ]
+    options = [word for pair in pairs for word in pair]
+    run_box_command(opened, out, options, start=start, port=port, browser=browser)
 
 
 @app.command(
-    short_help="How far apart in time the cameras are.",
-    epilog=examples("sylpose sync recording", "sylpose sync recording --max-lag 10 --start 200 --stop 600"),
+    cls=GroupedCommand,
+    short_help="Estimate the time offsets between the cameras.",
+    epilog=format_examples("sylpose sync recording", "sylpose sync recording --max-lag 10 --start 200 --stop 600"),
 )
-@spoken
+@report_errors
 def sync(
     session: SessionPath,
     calibration: CalibrationFile = None,
     boxes: BoxesFile = None,
     masks: MasksFolder = None,
     out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Where the offsets go; SESSION/offsets.toml by default.")
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Write the offsets here; default: SESSION/offsets.toml.", rich_help_panel=OUTPUT
+        ),
     ] = None,
     camera: CameraFiles = None,
-    without: Without = None,
+    without: ExcludedCameras = None,
     rate: Rate = None,
-    max_lag: Annotated[float, typer.Option(metavar="SEC", help="How far apart two cameras may be.")] = 3.0,
-    start: Annotated[int, typer.Option(metavar="N", help="The first frame to look at.")] = 0,
-    stop: Stop = None,
+    max_lag: Annotated[
+        float,
+        typer.Option(metavar="SEC", help="Limit the time offset between two cameras.", rich_help_panel=ADVANCED),
+    ] = 3.0,
+    start: Annotated[int, typer.Option(metavar="N", help="Start at this frame.", rich_help_panel=INPUT)] = 0,
+    stop: StopFrame = None,
     seed: Seed = 0,
 ) -> None:
-    """How far apart in time the cameras are, from the recorded motion. Writes offsets.toml, which track uses."""
-    from sylpose.app.session_options import open_recorded
-    from sylpose.app.sync import Known, sync_aloud
+    """Estimate the time offsets between the cameras from the recorded motion.
 
-    opened = open_recorded(session, calibration, boxes, masks, None, camera, rate, without=without)
-    if set(sync_aloud(opened, out, max_lag=max_lag, start=start, stop=stop, seed=seed).known) == {Known.NOT}:
-        fail(["no offset could be found; nothing was written"])
+    Writes offsets.toml, which sylpose track reads.
+    """
+    from sylpose.app.session_options import open_recording
+    from sylpose.app.sync import OffsetPrecision, run_sync_command
+
+    opened = open_recording(session, calibration, boxes, masks, None, camera, rate, without=without)
+    if set(run_sync_command(opened, out, max_lag=max_lag, start=start, stop=stop, seed=seed).precision) == {
+        OffsetPrecision.UNOBSERVABLE
+    }:
+        exit_with_failures(["no time offset could be estimated; nothing was written"])

@@ -7,12 +7,22 @@ from typing import Annotated
 
 import typer
 
-from sylpose.cli.common import PlotFormat, Stop, app, examples, one_of, spoken
-from sylpose.exports.formats import FORMATS
+from sylpose.cli.common import (
+    INPUT,
+    OUTPUT,
+    GroupedCommand,
+    PlotFormat,
+    StopFrame,
+    app,
+    format_examples,
+    make_choice_check,
+    report_errors,
+)
+from sylpose.exports.formats import EXPORT_FORMATS
 
 __all__ = ["compare", "export"]
 
-# As `comparison` has them, known without loading NumPy.
+# Same as in `comparison`, repeated here to avoid importing NumPy.
 ALIGNMENTS = ("first", "none", "se3", "sim3", "both")
 
 Result = Annotated[
@@ -21,71 +31,88 @@ Result = Annotated[
 
 
 @app.command(
-    short_help="A trajectory in another program's format.",
-    epilog=examples(
+    cls=GroupedCommand,
+    short_help="Export a trajectory to another program's format.",
+    epilog=format_examples(
         "sylpose export recording/sylpose --out object.c3d",
         "sylpose export recording/sylpose --to rosbag --out bag",
         "sylpose export recording/sylpose --out object.bvh --start 10 --stop 200",
     ),
 )
-@spoken
+@report_errors
 def export(
     result: Result,
-    out: Annotated[Path, typer.Option(metavar="FILE", help="The file; of a bag the folder.")],
+    out: Annotated[
+        Path,
+        typer.Option(metavar="FILE", help="Write this file; for rosbag, this folder.", rich_help_panel=OUTPUT),
+    ],
     to: Annotated[
-        str | None, typer.Option(metavar="|".join(FORMATS), help="The format; by default what FILE's name tells.")
+        str | None,
+        typer.Option(
+            metavar="|".join(EXPORT_FORMATS), help="Set the format; default: from FILE's name.", rich_help_panel=OUTPUT
+        ),
     ] = None,
     name: Annotated[
-        str | None, typer.Option(metavar="NAME", help="What the object is called in it; its own name by default.")
+        str | None,
+        typer.Option(metavar="NAME", help="Set the object's name in FILE; default: its own.", rich_help_panel=OUTPUT),
     ] = None,
-    start: Annotated[int | None, typer.Option(metavar="N", help="The first frame; that of RESULT by default.")] = None,
-    stop: Stop = None,
+    start: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Start at this frame; default: RESULT's first.", rich_help_panel=INPUT),
+    ] = None,
+    stop: StopFrame = None,
 ) -> None:
-    """Write a finished trajectory in another program's format.
+    """Export a finished trajectory to another program's format.
 
-    For biomechanics c3d and trc, for animation bvh, gltf and usd, for ROS 2 rosbag, as tables csv and parquet. Poses are
-    world_from_object. Frames without a measured pose are gaps: points that are missing, an object that is not to be seen,
-    messages that are not there. c3d, rosbag, parquet and usd need extras: pip install 'sylpose[export,usd]'.
+    Biomechanics: c3d and trc; animation: bvh, gltf and usd; ROS 2: rosbag; tables: csv and parquet. Poses are
+    world_from_object. Frames without a measured pose are gaps: missing points, an invisible object, or no message. c3d,
+    rosbag, parquet and usd require extras: pip install 'sylpose[export,usd]'.
     """
-    from sylpose.app.export import export_aloud
+    from sylpose.app.export import run_export_command
 
-    export_aloud(result, out, to, name, start, stop)
+    run_export_command(result, out, to, name, start, stop)
 
 
 @app.command(
-    short_help="How far two trajectories are apart.",
-    epilog=examples(
+    cls=GroupedCommand,
+    short_help="Compute the errors between two trajectories.",
+    epilog=format_examples(
         "sylpose compare recording/sylpose truth.tum",
         "sylpose compare first/sylpose second/sylpose --align none --out compared",
     ),
 )
-@spoken
+@report_errors
 def compare(
     a: Annotated[
-        Path, typer.Argument(metavar="A", help="Folder that sylpose track wrote, a trajectory.csv or a .tum.")
+        Path, typer.Argument(metavar="A", help="Trajectory: a folder of sylpose track, a trajectory.csv or a .tum.")
     ],
-    b: Annotated[Path, typer.Argument(metavar="B", help="The same, which A is compared with.")],
+    b: Annotated[Path, typer.Argument(metavar="B", help="Reference trajectory, in the same formats.")],
     align: Annotated[
         str,
         typer.Option(
             metavar="|".join(ALIGNMENTS),
-            help="What may differ: first: the object's frame (motion since the first common pose); none: nothing; se3, "
-            "sim3: the world, which is turned and moved, and scaled, so that positions fit best; both: the world and the "
-            "object's frame.",
-            callback=one_of(ALIGNMENTS),
+            help="Align A to B before comparing. first: the object's frame (motion since the first common pose); none; se3, "
+            "sim3: the world frame, rigidly or with scale, fitted to positions; both: the world and the object's "
+            "frame.",
+            callback=make_choice_check(ALIGNMENTS),
         ),
     ] = "first",
-    step: Annotated[int, typer.Option(metavar="N", help="Relative errors are between poses so many apart.")] = 1,
+    step: Annotated[int, typer.Option(metavar="N", help="Compute relative errors over N poses.")] = 1,
     within: Annotated[
         float | None,
         typer.Option(
-            metavar="SEC", help="How far apart in time poses are that belong together; half of B's least step."
+            metavar="SEC", help="Match poses within this time difference; default: half of B's smallest step."
         ),
     ] = None,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where compare.json and compare.png go.")] = Path(),
+    out: Annotated[
+        Path, typer.Option(metavar="DIR", help="Write compare.json and compare.png here.", rich_help_panel=OUTPUT)
+    ] = Path(),
     plot_format: PlotFormat = "png",
 ) -> None:
-    """Absolute and relative errors of A, told in B's frames: as a table, as compare.png and as numbers in compare.json."""
-    from sylpose.app.compare import compare_aloud
+    """Compute absolute and relative pose errors of A with respect to B.
 
-    compare_aloud(a, b, align, step, within, out, plot_format)
+    Prints a table and writes compare.png and compare.json. Errors are expressed in B's frames.
+    """
+    from sylpose.app.compare import run_compare_command
+
+    run_compare_command(a, b, align, step, within, out, plot_format)

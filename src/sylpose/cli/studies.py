@@ -7,74 +7,103 @@ from typing import Annotated
 
 import typer
 
-from sylpose.cli.common import Axes, Browser, PlotFormat, Port, Seed, app, examples, fail, spoken
+from sylpose.cli.common import (
+    INPUT,
+    LIVE,
+    OUTPUT,
+    Browser,
+    EulerAxes,
+    GroupedCommand,
+    PlotFormat,
+    Port,
+    Seed,
+    app,
+    exit_with_failures,
+    format_examples,
+    report_errors,
+)
 
 __all__ = ["demo", "experiments", "report", "show", "view"]
 
 
 @app.command(
-    short_help="Render, track, compare with the truth.",
-    epilog=examples("sylpose demo", "sylpose demo --turn 120 --cameras 3 --out block"),
+    cls=GroupedCommand,
+    short_help="Render and track a recording with ground truth.",
+    epilog=format_examples("sylpose demo", "sylpose demo --turn 120 --cameras 3 --out block"),
 )
-@spoken
+@report_errors
 def demo(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where recording and results go.")] = Path("sylpose_demo"),
-    frames: Annotated[int, typer.Option(metavar="N", help="How many, at 30 per second.")] = 60,
-    turn: Annotated[float, typer.Option(metavar="DEG", help="By how much the object turns in all.")] = 90.0,
-    cameras: Annotated[int, typer.Option(metavar="N", help="How many.")] = 4,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Write the recording and the results here.")] = Path(
+        "sylpose_demo"
+    ),
+    frames: Annotated[int, typer.Option(metavar="N", help="Render N frames at 30 per second.")] = 60,
+    turn: Annotated[float, typer.Option(metavar="DEG", help="Set the object's total rotation.")] = 90.0,
+    cameras: Annotated[int, typer.Option(metavar="N", help="Set the number of cameras.")] = 4,
     seed: Seed = 0,
 ) -> None:
-    """Render a recording with known truth, track it from its videos and compare.
+    """Render a recording with ground truth, track it from its videos and compare.
 
-    A painted block turns and drifts in front of some cameras. Exit code 0 when its motion was found in all frames to
-    within 2 degrees.
+    A textured block rotates and drifts in front of the cameras. Exit code 0 if the rotation error is below 2 degrees in
+    all frames.
     """
-    from sylpose.app.demo import demo_aloud
+    from sylpose.app.demo import run_demo_command
 
-    if failures := demo_aloud(out, frames=frames, turn_deg=turn, n_cameras=cameras, seed=seed):
-        fail(failures)
+    if failures := run_demo_command(out, frames=frames, turn_deg=turn, n_cameras=cameras, seed=seed):
+        exit_with_failures(failures)
 
 
 @app.command(
-    short_help="A result in 3D, on a page in the browser.",
-    epilog=examples("sylpose show recording/sylpose", "sylpose show recording/sylpose --save scene.html"),
+    cls=GroupedCommand,
+    short_help="Show a result in 3D on a page in the browser.",
+    epilog=format_examples("sylpose show recording/sylpose", "sylpose show recording/sylpose --save scene.html"),
 )
-@spoken
+@report_errors
 def show(
     result: Annotated[Path, typer.Argument(metavar="RESULT", help="Folder that sylpose track wrote.")],
     calibration: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Of the cameras; the one that the run used by default.")
+        Path | None,
+        typer.Option(metavar="FILE", help="Read this calibration; default: the one of the run.", rich_help_panel=INPUT),
     ] = None,
     recording: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Where the recording is now, if it was moved: for the images.")
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Read the images from here if the recording was moved.", rich_help_panel=INPUT
+        ),
     ] = None,
     save: Annotated[
-        Path | None, typer.Option(metavar="FILE.html", help="Write a page that plays it by itself, and end.")
+        Path | None,
+        typer.Option(metavar="FILE.html", help="Write a self-contained page and exit.", rich_help_panel=OUTPUT),
     ] = None,
     host: Annotated[
-        str, typer.Option(metavar="HOST", help="Where the page listens; 0.0.0.0 for other computers, too.")
+        str,
+        typer.Option(
+            metavar="HOST",
+            help="Serve the page at this address; 0.0.0.0: also for other computers.",
+            rich_help_panel=LIVE,
+        ),
     ] = "127.0.0.1",
     port: Port = 0,
     browser: Browser = True,
 ) -> None:
-    """Cameras with their images, the object and its path, frame by frame, on a page in the browser. Ctrl-C ends it.
+    """Show the cameras with their images, the object and its path in 3D on a page in the browser. Ctrl-C stops it.
 
-    Needs the extra `viewer`: pip install 'sylpose[viewer]'.
+    Requires the extra `viewer`: pip install 'sylpose[viewer]'.
     """
-    from sylpose.app.show import show_aloud
+    from sylpose.app.show import run_show_command
 
-    show_aloud(result, calibration, recording, save=save, host=host, port=port, browser=browser)
+    run_show_command(result, calibration, recording, save=save, host=host, port=port, browser=browser)
 
 
 @app.command(
-    short_help="A trajectory as a camera sees it, also a virtual one.",
-    epilog=examples(
+    cls=GroupedCommand,
+    short_help="Express a trajectory in a real or virtual camera's frame.",
+    epilog=format_examples(
         "sylpose view recording/sylpose cam_2",
         "sylpose view results top --calibration virtual.toml",
         "sylpose view results top --from 0 -2 0 --at 0 0 0",
     ),
 )
-@spoken
+@report_errors
 def view(
     result: Annotated[
         Path, typer.Argument(metavar="RESULT", help="Folder that sylpose track wrote, or its trajectory.csv.")
@@ -82,70 +111,83 @@ def view(
     camera: Annotated[str, typer.Argument(metavar="CAMERA", help="A camera's name; with --from, a name for the view.")],
     calibration: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Where CAMERA is looked up; the one that the run used by default."),
+        typer.Option(
+            metavar="FILE", help="Look up CAMERA in this calibration; default: that of the run.", rich_help_panel=INPUT
+        ),
     ] = None,
     eye: Annotated[
         tuple[float, float, float] | None,
-        typer.Option("--from", metavar="X Y Z", help="A virtual camera: where it stands, in the world."),
+        typer.Option(
+            "--from", metavar="X Y Z", help="Place a virtual camera at this world position.", rich_help_panel=INPUT
+        ),
     ] = None,
     at: Annotated[
         tuple[float, float, float] | None,
-        typer.Option("--at", metavar="X Y Z", help="What it looks at; where the object was first by default."),
+        typer.Option(
+            "--at",
+            metavar="X Y Z",
+            help="Point the virtual camera here; default: the object's first position.",
+            rich_help_panel=INPUT,
+        ),
     ] = None,
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Where the view goes; RESULT by default.")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Write the view here; default: RESULT.", rich_help_panel=OUTPUT),
+    ] = None,
     plot_format: PlotFormat = "png",
-    angles: Axes = None,
+    angles: EulerAxes = None,
 ) -> None:
-    """A finished trajectory in the axes of a camera: one of the rig, one that saw nothing, or a virtual one.
+    """Express a finished trajectory in the frame of a camera: of the rig, of another calibration, or virtual.
 
     Writes view_CAMERA.tum (camera_from_object), view_CAMERA.csv and view_CAMERA.png.
     """
-    from sylpose.app.view import view_aloud
+    from sylpose.app.view import run_view_command
 
-    view_aloud(result, camera, calibration, eye, at, out, plot_format, angles)
+    run_view_command(result, camera, calibration, eye, at, out, plot_format, angles)
 
 
 @app.command(
-    short_help="The page of a finished run, made anew.",
-    epilog=examples("sylpose report recording/sylpose"),
+    short_help="Rebuild the report page of a finished run.",
+    epilog=format_examples("sylpose report recording/sylpose"),
 )
-@spoken
+@report_errors
 def report(
     result: Annotated[Path, typer.Argument(metavar="RESULT", help="Folder that sylpose track wrote.")],
 ) -> None:
-    """Make report.html of a finished run anew: after an edit, or of a run of an older version.
+    """Rebuild report.html of a finished run, for example after editing its files or after an update of sylpose.
 
-    It is made of the files in the folder. Its images are those of the page that is there, or of the recording where there
-    is none.
+    It is built from the files in the folder; images come from the existing page, or else from the recording.
     """
-    from sylpose.app.report import report_aloud
+    from sylpose.app.report import run_report_command
 
-    report_aloud(result)
+    run_report_command(result)
 
 
 @app.command(
-    short_help="The paper's experiments: tables and figures.",
-    epilog=examples("sylpose experiments", "sylpose experiments --only noise --only cameras --out noise --quick"),
+    cls=GroupedCommand,
+    short_help="Run the paper's experiments: tables and figures.",
+    epilog=format_examples(
+        "sylpose experiments", "sylpose experiments --only noise --only cameras --out noise --quick"
+    ),
 )
-@spoken
+@report_errors
 def experiments(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where tables and figures go.")] = Path(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Write tables and figures here.")] = Path(
         "sylpose_experiments"
     ),
     only: Annotated[
         list[str] | None,
-        typer.Option(metavar="STUDY", help="Only this one; may be given several times. A wrong name lists them."),
+        typer.Option(metavar="STUDY", help="Run only this study. Repeatable; an unknown name lists them."),
     ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Few trials: half a minute instead of five.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Use few trials: half a minute instead of five.")] = False,
     seed: Seed = 0,
 ) -> None:
-    """Simulated studies of the paper's estimators: how exact they are, what they withstand, how long they take.
+    """Simulate the paper's estimators: accuracy, robustness and computing time.
 
-    Writes paper_STUDY.csv and paper_STUDY.png for each study and paper_index.md into OUT, and leaves other files there
-    alone.
+    Writes paper_STUDY.csv and paper_STUDY.png for each study and paper_index.md into OUT; other files there are kept.
     """
     from sylpose.app import console_output
-    from sylpose.app.experiments import chosen, run_studies
+    from sylpose.app.experiments import run_studies, select_studies
 
-    files = run_studies(chosen(only or []), out, seed=seed, quick=quick)
+    files = run_studies(select_studies(only or []), out, seed=seed, quick=quick)
     console_output.print_files(console_output.make_console(), "Files", files)

@@ -8,13 +8,20 @@ from typing import Annotated
 import typer
 
 from sylpose.cli.common import (
-    Axes,
+    ADVANCED,
+    INPUT,
+    LIVE,
+    OBJECT,
+    OUTPUT,
     BoxesFile,
     Browser,
     CalibrationFile,
     CameraFiles,
+    EulerAxes,
+    ExcludedCameras,
+    FrameOffsets,
+    GroupedCommand,
     MasksFolder,
-    Offsets,
     OutFolder,
     Overlay,
     PlotFormat,
@@ -23,56 +30,66 @@ from sylpose.cli.common import (
     RefineCalibration,
     Seed,
     SessionPath,
-    Stop,
+    StopFrame,
     Unit,
-    Without,
     World,
     WorldFrame,
     WorldFrom,
     app,
-    examples,
-    fail,
-    one_of,
-    say,
-    spoken,
+    exit_with_failures,
+    format_examples,
+    make_choice_check,
+    print_message,
+    report_errors,
 )
-from sylpose.methods import FEATURES, METHODS, MODES, features_of, summary
+from sylpose.methods import FEATURES, METHODS, MODES, format_methods_table, resolve_features
 
 __all__ = ["track"]
 
 
 @app.command(
-    epilog=f"\b\n{summary()}\n\n"
-    + examples(
+    cls=GroupedCommand,
+    short_help="Track an object in a recording or live cameras.",
+    epilog=f"\b\n{format_methods_table()}\n\n"
+    + format_examples(
         "sylpose track recording",
         "sylpose track recording --boxes first_frame.toml --out results",
         "sylpose track recording --start 100 --stop 400 --every 2 --frame-offset cam_2=5",
-    )
+    ),
 )
-@spoken
+@report_errors
 def track(
     session: SessionPath,
     calibration: CalibrationFile = None,
     boxes: BoxesFile = None,
     masks: MasksFolder = None,
-    offset: Offsets = None,
+    offset: FrameOffsets = None,
     out: OutFolder = None,
     offsets: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help="Seconds by which cameras are late, in TOML; SESSION/offsets.toml if there is one."
+            metavar="FILE",
+            help="Read the cameras' time offsets in seconds (TOML); default: SESSION/offsets.toml if present.",
+            rich_help_panel=INPUT,
         ),
     ] = None,
     method: Annotated[
         str,
-        typer.Option(metavar="|".join(METHODS), help="How it is estimated; see below.", callback=one_of(METHODS)),
+        typer.Option(
+            metavar="NAME",
+            help="Select the estimation method; see below.",
+            callback=make_choice_check(METHODS),
+            rich_help_panel=ADVANCED,
+        ),
     ] = METHODS[0],
     features: Annotated[
         str,
         typer.Option(
             metavar="|".join(FEATURES),
-            help="SIFT in every frame, or KLT between SIFT keyframes: faster and finer; auto: KLT for landmarks, else SIFT.",
-            callback=one_of(FEATURES),
+            help="Match SIFT in every frame, or track KLT between SIFT keyframes (faster, more precise); auto: KLT for "
+            "landmarks, else SIFT.",
+            callback=make_choice_check(FEATURES),
+            rich_help_panel=ADVANCED,
         ),
     ] = FEATURES[0],
     known: Annotated[
@@ -80,16 +97,23 @@ def track(
         typer.Option(
             "--object",
             metavar="[NAME=]FILE",
-            help="object.npz of another take: poses are told in its frame; of several objects, NAME=FILE for each.",
+            help="Express poses in the frame of an object.npz from another recording; for several objects, repeat with "
+            "NAME=FILE.",
+            rich_help_panel=OBJECT,
         ),
     ] = None,
     smooth: Annotated[
-        bool | None, typer.Option("--smooth/--no-smooth", help="Refine all poses together at the end: recordings are.")
+        bool | None,
+        typer.Option(
+            "--smooth/--no-smooth",
+            help="Refine all poses jointly at the end; default: for recordings.",
+            rich_help_panel=ADVANCED,
+        ),
     ] = None,
     refine_calibration: RefineCalibration = False,
-    start: Annotated[int, typer.Option(metavar="N", help="The first frame to track.")] = 0,
-    stop: Stop = None,
-    every: Annotated[int, typer.Option(metavar="N", help="Track every n-th frame.")] = 1,
+    start: Annotated[int, typer.Option(metavar="N", help="Start at this frame.", rich_help_panel=INPUT)] = 0,
+    stop: StopFrame = None,
+    every: Annotated[int, typer.Option(metavar="N", help="Track every N-th frame.", rich_help_panel=INPUT)] = 1,
     overlay: Overlay = True,
     distributed: Annotated[
         str | None,
@@ -97,56 +121,83 @@ def track(
             "--simulate-nodes",
             metavar="|".join(MODES),
             help="Run one node per camera over a simulated network: exact as in one process, or compact in fewer rounds.",
+            rich_help_panel=ADVANCED,
         ),
     ] = None,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Go on with an interrupted run; give the same options as then.")
+        bool,
+        typer.Option(
+            "--resume", help="Continue an interrupted run; requires the same options.", rich_help_panel=ADVANCED
+        ),
     ] = False,
     checkpoint: Annotated[
-        float, typer.Option(metavar="SEC", min=0, help="Time between two checkpoints, from which --resume can go on.")
+        float,
+        typer.Option(
+            metavar="SEC", min=0, help="Set the time between checkpoints for --resume.", rich_help_panel=ADVANCED
+        ),
     ] = 20.0,
     follow: Annotated[
-        bool, typer.Option("--follow", help="SESSION has folders of images that a recorder is still filling.")
+        bool,
+        typer.Option("--follow", help="Track image folders that a recorder is still writing.", rich_help_panel=LIVE),
     ] = False,
-    lossless: Annotated[bool, typer.Option("--no-drop", help="With --follow: track all frames, however late.")] = False,
+    lossless: Annotated[
+        bool,
+        typer.Option(
+            "--no-drop",
+            help="With --follow, track all frames, regardless of the delay.",
+            rich_help_panel=LIVE,
+        ),
+    ] = False,
     rate: Rate = None,
     camera: CameraFiles = None,
-    without: Without = None,
+    without: ExcludedCameras = None,
     unit: Unit = None,
     world: World = None,
     world_frame: WorldFrame = None,
     world_from: WorldFrom = None,
-    angles: Axes = None,
+    angles: EulerAxes = None,
     poses: Annotated[
         str | None,
-        typer.Option("--stream", metavar="TO", help="Stream poses as JSON lines to stdout (-) or udp://HOST:PORT."),
+        typer.Option(
+            "--stream",
+            metavar="TO",
+            help="Stream poses as JSON lines to stdout (-) or udp://HOST:PORT.",
+            rich_help_panel=LIVE,
+        ),
     ] = None,
     show: Annotated[
-        bool, typer.Option("--show", help="Show it in 3D meanwhile, on a page in the browser: see sylpose show.")
+        bool,
+        typer.Option(
+            "--show", help="Show the run in 3D on a page in the browser; see sylpose show.", rich_help_panel=LIVE
+        ),
     ] = False,
     port: Port = 0,
     browser: Browser = True,
     plot_format: PlotFormat = "png",
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say only what looks wrong, on stderr.")] = False,
-    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Say a line for each frame.")] = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Print only warnings, on stderr.", rich_help_panel=OUTPUT)
+    ] = False,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="Print one line per frame.", rich_help_panel=OUTPUT)
+    ] = False,
     seed: Seed = 0,
 ) -> None:
-    """The object's pose in every frame of a recording, or of live cameras (a folder with live.toml).
+    """Track the pose of an object in a recording or in live cameras (a folder with live.toml).
 
     Writes trajectory.tum (time tx ty tz qx qy qz qw), trajectory.csv (with angles, uncertainty, status, inliers and
-    residuals), report.html, report.png and overlay.mp4 into OUT; of several objects, each into a folder of its own.
-    Without boxes and masks, the object is what moves against the standing background.
+    residuals), report.html, report.png and overlay.mp4 into OUT; several objects get one folder each. Without boxes and
+    masks, whatever moves against the static background is tracked.
     """
-    from sylpose.app.check import axes_miss, concerns
-    from sylpose.app.object_files import known_objects
-    from sylpose.app.run import has_ended, output_path
-    from sylpose.app.session_options import open_asked
-    from sylpose.app.track_command import track_aloud, why_nothing
-    from sylpose.app.world import asked_world
+    from sylpose.app.check import check_session, describe_axis_miss
+    from sylpose.app.object_files import load_known_objects
+    from sylpose.app.run import has_finished, output_path
+    from sylpose.app.session_options import open_from_options
+    from sylpose.app.track_command import explain_failures, run_track_command
+    from sylpose.app.world import parse_world_option
     from sylpose.sync.offsets import find_offsets
 
-    features_of(method, features)
-    opened = open_asked(
+    resolve_features(method, features)
+    opened = open_from_options(
         session,
         calibration,
         boxes,
@@ -158,13 +209,13 @@ def track(
         rate=rate,
         camera=camera,
         unit=unit,
-        world=asked_world(world, world_frame, world_from),
+        world=parse_world_option(world, world_frame, world_from),
         without=without,
     )
-    if resume and has_ended(opened, out):
+    if resume and has_finished(opened, out):
         print(f"{output_path(opened, out)}: the run there has ended; there is nothing to resume")
         return
-    run = track_aloud(
+    run = run_track_command(
         opened,
         out,
         method=method,
@@ -182,7 +233,7 @@ def track(
         seed=seed,
         plot_format=plot_format,
         angles=angles,
-        known=known_objects(known, opened.objects, opened.rig),
+        known=load_known_objects(known, opened.objects, opened.rig),
         quiet=quiet,
         verbose=verbose,
         poses=poses,
@@ -190,10 +241,10 @@ def track(
         port=port,
         browser=browser,
     )
-    missing = why_nothing(opened, run)
-    # What looked wrong from the start may be why, and has gone by long ago.
-    sentences = [*missing, *((*concerns(opened, start), axes_miss(opened.rig)) if missing else ())]
+    missing = explain_failures(opened, run)
+    # Warnings from the start of the run may be the cause and have scrolled away: repeat them.
+    sentences = [*missing, *((*check_session(opened, start), describe_axis_miss(opened.rig)) if missing else ())]
     if len(missing) == len(run.trajectories):
-        fail(list(filter(None, sentences)))
+        exit_with_failures(list(filter(None, sentences)))
     for sentence in filter(None, sentences):
-        say(sentence)
+        print_message(sentence)

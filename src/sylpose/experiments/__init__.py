@@ -1,4 +1,4 @@
-"""The paper's experiments: seeded Monte Carlo studies, each a table and a figure."""
+"""The paper's experiments: seeded Monte Carlo studies, each with a table and a figure."""
 
 from sylpose.experiments import accuracy, distributed, robustness, timing
 from sylpose.experiments.study import Study
@@ -6,7 +6,7 @@ from sylpose.experiments.table import Table
 
 __all__ = ["STUDIES", "Study", "Table"]
 
-# In the order in which they are run: the times last, when all else is loaded.
+# In the order of execution: run times last, when all modules are loaded.
 STUDIES: tuple[Study, ...] = (
     *accuracy.STUDIES,
     *robustness.STUDIES,

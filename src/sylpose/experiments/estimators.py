@@ -1,4 +1,4 @@
-"""The estimators as the studies compare them, and the one measure of error: the angle to the true rotation."""
+"""Estimators with a common interface for the studies, and their error measure: the angle to the true rotation."""
 
 from __future__ import annotations
 
@@ -14,113 +14,113 @@ from sylpose.sylvester.camera_faults import RobustSolution, solve_robust
 from sylpose.sylvester.centralized import solve_centralized
 from sylpose.sylvester.depth_plane import solve_depth_plane
 from sylpose.sylvester.one_camera import OneCameraSolution, solve_one_camera, solve_unconstrained
-from sylpose.sylvester.orthographic import quadratic_of, views_of
+from sylpose.sylvester.orthographic import build_cost, compute_views
 
 __all__ = [
-    "Answer",
+    "Estimate",
     "Estimator",
     "angle_deg",
-    "centralized",
-    "depth_plane",
+    "detected_faults",
     "error_deg",
-    "mean_of_single",
-    "named",
-    "one_camera",
-    "only_good",
-    "other_mirror",
-    "robust",
-    "unconstrained_centralized",
-    "unconstrained_one_camera",
+    "estimate_centralized",
+    "estimate_depth_plane",
+    "estimate_mean_of_single",
+    "estimate_one_camera",
+    "estimate_one_unconstrained",
+    "estimate_other_mirror",
+    "estimate_robust",
+    "estimate_unconstrained",
+    "estimate_without_faulty",
 ]
 
 
-class Answer(NamedTuple):
-    """What an estimator says.
+class Estimate(NamedTuple):
+    """Result of an estimator.
 
     Attributes:
-        rotations: (k, 3, 3) those between which it cannot tell: one as a rule, two mirrored ones of a single camera,
-            none where it has no answer.
-        certified: whether it is proved to be the global optimum; None where the estimator proves nothing.
+        rotations: (k, 3, 3) equivalent rotations: usually one, two mirrored ones for a single camera, none without a
+            result.
+        certified: whether it is proved to be the global optimum; None if the estimator computes no certificate.
     """
 
     rotations: FloatArray
     certified: bool | None = None
 
 
-Estimator = Callable[[Problem], Answer]
-NONE = np.empty((0, 3, 3))
+Estimator = Callable[[Problem], Estimate]
+NO_ROTATION = np.empty((0, 3, 3))
 
 
 def angle_deg(a: FloatArray, b: FloatArray) -> float:
-    """Between two rotation matrices, degrees."""
+    """Return the angle between two rotation matrices, degrees."""
     return float(np.degrees(Rotation.from_matrix(a @ b.T).magnitude()))
 
 
-def error_deg(answer: Answer, truth: FloatArray) -> float:
-    """The angle between estimate and truth; of mirrored answers the better one's; NaN without an answer."""
-    return min((angle_deg(r, truth) for r in answer.rotations), default=np.nan)
+def error_deg(estimate: Estimate, truth: FloatArray) -> float:
+    """Return the angle between estimate and truth, degrees: the smallest of mirrored results; NaN without a result."""
+    return min((angle_deg(r, truth) for r in estimate.rotations), default=np.nan)
 
 
-def centralized(problem: Problem) -> Answer:
-    """The paper's estimator, all cameras together."""
+def estimate_centralized(problem: Problem) -> Estimate:
+    """Run the paper's estimator for all cameras jointly."""
     solution = solve_centralized(problem.rotations, problem.moments, aim=problem.aim)
-    return Answer(solution.rotation[None], solution.certified)
+    return Estimate(solution.rotation[None], solution.certified)
 
 
-def unconstrained_centralized(problem: Problem) -> Answer:
-    """Least squares for any 3x3 matrix, all cameras together, then the rotation nearest to it."""
-    q = quadratic_of(views_of(problem.rotations, problem.moments, aim=problem.aim))
+def estimate_unconstrained(problem: Problem) -> Estimate:
+    """Solve least squares of all cameras for any 3x3 matrix, then project to the nearest rotation."""
+    q = build_cost(compute_views(problem.rotations, problem.moments, aim=problem.aim))
     u, _, vt = np.linalg.svd(np.linalg.lstsq(q.H, q.h, rcond=1e-9)[0].reshape(3, 3))
-    return Answer((u * [1, 1, np.linalg.det(u @ vt)] @ vt)[None])
+    return Estimate((u * [1, 1, np.linalg.det(u @ vt)] @ vt)[None])
 
 
-def one_camera(problem: Problem) -> Answer:
-    """The paper's estimator for the first camera alone: two mirrored answers."""
-    return _mirrored(solve_one_camera(problem.rotations[0], problem.moments[0], aim=problem.aim))
+def estimate_one_camera(problem: Problem) -> Estimate:
+    """Run the paper's estimator for the first camera alone: two mirrored results."""
+    return _finite_rotations(solve_one_camera(problem.rotations[0], problem.moments[0], aim=problem.aim))
 
 
-def other_mirror(problem: Problem) -> Answer:
-    """What the first camera alone cannot tell from the truth: of its two answers the one that is farther from it."""
-    rotations = one_camera(problem).rotations
-    return Answer(np.array(sorted(rotations, key=lambda R: angle_deg(R, problem.truth))[1:]))
+def estimate_other_mirror(problem: Problem) -> Estimate:
+    """Return the worse of the first camera's two mirrored results, which it cannot distinguish."""
+    rotations = estimate_one_camera(problem).rotations
+    return Estimate(np.array(sorted(rotations, key=lambda R: angle_deg(R, problem.truth))[1:]))
 
 
-def mean_of_single(problem: Problem) -> Answer:
-    """The mean of all answers of all cameras, each alone."""
-    own = [one_camera(problem.only([c])).rotations for c in range(len(problem.moments))]
-    return Answer(Rotation.from_matrix(np.concatenate(own)).mean().as_matrix()[None])
+def estimate_mean_of_single(problem: Problem) -> Estimate:
+    """Return the mean of all single-camera results."""
+    rotations = [estimate_one_camera(problem.subset([c])).rotations for c in range(len(problem.moments))]
+    return Estimate(Rotation.from_matrix(np.concatenate(rotations)).mean().as_matrix()[None])
 
 
-def unconstrained_one_camera(problem: Problem) -> Answer:
-    """Least squares for the first camera alone, adjusted afterwards: two mirrored answers."""
-    return _mirrored(solve_unconstrained(problem.rotations[0], problem.moments[0], aim=problem.aim))
+def estimate_one_unconstrained(problem: Problem) -> Estimate:
+    """Solve unconstrained least squares for the first camera alone, then project: two mirrored results."""
+    return _finite_rotations(solve_unconstrained(problem.rotations[0], problem.moments[0], aim=problem.aim))
 
 
-def _mirrored(solution: OneCameraSolution) -> Answer:
-    return Answer(solution.rotations[np.isfinite(solution.rotations).all(axis=(1, 2))])
+def _finite_rotations(solution: OneCameraSolution) -> Estimate:
+    return Estimate(solution.rotations[np.isfinite(solution.rotations).all(axis=(1, 2))])
 
 
-def depth_plane(problem: Problem) -> Answer:
-    """All cameras together, each with a plane for the depth of what it sees."""
+def estimate_depth_plane(problem: Problem) -> Estimate:
+    """Run the estimator with a local depth plane per camera, for all cameras jointly."""
     solution = solve_depth_plane(problem.rotations, problem.moments, aim=problem.aim)
-    return Answer(solution.rotation[None] if np.isfinite(solution.rotation).all() else NONE)
+    return Estimate(solution.rotation[None] if np.isfinite(solution.rotation).all() else NO_ROTATION)
 
 
-def only_good(problem: Problem) -> Answer:
-    """All cameras but those that are known to be bad."""
-    return centralized(problem.only([c for c in range(len(problem.moments)) if c not in problem.bad]))
+def estimate_without_faulty(problem: Problem) -> Estimate:
+    """Run the paper's estimator without the known faulty cameras."""
+    return estimate_centralized(problem.subset([c for c in range(len(problem.moments)) if c not in problem.faulty]))
 
 
-def robust(problem: Problem) -> Answer:
-    """All cameras together, the bad ones to be recognised."""
-    solution = _robust(problem).solution
-    return Answer(NONE) if solution is None else Answer(solution.rotation[None], solution.certified)
+def estimate_robust(problem: Problem) -> Estimate:
+    """Run the robust estimator, which detects the faulty cameras."""
+    solution = _solve_robust(problem).solution
+    return Estimate(NO_ROTATION) if solution is None else Estimate(solution.rotation[None], solution.certified)
 
 
-def named(problem: Problem) -> set[int]:
-    """The cameras that `robust` says are bad."""
-    return {c for c, fault in enumerate(_robust(problem).faults) if fault is not None}
+def detected_faults(problem: Problem) -> set[int]:
+    """Return the cameras that `estimate_robust` detects as faulty."""
+    return {c for c, fault in enumerate(_solve_robust(problem).faults) if fault is not None}
 
 
-def _robust(problem: Problem) -> RobustSolution:
+def _solve_robust(problem: Problem) -> RobustSolution:
     return solve_robust(problem.rotations, problem.moments, aim=problem.aim)

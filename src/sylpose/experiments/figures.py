@@ -1,4 +1,4 @@
-"""The studies as pictures: medians over the trials, with bands from the first to the third quartile."""
+"""Figures of the studies: medians over the trials, with bands from the first to the third quartile."""
 
 from __future__ import annotations
 
@@ -14,32 +14,32 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from sylpose.experiments.table import Table
 from sylpose.geometry.arrays import FloatArray
-from sylpose.report.plots import INK, finish, new_figure, save_figure
+from sylpose.report.plots import INK, create_figure, save_figure, style_panel
 
-__all__ = ["THE_TURN", "Reference", "draw_bars", "draw_lines"]
+__all__ = ["IDENTITY_ERROR", "ReferenceCurve", "draw_bars", "draw_lines"]
 
 
-# Okabe & Ito's colours for up to four methods; each with a dash and a marker of its own, to be told apart in grey.
+# Okabe & Ito's colors for up to four methods, with distinct dashes and markers for printing in gray.
 STYLES = (
     ("#0072B2", "-", "o"),
     ("#D55E00", "--", "s"),
     ("#009E73", "-.", "^"),
     ("#CC79A7", ":", "D"),
 )
-# With more levels than this, not each one gets a marker and a tick (choice).
-MARKED = 15
+# Maximum number of levels of which each one gets a marker and a tick (choice).
+MAX_MARKERS = 15
 ERROR_LABEL = "rotation error (degrees)"
 
 
-class Reference(NamedTuple):
-    """A curve to compare with, drawn thin and grey in every panel."""
+class ReferenceCurve(NamedTuple):
+    """Reference curve, drawn thin and gray in every panel."""
 
     label: str
-    of: Callable[[FloatArray], FloatArray]
+    evaluate: Callable[[FloatArray], FloatArray]
 
 
-# The error of who says that nothing turned, where the level is the turn.
-THE_TURN = Reference("no answer: the turn itself", lambda turn: turn)
+# The error of the identity as the estimate, if the level is the rotation angle.
+IDENTITY_ERROR = ReferenceCurve("identity: error equals the angle", lambda turn: turn)
 
 
 def draw_lines(
@@ -52,42 +52,53 @@ def draw_lines(
     y: str = "deg",
     y_label: str = ERROR_LABEL,
     log_x: bool = True,
-    reference: Reference | None = None,
+    reference: ReferenceCurve | None = None,
 ) -> None:
-    """A panel per scene, a line per method, over a column, with a logarithmic y axis.
+    """Draw one panel per scene and one line per method over a column, with a logarithmic y axis.
 
     Args:
         table: with columns scene, method, `x`, q25_`y`, median_`y` and q75_`y`.
-        log_x: a logarithmic x axis too; levels of zero are left out.
+        path: output file.
+        title, x_label, y_label: texts of the figure.
+        x, y: column of the x axis, and suffix of the quartile columns.
+        log_x: use a logarithmic x axis too; levels of zero are omitted.
+        reference: curve for comparison.
     """
-    figure, panels = _panels(table, title, x_label, y_label)
+    figure, panels = _create_panels(table, title, x_label, y_label)
     for scene, panel in panels.items():
         for k, method in enumerate(table.distinct("method")):
-            rows = table.where(scene=scene, method=method)
-            shown = rows.numbers(x) > 0 if log_x else np.full(len(rows.rows), True)
-            at = rows.numbers(x)[shown]
-            low, median, high = (rows.numbers(f"{q}_{y}")[shown] for q in ("q25", "median", "q75"))
+            rows = table.filter_rows(scene=scene, method=method)
+            is_shown = rows.column_values(x) > 0 if log_x else np.full(len(rows.rows), True)
+            x_values = rows.column_values(x)[is_shown]
+            low, median, high = (rows.column_values(f"{q}_{y}")[is_shown] for q in ("q25", "median", "q75"))
             color, dash, marker = STYLES[k]
-            every = 1 + len(at) // MARKED
+            every = 1 + len(x_values) // MAX_MARKERS
             panel.plot(
-                at, median, color=color, linestyle=dash, marker=marker, markevery=(k % every, every), label=method
+                x_values, median, color=color, linestyle=dash, marker=marker, markevery=(k % every, every), label=method
             )
-            panel.fill_between(at, low, high, color=color, alpha=0.15, linewidth=0)
-        levels = np.unique(table.numbers(x))
+            panel.fill_between(x_values, low, high, color=color, alpha=0.15, linewidth=0)
+        levels = np.unique(table.column_values(x))
         if reference is not None:
-            at = levels[levels > 0] if log_x else levels
-            panel.plot(at, reference.of(at), color="#888888", linewidth=1.2, linestyle=":", label=reference.label)
+            x_values = levels[levels > 0] if log_x else levels
+            panel.plot(
+                x_values,
+                reference.evaluate(x_values),
+                color="#888888",
+                linewidth=1.2,
+                linestyle=":",
+                label=reference.label,
+            )
         panel.set_yscale("log")
-        _plain_numbers(panel.yaxis)
+        _set_log_ticks(panel.yaxis)
         if log_x:
             panel.set_xscale("log")
-            _plain_numbers(panel.xaxis)
-        elif len(levels) <= MARKED:
+            _set_log_ticks(panel.xaxis)
+        elif len(levels) <= MAX_MARKERS:
             panel.set_xticks(levels)
-        finish(panel)
+        style_panel(panel)
     handles, labels = next(iter(panels.values())).get_legend_handles_labels()
     if len(handles) > 1:
-        # In one row if there is room for it, by the usual width of letters, in inches; else in two.
+        # One row if it fits, by the typical width of letters in inches; else two.
         wide = sum(0.7 + 0.075 * len(label) for label in labels) > figure.get_figwidth()
         columns = -(-len(handles) // 2) if wide else len(handles)
         figure.legend(handles, labels, loc="outside lower left", ncols=columns, frameon=False, labelcolor=INK)
@@ -95,13 +106,15 @@ def draw_lines(
 
 
 def draw_bars(table: Table, path: Path, *, title: str) -> None:
-    """A panel per scene, a row per method: the median of the rotation error, written beside it, and its quartiles.
+    """Draw one panel per scene and one row per method: median (labeled) and quartiles of the rotation error.
 
     Args:
         table: with columns scene, method, q25_deg, median_deg and q75_deg, one row per scene and method.
+        path: output file.
+        title: title of the figure.
     """
     methods = table.distinct("method")
-    figure, panels = _panels(table, title, ERROR_LABEL, "", rows=len(methods))
+    figure, panels = _create_panels(table, title, ERROR_LABEL, "", rows=len(methods))
     for scene, panel in panels.items():
         for k, method in enumerate(methods):
             low, median, high = (table.value(f"{q}_deg", scene=scene, method=method) for q in ("q25", "median", "q75"))
@@ -111,23 +124,23 @@ def draw_bars(table: Table, path: Path, *, title: str) -> None:
         panel.set_yticks(range(len(methods)), [str(m) for m in methods])
         panel.set_ylim(len(methods) - 0.5, -0.5)
         panel.set_xscale("log")
-        _plain_numbers(panel.xaxis)
-        finish(panel)
-    left, right = panel.get_xlim()  # which all panels share
-    panel.set_xlim(left, right * (right / left) ** 0.15)  # room for the numbers at the far end
+        _set_log_ticks(panel.xaxis)
+        style_panel(panel)
+    left, right = panel.get_xlim()  # shared by all panels
+    panel.set_xlim(left, right * (right / left) ** 0.15)  # space for the numbers at the right
     save_figure(figure, path)
 
 
-def _panels(
+def _create_panels(
     table: Table, title: str, x_label: str, y_label: str, rows: int | None = None
 ) -> tuple[Figure, dict[str, Axes]]:
-    """A panel for each scene, by name, side by side (four: two by two); as high as it takes for `rows` rows of text."""
+    """Create one panel per scene, side by side (four: two by two), high enough for `rows` rows of text."""
     scenes = [str(scene) for scene in table.distinct("scene")]
     columns = 2 if len(scenes) == 4 else min(len(scenes), 3)
     lines = -(-len(scenes) // columns)
     width, height = (3.4, 2.7) if rows is None else (3.3, 0.7 + 0.32 * rows)
-    # Room for the title, the labels of the axes and the legend.
-    figure = new_figure(max(width * columns, 5.5) + (0.5 if rows is None else 2.5), height * lines + 1.2)
+    # Space for the title, the axis labels and the legend.
+    figure = create_figure(max(width * columns, 5.5) + (0.5 if rows is None else 2.5), height * lines + 1.2)
     axes = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
     figure.suptitle(title, x=0.01, horizontalalignment="left", fontsize=12, fontweight="bold", color=INK)
     for panel in axes[-1]:
@@ -141,8 +154,8 @@ def _panels(
     return figure, panels
 
 
-def _plain_numbers(axis: Axis) -> None:
-    """At a logarithmic axis: 1, 2, 5, 10, ... or, over more than three decades, the powers of ten."""
+def _set_log_ticks(axis: Axis) -> None:
+    """Set the ticks of a logarithmic axis to 1, 2, 5, 10, ... or, over more than three decades, powers of ten."""
     low, high = axis.get_view_interval()
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 1000 * low else (1.0,)))
     axis.set_minor_locator(NullLocator())

@@ -1,4 +1,4 @@
-"""What the estimates withstand: where the cameras stand, hidden features, bad sensors."""
+"""Robustness studies: camera layout, occlusion, faulty cameras."""
 
 from __future__ import annotations
 
@@ -8,24 +8,32 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sylpose.experiments.estimators import Estimator, centralized, depth_plane, named, one_camera, only_good, robust
+from sylpose.experiments.estimators import (
+    Estimator,
+    detected_faults,
+    estimate_centralized,
+    estimate_depth_plane,
+    estimate_one_camera,
+    estimate_robust,
+    estimate_without_faulty,
+)
 from sylpose.experiments.figures import draw_bars, draw_lines
-from sylpose.experiments.scenes import BALANCED, CLOUD, PRACTICE, Problem, Scene, around, simulate
-from sylpose.experiments.study import Study, compare, score
+from sylpose.experiments.scenes import BALANCED, CLOUD, PRACTICE, Problem, Scene, around_rig, simulate
+from sylpose.experiments.study import Study, run_comparison, score_estimator
 from sylpose.experiments.table import ERROR_COLUMNS, Cell, Table
 from sylpose.simulate import arc, dome, ring
 
 __all__ = ["STUDIES"]
 
-# --- Where the cameras stand ------------------------------------------------------------------------------------------
+# --- Camera layout ----------------------------------------------------------------------------------------------------
 
-# Rigs, and the axis of the turn (None: any).
+# Rigs, and the rotation axis (None: any).
 LAYOUTS = {
-    "4 around, alternately above and below": (around(4), None),
+    "4 around, alternately above and below": (around_rig(4), None),
     "4 on a dome": (dome(4), None),
     "4 around, in one plane": (ring(4), None),
-    "4 in one plane, turn about its normal": (ring(4), (0.0, -1.0, 0.0)),
-    "4 above and below, the same turn": (around(4), (0.0, -1.0, 0.0)),
+    "4 in one plane, rotation about its normal": (ring(4), (0.0, -1.0, 0.0)),
+    "4 above and below, same rotation": (around_rig(4), (0.0, -1.0, 0.0)),
     "4 close together, 10° apart": (arc(4, 10, height=[0.2, -0.2, 0.2, -0.2]), None),
     "2, 90° apart": (arc(2, 90), None),
     "2, 15° apart": (arc(2, 15), None),
@@ -39,158 +47,171 @@ BALANCED_PANEL, PLAIN_PANEL, PLANE_PANEL = (
 
 def run_layout(seed: int, trials: int) -> Table:
     panels: dict[str, tuple[Scene, Estimator]] = {
-        BALANCED_PANEL: (BALANCED, centralized),
-        PLAIN_PANEL: (PRACTICE, centralized),
-        PLANE_PANEL: (PRACTICE, depth_plane),
+        BALANCED_PANEL: (BALANCED, estimate_centralized),
+        PLAIN_PANEL: (PRACTICE, estimate_centralized),
+        PLANE_PANEL: (PRACTICE, estimate_depth_plane),
     }
     rows: list[tuple[Cell, ...]] = []
     for name, (rig, axis) in LAYOUTS.items():
-        drawn = {
+        problems = {
             scene: [simulate(scene, np.random.default_rng([seed, k]), rig, axis=axis) for k in range(trials)]
             for scene in (BALANCED, PRACTICE)
         }
-        rows += [(panel, name, *score(estimate, drawn[scene])) for panel, (scene, estimate) in panels.items()]
+        rows += [
+            (panel, name, *score_estimator(estimate, problems[scene])) for panel, (scene, estimate) in panels.items()
+        ]
     return Table(("scene", "method", *ERROR_COLUMNS), tuple(rows))
 
 
-def layout_findings(table: Table) -> list[str]:
+def summarize_layout(table: Table) -> list[str]:
     good, flat = (list(LAYOUTS)[k] for k in (0, 3))
-    said = []
+    sentences = []
     for panel in (BALANCED_PANEL, PLANE_PANEL):
-        all_round, in_plane = (table.value("median_deg", scene=panel, method=name) for name in (good, flat))
-        said.append(
-            f"{panel}, a turn of 5°: {all_round:.2g}° with 4 cameras above and below; in one plane, and a turn about its "
-            f"normal, {in_plane:.2g}°."
+        around_error, planar_error = (table.value("median_deg", scene=panel, method=name) for name in (good, flat))
+        sentences.append(
+            f"{panel}, rotation by 5°: {around_error:.2g}° with 4 cameras above and below; {planar_error:.2g}° with 4 "
+            f"in one plane and rotation about its normal."
         )
-    return said
+    return sentences
 
 
 LAYOUT = Study(
     name="layout",
-    question="Where must the cameras stand?",
+    question="How does the error depend on the camera layout?",
     run=run_layout,
-    draw=partial(draw_bars, title="Where the cameras stand: a turn of 5°, noise of 0.5 px, 60 matches each"),
-    findings=layout_findings,
+    draw=partial(draw_bars, title="Camera layout: rotation by 5°, noise of 0.5 px, 60 matches each"),
+    summarize=summarize_layout,
     trials=40,
     quick_trials=3,
 )
 
 # --- Occlusion --------------------------------------------------------------------------------------------------------
 
-# Of how many cameras how many are occluded (choice).
+# Number of cameras, and of occluded ones among them (choice).
 CAMERAS, OCCLUDED = 8, 4
 OCCLUSION = {
-    "an occluded camera alone": lambda problem: one_camera(problem.only(problem.bad)),
-    "all 8 cameras": centralized,
-    "all 8 cameras, depth plane": depth_plane,
-    "the 4 others only": only_good,
+    "an occluded camera alone": lambda problem: estimate_one_camera(problem.subset(problem.faulty)),
+    "all 8 cameras": estimate_centralized,
+    "all 8 cameras, depth plane": estimate_depth_plane,
+    "the 4 others only": estimate_without_faulty,
 }
 
 
 def run_occlusion(seed: int, trials: int) -> Table:
     def make(scene: Scene, percent: float, rng: np.random.Generator) -> Problem:
         again = deepcopy(rng)
-        rig = around(CAMERAS)
-        clear, hidden = simulate(scene, rng, rig), simulate(scene, again, rig, hidden=percent / 100)
-        return clear.spoilt(range(OCCLUDED), hidden)
+        rig = around_rig(CAMERAS)
+        clear, hidden = simulate(scene, rng, rig), simulate(scene, again, rig, occlusion=percent / 100)
+        return clear.with_faulty(range(OCCLUDED), hidden)
 
     scenes = {s.name: partial(make, s) for s in (CLOUD, PRACTICE)}
-    return compare("hidden_percent", scenes, (0, 25, 50, 75, 90, 100), OCCLUSION, seed, trials)
+    return run_comparison("hidden_percent", scenes, (0, 25, 50, 75, 90, 100), OCCLUSION, seed, trials)
 
 
-def occlusion_findings(table: Table) -> list[str]:
-    said = []
+def summarize_occlusion(table: Table) -> list[str]:
+    sentences = []
     for scene in (CLOUD, PRACTICE):
         errors = ", ".join(
             f"{table.value('median_deg', scene=scene.name, method='all 8 cameras', hidden_percent=p):.2g}° with {p} %"
             for p in (0, 50, 90, 100)
         )
-        said.append(f"All 8 cameras, {scene.name}: {errors} of the features hidden in 4 of them.")
-    return said
+        sentences.append(f"All 8 cameras, {scene.name}: {errors} of the features occluded in 4 of them.")
+    return sentences
 
 
 OCCLUSION_STUDY = Study(
     name="occlusion",
-    question="What if something in front of some cameras hides features, up to all of them?",
+    question="What is the effect of occlusion in some cameras, up to all features?",
     run=run_occlusion,
     draw=partial(
         draw_lines,
-        title="Occlusion in 4 of 8 cameras: a turn of 5°, noise of 0.5 px",
+        title="Occlusion in 4 of 8 cameras: rotation by 5°, noise of 0.5 px",
         x="hidden_percent",
-        x_label="share of the features that are hidden (%)",
+        x_label="share of occluded features (%)",
         log_x=False,
     ),
-    findings=occlusion_findings,
+    summarize=summarize_occlusion,
     trials=40,
     quick_trials=4,
 )
 
-# --- Bad sensors ------------------------------------------------------------------------------------------------------
+# --- Faulty cameras ---------------------------------------------------------------------------------------------------
 
-KINDS = ("junk matches", "calibration wrong by 20°", "frozen")
-# Degrees: a wrong calibration shows with the turn (choice).
-SENSOR_TURN = 10.0
+FAULT_KINDS = ("junk matches", "calibration wrong by 20°", "frozen")
+# Degrees: the effect of a wrong calibration grows with the rotation (choice).
+SENSOR_ANGLE_DEG = 10.0
 SENSORS: dict[str, Estimator] = {
-    "all cameras": centralized,
-    "bad ones recognised": robust,
-    "bad ones left out by hand": only_good,
+    "all cameras": estimate_centralized,
+    "bad ones detected": estimate_robust,
+    "bad ones excluded by hand": estimate_without_faulty,
 }
 
 
-def with_bad(kind: str, n: float, rng: np.random.Generator) -> Problem:
-    """Eight cameras in perspective, `n` of them bad."""
-    again = deepcopy(rng)
-    rig, bad = around(CAMERAS), range(round(n))
-    good = simulate(PRACTICE, rng, rig, turn_deg=SENSOR_TURN)
-    if kind == KINDS[1]:
+def simulate_faulty(kind: str, n: float, rng: np.random.Generator) -> Problem:
+    """Simulate eight cameras in perspective, `n` of them faulty."""
+    same_rng = deepcopy(rng)
+    rig, bad = around_rig(CAMERAS), range(round(n))
+    good = simulate(PRACTICE, rng, rig, angle_deg=SENSOR_ANGLE_DEG)
+    if kind == FAULT_KINDS[1]:
         axes = rng.standard_normal((CAMERAS, 3))
         wrong = Rotation.from_rotvec(np.deg2rad(20) * axes / np.linalg.norm(axes, axis=1, keepdims=True))
-        return good.spoilt(bad, good._replace(rotations=wrong.as_matrix() @ good.rotations))
+        return good.with_faulty(bad, good._replace(rotations=wrong.as_matrix() @ good.rotations))
     other = simulate(
-        PRACTICE, again, rig, turn_deg=SENSOR_TURN, still=kind == "frozen", junk=bad if kind == KINDS[0] else ()
+        PRACTICE,
+        same_rng,
+        rig,
+        angle_deg=SENSOR_ANGLE_DEG,
+        static=kind == "frozen",
+        junk=bad if kind == FAULT_KINDS[0] else (),
     )
-    return good.spoilt(bad, other)
+    return good.with_faulty(bad, other)
 
 
 def run_sensors(seed: int, trials: int) -> Table:
     rows: list[tuple[Cell, ...]] = []
-    for kind in KINDS:
+    for kind in FAULT_KINDS:
         for n in (0, 1, 2, 3):
-            drawn = [with_bad(kind, n, np.random.default_rng([seed, k])) for k in range(trials)]
-            found = [named(problem) for problem in drawn]
-            share = np.mean([len(names & set(p.bad)) for names, p in zip(found, drawn, strict=True)]) / n if n else None
-            false = np.mean([len(names - set(p.bad)) for names, p in zip(found, drawn, strict=True)]) / (CAMERAS - n)
+            problems = [simulate_faulty(kind, n, np.random.default_rng([seed, k])) for k in range(trials)]
+            detected = [detected_faults(problem) for problem in problems]
+            share = (
+                np.mean([len(names & set(p.faulty)) for names, p in zip(detected, problems, strict=True)]) / n
+                if n
+                else None
+            )
+            false = np.mean([len(names - set(p.faulty)) for names, p in zip(detected, problems, strict=True)]) / (
+                CAMERAS - n
+            )
             for method, estimate in SENSORS.items():
-                naming = (share, float(false)) if estimate is robust else (None, None)
-                rows.append((kind, method, n, *score(estimate, drawn), *naming))
+                detection_rates = (share, float(false)) if estimate is estimate_robust else (None, None)
+                rows.append((kind, method, n, *score_estimator(estimate, problems), *detection_rates))
     return Table(("scene", "method", "bad", *ERROR_COLUMNS, "bad_named", "good_named"), tuple(rows))
 
 
-def sensors_findings(table: Table) -> list[str]:
-    said = []
-    for kind in KINDS:
+def summarize_sensors(table: Table) -> list[str]:
+    sentences = []
+    for kind in FAULT_KINDS:
         errors = [table.value("median_deg", scene=kind, method=method, bad=2) for method in SENSORS]
-        share = table.value("bad_named", scene=kind, method="bad ones recognised", bad=2)
-        said.append(
-            f"2 of 8 cameras, {kind}: {errors[0]:.2g}° with all, {errors[1]:.2g}° with bad ones recognised, "
-            f"{errors[2]:.2g}° with these left out by hand; {100 * share:.0f} % of them are named."
+        share = table.value("bad_named", scene=kind, method="bad ones detected", bad=2)
+        sentences.append(
+            f"2 of 8 cameras, {kind}: {errors[0]:.2g}° with all, {errors[1]:.2g}° with bad ones detected, "
+            f"{errors[2]:.2g}° with bad ones excluded by hand; {100 * share:.0f} % of them are detected."
         )
-    false = table.where(method="bad ones recognised").numbers("good_named")
-    return [*said, f"Good cameras named: {100 * false.mean():.1f} %."]
+    false = table.filter_rows(method="bad ones detected").column_values("good_named")
+    return [*sentences, f"Good cameras reported as bad: {100 * false.mean():.1f} %."]
 
 
 SENSORS_STUDY = Study(
     name="sensors",
-    question="What if some cameras are wrong?",
+    question="What is the effect of faulty cameras?",
     run=run_sensors,
     draw=partial(
         draw_lines,
-        title=f"Bad sensors among 8 cameras: perspective, a turn of {SENSOR_TURN:g}°, noise of 0.5 px",
+        title=f"Faulty cameras among 8: perspective, rotation by {SENSOR_ANGLE_DEG:g}°, noise of 0.5 px",
         x="bad",
         x_label="bad cameras of 8",
         log_x=False,
     ),
-    findings=sensors_findings,
+    summarize=summarize_sensors,
     trials=40,
     quick_trials=4,
 )

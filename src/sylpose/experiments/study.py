@@ -1,4 +1,4 @@
-"""What a study is, and the Monte Carlo comparison that most of them are."""
+"""Definition of a study, and the Monte Carlo comparison that most studies use."""
 
 from __future__ import annotations
 
@@ -10,33 +10,33 @@ import numpy as np
 
 from sylpose.experiments.estimators import Estimator, error_deg
 from sylpose.experiments.scenes import Problem
-from sylpose.experiments.table import ERROR_COLUMNS, Cell, Table, error_columns
+from sylpose.experiments.table import ERROR_COLUMNS, Cell, Table, compute_error_cells
 
-__all__ = ["Study", "compare", "score"]
+__all__ = ["Study", "run_comparison", "score_estimator"]
 
 
 class Study(NamedTuple):
     """One of the paper's experiments.
 
     Attributes:
-        name: what it is called on the command line.
-        question: what it asks, a sentence.
-        run: from a seed and the number of trials; the same seed gives the same table, times aside.
-        draw: a table's figure, to a path.
-        findings: what a table says, in sentences.
-        trials, quick_trials: how many by default, and where it has to be quick.
+        name: its name on the command line.
+        question: the research question, a sentence.
+        run: computes the table from a seed and the number of trials; reproducible except for run times.
+        draw: writes the figure of a table to a path.
+        summarize: summarizes a table in sentences.
+        trials, quick_trials: number of trials by default, and in quick mode.
     """
 
     name: str
     question: str
     run: Callable[[int, int], Table]
     draw: Callable[[Table, Path], None]
-    findings: Callable[[Table], list[str]]
+    summarize: Callable[[Table], list[str]]
     trials: int
     quick_trials: int
 
 
-def compare(
+def run_comparison(
     level_name: str,
     problems: Mapping[str, Callable[[float, np.random.Generator], Problem]],
     levels: Sequence[float],
@@ -44,24 +44,31 @@ def compare(
     seed: int,
     trials: int,
 ) -> Table:
-    """A Monte Carlo study: all estimators on the same problems, the same motions at every level.
+    """Run a Monte Carlo study: all estimators on the same problems, with the same motions at every level.
 
     Args:
-        level_name: of the column with what is varied.
-        problems: by scene, makes one from a level and a generator.
+        level_name: name of the column with the varied quantity.
+        problems: per scene, builds a problem from a level and a random generator.
+        levels: values of the varied quantity.
+        estimators: by name.
+        seed: seed of the random generators.
+        trials: number of trials per scene and level.
 
     Returns:
-        columns scene, method, `level_name` and `ERROR_COLUMNS`.
+        A table with columns scene, method, `level_name` and `ERROR_COLUMNS`.
     """
     rows = []
     for scene, make in problems.items():
         for level in levels:
-            drawn = [make(level, np.random.default_rng([seed, trial])) for trial in range(trials)]
-            rows += [(scene, method, level, *score(estimate, drawn)) for method, estimate in estimators.items()]
+            trial_problems = [make(level, np.random.default_rng([seed, trial])) for trial in range(trials)]
+            rows += [
+                (scene, method, level, *score_estimator(estimate, trial_problems))
+                for method, estimate in estimators.items()
+            ]
     return Table(("scene", "method", level_name, *ERROR_COLUMNS), tuple(rows))
 
 
-def score(estimate: Estimator, problems: Iterable[Problem]) -> tuple[Cell, ...]:
-    """The cells of `ERROR_COLUMNS` of an estimator's answers."""
+def score_estimator(estimate: Estimator, problems: Iterable[Problem]) -> tuple[Cell, ...]:
+    """Return the cells of `ERROR_COLUMNS` of an estimator's results."""
     answers = [(estimate(problem), problem.truth) for problem in problems]
-    return error_columns([error_deg(a, truth) for a, truth in answers], [a.certified for a, _ in answers])
+    return compute_error_cells([error_deg(a, truth) for a, truth in answers], [a.certified for a, _ in answers])

@@ -1,4 +1,4 @@
-"""Trajectories as files of other programs: a module for each, `formats` the table of them, `poses` what all have in common.
+"""Export of trajectories to other programs: one module per format, `formats` lists them, `poses` has common code.
 
-Frames without a measured pose are gaps, whatever a format has for one; none of them invents a pose.
+Frames without a measured pose are gaps, in whatever form the format supports; no exporter invents a pose.
 """

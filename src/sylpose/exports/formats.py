@@ -1,19 +1,19 @@
-"""The formats that trajectories are exported in, known without loading what writes them."""
+"""Export formats of trajectories, importable without the writers' dependencies."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-__all__ = ["FORMATS", "ExportFormat"]
+__all__ = ["EXPORT_FORMATS", "ExportFormat"]
 
 
 class ExportFormat(NamedTuple):
-    """A format of trajectories.
+    """Export format of trajectories.
 
     Attributes:
-        suffixes: of its file; none for a folder.
-        package: what must be installed, by the name of its module; "" for none.
-        extra: the extra of sylpose that brings it.
+        suffixes: suffixes of its file; empty for a folder.
+        package: import name of the required package; "" for none.
+        extra: extra of sylpose that installs it.
     """
 
     suffixes: tuple[str, ...]
@@ -21,7 +21,7 @@ class ExportFormat(NamedTuple):
     extra: str = ""
 
 
-FORMATS: dict[str, ExportFormat] = {
+EXPORT_FORMATS: dict[str, ExportFormat] = {
     "csv": ExportFormat((".csv",)),
     "tum": ExportFormat((".tum", ".txt")),
     "trc": ExportFormat((".trc",)),

@@ -1,6 +1,6 @@
-"""glTF 2.0, .glb or .gltf: a node with the object's axes that moves; it is not to be seen in gaps.
+"""glTF 2.0 export, .glb or .gltf: an animated node with the object's axes, hidden in gaps.
 
-What moves is told at the frames with a pose, between which viewers interpolate; in gaps a step of the scale to 0 hides it.
+Key frames are the frames with a pose, and viewers interpolate between them; in gaps a step of the scale to 0 hides it.
 """
 
 from __future__ import annotations
@@ -14,41 +14,54 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sylpose.atomic_io import replacing
-from sylpose.exports.poses import UP_UNKNOWN, Poses, runs_of
+from sylpose.atomic_io import replace_atomically
+from sylpose.exports.poses import UP_UNKNOWN_NOTE, Poses, find_runs
 
 __all__ = ["write_gltf"]
 
 FLOAT, LINES = 5126, 1
 _COLORS = np.eye(3)
-# glTF's y axis goes up: a world whose z axis does is turned about x by -90 degrees; x y z w.
+# In glTF, y is up: a world with z up is rotated about x by -90 degrees; x y z w.
 _Y_UP_FROM_Z_UP = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]
 
 
 def write_gltf(poses: Poses, path: Path) -> list[str]:
-    """Lengths in metres, times since the first frame; the world's axes are as they are, below a node that turns z,
-    where that goes up, to where glTF has up."""
+    """Write a glTF file with lengths in meters and times since the first frame, and return notes on it.
+
+    Poses keep the world's axes; if z is up, a parent node rotates it to glTF's up axis.
+    """
     poses = poses.in_unit("m")
-    buffer = _Buffer()
+    buffer = _BufferBuilder()
     points = np.zeros((6, 3))
-    points[1::2] = poses.axis * np.eye(3)
+    points[1::2] = poses.axis_length * np.eye(3)
     mesh = {
-        "POSITION": buffer.accessor(points, "VEC3", bounds=True),
-        "COLOR_0": buffer.accessor(np.repeat(_COLORS, 2, 0), "VEC3"),
+        "POSITION": buffer.add_accessor(points, "VEC3", bounds=True),
+        "COLOR_0": buffer.add_accessor(np.repeat(_COLORS, 2, 0), "VEC3"),
     }
-    found, times = poses.found, poses.times - poses.times[0]
-    at = buffer.accessor(times[found], "SCALAR", bounds=True)
+    has_pose, times = poses.has_pose, poses.times - poses.times[0]
+    times_accessor = buffer.add_accessor(times[has_pose], "SCALAR", bounds=True)
     samplers: list[dict[str, Any]] = [
-        {"input": at, "output": buffer.accessor(poses.positions[found], "VEC3"), "interpolation": "LINEAR"},
-        {"input": at, "output": buffer.accessor(poses.quaternions[found], "VEC4"), "interpolation": "LINEAR"},
+        {
+            "input": times_accessor,
+            "output": buffer.add_accessor(poses.positions[has_pose], "VEC3"),
+            "interpolation": "LINEAR",
+        },
+        {
+            "input": times_accessor,
+            "output": buffer.add_accessor(poses.quaternions[has_pose], "VEC4"),
+            "interpolation": "LINEAR",
+        },
     ]
-    moved = ["translation", "rotation"]
-    if not found.all():
-        changes = sorted({0, *(k for run in runs_of(found) for k in run if k < len(poses))})
-        shown = np.where(found[changes], 1.0, 0.0)[:, None] * np.ones(3)
-        seen = buffer.accessor(times[changes], "SCALAR", bounds=True), buffer.accessor(shown, "VEC3")
-        samplers.append({"input": seen[0], "output": seen[1], "interpolation": "STEP"})
-        moved.append("scale")
+    animated_paths = ["translation", "rotation"]
+    if not has_pose.all():
+        changes = sorted({0, *(k for run in find_runs(has_pose) for k in run if k < len(poses))})
+        scales = np.where(has_pose[changes], 1.0, 0.0)[:, None] * np.ones(3)
+        visibility_accessors = (
+            buffer.add_accessor(times[changes], "SCALAR", bounds=True),
+            buffer.add_accessor(scales, "VEC3"),
+        )
+        samplers.append({"input": visibility_accessors[0], "output": visibility_accessors[1], "interpolation": "STEP"})
+        animated_paths.append("scale")
     world = {"name": "world", "children": [1]} | ({"rotation": _Y_UP_FROM_Z_UP} if poses.z_up else {})
     content: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": "sylpose"},
@@ -60,31 +73,35 @@ def write_gltf(poses: Poses, path: Path) -> list[str]:
             {
                 "name": "trajectory",
                 "samplers": samplers,
-                "channels": [{"sampler": k, "target": {"node": 1, "path": what}} for k, what in enumerate(moved)],
+                "channels": [
+                    {"sampler": k, "target": {"node": 1, "path": what}} for k, what in enumerate(animated_paths)
+                ],
             }
         ],
         "accessors": buffer.accessors,
         "bufferViews": buffer.views,
         "buffers": [{"byteLength": len(buffer.data)}],
     }
-    with replacing(path) as part:
+    with replace_atomically(path) as part:
         part.write_bytes(
-            _binary(content, bytes(buffer.data)) if path.suffix.lower() == ".glb" else _text(content, buffer.data)
+            _encode_binary(content, bytes(buffer.data))
+            if path.suffix.lower() == ".glb"
+            else _encode_text(content, buffer.data)
         )
-    notes = [] if poses.unit == "m" else ["lengths are as in the calibration, which does not say its unit, and not m"]
-    return notes if poses.z_up else [*notes, UP_UNKNOWN]
+    notes = [] if poses.unit == "m" else ["lengths are in the calibration's unknown unit, not m"]
+    return notes if poses.z_up else [*notes, UP_UNKNOWN_NOTE]
 
 
-class _Buffer:
-    """Arrays of 32-bit floats, one behind the other, and what glTF says of them."""
+class _BufferBuilder:
+    """Builder of a buffer of consecutive float32 arrays, with their glTF views and accessors."""
 
     def __init__(self) -> None:
         self.data = bytearray()
         self.views: list[dict[str, Any]] = []
         self.accessors: list[dict[str, Any]] = []
 
-    def accessor(self, values: NDArray[Any], kind: str, bounds: bool = False) -> int:
-        """The number of an accessor to them."""
+    def add_accessor(self, values: NDArray[Any], kind: str, bounds: bool = False) -> int:
+        """Append an array and return the index of its accessor."""
         array = np.ascontiguousarray(values, "<f4")
         rows = array.reshape(len(array), -1)
         self.views.append({"buffer": 0, "byteOffset": len(self.data), "byteLength": array.nbytes})
@@ -101,13 +118,13 @@ class _Buffer:
         return len(self.accessors) - 1
 
 
-def _text(content: dict[str, Any], data: bytearray) -> bytes:
+def _encode_text(content: dict[str, Any], data: bytearray) -> bytes:
     content["buffers"][0]["uri"] = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
     return json.dumps(content).encode()
 
 
-def _binary(content: dict[str, Any], data: bytes) -> bytes:
-    """A header and two chunks, each a multiple of four bytes."""
+def _encode_binary(content: dict[str, Any], data: bytes) -> bytes:
+    """Encode as .glb: a header and two chunks, each padded to four bytes."""
     text = json.dumps(content).encode()
     text += b" " * (-len(text) % 4)
     data += b"\0" * (-len(data) % 4)

@@ -1,4 +1,4 @@
-"""Parquet, through pyarrow: all frames and columns; null where there is no value."""
+"""Parquet export, through pyarrow: all frames and columns; null for missing values."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from sylpose.atomic_io import replacing
-from sylpose.report.tables import columns_of
+from sylpose.atomic_io import replace_atomically
+from sylpose.report.tables import build_columns
 from sylpose.results import Trajectory
 
 __all__ = ["write_parquet"]
 
 
 def write_parquet(trajectory: Trajectory, path: Path) -> list[str]:
-    """All of `report.tables`."""
-    columns = {name: pa.array(column, from_pandas=True) for name, column in columns_of(trajectory).items()}
-    with replacing(path) as part:
+    """Write all columns of `report.tables`."""
+    columns = {name: pa.array(column, from_pandas=True) for name, column in build_columns(trajectory).items()}
+    with replace_atomically(path) as part:
         pq.write_table(pa.table(columns), part)
     return []

@@ -1,4 +1,4 @@
-"""What is exported of a trajectory: poses that were measured, and gaps."""
+"""Trajectory data for export: measured poses and gaps."""
 
 from __future__ import annotations
 
@@ -11,33 +11,34 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.results import Trajectory
-from sylpose.units import METRES
+from sylpose.units import METERS
 
-__all__ = ["AXIS_M", "UP_UNKNOWN", "Poses", "runs_of"]
+__all__ = ["AXIS_LENGTH_M", "UP_UNKNOWN_NOTE", "Poses", "find_runs"]
 
-# How long the object's axes are where a format draws them, metres, or units where these are not known (choice: a hand's).
-AXIS_M = 0.1
-# Of formats that say which axis is up.
-UP_UNKNOWN = (
-    "axes are the calibration's, which does not say where up is, and the format takes y for it (track --world up=X,Y,Z "
-    "would say it)"
+# Length of the object's axes where a format draws them, meters, or units if unknown (choice: size of a hand).
+AXIS_LENGTH_M = 0.1
+# Note for formats with a fixed up axis.
+UP_UNKNOWN_NOTE = (
+    "axes are the calibration's; its up direction is unknown, and the format assumes y (set it by track "
+    "--world up=X,Y,Z)"
 )
-# Of steps of time, that count as one rate (choice: time stamps of a millisecond at 100 frames a second, and half of that).
-STEADY = 0.15
+# Relative deviation of time steps accepted as one rate (choice: timestamps of a millisecond at 100 frames a second,
+# and half of that).
+MAX_STEP_DEVIATION = 0.15
 
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """world_from_object in N frames.
+    """Poses world_from_object in N frames.
 
     Attributes:
-        name: of the object.
+        name: name of the object.
         indices: (N,) numbers of the frames in the recording.
         times: (N,) seconds, increasing.
-        positions: (N, 3) of the object's centre; NaN in gaps.
+        positions: (N, 3) of the object's center; NaN in gaps.
         quaternions: (N, 4) w last, continuous in sign; NaN in gaps.
-        unit: of lengths, or "".
-        z_up: whether the world's z axis is known to go up; else nobody knows what does.
+        unit: unit of lengths, or "".
+        z_up: whether the world's z axis is known to be up; otherwise the up direction is unknown.
     """
 
     name: str
@@ -49,26 +50,26 @@ class Poses:
     z_up: bool = False
 
     @classmethod
-    def of(cls, trajectory: Trajectory, name: str = "object", z_up: bool = False) -> Self:
-        """The measured poses.
+    def from_trajectory(cls, trajectory: Trajectory, name: str = "object", z_up: bool = False) -> Self:
+        """Select the measured poses of a trajectory.
 
         Raises:
-            ValueError: no pose was measured; times that do not increase; a name that is no text.
+            ValueError: no pose was measured; times that do not increase; a name that is not printable text.
         """
         if not name.strip() or not name.isprintable():
             raise ValueError(f"the object's name must be text, got {name!r}")
         frames = list(trajectory)
-        if not any(f.measured for f in frames):
-            raise ValueError(f"no pose was measured in the {len(frames)} frames that are asked for: nothing to export")
+        if not any(f.is_measured for f in frames):
+            raise ValueError(f"no pose was measured in the {len(frames)} selected frames: nothing to export")
         if any(b.time <= a.time for a, b in pairwise(frames)):
             raise ValueError("the frames' times do not increase")
         quaternions = np.full((len(frames), 4), np.nan)
-        before = np.array([0.0, 0.0, 0.0, 1.0])
+        previous = np.array([0.0, 0.0, 0.0, 1.0])
         for i, frame in enumerate(frames):
-            if frame.measured and frame.world_from_object is not None:
+            if frame.is_measured and frame.world_from_object is not None:
                 quaternion = frame.world_from_object.rotation.as_quat()
-                before = quaternions[i] = -quaternion if quaternion @ before < 0 else quaternion
-        positions = np.array([f.position if f.measured else np.full(3, np.nan) for f in frames])
+                previous = quaternions[i] = -quaternion if quaternion @ previous < 0 else quaternion
+        positions = np.array([f.position if f.is_measured else np.full(3, np.nan) for f in frames])
         indices, times = [f.index for f in frames], np.array([f.time for f in frames])
         return cls(name, indices, times, positions, quaternions, trajectory.unit, z_up)
 
@@ -76,38 +77,38 @@ class Poses:
         return len(self.times)
 
     @property
-    def found(self) -> BoolArray:
-        """(N,) frames with a pose."""
+    def has_pose(self) -> BoolArray:
+        """Return a mask (N,) of the frames with a pose."""
         return np.asarray(np.isfinite(self.positions).all(axis=1))
 
     @property
-    def word(self) -> str:
-        """The name without blanks."""
+    def identifier(self) -> str:
+        """Return the name without blanks."""
         return "_".join(self.name.split())
 
     @property
-    def axis(self) -> float:
-        """How long the object's axes are drawn, in its unit."""
-        return AXIS_M / METRES.get(self.unit, 1.0)
+    def axis_length(self) -> float:
+        """Return the drawn length of the object's axes, in its unit."""
+        return AXIS_LENGTH_M / METERS.get(self.unit, 1.0)
 
     def in_unit(self, unit: str) -> Self:
-        """The same with its lengths in a format's unit, where its own is known."""
-        if self.unit not in METRES:
+        """Convert lengths to a format's unit; unchanged if the own unit is unknown."""
+        if self.unit not in METERS:
             return self
-        return replace(self, positions=self.positions * (METRES[self.unit] / METRES[unit]), unit=unit)
+        return replace(self, positions=self.positions * (METERS[self.unit] / METERS[unit]), unit=unit)
 
     def with_y_up(self) -> Self:
-        """The same for formats whose y axis goes up, in a world that is turned about x; as it is where up is not known."""
+        """Rotate the world about x for formats with y up; unchanged if up is unknown."""
         if not self.z_up:
             return self
-        found, turn = self.found, Rotation.from_euler("x", -90.0, degrees=True)
+        has_pose, rotation = self.has_pose, Rotation.from_euler("x", -90.0, degrees=True)
         positions, quaternions = self.positions.copy(), self.quaternions.copy()
-        positions[found] = turn.apply(positions[found])
-        quaternions[found] = (turn * Rotation.from_quat(quaternions[found])).as_quat()
+        positions[has_pose] = rotation.apply(positions[has_pose])
+        quaternions[has_pose] = (rotation * Rotation.from_quat(quaternions[has_pose])).as_quat()
         return replace(self, positions=positions, quaternions=quaternions, z_up=False)
 
-    def rate(self, format_: str) -> float:
-        """Frames per second, for a format that has one for all.
+    def compute_rate(self, format_: str) -> float:
+        """Compute the frame rate, frames per second, for formats that have a single one.
 
         Raises:
             ValueError: naming the format; frames that are not at a steady rate.
@@ -116,36 +117,36 @@ class Poses:
         if not len(steps):
             return 1.0
         step = float(np.median(steps))
-        if np.abs(steps - step).max() > STEADY * step:
+        if np.abs(steps - step).max() > MAX_STEP_DEVIATION * step:
             raise ValueError(
-                f"{format_} has one rate for all frames, and these are {steps.min():g} to {steps.max():g} s apart; csv, "
-                "tum, gltf, usd, rosbag and parquet have their times"
+                f"{format_} requires a constant rate, and frames are {steps.min():g} to {steps.max():g} s apart; csv, "
+                "tum, gltf, usd, rosbag and parquet store frame times"
             )
         return float((len(self) - 1) / (self.times[-1] - self.times[0]))
 
-    def markers(self) -> tuple[list[str], FloatArray]:
-        """Four points on the object, its centre and the ends of its axes: names, and (N, 4, 3) places; NaN in gaps."""
-        points = self.axis * np.vstack([np.zeros(3), np.eye(3)])
-        found = self.found
-        places = np.full((len(self), 4, 3), np.nan)
-        turned = Rotation.from_quat(self.quaternions[found]).as_matrix()
-        places[found] = np.einsum("nij,pj->npi", turned, points) + self.positions[found, None]
-        return [f"{self.word}_{end}" for end in ("O", "X", "Y", "Z")], places
+    def compute_markers(self) -> tuple[list[str], FloatArray]:
+        """Compute four points on the object, its center and axis ends: names, and positions (N, 4, 3); NaN in gaps."""
+        points = self.axis_length * np.vstack([np.zeros(3), np.eye(3)])
+        found = self.has_pose
+        positions = np.full((len(self), 4, 3), np.nan)
+        rotations = Rotation.from_quat(self.quaternions[found]).as_matrix()
+        positions[found] = np.einsum("nij,pj->npi", rotations, points) + self.positions[found, None]
+        return [f"{self.identifier}_{end}" for end in ("O", "X", "Y", "Z")], positions
 
-    def trimmed(self) -> Self:
-        """Without gaps before the first pose and after the last one."""
-        found = np.flatnonzero(self.found)
-        kept = slice(int(found[0]), int(found[-1]) + 1)
+    def trim(self) -> Self:
+        """Remove gaps before the first pose and after the last one."""
+        valid = np.flatnonzero(self.has_pose)
+        selection = slice(int(valid[0]), int(valid[-1]) + 1)
         return replace(
             self,
-            indices=self.indices[kept],
-            times=self.times[kept],
-            positions=self.positions[kept],
-            quaternions=self.quaternions[kept],
+            indices=self.indices[selection],
+            times=self.times[selection],
+            positions=self.positions[selection],
+            quaternions=self.quaternions[selection],
         )
 
 
-def runs_of(found: BoolArray) -> list[tuple[int, int]]:
-    """First frame and the one behind the last of each run of frames with a pose."""
-    change = np.flatnonzero(np.diff(np.concatenate([[False], found, [False]]).astype(int)))
+def find_runs(has_pose: BoolArray) -> list[tuple[int, int]]:
+    """Find the runs of frames with a pose, each as (first, last + 1)."""
+    change = np.flatnonzero(np.diff(np.concatenate([[False], has_pose, [False]]).astype(int)))
     return [(int(a), int(b)) for a, b in zip(change[::2], change[1::2], strict=True)]

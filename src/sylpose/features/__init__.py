@@ -1,1 +1,1 @@
-"""Points in images: found (`sift`) and followed (`klt`)."""
+"""Image features: detection and matching (`sift`) and tracking (`klt`)."""

@@ -1,15 +1,17 @@
-"""Features followed from image to image: faster than detecting and matching them anew, and more precise.
+"""KLT feature tracking with affine consistency check against the template frame.
 
-A feature's surroundings at its keyframe, a square patch, are found again in every later image in two steps: pyramidal
-Lucas-Kanade from the image before says where, within a pixel or so; then the keyframe's own patch is laid over that place
-with an affine warp, and with the brightness and contrast that fit. So errors do not add up over the images between, and a
-feature is kept only while it looks as it did at its keyframe. When an object turns by 1.5 degrees per frame, following from
-image to image alone is off by 0.6 pixels after 10 (median; the patch's change of shape is taken for motion, always the same
-way), this by 0.06, and SIFT keypoints matched with the keyframe's by 0.23.
+The square patch around each feature in its template frame is located in every later image in two steps. Pyramidal
+Lucas-Kanade from the previous image predicts the position to within about a pixel. Then the template patch is
+registered there with an affine warp, gain and bias. Hence errors do not accumulate over frames, and a feature is kept
+only while it resembles its template.
+
+At 1.5 degrees of object rotation per frame, frame-to-frame tracking alone has a median error of 0.6 pixels after 10
+frames: the patch's change of shape is mistaken for motion, always in the same direction. This method has 0.06 pixels,
+and SIFT keypoints matched with the template frame's 0.23.
 
 Sources: Bouguet, "Pyramidal implementation of the Lucas Kanade feature tracker", 2000 (OpenCV's); Shi & Tomasi, "Good
-features to track", CVPR 1994 (affine comparison with the first patch); Baker & Matthews, "Lucas-Kanade 20 years on", IJCV
-2004 (inverse compositional, with gain and bias projected out, part 3).
+features to track", CVPR 1994 (affine comparison with the first patch); Baker & Matthews, "Lucas-Kanade 20 years on",
+IJCV 2004 (inverse compositional, with gain and bias projected out, part 3).
 """
 
 from __future__ import annotations
@@ -23,42 +25,43 @@ from numpy.typing import ArrayLike, NDArray
 from sylpose.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 from sylpose.geometry.numba_linalg import kernel
 
-__all__ = ["Patches", "Tracks", "advance", "begin", "evened", "grey"]
+__all__ = ["TemplatePatches", "Tracks", "flatten_illumination", "start_tracks", "to_gray", "track_features"]
 
 Filters = NDArray[np.float32]
 
-# Patches reach so many pixels around their feature.
-HALF = 6
-# Noise of a patch, grey levels, and how far its rim may be off at the start, pixels: where a patch has little texture, the
-# warp stays near its start.
-NOISE, PRIOR_PX = 4.0, 2.0
-# A patch whose texture gives its place no better than this, pixels, is not followed.
+# Patch radius around a feature, pixels.
+PATCH_RADIUS = 6
+# Image noise, gray levels, and prior standard deviation of the patch border's initial error, pixels: weakly textured
+# patches keep their initial warp.
+NOISE_GRAY_LEVELS, WARP_PRIOR_PX = 4.0, 2.0
+# Features are not tracked if their position's standard deviation, from the texture, exceeds this, pixels.
 MAX_SD_PX = 0.3
-# Steps of the registration, at most; it ends when the patch moves by less than this, pixels.
-ROUNDS, SETTLED_PX = 10, 0.03
-# The registration may move a feature by so much, pixels: further away, it has found something else.
-REACH_PX = 2.0
-# Least correlation with the keyframe's patch.
-LIKENESS = 0.85
-# From image to image: window, pixels; levels above the image itself; steps per level. The smaller the window, the less a
-# change of shape is taken for motion.
-WINDOW, LEVELS = (9, 9), 2
-CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)
-# Changes of the light are evened out over a square so wide, pixels. A smaller one would shorten the reach.
-EVEN_PX = 51
-# Pixels around the features that are looked at: the coarsest level's window and the motion.
+# Largest number of registration steps, and the step at which it converges, pixels.
+MAX_ITERATIONS, CONVERGENCE_PX = 10, 0.03
+# Largest correction by the registration, pixels; beyond it, it has found another feature.
+MAX_CORRECTION_PX = 2.0
+# Least normalized correlation with the template patch.
+MIN_CORRELATION = 0.85
+# Frame-to-frame Lucas-Kanade: window, pixels, pyramid levels above the image, and termination criteria. A smaller
+# window mistakes less change of shape for motion.
+KLT_WINDOW, KLT_LEVELS = (9, 9), 2
+KLT_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)
+# Width of the square over which illumination is flattened, pixels. A smaller one would reduce the capture range.
+FLATTEN_WINDOW_PX = 51
+# Margin of the processed area around the features, pixels: the coarsest level's window plus the motion.
 MARGIN_PX = 40
 
 
 @dataclass(frozen=True, eq=False)
-class Patches:
-    """What n features look like at their keyframe, ready to be laid over later images.
+class TemplatePatches:
+    """Template patches of n features, precomputed for registration.
 
     Attributes:
-        filters: (n, s, 8) float32, s = (2 HALF + 1)^2 samples row by row. A sampled patch times these gives the steps of
-            the warp's six parameters, for a gain of one, then the gain, then the mean. About 5 kB per feature.
-        contrast: (n,) the norm of the patch less its mean.
-        sd: (n,) standard deviation of the patch's place, pixels, that its texture allows.
+        filters: (n, s, 8) float32, s = (2 PATCH_RADIUS + 1)^2 samples in row order. Multiplying a sampled patch by them
+            gives the steps of the warp's six parameters for unit gain, then the gain, then the mean. About 5 kB per
+            feature.
+        contrast: (n,) norm of the patch minus its mean.
+        sd: (n,) standard deviation of the feature position from the patch's texture, pixels.
     """
 
     filters: Filters
@@ -71,32 +74,32 @@ class Patches:
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
-    """n features of a keyframe, as far as they have been followed. Rows stay in order, lost ones too.
+    """Tracking state of n features of a template frame. Rows keep their order; lost features are kept.
 
     Attributes:
-        patches: at the keyframe.
-        pixels: (n, 2) where they are now; NaN for those that are lost.
-        warps: (n, 2, 2) from offsets in the keyframe's patch to offsets in the image, the last that was found.
-        followed: (n,) False for those that are lost.
+        patches: the template patches.
+        pixels: (n, 2) current positions; NaN for lost features.
+        warps: (n, 2, 2) from offsets in the template patch to offsets in the image; the last one found.
+        tracked: (n,) False for lost features.
     """
 
-    patches: Patches
+    patches: TemplatePatches
     pixels: FloatArray
     warps: FloatArray
-    followed: BoolArray
+    tracked: BoolArray
 
     def __len__(self) -> int:
         return len(self.pixels)
 
     def subset(self, rows: IntArray) -> Tracks:
-        """Some of the rows (m,), in this order."""
-        patches = Patches(self.patches.filters[rows], self.patches.contrast[rows], self.patches.sd[rows])
-        return Tracks(patches, self.pixels[rows], self.warps[rows], self.followed[rows])
+        """Return the rows (m,) in the given order."""
+        patches = TemplatePatches(self.patches.filters[rows], self.patches.contrast[rows], self.patches.sd[rows])
+        return Tracks(patches, self.pixels[rows], self.warps[rows], self.tracked[rows])
 
-    def join(self, others: Tracks) -> Tracks:
-        """These rows, then those."""
+    def concatenate(self, others: Tracks) -> Tracks:
+        """Return these rows followed by those of `others`."""
         a, b = self.patches, others.patches
-        patches = Patches(
+        patches = TemplatePatches(
             np.concatenate([a.filters, b.filters]),
             np.concatenate([a.contrast, b.contrast]),
             np.concatenate([a.sd, b.sd]),
@@ -105,18 +108,22 @@ class Tracks:
             patches,
             np.concatenate([self.pixels, others.pixels]),
             np.concatenate([self.warps, others.warps]),
-            np.concatenate([self.followed, others.followed]),
+            np.concatenate([self.tracked, others.tracked]),
         )
 
     def keep(self, mask: BoolArray) -> Tracks:
-        """The same features; those outside the mask (n,) are lost, such as outliers of a motion."""
-        followed = self.followed & mask
-        return replace(self, pixels=np.where(followed[:, None], self.pixels, np.nan), followed=followed)
+        """Mark features outside the mask (n,) as lost, such as outliers of a motion."""
+        tracked = self.tracked & mask
+        return replace(self, pixels=np.where(tracked[:, None], self.pixels, np.nan), tracked=tracked)
 
 
-def grey(image: Image) -> Image:
-    """(h, w) of an image (h, w, 3) BGR or (h, w) grey, uint8: what `begin` and `advance` take. Made once per image, it
-    serves for both pairs that the image is part of.
+def to_gray(image: Image) -> Image:
+    """Convert an image to the gray image (h, w) that the tracking functions require.
+
+    Compute it once per image: both pairs of which the image is part use it.
+
+    Args:
+        image: (h, w, 3) BGR or (h, w) gray, uint8.
 
     Raises:
         ValueError: another shape or type.
@@ -126,21 +133,26 @@ def grey(image: Image) -> Image:
     return np.ascontiguousarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image, dtype=np.uint8)
 
 
-def begin(image: Image, pixels: ArrayLike) -> Tracks:
-    """The features (n, 2) of a keyframe, to be followed from here. Those too near to the rim of the image for a patch, and
-    those on plain ground, are lost for good.
+def start_tracks(image: Image, pixels: ArrayLike) -> Tracks:
+    """Start tracking features at a template frame.
+
+    Features too close to the image border for a patch, and those with too little texture, are lost permanently.
 
     Args:
-        image: (h, w) grey.
+        image: (h, w) gray.
+        pixels: (n, 2) feature positions, pixels.
+
+    Returns:
+        Tracks of the n features.
 
     Raises:
-        ValueError: an image that `grey` did not make, or pixels that are not (n, 2) and finite.
+        ValueError: an image not made by `to_gray`, or pixels that are not (n, 2) and finite.
     """
-    image, pixels = _checked(image, "image"), _points(pixels, "pixels")
+    image, pixels = _check_image(image, "image"), _check_points(pixels, "pixels")
     if not np.isfinite(pixels).all():
-        raise ValueError("pixels: those of a keyframe must be finite")
-    n, side = len(pixels), 2 * HALF + 3  # one more on each side, for derivatives
-    corners = np.floor(pixels).astype(np.int64) - HALF - 1
+        raise ValueError("pixels: must be finite in a template frame")
+    n, side = len(pixels), 2 * PATCH_RADIUS + 3  # plus one on each side, for derivatives
+    corners = np.floor(pixels).astype(np.int64) - PATCH_RADIUS - 1
     inside = ((corners >= 0) & (corners + side < np.array(image.shape[::-1]))).all(axis=1)
     corners[~inside] = 0
     offsets = np.arange(side + 1)
@@ -152,52 +164,63 @@ def begin(image: Image, pixels: ArrayLike) -> Tracks:
         fx, fy = (pixels - np.floor(pixels)).astype(np.float32).T[..., None, None]
         values = values[:, :, :-1] + fx * (values[:, :, 1:] - values[:, :, :-1])
         patches = values[:, :-1] + fy * (values[:, 1:] - values[:, :-1])
-    of_keyframe = _filters(patches)
-    followed = inside & (of_keyframe.sd < MAX_SD_PX)
-    of_keyframe.filters[~followed] = 0.0  # these resemble nothing, whatever is guessed
-    tracks = Tracks(of_keyframe, pixels, np.tile(np.eye(2), (n, 1, 1)), followed)
-    return tracks.keep(followed)
+    templates = _build_templates(patches)
+    tracked = inside & (templates.sd < MAX_SD_PX)
+    templates.filters[~tracked] = 0.0  # never matched, whatever the guess
+    tracks = Tracks(templates, pixels, np.tile(np.eye(2), (n, 1, 1)), tracked)
+    return tracks.keep(tracked)
 
 
-def advance(tracks: Tracks, previous: Image, current: Image, guess: ArrayLike | None = None) -> Tracks:
-    """The features in the next image.
+def track_features(tracks: Tracks, previous: Image, current: Image, guess: ArrayLike | None = None) -> Tracks:
+    """Track features into the next image.
+
+    Lost features are searched wherever `guess` is finite, and found if it is right to within about 1.5 pixels. To
+    recover features lost on the way to an image, pass it as `previous` and `current`, with the positions predicted from
+    its pose.
 
     Args:
-        tracks: where they are in `previous`.
-        previous, current: (h, w) grey, of the same size.
-        guess: (n, 2) where they are expected in `current`, within about 4 pixels; without it, they may have moved by about 8
-            since `previous`. Features that were lost are looked for where it is finite, and found if it is right within
-            about 1.5 pixels: with `current` as `previous` too, and the places that its pose gives, those lost on the way to
-            it are looked for again.
+        tracks: features with their positions in `previous`.
+        previous, current: (h, w) gray, of the same size.
+        guess: (n, 2) expected positions in `current`, within about 4 pixels; without it, features may have moved by
+            about 8 pixels since `previous`.
+
+    Returns:
+        Tracks with the positions in `current`.
 
     Raises:
-        ValueError: images that `grey` did not make or of two sizes, or a guess that is not (n, 2).
+        ValueError: images not made by `to_gray` or of different sizes, or a guess that is not (n, 2).
     """
-    previous, current = _checked(previous, "previous"), _checked(current, "current")
+    previous, current = _check_image(previous, "previous"), _check_image(current, "current")
     if previous.shape != current.shape:
-        raise ValueError(f"images of one camera must have one size, got {previous.shape} and {current.shape}")
-    start = tracks.pixels.copy() if guess is None else _points(guess, "guess")
+        raise ValueError(f"images of one camera must have the same size, got {previous.shape} and {current.shape}")
+    start = tracks.pixels.copy() if guess is None else _check_points(guess, "guess")
     if len(start) != len(tracks):
-        raise ValueError(f"guess: {len(start)} places for {len(tracks)} features")
+        raise ValueError(f"guess: {len(start)} positions for {len(tracks)} features")
     start = np.where(np.isfinite(start).all(axis=1, keepdims=True), start, tracks.pixels)
-    flown = np.flatnonzero(tracks.followed)
-    start[flown] = _flow(previous, current, tracks.pixels[flown], start[flown])
-    tried = np.flatnonzero(np.isfinite(start).all(axis=1))
-    places, warps, likeness = start[tried], tracks.warps[tried], np.zeros(len(tried))
-    _register(current, tracks.patches.filters, tracks.patches.contrast, tried, places, warps, likeness)
-    found = likeness > LIKENESS
-    pixels, of_all, followed = np.full_like(start, np.nan), tracks.warps.copy(), np.zeros(len(tracks), bool)
-    pixels[tried[found]], of_all[tried[found]], followed[tried[found]] = places[found], warps[found], True
-    return Tracks(tracks.patches, pixels, of_all, followed)
+    active = np.flatnonzero(tracks.tracked)
+    start[active] = _track_pyramidal(previous, current, tracks.pixels[active], start[active])
+    candidates = np.flatnonzero(np.isfinite(start).all(axis=1))
+    positions, warps, correlation = start[candidates], tracks.warps[candidates], np.zeros(len(candidates))
+    _register_patches(
+        current, tracks.patches.filters, tracks.patches.contrast, candidates, positions, warps, correlation
+    )
+    found = correlation > MIN_CORRELATION
+    pixels, all_warps, tracked = np.full_like(start, np.nan), tracks.warps.copy(), np.zeros(len(tracks), bool)
+    pixels[candidates[found]], all_warps[candidates[found]], tracked[candidates[found]] = (
+        positions[found],
+        warps[found],
+        True,
+    )
+    return Tracks(tracks.patches, pixels, all_warps, tracked)
 
 
-def _checked(image: Image, name: str) -> Image:
+def _check_image(image: Image, name: str) -> Image:
     if image.dtype != np.uint8 or image.ndim != 2 or not image.size:
-        raise ValueError(f"{name}: must be a grey image (h, w), uint8, got {image.dtype} {image.shape}")
+        raise ValueError(f"{name}: must be a gray image (h, w), uint8, got {image.dtype} {image.shape}")
     return np.ascontiguousarray(image)
 
 
-def _points(points: ArrayLike, name: str) -> FloatArray:
+def _check_points(points: ArrayLike, name: str) -> FloatArray:
     array = np.array(points, dtype=float)
     if array.size == 0:
         return np.empty((0, 2))
@@ -206,80 +229,88 @@ def _points(points: ArrayLike, name: str) -> FloatArray:
     return array
 
 
-def _filters(patches: Filters) -> Patches:
-    """Of patches (n, side + 2, side + 2), sampled around the features with one pixel more on every side."""
-    n, samples = len(patches), (2 * HALF + 1) ** 2
+def _build_templates(patches: Filters) -> TemplatePatches:
+    """Precompute template patches from (n, side + 2, side + 2) samples, one extra pixel per side."""
+    n, samples = len(patches), (2 * PATCH_RADIUS + 1) ** 2
     along_u = (0.5 * (patches[:, 1:-1, 2:] - patches[:, 1:-1, :-2])).reshape(n, samples)
     along_v = (0.5 * (patches[:, 2:, 1:-1] - patches[:, :-2, 1:-1])).reshape(n, samples)
-    v, u = (np.mgrid[-HALF : HALF + 1, -HALF : HALF + 1].reshape(2, -1) / HALF).astype(np.float32)
-    # The derivatives by a shift and by a warp, the warp's in pixels at the patch's rim.
+    v, u = (
+        np.mgrid[-PATCH_RADIUS : PATCH_RADIUS + 1, -PATCH_RADIUS : PATCH_RADIUS + 1].reshape(2, -1) / PATCH_RADIUS
+    ).astype(np.float32)
+    # Derivatives with respect to translation and to the warp, the latter in pixels at the patch border.
     slopes = np.stack([along_u, along_v, along_u * u, along_u * v, along_v * u, along_v * v], axis=1)
     texture = patches[:, 1:-1, 1:-1].reshape(n, samples)
     texture = texture - texture.mean(axis=1, keepdims=True)
     power = np.maximum((texture**2).sum(axis=1), np.float32(1e-3))
-    # Less what brightness and contrast explain, so that neither moves the warp.
+    # Project out brightness and contrast, so that neither affects the warp.
     slopes -= slopes.mean(axis=2, keepdims=True)
     slopes -= (slopes @ texture[:, :, None] / power[:, None, None]) * texture[:, None]
-    normal = (slopes @ slopes.transpose(0, 2, 1)).astype(float) + (NOISE / PRIOR_PX) ** 2 * np.eye(6)
+    normal = (slopes @ slopes.transpose(0, 2, 1)).astype(float) + (NOISE_GRAY_LEVELS / WARP_PRIOR_PX) ** 2 * np.eye(6)
     inverse = np.linalg.inv(normal)
     steps = inverse @ slopes
-    steps[:, 2:] /= HALF
+    steps[:, 2:] /= PATCH_RADIUS
     filters = np.empty((n, samples, 8), np.float32)
     filters[:, :, :6] = steps.transpose(0, 2, 1)
     filters[:, :, 6] = texture / power[:, None]
     filters[:, :, 7] = 1.0 / samples
-    sd = NOISE * np.sqrt(0.5 * (inverse[:, 0, 0] + inverse[:, 1, 1]))
-    return Patches(filters, np.sqrt(power.astype(float)), sd)
+    sd = NOISE_GRAY_LEVELS * np.sqrt(0.5 * (inverse[:, 0, 0] + inverse[:, 1, 1]))
+    return TemplatePatches(filters, np.sqrt(power.astype(float)), sd)
 
 
-def _flow(previous: Image, current: Image, pixels: FloatArray, start: FloatArray) -> FloatArray:
-    """Pyramidal Lucas-Kanade of points (n, 2) from the start (n, 2); NaN where it fails."""
+def _track_pyramidal(previous: Image, current: Image, pixels: FloatArray, start: FloatArray) -> FloatArray:
+    """Track points (n, 2) by pyramidal Lucas-Kanade from the start (n, 2); NaN on failure."""
     height, width = current.shape
-    seen = ((start >= 0) & (start <= [width - 1, height - 1])).all(axis=1)
-    flown = np.full_like(pixels, np.nan)
-    if not seen.any():
-        return flown
-    # Pyramids cannot be kept from one call to the next: OpenCV takes them in C++, not in Python (its issue 7236). Of the
+    is_inside = ((start >= 0) & (start <= [width - 1, height - 1])).all(axis=1)
+    tracked_pixels = np.full_like(pixels, np.nan)
+    if not is_inside.any():
+        return tracked_pixels
+    # Pyramids cannot be reused between calls: OpenCV accepts them in C++ only, not in Python (its issue 7236). For the
     # area around the features they cost a tenth of a millisecond.
-    both = np.concatenate([pixels[seen], start[seen]])
+    both = np.concatenate([pixels[is_inside], start[is_inside]])
     left, top = np.maximum(both.min(axis=0).astype(np.int64) - MARGIN_PX, 0)
     right, bottom = both.max(axis=0).astype(np.int64) + MARGIN_PX + 1
     window = slice(top, bottom), slice(left, right)
     corner = np.array([left, top], dtype=float)
-    places, status, _ = cv2.calcOpticalFlowPyrLK(
-        evened(previous[window]),
-        evened(current[window]),
-        (pixels[seen] - corner).astype(np.float32),
-        (start[seen] - corner).astype(np.float32),
-        winSize=WINDOW,
-        maxLevel=LEVELS,
-        criteria=CRITERIA,
+    positions, status, _ = cv2.calcOpticalFlowPyrLK(
+        flatten_illumination(previous[window]),
+        flatten_illumination(current[window]),
+        (pixels[is_inside] - corner).astype(np.float32),
+        (start[is_inside] - corner).astype(np.float32),
+        winSize=KLT_WINDOW,
+        maxLevel=KLT_LEVELS,
+        criteria=KLT_CRITERIA,
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
     )
-    flown[seen] = np.where(status.reshape(-1, 1) > 0, places.reshape(-1, 2) + corner, np.nan)
-    return flown
+    tracked_pixels[is_inside] = np.where(status.reshape(-1, 1) > 0, positions.reshape(-1, 2) + corner, np.nan)
+    return tracked_pixels
 
 
-def evened(image: Image) -> Image:
-    """Less what is brighter or darker over a wide area: Lucas-Kanade takes a change of the light for motion."""
-    around = cv2.blur(image, (EVEN_PX, EVEN_PX))
-    return np.asarray(cv2.addWeighted(image, 1.0, around, -1.0, 128.0), dtype=np.uint8)
+def flatten_illumination(image: Image) -> Image:
+    """Subtract the local mean brightness: Lucas-Kanade mistakes illumination changes for motion."""
+    local_mean = cv2.blur(image, (FLATTEN_WINDOW_PX, FLATTEN_WINDOW_PX))
+    return np.asarray(cv2.addWeighted(image, 1.0, local_mean, -1.0, 128.0), dtype=np.uint8)
 
 
 @kernel
-def _sample(image: Image, x: float, y: float, warp: FloatArray, out: Filters) -> bool:
-    """The patch under a warp (2, 2) around (x, y), bilinear, row by row; False where it leaves the image."""
+def _sample_patch(image: Image, x: float, y: float, warp: FloatArray, out: Filters) -> bool:
+    """Sample the patch under a warp (2, 2) around (x, y), bilinear, in row order; False outside the image."""
     height, width = image.shape
-    reach_u, reach_v = HALF * (abs(warp[0, 0]) + abs(warp[0, 1])), HALF * (abs(warp[1, 0]) + abs(warp[1, 1]))
-    # Written so that NaN is outside, too.
+    reach_u, reach_v = (
+        PATCH_RADIUS * (abs(warp[0, 0]) + abs(warp[0, 1])),
+        PATCH_RADIUS * (abs(warp[1, 0]) + abs(warp[1, 1])),
+    )
+    # NaN must count as outside.
     if not (x - reach_u >= 0.0 and y - reach_v >= 0.0 and x + reach_u < width - 1.01 and y + reach_v < height - 1.01):
         return False
-    # 32 bits suffice for a thousandth of a pixel, and run twice as fast.
+    # 32 bits resolve a thousandth of a pixel and are twice as fast.
     right, down, one = np.float32(warp[0, 0]), np.float32(warp[1, 0]), np.uint32(1)
     i = 0
-    for v in range(-HALF, HALF + 1):
-        u0, v0 = np.float32(x + warp[0, 1] * v - warp[0, 0] * HALF), np.float32(y + warp[1, 1] * v - warp[1, 0] * HALF)
-        for k in range(2 * HALF + 1):
+    for v in range(-PATCH_RADIUS, PATCH_RADIUS + 1):
+        u0, v0 = (
+            np.float32(x + warp[0, 1] * v - warp[0, 0] * PATCH_RADIUS),
+            np.float32(y + warp[1, 1] * v - warp[1, 0] * PATCH_RADIUS),
+        )
+        for k in range(2 * PATCH_RADIUS + 1):
             at_u, at_v = u0 + right * np.float32(k), v0 + down * np.float32(k)
             column, row = np.uint32(at_u), np.uint32(at_v)
             fu, fv = at_u - np.float32(column), at_v - np.float32(row)
@@ -292,47 +323,49 @@ def _sample(image: Image, x: float, y: float, warp: FloatArray, out: Filters) ->
 
 
 @kernel
-def _register(
+def _register_patches(
     image: Image,
     filters: Filters,
     contrast: FloatArray,
     index: IntArray,
-    places: FloatArray,
+    positions: FloatArray,
     warps: FloatArray,
-    likeness: FloatArray,
+    correlation: FloatArray,
 ) -> None:
-    """Lays patches over an image.
+    """Register template patches with an image.
 
     Args:
+        image: (h, w) gray.
         filters, contrast: of all patches.
-        index: (m,) which of them.
-        places, warps: (m, 2), (m, 2, 2) from where they start, filled with where they come to rest.
-        likeness: (m,) filled with the correlation there; -1 for those that leave the image or go astray.
+        index: (m,) patches to register.
+        positions, warps: (m, 2), (m, 2, 2) initial positions and warps; overwritten with the final ones.
+        correlation: (m,) overwritten with the final correlation; -1 for patches that leave the image or diverge.
     """
     samples = filters.shape[1]
     patch, sums = np.empty(samples, np.float32), np.empty(8, np.float32)
     for m in range(len(index)):
         filters_m, warp = filters[index[m]], warps[m]
-        x, y = places[m, 0], places[m, 1]
-        likeness[m] = -1.0
-        settled = False
-        for _ in range(ROUNDS + 1):
-            if not _sample(image, x, y, warp, patch):
+        x, y = positions[m, 0], positions[m, 1]
+        correlation[m] = -1.0
+        has_converged = False
+        for _ in range(MAX_ITERATIONS + 1):
+            if not _sample_patch(image, x, y, warp, patch):
                 break
             middle, square = patch[samples // 2], np.float32(0.0)
             sums[:] = 0.0
             for i in range(samples):
-                value = patch[i] - middle  # small numbers lose less
+                value = patch[i] - middle  # small numbers lose less precision
                 square += value * value
                 for k in range(8):
                     sums[k] += filters_m[i, k] * value
             gain, power = float(sums[6]), float(square) - samples * float(sums[7]) ** 2
-            if settled:
-                likeness[m] = gain * contrast[index[m]] / np.sqrt(max(power, 1e-3))
+            if has_converged:
+                correlation[m] = gain * contrast[index[m]] / np.sqrt(max(power, 1e-3))
                 break
             if not gain > 0.1:
                 break
-            # The patch's own step I + A, t is undone before the warp W: W becomes W (I + A)^-1, the place moves by -W t.
+            # The patch's step I + A, t is inverted before the warp W: W becomes W (I + A)^-1, and the position changes
+            # by -W t.
             a, b, c, d = 1 + sums[2] / gain, sums[3] / gain, sums[4] / gain, 1 + sums[5] / gain
             area = a * d - b * c
             if not 0.3 < area < 3.0:
@@ -343,7 +376,7 @@ def _register(
             du = (warp[0, 0] * sums[0] + warp[0, 1] * sums[1]) / gain
             dv = (warp[1, 0] * sums[0] + warp[1, 1] * sums[1]) / gain
             x, y = x - du, y - dv
-            if np.hypot(x - places[m, 0], y - places[m, 1]) > REACH_PX:
+            if np.hypot(x - positions[m, 0], y - positions[m, 1]) > MAX_CORRECTION_PX:
                 break
-            settled = np.hypot(du, dv) < SETTLED_PX
-        places[m, 0], places[m, 1] = x, y
+            has_converged = np.hypot(du, dv) < CONVERGENCE_PX
+        positions[m, 0], positions[m, 1] = x, y

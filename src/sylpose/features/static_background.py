@@ -1,12 +1,13 @@
-"""What stands still in one camera's images, and by what the camera was turned where all of it has moved at once.
+"""Static background of a camera, and the rotation of the camera if it was moved.
 
-Corners spread over a whole image are remembered with what they look like. As long as the camera stands most of them look
-alike at their own places, which takes a tenth of a millisecond to see. Where they do not they are followed from that image,
-and the rotation about the camera's centre is looked for that most of them agree on: a nudge is that in first order, whatever
-the depth of what is seen.
+Corners across the image are stored with small patches. While the camera is static, most patches match at their own
+positions, a check that takes a tenth of a millisecond. Otherwise the corners are tracked from the stored image, and the
+rotation about the camera center is estimated on which most of them agree: to first order, a bumped camera rotates,
+whatever the scene depth.
 
-Sources: corners of Shi & Tomasi, "Good features to track", CVPR 1994, followed by Bouguet's pyramids (`klt`); the rotation
-between two sets of directions by Kabsch, Acta Cryst. A32, 1976, among random pairs (Fischler & Bolles, CACM 24, 1981).
+Sources: corners of Shi & Tomasi, "Good features to track", CVPR 1994, tracked by Bouguet's pyramids (`klt`); the
+rotation between two sets of directions by Kabsch, Acta Cryst. A32, 1976, on random pairs (RANSAC: Fischler & Bolles,
+CACM 24, 1981).
 """
 
 from __future__ import annotations
@@ -18,51 +19,61 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sylpose.features.klt import evened, grey
-from sylpose.features.sift import detect, match_features
+from sylpose.features.klt import flatten_illumination, to_gray
+from sylpose.features.sift import detect_features, match_features
 from sylpose.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 from sylpose.geometry.numba_linalg import kernel
 from sylpose.rig import Camera
 
-__all__ = ["FEWEST", "Backdrop", "Steadied", "Turn", "alike", "begin", "turn_since"]
+__all__ = [
+    "MIN_CORNERS",
+    "CameraRotation",
+    "RotationRectifier",
+    "StaticBackground",
+    "detect_corners",
+    "estimate_camera_rotation",
+    "find_unchanged_corners",
+]
 
-# Images are made smaller, by whole numbers, until their longer side is no longer than this, pixels.
-LONGEST_PX = 480
-# Corners at most, no nearer to each other than this share of the longer side, and no weaker than this share of the
-# strongest. Fewer than `FEWEST` say nothing.
-MOST, APART, QUALITY, FEWEST = 120, 0.045, 0.01, 20
-# Patches reach so many pixels of the smaller image around their corners, and need so much contrast: grey levels, the
-# standard deviation. They are alike from this correlation on.
-HALF, CONTRAST, LIKE = 4, 10.0, 0.75
-# Contrast of the smaller images, grey levels: other light is not to be taken for motion.
-EVEN = 30.0
-# Pyramidal Lucas-Kanade: window, pixels, and levels above the image itself. Followed back, a corner is to be this near to
-# where it was, pixels of the smaller image.
-WINDOW, LEVELS, BACK_PX = (15, 15), 3, 0.7
-# Where fewer than this share of the corners agree they may have gone too far to be followed: features are matched by looks.
-ENOUGH = 0.6
-# Pairs of corners whose rotations are tried; a corner agrees with one within this, pixels of the smaller image.
-TRIED, AGREES_PX = 300, 2.0
-# A corner that is displaced by less than this, pixels of the smaller image, stands still.
-STILL_PX = 1.0
-# Corners are followed to no better than this, pixels of the smaller image: they are no independent witnesses.
-LEAST_PX = 0.1
-# What is nearer than this to where an image that was turned back ends is not looked at, pixels.
-RIM_PX = 8
+# Images are downscaled by an integer factor until their longer side is at most this, pixels.
+MAX_SIDE_PX = 480
+# Largest number of corners, least distance between them as a share of the longer side, and least strength as a share of
+# the strongest. Fewer than `MIN_CORNERS` corners are inconclusive.
+MAX_CORNERS, MIN_CORNER_DISTANCE, MIN_CORNER_QUALITY, MIN_CORNERS = 120, 0.045, 0.01, 20
+# Patch radius around a corner, pixels of the downscaled image; least contrast, the standard deviation in gray levels;
+# and least correlation of matching patches.
+PATCH_RADIUS, MIN_CONTRAST, MIN_CORRELATION = 4, 10.0, 0.75
+# Contrast to which downscaled images are normalized, gray levels, so that illumination changes are not mistaken for
+# motion.
+TARGET_CONTRAST = 30.0
+# Pyramidal Lucas-Kanade: window, pixels; levels above the image; and the largest forward-backward error, pixels of the
+# downscaled image.
+KLT_WINDOW, KLT_LEVELS, MAX_ROUND_TRIP_PX = (15, 15), 3, 0.7
+# If fewer than this share of the corners agree, they may have moved too far for tracking: SIFT features are matched
+# instead.
+MIN_INLIER_RATIO = 0.6
+# Number of corner pairs whose rotations are sampled, and the inlier threshold, pixels of the downscaled image.
+N_RANSAC_SAMPLES, INLIER_PX = 300, 2.0
+# Corners displaced by less than this, pixels of the downscaled image, are static.
+STATIC_PX = 1.0
+# Least noise of tracked corners, pixels of the downscaled image: their errors are not independent.
+MIN_NOISE_PX = 0.1
+# Margin that is ignored along the border of a rectified image, pixels.
+BORDER_PX = 8
 
 
 @dataclass(frozen=True, eq=False)
-class Backdrop:
-    """Corners of one image.
+class StaticBackground:
+    """Corners of a static reference image.
 
     Attributes:
-        small: (h, w) the image, grey, evened and made smaller by `step`.
-        pixels: (n, 2) where they are in the image itself.
-        patches: (n, s) what they look like there, less their means, of norm one.
-        step: how many pixels of the image are one of the smaller one.
+        small_image: (h, w) the image, gray, illumination flattened and downscaled by `step`.
+        pixels: (n, 2) corner positions in the full image.
+        patches: (n, s) patches at the corners, zero mean and unit norm.
+        step: downscaling factor.
     """
 
-    small: Image
+    small_image: Image
     pixels: FloatArray
     patches: FloatArray
     step: int
@@ -72,171 +83,202 @@ class Backdrop:
 
 
 @dataclass(frozen=True, eq=False)
-class Turn:
-    """By what a camera was turned since a backdrop's image.
+class CameraRotation:
+    """Rotation of a camera since the reference image.
 
     Attributes:
-        rotation: (3, 3) from directions in the camera's axes then to those now.
-        sd: standard deviation about the axis of which least is known, radians.
-        asked: number of corners that were asked, and would still be in the image; agree: how many agree.
-        still: how many stand still instead.
-        spread: standard deviation of where those that agree are, in the direction in which it is least, over the image's
-            shorter side.
-        shift_px: by how much those that agree are displaced, in the middle, pixels of the image.
+        rotation: (3, 3) from directions in the reference image to those in the current one, camera axes.
+        sd: standard deviation about the least observable axis, radians.
+        n_evaluated: number of evaluated corners that would still be in the image.
+        n_inliers: number of inliers.
+        n_static: number of corners that are static instead.
+        spread: least standard deviation over all directions of the inlier positions, relative to the image's shorter
+            side.
+        displacement_px: median displacement of the inliers, pixels of the image.
     """
 
     rotation: FloatArray
     sd: float
-    asked: int
-    agree: int
-    still: int
+    n_evaluated: int
+    n_inliers: int
+    n_static: int
     spread: float
-    shift_px: float
+    displacement_px: float
 
 
-def begin(image: Image, where: BoolArray | None = None) -> Backdrop:
-    """The corners of an image (h, w, 3) or (h, w), in an area (h, w) of it; None: everywhere."""
-    step = -(-max(image.shape[:2]) // LONGEST_PX)
-    small = _small(image, step)
-    mask = None if where is None else np.ascontiguousarray(where[::step, ::step], dtype=np.uint8)
-    if mask is not None:
-        mask = mask[: small.shape[0], : small.shape[1]]
-    corners: Any = cv2.goodFeaturesToTrack(small, MOST, QUALITY, APART * max(small.shape), mask=mask)
-    places = np.empty((0, 2)) if corners is None else np.asarray(corners, dtype=float).reshape(-1, 2)
-    pixels = np.round(_in_image(places, step))
-    reach = step * HALF
-    inside = ((pixels >= reach) & (pixels < np.array(image.shape[1::-1]) - reach)).all(axis=1)
-    patches, contrast = _patches(image, pixels[inside], step)
-    kept = contrast > CONTRAST
-    return Backdrop(small, pixels[inside][kept], patches[kept], step)
-
-
-def alike(backdrop: Backdrop, image: Image) -> BoolArray:
-    """(n,) which corners look in an image, at the same places, as they did, whatever the light."""
-    patches, _ = _patches(image, backdrop.pixels, backdrop.step)
-    return np.asarray((patches * backdrop.patches).sum(axis=1) > LIKE)
-
-
-def turn_since(backdrop: Backdrop, image: Image, camera: Camera, asked: BoolArray) -> Turn | None:
-    """The rotation of the camera since the backdrop's image that most of its corners agree on; None without any.
+def detect_corners(image: Image, area: BoolArray | None = None) -> StaticBackground:
+    """Detect the corners of a reference image.
 
     Args:
-        asked: (n,) which of the corners.
+        image: (h, w, 3) or (h, w).
+        area: (h, w) area in which to detect; None: everywhere.
     """
-    small, size = _small(image, backdrop.step), np.array(camera.size)
-    pixels = backdrop.pixels[asked]
-    places = _in_small(pixels, backdrop.step)
-    if len(places) < 3:
+    step = -(-max(image.shape[:2]) // MAX_SIDE_PX)
+    small = _downscale_and_normalize(image, step)
+    mask = None if area is None else np.ascontiguousarray(area[::step, ::step], dtype=np.uint8)
+    if mask is not None:
+        mask = mask[: small.shape[0], : small.shape[1]]
+    corners: Any = cv2.goodFeaturesToTrack(
+        small, MAX_CORNERS, MIN_CORNER_QUALITY, MIN_CORNER_DISTANCE * max(small.shape), mask=mask
+    )
+    positions = np.empty((0, 2)) if corners is None else np.asarray(corners, dtype=float).reshape(-1, 2)
+    pixels = np.round(_to_image_pixels(positions, step))
+    reach = step * PATCH_RADIUS
+    inside = ((pixels >= reach) & (pixels < np.array(image.shape[1::-1]) - reach)).all(axis=1)
+    patches, contrast = _sample_patches(image, pixels[inside], step)
+    kept = contrast > MIN_CONTRAST
+    return StaticBackground(small, pixels[inside][kept], patches[kept], step)
+
+
+def find_unchanged_corners(background: StaticBackground, image: Image) -> BoolArray:
+    """Return which corners (n,) look the same at the same position in another image, whatever the illumination."""
+    patches, _ = _sample_patches(image, background.pixels, background.step)
+    return np.asarray((patches * background.patches).sum(axis=1) > MIN_CORRELATION)
+
+
+def estimate_camera_rotation(
+    background: StaticBackground, image: Image, camera: Camera, is_used: BoolArray
+) -> CameraRotation | None:
+    """Estimate the camera rotation since the reference image, by RANSAC over its corners.
+
+    Args:
+        background: corners of the reference image.
+        image: (h, w, 3) or (h, w) current image.
+        camera: the camera.
+        is_used: (n,) corners to use.
+
+    Returns:
+        The rotation with the most inliers; None with fewer than three.
+    """
+    small, size = _downscale_and_normalize(image, background.step), np.array(camera.size)
+    pixels = background.pixels[is_used]
+    positions = _to_small_pixels(pixels, background.step)
+    if len(positions) < 3:
         return None
-    before = _directions(camera, pixels)
-    limit = AGREES_PX * backdrop.step / camera.focal
-    found: tuple[int, FloatArray, FloatArray, BoolArray] | None = None
-    start = places
-    for again in range(3):
-        moved = _followed(backdrop.small, small, places, start)
-        rotation, agrees = _agreed(before, _seen_at(camera, moved, backdrop.step), limit)
-        if found is None or agrees.sum() > found[0]:
-            found = int(agrees.sum()), rotation, moved, agrees
-        if again == 0 and agrees.sum() < ENOUGH * len(places):
-            rotation = _looked_up(backdrop, small, camera, limit)
-        # Once more from where the corners should be.
-        start = _in_small(_turned(camera, rotation, pixels), backdrop.step)
-    assert found is not None
-    count, rotation, moved, agrees = found
+    before = _compute_directions(camera, pixels)
+    limit = INLIER_PX * background.step / camera.focal
+    best: tuple[int, FloatArray, FloatArray, BoolArray] | None = None
+    start = positions
+    for iteration in range(3):
+        moved = _track_corners(background.small_image, small, positions, start)
+        rotation, is_inlier = _fit_rotation_ransac(
+            before, _compute_small_directions(camera, moved, background.step), limit
+        )
+        if best is None or is_inlier.sum() > best[0]:
+            best = int(is_inlier.sum()), rotation, moved, is_inlier
+        if iteration == 0 and is_inlier.sum() < MIN_INLIER_RATIO * len(positions):
+            rotation = _estimate_by_sift(background, small, camera, limit)
+        # Track again from the predicted corner positions.
+        start = _to_small_pixels(_rotate_pixels(camera, rotation, pixels), background.step)
+    assert best is not None
+    count, rotation, moved, is_inlier = best
     if count < 3:
         return None
-    there = _turned(camera, rotation, pixels)
-    inside = ((there >= 0) & (there <= size - 1)).all(axis=1)
-    displaced = backdrop.step * np.linalg.norm(moved - places, axis=1)
-    off = there[agrees] - _in_image(moved[agrees], backdrop.step)
-    noise = max(float(np.sqrt(np.mean(off**2))), LEAST_PX * backdrop.step)
-    tells = np.einsum("ni,nj->ij", before[agrees], before[agrees])
-    information = (count * np.eye(3) - tells) * (camera.focal / noise) ** 2
-    return Turn(
+    predicted = _rotate_pixels(camera, rotation, pixels)
+    inside = ((predicted >= 0) & (predicted <= size - 1)).all(axis=1)
+    displacements = background.step * np.linalg.norm(moved - positions, axis=1)
+    residuals = predicted[is_inlier] - _to_image_pixels(moved[is_inlier], background.step)
+    noise = max(float(np.sqrt(np.mean(residuals**2))), MIN_NOISE_PX * background.step)
+    outer_products = np.einsum("ni,nj->ij", before[is_inlier], before[is_inlier])
+    information = (count * np.eye(3) - outer_products) * (camera.focal / noise) ** 2
+    return CameraRotation(
         rotation,
         float(1.0 / np.sqrt(max(np.linalg.eigvalsh(information)[0], 1e-300))),
-        int((inside | agrees).sum()),
+        int((inside | is_inlier).sum()),
         count,
-        int((~agrees & (alike(backdrop, image)[asked] | (displaced < STILL_PX * backdrop.step))).sum()),
-        float(np.sqrt(max(np.linalg.eigvalsh(np.cov(pixels[agrees].T))[0], 0.0))) / float(size.min()),
-        float(np.median(displaced[agrees])),
+        int(
+            (
+                ~is_inlier
+                & (find_unchanged_corners(background, image)[is_used] | (displacements < STATIC_PX * background.step))
+            ).sum()
+        ),
+        float(np.sqrt(max(np.linalg.eigvalsh(np.cov(pixels[is_inlier].T))[0], 0.0))) / float(size.min()),
+        float(np.median(displacements[is_inlier])),
     )
 
 
-class Steadied:
-    """Images of a camera that was turned by a rotation (3, 3), as they were if it had not been."""
+class RotationRectifier:
+    """Rectification of a rotated camera's images to its original orientation, by a rotation (3, 3)."""
 
     def __init__(self, camera: Camera, rotation: FloatArray) -> None:
         self.camera, self.rotation = camera, rotation
         width, height = camera.size
         u, v = np.meshgrid(np.arange(float(width)), np.arange(float(height)))
-        source = _turned(camera, rotation, np.column_stack([u.ravel(), v.ravel()])).astype(np.float32)
+        source = _rotate_pixels(camera, rotation, np.column_stack([u.ravel(), v.ravel()])).astype(np.float32)
         source = np.nan_to_num(source, nan=-1e4).reshape(height, width, 2)
         low, high = source.min(axis=2), (source - np.array([width - 1, height - 1])).max(axis=2)
-        self.seen: BoolArray = (low >= 0) & (high <= 0)
-        around = np.ones((2 * RIM_PX + 1, 2 * RIM_PX + 1), np.uint8)
-        self.seen = cv2.erode(self.seen.astype(np.uint8), around).astype(bool)
+        self.valid: BoolArray = (low >= 0) & (high <= 0)
+        around = np.ones((2 * BORDER_PX + 1, 2 * BORDER_PX + 1), np.uint8)
+        self.valid = cv2.erode(self.valid.astype(np.uint8), around).astype(bool)
         self._maps: Any = cv2.convertMaps(source, np.empty(0, np.float32), cv2.CV_16SC2)
 
-    def image(self, image: Image) -> Image:
-        """An image (h, w, 3) or (h, w) turned back; outside of `seen` (h, w) there is nothing to be seen in it."""
+    def rectify_image(self, image: Image) -> Image:
+        """Rectify an image (h, w, 3) or (h, w); only pixels in `valid` (h, w) are usable."""
         return np.asarray(
-            cv2.remap(image, self._maps[0], self._maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8
+            cv2.remap(image, self._maps[0], self._maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE),
+            np.uint8,
         )
 
-    def mask(self, mask: BoolArray | None) -> BoolArray:
-        """The object's mask (h, w), None: everywhere, turned back, without what is not seen."""
+    def rectify_mask(self, mask: BoolArray | None) -> BoolArray:
+        """Rectify the object mask (h, w) and restrict it to the valid pixels; None: everywhere."""
         if mask is None:
-            return self.seen
-        turned = cv2.remap(
-            mask.astype(np.uint8), self._maps[0], self._maps[1], cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT
+            return self.valid
+        rectified = cv2.remap(
+            mask.astype(np.uint8),
+            self._maps[0],
+            self._maps[1],
+            cv2.INTER_NEAREST,
+            borderMode=cv2.BORDER_CONSTANT,
         )
-        return np.asarray(turned, dtype=bool) & self.seen
+        return np.asarray(rectified, dtype=bool) & self.valid
 
 
-def _small(image: Image, step: int) -> Image:
-    """Grey, smaller, evened, and of the usual contrast."""
-    plain = grey(image)
+def _downscale_and_normalize(image: Image, step: int) -> Image:
+    """Convert an image to gray, downscale it, flatten the illumination and normalize the contrast."""
+    gray = to_gray(image)
     if step > 1:
-        size = plain.shape[1] // step, plain.shape[0] // step
-        plain = np.asarray(
-            cv2.resize(plain[: step * size[1], : step * size[0]], size, interpolation=cv2.INTER_AREA), np.uint8
+        size = gray.shape[1] // step, gray.shape[0] // step
+        gray = np.asarray(
+            cv2.resize(gray[: step * size[1], : step * size[0]], size, interpolation=cv2.INTER_AREA), np.uint8
         )
-    even = evened(plain)
-    gain = EVEN / max(float(even.std()), CONTRAST)
-    return np.asarray(cv2.convertScaleAbs(even, alpha=gain, beta=128.0 * (1.0 - gain)), np.uint8)
+    flattened = flatten_illumination(gray)
+    gain = TARGET_CONTRAST / max(float(flattened.std()), MIN_CONTRAST)
+    return np.asarray(cv2.convertScaleAbs(flattened, alpha=gain, beta=128.0 * (1.0 - gain)), np.uint8)
 
 
-def _in_small(pixels: FloatArray, step: int) -> FloatArray:
-    """Pixels (n, 2) of an image as those of the smaller one."""
+def _to_small_pixels(pixels: FloatArray, step: int) -> FloatArray:
+    """Convert pixels (n, 2) of the full image to the downscaled one."""
     return np.asarray((pixels - (step - 1) / 2) / step)
 
 
-def _in_image(places: FloatArray, step: int) -> FloatArray:
-    """Pixels (n, 2) of the smaller image as those of the image."""
-    return np.asarray(places * step + (step - 1) / 2)
+def _to_image_pixels(positions: FloatArray, step: int) -> FloatArray:
+    """Convert pixels (n, 2) of the downscaled image to the full one."""
+    return np.asarray(positions * step + (step - 1) / 2)
 
 
-def _patches(image: Image, pixels: FloatArray, step: int) -> tuple[FloatArray, FloatArray]:
-    """(n, s) of norm one, and (n,) their contrast, grey levels: every `step`th pixel around whole pixels (n, 2)."""
-    patches, contrast = np.empty((len(pixels), (2 * HALF + 1) ** 2)), np.empty(len(pixels))
-    colours = image.reshape(*image.shape[:2], -1)
-    _sample(colours, pixels.astype(np.int64), step, patches, contrast)
+def _sample_patches(image: Image, pixels: FloatArray, step: int) -> tuple[FloatArray, FloatArray]:
+    """Sample patches (n, s) of unit norm and their contrast (n,), gray levels.
+
+    Every `step`th pixel around integer pixels (n, 2) is used.
+    """
+    patches, contrast = np.empty((len(pixels), (2 * PATCH_RADIUS + 1) ** 2)), np.empty(len(pixels))
+    channels = image.reshape(*image.shape[:2], -1)
+    _fill_patches(channels, pixels.astype(np.int64), step, patches, contrast)
     return patches, contrast
 
 
 @kernel
-def _sample(image: Image, pixels: IntArray, step: int, patches: FloatArray, contrast: FloatArray) -> None:
-    """Fills patches (n, s) and contrast (n,), see `_patches`, of an image (h, w, colours)."""
-    colours, samples = image.shape[2], patches.shape[1]
+def _fill_patches(image: Image, pixels: IntArray, step: int, patches: FloatArray, contrast: FloatArray) -> None:
+    """Fill patches (n, s) and contrast (n,), see `_sample_patches`, from an image (h, w, channels)."""
+    n_channels, samples = image.shape[2], patches.shape[1]
     for n in range(len(pixels)):
         patch, i, mean = patches[n], 0, 0.0
-        for v in range(-HALF, HALF + 1):
-            for u in range(-HALF, HALF + 1):
+        for v in range(-PATCH_RADIUS, PATCH_RADIUS + 1):
+            for u in range(-PATCH_RADIUS, PATCH_RADIUS + 1):
                 value = 0.0
-                for k in range(colours):
+                for k in range(n_channels):
                     value += image[pixels[n, 1] + step * v, pixels[n, 0] + step * u, k]
-                patch[i] = value / colours
+                patch[i] = value / n_channels
                 mean += patch[i] / samples
                 i += 1
         square = 0.0
@@ -249,72 +291,89 @@ def _sample(image: Image, pixels: IntArray, step: int, patches: FloatArray, cont
             patch[i] /= norm
 
 
-def _looked_up(backdrop: Backdrop, small: Image, camera: Camera, limit: float) -> FloatArray:
-    """The rotation (3, 3) that most features agree on that look alike in two images, however far they are apart."""
-    a, b = detect(backdrop.small, camera), detect(small, camera)
+def _estimate_by_sift(background: StaticBackground, small: Image, camera: Camera, limit: float) -> FloatArray:
+    """Estimate the rotation (3, 3) from SIFT matches between the two images, for any displacement."""
+    a, b = detect_features(background.small_image, camera), detect_features(small, camera)
     pairs = match_features(a, b)
-    of = [_seen_at(camera, f.pixels[index], backdrop.step) for f, index in zip((a, b), pairs.T, strict=True)]
-    return _agreed(of[0], of[1], limit)[0]
+    directions = [
+        _compute_small_directions(camera, f.pixels[index], background.step)
+        for f, index in zip((a, b), pairs.T, strict=True)
+    ]
+    return _fit_rotation_ransac(directions[0], directions[1], limit)[0]
 
 
-def _seen_at(camera: Camera, places: FloatArray, step: int) -> FloatArray:
-    """(n, 3) directions, camera's axes, of places (n, 2) in the smaller image; NaN for those that are NaN."""
-    out, seen = np.full((len(places), 3), np.nan), np.isfinite(places).all(axis=1)
-    out[seen] = _directions(camera, _in_image(places[seen], step))
+def _compute_small_directions(camera: Camera, positions: FloatArray, step: int) -> FloatArray:
+    """Return unit directions (n, 3), camera axes, of pixels (n, 2) in the downscaled image; NaN for NaN."""
+    out, is_finite = np.full((len(positions), 3), np.nan), np.isfinite(positions).all(axis=1)
+    out[is_finite] = _compute_directions(camera, _to_image_pixels(positions[is_finite], step))
     return out
 
 
-def _followed(small: Image, other: Image, places: FloatArray, start: FloatArray) -> FloatArray:
-    """(n, 2) where points are in another image; NaN for those that are lost, or not found when followed back."""
-    start = np.where(np.isfinite(start), start, places)
-    options: dict[str, Any] = {"winSize": WINDOW, "maxLevel": LEVELS, "flags": cv2.OPTFLOW_USE_INITIAL_FLOW}
-    points, start = places.astype(np.float32), start.astype(np.float32)
-    there, forth, _ = cv2.calcOpticalFlowPyrLK(small, other, points, start.copy(), **options)
-    # From its own place it would be found again too easily.
-    back, found, _ = cv2.calcOpticalFlowPyrLK(other, small, there, there - (start - points), **options)
-    good = (forth.ravel() > 0) & (found.ravel() > 0) & (np.linalg.norm(back - points, axis=1) < BACK_PX)
-    inside = ((there >= 0) & (there <= np.array(other.shape[::-1]) - 1)).all(axis=1)
-    return np.where((good & inside)[:, None], there.astype(float), np.nan)
+def _track_corners(small: Image, other: Image, positions: FloatArray, start: FloatArray) -> FloatArray:
+    """Track points (n, 2) by KLT into another image; NaN if lost or if the forward-backward check fails."""
+    start = np.where(np.isfinite(start), start, positions)
+    options: dict[str, Any] = {"winSize": KLT_WINDOW, "maxLevel": KLT_LEVELS, "flags": cv2.OPTFLOW_USE_INITIAL_FLOW}
+    points, start = positions.astype(np.float32), start.astype(np.float32)
+    forward, forward_status, _ = cv2.calcOpticalFlowPyrLK(small, other, points, start.copy(), **options)
+    # Starting at the original position would make the backward check too easy.
+    backward, backward_status, _ = cv2.calcOpticalFlowPyrLK(
+        other, small, forward, forward - (start - points), **options
+    )
+    good = (
+        (forward_status.ravel() > 0)
+        & (backward_status.ravel() > 0)
+        & (np.linalg.norm(backward - points, axis=1) < MAX_ROUND_TRIP_PX)
+    )
+    inside = ((forward >= 0) & (forward <= np.array(other.shape[::-1]) - 1)).all(axis=1)
+    return np.where((good & inside)[:, None], forward.astype(float), np.nan)
 
 
-def _directions(camera: Camera, pixels: FloatArray) -> FloatArray:
-    """(n, 3) unit vectors, camera's axes."""
+def _compute_directions(camera: Camera, pixels: FloatArray) -> FloatArray:
+    """Return unit vectors (n, 3), camera axes."""
     rays = np.column_stack([camera.normalize(pixels), np.ones(len(pixels))])
     return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 
 
-def _turned(camera: Camera, rotation: FloatArray, pixels: FloatArray) -> FloatArray:
-    """(n, 2) where what was seen at some pixels is after the camera was turned; NaN where not before it."""
-    rays = _directions(camera, pixels) @ rotation.T
+def _rotate_pixels(camera: Camera, rotation: FloatArray, pixels: FloatArray) -> FloatArray:
+    """Project pixels (n, 2) after a rotation of the camera; NaN for points behind it."""
+    rays = _compute_directions(camera, pixels) @ rotation.T
     out = np.full((len(pixels), 2), np.nan)
-    front = rays[:, 2] > 0.05
-    out[front] = camera.denormalize(rays[front, :2] / rays[front, 2:])
+    is_in_front = rays[:, 2] > 0.05
+    out[is_in_front] = camera.denormalize(rays[is_in_front, :2] / rays[is_in_front, 2:])
     return out
 
 
-def _agreed(before: FloatArray, now: FloatArray, limit: float) -> tuple[FloatArray, BoolArray]:
-    """The rotation (3, 3) that most directions (n, 3) agree on within an angle, and (n,) which do."""
-    seen = np.flatnonzero(np.isfinite(now).all(axis=1))
-    best = np.zeros(len(before), bool)
-    if len(seen) < 3:
-        return np.eye(3), best
-    one, two = np.random.default_rng(0).choice(seen, (2, TRIED))
-    a, b = _triads(before[one], before[two]), _triads(now[one], now[two])
-    tried = b @ a.transpose(0, 2, 1)
-    off = np.linalg.norm(before @ tried.transpose(0, 2, 1) - now, axis=2)
-    best = off[int((off < limit).sum(axis=1).argmax())] < limit
+def _fit_rotation_ransac(before: FloatArray, now: FloatArray, limit: float) -> tuple[FloatArray, BoolArray]:
+    """Estimate the rotation between directions (n, 3) by RANSAC.
+
+    Args:
+        before, now: (n, 3) unit directions; NaN in `now` for missing ones.
+        limit: inlier threshold, radians.
+
+    Returns:
+        The rotation (3, 3), and the inliers (n,).
+    """
+    visible = np.flatnonzero(np.isfinite(now).all(axis=1))
+    is_inlier = np.zeros(len(before), bool)
+    if len(visible) < 3:
+        return np.eye(3), is_inlier
+    one, two = np.random.default_rng(0).choice(visible, (2, N_RANSAC_SAMPLES))
+    a, b = _build_triads(before[one], before[two]), _build_triads(now[one], now[two])
+    candidates = b @ a.transpose(0, 2, 1)
+    errors = np.linalg.norm(before @ candidates.transpose(0, 2, 1) - now, axis=2)
+    is_inlier = errors[int((errors < limit).sum(axis=1).argmax())] < limit
     rotation = np.eye(3)
     for _ in range(3):
-        if best.sum() < 3:
+        if is_inlier.sum() < 3:
             break
-        rotation = Rotation.align_vectors(now[best], before[best])[0].as_matrix()
-        best = np.linalg.norm(before @ rotation.T - now, axis=1) < limit
-    return np.asarray(rotation), np.asarray(best)
+        rotation = Rotation.align_vectors(now[is_inlier], before[is_inlier])[0].as_matrix()
+        is_inlier = np.linalg.norm(before @ rotation.T - now, axis=1) < limit
+    return np.asarray(rotation), np.asarray(is_inlier)
 
 
-def _triads(one: FloatArray, two: FloatArray) -> FloatArray:
-    """(m, 3, 3) right-handed axes, as columns, of pairs of directions (m, 3); NaN for two that are one."""
-    across = np.cross(one, two)
+def _build_triads(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Return right-handed axes (m, 3, 3), as columns, of direction pairs (m, 3); NaN for parallel ones."""
+    across = np.cross(first, second)
     with np.errstate(invalid="ignore", divide="ignore"):
         across /= np.linalg.norm(across, axis=1, keepdims=True)
-    return np.stack([one, across, np.cross(one, across)], axis=2)
+    return np.stack([first, across, np.cross(first, across)], axis=2)

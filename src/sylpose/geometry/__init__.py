@@ -1,1 +1,1 @@
-"""What the estimators are built from: array types, compiled linear algebra, small matrices, robust statistics."""
+"""Building blocks of the estimators: array types, compiled linear algebra, robust statistics, validation."""

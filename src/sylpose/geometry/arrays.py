@@ -1,4 +1,4 @@
-"""The array types of all signatures; shapes stand in the docstrings."""
+"""Array types of all signatures; shapes are given in docstrings."""
 
 from __future__ import annotations
 
@@ -10,6 +10,6 @@ __all__ = ["BoolArray", "FloatArray", "FloatImage", "Image", "IntArray"]
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
-# (h, w) grey or (h, w, 3) BGR.
+# (h, w) gray or (h, w, 3) BGR.
 Image = NDArray[np.uint8]
 FloatImage = NDArray[np.float32]

@@ -1,7 +1,8 @@
-"""The folders that compiled kernels may be kept in, and which of them can be written.
+"""Cache folders for compiled kernels, and which of them are writable.
 
-What is loaded from there is run. So a folder that this program chooses by itself belongs to who runs it, and nobody else can
-write into it; the one beside the sources is as much trusted as these are, and one that `NUMBA_CACHE_DIR` names is trusted.
+Code loaded from these folders is executed. So a folder that is chosen automatically must belong to the user and must
+not be writable by others. The folder next to the sources is as trustworthy as the sources, and one set by
+`NUMBA_CACHE_DIR` is accepted as is.
 """
 
 from __future__ import annotations
@@ -16,93 +17,97 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
-__all__ = ["CHOSEN", "folders_of", "is_writable", "place_of"]
+__all__ = ["CACHE_DIR_VARIABLE", "display_folder", "find_cache_folders", "is_writable"]
 
-# The environment variable by which Numba, too, is told where to keep what it compiles.
-CHOSEN = "NUMBA_CACHE_DIR"
+# Environment variable that also sets Numba's cache folder.
+CACHE_DIR_VARIABLE = "NUMBA_CACHE_DIR"
 
 
-def folders_of(source: Path) -> tuple[tuple[Path, ...], Path | None]:
-    """Where what is compiled of a source file may be.
+def find_cache_folders(source: Path) -> tuple[tuple[Path, ...], Path | None]:
+    """Return the cache folders for compiled code of a source file.
 
     Returns:
-        the folders to look in, the first choice first, and the one of them that new files go into: the first that can be
-        written, and the last to look in; None where none can be.
+        the folders to search, in order of preference, and the first writable one of them, which is the last to search
+        and receives new files; None if none is writable.
     """
-    return _folders(source.parent, os.environ.get(CHOSEN))
+    return _find_cache_folders(source.parent, os.environ.get(CACHE_DIR_VARIABLE))
 
 
 @cache
-def _folders(package: Path, chosen: str | None) -> tuple[tuple[Path, ...], Path | None]:
-    looked_in: list[Path] = []
+def _find_cache_folders(package: Path, chosen: str | None) -> tuple[tuple[Path, ...], Path | None]:
+    searched: list[Path] = []
     for folder in _candidates(package, chosen):
-        looked_in.append(folder)
+        searched.append(folder)
         if is_writable(folder):
-            return tuple(looked_in), folder
-    return tuple(looked_in), None
+            return tuple(searched), folder
+    return tuple(searched), None
 
 
 def _candidates(package: Path, chosen: str | None) -> Iterator[Path]:
-    """Beside the sources of a package, in the user's cache, in the temporary folder; before all what the user chose."""
-    # Several installations, and files of the same name, are kept apart by where they are.
-    own = f"{package.name}_{hashlib.sha256(str(package.resolve()).encode()).hexdigest()[:16]}"
+    """Yield the candidate folders in order of preference.
+
+    The one that the user set, then those next to the package's sources, in the user's cache, and in the temporary
+    folder.
+    """
+    # The hash separates installations and files of the same name.
+    package_folder = f"{package.name}_{hashlib.sha256(str(package.resolve()).encode()).hexdigest()[:16]}"
     if chosen:
-        yield Path(chosen).absolute() / own
+        yield Path(chosen).absolute() / package_folder
     yield package / "__pycache__"
-    for base in _of_the_user():
-        if _is_ours(base):
-            yield base / own
+    for base in _user_folders():
+        if _is_private(base):
+            yield base / package_folder
 
 
-def _of_the_user() -> Iterator[Path]:
-    """Folders of whoever runs this that survive it, or might."""
-    if (caches := _caches()) is not None:
+def _user_folders() -> Iterator[Path]:
+    """Yield folders of the current user that persist after the process, if possible."""
+    if (caches := _user_cache_folder()) is not None:
         yield caches / "sylpose"
-    with suppress(OSError):  # there may be none
-        user = str(os.getuid()) if hasattr(os, "getuid") else "user"  # Windows: the folder is the user's own
+    with suppress(OSError):  # without a temporary folder
+        user = str(os.getuid()) if hasattr(os, "getuid") else "user"  # Windows: the folder belongs to the user
         folder = Path(tempfile.gettempdir())
-        if folder != Path.cwd():  # what Python takes where there is none: the user's data
+        if folder != Path.cwd():  # Python's fallback, which contains the user's data
             yield folder / f"sylpose-{user}"
 
 
-def _caches() -> Path | None:
-    """The user's folder for what can be made anew; None for who has no home."""
-    home = os.path.expanduser("~")  # as it is where nobody knows
+def _user_cache_folder() -> Path | None:
+    """Return the user's cache folder; None for a user without a home."""
+    home = os.path.expanduser("~")  # unchanged if unknown
     if sys.platform == "win32":
-        said, usual = os.environ.get("LOCALAPPDATA"), Path(home, "AppData", "Local")
+        configured, default = os.environ.get("LOCALAPPDATA"), Path(home, "AppData", "Local")
     elif sys.platform == "darwin":
-        said, usual = None, Path(home, "Library", "Caches")
+        configured, default = None, Path(home, "Library", "Caches")
     else:
-        said, usual = os.environ.get("XDG_CACHE_HOME"), Path(home, ".cache")
-    folder = Path(said) if said else usual
+        configured, default = os.environ.get("XDG_CACHE_HOME"), Path(home, ".cache")
+    folder = Path(configured) if configured else default
     return folder if folder.is_absolute() else None
 
 
 @cache
-def _is_ours(base: Path) -> bool:
-    """Whether a folder, made where it is missing, is nobody else's: on Windows what is below the user's profile is not."""
+def _is_private(base: Path) -> bool:
+    """Return whether a folder, created if missing, belongs to the user alone; assumed on Windows."""
     try:
         base.mkdir(mode=0o700, parents=True, exist_ok=True)
-        found = base.lstat()
+        info = base.lstat()
     except OSError:
         return False
     if not hasattr(os, "getuid"):
         return True
     others = stat.S_IWGRP | stat.S_IWOTH
-    return stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & others
+    return stat.S_ISDIR(info.st_mode) and info.st_uid == os.getuid() and not info.st_mode & others
 
 
-def place_of(folder: Path) -> Path:
-    """What to call one of the folders, each of which is for one package's files: what they are all in."""
+def display_folder(folder: Path) -> Path:
+    """Return the folder to display for a package's cache folder: its parent."""
     return Path(__file__).parents[1] if folder.name == "__pycache__" else folder.parent
 
 
 @cache
 def is_writable(folder: Path) -> bool:
-    """Whether files can be made in a folder, which is made where it is missing."""
+    """Return whether files can be created in a folder, which is created if missing."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        # What permissions say is not all: root may write what it likes, but not on a disk that is mounted read-only.
+        # Permissions are not sufficient: root ignores them, but not a read-only mount.
         tempfile.TemporaryFile(dir=folder).close()
     except OSError:
         return False

@@ -1,4 +1,4 @@
-"""A value that is computed meanwhile, beside what waits for nothing."""
+"""Values that are computed in background threads."""
 
 from __future__ import annotations
 
@@ -8,29 +8,30 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache
 from typing import Any, Generic, TypeVar
 
-__all__ = ["Later"]
+__all__ = ["BackgroundResult"]
 
 T = TypeVar("T")
 
 
-class Later(Generic[T]):
-    """What a function returns for some arguments, which nobody may change any more; computed in the order of asking, by half
-    of the processor's cores at most.
+class BackgroundResult(Generic[T]):
+    """Result of a function call in a background thread; the arguments must not be modified afterwards.
+
+    Calls are executed in order, on at most half of the processor's cores.
 
     Attributes:
-        asked: the function and its arguments: what begins with these anew comes to the same.
+        call: the function and its arguments, from which the call can be repeated.
     """
 
     def __init__(self, function: Callable[..., T], *arguments: Any) -> None:
-        self.asked = function, arguments
-        self._future: Future[T] = _threads(os.getpid()).submit(function, *arguments)
+        self.call = function, arguments
+        self._future: Future[T] = _thread_pool(os.getpid()).submit(function, *arguments)
 
     def value(self) -> T:
-        """Waits for it. Raises what the function raised."""
+        """Wait for the result and return it, or raise the function's exception."""
         return self._future.result()
 
 
 @cache
-def _threads(process: int) -> ThreadPoolExecutor:  # noqa: ARG001
-    """Of this process: one that was forked has none of another's."""
+def _thread_pool(process: int) -> ThreadPoolExecutor:  # noqa: ARG001
+    """Return the thread pool of this process; a forked process needs its own."""
     return ThreadPoolExecutor(max(1, (os.cpu_count() or 1) // 2))

@@ -1,8 +1,8 @@
-"""Where compiled kernels are kept between processes.
+"""Disk cache of compiled kernels.
 
-Numba keeps what it has compiled with a digest of the file that a kernel stands in. But a kernel is compiled together with
-what it calls and with the numbers that it refers to, wherever these are defined: after an update of one of those files the
-kernel would go on as before it. Here all of that is part of the key; files that have nothing to do with a kernel are not.
+Numba keys its cache by a digest of the kernel's source file. But a kernel is compiled together with the functions that
+it calls and the constants that it refers to, wherever they are defined: after an update of those files Numba would load
+an outdated kernel. Here they are part of the key; unrelated files are not.
 """
 
 from __future__ import annotations
@@ -20,41 +20,43 @@ import numpy as np
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 from numba.core.dispatcher import Dispatcher
 
-from sylpose.geometry.cache_folders import CHOSEN, folders_of, place_of
+from sylpose.geometry.cache_folders import CACHE_DIR_VARIABLE, display_folder, find_cache_folders
 
-__all__ = ["announced", "folder_of", "is_kept", "keep"]
+__all__ = ["cache_folder", "enable_cache", "is_cached", "mark_announced"]
 
-# What users of the library see without asking for it: a minute or two without a word looks like a program that hangs.
+# Visible by default: one or two minutes without output would look like a hang.
 _log = logging.getLogger("sylpose")
 
 
-def keep(dispatcher: Any) -> Any:
-    """The kernel: what is compiled of it will be kept for other processes, where `folders_of` says. Where nothing can be
-    written every process compiles what is not there, and says so."""
-    # NUMBA_DISABLE_JIT leaves it a function.
+def enable_cache(dispatcher: Any) -> Any:
+    """Enable the disk cache of a kernel, in the folder of `find_cache_folders`, and return the kernel.
+
+    If no folder is writable, every process compiles missing kernels and logs it.
+    """
+    # With NUMBA_DISABLE_JIT it is a plain function.
     if type(dispatcher) is not FunctionType:
-        with suppress(RuntimeError):  # its source is no file: Numba keeps nothing
-            dispatcher._cache = _Cache(dispatcher.py_func)
+        with suppress(RuntimeError):  # without a source file Numba caches nothing
+            dispatcher._cache = _KernelCache(dispatcher.py_func)
     return dispatcher
 
 
-def is_kept(dispatcher: Any) -> bool:
-    """Whether a kernel as it is now, with all that it is compiled with, is kept for this processor."""
-    its = getattr(dispatcher, "_cache", None)
-    return isinstance(its, _Cache) and its.has_any(dispatcher.targetctx.codegen())
+def is_cached(dispatcher: Any) -> bool:
+    """Return whether the current kernel, with its dependencies, is cached for this processor."""
+    cache_object = getattr(dispatcher, "_cache", None)
+    return isinstance(cache_object, _KernelCache) and cache_object.has_any(dispatcher.targetctx.codegen())
 
 
-def folder_of(dispatcher: Any) -> Path | None:
-    """Where what is compiled of a kernel will be kept; None if nowhere."""
-    its = getattr(dispatcher, "_cache", None)
-    return its.kept_in if isinstance(its, _Cache) else None
+def cache_folder(dispatcher: Any) -> Path | None:
+    """Return the folder of a kernel's cache; None without one."""
+    cache_object = getattr(dispatcher, "_cache", None)
+    return cache_object.kept_in if isinstance(cache_object, _KernelCache) else None
 
 
 class _Locator:
-    """What Numba asks of a locator, of the folder that can be written or else of the first choice."""
+    """Numba cache locator for the writable folder, or else the first choice."""
 
     def __init__(self, function: FunctionType, source: Path) -> None:
-        self.folders, self.kept_in = folders_of(source)
+        self.folders, self.kept_in = find_cache_folders(source)
         self._source, self._line = source, function.__code__.co_firstlineno
 
     @classmethod
@@ -68,149 +70,156 @@ class _Locator:
         Path(self.get_cache_path()).mkdir(parents=True, exist_ok=True)
 
     def get_source_stamp(self) -> str:
-        return _content(self._source)
+        return _hash_file(self._source)
 
     def get_disambiguator(self) -> str:
         return str(self._line)
 
 
 @cache
-def _content(source: Path) -> str:
+def _hash_file(source: Path) -> str:
     return hashlib.sha256(source.read_bytes()).hexdigest()
 
 
-class _Impl(CompileResultCacheImpl):
-    _locator_classes = [_Locator]  # noqa: RUF012 as Numba has it
+class _CacheImpl(CompileResultCacheImpl):
+    _locator_classes = [_Locator]  # noqa: RUF012 as in Numba
 
 
-class _Cache(FunctionCache):
-    """Numba's, for a kernel and all that it is compiled with, read from several folders. A file in them that is damaged, or
-    cannot be read or written, costs no more than a kernel that is compiled once more."""
+class _KernelCache(FunctionCache):
+    """Numba's cache, keyed by a kernel and its dependencies, and read from several folders.
 
-    _impl_class = _Impl
+    Files that are damaged, unreadable or not writable only cause the kernel to be compiled again.
+    """
+
+    _impl_class = _CacheImpl
 
     def __init__(self, function: FunctionType) -> None:
-        numbas: Any = super()  # without types
-        numbas.__init__(function)
+        base: Any = super()  # without types
+        base.__init__(function)
         self.function = function
         locator, name = self._impl.locator, self._impl.filename_base
-        own = Path(locator.get_cache_path())  # of another kind, where NUMBA_CACHE_LOCATOR_CLASSES asks for it
-        self.kept_in: Path | None = getattr(locator, "kept_in", own)
+        own_folder = Path(locator.get_cache_path())  # of another class, if NUMBA_CACHE_LOCATOR_CLASSES is set
+        self.kept_in: Path | None = getattr(locator, "kept_in", own_folder)
         index: Any = IndexDataCacheFile
         stamp = locator.get_source_stamp()
-        self.files = [index(str(folder), name, stamp) for folder in getattr(locator, "folders", (own,))]
+        self.files = [index(str(folder), name, stamp) for folder in getattr(locator, "folders", (own_folder,))]
 
     def has_any(self, codegen: Any) -> bool:
-        of, machine = digest(self.function), codegen.magic_tuple()
-        return any(key[1] == machine and key[-1] == of for file in self.files for key in _keys(file))
+        kernel_digest, machine = compute_digest(self.function), codegen.magic_tuple()
+        return any(key[1] == machine and key[-1] == kernel_digest for file in self.files for key in _list_keys(file))
 
     def _index_key(self, sig: object, codegen: object) -> tuple[object, ...]:
-        numbas: Any = super()
-        # When it is first called, all that it calls is defined.
-        return (*numbas._index_key(sig, codegen), digest(self.function))
+        base: Any = super()
+        # On the first call, all its dependencies are defined.
+        return (*base._index_key(sig, codegen), compute_digest(self.function))
 
     def _load_overload(self, sig: object, target_context: Any) -> Any:
         key = self._index_key(sig, target_context.codegen())
         for file in self.files:
-            if (data := _read(file, key)) is not None:
+            if (data := _load_entry(file, key)) is not None:
                 return self._impl.rebuild(target_context, data)
-        _announce(self.kept_in)
+        _log_compilation(self.kept_in)
         return None
 
     def _save_overload(self, sig: object, data: Any) -> None:
         if self.kept_in is None:
             return
-        numbas: Any = super()
+        base: Any = super()
         try:
-            numbas._save_overload(sig, data)
+            base._save_overload(sig, data)
         except OSError as error:  # the disk is full, the folder is gone
-            _say_not_kept(self.kept_in, error.strerror or str(error))
+            _warn_not_cached(self.kept_in, error.strerror or str(error))
 
 
-def _read(file: Any, key: object) -> Any:
-    """What is kept under a key; None for what is not there or cannot be read."""
+def _load_entry(file: Any, key: object) -> Any:
+    """Load the entry of a key; None if it is missing or unreadable."""
     try:
         return file.load(key)
-    except OSError:  # of another user, who kept it to himself
+    except OSError:  # owned by another user
         return None
     except Exception:
-        # Whatever a file raises that ends in the middle: what it is an index of is written anew.
-        _forget(file)
+        # A truncated file can raise anything: its index is reset.
+        _reset_index(file)
         return None
 
 
-def _keys(file: Any) -> list[Any]:
-    """Of what is kept; none where the index cannot be read."""
+def _list_keys(file: Any) -> list[Any]:
+    """Return the keys of the entries; none if the index is unreadable."""
     try:
         return list(file._load_index())
     except Exception:  # as above
         return []
 
 
-def _forget(file: Any) -> None:
-    with suppress(OSError):  # what cannot be written does not have to be mended either
+def _reset_index(file: Any) -> None:
+    with suppress(OSError):  # a read-only index cannot be reset
         file.flush()
 
 
-def digest(function: Callable[..., object]) -> str:
-    """Of a kernel's code, that of all kernels which it calls, and the values that they refer to."""
-    found: dict[str, bytes] = {}
-    _add(function, found)
-    return hashlib.sha256(b"".join(name.encode() + found[name] for name in sorted(found))).hexdigest()
+def compute_digest(function: Callable[..., object]) -> str:
+    """Return the digest of a kernel's code, of all kernels that it calls, and of the values that they refer to."""
+    digests: dict[str, bytes] = {}
+    _add_digest(function, digests)
+    return hashlib.sha256(b"".join(name.encode() + digests[name] for name in sorted(digests))).hexdigest()
 
 
-def _add(function: Any, found: dict[str, bytes]) -> None:
+def _add_digest(function: Any, digests: dict[str, bytes]) -> None:
     name = f"{function.__module__}.{function.__qualname__}"
-    if name in found:
+    if name in digests:
         return
-    codes = _codes(function.__code__)
-    found[name] = b"".join(code.co_code + repr(_plain(code)).encode() for code in codes)
-    for each in sorted({each for code in codes for each in code.co_names}):
-        value = function.__globals__.get(each)
+    codes = _nested_codes(function.__code__)
+    digests[name] = b"".join(code.co_code + repr(_comparable_parts(code)).encode() for code in codes)
+    for name_used in sorted({name_used for code in codes for name_used in code.co_names}):
+        value = function.__globals__.get(name_used)
         if isinstance(value, Dispatcher):
-            _add(value.py_func, found)
+            _add_digest(value.py_func, digests)
         elif isinstance(value, FunctionType) and value.__module__ == function.__module__:
-            _add(value, found)
+            _add_digest(value, digests)
         elif isinstance(value, bool | int | float | complex | str | tuple):
-            found[name] += f"{each}={value!r}".encode()
+            digests[name] += f"{name_used}={value!r}".encode()
         elif isinstance(value, np.ndarray):
-            found[name] += f"{each}={value.dtype}{value.shape}".encode() + value.tobytes()
+            digests[name] += f"{name_used}={value.dtype}{value.shape}".encode() + value.tobytes()
         elif isinstance(value, type) and hasattr(value, "_fields"):
-            found[name] += f"{each}={value._fields}".encode()
+            digests[name] += f"{name_used}={value._fields}".encode()
 
 
-def _codes(code: CodeType) -> list[CodeType]:
-    """A function's code, and that of functions inside it."""
-    return [code, *(each for c in code.co_consts if isinstance(c, CodeType) for each in _codes(c))]
+def _nested_codes(code: CodeType) -> list[CodeType]:
+    """Return a function's code, and that of its inner functions."""
+    return [code, *(inner for c in code.co_consts if isinstance(c, CodeType) for inner in _nested_codes(c))]
 
 
-def _plain(code: CodeType) -> list[object]:
+def _comparable_parts(code: CodeType) -> list[object]:
     return [code.co_names, code.co_varnames, *(c for c in code.co_consts if not isinstance(c, CodeType))]
 
 
-_said: set[str] = set()  # by this process
+_logged: set[str] = set()  # messages logged by this process
 
 
-def announced() -> bool:
-    """To be called by who says himself that it compiles, and shows how far it is: it is not said again. Tells whether it
-    has been said before."""
-    before = "compiling" in _said
-    _said.add("compiling")
-    return before
+def mark_announced() -> bool:
+    """Mark compilation as announced, for callers that show its progress, and return whether it was before."""
+    was_announced = "compiling" in _logged
+    _logged.add("compiling")
+    return was_announced
 
 
-def _announce(kept_in: Path | None) -> None:
-    if announced():
+def _log_compilation(kept_in: Path | None) -> None:
+    if mark_announced():
         return
-    often, where = "after an installation or an update", f"kept in {kept_in and place_of(kept_in)}"
+    reason, location = "after an installation or an update", f"kept in {kept_in and display_folder(kept_in)}"
     if kept_in is None:
-        often, where = "at every start", f"no folder can be written to keep it in, {CHOSEN}=FOLDER names one"
-    _log.warning("sylpose compiles for this computer, for up to two minutes %s; %s", often, where)
+        reason, location = (
+            "at every start",
+            f"no folder is writable for its cache, {CACHE_DIR_VARIABLE}=FOLDER sets one",
+        )
+    _log.warning("sylpose compiles for this computer, for up to two minutes %s; %s", reason, location)
 
 
-def _say_not_kept(folder: Path, why: str) -> None:
-    if "not kept" not in _said:
-        _said.add("not kept")
+def _warn_not_cached(folder: Path, reason: str) -> None:
+    if "not kept" not in _logged:
+        _logged.add("not kept")
         _log.warning(
-            "what sylpose compiles cannot be kept in %s: %s; %s=FOLDER names another", folder, why.lower(), CHOSEN
+            "compiled code cannot be cached in %s: %s; %s=FOLDER sets another folder",
+            folder,
+            reason.lower(),
+            CACHE_DIR_VARIABLE,
         )

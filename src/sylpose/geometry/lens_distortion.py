@@ -1,6 +1,6 @@
-"""Compiled: where points are in an image by OpenCV's standard lens model.
+"""Compiled: projection by OpenCV's standard lens model.
 
-`cv2.projectPoints` computes all derivatives with it, whether they are asked for or not, and takes ten times as long.
+`cv2.projectPoints` always computes all derivatives as well, and takes ten times as long.
 """
 
 from __future__ import annotations
@@ -10,15 +10,16 @@ import numpy as np
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.numba_linalg import kernel
 
-__all__ = ["TERMS", "distorted", "projected"]
+__all__ = ["N_TERMS", "distort_point", "project_points"]
 
-# Coefficients, in OpenCV's order: k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4. The two of a tilted sensor are left to it (derived).
-TERMS = 12
+# Coefficients, in OpenCV's order: k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4. Tilted sensors, with two more, are left to
+# OpenCV (derived).
+N_TERMS = 12
 
 
 @kernel
-def distorted(x: float, y: float, matrix: FloatArray, k: FloatArray) -> tuple[float, float]:
-    """The pixel of a normalised point by a matrix (3, 3) and coefficients k (12,)."""
+def distort_point(x: float, y: float, matrix: FloatArray, k: FloatArray) -> tuple[float, float]:
+    """Return the pixel of a normalized point, by a matrix (3, 3) and coefficients k (12,)."""
     r2 = x * x + y * y
     radial = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
     radial /= 1.0 + r2 * (k[5] + r2 * (k[6] + r2 * k[7]))
@@ -28,16 +29,21 @@ def distorted(x: float, y: float, matrix: FloatArray, k: FloatArray) -> tuple[fl
 
 
 @kernel
-def projected(
-    points: FloatArray, rotation: FloatArray, shift: FloatArray, matrix: FloatArray, k: FloatArray, out: FloatArray
+def project_points(
+    points: FloatArray,
+    rotation: FloatArray,
+    translation: FloatArray,
+    matrix: FloatArray,
+    k: FloatArray,
+    out: FloatArray,
 ) -> None:
-    """out (n, 2) becomes the pixels of points (n, 3), X_c = rotation X + shift; NaN for those not in front of the camera."""
+    """Write the pixels of points (n, 3) to out (n, 2), with X_c = rotation X + translation; NaN behind the camera."""
     for i in range(points.shape[0]):
         a, b, c = points[i, 0], points[i, 1], points[i, 2]
-        z = rotation[2, 0] * a + rotation[2, 1] * b + rotation[2, 2] * c + shift[2]
+        z = rotation[2, 0] * a + rotation[2, 1] * b + rotation[2, 2] * c + translation[2]
         if z > 1e-9:
-            x = rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2] * c + shift[0]
-            y = rotation[1, 0] * a + rotation[1, 1] * b + rotation[1, 2] * c + shift[1]
-            out[i, 0], out[i, 1] = distorted(x / z, y / z, matrix, k)
+            x = rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2] * c + translation[0]
+            y = rotation[1, 0] * a + rotation[1, 1] * b + rotation[1, 2] * c + translation[1]
+            out[i, 0], out[i, 1] = distort_point(x / z, y / z, matrix, k)
         else:
             out[i, 0], out[i, 1] = np.nan, np.nan

@@ -1,4 +1,4 @@
-"""Small matrices: products and transposes of stacks, rotations, covariances of information."""
+"""Small matrices: stacked products, rotations, and conversion between information and covariance."""
 
 from __future__ import annotations
 
@@ -9,83 +9,93 @@ from numpy.typing import ArrayLike
 
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.numba_linalg import kernel, symmetric_eigen
-from sylpose.geometry.validation import finite, real
+from sylpose.geometry.validation import check_finite, check_real
 
 __all__ = [
-    "carried",
-    "checked_rotation",
-    "checked_rotations",
-    "covariance_of",
-    "forget",
+    "check_rotation",
+    "check_rotations",
+    "invert_information",
     "kron",
-    "symmetric_of",
+    "pack_upper",
+    "propagate_covariance",
+    "remove_direction",
+    "rotation_to_z_axis",
     "transpose",
-    "turn_to",
-    "upper_of",
+    "unpack_symmetric",
 ]
 
 
 def kron(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Kronecker product over the last two axes, leading axes broadcast."""
+    """Return the Kronecker product over the last two axes, leading axes broadcast."""
     out = a[..., :, None, :, None] * b[..., None, :, None, :]
     rows, columns = a.shape[-2] * b.shape[-2], a.shape[-1] * b.shape[-1]
     return np.asarray(out.reshape(*out.shape[:-4], rows, columns))
 
 
 def transpose(a: FloatArray) -> FloatArray:
-    """Of the last two axes."""
+    """Transpose the last two axes."""
     return a.swapaxes(-1, -2)
 
 
-def carried(covariance: FloatArray, by: FloatArray) -> FloatArray:
-    """The covariance (n, n) of what is `by` (n, n) times as much; an infinite variance makes each infinite that has a part
-    in it."""
+def propagate_covariance(covariance: FloatArray, jacobian: FloatArray) -> FloatArray:
+    """Propagate a covariance (n, n) by a Jacobian (n, n).
+
+    Combinations with infinite variances become infinite.
+    """
     unknown = ~np.isfinite(np.diag(covariance))
-    known = np.where(unknown | unknown[:, None], 0.0, covariance)
-    out = by @ known @ by.T
-    lost = (np.abs(by[:, unknown]) > 1e-12).any(axis=1)
-    out[lost] = out[:, lost] = 0.0
-    out[lost, lost] = np.inf
+    finite_part = np.where(unknown | unknown[:, None], 0.0, covariance)
+    out = jacobian @ finite_part @ jacobian.T
+    is_unbounded = (np.abs(jacobian[:, unknown]) > 1e-12).any(axis=1)
+    out[is_unbounded] = out[:, is_unbounded] = 0.0
+    out[is_unbounded, is_unbounded] = np.inf
     return np.asarray(out)
 
 
-def checked_rotations(rotations: ArrayLike, n: int, name: str = "rotations") -> FloatArray:
-    """(n, 3, 3) rotation matrices, or a ValueError that says which is none."""
-    out = real(rotations, "(C, 3, 3)", name)
+def check_rotations(rotations: ArrayLike, n: int, name: str = "rotations") -> FloatArray:
+    """Return (n, 3, 3) rotation matrices, checked.
+
+    Raises:
+        ValueError: naming the first matrix that is not a rotation.
+    """
+    out = check_real(rotations, "(C, 3, 3)", name)
     if out.ndim != 3 or out.shape[1:] != (3, 3) or len(out) != n or n == 0:
         raise ValueError(f"{name} must be (C, 3, 3) for C = {n} moments, C >= 1; got shape {out.shape}")
-    # No entry of a rotation is beyond 1.
-    sane = np.where((np.abs(out) < 2.0).all(axis=(1, 2), keepdims=True), out, 0)
-    off = np.abs(sane @ transpose(sane) - np.eye(3)).max(axis=(1, 2)) > 1e-6
-    wrong = off | (np.linalg.det(np.where(off[:, None, None], np.eye(3), sane)) < 0)
+    # Entries of a rotation are at most 1 in magnitude.
+    bounded = np.where((np.abs(out) < 2.0).all(axis=(1, 2), keepdims=True), out, 0)
+    off = np.abs(bounded @ transpose(bounded) - np.eye(3)).max(axis=(1, 2)) > 1e-6
+    wrong = off | (np.linalg.det(np.where(off[:, None, None], np.eye(3), bounded)) < 0)
     if wrong.any():
         raise ValueError(f"{name}[{int(np.argmax(wrong))}] is not a rotation matrix")
     return out
 
 
-def checked_rotation(rotation: ArrayLike, name: str = "rotation") -> FloatArray:
-    """(3, 3) a rotation matrix, or a ValueError that names the argument."""
-    out = finite(rotation, (3, 3), name)
+def check_rotation(rotation: ArrayLike, name: str = "rotation") -> FloatArray:
+    """Return a (3, 3) rotation matrix, checked.
+
+    Raises:
+        ValueError: naming the argument.
+    """
+    out = check_finite(rotation, (3, 3), name)
     if np.abs(out).max() > 2.0 or np.abs(out @ out.T - np.eye(3)).max() > 1e-6 or np.linalg.det(out) < 0:
         raise ValueError(f"{name} is not a rotation matrix")
     return out
 
 
-def upper_of(matrix: FloatArray) -> FloatArray:
-    """(n (n + 1) / 2,) the upper triangle of a matrix (n, n), row by row."""
+def pack_upper(matrix: FloatArray) -> FloatArray:
+    """Return (n (n + 1) / 2,) the upper triangle of a matrix (n, n), row by row."""
     return np.asarray(matrix[np.triu_indices(len(matrix))])
 
 
-def symmetric_of(upper: FloatArray) -> FloatArray:
-    """(n, n) the inverse of `upper_of`, for symmetric matrices."""
+def unpack_symmetric(upper: FloatArray) -> FloatArray:
+    """Return the symmetric matrix (n, n) of an upper triangle: the inverse of `pack_upper`."""
     n = (isqrt(8 * len(upper) + 1) - 1) // 2
-    matrix, at = np.empty((n, n)), np.triu_indices(n)
-    matrix[at] = matrix.T[at] = upper
+    matrix, indices = np.empty((n, n)), np.triu_indices(n)
+    matrix[indices] = matrix.T[indices] = upper
     return matrix
 
 
-def turn_to(x: FloatArray) -> FloatArray:
-    """(..., 2) normalised points -> (..., 3, 3) the least rotations that take their rays to the z axis."""
+def rotation_to_z_axis(x: FloatArray) -> FloatArray:
+    """Return (..., 3, 3) smallest rotations that take the rays of normalized points (..., 2) to the z axis."""
     u = np.concatenate([x, np.ones((*x.shape[:-1], 1))], axis=-1)
     u /= np.sqrt((u * u).sum(axis=-1, keepdims=True))
     T = np.empty((*u.shape, 3))
@@ -95,30 +105,30 @@ def turn_to(x: FloatArray) -> FloatArray:
     return T
 
 
-def forget(information: FloatArray, direction: FloatArray) -> FloatArray:
-    """Information (6, 6) less all that it says of one direction (6,)."""
-    along = information @ direction
-    known = float(direction @ along)
-    # Nothing is known of it already, up to rounding.
-    if known <= 1e-12 * float(direction**2 @ np.diag(information)):
+def remove_direction(information: FloatArray, direction: FloatArray) -> FloatArray:
+    """Return information (6, 6) without the information on one direction (6,)."""
+    projection = information @ direction
+    projected_information = float(direction @ projection)
+    # Already without information on it, up to rounding.
+    if projected_information <= 1e-12 * float(direction**2 @ np.diag(information)):
         return information
-    return np.asarray(information - np.outer(along, along) / known)
+    return np.asarray(information - np.outer(projection, projection) / projected_information)
 
 
-def covariance_of(information: FloatArray) -> FloatArray:
-    """The inverse (n, n), with infinite variance in directions that the information knows nothing of.
+def invert_information(information: FloatArray) -> FloatArray:
+    """Return the inverse (n, n) of an information matrix, with infinite variance in unobservable directions.
 
-    Turns and displacements have different units, so it is scaled to a unit diagonal before its rank is
-    judged. Infinite variances stand on the diagonal; the covariances of such directions are 0.
+    Rotations and translations have different units, so it is scaled to a unit diagonal before its rank is determined.
+    Infinite variances are on the diagonal; their covariances are 0.
     """
     covariance = np.empty(information.shape)
-    _invert(np.ascontiguousarray(information, dtype=float), covariance)
+    _invert_information(np.ascontiguousarray(information, dtype=float), covariance)
     return covariance
 
 
 @kernel
-def _invert(information: FloatArray, covariance: FloatArray) -> None:
-    """covariance (n, n) becomes `covariance_of`."""
+def _invert_information(information: FloatArray, covariance: FloatArray) -> None:
+    """Write `invert_information` to covariance (n, n)."""
     n = len(information)
     scale, scaled, values, vectors = np.empty(n), np.empty((n, n)), np.empty(n), np.empty((n, n))
     for i in range(n):
@@ -128,16 +138,16 @@ def _invert(information: FloatArray, covariance: FloatArray) -> None:
             scaled[i, j] = information[i, j] * scale[i] * scale[j]
     symmetric_eigen(scaled, values, vectors)
     covariance[:] = 0.0
-    least = 1e-10 * max(values[n - 1], 1e-300)
+    threshold = 1e-10 * max(values[n - 1], 1e-300)
     for k in range(n):
-        if values[k] > least:
+        if values[k] > threshold:
             for i in range(n):
                 for j in range(n):
                     covariance[i, j] += vectors[i, k] * scale[i] * vectors[j, k] * scale[j] / values[k]
     for i in range(n):
         unknown = False
         for k in range(n):
-            unknown = unknown or (not values[k] > least and abs(vectors[i, k]) > 1e-3)
+            unknown = unknown or (not values[k] > threshold and abs(vectors[i, k]) > 1e-3)
         if unknown:
             covariance[i, :], covariance[:, i] = 0.0, 0.0
             covariance[i, i] = np.inf

@@ -1,7 +1,7 @@
-"""Normal equations of many cameras: the motion that they share, and what each of them has for itself eliminated.
+"""Normal equations of several cameras: a shared motion, with per-camera unknowns eliminated.
 
-A motion is (w, d): a turn R = exp(w) R̂ and a displacement. A camera's derivatives are in its own axes, in which they are
-simple, and are turned into the world's, Q of camera_from_world, once they are summed.
+A motion is (w, d): a rotation R = exp(w) R̂ and a translation. A camera's derivatives are in its axes, in which they
+are simple; their sums are rotated into the world's by Q of camera_from_world.
 """
 
 from __future__ import annotations
@@ -9,34 +9,36 @@ from __future__ import annotations
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.numba_linalg import cholesky, leaf
 
-__all__ = ["add_turned", "eliminate", "image_row", "turn_rows"]
+__all__ = ["add_rotated", "compute_image_row", "eliminate_block", "rotate_rows"]
 
 
 @leaf
-def eliminate(block: FloatArray, coupled: FloatArray, kept: FloatArray) -> bool:
-    """Takes the k unknowns z out of normal equations [A C'; C B] (x, z) = (a, b) of n others x: the Schur complement.
+def eliminate_block(block: FloatArray, coupled: FloatArray, kept: FloatArray) -> bool:
+    """Eliminate k unknowns z from normal equations by the Schur complement.
+
+    The equations are [A C'; C B] (x, z) = (a, b).
 
     Args:
         block: (k, k) B, lower triangle; becomes its Cholesky factor.
         coupled: (k, n + 1) C and b; becomes B⁻¹C and B⁻¹b, with which z = B⁻¹b - B⁻¹C x.
-        kept: (n, n + 1) A and a; becomes A - C'B⁻¹C and a - C'B⁻¹b.
+        kept: (n, n + 1) A and a, of n other unknowns x; becomes A - C'B⁻¹C and a - C'B⁻¹b.
 
     Returns:
-        False, with all three half done, where B is not positive definite.
+        False, with incomplete output, where B is not positive definite.
     """
     if not cholesky(block):
         return False
     k, columns = coupled.shape
-    # Row by row, so that the processor works on several columns at once.
+    # Row by row, so that several columns are vectorized.
     for i in range(k):
-        row, per = coupled[i], 1.0 / block[i, i]
+        row, reciprocal = coupled[i], 1.0 / block[i, i]
         for m in range(i):
             factor, other = block[i, m], coupled[m]
             for j in range(columns):
                 row[j] -= factor * other[j]
         for j in range(columns):
-            row[j] *= per
-    # With C and b divided by the factor, what goes is their product with themselves.
+            row[j] *= reciprocal
+    # With C and b divided by the factor, their product with themselves is subtracted.
     for i in range(columns - 1):
         row = kept[i]
         for m in range(k):
@@ -44,27 +46,32 @@ def eliminate(block: FloatArray, coupled: FloatArray, kept: FloatArray) -> bool:
             for j in range(columns):
                 row[j] -= factor * other[j]
     for i in range(k - 1, -1, -1):
-        row, per = coupled[i], 1.0 / block[i, i]
+        row, reciprocal = coupled[i], 1.0 / block[i, i]
         for m in range(i + 1, k):
             factor, other = block[m, i], coupled[m]
             for j in range(columns):
                 row[j] -= factor * other[j]
         for j in range(columns):
-            row[j] *= per
+            row[j] *= reciprocal
     return True
 
 
 @leaf
-def add_turned(lower: FloatArray, q: FloatArray, total: FloatArray) -> None:
-    """Adds a form in (w, d), its lower triangle (6, 6) in a camera's axes, to total (6, 6 at least) in the world's: both
-    halves turn with Q (3, 3)."""
-    for half in range(3):
-        # The block of w, that of d, and the one between them, of which the other side is the transpose.
-        h, g = (3 if half > 0 else 0), (3 if half == 1 else 0)
+def add_rotated(lower: FloatArray, q: FloatArray, total: FloatArray) -> None:
+    """Add a quadratic form in (w, d), rotated from a camera's axes to the world's, to a total.
+
+    Args:
+        lower: (6, 6) lower triangle of the form in the camera's axes.
+        q: (3, 3) Q, which rotates both halves.
+        total: (6, 6 at least) in the world's axes.
+    """
+    for part in range(3):
+        # The block of w, that of d, and the one between them, whose other side is the transpose.
+        h, g = (3 if part > 0 else 0), (3 if part == 1 else 0)
         b00, b10, b11 = lower[h, g], lower[h + 1, g], lower[h + 1, g + 1]
         b20, b21, b22 = lower[h + 2, g], lower[h + 2, g + 1], lower[h + 2, g + 2]
         b01, b02, b12 = b10, b20, b21
-        if half == 2:
+        if part == 2:
             b01, b02, b12 = lower[h, g + 1], lower[h, g + 2], lower[h + 1, g + 2]
         for j in range(3):
             x = b00 * q[0, j] + b01 * q[1, j] + b02 * q[2, j]
@@ -73,13 +80,13 @@ def add_turned(lower: FloatArray, q: FloatArray, total: FloatArray) -> None:
             for i in range(3):
                 value = x * q[0, i] + y * q[1, i] + z * q[2, i]
                 total[h + i, g + j] += value
-                if half == 2:
+                if part == 2:
                     total[g + j, h + i] += value
 
 
 @leaf
-def turn_rows(rows: FloatArray, q: FloatArray, out: FloatArray) -> None:
-    """out (k, 6 at least): rows (k, 6) by (w, d) of a camera's axes, by those of the world's."""
+def rotate_rows(rows: FloatArray, q: FloatArray, out: FloatArray) -> None:
+    """Write rows (k, 6) by (w, d), rotated from a camera's axes to the world's, to out (k, 6 at least)."""
     for k in range(rows.shape[0]):
         for h in range(2):
             x, y, z = rows[k, 3 * h], rows[k, 3 * h + 1], rows[k, 3 * h + 2]
@@ -88,7 +95,7 @@ def turn_rows(rows: FloatArray, q: FloatArray, out: FloatArray) -> None:
 
 
 @leaf
-def image_row(
+def compute_image_row(
     n0: float,
     n1: float,
     u: float,
@@ -100,10 +107,10 @@ def image_row(
     scale: float,
     row: FloatArray,
 ) -> None:
-    """row (6,): how (w, d), in the camera's axes, move a point's image (u, v) in the direction n: (s × h, scale h).
+    """Write the derivative of a point's image in a direction n by (w, d) to row (6,): (s × h, scale h).
 
-    h = n' D, with D the derivative of the image by the point, which lies at the depth z and at s as seen from the centre of
-    the turn. Where all is known up to the point's scale, z and s are scaled by it.
+    All in the camera's axes. h = n' D, with D the derivative of the image (u, v) by the point, which has depth z and
+    position s relative to the center of rotation. Where all is known up to the point's scale, z and s are scaled by it.
     """
     h0, h1 = n0 / z, n1 / z
     h2 = -(h0 * u + h1 * v)

@@ -1,8 +1,8 @@
-"""Hot loops: Numba's decorator, typed, and the small linear algebra that the loops share.
+"""Compiled loops: Numba's decorators, typed, and small linear algebra for them.
 
-Compiled code is cached on disk, so only the first call after an installation or an update compiles; every later process
-loads in a fraction of a second. Kernels take and fill plain float64 arrays, allocate little and call no LAPACK:
-six unknowns need none, and each LAPACK call would cost a second of compiling.
+Compiled code is cached on disk, so only the first call after an installation or an update compiles; later processes
+load it in a fraction of a second. Kernels read and write plain float64 arrays, allocate little and call no LAPACK: six
+unknowns do not need it, and each LAPACK call would add a second of compilation.
 """
 
 from __future__ import annotations
@@ -15,50 +15,51 @@ import numpy as np
 from numba.core.options import DefaultOptions
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.kernel_cache import keep
+from sylpose.geometry.kernel_cache import enable_cache
 
 __all__ = [
+    "apply_rotvec",
     "cholesky",
     "cholesky_solve",
+    "compute_median",
+    "compute_sum",
     "kernel",
     "leaf",
-    "median_of",
-    "rotation_of",
-    "rotvec_of",
+    "so3_exp",
+    "so3_log",
     "solve_factored",
     "symmetric_eigen",
-    "total_of",
-    "turn_by",
 ]
 
-# Sweeps of Jacobi's method, at most: five or six do (choice).
-SWEEPS = 30
+# Maximum sweeps of Jacobi's method: five or six are enough (choice).
+MAX_SWEEPS = 30
 
-# Numba's option for compiled code that counts no references; where a version should lack it, they are counted (choice).
-UNCOUNTED: Any = {"_nrt": False} if hasattr(DefaultOptions, "_nrt") else {}
+# Numba's option to omit reference counting; versions without it count (choice).
+NO_REFCOUNT: Any = {"_nrt": False} if hasattr(DefaultOptions, "_nrt") else {}
 
 F = TypeVar("F", bound=Callable[..., object])
 
 
 def kernel(function: F) -> F:
-    """Compiles a function of arrays and numbers on its first call; the types of the source stay for the checker.
+    """Compile a function of arrays and numbers on its first call, with its types kept for type checkers.
 
     Division by zero gives inf or NaN as in NumPy, and the interpreter's lock is released while it runs.
     """
-    return cast(F, keep(numba.njit(nogil=True, error_model="numpy")(function)))
+    return cast(F, enable_cache(numba.njit(nogil=True, error_model="numpy")(function)))
 
 
 def leaf(function: F) -> F:
-    """`kernel` of a function that makes no array: its arguments' references are not counted.
+    """Compile as `kernel`, without reference counting: for functions that allocate no arrays.
 
-    Counting takes the processor a hundred cycles for each array of a record, in and out again: as long as many a leaf runs.
+    Reference counting takes a hundred cycles for each array of a record, in and out again, as long as many of these
+    functions run.
     """
-    return cast(F, keep(numba.njit(nogil=True, error_model="numpy", **UNCOUNTED)(function)))
+    return cast(F, enable_cache(numba.njit(nogil=True, error_model="numpy", **NO_REFCOUNT)(function)))
 
 
 @leaf
 def cholesky(a: FloatArray) -> bool:
-    """a (n, n), symmetric, becomes its Cholesky factor (lower triangle) in place.
+    """Replace a symmetric a (n, n) by its Cholesky factor (lower triangle) in place.
 
     Returns:
         False, with a half done, where a is not positive definite.
@@ -80,7 +81,7 @@ def cholesky(a: FloatArray) -> bool:
 
 @leaf
 def solve_factored(a: FloatArray, b: FloatArray) -> None:
-    """b (n,) becomes x with L L' x = b, for a (n, n) whose lower triangle is L (`cholesky`)."""
+    """Replace b (n,) by x with L L' x = b, for a (n, n) whose lower triangle is L (`cholesky`)."""
     n = a.shape[0]
     for i in range(n):
         s = b[i]
@@ -96,7 +97,7 @@ def solve_factored(a: FloatArray, b: FloatArray) -> None:
 
 @leaf
 def cholesky_solve(a: FloatArray, b: FloatArray) -> bool:
-    """Solves a x = b in place: b (n,) becomes x, a (n, n) symmetric becomes its Cholesky factor (lower).
+    """Solve a x = b in place: b (n,) becomes x, a (n, n) symmetric becomes its Cholesky factor (lower).
 
     Returns:
         False, with a half done, where a is not positive definite.
@@ -109,21 +110,21 @@ def cholesky_solve(a: FloatArray, b: FloatArray) -> bool:
 
 @leaf
 def symmetric_eigen(a: FloatArray, values: FloatArray, vectors: FloatArray) -> None:
-    """Eigenvalues (n,), ascending, and eigenvectors (n, n), the columns, of a small symmetric a (n, n), which is lost.
+    """Compute eigenvalues (n,), ascending, and eigenvectors (n, n), the columns, of a small symmetric a (n, n).
 
-    Source: Jacobi's method, Golub & Van Loan, "Matrix Computations", section 8.5.
+    a is overwritten. Source: Jacobi's method, Golub & Van Loan, "Matrix Computations", section 8.5.
     """
     n = a.shape[0]
     for i in range(n):
         for j in range(n):
             vectors[i, j] = 1.0 if i == j else 0.0
-    for _ in range(SWEEPS):
+    for _ in range(MAX_SWEEPS):
         off, on = 0.0, 0.0
         for i in range(n):
             on += a[i, i] * a[i, i]
             for j in range(i):
                 off += a[i, j] * a[i, j]
-        # Not a number ends it as well.
+        # NaN ends the loop as well.
         if not off > 1e-30 * on:
             break
         for p in range(n):
@@ -148,19 +149,19 @@ def symmetric_eigen(a: FloatArray, values: FloatArray, vectors: FloatArray) -> N
     for i in range(n):
         values[i] = a[i, i]
     for i in range(n):
-        least = i
+        smallest = i
         for j in range(i + 1, n):
-            if values[j] < values[least]:
-                least = j
-        if least != i:
-            values[i], values[least] = values[least], values[i]
+            if values[j] < values[smallest]:
+                smallest = j
+        if smallest != i:
+            values[i], values[smallest] = values[smallest], values[i]
             for k in range(n):
-                vectors[k, i], vectors[k, least] = vectors[k, least], vectors[k, i]
+                vectors[k, i], vectors[k, smallest] = vectors[k, smallest], vectors[k, i]
 
 
 @leaf
-def total_of(values: FloatArray) -> float:
-    """The sum of values (n,), in four parts that do not wait for each other: the same on every machine."""
+def compute_sum(values: FloatArray) -> float:
+    """Return the sum of values (n,) in four independent partial sums, in the same order on every machine."""
     n = values.shape[0]
     s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
     for k in range(n // 4):
@@ -174,39 +175,39 @@ def total_of(values: FloatArray) -> float:
 
 
 @leaf
-def median_of(values: FloatArray) -> float:
-    """The median of values (n,), n > 0, whose order is lost; NumPy's takes four times as long in compiled code.
+def compute_median(values: FloatArray) -> float:
+    """Return the median of values (n,), n > 0, reordering them; NumPy's takes four times as long in compiled code.
 
-    Source: Hoare's FIND, CACM 4, 1961, each value moved whether it is less or not, so that the processor never guesses.
+    Source: Hoare's FIND, CACM 4, 1961, with unconditional moves, which avoid branch mispredictions.
     """
     n = values.shape[0]
     middle, low, high = n // 2, 0, n - 1
     while low < high:
-        # The middle one of three, put last.
+        # Median of three as pivot, moved to the end.
         a, b, c = values[low], values[(low + high) // 2], values[high]
-        at = (low + high) // 2
+        pivot_index = (low + high) // 2
         if (a <= b) == (b <= c):
             pivot = b
         elif (b <= a) == (a <= c):
-            pivot, at = a, low
+            pivot, pivot_index = a, low
         else:
-            pivot, at = c, high
-        values[at], values[high] = values[high], pivot
-        less = low
+            pivot, pivot_index = c, high
+        values[pivot_index], values[high] = values[high], pivot
+        boundary = low
         for i in range(low, high):
             value = values[i]
-            values[i] = values[less]
-            values[less] = value
-            less += value < pivot
-        values[high], values[less] = values[less], pivot
-        if middle < less:
-            high = less - 1
-        elif middle == less:
+            values[i] = values[boundary]
+            values[boundary] = value
+            boundary += value < pivot
+        values[high], values[boundary] = values[boundary], pivot
+        if middle < boundary:
+            high = boundary - 1
+        elif middle == boundary:
             break
-        elif less > low:
-            low = less + 1
+        elif boundary > low:
+            low = boundary + 1
         else:
-            # It is the least: all of its like go with it.
+            # It is the smallest: all equal values go with it.
             low += 1
             for i in range(low, high + 1):
                 value = values[i]
@@ -217,15 +218,15 @@ def median_of(values: FloatArray) -> float:
                 break
     if n % 2 == 1:
         return float(values[middle])
-    before = values[0]
+    lower_middle = values[0]
     for i in range(1, middle):
-        before = max(before, values[i])
-    return float(0.5 * (before + values[middle]))
+        lower_middle = max(lower_middle, values[i])
+    return float(0.5 * (lower_middle + values[middle]))
 
 
 @leaf
-def rotation_of(w: FloatArray, out: FloatArray) -> None:
-    """Rodrigues' formula: out (3, 3) becomes exp([w]x) of w (3,)."""
+def so3_exp(w: FloatArray, out: FloatArray) -> None:
+    """Write exp([w]x) of w (3,) to out (3, 3) by Rodrigues' formula."""
     angle2 = w[0] * w[0] + w[1] * w[1] + w[2] * w[2]
     if angle2 < 1e-12:
         s, c = 1.0 - angle2 / 6.0, 0.5 - angle2 / 24.0
@@ -242,9 +243,9 @@ def rotation_of(w: FloatArray, out: FloatArray) -> None:
 
 
 @leaf
-def turn_by(w: FloatArray, rotation: FloatArray, out: FloatArray) -> None:
-    """out (3, 3) becomes exp([w]x) rotation; out must not be rotation."""
-    rotation_of(w, out)
+def apply_rotvec(w: FloatArray, rotation: FloatArray, out: FloatArray) -> None:
+    """Write exp([w]x) rotation to out (3, 3), which must not be rotation."""
+    so3_exp(w, out)
     for i in range(3):
         x, y, z = out[i, 0], out[i, 1], out[i, 2]
         for j in range(3):
@@ -252,8 +253,8 @@ def turn_by(w: FloatArray, rotation: FloatArray, out: FloatArray) -> None:
 
 
 @kernel
-def rotvec_of(rotation: FloatArray, out: FloatArray) -> None:
-    """out (3,) becomes the rotation vector of a rotation matrix; the inverse of `rotation_of`."""
+def so3_log(rotation: FloatArray, out: FloatArray) -> None:
+    """Write the rotation vector of a rotation matrix to out (3,): the inverse of `so3_exp`."""
     out[0] = rotation[2, 1] - rotation[1, 2]
     out[1] = rotation[0, 2] - rotation[2, 0]
     out[2] = rotation[1, 0] - rotation[0, 1]
@@ -265,7 +266,7 @@ def rotvec_of(rotation: FloatArray, out: FloatArray) -> None:
         for i in range(3):
             out[i] *= factor
         return
-    # Near half a turn the antisymmetric part vanishes: the axis is the largest column of R + R' + (1 - trace) I.
+    # Near 180 degrees the antisymmetric part vanishes: the axis is the largest column of R + R' + (1 - trace) I.
     column = 0
     for k in range(1, 3):
         if rotation[k, k] > rotation[column, column]:

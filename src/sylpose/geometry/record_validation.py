@@ -1,4 +1,4 @@
-"""Values from elsewhere, checked against what records say of their fields: types, and shapes of arrays."""
+"""Validation of external values against the annotations of records: types, and shapes of arrays."""
 
 from __future__ import annotations
 
@@ -11,75 +11,77 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-__all__ = ["Shapes", "check_shapes", "fields_of", "typed"]
+__all__ = ["Shapes", "check_shapes", "convert_to_type", "get_fields"]
 
-# By field, a letter being the same number in all of a record.
+# Shapes by field; a letter is the same number throughout a record.
 Shapes = Mapping[str, tuple[int | str, ...]]
 
 
-def fields_of(kind: Any) -> tuple[tuple[str, Any], ...]:
-    """The fields of a dataclass or named tuple in order, those that are no arguments left out, and their types."""
-    return _fields_of(kind)
+def get_fields(kind: Any) -> tuple[tuple[str, Any], ...]:
+    """Return the fields of a dataclass or named tuple in order, with their types; only those that are arguments."""
+    return _get_fields(kind)
 
 
 @cache
-def _fields_of(kind: Any) -> tuple[tuple[str, Any], ...]:
+def _get_fields(kind: Any) -> tuple[tuple[str, Any], ...]:
     hints = get_type_hints(kind)
     names = [field.name for field in fields(kind) if field.init] if is_dataclass(kind) else list(kind._fields)
     return tuple((name, hints[name]) for name in names)
 
 
-def typed(hint: Any, value: Any) -> Any:
-    """The value as a field's type has it: words become enumerations, whole numbers floats, lists tuples; of arrays the
-    kind of their numbers counts, and 0 and 1 do for False and True. Types that are no data's are compared as they are.
+def convert_to_type(hint: Any, value: Any) -> Any:
+    """Return a value converted to a field's type.
+
+    Strings become enumerations, integers floats, lists tuples. Arrays must have the same kind of numbers, and 0 and 1
+    are accepted for False and True. Other types are compared as they are.
 
     Raises:
-        TypeError: it is of another type.
+        TypeError: it has another type.
     """
-    hint = _spelt_out(hint)
-    origin, of = get_origin(hint), get_args(hint)
+    hint = _resolve_alias(hint)
+    origin, arguments = get_origin(hint), get_args(hint)
     if origin in (UnionType, Union):
-        for part in of:
+        for part in arguments:
             try:
-                return typed(part, value)
+                return convert_to_type(part, value)
             except TypeError:
                 continue
     elif origin is tuple and isinstance(value, (list, tuple)):
-        if len(of) == 2 and of[1] is Ellipsis:
-            return tuple(typed(of[0], part) for part in value)
-        if len(value) == len(of):
-            return tuple(typed(part, its) for part, its in zip(of, value, strict=True))
+        if len(arguments) == 2 and arguments[1] is Ellipsis:
+            return tuple(convert_to_type(arguments[0], part) for part in value)
+        if len(value) == len(arguments):
+            return tuple(convert_to_type(part, item) for part, item in zip(arguments, value, strict=True))
     elif origin in (list, Sequence) and isinstance(value, (list, tuple)):
-        return type(value)(typed(of[0], part) for part in value)
+        return type(value)(convert_to_type(arguments[0], part) for part in value)
     elif origin in (dict, Mapping) and isinstance(value, dict):
-        return {typed(of[0], key): typed(of[1], its) for key, its in value.items()}
+        return {convert_to_type(arguments[0], key): convert_to_type(arguments[1], item) for key, item in value.items()}
     elif origin is np.ndarray and isinstance(value, np.ndarray):
-        wanted = np.dtype(get_args(of[1])[0]).kind
-        if value.dtype.kind in {"b": "bi", "i": "iu"}.get(wanted, wanted):
-            return value.astype(bool) if wanted == "b" and value.dtype.kind != "b" else value
+        expected_kind = np.dtype(get_args(arguments[1])[0]).kind
+        if value.dtype.kind in {"b": "bi", "i": "iu"}.get(expected_kind, expected_kind):
+            return value.astype(bool) if expected_kind == "b" and value.dtype.kind != "b" else value
     elif origin is Literal:
-        if value in of:
+        if value in arguments:
             return value
     elif hint is None or hint is NoneType:
         if value is None:
             return value
     elif origin is None and isinstance(hint, type):
-        return _plain(hint, value)
+        return _convert_plain(hint, value)
     elif isinstance(origin, type) and isinstance(value, origin):
         return value
     raise TypeError(type(value).__name__)
 
 
-def _spelt_out(hint: Any) -> Any:
-    """What an alias by `type` stands for, as NumPy's NDArray is one from 2.5 on; other types as they are."""
-    meant = getattr(get_origin(hint) or hint, "__value__", None)
-    if meant is None:
+def _resolve_alias(hint: Any) -> Any:
+    """Return the type that a `type` alias stands for, as NumPy's NDArray is one since 2.5; other types unchanged."""
+    resolved = getattr(get_origin(hint) or hint, "__value__", None)
+    if resolved is None:
         return hint
-    return meant[get_args(hint)] if get_args(hint) else meant
+    return resolved[get_args(hint)] if get_args(hint) else resolved
 
 
-def _plain(kind: type[Any], value: Any) -> Any:
-    """As `typed`, of a class without parameters."""
+def _convert_plain(kind: type[Any], value: Any) -> Any:
+    """Convert as `convert_to_type`, for a class without parameters."""
     if issubclass(kind, Enum) and isinstance(value, str):
         try:
             return kind(value)
@@ -96,14 +98,18 @@ def _plain(kind: type[Any], value: Any) -> Any:
 
 
 def check_shapes(record: object, shapes: Shapes) -> None:
-    """Raises ValueError, naming a field, where an array has another shape than it is to have."""
+    """Check the shapes of a record's arrays.
+
+    Raises:
+        ValueError: naming the field.
+    """
     lengths: dict[str, int] = {}
     for name, shape in shapes.items():
         value = getattr(record, name)
         if value is None:
             continue
         if len(value.shape) != len(shape) or any(
-            n != (lengths.setdefault(wanted, n) if isinstance(wanted, str) else wanted)
-            for n, wanted in zip(value.shape, shape, strict=True)
+            n != (lengths.setdefault(expected, n) if isinstance(expected, str) else expected)
+            for n, expected in zip(value.shape, shape, strict=True)
         ):
             raise ValueError(f"no {type(record).__name__}: {name} has the shape {value.shape}")

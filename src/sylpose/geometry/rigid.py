@@ -1,4 +1,4 @@
-"""Rotations of single poses as arrays: what a frame asks for dozens of times, in a tenth of the time of SciPy's checks."""
+"""Fast rotation access for single poses, in a tenth of the time of SciPy's checked functions."""
 
 from __future__ import annotations
 
@@ -6,23 +6,23 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.numba_linalg import rotvec_of
+from sylpose.geometry.numba_linalg import so3_log
 
-__all__ = ["rotvec", "turn_between", "turn_of"]
+__all__ = ["relative_rotvec", "rotation_matrix_of", "rotvec"]
 
 
-def turn_of(pose: RigidTransform) -> FloatArray:
-    """(3, 3) rotation matrix of a single pose."""
+def rotation_matrix_of(pose: RigidTransform) -> FloatArray:
+    """Return the (3, 3) rotation matrix of a single pose."""
     return np.asarray(pose.as_matrix()[:3, :3])
 
 
 def rotvec(rotation: FloatArray) -> FloatArray:
-    """(3,) rotation vector of a rotation matrix (3, 3)."""
+    """Return the (3,) rotation vector of a rotation matrix (3, 3)."""
     out = np.empty(3)
-    rotvec_of(rotation, out)
+    so3_log(rotation, out)
     return out
 
 
-def turn_between(before: RigidTransform, after: RigidTransform) -> FloatArray:
-    """(3,) rotation vector w with R of `after` = exp(w) R of `before`."""
-    return rotvec(turn_of(after) @ turn_of(before).T)
+def relative_rotvec(first: RigidTransform, second: RigidTransform) -> FloatArray:
+    """Return the (3,) rotation vector w with R of `second` = exp(w) R of `first`."""
+    return rotvec(rotation_matrix_of(second) @ rotation_matrix_of(first).T)

@@ -1,7 +1,7 @@
-"""What users give: of the shape and kind that is asked for, or a sentence that names the argument.
+"""Validation of arguments: types, shapes and ranges, with error messages that name the argument.
 
-Nothing is reshaped: a transposed or homogeneous array would be other points, and a wrong answer that looks right. Public
-functions ask once, at the door; what they call is unchecked.
+Nothing is reshaped: a transposed or homogeneous array would be different points, and give a wrong but plausible result.
+Public functions validate once, on entry; internal functions do not.
 """
 
 from __future__ import annotations
@@ -16,40 +16,40 @@ from numpy.typing import ArrayLike
 from sylpose.geometry.arrays import FloatArray
 
 __all__ = [
-    "MOST",
-    "finite",
-    "finite_rows",
-    "items",
-    "kind_of",
-    "listed",
-    "number",
-    "one_of",
-    "real",
-    "rows",
-    "shown",
-    "truth",
-    "whole",
+    "MAX_MAGNITUDE",
+    "check_bool",
+    "check_choice",
+    "check_finite",
+    "check_finite_rows",
+    "check_integer",
+    "check_list",
+    "check_number",
+    "check_real",
+    "check_rows",
+    "check_sequence",
+    "check_type",
+    "format_value",
 ]
 
 T = TypeVar("T")
 
-# No coordinate is larger: its fourth power, and sums of a great many, are in range (choice).
-MOST = 1e30
+# Largest coordinate: its fourth power, and sums of very many, are in range (choice).
+MAX_MAGNITUDE = 1e30
 _INFINITY = float("inf")
-# Characters of a value in a sentence (choice).
-SAID = 60
+# Characters of a value in a message (choice).
+MAX_VALUE_LENGTH = 60
 
 
-def rows(values: ArrayLike, width: int, name: str, *, single: bool = False) -> FloatArray:
-    """The values as an array (n, width) of floats, row by row in memory; (0, width) of anything empty.
+def check_rows(values: ArrayLike, width: int, name: str, *, single: bool = False) -> FloatArray:
+    """Return the values as a contiguous float array (n, width); (0, width) for anything empty.
 
     Args:
-        single: one row (width,) is taken, too.
+        single: whether one row (width,) is accepted as well.
 
     Raises:
-        ValueError: naming the argument: another shape, or no real numbers.
+        ValueError: naming the argument: another shape, or values that are not real numbers.
     """
-    array = real(values, f"(n, {width})", name)
+    array = check_real(values, f"(n, {width})", name)
     if array.size == 0:
         return np.empty((0, width))
     if single and array.shape == (width,):
@@ -59,171 +59,191 @@ def rows(values: ArrayLike, width: int, name: str, *, single: bool = False) -> F
     return np.ascontiguousarray(array, dtype=float)
 
 
-def finite_rows(values: ArrayLike, width: int, name: str, *, most: float = np.inf) -> FloatArray:
-    """The same, without NaN and infinity, nor numbers beyond `most`.
+def check_finite_rows(values: ArrayLike, width: int, name: str, *, maximum: float = np.inf) -> FloatArray:
+    """Return the values as `check_rows` does; they must be finite and at most `maximum`.
 
     Raises:
-        ValueError: as `rows`; values that are not finite, or too large.
+        ValueError: as `check_rows`; values that are not finite, or too large.
     """
-    array = rows(values, width, name)
-    _in_range(array, name, most)
+    array = check_rows(values, width, name)
+    _check_range(array, name, maximum)
     return array
 
 
-def finite(values: ArrayLike, shape: Sequence[int | str], name: str, *, most: float = MOST) -> FloatArray:
-    """The values as an array of floats of this shape, a letter standing for any length.
+def check_finite(
+    values: ArrayLike, shape: Sequence[int | str], name: str, *, maximum: float = MAX_MAGNITUDE
+) -> FloatArray:
+    """Return the values as a float array of a shape, in which a letter matches any length.
 
     Raises:
-        ValueError: naming the argument: another shape, no real numbers, values that are not finite or beyond `most`.
+        ValueError: naming the argument: another shape, values that are not real, not finite or beyond `maximum`.
     """
-    wanted = f"({', '.join(map(str, shape))}{',' if len(shape) == 1 else ''})"
-    array = real(values, wanted, name)
+    expected = f"({', '.join(map(str, shape))}{',' if len(shape) == 1 else ''})"
+    array = check_real(values, expected, name)
     if array.ndim != len(shape) or any(
-        isinstance(n, int) and n != its for n, its in zip(shape, array.shape, strict=True)
+        isinstance(n, int) and n != size for n, size in zip(shape, array.shape, strict=True)
     ):
-        raise ValueError(f"{name} must be {wanted}, got shape {array.shape}")
-    _in_range(array, name, most)
+        raise ValueError(f"{name} must be {expected}, got shape {array.shape}")
+    _check_range(array, name, maximum)
     return array
 
 
-def number(value: Any, name: str, *, above: float | None = None, least: float = -MOST, most: float = MOST) -> float:
-    """One finite number, from `least` to `most`; more than `above`, where that is given.
+def check_number(
+    value: Any,
+    name: str,
+    *,
+    above: float | None = None,
+    minimum: float = -MAX_MAGNITUDE,
+    maximum: float = MAX_MAGNITUDE,
+) -> float:
+    """Return one finite number from `minimum` to `maximum`, and greater than `above` if that is given.
 
     Raises:
-        ValueError: naming the argument, what is wrong with it and what was expected.
+        ValueError: naming the argument, the value and what was expected.
     """
-    wanted = "a finite number"
-    if above is not None or (least, most) != (-MOST, MOST):
-        lower = f" above {above:g}" if above is not None else f" of at least {least:g}" if least > -MOST else ""
-        wanted = f"a finite number{lower}{' and' if lower and most < MOST else ''}"
-        wanted += f" of at most {most:g}" if most < MOST else ""
+    expected = "a finite number"
+    if above is not None or (minimum, maximum) != (-MAX_MAGNITUDE, MAX_MAGNITUDE):
+        lower = (
+            f" above {above:g}"
+            if above is not None
+            else f" of at least {minimum:g}"
+            if minimum > -MAX_MAGNITUDE
+            else ""
+        )
+        expected = f"a finite number{lower}{' and' if lower and maximum < MAX_MAGNITUDE else ''}"
+        expected += f" of at most {maximum:g}" if maximum < MAX_MAGNITUDE else ""
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
     if not isinstance(value, Real):
-        raise ValueError(f"{name}: {shown(value)} is not {wanted}")
+        raise ValueError(f"{name}: {format_value(value)} is not {expected}")
     try:
         out = float(value)
     except OverflowError:
         out = np.inf
-    if not least <= out <= most or (above is not None and not out > above):
-        raise ValueError(f"{name}: {shown(value)} is not {wanted}")
+    if not minimum <= out <= maximum or (above is not None and not out > above):
+        raise ValueError(f"{name}: {format_value(value)} is not {expected}")
     return out
 
 
-def whole(value: Any, name: str, *, least: int = 0, most: int = 2**62) -> int:
-    """One whole number, from `least` to `most`.
+def check_integer(value: Any, name: str, *, minimum: int = 0, maximum: int = 2**62) -> int:
+    """Return one integer from `minimum` to `maximum`.
 
     Raises:
         ValueError: naming the argument.
     """
-    if isinstance(value, bool) or not isinstance(value, Integral) or not least <= int(value) <= most:
-        raise ValueError(f"{name}: {shown(value)} is not a whole number from {least} to {most}")
+    if isinstance(value, bool) or not isinstance(value, Integral) or not minimum <= int(value) <= maximum:
+        raise ValueError(f"{name}: {format_value(value)} is not a whole number from {minimum} to {maximum}")
     return int(value)
 
 
-def truth(value: Any, name: str) -> bool:
-    """True or False.
+def check_bool(value: Any, name: str) -> bool:
+    """Return True or False.
 
     Raises:
         TypeError: naming the argument.
     """
     if not isinstance(value, (bool, np.bool_)):
-        raise TypeError(f"{name} must be True or False, got {shown(value)}")
+        raise TypeError(f"{name} must be True or False, got {format_value(value)}")
     return bool(value)
 
 
-def one_of(value: Any, known: Iterable[str], name: str) -> str:
-    """One of these words.
+def check_choice(value: Any, choices: Iterable[str], name: str) -> str:
+    """Return the value if it is one of the choices.
 
     Raises:
-        ValueError: naming the argument, and the words.
+        ValueError: naming the argument and the choices.
     """
-    words = tuple(known)
+    words = tuple(choices)
     if not isinstance(value, str) or value not in words:
-        raise ValueError(f"{name}: {shown(value)} is not one of {', '.join(words)}")
+        raise ValueError(f"{name}: {format_value(value)} is not one of {', '.join(words)}")
     return value
 
 
-def kind_of(value: Any, kind: type[T] | tuple[type[T], ...], name: str) -> T:
-    """An object of this kind.
+def check_type(value: Any, kind: type[T] | tuple[type[T], ...], name: str) -> T:
+    """Return an object of this type.
 
     Raises:
         TypeError: naming the argument.
     """
     if not isinstance(value, kind):
         kinds = kind if isinstance(kind, tuple) else (kind,)
-        raise TypeError(f"{name} must be {' or '.join(k.__name__ for k in kinds)}, got {shown(value)}")
+        raise TypeError(f"{name} must be {' or '.join(k.__name__ for k in kinds)}, got {format_value(value)}")
     return value
 
 
-def listed(values: Any, kind: type[T], name: str, n: int | None = None, of: str = "") -> list[T]:
-    """Objects of this kind, in order; `n` of them, one for each camera, or for each of what is said.
+def check_list(values: Any, kind: type[T], name: str, n: int | None = None, unit: str = "") -> list[T]:
+    """Return a list of objects of this type.
+
+    Args:
+        n: required number: one per camera, or per unit named by `unit`; None for any.
 
     Raises:
-        TypeError: naming the argument: no sequence, or something of another kind in it.
-        ValueError: not `n`.
+        TypeError: naming the argument: not a sequence, or an element of another type.
+        ValueError: not `n` elements.
     """
-    out: list[T] = items(values, name, n, of, what=f"sequence of {kind.__name__}")
+    out: list[T] = check_sequence(values, name, n, unit, description=f"sequence of {kind.__name__}")
     for k, value in enumerate(out):
         if not isinstance(value, kind):
-            raise TypeError(f"{name}[{k}] must be {kind.__name__}, got {shown(value)}")
+            raise TypeError(f"{name}[{k}] must be {kind.__name__}, got {format_value(value)}")
     return out
 
 
-def items(values: Any, name: str, n: int | None = None, of: str = "", what: str = "sequence") -> list[Any]:
-    """The same, of what is looked at elsewhere.
+def check_sequence(
+    values: Any, name: str, n: int | None = None, unit: str = "", description: str = "sequence"
+) -> list[Any]:
+    """Return a list of elements of any type.
 
     Raises:
-        TypeError, ValueError: as `listed`.
+        TypeError, ValueError: as `check_list`.
     """
-    if _no_list(values) or not isinstance(values, Iterable):
-        raise TypeError(f"{name} must be a {what}, got {shown(values)}")
+    if _is_not_sequence(values) or not isinstance(values, Iterable):
+        raise TypeError(f"{name} must be a {description}, got {format_value(values)}")
     out = list(values)
     if n is not None and len(out) != n:
-        raise ValueError(f"{name}: {len(out)} for {n} {of or 'cameras'}; give one for each, in order")
+        raise ValueError(f"{name}: {len(out)} for {n} {unit or 'cameras'}; give one for each, in order")
     return out
 
 
-def shown(value: Any) -> str:
-    """A value in a sentence: itself where it is short, else what it is."""
+def format_value(value: Any) -> str:
+    """Format a value for a message: itself if it is short, else its type."""
     if isinstance(value, np.ndarray):
         return f"an array of {value.dtype} of shape {value.shape}"
     if value is None or isinstance(value, (bool, int, float, complex, str, np.generic)):
         try:
-            said = ascii(value.item() if isinstance(value, np.generic) else value)
-        except ValueError:  # numbers of thousands of digits are not written
-            said = "a number of thousands of digits"
-        return said if len(said) <= SAID else f"{said[: SAID - 3]}..."
-    return f"an object of type {type(value).__name__}"[: 2 * SAID]
+            text = ascii(value.item() if isinstance(value, np.generic) else value)
+        except ValueError:  # Python does not convert numbers of thousands of digits
+            text = "a number of thousands of digits"
+        return text if len(text) <= MAX_VALUE_LENGTH else f"{text[: MAX_VALUE_LENGTH - 3]}..."
+    return f"an object of type {type(value).__name__}"[: 2 * MAX_VALUE_LENGTH]
 
 
-def _no_list(values: Any) -> bool:
-    """Words and tables have an order of their own; an array without axes has none."""
+def _is_not_sequence(values: Any) -> bool:
+    """Return whether values are not a plain sequence: strings, mappings, and arrays without axes."""
     return isinstance(values, (str, bytes, Mapping)) or (isinstance(values, np.ndarray) and values.ndim == 0)
 
 
-def real(values: ArrayLike, wanted: str, name: str) -> FloatArray:
-    """The values as an array of real numbers of any shape; `wanted`: what is expected, for the sentence.
+def check_real(values: ArrayLike, expected: str, name: str) -> FloatArray:
+    """Return the values as an array of real numbers of any shape; `expected` is the expected shape, for the message.
 
     Raises:
         ValueError: naming the argument.
     """
     try:
         array = np.asarray(values)
-    except (ValueError, TypeError, OverflowError):  # rows of different lengths, mostly
-        raise ValueError(f"{name} must be {wanted}, got rows of different lengths or no numbers") from None
+    except (ValueError, TypeError, OverflowError):  # usually rows of different lengths
+        raise ValueError(f"{name} must be {expected}, got rows of different lengths or no numbers") from None
     if array.dtype.kind not in "fiub" and array.size:
         raise ValueError(f"{name} must be real numbers, got {array.dtype}")
     if not array.size:
         return np.empty(array.shape)
     array = array.astype(float, copy=False)
-    return array if array.flags.writeable else array.copy()  # compiled functions want them so
+    return array if array.flags.writeable else array.copy()  # compiled functions require it
 
 
-def _in_range(array: FloatArray, name: str, most: float) -> None:
-    """In one pass over the numbers: NaN is at most nothing."""
+def _check_range(array: FloatArray, name: str, maximum: float) -> None:
+    """Check magnitudes in one pass; comparisons with NaN are false."""
     largest = float(np.maximum.reduce(np.abs(array), axis=None, initial=0.0))
-    if not largest <= most or largest == _INFINITY:
+    if not largest <= maximum or largest == _INFINITY:
         if largest < _INFINITY:
-            raise ValueError(f"{name} has values beyond {most:g}: {largest:g}")
+            raise ValueError(f"{name} has values beyond {maximum:g}: {largest:g}")
         raise ValueError(f"{name} has values that are not finite")

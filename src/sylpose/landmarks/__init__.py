@@ -1,1 +1,1 @@
-"""Where features are on the object, better from frame to frame (`places`), and the pose that follows (`alignment`)."""
+"""Landmarks on the object: their positions (`landmark_filter`), and the pose that aligns them (`alignment`)."""

@@ -1,25 +1,24 @@
-"""The pose that best aligns landmarks of uncertain depth with where their features are now.
+"""Alignment of landmarks of uncertain depth with their current observations.
 
-Each match is a landmark X, known well across the ray it was first seen along and less well, by a standard deviation s,
-along it, and an image point y. Depths are off in two ways: each for itself, and all of a camera's together, since the
-object's surface is not where it was thought to be. So the landmark is at X + s r (a1 + a2 u + a3 v + ε), with r the ray,
-(u, v) the place in the image, ε and the camera's three a's of unit variance. The a's are unknowns beside the six of the
-motion; ε goes into the weight V = σ² I + J s² r r' J' of the image residual. A landmark that was seen once constrains only
-across its epipolar line, one that is well known constrains both ways as in solvePnP, and everything in between is in
-between. There is no identity trap and no degenerate object. V is held fixed within an iteration (quasi-likelihood):
-letting the cost trade V against the residuals is biased towards too much motion (docs/method.md, "Better than two
-frames").
+Each match is a landmark X with a small uncertainty across the ray of its first observation and a larger one, of
+standard deviation s, along it, and an image point y. Depths have two kinds of errors: individual ones, and a common one
+of all landmarks of a camera, because the assumed surface is wrong. So the landmark is at X + s r (a1 + a2 u + a3 v +
+ε), with r the ray, (u, v) the image position, ε and the camera's three a's of unit variance. The a's are unknowns in
+addition to the six of the motion; ε is part of the covariance V = σ² I + J s² r r' J' of the image residual. A landmark
+observed once constrains only across its epipolar line, a well known one constrains both directions as in solvePnP, with
+a smooth transition in between. There is no local minimum at the identity and no degenerate object. V is constant within
+an iteration (quasi-likelihood): a cost that trades V against the residuals is biased towards too much motion
+(docs/method/4-tracking.md, "Landmark alignment").
 
-Three things keep many matches from being believed too much. Neighbours' depths are off alike, so along their lines only a
-few of a camera's matches count as independent. Each camera has its own noise σ. And a camera that disagrees with the
-others, as one does that was moved or calibrated badly, is believed the less the more it disagrees: by the chi-squared of
-its pose against theirs, a smooth function without a cliff. Should they disagree, each camera is left out once, and of the
-poses so found the one is taken that all cameras but one agree on best.
+Three measures prevent overconfidence from many matches. Depths of neighbors have correlated errors, so along their
+lines only a few of a camera's matches count as independent. Each camera has an individual noise σ. And a camera that
+disagrees with the others, because it was moved or is badly calibrated, has its variance inflated by the chi-squared of
+its pose against theirs, a smooth function without a threshold. If cameras disagree, each is left out once, and of the
+resulting poses the one with the best agreement of all cameras but one is selected.
 
-Each round is one camera's part (`camera_terms`), which needs that camera's matches alone, and a joint step (`joint_step`),
-which needs a few numbers from each: `align` runs both in one process, `landmarks.distributed_alignment` one camera
-among others that
-are elsewhere.
+Each iteration consists of the cameras' parts (`compute_camera_terms`), which need only that camera's matches, and a
+joint step (`take_joint_step`), which needs a few numbers from each: `align` runs both in one process,
+`landmarks.distributed_alignment` runs one camera of several in separate processes.
 """
 
 from __future__ import annotations
@@ -33,228 +32,258 @@ import numpy as np
 from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.geometry.numba_linalg import kernel
 from sylpose.landmarks.camera_terms import (
-    Own,
-    Stacked,
-    camera_terms,
-    judge,
-    noise_of,
-    own_of,
-    take_step,
+    CameraState,
+    StackedMatches,
+    compute_camera_terms,
+    estimate_camera_noise,
+    evaluate_pose,
+    make_camera_state,
+    update_depth_model,
 )
-from sylpose.landmarks.joint_step import MAX_ROUNDS, Round, first_round, joint_step, measures_noise
-from sylpose.landmarks.messages import Judges
+from sylpose.landmarks.joint_step import (
+    MAX_ITERATIONS,
+    AlignmentState,
+    is_noise_estimated,
+    make_initial_state,
+    take_joint_step,
+)
+from sylpose.landmarks.messages import EvaluationMessage
 
 __all__ = [
     "FIRST_PX",
-    "Aligned",
-    "Job",
-    "Sights",
-    "Start",
-    "agreed",
+    "AlignmentJob",
+    "AlignmentResult",
+    "AlignmentStart",
+    "LandmarkMatches",
     "align",
-    "aligned",
-    "first_job",
-    "judged",
-    "stack",
+    "align_from_starts",
+    "evaluate_camera",
+    "make_first_job",
+    "make_result",
+    "stack_matches",
 ]
 
-# A rotation (3, 3), a shift (3,), and the noise that the first round assumes, pixels: the pose should be right within a few
-# times that.
-Start = tuple[FloatArray, FloatArray, float]
+# A rotation (3, 3), a translation (3,), and the noise assumed in the first iteration, pixels: the pose should be
+# correct within a few times that.
+AlignmentStart = tuple[FloatArray, FloatArray, float]
 
-# Noise that the first, forgiving rounds assume, pixels: from a bad prediction to a keypoint's own noise (choice).
+# Noise assumed in the first, tolerant iterations, pixels: from a bad prediction to the noise of keypoints (choice).
 SCHEDULE_PX = (32.0, 16.0, 8.0, 4.0, 2.0, 1.0)
 FIRST_PX = SCHEDULE_PX[0]
-# Cameras disagree when one of them is doubted by this factor, has this many times the rig's noise, or this much less of its
-# matches agree than of another's (choice).
-DOUBTED, NOISY, FEWER = 3.0, 2.0, 0.6
-# By so much of the mean robust cost another pose than the first has to be better (choice).
-VOTE_MARGIN = 0.01
-# A camera with fewer matches has no opinion of its own; as many are the least that fix a pose (derived).
-MIN_VOTES = 3
-# Doubt in a camera that was left out, when it is heard again (choice).
-LEFT_OUT = 1e4
-# A match farther off than this, by its camera's noise or by this much noise, pixels or the rig's, is no inlier, however
-# bad its camera (choice).
-INLIER_PX, INLIER_RIG = 1.0, 3.0
+# Cameras disagree if one has its variance inflated by this factor, has this many times the rig's noise, or an inlier
+# ratio below this fraction of another's (choice).
+MAX_INFLATION, MAX_NOISE_RATIO, MIN_INLIER_RATIO = 3.0, 2.0, 0.6
+# Another pose than the first must be better by this difference of the mean robust cost (choice).
+COST_MARGIN = 0.01
+# Minimum number of matches of a camera to be compared: as many as determine a pose (derived).
+MIN_MATCHES = 3
+# Initial variance inflation of a camera that was left out, when it is included again (choice).
+LEFT_OUT_INFLATION = 1e4
+# Upper limits of the noise that defines inliers, pixels and relative to the rig's, however bad the camera (choice).
+MAX_INLIER_NOISE_PX, MAX_INLIER_NOISE_RATIO = 1.0, 3.0
 
 
 @dataclass(frozen=True, eq=False)
-class Sights:
+class LandmarkMatches:
     """One camera's matches between landmarks and the current frame.
 
     Attributes:
         points: (n, 3) landmarks relative to g, world axes, at the pose that the motion starts from.
-        depth_error: (n, 3) s r: the direction in which each is least known, one standard deviation long, away from the
-            camera.
-        image: (n, 2) normalised points in the current frame.
-        feature: (n,) which feature of the current frame each is about. A feature may be matched with landmarks of several
-            references: they then share its weight, and one that contradicts the pose takes all of them with it.
-        trust: (n,) in (0, 1], multiplies the weights.
+        depth_error: (n, 3) s r: the direction of each one's largest uncertainty, one standard deviation long, away from
+            the camera.
+        image: (n, 2) normalized points in the current frame.
+        feature: (n,) feature of the current frame of each match. A feature may match landmarks of several keyframes:
+            they share its weight, and one that contradicts the pose rejects all of them.
+        prior_weight: (n,) in (0, 1], multiplies the weights.
         rotation: (3, 3) Q of camera_from_world.
-        center: (3,) the camera's centre relative to g.
-        focal: pixels per normalised unit.
+        center: (3,) the camera's center relative to g.
+        focal: pixels per normalized unit.
     """
 
     points: FloatArray
     depth_error: FloatArray
     image: FloatArray
     feature: IntArray
-    trust: FloatArray
+    prior_weight: FloatArray
     rotation: FloatArray
     center: FloatArray
     focal: float
 
     @classmethod
-    def none(cls) -> Sights:
-        """Of a camera that sees nothing."""
-        no = np.empty((0, 3))
-        return cls(no, no, np.empty((0, 2)), np.empty(0, np.int64), np.empty(0), np.eye(3), np.zeros(3), 1.0)
+    def empty(cls) -> LandmarkMatches:
+        """Return the matches of a camera without observations."""
+        empty_rows = np.empty((0, 3))
+        return cls(
+            empty_rows, empty_rows, np.empty((0, 2)), np.empty(0, np.int64), np.empty(0), np.eye(3), np.zeros(3), 1.0
+        )
 
 
 @dataclass(frozen=True, eq=False)
-class Aligned:
-    """The motion X -> R (X - g) + g + d that aligns them.
+class AlignmentResult:
+    """Motion X -> R (X - g) + g + d that aligns the landmarks.
 
     Attributes:
-        rotation: (3, 3); shift: (3,).
+        rotation, translation: (3, 3) R and (3,) d.
         information: (6, 6) of (w, d).
-        cost: robust, mean over the matches by trust, between 0 and 1; vote: the same at one noise (`VOTE_PX`), whatever was
-            fitted: poses of the same sights are compared by it; votes: (C,) the same of each camera's matches.
-        converged: whether the last step was negligible and three matches at least agree.
+        cost: robust mean over the matches, weighted by `prior_weight`, between 0 and 1.
+        reference_cost: the same at one fixed noise (`REFERENCE_NOISE_PX`), by which poses from the same matches are
+            compared.
+        reference_costs: (C,) the same of each camera's matches.
+        converged: whether the last step was negligible and at least three matches are inliers.
         iterations: of Gauss-Newton.
         matches: (C,) number of matches.
         sigma_px: (C,) each camera's noise.
-        doubt: (C,) 1, or more for cameras that disagree with the others: what they say has so many times the variance that
-            their matches give it.
-        inliers: (C,) number of matches that agree.
-        weights: per camera (n,), 0 for outliers. This and what follows is of the cameras that are here.
-        residuals: per camera (n,) pixels, across the direction that unknown depth leaves open: the epipolar distance.
-        surface: (C, 3) a.
+        variance_inflation: (C,) variance inflation factor per camera; 1 if it agrees with the others.
+        inliers: (C,) number of inliers.
+        weights: per camera (n,), 0 for outliers. This and what follows is for the local cameras only.
+        residuals: per camera (n,) pixels, across the line of unknown depth: the epipolar distance.
+        depth_model: (C, 3) a.
     """
 
     rotation: FloatArray
-    shift: FloatArray
+    translation: FloatArray
     information: FloatArray
     cost: float
-    vote: float
-    votes: FloatArray
+    reference_cost: float
+    reference_costs: FloatArray
     converged: bool
     iterations: int
     matches: IntArray
     sigma_px: FloatArray
-    doubt: FloatArray
+    variance_inflation: FloatArray
     inliers: IntArray
     weights: tuple[FloatArray, ...]
     residuals: tuple[FloatArray, ...]
-    surface: FloatArray
+    depth_model: FloatArray
 
 
-def align(sights: Sequence[Sights], rotation: FloatArray, shift: FloatArray, first_px: float = FIRST_PX) -> Aligned:
-    """Robust Gauss-Newton from one start.
+def align(
+    matches: Sequence[LandmarkMatches], rotation: FloatArray, translation: FloatArray, first_px: float = FIRST_PX
+) -> AlignmentResult:
+    """Align landmarks by robust Gauss-Newton from one start.
 
     Args:
-        rotation: (3, 3) and shift: (3,), the start.
-        first_px: noise that the first round assumes; the start should be right within a few times that.
+        matches: of all cameras.
+        rotation, translation: (3, 3) and (3,), the start.
+        first_px: noise assumed in the first iteration; the start should be correct within a few times that.
 
     Raises:
         ValueError: no cameras.
     """
-    if not sights:
-        raise ValueError("alignment needs the sights of one camera at least, got none")
-    return agreed(_Here(stack(sights)), [(np.asarray(rotation, float), np.asarray(shift, float), first_px)])[0]
+    if not matches:
+        raise ValueError("alignment needs at least one camera, got none")
+    return align_from_starts(
+        _LocalCameras(stack_matches(matches)), [(np.asarray(rotation, float), np.asarray(translation, float), first_px)]
+    )[0]
 
 
-class Job(NamedTuple):
-    """What is to be solved: Gauss-Newton from one start.
+class AlignmentJob(NamedTuple):
+    """An alignment problem: Gauss-Newton from one start.
 
     Attributes:
-        schedule: noise that the first rounds assume, pixels.
-        rotation, shift: the start.
-        doubt: (C,) the doubt there is.
-        left_out: a camera that has no say; -1: all have.
+        schedule: noise assumed in the first iterations, pixels.
+        rotation, translation: the start.
+        variance_inflation: (C,) the initial variance inflation.
+        left_out: a camera that is ignored; -1: none.
     """
 
     schedule: Sequence[float]
     rotation: FloatArray
-    shift: FloatArray
-    doubt: FloatArray
+    translation: FloatArray
+    variance_inflation: FloatArray
     left_out: int = -1
 
 
-class _Cameras(Protocol):
-    """All cameras, here or elsewhere; so many."""
+class _CameraGroup(Protocol):
+    """All cameras, local or remote, with their number."""
 
     @property
     def count(self) -> int: ...
 
-    def solve(self, jobs: Sequence[Job]) -> list[Aligned]:
-        """All of them, which have nothing to do with each other: cameras elsewhere work at them side by side."""
+    def solve(self, jobs: Sequence[AlignmentJob]) -> list[AlignmentResult]:
+        """Solve independent jobs; remote cameras work on them in parallel."""
 
 
-def first_job(start: Start, cameras: int) -> Job:
-    """From one start, without a doubt in any camera."""
-    rotation, shift, first_px = start
-    return Job([s for s in SCHEDULE_PX if s <= first_px] or SCHEDULE_PX[-1:], rotation, shift, np.ones(cameras))
+def make_first_job(start: AlignmentStart, n_cameras: int) -> AlignmentJob:
+    """Return the job of one start, without variance inflation."""
+    rotation, translation, first_px = start
+    return AlignmentJob(
+        [s for s in SCHEDULE_PX if s <= first_px] or SCHEDULE_PX[-1:], rotation, translation, np.ones(n_cameras)
+    )
 
 
-def agreed(cameras: _Cameras, starts: Sequence[Start]) -> list[Aligned]:
-    """From each start the pose of all cameras; should they disagree, the one that all but one agree on best."""
-    jobs = [first_job(start, cameras.count) for start in starts]
+def align_from_starts(cameras: _CameraGroup, starts: Sequence[AlignmentStart]) -> list[AlignmentResult]:
+    """Return the joint pose for each start; if cameras disagree, that of the best leave-one-out.
+
+    Of the poses without one camera, the one on which all cameras but one agree best is selected.
+    """
+    jobs = [make_first_job(start, cameras.count) for start in starts]
     out = cameras.solve(jobs)
     if not out:
         return []
-    voters = np.flatnonzero(out[0].matches >= MIN_VOTES).tolist()
-    odd = [k for k, joint in enumerate(out) if len(voters) > 2 and _disagree(joint, voters)]
-    without = iter(cameras.solve([jobs[k]._replace(left_out=c) for k in odd for c in voters]))
-    again = []
-    for _ in odd:
-        for c in voters:
-            found, doubt = next(without), np.where(np.arange(cameras.count) == c, LEFT_OUT, 1.0)
-            again.append(Job(SCHEDULE_PX[-1:], found.rotation, found.shift, doubt))
-    heard_again = iter(cameras.solve(again))
-    for k in odd:
-        candidates = [out[k], *(next(heard_again) for _ in voters)]
-        # One vote each, however many matches they have; the worst does not count.
-        costs = [float(np.mean(np.sort(candidate.votes[voters])[:-1])) for candidate in candidates]
-        costs[0] -= VOTE_MARGIN
+    eligible = np.flatnonzero(out[0].matches >= MIN_MATCHES).tolist()
+    inconsistent = [k for k, joint in enumerate(out) if len(eligible) > 2 and _has_disagreement(joint, eligible)]
+    reduced_results = iter(cameras.solve([jobs[k]._replace(left_out=c) for k in inconsistent for c in eligible]))
+    final_jobs = []
+    for _ in inconsistent:
+        for c in eligible:
+            result, inflation = next(reduced_results), np.where(np.arange(cameras.count) == c, LEFT_OUT_INFLATION, 1.0)
+            final_jobs.append(AlignmentJob(SCHEDULE_PX[-1:], result.rotation, result.translation, inflation))
+    final_results = iter(cameras.solve(final_jobs))
+    for k in inconsistent:
+        candidates = [out[k], *(next(final_results) for _ in eligible)]
+        # One vote per camera, whatever its number of matches; the worst is ignored.
+        costs = [float(np.mean(np.sort(candidate.reference_costs[eligible])[:-1])) for candidate in candidates]
+        costs[0] -= COST_MARGIN
         out[k] = candidates[int(np.argmin(costs))]
     return out
 
 
-def _disagree(joint: Aligned, voters: Sequence[int]) -> bool:
-    shares, noise = joint.inliers[voters] / joint.matches[voters], joint.sigma_px[voters]
+def _has_disagreement(joint: AlignmentResult, eligible: Sequence[int]) -> bool:
+    inlier_ratios, noise = joint.inliers[eligible] / joint.matches[eligible], joint.sigma_px[eligible]
     return bool(
-        joint.doubt.max() > DOUBTED or noise.max() > NOISY * np.median(noise) or shares.min() < FEWER * shares.max()
+        joint.variance_inflation.max() > MAX_INFLATION
+        or noise.max() > MAX_NOISE_RATIO * np.median(noise)
+        or inlier_ratios.min() < MIN_INLIER_RATIO * inlier_ratios.max()
     )
 
 
-def _level(at: Round, c: int) -> float:
-    """Noise that decides who is an inlier, pixels: that is a matter of the rig's as well."""
-    return float(min(at.sigma_px[c], max(INLIER_PX, INLIER_RIG * at.rig_px[0])))
+def _inlier_noise(state: AlignmentState, c: int) -> float:
+    """Return the noise that defines inliers, pixels, limited by the rig's."""
+    return float(min(state.sigma_px[c], max(MAX_INLIER_NOISE_PX, MAX_INLIER_NOISE_RATIO * state.rig_px[0])))
 
 
-def aligned(at: Round, rounds: int, settled: bool, told: Sequence[Judges], stacked: Stacked, own: Own) -> Aligned:
-    """What all cameras made of a pose: what each says of it, and what those have that are here."""
-    cuts = stacked.offsets[1:-1]
-    votes, trust = np.array([t.vote for t in told]), np.array([t.trust for t in told])
-    inliers, total = np.array([t.inliers for t in told], np.int64), max(float(trust.sum()), 1e-12)
-    return Aligned(
-        at.rotation,
-        at.shift,
-        at.information,
-        sum((t.cost for t in told), 0.0) / total,
-        float(votes.sum()) / total,
-        votes / np.maximum(trust, 1e-12),
-        settled and int(inliers.sum()) >= MIN_VOTES,
-        rounds,
-        np.array([t.matches for t in told], np.int64),
-        at.sigma_px,
-        at.doubt,
+def make_result(
+    state: AlignmentState,
+    iterations: int,
+    converged: bool,
+    evaluations: Sequence[EvaluationMessage],
+    stacked: StackedMatches,
+    camera_state: CameraState,
+) -> AlignmentResult:
+    """Combine the cameras' evaluations of a pose with the local cameras' data."""
+    splits = stacked.offsets[1:-1]
+    reference_costs, prior_weights = (
+        np.array([t.reference_cost for t in evaluations]),
+        np.array([t.prior_weight for t in evaluations]),
+    )
+    inliers, total = np.array([t.inliers for t in evaluations], np.int64), max(float(prior_weights.sum()), 1e-12)
+    return AlignmentResult(
+        state.rotation,
+        state.translation,
+        state.information,
+        sum((t.cost for t in evaluations), 0.0) / total,
+        float(reference_costs.sum()) / total,
+        reference_costs / np.maximum(prior_weights, 1e-12),
+        converged and int(inliers.sum()) >= MIN_MATCHES,
+        iterations,
+        np.array([t.matches for t in evaluations], np.int64),
+        state.sigma_px,
+        state.variance_inflation,
         inliers,
-        tuple(np.split(own.weights, cuts)),
-        tuple(np.split(own.across, cuts)),
-        own.surface,
+        tuple(np.split(camera_state.weights, splits)),
+        tuple(np.split(camera_state.cross_residual, splits)),
+        camera_state.depth_model,
     )
 
 
@@ -262,87 +291,116 @@ def aligned(at: Round, rounds: int, settled: bool, told: Sequence[Judges], stack
 
 
 @dataclass(frozen=True, eq=False)
-class _Here:
-    """All cameras in one process: the rounds are compiled from end to end."""
+class _LocalCameras:
+    """All cameras in one process: the iterations are compiled as a whole."""
 
-    stacked: Stacked
+    stacked: StackedMatches
 
     @property
     def count(self) -> int:
         return len(self.stacked.focal)
 
-    def solve(self, jobs: Sequence[Job]) -> list[Aligned]:
-        """See `_Cameras`."""
-        return [self._solved(job) for job in jobs]
+    def solve(self, jobs: Sequence[AlignmentJob]) -> list[AlignmentResult]:
+        """Solve the jobs, see `_CameraGroup`."""
+        return [self._solve_job(job) for job in jobs]
 
-    def _solved(self, job: Job) -> Aligned:
-        own, at = own_of(self.stacked), first_round(job.rotation, job.shift, job.doubt, job.schedule[0])
-        rounds, settled = _rounds(self.stacked, np.array(job.schedule, float), job.left_out, at, own)
-        told = [judged(self.stacked, c, at, own, c, c != job.left_out) for c in range(self.count)]
-        return aligned(at, rounds, settled, told, self.stacked, own)
+    def _solve_job(self, job: AlignmentJob) -> AlignmentResult:
+        camera_state, state = (
+            make_camera_state(self.stacked),
+            make_initial_state(job.rotation, job.translation, job.variance_inflation, job.schedule[0]),
+        )
+        iterations, converged = _run_iterations(
+            self.stacked, np.array(job.schedule, float), job.left_out, state, camera_state
+        )
+        evaluations = [
+            evaluate_camera(self.stacked, c, state, camera_state, c, c != job.left_out) for c in range(self.count)
+        ]
+        return make_result(state, iterations, converged, evaluations, self.stacked, camera_state)
 
 
 @kernel
-def _rounds(stacked: Stacked, schedule: FloatArray, left_out: int, at: Round, own: Own) -> tuple[int, bool]:
-    """Rounds until they settle, in place.
+def _run_iterations(
+    stacked: StackedMatches, schedule: FloatArray, left_out: int, state: AlignmentState, camera_state: CameraState
+) -> tuple[int, bool]:
+    """Iterate until convergence, in place.
 
     Returns:
-        their number; whether they settled.
+        number of iterations; whether they converged.
     """
-    n = len(at.doubt)
-    reduced, mass, level = np.empty((n, 6, 7)), np.empty(n), np.empty(n)
-    count, settled, last = 0, False, False
-    for count in range(1, MAX_ROUNDS + 2):
+    n = len(state.variance_inflation)
+    reduced, weight_sums, noise = np.empty((n, 6, 7)), np.empty(n), np.empty(n)
+    iteration, converged, is_last = 0, False, False
+    for iteration in range(1, MAX_ITERATIONS + 2):
         for c in range(n):
-            mass[c] = camera_terms(stacked, c, at.rotation, at.shift, at.sigma_px[c], c != left_out, own, reduced[c])
-            level[c] = noise_of(stacked, c, own) if measures_noise(count, len(schedule)) else np.nan
-        stepped, negligible = joint_step(at, reduced, mass, level, schedule, count, last)
+            weight_sums[c] = compute_camera_terms(
+                stacked,
+                c,
+                state.rotation,
+                state.translation,
+                state.sigma_px[c],
+                c != left_out,
+                camera_state,
+                reduced[c],
+            )
+            noise[c] = (
+                estimate_camera_noise(stacked, c, camera_state)
+                if is_noise_estimated(iteration, len(schedule))
+                else np.nan
+            )
+        stepped, negligible = take_joint_step(state, reduced, weight_sums, noise, schedule, iteration, is_last)
         if not stepped:
             break
-        settled = negligible
-        last = settled or count == MAX_ROUNDS
+        converged = negligible
+        is_last = converged or iteration == MAX_ITERATIONS
         for c in range(n):
-            take_step(c, at.step, own)
-    return min(count, MAX_ROUNDS), settled
+            update_depth_model(c, state.step, camera_state)
+    return min(iteration, MAX_ITERATIONS), converged
 
 
-def judged(stacked: Stacked, c: int, at: Round, own: Own, number: int, heard: bool) -> Judges:
-    """What one camera says of the pose that was found.
+def evaluate_camera(
+    stacked: StackedMatches, c: int, state: AlignmentState, camera_state: CameraState, number: int, is_used: bool
+) -> EvaluationMessage:
+    """Evaluate the final pose with one camera's matches.
 
     Args:
-        c: which of those here; number: of all.
-        heard: whether it had a say.
+        c: index among the local cameras.
+        number: index among all cameras.
+        is_used: whether it was used.
     """
-    cost, vote, inliers = judge(stacked, c, at.rotation, at.shift, _level(at, number), heard, own)
+    cost, reference_cost, inliers = evaluate_pose(
+        stacked, c, state.rotation, state.translation, _inlier_noise(state, number), is_used, camera_state
+    )
     matches = slice(stacked.offsets[c], stacked.offsets[c + 1])
-    return Judges(cost, vote, int(inliers), matches.stop - matches.start, float(stacked.trust[matches].sum()))
+    return EvaluationMessage(
+        cost, reference_cost, int(inliers), matches.stop - matches.start, float(stacked.prior_weight[matches].sum())
+    )
 
 
 # --- arrays -----------------------------------------------------------------------------------------------------------
 
 
-def stack(sights: Sequence[Sights]) -> Stacked:
-    """All cameras' matches after each other."""
-    points, error, image, trust = (
+def stack_matches(matches: Sequence[LandmarkMatches]) -> StackedMatches:
+    """Concatenate all cameras' matches."""
+    points, depth_error, image, prior_weight = (
         np.ascontiguousarray(np.concatenate(part), float)
-        for part in zip(*((s.points, s.depth_error, s.image, s.trust) for s in sights), strict=True)
+        for part in zip(*((s.points, s.depth_error, s.image, s.prior_weight) for s in matches), strict=True)
     )
-    return Stacked(
+    return StackedMatches(
         points=points,
-        depth_error=error,
+        depth_error=depth_error,
         image=image,
-        trust=trust,
-        feature=np.concatenate([s.feature for s in sights]).astype(np.int64),
-        basis=np.concatenate([_basis(s.image) for s in sights]),
-        offsets=np.cumsum([0, *(len(s.image) for s in sights)], dtype=np.int64),
-        rotation=np.array([s.rotation for s in sights], float),
-        center=np.array([s.center for s in sights], float),
-        focal=np.array([s.focal for s in sights], float),
+        prior_weight=prior_weight,
+        feature=np.concatenate([s.feature for s in matches]).astype(np.int64),
+        basis=np.concatenate([_depth_basis(s.image) for s in matches]),
+        offsets=np.cumsum([0, *(len(s.image) for s in matches)], dtype=np.int64),
+        rotation=np.array([s.rotation for s in matches], float),
+        center=np.array([s.center for s in matches], float),
+        focal=np.array([s.focal for s in matches], float),
     )
 
 
-def _basis(image: FloatArray) -> FloatArray:
-    """(n, 3): 1, u, v, the place in the image in units of its spread."""
+def _depth_basis(image: FloatArray) -> FloatArray:
+    """Return (n, 3): 1, u, v, the image position in units of its spread."""
     if len(image) == 0:
         return np.empty((0, 3))
     spread = max(float(np.linalg.norm(image.std(axis=0))), 1e-12)

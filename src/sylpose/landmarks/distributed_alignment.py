@@ -1,14 +1,15 @@
-"""One camera's side of the alignment, with the others elsewhere: all that take part come to the same answer, to the bit.
+"""Alignment by one camera node of several; all nodes obtain the same result, to the bit.
 
-Exact: the rounds of `alignment`, whatever has to be solved side by side, one message for all of it.
+Exact mode: the iterations of `alignment`; independent jobs are solved in parallel, with one message for all of them.
 
-Economical, the paper's order, "iterative refinement of the independent solution obtained for each camera": each camera first
-runs the schedule of noise levels alone, the start being a weak prior, without which a camera that sees little could end
-anywhere. It tells what its matches say around its own solution, an information and a gradient as in any round, moved to the
-common start: the prior is not told, and who sees little says little. All of this together is the first joint step, in which
-cameras that went astray are doubted as in any other; a few more rounds follow from where it leads, at the noise that each
-has by then. No camera is left out in turn. What has not settled after a few rounds goes on; where nothing comes of it, or
-most cameras lose most of what agreed with their own solutions, the exact rounds follow.
+Compact mode follows the paper: "iterative refinement of the independent solution obtained for each camera". Each camera
+first runs the schedule of noise levels alone, with the start as a weak prior, without which a camera with few
+observations could diverge. It sends the information and gradient of its matches at its own solution, as in any
+iteration, moved to the common start. The prior is not sent, so cameras with few observations contribute little. The sum
+of these is the first joint step, in which diverged cameras are down-weighted as in any other. A few more iterations
+follow from there, with each camera's noise constant. There is no leave-one-out. Jobs that have not converged after a
+few iterations continue. Where that fails, or most cameras lose most of the inliers of their own solutions, the exact
+iterations follow.
 """
 
 from __future__ import annotations
@@ -20,157 +21,211 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.landmarks.alignment import Aligned, Job, Sights, Start, agreed, aligned, first_job, judged, stack
-from sylpose.landmarks.camera_terms import Own, camera_terms, noise_of, own_of, take_step
-from sylpose.landmarks.joint_step import (
-    MAX_ROUNDS,
-    SETTLED,
-    SETTLING_ROUNDS,
-    Round,
-    first_round,
-    joint_step,
-    measures_noise,
+from sylpose.landmarks.alignment import (
+    AlignmentJob,
+    AlignmentResult,
+    AlignmentStart,
+    LandmarkMatches,
+    align_from_starts,
+    evaluate_camera,
+    make_first_job,
+    make_result,
+    stack_matches,
 )
-from sylpose.landmarks.messages import Exchange, Judges, Says
+from sylpose.landmarks.camera_terms import (
+    CameraState,
+    compute_camera_terms,
+    estimate_camera_noise,
+    make_camera_state,
+    update_depth_model,
+)
+from sylpose.landmarks.joint_step import (
+    MAX_ITERATIONS,
+    SETTLING_ITERATIONS,
+    STEP_TOLERANCE,
+    AlignmentState,
+    is_noise_estimated,
+    make_initial_state,
+    take_joint_step,
+)
+from sylpose.landmarks.messages import EvaluationMessage, Exchange, TermsMessage
 
-__all__ = ["OneOfMany"]
+__all__ = ["DistributedAligner"]
 
-# How far the start may be off, for a camera alone: radians, and a share of its landmarks' distance from the object's
-# centre (choice).
-PRIOR_TURN, PRIOR_SHIFT = 0.3, 0.3
-# Rounds in the compact mode, the first one included: a step of a quarter of its own standard deviation is good enough
-# then, and only what is farther off goes on (choice).
-FEW_ROUNDS, NEAR = 5, 0.25**2
-# From this round on noise and doubt are held: for `joint_step` it is so many rounds later (choice).
-HELD_FROM, HELD = 4, SETTLING_ROUNDS
-# Poses less than this apart after the first round are the same one, in standard deviations, squared (choice).
-SAME = 1.0
-# A camera loses too much where less than this share of its matches' weights is left of what its own solution had (choice).
-LEFT = 0.5
+# Prior standard deviations of the start for a single camera: radians, and a fraction of its landmarks' distance from
+# the object's center (choice).
+PRIOR_ROTATION_SD, PRIOR_TRANSLATION_RATIO = 0.3, 0.3
+# Iterations of the compact mode, including the first one: from then on a step of a quarter of its standard deviation is
+# sufficient, and only larger ones continue (choice).
+COMPACT_ITERATIONS, COMPACT_TOLERANCE = 5, 0.25**2
+# From this iteration on noise and variance inflation are constant: the iteration number for `take_joint_step` jumps by
+# so many (choice).
+FREEZE_ITERATION, SKIPPED_ITERATIONS = 4, SETTLING_ITERATIONS
+# Squared distance, in standard deviations, below which poses after the first iteration are duplicates (choice).
+SAME_POSE_DISTANCE = 1.0
+# A camera loses too much if less than this fraction of the weights at its own solution remains (choice).
+MIN_WEIGHT_RATIO = 0.5
 
 
 @dataclass(eq=False)
-class _Run:
-    """A job in progress: where all cameras stand, and what this one keeps to itself."""
+class _JobState:
+    """A job in progress: the shared state of all cameras, and this camera's local state."""
 
-    at: Round
-    own: Own
+    state: AlignmentState
+    camera_state: CameraState
     schedule: FloatArray
-    heard: bool = True
-    count: int = 0
-    settled: bool = False
-    last: bool = False
-    over: bool = False
-    mass: FloatArray = field(default_factory=lambda: np.zeros(0))
+    is_used: bool = True
+    iteration: int = 0
+    converged: bool = False
+    is_last: bool = False
+    finished: bool = False
+    weight_sums: FloatArray = field(default_factory=lambda: np.zeros(0))
 
 
-class OneOfMany:
-    """One camera among others (`alignment._Cameras`).
+class DistributedAligner:
+    """One camera node of several (`alignment._CameraGroup`).
 
     Args:
-        sights: its own.
-        index: its number, among so many.
-        exchange: with the others.
-        compact: see above.
+        matches: its matches.
+        index: its number.
+        count: number of cameras.
+        exchange: of messages with the others.
+        compact: whether to use the compact mode, see above.
     """
 
-    def __init__(self, sights: Sights, index: int, count: int, exchange: Exchange, *, compact: bool = False) -> None:
-        self._stacked, self._index, self.count, self._exchange = stack([sights]), index, count, exchange
-        self._compact = compact
+    def __init__(
+        self, matches: LandmarkMatches, index: int, count: int, exchange: Exchange, *, compact: bool = False
+    ) -> None:
+        self._matches, self._index, self.count, self._exchange = stack_matches([matches]), index, count, exchange
+        self._is_compact = compact
 
-    def align(self, starts: Sequence[Start]) -> list[Aligned]:
-        """See `alignment.agreed`; the weights, residuals and surface are this camera's alone."""
-        return self._refined(starts) if self._compact else agreed(self, starts)
+    def align(self, starts: Sequence[AlignmentStart]) -> list[AlignmentResult]:
+        """Align from the starts, see `alignment.align_from_starts`.
 
-    def solve(self, jobs: Sequence[Job]) -> list[Aligned]:
-        """See `alignment._Cameras`."""
+        The weights, residuals and depth model are this camera's only.
+        """
+        return self._align_compact(starts) if self._is_compact else align_from_starts(self, starts)
+
+    def solve(self, jobs: Sequence[AlignmentJob]) -> list[AlignmentResult]:
+        """Solve the jobs, see `alignment._CameraGroup`."""
         runs = [
-            _Run(
-                first_round(job.rotation, job.shift, job.doubt, job.schedule[0]),
-                own_of(self._stacked),
+            _JobState(
+                make_initial_state(job.rotation, job.translation, job.variance_inflation, job.schedule[0]),
+                make_camera_state(self._matches),
                 np.array(job.schedule, float),
-                heard=self._index != job.left_out,
+                is_used=self._index != job.left_out,
             )
             for job in jobs
         ]
-        while live := [run for run in runs if not run.over]:
-            self._step(live, [self._says(run) for run in live])
-        return self._aligned(runs, self._judged(runs))
+        while active := [run for run in runs if not run.finished]:
+            self._run_iteration(active, [self._make_message(run) for run in active])
+        return self._make_results(runs, self._evaluate(runs))
 
-    def _says(self, run: _Run) -> Says:
-        """What this camera says of where a run has come to."""
-        run.count += 1
-        at, reduced, sigma_px = run.at, np.empty((6, 7)), float(run.at.sigma_px[self._index])
-        mass = camera_terms(self._stacked, 0, at.rotation, at.shift, sigma_px, run.heard, run.own, reduced)
-        noise = measures_noise(run.count, len(run.schedule))
-        return Says.of(reduced, mass, noise_of(self._stacked, 0, run.own) if noise else np.nan)
+    def _make_message(self, run: _JobState) -> TermsMessage:
+        """Return this camera's message for the current iteration of a run."""
+        run.iteration += 1
+        state, reduced, sigma_px = run.state, np.empty((6, 7)), float(run.state.sigma_px[self._index])
+        weight_sum = compute_camera_terms(
+            self._matches, 0, state.rotation, state.translation, sigma_px, run.is_used, run.camera_state, reduced
+        )
+        with_noise = is_noise_estimated(run.iteration, len(run.schedule))
+        return TermsMessage.from_reduced(
+            reduced, weight_sum, estimate_camera_noise(self._matches, 0, run.camera_state) if with_noise else np.nan
+        )
 
-    def _step(self, runs: Sequence[_Run], said: Sequence[Says]) -> None:
-        """One round of some runs."""
-        said = [one.coarse() for one in said] if self._compact else said
-        told = self._exchange(tuple(said), (Says(np.zeros(27), 0.0, np.nan),) * len(said))
-        for run, by_camera in zip(runs, zip(*told, strict=True), strict=True):
+    def _run_iteration(self, runs: Sequence[_JobState], messages: Sequence[TermsMessage]) -> None:
+        """Run one iteration of several runs."""
+        messages = [message.to_single_precision() for message in messages] if self._is_compact else messages
+        received = self._exchange(tuple(messages), (TermsMessage(np.zeros(27), 0.0, np.nan),) * len(messages))
+        for run, by_camera in zip(runs, zip(*received, strict=True), strict=True):
             reduced = np.array([t.reduced for t in by_camera])
-            mass, level = np.array([t.mass for t in by_camera]), np.array([t.level_px for t in by_camera])
-            stepped, negligible = joint_step(run.at, reduced, mass, level, run.schedule, run.count, run.last)
-            run.over, run.mass = not stepped, mass
+            weight_sums, noise = np.array([t.weight_sum for t in by_camera]), np.array([t.noise_px for t in by_camera])
+            stepped, negligible = take_joint_step(
+                run.state, reduced, weight_sums, noise, run.schedule, run.iteration, run.is_last
+            )
+            run.finished, run.weight_sums = not stepped, weight_sums
             if stepped:
-                run.settled = negligible
-                run.last = negligible or run.count == MAX_ROUNDS
-                take_step(0, run.at.step, run.own)
+                run.converged = negligible
+                run.is_last = negligible or run.iteration == MAX_ITERATIONS
+                update_depth_model(0, run.state.step, run.camera_state)
 
-    def _judged(self, runs: Sequence[_Run]) -> list[tuple[Judges, ...]]:
-        """Of each run, what all cameras say of the pose that was found."""
+    def _evaluate(self, runs: Sequence[_JobState]) -> list[tuple[EvaluationMessage, ...]]:
+        """Return all cameras' evaluations of each run's final pose."""
         if not runs:
             return []
-        mine = tuple(judged(self._stacked, 0, run.at, run.own, self._index, run.heard) for run in runs)
-        return list(zip(*self._exchange(mine, (Judges(0.0, 0.0, 0, 0, 0.0),) * len(mine)), strict=True))
+        own_evaluations = tuple(
+            evaluate_camera(self._matches, 0, run.state, run.camera_state, self._index, run.is_used) for run in runs
+        )
+        return list(
+            zip(
+                *self._exchange(own_evaluations, (EvaluationMessage(0.0, 0.0, 0, 0, 0.0),) * len(own_evaluations)),
+                strict=True,
+            )
+        )
 
-    def _aligned(self, runs: Sequence[_Run], told: Sequence[Sequence[Judges]]) -> list[Aligned]:
+    def _make_results(
+        self, runs: Sequence[_JobState], evaluations: Sequence[Sequence[EvaluationMessage]]
+    ) -> list[AlignmentResult]:
         return [
-            aligned(run.at, min(run.count, MAX_ROUNDS), run.settled, judges, self._stacked, run.own)
-            for run, judges in zip(runs, told, strict=True)
+            make_result(
+                run.state,
+                min(run.iteration, MAX_ITERATIONS),
+                run.converged,
+                run_evaluations,
+                self._matches,
+                run.camera_state,
+            )
+            for run, run_evaluations in zip(runs, evaluations, strict=True)
         ]
 
     # --- compact ---------------------------------------------------------------------------------------------------
 
-    def _refined(self, starts: Sequence[Start]) -> list[Aligned]:
-        """From each start, this camera's own solution, and then everybody's in a few rounds."""
+    def _align_compact(self, starts: Sequence[AlignmentStart]) -> list[AlignmentResult]:
+        """Compute this camera's own solution for each start, then the joint solution in a few iterations."""
         if not starts:
             return []
-        jobs = [first_job(start, self.count) for start in starts]
-        every, said = zip(*(self._alone(job) for job in jobs), strict=True)
-        self._step(every, said)
-        alone = [run.mass for run in every]
-        # Which way led there does not matter where several lead to the same.
-        runs: list[_Run] = []
-        same = []
-        for run in every:
-            k = next((k for k, other in enumerate(runs) if _are_the_same(run.at, other.at)), len(runs))
+        jobs = [make_first_job(start, self.count) for start in starts]
+        all_runs, messages = zip(*(self._solve_alone(job) for job in jobs), strict=True)
+        self._run_iteration(all_runs, messages)
+        own_weights = [run.weight_sums for run in all_runs]
+        # Runs that reach the same pose are merged.
+        runs: list[_JobState] = []
+        run_indices = []
+        for run in all_runs:
+            k = next((k for k, other in enumerate(runs) if _is_same_pose(run.state, other.state)), len(runs))
             runs += [run] if k == len(runs) else []
-            same.append(k)
-        for count in range(2, MAX_ROUNDS + 1):
-            if not (live := [run for run in runs if not run.over]):
+            run_indices.append(k)
+        for count in range(2, MAX_ITERATIONS + 1):
+            if not (active := [run for run in runs if not run.finished]):
                 break
-            for run in live:
-                run.count += HELD if count == HELD_FROM else 0
-            self._step(live, [self._says(run) for run in live])
-            for run in live:
-                size = float(run.at.step @ run.at.information @ run.at.step)
-                run.settled = not run.over and (run.settled or size < (SETTLED if count < FEW_ROUNDS else NEAR))
-                run.over |= run.settled
-        found = self._aligned(runs, self._judged(runs))
-        first = [same.index(k) for k in range(len(runs))]
-        poor = [k for k, i in enumerate(first) if not found[k].converged or _lost(alone[i], runs[k].mass)]
-        for k, again in zip(poor, self.solve([jobs[first[k]] for k in poor]), strict=True):
-            found[k] = again
-        return [found[k] for k in same]
+            for run in active:
+                run.iteration += SKIPPED_ITERATIONS if count == FREEZE_ITERATION else 0
+            self._run_iteration(active, [self._make_message(run) for run in active])
+            for run in active:
+                size = float(run.state.step @ run.state.information @ run.state.step)
+                run.converged = not run.finished and (
+                    run.converged or size < (STEP_TOLERANCE if count < COMPACT_ITERATIONS else COMPACT_TOLERANCE)
+                )
+                run.finished |= run.converged
+        results = self._make_results(runs, self._evaluate(runs))
+        first = [run_indices.index(k) for k in range(len(runs))]
+        failed = [
+            k
+            for k, i in enumerate(first)
+            if not results[k].converged or _has_lost_matches(own_weights[i], runs[k].weight_sums)
+        ]
+        for k, result in zip(failed, self.solve([jobs[first[k]] for k in failed]), strict=True):
+            results[k] = result
+        return [results[k] for k in run_indices]
 
-    def _alone(self, job: Job) -> tuple[_Run, Says]:
-        """The run from here on, with this camera's own solution in it, and what it says of where all started."""
-        stacked, schedule = self._stacked, np.array(job.schedule, float)
-        own, at = own_of(stacked), first_round(job.rotation, job.shift, np.ones(1), job.schedule[0])
-        reduced, with_prior, off, mass, count, last = (
+    def _solve_alone(self, job: AlignmentJob) -> tuple[_JobState, TermsMessage]:
+        """Return the run that starts from this camera's own solution, and its message about the common start."""
+        stacked, schedule = self._matches, np.array(job.schedule, float)
+        camera_state, state = (
+            make_camera_state(stacked),
+            make_initial_state(job.rotation, job.translation, np.ones(1), job.schedule[0]),
+        )
+        reduced, with_prior, difference, weight_sum, iteration, is_last = (
             np.empty((1, 6, 7)),
             np.empty((1, 6, 7)),
             np.zeros(6),
@@ -178,43 +233,54 @@ class OneOfMany:
             0,
             False,
         )
-        prior = _prior(stacked.points)
-        for count in range(1, MAX_ROUNDS + 2):
-            pose, sigma_px = (at.rotation, at.shift), float(at.sigma_px[0])
-            mass = camera_terms(stacked, 0, *pose, sigma_px, True, own, reduced[0])
-            off = _off(at.rotation, at.shift, job.rotation, job.shift)
-            with_prior[0] = reduced[0] + np.column_stack([np.diag(prior), prior * off])
-            level = np.array([noise_of(stacked, 0, own)])
-            stepped, settled = joint_step(at, with_prior, np.array([mass]), level, schedule, count, last)
+        prior = _prior_information(stacked.points)
+        for iteration in range(1, MAX_ITERATIONS + 2):
+            pose, sigma_px = (state.rotation, state.translation), float(state.sigma_px[0])
+            weight_sum = compute_camera_terms(stacked, 0, *pose, sigma_px, True, camera_state, reduced[0])
+            difference = _pose_difference(state.rotation, state.translation, job.rotation, job.translation)
+            with_prior[0] = reduced[0] + np.column_stack([np.diag(prior), prior * difference])
+            noise = np.array([estimate_camera_noise(stacked, 0, camera_state)])
+            stepped, converged = take_joint_step(
+                state, with_prior, np.array([weight_sum]), noise, schedule, iteration, is_last
+            )
             if not stepped:
                 break
-            last = settled or count == MAX_ROUNDS
-            take_step(0, at.step, own)
-        reduced[0, :, 6] -= reduced[0, :, :6] @ off
-        run = _Run(first_round(job.rotation, job.shift, job.doubt, job.schedule[-1]), own, schedule[-1:], count=1)
-        # Its surface is where its own solution has it: steps are taken from there.
+            is_last = converged or iteration == MAX_ITERATIONS
+            update_depth_model(0, state.step, camera_state)
+        reduced[0, :, 6] -= reduced[0, :, :6] @ difference
+        run = _JobState(
+            make_initial_state(job.rotation, job.translation, job.variance_inflation, job.schedule[-1]),
+            camera_state,
+            schedule[-1:],
+            iteration=1,
+        )
+        # Its depth model is that of its own solution, from which steps are taken.
         for k in range(3):
-            own.gains[0, k, 6] -= own.gains[0, k, :6] @ off
-        return run, Says.of(reduced[0], mass, noise_of(stacked, 0, own))
+            camera_state.gains[0, k, 6] -= camera_state.gains[0, k, :6] @ difference
+        return run, TermsMessage.from_reduced(reduced[0], weight_sum, estimate_camera_noise(stacked, 0, camera_state))
 
 
-def _prior(points: FloatArray) -> FloatArray:
-    """(6,) information of (w, d) of the start, for a camera with these landmarks (n, 3)."""
+def _prior_information(points: FloatArray) -> FloatArray:
+    """Return (6,) prior information of (w, d) at the start, for a camera with these landmarks (n, 3)."""
     size = float(np.sqrt(np.mean(np.sum(points**2, axis=1)))) if len(points) else 1.0
-    return np.repeat([PRIOR_TURN, PRIOR_SHIFT * max(size, 1e-12)], 3) ** -2.0
+    return np.repeat([PRIOR_ROTATION_SD, PRIOR_TRANSLATION_RATIO * max(size, 1e-12)], 3) ** -2.0
 
 
-def _off(rotation: FloatArray, shift: FloatArray, from_rotation: FloatArray, from_shift: FloatArray) -> FloatArray:
-    """(6,) (w, d) from one pose to another."""
-    return np.concatenate([Rotation.from_matrix(rotation @ from_rotation.T).as_rotvec(), shift - from_shift])
+def _pose_difference(
+    rotation: FloatArray, translation: FloatArray, from_rotation: FloatArray, from_translation: FloatArray
+) -> FloatArray:
+    """Return the (6,) difference (w, d) from one pose to another."""
+    return np.concatenate(
+        [Rotation.from_matrix(rotation @ from_rotation.T).as_rotvec(), translation - from_translation]
+    )
 
 
-def _lost(alone: FloatArray, together: FloatArray) -> bool:
-    """Whether of most cameras' matches most fell away, by the sums (C,) of their weights."""
-    voices = alone > 0.0
-    return bool(voices.any() and np.median(together[voices] / alone[voices]) < LEFT)
+def _has_lost_matches(own_weights: FloatArray, joint_weights: FloatArray) -> bool:
+    """Return whether most cameras lost most of their matches, by the sums (C,) of their weights."""
+    is_active = own_weights > 0.0
+    return bool(is_active.any() and np.median(joint_weights[is_active] / own_weights[is_active]) < MIN_WEIGHT_RATIO)
 
 
-def _are_the_same(one: Round, other: Round) -> bool:
-    off = _off(one.rotation, one.shift, other.rotation, other.shift)
-    return float(off @ other.information @ off) < SAME
+def _is_same_pose(first: AlignmentState, second: AlignmentState) -> bool:
+    difference = _pose_difference(first.rotation, first.translation, second.rotation, second.translation)
+    return float(difference @ second.information @ difference) < SAME_POSE_DISTANCE

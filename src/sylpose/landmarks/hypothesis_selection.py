@@ -1,4 +1,4 @@
-"""Which of several alignments of the same sights is taken, and what is known of it where another explains them as well."""
+"""Selection among several alignments of the same matches, and the uncertainty due to equally good ones."""
 
 from __future__ import annotations
 
@@ -8,50 +8,67 @@ import numpy as np
 
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.rigid import rotvec
-from sylpose.landmarks.alignment import Aligned
+from sylpose.landmarks.alignment import AlignmentResult
 
-__all__ = ["chosen", "doubted"]
+__all__ = ["select_hypothesis", "subtract_uncertainty"]
 
-# Poses whose mean robust costs differ by less explain the matches alike (choice).
-ALIKE = 0.01
-# Poses less than this apart are the same one, in standard deviations, squared: the first is as good as any (choice).
-SAME = 1.0
+# Poses whose mean robust costs differ by less explain the matches equally well (choice).
+MAX_COST_DIFFERENCE = 0.01
+# Squared distance, in standard deviations, below which poses are the same: the first is used (choice).
+SAME_POSE_DISTANCE = 1.0
 
 
-def chosen(found: Sequence[Aligned], rotation: FloatArray, shift: FloatArray) -> tuple[int, FloatArray]:
-    """Which one explains the sights best; of different ones that explain them alike, the one nearest to a prediction.
+def select_hypothesis(
+    hypotheses: Sequence[AlignmentResult], rotation: FloatArray, translation: FloatArray
+) -> tuple[int, FloatArray]:
+    """Select the alignment that explains the matches best.
+
+    Of equally good distinct ones, the one nearest to a prediction is selected.
 
     Args:
-        found: of the same sights, from different starts.
-        rotation: (3, 3) and shift: (3,), where the object is predicted to be.
+        hypotheses: of the same matches, from different starts.
+        rotation, translation: (3, 3) and (3,), the predicted pose.
 
     Returns:
-        its index; (6,) (w, d) from it to the farthest of those alike: what is not known of it beside its own covariance.
+        its index; (6,) (w, d) from it to the farthest equally good one: an uncertainty in addition to its covariance.
     """
-    least = min(range(len(found)), key=lambda k: found[k].vote)
-    alike = [k for k, one in enumerate(found) if one.vote < found[least].vote + ALIKE and one.converged]
-    # Distances by what one of them knows, the same for all: a sloppy one is not nearer for it.
-    scale = found[least].information
-    best = alike[0] if alike else least
-    for k in alike:
-        apart = _square(_off(found[best], found[k].rotation, found[k].shift), scale)
-        nearer = _square(_off(found[k], rotation, shift), scale) < _square(_off(found[best], rotation, shift), scale)
-        best = k if nearer and apart > SAME else best
-    offs = [_off(found[best], found[k].rotation, found[k].shift) for k in alike]
-    off = max(offs, key=lambda off: _square(off, scale), default=np.zeros(6))
-    return best, off if _square(off, scale) > SAME else np.zeros(6)
+    lowest = min(range(len(hypotheses)), key=lambda k: hypotheses[k].reference_cost)
+    equivalent = [
+        k
+        for k, one in enumerate(hypotheses)
+        if one.reference_cost < hypotheses[lowest].reference_cost + MAX_COST_DIFFERENCE and one.converged
+    ]
+    # Distances use one common information matrix, so that an uncertain pose does not appear nearer.
+    scale = hypotheses[lowest].information
+    best = equivalent[0] if equivalent else lowest
+    for k in equivalent:
+        distance = _squared_distance(
+            _pose_difference(hypotheses[best], hypotheses[k].rotation, hypotheses[k].translation), scale
+        )
+        is_nearer = _squared_distance(
+            _pose_difference(hypotheses[k], rotation, translation), scale
+        ) < _squared_distance(_pose_difference(hypotheses[best], rotation, translation), scale)
+        best = k if is_nearer and distance > SAME_POSE_DISTANCE else best
+    differences = [
+        _pose_difference(hypotheses[best], hypotheses[k].rotation, hypotheses[k].translation) for k in equivalent
+    ]
+    difference = max(differences, key=lambda off: _squared_distance(off, scale), default=np.zeros(6))
+    return best, difference if _squared_distance(difference, scale) > SAME_POSE_DISTANCE else np.zeros(6)
 
 
-def doubted(information: FloatArray, off: FloatArray) -> FloatArray:
-    """(6, 6) information, of (w, d), less by a difference (6,) that may be: the covariance and off off', inverted."""
-    told = information @ off
-    return np.asarray(information - np.outer(told, told) / (1.0 + off @ told))
+def subtract_uncertainty(information: FloatArray, difference: FloatArray) -> FloatArray:
+    """Return (6, 6) information of (w, d) reduced by a possible difference (6,).
+
+    It is the inverse of the covariance plus difference difference'.
+    """
+    projection = information @ difference
+    return np.asarray(information - np.outer(projection, projection) / (1.0 + difference @ projection))
 
 
-def _off(one: Aligned, rotation: FloatArray, shift: FloatArray) -> FloatArray:
-    """(6,) (w, d) from an alignment to a pose."""
-    return np.concatenate([rotvec(rotation @ one.rotation.T), shift - one.shift])
+def _pose_difference(hypothesis: AlignmentResult, rotation: FloatArray, translation: FloatArray) -> FloatArray:
+    """Return the (6,) difference (w, d) from an alignment to a pose."""
+    return np.concatenate([rotvec(rotation @ hypothesis.rotation.T), translation - hypothesis.translation])
 
 
-def _square(off: FloatArray, information: FloatArray) -> float:
-    return float(off @ information @ off)
+def _squared_distance(difference: FloatArray, information: FloatArray) -> float:
+    return float(difference @ information @ difference)

@@ -1,8 +1,9 @@
-"""What is known of each feature's place on the object: a mean and an information matrix, growing with every sight of it.
+"""Information filter of landmark positions in the object's frame: a mean and an information matrix per feature.
 
-A feature seen once lies on its ray, somewhere in the object's depth; each further sight adds a ray. In the object's frame a
-ray from o along r at distance d, with an image noise of σ/f, is the information (I - r r') / (d σ/f)² about the point, so
-places are fused by adding information, whatever the order (docs/method.md, "Better than two frames").
+A feature observed once is on its ray, within the object's depth range; each further observation adds a ray. In the
+object's frame a ray from o along r at distance d, with an image noise of σ/f, is the information (I - r r') / (d σ/f)²
+on the point, so positions are fused by adding information, in any order
+(docs/method/4-tracking.md, "Landmark alignment").
 """
 
 from __future__ import annotations
@@ -19,52 +20,52 @@ from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.numba_linalg import cholesky_solve, kernel, symmetric_eigen
 from sylpose.rig import Camera
 
-__all__ = ["Landmarks", "depth_prior", "learn_landmarks", "new_landmarks", "seen_again"]
+__all__ = ["Landmarks", "add_observations", "initialize_landmarks", "predict_depths", "update_landmarks"]
 
 
-# Image noise of a ray, pixels. More than a keypoint's own noise: the poses that rays are placed with have errors too,
-# and those do not average out over the features of one frame (choice).
+# Image noise of a ray, pixels. It is larger than a keypoint's noise: the poses of the rays have errors as well, which
+# do not average out over the features of one frame (choice).
 RAY_SIGMA_PX = 2.0
-# Neighbours in the image that a new feature's depth is guessed from (choice).
-NEIGHBOURS = 8
+# Neighbors in the image from which a new feature's depth is predicted (choice).
+N_NEIGHBORS = 8
 
 
 @dataclass(frozen=True, eq=False)
 class Landmarks:
-    """Places of n features in the object's frame.
+    """Positions of n features in the object's frame.
 
     Attributes:
         mean: (n, 3).
         information: (n, 3, 3), the inverse covariances.
-        seen: (n,) in how many frames each was seen.
-        moved: (n,) whether it was ever seen to move with the object, away from its `origin`. What never was may be
+        n_observations: (n,) number of frames with observations of each.
+        has_moved: (n,) whether it was ever observed to move with the object, away from its `origin`; the others may be
             background.
-        origin: (n, 2) pixels where the camera saw it first.
-        id: (n,) the number (`LandmarkTable`); the same feature seen again in another frame keeps it. -1: none yet.
+        origin: (n, 2) pixels of the camera's first observation.
+        id: (n,) the number (`LandmarkTable`), constant for a feature observed in several frames; -1: none yet.
     """
 
     mean: FloatArray
     information: FloatArray
-    seen: IntArray
-    moved: BoolArray
+    n_observations: IntArray
+    has_moved: BoolArray
     origin: FloatArray
     id: IntArray
 
     @classmethod
-    def none(cls) -> Landmarks:
-        """No landmarks."""
+    def empty(cls) -> Landmarks:
+        """Return an empty set."""
         nothing = np.empty(0, np.int64)
         return cls(np.empty((0, 3)), np.empty((0, 3, 3)), nothing, np.empty(0, bool), np.empty((0, 2)), nothing)
 
     @classmethod
     def concatenate(cls, parts: Sequence[Landmarks]) -> Landmarks:
-        """All parts after each other."""
-        parts = [cls.none(), *parts]
+        """Concatenate landmarks."""
+        parts = [cls.empty(), *parts]
         return cls(
             np.concatenate([p.mean for p in parts]),
             np.concatenate([p.information for p in parts]),
-            np.concatenate([p.seen for p in parts]),
-            np.concatenate([p.moved for p in parts]),
+            np.concatenate([p.n_observations for p in parts]),
+            np.concatenate([p.has_moved for p in parts]),
             np.concatenate([p.origin for p in parts]),
             np.concatenate([p.id for p in parts]),
         )
@@ -74,9 +75,9 @@ class Landmarks:
 
     @property
     def depth_error(self) -> FloatArray:
-        """(n, 3) the direction in which each place is least known, one standard deviation long; its sign is open."""
+        """(n, 3) direction of each position's largest uncertainty, one standard deviation long; arbitrary sign."""
         out = np.empty((len(self), 3))
-        _least_known(np.ascontiguousarray(self.information), out)
+        _compute_depth_errors(np.ascontiguousarray(self.information), out)
         return out
 
     @property
@@ -85,20 +86,20 @@ class Landmarks:
         return np.asarray(np.linalg.norm(self.depth_error, axis=1))
 
     def subset(self, index: IntArray | BoolArray) -> Landmarks:
-        """Those that a mask or an index array picks."""
+        """Return the landmarks selected by a mask or an index array."""
         return Landmarks(
             self.mean[index],
             self.information[index],
-            self.seen[index],
-            self.moved[index],
+            self.n_observations[index],
+            self.has_moved[index],
             self.origin[index],
             self.id[index],
         )
 
 
 @kernel
-def _least_known(information: FloatArray, out: FloatArray) -> None:
-    """out (n, 3) becomes `Landmarks.depth_error` of information (n, 3, 3)."""
+def _compute_depth_errors(information: FloatArray, out: FloatArray) -> None:
+    """Write `Landmarks.depth_error` of information (n, 3, 3) to out (n, 3)."""
     matrix, values, vectors = np.empty((3, 3)), np.empty(3), np.empty((3, 3))
     for n in range(len(information)):
         matrix[:] = information[n]
@@ -108,68 +109,81 @@ def _least_known(information: FloatArray, out: FloatArray) -> None:
             out[n, i] = sd * vectors[i, 0]
 
 
-def rays(features: Features, camera: Camera, object_from_world: RigidTransform) -> tuple[FloatArray, FloatArray]:
-    """Camera's centre (3,) and the features' unit directions (n, 3), object's frame."""
-    turn = camera.rotation @ object_from_world.as_matrix()[:3, :3].T
-    directions = features.normalized @ turn[:2] + turn[2]
+def compute_rays(
+    features: Features, camera: Camera, object_from_world: RigidTransform
+) -> tuple[FloatArray, FloatArray]:
+    """Return the camera's center (3,) and the features' unit directions (n, 3), object's frame."""
+    rotation = camera.rotation @ object_from_world.as_matrix()[:3, :3].T
+    directions = features.normalized @ rotation[:2] + rotation[2]
     directions /= np.sqrt(np.einsum("ni,ni->n", directions, directions))[:, None]
     return np.asarray(object_from_world.apply(camera.center)), directions
 
 
-def new_landmarks(
+def initialize_landmarks(
     features: Features,
     camera: Camera,
     object_from_world: RigidTransform,
     distance: FloatArray,
     sd: FloatArray,
 ) -> Landmarks:
-    """Features seen for the first time: on their rays, at a distance (n,) from the camera give or take sd (n,)."""
-    center, directions = rays(features, camera, object_from_world)
+    """Initialize landmarks of features on their rays.
+
+    Args:
+        distance, sd: (n,) from the camera, with their standard deviations.
+    """
+    center, directions = compute_rays(features, camera, object_from_world)
     mean = center + distance[:, None] * directions
-    across = (camera.focal / (RAY_SIGMA_PX * distance)) ** 2
-    along = directions[:, :, None] * directions[:, None, :]
-    information = (sd**-2 - across)[:, None, None] * along
-    information[:, [0, 1, 2], [0, 1, 2]] += across[:, None]
+    ray_information = (camera.focal / (RAY_SIGMA_PX * distance)) ** 2
+    ray_projector = directions[:, :, None] * directions[:, None, :]
+    information = (sd**-2 - ray_information)[:, None, None] * ray_projector
+    information[:, [0, 1, 2], [0, 1, 2]] += ray_information[:, None]
     n = len(mean)
-    nothing = np.zeros(n, bool), features.pixels.copy(), np.full(n, -1, np.int64)
-    return Landmarks(mean, information, np.ones(n, np.int64), *nothing)
+    initial_fields = np.zeros(n, bool), features.pixels.copy(), np.full(n, -1, np.int64)
+    return Landmarks(mean, information, np.ones(n, np.int64), *initial_fields)
 
 
-def seen_again(known: Landmarks, features: Features, camera: Camera, object_from_world: RigidTransform) -> Landmarks:
-    """Adds each feature's ray (n) to what is known of its landmark (n)."""
-    center, directions = rays(features, camera, object_from_world)
+def add_observations(
+    known: Landmarks, features: Features, camera: Camera, object_from_world: RigidTransform
+) -> Landmarks:
+    """Update known landmarks (n) with each feature's ray (n)."""
+    center, directions = compute_rays(features, camera, object_from_world)
     mean, information = known.mean.copy(), known.information.copy()
     _add_rays(center, directions, camera.focal / RAY_SIGMA_PX, mean, information)
-    return replace(known, mean=mean, information=information, seen=known.seen + 1)
+    return replace(known, mean=mean, information=information, n_observations=known.n_observations + 1)
 
 
 @kernel
 def _add_rays(
     center: FloatArray, directions: FloatArray, weight: float, mean: FloatArray, information: FloatArray
 ) -> None:
-    """Changes mean (n, 3) and information (n, 3, 3) by rays from a centre (3,) along directions (n, 3); the weight is in
-    standard deviations per radian."""
-    root, off = np.empty((3, 3)), np.empty(3)
+    """Update mean (n, 3) and information (n, 3, 3) by rays from a center (3,) along directions (n, 3).
+
+    Args:
+        weight: standard deviations per radian.
+    """
+    root, residual = np.empty((3, 3)), np.empty(3)
     for n in range(len(mean)):
-        far = 0.0
+        squared_distance = 0.0
         for i in range(3):
-            off[i] = center[i] - mean[n, i]
-            far += off[i] * off[i]
-        across = (weight / max(np.sqrt(far), 1e-12)) ** 2
-        along = off[0] * directions[n, 0] + off[1] * directions[n, 1] + off[2] * directions[n, 2]
+            residual[i] = center[i] - mean[n, i]
+            squared_distance += residual[i] * residual[i]
+        ray_information = (weight / max(np.sqrt(squared_distance), 1e-12)) ** 2
+        along = residual[0] * directions[n, 0] + residual[1] * directions[n, 1] + residual[2] * directions[n, 2]
         for i in range(3):
-            # By how much the ray is off, times its information; and that added.
-            off[i] = across * (off[i] - along * directions[n, i])
+            # The distance from the ray times its information; then the information is added.
+            residual[i] = ray_information * (residual[i] - along * directions[n, i])
             for j in range(3):
-                information[n, i, j] += across * ((1.0 if i == j else 0.0) - directions[n, i] * directions[n, j])
+                information[n, i, j] += ray_information * (
+                    (1.0 if i == j else 0.0) - directions[n, i] * directions[n, j]
+                )
         root[:] = information[n]
-        if not cholesky_solve(root, off):
-            off[:] = np.nan
+        if not cholesky_solve(root, residual):
+            residual[:] = np.nan
         for i in range(3):
-            mean[n, i] += off[i]
+            mean[n, i] += residual[i]
 
 
-def depth_prior(
+def predict_depths(
     features: Features,
     camera: Camera,
     world_from_object: RigidTransform,
@@ -177,13 +191,16 @@ def depth_prior(
     radius: float,
     bulge: float = 0.0,
 ) -> tuple[FloatArray, FloatArray]:
-    """How far away features are that were never seen before, from the object's points around them in the image.
+    """Predict the distance of new features from the object's points around them in the image.
 
     Args:
+        features: of one camera.
+        camera: the camera.
+        world_from_object: pose of the object.
         cloud: (m, 3) points on or in the object, object's frame.
-        radius: of the object, which bounds the answer's uncertainty: above and, at three tenths of it, below.
-        bulge: how much nearer than the cloud the surface is thought to be at the middle of the object, in radii, falling to
-            nothing at its rim like a sphere's.
+        radius: of the object, which limits the standard deviation: from three tenths of it to the radius.
+        bulge: how much nearer than the cloud the surface is assumed to be at the object's center, in radii, decreasing
+            to zero at its edge like a sphere's.
 
     Returns:
         distance (n,) from the camera; sd (n,).
@@ -193,23 +210,25 @@ def depth_prior(
         return np.empty(0), np.empty(0)
     points = world_from_object.apply(cloud).reshape(-1, 3)
     pixels = camera.project(points)
-    seen = np.isfinite(pixels).all(axis=1)
-    middle = float(np.linalg.norm(world_from_object.translation - camera.center))
-    if seen.sum() < NEIGHBOURS:
-        return np.full(n, middle), np.full(n, radius)
-    distance = np.linalg.norm(points[seen] - camera.center, axis=1)
-    gap, index = cKDTree(pixels[seen]).query(features.pixels, NEIGHBOURS)
-    near = distance[index]
+    is_visible = np.isfinite(pixels).all(axis=1)
+    center_distance = float(np.linalg.norm(world_from_object.translation - camera.center))
+    if is_visible.sum() < N_NEIGHBORS:
+        return np.full(n, center_distance), np.full(n, radius)
+    distance = np.linalg.norm(points[is_visible] - camera.center, axis=1)
+    gap, index = cKDTree(pixels[is_visible]).query(features.pixels, N_NEIGHBORS)
+    neighbor_distances = distance[index]
     # A gap in the image may be a gap of the same size in depth.
-    extrapolation = gap.mean(axis=1) / camera.focal * middle
+    extrapolation = gap.mean(axis=1) / camera.focal * center_distance
     if bulge:
         offset = np.linalg.norm(features.pixels - camera.project(world_from_object.translation), axis=1)
         rim = 1.1 * offset.max()
-        near = near - (bulge * radius * np.sqrt(1.0 - (offset / rim) ** 2))[:, None]
-    return near.mean(axis=1), np.sqrt(near.var(axis=1) + extrapolation**2).clip(0.3 * radius, radius)
+        neighbor_distances = neighbor_distances - (bulge * radius * np.sqrt(1.0 - (offset / rim) ** 2))[:, None]
+    return neighbor_distances.mean(axis=1), np.sqrt(neighbor_distances.var(axis=1) + extrapolation**2).clip(
+        0.3 * radius, radius
+    )
 
 
-def learn_landmarks(
+def update_landmarks(
     features: Features,
     camera: Camera,
     world_from_object: RigidTransform,
@@ -219,17 +238,19 @@ def learn_landmarks(
     radius: float,
     bulge: float = 0.0,
 ) -> Landmarks:
-    """The landmarks of a solved frame's features: known ones (k) seen again at `index` (k,), the others new.
+    """Return the landmarks of a frame's features: known ones updated, the others initialized.
 
-    Args: see `depth_prior`.
+    Args: see `predict_depths`.
+        known: (k) landmarks that are observed in the frame.
+        index: (k,) their features.
     """
     object_from_world = world_from_object.inv()
-    new_ones = np.ones(len(features), bool)
-    new_ones[index] = False
-    unknown = np.flatnonzero(new_ones)
-    young = features.subset(unknown)
-    distance, sd = depth_prior(young, camera, world_from_object, cloud, radius, bulge)
-    new = new_landmarks(young, camera, object_from_world, distance, sd)
-    old = seen_again(known, features.subset(index), camera, object_from_world)
-    order = np.argsort(np.concatenate([index, unknown]))
-    return Landmarks.concatenate([old, new]).subset(order)
+    is_new = np.ones(len(features), bool)
+    is_new[index] = False
+    new_index = np.flatnonzero(is_new)
+    new_features = features.subset(new_index)
+    distance, sd = predict_depths(new_features, camera, world_from_object, cloud, radius, bulge)
+    new = initialize_landmarks(new_features, camera, object_from_world, distance, sd)
+    updated = add_observations(known, features.subset(index), camera, object_from_world)
+    order = np.argsort(np.concatenate([index, new_index]))
+    return Landmarks.concatenate([updated, new]).subset(order)

@@ -1,4 +1,7 @@
-"""The landmarks of one camera in one table, by number. Frames keep numbers, so what a sight teaches all of them know."""
+"""Landmark table of one camera, indexed by number.
+
+Frames store numbers, so updates apply to all of them.
+"""
 
 from __future__ import annotations
 
@@ -10,22 +13,25 @@ from sylpose.landmarks.landmark_filter import Landmarks
 
 __all__ = ["LandmarkTable"]
 
-# Rows that a table has room for at first; when they are full, twice as many (choice).
-ROOM = 1024
-# Of so many neighbours' moves the one in the middle is taken (choice).
-NEIGHBOURS = 8
+# Initial number of rows; it is doubled when they are full (choice).
+INITIAL_CAPACITY = 1024
+# Neighbors whose median displacement is used (choice).
+N_NEIGHBORS = 8
 
 
 class LandmarkTable:
-    """A growing table. A number is given once; where landmarks were forgotten, numbers are missing."""
+    """Table of one camera's landmarks that grows as needed.
+
+    Numbers are not reused; those of removed landmarks are missing.
+    """
 
     def __init__(self) -> None:
-        self._rows = _empty(ROOM)  # in the order of their numbers; the first `_used` of them count
+        self._rows = _allocate(INITIAL_CAPACITY)  # sorted by number; the first `_used` of them are valid
         self._used = self._next = 0
 
     @classmethod
-    def holding(cls, landmarks: Landmarks) -> LandmarkTable:
-        """A table of some landmarks alone, under the numbers that they have."""
+    def from_landmarks(cls, landmarks: Landmarks) -> LandmarkTable:
+        """Return a table of these landmarks, with the numbers that they have."""
         table = cls()
         table._rows = landmarks.subset(np.unique(landmarks.id, return_index=True)[1])
         table._used, table._next = len(table._rows), int(landmarks.id.max(initial=-1)) + 1
@@ -34,67 +40,72 @@ class LandmarkTable:
     def __len__(self) -> int:
         return self._used
 
-    def of(self, numbers: IntArray) -> Landmarks:
-        """Those with the numbers (n,)."""
-        return self._rows.subset(self._at(numbers))
+    def get(self, numbers: IntArray) -> Landmarks:
+        """Return the landmarks with the numbers (n,)."""
+        return self._rows.subset(self._find_rows(numbers))
 
-    def seen(self, numbers: IntArray) -> IntArray:
-        """(n,) in how many frames each of those was seen."""
-        return np.asarray(self._rows.seen[self._at(numbers)])
+    def observation_counts(self, numbers: IntArray) -> IntArray:
+        """Return (n,) the number of frames in which each was observed."""
+        return np.asarray(self._rows.n_observations[self._find_rows(numbers)])
 
-    def learn(self, landmarks: Landmarks) -> IntArray:
-        """Takes in what is known of landmarks (n) by now: of those that have a number instead of what was known before, the
-        others are new. Where several have the same number, the last counts.
+    def update(self, landmarks: Landmarks) -> IntArray:
+        """Store landmarks (n): those with a number are replaced, the others are added. The last of equal numbers wins.
 
         Returns:
             their numbers (n,).
         """
         numbers, new = landmarks.id.copy(), landmarks.id < 0
         numbers[new] = self._next + np.arange(new.sum())
-        old = landmarks.subset(~new)
-        _write(self._rows, self._at(old.id), old)
+        existing = landmarks.subset(~new)
+        _write_rows(self._rows, self._find_rows(existing.id), existing)
         first, self._used, self._next = self._used, self._used + int(new.sum()), self._next + int(new.sum())
         if self._used > len(self._rows):
-            self._rows = Landmarks.concatenate([self._rows.subset(np.arange(first)), _empty(2 * self._used - first)])
+            self._rows = Landmarks.concatenate([self._rows.subset(np.arange(first)), _allocate(2 * self._used - first)])
         rows = np.arange(first, self._used)
-        _write(self._rows, rows, landmarks.subset(new))
+        _write_rows(self._rows, rows, landmarks.subset(new))
         self._rows.id[rows] = numbers[new]
         return numbers
 
-    def place(self, numbers: IntArray, places: FloatArray) -> None:
-        """Puts the landmarks with some numbers (n,) at places (n, 3), as well known as before; the others go along with the
-        nearest of them, or they would contradict them. Those that are forgotten by now stay so."""
-        there = np.isin(numbers, self._rows.id[: self._used])
-        numbers, places = numbers[there], places[there]
-        at, means = self._at(numbers), self._rows.mean[: self._used]
-        others = np.setdiff1d(np.flatnonzero(np.isfinite(means).all(axis=1)), at)
-        moved = places - means[at]
-        if len(at) >= NEIGHBOURS and len(others) and np.isfinite(moved).all():
-            _, nearest = cKDTree(means[at]).query(means[others], NEIGHBOURS)
-            means[others] += np.median(moved[nearest], axis=1)
-        means[at] = places
+    def move(self, numbers: IntArray, positions: FloatArray) -> None:
+        """Move the landmarks with some numbers (n,) to positions (n, 3), with unchanged information.
 
-    def keep(self, numbers: IntArray) -> None:
-        """Forgets all but those with some numbers, once they are less than half of all."""
+        The others move with the nearest of them, to stay consistent. Numbers of removed landmarks are ignored.
+        """
+        exists = np.isin(numbers, self._rows.id[: self._used])
+        numbers, positions = numbers[exists], positions[exists]
+        rows, means = self._find_rows(numbers), self._rows.mean[: self._used]
+        others = np.setdiff1d(np.flatnonzero(np.isfinite(means).all(axis=1)), rows)
+        displacements = positions - means[rows]
+        if len(rows) >= N_NEIGHBORS and len(others) and np.isfinite(displacements).all():
+            _, nearest = cKDTree(means[rows]).query(means[others], N_NEIGHBORS)
+            means[others] += np.median(displacements[nearest], axis=1)
+        means[rows] = positions
+
+    def prune(self, numbers: IntArray) -> None:
+        """Remove all but those with some numbers, once they are less than half of all."""
         used = np.zeros(self._used, bool)
-        used[self._at(numbers)] = True
+        used[self._find_rows(numbers)] = True
         if 2 * np.count_nonzero(used) < self._used:
             rows = np.flatnonzero(used)
             self._rows, self._used = self._rows.subset(rows), len(rows)
 
-    def _at(self, numbers: IntArray) -> IntArray:
-        """(n,) the rows of numbers (n,) that are there."""
+    def _find_rows(self, numbers: IntArray) -> IntArray:
+        """Return (n,) the rows of existing numbers (n,)."""
         rows = np.searchsorted(self._rows.id[: self._used], numbers)
         assert (self._rows.id[rows] == numbers).all()
         return np.asarray(rows)
 
 
-def _empty(n: int) -> Landmarks:
+def _allocate(n: int) -> Landmarks:
     numbers, moved = np.full(n, -1, np.int64), np.empty(n, bool)
     return Landmarks(np.empty((n, 3)), np.empty((n, 3, 3)), np.empty(n, np.int64), moved, np.empty((n, 2)), numbers)
 
 
-def _write(rows: Landmarks, at: IntArray, landmarks: Landmarks) -> None:
-    """Everything but the numbers."""
-    rows.mean[at], rows.information[at] = landmarks.mean, landmarks.information
-    rows.seen[at], rows.moved[at], rows.origin[at] = landmarks.seen, landmarks.moved, landmarks.origin
+def _write_rows(rows: Landmarks, index: IntArray, landmarks: Landmarks) -> None:
+    """Write everything except the numbers."""
+    rows.mean[index], rows.information[index] = landmarks.mean, landmarks.information
+    rows.n_observations[index], rows.has_moved[index], rows.origin[index] = (
+        landmarks.n_observations,
+        landmarks.has_moved,
+        landmarks.origin,
+    )

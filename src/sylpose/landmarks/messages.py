@@ -1,4 +1,4 @@
-"""What cameras that align the same landmarks' object tell each other: two small records."""
+"""Messages between camera nodes that align the same object's landmarks."""
 
 from __future__ import annotations
 
@@ -9,69 +9,77 @@ from typing import Protocol, TypeVar
 import numpy as np
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.matrices import symmetric_of, upper_of
+from sylpose.geometry.matrices import pack_upper, unpack_symmetric
 
-__all__ = ["DIAGONAL", "Exchange", "Judges", "Says"]
+__all__ = ["DIAGONAL", "EvaluationMessage", "Exchange", "TermsMessage"]
 
-# Where the diagonal of a hessian is in its upper triangle, and by which share it is larger in `Says.coarse`: 24 bits round
-# off less than a tenth of that (derived).
-DIAGONAL, DAMPED = [0, 6, 11, 15, 18, 20], 1e-6
+# Positions of the hessian's diagonal in its upper triangle, and its relative enlargement in
+# `TermsMessage.to_single_precision`: rounding to 24 bits changes less than a tenth of that (derived).
+DIAGONAL, DIAGONAL_MARGIN = [0, 6, 11, 15, 18, 20], 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Says:
-    """What a camera tells all others in a round.
+class TermsMessage:
+    """A camera's message in an iteration.
 
     Attributes:
-        upper: (27,) what it says of the pose, without its surface: the upper triangle of the hessian (6, 6) of (w, d), row
-            by row, and the gradient.
-        mass: the sum of its weights.
-        level_px: its noise, or NaN.
+        upper: (27,) its terms for the pose, with its depth model eliminated: the upper triangle of the hessian (6, 6)
+            of (w, d), row by row, and the gradient.
+        weight_sum: the sum of its weights.
+        noise_px: its noise, or NaN.
     """
 
     upper: FloatArray
-    mass: float
-    level_px: float
+    weight_sum: float
+    noise_px: float
 
     @classmethod
-    def of(cls, reduced: FloatArray, mass: float, level_px: float) -> Says:
-        """Of hessian and gradient (6, 7)."""
-        return cls(np.concatenate([upper_of(reduced[:, :6]), reduced[:, 6]]), mass, level_px)
+    def from_reduced(cls, reduced: FloatArray, weight_sum: float, noise_px: float) -> TermsMessage:
+        """Make a message from hessian and gradient (6, 7)."""
+        return cls(np.concatenate([pack_upper(reduced[:, :6]), reduced[:, 6]]), weight_sum, noise_px)
 
-    def coarse(self) -> Says:
-        """In half the bytes, each number to 24 bits; with a hessian that stays positive definite for all that rounds off."""
+    def to_single_precision(self) -> TermsMessage:
+        """Return the message in half the bytes, each number with 24 bits; the hessian stays positive definite."""
         upper = self.upper.copy()
-        upper[DIAGONAL] *= 1.0 + DAMPED
-        return Says(upper.astype(np.float32).astype(float), self.mass, self.level_px)
+        upper[DIAGONAL] *= 1.0 + DIAGONAL_MARGIN
+        return TermsMessage(upper.astype(np.float32).astype(float), self.weight_sum, self.noise_px)
 
     @property
     def reduced(self) -> FloatArray:
         """(6, 7) hessian and gradient."""
-        return np.column_stack([symmetric_of(self.upper[:21]), self.upper[21:]])
+        return np.column_stack([unpack_symmetric(self.upper[:21]), self.upper[21:]])
 
 
 @dataclass(frozen=True, eq=False)
-class Judges:
-    """What a camera tells all others of the pose that was found.
+class EvaluationMessage:
+    """A camera's evaluation of the final pose.
 
     Attributes:
-        cost, vote: the sum of its robust costs by trust, at its own noise and at `alignment.VOTE_PX`.
-        inliers: number of matches that agree, of so many matches.
-        trust: the sum of theirs.
+        cost, reference_cost: the sum of its robust costs, weighted by `prior_weight`, at its noise and at
+            `camera_terms.REFERENCE_NOISE_PX`.
+        inliers, matches: numbers of inliers and of matches.
+        prior_weight: the sum of the matches' `prior_weight`.
     """
 
     cost: float
-    vote: float
+    reference_cost: float
     inliers: int
     matches: int
-    trust: float
+    prior_weight: float
 
 
-Told = TypeVar("Told", Judges, Says)
+Message = TypeVar("Message", EvaluationMessage, TermsMessage)
 
 
 class Exchange(Protocol):
-    """Tells all others something of each of several poses, waits for theirs, and returns all, by camera."""
+    """Send this camera's messages on several poses to all others, wait for theirs, and return all, by camera."""
 
-    def __call__(self, told: tuple[Told, ...], nothing: tuple[Told, ...], /) -> Sequence[tuple[Told, ...]]:
-        """`nothing`: what a camera says that has no matches, and what is taken for the word of one that is not heard."""
+    def __call__(
+        self, messages: tuple[Message, ...], defaults: tuple[Message, ...], /
+    ) -> Sequence[tuple[Message, ...]]:
+        """Exchange messages.
+
+        Args:
+            messages: this camera's messages.
+            defaults: messages of a camera without matches, which replace those of unreachable cameras.
+        """

@@ -1,4 +1,5 @@
-"""Cameras as nodes that track one object together, each by its own images: agreed rounds of messages, and who takes part.
+"""Distributed tracking: one node per camera, synchronous message rounds, and group membership.
 
-Source: C. Chen, D. Schonfeld, "Pose estimation from multiple cameras based on Sylvester's equation" (2010), for the scheme.
+Source: C. Chen, D. Schonfeld, "Pose estimation from multiple cameras based on Sylvester's equation" (2010), for the
+scheme.
 """

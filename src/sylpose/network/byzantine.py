@@ -1,11 +1,12 @@
-"""Who lies, by what listeners tell each other of what they heard.
+"""Detection of Byzantine cameras from exchanged digests of received payloads.
 
-Words are not signed. Where one listener alone heard something else of a camera than the others, it was told that or makes
-it up: of the two one lies. The camera has to go first, and the listener where it says the same of another one, however much
-later: then the first may come back. Where several heard different things, that camera lies.
+Messages are not signed. If a single receiver reports another payload of a camera than the others, either that camera
+sent it another one or the receiver is faulty. The camera is excluded first. The receiver is excluded if it accuses
+another camera, however much later; then the first may return. If several receivers report different payloads, the
+camera is faulty.
 
-What each says that it heard all others pass on, and what most of them were told counts: of one liar among four or more all
-others come to the same verdict.
+Every claim is relayed by all others, and the majority of the relayed copies counts: with one faulty camera among four
+or more, all others reach the same decision.
 """
 
 from __future__ import annotations
@@ -16,117 +17,137 @@ from collections.abc import Collection, Mapping, Sequence
 from itertools import chain, permutations
 from typing import NamedTuple, TypeAlias
 
-from sylpose.network.wire_format import BITS, bits_of, of_bits
+from sylpose.network.wire_format import MASK_BYTES, decode_cameras, encode_cameras
 
-__all__ = ["NOBODY_LIES", "Blame", "Rows", "claim", "liars", "verdict"]
+__all__ = ["NO_EVIDENCE", "FaultEvidence", "ReceivedDigests", "encode_claim", "find_faulty_cameras", "judge_claims"]
 
-# Camera -> what it says that it heard of each.
-Rows: TypeAlias = Mapping[int, Mapping[int, bytes]]
-# So many others have to have heard a camera for one of them to be in doubt rather than it (derived).
-LISTENERS = 3
-# A camera and the digest of what it told (derived).
-_HEARD = struct.Struct("<H8s")
+# Camera -> digest that it reports for each camera.
+ReceivedDigests: TypeAlias = Mapping[int, Mapping[int, bytes]]
+# Least number of receivers of a camera for a single dissenting receiver to be a suspect as well (derived).
+MIN_RECEIVERS = 3
+# A camera and the digest of its payload (derived).
+_RECEIVED = struct.Struct("<H8s")
 
 
-class Blame(NamedTuple):
-    """alone: who lies; pairs: of each of these one does."""
+class FaultEvidence(NamedTuple):
+    """Evidence of faults.
 
-    alone: frozenset[int]
-    pairs: frozenset[frozenset[int]]
+    Attributes:
+        faulty: faulty cameras.
+        suspect_pairs: pairs of cameras of which one is faulty.
+    """
 
-    def bars(self, camera: int, members: frozenset[int]) -> bool:
-        """Whether a camera may not be with these."""
-        return camera in self.alone or any(camera in pair and pair & members - {camera} for pair in self.pairs)
+    faulty: frozenset[int]
+    suspect_pairs: frozenset[frozenset[int]]
+
+    def excludes(self, camera: int, members: frozenset[int]) -> bool:
+        """Return whether a camera must not be in a group with `members`."""
+        return camera in self.faulty or any(camera in pair and pair & members - {camera} for pair in self.suspect_pairs)
 
     @property
     def suspects(self) -> frozenset[int]:
-        """Who may lie."""
-        return self.alone.union(*self.pairs)
+        """Cameras that may be faulty."""
+        return self.faulty.union(*self.suspect_pairs)
 
-    def sentences(self, names: Sequence[str] | None = None) -> dict[int, str]:
-        """Camera -> what is said of it; names: of all cameras."""
-        called = (lambda c: f"camera {c}") if names is None else names.__getitem__
-        said = {c: f"it or {called(o)} lies of what it told" for pair in self.pairs for c, o in permutations(pair)}
-        return {**said, **dict.fromkeys(self.alone, "it told others something else")}
-
-
-NOBODY_LIES = Blame(frozenset(), frozenset())
-
-
-def _most_said(said: Collection[bytes]) -> tuple[bytes, int]:
-    """What most say, and how many; of several the same one everywhere."""
-    return max(Counter(said).items(), key=lambda one: one[::-1], default=(b"", 0))
+    def describe(self, names: Sequence[str] | None = None) -> dict[int, str]:
+        """Return a message by suspected camera; `names` are those of all cameras."""
+        name_of = (lambda c: f"camera {c}") if names is None else names.__getitem__
+        messages = {
+            c: f"it or {name_of(o)} reports false messages"
+            for pair in self.suspect_pairs
+            for c, o in permutations(pair)
+        }
+        return {**messages, **dict.fromkeys(self.faulty, "it sent different messages to different cameras")}
 
 
-def liars(
-    rows: Rows, accused: Mapping[int, frozenset[int]], blame: Blame = NOBODY_LIES
-) -> tuple[frozenset[int], Blame]:
-    """Who has to go after a dispute, and what is known of who lies by then: the same for all that got the same rows.
+NO_EVIDENCE = FaultEvidence(frozenset(), frozenset())
+
+
+def _majority(values: Collection[bytes]) -> tuple[bytes, int]:
+    """Return the most frequent value and its count; ties are resolved identically at all cameras."""
+    return max(Counter(values).items(), key=lambda one: one[::-1], default=(b"", 0))
+
+
+def find_faulty_cameras(
+    rows: ReceivedDigests, accused: Mapping[int, frozenset[int]], evidence: FaultEvidence = NO_EVIDENCE
+) -> tuple[frozenset[int], FaultEvidence]:
+    """Determine the cameras to exclude after a dispute, the same at all cameras with the same reports.
 
     Args:
-        rows: of those that are left.
-        accused: in whose next words these saw that not all have heard the same.
-        blame: from disputes before.
+        rows: reports of the remaining cameras.
+        accused: camera -> cameras whose next messages had another history.
+        evidence: evidence from earlier disputes.
+
+    Returns:
+        The cameras to exclude, and the updated evidence.
     """
-    alone, pairs, first = set[int](), set[frozenset[int]](), set[int]()
+    faulty, pairs, first_excluded = set[int](), set[frozenset[int]](), set[int]()
     for camera in {*rows, *chain(*rows.values())}:
-        # What a camera says of itself is no evidence.
-        heard = {c: row.get(camera, b"") for c, row in rows.items() if c != camera}
-        most, _ = _most_said(heard.values())
-        odd = [c for c, data in heard.items() if data != most]
-        known = blame.suspects & heard.keys()
-        if len(odd) == 1 and len(heard) >= LISTENERS:
-            pairs.add(frozenset({camera, odd[0]}))
-            first.add(camera)
-        elif len(odd) == len(known) == 1 and camera not in blame.suspects:
-            # Of two listeners the one that has accused another before.
+        # A camera's report of its own payload is no evidence.
+        digests = {c: row.get(camera, b"") for c, row in rows.items() if c != camera}
+        majority_digest, _ = _majority(digests.values())
+        dissenting = [c for c, data in digests.items() if data != majority_digest]
+        known = evidence.suspects & digests.keys()
+        if len(dissenting) == 1 and len(digests) >= MIN_RECEIVERS:
+            pairs.add(frozenset({camera, dissenting[0]}))
+            first_excluded.add(camera)
+        elif len(dissenting) == len(known) == 1 and camera not in evidence.suspects:
+            # Of two receivers, the one that has accused another camera before.
             pairs.add(frozenset({camera, *known}))
-        elif odd:
-            alone.add(camera)
-    if not alone and not pairs:
-        # All have heard the same, but somebody's next word said something else.
+        elif dissenting:
+            faulty.add(camera)
+    if not faulty and not pairs:
+        # All received the same, but a camera's next message had another history.
         for camera in rows:
             by = [c for c, others in accused.items() if camera in others and c != camera]
             if len(by) > 1:
-                alone.add(camera)
+                faulty.add(camera)
             elif by:
                 pairs.add(frozenset({camera, by[0]}))
-                first.add(camera)
-    # Who lies may accuse anybody.
-    alone |= blame.alone
-    every = {pair for pair in pairs | blame.pairs if not pair & alone}
-    while every:
-        camera, count = max(Counter(chain(*every)).items(), key=lambda one: (one[1], -one[0]))
+                first_excluded.add(camera)
+    # A faulty camera may accuse any camera.
+    faulty |= evidence.faulty
+    all_pairs = {pair for pair in pairs | evidence.suspect_pairs if not pair & faulty}
+    while all_pairs:
+        camera, count = max(Counter(chain(*all_pairs)).items(), key=lambda one: (one[1], -one[0]))
         if count < 2:
             break
-        alone.add(camera)
-        every = {pair for pair in every if camera not in pair}
-    out = alone | {camera for camera in first if any(camera in pair for pair in every)}
-    return frozenset(out & rows.keys()), Blame(frozenset(alone), frozenset(every))
+        faulty.add(camera)
+        all_pairs = {pair for pair in all_pairs if camera not in pair}
+    excluded = faulty | {camera for camera in first_excluded if any(camera in pair for pair in all_pairs)}
+    return frozenset(excluded & rows.keys()), FaultEvidence(frozenset(faulty), frozenset(all_pairs))
 
 
-def claim(odd: frozenset[int], row: Mapping[int, bytes]) -> bytes:
-    """What a camera says in a dispute: whose next words are odd, and digests of what it heard of each."""
-    return bits_of(odd) + b"".join(_HEARD.pack(c, row[c]) for c in sorted(row))
+def encode_claim(accused: frozenset[int], digests: Mapping[int, bytes]) -> bytes:
+    """Encode a camera's claim: cameras with conflicting next messages, and digests of what it received from each."""
+    return encode_cameras(accused) + b"".join(_RECEIVED.pack(c, digests[c]) for c in sorted(digests))
 
 
-def verdict(
-    cameras: Collection[int], received: Mapping[int, Mapping[int, bytes]], blame: Blame
-) -> tuple[frozenset[int], Blame]:
-    """As `liars`, of claims that were passed on.
+def judge_claims(
+    cameras: Collection[int], received: Mapping[int, Mapping[int, bytes]], evidence: FaultEvidence
+) -> tuple[frozenset[int], FaultEvidence]:
+    """Apply `find_faulty_cameras` to relayed claims.
 
     Args:
-        cameras: that took part.
-        received: by camera, what it says that it received of each other one, as its claim.
+        cameras: members of the disputed round.
+        received: camera -> the claims that it received, by camera.
+        evidence: evidence from earlier disputes.
+
+    Returns:
+        The cameras to exclude, and the updated evidence.
     """
     rows, accused, unclear = dict[int, Mapping[int, bytes]](), dict[int, frozenset[int]](), set[int]()
     for camera in sorted(cameras):
-        others = [claims.get(camera, b"") for c, claims in received.items() if c != camera and c not in blame.suspects]
-        said, count = _most_said(others)
-        odd, heard = said[:BITS], said[BITS:]
-        if 2 * count > len(others) and odd and len(heard) % _HEARD.size == 0:
-            rows[camera], accused[camera] = dict(_HEARD.iter_unpack(heard)), of_bits(odd)
-        elif b"" not in others:  # who has not heard it has given it up
+        others = [
+            claims.get(camera, b"") for c, claims in received.items() if c != camera and c not in evidence.suspects
+        ]
+        majority_claim, count = _majority(others)
+        accused_bits, digest_bytes = majority_claim[:MASK_BYTES], majority_claim[MASK_BYTES:]
+        if 2 * count > len(others) and accused_bits and len(digest_bytes) % _RECEIVED.size == 0:
+            rows[camera], accused[camera] = dict(_RECEIVED.iter_unpack(digest_bytes)), decode_cameras(accused_bits)
+        elif b"" not in others:  # a camera without its claim has excluded it
             unclear.add(camera)
-    out, blame = liars(rows, accused, Blame(blame.alone | unclear, blame.pairs))
-    return out | unclear, blame
+    excluded, evidence = find_faulty_cameras(
+        rows, accused, FaultEvidence(evidence.faulty | unclear, evidence.suspect_pairs)
+    )
+    return excluded | unclear, evidence

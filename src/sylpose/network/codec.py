@@ -1,9 +1,8 @@
-"""Records of numbers as bytes, and back: what cameras tell each other (`tracking.reports`) on a wire.
+"""Binary encoding of the records (`tracking.reports`) that cameras exchange.
 
-MessagePack; a record is its number in `RECORDS` and its fields in order, an array its numbers in as few bytes as keep
-them all (`network.arrays`).
-What arrives is bounded and checked against the types of the fields before any of it is used, and nothing in it can name a
-function: it is data.
+The format is MessagePack: a record is its index in `RECORDS` with its fields in order, an array is losslessly
+compressed (`network.arrays`). Received data is bounded and validated against the field types before use, and cannot
+name a function.
 """
 
 from __future__ import annotations
@@ -15,185 +14,195 @@ import msgspec
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.geometry.record_validation import Shapes, check_shapes, fields_of, typed
-from sylpose.landmarks.alignment import Sights
-from sylpose.landmarks.messages import Judges, Says
-from sylpose.network.arrays import array_packed, array_unpacked
-from sylpose.network.frame_announcement import Roll
+from sylpose.geometry.record_validation import Shapes, check_shapes, convert_to_type, get_fields
+from sylpose.landmarks.alignment import LandmarkMatches
+from sylpose.landmarks.messages import EvaluationMessage, TermsMessage
+from sylpose.network.arrays import decode_array, encode_array
+from sylpose.network.frame_announcement import FrameAnnouncement
 from sylpose.relative_pose.terms import TermData
 from sylpose.tracking.frame import SolvedFrame
-from sylpose.tracking.joint_state import Joint, Nudge
+from sylpose.tracking.joint_state import JointState, Nudge
 from sylpose.tracking.klt_frontend import Anchor
-from sylpose.tracking.motion_model import Velocity
+from sylpose.tracking.motion_model import VelocityModel
 from sylpose.tracking.object_model import ObjectModel
 from sylpose.tracking.reports import (
-    Ages,
-    Agreed,
-    Chance,
-    Following,
-    Known,
-    Middle,
-    Moved,
-    Recognised,
-    Seen,
-    Sighted,
-    Stance,
+    BoxMotionReport,
+    CameraMotionReport,
+    CameraObservations,
+    InlierStatistics,
+    KnownDepthMatches,
+    LandmarkAges,
+    MovingMatches,
+    NewObservations,
+    PoseAgreement,
+    RelocalizationMatches,
+    TrackingReport,
 )
-from sylpose.tracking.state_transfer import Handover, Waited
+from sylpose.tracking.state_transfer import BufferedRecord, Handover
 
-__all__ = ["LARGEST", "RECORDS", "packed", "unpacked"]
+__all__ = ["MAX_PAYLOAD_BYTES", "RECORDS", "decode", "encode"]
 
 T = TypeVar("T")
 
-# A longer message is refused unread, bytes: the matches of a first motion are the most that is ever sent, 50,000 of
-# them (choice).
-LARGEST = 4_000_000
-# No number of a pose comes near it (choice).
-LARGEST_NUMBER = 1e30
-# What may be sent, and the shapes of its arrays. The order is the wire's: new ones go to the end.
+# Longer messages are rejected without decoding, bytes: the matches of an initial motion, 50,000 of them, are the
+# largest payload (choice).
+MAX_PAYLOAD_BYTES = 4_000_000
+# Upper bound of the numbers in a pose (choice).
+MAX_POSE_NUMBER = 1e30
+# Record types and the shapes of their arrays. The order is part of the wire format: append new types at the end.
 SHAPES: dict[type[Any], Shapes] = {
-    Says: {"upper": (27,)},
-    Judges: {},
-    Following: {},
-    Moved: {"shift_px": ("n",)},
-    Middle: {},
-    Ages: {"values": ("n",), "counts": ("n",)},
-    Chance: {},
-    Known: {"weights": ("n",)},
-    Agreed: {},
-    Recognised: {"points": ("n", 3), "pixels": ("n", 2)},
-    Stance: {"turn": (3,)},
-    Seen: {"frame": ("n",), "landmark": ("n",), "image": ("n", 2), "known": ("m",), "place": ("m", 3)},
+    TermsMessage: {"upper": (27,)},
+    EvaluationMessage: {},
+    TrackingReport: {},
+    MovingMatches: {"displacement_px": ("n",)},
+    BoxMotionReport: {},
+    LandmarkAges: {"values": ("n",), "counts": ("n",)},
+    InlierStatistics: {},
+    KnownDepthMatches: {"weights": ("n",)},
+    PoseAgreement: {},
+    RelocalizationMatches: {"points": ("n", 3), "pixels": ("n", 2)},
+    CameraMotionReport: {"rotation": (3,)},
+    NewObservations: {
+        "frame": ("n",),
+        "landmark": ("n",),
+        "image": ("n", 2),
+        "landmark_ids": ("m",),
+        "positions": ("m", 3),
+    },
     TermData: {"x": ("n", 2), "y": ("n", 2), "rotation": (3, 3), "center": (3,)},
-    Sights: {
+    LandmarkMatches: {
         "points": ("n", 3),
         "depth_error": ("n", 3),
         "image": ("n", 2),
         "feature": ("n",),
-        "trust": ("n",),
+        "prior_weight": ("n",),
         "rotation": (3, 3),
         "center": (3,),
     },
-    Sighted: {
+    CameraObservations: {
         "frame": ("n",),
         "landmark": ("n",),
         "image": ("n", 2),
-        "known": ("m",),
-        "place": ("m", 3),
-        "moved": ("m",),
+        "landmark_ids": ("m",),
+        "positions": ("m", 3),
+        "has_moved": ("m",),
     },
     Handover: {},
-    Waited: {"times": ("n",), "late": ("n",)},
-    Joint: {"refined": (6, 6)},
+    BufferedRecord: {"times": ("n",), "time_offsets": ("n",)},
+    JointState: {"refined_covariance": (6, 6)},
     ObjectModel: {"center": (3,), "points": ("n", 3)},
-    SolvedFrame: {"late": ("n",), "covariance": (6, 6), "viewpoints": ("n", 3), "sees": ("n",)},
+    SolvedFrame: {"time_offsets": ("n",), "covariance": (6, 6), "viewpoints": ("n", 3), "is_visible": ("n",)},
     Anchor: {},
-    Velocity: {"twist": (6,), "unsteady": (6,)},
-    Nudge: {"turn": (3,)},
-    Roll: {},
+    VelocityModel: {"twist": (6,), "change_variance": (6,)},
+    Nudge: {"rotation": (3,)},
+    FrameAnnouncement: {},
 }
 RECORDS = tuple(SHAPES)
-# Codes of MessagePack's extension types: records have their number in `RECORDS` (choice).
+# Codes of MessagePack extension types; records use their index in `RECORDS` (choice).
 _POSE, _ARRAYS = 100, 101
 
 
-def packed(told: object) -> bytes:
-    """A record, a number, an array, or a list or tuple of these.
+def encode(value: object) -> bytes:
+    """Encode a record, number, array, or a list or tuple of these.
 
     Raises:
-        TypeError: something else.
+        TypeError: an unsupported type.
     """
-    return msgspec.msgpack.encode(_plain(told))
+    return msgspec.msgpack.encode(_to_plain(value))
 
 
-def unpacked(data: bytes, nothing: T) -> T:
-    """The inverse of `packed`, of the same kind as `nothing` is.
+def decode(data: bytes, template: T) -> T:
+    """Decode the output of `encode`.
+
+    Args:
+        data: the bytes.
+        template: a value of the expected structure and types.
 
     Raises:
-        ValueError: why these bytes are no such thing.
+        ValueError: the reason why the bytes are no such value.
     """
-    if len(data) > LARGEST:
-        raise ValueError(f"{len(data)} bytes are more than any message has")
+    if len(data) > MAX_PAYLOAD_BYTES:
+        raise ValueError(f"{len(data)} bytes exceed the largest message")
     try:
-        told = msgspec.msgpack.decode(data, ext_hook=_extension)
+        value = msgspec.msgpack.decode(data, ext_hook=_decode_extension)
     except (msgspec.DecodeError, RecursionError) as error:
-        raise ValueError(f"no message: {error}") from None
-    return cast(T, _like(told, nothing))
+        raise ValueError(f"not a message: {error}") from None
+    return cast(T, _check_like(value, template))
 
 
-def _plain(value: Any) -> Any:
+def _to_plain(value: Any) -> Any:
     if is_dataclass(value) and type(value) in RECORDS:
-        content = [_plain(getattr(value, field.name)) for field in fields(value)]
+        content = [_to_plain(getattr(value, field.name)) for field in fields(value)]
         return msgspec.msgpack.Ext(RECORDS.index(type(value)), msgspec.msgpack.encode(content))
     if isinstance(value, np.ndarray) and value.dtype.kind == "b":
-        return _plain(value.astype(np.int64))
+        return _to_plain(value.astype(np.int64))
     if isinstance(value, np.ndarray):
-        return msgspec.msgpack.Ext(_ARRAYS, array_packed(value))
+        return msgspec.msgpack.Ext(_ARRAYS, encode_array(value))
     if isinstance(value, RigidTransform):
         numbers = np.concatenate([value.rotation.as_quat(), value.translation])
         return msgspec.msgpack.Ext(_POSE, numbers.astype("<f8").tobytes())
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, (list, tuple)):
-        return [_plain(part) for part in value]
+        return [_to_plain(part) for part in value]
     if value is None or isinstance(value, (bool, int, float)):
         return value
-    raise TypeError(f"{type(value).__name__} is not sent")
+    raise TypeError(f"{type(value).__name__} cannot be sent")
 
 
-def _extension(code: int, content: memoryview) -> Any:
+def _decode_extension(code: int, content: memoryview) -> Any:
     data = bytes(content)
     if code == _ARRAYS:
-        return array_unpacked(data)
+        return decode_array(data)
     if code == _POSE:
         numbers = np.frombuffer(data, "<f8") if len(data) == 56 else np.full(7, np.nan)
-        # The largest part of a unit quaternion is half at least.
-        if not (np.abs(numbers) < LARGEST_NUMBER).all() or not 0.4 < np.abs(numbers[:4]).max() < 1.1:
-            raise ValueError("no pose")
+        # The largest component of a unit quaternion is at least one half.
+        if not (np.abs(numbers) < MAX_POSE_NUMBER).all() or not 0.4 < np.abs(numbers[:4]).max() < 1.1:
+            raise ValueError("not a pose")
         return RigidTransform.from_components(numbers[4:], Rotation.from_quat(numbers[:4]))
     if not 0 <= code < len(RECORDS):
         raise ValueError(f"no record has the number {code}")
     try:
-        content_of = msgspec.msgpack.decode(data, ext_hook=_extension)
+        field_values = msgspec.msgpack.decode(data, ext_hook=_decode_extension)
     except (msgspec.DecodeError, RecursionError) as error:
-        raise ValueError(f"no record: {error}") from None
+        raise ValueError(f"not a record: {error}") from None
     kind = RECORDS[code]
-    hints = fields_of(kind)
-    if not isinstance(content_of, list) or len(content_of) != len(hints):
-        raise ValueError(f"no {kind.__name__}: it has {len(hints)} fields")
-    record = kind(*(_checked(kind, name, hint, v) for (name, hint), v in zip(hints, content_of, strict=True)))
+    hints = get_fields(kind)
+    if not isinstance(field_values, list) or len(field_values) != len(hints):
+        raise ValueError(f"not a {kind.__name__}: {len(hints)} fields were expected")
+    record = kind(*(_check_field(kind, name, hint, v) for (name, hint), v in zip(hints, field_values, strict=True)))
     check_shapes(record, SHAPES[kind])
     return record
 
 
-def _checked(kind: type[Any], name: str, hint: Any, value: Any) -> Any:
-    """The value of a field, if it is of its type."""
+def _check_field(kind: type[Any], name: str, hint: Any, value: Any) -> Any:
+    """Return a field's value if it has the field's type."""
     try:
-        return typed(hint, value)
+        return convert_to_type(hint, value)
     except TypeError:
-        what = "is missing" if value is None else f"is a {type(value).__name__}"
-        raise ValueError(f"no {kind.__name__}: {name} {what}") from None
+        problem = "is missing" if value is None else f"is a {type(value).__name__}"
+        raise ValueError(f"not a {kind.__name__}: {name} {problem}") from None
 
 
-def _like(told: Any, nothing: Any) -> Any:
-    """What was told, if it is of the kind of another thing."""
-    if isinstance(nothing, tuple):
-        if not isinstance(told, list) or len(told) != len(nothing):
-            raise ValueError(f"{len(nothing)} values were expected")
-        return tuple(_like(a, b) for a, b in zip(told, nothing, strict=True))
-    if isinstance(nothing, np.ndarray):
-        if not isinstance(told, np.ndarray) or told.ndim != nothing.ndim or told.dtype != nothing.dtype:
-            raise ValueError(f"an array of {nothing.ndim} dimensions of {nothing.dtype} was expected")
-        if told.ndim == 2 and told.shape[1] != nothing.shape[1]:
-            raise ValueError(f"an array of {nothing.shape[1]} columns was expected")
-        return told
-    if isinstance(nothing, list):
-        if not isinstance(told, list) or not all(type(part) in RECORDS for part in told):
+def _check_like(value: Any, template: Any) -> Any:
+    """Validate a decoded value against the structure and types of `template`."""
+    if isinstance(template, tuple):
+        if not isinstance(value, list) or len(value) != len(template):
+            raise ValueError(f"{len(template)} values were expected")
+        return tuple(_check_like(a, b) for a, b in zip(value, template, strict=True))
+    if isinstance(template, np.ndarray):
+        if not isinstance(value, np.ndarray) or value.ndim != template.ndim or value.dtype != template.dtype:
+            raise ValueError(f"an array of {template.ndim} dimensions of {template.dtype} was expected")
+        if value.ndim == 2 and value.shape[1] != template.shape[1]:
+            raise ValueError(f"an array of {template.shape[1]} columns was expected")
+        return value
+    if isinstance(template, list):
+        if not isinstance(value, list) or not all(type(part) in RECORDS for part in value):
             raise ValueError("a list of records was expected")
-        return told
-    kind = type(nothing)
-    if kind is float and type(told) is int:
-        return float(told)
-    if type(told) is not kind:
-        raise ValueError(f"a {kind.__name__} was expected, not a {type(told).__name__}")
-    return told
+        return value
+    kind = type(template)
+    if kind is float and type(value) is int:
+        return float(value)
+    if type(value) is not kind:
+        raise ValueError(f"a {kind.__name__} was expected, not a {type(value).__name__}")
+    return value

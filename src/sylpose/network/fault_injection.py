@@ -1,4 +1,4 @@
-"""What becomes of the words of a node that lies: for the simulated network."""
+"""Byzantine fault injection for the simulated network: falsified messages of a camera."""
 
 from __future__ import annotations
 
@@ -8,94 +8,109 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.matrices import symmetric_of
-from sylpose.landmarks.messages import Says
-from sylpose.network.codec import packed, unpacked
-from sylpose.network.wire_format import HEADER, TELLS, kind_of
+from sylpose.geometry.matrices import unpack_symmetric
+from sylpose.landmarks.messages import TermsMessage
+from sylpose.network.codec import decode, encode
+from sylpose.network.wire_format import DATA, HEADER, message_kind
 
-__all__ = ["Liar", "Lie", "false_content", "liar"]
+__all__ = ["FaultKind", "MessageFault", "make_message_fault", "make_payload_fault"]
 
-Lie = Literal["two-faced", "whispering", "accusing", "stubborn", "false", "heavy", "bent", "nan", "junk", "flipped"]
-# A node's word as it arrives at another one.
-Liar: TypeAlias = Callable[[bytes, int], bytes]
+FaultKind = Literal[
+    "two-faced", "whispering", "accusing", "stubborn", "false", "heavy", "bent", "nan", "junk", "flipped"
+]
+# Falsifies a message, given its bytes and the receiver.
+MessageFault: TypeAlias = Callable[[bytes, int], bytes]
 
-# A claim so many times too large; how far off a false pose is, radians and of the object's size (choice).
-HEAVY, OFF = 900.0, 0.3
-# Bytes that are others (choice).
-FLIPPED = 2
-# From which round on a camera accuses the others (choice).
-ACCUSES = 40
+# Factor by which information is exaggerated; and error of a false pose, radians and relative to the object's size
+# (choice).
+EXAGGERATION, POSE_ERROR = 900.0, 0.3
+# Number of corrupted bytes (choice).
+N_CORRUPTED_BYTES = 2
+# First round in which a camera accuses the others (choice).
+FIRST_ACCUSING_ROUND = 40
 
 
-def liar(lie: Lie, camera: int, cameras: int, seed: int = 0) -> Liar | None:
-    """How a camera of so many tells its listeners different things; None where it tells all the same (`false_content`).
+def make_message_fault(fault: FaultKind, camera: int, cameras: int, seed: int = 0) -> MessageFault | None:
+    """Make a fault in which a camera sends different messages to different receivers.
 
     Args:
-        lie: "two-faced", another false pose for each listener; "whispering", one for one listener alone, the others are told
-            the truth; "accusing", the truth, with a digest of something else.
+        fault: "two-faced", another false pose for each receiver; "whispering", a false pose for one receiver and the
+            truth for the others; "accusing", the truth, with the digest of another history.
+        camera: number of the faulty camera.
+        cameras: number of cameras.
+        seed: seed of the random errors.
+
+    Returns:
+        The fault; None if the camera sends the same to all (`make_payload_fault`).
     """
     victim = (camera + 1) % cameras
 
-    def lies(data: bytes, to: int) -> bytes:
-        if kind_of(data) != TELLS or (lie == "whispering" and to != victim):
+    def falsify(data: bytes, to: int) -> bytes:
+        if message_kind(data) != DATA or (fault == "whispering" and to != victim):
             return data
         kind, sender, number, epoch = HEADER.unpack_from(data)
-        if lie == "accusing":
-            return HEADER.pack(kind, sender, number, epoch ^ (number > ACCUSES)) + data[HEADER.size :]
-        return data[: HEADER.size] + _changed(data[HEADER.size :], lie, np.random.default_rng([seed, camera, to]))
+        if fault == "accusing":
+            return HEADER.pack(kind, sender, number, epoch ^ (number > FIRST_ACCUSING_ROUND)) + data[HEADER.size :]
+        return data[: HEADER.size] + _falsify_payload(
+            data[HEADER.size :], fault, np.random.default_rng([seed, camera, to])
+        )
 
-    return lies if lie in ("two-faced", "whispering", "accusing") else None
+    return falsify if fault in ("two-faced", "whispering", "accusing") else None
 
 
-def false_content(lie: Lie, camera: int, seed: int = 0) -> Callable[[bytes], bytes]:
-    """What a camera tells in place of the truth, and goes on with itself.
+def make_payload_fault(fault: FaultKind, camera: int, seed: int = 0) -> Callable[[bytes], bytes]:
+    """Make a fault in which a camera replaces its payload, for all receivers and itself.
 
     Args:
-        lie: "stubborn", always the same false pose; "false", another one in each round; "heavy", 900 times the information,
-            of a false pose; "bent", an information that is none; "nan", no numbers; "junk", other bytes; "flipped", some
-            bytes of any message are others.
+        fault: "stubborn", always the same false pose; "false", another one in each round; "heavy", a false pose with
+            900 times the information; "bent", an indefinite information matrix; "nan", NaN; "junk", random bytes;
+            "flipped", corrupted bytes in any message.
+        camera: number of the faulty camera.
+        seed: seed of the random errors.
     """
-    rng, anew = np.random.default_rng([seed, camera]), lie in ("false", "flipped")
-    return lambda content: _changed(content, lie, rng if anew else np.random.default_rng([seed, camera]))
+    rng, is_varying = np.random.default_rng([seed, camera]), fault in ("false", "flipped")
+    return lambda content: _falsify_payload(
+        content, fault, rng if is_varying else np.random.default_rng([seed, camera])
+    )
 
 
-def _changed(content: bytes, lie: Lie, rng: np.random.Generator) -> bytes:
-    """Of a round of the alignment; another message stays, unless bytes are flipped."""
-    if lie == "flipped":
+def _falsify_payload(content: bytes, fault: FaultKind, rng: np.random.Generator) -> bytes:
+    """Falsify the payload of an alignment round; other payloads only if bytes are corrupted."""
+    if fault == "flipped":
         data = np.frombuffer(content, np.uint8).copy()
         if len(data):
-            data[rng.integers(len(data), size=FLIPPED)] = rng.integers(256, size=FLIPPED)
+            data[rng.integers(len(data), size=N_CORRUPTED_BYTES)] = rng.integers(256, size=N_CORRUPTED_BYTES)
         return data.tobytes()
-    says = _says_of(content)
-    if not says:
+    messages = _decode_messages(content)
+    if not messages:
         return content
-    if lie == "junk":
+    if fault == "junk":
         return rng.bytes(len(content))
-    off = OFF * rng.standard_normal(6)
-    return packed(tuple(_false(one, lie, off) for one in says))
+    pose_error = POSE_ERROR * rng.standard_normal(6)
+    return encode(tuple(_falsify_message(one, fault, pose_error) for one in messages))
 
 
-def _says_of(content: bytes) -> tuple[Says, ...]:
-    """What a camera says of several poses in a round of the alignment; nothing of another message."""
+def _decode_messages(content: bytes) -> tuple[TermsMessage, ...]:
+    """Decode a camera's contributions for several poses in an alignment round; empty for other messages."""
     for count in range(1, 40):
         try:
-            return unpacked(content, (Says(np.zeros(27), 0.0, np.nan),) * count)
+            return decode(content, (TermsMessage(np.zeros(27), 0.0, np.nan),) * count)
         except ValueError:
             continue
     return ()
 
 
-def _false(says: Says, lie: Lie, off: FloatArray) -> Says:
-    upper = says.upper.copy()
-    information = symmetric_of(upper[:21])
-    if lie == "nan":
+def _falsify_message(message: TermsMessage, fault: FaultKind, pose_error: FloatArray) -> TermsMessage:
+    upper = message.upper.copy()
+    information = unpack_symmetric(upper[:21])
+    if fault == "nan":
         upper[:] = np.nan
-    elif lie == "bent":
+    elif fault == "bent":
         upper[:21] *= -1.0
     else:
-        # Where it says the pose is, it would be at rest.
+        # The gradient vanishes at the false pose.
         scale = np.sqrt(np.trace(information[:3, :3]) / max(np.trace(information[3:, 3:]), 1e-300))
-        upper[21:] = -information @ (off * np.repeat([1.0, scale], 3))
-    if lie == "heavy":
-        return Says(upper * HEAVY, says.mass * HEAVY, says.level_px)
-    return Says(upper, says.mass, says.level_px)
+        upper[21:] = -information @ (pose_error * np.repeat([1.0, scale], 3))
+    if fault == "heavy":
+        return TermsMessage(upper * EXAGGERATION, message.weight_sum * EXAGGERATION, message.noise_px)
+    return TermsMessage(upper, message.weight_sum, message.noise_px)

@@ -1,4 +1,4 @@
-"""What members of a group say to each other before each frame: which one it is, who joins, whether they leave."""
+"""Frame announcements: before each frame, members agree on its number, on newcomers and on leaving the group."""
 
 from __future__ import annotations
 
@@ -7,45 +7,48 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["ABSENT", "NO_FRAME", "WAITS", "Roll", "common", "instant_of"]
+__all__ = ["ABSENT", "FRAME_PENDING", "NO_FRAME", "FrameAnnouncement", "choose_frame", "find_common_newcomers"]
 
-# Numbers of no frame: at a recording's end, and where one may come yet (derived).
-NO_FRAME, WAITS = -1, -2
+# Frame numbers without a frame: at the end of a recording, and while none is available (derived).
+NO_FRAME, FRAME_PENDING = -1, -2
 
 
 @dataclass(frozen=True, eq=False)
-class Roll:
-    """One camera's word before a frame.
+class FrameAnnouncement:
+    """Announcement of one camera before a frame.
 
     Attributes:
-        newest: number of the newest frame that it has, not before the one that all wait for; `NO_FRAME` where no more
-            come, `WAITS` where there is none now.
-        time: that it was taken at, seconds; NaN without a time stamp.
-        newcomers: whom it would take in.
-        outdone: whether it would leave for a larger group.
-        knows: whether it has seen anything of the object that it would know again.
+        newest: number of its newest frame, at least the requested one; `NO_FRAME` at the end, `FRAME_PENDING` if none
+            is available yet.
+        time: timestamp of that frame, seconds; NaN without one.
+        newcomers: nodes that it would admit.
+        is_outranked: whether it would leave for a larger group.
+        has_object: whether it has landmarks by which it could relocalize the object.
     """
 
     newest: int
     time: float
     newcomers: tuple[int, ...]
-    outdone: bool
-    knows: bool
+    is_outranked: bool
+    has_object: bool
 
 
-# Of a camera that is no member.
-ABSENT = Roll(NO_FRAME, np.nan, (), False, False)
+# Announcement of a camera that is not a member.
+ABSENT = FrameAnnouncement(NO_FRAME, np.nan, (), False, False)
 
 
-def instant_of(rolls: Sequence[Roll], wanted: int) -> int:
-    """The frame that is next: the newest that half of those have that have any from the `wanted` one on; `WAITS` where
-    nobody has one now, and `NO_FRAME` where nobody will."""
-    newest = sorted(roll.newest for roll in rolls if roll.newest >= wanted)
+def choose_frame(announcements: Sequence[FrameAnnouncement], wanted: int) -> int:
+    """Choose the next frame: the median of the newest frames, among cameras with any from `wanted` on.
+
+    Returns:
+        Its number; `FRAME_PENDING` if no camera has one yet, `NO_FRAME` at the end of all.
+    """
+    newest = sorted(announcement.newest for announcement in announcements if announcement.newest >= wanted)
     if newest:
         return newest[(len(newest) - 1) // 2]
-    return WAITS if any(roll.newest == WAITS for roll in rolls) else NO_FRAME
+    return FRAME_PENDING if any(announcement.newest == FRAME_PENDING for announcement in announcements) else NO_FRAME
 
 
-def common(rolls: Sequence[Roll]) -> frozenset[int]:
-    """Whom all would take in."""
-    return frozenset.intersection(*(frozenset(roll.newcomers) for roll in rolls))
+def find_common_newcomers(announcements: Sequence[FrameAnnouncement]) -> frozenset[int]:
+    """Return the newcomers that all members would admit."""
+    return frozenset.intersection(*(frozenset(announcement.newcomers) for announcement in announcements))

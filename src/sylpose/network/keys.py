@@ -1,7 +1,7 @@
-"""Keys for a network of nodes: a certificate authority of the operator's own, and a key for each camera.
+"""TLS keys of a network of nodes: a private certificate authority and a key for each camera.
 
-One folder, `ca.pem` and for each name `NAME.pem` and `NAME.key`; the operator copies ca.pem and a camera's own two files to
-its machine. `ca.key` makes further keys and stays where it is.
+A folder contains `ca.pem` and, for each name, `NAME.pem` and `NAME.key`. The operator copies ca.pem and a camera's own
+two files to its machine. `ca.key` issues further keys and must stay in place.
 """
 
 from __future__ import annotations
@@ -11,85 +11,87 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from sylpose.atomic_io import output_folder, replacing
+from sylpose.atomic_io import make_output_folder, replace_atomically
 
-__all__ = ["LISTENER", "access_rules", "make_keys", "tls_settings"]
+__all__ = ["OBSERVER", "build_access_rules", "build_tls_settings", "make_keys"]
 
-# Days for which keys are good (choice: the life of a rig).
-DAYS = 3650
-# Who listens only has a key of this name, too (choice).
-LISTENER = "viewer"
+# Validity of the keys, days (choice: the life of a rig).
+VALIDITY_DAYS = 3650
+# Name of the key for observers that only receive (choice).
+OBSERVER = "viewer"
 
 
 def make_keys(folder: Path, names: Sequence[str], hosts: Sequence[str] = ()) -> list[Path]:
-    """Make a certificate authority, and a key for each name; what is there already is kept.
+    """Create a certificate authority and a key for each name; existing files are kept.
 
     Args:
-        hosts: names and addresses of the machines, besides localhost.
+        folder: where the files are.
+        names: names of the cameras.
+        hosts: host names and addresses of the machines, in addition to localhost.
 
     Returns:
-        the files written.
+        The files written.
 
     Raises:
-        ValueError: a folder with a certificate authority that lost its key; a camera that is called like another key.
+        ValueError: a certificate authority without its key, or a camera with a reserved name.
     """
     from cryptography import x509
     from cryptography.hazmat.primitives import hashes, serialization
     from cryptography.hazmat.primitives.asymmetric import ec
     from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-    for name in {LISTENER, "ca", "sylpose"} & set(names):
-        raise ValueError(f"camera {name!r}: the key of that name is another one's")
-    output_folder(folder)
+    for name in {OBSERVER, "ca", "sylpose"} & set(names):
+        raise ValueError(f"camera {name!r}: this name is reserved for another key")
+    make_output_folder(folder)
     now, written = datetime.now(UTC), []
 
-    def subject(name: str) -> x509.Name:
+    def make_name(name: str) -> x509.Name:
         return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
 
-    def put(path: Path, data: bytes, *, secret: bool) -> None:
-        with replacing(path, mode=0o600 if secret else 0o644) as part:
+    def write_file(path: Path, data: bytes, *, secret: bool) -> None:
+        with replace_atomically(path, mode=0o600 if secret else 0o644) as part:
             part.write_bytes(data)
         written.append(path)
 
-    def pem(key: ec.EllipticCurvePrivateKey) -> bytes:
+    def encode_private_key(key: ec.EllipticCurvePrivateKey) -> bytes:
         return key.private_bytes(
             serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
         )
 
-    def certificate(name: str, public: ec.EllipticCurvePublicKey, issuer: x509.Name) -> x509.CertificateBuilder:
+    def make_builder(name: str, public: ec.EllipticCurvePublicKey, issuer: x509.Name) -> x509.CertificateBuilder:
         return (
             x509.CertificateBuilder()
-            .subject_name(subject(name))
+            .subject_name(make_name(name))
             .issuer_name(issuer)
             .public_key(public)
             .serial_number(x509.random_serial_number())
             .not_valid_before(now - timedelta(days=1))
-            .not_valid_after(now + timedelta(days=DAYS))
+            .not_valid_after(now + timedelta(days=VALIDITY_DAYS))
         )
 
     ca_file, ca_key_file = folder / "ca.pem", folder / "ca.key"
     if ca_file.exists() and not ca_key_file.exists():
-        raise ValueError(f"{ca_key_file}: not there, so no keys can be made for {ca_file.name}")
+        raise ValueError(f"{ca_key_file}: missing, so {ca_file.name} cannot issue keys")
     if ca_file.exists():
         loaded = serialization.load_pem_private_key(ca_key_file.read_bytes(), None)
         assert isinstance(loaded, ec.EllipticCurvePrivateKey)
         ca_key, authority = loaded, x509.load_pem_x509_certificate(ca_file.read_bytes()).subject
     else:
-        ca_key, authority = ec.generate_private_key(ec.SECP256R1()), subject("sylpose")
+        ca_key, authority = ec.generate_private_key(ec.SECP256R1()), make_name("sylpose")
         ca = (
-            certificate("sylpose", ca_key.public_key(), authority)
+            make_builder("sylpose", ca_key.public_key(), authority)
             .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
             .sign(ca_key, hashes.SHA256())
         )
-        put(ca_key_file, pem(ca_key), secret=True)
-        put(ca_file, ca.public_bytes(serialization.Encoding.PEM), secret=False)
-    alternatives = [_host(host) for host in ("localhost", "127.0.0.1", *hosts)]
-    for name in (*names, LISTENER):
+        write_file(ca_key_file, encode_private_key(ca_key), secret=True)
+        write_file(ca_file, ca.public_bytes(serialization.Encoding.PEM), secret=False)
+    alternatives = [_parse_host(host) for host in ("localhost", "127.0.0.1", *hosts)]
+    for name in (*names, OBSERVER):
         if (folder / f"{name}.pem").exists():
             continue
         key = ec.generate_private_key(ec.SECP256R1())
         signed = (
-            certificate(name, key.public_key(), authority)
+            make_builder(name, key.public_key(), authority)
             .add_extension(x509.SubjectAlternativeName(alternatives), critical=False)
             .add_extension(
                 x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]),
@@ -97,12 +99,12 @@ def make_keys(folder: Path, names: Sequence[str], hosts: Sequence[str] = ()) -> 
             )
             .sign(ca_key, hashes.SHA256())
         )
-        put(folder / f"{name}.key", pem(key), secret=True)
-        put(folder / f"{name}.pem", signed.public_bytes(serialization.Encoding.PEM), secret=False)
+        write_file(folder / f"{name}.key", encode_private_key(key), secret=True)
+        write_file(folder / f"{name}.pem", signed.public_bytes(serialization.Encoding.PEM), secret=False)
     return written
 
 
-def _host(host: str) -> Any:
+def _parse_host(host: str) -> Any:
     from ipaddress import ip_address
 
     from cryptography import x509
@@ -113,16 +115,16 @@ def _host(host: str) -> Any:
         return x509.DNSName(host)
 
 
-def tls_settings(folder: Path, name: str) -> dict[str, Any]:
-    """Of mutual TLS.
+def build_tls_settings(folder: Path, name: str) -> dict[str, Any]:
+    """Return the Zenoh settings for mutual TLS.
 
     Raises:
-        ValueError: a file that is not there.
+        ValueError: a missing file.
     """
     ca, certificate, key = folder / "ca.pem", folder / f"{name}.pem", folder / f"{name}.key"
     for file in (ca, certificate, key):
         if not file.is_file():
-            raise ValueError(f"{file}: no such file; `sylpose network init` makes keys")
+            raise ValueError(f"{file}: no such file; create keys with `sylpose network init`")
     return {
         "root_ca_certificate": str(ca.resolve()),
         "enable_mtls": True,
@@ -135,28 +137,28 @@ def tls_settings(folder: Path, name: str) -> dict[str, Any]:
     }
 
 
-def access_rules(names: Sequence[str]) -> dict[str, Any]:
-    """Who may say what: everyone listens, and speaks under its own name alone.
+def build_access_rules(names: Sequence[str]) -> dict[str, Any]:
+    """Return Zenoh's access control: everyone may receive, and send only under its own name.
 
     Args:
-        names: of the cameras.
+        names: names of the cameras.
     """
     everything = "sylpose/**"
-    listens = {
+    subscribe_rule = {
         "id": "listens",
         "permission": "allow",
         "flows": ["ingress", "egress"],
         "messages": ["declare_subscriber", "declare_liveliness_subscriber", "liveliness_query", "query", "reply"],
         "key_exprs": [everything],
     }
-    receives = {
+    receive_rule = {
         "id": "receives",
         "permission": "allow",
         "flows": ["egress"],
         "messages": ["put", "delete", "liveliness_token"],
         "key_exprs": [everything],
     }
-    speaks = [
+    publish_rules = [
         {
             "id": f"speaks-{name}",
             "permission": "allow",
@@ -169,7 +171,7 @@ def access_rules(names: Sequence[str]) -> dict[str, Any]:
     return {
         "enabled": True,
         "default_permission": "deny",
-        "rules": [listens, receives, *speaks],
+        "rules": [subscribe_rule, receive_rule, *publish_rules],
         "subjects": [
             {"id": "anyone"},
             *({"id": f"is-{name}", "cert_common_names": [name]} for name in names),

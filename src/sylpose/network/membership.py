@@ -1,12 +1,12 @@
-"""A node among others: whose group it is in, who else is there, who joins, pure: (state, inbox) -> (state, packets).
+"""Group membership of a node: its group, other nodes and newcomers; pure, (state, inbox) -> (state, packets).
 
-A node that is in no group says that it is there, to all. The members of a group hear that, and take it in between two
-frames; it is told what all of them know, and takes part from then on. So a node that comes late, or one that died and was
-started again, or was silent for too long, needs nothing but a word. Of two groups that hear each other the one that knows
-the object goes on, if both do the larger one, and the nodes of the other leave theirs to be taken in. Where nobody has a
-group, the first camera of those that are there founds one: once all of the rig are, or after a while.
+A node without a group announces its presence to all. The members of a group receive that and admit it between two
+frames. It receives the shared state and takes part from then on. A node that starts late, restarts or was excluded for
+its inactivity needs nothing else. If two groups meet, the one that knows the object continues, or the larger one if
+both do; the nodes of the other leave it to be admitted. Without any group, the node that has tracked most frames founds
+one (the lowest number of several), once all cameras of the rig are present or after a waiting time.
 
-What a node does is asked of it by its work (`Ask`), which waits for the `Answer`.
+The node's work submits a request (`Request`) and waits for the response (`Response`).
 """
 
 from __future__ import annotations
@@ -16,243 +16,303 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple, TypeAlias
 
-from sylpose.network.byzantine import NOBODY_LIES, Blame
-from sylpose.network.rounds import PATIENCE, Agreeing, Patience, agree_next, agree_start, agree_step
+from sylpose.network.byzantine import NO_EVIDENCE, FaultEvidence
+from sylpose.network.rounds import DEFAULT_TIMEOUTS, RoundState, Timeouts, begin_next_round, start_rounds, step_round
 from sylpose.network.wire_format import (
+    HEARTBEAT,
     HELLO,
-    WORKS,
     Hello,
     Welcome,
-    entered,
-    kind_of,
-    message,
-    read_hello,
-    read_welcome,
-    said_hello,
+    compute_join_epoch,
+    decode_hello,
+    decode_welcome,
+    encode_hello,
+    encode_message,
+    message_kind,
 )
 from sylpose.sylvester.distributed.messages import Inbox, Packet
 
 __all__ = [
-    "Answer",
-    "Ask",
-    "Enter",
-    "Entered",
-    "Heard",
-    "Present",
-    "Tell",
-    "answer",
-    "asked",
-    "present_step",
-    "silenced",
+    "ExchangeRequest",
+    "ExchangeResult",
+    "JoinRequest",
+    "JoinResult",
+    "Membership",
+    "Request",
+    "Response",
+    "add_inactivity",
+    "step_membership",
+    "submit_request",
+    "take_response",
 ]
 
-# Ticks after which a node says again that it is there; after so many of these without it, it is not (choice).
-HELLOS, GONE = 5, 3
-# A member that says it has no group, or another one, so often without another word, is none any more (choice).
-DENIES = 3
+# Ticks between presence messages; and number of missed ones after which a node counts as absent (choice).
+HELLO_INTERVAL, MAX_MISSED_HELLOS = 5, 3
+# Number of presence messages of a member, with no other message in between, after which it is excluded (choice).
+MAX_FOREIGN_HELLOS = 3
 
 
-class Tell(NamedTuple):
-    """Work tells the others something. newcomers: who joins with this round; knows: what these have to know."""
+class ExchangeRequest(NamedTuple):
+    """Request to exchange payloads.
 
-    own: bytes
+    Attributes:
+        payload: payload of this node.
+        newcomers: cameras that join with this round.
+        shared_state: shared state for the newcomers.
+    """
+
+    payload: bytes
     newcomers: frozenset[int] = frozenset()
-    knows: bytes = b""
+    shared_state: bytes = b""
 
 
-class Enter(NamedTuple):
-    """Work leaves its group, if it has one, and wants to be taken in by one."""
+class JoinRequest(NamedTuple):
+    """Request to leave the group, if any, and to be admitted to another one."""
 
 
-class Heard(NamedTuple):
-    """Everybody has told. newcomers: who wants to be taken in; outdone: whether there is a larger group; again: not all have
-    heard the same, and all go back to where they last were alike; outcast: but for this one, which leaves."""
+class ExchangeResult(NamedTuple):
+    """Response: the payloads of all members.
 
-    told: Mapping[int, bytes]
+    Attributes:
+        payloads: camera -> payload.
+        newcomers: nodes that want to be admitted.
+        is_outranked: there is a larger group.
+        is_rollback: not all received the same, and all roll back to their last common state.
+        is_excluded: this node is excluded.
+    """
+
+    payloads: Mapping[int, bytes]
     newcomers: frozenset[int]
-    outdone: bool
-    again: bool = False
-    outcast: bool = False
+    is_outranked: bool
+    is_rollback: bool = False
+    is_excluded: bool = False
 
 
-class Entered(NamedTuple):
-    """It is in a group. knows: what it was told; None where it founded this group. newcomers: as in `Heard`."""
+class JoinResult(NamedTuple):
+    """Response: the node is in a group.
 
-    knows: bytes | None
+    Attributes:
+        shared_state: shared state received; None if it founded the group.
+        newcomers: as in `ExchangeResult`.
+    """
+
+    shared_state: bytes | None
     newcomers: frozenset[int]
 
 
-Ask: TypeAlias = Tell | Enter
-Answer: TypeAlias = Heard | Entered
+Request: TypeAlias = ExchangeRequest | JoinRequest
+Response: TypeAlias = ExchangeResult | JoinResult
 
 
-class Other(NamedTuple):
-    """A node outside of the group. silent: ticks since it said so."""
+class OutsideNode(NamedTuple):
+    """A node outside the group.
+
+    Attributes:
+        hello: its latest presence message.
+        inactive_ticks: ticks since that message.
+    """
 
     hello: Hello
-    silent: int
+    inactive_ticks: int
 
 
 @dataclass(frozen=True, eq=False)
-class Present:
-    """One node.
+class Membership:
+    """Membership state of one node.
 
     Attributes:
-        camera: its number, of so many cameras; incarnation: another one each time that it starts.
-        wait: ticks for which it waits for all cameras before a group is founded.
-        patience: with the others.
-        ask: what its work waits for; None while that is busy.
-        agreeing: its group; None without one.
-        welcome: what it was told of the group that it is being taken in by.
-        frames: that its group has tracked; 0 where nobody in it knows the object.
-        outside: camera -> who is there and no member.
-        ticks: it is there; since: those when it began to wait for a group; apart: until which it keeps to its own, where a
-            larger one has not taken it in.
-        refused: camera -> why a message of it was not read.
-        blame: of those that lie, in groups before.
+        camera: its number.
+        cameras: number of cameras of the rig.
+        incarnation: different for each start of the node.
+        wait: ticks to wait for all cameras before a group is founded.
+        timeouts: timeouts for other cameras.
+        request: the pending request; None while the work is busy.
+        round_state: state of the current round; None without a group.
+        welcome: message of the group that admits this node.
+        frames: number of frames tracked by its group; 0 if no member knows the object.
+        outside: camera -> present node that is not a member.
+        ticks: ticks since the start.
+        waiting_since: tick at which it began to wait for a group.
+        separate_until: tick until which it stays in its group although a larger one exists that has not admitted it.
+        refused: camera -> reason why a message was rejected.
+        evidence: evidence of faults from earlier groups.
     """
 
     camera: int
     cameras: int
     incarnation: int = 0
     wait: int = 0
-    patience: Patience = PATIENCE
-    ask: Ask | None = None
-    agreeing: Agreeing | None = None
+    timeouts: Timeouts = DEFAULT_TIMEOUTS
+    request: Request | None = None
+    round_state: RoundState | None = None
     welcome: Welcome | None = None
     frames: int = 0
-    outside: Mapping[int, Other] = field(default_factory=dict)
+    outside: Mapping[int, OutsideNode] = field(default_factory=dict)
     ticks: int = 0
-    since: int = 0
-    apart: int = 0
+    waiting_since: int = 0
+    separate_until: int = 0
     refused: Mapping[int, str] = field(default_factory=dict)
-    blame: Blame = NOBODY_LIES
+    evidence: FaultEvidence = NO_EVIDENCE
 
     @property
     def members(self) -> tuple[int, ...]:
-        """Of its group; empty without one."""
-        s = self.agreeing
+        """Members of its group; empty without one."""
+        s = self.round_state
         return () if s is None else tuple(sorted({*s.others, s.camera}))
 
     @property
     def all_refused(self) -> Mapping[int, str]:
-        """As `refused`, with those that its group did not read, and those that lie."""
-        refused = {} if self.agreeing is None else self.agreeing.refused
-        return {**self.refused, **refused, **self.all_blame.sentences()}
+        """Return `refused`, with the rejections by the current group and the faulty cameras."""
+        refused = {} if self.round_state is None else self.round_state.refused
+        return {**self.refused, **refused, **self.all_evidence.describe()}
 
     @property
-    def all_blame(self) -> Blame:
-        """As `blame`, with that of its group."""
-        return self.blame if self.agreeing is None else self.agreeing.blame
+    def all_evidence(self) -> FaultEvidence:
+        """Return `evidence`, with the evidence of the current group."""
+        return self.evidence if self.round_state is None else self.round_state.evidence
 
 
-def asked(p: Present, ask: Ask, frames: int) -> tuple[Present, list[Packet]]:
-    """Work asks for something. See `answer`.
+def submit_request(p: Membership, request: Request, frames: int) -> tuple[Membership, list[Packet]]:
+    """Submit a request of the work; see `take_response`.
 
     Args:
-        frames: as in `Present`.
+        p: the current state.
+        request: the request.
+        frames: as in `Membership`.
+
+    Returns:
+        The state, and the packets to send.
     """
-    p = replace(p, ask=ask, frames=frames)
-    if isinstance(ask, Enter):
-        p = replace(p, refused=p.all_refused, blame=p.all_blame, since=p.ticks)
-        return replace(p, agreeing=None, welcome=None), []
-    if p.agreeing is not None:
-        agreeing, packets = agree_next(p.agreeing, ask.own, ask.newcomers, ask.knows)
+    p = replace(p, request=request, frames=frames)
+    if isinstance(request, JoinRequest):
+        p = replace(p, refused=p.all_refused, evidence=p.all_evidence, waiting_since=p.ticks)
+        return replace(p, round_state=None, welcome=None), []
+    if p.round_state is not None:
+        round_state, packets = begin_next_round(p.round_state, request.payload, request.newcomers, request.shared_state)
     elif p.welcome is not None:
-        number, epoch, members, knows = p.welcome
-        epoch = entered(epoch, knows)
-        agreeing, packets = agree_start(
-            p.camera, sorted(members), ask.own, number=number, epoch=epoch, patience=p.patience, blame=p.blame
+        number, epoch, members, shared_state = p.welcome
+        epoch = compute_join_epoch(epoch, shared_state)
+        round_state, packets = start_rounds(
+            p.camera,
+            sorted(members),
+            request.payload,
+            number=number,
+            epoch=epoch,
+            timeouts=p.timeouts,
+            evidence=p.evidence,
         )
     else:
         epoch = zlib.crc32(f"{p.camera} {p.incarnation} {p.ticks}".encode())
-        agreeing, packets = agree_start(p.camera, [p.camera], ask.own, epoch=epoch, patience=p.patience, blame=p.blame)
-    return replace(p, agreeing=agreeing, welcome=None), packets
+        round_state, packets = start_rounds(
+            p.camera, [p.camera], request.payload, epoch=epoch, timeouts=p.timeouts, evidence=p.evidence
+        )
+    return replace(p, round_state=round_state, welcome=None), packets
 
 
-def answer(p: Present) -> tuple[Present, Answer | None]:
-    """What was asked for, once it is there: all that the others told, or a group."""
-    if isinstance(p.ask, Tell) and p.agreeing is not None and p.agreeing.outcome is not None:
-        barred = {c for c in p.outside if p.all_blame.bars(c, frozenset(p.members))}
-        others = {c: o for c, o in p.outside.items() if c not in p.members and c not in barred}
-        mine = p.frames > 0, len(p.members), -min(p.members)
-        outdone = any((o.hello.frames > 0, o.hello.size, -c) > mine for c, o in others.items() if o.hello.size)
-        again, outcast = p.agreeing.again, p.agreeing.outcast
-        heard = Heard(p.agreeing.outcome, _wanting(p, others), outdone and p.ticks >= p.apart, again, outcast)
-        return replace(p, ask=None), heard
-    if isinstance(p.ask, Enter):
+def take_response(p: Membership) -> tuple[Membership, Response | None]:
+    """Return the response to the pending request, once available: all payloads, or a group."""
+    if isinstance(p.request, ExchangeRequest) and p.round_state is not None and p.round_state.outcome is not None:
+        blocked = {c for c in p.outside if p.all_evidence.excludes(c, frozenset(p.members))}
+        others = {c: o for c, o in p.outside.items() if c not in p.members and c not in blocked}
+        own_rank = p.frames > 0, len(p.members), -min(p.members)
+        is_outranked = any((o.hello.frames > 0, o.hello.size, -c) > own_rank for c, o in others.items() if o.hello.size)
+        is_rollback, is_excluded = p.round_state.is_rollback, p.round_state.is_excluded
+        result = ExchangeResult(
+            p.round_state.outcome,
+            _find_newcomers(p, others),
+            is_outranked and p.ticks >= p.separate_until,
+            is_rollback,
+            is_excluded,
+        )
+        return replace(p, request=None), result
+    if isinstance(p.request, JoinRequest):
         if p.welcome is not None:
-            return replace(p, ask=None), Entered(p.welcome.knows, frozenset())
-        if p.ticks - p.since > p.wait + p.patience.long and any(o.hello.size for o in p.outside.values()):
-            # Somebody in there does not hear it: better apart than nothing, for as long again.
-            p = replace(p, apart=p.ticks + p.patience.long)
-            return replace(p, ask=None), Entered(None, _wanting(p, p.outside))
-        if _founds(p):
-            return replace(p, ask=None), Entered(None, _wanting(p, p.outside))
+            return replace(p, request=None), JoinResult(p.welcome.shared_state, frozenset())
+        if p.ticks - p.waiting_since > p.wait + p.timeouts.stalled and any(o.hello.size for o in p.outside.values()):
+            # A member of that group does not receive this node's messages: better a group of its own, for as long
+            # again.
+            p = replace(p, separate_until=p.ticks + p.timeouts.stalled)
+            return replace(p, request=None), JoinResult(None, _find_newcomers(p, p.outside))
+        if _is_founder(p):
+            return replace(p, request=None), JoinResult(None, _find_newcomers(p, p.outside))
     return p, None
 
 
-def _wanting(p: Present, others: Mapping[int, Other]) -> frozenset[int]:
-    """Who would be taken in: of two that one of lies, one."""
-    wanting = frozenset[int]()
+def _find_newcomers(p: Membership, others: Mapping[int, OutsideNode]) -> frozenset[int]:
+    """Return the nodes that want to be admitted; of a suspected pair only one."""
+    newcomers = frozenset[int]()
     for c in sorted(c for c, o in others.items() if not o.hello.size):
-        if not p.all_blame.bars(c, wanting | frozenset({p.camera, *p.members})):
-            wanting |= {c}
-    return wanting
+        if not p.all_evidence.excludes(c, newcomers | frozenset({p.camera, *p.members})):
+            newcomers |= {c}
+    return newcomers
 
 
-def _founds(p: Present) -> bool:
-    """Whether a node that waits to be taken in founds a group, if there is none: that of those that wait which has tracked
-    most, the first of several."""
+def _is_founder(p: Membership) -> bool:
+    """Return whether a node that waits for admission founds a group.
+
+    It does if there is no group and it has tracked most frames among the waiting nodes, the lowest number of several.
+    """
     waited = p.ticks >= p.wait or len(p.outside) + 1 == p.cameras
     first = all((p.frames, -p.camera) > (o.hello.frames, -c) for c, o in p.outside.items())
     return waited and first and not any(o.hello.size for o in p.outside.values())
 
 
-def silenced(agreeing: Agreeing, camera: int, ticks: int) -> Agreeing:
-    """With a camera silent for so many ticks more: it says elsewhere that it is no member."""
-    return replace(agreeing, silent={**agreeing.silent, camera: agreeing.silent.get(camera, 0) + ticks})
+def add_inactivity(round_state: RoundState, camera: int, ticks: int) -> RoundState:
+    """Add inactive ticks to a camera, after it has announced elsewhere that it is no member."""
+    return replace(
+        round_state,
+        inactive_ticks={**round_state.inactive_ticks, camera: round_state.inactive_ticks.get(camera, 0) + ticks},
+    )
 
 
-def present_step(p: Present, inbox: Inbox, *, tick: bool = True) -> tuple[Present, list[Packet]]:
-    """Hear the others; say what they may have missed, and that this node is there.
+def step_membership(p: Membership, inbox: Inbox, *, tick: bool = True) -> tuple[Membership, list[Packet]]:
+    """Process received messages; retransmit what others may have missed, and announce presence.
 
     Args:
-        tick: whether time has passed, in which others were silent.
+        p: the current state.
+        inbox: sender and bytes of the received messages.
+        tick: whether a tick has elapsed.
+
+    Returns:
+        The state, and the packets to send.
     """
     out: list[Packet] = []
-    words: list[tuple[int, bytes]] = []
-    outside, agreeing = dict(p.outside), p.agreeing
+    round_messages: list[tuple[int, bytes]] = []
+    outside, round_state = dict(p.outside), p.round_state
     if tick:
         p = replace(p, ticks=p.ticks + 1)
-        outside = {c: Other(o.hello, o.silent + 1) for c, o in outside.items() if o.silent < HELLOS * GONE}
-    mine = frozenset({p.camera, *p.members})
+        outside = {
+            c: OutsideNode(o.hello, o.inactive_ticks + 1)
+            for c, o in outside.items()
+            if o.inactive_ticks < HELLO_INTERVAL * MAX_MISSED_HELLOS
+        }
+    own_group = frozenset({p.camera, *p.members})
     for sender, data in inbox:
-        if p.all_blame.bars(sender, mine):
+        if p.all_evidence.excludes(sender, own_group):
             continue
-        if kind_of(data) != HELLO:
-            words.append((sender, data))
+        if message_kind(data) != HELLO:
+            round_messages.append((sender, data))
             continue
-        hello = read_hello(sender, data)
+        hello = decode_hello(sender, data)
         if hello is None or not 0 <= sender < p.cameras or sender == p.camera or hello.size > p.cameras:
-            p = replace(p, refused={sender: "it says hello as another one", **p.refused})
+            p = replace(p, refused={sender: "its presence message has another sender", **p.refused})
             continue
-        outside[sender] = Other(hello, 0)
-        if agreeing is not None and sender in agreeing.others and sender not in agreeing.newcomers:
-            agreeing = silenced(agreeing, sender, p.patience.silent // DENIES + 1)
-    if agreeing is not None:
-        agreeing, out = agree_step(agreeing, words, tick=tick)
-    elif isinstance(p.ask, Enter) and p.welcome is None:
-        welcomes = (read_welcome(p.camera, p.cameras, sender, data) for sender, data in words)
+        outside[sender] = OutsideNode(hello, 0)
+        if round_state is not None and sender in round_state.others and sender not in round_state.newcomers:
+            round_state = add_inactivity(round_state, sender, p.timeouts.inactive // MAX_FOREIGN_HELLOS + 1)
+    if round_state is not None:
+        round_state, out = step_round(round_state, round_messages, tick=tick)
+    elif isinstance(p.request, JoinRequest) and p.welcome is None:
+        welcomes = (decode_welcome(p.camera, p.cameras, sender, data) for sender, data in round_messages)
         p = replace(p, welcome=next((w for w in welcomes if w is not None), None))
-    p = replace(p, agreeing=agreeing, outside=outside)
-    if tick and agreeing is None and p.welcome is not None:
-        # It learns what it was told, and has not spoken yet.
-        number, epoch, members, knows = p.welcome
-        works = message(WORKS, p.camera, number, entered(epoch, knows), b"")
-        out.append(Packet(tuple(sorted(members - {p.camera})), works))
+    p = replace(p, round_state=round_state, outside=outside)
+    if tick and round_state is None and p.welcome is not None:
+        # It restores the shared state and has not sent anything yet.
+        number, epoch, members, shared_state = p.welcome
+        heartbeat = encode_message(HEARTBEAT, p.camera, number, compute_join_epoch(epoch, shared_state), b"")
+        out.append(Packet(tuple(sorted(members - {p.camera})), heartbeat))
     others = tuple(c for c in range(p.cameras) if c != p.camera and c not in p.members)
-    if tick and others and p.ticks % HELLOS == 0 and p.welcome is None:
+    if tick and others and p.ticks % HELLO_INTERVAL == 0 and p.welcome is None:
         hello = Hello(len(p.members), p.frames)
-        out.append(Packet(others, said_hello(p.camera, 0 if agreeing is None else agreeing.epoch, hello)))
+        out.append(Packet(others, encode_hello(p.camera, 0 if round_state is None else round_state.epoch, hello)))
     return p, out

@@ -1,4 +1,4 @@
-"""One camera as a node: it sees its own images, tells the others numbers, and comes to the same poses as they do."""
+"""One camera as a node: it processes its own images, exchanges numbers with the others and computes the same poses."""
 
 from __future__ import annotations
 
@@ -9,172 +9,192 @@ from typing import Protocol, TypeVar, cast
 import numpy as np
 
 from sylpose.frames import Box, FrameSet
-from sylpose.landmarks.alignment import Sights, Start
-from sylpose.landmarks.distributed_alignment import OneOfMany
+from sylpose.landmarks.alignment import AlignmentStart, LandmarkMatches
+from sylpose.landmarks.distributed_alignment import DistributedAligner
 from sylpose.methods import FEATURES, METHODS, MODES
-from sylpose.network.codec import packed, unpacked
-from sylpose.network.frame_announcement import ABSENT, NO_FRAME, WAITS, Roll, common, instant_of
-from sylpose.network.membership import Answer, Ask, Enter, Heard, Tell
-from sylpose.network.plausibility import objection
+from sylpose.network.codec import decode, encode
+from sylpose.network.frame_announcement import (
+    ABSENT,
+    FRAME_PENDING,
+    NO_FRAME,
+    FrameAnnouncement,
+    choose_frame,
+    find_common_newcomers,
+)
+from sylpose.network.membership import ExchangeRequest, ExchangeResult, JoinRequest, Request, Response
+from sylpose.network.plausibility import find_implausibility
 from sylpose.rig import Rig
-from sylpose.tracking.camera import CameraPart
+from sylpose.tracking.camera import CameraTracker
 from sylpose.tracking.camera_executor import Alignment
 from sylpose.tracking.frame import SolvedFrame
-from sylpose.tracking.joint_state import Joint
+from sylpose.tracking.joint_state import JointState
 from sylpose.tracking.state_transfer import Handover, check_handover
 from sylpose.tracking.tracked_frame import TrackedFrame
-from sylpose.tracking.tracker import Tracking
+from sylpose.tracking.tracker import TrackerBase
 
-__all__ = ["Again", "Node", "Shots", "track_by_node"]
+__all__ = ["CameraFrames", "Node", "Rollback", "track_by_node"]
 
 T = TypeVar("T")
 
-NOBODY: frozenset[int] = frozenset()
-# Cameras' time stamps of one instant are less apart, seconds (choice: no camera waits so long for the others).
-APART = 1.0
-# Poses less than this apart, radians, and as a share of the distance, are one but for rounding (choice).
-ALIKE = 1e-6
-ANOTHER_FRAME = "from here on poses are told in another frame of the object"
+NO_CAMERAS: frozenset[int] = frozenset()
+# Largest difference of the cameras' timestamps in one frame set, seconds (choice: no camera waits longer for the
+# others).
+MAX_TIMESTAMP_DIFFERENCE = 1.0
+# Poses that differ by less than this, radians and relative to the distance, are equal up to rounding (choice).
+POSE_TOLERANCE = 1e-6
+OBJECT_FRAME_CHANGED = "from here on poses refer to another object frame"
 
 
-class Again(Exception):
-    """Somebody lied, and not all have heard the same: what was said since they last were alike counts for nothing.
+class Rollback(Exception):
+    """Not all nodes received the same payloads because one is faulty; all roll back to the last common state.
 
     Attributes:
-        outcast: for this node nothing counts any more, and it has a group to enter.
+        is_excluded: this node is excluded and has to join a group.
     """
 
-    def __init__(self, outcast: bool) -> None:
-        super().__init__("not all have heard the same")
-        self.outcast = outcast
+    def __init__(self, is_excluded: bool) -> None:
+        super().__init__("not all nodes received the same messages")
+        self.is_excluded = is_excluded
 
 
-class Shots(Protocol):
-    """One camera's frames; those of all cameras at one instant have the same number."""
+class CameraFrames(Protocol):
+    """Frames of one camera; the frames of all cameras in one frame set have the same number."""
 
     def newest(self, wanted: int) -> tuple[int, float | None]:
-        """Waits for the frame of that number, or a later one.
+        """Wait for the frame of that number, or a later one.
 
         Returns:
-            the number of the newest frame there is, and its own time stamp, seconds; `NO_FRAME` where no more come, `WAITS`
-            where it has waited for long.
+            The number of the newest available frame, and its timestamp in seconds; `NO_FRAME` at the end,
+            `FRAME_PENDING` after a timeout.
         """
 
     def time_of(self, number: int) -> float | None:
-        """The time stamp of a frame, seconds; None without one."""
+        """Return the timestamp of a frame, seconds; None without one."""
 
     def frame_set(self, number: int, times: Sequence[float | None]) -> FrameSet:
-        """The frames of one instant, as far as this camera has them, with all cameras' time stamps."""
+        """Return a frame set with this camera's images and the timestamps of all cameras."""
 
 
 class Node:
-    """A crew of which one camera is here (`tracking.camera_executor.Crew`).
+    """Executor (`tracking.camera_executor.CameraExecutor`) with one local camera; the others are remote nodes.
 
     Args:
-        camera: which one, of so many cameras of the rig.
-        ask: of the node's presence among the others (`network.membership`), with the number of frames tracked.
-        mode: of `MODES`: as in one process, or in fewer rounds (`landmarks.distributed_alignment`), the same at all cameras.
+        camera: number of the local camera.
+        cameras: number of cameras of the rig.
+        request: submits a request to the node's membership (`network.membership`), with the number of frames tracked.
+        mode: of `MODES`: exact as in one process, or compact with fewer rounds (`landmarks.distributed_alignment`); the
+            same at all cameras.
 
     Attributes:
         camera, cameras: as given.
-        members: who took part in the last round.
-        refused: camera -> why its first word of no meaning was taken for nothing.
-        frames: that were tracked, as long as anybody in its group knows the object.
-        since: index of the first frame since it has entered its group.
+        members: members of the last round.
+        refused: camera -> reason why its first invalid payload was rejected.
+        frames: number of tracked frames, while any member of the group knows the object.
+        first_index: index of the first frame since it joined its group.
     """
 
-    def __init__(self, camera: int, cameras: int, ask: Callable[[Ask, int], Answer], mode: str = MODES[0]) -> None:
+    def __init__(
+        self, camera: int, cameras: int, request: Callable[[Request, int], Response], mode: str = MODES[0]
+    ) -> None:
         if mode not in MODES:
             raise ValueError(f"mode {mode!r}: expected {' or '.join(MODES)}")
-        self.camera, self.cameras, self._ask, self._mode = camera, cameras, ask, mode
+        self.camera, self.cameras, self._request, self._mode = camera, cameras, request, mode
         self.members: tuple[int, ...] = ()
         self.refused: dict[int, str] = {}
-        self.frames, self.since = 0, 0
-        self._heard = Heard({}, NOBODY, False)
-        self._joining: tuple[frozenset[int], bytes] = NOBODY, b""
+        self.frames, self.first_index = 0, 0
+        self._last_result = ExchangeResult({}, NO_CAMERAS, False)
+        self._pending_newcomers: tuple[frozenset[int], bytes] = NO_CAMERAS, b""
 
-    # --- a crew -------------------------------------------------------------------------------------------------------
+    # --- executor interface -------------------------------------------------------------------------------------------
 
-    def each(self, do: Callable[[int], T], *, long: bool = False) -> list[T]:  # noqa: ARG002
-        """See `Crew`."""
-        mine = do(self.camera)
-        return [mine if c == self.camera else cast(T, None) for c in range(self.cameras)]
+    def map_cameras(self, function: Callable[[int], T], *, is_slow: bool = False) -> list[T]:  # noqa: ARG002
+        """See `CameraExecutor`."""
+        own_result = function(self.camera)
+        return [own_result if c == self.camera else cast(T, None) for c in range(self.cameras)]
 
-    def ask(self, do: Callable[[int], T], nothing: T) -> list[T]:
-        """See `Crew`."""
-        return self._told(do(self.camera), nothing)
+    def all_gather(self, function: Callable[[int], T], default: T) -> list[T]:
+        """See `CameraExecutor`."""
+        return self._exchange(function(self.camera), default)
 
-    def align(self, sights: Sequence[Sights], starts: Sequence[Start]) -> list[Alignment]:
-        """See `Crew`."""
+    def align(self, observations: Sequence[LandmarkMatches], starts: Sequence[AlignmentStart]) -> list[Alignment]:
+        """See `CameraExecutor`."""
         compact = self._mode == "compact"
-        mine = OneOfMany(sights[self.camera], self.camera, self.cameras, self._told, compact=compact)
-        return [(one, self.each(lambda _, a=one: (a.weights[0], a.residuals[0]))) for one in mine.align(starts)]  # type: ignore[misc]
+        own_alignment = DistributedAligner(
+            observations[self.camera], self.camera, self.cameras, self._exchange, compact=compact
+        )
+        alignments: list[Alignment] = []
+        for one in own_alignment.align(starts):
+            own_result = one.weights[0], one.residuals[0]
+            alignments.append((one, self.map_cameras(lambda _, own_result=own_result: own_result)))  # type: ignore[misc]
+        return alignments
 
-    def _told(self, mine: T, nothing: T, /) -> list[T]:
-        heard = self._tell(packed(mine))
-        return [self._read(c, heard.get(c), nothing) for c in range(self.cameras)]
+    def _exchange(self, own_value: T, nothing: T, /) -> list[T]:
+        payloads = self._run_round(encode(own_value))
+        return [self._decode_payload(c, payloads.get(c), nothing) for c in range(self.cameras)]
 
-    def _tell(self, own: bytes) -> Mapping[int, bytes]:
-        """One agreed round. What this camera told comes back with the others' words: it goes on with what they heard."""
-        heard = self._ask(Tell(own, *self._joining), self.frames)
-        assert isinstance(heard, Heard)
-        self._heard, self._joining = heard, (NOBODY, b"")
-        if heard.again:
-            raise Again(heard.outcast)
-        self.members = tuple(heard.told)
-        return heard.told
+    def _run_round(self, payload: bytes) -> Mapping[int, bytes]:
+        """Run one round. The result includes this camera's payload as the others received it."""
+        result = self._request(ExchangeRequest(payload, *self._pending_newcomers), self.frames)
+        assert isinstance(result, ExchangeResult)
+        self._last_result, self._pending_newcomers = result, (NO_CAMERAS, b"")
+        if result.is_rollback:
+            raise Rollback(result.is_excluded)
+        self.members = tuple(result.payloads)
+        return result.payloads
 
-    def _read(self, camera: int, data: bytes | None, nothing: T) -> T:
-        """What a camera told, as far as it means anything."""
+    def _decode_payload(self, camera: int, data: bytes | None, nothing: T) -> T:
+        """Decode and validate a camera's payload; `nothing` if it is missing or invalid."""
         if data is None:
             return nothing
         try:
-            told = unpacked(data, nothing)
-            why = objection(told, camera)
+            value = decode(data, nothing)
+            reason = find_implausibility(value, camera)
         except ValueError as error:
-            why = str(error)
-        if why is None:
-            return told
-        self.refused.setdefault(camera, why)
+            reason = str(error)
+        if reason is None:
+            return value
+        self.refused.setdefault(camera, reason)
         return nothing
 
     def confirm(self) -> None:
-        """All have heard the same until here.
+        """Confirm that all members have received the same so far.
 
         Raises:
-            Again: they have not.
+            Rollback: they have not.
         """
-        self._tell(b"")
+        self._run_round(b"")
 
-    # --- a member of a group ------------------------------------------------------------------------------------------
+    # --- group membership ---------------------------------------------------------------------------------------------
 
-    def call(self, newest: int, time: float | None, knows: bool) -> list[Roll]:
-        """The roll of all members. Arguments as in `Roll`."""
+    def exchange_announcements(self, newest: int, time: float | None, has_object: bool) -> list[FrameAnnouncement]:
+        """Exchange frame announcements with all members. Arguments as in `FrameAnnouncement`."""
         stamp = np.nan if time is None else time
-        mine = Roll(newest, stamp, tuple(sorted(self._heard.newcomers)), self._heard.outdone, knows)
-        told = self._told(mine, ABSENT)
-        return [told[c] for c in self.members]
+        own_announcement = FrameAnnouncement(
+            newest, stamp, tuple(sorted(self._last_result.newcomers)), self._last_result.is_outranked, has_object
+        )
+        announcements = self._exchange(own_announcement, ABSENT)
+        return [announcements[c] for c in self.members]
 
-    def take_in(self, newcomers: frozenset[int], knows: bytes) -> None:
-        """With the next round others join, and are told what there is to know."""
-        self._joining = newcomers, knows
+    def admit(self, newcomers: frozenset[int], shared_state: bytes) -> None:
+        """Admit newcomers with the next round and send them the shared state."""
+        self._pending_newcomers = newcomers, shared_state
 
-    def enter(self) -> tuple[Handover, int] | None:
-        """Waits for a group.
+    def join_group(self) -> tuple[Handover, int] | None:
+        """Wait until the node is in a group.
 
         Returns:
-            what all know there, and the number of the next frame; None where this node founds one.
+            The shared state, and the number of the next frame; None if this node founds a group.
         """
         while True:
-            entered = self._ask(Enter(), self.frames)
-            assert not isinstance(entered, Heard)
-            self._heard = Heard({}, entered.newcomers, False)
-            if entered.knows is None:
+            joined = self._request(JoinRequest(), self.frames)
+            assert not isinstance(joined, ExchangeResult)
+            self._last_result = ExchangeResult({}, joined.newcomers, False)
+            if joined.shared_state is None:
                 return None
             try:
-                handover, wanted = unpacked(entered.knows, (Handover(Joint(), (), 0), 0))
+                handover, wanted = decode(joined.shared_state, (Handover(JointState(), (), 0), 0))
                 check_handover(handover, self.cameras)
-            except ValueError:  # others may welcome it, too
+            except ValueError:  # others may welcome it as well
                 continue
             if wanted >= 0:
                 return handover, wanted
@@ -183,22 +203,24 @@ class Node:
 def track_by_node(
     node: Node,
     rig: Rig,
-    shots: Shots,
+    frame_source: CameraFrames,
     boxes: Mapping[str, Box] | None = None,
     *,
-    enters: bool = False,
+    must_join: bool = False,
     method: str = METHODS[0],
     features: str = FEATURES[0],
     offsets: Mapping[str, float] | None = None,
     seed: int = 0,
 ) -> Iterator[TrackedFrame]:
-    """`track`, by one camera that knows its own images alone.
+    """Track the object as `track`, on one node with its own images only.
 
     Args:
-        node: the camera among all of the rig, each of which calls this with the same other arguments.
-        shots: its images.
-        enters: whether it has a group to enter; else it begins in one.
-        rig, boxes, method, features, offsets, seed: as `track`.
+        node: the local camera; the nodes of all cameras call this with the same other arguments.
+        rig: as `track`.
+        frame_source: its frames.
+        boxes: as `track`.
+        must_join: whether the node has to join a group; else it begins in one.
+        method, features, offsets, seed: as `track`.
 
     Yields:
         As `track`, the frames in which it took part.
@@ -206,90 +228,99 @@ def track_by_node(
     Raises:
         ValueError: as `track`.
     """
-    parts = [cast(CameraPart, CameraPart(c, own) if c == node.camera else None) for c, own in enumerate(rig)]
-    tracking = Tracking(rig, parts, node, boxes, method=method, features=features, offsets=offsets, seed=seed)
-    wanted, taken_in, found = 0, -1, list[TrackedFrame]()
+    parts = [cast(CameraTracker, CameraTracker(c, own) if c == node.camera else None) for c, own in enumerate(rig)]
+    tracking = TrackerBase(rig, parts, node, boxes, method=method, features=features, offsets=offsets, seed=seed)
+    wanted, admitted_at, found = 0, -1, list[TrackedFrame]()
     defining: SolvedFrame | None = None
     while True:
-        if enters:
-            entered, enters = node.enter(), False
-            if entered is not None:
-                handover, wanted = entered
-                taken_in = wanted
-                node.since = -1
-                tracking.take_over(handover, new=True)
-        # What all have heard alike so far.
-        memory = tracking.remembered()
+        if must_join:
+            joined, must_join = node.join_group(), False
+            if joined is not None:
+                handover, wanted = joined
+                admitted_at = wanted
+                node.first_index = -1
+                tracking.apply_handover(handover, is_new=True)
+        # The last common state.
+        checkpoint = tracking.copy_snapshot()
         try:
-            rolls = node.call(*shots.newest(wanted), knows=tracking.knows)
-            known = any(roll.knows for roll in rolls)
-            node.frames = tracking.number if known else 0
-            if all(roll.outdone for roll in rolls):
-                enters = True
+            announcements = node.exchange_announcements(
+                *frame_source.newest(wanted), has_object=tracking.has_observations
+            )
+            is_object_known = any(announcement.has_object for announcement in announcements)
+            node.frames = tracking.next_number if is_object_known else 0
+            if all(announcement.is_outranked for announcement in announcements):
+                must_join = True
                 continue
-            if not known:
-                # Who has seen the object is gone, and nobody here would know it again.
-                tracking.begin_anew()
-            newcomers = common(rolls)
-            # Once before each frame: who comes again and again, and never takes part, must not keep the others from it.
-            if newcomers and taken_in != wanted:
-                taken_in = wanted
-                knows = packed((tracking.handed_over(), wanted))
-                # All go on with what was sent, in which numbers may be rounded.
-                tracking.take_over(unpacked(knows, (tracking.handed_over(), wanted))[0], new=False)
-                node.take_in(newcomers, knows)
+            if not is_object_known:
+                # All nodes that knew the object have left, so it cannot be relocalized.
+                tracking.restart()
+            newcomers = find_common_newcomers(announcements)
+            # At most once per frame: a node that joins repeatedly but never takes part must not block the others.
+            if newcomers and admitted_at != wanted:
+                admitted_at = wanted
+                shared_state = encode((tracking.create_handover(), wanted))
+                # All continue with the state as sent, whose numbers may be rounded.
+                tracking.apply_handover(decode(shared_state, (tracking.create_handover(), wanted))[0], is_new=False)
+                node.admit(newcomers, shared_state)
                 continue
-            number = instant_of(rolls, wanted)
-            if number == WAITS:
+            number = choose_frame(announcements, wanted)
+            if number == FRAME_PENDING:
                 continue
             if number == NO_FRAME:
                 found = tracking.flush()
             else:
-                frames = shots.frame_set(number, _times(node, shots, rolls, number))
+                frames = frame_source.frame_set(number, _collect_timestamps(node, frame_source, announcements, number))
                 found = tracking.step(frames)
             node.confirm()
-        except Again as again:
-            tracking.go_back(memory)
-            enters = again.outcast
+        except Rollback as rollback:
+            tracking.restore(checkpoint)
+            must_join = rollback.is_excluded
             continue
         if number == NO_FRAME:
             break
-        node.since = node.since if node.since >= 0 else frames.index
+        node.first_index = node.first_index if node.first_index >= 0 else frames.index
         wanted = number + 1
-        if tracking.defining is not None and found:
-            if defining is not None and not _same_frame(defining, tracking.defining):
-                found[0] = _with_fault(found[0], ANOTHER_FRAME)
-            defining = tracking.defining
+        if tracking.first_frame is not None and found:
+            if defining is not None and not _is_same_object_frame(defining, tracking.first_frame):
+                found[0] = _add_fault(found[0], OBJECT_FRAME_CHANGED)
+            defining = tracking.first_frame
         yield from found
     yield from found
 
 
-def _same_frame(one: SolvedFrame, other: SolvedFrame) -> bool:
-    """Whether two frames define the same frame of the object: they are of one time, and have one pose."""
+def _is_same_object_frame(one: SolvedFrame, other: SolvedFrame) -> bool:
+    """Return whether two frames define the same object frame: the same time and the same pose."""
     a, b = one.world_from_object, other.world_from_object
-    turned, far = (a.rotation * b.rotation.inv()).magnitude(), np.linalg.norm(a.translation - b.translation)
+    rotation_angle, distance = (
+        (a.rotation * b.rotation.inv()).magnitude(),
+        np.linalg.norm(a.translation - b.translation),
+    )
     return bool(
-        one.time == other.time and turned < ALIKE and far < ALIKE * np.linalg.norm(one.viewpoints, axis=1).max()
+        one.time == other.time
+        and rotation_angle < POSE_TOLERANCE
+        and distance < POSE_TOLERANCE * np.linalg.norm(one.viewpoints, axis=1).max()
     )
 
 
-def _with_fault(tracked: TrackedFrame, sentence: str) -> TrackedFrame:
-    return replace(tracked, pose=replace(tracked.pose, faults=(*tracked.pose.faults, sentence)))
+def _add_fault(tracked: TrackedFrame, message: str) -> TrackedFrame:
+    return replace(tracked, pose=replace(tracked.pose, faults=(*tracked.pose.faults, message)))
 
 
-def _times(node: Node, shots: Shots, rolls: Sequence[Roll], number: int) -> tuple[float | None, ...]:
-    """By camera the time stamp of a frame."""
-    by_camera = {c: roll.time for c, roll in zip(node.members, rolls, strict=True)}
-    if any(roll.newest >= 0 and roll.newest != number for roll in rolls):
-        own = shots.time_of(number)
-        told = node.ask(lambda _: np.nan if own is None else own, np.nan)
-        by_camera = {c: told[c] for c in node.members}
-    blind = {c for c, roll in zip(node.members, rolls, strict=True) if roll.newest < 0}
+def _collect_timestamps(
+    node: Node, frame_source: CameraFrames, announcements: Sequence[FrameAnnouncement], number: int
+) -> tuple[float | None, ...]:
+    """Return the timestamp of a frame by camera."""
+    by_camera = {c: announcement.time for c, announcement in zip(node.members, announcements, strict=True)}
+    if any(announcement.newest >= 0 and announcement.newest != number for announcement in announcements):
+        own = frame_source.time_of(number)
+        timestamps = node.all_gather(lambda _: np.nan if own is None else own, np.nan)
+        by_camera = {c: timestamps[c] for c in node.members}
+    blind = {c for c, announcement in zip(node.members, announcements, strict=True) if announcement.newest < 0}
     times = {c: time for c, time in by_camera.items() if np.isfinite(time) and c not in blind}
-    middle = float(np.median(list(times.values()))) if times else 0.0
+    median_time = float(np.median(list(times.values()))) if times else 0.0
     for c, time in list(times.items()):
-        if abs(time - middle) > APART:
-            off = f"its clock is {abs(time - middle):.3g} s off the others'"
-            node.refused.setdefault(c, f"{off}: its time stamps are not used")
+        if abs(time - median_time) > MAX_TIMESTAMP_DIFFERENCE:
+            message = f"its clock differs by {abs(time - median_time):.3g} s from the others'"
+            node.refused.setdefault(c, f"{message}: its timestamps are not used")
             del times[c]
     return tuple(times.get(c) for c in range(node.cameras))

@@ -1,6 +1,6 @@
-"""Whether what a camera tells can be true: what is well formed may still mean nothing, and must not harm those that hear it.
+"""Plausibility checks of received payloads, which may be well-formed but impossible.
 
-Of a lie that could be true nothing is known here: the cameras' doubt in each other is for that.
+Plausible but false payloads are not detected here; they are handled by the variance inflation of disagreeing cameras.
 """
 
 from __future__ import annotations
@@ -10,115 +10,155 @@ from dataclasses import fields
 import numpy as np
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.matrices import symmetric_of
-from sylpose.landmarks.alignment import Sights
-from sylpose.landmarks.messages import DIAGONAL, Judges, Says
+from sylpose.geometry.matrices import unpack_symmetric
+from sylpose.landmarks.alignment import LandmarkMatches
+from sylpose.landmarks.messages import DIAGONAL, EvaluationMessage, TermsMessage
 from sylpose.relative_pose.terms import TermData
-from sylpose.tracking.reports import Ages, Agreed, Chance, Following, Known, Middle, Moved, Recognised, Seen, Sighted
+from sylpose.tracking.reports import (
+    BoxMotionReport,
+    CameraObservations,
+    InlierStatistics,
+    KnownDepthMatches,
+    LandmarkAges,
+    MovingMatches,
+    NewObservations,
+    PoseAgreement,
+    RelocalizationMatches,
+    TrackingReport,
+)
 
-__all__ = ["objection"]
+__all__ = ["find_implausibility"]
 
-# A hessian is that of a sum of squares if it is positive semi-definite up to this share of its diagonal (derived: rounding,
-# of 24 bits in the compact mode, after a surface was eliminated).
-ROUNDING = 1e-5
-# Nothing that is counted, or measured in pixels, is more (choice).
-MOST = 1e7
-# About a turn, matches say no more than so much each (choice: 1e10 where the object is in its place, but a start that goes
-# astray may lead it close to a camera).
-MOST_EACH = 1e20
-# No length is more, in any unit (choice).
-FARTHEST = 1e9
-# Normalised coordinates of what is 89.4 degrees off the axis (derived).
-WIDEST = 100.0
-# Records of counts, of sums and of lengths in pixels: nothing in them is negative.
-COUNTS = (Following, Moved, Middle, Ages, Chance, Known, Agreed, Seen, Sighted, Judges)
-# But for places and images; what is NaN where nothing is known of it (derived).
-SIGNED = {"term", "sights", "ages", "image", "place"}
-UNKNOWN = {"jitter_px", "middle_px", "moved_px", "depth_sd", "residual_px", "noise_px"}
+# A Hessian is that of a sum of squares if it is positive semi-definite up to this share of its diagonal (derived:
+# rounding of 24 bits in the compact mode, after elimination of the depth model).
+RELATIVE_ROUNDING = 1e-5
+# Upper bound of counts and of lengths in pixels (choice).
+MAX_COUNT = 1e7
+# Upper bound of the rotational information per match (choice: 1e10 for an object in its place, but a diverging initial
+# pose may bring it close to a camera).
+MAX_INFORMATION_PER_MATCH = 1e20
+# Upper bound of lengths in any unit (choice).
+MAX_LENGTH = 1e9
+# Largest normalized coordinate: 89.4 degrees off the optical axis (derived).
+MAX_NORMALIZED = 100.0
+# Records of counts, sums and lengths in pixels, all non-negative.
+COUNT_RECORDS = (
+    TrackingReport,
+    MovingMatches,
+    BoxMotionReport,
+    LandmarkAges,
+    InlierStatistics,
+    KnownDepthMatches,
+    PoseAgreement,
+    NewObservations,
+    CameraObservations,
+    EvaluationMessage,
+)
+# Exceptions: positions and image points, which may be negative; and fields that are NaN if unknown (derived).
+SIGNED_FIELDS = {"term", "observations", "ages", "image", "positions"}
+OPTIONAL_FIELDS = {
+    "jitter_px",
+    "center_displacement_px",
+    "moving_displacement_px",
+    "depth_sd",
+    "residual_px",
+    "noise_px",
+}
 
 
-def objection(told: object, camera: int) -> str | None:
-    """Why it cannot be what a camera tells; None where it can."""
-    parts = told if isinstance(told, (tuple, list)) else [told]
-    says = [one for one in parts if isinstance(one, Says)]
-    if says and not _are_informations(np.array([one.upper for one in says])):
-        return "what it says of the pose is no information"
-    if not all(map(_says_enough, says)) or not all(_is_sound(one, camera) for one in parts):
-        return "what it says of its matches is of none"
+def find_implausibility(payload: object, camera: int) -> str | None:
+    """Return the reason why a payload of a camera is implausible; None if it is plausible."""
+    parts = payload if isinstance(payload, (tuple, list)) else [payload]
+    messages = [one for one in parts if isinstance(one, TermsMessage)]
+    if messages and not _are_informations(np.array([one.upper for one in messages])):
+        return "its pose information matrix is invalid"
+    if not all(map(_has_enough_matches, messages)) or not all(_is_plausible(one, camera) for one in parts):
+        return "its match statistics are impossible"
     return None
 
 
-def _is_sound(one: object, camera: int) -> bool:
-    if isinstance(one, COUNTS):
-        named = [(field.name, getattr(one, field.name)) for field in fields(one)]
-        if not all(_is_count(value, name in UNKNOWN) for name, value in named if name not in SIGNED):
+def _is_plausible(one: object, camera: int) -> bool:
+    if isinstance(one, COUNT_RECORDS):
+        field_values = [(field.name, getattr(one, field.name)) for field in fields(one)]
+        if not all(
+            _is_count(value, name in OPTIONAL_FIELDS) for name, value in field_values if name not in SIGNED_FIELDS
+        ):
             return False
     match one:
-        case Moved():
-            return _is_sound(one.term, camera)
-        case Known():
-            return _is_sound(one.sights, camera)
-        case Agreed():
+        case MovingMatches():
+            return _is_plausible(one.term, camera)
+        case KnownDepthMatches():
+            return _is_plausible(one.observations, camera)
+        case PoseAgreement():
             return (
-                _is_sound(one.ages, camera)
+                _is_plausible(one.ages, camera)
                 and len(one.references) == len(one.weights)
-                and one.strong <= one.features <= one.tried_features
+                and one.n_strong <= one.n_inlier_features <= one.n_features
             )
-        case Ages():
-            return bool(one.counts.sum() < MOST)
-        case Judges():
+        case LandmarkAges():
+            return bool(one.counts.sum() < MAX_COUNT)
+        case EvaluationMessage():
             return one.inliers <= one.matches
-        case Seen() | Sighted():
-            return _are_points(one.image, WIDEST) and _are_points(one.place)
+        case NewObservations() | CameraObservations():
+            return _are_points(one.image, MAX_NORMALIZED) and _are_points(one.positions)
         case TermData():
-            points = _are_points(one.x, WIDEST) and _are_points(one.y, WIDEST)
-            return points and one.camera == camera and 0.0 < one.focal < MOST and _is_view(one.rotation, one.center)
-        case Sights():
-            return all(map(_are_points, (one.points, one.image, one.trust))) and _is_view(one.rotation, one.center)
-        case Recognised():
+            points = _are_points(one.x, MAX_NORMALIZED) and _are_points(one.y, MAX_NORMALIZED)
+            return (
+                points and one.camera == camera and 0.0 < one.focal < MAX_COUNT and _is_view(one.rotation, one.center)
+            )
+        case LandmarkMatches():
+            return all(map(_are_points, (one.points, one.image, one.prior_weight))) and _is_view(
+                one.rotation, one.center
+            )
+        case RelocalizationMatches():
             return _are_points(one.points) and _are_points(one.pixels)
         case np.ndarray():
             return _are_points(one)
         case bool() | int() | float():
-            return not abs(one) > MOST
+            return not abs(one) > MAX_COUNT
     return True
 
 
-def _says_enough(says: Says) -> bool:
-    """Whether so many matches can say so much."""
-    noise = np.isnan(says.level_px) or 0.0 < says.level_px < MOST
-    return bool(noise and 0.0 <= says.mass < MOST and says.upper[DIAGONAL[:3]].sum() <= MOST_EACH * says.mass)
+def _has_enough_matches(message: TermsMessage) -> bool:
+    """Return whether the information is possible for the number of matches."""
+    noise = np.isnan(message.noise_px) or 0.0 < message.noise_px < MAX_COUNT
+    return bool(
+        noise
+        and 0.0 <= message.weight_sum < MAX_COUNT
+        and message.upper[DIAGONAL[:3]].sum() <= MAX_INFORMATION_PER_MATCH * message.weight_sum
+    )
 
 
-def _is_count(value: object, unknown: bool) -> bool:
-    """Whether numbers are such as count or measure something.
+def _is_count(value: object, allow_nan: bool) -> bool:
+    """Return whether numbers are valid counts or measures.
 
     Args:
-        unknown: whether they may be NaN.
+        value: the numbers.
+        allow_nan: whether they may be NaN.
     """
     numbers = np.asarray(value, float)
-    return bool(((numbers >= 0) & (numbers <= MOST) | (np.isnan(numbers) & unknown)).all())
+    return bool(((numbers >= 0) & (numbers <= MAX_COUNT) | (np.isnan(numbers) & allow_nan)).all())
 
 
-def _are_points(points: FloatArray, most: float = FARTHEST) -> bool:
-    return bool(np.isfinite(points).all() and (np.abs(points) < most).all())
+def _are_points(points: FloatArray, limit: float = MAX_LENGTH) -> bool:
+    return bool(np.isfinite(points).all() and (np.abs(points) < limit).all())
 
 
 def _is_view(rotation: FloatArray, center: FloatArray) -> bool:
-    """Whether a camera can stand like that."""
-    return _are_points(center) and bool(np.abs(rotation @ rotation.T - np.eye(3)).max() < ROUNDING)
+    """Return whether a camera pose is valid."""
+    return _are_points(center) and bool(np.abs(rotation @ rotation.T - np.eye(3)).max() < RELATIVE_ROUNDING)
 
 
 def _are_informations(upper: FloatArray) -> bool:
-    """Whether all (n, 27) have a positive semi-definite hessian, and a gradient with it."""
+    """Return whether all (n, 27) have a finite gradient and a positive semi-definite Hessian."""
     if not np.isfinite(upper).all():
         return False
-    hessian = np.array([symmetric_of(one) for one in upper[:, :21]])
+    hessian = np.array([unpack_symmetric(one) for one in upper[:, :21]])
     size = np.einsum("nii->ni", hessian)
     if (size < 0.0).any():
         return False
     unit = 1.0 / np.sqrt(np.where(size > 0.0, size, 1.0))
-    hessian = hessian * unit[:, :, None] * unit[:, None, :] + ROUNDING * np.eye(6)
+    hessian = hessian * unit[:, :, None] * unit[:, None, :] + RELATIVE_ROUNDING * np.eye(6)
     try:
         np.linalg.cholesky(hessian)
     except np.linalg.LinAlgError:

@@ -1,26 +1,26 @@
-"""Rounds in which all cameras that take part hear the same: one camera's side, pure, (state, inbox) -> (state, packets).
+"""Reliable all-to-all broadcast in synchronous rounds: one camera's side, pure, (state, inbox) -> (state, packets).
 
-In each round every camera tells all others one thing, and a round ends when it has heard them all. Nobody can be more than
-one round ahead, since that takes what this camera tells; who is one behind is told again. So loss and delay cost time and
-change nothing.
+In each round every camera sends one payload to all others, and the round ends when it has received all of theirs. No
+camera can be more than one round ahead, since that requires this camera's payload; a camera one round behind is sent it
+again. Loss and delay thus cost time but do not change results.
 
-A camera that is silent for long is given up, by all alike: each that misses it says so, with what it has heard of it in this
-round, until all that are left give up the same ones. What any of them had heard of those counts for all, or else nothing
-does; from then on they take no part. Whom a camera gives up only grows, and who has ended a round says how instead of
-agreeing to anything else; so no two cameras that listen to each other end it differently. One camera's word alone excludes
-nobody that the others hear.
+A camera without messages for too long is excluded, consistently at all others. Each camera that misses it announces so,
+with the payload it received from it in this round, until all remaining cameras exclude the same set. A payload that any
+of them received counts for all, otherwise for none; later the excluded cameras take no part. A camera's exclusions only
+grow, and a camera that has ended a round reports its result instead of accepting another one. So no two connected
+cameras end a round differently. One camera alone cannot exclude a camera that the others receive.
 
-Between two rounds, cameras may join: all members have to begin the next one with the same newcomers, each of which is told
-what there is to know.
+Cameras may join between two rounds: all members begin the next round with the same newcomers, which receive the shared
+state.
 
-A round's epoch is a digest of all that was told before it, and by whom: what was said in one means nothing in another. So a
-camera that tells each listener something else is found out with the next word of any of them. Then all tell each other
-digests of what they heard of whom (`liars`), those that lie are members no more, and the others begin a round in which
-nothing is told, from which they go back to where they last were alike.
+The epoch of a round is a digest of all earlier payloads and their senders, so a message is only valid in its own
+history. A camera that sends different payloads to different receivers is therefore detected by the next message of any
+of them. Then all exchange digests of what they received (`network.byzantine`). The faulty cameras are removed from
+the group, and the others begin an empty round, after which they roll back to their last common state.
 
-Source: view synchrony, K. Birman, T. Joseph, "Exploiting virtual synchrony in distributed systems" (1987); what listeners
-tell each other of what they heard, L. Lamport, R. Shostak, M. Pease, "The Byzantine generals problem" (1982), section 3, of
-digests and only where something is wrong.
+Source: view synchrony, K. Birman, T. Joseph, "Exploiting virtual synchrony in distributed systems" (1987); the exchange
+of received values, L. Lamport, R. Shostak, M. Pease, "The Byzantine generals problem" (1982), section 3, here with
+digests and only after a conflict.
 """
 
 from __future__ import annotations
@@ -29,372 +29,440 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-from sylpose.network.byzantine import NOBODY_LIES, Blame, claim, verdict
+from sylpose.network.byzantine import NO_EVIDENCE, FaultEvidence, encode_claim, judge_claims
 from sylpose.network.wire_format import (
-    DISPUTES,
-    ENDED,
-    GIVES_UP,
-    MOST_CAMERAS,
-    RELAYS,
-    TELLS,
-    WORKS,
+    DATA,
+    DISPUTE,
+    EXCLUSION,
+    HEARTBEAT,
+    MAX_CAMERAS,
+    RELAY,
+    ROUND_END,
+    RoundMessage,
     Welcome,
-    Word,
+    compute_join_epoch,
+    compute_next_epoch,
+    decode_message,
     digest,
-    entered,
-    following,
-    message,
-    passed_on,
-    read_word,
-    welcomed,
+    encode_message,
+    encode_relay,
+    encode_welcome,
 )
 from sylpose.sylvester.distributed.messages import Inbox, Packet
 
-__all__ = ["PATIENCE", "Agreeing", "Patience", "agree_next", "agree_start", "agree_step"]
+__all__ = ["DEFAULT_TIMEOUTS", "RoundState", "Timeouts", "begin_next_round", "start_rounds", "step_round"]
 
-# Ticks after which a camera says again what it has said, or that it is at work, and of these so many after which a newcomer
-# is welcomed again: that is long (choice).
-AGAIN, TOUR = 2, 5
-
-
-class Patience(NamedTuple):
-    """Ticks. silent: after so many without a word of it, a camera is given up; long: those of a round after which it is that
-    has not told what it has to tell, or does not agree on who is given up."""
-
-    silent: int
-    long: int
+# Ticks between retransmissions or heartbeats; and number of these intervals between retransmissions of a welcome, which
+# is long (choice).
+RETRANSMIT_INTERVAL, WELCOME_INTERVALS = 2, 5
 
 
-PATIENCE = Patience(30, 120)  # (choice)
-# Where nobody joins.
-NO_WELCOME = Welcome(0, 0, frozenset(), b"")
+class Timeouts(NamedTuple):
+    """Timeouts in ticks.
+
+    Attributes:
+        inactive: ticks without any message of a camera until it is excluded.
+        stalled: ticks of a round until a camera is excluded that has not sent its payload or does not agree on the
+            exclusions.
+    """
+
+    inactive: int
+    stalled: int
+
+
+DEFAULT_TIMEOUTS = Timeouts(30, 120)  # (choice)
+# Welcome of a round without newcomers.
+EMPTY_WELCOME = Welcome(0, 0, frozenset(), b"")
 
 
 @dataclass(frozen=True, eq=False)
-class Agreeing:
-    """One camera among others.
+class RoundState:
+    """State of one camera in a round.
 
     Attributes:
-        camera: its number. members: who takes part, this one included.
-        round: counts from 0; epoch: of its own newcomers.
-        own: what it tells in this round.
-        patience: with the others.
-        welcome: for newcomers, and newcomers: who has not spoken yet of those that joined with this round.
-        heard: camera -> what it told in this round; early: of those one ahead, the epoch and what they told in the next one.
-        before, left_before, epoch_before: camera -> what it told in the round before, who left with that, and its epoch.
-        odd: whose words say that they heard something else before this round; stray: those words.
-        claims: once there is a dispute about that, camera -> what it says that it heard; relays: and then what it received
-            of that from each.
-        blame: who is known to lie, and which pairs of whom one does. again: this round is one after which all go back.
-            outcast: this camera itself is one of those that leave.
-        silent: camera -> ticks without a word of it. waited: ticks of this round.
-        giving_up: whom this camera gives up. consent: camera -> whom that one does, and what it has heard of these.
-        ends: camera -> the same, with which it has ended this round. ended: so many agree on that, that it is so.
-        outcome: camera -> what it told, once the round is over; those that left unheard are missing.
-        refused: camera -> why its first bad message was not read.
+        camera: number of this camera.
+        members: the members of the group, including this one.
+        round: number of the round, from 0.
+        epoch: digest of the history, including the newcomers of this round.
+        payload: payload of this camera in this round.
+        received: camera -> payload received in this round.
+        timeouts: timeouts for the other cameras.
+        welcome: the message for newcomers.
+        newcomers: cameras that joined with this round and have not sent anything yet.
+        early: camera one round ahead -> epoch and payload of the next round.
+        previous: camera -> payload of the previous round.
+        previous_leaving: cameras that left with the previous round.
+        previous_epoch: epoch of the previous round.
+        conflicting: cameras whose messages have another history.
+        conflicting_messages: camera -> epoch and payload of such a message.
+        claims: in a dispute about the history, camera -> digests of what it received.
+        relays: camera -> the claims that it received.
+        evidence: cameras and pairs of cameras known to be faulty.
+        is_rollback: this is the round after which all roll back.
+        is_excluded: this camera itself was excluded as faulty.
+        inactive_ticks: camera -> ticks since its last message.
+        elapsed_ticks: ticks of this round.
+        excluding: cameras that this one excludes.
+        exclusion_messages: camera -> its exclusion message, with the payloads it received from the excluded ones.
+        end_messages: camera -> its end-of-round message, with the same content.
+        is_end_adopted: the end of the round was adopted from other cameras.
+        outcome: camera -> payload, once the round is over; cameras excluded without a payload are missing.
+        refused: camera -> reason why its first invalid message was rejected.
     """
 
     camera: int
     members: tuple[int, ...]
     round: int
     epoch: int
-    own: bytes
-    heard: Mapping[int, bytes]
-    patience: Patience = PATIENCE
-    welcome: Welcome = NO_WELCOME
+    payload: bytes
+    received: Mapping[int, bytes]
+    timeouts: Timeouts = DEFAULT_TIMEOUTS
+    welcome: Welcome = EMPTY_WELCOME
     newcomers: frozenset[int] = frozenset()
     early: Mapping[int, tuple[int, bytes]] = field(default_factory=dict)
-    before: Mapping[int, bytes] = field(default_factory=dict)
-    left_before: frozenset[int] = frozenset()
-    epoch_before: int = 0
-    odd: frozenset[int] = frozenset()
-    stray: Mapping[int, tuple[int, bytes]] = field(default_factory=dict)
+    previous: Mapping[int, bytes] = field(default_factory=dict)
+    previous_leaving: frozenset[int] = frozenset()
+    previous_epoch: int = 0
+    conflicting: frozenset[int] = frozenset()
+    conflicting_messages: Mapping[int, tuple[int, bytes]] = field(default_factory=dict)
     claims: Mapping[int, bytes] = field(default_factory=dict)
     relays: Mapping[int, Mapping[int, bytes]] = field(default_factory=dict)
-    blame: Blame = NOBODY_LIES
-    again: bool = False
-    outcast: bool = False
-    silent: Mapping[int, int] = field(default_factory=dict)
-    waited: int = 0
-    giving_up: frozenset[int] = frozenset()
-    consent: Mapping[int, Word] = field(default_factory=dict)
-    ends: Mapping[int, Word] = field(default_factory=dict)
-    ended: bool = False
+    evidence: FaultEvidence = NO_EVIDENCE
+    is_rollback: bool = False
+    is_excluded: bool = False
+    inactive_ticks: Mapping[int, int] = field(default_factory=dict)
+    elapsed_ticks: int = 0
+    excluding: frozenset[int] = frozenset()
+    exclusion_messages: Mapping[int, RoundMessage] = field(default_factory=dict)
+    end_messages: Mapping[int, RoundMessage] = field(default_factory=dict)
+    is_end_adopted: bool = False
     outcome: Mapping[int, bytes] | None = None
     refused: Mapping[int, str] = field(default_factory=dict)
 
     @property
     def others(self) -> tuple[int, ...]:
-        """The members but this one and those that it gives up."""
-        return tuple(c for c in self.members if c != self.camera and c not in self.giving_up)
+        """The members except this one and those that it excludes."""
+        return tuple(c for c in self.members if c != self.camera and c not in self.excluding)
 
 
-def agree_start(
+def start_rounds(
     camera: int,
     members: Sequence[int],
-    own: bytes,
+    payload: bytes,
     *,
     number: int = 0,
     epoch: int = 0,
-    patience: Patience = PATIENCE,
-    blame: Blame = NOBODY_LIES,
-) -> tuple[Agreeing, list[Packet]]:
-    """A camera, and what it tells in its first round.
+    timeouts: Timeouts = DEFAULT_TIMEOUTS,
+    evidence: FaultEvidence = NO_EVIDENCE,
+) -> tuple[RoundState, list[Packet]]:
+    """Start the first round of a camera.
 
     Args:
-        number, epoch: of that round, for one that joins others.
-        blame: from groups before.
+        camera: number of this camera.
+        members: numbers of all cameras in the group.
+        payload: payload of this camera.
+        number, epoch: of the round, for a camera that joins a group.
+        timeouts: timeouts for the other cameras.
+        evidence: fault evidence from earlier groups.
+
+    Returns:
+        The state, and the packets to send.
 
     Raises:
-        ValueError: cameras that are not among 0 to 1,023, or this one not among them.
+        ValueError: camera numbers outside 0 to 1,023, or this camera is not a member.
     """
-    if camera not in members or min(members) < 0 or max(members) >= MOST_CAMERAS:
-        raise ValueError(f"camera {camera} of {list(members)}: expected one of some of 0 to {MOST_CAMERAS - 1}")
-    who, heard = tuple(sorted(members)), {camera: own}
-    s = Agreeing(camera, who, number, epoch, own, heard, patience, blame=blame, epoch_before=epoch)
-    return _settled(s), _packets(s.others, _tells(s))
+    if camera not in members or min(members) < 0 or max(members) >= MAX_CAMERAS:
+        raise ValueError(
+            f"camera {camera} of {list(members)}: it must be a member, and numbers must be 0 to {MAX_CAMERAS - 1}"
+        )
+    sorted_members, received = tuple(sorted(members)), {camera: payload}
+    s = RoundState(
+        camera, sorted_members, number, epoch, payload, received, timeouts, evidence=evidence, previous_epoch=epoch
+    )
+    return _set_outcome(s), _make_packets(s.others, _encode_payload(s))
 
 
-def agree_next(
-    state: Agreeing, own: bytes, newcomers: frozenset[int] = frozenset(), welcome: bytes = b""
-) -> tuple[Agreeing, list[Packet]]:
-    """The next round, once there is an outcome.
+def begin_next_round(
+    state: RoundState, payload: bytes, newcomers: frozenset[int] = frozenset(), welcome: bytes = b""
+) -> tuple[RoundState, list[Packet]]:
+    """Begin the next round, once the current one has an outcome.
 
     Args:
-        newcomers: who joins with it, the same at all members; welcome: what these have to know.
+        state: the state with an outcome.
+        payload: payload of this camera.
+        newcomers: cameras that join with the round, the same at all members.
+        welcome: shared state for the newcomers.
+
+    Returns:
+        The state, and the packets to send.
     """
     assert state.outcome is not None
     number, newcomers = state.round + 1, newcomers - {*state.others, state.camera}
     members = tuple(sorted({*state.others, state.camera, *newcomers}))
-    epoch = known = following(state.epoch, number, members, newcomers, state.outcome)
+    epoch = base_epoch = compute_next_epoch(state.epoch, number, members, newcomers, state.outcome)
     if newcomers:
-        epoch = entered(known, welcome)
+        epoch = compute_join_epoch(base_epoch, welcome)
     early = {c: data for c, (of, data) in state.early.items() if c in members and of == epoch}
-    odd = {c for c, (of, _) in state.early.items() if c in members and of != epoch}
-    s = Agreeing(
+    conflicting = {c for c, (of, _) in state.early.items() if c in members and of != epoch}
+    s = RoundState(
         state.camera,
         members,
         number,
         epoch,
-        own,
-        {state.camera: own, **early},
-        state.patience,
-        Welcome(number, known, frozenset(members), welcome),
+        payload,
+        {state.camera: payload, **early},
+        state.timeouts,
+        Welcome(number, base_epoch, frozenset(members), welcome),
         newcomers,
-        before=state.outcome,
-        left_before=state.giving_up,
-        epoch_before=state.epoch,
-        odd=frozenset(odd),
-        blame=state.blame,
-        silent={c: n for c, n in state.silent.items() if c in members},
+        previous=state.outcome,
+        previous_leaving=state.excluding,
+        previous_epoch=state.epoch,
+        conflicting=frozenset(conflicting),
+        evidence=state.evidence,
+        inactive_ticks={c: n for c, n in state.inactive_ticks.items() if c in members},
         refused=state.refused,
     )
-    packets = _packets(tuple(c for c in s.others if c not in newcomers), _tells(s))
-    packets += _packets(tuple(sorted(newcomers)), _welcomes(s))
-    s, more = _disputing(s)
-    return _settled(s), packets + more
+    packets = _make_packets(tuple(c for c in s.others if c not in newcomers), _encode_payload(s))
+    packets += _make_packets(tuple(sorted(newcomers)), _encode_welcome(s))
+    s, more = _join_dispute(s)
+    return _set_outcome(s), packets + more
 
 
-def agree_step(state: Agreeing, inbox: Inbox, *, tick: bool = True) -> tuple[Agreeing, list[Packet]]:
-    """Hear the others; say again what they may have missed, or whom this camera gives up.
+def step_round(state: RoundState, inbox: Inbox, *, tick: bool = True) -> tuple[RoundState, list[Packet]]:
+    """Process received messages; retransmit what others may have missed, and announce exclusions.
 
     Args:
-        tick: whether time has passed, in which others were silent.
+        state: the current state.
+        inbox: sender and bytes of the received messages.
+        tick: whether a tick has elapsed.
+
+    Returns:
+        The state, and the packets to send.
     """
     s = state
     out: list[Packet] = []
     if tick:
-        s = replace(s, silent={c: s.silent.get(c, 0) + 1 for c in s.others}, waited=s.waited + 1)
-    others, silent, heard, early = set(s.others), dict(s.silent), dict(s.heard), dict(s.early)
-    ends, consent, refused, newcomers = dict(s.ends), dict(s.consent), dict(s.refused), set(s.newcomers)
-    odd, stray, claims, relays = set(s.odd), dict(s.stray), dict(s.claims), dict(s.relays)
+        s = replace(
+            s, inactive_ticks={c: s.inactive_ticks.get(c, 0) + 1 for c in s.others}, elapsed_ticks=s.elapsed_ticks + 1
+        )
+    others, inactive_ticks, received, early = set(s.others), dict(s.inactive_ticks), dict(s.received), dict(s.early)
+    end_messages, exclusion_messages, refused, newcomers = (
+        dict(s.end_messages),
+        dict(s.exclusion_messages),
+        dict(s.refused),
+        set(s.newcomers),
+    )
+    conflicting, conflicting_messages, claims, relays = (
+        set(s.conflicting),
+        dict(s.conflicting_messages),
+        dict(s.claims),
+        dict(s.relays),
+    )
     for sender, data in inbox:
         if sender not in others:
             continue
         try:
-            word = read_word(sender, data, s.round)
+            msg = decode_message(sender, data, s.round)
         except ValueError as error:
             refused.setdefault(sender, str(error))
             continue
-        ahead = word.round == s.round + 1 and word.kind == TELLS
-        if word.round == s.round and sender in s.before:
-            if word.kind in (DISPUTES, RELAYS) and (s.outcome is None or s.again):
-                silent[sender] = 0
-                if word.kind == DISPUTES:
-                    claims.setdefault(sender, word.told[sender])
+        is_ahead = msg.round == s.round + 1 and msg.kind == DATA
+        if msg.round == s.round and sender in s.previous:
+            if msg.kind in (DISPUTE, RELAY) and (s.outcome is None or s.is_rollback):
+                inactive_ticks[sender] = 0
+                if msg.kind == DISPUTE:
+                    claims.setdefault(sender, msg.payloads[sender])
                 else:
-                    relays.setdefault(sender, word.told)
-                if s.again and word.epoch:  # it has missed what this camera says; an answer needs none
-                    out += _disputes(s, (sender,))
+                    relays.setdefault(sender, msg.payloads)
+                if s.is_rollback and msg.epoch:  # it missed this camera's message; an answer needs no reply
+                    out += _dispute_packets(s, (sender,))
                 continue
-            if word.kind == TELLS and word.epoch != s.epoch:
-                odd.add(sender)
-                stray[sender] = word.epoch, word.told[sender]
-        if (word.epoch not in (s.epoch, s.epoch_before) and not ahead) or word.round > s.round + 1:
-            # It is in another group, or has gone on without this camera, which was silent for long: no word for it.
+            if msg.kind == DATA and msg.epoch != s.epoch:
+                conflicting.add(sender)
+                conflicting_messages[sender] = msg.epoch, msg.payloads[sender]
+        if (msg.epoch not in (s.epoch, s.previous_epoch) and not is_ahead) or msg.round > s.round + 1:
+            # It is in another group, or has continued without this camera, which it excluded: no valid message.
             continue
-        silent[sender] = 0
-        if word.kind == WORKS:
+        inactive_ticks[sender] = 0
+        if msg.kind == HEARTBEAT:
             continue
-        if ahead:
-            early[sender] = word.epoch, word.told[sender]
-        elif word.round == s.round and word.epoch == s.epoch:
+        if is_ahead:
+            early[sender] = msg.epoch, msg.payloads[sender]
+        elif msg.round == s.round and msg.epoch == s.epoch:
             newcomers.discard(sender)
-            if s.outcome is not None:  # it has missed this camera's word, or someone else's
-                out += _packets((sender,), _again(s, word, s.outcome))
-            elif word.kind == TELLS:
-                heard.setdefault(sender, word.told[sender])
+            if s.outcome is not None:  # it missed a message of this camera or of another one
+                out += _make_packets((sender,), _answer_finished_round(s, msg, s.outcome))
+            elif msg.kind == DATA:
+                received.setdefault(sender, msg.payloads[sender])
             else:
-                (ends if word.kind == ENDED else consent)[sender] = word
-        elif word.round == s.round - 1 and word.epoch == s.epoch_before and s.camera in s.before:
-            out += _packets((sender,), _again(s, word, s.before))
+                (end_messages if msg.kind == ROUND_END else exclusion_messages)[sender] = msg
+        elif msg.round == s.round - 1 and msg.epoch == s.previous_epoch and s.camera in s.previous:
+            out += _make_packets((sender,), _answer_finished_round(s, msg, s.previous))
     s = replace(
         s,
-        silent=silent,
-        heard=heard,
+        inactive_ticks=inactive_ticks,
+        received=received,
         early=early,
-        ends=ends,
-        consent=consent,
+        end_messages=end_messages,
+        exclusion_messages=exclusion_messages,
         refused=refused,
         newcomers=frozenset(newcomers),
-        odd=frozenset(odd),
-        stray=stray,
+        conflicting=frozenset(conflicting),
+        conflicting_messages=conflicting_messages,
         claims=claims,
         relays=relays,
     )
-    s, more = _disputing(_ended(s))
-    s, judged = _judged(_impatient(s))
-    s = _settled(s)
-    return s, out + more + judged + (_said_again(s) if tick and not s.outcast else [])
+    s, more = _join_dispute(_adopt_end(s))
+    s, verdict_packets = _exclude_faulty(_exclude_inactive(s))
+    s = _set_outcome(s)
+    return s, out + more + verdict_packets + (_retransmit(s) if tick and not s.is_excluded else [])
 
 
-def _said_again(s: Agreeing) -> list[Packet]:
-    """What others may have missed."""
+def _retransmit(s: RoundState) -> list[Packet]:
+    """Return retransmissions of what others may have missed."""
     if s.outcome is not None:
-        works = message(WORKS, s.camera, s.round, s.epoch, b"")
-        return _packets(s.others, works) if s.waited % AGAIN == 0 else []
+        heartbeat = encode_message(HEARTBEAT, s.camera, s.round, s.epoch, b"")
+        return _make_packets(s.others, heartbeat) if s.elapsed_ticks % RETRANSMIT_INTERVAL == 0 else []
     out: list[Packet] = []
-    if s.claims and not s.again:
-        out += _disputes(s, s.others)
-    if s.giving_up and not s.ended:
-        gives_up = passed_on(GIVES_UP, s.camera, s.round, s.epoch, s.giving_up, frozenset(), s.heard)
-        out += _packets(s.others, gives_up)
-    if s.waited % AGAIN == 0:
-        out += _packets(tuple(c for c in s.others if c not in s.newcomers), _tells(s))
-    if s.waited % (AGAIN * TOUR) == 0:
-        out += _packets(tuple(sorted(s.newcomers & {*s.others})), _welcomes(s))
+    if s.claims and not s.is_rollback:
+        out += _dispute_packets(s, s.others)
+    if s.excluding and not s.is_end_adopted:
+        exclusion = encode_relay(EXCLUSION, s.camera, s.round, s.epoch, s.excluding, frozenset(), s.received)
+        out += _make_packets(s.others, exclusion)
+    if s.elapsed_ticks % RETRANSMIT_INTERVAL == 0:
+        out += _make_packets(tuple(c for c in s.others if c not in s.newcomers), _encode_payload(s))
+    if s.elapsed_ticks % (RETRANSMIT_INTERVAL * WELCOME_INTERVALS) == 0:
+        out += _make_packets(tuple(sorted(s.newcomers & {*s.others})), _encode_welcome(s))
     return out
 
 
-def _again(s: Agreeing, word: Word, outcome: Mapping[int, bytes]) -> bytes:
-    """An answer to a word of a round that is over."""
-    if word.kind == TELLS:
-        return message(TELLS, s.camera, word.round, word.epoch, outcome[s.camera])
-    leaving = s.giving_up if word.round == s.round else s.left_before
-    return passed_on(ENDED, s.camera, word.round, word.epoch, leaving, word.leaving, outcome)
+def _answer_finished_round(s: RoundState, msg: RoundMessage, outcome: Mapping[int, bytes]) -> bytes:
+    """Return the answer to a message of a finished round."""
+    if msg.kind == DATA:
+        return encode_message(DATA, s.camera, msg.round, msg.epoch, outcome[s.camera])
+    leaving = s.excluding if msg.round == s.round else s.previous_leaving
+    return encode_relay(ROUND_END, s.camera, msg.round, msg.epoch, leaving, msg.leaving, outcome)
 
 
-def _ended(s: Agreeing) -> Agreeing:
-    """Ended as another camera has, if that concerns only what this one has missed, or most others say so."""
-    if s.outcome is not None or s.ended:
+def _adopt_end(s: RoundState) -> RoundState:
+    """Adopt the end of the round from another camera.
+
+    Only if it concerns just the cameras missed here, or if most others report it.
+    """
+    if s.outcome is not None or s.is_end_adopted:
         return s
-    missed = {c for c in s.members if c not in s.heard} | s.giving_up
-    for word in s.ends.values():
-        alike = sum(word.leaving == other.leaving for other in s.ends.values())
-        if word.leaving <= missed or (2 * alike > len(s.others) and s.camera not in word.leaving):
-            told = {c: data for c, data in word.told.items() if c in missed}
-            return replace(s, heard={**told, **s.heard}, giving_up=word.leaving, ended=True)
+    missed = {c for c in s.members if c not in s.received} | s.excluding
+    for msg in s.end_messages.values():
+        n_equal = sum(msg.leaving == other.leaving for other in s.end_messages.values())
+        if msg.leaving <= missed or (2 * n_equal > len(s.others) and s.camera not in msg.leaving):
+            payloads = {c: data for c, data in msg.payloads.items() if c in missed}
+            return replace(s, received={**payloads, **s.received}, excluding=msg.leaving, is_end_adopted=True)
     return s
 
 
-def _impatient(s: Agreeing) -> Agreeing:
-    """Gives up who was silent for long, where it is waited for."""
-    if s.outcome is not None or s.ended or s.outcast:
+def _exclude_inactive(s: RoundState) -> RoundState:
+    """Exclude the awaited cameras that exceed a timeout."""
+    if s.outcome is not None or s.is_end_adopted or s.is_excluded:
         return s
-    missed = {c for c in s.others if c not in s.heard or (s.giving_up and not _consents(s, c))}
-    missed |= {c for c in s.others if s.claims and not s.again and not (c in s.claims and c in s.relays)}
-    silent, long = s.patience
-    more = {c for c in missed if s.silent.get(c, 0) > silent or s.waited > long} - s.giving_up
-    # The others have as long again to agree to it.
-    return replace(s, giving_up=s.giving_up | more, waited=0) if more else s
+    missed = {c for c in s.others if c not in s.received or (s.excluding and not _has_same_exclusions(s, c))}
+    missed |= {c for c in s.others if s.claims and not s.is_rollback and not (c in s.claims and c in s.relays)}
+    inactive, stalled = s.timeouts
+    more = {c for c in missed if s.inactive_ticks.get(c, 0) > inactive or s.elapsed_ticks > stalled} - s.excluding
+    # The others have the same time again to agree.
+    return replace(s, excluding=s.excluding | more, elapsed_ticks=0) if more else s
 
 
-def _consents(s: Agreeing, camera: int) -> bool:
-    return camera in s.consent and s.consent[camera].leaving == s.giving_up
+def _has_same_exclusions(s: RoundState, camera: int) -> bool:
+    return camera in s.exclusion_messages and s.exclusion_messages[camera].leaving == s.excluding
 
 
-def _settled(s: Agreeing) -> Agreeing:
-    """With the outcome, where all that are left have told, and give up the same."""
-    if s.outcast:  # for a while it answers those that have missed what it says
-        return replace(s, outcome={}, members=(s.camera,)) if s.waited > s.patience.silent else s
-    agreed = s.ended or not s.giving_up or all(_consents(s, c) for c in s.others)
-    if s.outcome is not None or not agreed or any(c not in s.heard for c in s.others):
+def _set_outcome(s: RoundState) -> RoundState:
+    """Set the outcome once all remaining cameras have sent their payloads and exclude the same set."""
+    if s.is_excluded:  # keeps answering cameras that missed its messages
+        return replace(s, outcome={}, members=(s.camera,)) if s.elapsed_ticks > s.timeouts.inactive else s
+    is_agreed = s.is_end_adopted or not s.excluding or all(_has_same_exclusions(s, c) for c in s.others)
+    if s.outcome is not None or not is_agreed or any(c not in s.received for c in s.others):
         return s
-    if s.claims and not s.again and not s.ended:  # its word in a dispute counts: it waits for how that ends
+    if s.claims and not s.is_rollback and not s.is_end_adopted:  # its claim is needed: wait for the dispute to end
         return s
-    # Of who leaves, what any has heard; nobody hears it once it is given up.
-    passed_on = [s.consent[c].told for c in s.others if c in s.consent and not s.ended]
-    told = {c: data for of in passed_on for c, data in of.items() if c in s.giving_up} | dict(s.heard)
-    return replace(s, outcome={c: told[c] for c in s.members if c in told})
+    # Of excluded cameras, any payload received by a member counts; later ones are ignored.
+    relayed = [s.exclusion_messages[c].payloads for c in s.others if c in s.exclusion_messages and not s.is_end_adopted]
+    payloads = {c: data for of in relayed for c, data in of.items() if c in s.excluding} | dict(s.received)
+    return replace(s, outcome={c: payloads[c] for c in s.members if c in payloads})
 
 
-def _disputing(s: Agreeing) -> tuple[Agreeing, list[Packet]]:
-    """Takes part in a dispute, where there is one: says what it has heard, then what the others say."""
-    if s.again or s.outcome is not None or s.ended or not (s.odd or s.claims):
+def _join_dispute(s: RoundState) -> tuple[RoundState, list[Packet]]:
+    """Take part in a dispute, if there is one: send own claims, then the claims received from the others."""
+    if s.is_rollback or s.outcome is not None or s.is_end_adopted or not (s.conflicting or s.claims):
         return s, []
-    told = len(s.claims) + len(s.relays)
+    n_known = len(s.claims) + len(s.relays)
     if s.camera not in s.claims:
-        mine = claim(s.odd, {c: digest(data) for c, data in s.before.items()})
-        s = replace(s, claims={**s.claims, s.camera: mine})
+        own_claim = encode_claim(s.conflicting, {c: digest(data) for c, data in s.previous.items()})
+        s = replace(s, claims={**s.claims, s.camera: own_claim})
     if s.camera not in s.relays and all(c in s.claims for c in s.others):
         s = replace(s, relays={**s.relays, s.camera: s.claims})
-    return s, _disputes(s, s.others) if len(s.claims) + len(s.relays) > told else []
+    return s, _dispute_packets(s, s.others) if len(s.claims) + len(s.relays) > n_known else []
 
 
-def _judged(s: Agreeing) -> tuple[Agreeing, list[Packet]]:
-    """Without those that lie, once all that are left have said what they heard: they go back, a round later."""
-    if s.again or s.outcome is not None or s.ended or any(c not in s.relays for c in (s.camera, *s.others)):
+def _exclude_faulty(s: RoundState) -> tuple[RoundState, list[Packet]]:
+    """Exclude the faulty cameras once all remaining claims are known; the others roll back one round later."""
+    if (
+        s.is_rollback
+        or s.outcome is not None
+        or s.is_end_adopted
+        or any(c not in s.relays for c in (s.camera, *s.others))
+    ):
         return s, []
-    out, blame = verdict(s.before.keys(), s.relays, s.blame)
-    # Those as well that this camera has given up meanwhile: not all may have.
-    left = tuple(sorted((set(s.members) & s.before.keys()) - out))
-    epoch = following(s.epoch_before, s.round, left, frozenset(), {})
-    s = replace(s, blame=blame, again=True, outcast=s.camera in out, odd=frozenset(), newcomers=frozenset())
-    if s.outcast:
-        return replace(s, waited=0), []
+    excluded, evidence = judge_claims(s.previous.keys(), s.relays, s.evidence)
+    # Including cameras that this one has excluded meanwhile: not all members may have done so.
+    remaining = tuple(sorted((set(s.members) & s.previous.keys()) - excluded))
+    epoch = compute_next_epoch(s.previous_epoch, s.round, remaining, frozenset(), {})
     s = replace(
         s,
-        members=left,
-        epoch=epoch,
-        own=b"",
-        heard={s.camera: b"", **{c: told for c, (of, told) in s.stray.items() if c in left and of == epoch}},
-        early={},
-        consent={},
-        ends={},
-        giving_up=frozenset(),
-        silent={},
-        waited=0,
+        evidence=evidence,
+        is_rollback=True,
+        is_excluded=s.camera in excluded,
+        conflicting=frozenset(),
+        newcomers=frozenset(),
     )
-    return s, _packets(s.others, _tells(s))
+    if s.is_excluded:
+        return replace(s, elapsed_ticks=0), []
+    s = replace(
+        s,
+        members=remaining,
+        epoch=epoch,
+        payload=b"",
+        received={
+            s.camera: b"",
+            **{c: data for c, (of, data) in s.conflicting_messages.items() if c in remaining and of == epoch},
+        },
+        early={},
+        exclusion_messages={},
+        end_messages={},
+        excluding=frozenset(),
+        inactive_ticks={},
+        elapsed_ticks=0,
+    )
+    return s, _make_packets(s.others, _encode_payload(s))
 
 
-def _disputes(s: Agreeing, to: tuple[int, ...]) -> list[Packet]:
-    """What this camera says in a dispute, with no epoch where that is over for it: it answers."""
-    header = s.camera, s.round, 0 if s.again else s.epoch
-    out = _packets(to, message(DISPUTES, *header, s.claims[s.camera])) if s.camera in s.claims else []
+def _dispute_packets(s: RoundState, to: tuple[int, ...]) -> list[Packet]:
+    """Return the dispute messages of this camera, without epoch if the dispute is over for it (an answer)."""
+    header = s.camera, s.round, 0 if s.is_rollback else s.epoch
+    out = _make_packets(to, encode_message(DISPUTE, *header, s.claims[s.camera])) if s.camera in s.claims else []
     if s.camera in s.relays:
         relays = s.relays[s.camera]
-        out += _packets(to, passed_on(RELAYS, *header, frozenset(), frozenset(relays), relays))
+        out += _make_packets(to, encode_relay(RELAY, *header, frozenset(), frozenset(relays), relays))
     return out
 
 
-def _packets(to: tuple[int, ...], data: bytes) -> list[Packet]:
+def _make_packets(to: tuple[int, ...], data: bytes) -> list[Packet]:
     return [Packet(to, data)] if to else []
 
 
-def _tells(s: Agreeing) -> bytes:
-    return message(TELLS, s.camera, s.round, s.epoch, s.own)
+def _encode_payload(s: RoundState) -> bytes:
+    return encode_message(DATA, s.camera, s.round, s.epoch, s.payload)
 
 
-def _welcomes(s: Agreeing) -> bytes:
-    return welcomed(s.camera, s.welcome)
+def _encode_welcome(s: RoundState) -> bytes:
+    return encode_welcome(s.camera, s.welcome)

@@ -1,4 +1,4 @@
-"""A node on a real network: what `simulated` does in steps, by the clock and with links."""
+"""Node on a real network: runs by the clock and over links what `simulation` runs in steps."""
 
 from __future__ import annotations
 
@@ -8,75 +8,76 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from queue import Empty, SimpleQueue
 
-from sylpose.network.membership import Present, answer, asked, present_step, silenced
-from sylpose.network.worker_thread import Talk, Work
+from sylpose.network.membership import Membership, add_inactivity, step_membership, submit_request, take_response
+from sylpose.network.worker_thread import Work, WorkerThread
 from sylpose.sylvester.distributed.messages import Packet
 
-__all__ = ["TICK", "Runner"]
+__all__ = ["TICK_SECONDS", "NodeRunner"]
 
-# Seconds of a tick: patience is counted in these (choice).
-TICK = 0.02
-# Ticks for which a node that is through answers those that have missed its last word (choice: as long as they wait).
-LINGERS = 50
+# Duration of a tick, seconds; timeouts are counted in ticks (choice).
+TICK_SECONDS = 0.02
+# Ticks for which a finished node still answers nodes that missed its last message (choice: as long as they wait).
+LINGER_TICKS = 50
 
 
 @dataclass
-class Runner:
-    """One node at work.
+class NodeRunner:
+    """Event loop of one node.
 
     Args:
-        present: at its start.
-        work: see `Talk`.
-        send: packets to the others.
+        membership: membership state at the start.
+        work: see `WorkerThread`.
+        send: sends packets and returns the number of bytes.
 
     Attributes:
         bytes_sent, rounds: so far.
     """
 
-    present: Present
+    membership: Membership
     work: Work
     send: Callable[[Sequence[Packet]], int]
     bytes_sent: int = 0
     rounds: int = 0
 
     def __post_init__(self) -> None:
-        # Messages, and None where the work has asked for something, or somebody has gone.
+        # Messages; None after a request of the work or a lost link.
         self._events: SimpleQueue[tuple[int, bytes] | None] = SimpleQueue()
-        self._gone: SimpleQueue[int] = SimpleQueue()
+        self._lost: SimpleQueue[int] = SimpleQueue()
 
-    def heard(self, sender: int, data: bytes) -> None:
-        """A message, from any thread."""
+    def receive(self, sender: int, data: bytes) -> None:
+        """Queue a received message, from any thread."""
         self._events.put((sender, data))
 
-    def gone(self, camera: int) -> None:
-        """Its link has ended: it is as if it had been silent for long. From any thread."""
-        self._gone.put(camera)
+    def report_lost(self, camera: int) -> None:
+        """Report that a camera's link has ended, which counts as long inactivity. From any thread."""
+        self._lost.put(camera)
         self._events.put(None)
 
-    def run(self, on_tick: Callable[[Present], None], stop: Callable[[], bool]) -> None:
-        """Until the work is through, or is to be stopped.
+    def run(self, on_tick: Callable[[Membership], None], stop: Callable[[], bool]) -> None:
+        """Run until the work has ended or `stop` returns True.
 
         Args:
             on_tick: called every tick.
+            stop: polled in each iteration.
 
         Raises:
-            Exception: of the work.
+            Exception: the exception that ended the work.
         """
-        talk = Talk(self.work, on_ask=lambda: self._events.put(None))
-        due, through = time.monotonic() + TICK, 0
+        worker = WorkerThread(self.work, on_request=lambda: self._events.put(None))
+        due, finished_ticks = time.monotonic() + TICK_SECONDS, 0
         try:
-            while not stop() and through <= LINGERS:
+            while not stop() and finished_ticks <= LINGER_TICKS:
                 inbox = self._inbox(max(due - time.monotonic(), 0.0))
                 tick = time.monotonic() >= due
                 if tick:
-                    # However late: while this node stood still, it has not heard the others.
-                    due = time.monotonic() + TICK
-                    through += talk.through
-                self._step(talk, inbox, tick)
+                    # Not from the old due time: a node that was blocked has not received the others' messages.
+                    due = time.monotonic() + TICK_SECONDS
+                    finished_ticks += worker.is_finished
+                self._step(worker, inbox, tick)
                 if tick:
-                    on_tick(self.present)
+                    on_tick(self.membership)
         finally:
-            talk.end(wait=False)
+            worker.stop(wait=False)
 
     def _inbox(self, seconds: float) -> list[tuple[int, bytes]]:
         events = []
@@ -87,29 +88,29 @@ class Runner:
         except Empty:
             return [event for event in events if event is not None]
 
-    def _step(self, talk: Talk, inbox: Sequence[tuple[int, bytes]], tick: bool) -> None:
+    def _step(self, worker: WorkerThread, inbox: Sequence[tuple[int, bytes]], tick: bool) -> None:
         with suppress(Empty):
             while True:
-                self.present = _without(self.present, self._gone.get_nowait())
-        present, packets = present_step(self.present, inbox, tick=tick)
+                self.membership = _mark_inactive(self.membership, self._lost.get_nowait())
+        membership, packets = step_membership(self.membership, inbox, tick=tick)
         self.bytes_sent += self.send(packets)
         while True:
-            if present.ask is None:
-                asks = None if talk.through else talk.asks(wait=False)
-                if asks is None:
+            if membership.request is None:
+                request = None if worker.is_finished else worker.next_request(wait=False)
+                if request is None:
                     break
-                present, packets = asked(present, *asks)
+                membership, packets = submit_request(membership, *request)
                 self.bytes_sent += self.send(packets)
-            present, answered = answer(present)
-            if answered is None:
+            membership, response = take_response(membership)
+            if response is None:
                 break
             self.rounds += 1
-            talk.hears(answered)
-        self.present = present
+            worker.respond(response)
+        self.membership = membership
 
 
-def _without(present: Present, camera: int) -> Present:
-    """A word of it, should it come, is heard all the same."""
-    if present.agreeing is None:
-        return present
-    return replace(present, agreeing=silenced(present.agreeing, camera, present.patience.silent))
+def _mark_inactive(membership: Membership, camera: int) -> Membership:
+    """Count a camera as inactive; later messages of it are still accepted."""
+    if membership.round_state is None:
+        return membership
+    return replace(membership, round_state=add_inactivity(membership.round_state, camera, membership.timeouts.inactive))

@@ -1,4 +1,4 @@
-"""Nodes in one process, over a simulated network: every claim of the network is a seeded test here."""
+"""Nodes in one process on a simulated network, for reproducible tests."""
 
 from __future__ import annotations
 
@@ -11,113 +11,127 @@ from typing import Any, NamedTuple
 from sylpose.frames import Box, FrameSet
 from sylpose.geometry.arrays import IntArray
 from sylpose.methods import MODES
-from sylpose.network.fault_injection import Lie, false_content, liar
+from sylpose.network.fault_injection import FaultKind, make_message_fault, make_payload_fault
 from sylpose.network.frame_announcement import NO_FRAME
-from sylpose.network.membership import Answer, Ask, Present, Tell, answer, asked, present_step
+from sylpose.network.membership import (
+    ExchangeRequest,
+    Membership,
+    Request,
+    Response,
+    step_membership,
+    submit_request,
+    take_response,
+)
 from sylpose.network.node import Node, track_by_node
-from sylpose.network.rounds import PATIENCE
+from sylpose.network.rounds import DEFAULT_TIMEOUTS
 from sylpose.network.smoothing import smooth_by_node
 from sylpose.network.wire_format import Welcome
-from sylpose.network.worker_thread import Talk
+from sylpose.network.worker_thread import WorkerThread
 from sylpose.rig import Rig
-from sylpose.smoothing.trajectory import Smoothed
+from sylpose.smoothing.trajectory import SmoothedTrajectory
 from sylpose.sylvester.distributed.messages import Inbox, Packet
-from sylpose.sylvester.distributed.simulation import UNDISTURBED, Disturbances, run
+from sylpose.sylvester.distributed.simulation import NO_FAULTS, NetworkFaults, run_network
 from sylpose.tracking.tracked_frame import TrackedFrame
 
-__all__ = ["Outcome", "track_by_nodes"]
+__all__ = ["SimulationResult", "track_by_nodes"]
 
-# A node that is through answers those that have missed its last word for so many steps more (derived: longer than they
-# wait).
-LINGERS = 2 * PATIENCE.silent
-# Frames that are held where all are at the same one (derived: that and the next).
-HELD = 2
-# Steps of the network, at most (choice: a day of frames).
-MOST_STEPS = 10**7
+# Steps for which a finished node still answers nodes that missed its last message (derived: longer than they wait).
+LINGER_STEPS = 2 * DEFAULT_TIMEOUTS.inactive
+# Frames kept if all nodes are at the same one (derived: that and the next).
+FRAMES_KEPT = 2
+# Largest number of network steps (choice: a day of frames).
+MAX_STEPS = 10**7
 
 
 @dataclass(frozen=True, eq=False)
 class NodeState:
-    """A node: its presence, and its work. `through`: steps since that ended; told: bytes of each round's word."""
+    """State of a simulated node.
 
-    present: Present
-    talk: Talk
-    through: int = 0
-    told: list[int] = field(default_factory=list)
+    Attributes:
+        membership: its membership.
+        worker: its work.
+        finished_steps: steps since the work ended.
+        payload_sizes: payload bytes per round.
+    """
+
+    membership: Membership
+    worker: WorkerThread
+    finished_steps: int = 0
+    payload_sizes: list[int] = field(default_factory=list)
 
     @property
     def done(self) -> bool:
-        """Nothing will be sent any more."""
-        return self.through > LINGERS
+        """Return whether the node will send nothing more."""
+        return self.finished_steps > LINGER_STEPS
 
 
-class Outcome(NamedTuple):
-    """What came of a recording.
+class SimulationResult(NamedTuple):
+    """Result of tracking a recording.
 
     Attributes:
-        frames: by camera, what it said of each frame in which it took part.
-        members: by camera, who took part in the end for all it knows; empty for one that never began.
-        steps: of the network, until all were through.
-        told: by camera, the bytes of what it told in each round, a header of 12 not counted.
-        refused: by camera, whom it did not understand, and why.
-        sent, received: (C,) bytes, repetitions included.
-        smoothed: by camera, the refined trajectory, if that was asked for and the node lived.
+        frames: by camera, its tracked frames.
+        members: by camera, the final members of its group; empty for one that never began.
+        steps: network steps until all nodes were finished.
+        payload_sizes: by camera, the payload bytes of each round, without the header of 12.
+        refused: by camera, the rejected cameras and the reasons.
+        sent, received: (C,) bytes, including retransmissions.
+        smoothed: by camera, the refined trajectory, if requested and the node survived.
     """
 
     frames: list[list[TrackedFrame]]
     members: list[tuple[int, ...]]
     steps: int
-    told: list[list[int]]
+    payload_sizes: list[list[int]]
     refused: list[dict[int, str]]
     sent: IntArray
     received: IntArray
-    smoothed: list[Smoothed | None]
+    smoothed: list[SmoothedTrajectory | None]
 
 
-class Reel:
-    """A recording that is read once, as far as anybody has asked for; so many of its last frames are kept, None for all."""
+class FrameBuffer:
+    """Recording that is read sequentially on demand; the last `kept` frames are stored, None for all."""
 
-    def __init__(self, frames: Iterable[FrameSet], kept: int | None = None) -> None:
-        self._frames, self._kept, self._read = iter(frames), kept, 0
-        self._held: dict[int, FrameSet] = {}
+    def __init__(self, frames: Iterable[FrameSet], max_kept: int | None = None) -> None:
+        self._frames, self._max_kept, self._read = iter(frames), max_kept, 0
+        self._frames_kept: dict[int, FrameSet] = {}
 
-    def has(self, number: int) -> bool:
-        """Whether there is such a frame."""
+    def has_frame(self, number: int) -> bool:
+        """Return whether the recording has this frame."""
         while self._read <= number:
             frame = next(self._frames, None)
             if frame is None:
                 return False
-            self._held[self._read] = frame
+            self._frames_kept[self._read] = frame
             self._read += 1
-            if self._kept is not None:
-                self._held.pop(self._read - 1 - self._kept, None)
+            if self._max_kept is not None:
+                self._frames_kept.pop(self._read - 1 - self._max_kept, None)
         return True
 
     def __getitem__(self, number: int) -> FrameSet:
-        """A frame; of one that there is not, somebody says that he has it, and nobody here has an image."""
-        if self.has(number):
-            return self._held[number]
-        last = self._held[self._read - 1]
+        """Return a frame; an empty one after the end, for a frame that only a faulty node announced."""
+        if self.has_frame(number):
+            return self._frames_kept[number]
+        last = self._frames_kept[self._read - 1]
         nothing = (None,) * len(last.images)
         return replace(last, index=number, time=last.time + number - last.index, images=nothing, masks=nothing)
 
 
-class Recorded:
-    """One camera's frames of a recording, as fast as they are asked for."""
+class RecordedCamera:
+    """Frames of one camera of a recording, available immediately."""
 
-    def __init__(self, camera: int, frames: Reel) -> None:
+    def __init__(self, camera: int, frames: FrameBuffer) -> None:
         self._camera, self._frames = camera, frames
 
     def newest(self, wanted: int) -> tuple[int, float | None]:
-        """See `Shots`."""
-        return (wanted, self.time_of(wanted)) if self._frames.has(wanted) else (NO_FRAME, None)
+        """See `CameraFrames`."""
+        return (wanted, self.time_of(wanted)) if self._frames.has_frame(wanted) else (NO_FRAME, None)
 
     def time_of(self, number: int) -> float | None:
-        """See `Shots`."""
+        """See `CameraFrames`."""
         return self._frames[number].times[self._camera]
 
     def frame_set(self, number: int, times: Sequence[float | None]) -> FrameSet:
-        """See `Shots`."""
+        """See `CameraFrames`."""
         frame, c = self._frames[number], self._camera
         images = tuple(image if k == c else None for k, image in enumerate(frame.images))
         masks = tuple(mask if k == c else None for k, mask in enumerate(frame.masks))
@@ -129,111 +143,124 @@ def track_by_nodes(
     rig: Rig,
     boxes: Mapping[str, Box] | None = None,
     *,
-    disturbances: Disturbances = UNDISTURBED,
-    lies: Mapping[int, Lie] | None = None,
+    network_faults: NetworkFaults = NO_FAULTS,
+    faults: Mapping[int, FaultKind] | None = None,
     mode: str = MODES[0],
     smooth: bool = False,
     on_frame: Callable[[int, TrackedFrame], None] | None = None,
     **options: Any,
-) -> Outcome:
-    """`track`, by cameras each of which sees its own images and hears what the others tell.
+) -> SimulationResult:
+    """Track the object as `track`, by simulated nodes, each with its own images only.
 
     Args:
-        disturbances: of the network. lies: camera -> how it lies (`network.fault_injection`).
-        mode: of the nodes, see `Node`.
-        smooth: refine all poses together after the last frame (`smooth_by_node`).
-        on_frame: called with a camera and each frame as it says it.
+        frames, rig, boxes: as `track`.
+        network_faults: faults of the network.
+        faults: camera -> its injected fault (`network.fault_injection`).
+        mode: mode of the nodes, see `Node`.
+        smooth: refine all poses jointly after the last frame (`smooth_by_node`).
+        on_frame: called with a camera and each of its tracked frames.
         options: as of `track`.
 
     Raises:
-        ValueError: as `track`; disturbances that are not simulated.
+        ValueError: as `track`; faults that are not simulated.
     """
-    if disturbances.nonsense:
-        raise ValueError("disturbances: what nodes say is garbled by `lies`")
+    if network_faults.packet_faults:
+        raise ValueError("network_faults: packet faults are not simulated here; use `faults`")
     n = len(rig)
-    lies = lies or {}
-    liars = {c: of for c, lie in lies.items() if (of := liar(lie, c, n, disturbances.seed)) is not None}
-    # Undisturbed, one node works at a time, and none is a frame ahead: no more than that is held of a recording.
-    recording = Reel(frames, HELD if disturbances == UNDISTURBED and not lies else None)
-    smoothed: list[Smoothed | None] = [None] * n
-    first = [c for c in range(n) if c not in disturbances.joins]
+    faults = faults or {}
+    message_faults = {
+        c: of for c, fault in faults.items() if (of := make_message_fault(fault, c, n, network_faults.seed)) is not None
+    }
+    # Without faults, nodes work sequentially and none is a frame ahead, so two frames suffice.
+    recording = FrameBuffer(frames, FRAMES_KEPT if network_faults == NO_FAULTS and not faults else None)
+    smoothed: list[SmoothedTrajectory | None] = [None] * n
+    first = [c for c in range(n) if c not in network_faults.joins]
     found: list[list[TrackedFrame]] = [[] for _ in range(n)]
     refused: list[dict[int, str]] = [{} for _ in range(n)]
-    talks: list[Talk] = []
+    workers: list[WorkerThread] = []
     starts = [0] * n
 
     def start(c: int) -> tuple[NodeState, list[Packet]]:
         starts[c] += 1
-        begins = starts[c] == 1 and c in first
+        is_founder = starts[c] == 1 and c in first
 
-        def track(ask: Callable[[Ask, int], Answer]) -> None:
-            if c in lies and c not in liars:
-                ask = _lying(ask, false_content(lies[c], c, disturbances.seed))
-            node = Node(c, n, ask, mode)
+        def track(request: Callable[[Request, int], Response]) -> None:
+            if c in faults and c not in message_faults:
+                request = _wrap_payload_fault(request, make_payload_fault(faults[c], c, network_faults.seed))
+            node = Node(c, n, request, mode)
             node.refused = refused[c]
-            shots = Recorded(c, recording)
-            # As they come: what a node that dies has said by then is kept.
-            # Who tells nonsense and hears it himself may break; the others must not.
-            with suppress(Exception) if c in lies else nullcontext():
-                for frame in track_by_node(node, rig, shots, boxes, enters=not begins, **options):
+            camera_frames = RecordedCamera(c, recording)
+            # Stored one by one, so that the frames of a node that fails are kept.
+            # A faulty node may fail by its own payloads; the others must not.
+            with suppress(Exception) if c in faults else nullcontext():
+                for frame in track_by_node(node, rig, camera_frames, boxes, must_join=not is_founder, **options):
                     found[c].append(frame)
                     if on_frame is not None:
                         on_frame(c, frame)
                 if smooth:
                     smoothed[c] = smooth_by_node(node, rig, found[c])
 
-        talk = Talk(track)
-        talks.append(talk)
-        group = Welcome(0, 0, frozenset(first), b"") if begins else None
-        present = Present(c, n, incarnation=starts[c], wait=PATIENCE.silent, welcome=group)
-        return _worked(NodeState(present, talk), [])
+        worker = WorkerThread(track)
+        workers.append(worker)
+        group = Welcome(0, 0, frozenset(first), b"") if is_founder else None
+        membership = Membership(c, n, incarnation=starts[c], wait=DEFAULT_TIMEOUTS.inactive, welcome=group)
+        return _run_work(NodeState(membership, worker), [])
 
     try:
-        outcome = run([partial(start, c) for c in range(n)], _step, disturbances, MOST_STEPS, liars)
+        outcome = run_network(
+            [partial(start, c) for c in range(n)], _step_node, network_faults, MAX_STEPS, message_faults
+        )
     finally:
-        for talk in talks:
-            talk.end()
+        for worker in workers:
+            worker.stop()
     states = outcome.states
-    return Outcome(
+    return SimulationResult(
         found,
-        [() if s is None else s.present.members for s in states],
+        [() if s is None else s.membership.members for s in states],
         outcome.rounds,
-        [[] if s is None else s.told for s in states],
-        [{**mine, **({} if s is None else s.present.all_refused)} for mine, s in zip(refused, states, strict=True)],
+        [[] if s is None else s.payload_sizes for s in states],
+        [
+            {**own_refused, **({} if s is None else s.membership.all_refused)}
+            for own_refused, s in zip(refused, states, strict=True)
+        ],
         outcome.sent,
         outcome.received,
         smoothed,
     )
 
 
-def _lying(ask: Callable[[Ask, int], Answer], false: Callable[[bytes], bytes]) -> Callable[[Ask, int], Answer]:
-    return lambda said, frames: ask(said._replace(own=false(said.own)) if isinstance(said, Tell) else said, frames)
+def _wrap_payload_fault(
+    request: Callable[[Request, int], Response], falsify: Callable[[bytes], bytes]
+) -> Callable[[Request, int], Response]:
+    return lambda sent, frames: request(
+        sent._replace(payload=falsify(sent.payload)) if isinstance(sent, ExchangeRequest) else sent, frames
+    )
 
 
-def _step(state: NodeState, inbox: Inbox) -> tuple[NodeState, list[Packet]]:
-    present, packets = present_step(state.present, inbox)
-    state = replace(state, present=present, through=state.through + (state.through > 0))
-    found, answered = answer(present)
-    if answered is None:
+def _step_node(state: NodeState, inbox: Inbox) -> tuple[NodeState, list[Packet]]:
+    membership, packets = step_membership(state.membership, inbox)
+    state = replace(state, membership=membership, finished_steps=state.finished_steps + (state.finished_steps > 0))
+    updated, response = take_response(membership)
+    if response is None:
         return state, packets
-    state.talk.hears(answered)
-    return _worked(replace(state, present=found), packets)
+    state.worker.respond(response)
+    return _run_work(replace(state, membership=updated), packets)
 
 
-def _worked(s: NodeState, packets: list[Packet]) -> tuple[NodeState, list[Packet]]:
-    """As far as what was heard allows."""
+def _run_work(s: NodeState, packets: list[Packet]) -> tuple[NodeState, list[Packet]]:
+    """Run the work as far as the received messages allow."""
     while True:
-        asks = s.talk.asks()
-        if asks is None:
-            return replace(s, through=1), packets
-        present, more = asked(s.present, *asks)
+        request = s.worker.next_request()
+        if request is None:
+            return replace(s, finished_steps=1), packets
+        membership, more = submit_request(s.membership, *request)
         packets = packets + more
-        if isinstance(asks[0], Tell):
-            s.told.append(len(asks[0].own))
-        if len(present.members) == 1:  # with nobody to wait for, a round is a step as well
-            return replace(s, present=present), packets
-        present, answered = answer(present)
-        s = replace(s, present=present)
-        if answered is None:
+        if isinstance(request[0], ExchangeRequest):
+            s.payload_sizes.append(len(request[0].payload))
+        if len(membership.members) == 1:  # alone in a group, a round also takes one step
+            return replace(s, membership=membership), packets
+        membership, response = take_response(membership)
+        s = replace(s, membership=membership)
+        if response is None:
             return s, packets
-        s.talk.hears(answered)
+        s.worker.respond(response)

@@ -1,9 +1,10 @@
-"""What cameras say to each other in agreed rounds, as bytes: a header of 12, then what they tell.
+"""Wire format of the round messages: a header of 12 bytes and a payload.
 
-The header's epoch is a digest of all that the sender has heard before the round. So each word says, in no bytes more, that
-all have heard the same until then; or that somebody lies, and then they tell each other digests of what they heard.
+The epoch in the header is a digest of all that the sender received before the round. At no extra size, each message
+thus confirms the common history or reveals a faulty camera; in the latter case cameras exchange digests of what they
+received.
 
-Everything is bounded and checked before it is used: what is no message is refused by a sentence.
+Everything is bounded and validated before use; invalid messages are rejected with a one-sentence reason.
 """
 
 from __future__ import annotations
@@ -13,226 +14,255 @@ from collections.abc import Mapping, Sequence
 from hashlib import blake2b
 from typing import NamedTuple
 
-from sylpose.network.codec import LARGEST
+from sylpose.network.codec import MAX_PAYLOAD_BYTES
 
 __all__ = [
-    "BITS",
-    "DISPUTES",
-    "ENDED",
-    "GIVES_UP",
+    "DATA",
+    "DISPUTE",
+    "EXCLUSION",
     "HEADER",
+    "HEARTBEAT",
     "HELLO",
-    "LARGEST_WORD",
-    "MOST_CAMERAS",
-    "RELAYS",
-    "TELLS",
+    "MASK_BYTES",
+    "MAX_CAMERAS",
+    "MAX_MESSAGE_BYTES",
+    "RELAY",
+    "ROUND_END",
     "WELCOME",
-    "WORKS",
     "Hello",
+    "RoundMessage",
     "Welcome",
-    "Word",
-    "bits_of",
+    "compute_join_epoch",
+    "compute_next_epoch",
+    "decode_cameras",
+    "decode_hello",
+    "decode_message",
+    "decode_welcome",
     "digest",
-    "entered",
-    "following",
-    "kind_of",
-    "message",
-    "of_bits",
-    "passed_on",
-    "read_hello",
-    "read_welcome",
-    "read_word",
-    "said_hello",
-    "welcomed",
+    "encode_cameras",
+    "encode_hello",
+    "encode_message",
+    "encode_relay",
+    "encode_welcome",
+    "message_kind",
 ]
 
 
 class Header:
-    """Kind and sender in two bytes, the end of the round's number in two, epoch in eight."""
+    """Message header: kind and sender in two bytes, the low 16 bits of the round number in two, the epoch in eight."""
 
     size = 12
     _parts = struct.Struct("<HHQ")
 
     def pack(self, kind: int, sender: int, number: int, epoch: int) -> bytes:
-        """As bytes."""
+        """Encode the header as bytes."""
         return self._parts.pack(kind << 10 | sender, number & 0xFFFF, epoch)
 
     def unpack_from(self, data: bytes, near: int = 0) -> tuple[int, int, int, int]:
-        """Kind, sender, round, epoch; of the rounds that it may be, the one next to another."""
+        """Decode kind, sender, round and epoch; the round is the candidate closest to `near`."""
         both, low, epoch = self._parts.unpack_from(data)
         return both >> 10, both & 0x3FF, near + ((low - near + 0x8000) & 0xFFFF) - 0x8000, epoch
 
 
 HEADER = Header()
-# What a camera tells; whom it gives up, and what it has heard of these; that of a round that it has ended; that it is at
-# work; what a newcomer has to know; to those that are no members, that there is somebody; and, where words of a round say
-# that cameras heard different things in the one before, digests of what this one heard, and then what others say that they
-# heard (derived).
-TELLS, GIVES_UP, ENDED, WORKS, WELCOME, HELLO, DISPUTES, RELAYS = range(8)
-# Bits of those that leave, and of those that something is passed on of; then the number of bytes of each (derived).
+# Message kinds: payload of a round; excluded cameras with the payloads received from them; the same for a finished
+# round; heartbeat; shared state for a newcomer; presence, sent to non-members; and, if messages of a round reveal
+# different histories, digests of what was received in the previous round, and then the digests received from others
+# (derived).
+DATA, EXCLUSION, ROUND_END, HEARTBEAT, WELCOME, HELLO, DISPUTE, RELAY = range(8)
+# Bit masks of leaving cameras and of cameras whose payloads are relayed; then the size of each payload (derived).
 _LEAVING, _SIZE = struct.Struct("<128s128s"), struct.Struct("<I")
-# Round and bits of the members, before what a newcomer has to know (derived).
+# Round and bit mask of the members, before the state for a newcomer (derived).
 _MEMBERS = struct.Struct("<Q128s")
-# How many cameras and frames a camera's group has (derived).
+# Number of cameras in the sender's group, and number of frames it has tracked (derived).
 _GROUP = struct.Struct("<HI")
-# What makes an epoch, with what was told before (derived).
-_EPOCH, _TOLD = struct.Struct("<QQ128s128s"), struct.Struct("<HI")
-MOST_CAMERAS = 1024  # ten bits (derived)
-BITS = MOST_CAMERAS // 8  # bytes with a bit for each (derived)
-FAR = 1 << 47  # no round has such a number (choice: a thousand rounds a second for four thousand years)
-LARGEST_WORD = HEADER.size + LARGEST  # bytes (derived)
+# Input of an epoch's digest, followed by sender, size and content of each payload (derived).
+_EPOCH, _PAYLOAD = struct.Struct("<QQ128s128s"), struct.Struct("<HI")
+MAX_CAMERAS = 1024  # ten bits (derived)
+MASK_BYTES = MAX_CAMERAS // 8  # bytes of a bit mask (derived)
+MAX_ROUND = 1 << 47  # upper bound of round numbers (choice: a thousand rounds a second for four thousand years)
+MAX_MESSAGE_BYTES = HEADER.size + MAX_PAYLOAD_BYTES  # bytes (derived)
 
 
-class Word(NamedTuple):
-    """A message: what a camera told, by camera; passed on but where it is its own."""
+class RoundMessage(NamedTuple):
+    """A decoded message with payloads by camera: the sender's own, or relayed ones."""
 
     kind: int
     round: int
     epoch: int
     leaving: frozenset[int]
-    told: dict[int, bytes]
+    payloads: dict[int, bytes]
 
 
 class Welcome(NamedTuple):
-    """What a newcomer is told. round, members: of the round that it joins with; knows: what it has to know; epoch: with that
-    it makes the round's (`entered`), so that who was told something else is not understood."""
+    """Message to a newcomer.
+
+    Attributes:
+        round: number of the round that it joins.
+        epoch: together with `shared_state` it gives the round's epoch (`compute_join_epoch`), so that a newcomer with
+            another state is detected.
+        members: members of that round.
+        shared_state: shared state.
+    """
 
     round: int
     epoch: int
     members: frozenset[int]
-    knows: bytes
+    shared_state: bytes
 
 
 class Hello(NamedTuple):
-    """Somebody is there. size: of its group, 0 without one; frames: that this has tracked, if it knows the object. See
-    `presence`."""
+    """Presence message, see `membership`.
+
+    Attributes:
+        size: size of the sender's group, 0 without one.
+        frames: number of frames tracked by the group; 0 if it does not know the object.
+    """
 
     size: int
     frames: int
 
 
-def kind_of(data: bytes) -> int | None:
-    """Of a message; None of what is none."""
+def message_kind(data: bytes) -> int | None:
+    """Return the kind of a message; None if it is too short."""
     return HEADER.unpack_from(data)[0] if len(data) >= HEADER.size else None
 
 
-def message(kind: int, camera: int, number: int, epoch: int, content: bytes) -> bytes:
+def encode_message(kind: int, camera: int, number: int, epoch: int, content: bytes) -> bytes:
     return HEADER.pack(kind, camera, number, epoch) + content
 
 
-def passed_on(
+def encode_relay(
     kind: int,
     camera: int,
     number: int,
     epoch: int,
     leaving: frozenset[int],
-    missed: frozenset[int],
-    heard: Mapping[int, bytes],
+    also_relayed: frozenset[int],
+    received: Mapping[int, bytes],
 ) -> bytes:
-    """Who leaves with a round, and what was heard in it of these and of some that another camera has missed."""
-    relayed = sorted(c for c in leaving | missed if c in heard)
-    content = _LEAVING.pack(bits_of(leaving), bits_of(frozenset(relayed)))
-    content += b"".join(_SIZE.pack(len(heard[c])) + heard[c] for c in relayed)
-    return message(kind, camera, number, epoch, content)
+    """Encode the leaving cameras of a round, with the payloads received from them and from `also_relayed` cameras.
+
+    Args:
+        kind: `EXCLUSION`, `ROUND_END` or `RELAY`.
+        camera, number, epoch: of the header.
+        leaving: excluded cameras.
+        also_relayed: further cameras whose payloads are relayed.
+        received: camera -> payload.
+    """
+    relayed = sorted(c for c in leaving | also_relayed if c in received)
+    content = _LEAVING.pack(encode_cameras(leaving), encode_cameras(frozenset(relayed)))
+    content += b"".join(_SIZE.pack(len(received[c])) + received[c] for c in relayed)
+    return encode_message(kind, camera, number, epoch, content)
 
 
-def welcomed(camera: int, welcome: Welcome) -> bytes:
-    """A newcomer is told what it has to know."""
-    content = _MEMBERS.pack(welcome.round, bits_of(welcome.members)) + welcome.knows
-    return message(WELCOME, camera, welcome.round, welcome.epoch, content)
+def encode_welcome(camera: int, welcome: Welcome) -> bytes:
+    """Encode the message for a newcomer."""
+    content = _MEMBERS.pack(welcome.round, encode_cameras(welcome.members)) + welcome.shared_state
+    return encode_message(WELCOME, camera, welcome.round, welcome.epoch, content)
 
 
-def said_hello(camera: int, epoch: int, hello: Hello) -> bytes:
-    """That somebody is there, for those that are no members."""
-    return message(HELLO, camera, 0, epoch, _GROUP.pack(*hello))
+def encode_hello(camera: int, epoch: int, hello: Hello) -> bytes:
+    """Encode the presence message for non-members."""
+    return encode_message(HELLO, camera, 0, epoch, _GROUP.pack(*hello))
 
 
-def bits_of(cameras: frozenset[int]) -> bytes:
-    """One bit for each camera."""
-    return sum(1 << c for c in cameras).to_bytes(BITS, "little")
+def encode_cameras(cameras: frozenset[int]) -> bytes:
+    """Encode a set of cameras as a bit mask."""
+    return sum(1 << c for c in cameras).to_bytes(MASK_BYTES, "little")
 
 
-def of_bits(bits: bytes) -> frozenset[int]:
-    """The cameras whose bits are set."""
+def decode_cameras(bits: bytes) -> frozenset[int]:
+    """Decode a bit mask to a set of cameras."""
     number = int.from_bytes(bits, "little")
     return frozenset(c for c in range(number.bit_length()) if number >> c & 1)
 
 
 def digest(data: bytes) -> bytes:
-    """Eight bytes: so many that nobody finds another message with the same in the time of a round."""
+    """Return an 8-byte digest, long enough that no collision can be found within a round."""
     return blake2b(data, digest_size=8).digest()
 
 
-def following(
-    before: int, number: int, members: Sequence[int], newcomers: frozenset[int], told: Mapping[int, bytes]
+def compute_next_epoch(
+    previous: int, number: int, members: Sequence[int], newcomers: frozenset[int], payloads: Mapping[int, bytes]
 ) -> int:
-    """Of a round, from that before, and what was told in it."""
-    parts = [_EPOCH.pack(before, number, bits_of(frozenset(members)), bits_of(newcomers))]
-    parts += [part for c in sorted(told) for part in (_TOLD.pack(c, len(told[c])), told[c])]
+    """Compute the epoch of a round from the previous epoch and the payloads of that round.
+
+    Args:
+        previous: the previous epoch.
+        number: number of the new round.
+        members: members of the new round.
+        newcomers: members that join with it.
+        payloads: camera -> payload of the previous round.
+    """
+    parts = [_EPOCH.pack(previous, number, encode_cameras(frozenset(members)), encode_cameras(newcomers))]
+    parts += [part for c in sorted(payloads) for part in (_PAYLOAD.pack(c, len(payloads[c])), payloads[c])]
     return int.from_bytes(digest(b"".join(parts)), "little")
 
 
-def entered(epoch: int, knows: bytes) -> int:
-    """The epoch of a round that newcomers join with, from that of the members and what these were told."""
-    return int.from_bytes(digest(epoch.to_bytes(8, "little") + knows), "little")
+def compute_join_epoch(epoch: int, shared_state: bytes) -> int:
+    """Compute the epoch of a round with newcomers from the members' epoch and the state sent to the newcomers."""
+    return int.from_bytes(digest(epoch.to_bytes(8, "little") + shared_state), "little")
 
 
-def read_word(sender: int, data: bytes, near: int = 0) -> Word:
-    """A message.
+def decode_message(sender: int, data: bytes, near: int = 0) -> RoundMessage:
+    """Decode and validate a message.
 
     Args:
-        near: its round is next to this one.
+        sender: camera that sent it.
+        data: the message.
+        near: round number to which the message's is closest.
 
     Raises:
-        ValueError: why these bytes are no message of that camera.
+        ValueError: the reason why this is no message of that camera.
     """
-    if not HEADER.size <= len(data) <= LARGEST + HEADER.size:
-        raise ValueError(f"{len(data)} bytes are no message")
+    if not HEADER.size <= len(data) <= MAX_PAYLOAD_BYTES + HEADER.size:
+        raise ValueError(f"{len(data)} bytes are not a message")
     kind, author, number, epoch = HEADER.unpack_from(data, near)
-    if author != sender or kind not in (TELLS, GIVES_UP, ENDED, WORKS, WELCOME, DISPUTES, RELAYS):
+    if author != sender or kind not in (DATA, EXCLUSION, ROUND_END, HEARTBEAT, WELCOME, DISPUTE, RELAY):
         raise ValueError("the header is not this camera's")
     content = data[HEADER.size :]
-    if kind == DISPUTES:
-        odd = of_bits(content[:BITS]) - {sender}
-        return Word(kind, number, epoch, odd, {sender: content})
-    if kind in (TELLS, WORKS):
-        return Word(kind, number, epoch, frozenset(), {sender: content})
-    if kind == WELCOME:  # again, after this camera has heard it
-        return Word(WORKS, number, epoch, frozenset(), {})
+    if kind == DISPUTE:
+        accused = decode_cameras(content[:MASK_BYTES]) - {sender}
+        return RoundMessage(kind, number, epoch, accused, {sender: content})
+    if kind in (DATA, HEARTBEAT):
+        return RoundMessage(kind, number, epoch, frozenset(), {sender: content})
+    if kind == WELCOME:  # a retransmission to a camera that has joined
+        return RoundMessage(HEARTBEAT, number, epoch, frozenset(), {})
     if len(content) < _LEAVING.size:
-        raise ValueError("it does not say who leaves")
-    leaving, relayed = map(of_bits, _LEAVING.unpack_from(content))
+        raise ValueError("it lacks the leaving cameras")
+    leaving, relayed = map(decode_cameras, _LEAVING.unpack_from(content))
     if sender in leaving:
-        raise ValueError("it gives itself up")
-    told, at = {}, _LEAVING.size
+        raise ValueError("it excludes itself")
+    payloads, position = {}, _LEAVING.size
     for c in sorted(relayed):
-        size = _SIZE.unpack_from(content, at)[0] if len(content) >= at + _SIZE.size else LARGEST
-        at += _SIZE.size
-        if len(content) < at + size:
-            raise ValueError("what it passes on is cut off")
-        told[c] = content[at : at + size]
-        at += size
-    if at != len(content):
-        raise ValueError("it passes on more than it announced")
-    return Word(kind, number, epoch, leaving, told)
+        size = _SIZE.unpack_from(content, position)[0] if len(content) >= position + _SIZE.size else MAX_PAYLOAD_BYTES
+        position += _SIZE.size
+        if len(content) < position + size:
+            raise ValueError("the relayed data is truncated")
+        payloads[c] = content[position : position + size]
+        position += size
+    if position != len(content):
+        raise ValueError("it contains more data than announced")
+    return RoundMessage(kind, number, epoch, leaving, payloads)
 
 
-def read_welcome(camera: int, cameras: int, sender: int, data: bytes) -> Welcome | None:
-    """A message, if it welcomes a camera of so many."""
-    if not HEADER.size + _MEMBERS.size <= len(data) <= LARGEST + HEADER.size:
+def decode_welcome(camera: int, cameras: int, sender: int, data: bytes) -> Welcome | None:
+    """Decode a welcome message for `camera`, one of `cameras`; None for any other message."""
+    if not HEADER.size + _MEMBERS.size <= len(data) <= MAX_PAYLOAD_BYTES + HEADER.size:
         return None
     kind, author, _, epoch = HEADER.unpack_from(data)
     number, bits = _MEMBERS.unpack_from(data, HEADER.size)
-    members = of_bits(bits)
+    members = decode_cameras(bits)
     if kind != WELCOME or author != sender or sender == camera or not {camera, sender} <= members:
         return None
-    if max(members) >= cameras or number >= FAR:
+    if max(members) >= cameras or number >= MAX_ROUND:
         return None
     return Welcome(number, epoch, members, data[HEADER.size + _MEMBERS.size :])
 
 
-def read_hello(sender: int, data: bytes) -> Hello | None:
-    """A message, if it says that somebody is there."""
+def decode_hello(sender: int, data: bytes) -> Hello | None:
+    """Decode a presence message; None for any other message."""
     if len(data) != HEADER.size + _GROUP.size:
         return None
     kind, author, _, _ = HEADER.unpack_from(data)

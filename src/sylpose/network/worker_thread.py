@@ -1,4 +1,4 @@
-"""Work in a thread of its own that asks for something now and then, and stands still until it is answered."""
+"""Worker thread that submits requests and blocks until each is answered."""
 
 from __future__ import annotations
 
@@ -6,67 +6,73 @@ from collections.abc import Callable
 from queue import Empty, SimpleQueue
 from threading import Thread
 
-from sylpose.network.membership import Answer, Ask
+from sylpose.network.membership import Request, Response
 
-__all__ = ["Talk", "Work"]
+__all__ = ["Work", "WorkerThread"]
 
-# Work, given how it asks: see `Node`.
-Work = Callable[[Callable[[Ask, int], Answer]], None]
+# Work function, called with the function that submits requests; see `Node`.
+Work = Callable[[Callable[[Request, int], Response]], None]
 
 
-class Talk:
-    """A node's work. `through`: it has ended.
+class WorkerThread:
+    """Thread of a node's work.
 
     Args:
-        on_ask: called in its thread when it asks for something, or ends.
+        work: the function to run.
+        on_request: called in the thread for each request, and at the end.
+
+    Attributes:
+        is_finished: whether the work has ended.
     """
 
-    def __init__(self, work: Work, on_ask: Callable[[], None] = lambda: None) -> None:
-        self.through, self._on_ask = False, on_ask
-        self._asks: SimpleQueue[tuple[Ask, int] | BaseException | None] = SimpleQueue()
-        self._answers: SimpleQueue[Answer | None] = SimpleQueue()
+    def __init__(self, work: Work, on_request: Callable[[], None] = lambda: None) -> None:
+        self.is_finished, self._on_request = False, on_request
+        self._requests: SimpleQueue[tuple[Request, int] | BaseException | None] = SimpleQueue()
+        self._responses: SimpleQueue[Response | None] = SimpleQueue()
         self._thread = Thread(target=self._run, args=(work,), daemon=True)
         self._thread.start()
 
     def _run(self, work: Work) -> None:
         try:
-            work(self._ask)
-            self._asks.put(None)
+            work(self._submit)
+            self._requests.put(None)
         except BaseException as error:
-            # Raised where the work is waited for.
-            self._asks.put(error)
-        self._on_ask()
+            # Raised in the waiting thread.
+            self._requests.put(error)
+        self._on_request()
 
-    def _ask(self, ask: Ask, frames: int) -> Answer:
-        self._asks.put((ask, frames))
-        self._on_ask()
-        answer = self._answers.get()
-        if answer is None:
+    def _submit(self, request: Request, frames: int) -> Response:
+        self._requests.put((request, frames))
+        self._on_request()
+        response = self._responses.get()
+        if response is None:
             raise SystemExit
-        return answer
+        return response
 
-    def asks(self, wait: bool = True) -> tuple[Ask, int] | None:
-        """What it asks for next, and after how many frames; None when it is through or, unless it is waited for, at work.
+    def next_request(self, wait: bool = True) -> tuple[Request, int] | None:
+        """Return the next request and the number of tracked frames.
+
+        Returns None if the work has ended or, without `wait`, is busy.
 
         Raises:
-            Exception: that ended it.
+            Exception: the exception that ended the work.
         """
         try:
-            said = self._asks.get(wait)
+            request = self._requests.get(wait)
         except Empty:
             return None
-        if isinstance(said, BaseException):
-            self.through = True
-            raise said
-        self.through = said is None
-        return said
+        if isinstance(request, BaseException):
+            self.is_finished = True
+            raise request
+        self.is_finished = request is None
+        return request
 
-    def hears(self, answer: Answer) -> None:
-        """It goes on with an answer."""
-        self._answers.put(answer)
+    def respond(self, response: Response) -> None:
+        """Resume the work with the answer to its request."""
+        self._responses.put(response)
 
-    def end(self, *, wait: bool = True) -> None:
-        """Ends it where it stands, or where it asks next."""
-        self._answers.put(None)
+    def stop(self, *, wait: bool = True) -> None:
+        """Stop the work at its pending or next request."""
+        self._responses.put(None)
         if wait:
             self._thread.join()

@@ -1,7 +1,8 @@
-"""A real network, by Zenoh: nodes find each other, hear each other's messages, and know who is there.
+"""Zenoh transport: discovery, messages and liveliness of nodes on a real network.
 
-A key says who speaks: sylpose/1/NETWORK/RIG/NAME/..., RIG being a digest of the calibration, so that nodes of another rig do
-not mix in and can be named. With keys (`network.keys`) links are mutual TLS, and a node may speak under its own name alone.
+Key expressions identify the sender: sylpose/1/NETWORK/RIG/NAME/..., where RIG is a digest of the calibration, so that
+nodes of another rig are ignored but can be reported. With keys (`network.keys`), links use mutual TLS, and a node may
+only send under its own name.
 """
 
 from __future__ import annotations
@@ -18,55 +19,63 @@ from typing import Any
 
 import numpy as np
 
-from sylpose.network.keys import LISTENER, access_rules, tls_settings
-from sylpose.network.wire_format import HELLO, LARGEST_WORD, WELCOME, kind_of
+from sylpose.network.keys import OBSERVER, build_access_rules, build_tls_settings
+from sylpose.network.wire_format import HELLO, MAX_MESSAGE_BYTES, WELCOME, message_kind
 from sylpose.rig import Rig
 from sylpose.sylvester.distributed.messages import Packet
 
-__all__ = ["LOOPBACK", "Links", "Place", "Wire", "digest_of", "line_of", "watch_network"]
+__all__ = [
+    "LOOPBACK",
+    "LinkSettings",
+    "NodeAddress",
+    "ZenohTransport",
+    "compute_rig_digest",
+    "decode_line",
+    "watch_network",
+]
 
-# Version of what nodes say to each other (choice).
-VERSION = 1
+# Version of the protocol (choice).
+PROTOCOL_VERSION = 1
 LOOPBACK = "127.0.0.1:0"  # this machine only, at any port (choice)
-# Names that may be part of a key.
-NAME = re.compile(r"[A-Za-z0-9_.\-]{1,64}")
-# Milliseconds after which a link without a sign of life is closed; seconds to wait for anybody who is there already, and
-# from the first one on for others (choice).
-LEASE_MS, FIRST_LOOK, NEXT_LOOK = 1000, 1.0, 0.3
-# Threads of Zenoh that receive. One that closes a link to a machine that was unplugged stands still until the system gives
-# up what it has not sent, for ten seconds; with the two that are Zenoh's own choice, two such links silence all others
-# (choice: so many may die at once).
-THREADS = 32
-# Names that are remembered as refused (choice).
-MOST_REFUSED = 64
-# Bytes of a line for whoever listens: a thousand cameras' names in it (choice).
-LONGEST_LINE = 1 << 18
+# Names that are valid in a key expression.
+NAME_PATTERN = re.compile(r"[A-Za-z0-9_.\-]{1,64}")
+# Milliseconds after which an inactive link is closed; seconds to wait for any existing node, and for further ones after
+# the first (choice).
+LEASE_MS, FIRST_DISCOVERY_S, NEXT_DISCOVERY_S = 1000, 1.0, 0.3
+# Receive threads of Zenoh. A thread that closes a link to an unplugged machine blocks for ten seconds, until the system
+# discards unsent data; with Zenoh's default of two, two such links block all others (choice: so many may fail
+# simultaneously).
+RECEIVE_THREADS = 32
+# Largest number of stored rejections (choice).
+MAX_REFUSED = 64
+# Largest line for observers, bytes: it contains a thousand cameras' names (choice).
+MAX_LINE_BYTES = 1 << 18
 
 
-def digest_of(rig: Rig, options: str = "") -> str:
-    """Of a calibration, and of what else all nodes have to have alike."""
-    said = blake2b(digest_size=8)
+def compute_rig_digest(rig: Rig, options: str = "") -> str:
+    """Return a digest of a calibration and of the options that all nodes must share."""
+    hasher = blake2b(digest_size=8)
     for camera in rig:
-        said.update(f"{camera.name} {camera.size} {camera.lens}".encode())
+        hasher.update(f"{camera.name} {camera.size} {camera.lens}".encode())
         for part in (camera.matrix, camera.distortion, camera.camera_from_world.as_matrix()):
-            said.update(np.round(np.asarray(part, "<f8"), 9).tobytes())
-    said.update(f"{rig.unit} {options}".encode())
-    return said.hexdigest()
+            hasher.update(np.round(np.asarray(part, "<f8"), 9).tobytes())
+    hasher.update(f"{rig.unit} {options}".encode())
+    return hasher.hexdigest()
 
 
-def check_name(what: str, said: str) -> None:
-    """Of what is part of a key.
+def check_name(label: str, name: str) -> None:
+    """Check a name that is part of a key expression.
 
     Raises:
-        ValueError: it cannot be.
+        ValueError: invalid characters or length.
     """
-    if not NAME.fullmatch(said):
-        raise ValueError(f"{what} {said!r}: a name of letters, digits, '_', '.' and '-' is expected")
+    if not NAME_PATTERN.fullmatch(name):
+        raise ValueError(f"{label} {name!r}: a name of letters, digits, '_', '.' and '-' is expected")
 
 
 @dataclass(frozen=True)
-class Place:
-    """A node's name, its rig's digest, and the network that both are in."""
+class NodeAddress:
+    """Address of a node: its name, the digest of its rig, and the network."""
 
     name: str
     rig: str
@@ -77,18 +86,19 @@ class Place:
         check_name("network", self.network)
 
     def key(self, *rest: str, name: str | None = None, rig: str | None = None) -> str:
-        """Of what is said under a name."""
-        return "/".join(("sylpose", str(VERSION), self.network, rig or self.rig, name or self.name, *rest))
+        """Return the key expression for messages under a name, by default this node's."""
+        return "/".join(("sylpose", str(PROTOCOL_VERSION), self.network, rig or self.rig, name or self.name, *rest))
 
 
 @dataclass(frozen=True)
-class Links:
-    """How a node finds others.
+class LinkSettings:
+    """How a node connects to others.
 
     Attributes:
         listen, connect: endpoints, host:port.
-        keys: folder of this node's keys (`network.keys`), None for open links; names: who may speak, with keys.
-        multicast: whether it looks for others on the network that it listens to.
+        keys: folder of this node's keys (`network.keys`), None for unencrypted links.
+        multicast: whether to discover other nodes on the listening network.
+        names: cameras that may send, with keys.
     """
 
     listen: str = LOOPBACK
@@ -99,40 +109,47 @@ class Links:
 
 
 @dataclass
-class Wire:
-    """A node's links. Messages come in at `heard`, called from other threads, with the number of who says it.
+class ZenohTransport:
+    """Zenoh session of a node.
 
     Args:
-        gone: called in the same way when a node's link has ended: it has died, or cannot be reached.
+        address: the node's address.
+        names: names of the cameras.
+        links: how to connect.
+        on_message: called from other threads with the sender's number and each received message.
+        refused: name -> reason of a rejection.
+        on_disconnect: called from other threads when a node's link has ended: it crashed or is unreachable.
 
     Raises:
-        ValueError: endpoints that cannot be; a name that is taken; keys that are none.
+        ValueError: invalid endpoints, a name in use, or invalid keys.
     """
 
-    place: Place
+    address: NodeAddress
     names: Sequence[str]
-    links: Links
-    heard: Callable[[int, bytes], None]
+    links: LinkSettings
+    on_message: Callable[[int, bytes], None]
     refused: dict[str, str] = field(default_factory=dict)
-    gone: Callable[[int], None] = lambda _: None
+    on_disconnect: Callable[[int], None] = lambda _: None
 
     def __post_init__(self) -> None:
         import zenoh
 
-        self._ended = zenoh.SampleKind.DELETE
+        self._delete_kind = zenoh.SampleKind.DELETE
         for name in self.names:
             check_name("camera", name)
-        self.session = open_session(self.links, self.place.name)
-        taken = self._token(self.place.name)
+        self.session = open_zenoh_session(self.links, self.address.name)
+        taken = self._is_name_in_use(self.address.name)
         if taken:
             self.session.close()
-            raise ValueError(f"{self.place.name}: another node of that name is in network {self.place.network} already")
+            raise ValueError(
+                f"{self.address.name}: another node in network {self.address.network} already has this name"
+            )
         fast: dict[str, Any] = {
             "congestion_control": zenoh.CongestionControl.DROP,
             "priority": zenoh.Priority.REAL_TIME,
             "express": True,
         }
-        key = self.place.key
+        key = self.address.key
         self._all = self.session.declare_publisher(key("all"), **fast)
         self._to = {
             c: self.session.declare_publisher(
@@ -142,53 +159,53 @@ class Wire:
         }
         self._poses = self.session.declare_publisher(key("pose"))
         self._states = self.session.declare_publisher(key("state"))
-        for rest in (("all",), ("to", self.place.name)):
-            self.session.declare_subscriber(key(*rest, name="*"), self._hear, allowed_origin=zenoh.Locality.REMOTE)
+        for rest in (("all",), ("to", self.address.name)):
+            self.session.declare_subscriber(key(*rest, name="*"), self._on_sample, allowed_origin=zenoh.Locality.REMOTE)
         everybody = key("alive", name="*", rig="*")
-        self.session.liveliness().declare_subscriber(everybody, self._noticed, history=True)
+        self.session.liveliness().declare_subscriber(everybody, self._on_liveliness, history=True)
         self._alive = self.session.liveliness().declare_token(key("alive"))
 
-    def _token(self, name: str) -> bool:
-        """Whether a node of that name is there."""
-        until, met = time.monotonic() + FIRST_LOOK, False
+    def _is_name_in_use(self, name: str) -> bool:
+        """Return whether a node of that name is present."""
+        until, met = time.monotonic() + FIRST_DISCOVERY_S, False
         while time.monotonic() < until:
-            replies = self.session.liveliness().get(self.place.key("alive", name=name), timeout=0.3)
+            replies = self.session.liveliness().get(self.address.key("alive", name=name), timeout=0.3)
             if any(reply.ok is not None for reply in replies):
                 return True
             if not met and self.session.info.peers_zid():
-                met, until = True, min(until, time.monotonic() + NEXT_LOOK)
+                met, until = True, min(until, time.monotonic() + NEXT_DISCOVERY_S)
             time.sleep(0.05)
         return False
 
-    def _noticed(self, sample: Any) -> None:
+    def _on_liveliness(self, sample: Any) -> None:
         *_, rig, name, _ = str(sample.key_expr).split("/")
-        if sample.kind == self._ended:
-            if rig == self.place.rig and name in self.names:
-                self.gone(self.names.index(name))
-        elif rig != self.place.rig:
-            here = f"its calibration or its options are others than this node's ({rig[:8]} and {self.place.rig[:8]})"
-            self._refuse(name, here)
+        if sample.kind == self._delete_kind:
+            if rig == self.address.rig and name in self.names:
+                self.on_disconnect(self.names.index(name))
+        elif rig != self.address.rig:
+            reason = f"its calibration or its options differ from this node's ({rig[:8]} and {self.address.rig[:8]})"
+            self._add_refused(name, reason)
 
-    def _refuse(self, name: str, why: str) -> None:
-        if len(self.refused) < MOST_REFUSED:
-            self.refused.setdefault(name, why)
+    def _add_refused(self, name: str, reason: str) -> None:
+        if len(self.refused) < MAX_REFUSED:
+            self.refused.setdefault(name, reason)
 
-    def _hear(self, sample: Any) -> None:
+    def _on_sample(self, sample: Any) -> None:
         name = str(sample.key_expr).split("/")[4]
         if name not in self.names:
-            self._refuse(name, "it is no camera of the calibration")
+            self._add_refused(name, "it is not a camera of the calibration")
             return
         payload = sample.payload
-        if len(payload) > LARGEST_WORD:
-            self._refuse(name, f"a message of {len(payload)} bytes")
+        if len(payload) > MAX_MESSAGE_BYTES:
+            self._add_refused(name, f"a message of {len(payload)} bytes")
             return
-        self.heard(self.names.index(name), payload.to_bytes())
+        self.on_message(self.names.index(name), payload.to_bytes())
 
     def send(self, packets: Sequence[Packet]) -> int:
-        """Returns the number of bytes."""
+        """Send packets; return the number of bytes."""
         sent = 0
         for to, data in packets:
-            if len(to) > 1 and kind_of(data) not in (HELLO, WELCOME):
+            if len(to) > 1 and message_kind(data) not in (HELLO, WELCOME):
                 self._all.put(data)
                 sent += len(data)
                 continue
@@ -197,12 +214,12 @@ class Wire:
                 sent += len(data)
         return sent
 
-    def say_pose(self, line: str) -> None:
-        """One line of JSON for whoever listens."""
+    def publish_pose(self, line: str) -> None:
+        """Publish a pose as one line of JSON, for observers."""
         self._poses.put(line)
 
-    def say_state(self, line: str) -> None:
-        """The same, of how the node is."""
+    def publish_state(self, line: str) -> None:
+        """Publish the node's state as one line of JSON, for observers."""
         self._states.put(line)
 
     def close(self) -> None:
@@ -210,16 +227,20 @@ class Wire:
         self.session.close()
 
 
-def open_session(links: Links, name: str) -> Any:
-    """A session of Zenoh.
+def open_zenoh_session(links: LinkSettings, name: str) -> Any:
+    """Open a Zenoh session.
+
+    Args:
+        links: how to connect.
+        name: name of the node or observer.
 
     Raises:
-        ValueError: an endpoint that cannot be listened or connected to; keys that are missing.
+        ValueError: an unusable endpoint, or missing keys.
     """
     import zenoh
 
-    # Read with the first session of a process.
-    os.environ.setdefault("ZENOH_RUNTIME", f"(rx: (worker_threads: {THREADS}))")
+    # Zenoh reads this at the first session of a process.
+    os.environ.setdefault("ZENOH_RUNTIME", f"(rx: (worker_threads: {RECEIVE_THREADS}))")
     zenoh.init_log_from_env_or("off")
     config = zenoh.Config()
     protocol = "tcp" if links.keys is None else "tls"
@@ -230,16 +251,16 @@ def open_session(links: Links, name: str) -> Any:
         "scouting/multicast/enabled": links.multicast,
         "scouting/gossip/enabled": True,
         "transport/link/tx/lease": LEASE_MS,
-        "transport/link/rx/max_message_size": LARGEST_WORD + 1024,
+        "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES + 1024,
         "transport/shared_memory/enabled": False,
         "transport/link/protocols": [protocol],
     }
     if links.multicast:
-        settings["scouting/multicast/interface"] = _interface(links.listen.rpartition(":")[0])
+        settings["scouting/multicast/interface"] = _discovery_interface(links.listen.rpartition(":")[0])
     if links.keys is not None:
-        settings["transport/link/tls"] = tls_settings(links.keys, name)
-        if links.names:  # who only listens is told nothing that it would have to refuse
-            settings["access_control"] = access_rules(links.names)
+        settings["transport/link/tls"] = build_tls_settings(links.keys, name)
+        if links.names:  # observers receive nothing that they would have to reject
+            settings["access_control"] = build_access_rules(links.names)
     try:
         for key, value in settings.items():
             config.insert_json5(key, json.dumps(value))
@@ -249,43 +270,46 @@ def open_session(links: Links, name: str) -> Any:
         raise ValueError(
             f"{name}: cannot listen at {links.listen}"
             + (f" or connect to {', '.join(links.connect)}" if links.connect else "")
-            + f" ({why}); look at the address, the port, the keys and the clock"
+            + f" ({why}); check the address, the port, the keys and the clock"
         ) from None
 
 
-def _interface(host: str) -> str:
-    """Where to look for others: on the address that is listened at."""
+def _discovery_interface(host: str) -> str:
+    """Return the interface for discovery: that of the listening address."""
     return "auto" if host in ("0.0.0.0", "[::]", "localhost") else host
 
 
-def line_of(said: bytes) -> str | None:
-    """What somebody told whoever listens; None where it is no text, or too long."""
-    if len(said) > LONGEST_LINE:
+def decode_line(data: bytes) -> str | None:
+    """Decode a published line; None if it is not text or too long."""
+    if len(data) > MAX_LINE_BYTES:
         return None
     try:
-        return said.decode()
+        return data.decode()
     except UnicodeDecodeError:
         return None
 
 
 def watch_network(
-    links: Links, network: str, on_state: Callable[[str, str, str], None], on_pose: Callable[[str, str], None]
+    links: LinkSettings, network: str, on_state: Callable[[str, str, str], None], on_pose: Callable[[str, str], None]
 ) -> Any:
-    """Listens to a network without taking part.
+    """Subscribe to a network's states and poses without taking part.
 
     Args:
-        on_state: called with rig, name and the line; on_pose: with name and the line.
+        links: how to connect.
+        network: name of the network.
+        on_state: called with rig, name and line.
+        on_pose: called with name and line.
 
     Returns:
-        the session, to be closed.
+        The session; the caller closes it.
     """
     check_name("network", network)
-    session = open_session(links, LISTENER)
+    session = open_zenoh_session(links, OBSERVER)
 
-    def heard(sample: Any) -> None:
+    def on_sample(sample: Any) -> None:
         _, _, _, rig, name, what = str(sample.key_expr).split("/")
-        line = line_of(sample.payload.to_bytes()) if len(sample.payload) <= LONGEST_LINE else None
-        if line is None or not NAME.fullmatch(name) or not NAME.fullmatch(rig):
+        line = decode_line(sample.payload.to_bytes()) if len(sample.payload) <= MAX_LINE_BYTES else None
+        if line is None or not NAME_PATTERN.fullmatch(name) or not NAME_PATTERN.fullmatch(rig):
             return
         if what == "state":
             on_state(rig, name, line)
@@ -293,5 +317,5 @@ def watch_network(
             on_pose(name, line)
 
     for what in ("state", "pose"):
-        session.declare_subscriber(f"sylpose/{VERSION}/{network}/*/*/{what}", heard)
+        session.declare_subscriber(f"sylpose/{PROTOCOL_VERSION}/{network}/*/*/{what}", on_sample)
     return session

@@ -1,5 +1,5 @@
-"""How an object moved between two frames: the paper's question in perspective, with six unknowns and outliers.
+"""Relative pose of a rigid object between two frames: six unknowns, perspective cameras, outliers.
 
-A first look from moments (`moments_cost`, `search`), the last word match by match (`match_cost`, `reweight`); `motion` is
-its front.
+A search on second moments (`moments_cost`, `search`) finds candidate minima; re-weighted least squares on the matches
+(`match_cost`, `irls`) refines them and selects one. The public interface is `motion`.
 """

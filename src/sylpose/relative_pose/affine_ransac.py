@@ -1,36 +1,38 @@
-"""Outlier rejection: which matches of a camera can belong to one rigid motion, and the weights used once there is one."""
+"""RANSAC on the affine epipolar constraint: the matches of one camera that can belong to one rigid motion."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.numba_linalg import cholesky_solve, kernel, median_of
+from sylpose.geometry.numba_linalg import cholesky_solve, compute_median, kernel
 from sylpose.geometry.robust_loss import SIGMA_OF_MEDIAN, bisquare
 
-__all__ = ["hyperplane_inliers"]
+__all__ = ["find_hyperplane_inliers"]
 
 
-# Matches that hypotheses are scored on, at most: enough to tell them apart, and the cost stays bounded (choice).
-SCORED = 256
-# Chance, at most, that no all-inlier quadruple was drawn (choice).
-MISS = 1e-3
-# Cutoff of the departure from an affine map along the epipolar line, in standard deviations of the bulk (choice).
+# Maximum number of matches to score hypotheses on: enough to rank them at a bounded cost (choice).
+MAX_SCORED = 256
+# Largest probability that no all-inlier quadruple was drawn (choice).
+MISS_PROBABILITY = 1e-3
+# Cutoff of the deviation from an affine map along the epipolar line, in standard deviations of the bulk (choice).
 ALONG_CUTOFF = 6.0
 
 
 @kernel
-def hyperplane_inliers(x: FloatArray, y: FloatArray, threshold: float, picks: FloatArray, weights: FloatArray) -> float:
-    """Matches of one camera that fit one affine epipolar constraint.
+def find_hyperplane_inliers(
+    x: FloatArray, y: FloatArray, threshold: float, picks: FloatArray, weights: FloatArray
+) -> float:
+    """Find the matches of one camera that fit one affine epipolar constraint.
 
-    Under weak perspective the joint points (x1, x2, y1, y2) of a rigid motion lie on a hyperplane of the 4D space, which
-    four of them determine. RANSAC over such quadruples, scored by truncated squares, then two refits to the inliers; of
-    those, the ones that lie far from all others along the epipolar line are taken away.
+    Under weak perspective the joint points (x1, x2, y1, y2) of a rigid motion are on a hyperplane of the 4D space,
+    which four of them determine. RANSAC over such quadruples, scored by truncated squares, is followed by two refits to
+    the inliers. Inliers that are far from all others along the epipolar line are then removed.
 
     Args:
         x, y: (n, 2) points in the two frames.
         threshold: largest distance to the hyperplane, same units.
-        picks: (h, 4) in [0, 1), choose the quadruples: h at most, fewer when a better one has become unlikely.
+        picks: (h, 4) in [0, 1), select the quadruples: at most h, fewer once a better one has become unlikely.
         weights: (n,) become 1 or 0; all 1 for fewer than 6 matches, which a hyperplane cannot contradict.
 
     Returns:
@@ -43,7 +45,7 @@ def hyperplane_inliers(x: FloatArray, y: FloatArray, threshold: float, picks: Fl
         weights[i] = 1.0
     if n < 6:
         return 0.0
-    # Centred, for the numbers' sake.
+    # Center the points for numerical accuracy.
     joint, mean = np.empty((n, 4)), np.zeros(4)
     for i in range(n):
         for a in range(2):
@@ -57,7 +59,7 @@ def hyperplane_inliers(x: FloatArray, y: FloatArray, threshold: float, picks: Fl
             scale = max(scale, abs(joint[i, a]))
     if not scale > 0.0:
         return 0.0
-    stride = max(1, n // SCORED)
+    stride = max(1, n // MAX_SCORED)
     normal, best = np.zeros(4), np.zeros(5)
     best_score, needed, drawn = np.inf, float(picks.shape[0]), 0
     edge = np.empty((3, 4))
@@ -106,11 +108,11 @@ def hyperplane_inliers(x: FloatArray, y: FloatArray, threshold: float, picks: Fl
             best[:4] = normal
             best[4] = offset
             share = min(max(inside / scored, 1e-2), 0.999)
-            needed = min(needed, max(10.0, np.log(MISS) / np.log(1.0 - share**4)))
+            needed = min(needed, max(10.0, np.log(MISS_PROBABILITY) / np.log(1.0 - share**4)))
     if not best_score < np.inf:
         return 0.0
     rms = 0.0
-    for again in range(3):
+    for refit in range(3):
         count = 0
         for i in range(n):
             distance = -best[4]
@@ -118,16 +120,16 @@ def hyperplane_inliers(x: FloatArray, y: FloatArray, threshold: float, picks: Fl
                 distance += best[a] * joint[i, a]
             weights[i] = 1.0 if abs(distance) <= threshold else 0.0
             count += abs(distance) <= threshold
-        if again == 2 or count < 6:
+        if refit == 2 or count < 6:
             break
-        rms = _smallest_axis(joint, weights, best)
-    _drop_far_along(joint, weights, best)
+        rms = _fit_hyperplane(joint, weights, best)
+    _drop_outliers_along_line(joint, weights, best)
     return float(rms)
 
 
 @kernel
-def _smallest_axis(joint: FloatArray, weights: FloatArray, plane: FloatArray) -> float:
-    """plane (5,) becomes the hyperplane of least squares through the weighted points; returns their rms distance."""
+def _fit_hyperplane(joint: FloatArray, weights: FloatArray, plane: FloatArray) -> float:
+    """Fit the least-squares hyperplane plane (5,) to the weighted points; return their rms distance."""
     mean, cov, total = np.zeros(4), np.zeros((4, 4)), 0.0
     for i in range(joint.shape[0]):
         if weights[i] > 0.0:
@@ -142,7 +144,7 @@ def _smallest_axis(joint: FloatArray, weights: FloatArray, plane: FloatArray) ->
                 for b in range(4):
                     cov[a, b] += (joint[i, a] - mean[a]) * (joint[i, b] - mean[b])
     trace = cov[0, 0] + cov[1, 1] + cov[2, 2] + cov[3, 3]
-    # Inverse iteration, from the plane that is there: the smallest axis is at least ten times shorter than the others.
+    # Inverse iteration from the current plane: the smallest axis is at least ten times shorter than the others.
     normal, work = plane[:4].copy(), np.empty((4, 4))
     for _ in range(6):
         for a in range(4):
@@ -165,10 +167,10 @@ def _smallest_axis(joint: FloatArray, weights: FloatArray, plane: FloatArray) ->
 
 
 @kernel
-def _drop_far_along(joint: FloatArray, weights: FloatArray, plane: FloatArray) -> None:
-    """Sets to 0 the weights of matches that depart much more than the others from an affine map of x, along the line.
+def _drop_outliers_along_line(joint: FloatArray, weights: FloatArray, plane: FloatArray) -> None:
+    """Reject matches that deviate much more than the others from an affine map of x, along the epipolar line.
 
-    The hyperplane leaves a mismatch that lies on its epipolar line by chance. But depths on one object are alike.
+    The hyperplane accepts a mismatch that is on its epipolar line by chance, but depths on one object are similar.
     """
     n = joint.shape[0]
     length = np.sqrt(plane[2] ** 2 + plane[3] ** 2)
@@ -201,7 +203,7 @@ def _drop_far_along(joint: FloatArray, weights: FloatArray, plane: FloatArray) -
                 count += 1
         if count < 8:
             return
-        sigma = SIGMA_OF_MEDIAN * median_of(sizes[:count])
+        sigma = SIGMA_OF_MEDIAN * compute_median(sizes[:count])
         for i in range(n):
             kept[i] = 0.0
             if weights[i] > 0.0:

@@ -1,17 +1,17 @@
-"""What a covariance lacks where the cost is a bent valley: cameras close together, slides, little turns.
+"""Corrections of the covariance for a curved valley of the cost: narrow baselines, pure translations, small rotations.
 
-A covariance is of a cost that is quadratic. Where something is hardly seen, the length of a slide as a rule, the matches
-put the motion in a narrow valley of the cost, and a valley that is bent: going along it by a standard deviation leads away
-from the straight line by more than the valley is wide, and the valley may be flatter there. So the motion is displaced by a
-standard deviation along each direction that is hardly seen, both ways, and settles across it: the way from the line to where
-it comes to rest, and how much less it is drawn back than a quadratic cost would have it, become uncertainty.
+A covariance assumes a quadratic cost. If a direction is weakly observed, usually the length of a translation, the
+minimum is in a narrow valley that may curve and flatten. One standard deviation along it then leaves the straight line
+by more than the width of the valley. The motion is therefore displaced by one standard deviation along each weak
+direction, both ways, and minimized across it. The deviation from the line, and the deficit of the restoring force
+relative to a quadratic cost, are added to the uncertainty.
 
-All that is for the noise and relief that were found, which another motion may have otherwise: where the object is hardly
-seen to have relief, say, every motion has its own. So along the direction that is least seen the motion is displaced by far
-more, and all but that way is fitted again. Where that is about as likely, the covariance takes it in.
+This uses the noise and the residual depth of the fit, which may differ for another motion: if residual depth is weakly
+observed, for example, every motion has its own. Along the weakest direction the motion is therefore displaced much
+further and everything else is fitted again. If the result is about as likely, the covariance is inflated to include it.
 
-Source: second-order terms of a profile likelihood, Bates & Watts, "Nonlinear Regression Analysis", chapter 7; their use here
-is ours (docs/method.md).
+Source: second-order terms of a profile likelihood, Bates & Watts, "Nonlinear Regression Analysis", chapter 7; their use
+here is ours (docs/method/3-pose.md).
 """
 
 from __future__ import annotations
@@ -19,124 +19,163 @@ from __future__ import annotations
 import numpy as np
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.numba_linalg import cholesky, cholesky_solve, kernel, rotvec_of, solve_factored, turn_by
+from sylpose.geometry.numba_linalg import apply_rotvec, cholesky, cholesky_solve, kernel, so3_log, solve_factored
 from sylpose.relative_pose.irls import (
+    CONSTRAINT_WEIGHT,
     CUTOFF,
-    FIRM,
-    INDEPENDENT,
+    INDEPENDENT_MATCHES,
     SIGMA_FLOOR_PX,
-    Reweighted,
-    nothing_yet,
-    reweight_held,
+    IrlsFit,
+    make_empty_irls_fit,
+    run_constrained_irls,
 )
-from sylpose.relative_pose.match_cost import Matched, Tolerance, Usable, match_equations, no_equations
-from sylpose.relative_pose.schur import make_room, reduce_term, surface_prior
-from sylpose.relative_pose.terms import ROUNDING, SURFACE, Candidate, Stack, copy_into, take_step
+from sylpose.relative_pose.match_cost import (
+    InlierPrior,
+    MatchErrors,
+    Tolerance,
+    build_match_equations,
+    make_match_equations,
+)
+from sylpose.relative_pose.schur import compute_depth_prior, make_schur_workspace, reduce_term
+from sylpose.relative_pose.terms import COINCIDENCE_TOLERANCE, DEPTH_MODEL_SIZE, Candidate, Stack, apply_step, copy_into
 
-__all__ = ["bend", "far_along", "is_hardly_seen", "less_certain", "settle_across", "taken_in", "unless_straight"]
+__all__ = [
+    "compute_curvature_covariance",
+    "compute_size_if_curved",
+    "has_weak_direction",
+    "inflate",
+    "inflate_covariance",
+    "minimize_across_valley",
+    "refit_along_weak_direction",
+]
 
-# A direction is followed where its variance, over the size of the motion and the least standard deviation, exceeds this: the
-# bend that a valley has whose direction changes by as much as the motion does (choice).
-BENT = 0.25
-# ... and where it is less sure than this share of the motion: surer ones are straight (choice).
-SURE = 0.05
-# Directions that are followed, at most, and steps across the valley (choice).
-FOLLOWED, STEPS = 3, 4
-# ... of which none is taken where the last promised to lower the cost by less than this: a seventh of a standard deviation
+# A direction is weak if its variance, over the size of the motion and the least standard deviation, exceeds this: the
+# curvature of a valley whose direction changes by as much as the motion does (choice).
+MIN_CURVED_RATIO = 0.25
+# Its standard deviation must also exceed this share of the motion: better known directions are straight (choice).
+MIN_WEAK_SHARE = 0.05
+# Maximum number of weak directions, and of steps across the valley (choice).
+MAX_WEAK_DIRECTIONS, MAX_STEPS = 3, 4
+# Converged across the valley if the predicted decrease of the cost is below this: a seventh of a standard deviation
 # (choice).
-SETTLED_ACROSS = 1e-2
-# A bend is no longer than this, of the way along (choice).
-LONGEST_BEND = 0.5
-# The largest step and by how much the valley may be flatter, as shares of the motion and of its curvature (choice).
-LONGEST, FLATTEST = 1.0, 0.05
-# The mean fourth power of a normal variable: what the bend at a standard deviation comes to in variance (derived).
-FOURTH = 3.0
-# Where a direction is less sure than this share of the motion, it is hardly seen (measured: half of 2,952 answers that have
-# a direction to follow are, with 58 of 68 wrong and sure ones; of 800 usual answers 26 are).
-HARDLY_SEEN = 0.08
-# So many standard deviations are far. What is there is taken in as if it were no farther than the second, since likelihoods
-# are trusted to so much (choice) ...
-FAR, NEAR = 6.0, 3.0
-# ... where the covariance is too small for it by more than this (measured: where all is taken in, the mean square of errors
-# in their own standard deviations before two cameras is 3.9, with this 4.1, without any 4.4; 6 is right).
-TOO_SMALL = 4.0
+CONVERGED_DECREASE = 1e-2
+# Largest deviation across the valley, relative to the distance along it (choice).
+MAX_DEVIATION_RATIO = 0.5
+# The largest displacement as a share of the motion, and the least restoring curvature as a share of the quadratic one
+# (choice).
+MAX_DISPLACEMENT_SHARE, MIN_CURVATURE_SHARE = 1.0, 0.05
+# The mean fourth power of a normal variable: the variance that results from a deviation at one standard deviation
+# (derived).
+NORMAL_FOURTH_MOMENT = 3.0
+# A direction whose standard deviation exceeds this share of the motion is weakly observed (measured: half of 2,952
+# answers that have a weak direction are, with 58 of 68 confidently wrong ones; of 800 usual answers 26 are).
+WEAKLY_OBSERVED_SHARE = 0.08
+# The far displacement, in standard deviations. The result is included as if it were no farther than the second value,
+# the limit of the accuracy of likelihoods (choice) ...
+FAR_SIGMAS, MAX_INCLUDED_SIGMAS = 6.0, 3.0
+# ... if the covariance is too small for it by more than this (measured: if all are included, the mean normalized
+# squared error with two cameras is 3.9, with this 4.1, without any 4.4; 6 is right).
+MIN_VARIANCE_DEFICIT = 4.0
 
 
-def bend(stack: Stack, usable: Usable, found: Reweighted, radius: float) -> FloatArray:
-    """(6, m) columns F, F F' is the covariance of (w, d) that a straight valley lacks; m is 0 where the valley is straight.
+def compute_curvature_covariance(stack: Stack, usable: InlierPrior, fit: IrlsFit, radius: float) -> FloatArray:
+    """Return (6, m) columns F such that F F' is the covariance of (w, d) that a straight valley lacks.
+
+    m is 0 if the valley is straight.
 
     Args:
-        usable: (N,) matches that may be inliers.
-        found: what `reweight` came to.
-        radius: of the object: a turn moves its surface by radius times angle.
+        usable: (N,) matches that may be inliers, or their probabilities.
+        fit: the result of `run_irls`.
+        radius: of the object: a rotation moves its surface by radius times angle.
     """
     scale = np.array([1.0 / radius] * 3 + [1.0] * 3)
-    size, sd, vectors = _ways(stack, found, radius, scale)
+    size, sd, vectors = _find_weak_directions(stack, fit, radius, scale)
     columns: list[FloatArray] = []
-    for k in range(min(len(sd), FOLLOWED)):
-        length = min(float(sd[k]), LONGEST * size)
-        along, off = scale * vectors[:, k], np.empty((2, 6))
-        drawn = 0.0
-        for way in range(2):
-            force = settle_across(stack, usable, found, (1 - 2 * way) * length * along, vectors[:, k] / scale, off[way])
+    for k in range(min(len(sd), MAX_WEAK_DIRECTIONS)):
+        length = min(float(sd[k]), MAX_DISPLACEMENT_SHARE * size)
+        along, deviations = scale * vectors[:, k], np.empty((2, 6))
+        restoring = 0.0
+        for side in range(2):
+            force = minimize_across_valley(
+                stack, usable, fit, (1 - 2 * side) * length * along, vectors[:, k] / scale, deviations[side]
+            )
             if not np.isfinite(force):
                 return np.column_stack([*columns, sd[k] * along])
-            # A bend is small beside the way; what is not has come to another minimum.
-            far = float(np.linalg.norm(off[way] / scale))
-            off[way] *= min(1.0, LONGEST_BEND * length / max(far, 1e-300))
-            drawn += 0.5 * max(force * float(sd[k]) ** 2 / length, 0.0)
-        columns += [np.sqrt(0.5 * FOURTH) * off[0], np.sqrt(0.5 * FOURTH) * off[1]]
-        if drawn < 1.0:
-            columns.append(sd[k] * np.sqrt(1.0 / max(drawn, FLATTEST) - 1.0) * along)
+            # The deviation is small relative to the displacement; otherwise another minimum was reached.
+            deviation = float(np.linalg.norm(deviations[side] / scale))
+            deviations[side] *= min(1.0, MAX_DEVIATION_RATIO * length / max(deviation, 1e-300))
+            restoring += 0.5 * max(force * float(sd[k]) ** 2 / length, 0.0)
+        columns += [
+            np.sqrt(0.5 * NORMAL_FOURTH_MOMENT) * deviations[0],
+            np.sqrt(0.5 * NORMAL_FOURTH_MOMENT) * deviations[1],
+        ]
+        if restoring < 1.0:
+            columns.append(sd[k] * np.sqrt(1.0 / max(restoring, MIN_CURVATURE_SHARE) - 1.0) * along)
     return np.column_stack(columns) if columns else np.empty((6, 0))
 
 
-def is_hardly_seen(stack: Stack, found: Reweighted, radius: float) -> bool:
-    """Whether some direction of the motion is."""
-    size, sd, _ = _ways(stack, found, radius, np.array([1.0 / radius] * 3 + [1.0] * 3))
-    return bool(len(sd) > 0 and sd[0] > HARDLY_SEEN * size)
+def has_weak_direction(stack: Stack, fit: IrlsFit, radius: float) -> bool:
+    """Return whether some direction of the motion is weakly observed."""
+    size, sd, _ = _find_weak_directions(stack, fit, radius, np.array([1.0 / radius] * 3 + [1.0] * 3))
+    return bool(len(sd) > 0 and sd[0] > WEAKLY_OBSERVED_SHARE * size)
 
 
-def far_along(
-    stack: Stack, usable: Usable, found: Reweighted, radius: float, cost: float
+def refit_along_weak_direction(
+    stack: Stack, usable: InlierPrior, fit: IrlsFit, radius: float, cost: float
 ) -> list[tuple[FloatArray, float]]:
-    """Where the motion comes to, (w, d) from where it is, displaced far along the direction that is least seen, both ways,
-    and all but that fitted again; and by how much that is less likely, logarithm.
+    """Displace the motion far along its weakest direction, both ways, and fit everything else again.
 
     Args:
-        usable, found, radius: as `bend` takes them.
-        cost: of what was found (`reweight`).
+        usable, fit, radius: as for `compute_curvature_covariance`.
+        cost: of the fit (`run_irls`).
+
+    Returns:
+        for each side, the step (w, d) from the fit to the result, and the increase of the negative log-likelihood.
     """
     scale = np.array([1.0 / radius] * 3 + [1.0] * 3)
-    size, sd, vectors = _ways(stack, found, radius, scale)
+    size, sd, vectors = _find_weak_directions(stack, fit, radius, scale)
     if len(sd) == 0:
         return []
-    along, held = scale * vectors[:, 0], vectors[:, 0] / scale
-    held /= np.linalg.norm(held)
+    along, constraint = scale * vectors[:, 0], vectors[:, 0] / scale
+    constraint /= np.linalg.norm(constraint)
     out = []
-    for length in (-min(FAR * float(sd[0]), LONGEST * size), min(FAR * float(sd[0]), LONGEST * size)):
-        again = nothing_yet(stack)
-        copy_into(again.candidate, found.candidate)
-        turn_by(length * along[:3], found.candidate.rotation, again.candidate.rotation)
-        again.candidate.shift[:] += length * along[3:]
-        again.sigma_px[:] = found.sigma_px
-        _, _, cost_there = reweight_held(stack, usable, again, SIGMA_FLOOR_PX, held)
-        if np.isfinite(cost_there):
-            step = np.append(np.empty(3), again.candidate.shift - found.candidate.shift)
-            rotvec_of(again.candidate.rotation @ found.candidate.rotation.T, step[:3])
-            out.append((step, float(cost_there) - cost))
+    for length in (
+        -min(FAR_SIGMAS * float(sd[0]), MAX_DISPLACEMENT_SHARE * size),
+        min(FAR_SIGMAS * float(sd[0]), MAX_DISPLACEMENT_SHARE * size),
+    ):
+        refit = make_empty_irls_fit(stack)
+        copy_into(refit.candidate, fit.candidate)
+        apply_rotvec(length * along[:3], fit.candidate.rotation, refit.candidate.rotation)
+        refit.candidate.translation[:] += length * along[3:]
+        refit.sigma_px[:] = fit.sigma_px
+        _, _, new_cost = run_constrained_irls(stack, usable, refit, SIGMA_FLOOR_PX, constraint)
+        if np.isfinite(new_cost):
+            step = np.append(np.empty(3), refit.candidate.translation - fit.candidate.translation)
+            so3_log(refit.candidate.rotation @ fit.candidate.rotation.T, step[:3])
+            out.append((step, float(new_cost) - cost))
     return out
 
 
-def taken_in(information: FloatArray, step: FloatArray, dearer: float) -> FloatArray:
-    """(6, m) a column that makes the covariance of (w, d) take in what is a step (6,) away and less likely by `dearer`,
-    logarithm; m is 0 where it is not much too small for that."""
-    square, most = float(step @ information @ step), max(2.0 * dearer, NEAR**2)
-    return step[:, None] * np.sqrt(1.0 / most - 1.0 / square) if square > TOO_SMALL * most else np.empty((6, 0))
+def inflate_covariance(information: FloatArray, step: FloatArray, likelihood_loss: float) -> FloatArray:
+    """Return a column (6, m) that inflates the covariance of (w, d) to include a motion at a step (6,).
+
+    m is 0 if the covariance is not much too small.
+
+    Args:
+        likelihood_loss: decrease of the log-likelihood at that motion.
+    """
+    square, target_square = float(step @ information @ step), max(2.0 * likelihood_loss, MAX_INCLUDED_SIGMAS**2)
+    return (
+        step[:, None] * np.sqrt(1.0 / target_square - 1.0 / square)
+        if square > MIN_VARIANCE_DEFICIT * target_square
+        else np.empty((6, 0))
+    )
 
 
-def _ways(stack: Stack, found: Reweighted, radius: float, scale: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-    """The directions that are hardly seen.
+def _find_weak_directions(
+    stack: Stack, fit: IrlsFit, radius: float, scale: FloatArray
+) -> tuple[float, FloatArray, FloatArray]:
+    """Find the weakly observed directions.
 
     Args:
         scale: (6,) units of (w, d).
@@ -144,31 +183,33 @@ def _ways(stack: Stack, found: Reweighted, radius: float, scale: FloatArray) -> 
     Returns:
         the size of the motion; (k,) standard deviations, largest first; (6, 6) the directions, as columns.
     """
-    size, nothing = unless_straight(found, radius), (0.0, np.empty(0), np.empty((6, 6)))
+    size, no_directions = compute_size_if_curved(fit, radius), (0.0, np.empty(0), np.empty((6, 6)))
     if not size > 0:
-        return nothing
-    values, vectors = np.linalg.eigh(found.information * np.outer(scale, scale))
-    # Of cameras in one place all lengths are open alike, and that valley is straight.
-    apart = np.ptp(stack.a1, axis=0).max() > ROUNDING * np.abs(stack.a1).max()
-    if not (values[-1] > 0 and apart):
-        return nothing
+        return no_directions
+    values, vectors = np.linalg.eigh(fit.information * np.outer(scale, scale))
+    # With all cameras in one place every length is equally undetermined, and that valley is straight.
+    has_baseline = np.ptp(stack.a1, axis=0).max() > COINCIDENCE_TOLERANCE * np.abs(stack.a1).max()
+    if not (values[-1] > 0 and has_baseline):
+        return no_directions
     sd = 1.0 / np.sqrt(np.maximum(values, 1e-12 * values[-1]))
-    return size, sd[(sd**2 > BENT * size * sd[-1]) & (sd > SURE * size)], vectors
+    return size, sd[(sd**2 > MIN_CURVED_RATIO * size * sd[-1]) & (sd > MIN_WEAK_SHARE * size)], vectors
 
 
 @kernel
-def unless_straight(found: Reweighted, radius: float) -> float:
-    """The size of the motion; 0 where no direction can be one that is followed, which is so as a rule: the sum of all
-    variances is too small for one of them."""
+def compute_size_if_curved(fit: IrlsFit, radius: float) -> float:
+    """Return the size of the motion if a direction may be weak, else 0.
+
+    Usually it is 0: the sum of all variances is too small for a weak direction.
+    """
     scaled, column, variance = np.empty((6, 6)), np.empty(6), 0.0
     known, size = 0.0, 0.0
-    rotvec_of(found.candidate.rotation, column[:3])
+    so3_log(fit.candidate.rotation, column[:3])
     for i in range(3):
-        size += (radius * column[i]) ** 2 + found.candidate.shift[i] ** 2
+        size += (radius * column[i]) ** 2 + fit.candidate.translation[i] ** 2
     size = np.sqrt(size)
     for i in range(6):
         for j in range(6):
-            scaled[i, j] = found.information[i, j] / ((radius if i < 3 else 1.0) * (radius if j < 3 else 1.0))
+            scaled[i, j] = fit.information[i, j] / ((radius if i < 3 else 1.0) * (radius if j < 3 else 1.0))
         known += scaled[i, i]
     if not cholesky(scaled):
         return float(size)
@@ -177,90 +218,109 @@ def unless_straight(found: Reweighted, radius: float) -> float:
         column[i] = 1.0
         solve_factored(scaled, column)
         variance += column[i]
-    followed = variance > BENT * size / np.sqrt(known) and variance > (SURE * size) ** 2
-    return float(size) if followed else 0.0
+    may_be_curved = variance > MIN_CURVED_RATIO * size / np.sqrt(known) and variance > (MIN_WEAK_SHARE * size) ** 2
+    return float(size) if may_be_curved else 0.0
 
 
-def less_certain(information: FloatArray, columns: FloatArray) -> FloatArray:
-    """The information (6, 6) of a covariance that has grown by F F', F (6, m): defined where it is singular, too."""
+def inflate(information: FloatArray, columns: FloatArray) -> FloatArray:
+    """Return the information (6, 6) of a covariance inflated by F F', F (6, m); also valid if it is singular."""
     if columns.shape[1] == 0:
         return information
-    known = information @ columns
-    inner = np.eye(columns.shape[1]) + columns.T @ known
+    projected = information @ columns
+    inner = np.eye(columns.shape[1]) + columns.T @ projected
     try:
-        less = information - known @ np.linalg.solve(inner, known.T)
-    except np.linalg.LinAlgError:  # grown beyond all numbers: nothing is known
+        inflated = information - projected @ np.linalg.solve(inner, projected.T)
+    except np.linalg.LinAlgError:  # overflow: no information is left
         return np.zeros_like(information)
-    return np.asarray(0.5 * (less + less.T))
+    return np.asarray(0.5 * (inflated + inflated.T))
 
 
 @kernel
-def settle_across(
-    stack: Stack, usable: Usable, found: Reweighted, start: FloatArray, held: FloatArray, off: FloatArray
+def minimize_across_valley(
+    stack: Stack, usable: InlierPrior, fit: IrlsFit, start: FloatArray, constraint: FloatArray, deviation: FloatArray
 ) -> float:
-    """The motion displaced by start (6,) settles across the valley, held' (w, d) being held.
+    """Displace the motion by start (6,) and minimize across the valley under a constraint.
 
     Args:
-        off: (6,) becomes by how much it came away from where it was put.
+        constraint: (6,) c, the steps keep c' (w, d) constant.
+        deviation: (6,) receives the deviation from the displaced position.
 
     Returns:
-        how much it is drawn back, the derivative of the cost along the way it was displaced; infinite without an end.
+        the restoring force, the derivative of the cost along the displacement; infinite without convergence.
     """
     n, n_matches = stack.focal.shape[0], stack.x.shape[0]
-    candidate, place = Candidate(np.empty((3, 3)), np.empty(3), np.empty((n, SURFACE))), found.place.copy()
-    copy_into(candidate, found.candidate)
-    matches = Matched(
+    candidate, distance_offset = (
+        Candidate(np.empty((3, 3)), np.empty(3), np.empty((n, DEPTH_MODEL_SIZE))),
+        fit.distance_offset.copy(),
+    )
+    copy_into(candidate, fit.candidate)
+    matches = MatchErrors(
         np.empty(n_matches), np.empty(n_matches), np.empty(n_matches), np.empty(n_matches), np.empty(n_matches)
     )
-    equations, gains, prior = no_equations(False, False), np.zeros((n, SURFACE, 8)), np.empty((SURFACE, SURFACE))
-    total, right, step, room = np.empty((7, 7)), np.empty(7), np.zeros(7), make_room()
+    equations, gains, prior = (
+        make_match_equations(False, False),
+        np.zeros((n, DEPTH_MODEL_SIZE, 8)),
+        np.empty((DEPTH_MODEL_SIZE, DEPTH_MODEL_SIZE)),
+    )
+    total, right, step, workspace = np.empty((7, 7)), np.empty(7), np.zeros(7), make_schur_workspace()
     step[:6] = start
-    # The surfaces follow in the first step.
-    take_step(candidate, place, step, gains, 1.0)
-    size, settled = 0.0, False
-    for count in range(STEPS + 1):
+    # The depth models follow in the first step.
+    apply_step(candidate, distance_offset, step, gains, 1.0)
+    size, converged = 0.0, False
+    for count in range(MAX_STEPS + 1):
         total[:], right[:] = 0.0, 0.0
-        total[6, 6], right[6] = 1.0, -place[0]
+        total[6, 6], right[6] = 1.0, -distance_offset[0]
         for t in range(n):
             mass = 0.0
             for i in range(stack.offsets[t], stack.offsets[t + 1]):
-                mass += found.weights[i]
+                mass += fit.weights[i]
             gains[t] = 0.0
             if not mass > 0.0:
                 continue
-            relief = found.relief[t]
-            shared = relief * np.sqrt(max(1.0, mass / INDEPENDENT))
-            tolerance = Tolerance((found.sigma_px[t] / stack.focal[t]) ** 2, relief, shared, CUTOFF)
-            match_equations(stack, t, usable, candidate, tolerance, matches, equations)
-            surface_prior(stack, t, candidate.surface[t], place[0], prior)
+            residual_depth = fit.residual_depth[t]
+            shared_residual_depth = residual_depth * np.sqrt(max(1.0, mass / INDEPENDENT_MATCHES))
+            tolerance = Tolerance(
+                (fit.sigma_px[t] / stack.focal[t]) ** 2, residual_depth, shared_residual_depth, CUTOFF
+            )
+            build_match_equations(stack, t, usable, candidate, tolerance, matches, equations)
+            compute_depth_prior(stack, t, candidate.depth_model[t], distance_offset[0], prior)
             if not reduce_term(
-                stack, t, candidate.surface[t], place[0], prior, equations, total, right, gains[t], room
+                stack,
+                t,
+                candidate.depth_model[t],
+                distance_offset[0],
+                prior,
+                equations,
+                total,
+                right,
+                gains[t],
+                workspace,
             ):
                 return np.inf
-        if settled or count == STEPS:
+        if converged or count == MAX_STEPS:
             break
         for i in range(6):
             size = max(size, total[i, i])
         for i in range(6):
             for j in range(6):
-                total[i, j] += FIRM * held[i] * held[j] * size
+                total[i, j] += CONSTRAINT_WEIGHT * constraint[i] * constraint[j] * size
         for i in range(7):
             total[i, i] *= 1.0 + 1e-9
         step[:] = right
         if not cholesky_solve(total, step):
             return np.inf
-        take_step(candidate, place, step, gains, 1.0)
-        promise = 0.0
+        apply_step(candidate, distance_offset, step, gains, 1.0)
+        decrease = 0.0
         for i in range(7):
-            promise += 0.5 * right[i] * step[i]
-        settled = promise < SETTLED_ACROSS
-    turned = candidate.rotation @ found.candidate.rotation.T
-    rotvec_of(turned, off[:3])
+            decrease += 0.5 * right[i] * step[i]
+        converged = decrease < CONVERGED_DECREASE
+    relative_rotation = candidate.rotation @ fit.candidate.rotation.T
+    so3_log(relative_rotation, deviation[:3])
     for i in range(3):
-        off[i] -= start[i]
-        off[3 + i] = candidate.shift[i] - found.candidate.shift[i] - start[3 + i]
+        deviation[i] -= start[i]
+        deviation[3 + i] = candidate.translation[i] - fit.candidate.translation[i] - start[3 + i]
     force, length = 0.0, 0.0
     for i in range(6):
         force -= right[i] * start[i]
-        length += held[i] * start[i]
+        length += constraint[i] * start[i]
     return float(force / abs(length))

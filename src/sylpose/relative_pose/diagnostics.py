@@ -1,4 +1,4 @@
-"""What is asked of every fit, in one go: as a rule the answers are the usual ones, and nothing more need be asked."""
+"""Diagnostics of a fit, computed in one compiled call: most fits pass them and need no further test."""
 
 from __future__ import annotations
 
@@ -8,118 +8,119 @@ import numpy as np
 
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.numba_linalg import kernel, symmetric_eigen
-from sylpose.relative_pose.alternative_solutions import are_close, has_likely
-from sylpose.relative_pose.camera_inconsistency import at_ease
-from sylpose.relative_pose.curvature_correction import unless_straight
-from sylpose.relative_pose.irls import Reweighted, spread_evenly
-from sylpose.relative_pose.motion_mixture import alike, is_mixed
-from sylpose.relative_pose.observability import CERTAIN_SHARE, on_lines, stands_still
-from sylpose.relative_pose.static_background import may_stand
+from sylpose.relative_pose.alternative_solutions import has_likely_alternative, is_narrow_baseline
+from sylpose.relative_pose.camera_inconsistency import is_consistent_per_camera
+from sylpose.relative_pose.curvature_correction import compute_size_if_curved
+from sylpose.relative_pose.irls import IrlsFit, has_uniform_residuals
+from sylpose.relative_pose.motion_mixture import correlate_neighbors, is_mixed
+from sylpose.relative_pose.observability import MIN_CERTAIN_SHARE, is_collinear, is_static
+from sylpose.relative_pose.static_background import has_static_candidates
 from sylpose.relative_pose.terms import Stack
 
-__all__ = ["Checks", "check", "without"]
+__all__ = ["FitDiagnostics", "diagnose_fit", "subtract_information"]
 
 
-class Checks(NamedTuple):
-    """Of a fit.
+class FitDiagnostics(NamedTuple):
+    """Diagnostics of a fit.
 
     Attributes:
-        inliers: how many.
-        finite: whether the search has ended somewhere.
-        certain: whether so many of the matches that may be inliers are not by chance (`is_consistent`).
-        even: whether the inliers are spread evenly rather than as noise is: chosen by what is held to be noise.
-        close: whether the cameras are close together (`second_planes`).
-        quiet: whether a background may be among the matches (`hidden`).
-        lined: whether they lie on lines (`on_lines`).
-        parted: whether it is not certain of some whether they have the motion.
-        bent: whether the valley of the cost may be (`bend`).
-        still: whether the motion may be none, if the valley is straight (`stands_still`).
-        rivalled: whether another minimum is nearly as likely (`has_likely`).
-        mixed: whether neighbours are off alike (`alike`).
-        at_ease: whether no camera is strained (`strain`).
-        known: the share of the information that is left as noise is estimated, too: the covariance is that of Student's
+        inliers: number of inliers.
+        is_finite: whether the search converged to finite values.
+        has_certain_inliers: whether the share of inliers exceeds chance without a further test (`is_consistent`).
+        has_uniform_residuals: whether the inliers' residuals are uniform instead of noise: selected by the noise bound.
+        is_narrow_baseline: whether the cameras are close together (`is_narrow_baseline`).
+        has_static_candidates: whether the matches may contain a background (`has_static_candidates`).
+        is_collinear: whether the inliers are collinear (`is_collinear`).
+        has_soft_assignment: whether some matches are assigned to the motion with uncertainty.
+        may_be_curved: whether the valley of the cost may be curved (`has_weak_direction`).
+        may_be_static: whether the motion may be zero, if the valley is straight (`is_static`).
+        has_alternative: whether another minimum is nearly as likely (`has_likely_alternative`).
+        is_mixed: whether neighboring residuals are correlated (`is_mixed`).
+        cameras_consistent: whether no camera is inconsistent (`is_consistent_per_camera`).
+        information_factor: factor of the information for the estimated noise: the covariance is that of Student's
             distribution.
-        information, without_depth: (6, 6) that share, less what noise alone puts there.
+        information, information_without_depth: (6, 6) with that factor, without the part that noise alone causes.
     """
 
     inliers: int
-    finite: bool
-    certain: bool
-    even: bool
-    close: bool
-    quiet: bool
-    lined: bool
-    parted: bool
-    bent: bool
-    still: bool
-    rivalled: bool
-    mixed: bool
-    at_ease: bool
-    known: float
+    is_finite: bool
+    has_certain_inliers: bool
+    has_uniform_residuals: bool
+    is_narrow_baseline: bool
+    has_static_candidates: bool
+    is_collinear: bool
+    has_soft_assignment: bool
+    may_be_curved: bool
+    may_be_static: bool
+    has_alternative: bool
+    is_mixed: bool
+    cameras_consistent: bool
+    information_factor: float
     information: FloatArray
-    without_depth: FloatArray
+    information_without_depth: FloatArray
 
 
 @kernel
-def check(
+def diagnose_fit(
     stack: Stack,
     usable: BoolArray,
-    found: Reweighted,
-    having: FloatArray,
+    fit: IrlsFit,
+    probabilities: FloatArray,
     radius: float,
     costs: FloatArray,
     counts: FloatArray,
-) -> Checks:
-    """Of a fit that was found.
+) -> FitDiagnostics:
+    """Compute the diagnostics of a fit.
 
     Args:
         usable: (N,) matches that may be inliers.
-        having: (N,) the probability of each match to have the motion, if it is not wrong.
+        probabilities: (N,) the probability of each match to belong to the motion, given that it is no mismatch.
         radius: of the object.
-        costs, counts: (K,) of the minima that were refined, and their numbers of inliers.
+        costs, counts: (K,) of the refined minima, and their numbers of inliers.
     """
-    inliers, could, parted, finite = 0, 0, False, True
+    inliers, usable_count, soft_assignment, finite = 0, 0, False, True
     for i in range(6):
-        finite = finite and (i > 2 or np.isfinite(found.candidate.shift[i % 3]))
+        finite = finite and (i > 2 or np.isfinite(fit.candidate.translation[i % 3]))
         for j in range(6):
-            finite = finite and np.isfinite(found.information[i, j])
-    for i in range(len(having)):
-        could += usable[i]
-        inliers += found.weights[i] > 0.0
-        parted = parted or (having[i] > 0.0 and having[i] < 1.0)
+            finite = finite and np.isfinite(fit.information[i, j])
+    for i in range(len(probabilities)):
+        usable_count += usable[i]
+        inliers += fit.weights[i] > 0.0
+        soft_assignment = soft_assignment or (probabilities[i] > 0.0 and probabilities[i] < 1.0)
     freedom = max(inliers - 6, 1)
-    known = max(freedom - 2, 1) / freedom
-    information = known * without(found.information, found.noise, 2.0)
-    without_depth = known * without(found.without_depth, found.noise, 2.0)
-    bent = unless_straight(found, radius) > 0.0
-    unsure = bent or parted
-    mixed = is_mixed(*alike(stack, found), unsure)
-    return Checks(
+    information_factor = max(freedom - 2, 1) / freedom
+    information = information_factor * subtract_information(fit.information, fit.noise_information, 2.0)
+    without_depth = information_factor * subtract_information(fit.information_without_depth, fit.noise_information, 2.0)
+    curved = compute_size_if_curved(fit, radius) > 0.0
+    uncertain = curved or soft_assignment
+    mixed = is_mixed(*correlate_neighbors(stack, fit), uncertain)
+    return FitDiagnostics(
         inliers,
         finite,
-        inliers >= CERTAIN_SHARE * could,
-        not parted and spread_evenly(found.weights),
-        are_close(stack.a2),
-        may_stand(stack, usable),
-        on_lines(stack, found.weights, found.sigma_px, np.zeros((3, 3))),
-        parted,
-        bent,
-        stands_still(stack, found, information),
-        has_likely(costs, counts),
+        inliers >= MIN_CERTAIN_SHARE * usable_count,
+        not soft_assignment and has_uniform_residuals(fit.weights),
+        is_narrow_baseline(stack.a2),
+        has_static_candidates(stack, usable),
+        is_collinear(stack, fit.weights, fit.sigma_px, np.zeros((3, 3))),
+        soft_assignment,
+        curved,
+        is_static(stack, fit, information),
+        has_likely_alternative(costs, counts),
         mixed,
-        at_ease(stack.x, stack.y, stack.offsets, found.weights, found.across, stack.focal),
-        known,
+        is_consistent_per_camera(stack.x, stack.y, stack.offsets, fit.weights, fit.residuals_px, stack.focal),
+        information_factor,
         information,
         without_depth,
     )
 
 
 @kernel
-def without(information: FloatArray, part: FloatArray, power: float) -> FloatArray:
-    """Information (6, 6) less a part (6, 6) that tells nothing.
+def subtract_information(information: FloatArray, part: FloatArray, power: float) -> FloatArray:
+    """Subtract from information (6, 6) a part (6, 6) that carries no information.
 
-    With both as quadratic forms in axes where the information is the identity: 1 - ν of each axis is left, to the power.
-    Of what noise put there the second: the sandwich H J'J^-1 H of M-estimation with H = J'J - noise. A trace always stays.
+    In axes in which the information is the identity and the part has eigenvalues ν, each axis keeps (1 - ν) to the
+    power. For the part caused by noise the power is 2: the sandwich H J'J^-1 H of M-estimation with H = J'J - noise. A
+    small share always remains.
     """
     n, largest = information.shape[0], 0.0
     for i in range(n):
@@ -149,11 +150,11 @@ def without(information: FloatArray, part: FloatArray, power: float) -> FloatArr
     symmetric_eigen(scaled, values, axes)
     half, out = np.empty((n, n)), np.empty((n, n))
     for m in range(n):
-        left = min(max(1.0 - values[m], 1e-3), 1.0) ** (0.5 * power)
+        remaining = min(max(1.0 - values[m], 1e-3), 1.0) ** (0.5 * power)
         for i in range(n):
             half[i, m] = 0.0
             for k in range(n):
-                half[i, m] += vectors[i, k] * root[k] / unit[i] * axes[k, m] * left
+                half[i, m] += vectors[i, k] * root[k] / unit[i] * axes[k, m] * remaining
     for i in range(n):
         for j in range(i + 1):
             out[i, j] = 0.0

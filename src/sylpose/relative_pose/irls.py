@@ -1,11 +1,13 @@
-"""Re-weighting: a motion, the matches that agree with it and the noise they have, each from the others until they settle.
+"""Iteratively re-weighted least squares on the matches.
 
-Gauss-Newton on the distances of `match_cost`, the surfaces eliminated term by term. V is held fixed within a step
-(quasi-likelihood); weights are bisquare in d; σ comes from the weighted residuals across the epipolar lines, per term
-but drawn towards that of the rig; ζ from those along them. A mismatch that lies on its epipolar line by chance is found
-out by its distance along it.
+It alternates between the motion, the inlier weights and the noise until they converge.
+Each round is a Gauss-Newton step on the distances of `match_cost`, with the depth models eliminated term by term. V is
+fixed within a step (quasi-likelihood), and weights are bisquare in d. σ comes from the weighted residuals across the
+epipolar lines, per term but shrunk towards that of the rig; ζ comes from the residuals along them. A mismatch that is
+on its epipolar line by chance is rejected by its distance along the line.
 
-Source: M-estimators of regression and scale, Huber & Ronchetti, "Robust Statistics", chapters 6 and 7; docs/method.md.
+Source: M-estimators of regression and scale, Huber & Ronchetti, "Robust Statistics", chapters 6 and 7;
+docs/method/3-pose.md.
 """
 
 from __future__ import annotations
@@ -15,348 +17,393 @@ from typing import NamedTuple
 import numpy as np
 
 from sylpose.geometry.arrays import BoolArray, FloatArray
-from sylpose.geometry.normal_equations import add_turned
-from sylpose.geometry.numba_linalg import cholesky_solve, kernel, leaf, total_of
-from sylpose.geometry.robust_loss import bisquare_on_noise
-from sylpose.relative_pose.match_cost import Matched, Tolerance, Usable, match_equations, no_equations
-from sylpose.relative_pose.schur import make_room, reduce_term, surface_prior
-from sylpose.relative_pose.terms import SURFACE, Candidate, Stack, take_step
+from sylpose.geometry.normal_equations import add_rotated
+from sylpose.geometry.numba_linalg import cholesky_solve, compute_sum, kernel, leaf
+from sylpose.geometry.robust_loss import bisquare_noise_response
+from sylpose.relative_pose.match_cost import (
+    InlierPrior,
+    MatchErrors,
+    Tolerance,
+    build_match_equations,
+    make_match_equations,
+)
+from sylpose.relative_pose.schur import compute_depth_prior, make_schur_workspace, reduce_term
+from sylpose.relative_pose.terms import DEPTH_MODEL_SIZE, Candidate, Stack, apply_step
 
 __all__ = [
+    "CONVERGED_DECREASE",
     "CUTOFF",
-    "INDEPENDENT",
-    "SETTLED",
+    "INDEPENDENT_MATCHES",
+    "MAX_SIGMA_GROWTH",
     "SIGMA_FLOOR_PX",
-    "SIGMA_GROWTH",
-    "Reweighted",
-    "nothing_yet",
-    "reweight",
-    "reweight_held",
-    "spread_evenly",
+    "IrlsFit",
+    "has_uniform_residuals",
+    "make_empty_irls_fit",
+    "run_constrained_irls",
+    "run_irls",
 ]
 
 
-# Cutoff of d: 94 % efficient with Gaussian noise in both directions, for which d² is chi-squared with two degrees of
-# freedom (choice); what the weighted mean square and the information of the weights then lack (derived).
+# Cutoff of d: 94 % efficient with Gaussian noise in both directions, where d² is chi-squared with two degrees of
+# freedom (choice); the resulting deficits of the weighted mean square and of the information (derived).
 CUTOFF = 5.0
-SHRINKAGE, GAIN = bisquare_on_noise(CUTOFF).shrinkage, bisquare_on_noise(CUTOFF).gain
-# Mean weights of matches that are spread evenly up to the cutoff, and half way from there to those of noise (derived).
-EVENLY = 8.0 / 15.0
-EVEN = 0.5 * (EVENLY + bisquare_on_noise(CUTOFF).weight)
-# Cutoffs of the first rounds are wider by these factors: the first motion comes from contaminated matches (choice).
-WIDER = (2.0, 1.5, 1.2)
-# Rounds at least, while the noise level still moves, and at most (choice).
+SHRINKAGE, GAIN = bisquare_noise_response(CUTOFF).shrinkage, bisquare_noise_response(CUTOFF).gain
+# Mean weight of residuals that are uniform up to the cutoff, and the midpoint between it and the mean weight of noise
+# (derived).
+UNIFORM_MEAN_WEIGHT = 8.0 / 15.0
+MAX_UNIFORM_WEIGHT = 0.5 * (UNIFORM_MEAN_WEIGHT + bisquare_noise_response(CUTOFF).weight)
+# Cutoffs of the first rounds are wider by these factors: the initial motion comes from contaminated matches (choice).
+EARLY_CUTOFF_FACTORS = (2.0, 1.5, 1.2)
+# Minimum number of rounds, while the noise level still changes, and maximum (choice).
 MIN_ROUNDS, MAX_ROUNDS = 5, 40
-# From the second round on noise, reliefs and cameras that are set aside follow the residuals (choice).
-SECOND_ROUND = 2
-# From this round on, steps are cut shorter and shorter; after the first few also where they grow, by a half and down to a
-# tenth, else they may be longer again. None turns by more than this, radians (choice).
-LONG_ROUNDS, FREE_ROUNDS = 12, 4
-SHORTER, SHORTEST, LONGER = 0.5, 0.1, 1.3
-LONGEST_STEP = 0.3
-# Nor does any change an inverse depth by more than this share of it (choice).
-NEARER = 0.5
-# What is added to a step's diagonal, of its trace (choice).
+# From this round on, the noise, the residual depths and the excluded cameras follow the residuals (choice).
+FIRST_SCALE_ROUND = 2
+# From this round on, steps are shortened more and more. After the first few rounds they are also halved, down to a
+# tenth, whenever they grow; otherwise they lengthen again. No step rotates by more than the last value, radians
+# (choice).
+FULL_STEP_ROUNDS, FREE_GROWTH_ROUNDS = 12, 4
+STEP_SHRINK_FACTOR, MIN_STEP_LENGTH, STEP_GROWTH_FACTOR = 0.5, 0.1, 1.3
+MAX_ROTATION_STEP = 0.3
+# Largest relative change of an inverse depth in one step (choice).
+MAX_DEPTH_CHANGE = 0.5
+# Added to the diagonal of a step's equations, relative to their trace (choice).
 RIDGE = 1e-9
-# How firmly what is held is, of what holds a motion in any direction (choice).
-FIRM = 1e6
-# Settled when a step promises to lower the cost by less than this: a thirtieth of a standard deviation (choice).
-SETTLED = 5e-4
-# A term's σ counts as that of so many matches more that have the rig's (choice).
-RIG_MATCHES = 10.0
-# Noise is never believed to be less, pixels, nor more than so many times the seeds': else two motions, or none, would be
-# explained by it (choice).
+# Weight of the constraint, relative to the largest diagonal element of the information (choice).
+CONSTRAINT_WEIGHT = 1e6
+# Converged if the predicted decrease of the cost is below this: a thirtieth of a standard deviation (choice).
+CONVERGED_DECREASE = 5e-4
+# Weight of the rig's σ in that of a term, as a number of matches (choice).
+RIG_PRIOR_MATCHES = 10.0
+# Lower bound of the noise, pixels, and its upper bound relative to that of the seeds: otherwise noise would explain two
+# motions, or none (choice).
 SIGMA_FLOOR_PX = 0.02
-SIGMA_GROWTH = 2.0
-# What is left of the surfaces' prior where nothing is believed of them: as much as keeps them determined (choice).
-OPEN_PRIOR = 1e-6
-# One keypoint in ten is so many times as noisy as the others (choice): what that costs when motions are compared, minus the
-# logarithm of its density in two directions over theirs (derived). Without these a motion with more noise, which reaches
-# some of them, would be likelier than the right one, whose noise is less: the second plane of a flat object, say.
-COARSE = 5.0
-SLOPPY = float(2.0 * np.log(COARSE) + np.log(10.0))
-# A mismatch lies anywhere in a square of so many spreads (choice).
-ANYWHERE = 4.0
-# Unknowns never take all of the squares, across the lines and along them (choice).
-LEAST_FREEDOM, LEAST_FREEDOM_ALONG = 0.15, 0.1
-# A relief's square is never believed to be less, of what it is believed to be beforehand (choice).
-LEAST_RELIEF = 1e-3
-# Neighbours have like relief: of all a term's matches only so many are independent of each other in it (choice).
-INDEPENDENT = 6.0
-# A camera of so many matches that agrees with the others in fewer of them than this is set aside, junk alone reaches about a
-# tenth; where another agrees in many, else nobody knows who is right (choice).
-JUDGED, CAMERA_MIN_SHARE = 6, 0.3
-MANY = 2.0 * CAMERA_MIN_SHARE
+MAX_SIGMA_GROWTH = 2.0
+# Share of the depth prior that is kept for the information without it: just enough to determine the depth models
+# (choice).
+WEAK_PRIOR_SCALE = 1e-6
+# One keypoint in ten is this many times as noisy as the others (choice). The resulting cost when motions are compared
+# is minus the logarithm of its density in two directions over that of the others (derived). Otherwise a motion with
+# more noise, which reaches some of these keypoints, would be likelier than the right one with less noise: the second
+# plane of a flat object, for example.
+COARSE_SIGMA_FACTOR = 5.0
+COARSE_KEYPOINT_COST = float(2.0 * np.log(COARSE_SIGMA_FACTOR) + np.log(10.0))
+# A mismatch is anywhere in a square of this many spreads (choice).
+MISMATCH_RANGE = 4.0
+# Smallest share of the squares left after fitting the unknowns, across the epipolar lines and along them (choice).
+MIN_FREEDOM_SHARE, MIN_FREEDOM_SHARE_ALONG = 0.15, 0.1
+# Lower bound of the squared residual depth, relative to its prior (choice).
+MIN_RESIDUAL_DEPTH_RATIO = 1e-3
+# Neighbors have similar residual depths: only this many of a term's matches are independent in this respect (choice).
+INDEPENDENT_MATCHES = 6.0
+# A camera with at least so many matches of which fewer than this share agree is excluded; junk alone reaches about a
+# tenth. This requires another camera with high agreement, or it is undecided which one is right (choice).
+MIN_JUDGED_MATCHES, CAMERA_MIN_SHARE = 6, 0.3
+HIGH_AGREEMENT = 2.0 * CAMERA_MIN_SHARE
 
 
-class Reweighted(NamedTuple):
-    """A motion and what its inliers say (T terms, N matches).
+class IrlsFit(NamedTuple):
+    """Result of the re-weighted fit: the motion, its inliers and its information (T terms, N matches).
 
     Attributes:
-        candidate: the motion, with quadrics as surfaces.
+        candidate: the motion, with quadric depth models.
         sigma_px: (T,) noise, pixels.
         weights: (N,).
-        across: (N,) signed epipolar distances, pixels.
+        residuals_px: (N,) signed epipolar distances, pixels.
         information: (6, 6) about (w, d).
-        without_depth: (6, 6) the same when nothing is believed of the surfaces, of how far away they are nor how curved.
-        noise: (6, 6) the part of both that tells nothing (`Equations`).
-        relief: (T,) ζ.
-        place: (1,) of the object (`Stack`).
+        information_without_depth: (6, 6) the same without the prior on the depth models (distance and curvature).
+        noise_information: (6, 6) the part of both that is caused by noise alone (`MatchEquations`).
+        residual_depth: (T,) ζ, the residual depths.
+        distance_offset: (1,) distance offset of the object (`Stack`).
     """
 
     candidate: Candidate
     sigma_px: FloatArray
     weights: FloatArray
-    across: FloatArray
+    residuals_px: FloatArray
     information: FloatArray
-    without_depth: FloatArray
-    noise: FloatArray
-    relief: FloatArray
-    place: FloatArray
+    information_without_depth: FloatArray
+    noise_information: FloatArray
+    residual_depth: FloatArray
+    distance_offset: FloatArray
 
 
 @kernel
-def nothing_yet(stack: Stack) -> Reweighted:
-    """No motion, with no inliers."""
+def make_empty_irls_fit(stack: Stack) -> IrlsFit:
+    """Return an identity motion without inliers."""
     n, n_matches = stack.focal.shape[0], stack.x.shape[0]
-    return Reweighted(
-        Candidate(np.eye(3), np.zeros(3), stack.surface_mean.copy()),
+    return IrlsFit(
+        Candidate(np.eye(3), np.zeros(3), stack.depth_model_mean.copy()),
         np.ones(n),
         np.zeros(n_matches),
         np.zeros(n_matches),
         np.zeros((6, 6)),
         np.zeros((6, 6)),
         np.zeros((6, 6)),
-        stack.relief.copy(),
+        stack.residual_depth.copy(),
         np.zeros(1),
     )
 
 
 @kernel
-def reweight(stack: Stack, usable: Usable, fit: Reweighted, least_px: float) -> tuple[int, float, float]:
-    """From one motion to the one that its inliers agree on, all in place: `reweight_held` with nothing held."""
-    return reweight_held(stack, usable, fit, least_px, np.zeros(6))
+def run_irls(stack: Stack, usable: InlierPrior, fit: IrlsFit, min_sigma_px: float) -> tuple[int, float, float]:
+    """Run re-weighted least squares from one motion, in place: `run_constrained_irls` without a constraint."""
+    return run_constrained_irls(stack, usable, fit, min_sigma_px, np.zeros(6))
 
 
 @kernel
-def reweight_held(
-    stack: Stack, usable: Usable, fit: Reweighted, least_px: float, held: FloatArray
+def run_constrained_irls(
+    stack: Stack, usable: InlierPrior, fit: IrlsFit, min_sigma_px: float, constraint: FloatArray
 ) -> tuple[int, float, float]:
-    """From one motion to the one that its inliers agree on, as far as it may move, all in place.
+    """Run re-weighted least squares from one motion under a linear constraint, in place.
 
     Args:
-        usable: (N,) matches that may be inliers, or the probability of each that it is one of them.
-        fit: its candidate and noise are the start; all of it becomes the result.
-        least_px: noise is not believed to be less, nor than the stack's; as a rule `SIGMA_FLOOR_PX`.
-        held: (6,) held' (w, d) stays as it is; zero where nothing is held. The information is as if nothing were.
+        usable: (N,) matches that may be inliers, or the probability of each to be one.
+        fit: its candidate and noise are the start; all its arrays receive the result.
+        min_sigma_px: lower bound of the noise in addition to the stack's; usually `SIGMA_FLOOR_PX`.
+        constraint: (6,) c, the steps keep c' (w, d) constant; zero for no constraint. The information ignores the
+            constraint.
 
     Returns:
-        number of rounds; what the last step promised to lower the cost by, infinite where no match agreed; the negative
-        log-likelihood of all usable matches, to compare hypotheses by.
+        number of rounds; the predicted decrease of the last step, infinite if no match agreed; the negative
+        log-likelihood of all usable matches, to compare hypotheses.
     """
-    least_px = max(least_px, stack.least_px)
-    candidate, sigma_px, weights, across, information, without_depth, noise, relief, place = fit
-    surface = candidate.surface
+    min_sigma_px = max(min_sigma_px, stack.min_sigma_px)
+    candidate, sigma_px, weights, across, information, without_depth, noise, residual_depth, distance_offset = fit
+    depth_model = candidate.depth_model
     n, n_matches = sigma_px.shape[0], weights.shape[0]
     distance, along, parallax = np.empty(n_matches), np.empty(n_matches), np.empty(n_matches)
     terms = np.empty((2, n_matches))
-    matches = Matched(distance, across, along, parallax, weights)
-    searching, ending, gains = no_equations(False, False), no_equations(True, False), np.empty((n, SURFACE, 8))
-    total, right, step, prior = np.empty((7, 7)), np.empty(7), np.empty(7), np.empty((SURFACE, SURFACE))
-    open_prior, open_total = np.empty((SURFACE, SURFACE)), np.empty((7, 7))
-    unused, mass, room = np.empty(7), np.zeros(n), make_room()
-    relief[:], place[:] = stack.relief, 0.0
-    trusted = np.ones(n, np.bool_)
-    bound = max(SIGMA_GROWTH * sigma_px.max(), least_px)
-    promise, length, count, settled = np.inf, 1.0, 0, False
+    matches = MatchErrors(distance, across, along, parallax, weights)
+    step_equations, final_equations, gains = (
+        make_match_equations(False, False),
+        make_match_equations(True, False),
+        np.empty((n, DEPTH_MODEL_SIZE, 8)),
+    )
+    total, right, step, prior = (
+        np.empty((7, 7)),
+        np.empty(7),
+        np.empty(7),
+        np.empty((DEPTH_MODEL_SIZE, DEPTH_MODEL_SIZE)),
+    )
+    weak_prior, total_without_depth = np.empty((DEPTH_MODEL_SIZE, DEPTH_MODEL_SIZE)), np.empty((7, 7))
+    unused, mass, workspace = np.empty(7), np.zeros(n), make_schur_workspace()
+    residual_depth[:], distance_offset[:] = stack.residual_depth, 0.0
+    active = np.ones(n, np.bool_)
+    bound = max(MAX_SIGMA_GROWTH * sigma_px.max(), min_sigma_px)
+    decrease, length, count, converged = np.inf, 1.0, 0, False
     for count in range(1, MAX_ROUNDS + 2):
-        cutoff = CUTOFF * (WIDER[count - 1] if count <= len(WIDER) else 1.0)
+        cutoff = CUTOFF * (EARLY_CUTOFF_FACTORS[count - 1] if count <= len(EARLY_CUTOFF_FACTORS) else 1.0)
         total[:] = 0.0
-        open_total[:] = 0.0
+        total_without_depth[:] = 0.0
         noise[:] = 0.0
         right[:] = 0.0
-        # Where the object is is believed with a standard deviation of 1.
-        total[6, 6], right[6] = 1.0, -place[0]
+        # Prior of the distance offset: standard deviation 1.
+        total[6, 6], right[6] = 1.0, -distance_offset[0]
         for t in range(n):
-            equations = ending if settled else searching
-            shared = relief[t] * np.sqrt(max(1.0, mass[t] / INDEPENDENT))
-            tolerance = Tolerance((sigma_px[t] / stack.focal[t]) ** 2, relief[t], shared, cutoff)
-            match_equations(stack, t, usable, candidate, tolerance, matches, equations)
-            surface_prior(stack, t, surface[t], place[0], prior)
-            if settled and trusted[t]:
-                # The last round: nothing moves any more.
-                for k in range(SURFACE):
-                    for j in range(SURFACE):
-                        open_prior[k, j] = OPEN_PRIOR * prior[k, j]
-                reduce_term(stack, t, surface[t], place[0], open_prior, equations, open_total, unused, gains[t], room)
-                add_turned(equations.noise, stack.qy[t], noise)
-            if not trusted[t]:
+            equations = final_equations if converged else step_equations
+            shared_residual_depth = residual_depth[t] * np.sqrt(max(1.0, mass[t] / INDEPENDENT_MATCHES))
+            tolerance = Tolerance((sigma_px[t] / stack.focal[t]) ** 2, residual_depth[t], shared_residual_depth, cutoff)
+            build_match_equations(stack, t, usable, candidate, tolerance, matches, equations)
+            compute_depth_prior(stack, t, depth_model[t], distance_offset[0], prior)
+            if converged and active[t]:
+                # The last round only evaluates the information.
+                for k in range(DEPTH_MODEL_SIZE):
+                    for j in range(DEPTH_MODEL_SIZE):
+                        weak_prior[k, j] = WEAK_PRIOR_SCALE * prior[k, j]
+                reduce_term(
+                    stack,
+                    t,
+                    depth_model[t],
+                    distance_offset[0],
+                    weak_prior,
+                    equations,
+                    total_without_depth,
+                    unused,
+                    gains[t],
+                    workspace,
+                )
+                add_rotated(equations.noise_information, stack.qy[t], noise)
+            if not active[t]:
                 gains[t] = 0.0
-            elif not reduce_term(stack, t, surface[t], place[0], prior, equations, total, right, gains[t], room):
+            elif not reduce_term(
+                stack, t, depth_model[t], distance_offset[0], prior, equations, total, right, gains[t], workspace
+            ):
                 return count, np.inf, np.inf
-        without_depth[:] = open_total[:6, :6]
+        without_depth[:] = total_without_depth[:6, :6]
         for i in range(6):
             for j in range(6):
                 information[i, j] = total[i, j] - total[i, 6] * total[6, j] / total[6, 6]
-        if settled:
-            # A turn that nothing but noise shows never settles, nor need it.
+        if converged:
+            # A rotation that is determined by noise alone never converges: discount the information that noise causes.
             step[:] = right
-            if promise >= SETTLED and cholesky_solve(total, step):
-                promise = 0.5 * step[6] * right[6]
+            if decrease >= CONVERGED_DECREASE and cholesky_solve(total, step):
+                decrease = 0.5 * step[6] * right[6]
                 for i in range(6):
-                    promise += 0.5 * step[i] * right[i]
+                    decrease += 0.5 * step[i] * right[i]
                     for j in range(6):
-                        promise -= 0.5 * step[i] * noise[i, j] * step[j]
-                promise = max(promise, 0.0)
+                        decrease -= 0.5 * step[i] * noise[i, j] * step[j]
+                decrease = max(decrease, 0.0)
             break
-        # Turns and shifts have different units; a trace of each keeps what is not seen at all in place.
-        turns, shifts = total[0, 0] + total[1, 1] + total[2, 2], total[3, 3] + total[4, 4] + total[5, 5]
+        # Rotations and translations have different units: each block is regularized by its own trace, which fixes
+        # unobservable directions.
+        rotation_trace, translation_trace = (
+            total[0, 0] + total[1, 1] + total[2, 2],
+            total[3, 3] + total[4, 4] + total[5, 5],
+        )
         for i in range(3):
-            total[i, i] += RIDGE * turns
-            total[3 + i, 3 + i] += RIDGE * shifts
-        most = 0.0
+            total[i, i] += RIDGE * rotation_trace
+            total[3 + i, 3 + i] += RIDGE * translation_trace
+        largest = 0.0
         for i in range(6):
-            most = max(most, total[i, i])
+            largest = max(largest, total[i, i])
         for i in range(6):
             for j in range(6):
-                total[i, j] += FIRM * most * held[i] * held[j]
+                total[i, j] += CONSTRAINT_WEIGHT * largest * constraint[i] * constraint[j]
         step[:] = right
         if not cholesky_solve(total, step):
             return count, np.inf, np.inf
-        last_promise, promise = promise, 0.0
+        last_decrease, decrease = decrease, 0.0
         for i in range(7):
-            promise += 0.5 * step[i] * right[i]
-        # Steps that grow overshoot, and matches that come and go make them circle: shorter ones settle.
-        growing = promise > last_promise and count > FREE_ROUNDS
-        length = max(SHORTER * length, SHORTEST) if growing else min(LONGER * length, 1.0)
-        if count > LONG_ROUNDS:
-            length = min(length, LONG_ROUNDS / count)
+            decrease += 0.5 * step[i] * right[i]
+        # Growing steps overshoot, and changing inliers cause cycles: shorter steps converge.
+        growing = decrease > last_decrease and count > FREE_GROWTH_ROUNDS
+        length = max(STEP_SHRINK_FACTOR * length, MIN_STEP_LENGTH) if growing else min(STEP_GROWTH_FACTOR * length, 1.0)
+        if count > FULL_STEP_ROUNDS:
+            length = min(length, FULL_STEP_ROUNDS / count)
         angle = np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
-        length_now = length * min(1.0, LONGEST_STEP / max(angle, 1e-300))
+        length_now = length * min(1.0, MAX_ROTATION_STEP / max(angle, 1e-300))
         for t in range(n):
-            # The object stays before its cameras.
-            nearer = gains[t, 0, 7]
+            # Keep the object in front of its cameras.
+            depth_change = gains[t, 0, 7]
             for j in range(7):
-                nearer -= gains[t, 0, j] * step[j]
-            length_now = min(length_now, NEARER * abs(surface[t, 0]) / max(abs(nearer), 1e-300))
-        take_step(candidate, place, step, gains, length_now)
+                depth_change -= gains[t, 0, j] * step[j]
+            length_now = min(length_now, MAX_DEPTH_CHANGE * abs(depth_model[t, 0]) / max(abs(depth_change), 1e-300))
+        apply_step(candidate, distance_offset, step, gains, length_now)
         for t in range(n):
-            mass[t] = total_of(weights[stack.offsets[t] : stack.offsets[t + 1]])
-        if count >= SECOND_ROUND:
-            _set_aside(stack, usable, weights, trusted)
-            _scale(stack, weights, across, trusted, sigma_px, mass, terms[0])
-            sigma_px[:] = np.minimum(np.maximum(sigma_px, least_px), bound)
-            _reliefs(stack, weights, along, parallax, sigma_px, relief, terms)
-        settled = (count >= MIN_ROUNDS and promise < SETTLED) or count == MAX_ROUNDS
-    cost, density = 0.5 * place[0] ** 2, 0.0
+            mass[t] = compute_sum(weights[stack.offsets[t] : stack.offsets[t + 1]])
+        if count >= FIRST_SCALE_ROUND:
+            _exclude_terms(stack, usable, weights, active)
+            _update_sigma(stack, weights, across, active, sigma_px, mass, terms[0])
+            sigma_px[:] = np.minimum(np.maximum(sigma_px, min_sigma_px), bound)
+            _update_residual_depth(stack, weights, along, parallax, sigma_px, residual_depth, terms)
+        converged = (count >= MIN_ROUNDS and decrease < CONVERGED_DECREASE) or count == MAX_ROUNDS
+    cost, density = 0.5 * distance_offset[0] ** 2, 0.0
     for t in range(n):
-        cost += surface_prior(stack, t, surface[t], place[0], prior)
+        cost += compute_depth_prior(stack, t, depth_model[t], distance_offset[0], prior)
         f, variance = stack.focal[t], (sigma_px[t] / stack.focal[t]) ** 2
-        anywhere = np.log((ANYWHERE * stack.spread[t]) ** 2 / (2.0 * np.pi))
+        mismatch_density = np.log((MISMATCH_RANGE * stack.spread[t]) ** 2 / (2.0 * np.pi))
         for i in range(stack.offsets[t], stack.offsets[t + 1]):
             if usable[i]:
-                density = 0.5 * np.log(variance * (variance + (relief[t] * parallax[i]) ** 2))
-                near = min(0.5 * distance[i], 0.5 * distance[i] / COARSE**2 + SLOPPY)
-                cost += usable[i] * (min(near + density, max(anywhere, density)) - anywhere)
+                density = 0.5 * np.log(variance * (variance + (residual_depth[t] * parallax[i]) ** 2))
+                near = min(0.5 * distance[i], 0.5 * distance[i] / COARSE_SIGMA_FACTOR**2 + COARSE_KEYPOINT_COST)
+                cost += usable[i] * (min(near + density, max(mismatch_density, density)) - mismatch_density)
             across[i] *= f
-            if not trusted[t]:
+            if not active[t]:
                 weights[i] = 0.0
     for i in range(6):
         for j in range(6):
             information[i, j] *= GAIN
             without_depth[i, j] *= GAIN
             noise[i, j] *= GAIN
-    return count, promise, cost
+    return count, decrease, cost
 
 
 @leaf
-def _reliefs(
+def _update_residual_depth(
     stack: Stack,
     weights: FloatArray,
     along: FloatArray,
     parallax: FloatArray,
     sigma_px: FloatArray,
-    relief: FloatArray,
-    room: FloatArray,
+    residual_depth: FloatArray,
+    work: FloatArray,
 ) -> None:
-    """relief (T,): ζ by moments, what the squares along the epipolar lines exceed the noise by; drawn towards what is
-    believed of it, where the parallax is too small to tell. room (2, N) is lost.
+    """Update `residual_depth` (T,): ζ by the method of moments, shrunk towards its prior.
+
+    It is the excess of the squares along the epipolar lines over the noise. The prior dominates if the parallax is too
+    small. The work array `work` (2, N) is overwritten.
     """
-    for t in range(relief.shape[0]):
+    for t in range(residual_depth.shape[0]):
         variance = (sigma_px[t] / stack.focal[t]) ** 2
-        believed, square = stack.relief[t] ** 2, relief[t] ** 2
+        prior_variance, square = stack.residual_depth[t] ** 2, residual_depth[t] ** 2
         first, last = stack.offsets[t], stack.offsets[t + 1]
-        w, p, off, terms = weights[first:last], parallax[first:last], along[first:last], room[:, first:last]
+        w, p, residual, terms = weights[first:last], parallax[first:last], along[first:last], work[:, first:last]
         for i in range(last - first):
-            # A normal variable's square scatters by twice the square of its variance.
-            p2, some = p[i] * p[i], w[i] > 0.0
-            by = w[i] * p2 / (2.0 * (variance + square * p2) * (variance + square * p2))
-            terms[0, i] = by * (off[i] * off[i] / SHRINKAGE - variance) if some else 0.0
-            terms[1, i] = by * p2
-        excess, certainty, mass = total_of(terms[0]), total_of(terms[1]), total_of(w)
-        # The surface's unknowns have taken a share of the squares: all of them at most.
-        freedom = max(1.0 - SURFACE / max(mass, float(SURFACE)), LEAST_FREEDOM_ALONG)
-        z2 = (excess + 1.0 / believed) / (freedom * certainty + 1.0 / believed**2)
-        relief[t] = np.sqrt(max(z2, LEAST_RELIEF * believed))
+            # The variance of a squared normal variable is twice the square of its variance.
+            p2, is_inlier = p[i] * p[i], w[i] > 0.0
+            weight = w[i] * p2 / (2.0 * (variance + square * p2) * (variance + square * p2))
+            terms[0, i] = weight * (residual[i] * residual[i] / SHRINKAGE - variance) if is_inlier else 0.0
+            terms[1, i] = weight * p2
+        excess, certainty, mass = compute_sum(terms[0]), compute_sum(terms[1]), compute_sum(w)
+        # The depth model's unknowns absorb a share of the squares.
+        freedom = max(1.0 - DEPTH_MODEL_SIZE / max(mass, float(DEPTH_MODEL_SIZE)), MIN_FREEDOM_SHARE_ALONG)
+        z2 = (excess + 1.0 / prior_variance) / (freedom * certainty + 1.0 / prior_variance**2)
+        residual_depth[t] = np.sqrt(max(z2, MIN_RESIDUAL_DEPTH_RATIO * prior_variance))
 
 
 @kernel
-def _scale(
+def _update_sigma(
     stack: Stack,
     weights: FloatArray,
     across: FloatArray,
-    trusted: BoolArray,
+    active: BoolArray,
     sigma_px: FloatArray,
     mass: FloatArray,
-    room: FloatArray,
+    work: FloatArray,
 ) -> None:
-    """sigma_px (T,) from the weighted residuals; mass (T,) are the sums of the weights. room (N,) is lost."""
+    """Update `sigma_px` (T,) from the weighted residuals.
+
+    mass (T,) are the sums of the weights. The work array `work` (N,) is overwritten.
+    """
     n = sigma_px.shape[0]
-    squares, inliers, rig, all_of_them = np.zeros(n), 0, 0.0, 0.0
+    squares, inliers, rig, rig_mass = np.zeros(n), 0, 0.0, 0.0
     for t in range(n):
         first, last = stack.offsets[t], stack.offsets[t + 1]
-        w, off, terms, some = weights[first:last], across[first:last], room[first:last], 0
+        w, residual, terms, count = weights[first:last], across[first:last], work[first:last], 0
         for i in range(last - first):
             inside = w[i] > 0.0
-            terms[i] = w[i] * off[i] * off[i] if inside else 0.0
-            some += inside
-        squares[t] = total_of(terms) * stack.focal[t] ** 2 / SHRINKAGE
-        if trusted[t]:
-            inliers += some
+            terms[i] = w[i] * residual[i] * residual[i] if inside else 0.0
+            count += inside
+        squares[t] = compute_sum(terms) * stack.focal[t] ** 2 / SHRINKAGE
+        if active[t]:
+            inliers += count
             rig += squares[t]
-            all_of_them += mass[t]
+            rig_mass += mass[t]
     if inliers == 0:
         return
-    # The motion's six unknowns have taken their share of the squares.
-    freedom = max(1.0 - 6.0 / inliers, LEAST_FREEDOM)
-    rig = rig / max(all_of_them, 1e-12) / freedom
+    # The motion's six unknowns absorb a share of the squares.
+    freedom = max(1.0 - 6.0 / inliers, MIN_FREEDOM_SHARE)
+    rig = rig / max(rig_mass, 1e-12) / freedom
     for t in range(n):
-        square = (squares[t] / freedom + RIG_MATCHES * rig) / (mass[t] + RIG_MATCHES)
+        square = (squares[t] / freedom + RIG_PRIOR_MATCHES * rig) / (mass[t] + RIG_PRIOR_MATCHES)
         sigma_px[t] = np.sqrt(square)
 
 
 @kernel
-def _set_aside(stack: Stack, usable: Usable, weights: FloatArray, trusted: BoolArray) -> None:
-    """trusted (T,): not the terms that agree in too few of their matches, when others agree in many."""
+def _exclude_terms(stack: Stack, usable: InlierPrior, weights: FloatArray, active: BoolArray) -> None:
+    """Set `active` (T,): False for terms with few agreeing matches, if another term has many."""
     n = stack.focal.shape[0]
     share, best = np.ones(n), 0.0
     for t in range(n):
-        agree, could = 0.0, 0.0
+        agreeing_mass, usable_mass = 0.0, 0.0
         for i in range(stack.offsets[t], stack.offsets[t + 1]):
-            could += usable[i]
-            agree += usable[i] if weights[i] > 0.0 else 0.0
-        if could >= JUDGED:
-            share[t] = agree / could
+            usable_mass += usable[i]
+            agreeing_mass += usable[i] if weights[i] > 0.0 else 0.0
+        if usable_mass >= MIN_JUDGED_MATCHES:
+            share[t] = agreeing_mass / usable_mass
             best = max(best, share[t])
     for t in range(n):
-        trusted[t] = best < MANY or share[t] >= CAMERA_MIN_SHARE
+        active[t] = best < HIGH_AGREEMENT or share[t] >= CAMERA_MIN_SHARE
 
 
 @kernel
-def spread_evenly(weights: FloatArray) -> bool:
-    """Whether inliers, by their weights (N,), are spread evenly rather than as noise is: chosen by what is held to be it."""
+def has_uniform_residuals(weights: FloatArray) -> bool:
+    """Return whether the weights (N,) indicate uniform residuals instead of noise.
+
+    The inliers were then selected by the noise bound.
+    """
     inliers, mass = 0, 0.0
     for w in weights:
         inliers += w > 0.0
         mass += w
-    return bool(mass < EVEN * inliers)
+    return bool(mass < MAX_UNIFORM_WEIGHT * inliers)

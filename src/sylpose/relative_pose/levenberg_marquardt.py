@@ -1,4 +1,4 @@
-"""Steps down the cost of `moments_cost`: Levenberg-Marquardt on the motion, the surfaces eliminated term by term."""
+"""Levenberg-Marquardt on the cost of `moments_cost`, with the depth models eliminated term by term."""
 
 from __future__ import annotations
 
@@ -7,40 +7,57 @@ from typing import NamedTuple
 import numpy as np
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.normal_equations import eliminate
-from sylpose.geometry.numba_linalg import cholesky_solve, kernel, leaf, turn_by
-from sylpose.relative_pose.moments_cost import Normal, Sums, along_variance_at, equations_at, misfit_at, term_cost
-from sylpose.relative_pose.plane_projection import Scratch, look, scratch
+from sylpose.geometry.normal_equations import eliminate_block
+from sylpose.geometry.numba_linalg import apply_rotvec, cholesky_solve, kernel, leaf
+from sylpose.relative_pose.moments_cost import (
+    MomentSums,
+    NormalEquations,
+    build_view_equations,
+    compute_term_cost,
+    compute_view_misfit,
+    estimate_view_variance,
+)
+from sylpose.relative_pose.plane_projection import TermView, make_term_view, update_view
 from sylpose.relative_pose.terms import Candidate, Stack, copy_into
 
-__all__ = ["DAMPING", "Room", "descend", "likelihood", "log_likelihood", "make_room", "minimize", "settled"]
+__all__ = [
+    "INITIAL_DAMPING",
+    "DescentWorkspace",
+    "compute_log_likelihood",
+    "descend",
+    "evaluate_log_likelihood",
+    "make_descent_workspace",
+    "minimize",
+    "minimize_from",
+]
 
 
-# A term whose mean square exceeds the usual one by this factor, or this value, is trusted less while searching (choice).
-TRUST = 4.0
-# Steps that are tried, each damped more, before a start counts as settled, and the largest, radians: as far as the
-# derivatives speak of (choice).
-TRIES, LONGEST_STEP = 8, 0.5
-# Damping at first, and again once a step was in vain (choice).
-DAMPING = 1e-4
+# A term whose mean square exceeds the median of the terms by this factor, or this value, is down-weighted in the search
+# (choice).
+MAX_COST_RATIO = 4.0
+# Number of trial steps, each with more damping, before a start counts as converged; and the largest rotation of a step,
+# radians: the range in which the derivatives are valid (choice).
+MAX_TRIES, MAX_ROTATION_STEP = 8, 0.5
+# Damping at first, and again after a rejected step (choice).
+INITIAL_DAMPING = 1e-4
 
 
 @leaf
-def _reduce(
-    normal: Normal,
+def _eliminate_depth_model(
+    normal: NormalEquations,
     t: int,
     damping: float,
-    trust: float,
+    weight: float,
     gain: FloatArray,
     block: FloatArray,
-    kept: FloatArray,
+    reduced: FloatArray,
     total: FloatArray,
     right: FloatArray,
 ) -> bool:
-    """Adds term t's normal equations, its surface eliminated, to total (6, 6) and to right (6,), the negative gradient.
+    """Add term t's normal equations, its depth model eliminated, to total (6, 6) and right (6,), the negative gradient.
 
-    gain (3, 7) becomes the surface's answer: α changes by -(gain[:, 6] + gain[:, :6] (w, d)). block (3, 3) and kept (6, 7)
-    are room.
+    gain (3, 7) receives the response of the depth model: α changes by -(gain[:, 6] + gain[:, :6] (w, d)).
+    `block` (3, 3) and `reduced` (6, 7) are work arrays.
     """
     hessian, gradient = normal.hessian[t], normal.gradient[t]
     for k in range(3):
@@ -52,42 +69,48 @@ def _reduce(
         gain[k, 6] = gradient[6 + k]
     for i in range(6):
         for j in range(6):
-            kept[i, j] = hessian[i, j]
-        kept[i, 6] = gradient[i]
-    if not eliminate(block, gain, kept):
+            reduced[i, j] = hessian[i, j]
+        reduced[i, 6] = gradient[i]
+    if not eliminate_block(block, gain, reduced):
         return False
     for i in range(6):
-        right[i] -= trust * kept[i, 6]
+        right[i] -= weight * reduced[i, 6]
         for j in range(6):
-            total[i, j] += trust * kept[i, j]
+            total[i, j] += weight * reduced[i, j]
     return True
 
 
-class Room(NamedTuple):
-    """For the steps of a search over T terms, taken once: normal equations and their surfaces' answers (T, 3, 7), κ, costs,
-    trusts and their room (T,), the joint equations (6, 6), (6,), a step (6,), a surface's block (3, 3), what is kept of it
-    (6, 7), a candidate, and room for one term."""
+class DescentWorkspace(NamedTuple):
+    """Work arrays of a search over T terms, allocated once.
 
-    normal: Normal
+    Attributes:
+        normal, gain: normal equations and the responses of the depth models (T, 3, 7).
+        kappa, costs, term_weights, squares: (T,) κ, costs, weights of the terms and their mean squares.
+        total, right, step: (6, 6), (6,), (6,) the joint equations and a step.
+        block, reduced: (3, 3), (6, 7) for the elimination of a depth model.
+        trial, term_view: a candidate, and the view of one term.
+    """
+
+    normal: NormalEquations
     gain: FloatArray
     kappa: FloatArray
     costs: FloatArray
-    trust: FloatArray
+    term_weights: FloatArray
     squares: FloatArray
     total: FloatArray
     right: FloatArray
     step: FloatArray
     block: FloatArray
-    kept: FloatArray
+    reduced: FloatArray
     trial: Candidate
-    at: Scratch
+    term_view: TermView
 
 
 @kernel
-def make_room(n: int) -> Room:
-    """Of so many terms, empty."""
-    return Room(
-        Normal(np.empty((n, 9, 9)), np.empty((n, 9))),
+def make_descent_workspace(n: int) -> DescentWorkspace:
+    """Allocate the work arrays for n terms."""
+    return DescentWorkspace(
+        NormalEquations(np.empty((n, 9, 9)), np.empty((n, 9))),
         np.empty((n, 3, 7)),
         np.empty(n),
         np.empty(n),
@@ -99,13 +122,13 @@ def make_room(n: int) -> Room:
         np.empty((3, 3)),
         np.empty((6, 7)),
         Candidate(np.empty((3, 3)), np.empty(3), np.empty((n, 3))),
-        scratch(),
+        make_term_view(),
     )
 
 
 @leaf
-def _usual(values: FloatArray) -> float:
-    """The middle one of values (n,), the lesser of two; their order is lost."""
+def _lower_median(values: FloatArray) -> float:
+    """Return the lower median of values (n,), which are sorted in place."""
     n = values.shape[0]
     for i in range(1, n):
         value, k = values[i], i
@@ -117,154 +140,165 @@ def _usual(values: FloatArray) -> float:
 
 
 @leaf
-def _trusts(costs: FloatArray, moments: FloatArray, trust: FloatArray, squares: FloatArray) -> None:
-    """Trust in each term: little where its mean square is far above what is usual among them."""
+def _update_term_weights(costs: FloatArray, moments: FloatArray, term_weights: FloatArray, squares: FloatArray) -> None:
+    """Set the weight of each term: small if its mean square is far above the median."""
     n = costs.shape[0]
     for t in range(n):
-        squares[t] = trust[t] = 2.0 * costs[t] / max(moments[t, 8, 8], 1.0)
-    usual = _usual(squares)
+        squares[t] = term_weights[t] = 2.0 * costs[t] / max(moments[t, 8, 8], 1.0)
+    median = _lower_median(squares)
     for t in range(n):
-        trust[t] = 1.0 / (1.0 + (trust[t] / (TRUST * (usual + 1.0))) ** 2)
+        term_weights[t] = 1.0 / (1.0 + (term_weights[t] / (MAX_COST_RATIO * (median + 1.0))) ** 2)
 
 
 @kernel
 def minimize(
     stack: Stack,
-    sums: Sums,
-    soft: bool,
+    sums: MomentSums,
+    downweight: bool,
     plane_only: bool,
     iterations: int,
     tolerance: float,
     candidate: Candidate,
     damping: float,
 ) -> tuple[int, float, float]:
-    """`descend`, with room of its own."""
-    room = make_room(stack.focal.shape[0])
-    return descend(stack, sums, soft, plane_only, iterations, tolerance, candidate, damping, room)
+    """Run `descend` with newly allocated work arrays."""
+    workspace = make_descent_workspace(stack.focal.shape[0])
+    return descend(stack, sums, downweight, plane_only, iterations, tolerance, candidate, damping, workspace)
 
 
 @leaf
 def descend(
     stack: Stack,
-    sums: Sums,
-    soft: bool,
+    sums: MomentSums,
+    downweight: bool,
     plane_only: bool,
     iterations: int,
     tolerance: float,
     candidate: Candidate,
     damping: float,
-    room: Room,
+    workspace: DescentWorkspace,
 ) -> tuple[int, float, float]:
-    """Levenberg-Marquardt from one start, which becomes the minimum in place.
+    """Run Levenberg-Marquardt from one start, which becomes the minimum in place.
 
     Args:
-        soft: whether terms that fit much worse than the others are trusted less.
-        plane_only: leaves the epipolar part out (κ = 0), as it must be near the identity with parallax not yet explained.
-        iterations: bound on their number.
-        tolerance: settled when a step promises to lower the cost by less than this: half the square of the step's length in
-            standard deviations of the motion.
-        candidate: from the start to the minimum.
+        downweight: whether terms that fit much worse than the others are down-weighted.
+        plane_only: omit the epipolar part (κ = 0), as is necessary near the identity while the parallax is not yet
+            explained.
+        iterations: maximum number of iterations.
+        tolerance: converged if the predicted decrease of the cost is below this: half the squared length of the step,
+            in standard deviations of the motion.
+        candidate: the start; receives the minimum.
         damping: of the first step.
+        workspace: work arrays.
 
     Returns:
-        number of iterations; what the last step promised, below `tolerance` where it settled; the damping to go on with.
+        number of iterations; the predicted decrease of the last step, below `tolerance` if converged; the current
+        damping.
     """
-    n, promise = stack.focal.shape[0], np.inf
-    normal, gain, kappa, costs, trust, squares, total, right, step, block, kept, trial, at = room
+    n, decrease = stack.focal.shape[0], np.inf
+    normal, gain, kappa, costs, term_weights, squares, total, right, step, block, reduced, trial, view = workspace
     kappa[:] = 0.0
-    trust[:] = 1.0
+    term_weights[:] = 1.0
     for count in range(1, iterations + 1):
         cost = 0.0
         for t in range(n):
-            look(stack, t, candidate, at)
+            update_view(stack, t, candidate, view)
             if not plane_only:
-                kappa[t], _ = along_variance_at(stack, sums, t, at)
-            costs[t] = equations_at(stack, sums, t, kappa[t], candidate.surface[t], at, normal)
-        if soft and n > 2:
-            _trusts(costs, sums.moments, trust, squares)
+                kappa[t], _ = estimate_view_variance(stack, sums, t, view)
+            costs[t] = build_view_equations(stack, sums, t, kappa[t], candidate.depth_model[t], view, normal)
+        if downweight and n > 2:
+            _update_term_weights(costs, sums.moments, term_weights, squares)
         for t in range(n):
-            cost += trust[t] * costs[t]
-        taken = False
-        for _ in range(TRIES):
+            cost += term_weights[t] * costs[t]
+        accepted = False
+        for _ in range(MAX_TRIES):
             total[:] = 0.0
             right[:] = 0.0
-            sound = True
+            solvable = True
             for t in range(n):
-                sound = sound and _reduce(normal, t, damping, trust[t], gain[t], block, kept, total, right)
-            if sound:
-                # Turns and shifts have different units: each block is damped by its own trace.
-                turns, shifts = total[0, 0] + total[1, 1] + total[2, 2], total[3, 3] + total[4, 4] + total[5, 5]
+                solvable = solvable and _eliminate_depth_model(
+                    normal, t, damping, term_weights[t], gain[t], block, reduced, total, right
+                )
+            if solvable:
+                # Rotations and translations have different units: each block is damped by its own trace.
+                rotation_trace, translation_trace = (
+                    total[0, 0] + total[1, 1] + total[2, 2],
+                    total[3, 3] + total[4, 4] + total[5, 5],
+                )
                 for i in range(3):
-                    total[i, i] += (damping + 1e-12) * turns
-                    total[3 + i, 3 + i] += (damping + 1e-12) * shifts
+                    total[i, i] += (damping + 1e-12) * rotation_trace
+                    total[3 + i, 3 + i] += (damping + 1e-12) * translation_trace
                 for i in range(6):
                     step[i] = right[i]
-                sound = cholesky_solve(total, step)
-            if sound:
+                solvable = cholesky_solve(total, step)
+            if solvable:
                 length = np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
-                if length > LONGEST_STEP:
+                if length > MAX_ROTATION_STEP:
                     for i in range(6):
-                        step[i] *= LONGEST_STEP / length
-                turn_by(step[:3], candidate.rotation, trial.rotation)
-                promise = 0.0
+                        step[i] *= MAX_ROTATION_STEP / length
+                apply_rotvec(step[:3], candidate.rotation, trial.rotation)
+                decrease = 0.0
                 for i in range(3):
-                    trial.shift[i] = candidate.shift[i] + step[3 + i]
+                    trial.translation[i] = candidate.translation[i] + step[3 + i]
                 for i in range(6):
-                    promise += 0.5 * step[i] * right[i]
+                    decrease += 0.5 * step[i] * right[i]
                 new = 0.0
                 for t in range(n):
                     for i in range(3):
-                        trial.surface[t, i] = candidate.surface[t, i] - gain[t, i, 6]
-                        promise += 0.5 * trust[t] * gain[t, i, 6] * normal.gradient[t, 6 + i]
+                        trial.depth_model[t, i] = candidate.depth_model[t, i] - gain[t, i, 6]
+                        decrease += 0.5 * term_weights[t] * gain[t, i, 6] * normal.gradient[t, 6 + i]
                         for k in range(6):
-                            trial.surface[t, i] -= gain[t, i, k] * step[k]
-                    new += trust[t] * term_cost(stack, sums, t, kappa[t], trial, at)
+                            trial.depth_model[t, i] -= gain[t, i, k] * step[k]
+                    new += term_weights[t] * compute_term_cost(stack, sums, t, kappa[t], trial, view)
                 if new <= cost * (1.0 + 1e-12):
-                    taken = True
+                    accepted = True
                     break
-            damping = max(10.0 * damping, DAMPING)
-        if not taken:
-            return count, promise, damping
+            damping = max(10.0 * damping, INITIAL_DAMPING)
+        if not accepted:
+            return count, decrease, damping
         copy_into(candidate, trial)
         damping = max(0.1 * damping, 1e-9)
-        if promise < tolerance:
-            return count, promise, damping
-    return iterations, promise, damping
+        if decrease < tolerance:
+            return count, decrease, damping
+    return iterations, decrease, damping
 
 
 @kernel
-def log_likelihood(stack: Stack, sums: Sums, candidate: Candidate) -> float:
-    """`likelihood`, with room of its own."""
-    return likelihood(stack, sums, candidate, make_room(stack.focal.shape[0]))
+def compute_log_likelihood(stack: Stack, sums: MomentSums, candidate: Candidate) -> float:
+    """Evaluate `evaluate_log_likelihood` with newly allocated work arrays."""
+    return evaluate_log_likelihood(stack, sums, candidate, make_descent_workspace(stack.focal.shape[0]))
 
 
 @leaf
-def likelihood(stack: Stack, sums: Sums, candidate: Candidate, room: Room) -> float:
-    """How likely a minimum is, to compare minima by: up to a constant that they share."""
+def evaluate_log_likelihood(stack: Stack, sums: MomentSums, candidate: Candidate, workspace: DescentWorkspace) -> float:
+    """Return the log-likelihood of a minimum up to a constant, to compare minima."""
     total, n = 0.0, stack.focal.shape[0]
-    means, squares, at = room.costs, room.squares, room.at
+    means, squares, view = workspace.costs, workspace.squares, workspace.term_view
     for t in range(n):
         variance, count = sums.variance[t], sums.moments[t, 8, 8]
-        look(stack, t, candidate, at)
-        _, v = along_variance_at(stack, sums, t, at)
-        square = misfit_at(sums, t, at) / variance
+        update_view(stack, t, candidate, view)
+        _, v = estimate_view_variance(stack, sums, t, view)
+        square = compute_view_misfit(sums, t, view) / variance
         square += count * np.log(v / (2.0 * variance))
         for j in range(3):
-            square += ((candidate.surface[t, j] - stack.plane_mean[t, j]) / stack.plane_sd[t, j]) ** 2
-        # A camera gone wrong must not decide: bounded by a multiple of what is usual per match.
+            square += ((candidate.depth_model[t, j] - stack.plane_mean[t, j]) / stack.plane_sd[t, j]) ** 2
+        # Bound the cost of a faulty camera by a multiple of the median per match, so that it does not decide.
         means[t] = squares[t] = square / count
-    usual = _usual(squares)
+    median = _lower_median(squares)
     for t in range(n):
-        bound = TRUST * (max(usual, 0.0) + 1.0) if n > 2 else np.inf
+        bound = MAX_COST_RATIO * (max(median, 0.0) + 1.0) if n > 2 else np.inf
         total += min(means[t], bound) * sums.moments[t, 8, 8]
     return -0.5 * total
 
 
-def settled(
-    stack: Stack, sums: Sums, start: Candidate, iterations: int = 60, tolerance: float = 1e-12
+def minimize_from(
+    stack: Stack, sums: MomentSums, start: Candidate, iterations: int = 60, tolerance: float = 1e-12
 ) -> tuple[Candidate, int, float]:
-    """`minimize` of the whole cost, all terms trusted, from a start that is left as it is; number of iterations; what the
-    last step promised."""
-    candidate = start.copied()
-    count, promise, _ = minimize(stack, sums, False, False, iterations, tolerance, candidate, DAMPING)
-    return candidate, count, promise
+    """Run `minimize` on the full cost with equal term weights, without changing the start.
+
+    Returns:
+        the minimum; number of iterations; the predicted decrease of the last step.
+    """
+    candidate = start.copy()
+    count, decrease, _ = minimize(stack, sums, False, False, iterations, tolerance, candidate, INITIAL_DAMPING)
+    return candidate, count, decrease

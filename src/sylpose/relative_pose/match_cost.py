@@ -1,18 +1,18 @@
-"""The last word: where every match ought to be, in full perspective, and the normal equations of what they miss by.
+"""Reprojection errors of matches in full perspective, and the normal equations of a term.
 
-`moments_cost`, the first look, found the way here.
+The search on `moments_cost` provides the starting points.
 
-A feature lies on its ray x at the inverse depth ρ of its term's surface, a quadric whose six coefficients α are unknown
-beside the motion, give or take a relief ζ. With e = y - image(R x + ρ τ), its derivatives J and
+A feature is on its ray x at the inverse depth ρ of its term's depth model, a quadric whose six coefficients α are
+unknowns in addition to the motion, up to a residual depth ζ. With e = y - image(R x + ρ τ), its derivatives J and
 V = σ² (I + Jx Jx') + ζ² Jρ Jρ',
 
     d² = e' V^-1 e = across² / σ² + along² / (σ² + ζ² parallax²)
 
-so d² is chi-squared with two degrees of freedom whatever the parallax: where it is below the noise, both coordinates of a
-match measure the motion; where it is large, only the one across its epipolar line does.
+so d² is chi-squared with two degrees of freedom whatever the parallax. If the parallax is below the noise, both
+coordinates of a match measure the motion. If it is large, only the coordinate across the epipolar line does.
 
-Source: errors in variables by linearised covariance, Hartley & Zisserman, section 5.2; Sampson's distance, ibid. 11.4.3;
-the rest is ours (docs/method.md).
+Source: errors in variables by linearized covariance, Hartley & Zisserman, section 5.2; Sampson's distance, ibid.
+11.4.3; the rest is ours (docs/method/3-pose.md).
 """
 
 from __future__ import annotations
@@ -23,50 +23,50 @@ import numpy as np
 
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.numba_linalg import kernel, leaf
-from sylpose.relative_pose.plane_projection import view_of
+from sylpose.relative_pose.plane_projection import transform_to_camera
 from sylpose.relative_pose.simd_kernels import (
-    ACROSS,
-    ALONG,
-    BY_LANE,
+    ACROSS_ROW,
+    ALONG_ROW,
     LANES,
-    PART,
-    Place,
+    N_PARTIAL_SUMS,
+    VALUES_PER_MATCH,
+    DepthAnchor,
     Tolerance,
-    add_missing,
-    add_noise,
+    add_missing_information,
+    add_noise_information,
+    add_parallax_gradient,
     add_products,
-    add_stretch,
-    miss_by,
-    total,
+    compute_errors,
+    sum_parts,
 )
-from sylpose.relative_pose.terms import SURFACE, Candidate, Stack
+from sylpose.relative_pose.terms import DEPTH_MODEL_SIZE, Candidate, Stack
 
 __all__ = [
-    "Equations",
-    "Matched",
+    "InlierPrior",
+    "MatchEquations",
+    "MatchErrors",
     "Tolerance",
-    "Usable",
-    "distances",
-    "match_equations",
-    "matched",
-    "no_equations",
-    "no_matched",
+    "build_match_equations",
+    "compute_distances",
+    "compute_match_errors",
+    "make_match_equations",
+    "make_match_errors",
 ]
 
 
-# Matches that may have a weight, or with which probability.
-Usable = BoolArray | FloatArray
+# Mask of usable matches, or the probability of each match to be one.
+InlierPrior = BoolArray | FloatArray
 
 
-class Matched(NamedTuple):
-    """How far each of N matches is from where the motion and its term's surface put it.
+class MatchErrors(NamedTuple):
+    """Errors of N matches relative to their predictions by the motion and the depth model.
 
     Attributes:
-        distance: (N,) d²; infinite for a point that the motion takes behind its camera.
-        across: (N,) distance across the epipolar line over √(n'(I + Jx Jx')n): Sampson's distance, signed, with σ as its
-            standard deviation.
-        along: (N,) distance along it, likewise normalised by √(b'(I + Jx Jx')b).
-        parallax: (N,) by how many of these units a unit of inverse depth (of g's) moves it along.
+        distance: (N,) d²; infinite for a point that the motion moves behind its camera.
+        across: (N,) distance across the epipolar line over √(n'(I + Jx Jx')n): Sampson's distance, signed, with σ as
+            its standard deviation.
+        along: (N,) distance along it, likewise normalized by √(b'(I + Jx Jx')b).
+        parallax: (N,) derivative of `along` with respect to the inverse depth, in units of g's inverse depth.
         weights: (N,) bisquare.
     """
 
@@ -77,173 +77,200 @@ class Matched(NamedTuple):
     weights: FloatArray
 
 
-class Equations(NamedTuple):
-    """The weighted normal equations of one term, in the axes of its current camera.
+class MatchEquations(NamedTuple):
+    """Weighted normal equations of one term, in the axes of its current camera.
 
     Attributes:
         matrix: (12, 12) lower triangle of J'WJ in (w, d, α).
         right: (12,) J'We.
-        stretch: (6,) Σ W Jρ² ∂log|Jρ| by (w, d): how the motion stretches the parallax.
-        squares: (1,) Σ W Jρ².
-        noise: (6, 6) the part of J'WJ in (w, d) that is there because J is taken at noisy points: it tells nothing, but a
-            small motion, or a rod that is seen to turn about itself, would be thought known by it. (0, 0) where it is not
-            wanted.
-        missing: (12, 12) the part of J'WJ that is there because matches which may be another's are taken to be the motion's,
-            each with its probability p: p (1 - p) times the square of what it says of (w, d, α). (0, 0) where it is not
-            wanted.
+        parallax_gradient: (6,) Σ W Jρ² ∂log|Jρ| by (w, d): derivative of the parallax with respect to the motion.
+        parallax_squares: (1,) Σ W Jρ².
+        noise_information: (6, 6) the part of J'WJ in (w, d) that arises because J is evaluated at noisy points. It
+            carries no information; without this correction a small motion, or a rod's rotation about itself, would
+            appear known. (0, 0) if not requested.
+        missing_information: (12, 12) the part of J'WJ that is lost to uncertain match assignment: for a match of
+            probability p, p (1 - p) times the square of its contribution to (w, d, α). (0, 0) if not requested.
     """
 
     matrix: FloatArray
     right: FloatArray
-    stretch: FloatArray
-    squares: FloatArray
-    noise: FloatArray
-    missing: FloatArray
+    parallax_gradient: FloatArray
+    parallax_squares: FloatArray
+    noise_information: FloatArray
+    missing_information: FloatArray
 
 
 @kernel
-def no_matched(n: int) -> Matched:
-    """Of n matches, to be filled."""
-    return Matched(np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n))
+def make_match_errors(n: int) -> MatchErrors:
+    """Allocate the errors of n matches."""
+    return MatchErrors(np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n))
 
 
 @kernel
-def no_equations(noise: bool, missing: bool) -> Equations:
-    """To be filled, with the parts of noise and of what is missing or without."""
-    unknowns, size, lost = 6 + SURFACE, 6 if noise else 0, 6 + SURFACE if missing else 0
+def make_match_equations(noise: bool, missing: bool) -> MatchEquations:
+    """Allocate normal equations, with or without the noise part and the missing part."""
+    unknowns, size, lost = 6 + DEPTH_MODEL_SIZE, 6 if noise else 0, 6 + DEPTH_MODEL_SIZE if missing else 0
     hessian, gradient = np.zeros((unknowns, unknowns)), np.zeros(unknowns)
-    return Equations(hessian, gradient, np.zeros(6), np.zeros(1), np.zeros((size, size)), np.zeros((lost, lost)))
+    return MatchEquations(hessian, gradient, np.zeros(6), np.zeros(1), np.zeros((size, size)), np.zeros((lost, lost)))
 
 
-def matched(
+def compute_match_errors(
     stack: Stack,
     t: int,
     candidate: Candidate,
     tolerance: Tolerance,
-    usable: Usable | None = None,
+    usable: InlierPrior | None = None,
     *,
     noise: bool = True,
-) -> tuple[Matched, Equations]:
-    """`match_equations` of term t; of `Matched`, its own matches."""
+) -> tuple[MatchErrors, MatchEquations]:
+    """Allocate and run `build_match_equations` for term t; the errors are those of its own matches."""
     n = len(stack.x)
-    matches, equations = no_matched(n), no_equations(noise, False)
-    some = np.ones(n) if usable is None else usable.astype(np.float64)
-    match_equations(stack, t, some, candidate, tolerance, matches, equations)
-    mine = slice(stack.offsets[t], stack.offsets[t + 1])
-    return Matched(*(values[mine] for values in matches)), equations
+    matches, equations = make_match_errors(n), make_match_equations(noise, False)
+    usable_weights = np.ones(n) if usable is None else usable.astype(np.float64)
+    build_match_equations(stack, t, usable_weights, candidate, tolerance, matches, equations)
+    rows = slice(stack.offsets[t], stack.offsets[t + 1])
+    return MatchErrors(*(values[rows] for values in matches)), equations
 
 
 @kernel
-def distances(
-    stack: Stack, t: int, usable: Usable, candidate: Candidate, tolerance: Tolerance, matches: Matched
+def compute_distances(
+    stack: Stack, t: int, usable: InlierPrior, candidate: Candidate, tolerance: Tolerance, matches: MatchErrors
 ) -> None:
-    """The part of `match_equations` that says where the matches of term t are."""
-    rc, tc, turned, lanes = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(BY_LANE * LANES)
-    view_of(stack, t, candidate, rc, tc, turned)
-    place, surface = _place(stack, t), candidate.surface[t]
+    """Compute the errors of the matches of term t, without their normal equations."""
+    rc, tc, rotated_center, lanes = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(VALUES_PER_MATCH * LANES)
+    transform_to_camera(stack, t, candidate, rc, tc, rotated_center)
+    anchor, depth_model = _depth_anchor(stack, t), candidate.depth_model[t]
     first, last = stack.offsets[t], stack.offsets[t + 1]
     for start in range(first, last, LANES):
-        some = min(LANES, last - start)
-        _some_matches(stack.x, stack.y, usable, start, some, place, surface, tolerance, lanes, rc, tc, turned, matches)
+        count = min(LANES, last - start)
+        _compute_batch(
+            stack.x,
+            stack.y,
+            usable,
+            start,
+            count,
+            anchor,
+            depth_model,
+            tolerance,
+            lanes,
+            rc,
+            tc,
+            rotated_center,
+            matches,
+        )
 
 
 @leaf
-def _place(stack: Stack, t: int) -> Place:
-    """Of term t."""
-    return Place(stack.inverse_depth[t], 1.0 / stack.spread[t], stack.anchor[t, 0], stack.anchor[t, 1])
+def _depth_anchor(stack: Stack, t: int) -> DepthAnchor:
+    """Return the anchor of term t's depth model."""
+    return DepthAnchor(stack.inverse_depth[t], 1.0 / stack.spread[t], stack.anchor[t, 0], stack.anchor[t, 1])
 
 
 @leaf
-def _copy(lanes: FloatArray, lane: int, to: FloatArray) -> None:
-    """One of the lanes, as far as there are matches."""
-    for k in range(len(to)):
-        to[k] = lanes[lane * LANES + k]
+def _copy_row(lanes: FloatArray, row: int, target: FloatArray) -> None:
+    """Copy the first values of one row of lanes."""
+    for k in range(len(target)):
+        target[k] = lanes[row * LANES + k]
 
 
 @leaf
-def _some_matches(
+def _compute_batch(
     x: FloatArray,
     y: FloatArray,
-    usable: Usable,
+    usable: InlierPrior,
     start: int,
-    some: int,
-    place: Place,
-    surface: FloatArray,
+    count: int,
+    anchor: DepthAnchor,
+    depth_model: FloatArray,
     tolerance: Tolerance,
     lanes: FloatArray,
     rc: FloatArray,
     tc: FloatArray,
-    turned: FloatArray,
-    matches: Matched,
+    rotated_center: FloatArray,
+    matches: MatchErrors,
 ) -> None:
-    """The lanes of some matches from `start` on, and where they are."""
-    x, y, may = x[start : start + some], y[start : start + some], usable[start : start + some]
-    for k in range(some):
+    """Load `count` matches from `start` on into the lanes and compute their errors."""
+    x, y, batch_usable = x[start : start + count], y[start : start + count], usable[start : start + count]
+    for k in range(count):
         lanes[k], lanes[LANES + k] = x[k, 0], x[k, 1]
         lanes[2 * LANES + k], lanes[3 * LANES + k] = y[k, 0], y[k, 1]
-        lanes[4 * LANES + k] = may[k]
-    # The last match fills up, without weight.
-    for k in range(some, LANES):
+        lanes[4 * LANES + k] = batch_usable[k]
+    # Pad with copies of the last match, without weight.
+    for k in range(count, LANES):
         for j in range(4):
-            lanes[j * LANES + k] = lanes[j * LANES + some - 1]
+            lanes[j * LANES + k] = lanes[j * LANES + count - 1]
         lanes[4 * LANES + k] = 0.0
-    miss_by(place, surface, tolerance, rc, tc, turned, lanes)
-    last = start + some
-    _copy(lanes, 5, matches.distance[start:last])
-    _copy(lanes, 6, matches.across[start:last])
-    _copy(lanes, 7, matches.along[start:last])
-    _copy(lanes, 8, matches.parallax[start:last])
-    _copy(lanes, 9, matches.weights[start:last])
+    compute_errors(anchor, depth_model, tolerance, rc, tc, rotated_center, lanes)
+    last = start + count
+    _copy_row(lanes, 5, matches.distance[start:last])
+    _copy_row(lanes, 6, matches.across[start:last])
+    _copy_row(lanes, 7, matches.along[start:last])
+    _copy_row(lanes, 8, matches.parallax[start:last])
+    _copy_row(lanes, 9, matches.weights[start:last])
 
 
 @kernel
-def match_equations(
+def build_match_equations(
     stack: Stack,
     t: int,
-    usable: Usable,
+    usable: InlierPrior,
     candidate: Candidate,
     tolerance: Tolerance,
-    matches: Matched,
-    equations: Equations,
+    matches: MatchErrors,
+    equations: MatchEquations,
 ) -> None:
-    """Where the matches of term t are and what they say of the motion.
+    """Compute the errors of the matches of term t and their normal equations.
 
     Args:
-        usable: (N,) matches that may have a weight, or the probability of each that it is one of them.
-        candidate: with quadrics as surfaces.
-        matches: of all terms; the term's own part is filled.
+        usable: (N,) matches that may be inliers, or the probability of each to be one.
+        candidate: with quadric depth models.
+        matches: of all terms; the part of term t is filled.
         equations: filled.
     """
-    matrix, right, stretch, squares, noise, missing = equations
-    rc, tc, turned = np.empty((3, 3)), np.empty(3), np.empty(3)
-    view_of(stack, t, candidate, rc, tc, turned)
+    matrix, right, parallax_gradient, squares, noise, missing = equations
+    rc, tc, rotated_center = np.empty((3, 3)), np.empty(3), np.empty(3)
+    transform_to_camera(stack, t, candidate, rc, tc, rotated_center)
     matrix[:] = 0.0
     right[:] = 0.0
-    stretch[:] = 0.0
+    parallax_gradient[:] = 0.0
     squares[:] = 0.0
     noise[:] = 0.0
     missing[:] = 0.0
-    lanes, weighted = np.empty(BY_LANE * LANES), np.empty(LANES)
-    along, across = np.zeros((13, 13, PART)), np.zeros((7, 7, PART))
+    lanes, weighted = np.empty(VALUES_PER_MATCH * LANES), np.empty(LANES)
+    along, across = np.zeros((13, 13, N_PARTIAL_SUMS)), np.zeros((7, 7, N_PARTIAL_SUMS))
     first, last = stack.offsets[t], stack.offsets[t + 1]
-    place, surface, unit = _place(stack, t), candidate.surface[t], stack.inverse_depth[t]
+    anchor, depth_model, unit = _depth_anchor(stack, t), candidate.depth_model[t], stack.inverse_depth[t]
     for start in range(first, last, LANES):
-        some = min(LANES, last - start)
-        _some_matches(stack.x, stack.y, usable, start, some, place, surface, tolerance, lanes, rc, tc, turned, matches)
-        add_products(lanes, ALONG, 13, 10, weighted, along)
-        add_products(lanes, ACROSS, 7, 11, weighted, across)
-        squares[0] += add_stretch(lanes, some, turned, unit, stretch)
+        count = min(LANES, last - start)
+        _compute_batch(
+            stack.x,
+            stack.y,
+            usable,
+            start,
+            count,
+            anchor,
+            depth_model,
+            tolerance,
+            lanes,
+            rc,
+            tc,
+            rotated_center,
+            matches,
+        )
+        add_products(lanes, ALONG_ROW, 13, 10, weighted, along)
+        add_products(lanes, ACROSS_ROW, 7, 11, weighted, across)
+        squares[0] += add_parallax_gradient(lanes, count, rotated_center, unit, parallax_gradient)
         if noise.shape[0] > 0:
-            add_noise(lanes, some, tolerance.variance, unit, rc, turned, noise)
+            add_noise_information(lanes, count, tolerance.variance, unit, rc, rotated_center, noise)
         if missing.shape[0] > 0:
-            for k in range(some):
+            for k in range(count):
                 if lanes[9 * LANES + k] > 0.0:
-                    add_missing(lanes[k::LANES], missing)
+                    add_missing_information(lanes[k::LANES], missing)
     for k in range(12):
-        right[k] = total(along[12, k])
+        right[k] = sum_parts(along[12, k])
         for j in range(k + 1):
-            matrix[k, j] = total(along[k, j])
+            matrix[k, j] = sum_parts(along[k, j])
     for k in range(6):
-        right[k] += total(across[6, k])
+        right[k] += sum_parts(across[6, k])
         for j in range(k + 1):
-            matrix[k, j] += total(across[k, j])
+            matrix[k, j] += sum_parts(across[k, j])

@@ -1,25 +1,28 @@
-"""The first look: the cost of a motion from each camera's 45 numbers, one part plane, one part epipolar.
+"""Cost of a motion from 45 second moments per camera: a planar part and an epipolar part.
 
-It finds the minima that `match_cost`, the last word, decides between: a step costs the same whatever the number of matches.
-Where a surface is a plane without relief, the two agree to first order in the image's size.
+The search uses it to find the minima that `match_cost` then refines: a step costs the same whatever the number of
+matches. If the surface is a plane without residual depth, both costs agree to first order in the image size.
 
-How far along its epipolar line a feature goes depends on its depth. Of that, a plane per term is assumed, its inverse
-depth ρ = α·(1, u, v) unknown beside the motion (weak prior, from where the cameras' rays meet), and a relief about
-it. A feature's distance from where the plane puts it, e = y - image(R x + ρ τ), then has noise s² = 2 σ² across the
-epipolar line (both images' noise) and v = s² + relief along it. With n across and b along the line,
+The position of a feature along its epipolar line depends on its depth. The depth model is a plane per term, with
+inverse depth ρ = α·(1, u, v) unknown in addition to the motion (weak prior, from the intersection of the cameras'
+rays), and a residual depth. A feature's distance from its prediction, e = y - image(R x + ρ τ), then has the noise
+s² = 2 σ² across the epipolar line (both images' noise) and v = s² + residual depth along it. With n across and b
+along the line,
 
     e' V^-1 e = (n·e)² / s² + (b·e)² / v = (1 - κ) |e|² / s² + κ (n·e)² / s²,      κ = 1 - s² / v
 
-and (n·e)² / s² is the epipolar residual in Sampson's form, r² / σ² with r² = (y'Ex)² / (|PEx|² + |PE'y|²). κ tells how much
-the relief's parallax exceeds the noise: 0 for small motions and flat objects, where the plane halves the error, and
-1 for large ones, where nothing but epipolar geometry is left. Neither the identity nor a planar object is special.
+and (n·e)² / s² is the epipolar residual in Sampson's form, r² / σ² with r² = (y'Ex)² / (|PEx|² + |PE'y|²). κ measures
+how far the parallax of the residual depth exceeds the noise. It is 0 for small motions and flat objects, where the
+plane halves the error, and 1 for large motions, where only epipolar geometry is left. Neither the identity nor a planar
+object is special.
 
-Both parts are quadratic in k = y ⊗ x once their denominators are taken at the mean rays (they hardly vary over a small
-object), so a term's pair moments are all that is needed. κ is measured from the residuals and held fixed within an
-iteration: letting the cost trade it against them is biased towards too much motion.
+Both parts are quadratic in k = y ⊗ x once their denominators are evaluated at the mean rays (they hardly vary over a
+small object), so a term's pair moments are sufficient. κ is estimated from the residuals and fixed within an iteration:
+minimizing over it would bias the motion towards large values.
 
-Source: Sampson error, Hartley & Zisserman, "Multiple View Geometry", section 11.4.3; the generalised epipolar constraint,
-Pless 2003; plane and parallax, ibid. section 13.3; the mixture and its moments are ours (docs/method.md).
+Source: Sampson error, Hartley & Zisserman, "Multiple View Geometry", section 11.4.3; the generalized epipolar
+constraint, Pless 2003; plane and parallax, ibid. section 13.3; the mixture and its moments are ours
+(docs/method/3-pose.md).
 """
 
 from __future__ import annotations
@@ -30,42 +33,50 @@ import numpy as np
 
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.numba_linalg import kernel, leaf
-from sylpose.relative_pose.plane_projection import Scratch, epipolar_rows, essential, homography, line, look, scratch
+from sylpose.relative_pose.plane_projection import (
+    TermView,
+    build_epipolar_rows,
+    compute_epipolar_line,
+    compute_essential,
+    compute_homography,
+    make_term_view,
+    update_view,
+)
 from sylpose.relative_pose.terms import Candidate, Stack
 
 __all__ = [
-    "Normal",
-    "Sums",
-    "along_variance",
-    "along_variance_at",
-    "equations_at",
-    "misfit_at",
-    "moments_into",
-    "term_cost",
-    "term_equations",
-    "term_misfit",
+    "MomentSums",
+    "NormalEquations",
+    "build_term_equations",
+    "build_view_equations",
+    "compute_moments",
+    "compute_term_cost",
+    "compute_term_misfit",
+    "compute_view_misfit",
+    "estimate_along_variance",
+    "estimate_view_variance",
 ]
 
 
-# Weight of the prior relief in its estimate, as a number of matches (choice).
+# Weight of the prior in the estimate of the residual depth, as a number of matches (choice).
 PRIOR_MATCHES = 3.0
-# What may be noise, in standard deviations of its variance, is not taken for relief (choice).
+# An excess below this many standard deviations of the noise variance is not residual depth (choice).
 NOISE_SIGMAS = 2.0
 
 
-class Sums(NamedTuple):
-    """What is left of the matches of T terms.
+class MomentSums(NamedTuple):
+    """Second moments of the matches of T terms.
 
     Attributes:
         moments: (T, 9, 9) pair moments, weighted, each with a positive count.
-        variance: (T,) σ² of an image coordinate, normalised units.
+        variance: (T,) σ² of an image coordinate, normalized units.
     """
 
     moments: FloatArray
     variance: FloatArray
 
 
-class Normal(NamedTuple):
+class NormalEquations(NamedTuple):
     """Normal equations in (w, d, α) of each of T terms: hessian (T, 9, 9), gradient (T, 9)."""
 
     hessian: FloatArray
@@ -73,8 +84,8 @@ class Normal(NamedTuple):
 
 
 @leaf
-def _square(m: FloatArray, row: FloatArray) -> float:
-    """row' m row, of m (9, 9) symmetric and row (9,)."""
+def _quadratic_form(m: FloatArray, row: FloatArray) -> float:
+    """Return row' m row for m (9, 9) symmetric and row (9,)."""
     total = 0.0
     for i in range(9):
         s = 0.0
@@ -85,10 +96,10 @@ def _square(m: FloatArray, row: FloatArray) -> float:
 
 
 @leaf
-def _plane_image(m: FloatArray, v: FloatArray, out: FloatArray) -> None:
-    """out (9,), whose product with another homography's v is the moment of their e_f in both coordinates f.
+def _apply_plane_moments(m: FloatArray, v: FloatArray, out: FloatArray) -> None:
+    """Set out (9,) so that its product with another homography's v is the moment of e_f over both coordinates f.
 
-    v (9,): a homography over the depth. e_f = y_f (v_3 x) - v_f x is linear in the rows f and 3 of y x'.
+    v (9,): a homography divided by the depth. e_f = y_f (v_3 x) - v_f x is linear in the rows f and 3 of y x'.
     """
     for i in range(3):
         s0, s1, s2 = 0.0, 0.0, 0.0
@@ -101,8 +112,8 @@ def _plane_image(m: FloatArray, v: FloatArray, out: FloatArray) -> None:
 
 
 @leaf
-def _epipolar_image(m: FloatArray, v: FloatArray, out: FloatArray) -> None:
-    """out (9,) = m v."""
+def _apply_moments(m: FloatArray, v: FloatArray, out: FloatArray) -> None:
+    """Set out (9,) = m v."""
     for i in range(9):
         s = 0.0
         for j in range(9):
@@ -111,13 +122,15 @@ def _epipolar_image(m: FloatArray, v: FloatArray, out: FloatArray) -> None:
 
 
 @leaf
-def _add_squares(
+def _add_products(
     k: int, rows: FloatArray, image: FloatArray, weight: float, hessian: FloatArray, gradient: FloatArray
 ) -> float:
-    """Adds row k's products with those before it, weighted, to the normal equations, row 0 being the residual's and the
-    others its derivatives; returns the cost, of row 0."""
+    """Add the weighted products of row k with rows 0 to k to the normal equations.
+
+    Row 0 is the residual, the others are its derivatives. Return the cost for row 0.
+    """
     for j in range(k + 1):
-        # In parts, which do not wait for each other.
+        # Independent partial sums shorten the dependency chain.
         s = image[0] * rows[j, 0] + image[1] * rows[j, 1] + image[2] * rows[j, 2]
         s += image[3] * rows[j, 3] + image[4] * rows[j, 4] + image[5] * rows[j, 5]
         s = weight * (s + (image[6] * rows[j, 6] + image[7] * rows[j, 7] + image[8] * rows[j, 8]))
@@ -133,80 +146,92 @@ def _add_squares(
 
 
 @kernel
-def term_equations(
+def build_term_equations(
     stack: Stack,
-    sums: Sums,
+    sums: MomentSums,
     t: int,
     kappa: float,
     candidate: Candidate,
-    normal: Normal,
+    normal: NormalEquations,
     full: bool,
 ) -> float:
-    """One term's cost and, if `full`, its normal equations in (w, d, α).
+    """Return one term's cost and, if `full`, fill its normal equations in (w, d, α).
 
     Args:
-        candidate: with planes as surfaces.
-        normal: of all terms; the term's own part is filled.
+        candidate: with planar depth models.
+        normal: of all terms; the part of term t is filled.
 
     Returns:
         half the weighted sum of squares, prior of α included.
     """
-    at = scratch()
+    view = make_term_view()
     if not full:
-        return term_cost(stack, sums, t, kappa, candidate, at)
-    look(stack, t, candidate, at)
-    return equations_at(stack, sums, t, kappa, candidate.surface[t], at, normal)
+        return compute_term_cost(stack, sums, t, kappa, candidate, view)
+    update_view(stack, t, candidate, view)
+    return build_view_equations(stack, sums, t, kappa, candidate.depth_model[t], view, normal)
 
 
 @leaf
-def term_cost(stack: Stack, sums: Sums, t: int, kappa: float, candidate: Candidate, at: Scratch) -> float:
-    """One term's cost, as `term_equations` has it."""
-    look(stack, t, candidate, at)
+def compute_term_cost(
+    stack: Stack, sums: MomentSums, t: int, kappa: float, candidate: Candidate, view: TermView
+) -> float:
+    """Return one term's cost, as `build_term_equations` does."""
+    update_view(stack, t, candidate, view)
     m, variance = sums.moments[t], sums.variance[t]
-    cost = _prior(stack, t, candidate.surface[t])
-    row = at.rows[0]
+    cost = _compute_prior_cost(stack, t, candidate.depth_model[t])
+    row = view.rows[0]
     if kappa < 1.0:
-        depth = homography(at, m[8, 6] / m[8, 8], m[8, 7] / m[8, 8])
+        depth = compute_homography(view, m[8, 6] / m[8, 8], m[8, 7] / m[8, 8])
         for i in range(3):
             for j in range(3):
-                row[3 * i + j] = at.h[0, i, j] / depth
-        _plane_image(m, row, at.image)
+                row[3 * i + j] = view.h[0, i, j] / depth
+        _apply_plane_moments(m, row, view.image)
         square = 0.0
         for i in range(9):
-            square += at.image[i] * row[i]
+            square += view.image[i] * row[i]
         cost += 0.25 * (1.0 - kappa) / variance * square
     if kappa > 0.0:
-        cost += 0.5 * kappa / variance * misfit_at(sums, t, at)
+        cost += 0.5 * kappa / variance * compute_view_misfit(sums, t, view)
     return cost
 
 
 @leaf
-def _prior(stack: Stack, t: int, surface: FloatArray) -> float:
-    """What the departure of α (3,) from its mean costs."""
+def _compute_prior_cost(stack: Stack, t: int, depth_model: FloatArray) -> float:
+    """Return the prior cost of α (3,)."""
     cost = 0.0
     for j in range(3):
-        off = (surface[j] - stack.plane_mean[t, j]) / stack.plane_sd[t, j]
-        cost += 0.5 * off * off
+        deviation = (depth_model[j] - stack.plane_mean[t, j]) / stack.plane_sd[t, j]
+        cost += 0.5 * deviation * deviation
     return cost
 
 
 @leaf
-def equations_at(
-    stack: Stack, sums: Sums, t: int, kappa: float, surface: FloatArray, at: Scratch, normal: Normal
+def build_view_equations(
+    stack: Stack,
+    sums: MomentSums,
+    t: int,
+    kappa: float,
+    depth_model: FloatArray,
+    view: TermView,
+    normal: NormalEquations,
 ) -> float:
-    """`term_equations` once it was looked there (`look`)."""
+    """Evaluate `build_term_equations` for a view set by `update_view`."""
     m, variance = sums.moments[t], sums.variance[t]
     hessian, gradient = normal.hessian[t], normal.gradient[t]
-    rc, tc, turned, plane, h, e, rows, image = at
+    rc, tc, rotated_center, plane, h, e, rows, image = view
     qy, unit, anchor, spread = stack.qy[t], stack.inverse_depth[t], stack.anchor[t], stack.spread[t]
     count = m[8, 8]
     x0, x1, y0, y1 = m[8, 6] / count, m[8, 7] / count, m[8, 2] / count, m[8, 5] / count
-    depth = homography(at, x0, x1)
-    essential(at)
-    # Their derivatives by w, d and α.
+    depth = compute_homography(view, x0, x1)
+    compute_essential(view)
+    # Derivatives with respect to w, d and α.
     for k in range(3):
         q0, q1, q2 = qy[0, k], qy[1, k], qy[2, k]
-        d0, d1, d2 = q1 * turned[2] - q2 * turned[1], q2 * turned[0] - q0 * turned[2], q0 * turned[1] - q1 * turned[0]
+        d0, d1, d2 = (
+            q1 * rotated_center[2] - q2 * rotated_center[1],
+            q2 * rotated_center[0] - q0 * rotated_center[2],
+            q0 * rotated_center[1] - q1 * rotated_center[0],
+        )
         for j in range(3):
             r0, r1, r2 = rc[0, j], rc[1, j], rc[2, j]
             u0, u1, u2 = q1 * r2 - q2 * r1, q2 * r0 - q0 * r2, q0 * r1 - q1 * r0
@@ -224,55 +249,57 @@ def equations_at(
         h[8, i, 2], h[9, i, 2] = -slope * anchor[0], -slope * anchor[1]
     hessian[:] = 0.0
     gradient[:] = 0.0
-    cost = _prior(stack, t, surface)
+    cost = _compute_prior_cost(stack, t, depth_model)
     if kappa < 1.0:
         for k in range(10):
-            by = (h[k, 2, 0] * x0 + h[k, 2, 1] * x1 + h[k, 2, 2]) / depth if k > 0 else 0.0
+            depth_ratio = (h[k, 2, 0] * x0 + h[k, 2, 1] * x1 + h[k, 2, 2]) / depth if k > 0 else 0.0
             for i in range(3):
                 for j in range(3):
-                    rows[k, 3 * i + j] = (h[k, i, j] - by * h[0, i, j]) / depth
-            _plane_image(m, rows[k], image)
-            cost += _add_squares(k, rows, image, 0.5 * (1.0 - kappa) / variance, hessian, gradient)
-    if kappa > 0.0 and epipolar_rows(e, 7, x0, x1, y0, y1, rows) > 0.0:
+                    rows[k, 3 * i + j] = (h[k, i, j] - depth_ratio * h[0, i, j]) / depth
+            _apply_plane_moments(m, rows[k], image)
+            cost += _add_products(k, rows, image, 0.5 * (1.0 - kappa) / variance, hessian, gradient)
+    if kappa > 0.0 and build_epipolar_rows(e, 7, x0, x1, y0, y1, rows) > 0.0:
         for k in range(7):
-            _epipolar_image(m, rows[k], image)
-            cost += _add_squares(k, rows, image, kappa / variance, hessian, gradient)
+            _apply_moments(m, rows[k], image)
+            cost += _add_products(k, rows, image, kappa / variance, hessian, gradient)
     for j in range(3):
         sd = stack.plane_sd[t, j]
-        gradient[6 + j] += (surface[j] - stack.plane_mean[t, j]) / (sd * sd)
+        gradient[6 + j] += (depth_model[j] - stack.plane_mean[t, j]) / (sd * sd)
         hessian[6 + j, 6 + j] += 1.0 / (sd * sd)
     return cost
 
 
 @kernel
-def along_variance(stack: Stack, sums: Sums, t: int, candidate: Candidate) -> tuple[float, float]:
-    """κ, and v: the variance of the residuals along the epipolar line, normalised units."""
-    at = scratch()
-    look(stack, t, candidate, at)
-    return along_variance_at(stack, sums, t, at)
+def estimate_along_variance(stack: Stack, sums: MomentSums, t: int, candidate: Candidate) -> tuple[float, float]:
+    """Return κ, and v: the variance of the residuals along the epipolar line, normalized units."""
+    view = make_term_view()
+    update_view(stack, t, candidate, view)
+    return estimate_view_variance(stack, sums, t, view)
 
 
 @leaf
-def along_variance_at(stack: Stack, sums: Sums, t: int, at: Scratch) -> tuple[float, float]:
-    """`along_variance` once it was looked there (`look`)."""
-    m, variance, rc, tc, plane, row = sums.moments[t], sums.variance[t], at.rc, at.tc, at.plane, at.rows[0]
+def estimate_view_variance(stack: Stack, sums: MomentSums, t: int, view: TermView) -> tuple[float, float]:
+    """Evaluate `estimate_along_variance` for a view set by `update_view`."""
+    m, variance, rc, tc, plane, row = sums.moments[t], sums.variance[t], view.rc, view.tc, view.plane, view.rows[0]
     count = m[8, 8]
     x0, x1 = m[8, 6] / count, m[8, 7] / count
-    length, b0, b1 = line(rc, tc, plane, x0, x1)
+    length, b0, b1 = compute_epipolar_line(rc, tc, plane, x0, x1)
     depth = 0.0
     for j in range(3):
         h2 = rc[2, j] + tc[2] * plane[j]
         depth += h2 * (x0 if j == 0 else (x1 if j == 1 else 1.0))
         row[j], row[3 + j] = b0 * h2, b1 * h2
         row[6 + j] = -b0 * (rc[0, j] + tc[0] * plane[j]) - b1 * (rc[1, j] + tc[1] * plane[j])
-    squares = max(_square(m, row), 0.0) / (depth * depth)
-    believed = 2.0 * variance + (stack.plane_relief[t] * stack.inverse_depth[t] * length) ** 2
-    # The plane's three unknowns have taken their share of the squares.
-    free = max(count - 3.0, 0.0)
-    seen = max(squares / max(free, 1.0), 2.0 * variance)
-    # A mean of logarithms: what is believed of other objects' relief must not make a flat one unlikely.
-    v = np.exp((free * np.log(seen) + PRIOR_MATCHES * np.log(believed)) / (free + PRIOR_MATCHES))
-    # Noise alone scatters v.
+    squares = max(_quadratic_form(m, row), 0.0) / (depth * depth)
+    prior_variance = 2.0 * variance + (stack.plane_residual_depth[t] * stack.inverse_depth[t] * length) ** 2
+    # The plane's three unknowns absorb a share of the squares.
+    freedom = max(count - 3.0, 0.0)
+    measured_variance = max(squares / max(freedom, 1.0), 2.0 * variance)
+    # Average logarithms: the prior residual depth of other objects must not make a flat one unlikely.
+    v = np.exp(
+        (freedom * np.log(measured_variance) + PRIOR_MATCHES * np.log(prior_variance)) / (freedom + PRIOR_MATCHES)
+    )
+    # Noise alone makes v vary.
     noise = 2.0 * variance * (1.0 + NOISE_SIGMAS * np.sqrt(2.0 / (count + PRIOR_MATCHES)))
     if v > noise:
         return 1.0 - 2.0 * variance / v, v
@@ -280,26 +307,26 @@ def along_variance_at(stack: Stack, sums: Sums, t: int, at: Scratch) -> tuple[fl
 
 
 @kernel
-def term_misfit(stack: Stack, sums: Sums, t: int, candidate: Candidate) -> float:
-    """Σ w r²: the epipolar squares alone, normalised units."""
-    at = scratch()
-    look(stack, t, candidate, at)
-    return misfit_at(sums, t, at)
+def compute_term_misfit(stack: Stack, sums: MomentSums, t: int, candidate: Candidate) -> float:
+    """Return Σ w r²: the epipolar squares alone, normalized units."""
+    view = make_term_view()
+    update_view(stack, t, candidate, view)
+    return compute_view_misfit(sums, t, view)
 
 
 @leaf
-def misfit_at(sums: Sums, t: int, at: Scratch) -> float:
-    """`term_misfit` once it was looked there (`look`)."""
+def compute_view_misfit(sums: MomentSums, t: int, view: TermView) -> float:
+    """Evaluate `compute_term_misfit` for a view set by `update_view`."""
     m = sums.moments[t]
     count = m[8, 8]
-    essential(at)
-    g = epipolar_rows(at.e, 1, m[8, 6] / count, m[8, 7] / count, m[8, 2] / count, m[8, 5] / count, at.rows)
-    return max(_square(m, at.rows[0]), 0.0) if g > 0.0 else 0.0
+    compute_essential(view)
+    g = build_epipolar_rows(view.e, 1, m[8, 6] / count, m[8, 7] / count, m[8, 2] / count, m[8, 5] / count, view.rows)
+    return max(_quadratic_form(m, view.rows[0]), 0.0) if g > 0.0 else 0.0
 
 
 @kernel
-def moments_into(x: FloatArray, y: FloatArray, weights: FloatArray, m: FloatArray) -> None:
-    """m (9, 9) becomes the pair moments of weighted matches (`PairMoments.from_matches`, without its checks)."""
+def compute_moments(x: FloatArray, y: FloatArray, weights: FloatArray, m: FloatArray) -> None:
+    """Compute the pair moments m (9, 9) of weighted matches (`PairMoments.from_matches`, without its checks)."""
     k = np.empty(9)
     m[:] = 0.0
     for i in range(x.shape[0]):

@@ -1,13 +1,13 @@
-"""More than one motion among the matches that one motion was fitted to: bodies taken for one, and two of them apart.
+"""Mixture of two motions in one set of matches: its detection and its fit.
 
-Two bodies side by side that move nearly alike are explained by one motion and a bent surface, with residuals that are too
-large by a little: nothing that a robust weight sees. But residuals across epipolar lines are noise, which neighbours do not
-share, and a wrong motion is wrong for neighbours alike (`alike`).
+Two adjacent bodies that move nearly alike can be explained by one motion and a bent depth model. The residuals are then
+slightly too large, which a robust weight does not detect. But residuals across epipolar lines are independent noise,
+whereas a wrong motion causes similar errors for neighbors (`correlate_neighbors`).
 
-Where both motions are known, many matches of one lie near the epipolar lines of the other's: every match has one of them, or
-the other, with some probability (`apart`).
+If both motions are known, many matches of one are near the epipolar lines of the other. Each match is then assigned to
+one of them with a probability (`fit_motion_mixture`).
 
-Source: contiguity, Moran, Biometrika 37, 1950; mixtures by expectation and maximisation, McLachlan & Krishnan, "The EM
+Source: contiguity, Moran, Biometrika 37, 1950; mixtures by expectation maximization, McLachlan & Krishnan, "The EM
 Algorithm and Extensions", chapters 2 and 4.
 """
 
@@ -20,77 +20,86 @@ import numpy as np
 
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.numba_linalg import kernel
-from sylpose.relative_pose.irls import SIGMA_FLOOR_PX, Reweighted, nothing_yet, reweight
-from sylpose.relative_pose.match_likelihood import WRONG, anywhere, cost_of, going
+from sylpose.relative_pose.irls import SIGMA_FLOOR_PX, IrlsFit, make_empty_irls_fit, run_irls
+from sylpose.relative_pose.match_likelihood import (
+    MISMATCH_PROBABILITY,
+    compute_cost,
+    compute_mismatch_density,
+    compute_motion_density,
+)
 from sylpose.relative_pose.terms import Stack
 
-__all__ = ["Apart", "alike", "apart", "is_mixed"]
+__all__ = ["MotionMixture", "correlate_neighbors", "fit_motion_mixture", "is_mixed"]
 
-# Neighbours of a match in the image that its residual is compared with, and of a camera's matches so many at most (choice).
-NEIGHBOURS, COMPARED = 3, 120
-# Matches of less weight, which may be another's, are not compared (choice).
-COUNTS = 0.3
-# Cameras of fewer matches are not asked (choice).
-JUDGED = 8
-# Residuals are alike where their correlation exceeds nothing by so many standard deviations, of about 1.3 (measured: 150
-# scenes of each of ten settings of benchmarks/nees.py, 4.2 at most), and this itself: with many matches calibrations that
-# are off by a little show, too (choice).
-ALIKE, ALIKE_AT_LEAST = 5.0, 0.15
-# Where a motion is hardly seen (`unless_straight`), or it is not certain which matches have it, one of nobody's is found
-# more often, and so much will do (measured: of 7,508 right answers 13 that are hardly seen are beyond, of 82 wrong ones 16).
-ALIKE_UNSURE = 2.5
-# ... and what they share is more than this, pixels: less is rounding, lenses and keypoints (choice).
-ALIKE_PX = 0.1
-# Rounds of a mixture, at most, which has settled where no more than this of a match changes sides; and one motion's noise is
-# not less than so much of the other's (choice).
-ROUNDS, SETTLED = 40, 0.02
-LESS_NOISE = 0.9
+# Number of image neighbors that a match's residual is compared with, and maximum number of matches per camera (choice).
+N_NEIGHBORS, MAX_COMPARED = 3, 120
+# Least weight for the comparison; matches below may belong to another motion (choice).
+MIN_COMPARED_WEIGHT = 0.3
+# Cameras with fewer matches are skipped (choice).
+MIN_JUDGED_MATCHES = 8
+# Residuals are correlated if their correlation exceeds zero by so many standard deviations, of about 1.3 (measured: 150
+# scenes of each of ten settings of benchmarks/nees.py, 4.2 at most), and the second value: with many matches, small
+# calibration errors are detected too (choice).
+MIN_CORRELATION_SIGMAS, MIN_CORRELATION = 5.0, 0.15
+# If a motion is weakly observed (`compute_size_if_curved`) or the assignment of matches is uncertain, a motion between
+# two bodies is more frequent, and this is sufficient (measured: of 7,508 right answers 13 that are weakly observed are
+# beyond, of 82 wrong ones 16).
+MIN_SIGMAS_UNCERTAIN = 2.5
+# Their shared error must also exceed this, pixels: smaller ones are rounding, lenses and keypoints (choice).
+MIN_SHARED_ERROR_PX = 0.1
+# Maximum number of EM rounds, and the largest change of an assignment at convergence; one motion's noise is at least
+# the last share of the other's (choice).
+MAX_ROUNDS, CONVERGED_CHANGE = 40, 0.02
+MIN_SIGMA_RATIO = 0.9
 
 
 @kernel
-def alike(stack: Stack, found: Reweighted) -> tuple[float, float, float]:
-    """How alike the residuals of neighbours are: their correlation, that in its standard deviations, and their covariance,
-    square pixels."""
+def correlate_neighbors(stack: Stack, fit: IrlsFit) -> tuple[float, float, float]:
+    """Correlate the residuals of neighboring matches.
+
+    Returns:
+        the correlation; its number of standard deviations; the covariance, square pixels.
+    """
     total, shared, pairs = 0.0, 0.0, 0
-    index, nearest, squares = np.empty(COMPARED, np.int64), np.empty(NEIGHBOURS, np.int64), np.empty(NEIGHBOURS)
-    u, v = np.empty(COMPARED), np.empty(COMPARED)
+    index, nearest, squares = np.empty(MAX_COMPARED, np.int64), np.empty(N_NEIGHBORS, np.int64), np.empty(N_NEIGHBORS)
+    u, v = np.empty(MAX_COMPARED), np.empty(MAX_COMPARED)
     for t in range(stack.focal.shape[0]):
         first, last = stack.offsets[t], stack.offsets[t + 1]
-        n, stride = 0, 1 + (last - first) // COMPARED
+        n, stride = 0, 1 + (last - first) // MAX_COMPARED
         for i in range(first, last, stride):
-            if found.weights[i] > COUNTS:
-                # From left to right, so that neighbours are met first.
+            if fit.weights[i] > MIN_COMPARED_WEIGHT:
+                # Sort from left to right, so that neighbors are found first.
                 k = n
                 while k > 0 and u[k - 1] > stack.x[i, 0]:
                     index[k], u[k], v[k] = index[k - 1], u[k - 1], v[k - 1]
                     k -= 1
                 index[k], u[k], v[k] = i, stack.x[i, 0], stack.x[i, 1]
                 n += 1
-        if n < JUDGED:
+        if n < MIN_JUDGED_MATCHES:
             continue
         for k in range(n):
             i = index[k]
             squares[:], nearest[:] = np.inf, i
-            for way in range(-1, 2, 2):
-                j = k + way
+            for direction in range(-1, 2, 2):
+                j = k + direction
                 while 0 <= j < n:
-                    aside = (u[k] - u[j]) ** 2
-                    if not aside < squares[NEIGHBOURS - 1]:
+                    horizontal = (u[k] - u[j]) ** 2
+                    if not horizontal < squares[N_NEIGHBORS - 1]:
                         break
-                    far = aside + (v[k] - v[j]) ** 2
-                    # The same match again tells nothing.
-                    if far < squares[NEIGHBOURS - 1] and far > 0.0:
-                        place = NEIGHBOURS - 1
+                    far = horizontal + (v[k] - v[j]) ** 2
+                    # A duplicate match is no evidence.
+                    if far < squares[N_NEIGHBORS - 1] and far > 0.0:
+                        place = N_NEIGHBORS - 1
                         while place > 0 and far < squares[place - 1]:
                             squares[place], nearest[place] = squares[place - 1], nearest[place - 1]
                             place -= 1
                         squares[place], nearest[place] = far, index[j]
-                    j += way
-            for place in range(NEIGHBOURS):
+                    j += direction
+            for place in range(N_NEIGHBORS):
                 if squares[place] < np.inf:
-                    both = found.across[i] * found.across[nearest[place]]
-                    shared += both
-                    total += both / found.sigma_px[t] ** 2
+                    product = fit.residuals_px[i] * fit.residuals_px[nearest[place]]
+                    shared += product
+                    total += product / fit.sigma_px[t] ** 2
                     pairs += 1
     if pairs == 0:
         return 0.0, 0.0, 0.0
@@ -98,53 +107,72 @@ def alike(stack: Stack, found: Reweighted) -> tuple[float, float, float]:
 
 
 @kernel
-def is_mixed(correlation: float, deviations: float, covariance: float, unsure: bool) -> bool:
-    """Whether what neighbours share is more than one motion and noise explain.
+def is_mixed(correlation: float, deviations: float, covariance: float, is_uncertain: bool) -> bool:
+    """Return whether the correlation of neighbors exceeds what one motion and noise explain.
 
     Args:
-        correlation, deviations, covariance: of `alike`.
-        unsure: whether the motion is hardly seen, or it is not certain which matches have it.
+        correlation, deviations, covariance: of `correlate_neighbors`.
+        is_uncertain: whether the motion is weakly observed, or the assignment of matches is uncertain.
     """
-    enough = deviations > (ALIKE_UNSURE if unsure else ALIKE)
-    return bool(enough and correlation > ALIKE_AT_LEAST and covariance > ALIKE_PX**2)
+    significant = deviations > (MIN_SIGMAS_UNCERTAIN if is_uncertain else MIN_CORRELATION_SIGMAS)
+    return bool(significant and correlation > MIN_CORRELATION and covariance > MIN_SHARED_ERROR_PX**2)
 
 
-class Apart(NamedTuple):
-    """Two motions, each of some of the matches.
+class MotionMixture(NamedTuple):
+    """Mixture of two motions.
 
     Attributes:
-        found: the two motions, their weights times the probabilities that they are the match's.
-        having: (2, N) the probabilities.
+        fits: the two motions; their weights include the assignment probabilities.
+        probabilities: (2, N) the assignment probabilities.
         cost: negative log-likelihood of the matches.
-        promise: what the last steps promised (`reweight`), the larger of the two.
+        predicted_decrease: the predicted decrease of the last steps (`run_irls`), the larger of the two.
         iterations: of the solver.
     """
 
-    found: tuple[Reweighted, Reweighted]
-    having: FloatArray
+    fits: tuple[IrlsFit, IrlsFit]
+    probabilities: FloatArray
     cost: float
-    promise: float
+    predicted_decrease: float
     iterations: int
 
 
-def apart(stack: Stack, starts: Sequence[tuple[FloatArray, FloatArray]], inliers: Sequence[BoolArray]) -> Apart:
-    """Expectation and maximisation from two motions (R, d) and (N,) their inliers, of which some are both's."""
-    found, having = (nothing_yet(stack), nothing_yet(stack)), np.zeros((2, len(stack.x)))
-    promises, iterations = [np.inf, np.inf], 0
-    for k, ((rotation, shift), mine) in enumerate(zip(starts, inliers, strict=True)):
-        found[k].candidate.rotation[:], found[k].candidate.shift[:] = rotation, shift
-        iterations += reweight(stack, (mine & ~inliers[1 - k]).astype(float), found[k], SIGMA_FLOOR_PX)[0]
-    shares, wrong, every = np.full(2, 0.5), anywhere(stack), np.ones(len(stack.x), dtype=bool)
-    for _ in range(ROUNDS):
-        each = np.stack([share * (1.0 - WRONG) * going(stack, f) for share, f in zip(shares, found, strict=True)])
-        before, having = having, each / (each.sum(axis=0) + WRONG * wrong)
-        shares = having.sum(axis=1) / max(float(having.sum()), 1e-300)
+def fit_motion_mixture(
+    stack: Stack, starts: Sequence[tuple[FloatArray, FloatArray]], inliers: Sequence[BoolArray]
+) -> MotionMixture:
+    """Fit a mixture of two motions by expectation maximization.
+
+    Args:
+        starts: two motions (R, d).
+        inliers: (N,) their inliers, which may overlap.
+    """
+    fits, probabilities = (make_empty_irls_fit(stack), make_empty_irls_fit(stack)), np.zeros((2, len(stack.x)))
+    decreases, iterations = [np.inf, np.inf], 0
+    for k, ((rotation, translation), own_inliers) in enumerate(zip(starts, inliers, strict=True)):
+        fits[k].candidate.rotation[:], fits[k].candidate.translation[:] = rotation, translation
+        iterations += run_irls(stack, (own_inliers & ~inliers[1 - k]).astype(float), fits[k], SIGMA_FLOOR_PX)[0]
+    shares, mismatch_density, all_usable = (
+        np.full(2, 0.5),
+        compute_mismatch_density(stack),
+        np.ones(len(stack.x), dtype=bool),
+    )
+    for _ in range(MAX_ROUNDS):
+        joint_densities = np.stack(
+            [
+                share * (1.0 - MISMATCH_PROBABILITY) * compute_motion_density(stack, f)
+                for share, f in zip(shares, fits, strict=True)
+            ]
+        )
+        previous, probabilities = (
+            probabilities,
+            joint_densities / (joint_densities.sum(axis=0) + MISMATCH_PROBABILITY * mismatch_density),
+        )
+        shares = probabilities.sum(axis=1) / max(float(probabilities.sum()), 1e-300)
         for k in range(2):
-            # Both have the same noise: else some few that agree by chance would be a body.
-            least = LESS_NOISE * float(np.median(found[1 - k].sigma_px))
-            done, promises[k], _ = reweight(stack, having[k], found[k], least)
+            # Bound the noise ratio: otherwise a few accidental matches with little noise would form a body.
+            min_sigma_px = MIN_SIGMA_RATIO * float(np.median(fits[1 - k].sigma_px))
+            done, decreases[k], _ = run_irls(stack, probabilities[k], fits[k], min_sigma_px)
             iterations += done
-        if np.abs(having - before).max() < SETTLED or not max(promises) < np.inf:
+        if np.abs(probabilities - previous).max() < CONVERGED_CHANGE or not max(decreases) < np.inf:
             break
-    both = shares[0] * going(stack, found[0]) + shares[1] * going(stack, found[1])
-    return Apart(found, having, cost_of(stack, every, both), max(promises), iterations)
+    density = shares[0] * compute_motion_density(stack, fits[0]) + shares[1] * compute_motion_density(stack, fits[1])
+    return MotionMixture(fits, probabilities, compute_cost(stack, all_usable, density), max(decreases), iterations)

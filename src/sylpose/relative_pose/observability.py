@@ -1,4 +1,4 @@
-"""What can be said of a motion that was found: more than chance or not, no motion at all, a rod, what of it was not seen."""
+"""Tests of a fitted motion: consistency, zero motion, collinear points, unobservable directions."""
 
 from __future__ import annotations
 
@@ -7,75 +7,81 @@ from dataclasses import replace
 import numpy as np
 
 from sylpose.geometry.arrays import BoolArray, FloatArray
-from sylpose.geometry.matrices import covariance_of
-from sylpose.geometry.normal_equations import eliminate
-from sylpose.geometry.numba_linalg import kernel, rotvec_of, symmetric_eigen
-from sylpose.geometry.observability import UNSEEN_SHARE, about_a_turn, unseen_directions
+from sylpose.geometry.matrices import invert_information
+from sylpose.geometry.normal_equations import eliminate_block
+from sylpose.geometry.numba_linalg import kernel, so3_log, symmetric_eigen
+from sylpose.geometry.observability import UNOBSERVABLE_RATIO, find_unobservable_directions, has_rotation_direction
 from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.relative_pose.fit import Fit
-from sylpose.relative_pose.irls import CUTOFF, Reweighted
-from sylpose.relative_pose.match_cost import Tolerance, matched
+from sylpose.relative_pose.irls import CUTOFF, IrlsFit
+from sylpose.relative_pose.match_cost import Tolerance, compute_match_errors
 from sylpose.relative_pose.terms import Stack
 from sylpose.results import Status
 
 __all__ = [
-    "CERTAIN_SHARE",
-    "all_seen",
+    "MIN_CERTAIN_SHARE",
+    "classify_observability",
+    "find_rod_axis",
+    "find_unobservable_motions",
+    "is_collinear",
     "is_consistent",
-    "judged",
-    "more_than_chance",
-    "observed",
-    "on_lines",
-    "rod_axis",
-    "stands_still",
-    "unseen",
+    "is_fully_observable",
+    "is_more_than_chance",
+    "is_static",
+    "set_observability_status",
 ]
 
 
-# What no motion at all must cost more, of six unknowns, and a turn, of three: below it, there may be none (chi-squared, once
-# in a thousand times).
-CERTAIN_MOTION, CERTAIN_TURN = chi_squared_bound(6), chi_squared_bound(3)
-# Points that depart from a line by no more than this, in standard deviations of their noise, lie on it (choice).
-ROD_SIGMAS = 2.5
-# And so do those that depart from it by no more than this, where it is so many times as long: the depth of so thin a thing
-# hardly shows, and what it says of a turn about itself is how much its sides are believed to slope (choice).
-THIN_SIGMAS, THIN = 9.0, 10.0
-# So large a share of inliers is not had by chance (choice).
-CERTAIN_SHARE = 0.7
-# Inliers that an answer has by choice, per unknown, and how many times what one has by chance the best of many has (choice).
-CHOSEN, LUCKY = 2, 4.0
-# Times that partners are exchanged to measure chance, at most, and with how many matches once or twice will do (choice).
-EXCHANGES, EXCHANGED = 8, 1000
+# Least increase of the cost without any motion (six unknowns) or without rotation (three); below it the motion or
+# rotation may be zero (chi-squared, once in a thousand times).
+MIN_MOTION_SQUARE, MIN_ROTATION_SQUARE = chi_squared_bound(6), chi_squared_bound(3)
+# Points are collinear if they deviate from a line by at most this, in standard deviations of their noise (choice).
+MAX_ROD_SIGMAS = 2.5
+# They also count as collinear up to this deviation if they extend so many times as far along the line. The depth of so
+# thin an object is hardly visible, and its apparent rotation about itself rests on the prior slopes (choice).
+MAX_THIN_SIGMAS, MIN_THIN_RATIO = 9.0, 10.0
+# A larger share of inliers does not occur by chance (choice).
+MIN_CERTAIN_SHARE = 0.7
+# Inliers per unknown that any solution can select, and the factor between the best of many chance solutions and a
+# single one (choice).
+SELECTED_PER_UNKNOWN, CHANCE_FACTOR = 2, 4.0
+# Maximum number of permutations to measure chance, and the number of matches above which one or two suffice (choice).
+MAX_PERMUTATIONS, PERMUTED_MATCHES = 8, 1000
 
 
-def observed(fit: Fit, radius: float) -> Fit:
-    """The fit with its status set to what its information shows: all of it seen, or the scale, or a turn not."""
-    return judged(fit, radius)[0]
+def set_observability_status(fit: Fit, radius: float) -> Fit:
+    """Return the fit with its status set by its observability: OK, or an unobservable scale or rotation."""
+    return classify_observability(fit, radius)[0]
 
 
-def judged(fit: Fit, radius: float) -> tuple[Fit, FloatArray]:
-    """`observed`, and the directions (k, 6) that its status is about."""
+def classify_observability(fit: Fit, radius: float) -> tuple[Fit, FloatArray]:
+    """Return the fit as `set_observability_status` does, and the unobservable directions (k, 6) behind its status."""
     if fit.status not in (Status.OK, Status.NOT_CERTIFIED):
         return fit, np.empty((0, 6))
-    if all_seen(fit.information, fit.information_without_depth, fit.rotation, fit.shift, radius):
+    if is_fully_observable(fit.information, fit.information_without_depth, fit.rotation, fit.translation, radius):
         return fit, np.empty((0, 6))
-    directions = unseen(fit, radius)
+    directions = find_unobservable_motions(fit, radius)
     if len(directions) == 0:
         return fit, directions
-    turn = about_a_turn(directions * ([radius] * 3 + [1.0] * 3))
-    return replace(fit, status=Status.TURN_NOT_OBSERVABLE if turn else Status.SCALE_NOT_OBSERVABLE), directions
+    is_rotation = has_rotation_direction(directions * ([radius] * 3 + [1.0] * 3))
+    return replace(
+        fit, status=Status.ROTATION_NOT_OBSERVABLE if is_rotation else Status.SCALE_NOT_OBSERVABLE
+    ), directions
 
 
 @kernel
-def all_seen(
-    information: FloatArray, without_depth: FloatArray, rotation: FloatArray, shift: FloatArray, radius: float
+def is_fully_observable(
+    information: FloatArray, without_depth: FloatArray, rotation: FloatArray, translation: FloatArray, radius: float
 ) -> bool:
-    """Whether `unseen` finds nothing, as a rule: for a fraction of its time; False where it is to be asked."""
-    turn, scaled, values, vectors = np.empty(3), np.empty((6, 6)), np.empty(6), np.empty((6, 6))
-    rotvec_of(rotation, turn)
-    angle = np.sqrt(turn[0] ** 2 + turn[1] ** 2 + turn[2] ** 2)
-    length = np.sqrt(shift[0] ** 2 + shift[1] ** 2 + shift[2] ** 2)
-    limit = UNSEEN_SHARE * np.hypot(radius * angle, length)
+    """Return whether all directions are clearly observable: a fast sufficient test for `find_unobservable_motions`.
+
+    If it returns False, `find_unobservable_motions` must be evaluated.
+    """
+    rotvec, scaled, values, vectors = np.empty(3), np.empty((6, 6)), np.empty(6), np.empty((6, 6))
+    so3_log(rotation, rotvec)
+    angle = np.sqrt(rotvec[0] ** 2 + rotvec[1] ** 2 + rotvec[2] ** 2)
+    length = np.sqrt(translation[0] ** 2 + translation[1] ** 2 + translation[2] ** 2)
+    limit = UNOBSERVABLE_RATIO * np.hypot(radius * angle, length)
     for i in range(6):
         for j in range(6):
             scaled[i, j] = without_depth[i, j] * limit * limit
@@ -85,124 +91,127 @@ def all_seen(
         return False
     if not length > radius * angle:
         return True
-    # What is known of the turn, whatever the displacement.
+    # Information about the rotation, marginalized over the translation.
     block, coupled, kept = np.empty((3, 3)), np.zeros((3, 4)), np.zeros((3, 4))
     for i in range(3):
         for j in range(3):
             block[i, j], coupled[i, j], kept[i, j] = information[3 + i, 3 + j], information[3 + i, j], information[i, j]
-    if not eliminate(block, coupled, kept):
+    if not eliminate_block(block, coupled, kept):
         return False
     known = 0.0
     for i in range(3):
         for j in range(3):
-            known += turn[i] * kept[i, j] * turn[j]
-    return known > CERTAIN_TURN * (1.0 + 1e-6)
+            known += rotvec[i] * kept[i, j] * rotvec[j]
+    return known > MIN_ROTATION_SQUARE * (1.0 + 1e-6)
 
 
-def unseen(fit: Fit, radius: float) -> FloatArray:
-    """The directions (k, 6) of (w, d) that the matches leave open, whatever is believed of the object's distance.
+def find_unobservable_motions(fit: Fit, radius: float) -> FloatArray:
+    """Find the directions (k, 6) of (w, d) that the matches do not determine.
 
-    A turn moves the object's surface by radius times angle, a displacement by its length: in that measure, rows are
-    orthonormal, and a direction is open when its standard deviation exceeds half of the motion itself
-    (`UNSEEN_SHARE`): even the sign of what it adds is then in doubt. A displacement without a turn has no observable
-    length; a turn that is mere noise must not pretend to one.
+    The prior on the object's distance is not used.
+    A rotation moves the object's surface by radius times angle, a translation by its length. In this metric the rows
+    are orthonormal. A direction is unobservable if its standard deviation exceeds half of the motion itself
+    (`UNOBSERVABLE_RATIO`): even the sign of its contribution is then uncertain. A translation without rotation has no
+    observable length; a rotation within its noise must not suggest one.
     """
     scale = np.array([1.0 / radius] * 3 + [1.0] * 3)
-    turn, length = np.empty(3), float(np.linalg.norm(fit.shift))
-    rotvec_of(fit.rotation, turn)
-    size = np.hypot(radius * np.linalg.norm(turn), length)
-    weak = unseen_directions(fit.information_without_depth, UNSEEN_SHARE * size * scale)
-    if len(weak) == 0 and length > radius * np.linalg.norm(turn):
-        of_turn = np.linalg.inv(covariance_of(fit.information)[:3, :3])
-        if turn @ of_turn @ turn < CERTAIN_TURN:
-            weak = np.concatenate([np.zeros(3), fit.shift / length])[None]
-    return np.asarray(weak * scale)
+    rotvec, length = np.empty(3), float(np.linalg.norm(fit.translation))
+    so3_log(fit.rotation, rotvec)
+    size = np.hypot(radius * np.linalg.norm(rotvec), length)
+    directions = find_unobservable_directions(fit.information_without_depth, UNOBSERVABLE_RATIO * size * scale)
+    if len(directions) == 0 and length > radius * np.linalg.norm(rotvec):
+        rotation_information = np.linalg.inv(invert_information(fit.information)[:3, :3])
+        if rotvec @ rotation_information @ rotvec < MIN_ROTATION_SQUARE:
+            directions = np.concatenate([np.zeros(3), fit.translation / length])[None]
+    return np.asarray(directions * scale)
 
 
-def more_than_chance(inliers: float, by_chance: float, unknowns: int) -> bool:
-    """Whether so many inliers are more than a wrong answer would have.
+def is_more_than_chance(inliers: float, by_chance: float, unknowns: int) -> bool:
+    """Return whether the inliers exceed the number that a wrong solution would have.
 
-    The best of many hypotheses finds more of them than any one has by chance, hence the factor; as many as there are
-    unknowns it can always satisfy, and as many again by choice.
+    The best of many hypotheses has more inliers than any single one by chance, hence the factor. It always satisfies as
+    many matches as there are unknowns, and as many again by selection.
     """
-    return inliers > CHOSEN * unknowns + LUCKY * by_chance
+    return inliers > SELECTED_PER_UNKNOWN * unknowns + CHANCE_FACTOR * by_chance
 
 
-def is_consistent(stack: Stack, usable: BoolArray, found: Reweighted) -> bool:
-    """Whether more matches agree with the fit than would by chance.
+def is_consistent(stack: Stack, usable: BoolArray, fit: IrlsFit) -> bool:
+    """Return whether more matches agree with the fit than would by chance.
 
-    Chance is measured: with the partners exchanged among a camera's matches, those that still agree do so by chance.
+    Chance is measured: after permuting the second points among a camera's matches, any agreement is accidental.
     """
-    weights = found.weights
+    weights = fit.weights
     inliers, total = int((weights > 0).sum()), int(usable.sum())
-    if inliers >= CERTAIN_SHARE * total:
+    if inliers >= MIN_CERTAIN_SHARE * total:
         return True
-    exchanges = min(EXCHANGES, 1 + EXCHANGED // total)
-    by_chance, candidate = 0.0, found.candidate._replace(surface=stack.surface_mean)
-    for k in range(1, exchanges + 1):
+    permutations = min(MAX_PERMUTATIONS, 1 + PERMUTED_MATCHES // total)
+    by_chance, candidate = 0.0, fit.candidate._replace(depth_model=stack.depth_model_mean)
+    for k in range(1, permutations + 1):
         y = stack.y.copy()
         for first, last in zip(stack.offsets, stack.offsets[1:], strict=False):
             index = first + np.flatnonzero(usable[first:last])
-            # By far, since neighbours in the list may be neighbours in the image, or the same match again.
-            y[index] = np.roll(y[index], k * max(1, len(index) // (exchanges + 1)), axis=0)
-        mixed, agree = stack._replace(y=y), np.zeros(len(y))
+            # Shift far: neighbors in the list may be neighbors in the image, or duplicates.
+            y[index] = np.roll(y[index], k * max(1, len(index) // (permutations + 1)), axis=0)
+        permuted, agree = stack._replace(y=y), np.zeros(len(y))
         for t, (first, last) in enumerate(zip(stack.offsets, stack.offsets[1:], strict=False)):
-            # What is set aside, and a match that cannot be exchanged with another, tells nothing.
+            # Skip excluded terms, and terms with too few matches to permute.
             if not (weights[first:last] > 0).any() or usable[first:last].sum() <= k:
                 continue
-            variance, relief = (found.sigma_px[t] / stack.focal[t]) ** 2, stack.relief[t]
-            tolerance = Tolerance(variance, relief, relief, CUTOFF)
-            agree[first:last] = matched(mixed, t, candidate, tolerance, usable, noise=False)[0].weights
-        other = usable & (y != stack.y).any(axis=1)
-        by_chance += float((agree[other] > 0.0).sum()) * total / max(int(other.sum()), 1) / exchanges
-    return more_than_chance(inliers, by_chance, 6)
+            variance, residual_depth = (fit.sigma_px[t] / stack.focal[t]) ** 2, stack.residual_depth[t]
+            tolerance = Tolerance(variance, residual_depth, residual_depth, CUTOFF)
+            agree[first:last] = compute_match_errors(permuted, t, candidate, tolerance, usable, noise=False)[0].weights
+        changed = usable & (y != stack.y).any(axis=1)
+        by_chance += float((agree[changed] > 0.0).sum()) * total / max(int(changed.sum()), 1) / permutations
+    return is_more_than_chance(inliers, by_chance, 6)
 
 
 @kernel
-def stands_still(stack: Stack, found: Reweighted, information: FloatArray) -> bool:
-    """Whether the motion found may be none: it is no further from none than chance takes it, by its own information
-    (Wald's test), and none explains the inliers about as well.
+def is_static(stack: Stack, fit: IrlsFit, information: FloatArray) -> bool:
+    """Return whether the motion may be zero.
 
-    The second asks what the first cannot: a turn that the cameras hardly see has little information and moves the
-    matches all the same. Of a match's two coordinates the fit leaves one; the other, along its epipolar line, is counted as
-    if it were all noise.
+    Two tests must agree. The motion is no further from zero than by chance, given its information (Wald's test), and
+    zero motion explains the inliers about as well. The second test covers weakly observed rotations, which have little
+    information but displace the matches. The fit constrains one of a match's two coordinates; the other, along its
+    epipolar line, is counted as pure noise.
     """
-    motion, far = np.empty(6), 0.0
-    rotvec_of(found.candidate.rotation, motion[:3])
-    motion[3:] = found.candidate.shift
+    motion, wald_square = np.empty(6), 0.0
+    so3_log(fit.candidate.rotation, motion[:3])
+    motion[3:] = fit.candidate.translation
     for i in range(6):
         for j in range(6):
-            far += motion[i] * information[i, j] * motion[j]
-    if far >= CERTAIN_MOTION:
+            wald_square += motion[i] * information[i, j] * motion[j]
+    if wald_square >= MIN_MOTION_SQUARE:
         return False
-    dearer = 0.0
+    likelihood_loss = 0.0
     for t in range(stack.focal.shape[0]):
-        sigma_px = found.sigma_px[t]
+        sigma_px = fit.sigma_px[t]
         for i in range(stack.offsets[t], stack.offsets[t + 1]):
             dx, dy = stack.y[i, 0] - stack.x[i, 0], stack.y[i, 1] - stack.x[i, 1]
-            stood = 0.5 * (dx * dx + dy * dy) * (stack.focal[t] / sigma_px) ** 2
-            if found.weights[i] > 0.0:
-                dearer += found.weights[i] * (stood - (found.across[i] / sigma_px) ** 2 - 1.0)
-    return dearer < CERTAIN_MOTION
+            static_cost = 0.5 * (dx * dx + dy * dy) * (stack.focal[t] / sigma_px) ** 2
+            if fit.weights[i] > 0.0:
+                likelihood_loss += fit.weights[i] * (static_cost - (fit.residuals_px[i] / sigma_px) ** 2 - 1.0)
+    return likelihood_loss < MIN_MOTION_SQUARE
 
 
-def rod_axis(stack: Stack, found: Reweighted) -> FloatArray | None:
-    """(6,) the turn about itself, of points that lie on one line in every camera up to noise; else None.
+def find_rod_axis(stack: Stack, fit: IrlsFit) -> FloatArray | None:
+    """Return (6,) the rotation about itself of points that are collinear in every camera up to noise; else None.
 
-    Noise across the line, with the surface bent to fit it, would pass for structure that shows this turn.
+    Noise across the line, with the depth model bent to fit it, would otherwise appear as structure that determines this
+    rotation.
     """
     normals = np.zeros((3, 3))
-    if not on_lines(stack, found.weights, found.sigma_px, normals):
+    if not is_collinear(stack, fit.weights, fit.sigma_px, normals):
         return None
     return np.concatenate([np.linalg.eigh(normals)[1][:, 0], np.zeros(3)])
 
 
 @kernel
-def on_lines(stack: Stack, weights: FloatArray, sigma_px: FloatArray, normals: FloatArray) -> bool:
-    """Whether all terms' inliers lie on lines in both images; normals (3, 3) becomes the sum of n n' over the planes through
-    the current cameras and those lines.
+def is_collinear(stack: Stack, weights: FloatArray, sigma_px: FloatArray, normals: FloatArray) -> bool:
+    """Return whether all terms' inliers are collinear in both images.
+
+    normals (3, 3) receives the sum of n n' over the planes through the current cameras and those lines.
     """
-    lined, inliers = 0, 0
+    collinear_count, inliers = 0, 0
     for t in range(stack.focal.shape[0]):
         for frame in range(2):
             points = stack.y if frame == 1 else stack.x
@@ -213,10 +222,10 @@ def on_lines(stack: Stack, weights: FloatArray, sigma_px: FloatArray, normals: F
                     mx += points[i, 0]
                     my += points[i, 1]
             inliers += n
-            # Two points always lie on a line.
+            # Two points are always collinear.
             if n < 3:
                 continue
-            lined += n
+            collinear_count += n
             mx, my = mx / n, my / n
             for i in range(stack.offsets[t], stack.offsets[t + 1]):
                 if weights[i] > 0.0:
@@ -227,8 +236,8 @@ def on_lines(stack: Stack, weights: FloatArray, sigma_px: FloatArray, normals: F
             # The smaller eigenvalue of the points' covariance.
             least = 0.5 * (xx + yy) - np.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
             noise, most = (sigma_px[t] / stack.focal[t]) ** 2, xx + yy - least
-            thin = least <= THIN_SIGMAS**2 * noise and most > THIN**2 * least
-            if least > ROD_SIGMAS**2 * noise and not thin:
+            thin = least <= MAX_THIN_SIGMAS**2 * noise and most > MIN_THIN_RATIO**2 * least
+            if least > MAX_ROD_SIGMAS**2 * noise and not thin:
                 return False
             if frame == 1:
                 angle = 0.5 * np.arctan2(2.0 * xy, xx - yy)
@@ -240,4 +249,4 @@ def on_lines(stack: Stack, weights: FloatArray, sigma_px: FloatArray, normals: F
                 for k in range(3):
                     for j in range(3):
                         normals[k, j] += normal[k] * normal[j] / length
-    return lined > inliers // 2
+    return collinear_count > inliers // 2

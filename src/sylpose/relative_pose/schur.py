@@ -1,4 +1,4 @@
-"""Compiled: a term's equations without its surface, and what is believed of surfaces."""
+"""Schur complement of a term's depth model, and the prior on depth models (compiled)."""
 
 from __future__ import annotations
 
@@ -7,117 +7,127 @@ from typing import NamedTuple
 import numpy as np
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.normal_equations import add_turned, eliminate, turn_rows
+from sylpose.geometry.normal_equations import add_rotated, eliminate_block, rotate_rows
 from sylpose.geometry.numba_linalg import kernel, leaf
-from sylpose.relative_pose.match_cost import Equations
-from sylpose.relative_pose.terms import SURFACE, Stack
+from sylpose.relative_pose.match_cost import MatchEquations
+from sylpose.relative_pose.terms import DEPTH_MODEL_SIZE, Stack
 
-__all__ = ["Room", "make_room", "reduce_term", "surface_prior"]
+__all__ = ["SchurWorkspace", "compute_depth_prior", "make_schur_workspace", "reduce_term"]
 
 # Fitting α to noise makes the parallax, and so the motion, look larger than it is. Integrating α out of the likelihood
-# instead takes that back where surfaces are as curved as is believed, and too much of it where they are flatter: this share
-# of it lies between, and is hardly worse than either at its best (measured: docs/benchmarks.md#two-frames).
-INTEGRATED = 0.5
-# The slopes' prior is Cauchy's in two dimensions, Student's with one degree of freedom: 1 + 2 (derived).
-TAIL = 3.0
+# removes this bias if surfaces are as curved as the prior, and overcorrects if they are flatter. This share of the
+# correction is a compromise, hardly worse than either at its best (measured: docs/history/benchmarks.md#two-frames).
+MARGINALIZED_SHARE = 0.5
+# The prior of the slopes is a two-dimensional Cauchy distribution, Student's with one degree of freedom: 1 + 2
+# (derived).
+STUDENT_EXPONENT = 3.0
 
 
-class Room(NamedTuple):
-    """For `reduce_term`, taken once for all terms: block, inverse (6, 6), kept (7, 8)."""
+class SchurWorkspace(NamedTuple):
+    """Work arrays of `reduce_term`, allocated once for all terms: `block`, `inverse` (6, 6), `reduced` (7, 8)."""
 
     block: FloatArray
     inverse: FloatArray
-    kept: FloatArray
+    reduced: FloatArray
 
 
 @kernel
-def make_room() -> Room:
-    """Empty."""
-    return Room(np.empty((SURFACE, SURFACE)), np.empty((SURFACE, SURFACE)), np.empty((7, 8)))
+def make_schur_workspace() -> SchurWorkspace:
+    """Allocate the work arrays."""
+    return SchurWorkspace(
+        np.empty((DEPTH_MODEL_SIZE, DEPTH_MODEL_SIZE)), np.empty((DEPTH_MODEL_SIZE, DEPTH_MODEL_SIZE)), np.empty((7, 8))
+    )
 
 
 @leaf
 def reduce_term(
     stack: Stack,
     t: int,
-    surface: FloatArray,
-    place: float,
+    depth_model: FloatArray,
+    distance_offset: float,
     prior: FloatArray,
-    equations: Equations,
+    equations: MatchEquations,
     total: FloatArray,
     right: FloatArray,
     gain: FloatArray,
-    room: Room,
+    workspace: SchurWorkspace,
 ) -> bool:
-    """Adds term t's equations, its surface eliminated, to total (7, 7) and right (7,), in world axes: of (w, d) and of how
-    far away the object is, z, which moves the mean of α by (stack.place[t], 0, ...) z.
+    """Add term t's equations, its depth model eliminated, to total (7, 7) and right (7,), in world axes.
 
-    gain (6, 8) becomes the surface's answer: α changes by gain[:, 7] - gain[:, :7] (w, d, z).
+    The unknowns are (w, d) and the distance offset z, which adds `stack.distance_gain[t]` z to the first mean of α.
+    gain (6, 8) receives the response of the depth model: α changes by gain[:, 7] - gain[:, :7] (w, d, z).
+
+    Returns:
+        whether the elimination succeeded.
     """
-    block, inverse, kept = room
+    block, inverse, reduced = workspace
     for i in range(7):
         for j in range(8):
-            kept[i, j] = 0.0
-    q, by_place = stack.qy[t], stack.place[t]
-    turn_rows(equations.matrix[SURFACE:], q, gain)
-    add_turned(equations.matrix, q, kept)
-    kept[6, 6] = by_place * by_place * prior[0, 0]
-    for k in range(SURFACE):
-        gain[k, 6] = -by_place * prior[k, 0]
+            reduced[i, j] = 0.0
+    q, distance_gain = stack.qy[t], stack.distance_gain[t]
+    rotate_rows(equations.matrix[DEPTH_MODEL_SIZE:], q, gain)
+    add_rotated(equations.matrix, q, reduced)
+    reduced[6, 6] = distance_gain * distance_gain * prior[0, 0]
+    for k in range(DEPTH_MODEL_SIZE):
+        gain[k, 6] = -distance_gain * prior[k, 0]
         gain[k, 7] = equations.right[6 + k]
-        for j in range(SURFACE):
-            off = surface[j] - stack.surface_mean[t, j] - (by_place * place if j == 0 else 0.0)
-            gain[k, 7] -= prior[k, j] * off
+        for j in range(DEPTH_MODEL_SIZE):
+            deviation = (
+                depth_model[j] - stack.depth_model_mean[t, j] - (distance_gain * distance_offset if j == 0 else 0.0)
+            )
+            gain[k, 7] -= prior[k, j] * deviation
             if k == 0:
-                kept[6, 7] += by_place * prior[0, j] * off
+                reduced[6, 7] += distance_gain * prior[0, j] * deviation
             block[k, j] = equations.matrix[6 + k, 6 + j] + prior[k, j]
-    if not eliminate(block, gain, kept):
+    if not eliminate_block(block, gain, reduced):
         return False
-    # What the data say of α, as a number of unknowns: trace of block^-1 (block - prior).
-    unknowns = float(SURFACE)
-    for c in range(SURFACE):
+    # Number of unknowns in α that the data determine: trace of block^-1 (block - prior).
+    unknowns = float(DEPTH_MODEL_SIZE)
+    for c in range(DEPTH_MODEL_SIZE):
         # Column c of the factor's inverse, times its own products.
-        for i in range(c, SURFACE):
+        for i in range(c, DEPTH_MODEL_SIZE):
             s = 1.0 if i == c else 0.0
             for k in range(c, i):
                 s -= block[i, k] * inverse[k, c]
             inverse[i, c] = s / block[i, i]
-    for i in range(SURFACE):
+    for i in range(DEPTH_MODEL_SIZE):
         for j in range(i + 1):
             s = 0.0
-            for k in range(i, SURFACE):
+            for k in range(i, DEPTH_MODEL_SIZE):
                 s += inverse[k, i] * inverse[k, j]
             unknowns -= (1.0 if i == j else 2.0) * s * prior[i, j]
     # The derivative of log det(block) / 2, from the likelihood with α integrated out.
-    pull = INTEGRATED * unknowns / max(equations.squares[0], 1e-300)
+    correction = MARGINALIZED_SHARE * unknowns / max(equations.parallax_squares[0], 1e-300)
     for i in range(6):
         h, j = i // 3, i % 3
         for a in range(3):
-            right[i] += q[a, j] * (equations.right[3 * h + a] - pull * equations.stretch[3 * h + a])
+            right[i] += q[a, j] * (equations.right[3 * h + a] - correction * equations.parallax_gradient[3 * h + a])
     for i in range(7):
-        right[i] += kept[i, 7]
+        right[i] += reduced[i, 7]
         for j in range(7):
-            total[i, j] += kept[i, j]
+            total[i, j] += reduced[i, j]
     return True
 
 
 @leaf
-def surface_prior(stack: Stack, t: int, surface: FloatArray, place: float, prior: FloatArray) -> float:
-    """prior (6, 6): information about α; returns what α's departure from its mean costs, the object being at `place`.
+def compute_depth_prior(
+    stack: Stack, t: int, depth_model: FloatArray, distance_offset: float, prior: FloatArray
+) -> float:
+    """Set prior (6, 6), the prior information of α, and return the prior cost.
 
-    Slopes are heavy-tailed (a Cauchy distribution in two dimensions): a plane may be seen at a grazing angle.
+    Slopes have heavy tails (a Cauchy distribution in two dimensions): a plane may be seen at a grazing angle.
     """
-    steep, cost, mean, information = 0.0, 0.0, stack.surface_mean[t], stack.surface_information[t]
-    moved = stack.place[t] * place
-    for k in range(SURFACE):
-        part, off = 0.0, surface[k] - mean[k] - (moved if k == 0 else 0.0)
-        for j in range(SURFACE):
+    slope_square, cost, mean, information = 0.0, 0.0, stack.depth_model_mean[t], stack.depth_model_information[t]
+    mean_offset = stack.distance_gain[t] * distance_offset
+    for k in range(DEPTH_MODEL_SIZE):
+        part, deviation = 0.0, depth_model[k] - mean[k] - (mean_offset if k == 0 else 0.0)
+        for j in range(DEPTH_MODEL_SIZE):
             prior[k, j] = information[k, j]
-            part += prior[k, j] * (surface[j] - mean[j] - (moved if j == 0 else 0.0))
+            part += prior[k, j] * (depth_model[j] - mean[j] - (mean_offset if j == 0 else 0.0))
         if k == 1 or k == 2:
-            steep += part * off
+            slope_square += part * deviation
         else:
-            cost += 0.5 * part * off
+            cost += 0.5 * part * deviation
     for k in range(1, 3):
-        prior[k, k] *= TAIL / (1.0 + steep)
-    return float(cost + 0.5 * TAIL * np.log(1.0 + steep))
+        prior[k, k] *= STUDENT_EXPONENT / (1.0 + slope_square)
+    return float(cost + 0.5 * STUDENT_EXPONENT * np.log(1.0 + slope_square))

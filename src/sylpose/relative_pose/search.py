@@ -1,8 +1,9 @@
-"""The minima of the cost of `moments_cost`: where `descent` comes to from several starts.
+"""Multi-start search for the minima of `moments_cost`.
 
-The plane part of the cost has no trap at the identity, so that is where the search starts. Few cameras, small turns and
-bodies that are seen through leave mirrored minima (each camera alone always has one: the turn's part across its axis
-reversed, near and far exchanged), so the mirror images of what was found are tried as well, and the likeliest wins.
+The planar part of the cost has no local minimum near the identity, so the search starts there. Few cameras, small
+rotations and transparent bodies cause mirrored minima. Each camera alone always has one: the rotation component across
+its axis reversed, near and far exchanged. Mirror images of the first minimum are therefore tried as well, and the
+likeliest wins.
 """
 
 from __future__ import annotations
@@ -12,145 +13,191 @@ from typing import NamedTuple
 import numpy as np
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.numba_linalg import kernel, leaf, rotation_of, rotvec_of
-from sylpose.relative_pose.affine_initialization import FEW, affine_turns
-from sylpose.relative_pose.levenberg_marquardt import DAMPING, descend, likelihood, make_room
-from sylpose.relative_pose.moments_cost import Sums
-from sylpose.relative_pose.terms import Candidate, Guesses, Stack
+from sylpose.geometry.numba_linalg import kernel, leaf, so3_exp, so3_log
+from sylpose.relative_pose.affine_initialization import N_AFFINE_TERMS, estimate_affine_rotations
+from sylpose.relative_pose.levenberg_marquardt import (
+    INITIAL_DAMPING,
+    descend,
+    evaluate_log_likelihood,
+    make_descent_workspace,
+)
+from sylpose.relative_pose.moments_cost import MomentSums
+from sylpose.relative_pose.terms import Candidate, InitialMotions, Stack
 
-__all__ = ["Minima", "no_minima", "search", "search_all"]
+__all__ = ["Minima", "find_minima", "make_minima", "search_minima"]
 
 
-# Iterations after which a start is looked at, and how far its log-likelihood may then be behind the best. Earlier looks lose
-# true motions (measured: creeps in benchmarks/kinds.py, 48 degrees off) (choice).
-CHECKED, HOPELESS = 3, 300.0
-# A start that has come to a minimum, and is no less likely by more than this, is that minimum (choice).
-AS_LIKELY = 60.0
-# Steps of the plane part alone, at first and from a mirror image, and what the last may promise; the same of the whole
-# cost (choice).
-PLANE_STEPS, MIRROR_STEPS, PLANE_SETTLED = 12, 3, 1.0
-STEPS, SETTLED = 20, 1e-2
-# Mirror images that are tried, at most, beside the turn reversed (choice).
-MIRRORS = 4
-# Cameras whose optical axes, or opposite ones, are nearer than this cosine see the same mirror image (choice).
-SAME_AXIS = 0.97
-# Two minima are one where the squared distance of their rotation matrices, and that of their shifts relative to their
-# length, are less: a few thousandths of a radian, some hundredths of the shift (choice).
-SAME_TURN, SAME_SHIFT = 2e-5, 1e-3
+# Iterations after which a start is checked, and how far its log-likelihood may then be behind the best. Earlier checks
+# lose true motions (measured: creeps in benchmarks/kinds.py, 48 degrees off) (choice).
+CHECK_ITERATIONS, MAX_LIKELIHOOD_GAP = 3, 300.0
+# A start near a known minimum whose log-likelihood is at most this much lower converges to that minimum (choice).
+SAME_MINIMUM_GAP = 60.0
+# Steps of the planar part alone, at first and from a mirror image, and the predicted decrease at convergence; the same
+# for the full cost (choice).
+PLANE_STEPS, MIRROR_STEPS, PLANE_TOLERANCE = 12, 3, 1.0
+MAX_STEPS, TOLERANCE = 20, 1e-2
+# Maximum number of mirror images, in addition to the reversed rotation (choice).
+MAX_MIRRORS = 4
+# Cameras whose optical axes, up to sign, have a larger cosine share the same mirror image (choice).
+SAME_AXIS_COSINE = 0.97
+# Two minima are the same if the squared distance of their rotation matrices, and that of their translations relative to
+# the squared length, are below these: a few thousandths of a radian, some hundredths of the translation (choice).
+SAME_ROTATION, SAME_TRANSLATION = 2e-5, 1e-3
 
 
 class Minima(NamedTuple):
-    """The K likeliest minima, best first: rotations (K, 3, 3), shifts (K, 3), surfaces (K, T, 3), likelihoods (K,)."""
+    """The K likeliest minima, best first.
+
+    Attributes:
+        rotations: (K, 3, 3).
+        translations: (K, 3).
+        depth_models: (K, T, 3) planar depth models.
+        likelihoods: (K,) log-likelihoods, -inf for unused entries.
+    """
 
     rotations: FloatArray
-    shifts: FloatArray
-    surfaces: FloatArray
+    translations: FloatArray
+    depth_models: FloatArray
     likelihoods: FloatArray
 
 
 @kernel
-def no_minima(keep: int, terms: int) -> Minima:
-    """Of so many terms, to be filled."""
-    return Minima(np.zeros((keep, 3, 3)), np.zeros((keep, 3)), np.zeros((keep, terms, 3)), np.full(keep, -np.inf))
+def make_minima(max_minima: int, terms: int) -> Minima:
+    """Allocate `max_minima` minima for the given number of terms."""
+    return Minima(
+        np.zeros((max_minima, 3, 3)),
+        np.zeros((max_minima, 3)),
+        np.zeros((max_minima, terms, 3)),
+        np.full(max_minima, -np.inf),
+    )
 
 
 @kernel
-def search(stack: Stack, sums: Sums, guesses: Guesses, minima: Minima) -> int:
-    """Minima from the identity, from its minimum's mirror images and from guesses.
+def search_minima(stack: Stack, sums: MomentSums, guesses: InitialMotions, minima: Minima) -> int:
+    """Find minima from the identity, from the mirror images of its minimum and from initial motions.
 
     Args:
-        minima: filled with the likeliest, best first; their likelihood is -inf where there are no more.
+        minima: receives the likeliest, best first; unused entries have a likelihood of -inf.
 
     Returns:
         number of iterations.
     """
     n, n_guesses = stack.focal.shape[0], guesses.rotations.shape[0]
-    candidate, room = Candidate(np.eye(3), np.zeros(3), np.empty((n, 3))), make_room(n)
+    candidate, workspace = Candidate(np.eye(3), np.zeros(3), np.empty((n, 3))), make_descent_workspace(n)
     minima.likelihoods[:] = -np.inf
-    axes = np.zeros((MIRRORS + 1, 3))
-    n_mirrors = _mirror_axes(stack, axes)
-    affine = np.zeros((2**FEW, 3))
-    n_affine = affine_turns(stack, sums, affine)
-    turn, mirrored, base_shift, base_surface = np.zeros(3), np.empty(3), np.zeros(3), np.zeros((n, 3))
+    axes = np.zeros((MAX_MIRRORS + 1, 3))
+    n_mirrors = _find_mirror_axes(stack, axes)
+    affine_rotvecs = np.zeros((2**N_AFFINE_TERMS, 3))
+    n_affine = estimate_affine_rotations(stack, sums, affine_rotvecs)
+    rotvec, mirrored_rotvec, first_translation, first_depth_model = (
+        np.zeros(3),
+        np.empty(3),
+        np.zeros(3),
+        np.zeros((n, 3)),
+    )
     count = 0
-    # Each mirror image twice: with near and far exchanged, and after a fresh look at it as a plane.
+    # Try each mirror image twice: with near and far exchanged, and after steps with the planar part alone.
     for start in range(1 + 2 * n_mirrors + n_guesses + n_affine):
         mirror, guess = (start - 1) // 2, start - 1 - 2 * n_mirrors
-        candidate.surface[:] = stack.plane_mean
+        candidate.depth_model[:] = stack.plane_mean
         if start == 0:
-            done, _, _ = descend(stack, sums, True, True, PLANE_STEPS, PLANE_SETTLED, candidate, DAMPING, room)
+            done, _, _ = descend(
+                stack, sums, True, True, PLANE_STEPS, PLANE_TOLERANCE, candidate, INITIAL_DAMPING, workspace
+            )
             count += done
         elif guess < 0:
             axis = axes[mirror]
-            along = 2.0 * (turn[0] * axis[0] + turn[1] * axis[1] + turn[2] * axis[2])
+            along = 2.0 * (rotvec[0] * axis[0] + rotvec[1] * axis[1] + rotvec[2] * axis[2])
             for i in range(3):
-                mirrored[i] = along * axis[i] - turn[i]
-            rotation_of(mirrored, candidate.rotation)
-            candidate.shift[:] = base_shift
+                mirrored_rotvec[i] = along * axis[i] - rotvec[i]
+            so3_exp(mirrored_rotvec, candidate.rotation)
+            candidate.translation[:] = first_translation
             if start % 2 == 1:
                 for t in range(n):
                     for j in range(1, 3):
-                        candidate.surface[t, j] = -base_surface[t, j]
+                        candidate.depth_model[t, j] = -first_depth_model[t, j]
             else:
-                done, _, _ = descend(stack, sums, True, True, MIRROR_STEPS, PLANE_SETTLED, candidate, DAMPING, room)
+                done, _, _ = descend(
+                    stack, sums, True, True, MIRROR_STEPS, PLANE_TOLERANCE, candidate, INITIAL_DAMPING, workspace
+                )
                 count += done
         elif guess < n_guesses:
-            candidate.rotation[:], candidate.shift[:] = guesses.rotations[guess], guesses.shifts[guess]
+            candidate.rotation[:], candidate.translation[:] = guesses.rotations[guess], guesses.translations[guess]
         else:
-            rotation_of(affine[guess - n_guesses], candidate.rotation)
-            candidate.shift[:] = base_shift
-            done, _, _ = descend(stack, sums, True, True, MIRROR_STEPS, PLANE_SETTLED, candidate, DAMPING, room)
+            so3_exp(affine_rotvecs[guess - n_guesses], candidate.rotation)
+            candidate.translation[:] = first_translation
+            done, _, _ = descend(
+                stack, sums, True, True, MIRROR_STEPS, PLANE_TOLERANCE, candidate, INITIAL_DAMPING, workspace
+            )
             count += done
-        promise, damping, value = np.inf, DAMPING, -np.inf
-        near = _known(candidate, minima)
-        dropped = near >= 0 and likelihood(stack, sums, candidate, room) > minima.likelihoods[near] - AS_LIKELY
-        for k in range(CHECKED):
-            if dropped or promise < SETTLED:
+        decrease, damping, value = np.inf, INITIAL_DAMPING, -np.inf
+        nearest = _find_same_minimum(candidate, minima)
+        dropped = (
+            nearest >= 0
+            and evaluate_log_likelihood(stack, sums, candidate, workspace)
+            > minima.likelihoods[nearest] - SAME_MINIMUM_GAP
+        )
+        for k in range(CHECK_ITERATIONS):
+            if dropped or decrease < TOLERANCE:
                 break
-            done, promise, damping = descend(stack, sums, True, False, 1, SETTLED, candidate, damping, room)
+            done, decrease, damping = descend(stack, sums, True, False, 1, TOLERANCE, candidate, damping, workspace)
             count += done
-            value = likelihood(stack, sums, candidate, room)
-            # On the way to a minimum that is known, or to nowhere: not worth the rest of the way.
-            near = _known(candidate, minima)
-            dropped = k == CHECKED - 1 and value < minima.likelihoods[0] - HOPELESS
-            dropped = dropped or (near >= 0 and value > minima.likelihoods[near] - AS_LIKELY)
+            value = evaluate_log_likelihood(stack, sums, candidate, workspace)
+            # Stop a start that approaches a known minimum or is far behind the best.
+            nearest = _find_same_minimum(candidate, minima)
+            dropped = k == CHECK_ITERATIONS - 1 and value < minima.likelihoods[0] - MAX_LIKELIHOOD_GAP
+            dropped = dropped or (nearest >= 0 and value > minima.likelihoods[nearest] - SAME_MINIMUM_GAP)
         if dropped:
             continue
-        if promise >= SETTLED:
-            done, _, _ = descend(stack, sums, True, False, STEPS, SETTLED, candidate, damping, room)
+        if decrease >= TOLERANCE:
+            done, _, _ = descend(stack, sums, True, False, MAX_STEPS, TOLERANCE, candidate, damping, workspace)
             count += done
-            value = likelihood(stack, sums, candidate, room)
+            value = evaluate_log_likelihood(stack, sums, candidate, workspace)
         if start == 0:
-            rotvec_of(candidate.rotation, turn)
-            base_shift[:] = candidate.shift
-            base_surface[:] = candidate.surface
+            so3_log(candidate.rotation, rotvec)
+            first_translation[:] = candidate.translation
+            first_depth_model[:] = candidate.depth_model
         if np.isfinite(value):
-            _keep(candidate, value, minima)
+            _insert_minimum(candidate, value, minima)
     return count
 
 
-def search_all(stack: Stack, sums: Sums, guesses: Guesses, keep: int) -> tuple[list[Candidate], FloatArray, int]:
-    """`search`: the minima found, `keep` at most, best first; their log-likelihoods; number of iterations."""
-    minima = no_minima(keep, len(stack.focal))
-    count = search(stack, sums, guesses, minima)
-    found = [Candidate(*parts) for parts in zip(minima.rotations, minima.shifts, minima.surfaces, strict=True)]
+def find_minima(
+    stack: Stack, sums: MomentSums, guesses: InitialMotions, max_minima: int
+) -> tuple[list[Candidate], FloatArray, int]:
+    """Run `search_minima` with newly allocated arrays.
+
+    Returns:
+        the minima, at most `max_minima`, best first; their log-likelihoods; number of iterations.
+    """
+    minima = make_minima(max_minima, len(stack.focal))
+    count = search_minima(stack, sums, guesses, minima)
+    candidates = [
+        Candidate(*parts) for parts in zip(minima.rotations, minima.translations, minima.depth_models, strict=True)
+    ]
     n = int(np.count_nonzero(minima.likelihoods > -np.inf))
-    return found[:n], minima.likelihoods[:n], count
+    return candidates[:n], minima.likelihoods[:n], count
 
 
 @kernel
-def _mirror_axes(stack: Stack, axes: FloatArray) -> int:
-    """axes become the cameras' optical axes, those that differ and `MIRRORS` at most, and one of zero: the turn reversed."""
+def _find_mirror_axes(stack: Stack, axes: FloatArray) -> int:
+    """Set axes to the distinct optical axes of the cameras, at most `MAX_MIRRORS`.
+
+    A zero row for the reversed rotation is appended.
+
+    Returns:
+        number of axes.
+    """
     n, count = stack.focal.shape[0], 0
-    stride = max(1, n // MIRRORS)
+    stride = max(1, n // MAX_MIRRORS)
     for t in range(0, n, stride):
-        fresh = count < MIRRORS
+        is_new = count < MAX_MIRRORS
         for k in range(count):
             dot = 0.0
             for i in range(3):
                 dot += axes[k, i] * stack.qx[t, 2, i]
-            fresh = fresh and abs(dot) < SAME_AXIS
-        if fresh:
+            is_new = is_new and abs(dot) < SAME_AXIS_COSINE
+        if is_new:
             axes[count] = stack.qx[t, 2]
             count += 1
     axes[count] = 0.0
@@ -158,12 +205,14 @@ def _mirror_axes(stack: Stack, axes: FloatArray) -> int:
 
 
 @kernel
-def _keep(candidate: Candidate, value: float, minima: Minima) -> None:
-    """Inserts a minimum into the list of the likeliest, unless it is there."""
-    rotations, shifts, surfaces, likelihoods = minima
+def _insert_minimum(candidate: Candidate, value: float, minima: Minima) -> None:
+    """Insert a minimum into the sorted list unless it is a duplicate."""
+    rotations, translations, depth_models, likelihoods = minima
     last = likelihoods.shape[0] - 1
     for k in range(last + 1):
-        if likelihoods[k] > -np.inf and _same(rotations[k], shifts[k], candidate.rotation, candidate.shift):
+        if likelihoods[k] > -np.inf and _is_same_motion(
+            rotations[k], translations[k], candidate.rotation, candidate.translation
+        ):
             if value <= likelihoods[k]:
                 return
             last = k
@@ -172,31 +221,31 @@ def _keep(candidate: Candidate, value: float, minima: Minima) -> None:
         return
     k = last
     while k > 0 and value > likelihoods[k - 1]:
-        rotations[k], shifts[k], surfaces[k] = rotations[k - 1], shifts[k - 1], surfaces[k - 1]
+        rotations[k], translations[k], depth_models[k] = rotations[k - 1], translations[k - 1], depth_models[k - 1]
         likelihoods[k] = likelihoods[k - 1]
         k -= 1
-    rotations[k], shifts[k], surfaces[k] = candidate.rotation, candidate.shift, candidate.surface
+    rotations[k], translations[k], depth_models[k] = candidate.rotation, candidate.translation, candidate.depth_model
     likelihoods[k] = value
 
 
 @leaf
-def _known(candidate: Candidate, minima: Minima) -> int:
-    """Which minimum in the list a candidate is; -1 where none."""
+def _find_same_minimum(candidate: Candidate, minima: Minima) -> int:
+    """Return the index of the minimum that equals a candidate, or -1."""
     for k in range(minima.likelihoods.shape[0]):
-        if minima.likelihoods[k] > -np.inf and _same(
-            minima.rotations[k], minima.shifts[k], candidate.rotation, candidate.shift
+        if minima.likelihoods[k] > -np.inf and _is_same_motion(
+            minima.rotations[k], minima.translations[k], candidate.rotation, candidate.translation
         ):
             return k
     return -1
 
 
 @leaf
-def _same(r1: FloatArray, d1: FloatArray, r2: FloatArray, d2: FloatArray) -> bool:
-    """Whether two minima are one."""
+def _is_same_motion(r1: FloatArray, d1: FloatArray, r2: FloatArray, d2: FloatArray) -> bool:
+    """Return whether two minima are the same motion."""
     gap = 0.0
     for i in range(3):
         for j in range(3):
             gap += (r1[i, j] - r2[i, j]) ** 2
-    apart = (d1[0] - d2[0]) ** 2 + (d1[1] - d2[1]) ** 2 + (d1[2] - d2[2]) ** 2
+    distance = (d1[0] - d2[0]) ** 2 + (d1[1] - d2[1]) ** 2 + (d1[2] - d2[2]) ** 2
     length = d1[0] ** 2 + d1[1] ** 2 + d1[2] ** 2
-    return gap < SAME_TURN and apart < SAME_SHIFT * length + 1e-300
+    return gap < SAME_ROTATION and distance < SAME_TRANSLATION * length + 1e-300

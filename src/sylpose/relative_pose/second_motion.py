@@ -1,8 +1,9 @@
-"""A second body among the matches that the first one's motion leaves over: the larger is given, the other's share is said.
+"""Detection of a second moving body among the outliers of a fit: selects the larger body and reports the ratio.
 
-What is left over by the robust fit is mismatches, which go anywhere, or another body, whose neighbours go alike. Where they
-do, a motion is fitted to what is left over, and each motion again to all that the other has not taken. The one that more
-matches agree with is the object's; where they are nearly as many, nobody can know.
+The outliers of the robust fit are mismatches, with arbitrary displacements, or another body, whose neighbors move
+alike. In the second case a motion is fitted to the outliers, and each motion again to all matches that are not
+inliers of the other. The motion with more matches is taken as the object's. If both have nearly as many, the result is
+ambiguous.
 """
 
 from __future__ import annotations
@@ -14,150 +15,163 @@ from typing import NamedTuple
 import numpy as np
 
 from sylpose.geometry.arrays import BoolArray, FloatArray
-from sylpose.geometry.numba_linalg import kernel, median_of
-from sylpose.matches import STILL_PX
-from sylpose.relative_pose.fit import MIN_MATCHES, Solve, Solved
-from sylpose.relative_pose.leave_one_out import solved_part
-from sylpose.relative_pose.solver import fit_apart
+from sylpose.geometry.numba_linalg import compute_median, kernel
+from sylpose.matches import STATIC_PX
+from sylpose.relative_pose.fit import MIN_MATCHES, Solution, TermSolver
+from sylpose.relative_pose.leave_one_out import solve_subset
+from sylpose.relative_pose.solver import fit_two_motions
 from sylpose.relative_pose.terms import TermData
 from sylpose.results import Status
 
-__all__ = ["Bodies", "larger_body"]
+__all__ = ["LargerBody", "select_larger_body"]
 
-# What is left over is looked at where it is more than this share of the inliers, in two cameras at least; a body is more
-# than the second (choice).
-LEFT_OVER, A_BODY = 0.1, 0.25
-# Neighbours go alike where their displacements differ by less than this share of what those of any two matches do, in the
-# median: mismatches come to 1, give or take 0.2 (choice).
-ALIKE = 0.5
-# So many matches of a camera are compared, at most (choice).
-COMPARED = 100
-# Where the first is left with the same matches but for this share of them, the second has what it had (choice).
-SAME = 0.05
-# A camera sees both where each has so large a share of its matches (choice).
-OF_BOTH = 0.1
-# Of two bodies, one with more than this share of the other's matches might be the object as well (choice).
-AS_LARGE = 0.8
+# Outliers are examined if they are more than this share of the inliers, in at least two cameras; a second body has more
+# than the second share (choice).
+MIN_OUTLIER_RATIO, MIN_BODY_RATIO = 0.1, 0.25
+# Neighbors move alike if their displacements differ by less than this share of the difference between any two matches,
+# in the median: mismatches have about 1 ± 0.2 (choice).
+MAX_NEIGHBOR_RATIO = 0.5
+# Maximum number of matches compared per camera (choice).
+MAX_COMPARED = 100
+# If the first motion keeps its matches except for this share, the second keeps its own (choice).
+SAME_INLIERS_SHARE = 0.05
+# A camera sees both bodies if each has at least this share of its matches (choice).
+MIN_SHARED_RATIO = 0.1
+# A body with more than this share of the other's matches might be the object as well (choice).
+AMBIGUOUS_RATIO = 0.8
 
 
-class Bodies(NamedTuple):
-    """The larger of two bodies' motions.
+class LargerBody(NamedTuple):
+    """Motion of the larger of two bodies.
 
     Attributes:
-        solved: its solution.
-        share: the other's inliers over its own; 0 where there is no other.
+        solution: its solution.
+        second_body_ratio: the other's inliers over its own; 0 without another body.
     """
 
-    solved: Solved
-    share: float
+    solution: Solution
+    second_body_ratio: float
 
 
-def larger_body(data: Sequence[TermData], solved: Solved, solve: Solve, least_px: float = 0.0) -> Bodies:
-    """The solution, or that of a larger body that it left over.
+def select_larger_body(
+    data: Sequence[TermData], solution: Solution, solve: TermSolver, min_sigma_px: float = 0.0
+) -> LargerBody:
+    """Return the solution, or that of a larger body among its outliers.
 
     Args:
         data: the terms of the solution, all in one reference frame.
-        solve: solves a part of them.
-        least_px: noise that is believed at least, pixels.
+        solution: the solution.
+        solve: solver for a subset of the terms.
+        min_sigma_px: lower bound of the noise, pixels.
     """
-    inliers = [w > 0 for w in solved.fit.weights]
-    if sum(len(t) for t in data) < (1.0 + LEFT_OVER) * _count(inliers):
-        return Bodies(solved, 0.0)
-    left = [_left_over(t.x, t.y, STILL_PX / t.focal, w) for t, w in zip(data, solved.fit.weights, strict=True)]
-    # A camera all of whose matches are left over is at fault, and sees no second body.
-    for mask, inlier in zip(left, inliers, strict=True):
+    inliers = [w > 0 for w in solution.fit.weights]
+    if sum(len(t) for t in data) < (1.0 + MIN_OUTLIER_RATIO) * _count_true(inliers):
+        return LargerBody(solution, 0.0)
+    outliers = [
+        _find_moving_outliers(t.x, t.y, STATIC_PX / t.focal, w) for t, w in zip(data, solution.fit.weights, strict=True)
+    ]
+    # A camera whose matches are all outliers is faulty and no evidence of a second body.
+    for mask, inlier in zip(outliers, inliers, strict=True):
         if inlier.sum() < MIN_MATCHES or mask.sum() < MIN_MATCHES:
             mask[:] = False
-    if sum(bool(m.any()) for m in left) < min(2, len(data)) or _count(left) < LEFT_OVER * _count(inliers):
-        return Bodies(solved, 0.0)
-    if not _go_alike(data, left):
-        return Bodies(solved, 0.0)
-    second = solved_part(data, left, solve)
-    if not _is_body(second, solved):
-        return Bodies(solved, 0.0)
+    if sum(bool(m.any()) for m in outliers) < min(2, len(data)) or _count_true(
+        outliers
+    ) < MIN_OUTLIER_RATIO * _count_true(inliers):
+        return LargerBody(solution, 0.0)
+    if not _is_coherent(data, outliers):
+        return LargerBody(solution, 0.0)
+    second = solve_subset(data, outliers, solve)
+    if not _is_body(second, solution):
+        return LargerBody(solution, 0.0)
     assert second is not None
-    # What each has taken by mistake, the other may have now.
-    first = solved_part(data, [~(w > 0) for w in second.fit.weights], solve)
+    # Reassign matches that are inliers of the other fit by mistake.
+    first = solve_subset(data, [~(w > 0) for w in second.fit.weights], solve)
     if first is None or first.fit.status is Status.NO_MOTION:
-        return Bodies(solved, 0.0)
-    taken = [w > 0 for w in first.fit.weights]
-    if _count([a != b for a, b in zip(taken, inliers, strict=True)]) > SAME * _count(inliers):
-        again = solved_part(data, [~m for m in taken], solve)
-        second = again if again is not None and again.fit.status is not Status.NO_MOTION else second
-    counts = [_count([w > 0 for w in s.fit.weights]) for s in (first, second)]
+        return LargerBody(solution, 0.0)
+    first_inliers = [w > 0 for w in first.fit.weights]
+    if _count_true([a != b for a, b in zip(first_inliers, inliers, strict=True)]) > SAME_INLIERS_SHARE * _count_true(
+        inliers
+    ):
+        refit = solve_subset(data, [~m for m in first_inliers], solve)
+        second = refit if refit is not None and refit.fit.status is not Status.NO_MOTION else second
+    counts = [_count_true([w > 0 for w in s.fit.weights]) for s in (first, second)]
     larger, smaller = (first, second) if counts[0] >= counts[1] else (second, first)
-    # About the same centre: both were solved for a place of their own.
-    shift = smaller.fit.shift + (smaller.fit.rotation - np.eye(3)) @ (larger.center - smaller.center)
-    other = replace(smaller.fit, shift=shift)
-    between = fit_apart(data, larger.center, larger.radius, larger.fit, other, least_px)
+    # Both were solved about their own centers: express them about the same one.
+    translation = smaller.fit.translation + (smaller.fit.rotation - np.eye(3)) @ (larger.center - smaller.center)
+    other = replace(smaller.fit, translation=translation)
+    mixture = fit_two_motions(data, larger.center, larger.radius, larger.fit, other, min_sigma_px)
     share = min(counts) / max(counts)
-    if between is not None and between[0].status is Status.OK and not between[0].mixed:
-        larger, having = larger._replace(fit=between[0]), between[1]
-        share = float(having[1].sum() / having[0].sum())
-        # What is at fault with a camera it has of all matches.
-        body = int((having.min(axis=0) > OF_BOTH * having.sum(axis=0)).sum()) >= min(2, len(data))
+    if mixture is not None and mixture[0].status is Status.OK and not mixture[0].is_mixed:
+        larger, probabilities = larger._replace(fit=mixture[0]), mixture[1]
+        share = float(probabilities[1].sum() / probabilities[0].sum())
+        # A faulty camera has most of its matches on one side; a second body must share those of at least two cameras.
+        has_second_body = int((probabilities.min(axis=0) > MIN_SHARED_RATIO * probabilities.sum(axis=0)).sum()) >= min(
+            2, len(data)
+        )
     else:
-        body = _count(left) > A_BODY * _count(inliers)
-    if not body or share < A_BODY:
-        return Bodies(solved, 0.0)
-    if share > AS_LARGE:
-        larger = larger._replace(fit=replace(larger.fit, other=(smaller.fit.rotation, shift)))
-    return Bodies(larger, share)
+        has_second_body = _count_true(outliers) > MIN_BODY_RATIO * _count_true(inliers)
+    if not has_second_body or share < MIN_BODY_RATIO:
+        return LargerBody(solution, 0.0)
+    if share > AMBIGUOUS_RATIO:
+        larger = larger._replace(fit=replace(larger.fit, alternative=(smaller.fit.rotation, translation)))
+    return LargerBody(larger, share)
 
 
-def _is_body(second: Solved | None, first: Solved) -> bool:
-    """Whether what was left over has a motion, of enough of the first one's number of matches."""
+def _is_body(second: Solution | None, first: Solution) -> bool:
+    """Return whether the second solution has a motion and enough matches relative to the first."""
     if second is None or second.fit.status is Status.NO_MOTION:
         return False
-    counts = [_count([w > 0 for w in s.fit.weights]) for s in (first, second)]
-    return counts[1] > LEFT_OVER * counts[0]
+    counts = [_count_true([w > 0 for w in s.fit.weights]) for s in (first, second)]
+    return counts[1] > MIN_OUTLIER_RATIO * counts[0]
 
 
-def _go_alike(data: Sequence[TermData], left: Sequence[BoolArray]) -> bool:
-    """Whether neighbours among the matches that are left over are displaced alike."""
+def _is_coherent(data: Sequence[TermData], outliers: Sequence[BoolArray]) -> bool:
+    """Return whether neighboring outliers have similar displacements."""
     compared = []
-    for term, mask in zip(data, left, strict=True):
+    for term, mask in zip(data, outliers, strict=True):
         if mask.any():
-            compared.append(term.focal * _displaced(term.x, term.y, mask))
+            compared.append(term.focal * _compare_displacements(term.x, term.y, mask))
     near, far, moved = np.median(np.concatenate(compared), axis=0).tolist()
-    # Of a body that shifts, any two go alike.
-    return bool(near < ALIKE * max(np.sqrt(2.0) * far, 0.5 * moved))
+    # Under a pure translation any two matches move alike.
+    return bool(near < MAX_NEIGHBOR_RATIO * max(np.sqrt(2.0) * far, 0.5 * moved))
 
 
 @kernel
-def _left_over(x: FloatArray, y: FloatArray, still: float, weights: FloatArray) -> BoolArray:
-    """(n,) matches without weight that do not stand still."""
+def _find_moving_outliers(x: FloatArray, y: FloatArray, max_static: float, weights: FloatArray) -> BoolArray:
+    """Return (n,) moving matches without weight."""
     out = np.empty(len(x), np.bool_)
     for i in range(len(x)):
-        out[i] = not weights[i] > 0.0 and np.hypot(y[i, 0] - x[i, 0], y[i, 1] - x[i, 1]) > still
+        out[i] = not weights[i] > 0.0 and np.hypot(y[i, 0] - x[i, 0], y[i, 1] - x[i, 1]) > max_static
     return out
 
 
 @kernel
-def _displaced(x: FloatArray, y: FloatArray, mask: BoolArray) -> FloatArray:
-    """(m, 3) how far some of the masked matches are displaced otherwise than the nearest of them, than the median of them,
-    and than nothing."""
-    some = np.flatnonzero(mask)
-    some = some[:: 1 + len(some) // COMPARED]
-    n = len(some)
-    out, middle, by = np.empty((n, 3)), np.empty(2), np.empty((n, 2))
+def _compare_displacements(x: FloatArray, y: FloatArray, mask: BoolArray) -> FloatArray:
+    """Return (m, 3) differences of displacements: to the nearest masked match, to the median, and to zero."""
+    picks = np.flatnonzero(mask)
+    picks = picks[:: 1 + len(picks) // MAX_COMPARED]
+    n = len(picks)
+    out, medians, displacements = np.empty((n, 3)), np.empty(2), np.empty((n, 2))
     column = np.empty(n)
     for a in range(2):
         for i in range(n):
-            by[i, a] = y[some[i], a] - x[some[i], a]
-            column[i] = by[i, a]
-        middle[a] = median_of(column)
+            displacements[i, a] = y[picks[i], a] - x[picks[i], a]
+            column[i] = displacements[i, a]
+        medians[a] = compute_median(column)
     for i in range(n):
-        least, nearest = np.inf, i
+        min_square, nearest = np.inf, i
         for j in range(n):
-            square = (x[some[i], 0] - x[some[j], 0]) ** 2 + (x[some[i], 1] - x[some[j], 1]) ** 2
-            if j != i and square < least:
-                least, nearest = square, j
-        out[i, 0] = np.sqrt((by[i, 0] - by[nearest, 0]) ** 2 + (by[i, 1] - by[nearest, 1]) ** 2)
-        out[i, 1] = np.sqrt((by[i, 0] - middle[0]) ** 2 + (by[i, 1] - middle[1]) ** 2)
-        out[i, 2] = np.sqrt(by[i, 0] ** 2 + by[i, 1] ** 2)
+            square = (x[picks[i], 0] - x[picks[j], 0]) ** 2 + (x[picks[i], 1] - x[picks[j], 1]) ** 2
+            if j != i and square < min_square:
+                min_square, nearest = square, j
+        out[i, 0] = np.sqrt(
+            (displacements[i, 0] - displacements[nearest, 0]) ** 2
+            + (displacements[i, 1] - displacements[nearest, 1]) ** 2
+        )
+        out[i, 1] = np.sqrt((displacements[i, 0] - medians[0]) ** 2 + (displacements[i, 1] - medians[1]) ** 2)
+        out[i, 2] = np.sqrt(displacements[i, 0] ** 2 + displacements[i, 1] ** 2)
     return out
 
 
-def _count(masks: Sequence[BoolArray]) -> int:
+def _count_true(masks: Sequence[BoolArray]) -> int:
     return int(sum(m.sum() for m in masks))

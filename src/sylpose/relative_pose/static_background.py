@@ -1,11 +1,11 @@
-"""What stands still behind an object that moves by little.
+"""Separation of a static background from an object that moves by little.
 
-Where an object moves by a few pixels, what stands still lies near the epipolar lines of its motion, too. There every match
-is taken to stand still with some probability, and the motion is fitted to those that move (`parted`). Who stands still is
-then not certain, and the information is less by what that takes away: what a match says of the motion, squared, times the
-probabilities that it is the motion's and that it is not.
+If an object moves by a few pixels, static matches are near the epipolar lines of its motion, too. Each match is then
+static with some probability, and the motion is fitted to the others (`split_background`). Because the assignment is
+uncertain, the information is reduced: by the squared contribution of each match to the motion, times the probabilities
+that it belongs to the motion and that it does not.
 
-Source: mixtures by expectation and maximisation, McLachlan & Krishnan, "The EM Algorithm and Extensions", chapters 2 and 4.
+Source: mixtures by expectation maximization, McLachlan & Krishnan, "The EM Algorithm and Extensions", chapters 2 and 4.
 """
 
 from __future__ import annotations
@@ -15,197 +15,243 @@ from typing import NamedTuple
 import numpy as np
 
 from sylpose.geometry.arrays import BoolArray, FloatArray
-from sylpose.geometry.numba_linalg import kernel, rotation_of, rotvec_of
+from sylpose.geometry.numba_linalg import kernel, so3_exp, so3_log
 from sylpose.relative_pose.fit import MIN_MATCHES
-from sylpose.relative_pose.irls import Reweighted, nothing_yet, reweight
-from sylpose.relative_pose.match_likelihood import WRONG, anywhere, cost_of, going
+from sylpose.relative_pose.irls import IrlsFit, make_empty_irls_fit, run_irls
+from sylpose.relative_pose.match_likelihood import (
+    MISMATCH_PROBABILITY,
+    compute_cost,
+    compute_mismatch_density,
+    compute_motion_density,
+)
 from sylpose.relative_pose.observability import is_consistent
-from sylpose.relative_pose.robust_fit import Settled, Uniform, fitted
-from sylpose.relative_pose.terms import Candidate, Guesses, Stack, copy_into
+from sylpose.relative_pose.robust_fit import RandomSource, RefinedMinima, draw_and_fit
+from sylpose.relative_pose.terms import Candidate, InitialMotions, Stack, copy_into
 
-__all__ = ["LARGER", "LIKELIER", "Parted", "hidden", "may_stand", "parted", "some_move"]
+__all__ = [
+    "MIN_LIKELIHOOD_GAIN",
+    "MOTION_FACTORS",
+    "BackgroundSplit",
+    "bound_hidden_motion",
+    "has_moving_matches",
+    "has_static_candidates",
+    "split_background",
+]
 
-# Of what has moved by a little, in units of noise, between these squares, chance has no more than this share and so many
+# Of the displacements between these squares, in units of noise, at most this share and this number are due to chance
 # (chi-squared of two degrees of freedom: 1 %, and three times it; choice).
-MOVES, NEARBY, MOVE_BY_CHANCE, MOVERS = 9.2, 200.0, 0.03, 6
-# A background is looked for where so large a share of the matches, and so many, may stand still (choice).
-BACKGROUND = 0.08
-# What goes farther does not stand still whatever the noise; what goes farther than the second tells nothing of it, pixels
+MIN_MOVED_SQUARE, MAX_MOVED_SQUARE, MAX_CHANCE_SHARE, MIN_MOVED_MATCHES = 9.2, 200.0, 0.03, 6
+# A background is assumed possible if at least this share of the matches may be static (choice).
+MIN_BACKGROUND_SHARE = 0.08
+# Larger displacements are not static whatever the noise; those beyond the second value are ignored by the static model,
+# pixels (choice).
+MAX_STATIC_PX, MAX_MODELED_PX = 6.0, 18.0
+# Bounds of the noise of static matches, pixels, and of their share of all matches, some of which are mismatches
 # (choice).
-QUIET_PX, FAR_PX = 6.0, 18.0
-# Bounds of what the noise of what stands still may be, pixels, and of its share of all matches, some of which are wrong
-# (choice).
-SIGMA_PX, SHARES = (0.02, 3.0), (1e-3, 0.999 - WRONG)
-# Rounds of two kinds of displacements, and of the mixture, at most, which has settled where no more than this of a match
-# changes sides (choice).
-APART, ROUNDS, SETTLED = 50, 15, 0.02
-# Displacements that two kinds are told by, about, and by how little their share still changes then (choice).
-COMPARED, SAME_SHARE = 256, 1e-6
-# What moves is no noisier than this times what stands still, which may be exact: two frames of a pause (choice).
-NOISIER, EXACT_PX = 5.0, 0.1
-# A motion is another's start where it is within three of its standard deviations (choice).
-NEAR = 9.0
-# By how much a mixture must be likelier than one motion (measured: docs/benchmarks.md#hard-pairs; of what moves by 1 to 4 px
-# before nothing, 2.1 at most in 24 scenes), and so many matches move, at least (choice).
-LIKELIER, LEAST = 3.0, 2 * MIN_MATCHES
-# By how much larger a motion may be than that of all matches, where it is that of some; rounds that tell their share; and
-# what is nearly as likely: two standard deviations (choice).
-LARGER, SHARED, AS_LIKELY = (1.25, 1.5, 2.0, 3.0, 5.0, 8.0), 8, 2.0
-# What moves has at least so much of the noise of what stands still, and that has no more than so much of that of all matches
-# (choice).
-LESS_NOISE, MORE_NOISE = 0.9, 1.2
+SIGMA_RANGE_PX, SHARE_RANGE = (0.02, 3.0), (1e-3, 0.999 - MISMATCH_PROBABILITY)
+# Maximum number of rounds for the split of displacements and for the mixture, and the largest change of an assignment
+# at convergence (choice).
+MAX_SPLIT_ROUNDS, MAX_ROUNDS, CONVERGED_CHANGE = 50, 15, 0.02
+# Approximate number of displacements used for the split, and the change of the share at convergence (choice).
+MAX_COMPARED, CONVERGED_SHARE_CHANGE = 256, 1e-6
+# Upper bound of the noise of moving matches relative to static ones, and the least noise assumed for the latter, which
+# may be exact: two frames of a pause (choice).
+MAX_MOVING_SIGMA_RATIO, MIN_STATIC_SIGMA_PX = 5.0, 0.1
+# A start within three standard deviations of a motion leads to that motion (choice).
+SAME_MOTION_SQUARE = 9.0
+# Least log-likelihood gain of a mixture over one motion (measured: docs/history/benchmarks.md#hard-pairs; for motions of 1
+# to 4 px without a background 2.1 at most in 24 scenes), and the least number of moving matches (choice).
+MIN_LIKELIHOOD_GAIN, MIN_MOVING_MATCHES = 3.0, 2 * MIN_MATCHES
+# Factors by which the motion of a part may exceed that of all matches; rounds to estimate the static share; and the
+# largest loss of log-likelihood, two standard deviations (choice).
+MOTION_FACTORS, SHARE_ROUNDS, MAX_LIKELIHOOD_LOSS = (1.25, 1.5, 2.0, 3.0, 5.0, 8.0), 8, 2.0
+# Lower bound of the noise of moving matches relative to static ones, and upper bound of the latter relative to all
+# matches (choice).
+MIN_MOVING_SIGMA_RATIO, MAX_STATIC_SIGMA_RATIO = 0.9, 1.2
 
 
-class Parted(NamedTuple):
-    """A motion and the background that it was told from.
+class BackgroundSplit(NamedTuple):
+    """Motion separated from its static background.
 
     Attributes:
-        found: of what moves, its weights times the probability that they do.
-        minima: where mixtures from several starts came to; iterations: of all.
-        promise: of its last step (`reweight`).
-        moving: (N,) the probabilities.
-        gain: by how much this is likelier than that all have one motion.
+        fit: fit of the moving matches; its weights include the probabilities.
+        minima: results of the mixtures from several starts; iterations: of all.
+        predicted_decrease: predicted decrease of the last step (`run_irls`).
+        moving_probability: (N,) the probabilities of the matches to move.
+        likelihood_gain: log-likelihood gain over a single motion of all matches.
     """
 
-    found: Reweighted
-    minima: Settled
+    fit: IrlsFit
+    minima: RefinedMinima
     iterations: int
-    promise: float
-    moving: FloatArray
-    gain: float
+    predicted_decrease: float
+    moving_probability: FloatArray
+    likelihood_gain: float
 
-    def rivals(self, cost: float) -> Settled:
-        """The minima, where that of the one motion has this cost."""
-        return self.minima._replace(costs=self.minima.costs - self.minima.costs.min() + cost - self.gain)
+    def rebase_minima(self, cost: float) -> RefinedMinima:
+        """Return the minima with costs relative to a single motion of this cost."""
+        return self.minima._replace(costs=self.minima.costs - self.minima.costs.min() + cost - self.likelihood_gain)
 
 
 class _Mixture(NamedTuple):
-    """Where expectation and maximisation came to: the motion, how likely each match is to have it, and to stand still, the
-    noise of what does, and what `reweight` says of the last round; its cost is that of the mixture."""
+    """Result of expectation maximization.
 
-    found: Reweighted
-    moving: FloatArray
-    still: FloatArray
+    Attributes:
+        fit: the motion.
+        moving_probability, static_probability: (N,) the probabilities of each match to move and to be static.
+        sigma: noise of the static matches, pixels.
+        cost: negative log-likelihood of the mixture.
+        predicted_decrease, iterations: of `run_irls` in the last round, and of all rounds.
+    """
+
+    fit: IrlsFit
+    moving_probability: FloatArray
+    static_probability: FloatArray
     sigma: float
     cost: float
-    promise: float
+    predicted_decrease: float
     iterations: int
 
 
-def some_move(stack: Stack, usable: BoolArray, one: Reweighted) -> bool:
-    """Whether more matches have moved by a little than would if all stood still; mismatches go farther."""
-    off = _displacements(stack)
-    squares = 0.5 * off / _still_sigma(off, usable, one) ** 2
-    moved = int((usable & (squares > MOVES) & (squares < NEARBY)).sum())
-    return bool(moved > MOVE_BY_CHANCE * usable.sum() + MOVERS)
+def has_moving_matches(stack: Stack, usable: BoolArray, single: IrlsFit) -> bool:
+    """Return whether more matches have moved by little than a static scene explains.
+
+    Mismatches move farther.
+    """
+    squared_px = _compute_squared_px(stack)
+    squares = 0.5 * squared_px / _estimate_static_sigma(squared_px, usable, single) ** 2
+    moved_count = int((usable & (squares > MIN_MOVED_SQUARE) & (squares < MAX_MOVED_SQUARE)).sum())
+    return bool(moved_count > MAX_CHANCE_SHARE * usable.sum() + MIN_MOVED_MATCHES)
 
 
-def parted(
+def split_background(
     stack: Stack,
     usable: BoolArray,
-    one: Reweighted,
-    likelier: float,
-    guesses: Guesses,
-    rng: Uniform,
-) -> Parted | None:
-    """A motion of some of the matches while others stand still; None where one motion does for all.
+    single: IrlsFit,
+    likelihood_gain: float,
+    guesses: InitialMotions,
+    rng: RandomSource,
+) -> BackgroundSplit | None:
+    """Fit a motion to some of the matches and a static background to the others.
 
     Args:
         usable: (N,) matches that may be inliers.
-        one: the motion of all of them, which may be none.
-        likelier: by how much a background is, as `hidden` has it, which finds that there may be one.
+        single: the fit of a single motion to all of them; it may have no inliers.
+        likelihood_gain: log-likelihood gain of a background, from `bound_hidden_motion`, which detects a possible one.
+
+    Returns:
+        the separated motion; None if a single motion is sufficient.
     """
-    off = _displacements(stack)
-    sigma, still = _two_kinds(off, usable)
-    if not still[usable].sum() >= _background(off):
+    squared_px = _compute_squared_px(stack)
+    sigma, static_probability = _split_displacements(squared_px, usable)
+    if not static_probability[usable].sum() >= _min_background(squared_px):
         return None
-    # Where even what moves least moves by more than noise, nothing stands still.
-    if one.weights.any() and not likelier > 0.0 and sigma > MORE_NOISE * float(np.median(one.sigma_px)):
+    # If even the smallest displacements exceed the noise, nothing is static.
+    if (
+        single.weights.any()
+        and not likelihood_gain > 0.0
+        and sigma > MAX_STATIC_SIGMA_RATIO * float(np.median(single.sigma_px))
+    ):
         return None
-    starts, iterations = [one] if one.weights.any() else [], 0
-    moves = usable & (still < 0.5)
-    if moves.sum() >= LEAST:
-        found, _, iterations, _ = fitted(stack, moves, guesses, rng)
-        starts = [found, *starts] if found.weights.any() else starts
+    starts, iterations = [single] if single.weights.any() else [], 0
+    moves = usable & (static_probability < 0.5)
+    if moves.sum() >= MIN_MOVING_MATCHES:
+        fit, _, iterations, _ = draw_and_fit(stack, moves, guesses, rng)
+        starts = [fit, *starts] if fit.weights.any() else starts
     mixtures: list[_Mixture] = []
     for start in starts:
-        # From where another one has come to, nothing else is found.
-        if not any(_is_near(mixture.found, start) for mixture in mixtures):
-            mixtures.append(_mixture(stack, usable, start, off, sigma, still))
-    mixtures = [mixture for mixture in mixtures if _holds(stack, usable, mixture)]
+        # Skip starts near a motion that was found from another start.
+        if not any(_is_near(mixture.fit, start) for mixture in mixtures):
+            mixtures.append(_fit_mixture(stack, usable, start, squared_px, sigma, static_probability))
+    mixtures = [mixture for mixture in mixtures if _is_valid_mixture(stack, usable, mixture)]
     if not mixtures:
         return None
     best = min(mixtures, key=lambda mixture: mixture.cost)
-    minima = Settled(
-        np.array([mixture.found.candidate.rotation for mixture in mixtures]),
-        np.array([mixture.found.candidate.shift for mixture in mixtures]),
+    minima = RefinedMinima(
+        np.array([mixture.fit.candidate.rotation for mixture in mixtures]),
+        np.array([mixture.fit.candidate.translation for mixture in mixtures]),
         np.array([mixture.cost for mixture in mixtures]),
         np.full(len(mixtures), float(usable.sum())),
     )
     iterations += sum(mixture.iterations for mixture in mixtures)
-    alone = going(stack, one) if one.weights.any() else _standing(off, best.sigma)
-    gain = cost_of(stack, usable, alone) - best.cost
-    return Parted(best.found, minima, iterations, best.promise, best.moving, gain)
+    alone = (
+        compute_motion_density(stack, single)
+        if single.weights.any()
+        else _compute_static_density(squared_px, best.sigma)
+    )
+    gain = compute_cost(stack, usable, alone) - best.cost
+    return BackgroundSplit(best.fit, minima, iterations, best.predicted_decrease, best.moving_probability, gain)
 
 
-def hidden(stack: Stack, usable: BoolArray, one: Reweighted) -> tuple[float, float]:
-    """By how much larger than that of all matches the motion may be, if some of them are a background that stands still: 1
-    where it cannot be larger, and `LARGER`'s last where nothing tells; and by how much likelier a background is than none,
-    minus infinity where there cannot be one.
+def bound_hidden_motion(stack: Stack, usable: BoolArray, single: IrlsFit) -> tuple[float, float]:
+    """Bound the size of the motion if some matches are static background.
 
-    Half of the matches that move by twice as much are the same in the mean, and more scattered.
+    The mean displacement is the same if half of the matches move by twice as much; only its scatter is larger.
+
+    Returns:
+        the factor by which the motion may be larger than that of all matches: 1 if it cannot be, the last of
+        `MOTION_FACTORS` if the matches give no bound; the log-likelihood gain of a background, -inf if there cannot be
+        one.
     """
-    off = _displacements(stack)
-    larger = nothing_yet(stack)
-    larger.sigma_px[:], larger.relief[:] = one.sigma_px, one.relief
-    return _larger(stack, usable, one.candidate, larger, _standing(off, float(np.median(one.sigma_px))))
+    squared_px = _compute_squared_px(stack)
+    scaled = make_empty_irls_fit(stack)
+    scaled.sigma_px[:], scaled.residual_depth[:] = single.sigma_px, single.residual_depth
+    return _bound_motion_factor(
+        stack, usable, single.candidate, scaled, _compute_static_density(squared_px, float(np.median(single.sigma_px)))
+    )
 
 
 @kernel
-def _larger(
-    stack: Stack, usable: BoolArray, one: Candidate, larger: Reweighted, standing: FloatArray
+def _bound_motion_factor(
+    stack: Stack, usable: BoolArray, single: Candidate, scaled: IrlsFit, static_density: FloatArray
 ) -> tuple[float, float]:
-    """What `hidden` says, of a motion and the densities (N,) if all stand still; larger has the noise, and is room."""
-    turn, most, alone, least = np.empty(3), 1.0, 0.0, np.inf
-    rotvec_of(one.rotation, turn)
-    for k in range(1 + len(LARGER)):
-        factor = LARGER[k - 1] if k > 0 else 1.0
-        copy_into(larger.candidate, one)
-        rotation_of(factor * turn, larger.candidate.rotation)
-        larger.candidate.shift[:] = factor * one.shift
-        along = going(stack, larger)
+    """Compute `bound_hidden_motion` for a motion and densities (N,) of static matches.
+
+    `scaled` provides the noise and is overwritten.
+    """
+    rotvec, max_factor, single_cost, min_cost = np.empty(3), 1.0, 0.0, np.inf
+    so3_log(single.rotation, rotvec)
+    for k in range(1 + len(MOTION_FACTORS)):
+        factor = MOTION_FACTORS[k - 1] if k > 0 else 1.0
+        copy_into(scaled.candidate, single)
+        so3_exp(factor * rotvec, scaled.candidate.rotation)
+        scaled.candidate.translation[:] = factor * single.translation
+        motion_density = compute_motion_density(stack, scaled)
         if k == 0:
-            alone = cost_of(stack, usable, along)
-        share = max(1.0 - 1.0 / factor, BACKGROUND)
-        for _ in range(SHARED):
+            single_cost = compute_cost(stack, usable, motion_density)
+        share = max(1.0 - 1.0 / factor, MIN_BACKGROUND_SHARE)
+        for _ in range(SHARE_ROUNDS):
             total, count = 0.0, 0
-            for i in range(len(along)):
+            for i in range(len(motion_density)):
                 if usable[i]:
-                    both = share * standing[i] + (1.0 - share) * along[i]
-                    total += share * standing[i] / max(both, 1e-300)
+                    density = share * static_density[i] + (1.0 - share) * motion_density[i]
+                    total += share * static_density[i] / max(density, 1e-300)
                     count += 1
             share = total / count
-        cost = cost_of(stack, usable, share * standing + (1.0 - share) * along)
-        # The first of all costs is that of no background.
-        if cost > min(least, alone) + AS_LIKELY:
-            return most, alone - min(least, cost)
-        least, most = min(least, cost), factor
-    return most, alone - least
+        cost = compute_cost(stack, usable, share * static_density + (1.0 - share) * motion_density)
+        # The first cost is that of no background.
+        if cost > min(min_cost, single_cost) + MAX_LIKELIHOOD_LOSS:
+            return max_factor, single_cost - min(min_cost, cost)
+        min_cost, max_factor = min(min_cost, cost), factor
+    return max_factor, single_cost - min_cost
 
 
-def _still_sigma(off: FloatArray, usable: BoolArray, one: Reweighted) -> float:
-    """The noise of what stands still, pixels: that of the motion's inliers, unless what hardly moves has less."""
-    sigma = float(np.median(one.sigma_px)) if one.weights.any() else np.inf
-    some = np.sort(off[usable])
-    # Half of a square of two coordinates, of twice the variance, is below its median half of the time.
-    least = some[: max(len(some) // 4, 1)]
-    quarter = float(np.sqrt(least[-1] / (4.0 * -np.log(0.75)))) if len(least) else 1.0
-    return max(min(sigma, quarter if np.isfinite(quarter) and quarter > 0 else sigma, 3.0), 0.02)
+def _estimate_static_sigma(squared_px: FloatArray, usable: BoolArray, single: IrlsFit) -> float:
+    """Estimate the noise of static matches, pixels.
+
+    It is that of the inliers, or less if the smallest displacements show less.
+    """
+    sigma = float(np.median(single.sigma_px)) if single.weights.any() else np.inf
+    sorted_px = np.sort(squared_px[usable])
+    # Half of a squared displacement of two coordinates, of twice the variance, is below its median half of the time.
+    least = sorted_px[: max(len(sorted_px) // 4, 1)]
+    quartile_sigma = float(np.sqrt(least[-1] / (4.0 * -np.log(0.75)))) if len(least) else 1.0
+    return max(min(sigma, quartile_sigma if np.isfinite(quartile_sigma) and quartile_sigma > 0 else sigma, 3.0), 0.02)
 
 
 @kernel
-def _displacements(stack: Stack) -> FloatArray:
-    """(N,) their squares, square pixels."""
+def _compute_squared_px(stack: Stack) -> FloatArray:
+    """Return (N,) squared displacements, square pixels."""
     out = np.empty(len(stack.x))
     for t in range(len(stack.focal)):
         for i in range(stack.offsets[t], stack.offsets[t + 1]):
@@ -215,10 +261,13 @@ def _displacements(stack: Stack) -> FloatArray:
 
 
 @kernel
-def may_stand(stack: Stack, usable: BoolArray) -> bool:
-    """Whether so many matches have moved by so little that a background may be among them. Of terms with other references
-    than the motion's (earlier frames, moved along by what is known) a displacement says nothing of it."""
-    quiet = 0
+def has_static_candidates(stack: Stack, usable: BoolArray) -> bool:
+    """Return whether enough matches have small displacements for a background.
+
+    Displacements in terms with other references than the motion's (earlier frames, moved by a known motion) are no
+    evidence.
+    """
+    count = 0
     for t in range(len(stack.focal)):
         for i in range(3):
             if stack.a1[t, i] != stack.a2[t, i]:
@@ -226,101 +275,137 @@ def may_stand(stack: Stack, usable: BoolArray) -> bool:
             for j in range(3):
                 if stack.qx[t, i, j] != stack.qy[t, i, j]:
                     return False
-        far = (QUIET_PX / stack.focal[t]) ** 2
+        far = (MAX_STATIC_PX / stack.focal[t]) ** 2
         for i in range(stack.offsets[t], stack.offsets[t + 1]):
             dx, dy = stack.y[i, 0] - stack.x[i, 0], stack.y[i, 1] - stack.x[i, 1]
-            quiet += usable[i] and dx * dx + dy * dy < far
-    return quiet >= max(MIN_MATCHES, BACKGROUND * len(stack.x))
+            count += usable[i] and dx * dx + dy * dy < far
+    return count >= max(MIN_MATCHES, MIN_BACKGROUND_SHARE * len(stack.x))
 
 
-def _background(off: FloatArray) -> float:
-    """The number of matches that a background has, at least."""
-    return max(MIN_MATCHES, BACKGROUND * len(off))
+def _min_background(squared_px: FloatArray) -> float:
+    """Return the minimum number of matches of a background."""
+    return max(MIN_MATCHES, MIN_BACKGROUND_SHARE * len(squared_px))
 
 
-def _two_kinds(off: FloatArray, usable: BoolArray) -> tuple[float, FloatArray]:
-    """Squares of displacements (N,) as two kinds of noise, one larger: the less, as a standard deviation in pixels of a
-    keypoint, and (N,) the probability of each match to be of it. What goes far is of neither."""
-    near = off < FAR_PX**2
-    some = np.sort(off[usable & near])
-    # A square of two coordinates is exponential; its mean is four times the variance of one keypoint's coordinate.
-    least, most = (max(float(part.mean()), 1e-12) for part in np.array_split(some, 2))
-    # Of many each so manieth tells as much.
-    share, least, most = _shares(some[:: 1 + len(some) // COMPARED], least, most)
-    odds = (1.0 - share) / share * least / most
-    still = 1.0 / (1.0 + odds * np.exp(np.minimum(off * (1.0 / least - 1.0 / most), 700.0)))
-    return float(np.sqrt(least / 4.0)), np.where(near, still, 0.0)
+def _split_displacements(squared_px: FloatArray, usable: BoolArray) -> tuple[float, FloatArray]:
+    """Split squared displacements (N,) into two kinds of noise; large ones belong to neither.
+
+    Returns:
+        the smaller noise, as a standard deviation in pixels of a keypoint; (N,) the probability of each match to belong
+        to it.
+    """
+    near = squared_px < MAX_MODELED_PX**2
+    sorted_px = np.sort(squared_px[usable & near])
+    # A square of two coordinates is exponential; its mean is four times the variance of one keypoint coordinate.
+    small_mean, large_mean = (max(float(part.mean()), 1e-12) for part in np.array_split(sorted_px, 2))
+    # A regular subset is sufficient.
+    share, small_mean, large_mean = _fit_exponentials(
+        sorted_px[:: 1 + len(sorted_px) // MAX_COMPARED], small_mean, large_mean
+    )
+    odds = (1.0 - share) / share * small_mean / large_mean
+    static_probability = 1.0 / (
+        1.0 + odds * np.exp(np.minimum(squared_px * (1.0 / small_mean - 1.0 / large_mean), 700.0))
+    )
+    return float(np.sqrt(small_mean / 4.0)), np.where(near, static_probability, 0.0)
 
 
 @kernel
-def _shares(some: FloatArray, least: float, most: float) -> tuple[float, float, float]:
-    """The share of the less of two exponential distributions, and the means of both, from those of the halves."""
-    share, n = 0.5, len(some)
-    for _ in range(APART):
-        odds, rate = (1.0 - share) / share * least / most, 1.0 / least - 1.0 / most
+def _fit_exponentials(samples: FloatArray, small_mean: float, large_mean: float) -> tuple[float, float, float]:
+    """Fit two exponential distributions, starting from the means of the halves.
+
+    Returns:
+        the share of the smaller one, and the means of both.
+    """
+    share, n = 0.5, len(samples)
+    for _ in range(MAX_SPLIT_ROUNDS):
+        odds, rate = (1.0 - share) / share * small_mean / large_mean, 1.0 / small_mean - 1.0 / large_mean
         mass, square, rest = 0.0, 0.0, 0.0
         for i in range(n):
-            p = 1.0 / (1.0 + odds * np.exp(min(some[i] * rate, 700.0)))
+            p = 1.0 / (1.0 + odds * np.exp(min(samples[i] * rate, 700.0)))
             mass += p
-            square += p * some[i]
-            rest += (1.0 - p) * some[i]
+            square += p * samples[i]
+            rest += (1.0 - p) * samples[i]
         before, share = share, min(max(mass / n, 1e-3), 1.0 - 1e-3)
-        least = max(square / mass, 4.0 * SIGMA_PX[0] ** 2)
-        most = max(rest / max(n - mass, 1e-300), least)
-        if abs(share - before) < SAME_SHARE:
+        small_mean = max(square / mass, 4.0 * SIGMA_RANGE_PX[0] ** 2)
+        large_mean = max(rest / max(n - mass, 1e-300), small_mean)
+        if abs(share - before) < CONVERGED_SHARE_CHANGE:
             break
-    return share, least, most
+    return share, small_mean, large_mean
 
 
-def _mixture(
-    stack: Stack, usable: BoolArray, start: Reweighted, off: FloatArray, sigma: float, still: FloatArray
+def _fit_mixture(
+    stack: Stack,
+    usable: BoolArray,
+    start: IrlsFit,
+    squared_px: FloatArray,
+    sigma: float,
+    static_probability: FloatArray,
 ) -> _Mixture:
-    """Expectation and maximisation from one motion, the noise of what stands still, and the probabilities (N,) of that."""
-    found = nothing_yet(stack)
-    copy_into(found.candidate, start.candidate)
-    found.sigma_px[:], found.relief[:] = start.sigma_px, start.relief
-    share, moving, promise, iterations = float(np.clip(still[usable].mean(), *SHARES)), np.zeros(len(off)), np.inf, 0
-    each, wrong = np.zeros((3, len(off))), anywhere(stack)
-    for _ in range(ROUNDS):
-        each = np.stack([share * _standing(off, sigma), (1 - WRONG - share) * going(stack, found), WRONG * wrong])
-        each = np.where(usable, each / each.sum(axis=0), 0.0)
-        share = float(np.clip(each[0].sum() / usable.sum(), *SHARES))
-        # What stands still has the noise of what moves, or less: that of the motion holds what it does not explain, too.
-        sigma = float(np.clip(np.sqrt((each[0] * off).sum() / max(4.0 * each[0].sum(), 1e-300)), *SIGMA_PX))
-        change = float(np.abs(each[1] - moving).max())
-        moving = each[1]
-        # Else some few that agree by chance, nearly without noise, would be what moves.
-        done, promise, _ = reweight(stack, moving, found, LESS_NOISE * sigma)
+    """Run expectation maximization from one motion, the noise of static matches, and their probabilities (N,)."""
+    fit = make_empty_irls_fit(stack)
+    copy_into(fit.candidate, start.candidate)
+    fit.sigma_px[:], fit.residual_depth[:] = start.sigma_px, start.residual_depth
+    share, moving_probability, decrease, iterations = (
+        float(np.clip(static_probability[usable].mean(), *SHARE_RANGE)),
+        np.zeros(len(squared_px)),
+        np.inf,
+        0,
+    )
+    probabilities, mismatch_density = np.zeros((3, len(squared_px))), compute_mismatch_density(stack)
+    for _ in range(MAX_ROUNDS):
+        probabilities = np.stack(
+            [
+                share * _compute_static_density(squared_px, sigma),
+                (1 - MISMATCH_PROBABILITY - share) * compute_motion_density(stack, fit),
+                MISMATCH_PROBABILITY * mismatch_density,
+            ]
+        )
+        probabilities = np.where(usable, probabilities / probabilities.sum(axis=0), 0.0)
+        share = float(np.clip(probabilities[0].sum() / usable.sum(), *SHARE_RANGE))
+        # Static matches have at most the noise of moving ones: the noise of the motion includes its model error.
+        sigma = float(
+            np.clip(
+                np.sqrt((probabilities[0] * squared_px).sum() / max(4.0 * probabilities[0].sum(), 1e-300)),
+                *SIGMA_RANGE_PX,
+            )
+        )
+        change = float(np.abs(probabilities[1] - moving_probability).max())
+        moving_probability = probabilities[1]
+        # Otherwise a few accidental matches, nearly without noise, would become the motion.
+        done, decrease, _ = run_irls(stack, moving_probability, fit, MIN_MOVING_SIGMA_RATIO * sigma)
         iterations += done
-        if change < SETTLED or not promise < np.inf:
+        if change < CONVERGED_CHANGE or not decrease < np.inf:
             break
-    share /= 1.0 - WRONG
-    cost = cost_of(stack, usable, share * _standing(off, sigma) + (1.0 - share) * going(stack, found))
-    return _Mixture(found, moving, each[0], sigma, cost, promise, iterations)
+    share /= 1.0 - MISMATCH_PROBABILITY
+    cost = compute_cost(
+        stack,
+        usable,
+        share * _compute_static_density(squared_px, sigma) + (1.0 - share) * compute_motion_density(stack, fit),
+    )
+    return _Mixture(fit, moving_probability, probabilities[0], sigma, cost, decrease, iterations)
 
 
-def _is_near(found: Reweighted, start: Reweighted) -> bool:
-    """Whether a start is, for all that can be said, the motion that was found."""
-    turn = np.empty(3)
-    rotvec_of(start.candidate.rotation @ found.candidate.rotation.T, turn)
-    step = np.concatenate([turn, start.candidate.shift - found.candidate.shift])
-    return bool(step @ found.information @ step < NEAR)
+def _is_near(fit: IrlsFit, start: IrlsFit) -> bool:
+    """Return whether a start is indistinguishable from a motion that was found."""
+    rotvec = np.empty(3)
+    so3_log(start.candidate.rotation @ fit.candidate.rotation.T, rotvec)
+    step = np.concatenate([rotvec, start.candidate.translation - fit.candidate.translation])
+    return bool(step @ fit.information @ step < SAME_MOTION_SQUARE)
 
 
-def _holds(stack: Stack, usable: BoolArray, mixture: _Mixture) -> bool:
-    """Whether enough of what does not stand still has the motion, more than would by chance, and about as exactly as what
-    stands still does."""
-    if float(np.median(mixture.found.sigma_px)) > NOISIER * max(mixture.sigma, EXACT_PX):
+def _is_valid_mixture(stack: Stack, usable: BoolArray, mixture: _Mixture) -> bool:
+    """Return whether enough moving matches agree with the motion, beyond chance and about as exactly as static ones."""
+    if float(np.median(mixture.fit.sigma_px)) > MAX_MOVING_SIGMA_RATIO * max(mixture.sigma, MIN_STATIC_SIGMA_PX):
         return False
-    others = usable & (mixture.still < 0.5)
-    found = mixture.found._replace(weights=np.where(others, mixture.found.weights, 0.0))
-    return bool(mixture.moving.sum() >= LEAST and is_consistent(stack, others, found))
+    others = usable & (mixture.static_probability < 0.5)
+    moving_fit = mixture.fit._replace(weights=np.where(others, mixture.fit.weights, 0.0))
+    return bool(mixture.moving_probability.sum() >= MIN_MOVING_MATCHES and is_consistent(stack, others, moving_fit))
 
 
 @kernel
-def _standing(off: FloatArray, sigma: float) -> FloatArray:
-    """(N,) densities if all stand still, per square pixel."""
-    out = np.empty(len(off))
-    for i in range(len(off)):
-        out[i] = np.exp(-0.25 * off[i] / sigma**2) / (4.0 * np.pi * sigma**2)
+def _compute_static_density(squared_px: FloatArray, sigma: float) -> FloatArray:
+    """Return (N,) densities of the matches as static ones, per square pixel."""
+    out = np.empty(len(squared_px))
+    for i in range(len(squared_px)):
+        out[i] = np.exp(-0.25 * squared_px[i] / sigma**2) / (4.0 * np.pi * sigma**2)
     return out

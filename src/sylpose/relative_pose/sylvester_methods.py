@@ -1,10 +1,10 @@
 """The paper's estimators as methods of `estimate_motion` and the tracker.
 
-None of them rejects outliers: they are given the inliers of a robust fit, as pair moments, and their rotation takes the
-place of the fit's. The displacement follows from the means. Cameras at fault are left out and named
+None of them rejects outliers: they receive the inliers of a robust fit, as pair moments, and their rotation replaces
+that of the fit. The translation follows from the means. Faulty cameras are left out and named
 (`sylvester.camera_faults`).
 
-Source: Chen & Schonfeld (2010); docs/method.md, "The paper".
+Source: Chen & Schonfeld (2010); docs/method/2-sylvester.md, "The paper".
 """
 
 from __future__ import annotations
@@ -19,27 +19,27 @@ from sylpose.moments import PairMoments
 from sylpose.relative_pose.fit import Fit
 from sylpose.relative_pose.terms import TermData
 from sylpose.results import RotationEstimate, Status
-from sylpose.sylvester.camera_faults import diagnose
+from sylpose.sylvester.camera_faults import diagnose_cameras
 from sylpose.sylvester.centralized import solve_centralized
 from sylpose.sylvester.depth_plane import solve_depth_plane
 from sylpose.sylvester.distributed.simulation import solve_exchange, solve_gossip, solve_refine
 from sylpose.sylvester.one_camera import OneCameraSolution, solve_one_camera, solve_unconstrained
-from sylpose.sylvester.translation import translation_from_means, translation_from_moments
+from sylpose.sylvester.translation import refine_translation, solve_translation_from_means
 
-__all__ = ["ESTIMATORS", "UNBIASED", "paper_fit"]
+__all__ = ["ESTIMATORS", "UNBIASED_METHODS", "apply_paper_method"]
 
 Moments = Sequence[PairMoments]
 
-# Fewer matches have no second moments (derived).
-SPREAD = 3
+# Minimum number of matches with second moments (derived).
+MIN_SPREAD_MATCHES = 3
 
 
 # (rotations (C, 3, 3), C moments, the robust fit's R) -> the estimate.
 Estimator = Callable[[FloatArray, Moments, FloatArray], RotationEstimate]
 
 
-def _several(solve: Callable[[FloatArray, Moments], RotationEstimate]) -> Estimator:
-    """Of several cameras; of one alone, `solve_one_camera`'s."""
+def _for_several_cameras(solve: Callable[[FloatArray, Moments], RotationEstimate]) -> Estimator:
+    """Wrap an estimator for several cameras; a single camera uses `solve_one_camera`."""
 
     def estimate(Q: FloatArray, moments: Moments, guess: FloatArray) -> RotationEstimate:
         return solve(Q, moments) if len(Q) > 1 else ESTIMATORS["one-camera"](Q, moments, guess)
@@ -47,33 +47,38 @@ def _several(solve: Callable[[FloatArray, Moments], RotationEstimate]) -> Estima
     return estimate
 
 
-def _one(solve: Callable[[FloatArray, PairMoments], OneCameraSolution]) -> Estimator:
-    """Of the camera with the most matches; of its two mirrored answers the one nearer to the robust fit's, which it cannot
-    tell itself."""
+def _for_one_camera(solve: Callable[[FloatArray, PairMoments], OneCameraSolution]) -> Estimator:
+    """Wrap an estimator for the camera with the most matches.
+
+    It cannot decide between its two mirrored solutions: the one nearer to the robust fit's rotation is taken.
+    """
 
     def estimate(Q: FloatArray, moments: Moments, guess: FloatArray) -> RotationEstimate:
         c = int(np.argmax([m.count for m in moments]))
-        return solve(Q[c], moments[c]).nearest(guess)
+        return solve(Q[c], moments[c]).select_nearest(guess)
 
     return estimate
 
 
 # The keys are names of methods (`methods`).
 ESTIMATORS: dict[str, Estimator] = {
-    "sylvester": _several(solve_centralized),
+    "sylvester": _for_several_cameras(solve_centralized),
     "depth-plane": lambda Q, moments, _: solve_depth_plane(Q, moments),
-    "exchange": _several(solve_exchange),
-    "refine": _several(solve_refine),
-    "gossip": _several(solve_gossip),
-    "one-camera": _one(solve_one_camera),
-    "unconstrained": _one(solve_unconstrained),
+    "exchange": _for_several_cameras(solve_exchange),
+    "refine": _for_several_cameras(solve_refine),
+    "gossip": _for_several_cameras(solve_gossip),
+    "one-camera": _for_one_camera(solve_one_camera),
+    "unconstrained": _for_one_camera(solve_unconstrained),
 }
-# Those whose displacement may follow from epipolar geometry: a bias of the others' rotation would turn into a shift.
-UNBIASED = {"depth-plane"}
+# Methods whose translation may follow from epipolar geometry: a bias of the others' rotation would turn into a
+# translation.
+UNBIASED_METHODS = {"depth-plane"}
 
 
-def paper_fit(method: str, data: Sequence[TermData], robust: Fit, center: FloatArray, names: Sequence[str]) -> Fit:
-    """One of the paper's estimates in place of a robust fit's motion.
+def apply_paper_method(
+    method: str, data: Sequence[TermData], robust: Fit, center: FloatArray, names: Sequence[str]
+) -> Fit:
+    """Replace a robust fit's motion by one of the paper's estimates.
 
     Args:
         method: a key of `ESTIMATORS`.
@@ -85,45 +90,49 @@ def paper_fit(method: str, data: Sequence[TermData], robust: Fit, center: FloatA
     Returns:
         the fit with its motion, information, status and `faults` replaced; the weights stay the robust fit's.
     """
-    seen = [i for i, w in enumerate(robust.weights) if (w > 0).sum() >= SPREAD]
-    if not seen:
-        return replace(robust, status=Status.TURN_NOT_OBSERVABLE)
-    Q = np.array([data[i].rotation for i in seen])
-    inliers = [PairMoments.from_matches(data[i].x, data[i].y, robust.weights[i]) for i in seen]
-    diagnosis = diagnose(Q, inliers, names=[names[data[i].camera] for i in seen])
-    # Where it cannot be told which cameras are wrong, all of them are heard, as by the robust fit.
-    trust = diagnosis.weights if diagnosis.consistent else np.ones(len(seen))
-    moments = [m.weighted(float(t)) for t, m in zip(trust, inliers, strict=True)]
+    used = [i for i, w in enumerate(robust.weights) if (w > 0).sum() >= MIN_SPREAD_MATCHES]
+    if not used:
+        return replace(robust, status=Status.ROTATION_NOT_OBSERVABLE)
+    Q = np.array([data[i].rotation for i in used])
+    inliers = [PairMoments.from_matches(data[i].x, data[i].y, robust.weights[i]) for i in used]
+    diagnosis = diagnose_cameras(Q, inliers, names=[names[data[i].camera] for i in used])
+    # If the faulty cameras cannot be identified, use all of them, as the robust fit does.
+    camera_weights = diagnosis.weights if diagnosis.consistent else np.ones(len(used))
+    moments = [m.scale_weights(float(t)) for t, m in zip(camera_weights, inliers, strict=True)]
     faults = tuple(dict.fromkeys((*robust.faults, *(fault.text for fault in diagnosis.faults if fault is not None))))
     try:
-        turn = ESTIMATORS[method](Q, moments, robust.rotation)
-        centers = np.array([data[i].center for i in seen])
-        off = 0.0 if method in UNBIASED else min(float(np.trace(turn.covariance)), np.pi**2)
-        shift, of_shift = translation_from_means(Q, centers, moments, turn.rotation, center, off=off)
-        known, believed = np.zeros((6, 6)), np.zeros((6, 6))
-        if method in UNBIASED:
-            believed[3:, 3:] = of_shift
-            shift, known = translation_from_moments(Q, centers, moments, turn.rotation, center, shift, of_shift)
-            known[:3, :3] += _seen(turn)
+        estimate = ESTIMATORS[method](Q, moments, robust.rotation)
+        centers = np.array([data[i].center for i in used])
+        rotation_variance = 0.0 if method in UNBIASED_METHODS else min(float(np.trace(estimate.covariance)), np.pi**2)
+        translation, translation_information = solve_translation_from_means(
+            Q, centers, moments, estimate.rotation, center, rotation_variance=rotation_variance
+        )
+        information, prior_information = np.zeros((6, 6)), np.zeros((6, 6))
+        if method in UNBIASED_METHODS:
+            prior_information[3:, 3:] = translation_information
+            translation, information = refine_translation(
+                Q, centers, moments, estimate.rotation, center, translation, translation_information
+            )
+            information[:3, :3] += _project_information(estimate)
         else:
-            known[:3, :3], known[3:, 3:] = turn.information, of_shift
+            information[:3, :3], information[3:, 3:] = estimate.information, translation_information
     except ValueError:
-        # No spread in any camera, or an object behind one: nothing to estimate a turn from.
-        return replace(robust, status=Status.TURN_NOT_OBSERVABLE, faults=faults)
+        # No spread in any camera, or an object behind one: the rotation cannot be estimated.
+        return replace(robust, status=Status.ROTATION_NOT_OBSERVABLE, faults=faults)
     return replace(
         robust,
-        # What of the turn is not seen, `verdict.observed` says: the information knows little or nothing of it.
-        status=Status.OK if turn.status is Status.TURN_NOT_OBSERVABLE else turn.status,
-        rotation=turn.rotation,
-        shift=shift,
-        information=known + believed,
-        information_without_depth=known,
-        iterations=robust.iterations + turn.iterations,
+        # `set_observability_status` reports unobservable rotations: the information about them is small or zero.
+        status=Status.OK if estimate.status is Status.ROTATION_NOT_OBSERVABLE else estimate.status,
+        rotation=estimate.rotation,
+        translation=translation,
+        information=information + prior_information,
+        information_without_depth=information,
+        iterations=robust.iterations + estimate.iterations,
         faults=faults,
     )
 
 
-def _seen(turn: RotationEstimate) -> FloatArray:
-    """(3, 3) the information of the turn, without the directions that the estimator says it has not seen."""
-    seen = np.eye(3) - turn.unseen.T @ turn.unseen
-    return np.asarray(seen @ turn.information @ seen)
+def _project_information(estimate: RotationEstimate) -> FloatArray:
+    """Return (3, 3) the information of the rotation, without its unobservable directions."""
+    projector = np.eye(3) - estimate.unobservable.T @ estimate.unobservable
+    return np.asarray(projector @ estimate.information @ projector)

@@ -1,5 +1,5 @@
-"""What a run leaves behind: trajectory files, plots, overlay videos and the picture of the rig.
+"""Outputs of a run: trajectory files, plots, overlay videos and rig views.
 
-`files` writes and reads trajectories, `plots` draws one, `overlay` draws the poses into the videos, `rigview` shows the
-rig from above. Nothing is imported here: reading a trajectory does not load matplotlib or PyAV.
+`files` writes and reads trajectories, `plots` draws them, `overlay` draws poses into the videos, `rigview` shows the
+rig from above. This package imports nothing itself: reading a trajectory loads neither matplotlib nor PyAV.
 """

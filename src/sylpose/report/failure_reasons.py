@@ -1,4 +1,4 @@
-"""Why a run has no pose, in sentences."""
+"""Sentences that explain why a run has no pose."""
 
 from __future__ import annotations
 
@@ -8,43 +8,48 @@ from collections.abc import Sequence
 
 from sylpose.results import Trajectory
 
-__all__ = ["alike", "why_nothing"]
+__all__ = ["explain_missing_poses", "group_sentences"]
 
-# So many sentences say why there is no pose.
-MOST_REASONS = 8
-# A number that stands by itself, not one within a name.
+# Maximum number of sentences that explain a missing pose.
+MAX_REASONS = 8
+# A standalone number, not part of a name.
 _NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?!\w)")
 
 
-def why_nothing(trajectory: Trajectory) -> list[str]:
-    """What happened to the frames of a trajectory without any pose, in sentences."""
-    said = [
-        f"{_frames(count)}: {status.value}. {status.text}"
+def explain_missing_poses(trajectory: Trajectory) -> list[str]:
+    """Explain, in sentences, why a trajectory contains no pose."""
+    sentences = [
+        f"{_format_frame_count(count)}: {status.value}. {status.text}"
         for status, count in Counter(f.status for f in trajectory).most_common()
     ]
-    reasons = alike([f.reason for f in trajectory if f.reason])
-    said += [f"{_frames(count)}: {reason}" for reason, count in reasons[:MOST_REASONS]]
-    if len(reasons) > MOST_REASONS:
-        said.append(f"and {len(reasons) - MOST_REASONS} more reasons: see the column reason of trajectory.csv")
-    return said
+    reasons = group_sentences([f.reason for f in trajectory if f.reason])
+    sentences += [f"{_format_frame_count(count)}: {reason}" for reason, count in reasons[:MAX_REASONS]]
+    if len(reasons) > MAX_REASONS:
+        sentences.append(f"and {len(reasons) - MAX_REASONS} more reasons: see the column reason of trajectory.csv")
+    return sentences
 
 
-def alike(sentences: Sequence[str]) -> list[tuple[str, int]]:
-    """Sentences that differ in their numbers only as one, with the least and the most of each, and how many they are; the
-    most frequent first."""
+def group_sentences(sentences: Sequence[str]) -> list[tuple[str, int]]:
+    """Group sentences that differ only in their numbers.
+
+    Returns:
+        (sentence, count), most frequent first; each number that varies becomes the range of its values.
+    """
     groups = dict[str, list[list[str]]]()
     for sentence in sentences:
         groups.setdefault(_NUMBER.sub("0", sentence), []).append(_NUMBER.findall(sentence))
-    said = [(_with(pattern, list(zip(*numbers, strict=True))), len(numbers)) for pattern, numbers in groups.items()]
-    return sorted(said, key=lambda one: -one[1])
+    grouped = [
+        (_fill_ranges(pattern, list(zip(*numbers, strict=True))), len(numbers)) for pattern, numbers in groups.items()
+    ]
+    return sorted(grouped, key=lambda one: -one[1])
 
 
-def _with(pattern: str, numbers: Sequence[Sequence[str]]) -> str:
-    """A sentence with what each of its numbers has been."""
-    ranges = [(min(these, key=float), max(these, key=float)) for these in numbers]
+def _fill_ranges(pattern: str, numbers: Sequence[Sequence[str]]) -> str:
+    """Fill a sentence with the range of each of its numbers."""
+    ranges = [(min(values, key=float), max(values, key=float)) for values in numbers]
     words = iter(low if float(low) == float(high) else f"{low} to {high}" for low, high in ranges)
     return _NUMBER.sub(lambda _: next(words), pattern)
 
 
-def _frames(count: int) -> str:
+def _format_frame_count(count: int) -> str:
     return f"{count} frame{'s' if count > 1 else ''}"

@@ -1,7 +1,7 @@
-"""Formats of pictures and the name of the page, known without loading what draws them."""
+"""Picture formats and page file name, importable without the drawing libraries."""
 
-__all__ = ["FORMATS", "PAGE"]
+__all__ = ["PAGE_FILE", "PICTURE_FORMATS"]
 
-# By the ends of their files' names.
-FORMATS = ("png", "svg", "pdf")
-PAGE = "report.html"
+# By file name suffix.
+PICTURE_FORMATS = ("png", "svg", "pdf")
+PAGE_FILE = "report.html"

@@ -1,4 +1,4 @@
-"""What report.html shows, as numbers: a bounded number of frames and images, packed for the page's script."""
+"""Numeric data of report.html: a bounded number of frames and images, packed for the page's script."""
 
 from __future__ import annotations
 
@@ -10,81 +10,95 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sylpose.geometry.arrays import FloatArray, IntArray
-from sylpose.geometry.euler_angles import Angles
-from sylpose.report.plots import X_COLOR, Y_COLOR, Z_COLOR, angle_labels, angles_of_frames, camera_colors, readable
-from sylpose.report.scene import GRID, Scene, Stills
+from sylpose.geometry.euler_angles import EulerAngles
+from sylpose.report.plots import (
+    X_COLOR,
+    Y_COLOR,
+    Z_COLOR,
+    angle_labels,
+    camera_colors,
+    choose_length_unit,
+    compute_frame_angles,
+)
+from sylpose.report.scene import IMAGE_GRID, Scene, Thumbnails
 from sylpose.results import FramePose, FrameStatus, Trajectory
 from sylpose.rig import Camera, Rig
 
-__all__ = ["MOST_BYTES", "data_of", "images_of", "shown_frames"]
+__all__ = ["MAX_BYTES", "build_page_data", "build_page_images", "select_frames"]
 
-# The page is kept below this, so that it can be mailed (choice); of it, the images may take so many bytes as they are coded
-# in it, and the numbers of frames so many values (half as many bytes again as they have, in base64).
-MOST_BYTES = 5_000_000
-MOST_IMAGE_BYTES, MOST_VALUES, MOST_FRAMES = 3_200_000, 200_000, 2000
-# Points that are drawn on the object, and in all images of one frame together (choice: a cloud that shows its shape).
-MOST_POINTS, MOST_IMAGE_POINTS = 6000, 480
-# Different sentences of reasons and of faults that are told frame by frame.
-MOST_SENTENCES = 300
-# Times that begin beyond this are told since the first of them, seconds: a day and more is a clock's (choice).
-LATE = 1e5
-# Points of an axis that is drawn into an image, which lenses bend.
-AXIS = 5
-# In images, fractions of width and height are whole numbers of so many; without a place they are `NOWHERE`.
-GRAIN, NOWHERE = 8192, -32768
+# The page stays below this size, so that it can be mailed (choice). Limits within it: bytes of the encoded images, and
+# number of values of all frames (base64 adds half as many bytes again).
+MAX_BYTES = 5_000_000
+MAX_IMAGE_BYTES, MAX_VALUES, MAX_FRAMES = 3_200_000, 200_000, 2000
+# Points drawn on the object, and in all images of one frame together (choice: a cloud that shows its shape).
+MAX_POINTS, MAX_IMAGE_POINTS = 6000, 480
+# Maximum number of distinct reasons and of distinct faults listed frame by frame.
+MAX_SENTENCES = 300
+# Times that start beyond this are given relative to the first one, seconds: a day and more is a clock's (choice).
+MAX_ABSOLUTE_TIME = 1e5
+# Points along an axis drawn into an image; lenses bend it.
+AXIS_SAMPLES = 5
+# Image coordinates are integers, in fractions of width and height with this denominator; `MISSING_COORDINATE` marks
+# missing ones.
+COORDINATE_STEPS, MISSING_COORDINATE = 8192, -32768
 
-# By what a frame is told among those that are left out beside it: what went wrong before all else.
-_WORST = {FrameStatus.UNCERTAIN: 3, FrameStatus.COASTING: 2, FrameStatus.RELOCALISED: 1}
+# Severity, by which one frame is chosen to represent a group.
+_SEVERITY = {FrameStatus.UNCERTAIN: 3, FrameStatus.COASTING: 2, FrameStatus.RELOCALIZED: 1}
 
 
-def shown_frames(trajectory: Trajectory, most: int) -> IntArray:
-    """(n,) positions of at most `most` frames, in order; of those that each stands for it is the one that went worst, so
-    that nothing that went wrong is left out for being short."""
+def select_frames(trajectory: Trajectory, max_frames: int) -> IntArray:
+    """Select at most `max_frames` frames to show.
+
+    Returns:
+        (n,) positions, in order. Each represents a group of consecutive frames and is the worst of them, so that short
+        failures are not left out.
+    """
     n = len(trajectory)
-    every = -(-n // most)
-    ranks = np.array([_rank(frame) for frame in trajectory])
-    if every <= 1:
+    group_size = -(-n // max_frames)
+    ranks = np.array([_compute_severity(frame) for frame in trajectory])
+    if group_size <= 1:
         return np.arange(n)
-    starts = np.arange(0, n, every)
-    return np.array([start + int(np.argmax(ranks[start : start + every])) for start in starts])
+    starts = np.arange(0, n, group_size)
+    return np.array([start + int(np.argmax(ranks[start : start + group_size])) for start in starts])
 
 
-def _rank(frame: FramePose) -> int:
+def _compute_severity(frame: FramePose) -> int:
     if frame.world_from_object is None:
         return 5
-    return 4 if frame.faults else _WORST.get(frame.status, 0)
+    return 4 if frame.faults else _SEVERITY.get(frame.status, 0)
 
 
-def data_of(trajectory: Trajectory, scene: Scene, angles: Angles) -> dict[str, Any]:
-    """All but the images, of JSON's kinds; arrays are little-endian in base64 ("f": float32, "i": int32, "h": int16).
+def build_page_data(trajectory: Trajectory, scene: Scene, angles: EulerAngles) -> dict[str, Any]:
+    """Build the page's data except for images, as JSON types.
 
-    Lengths are relative to `scene.center`, so that float32 has enough of them wherever the world's origin is.
+    Arrays are little-endian in base64 ("f": float32, "i": int32, "h": int16). Positions are relative to `scene.center`,
+    so that float32 is precise enough wherever the world's origin is.
     """
     cameras = len(scene.cameras)
-    most = max(2, min(MOST_FRAMES, MOST_VALUES // (27 + 4 * cameras)))
-    chosen = shown_frames(trajectory, most)
-    frames = [trajectory[int(k)] for k in chosen]
+    max_frames = max(2, min(MAX_FRAMES, MAX_VALUES // (27 + 4 * cameras)))
+    selected = select_frames(trajectory, max_frames)
+    frames = [trajectory[int(k)] for k in selected]
     shown = Trajectory(frames, trajectory.camera_names, trajectory.unit)
-    poses = scene.world_from_object[chosen]
-    solved, start_time = trajectory.solved, float(trajectory.times[0])
+    poses = scene.world_from_object[selected]
+    solved, start_time = trajectory.measured_mask, float(trajectory.times[0])
     start = trajectory.positions[solved][0] if solved.any() else scene.center
     moved = float(np.abs(trajectory.positions[solved] - start).max(initial=0.0))
-    move_scale, move_unit = readable(moved, trajectory.unit)
+    move_scale, move_unit = choose_length_unit(moved, trajectory.unit)
     sigma = np.array([f.sigma if f.world_from_object is not None else np.full(6, np.nan) for f in frames])
     sigma[~np.isfinite(sigma)] = np.nan
-    sd_scale, sd_unit = readable(float(np.nanmax(sigma[:, 3:], initial=0.0)), trajectory.unit)
+    sd_scale, sd_unit = choose_length_unit(float(np.nanmax(sigma[:, 3:], initial=0.0)), trajectory.unit)
     statuses = list(dict.fromkeys(f.status for f in frames))
-    reasons, faults = _table([f.reason for f in frames]), _table(["; ".join(f.faults) for f in frames])
-    points = scene.points[:: max(1, -(-len(scene.points) // MOST_POINTS))]
-    point_cameras = scene.point_cameras[:: max(1, -(-len(scene.points) // MOST_POINTS))]
+    reasons, faults = _deduplicate([f.reason for f in frames]), _deduplicate(["; ".join(f.faults) for f in frames])
+    points = scene.points[:: max(1, -(-len(scene.points) // MAX_POINTS))]
+    point_cameras = scene.point_cameras[:: max(1, -(-len(scene.points) // MAX_POINTS))]
     counts = np.array([f.inliers for f in frames], dtype=float)
     errors = np.array([f.residuals for f in frames], dtype=float)
-    # The first frame is matched with nothing, and coasting ones found nothing: their zeros are no measurement.
+    # The first frame has no match partner and coasting frames have no matches: their zeros are no measurement.
     unmatched = np.array([f.status in (FrameStatus.FIRST, FrameStatus.COASTING) for f in frames])
     counts[unmatched], errors[unmatched] = np.nan, np.nan
     return {
         "total": len(trajectory),
-        "shown": len(chosen),
+        "shown": len(selected),
         "drawnPoints": len(points),
         "unit": trajectory.unit or "units",
         "inSeconds": not np.array_equal(trajectory.times, [f.index for f in trajectory]),
@@ -97,105 +111,115 @@ def data_of(trajectory: Trajectory, scene: Scene, angles: Angles) -> dict[str, A
         "statuses": [[s.value, s.text, s.has_pose] for s in statuses],
         "reasons": reasons[0],
         "faults": faults[0],
-        "index": _packed([f.index for f in frames], "i"),
+        "index": _pack_base64([f.index for f in frames], "i"),
         "start": start_time,
-        "since": start_time if abs(start_time) > LATE else 0.0,
-        "time": _packed(shown.times - trajectory.times[0]),
-        "place": _packed(poses[:, :3, 3] - scene.center),
-        "begin": (start - scene.center).astype(np.float32).tolist(),  # rounded as places are: it is one of them
-        "turned": _packed(poses[:, :3, :3]),
-        "sigma": _packed(sigma * ([180 / np.pi] * 3 + [1.0] * 3)),
-        "angle": _packed(np.degrees(angles_of_frames(shown, angles))),
-        "turn": _packed(np.degrees(trajectory.turn[chosen])),
-        "status": _packed([statuses.index(f.status) for f in frames], "i"),
-        "reason": _packed(reasons[1], "i"),
-        "fault": _packed(faults[1], "i"),
-        "inliers": _packed(counts),
-        "residuals": _packed(errors),
-        "matches": _packed([_per_camera(f.matches, cameras) for f in frames]),
-        "doubt": _packed([_per_camera(f.doubt, cameras) for f in frames]),
+        "since": start_time if abs(start_time) > MAX_ABSOLUTE_TIME else 0.0,
+        "time": _pack_base64(shown.times - trajectory.times[0]),
+        "place": _pack_base64(poses[:, :3, 3] - scene.center),
+        "begin": (start - scene.center).astype(np.float32).tolist(),  # rounded like positions, since it is one of them
+        "turned": _pack_base64(poses[:, :3, :3]),
+        "sigma": _pack_base64(sigma * ([180 / np.pi] * 3 + [1.0] * 3)),
+        "angle": _pack_base64(np.degrees(compute_frame_angles(shown, angles))),
+        "turn": _pack_base64(np.degrees(trajectory.rotation_angles[selected])),
+        "status": _pack_base64([statuses.index(f.status) for f in frames], "i"),
+        "reason": _pack_base64(reasons[1], "i"),
+        "fault": _pack_base64(faults[1], "i"),
+        "inliers": _pack_base64(counts),
+        "residuals": _pack_base64(errors),
+        "matches": _pack_base64([_fill_per_camera(f.matches, cameras) for f in frames]),
+        "doubt": _pack_base64([_fill_per_camera(f.variance_inflation, cameras) for f in frames]),
         "center": scene.center.tolist(),
-        "reach": scene.reach,
+        "reach": scene.camera_distance,
         "axes": scene.axes.tolist(),
         "axisLength": scene.axis_length,
-        "grid": GRID,
-        "sheets": _packed(scene.sheets - scene.center),
-        "eyes": _packed(scene.world_from_camera[:, :3, 3] - scene.center),
-        "looks": _packed(scene.world_from_camera[:, :3, 2]),
+        "grid": IMAGE_GRID,
+        "sheets": _pack_base64(scene.image_planes - scene.center),
+        "eyes": _pack_base64(scene.world_from_camera[:, :3, 3] - scene.center),
+        "looks": _pack_base64(scene.world_from_camera[:, :3, 2]),
         "sizes": scene.sizes.tolist(),
-        "points": _packed(points),
-        "pointCameras": _packed(point_cameras, "i"),
+        "points": _pack_base64(points),
+        "pointCameras": _pack_base64(point_cameras, "i"),
     }
 
 
-def images_of(trajectory: Trajectory, scene: Scene, rig: Rig) -> dict[str, Any]:
-    """The images, of as many frames as there is room for, with the object's axes and points in them.
+def build_page_images(trajectory: Trajectory, scene: Scene, rig: Rig) -> dict[str, Any]:
+    """Build the page's images, of as many frames as fit, with the object's axes and points in them.
 
     Args:
-        rig: whose lenses the images were taken by.
+        trajectory: trajectory of the object.
+        scene: scene of this trajectory.
+        rig: whose lenses took the images.
     """
-    stills = _thinned(scene.stills)
+    stills = _thin_out(scene.thumbnails)
     at = {int(number): k for k, number in enumerate(scene.index)}
     shown = [(int(number), images) for number, images in zip(stills.index, stills.images, strict=True) if number in at]
     axes, points = [], []
-    most = max(16, MOST_IMAGE_POINTS // len(rig))
+    max_points = max(16, MAX_IMAGE_POINTS // len(rig))
     for number, _ in shown:
         pose = trajectory[at[number]].world_from_object
         for c, camera in enumerate(rig):
-            its = scene.points[scene.point_cameras == c]
-            its = its[:: max(1, -(-len(its) // most))][:most]
-            ends = scene.axis_length * np.eye(3)[:, None] * np.linspace(0, 1, AXIS)[:, None]
-            axes.append(_grains(camera, None if pose is None else pose.apply(ends.reshape(-1, 3)), 3 * AXIS))
-            points.append(_grains(camera, None if pose is None or not len(its) else pose.apply(its), most))
+            camera_points = scene.points[scene.point_cameras == c]
+            camera_points = camera_points[:: max(1, -(-len(camera_points) // max_points))][:max_points]
+            ends = scene.axis_length * np.eye(3)[:, None] * np.linspace(0, 1, AXIS_SAMPLES)[:, None]
+            axes.append(
+                _quantize_pixels(camera, None if pose is None else pose.apply(ends.reshape(-1, 3)), 3 * AXIS_SAMPLES)
+            )
+            points.append(
+                _quantize_pixels(
+                    camera, None if pose is None or not len(camera_points) else pose.apply(camera_points), max_points
+                )
+            )
     return {
         "index": [number for number, _ in shown],
         "files": [[None if file is None else base64.b64encode(file).decode() for file in files] for _, files in shown],
-        "perAxis": AXIS,
-        "perImage": most,
-        "grain": GRAIN,
-        "axes": _packed(axes, "h"),
-        "points": _packed(points, "h"),
+        "perAxis": AXIS_SAMPLES,
+        "perImage": max_points,
+        "grain": COORDINATE_STEPS,
+        "axes": _pack_base64(axes, "h"),
+        "points": _pack_base64(points, "h"),
     }
 
 
-def _thinned(stills: Stills) -> Stills:
-    """Every second one left out until they are few enough bytes; none of a rig of hundreds of cameras."""
-    while sum(4 * len(file) // 3 for files in stills.images for file in files if file) > MOST_IMAGE_BYTES:
+def _thin_out(stills: Thumbnails) -> Thumbnails:
+    """Drop every second frame until the images fit the size limit; none are left if one frame is too large."""
+    while sum(4 * len(file) // 3 for files in stills.images for file in files if file) > MAX_IMAGE_BYTES:
         step = 2 if len(stills.images) > 1 else 1
         if step == 1:
-            return Stills()
-        stills = Stills(stills.index[::2], stills.images[::2])
+            return Thumbnails()
+        stills = Thumbnails(stills.index[::2], stills.images[::2])
     return stills
 
 
-def _grains(camera: Camera, points: FloatArray | None, n: int) -> IntArray:
-    """(n, 2) where points are in an image, in grains of its width and height; filled up, and where they are not in it or
-    far beside it, with `NOWHERE`."""
-    out = np.full((n, 2), NOWHERE, np.int64)
+def _quantize_pixels(camera: Camera, points: FloatArray | None, n: int) -> IntArray:
+    """Quantize the pixels of points, (n, 2), in steps of the image's width and height.
+
+    Padding, and points far outside the image or without a projection, are `MISSING_COORDINATE`.
+    """
+    out = np.full((n, 2), MISSING_COORDINATE, np.int64)
     if points is not None:
         with np.errstate(invalid="ignore"):
-            places = (camera.project(points) + 0.5) / camera.size
-            near = (np.abs(places) < 3).all(axis=1)
-        out[: len(points)][near] = np.round(places[near] * GRAIN)
+            fractions = (camera.project(points) + 0.5) / camera.size
+            is_near = (np.abs(fractions) < 3).all(axis=1)
+        out[: len(points)][is_near] = np.round(fractions[is_near] * COORDINATE_STEPS)
     return out
 
 
-def _per_camera(values: ArrayLike, cameras: int) -> FloatArray:
+def _fill_per_camera(values: ArrayLike, cameras: int) -> FloatArray:
     array = np.asarray(values, dtype=float)
     return array if len(array) else np.full(cameras, np.nan)
 
 
-def _table(sentences: Sequence[str]) -> tuple[list[str], list[int]]:
-    """The different sentences, the first of them empty, and which of them each one is."""
-    known: dict[str, int] = {"": 0}
+def _deduplicate(sentences: Sequence[str]) -> tuple[list[str], list[int]]:
+    """Return the distinct sentences, the first one empty, and each sentence's index among them."""
+    indices: dict[str, int] = {"": 0}
     for sentence in sentences:
-        if len(known) < MOST_SENTENCES:
-            known.setdefault(sentence, len(known))
-    rest = len(known)
-    which = [known.get(sentence, rest) for sentence in sentences]
-    return [*known, "see trajectory.csv: too many different sentences for this page"], which
+        if len(indices) < MAX_SENTENCES:
+            indices.setdefault(sentence, len(indices))
+    rest = len(indices)
+    positions = [indices.get(sentence, rest) for sentence in sentences]
+    return [*indices, "see trajectory.csv: too many distinct sentences for this page"], positions
 
 
-def _packed(values: ArrayLike, kind: str = "f") -> str:
+def _pack_base64(values: ArrayLike, kind: str = "f") -> str:
     types = {"f": "<f4", "i": "<i4", "h": "<i2"}
     return base64.b64encode(np.ascontiguousarray(np.asarray(values), types[kind]).tobytes()).decode()

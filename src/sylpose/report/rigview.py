@@ -1,4 +1,4 @@
-"""The rig as a picture, from above and from the side, and as a table: for `sylpose check`."""
+"""Pictures of the rig from above and from the side, and a table of its cameras, for `sylpose check`."""
 
 from __future__ import annotations
 
@@ -16,37 +16,37 @@ from matplotlib.patches import Circle, Polygon
 from numpy.typing import ArrayLike
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.report.plots import INK, camera_colors, new_figure, save_figure
-from sylpose.rig import Camera, Rig, nearest_point_to_rays
+from sylpose.report.plots import INK, camera_colors, create_figure, save_figure
+from sylpose.rig import Camera, Rig, intersect_rays
 
-__all__ = ["CameraView", "describe_rig", "meeting_point", "plot_rig", "view_axes"]
+__all__ = ["CameraView", "compute_view_axes", "describe_rig", "find_axes_intersection", "plot_rig"]
 
 
-# Axes that are nearer to parallel meet nowhere in particular (choice).
-PARALLEL = np.radians(2)
+# Optical axes closer to parallel than this have no useful intersection (choice).
+MIN_AXIS_ANGLE = np.radians(2)
 OBJECT_COLOR = "#D55E00"
-OBJECT: dict[str, Any] = {
+OBJECT_STYLE: dict[str, Any] = {
     "color": OBJECT_COLOR,
     "marker": "P",
     "markersize": 9,
     "markeredgecolor": "white",
     "linestyle": "",
 }
-TO_OBJECT: dict[str, Any] = {"color": "#888888", "linewidth": 0.9, "linestyle": ":"}
-BETWEEN: dict[str, Any] = {"color": "#555555", "linewidth": 1.0, "linestyle": "--"}
-HALO: list[patheffects.AbstractPathEffect] = [patheffects.withStroke(linewidth=3, foreground="white")]
+OBJECT_LINE_STYLE: dict[str, Any] = {"color": "#888888", "linewidth": 0.9, "linestyle": ":"}
+BASELINE_STYLE: dict[str, Any] = {"color": "#555555", "linewidth": 1.0, "linestyle": "--"}
+TEXT_HALO: list[patheffects.AbstractPathEffect] = [patheffects.withStroke(linewidth=3, foreground="white")]
 
 
 @dataclass(frozen=True)
 class CameraView:
-    """How one camera stands in its rig: a row of the table that `sylpose check` prints. Angles in degrees.
+    """Geometry of one camera in its rig: a row of the table that `sylpose check` prints. Angles in degrees.
 
     Attributes:
-        name: of the camera.
+        name: name of the camera.
         size: (width, height) in pixels.
-        field_of_view: (horizontal, vertical) between the middles of the image's edges, lens included.
-        distance: to the centre, in the calibration's unit; NaN without a centre.
-        off_axis: angle between the optical axis and the way to the centre; NaN without a centre.
+        field_of_view: (horizontal, vertical) between the midpoints of the image's edges, lens included.
+        distance: to the center, in the calibration's unit; NaN without a center.
+        off_axis: angle between the optical axis and the direction to the center; NaN without a center.
         angles: (C,) between its optical axis and those of all cameras, in the rig's order; 0 for itself.
         baselines: (C,) distances to all cameras, in the calibration's unit.
     """
@@ -60,68 +60,70 @@ class CameraView:
     baselines: tuple[float, ...]
 
 
-def meeting_point(rig: Rig) -> FloatArray | None:
-    """The point (3,) nearest to all optical axes, in world coordinates.
+def find_axes_intersection(rig: Rig) -> FloatArray | None:
+    """Find the point (3,) nearest to all optical axes, in world coordinates.
 
-    None when there is no such point to speak of: one camera, axes within 2 degrees of parallel, or a point that is not in
-    front of most cameras.
+    Returns:
+        None for a single camera, for axes within 2 degrees of parallel, or for a point that is not in front of most
+        cameras.
     """
-    centers, directions = _centers(rig), _directions(rig)
+    centers, directions = _camera_centers(rig), _camera_directions(rig)
     # The second largest singular value is the axes' spread about their common direction.
-    if len(rig) < 2 or np.linalg.svd(directions, compute_uv=False)[1] < np.sqrt(len(rig)) * np.sin(PARALLEL / 2):
+    if len(rig) < 2 or np.linalg.svd(directions, compute_uv=False)[1] < np.sqrt(len(rig)) * np.sin(MIN_AXIS_ANGLE / 2):
         return None
-    point = nearest_point_to_rays(centers, directions)
+    point = intersect_rays(centers, directions)
     in_front = ((point - centers) * directions).sum(axis=1) > 0
     return point if in_front.mean() > 0.5 else None
 
 
 def describe_rig(rig: Rig, center: ArrayLike | None = None) -> list[CameraView]:
-    """One row per camera, in the rig's order.
+    """Compute the table of cameras, one row each, in the rig's order.
 
     Args:
         rig: the cameras.
-        center: (3,) where the object is in the world; None for `meeting_point`.
+        center: (3,) position of the object in the world; None for `find_axes_intersection`.
 
     Raises:
-        ValueError: a centre that is not three finite numbers.
+        ValueError: a center that is not three finite numbers.
     """
-    point = _center(rig, center)
-    centers, directions = _centers(rig), _directions(rig)
+    point = _resolve_center(rig, center)
+    centers, directions = _camera_centers(rig), _camera_directions(rig)
     rows = []
     for i, camera in enumerate(rig):
         distance = off_axis = float("nan")
         if point is not None:
             distance = float(np.linalg.norm(point - centers[i]))
-            off_axis = _angle(directions[i], point - centers[i])
+            off_axis = _angle_between(directions[i], point - centers[i])
         rows.append(
             CameraView(
                 name=camera.name,
                 size=camera.size,
-                field_of_view=_field_of_view(camera),
+                field_of_view=_compute_field_of_view(camera),
                 distance=distance,
                 off_axis=off_axis,
-                angles=tuple(_angle(directions[i], other) for other in directions),
+                angles=tuple(_angle_between(directions[i], other) for other in directions),
                 baselines=tuple(float(d) for d in np.linalg.norm(centers - centers[i], axis=1)),
             )
         )
     return rows
 
 
-def view_axes(rig: Rig) -> FloatArray:
-    """(3, 3) rows right, ahead, up: unit vectors in the world for looking at the rig from above.
+def compute_view_axes(rig: Rig) -> FloatArray:
+    """Compute the axes for viewing the rig from above: (3, 3) unit rows right, ahead, up in the world.
 
-    The plane right-ahead is the one that fits the cameras' centres and viewing directions best, whatever the world's axes
-    are; up is the side towards which most images have their upper edge; ahead is where the cameras look on average, or
-    where the first one looks when they stand around.
+    The plane right-ahead is the best fit to the cameras' centers and viewing directions, whatever the world's axes
+    are. Up is the side toward which most images have their upper edge. Ahead is the cameras' mean viewing direction,
+    or that of the first one if they surround the object.
     """
-    centers, directions = _centers(rig), _directions(rig)
+    centers, directions = _camera_centers(rig), _camera_directions(rig)
     ups = np.array([-camera.rotation[1] for camera in rig])
     offsets = centers - centers.mean(axis=0)
     spread = np.sqrt((offsets**2).sum(axis=1).mean())
-    turns = directions - directions.mean(axis=0)
-    # What spreads lies in the plane. A ring of cameras that look down has a common part of the directions that does not;
-    # it counts only where the rest says nothing (cameras in a row, side by side), and last the images' own up.
-    scatter = turns.T @ turns + 0.03 * directions.T @ directions - 0.003 * ups.T @ ups
+    direction_offsets = directions - directions.mean(axis=0)
+    # The spread of centers and directions spans the plane. Cameras in a ring that look down share a component outside
+    # of it. That component only has weight where the rest is degenerate (cameras in a row, side by side), and the
+    # images' own up has the least weight.
+    scatter = direction_offsets.T @ direction_offsets + 0.03 * directions.T @ directions - 0.003 * ups.T @ ups
     if spread > 0:
         scatter += offsets.T @ offsets / spread**2
     up = np.linalg.eigh(scatter)[1][:, 0]
@@ -137,51 +139,53 @@ def view_axes(rig: Rig) -> FloatArray:
 
 
 def plot_rig(rig: Rig, path: Path | str, center: ArrayLike | None = None, radius: float | None = None) -> None:
-    """Draws the rig from above and from the side: fields of view, the object, distances to it and between neighbours.
+    """Plot the rig from above and from the side.
+
+    The panels show fields of view, the object, distances to it and distances between neighboring cameras.
 
     Args:
         rig: the cameras.
-        path: of the picture (.png, .pdf, .svg); replaced when it is there.
-        center: (3,) where the object is in the world; None for `meeting_point`.
-        radius: of the object, in the calibration's unit; None when it is not known.
+        path: path of the picture (.png, .pdf, .svg); replaced if it exists.
+        center: (3,) position of the object in the world; None for `find_axes_intersection`.
+        radius: radius of the object, in the calibration's unit; None if unknown.
 
     Raises:
-        ValueError: a centre that is not three finite numbers, a radius that is not positive.
-        OSError: naming the file, when it cannot be written.
+        ValueError: a center that is not three finite numbers, a radius that is not positive.
+        OSError: the file cannot be written; the message names it.
     """
-    point = _center(rig, center)
+    point = _resolve_center(rig, center)
     if radius is not None and not (np.isfinite(radius) and radius > 0):
         raise ValueError(f"the object's radius must be a positive number, got {radius}")
-    centers = _centers(rig)
+    centers = _camera_centers(rig)
     if point is not None:
         reach = float(np.median(np.linalg.norm(centers - point, axis=1)))
     else:
         reach = 2 * float(np.linalg.norm(centers - centers.mean(axis=0), axis=1).max()) or 1.0
     length = 0.3 * reach
-    axes = view_axes(rig)
+    axes = compute_view_axes(rig)
     origin = centers.mean(axis=0) if point is None else point
-    corners = np.concatenate([_frustum(camera, length) for camera in rig])
+    corners = np.concatenate([_compute_frustum(camera, length) for camera in rig])
     shown = (np.concatenate([corners, origin[None]]) - origin) @ axes.T
     low, high = shown.min(axis=0), shown.max(axis=0)
     margin = 0.12 * float((high - low).max())
     low, high = low - margin, high + margin
 
     width, depth, height = high - low
-    # Both panels have one scale: inches per unit so that together they fill a page.
+    # Both panels share one scale, in inches per unit, chosen to fill a page together.
     inches = min(8.5 / width, 6.5 / depth, 11.0 / (depth + height))
-    figure = new_figure(max(width * inches, 6.0) + 1.2, (depth + height) * inches + 2.0)
-    above, side = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [depth, height]})
+    figure = create_figure(max(width * inches, 6.0) + 1.2, (depth + height) * inches + 2.0)
+    top_panel, side_panel = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [depth, height]})
     unit = rig.unit or "units"
     distances = None if point is None else np.linalg.norm(centers - point, axis=1)
     for panel, rows, name in (
-        (above, axes[[0, 1]], "from above"),
-        (side, axes[[0, 2]], "from the side, looking ahead"),
+        (top_panel, axes[[0, 1]], "from above"),
+        (side_panel, axes[[0, 2]], "from the side, looking ahead"),
     ):
         places = (centers - origin) @ rows.T
         _draw_cameras(panel, rig, places, rows, origin, length)
         if point is not None:
             _draw_object(panel, places, radius)
-        if panel is above:
+        if panel is top_panel:
             _draw_distances(panel, places, centers, distances)
         panel.set_aspect("equal")
         panel.set_title(f"The rig {name}", loc="left", color=INK, fontsize=12, fontweight="bold")
@@ -191,22 +195,22 @@ def plot_rig(rig: Rig, path: Path | str, center: ArrayLike | None = None, radius
         panel.tick_params(colors=INK, labelbottom=True)
     if len(rig) > 1 or point is not None:
         _draw_legend(figure, unit, point is not None, center is None)
-    above.set_xlim(low[0], high[0])
-    above.set_ylim(low[1], high[1])
-    side.set_ylim(low[2], high[2])
-    above.set_ylabel(f"ahead ({unit})", color=INK)
-    side.set_ylabel(f"up ({unit})", color=INK)
-    side.set_xlabel(f"right ({unit})", color=INK)
+    top_panel.set_xlim(low[0], high[0])
+    top_panel.set_ylim(low[1], high[1])
+    side_panel.set_ylim(low[2], high[2])
+    top_panel.set_ylabel(f"ahead ({unit})", color=INK)
+    side_panel.set_ylabel(f"up ({unit})", color=INK)
+    side_panel.set_xlabel(f"right ({unit})", color=INK)
     save_figure(figure, path)
 
 
 def _draw_cameras(
     panel: Axes, rig: Rig, places: FloatArray, rows: FloatArray, origin: FloatArray, length: float
 ) -> None:
-    """Fields of view, viewing directions and names."""
+    """Draw fields of view, viewing directions and names."""
     middle = places.mean(axis=0)
     for camera, place, color in zip(rig, places, camera_colors(len(rig)), strict=True):
-        outline = ((_frustum(camera, length) - origin) @ rows.T).astype(np.float32)
+        outline = ((_compute_frustum(camera, length) - origin) @ rows.T).astype(np.float32)
         hull = cv2.convexHull(outline).reshape(-1, 2)
         panel.add_patch(Polygon(hull, facecolor=color, edgecolor=color, alpha=0.25, linewidth=1.2))
         arrow = 1.25 * length * rows @ camera.direction
@@ -214,55 +218,59 @@ def _draw_cameras(
             style = {"arrowstyle": "-|>", "color": color, "linewidth": 1.6, "shrinkA": 0, "shrinkB": 0}
             panel.annotate("", place + arrow, place, arrowprops=style)
         panel.plot(*place, "o", color=color, markersize=7)
-        # The name stands behind the camera, or away from the others for one that looks along the line of sight.
+        # The name is placed behind the camera; if it looks along the viewing direction, away from the other cameras.
         behind = -(rows @ camera.direction)
         if np.linalg.norm(behind) < 0.3:
             behind = place - middle if np.linalg.norm(place - middle) > 1e-9 else np.array([0.0, 1.0])
-        shift = 15 * behind / np.linalg.norm(behind)
+        label_offset = 15 * behind / np.linalg.norm(behind)
         text = panel.annotate(
             camera.name,
             place,
-            xytext=(float(shift[0]), float(shift[1])),
+            xytext=(float(label_offset[0]), float(label_offset[1])),
             textcoords="offset points",
-            ha="left" if shift[0] > 6 else "right" if shift[0] < -6 else "center",
-            va="bottom" if shift[1] > 6 else "top" if shift[1] < -6 else "center",
+            ha="left" if label_offset[0] > 6 else "right" if label_offset[0] < -6 else "center",
+            va="bottom" if label_offset[1] > 6 else "top" if label_offset[1] < -6 else "center",
             color=INK,
             fontsize=11,
             fontweight="bold",
         )
-        text.set_path_effects(HALO)
+        text.set_path_effects(TEXT_HALO)
 
 
 def _draw_object(panel: Axes, places: FloatArray, radius: float | None) -> None:
-    """The object at (0, 0) and lines to it."""
+    """Draw the object at (0, 0) and lines to it."""
     for place in places:
-        panel.plot([place[0], 0], [place[1], 0], **TO_OBJECT, zorder=1)
+        panel.plot([place[0], 0], [place[1], 0], **OBJECT_LINE_STYLE, zorder=1)
     if radius is not None:
         panel.add_patch(Circle((0, 0), radius, facecolor=OBJECT_COLOR, alpha=0.25, edgecolor=OBJECT_COLOR))
-    panel.plot(0, 0, **OBJECT)
+    panel.plot(0, 0, **OBJECT_STYLE)
 
 
-def _draw_distances(panel: Axes, places: FloatArray, centers: FloatArray, to_object: FloatArray | None) -> None:
-    """Lengths, in space, of the lines to the object and between neighbours."""
-    if to_object is not None:
-        for place, distance in zip(places, to_object, strict=True):
-            _label(panel, 0.42 * place, f"{distance:.3g}", "#666666")
-    for i, j in _neighbours(places):
-        panel.plot(*places[[i, j]].T, **BETWEEN, zorder=1)
-        _label(panel, places[[i, j]].mean(axis=0), f"{np.linalg.norm(centers[i] - centers[j]):.3g}", INK)
+def _draw_distances(panel: Axes, places: FloatArray, centers: FloatArray, distances: FloatArray | None) -> None:
+    """Label the lines to the object and between neighbors with their lengths in space."""
+    if distances is not None:
+        for place, distance in zip(places, distances, strict=True):
+            _draw_label(panel, 0.42 * place, f"{distance:.3g}", "#666666")
+    for i, j in _find_adjacent_pairs(places):
+        panel.plot(*places[[i, j]].T, **BASELINE_STYLE, zorder=1)
+        _draw_label(panel, places[[i, j]].mean(axis=0), f"{np.linalg.norm(centers[i] - centers[j]):.3g}", INK)
 
 
 def _draw_legend(figure: Figure, unit: str, has_object: bool, is_estimate: bool) -> None:
-    lines = [Line2D([], [], **BETWEEN, label=f"between neighbours ({unit})")]
+    lines = [Line2D([], [], **BASELINE_STYLE, label=f"between neighbors ({unit})")]
     if has_object:
-        where = "where the optical axes come nearest" if is_estimate else "object"
-        lines = [Line2D([], [], **OBJECT, label=where), Line2D([], [], **TO_OBJECT, label=f"to it ({unit})"), *lines]
-    # Outside the panels, where any corner may have a camera.
+        where = "nearest point to the optical axes" if is_estimate else "object"
+        lines = [
+            Line2D([], [], **OBJECT_STYLE, label=where),
+            Line2D([], [], **OBJECT_LINE_STYLE, label=f"distance ({unit})"),
+            *lines,
+        ]
+    # Outside the panels, since any corner of them may contain a camera.
     figure.legend(handles=lines, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
 
 
-def _neighbours(places: FloatArray) -> list[tuple[int, int]]:
-    """Pairs of cameras that follow each other around (0, 0), the object or the cameras' middle; an arc stays open."""
+def _find_adjacent_pairs(places: FloatArray) -> list[tuple[int, int]]:
+    """Find pairs of adjacent cameras around (0, 0), the object or the cameras' mean; an arc stays open."""
     n = len(places)
     if n < 2:
         return []
@@ -275,46 +283,46 @@ def _neighbours(places: FloatArray) -> list[tuple[int, int]]:
     return pairs
 
 
-def _label(panel: Axes, place: FloatArray, words: str, color: str) -> None:
-    text = panel.text(place[0], place[1], words, ha="center", va="center", fontsize=9.5, color=color)
-    text.set_path_effects(HALO)
+def _draw_label(panel: Axes, place: FloatArray, content: str, color: str) -> None:
+    text = panel.text(place[0], place[1], content, ha="center", va="center", fontsize=9.5, color=color)
+    text.set_path_effects(TEXT_HALO)
 
 
-def _frustum(camera: Camera, length: float) -> FloatArray:
-    """(17, 3) the camera's centre and points around its image's edge, `length` away in depth."""
+def _compute_frustum(camera: Camera, length: float) -> FloatArray:
+    """Compute (17, 3) points of the frustum: the camera's center and its image's border at depth `length`."""
     w, h = camera.size[0] - 1, camera.size[1] - 1
     s = np.linspace(0, 1, 5)[:4, None]
     corners = np.array([[0, 0], [w, 0], [w, h], [0, h]], dtype=float)
     edge = np.concatenate([(1 - s) * a + s * b for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)])
     rays = camera.rays(edge)
-    # A flat end looks like a field of view; at the rim of a very wide lens it would go to infinity.
+    # Limit the flat end of the frustum: at the border of a very wide lens it would extend to infinity.
     rays = rays / np.maximum(rays @ camera.direction, 0.4)[:, None]
     return np.asarray(np.concatenate([camera.center[None], camera.center + length * rays]))
 
 
-def _field_of_view(camera: Camera) -> tuple[float, float]:
+def _compute_field_of_view(camera: Camera) -> tuple[float, float]:
     w, h = camera.size[0] - 1, camera.size[1] - 1
     left, right, top, bottom = camera.rays([[0, h / 2], [w, h / 2], [w / 2, 0], [w / 2, h]])
-    return _angle(left, right), _angle(top, bottom)
+    return _angle_between(left, right), _angle_between(top, bottom)
 
 
-def _angle(a: FloatArray, b: FloatArray) -> float:
-    """Between two vectors, degrees; exact for small angles too."""
+def _angle_between(a: FloatArray, b: FloatArray) -> float:
+    """Compute the angle between two vectors in degrees, accurate for small angles too."""
     return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)))
 
 
-def _centers(rig: Rig) -> FloatArray:
+def _camera_centers(rig: Rig) -> FloatArray:
     return np.array([camera.center for camera in rig])
 
 
-def _directions(rig: Rig) -> FloatArray:
+def _camera_directions(rig: Rig) -> FloatArray:
     return np.array([camera.direction for camera in rig])
 
 
-def _center(rig: Rig, center: ArrayLike | None) -> FloatArray | None:
+def _resolve_center(rig: Rig, center: ArrayLike | None) -> FloatArray | None:
     if center is None:
-        return meeting_point(rig)
+        return find_axes_intersection(rig)
     point = np.asarray(center, dtype=float)
     if point.shape != (3,) or not np.isfinite(point).all():
-        raise ValueError(f"the object's centre must be three finite numbers, got {center}")
+        raise ValueError(f"the object's center must be three finite numbers, got {center}")
     return point

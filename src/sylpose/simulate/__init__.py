@@ -1,12 +1,12 @@
-"""Synthetic scenes with known truth: rigs, matches of moving bodies, and rendered sequences."""
+"""Synthetic scenes with ground truth: rigs, matches of moving bodies, and rendered sequences."""
 
-from sylpose.rig import camera_at
+from sylpose.rig import make_look_at_camera
 from sylpose.simulate.bodies import Body, box, cloud, ellipsoid, plane
-from sylpose.simulate.demo import DemoTruth, demo_scene, demo_truth, render_sequence, write_sequence
+from sylpose.simulate.demo import DemoTruth, compute_demo_truth, make_demo_scene, render_sequence, write_sequence
 from sylpose.simulate.render import Actor, Scene, TexturedBody, chamfered_box, render_frames
 from sylpose.simulate.rigs import arc, dome, ring
 from sylpose.simulate.scenes import OutlierKind, SimulatedPair, random_motion, simulate_matches
-from sylpose.simulate.sequences import Recording, visible_shares, write_recording
+from sylpose.simulate.sequences import Recording, compute_visible_shares, write_recording
 
 __all__ = [
     "Actor",
@@ -19,20 +19,20 @@ __all__ = [
     "TexturedBody",
     "arc",
     "box",
-    "camera_at",
     "chamfered_box",
     "cloud",
-    "demo_scene",
-    "demo_truth",
+    "compute_demo_truth",
+    "compute_visible_shares",
     "dome",
     "ellipsoid",
+    "make_demo_scene",
+    "make_look_at_camera",
     "plane",
     "random_motion",
     "render_frames",
     "render_sequence",
     "ring",
     "simulate_matches",
-    "visible_shares",
     "write_recording",
     "write_sequence",
 ]

@@ -1,4 +1,4 @@
-"""What rendered sequences are written as: a session's files, and the truth beside them."""
+"""Writers of rendered sequences: a session's files and the ground truth."""
 
 from __future__ import annotations
 
@@ -12,23 +12,30 @@ import av
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.atomic_io import boxes_toml, replacing
+from sylpose.atomic_io import format_boxes_toml, replace_atomically
 from sylpose.geometry.arrays import Image
 from sylpose.rig import Rig
 
-__all__ = ["FRAME_RATE", "session_folder", "suffixes", "write_boxes", "write_truth", "write_videos"]
+__all__ = [
+    "FRAME_RATE",
+    "create_session_folder",
+    "object_suffixes",
+    "write_boxes",
+    "write_ground_truth",
+    "write_videos",
+]
 
 FRAME_RATE = 30
 
 Box = tuple[int, int, int, int]
 
 
-def session_folder(path: str | Path, rig: Rig) -> Path:
-    """A folder with the rig's `calibration.toml` in it; made when absent.
+def create_session_folder(path: str | Path, rig: Rig) -> Path:
+    """Create a session folder (if missing) and write the rig's `calibration.toml`.
 
     Raises:
-        OSError: a folder or file that cannot be written.
-        ValueError: images of odd width or height, which videos cannot hold.
+        OSError: a folder or file cannot be written.
+        ValueError: images have an odd width or height, which videos do not support.
     """
     from sylpose import calibration
 
@@ -41,39 +48,42 @@ def session_folder(path: str | Path, rig: Rig) -> Path:
     return folder
 
 
-def write_truth(folder: Path, poses: Mapping[str, RigidTransform], *, repeats: int = 1) -> None:
-    """`groundtruth.tum` (`time tx ty tz qx qy qz qw`, world_from_object, seconds) of each object, and `dataset.toml` (the
-    first object's centre in the first frame).
+def write_ground_truth(folder: Path, poses: Mapping[str, RigidTransform], *, repeats: int = 1) -> None:
+    """Write the ground truth of the objects.
+
+    Files: `groundtruth.tum` per object (`time tx ty tz qx qy qz qw`, world_from_object, seconds), and `dataset.toml`
+    (the first object's center in the first frame).
 
     Args:
-        poses: by object, (n,) world_from_object; with several objects each one's file has its name in it.
-        repeats: how often the poses follow one another.
+        folder: output folder.
+        poses: (n,) world_from_object by object name; with several objects the file names contain the object's name.
+        repeats: number of times the poses are repeated.
     """
-    names = [f"groundtruth{suffix}.tum" for suffix in suffixes(list(poses))]
-    for name, its in zip(names, poses.values(), strict=True):
-        rows = np.column_stack([its.translation, its.rotation.as_quat(canonical=True)])
+    names = [f"groundtruth{suffix}.tum" for suffix in object_suffixes(list(poses))]
+    for name, object_poses in zip(names, poses.values(), strict=True):
+        rows = np.column_stack([object_poses.translation, object_poses.rotation.as_quat(canonical=True)])
         table = np.column_stack([np.arange(repeats * len(rows)) / FRAME_RATE, np.tile(rows, (repeats, 1))])
-        with replacing(folder / name) as part:
+        with replace_atomically(folder / name) as part:
             np.savetxt(part, table, fmt="%.9g", header="time tx ty tz qx qy qz qw : world_from_object")
     center = ", ".join(f"{v:.9g}" for v in next(iter(poses.values())).translation[0])
-    with replacing(folder / "dataset.toml") as part:
+    with replace_atomically(folder / "dataset.toml") as part:
         part.write_text(f'calibration = "calibration.toml"\ngroundtruth = "{names[0]}"\ncenter_world = [{center}]\n')
 
 
-def suffixes(objects: Sequence[str]) -> list[str]:
-    """What the objects' own files have at the end of their names: nothing where there is one object alone."""
+def object_suffixes(objects: Sequence[str]) -> list[str]:
+    """Return the file name suffix of each object: `_NAME`, or empty for a single object."""
     return [f"_{name}" for name in objects] if len(objects) > 1 else [""]
 
 
 def write_boxes(folder: Path, boxes: Mapping[str, Mapping[str, Box]]) -> None:
-    """`boxes.toml`, the objects' boxes in the first frame, by object and camera; with several objects a table each.
+    """Write `boxes.toml`, the objects' boxes in the first frame per camera; with several objects a table each.
 
-    Without any object there is none, nor is an earlier one left, which would be taken for this session's.
+    Without objects an existing file is removed, so that it is not used for this session.
     """
     if boxes:
         named = boxes if len(boxes) > 1 else {"": next(iter(boxes.values()))}
-        with replacing(folder / "boxes.toml") as part:
-            part.write_text(boxes_toml(named), encoding="utf-8")
+        with replace_atomically(folder / "boxes.toml") as part:
+            part.write_text(format_boxes_toml(named), encoding="utf-8")
     else:
         (folder / "boxes.toml").unlink(missing_ok=True)
 
@@ -87,53 +97,55 @@ def write_videos(
     quality: int = 14,
     repeats: int = 1,
 ) -> None:
-    """One video per camera (`cam_0.mp4`, ...), at 30 frames per second.
+    """Write one video per camera (`cam_0.mp4`, ...), at 30 frames per second.
 
     Args:
-        images: frame by frame, BGR (h, w, 3) per camera; None is not written, so that the video has a frame less.
-        frames: how many there are.
-        quality: x264's "crf". 14 compresses so little that its noise stays well under the camera's own.
-        repeats: how often the frames follow one another: as the same packets, so as the same pictures.
+        folder: output folder.
+        rig: the cameras.
+        images: per frame, BGR (h, w, 3) per camera; None is skipped, so that the video has one frame less.
+        frames: number of frames.
+        quality: x264's "crf". The compression noise of 14 is well below the camera's own.
+        repeats: number of times the frames are repeated, as the same packets and so with identical pictures.
     """
     codec, options = "mpeg4", {"qscale": "2"}
     if "libx264" in av.codecs_available:
-        # One key frame at the start and no frames that refer to later ones: such a video can follow itself.
+        # One key frame at the start and no references to later frames: such a video can be appended to itself.
         key = {"bf": "0", "g": str(frames)} if repeats > 1 else {}
-        # One thread, as the result depends on their number.
+        # One thread, as the result depends on the number of threads.
         codec, options = "libx264", {"crf": str(quality), "preset": "veryfast", "threads": "1", **key}
-    with ExitStack() as whole:
-        parts = [whole.enter_context(replacing(folder / f"{camera.name}.mp4")) for camera in rig]
-        files = [whole.enter_context(av.open(str(part), "w")) for part in parts]
-        streams: list[Any] = []  # PyAV's types do not tell a stream of video from others
+    with ExitStack() as stack:
+        parts = [stack.enter_context(replace_atomically(folder / f"{camera.name}.mp4")) for camera in rig]
+        files = [stack.enter_context(av.open(str(part), "w")) for part in parts]
+        streams: list[Any] = []  # PyAV's types do not distinguish video streams from others
         for file, camera in zip(files, rig, strict=True):
             stream: Any = file.add_stream(codec, rate=FRAME_RATE, options=options)
             stream.width, stream.height = camera.size
             stream.pix_fmt = "yuv420p"
             stream.time_base = Fraction(1, FRAME_RATE)
             streams.append(stream)
-        packets: list[list[Any]] = [[] for _ in streams]  # of one round, where there are several
+        packets: list[list[Any]] = [[] for _ in streams]  # of the first round, if there are several
 
-        def put(c: int, made: Sequence[Any]) -> None:
+        def mux_packets(c: int, made: Sequence[Any]) -> None:
             for packet in made:
                 if repeats > 1:
-                    packets[c].append(_later(packet, 0))  # muxing changes a packet
+                    packets[c].append(_delay_packet(packet, 0))  # muxing changes a packet
                 files[c].mux(packet)
 
-        for shown in images:
-            for c, (stream, image) in enumerate(zip(streams, shown, strict=True)):
+        for frame_images in images:
+            for c, (stream, image) in enumerate(zip(streams, frame_images, strict=True)):
                 if image is not None:
-                    put(c, stream.encode(av.VideoFrame.from_ndarray(image, format="bgr24")))
+                    mux_packets(c, stream.encode(av.VideoFrame.from_ndarray(image, format="bgr24")))
         for c, stream in enumerate(streams):
-            put(c, stream.encode())
+            mux_packets(c, stream.encode())
             for k in range(1, repeats):
                 for packet in packets[c]:
-                    files[c].mux(_later(packet, k * frames))
+                    files[c].mux(_delay_packet(packet, k * frames))
 
 
-def _later(packet: Any, frames: int) -> Any:
-    """The same packet again, so many frames later."""
-    again: Any = av.Packet(bytes(packet))
-    again.stream, again.time_base, again.is_keyframe = packet.stream, packet.time_base, packet.is_keyframe
+def _delay_packet(packet: Any, frames: int) -> Any:
+    """Return a copy of the packet, delayed by a number of frames."""
+    copy: Any = av.Packet(bytes(packet))
+    copy.stream, copy.time_base, copy.is_keyframe = packet.stream, packet.time_base, packet.is_keyframe
     delay = round(frames / FRAME_RATE / packet.time_base)
-    again.pts, again.dts, again.duration = packet.pts + delay, packet.dts + delay, packet.duration
-    return again
+    copy.pts, copy.dts, copy.duration = packet.pts + delay, packet.dts + delay, packet.duration
+    return copy

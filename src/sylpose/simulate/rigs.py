@@ -1,6 +1,6 @@
 """Rigs of cameras that look at a point: rings, arcs and domes.
 
-The world's axes are OpenCV's camera axes (x right, y down, z forward): up is -y, and `cam_0` of a ring stands at -z.
+The world's axes are OpenCV's camera axes (x right, y down, z forward): up is -y, and `cam_0` of a ring is at -z.
 """
 
 from __future__ import annotations
@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.validation import finite, number, real, whole
-from sylpose.rig import MAX_LENGTH, Rig, camera_at
+from sylpose.geometry.validation import check_finite, check_integer, check_number, check_real
+from sylpose.rig import MAX_LENGTH, Rig, make_look_at_camera
 
-MOST_CAMERAS = 10_000  # of a rig (choice)
+MAX_CAMERAS = 10_000  # maximum number of cameras of a rig (choice)
 
 __all__ = ["arc", "dome", "ring"]
 
@@ -27,9 +27,9 @@ def ring(
     target: ArrayLike = (0.0, 0.0, 0.0),
     distortion: ArrayLike = (),
 ) -> Rig:
-    """`n` cameras evenly on a full horizontal circle around the target. Arguments as in `arc`."""
-    n = whole(n, "n", least=1, most=MOST_CAMERAS)
-    return arc(n, 360.0 / n, radius, focal, size, height=height, target=target, distortion=distortion, first=0.0)
+    """Build a rig of `n` cameras evenly on a full horizontal circle around the target. Arguments as in `arc`."""
+    n = check_integer(n, "n", minimum=1, maximum=MAX_CAMERAS)
+    return arc(n, 360.0 / n, radius, focal, size, height=height, target=target, distortion=distortion, first_deg=0.0)
 
 
 def arc(
@@ -42,39 +42,41 @@ def arc(
     height: ArrayLike = 0.0,
     target: ArrayLike = (0.0, 0.0, 0.0),
     distortion: ArrayLike = (),
-    first: float | None = None,
+    first_deg: float | None = None,
 ) -> Rig:
-    """`n` cameras on a horizontal circle around the target, neighbours `spacing_deg` apart as seen from it.
+    """Build a rig of `n` cameras on a horizontal circle around the target.
 
     Args:
-        radius: of the circle: the horizontal distance to the target.
+        n: number of cameras.
+        spacing_deg: angle between neighboring cameras as seen from the target, degrees.
+        radius: radius of the circle: the horizontal distance to the target.
         focal: pixels.
         size: (width, height) in pixels.
         height: above the target (towards -y), one for all or (n,) one per camera.
         target: (3,) the point that all cameras look at.
-        distortion: OpenCV's coefficients, the same for all.
-        first: the angle of cam_0 in degrees, 0 at -z, growing towards +x; None centres the arc on -z.
+        distortion: OpenCV's coefficients, the same for all cameras.
+        first_deg: the angle of cam_0 in degrees, 0 at -z, growing towards +x; None centers the arc on -z.
 
     Returns:
-        cameras cam_0, cam_1, ...
+        The rig with cameras cam_0, cam_1, ...
 
     Raises:
-        ValueError: fewer than one camera, heights that are neither one nor n, or anything that `Camera` refuses.
+        ValueError: there are fewer than one camera, the heights are neither one nor n, or `Camera` rejects a value.
     """
-    n = whole(n, "n", least=1, most=MOST_CAMERAS)
-    spacing_deg = number(spacing_deg, "spacing_deg", least=-360.0, most=360.0)
-    radius = number(radius, "radius", least=0.0, most=MAX_LENGTH)
-    heights = real(height, f"one number or ({n},)", "height")
+    n = check_integer(n, "n", minimum=1, maximum=MAX_CAMERAS)
+    spacing_deg = check_number(spacing_deg, "spacing_deg", minimum=-360.0, maximum=360.0)
+    radius = check_number(radius, "radius", minimum=0.0, maximum=MAX_LENGTH)
+    heights = check_real(height, f"one number or ({n},)", "height")
     if not (np.abs(heights) <= MAX_LENGTH).all():
         raise ValueError(f"height has values that are not finite, or beyond {MAX_LENGTH:g}")
-    if first is not None:
-        first = number(first, "first", least=-1e6, most=1e6)
+    if first_deg is not None:
+        first_deg = check_number(first_deg, "first_deg", minimum=-1e6, maximum=1e6)
     if heights.shape not in ((), (n,)):
         raise ValueError(f"height must be one number or ({n},), got shape {heights.shape}")
-    start = -spacing_deg * (n - 1) / 2 if first is None else first
+    start = -spacing_deg * (n - 1) / 2 if first_deg is None else first_deg
     angles = np.deg2rad(start + spacing_deg * np.arange(n))
     offsets = np.column_stack([radius * np.sin(angles), np.broadcast_to(-heights, n), -radius * np.cos(angles)])
-    return _looking_at(offsets, target, focal, size, distortion)
+    return _rig_from_offsets(offsets, target, focal, size, distortion)
 
 
 def dome(
@@ -87,23 +89,27 @@ def dome(
     target: ArrayLike = (0.0, 0.0, 0.0),
     distortion: ArrayLike = (),
 ) -> Rig:
-    """`n` cameras spread evenly (a Fibonacci spiral) over the part of a sphere that is `lowest_deg` or more above the
-    horizon of the target; `radius` is the sphere's. Other arguments, returns and errors as in `arc`.
+    """Build a rig of `n` cameras evenly on a dome around the target (a Fibonacci spiral).
+
+    The dome is the part of the sphere of this radius that is `lowest_deg` or more above the horizon of the target.
+    Other arguments, result and errors as in `arc`.
     """
-    n = whole(n, "n", least=1, most=MOST_CAMERAS)
-    radius = number(radius, "radius", above=0.0, most=MAX_LENGTH)
-    lowest_deg = number(lowest_deg, "lowest_deg", least=-90.0, most=90.0)
+    n = check_integer(n, "n", minimum=1, maximum=MAX_CAMERAS)
+    radius = check_number(radius, "radius", above=0.0, maximum=MAX_LENGTH)
+    lowest_deg = check_number(lowest_deg, "lowest_deg", minimum=-90.0, maximum=90.0)
     bottom = np.sin(np.deg2rad(lowest_deg))
     up = bottom + (1 - bottom) * (np.arange(n) + 0.5) / n
     angles = np.pi * (3 - np.sqrt(5)) * np.arange(n)
     flat = np.sqrt(1 - up**2)
     offsets = radius * np.column_stack([flat * np.sin(angles), -up, -flat * np.cos(angles)])
-    return _looking_at(offsets, target, focal, size, distortion)
+    return _rig_from_offsets(offsets, target, focal, size, distortion)
 
 
-def _looking_at(
+def _rig_from_offsets(
     offsets: FloatArray, target: ArrayLike, focal: float, size: tuple[int, int], distortion: ArrayLike
 ) -> Rig:
-    target = finite(target, (3,), "target", most=MAX_LENGTH)
-    cameras = [camera_at(f"cam_{i}", target + o, target, focal, size, distortion) for i, o in enumerate(offsets)]
+    target = check_finite(target, (3,), "target", maximum=MAX_LENGTH)
+    cameras = [
+        make_look_at_camera(f"cam_{i}", target + o, target, focal, size, distortion) for i, o in enumerate(offsets)
+    ]
     return Rig(cameras, "m")

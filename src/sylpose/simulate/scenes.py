@@ -1,4 +1,4 @@
-"""Synthetic matches: a body moves in front of a rig, and each camera reports noisy points that it sees in both frames."""
+"""Synthetic matches: noisy image points of a moving body that are visible in both frames, per camera of a rig."""
 
 from __future__ import annotations
 
@@ -12,26 +12,35 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.geometry.arrays import BoolArray, FloatArray
-from sylpose.geometry.validation import finite, kind_of, listed, number, one_of, shown, truth, whole
-from sylpose.input_limits import one_line
+from sylpose.geometry.validation import (
+    check_bool,
+    check_choice,
+    check_finite,
+    check_integer,
+    check_list,
+    check_number,
+    check_type,
+    format_value,
+)
+from sylpose.input_limits import to_one_line
 from sylpose.matches import Matches
-from sylpose.rig import MAX_LENGTH, MAX_PX, Camera, Rig, single_pose
+from sylpose.rig import MAX_FOCAL_PX, MAX_LENGTH, Camera, Rig, check_single_pose
 from sylpose.simulate.bodies import Body
 
 __all__ = ["OutlierKind", "SimulatedPair", "random_motion", "simulate_matches"]
 
 OutlierKind = Literal["uniform", "static", "second_motion"]
 
-# A surface is not matched when seen more obliquely than this (cosine of the angle to its normal; choice).
-GRAZING = 0.1
+# A surface viewed more obliquely than this is not matched (cosine of the angle to its normal; choice).
+MIN_FACING_COSINE = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class SimulatedPair:
-    """Matches of one pair of frames, with the truth about them.
+    """Matches of one pair of frames, with ground truth.
 
     Attributes:
-        matches: one per camera of the rig, normalised.
+        matches: one per camera of the rig, normalized.
         is_outlier: per camera a mask over its matches.
         depths: per camera the matches' depths in frame i, along the optical axis; NaN for outliers.
         motion: the body's motion in the world, X_j = R X_i + t.
@@ -46,28 +55,39 @@ class SimulatedPair:
 
 
 def random_motion(
-    turn_deg: float,
-    shift: float,
+    angle_deg: float,
+    distance: float,
     rng: np.random.Generator,
     axis: ArrayLike | None = None,
     center: ArrayLike = (0.0, 0.0, 0.0),
 ) -> RigidTransform:
-    """A turn by `turn_deg` about `axis` (3,) (None: any) through `center` (3,), then a shift of length `shift` in any
-    direction: X_j = R (X_i - center) + center + shift.
+    """Draw a rigid motion: a rotation about `center`, then a translation d in a random direction.
+
+    X_j = R (X_i - center) + center + d.
+
+    Args:
+        angle_deg: rotation angle, degrees.
+        distance: length of the translation.
+        rng: random generator.
+        axis: (3,) rotation axis; None: random.
+        center: (3,) point on the axis.
 
     Raises:
-        ValueError: an axis of length zero.
+        ValueError: the axis has zero length.
     """
-    turn_deg, shift = number(turn_deg, "turn_deg", least=-360.0, most=360.0), number(shift, "shift", most=MAX_LENGTH)
-    kind_of(rng, np.random.Generator, "rng")
-    center = finite(center, (3,), "center", most=MAX_LENGTH)
-    about = rng.standard_normal(3) if axis is None else finite(axis, (3,), "axis", most=MAX_LENGTH)
+    angle_deg, distance = (
+        check_number(angle_deg, "angle_deg", minimum=-360.0, maximum=360.0),
+        check_number(distance, "distance", maximum=MAX_LENGTH),
+    )
+    check_type(rng, np.random.Generator, "rng")
+    center = check_finite(center, (3,), "center", maximum=MAX_LENGTH)
+    axis_vector = rng.standard_normal(3) if axis is None else check_finite(axis, (3,), "axis", maximum=MAX_LENGTH)
     direction = rng.standard_normal(3)
-    if not np.linalg.norm(about) > 1 / MAX_LENGTH:
-        raise ValueError("axis: the axis of a turn must not be zero")
-    rotation = Rotation.from_rotvec(np.deg2rad(turn_deg) * about / np.linalg.norm(about))
-    moved = center - rotation.apply(center) + shift * direction / np.linalg.norm(direction)
-    return RigidTransform.from_components(moved, rotation)
+    if not np.linalg.norm(axis_vector) > 1 / MAX_LENGTH:
+        raise ValueError("axis: the rotation axis must not be zero")
+    rotation = Rotation.from_rotvec(np.deg2rad(angle_deg) * axis_vector / np.linalg.norm(axis_vector))
+    translation = center - rotation.apply(center) + distance * direction / np.linalg.norm(direction)
+    return RigidTransform.from_components(translation, rotation)
 
 
 def simulate_matches(
@@ -82,69 +102,80 @@ def simulate_matches(
     outlier_kind: OutlierKind = "uniform",
     other_motion: RigidTransform | None = None,
     occlusion: float = 0.0,
-    dead: Sequence[str] = (),
+    without_matches: Sequence[str] = (),
     junk: Sequence[str] = (),
     start: RigidTransform | None = None,
     orthographic: bool = False,
 ) -> SimulatedPair:
-    """What the cameras of a rig match while a body moves.
+    """Simulate the matches of all cameras of a rig for a moving body.
 
-    A point is matched where it faces the camera and lies inside its image, in both frames; the body does not hide
-    itself otherwise, so it should be convex. Points are projected to pixels through the lens, noise is added in both
-    frames, and the lens is taken out again. Given `rng`'s state, the matches of a camera depend on its name and on
-    nothing else about the rig: a subset of the rig sees the same.
+    A point is matched if it faces the camera and is inside its image in both frames. Self-occlusion is not modeled
+    otherwise, so the body should be convex. Points are projected to pixels through the lens, noise is added in both
+    frames, and the points are undistorted. Given `rng`'s state, the matches of a camera depend only on its name, not on
+    the other cameras: a subset of the rig gives the same matches.
 
     Args:
-        motion: of the body in the world, from frame i to j.
-        per_camera: matches per camera, outliers included; fewer where the body offers fewer visible points.
+        rig: the cameras.
+        body: the body, with its center at the origin.
+        motion: motion of the body in the world, from frame i to j.
+        rng: random generator.
+        per_camera: matches per camera, outliers included; fewer if fewer points are visible.
         noise_px: standard deviation per coordinate, pixels, in each frame.
         outliers: share of each camera's matches that are wrong.
-        outlier_kind: "uniform" joins points of the body to places anywhere in its image region at j; "static" are
-            points in its region that stand still; "second_motion" are points of a copy of the body, beside it, that
-            moves by `other_motion`.
+        outlier_kind: "uniform": points of the body matched to random positions in its image region at j; "static":
+            points in its region that do not move; "second_motion": points of a copy of the body, next to it, that moves
+            by `other_motion`.
         other_motion: None draws one with the same angle about another axis through the copy.
-        occlusion: share of the visible points that something in front hides: in each camera those on one side of a
-            line across its image.
-        dead: names of cameras without any match.
-        junk: names of cameras all of whose matches are wrong, of the "uniform" kind at both ends.
+        occlusion: share of the visible points that are occluded: in each camera those on one side of a line across its
+            image.
+        without_matches: names of cameras without any match.
+        junk: names of cameras with wrong matches only, random in both frames.
         start: world_from_body at frame i; None is the identity.
-        orthographic: points are scaled by the depth of the body's origin at frame i instead of by their own, in both
-            frames (scaled orthographic views).
+        orthographic: scale points by the depth of the body's origin at frame i instead of their own, in both frames
+            (scaled orthographic views).
+
+    Returns:
+        The matches with ground truth.
 
     Raises:
-        ValueError: a camera that the rig does not have, a share outside [0, 1], an unknown kind, a negative number.
+        ValueError: a camera is not in the rig, a share is outside [0, 1], the kind is unknown, or a number is negative.
     """
-    kind_of(rig, Rig, "rig"), kind_of(body, Body, "body"), kind_of(rng, np.random.Generator, "rng")
-    for what, names in (("dead", dead), ("junk", junk)):
-        for name in listed(names, str, what):
+    check_type(rig, Rig, "rig"), check_type(body, Body, "body"), check_type(rng, np.random.Generator, "rng")
+    for argument, names in (("without_matches", without_matches), ("junk", junk)):
+        for name in check_list(names, str, argument):
             if name not in rig.names:
-                raise ValueError(f"{what}: no camera {shown(name)} in the rig ({one_line(', '.join(rig.names), 200)})")
-    for what, pose in (("motion", motion), ("other_motion", other_motion), ("start", start)):
-        if pose is not None or what == "motion":
-            single_pose(pose, what)
-    number(outliers, "outliers", least=0.0, most=1.0), number(noise_px, "noise_px", least=0.0, most=MAX_PX)
-    if not number(occlusion, "occlusion", least=0.0, most=1.0) < 1:
+                raise ValueError(
+                    f"{argument}: no camera {format_value(name)} in the rig ({to_one_line(', '.join(rig.names), 200)})"
+                )
+    for argument, pose in (("motion", motion), ("other_motion", other_motion), ("start", start)):
+        if pose is not None or argument == "motion":
+            check_single_pose(pose, argument)
+    (
+        check_number(outliers, "outliers", minimum=0.0, maximum=1.0),
+        check_number(noise_px, "noise_px", minimum=0.0, maximum=MAX_FOCAL_PX),
+    )
+    if not check_number(occlusion, "occlusion", minimum=0.0, maximum=1.0) < 1:
         raise ValueError(f"occlusion must be in [0, 1), got {occlusion}")
-    one_of(outlier_kind, get_args(OutlierKind), "outlier_kind")
-    whole(per_camera, "per_camera"), truth(orthographic, "orthographic")
+    check_choice(outlier_kind, get_args(OutlierKind), "outlier_kind")
+    check_integer(per_camera, "per_camera"), check_bool(orthographic, "orthographic")
 
     start = RigidTransform.identity() if start is None else start
     key = int(rng.integers(2**63))
-    # The copy's place and motion come from the pair's own stream: they are the same for all cameras.
+    # The copy's position and motion come from the pair's own random stream: they are the same for all cameras.
     pair_rng = np.random.default_rng([key])
-    aside = pair_rng.standard_normal(3)
-    copy_start = RigidTransform.from_translation(body.radius * aside / np.linalg.norm(aside)) * start
+    copy_direction = pair_rng.standard_normal(3)
+    copy_start = RigidTransform.from_translation(body.radius * copy_direction / np.linalg.norm(copy_direction)) * start
     angle = np.rad2deg(motion.rotation.magnitude())
-    drawn = random_motion(angle, body.radius / 10, pair_rng, center=copy_start.translation)
-    other = drawn if other_motion is None else other_motion
+    random_other = random_motion(angle, body.radius / 10, pair_rng, center=copy_start.translation)
+    other = random_other if other_motion is None else other_motion
 
     matches, masks, depths = [], [], []
     for camera in rig:
         stream = np.random.default_rng([key, zlib.crc32(camera.name.encode())])
-        view = _View(camera, start.translation, orthographic)
-        points_i, points_j, depth = view.visible(body, start, motion, stream, occlusion)
-        count = 0 if camera.name in dead else min(per_camera, len(points_i))
-        region_i, region_j = _region(points_i), _region(points_j)
+        view = _CameraProjection(camera, start.translation, orthographic)
+        points_i, points_j, depth = view.visible_points(body, start, motion, stream, occlusion)
+        count = 0 if camera.name in without_matches else min(per_camera, len(points_i))
+        region_i, region_j = _bounding_box(points_i), _bounding_box(points_j)
         points_i, points_j, depth = points_i[:count].copy(), points_j[:count].copy(), depth[:count].copy()
         noise_i, noise_j = noise_px * stream.standard_normal((2, count, 2))
 
@@ -160,11 +191,13 @@ def simulate_matches(
             elif outlier_kind == "static":
                 points_i[wrong] = points_j[wrong] = stream.uniform(*region_i, (wrong.sum(), 2))
             else:
-                copy_i, copy_j, _ = view.visible(body, copy_start, other, stream, occlusion)
-                wanted = np.flatnonzero(wrong)
-                found = wanted[: len(copy_i)]
-                points_i[found], points_j[found] = copy_i[: len(found)], copy_j[: len(found)]
-                kept = np.setdiff1d(np.arange(count), wanted[len(copy_i) :])  # a copy out of sight gives fewer matches
+                copy_i, copy_j, _ = view.visible_points(body, copy_start, other, stream, occlusion)
+                wrong_indices = np.flatnonzero(wrong)
+                replaced = wrong_indices[: len(copy_i)]
+                points_i[replaced], points_j[replaced] = copy_i[: len(replaced)], copy_j[: len(replaced)]
+                kept = np.setdiff1d(
+                    np.arange(count), wrong_indices[len(copy_i) :]
+                )  # fewer matches if the copy is not visible
                 points_i, points_j, depth, wrong = points_i[kept], points_j[kept], depth[kept], wrong[kept]
                 noise_i, noise_j = noise_i[kept], noise_j[kept]
         depth[wrong] = np.nan
@@ -175,42 +208,45 @@ def simulate_matches(
 
 
 @dataclass(frozen=True)
-class _View:
-    """How one camera sees bodies: in perspective, or orthographically at the scale of a centre's depth."""
+class _CameraProjection:
+    """Projection of one camera: perspective, or orthographic at the scale of a center's depth."""
 
     camera: Camera
     center: FloatArray
     orthographic: bool
 
-    def visible(
+    def visible_points(
         self, body: Body, start: RigidTransform, motion: RigidTransform, rng: np.random.Generator, occlusion: float
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Pixels (m, 2) at i and j and depths (m,) at i of the points seen in both frames, in random order."""
+        """Return pixels (m, 2) at i and j and depths (m,) at i of the points visible in both frames.
+
+        The order is random.
+        """
         order = rng.permutation(len(body.points))
         line = rng.standard_normal(2)
         end = motion * start
         points_i, points_j = start.apply(body.points[order]), end.apply(body.points[order])
-        facing = self._faces(points_i, start.rotation.apply(body.normals[order]))
-        facing &= self._faces(points_j, end.rotation.apply(body.normals[order]))
-        points_i, points_j = points_i[facing], points_j[facing]
-        pixels_i, pixels_j = self._pixels(points_i), self._pixels(points_j)
-        inside = self._inside(pixels_i) & self._inside(pixels_j)
-        pixels_i, pixels_j, points_i = pixels_i[inside], pixels_j[inside], points_i[inside]
+        is_facing = self._is_facing(points_i, start.rotation.apply(body.normals[order]))
+        is_facing &= self._is_facing(points_j, end.rotation.apply(body.normals[order]))
+        points_i, points_j = points_i[is_facing], points_j[is_facing]
+        pixels_i, pixels_j = self._project(points_i), self._project(points_j)
+        is_inside = self._is_inside(pixels_i) & self._is_inside(pixels_j)
+        pixels_i, pixels_j, points_i = pixels_i[is_inside], pixels_j[is_inside], points_i[is_inside]
         if occlusion > 0 and len(pixels_i):
             along = pixels_i @ line
-            shown = along >= np.quantile(along, occlusion)
-            pixels_i, pixels_j, points_i = pixels_i[shown], pixels_j[shown], points_i[shown]
+            not_occluded = along >= np.quantile(along, occlusion)
+            pixels_i, pixels_j, points_i = pixels_i[not_occluded], pixels_j[not_occluded], points_i[not_occluded]
         return pixels_i, pixels_j, self.camera.camera_from_world.apply(points_i)[:, 2]
 
-    def _faces(self, points: FloatArray, normals: FloatArray) -> BoolArray:
+    def _is_facing(self, points: FloatArray, normals: FloatArray) -> BoolArray:
         if self.orthographic:
             cosines = -(normals @ self.camera.direction)
         else:
             towards = self.camera.center - points
             cosines = np.einsum("ni,ni->n", normals, towards) / np.linalg.norm(towards, axis=1)
-        return np.asarray((cosines > GRAZING) | ~normals.any(axis=1))
+        return np.asarray((cosines > MIN_FACING_COSINE) | ~normals.any(axis=1))
 
-    def _pixels(self, points: FloatArray) -> FloatArray:
+    def _project(self, points: FloatArray) -> FloatArray:
         if not self.orthographic:
             return self.camera.project(points)
         pose = self.camera.camera_from_world
@@ -219,13 +255,13 @@ class _View:
             return np.full((len(points), 2), np.nan)
         return self.camera.denormalize(pose.apply(points)[:, :2] / scale)
 
-    def _inside(self, pixels: FloatArray) -> BoolArray:
+    def _is_inside(self, pixels: FloatArray) -> BoolArray:
         with np.errstate(invalid="ignore"):
             return np.asarray(((pixels >= 0) & (pixels <= np.array(self.camera.size) - 1)).all(axis=1))
 
 
-def _region(pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The corners (2,), (2,) of the points' bounding box; zeros without points."""
+def _bounding_box(pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the corners (2,), (2,) of the points' bounding box; zeros without points."""
     if not len(pixels):
         return np.zeros(2), np.zeros(2)
     return pixels.min(axis=0), pixels.max(axis=0)

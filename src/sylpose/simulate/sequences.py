@@ -1,4 +1,4 @@
-"""Recordings of scenes written as sessions: several objects, cameras that are not quite synchronised or miss frames."""
+"""Recordings of scenes written as sessions: several objects, cameras with time offsets or missing frames."""
 
 from __future__ import annotations
 
@@ -10,143 +10,155 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from sylpose.atomic_io import replacing
+from sylpose.atomic_io import replace_atomically
 from sylpose.geometry.arrays import BoolArray, FloatArray, Image
-from sylpose.simulate.demo import demo_truth
+from sylpose.simulate.demo import compute_demo_truth
 from sylpose.simulate.recording_files import (
     FRAME_RATE,
-    session_folder,
-    suffixes,
+    create_session_folder,
+    object_suffixes,
     write_boxes,
-    write_truth,
+    write_ground_truth,
     write_videos,
 )
 from sylpose.simulate.render import Actor, Scene, render_frames
 from sylpose.simulate.render import Path as Motion
 
-__all__ = ["Recording", "visible_shares", "write_recording"]
+__all__ = ["Recording", "compute_visible_shares", "write_recording"]
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """What is rendered and how it is written.
+    """Recording to be rendered and written.
 
     Attributes:
-        scene: its first actors are the objects.
-        objects: their names; one alone is just called "object".
-        boxes: whether the objects' boxes in the first frame are written.
-        shown: (frames, C) which frames the cameras recorded; None: all. Time stamps are written where it is given.
-        skew: (C,) seconds by which each camera is exposed late; None: all at once.
-        stamped: whether time stamps tell the skew.
-        repeats: how often the scene's frames follow one another.
-        quality: x264's "crf": the smaller the better.
+        scene: the scene; its first actors are the objects.
+        objects: names of the objects; a single one is called "object".
+        boxes: whether to write the objects' boxes in the first frame.
+        recorded: (frames, C) which frames the cameras recorded; None: all. If given, timestamps are written.
+        time_offsets: (C,) delay of each camera's exposure, seconds; None: all synchronized.
+        with_timestamps: whether the timestamps include the delay.
+        repeats: number of times the scene's frames are repeated.
+        quality: x264's "crf": smaller is better.
     """
 
     scene: Scene
     objects: tuple[str, ...] = ("object",)
     boxes: bool = True
-    shown: BoolArray | None = None
-    skew: tuple[float, ...] | None = None
-    stamped: bool = False
+    recorded: BoolArray | None = None
+    time_offsets: tuple[float, ...] | None = None
+    with_timestamps: bool = False
     repeats: int = 1
     quality: int = 14
 
     @property
     def frames(self) -> int:
-        """Number of instants, repeats included."""
+        """Number of frames, repeats included."""
         return self.scene.frames * self.repeats
 
 
 def write_recording(recording: Recording, out_dir: str | Path) -> None:
-    """Render a recording and write it as a session, at 30 frames per second: one video per camera, `calibration.toml`,
-    `boxes.toml` (with a table per object where there are several) and, where the cameras' times matter, `timestamps.csv`.
+    """Render a recording and write it as a session with ground truth, at 30 frames per second.
 
-    With it goes the truth: `groundtruth.tum` (world_from_object at the nominal times) and `dataset.toml` (the first
-    object's centre in the first frame) as `write_sequence` writes them, `vertices.txt` (the body's corners in the object's
-    frame), `visible.csv` (of `visible_shares`), each with `_OBJECT` in its name where there are several, and
-    `true_offsets.toml` (the skew).
+    Session files: one video per camera, `calibration.toml`, `boxes.toml` (a table per object if there are several) and,
+    if frames are missing or `with_timestamps` is set, `timestamps.csv`.
+
+    Ground truth: `groundtruth.tum` (world_from_object at the nominal times) and `dataset.toml` (the first object's
+    center in the first frame) as in `write_sequence`, `vertices.txt` (the body's corners in the object's frame),
+    `visible.csv` (`compute_visible_shares`), and `true_offsets.toml` (the time offsets). With several objects the
+    per-object files have `_OBJECT` in their names.
+
+    Args:
+        recording: the recording.
+        out_dir: output folder, created if missing.
 
     Raises:
-        OSError: a folder or file that cannot be written.
-        ValueError: images of odd width or height, which videos cannot hold.
+        OSError: a folder or file cannot be written.
+        ValueError: images have an odd width or height, which videos do not support.
     """
     scene, rig = recording.scene, recording.scene.rig
-    out = session_folder(out_dir, rig)
-    truths = {name: demo_truth(replace(scene, actors=scene.actors[k:])) for k, name in enumerate(recording.objects)}
-    write_truth(out, {name: truth.world_from_object for name, truth in truths.items()}, repeats=recording.repeats)
+    out = create_session_folder(out_dir, rig)
+    truths = {
+        name: compute_demo_truth(replace(scene, actors=scene.actors[k:])) for k, name in enumerate(recording.objects)
+    }
+    write_ground_truth(
+        out, {name: truth.world_from_object for name, truth in truths.items()}, repeats=recording.repeats
+    )
     write_boxes(out, {name: truth.boxes for name, truth in truths.items()} if recording.boxes else {})
-    for k, (truth, suffix) in enumerate(zip(truths.values(), suffixes(recording.objects), strict=True)):
-        with replacing(out / f"vertices{suffix}.txt") as part:
+    for k, (truth, suffix) in enumerate(zip(truths.values(), object_suffixes(recording.objects), strict=True)):
+        with replace_atomically(out / f"vertices{suffix}.txt") as part:
             np.savetxt(part, truth.vertices, fmt="%.9g", header="corners, object's frame")
-        _write_table(out / f"visible{suffix}.csv", rig.names, visible_shares(scene, k), "{:.3f}")
-    if recording.skew is not None:
-        offsets = [f"{name} = {offset}" for name, offset in zip(rig.names, recording.skew, strict=True)]
-        with replacing(out / "true_offsets.toml") as part:
+        _write_table(out / f"visible{suffix}.csv", rig.names, compute_visible_shares(scene, k), "{:.3f}")
+    if recording.time_offsets is not None:
+        offsets = [f"{name} = {offset}" for name, offset in zip(rig.names, recording.time_offsets, strict=True)]
+        with replace_atomically(out / "true_offsets.toml") as part:
             part.write_text("\n".join(offsets) + "\n")
-    if recording.stamped or recording.shown is not None:
+    if recording.with_timestamps or recording.recorded is not None:
         stamps = np.tile(np.arange(scene.frames)[:, None] / FRAME_RATE, (1, len(rig)))
-        if recording.stamped and recording.skew is not None:
-            stamps = stamps + np.asarray(recording.skew)
-        if recording.shown is not None:
-            stamps[~recording.shown] = np.nan
+        if recording.with_timestamps and recording.time_offsets is not None:
+            stamps = stamps + np.asarray(recording.time_offsets)
+        if recording.recorded is not None:
+            stamps[~recording.recorded] = np.nan
         _write_table(out / "timestamps.csv", rig.names, stamps, "{:.6f}")
-    write_videos(out, rig, _images(recording), scene.frames, quality=recording.quality, repeats=recording.repeats)
+    write_videos(
+        out, rig, _recorded_images(recording), scene.frames, quality=recording.quality, repeats=recording.repeats
+    )
 
 
-def visible_shares(scene: Scene, index: int = 0) -> FloatArray:
-    """(frames, C) share of an actor's corners that are inside a camera's image and not behind another actor."""
+def compute_visible_shares(scene: Scene, index: int = 0) -> FloatArray:
+    """Compute the share (frames, C) of an actor's corners inside each camera's image and not behind another actor."""
     shares = np.zeros((scene.frames, len(scene.rig)))
-    others = [actor for i, actor in enumerate(scene.actors) if i != index]
+    other_actors = [actor for i, actor in enumerate(scene.actors) if i != index]
     for frame in range(scene.frames):
         pose = scene.actors[index].path(float(frame))
         corners = pose.apply(scene.actors[index].body.vertices)
-        posed = [(other.body, other.path(float(frame))) for other in others]
+        posed = [(other.body, other.path(float(frame))) for other in other_actors]
         for c, camera in enumerate(scene.rig):
             pixels = camera.project(corners)
-            inside = ((pixels > -0.5) & (pixels < np.array(camera.size) - 0.5)).all(axis=1)  # false for NaN, too
+            is_visible = ((pixels > -0.5) & (pixels < np.array(camera.size) - 0.5)).all(axis=1)  # false for NaN, too
             distance = np.linalg.norm(pose.translation - camera.center)
             for body, other in posed:
                 if np.linalg.norm(other.translation - camera.center) < distance:
                     outline = camera.project(other.apply(body.vertices))
                     if np.isfinite(outline).all():
                         hull = ConvexHull(outline)
-                        behind = pixels @ hull.equations[:, :2].T + hull.equations[:, 2] < 0
-                        inside &= ~behind.all(axis=1)
-            shares[frame, c] = inside.mean()
+                        half_planes = pixels @ hull.equations[:, :2].T + hull.equations[:, 2] < 0
+                        is_visible &= ~half_planes.all(axis=1)
+            shares[frame, c] = is_visible.mean()
     return shares
 
 
 def _write_table(path: Path, names: Sequence[str], values: FloatArray, style: str) -> None:
-    with replacing(path) as part, part.open("w", newline="") as file:
+    with replace_atomically(path) as part, part.open("w", newline="") as file:
         table = csv.writer(file, lineterminator="\n")
         table.writerow(["frame", *names])
         for k, row in enumerate(values):
             table.writerow([k, *("" if np.isnan(v) else style.format(v) for v in row)])
 
 
-def _images(recording: Recording) -> Iterator[list[Image | None]]:
-    """The cameras' images, frame by frame, each at its own time; None where a camera recorded none."""
-    for k, images in enumerate(_rendered(recording)):
-        shown = [True] * len(images) if recording.shown is None else recording.shown[k]
-        yield [image if there else None for image, there in zip(images, shown, strict=True)]
+def _recorded_images(recording: Recording) -> Iterator[list[Image | None]]:
+    """Yield the cameras' images per frame, each at its own time; None if a camera recorded none."""
+    for k, images in enumerate(_render_with_offsets(recording)):
+        recorded = [True] * len(images) if recording.recorded is None else recording.recorded[k]
+        yield [image if is_recorded else None for image, is_recorded in zip(images, recorded, strict=True)]
 
 
-def _rendered(recording: Recording) -> Iterator[tuple[Image, ...]]:
+def _render_with_offsets(recording: Recording) -> Iterator[tuple[Image, ...]]:
     scene = recording.scene
-    if recording.skew is None:
+    if recording.time_offsets is None:
         yield from render_frames(scene)
         return
-    alone = []
-    for k, (name, skew) in enumerate(zip(scene.rig.names, recording.skew, strict=True)):
-        actors = tuple(Actor(actor.body, _shifted(actor.path, skew * FRAME_RATE)) for actor in scene.actors)
-        # Another seed each: a rig's first camera has the first background of its scene.
-        alone.append(
+    per_camera = []
+    for k, (name, skew) in enumerate(zip(scene.rig.names, recording.time_offsets, strict=True)):
+        actors = tuple(Actor(actor.body, _delay_path(actor.path, skew * FRAME_RATE)) for actor in scene.actors)
+        # A different seed for each camera: the background depends on the seed and the index, which is 0 for all.
+        per_camera.append(
             render_frames(replace(scene, rig=scene.rig.subset([name]), actors=actors, seed=100 * scene.seed + k))
         )
-    for images in zip(*alone, strict=True):
+    for images in zip(*per_camera, strict=True):
         yield tuple(image for (image,) in images)
 
 
-def _shifted(path: Motion, frames: float) -> Motion:
-    """The path as it is seen so many frames late."""
+def _delay_path(path: Motion, frames: float) -> Motion:
+    """Return the path as observed with a delay of this many frames."""
     return lambda frame: path(frame + frames)

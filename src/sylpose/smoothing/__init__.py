@@ -1,1 +1,1 @@
-"""All frames at once, afterwards: a tracked trajectory's poses and landmarks refined together (`trajectory`)."""
+"""Offline smoothing: joint refinement of a tracked trajectory's poses and landmarks (`trajectory`)."""

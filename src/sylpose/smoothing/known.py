@@ -1,4 +1,4 @@
-"""An object that is known from another take, in what is refined: its keyframes are frames before the first."""
+"""Keyframes of an object model from another recording as additional frames of a refinement."""
 
 from __future__ import annotations
 
@@ -7,33 +7,43 @@ import numpy as np
 from sylpose.results import FramePose, FrameStatus
 from sylpose.rig import Rig
 from sylpose.smoothing.trajectory import Track
-from sylpose.tracking.object_transfer import KnownHere
-from sylpose.tracking.tracked_frame import Sightings
+from sylpose.tracking.object_transfer import TransferredObject
+from sylpose.tracking.tracked_frame import LandmarkObservations
 
-__all__ = ["tracks_of"]
+__all__ = ["make_keyframe_tracks"]
 
 
-def tracks_of(here: KnownHere, rig: Rig, time: float) -> list[Track]:
-    """The keyframes as tracks, to go before those of a take that began with the object (`Tracker`).
+def make_keyframe_tracks(transferred: TransferredObject, rig: Rig, time: float) -> list[Track]:
+    """Return the model's keyframes as tracks to prepend to those of a recording.
+
+    The recording was tracked with the model from its beginning (`Tracker`).
 
     Args:
-        time: of the take's first frame.
+        transferred: the model as transferred to this rig.
+        rig: the tracker's.
+        time: time of the recording's first frame.
     """
-    tracks, n = [], len(here.keyframes)
-    for k, frame in enumerate(here.keyframes):
+    tracks, n = [], len(transferred.keyframes)
+    for k, frame in enumerate(transferred.keyframes):
         sightings = []
         for name in rig.names:
-            memory = here.memories.get(name)
+            memory = transferred.landmarks.get(name)
             if memory is None:
                 sightings.append(
-                    Sightings(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 3)), np.empty(0, bool))
+                    LandmarkObservations(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 3)), np.empty(0, bool))
                 )
                 continue
-            its = memory.seen_in(k)
-            sightings.append(Sightings(memory.numbers[k], memory.features[k].normalized, its.mean, its.moved))
-        counts = np.array([len(s.landmark) for s in sightings])
+            observed = memory.select_keyframe(k)
+            sightings.append(
+                LandmarkObservations(
+                    memory.landmark_ids[k], memory.features[k].normalized, observed.mean, observed.has_moved
+                )
+            )
+        counts = np.array([len(s.landmark_ids) for s in sightings])
         status = FrameStatus.TRACKED if k else FrameStatus.FIRST
         residuals = np.full(len(rig), np.nan)
         pose = FramePose(k - n, time + k - n, status, frame.world_from_object, frame.covariance, counts, residuals)
-        tracks.append(Track(pose, tuple(sightings), np.zeros(len(rig)), here.known.radius, stays=frame.stays))
+        tracks.append(
+            Track(pose, tuple(sightings), np.zeros(len(rig)), transferred.known_object.radius, is_fixed=frame.is_fixed)
+        )
     return tracks

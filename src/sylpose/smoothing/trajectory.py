@@ -1,8 +1,8 @@
-"""A trajectory refined as a whole: all poses and all landmarks together, by what was seen in all frames.
+"""Joint refinement of a trajectory: all poses and landmarks from the observations in all frames.
 
-The tracker knows the past only; this knows the future too. It uses the tracks of the landmarks and not the stored moments:
-a landmark that is seen in many frames ties them all, with a depth that all of them have a share in, where moments of two
-frames leave each depth open (docs/benchmarks.md, "Smoothing", has the figures).
+The tracker uses only past frames; this also uses later ones. It uses the landmarks' tracks, not the stored moments: a
+landmark observed in many frames connects all of them and has one common depth, where moments of two frames leave each
+depth undetermined (docs/history/benchmarks.md, "Smoothing", has the figures).
 """
 
 from __future__ import annotations
@@ -14,77 +14,85 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import RigidTransform, RotationSpline
 
-from sylpose.bundle_adjustment.bundle import Bundled, Observations
-from sylpose.bundle_adjustment.calibration_refinement import MOVED_SHARE, Correction, Doubt, Moved, apart, with_moved
-from sylpose.bundle_adjustment.lost_frames import given_up
-from sylpose.bundle_adjustment.scale_prior import bundle_sized, length_is_open
+from sylpose.bundle_adjustment.bundle import BundleResult, Observations
+from sylpose.bundle_adjustment.calibration_refinement import (
+    MOVED_TRANSLATION_RATIO,
+    CalibrationCorrection,
+    CalibrationPrior,
+    MovedCamera,
+    add_moved_cameras,
+    mean_camera_distance,
+)
+from sylpose.bundle_adjustment.lost_frames import find_lost_frames
+from sylpose.bundle_adjustment.scale_prior import bundle_adjust_with_scale, is_scale_unobservable
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
-from sylpose.geometry.validation import kind_of, listed, number, shown, truth, whole
-from sylpose.results import FramePose, Observable, Status
+from sylpose.geometry.validation import check_bool, check_integer, check_list, check_number, check_type, format_value
+from sylpose.results import FramePose, Observability, Status
 from sylpose.rig import Rig
 from sylpose.tracking.joint_state import Nudge
-from sylpose.tracking.keyframes import inherited
-from sylpose.tracking.reports import placed
-from sylpose.tracking.tracked_frame import Sightings, TrackedFrame
-from sylpose.tracking.wide_baseline_init import another_path
+from sylpose.tracking.keyframes import inherit_covariance
+from sylpose.tracking.reports import quantize_positions
+from sylpose.tracking.tracked_frame import LandmarkObservations, TrackedFrame
+from sylpose.tracking.wide_baseline_init import find_alternative_path
 
-__all__ = ["Smoothed", "Track", "smooth"]
+__all__ = ["SmoothedTrajectory", "Track", "smooth"]
 
 
-# Landmarks seen less often than this tell next to nothing of the motion, and that with a bias: features that slide
-# along an edge or were confused are lost soon. They are used, the longer ones first, by frames with less than so many
-# sights; those that were never seen to move by frames that have hardly any, so many (choice).
-OFTEN, ENOUGH, FEW = (8, 5, 2), 100, 30
-# Measured poses on each side of a gap that the curve through it goes by (choice).
-AROUND = 3
+# Landmarks with fewer observations contain little information on the motion, and biased: features that slide along an
+# edge or were mismatched are soon lost. They are used, the longer tracks first, by frames with fewer than so many
+# observations; those never seen to move by frames with very few, so many (choice).
+MIN_TRACK_LENGTHS, ENOUGH_OBSERVATIONS, FEW_OBSERVATIONS = (8, 5, 2), 100, 30
+# Measured poses on each side of a gap that determine the interpolating curve (choice).
+N_NEIGHBORS = 3
 
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """What smoothing keeps of a tracked frame: no images.
+    """Data of a tracked frame that smoothing keeps, without images.
 
     Attributes:
-        pose: as tracked; of a known object, of the frame that it was learnt in (`KnownHere.telling`).
-        sightings: per camera.
-        late: (C,) seconds.
-        radius: of the object.
-        nudges: of cameras, up to now.
-        stays: whether its pose is not refined with others: that of a keyframe which another rig has seen.
+        pose: as tracked; for a known object, in the frame in which it was mapped (`TransferredObject.converter`).
+        observations: landmark observations per camera.
+        time_offsets: (C,) time offsets, seconds.
+        radius: radius of the object.
+        nudges: camera motions so far.
+        is_fixed: whether its pose is fixed: that of a keyframe observed by another rig.
     """
 
     pose: FramePose
-    sightings: tuple[Sightings, ...]
-    late: FloatArray
+    observations: tuple[LandmarkObservations, ...]
+    time_offsets: FloatArray
     radius: float
     nudges: tuple[Nudge, ...] = ()
-    stays: bool = False
+    is_fixed: bool = False
 
     @classmethod
-    def of(cls, tracked: TrackedFrame) -> Track:
-        """Of a frame that the tracker has yielded."""
-        pose = tracked.pose if tracked.learnt is None else tracked.learnt
-        return cls(pose, tracked.sightings, tracked.late, tracked.radius, tracked.nudges)
+    def from_tracked(cls, tracked: TrackedFrame) -> Track:
+        """Return the track of a frame yielded by the tracker."""
+        pose = tracked.pose if tracked.learned_pose is None else tracked.learned_pose
+        return cls(pose, tracked.observations, tracked.time_offsets, tracked.radius, tracked.nudges)
 
 
 @dataclass(frozen=True, eq=False)
-class Smoothed:
+class SmoothedTrajectory:
     """A refined trajectory.
 
     Attributes:
-        poses: of all frames; those that nothing ties to the first are as they were. Coasting ones go between what was
-            measured before and after them. Where one of it is missing, or most of what a frame saw contradicts the others,
-            poses as tracked are carried along with what was before.
-        status: OK; NOT_CONVERGED; TOO_FEW_MATCHES when there was nothing to refine: then the poses are as they were.
-        offsets: (C,) seconds by which each camera is late, their mean 0, and offsets_sd: (C,) their standard deviations;
-            zeros when not asked for.
+        poses: of all frames. Those not connected to the first one are unchanged. Coasting ones are interpolated between
+            the measured ones before and after. Without one of these, or in frames most of whose observations disagree
+            with the others, tracked poses are moved along with the previous measured one.
+        status: OK; NOT_CONVERGED; TOO_FEW_MATCHES when there was nothing to refine: then the poses are unchanged.
+        offsets: (C,) time offset of each camera, seconds, positive for a delay; their mean is 0. Zeros when not
+            requested.
+        offsets_sd: (C,) their standard deviations.
         sigma_px: (C,) noise of each camera, pixels.
-        rounds: of the solver.
-        length_sd: relative standard deviation of the path's length, all displacements of the object's origin being too
-            long or too short by one factor: what a motion without turns leaves open. inf when nothing was displaced, or
-            nothing refined.
-        length_share: in [0, 1], the share of it in the variance of all displacements.
-        correction: of the calibration, where that was asked for; with a camera more for each that was moved.
-        moved: those, in order of time.
+        iterations: iterations of the solver.
+        scale_sd: relative standard deviation of the path's length: of a common factor of all translations of the
+            object's origin, which a motion without rotation does not determine. inf without any translation or
+            refinement.
+        scale_variance_ratio: in [0, 1], its fraction of the variance of all translations.
+        correction: correction of the calibration, if requested; with an additional camera for each that was moved.
+        moved_cameras: the moved cameras, in order of time.
     """
 
     poses: tuple[FramePose, ...]
@@ -92,11 +100,11 @@ class Smoothed:
     offsets: FloatArray
     offsets_sd: FloatArray
     sigma_px: FloatArray
-    rounds: int
-    length_sd: float = np.inf
-    length_share: float = 0.0
-    correction: Correction | None = None
-    moved: tuple[Moved, ...] = ()
+    iterations: int
+    scale_sd: float = np.inf
+    scale_variance_ratio: float = 0.0
+    correction: CalibrationCorrection | None = None
+    moved_cameras: tuple[MovedCamera, ...] = ()
 
 
 def smooth(
@@ -104,210 +112,240 @@ def smooth(
     rig: Rig,
     *,
     offsets_sd: float | None = None,
-    doubt: Doubt | None = None,
+    calibration_prior: CalibrationPrior | None = None,
     recalibrate: bool = False,
-    moved: Sequence[Moved] = (),
-    on_round: Callable[[int], None] | None = None,
-) -> Smoothed:
-    """Refines the poses of all frames together; the first one's stays, or those of the frames that say so.
+    moved_cameras: Sequence[MovedCamera] = (),
+    on_iteration: Callable[[int], None] | None = None,
+) -> SmoothedTrajectory:
+    """Refine the poses of all frames jointly; the first one, or those marked as fixed, do not change.
 
     Args:
-        frames: in order of time, all that the tracker gave.
+        frames: all frames of the tracker, in order of time.
         rig: the tracker's.
-        offsets_sd: seconds; if given, how far apart in time the cameras are is estimated too, within about this.
-        doubt, recalibrate: what may be wrong with the calibration (`usual_doubt`), and whether to estimate it, as in
-            `bundle`.
-        moved: which cameras stood elsewhere from which of the frames on, beside those that the tracker saw being nudged;
-            where they stood is estimated, unless nothing is doubted.
-        on_round: called with the number of each round of the refinement as it begins.
+        offsets_sd: seconds; if given, the cameras' time offsets are estimated as well, with this prior standard
+            deviation.
+        calibration_prior: prior of calibration errors (`default_calibration_prior`), as in `bundle`.
+        recalibrate: whether to estimate them, as in `bundle`.
+        moved_cameras: cameras that were moved, and from which frame on, in addition to camera motions detected by the
+            tracker; their new poses are estimated if a calibration prior is given.
+        on_iteration: called with the number of each iteration of the refinement as it begins.
+
+    Returns:
+        the refined trajectory.
 
     Raises:
-        ValueError, TypeError: naming the argument; `recalibrate` or `moved` cameras without a doubt.
+        ValueError, TypeError: naming the argument; `recalibrate` or `moved_cameras` cameras without a calibration
+            prior.
     """
-    n = len(kind_of(rig, Rig, "rig"))
-    frames, moved = listed(frames, Track, "frames"), listed(moved, Moved, "moved")
+    n = len(check_type(rig, Rig, "rig"))
+    frames, moved_cameras = check_list(frames, Track, "frames"), check_list(moved_cameras, MovedCamera, "moved_cameras")
     for k, frame in enumerate(frames):
         (
-            kind_of(frame.pose, FramePose, f"frames[{k}]: pose"),
-            listed(frame.sightings, Sightings, f"frames[{k}]: sightings"),
+            check_type(frame.pose, FramePose, f"frames[{k}]: pose"),
+            check_list(frame.observations, LandmarkObservations, f"frames[{k}]: observations"),
         )
     if offsets_sd is not None:
-        number(offsets_sd, "offsets_sd", above=0.0)
-    if doubt is not None and len(kind_of(doubt, Doubt, "doubt").turn) != n:
-        raise ValueError(f"doubt is not of the rig's {n} cameras")
-    if truth(recalibrate, "recalibrate") and doubt is None:
-        raise ValueError("recalibrate: a calibration is estimated within a doubt, and there is none")
-    for m in moved:
-        whole(m.camera, "moved: camera", most=n - 1)
-    if on_round is not None and not callable(on_round):
-        raise TypeError(f"on_round must be a function, got {shown(on_round)}")
-    if moved and doubt is None:
-        raise ValueError("moved: cameras that were moved need a doubt, of where they were at first")
-    nothing = np.zeros(len(rig))
-    # A frame that taught nothing (before the object was seen to move) would only bend the way between its neighbours.
-    used = [k for k, f in enumerate(frames) if f.pose.seen and any(len(seen.landmark) for seen in f.sightings)]
+        check_number(offsets_sd, "offsets_sd", above=0.0)
+    if calibration_prior is not None and np.shape(
+        check_type(calibration_prior, CalibrationPrior, "calibration_prior").rotation_sd
+    ) != (n,):
+        raise ValueError(f"calibration_prior: not for the rig's {n} cameras")
+    if check_bool(recalibrate, "recalibrate") and calibration_prior is None:
+        raise ValueError("recalibrate: requires a calibration_prior")
+    for m in moved_cameras:
+        check_integer(m.camera, "moved_cameras: camera", maximum=n - 1)
+    if on_iteration is not None and not callable(on_iteration):
+        raise TypeError(f"on_iteration must be a function, got {format_value(on_iteration)}")
+    if moved_cameras and calibration_prior is None:
+        raise ValueError("moved_cameras: require a calibration_prior")
+    zeros = np.zeros(len(rig))
+    # A frame without observations (before the object was seen to move) would only bend the path between its neighbors.
+    used = [
+        k
+        for k, f in enumerate(frames)
+        if f.pose.is_observed and any(len(observations.landmark_ids) for observations in f.observations)
+    ]
     poses = [frame.pose for frame in frames]
-    if len(used) < 2 or all(frames[k].stays for k in used):
-        return Smoothed(tuple(poses), Status.TOO_FEW_MATCHES, nothing, nothing, np.full(len(rig), np.nan), 0)
-    seen, places = _observations([frames[k] for k in used])
-    places = placed(places, frames[used[-1]].radius)  # nodes tell each other no more
-    late, wider, camera = np.array([frames[k].late for k in used]), rig, seen.camera
-    moves: tuple[Moved, ...] = ()
-    if doubt is not None:
-        nudged = _nudged(frames[used[-1]], rig)
-        stood = {(m.camera, m.frame): m for m in (*moved, *nudged)}
-        moves = tuple(sorted(stood.values(), key=lambda m: m.frame))
-        wider, doubt = with_moved(rig, doubt, moves)
-        index = np.array([frames[k].pose.index for k in used])[seen.frame]
-        for i, m in enumerate(moves):
-            camera = np.where((seen.camera == m.camera) & (index >= m.frame), len(rig) + i, camera)
-        late = np.hstack([late, late[:, [m.camera for m in moves]]])
-    sights, path, radius = (
-        replace(seen, camera=camera),
-        _stacked([frames[k].pose for k in used]),
+    if len(used) < 2 or all(frames[k].is_fixed for k in used):
+        return SmoothedTrajectory(tuple(poses), Status.TOO_FEW_MATCHES, zeros, zeros, np.full(len(rig), np.nan), 0)
+    observations, landmarks = _collect_observations([frames[k] for k in used])
+    landmarks = quantize_positions(landmarks, frames[used[-1]].radius)  # the precision that nodes exchange
+    time_offsets, extended_rig, camera = np.array([frames[k].time_offsets for k in used]), rig, observations.camera
+    all_moved: tuple[MovedCamera, ...] = ()
+    if calibration_prior is not None:
+        detected = _detected_moved_cameras(frames[used[-1]], rig)
+        moved_by_frame = {(m.camera, m.frame): m for m in (*moved_cameras, *detected)}
+        all_moved = tuple(sorted(moved_by_frame.values(), key=lambda m: m.frame))
+        extended_rig, calibration_prior = add_moved_cameras(rig, calibration_prior, all_moved)
+        index = np.array([frames[k].pose.index for k in used])[observations.frame]
+        for i, m in enumerate(all_moved):
+            camera = np.where((observations.camera == m.camera) & (index >= m.frame), len(rig) + i, camera)
+        time_offsets = np.hstack([time_offsets, time_offsets[:, [m.camera for m in all_moved]]])
+    extended_observations, poses_used, radius = (
+        replace(observations, camera=camera),
+        _stack_poses([frames[k].pose for k in used]),
         frames[used[-1]].radius,
     )
-    stays = np.array([frames[k].stays for k in used])
-    bundled = bundle_sized(
-        wider,
-        sights,
-        path,
+    is_fixed = np.array([frames[k].is_fixed for k in used])
+    result = bundle_adjust_with_scale(
+        extended_rig,
+        extended_observations,
+        poses_used,
         radius,
-        # Those that stay are of no path, and tell where the surface is.
-        other=None if stays.any() else another_path(wider, sights, path, radius),
-        fixed=stays if stays.any() else None,
-        landmarks=places,
-        times=np.array([frames[k].pose.time for k in used])[:, None] + late,
+        # Fixed frames belong to no path and determine the surface.
+        alternative_start=None
+        if is_fixed.any()
+        else find_alternative_path(extended_rig, extended_observations, poses_used, radius),
+        fixed=is_fixed if is_fixed.any() else None,
+        landmarks=landmarks,
+        times=np.array([frames[k].pose.time for k in used])[:, None] + time_offsets,
         offsets_sd=offsets_sd,
-        doubt=doubt,
+        calibration_prior=calibration_prior,
         recalibrate=recalibrate,
-        on_round=on_round,
+        on_iteration=on_iteration,
     )
-    if bundled.status is not Status.TOO_FEW_MATCHES:
-        open_length = length_is_open(bundled)
-        counts, residuals = _per_camera(bundled, seen, len(used), len(rig))
-        contradicted = given_up(bundled, seen)
-        contradicted[stays] = contradicted[0] = False
-        covariance = bundled.covariance
-        if stays.any():
-            own = np.array([frames[k].pose.covariance for k in used])
-            covariance = covariance + inherited(bundled.world_from_object, own, stays)
-        refined, astray = np.zeros((2, len(frames)), bool)
-        refined[used], astray[used] = bundled.tied & ~contradicted, bundled.tied & contradicted
+    if result.status is not Status.TOO_FEW_MATCHES:
+        scale_unobservable = is_scale_unobservable(result)
+        counts, residuals = _count_camera_inliers(result, observations, len(used), len(rig))
+        is_lost = find_lost_frames(result, observations)
+        is_lost[is_fixed] = is_lost[0] = False
+        covariance = result.covariance
+        if is_fixed.any():
+            tracked_covariance = np.array([frames[k].pose.covariance for k in used])
+            covariance = covariance + inherit_covariance(result.world_from_object, tracked_covariance, is_fixed)
+        is_refined, is_lost_frame = np.zeros((2, len(frames)), bool)
+        is_refined[used], is_lost_frame[used] = result.connected & ~is_lost, result.connected & is_lost
         for i, k in enumerate(used[1:], start=1):
-            if refined[k]:
+            if is_refined[k]:
                 poses[k] = replace(
                     poses[k],
-                    world_from_object=bundled.world_from_object[i],
+                    world_from_object=result.world_from_object[i],
                     covariance=covariance[i],
-                    observable=_observable(poses[k].observable, open_length),
+                    observability=_frame_observability(poses[k].observability, scale_unobservable),
                     inliers=counts[i],
                     residuals=residuals[i],
-                ).judged()
-        poses = _with_gaps_filled(poses, [frame.pose for frame in frames], refined, astray)
-    return Smoothed(
+                ).update_uncertain_status()
+        poses = _fill_gaps(poses, [frame.pose for frame in frames], is_refined, is_lost_frame)
+    return SmoothedTrajectory(
         tuple(poses),
-        bundled.status,
-        bundled.offsets[: len(rig)],
-        bundled.offsets_sd[: len(rig)],
-        bundled.sigma_px[: len(rig)],
-        bundled.rounds,
-        bundled.length_sd,
-        bundled.length_share,
-        bundled.correction,
-        moves,
+        result.status,
+        result.offsets[: len(rig)],
+        result.offsets_sd[: len(rig)],
+        result.sigma_px[: len(rig)],
+        result.iterations,
+        result.scale_sd,
+        result.scale_variance_ratio,
+        result.correction,
+        all_moved,
     )
 
 
-def _nudged(last: Track, rig: Rig) -> list[Moved]:
-    """Where the cameras stand that were nudged, as the last frame knows it: with the turn goes a shift, which the background
-    takes for a turn the more the nearer it is; it is taken to be behind the object."""
-    where, shift = last.pose.world_from_object, MOVED_SHARE * apart(rig)
-    assert where is not None
-    far = np.linalg.norm(np.array([c.center for c in rig]) - where.translation, axis=1)
-    return [Moved(n.camera, n.frame, float(np.hypot(n.sd, shift / far[n.camera])), n.turn) for n in last.nudges]
+def _detected_moved_cameras(last: Track, rig: Rig) -> list[MovedCamera]:
+    """Return the moved cameras according to the last frame.
+
+    A camera's rotation comes with a translation, which the background shows as a rotation, more so the nearer it is;
+    the background is assumed to be behind the object.
+    """
+    pose, translation_sd = last.pose.world_from_object, MOVED_TRANSLATION_RATIO * mean_camera_distance(rig)
+    assert pose is not None
+    distances = np.linalg.norm(np.array([c.center for c in rig]) - pose.translation, axis=1)
+    return [
+        MovedCamera(n.camera, n.frame, float(np.hypot(n.sd, translation_sd / distances[n.camera])), n.rotation)
+        for n in last.nudges
+    ]
 
 
-def _observable(before: Observable, open_length: bool) -> Observable:
-    if before is Observable.NO_SCALE:
-        return before
-    return Observable.NO_LENGTH if open_length else Observable.ALL
+def _frame_observability(previous: Observability, scale_unobservable: bool) -> Observability:
+    if previous is Observability.NO_SCALE:
+        return previous
+    return Observability.NO_TRANSLATION_SCALE if scale_unobservable else Observability.ALL
 
 
-def _stacked(poses: Sequence[FramePose]) -> RigidTransform:
+def _stack_poses(poses: Sequence[FramePose]) -> RigidTransform:
     return RigidTransform.concatenate([p.world_from_object for p in poses if p.world_from_object is not None])
 
 
-def _observations(frames: Sequence[Track]) -> tuple[Observations, FloatArray]:
-    """Sights of the landmarks worth using, numbered from 0, and where each landmark was last thought to be."""
-    counts = [[len(s.landmark) for s in f.sightings] for f in frames]
+def _collect_observations(frames: Sequence[Track]) -> tuple[Observations, FloatArray]:
+    """Return the observations of usable landmarks, renumbered from 0, and each landmark's last estimated position."""
+    counts = [[len(s.landmark_ids) for s in f.observations] for f in frames]
     cameras = np.concatenate([np.repeat(np.arange(len(n)), n) for n in counts])
     frame = np.repeat(np.arange(len(frames)), [sum(n) for n in counts])
-    every = [s for f in frames for s in f.sightings]
-    # Each camera has numbers of its own.
-    number = np.concatenate([s.landmark for s in every])
+    all_sightings = [s for f in frames for s in f.observations]
+    # Landmark numbers are per camera.
+    number = np.concatenate([s.landmark_ids for s in all_sightings])
     _, landmark = np.unique(cameras * (number.max(initial=0) + 1) + number, return_inverse=True)
-    used = _worth_using(frame, landmark, np.bincount(landmark, np.concatenate([s.moved for s in every])) > 0)
-    _, names = np.unique(landmark[used], return_inverse=True)
-    places = np.zeros((int(names.max(initial=-1)) + 1, 3))
-    places[names] = np.concatenate([s.place for s in every])[used]  # the last one counts
-    image = np.concatenate([s.normalized for s in every])[used]
-    return Observations(frame[used], cameras[used], names, image), places
+    used = _select_observations(
+        frame, landmark, np.bincount(landmark, np.concatenate([s.has_moved for s in all_sightings])) > 0
+    )
+    _, indices = np.unique(landmark[used], return_inverse=True)
+    landmarks = np.zeros((int(indices.max(initial=-1)) + 1, 3))
+    landmarks[indices] = np.concatenate([s.positions for s in all_sightings])[used]  # the last one wins
+    image = np.concatenate([s.normalized for s in all_sightings])[used]
+    return Observations(frame[used], cameras[used], indices, image), landmarks
 
 
-def _worth_using(frame: IntArray, landmark: IntArray, moved: BoolArray) -> BoolArray:
-    """(n,) which sights to use: those of landmarks seen often; where that leaves a frame few, of ones seen less often, and
-    where that leaves it hardly any, of ones (m,) not known to have moved with the object, too: background is among them."""
-    sights, used = np.bincount(landmark)[landmark], np.zeros(len(frame), bool)
-    on_it = (sights >= OFTEN[0]) | moved[landmark]
-    for counts, enough in ((on_it, ENOUGH), (np.ones_like(on_it), FEW)):
-        for least in OFTEN:
-            poor = np.bincount(frame, used) < enough
-            used |= counts & (sights >= least) & (np.bincount(landmark, poor[frame])[landmark] > 0)
+def _select_observations(frame: IntArray, landmark: IntArray, moved: BoolArray) -> BoolArray:
+    """Return (n,) mask of the observations to use.
+
+    Those of landmarks with many observations; in frames with few of these also ones with fewer observations; and in
+    frames with very few also ones of landmarks not marked in `moved` (m,), which include background.
+    """
+    track_lengths, used = np.bincount(landmark)[landmark], np.zeros(len(frame), bool)
+    on_object = (track_lengths >= MIN_TRACK_LENGTHS[0]) | moved[landmark]
+    for counts, enough in ((on_object, ENOUGH_OBSERVATIONS), (np.ones_like(on_object), FEW_OBSERVATIONS)):
+        for min_length in MIN_TRACK_LENGTHS:
+            is_poor = np.bincount(frame, used) < enough
+            used |= counts & (track_lengths >= min_length) & (np.bincount(landmark, is_poor[frame])[landmark] > 0)
     return used
 
 
-def _per_camera(bundled: Bundled, seen: Observations, n: int, cameras: int) -> tuple[IntArray, FloatArray]:
-    """(n, C) numbers of inliers and their rms residuals in pixels, NaN without any."""
-    good = bundled.weights > 0
-    cell = (seen.frame * cameras + seen.camera)[good]
+def _count_camera_inliers(
+    result: BundleResult, observations: Observations, n: int, cameras: int
+) -> tuple[IntArray, FloatArray]:
+    """Return (n, C) numbers of inliers and their rms residuals in pixels, NaN without any."""
+    is_inlier = result.weights > 0
+    cell = (observations.frame * cameras + observations.camera)[is_inlier]
     counts = np.bincount(cell, minlength=n * cameras)
-    squares = np.bincount(cell, bundled.residuals[good] ** 2, minlength=n * cameras)
+    squares = np.bincount(cell, result.residuals[is_inlier] ** 2, minlength=n * cameras)
     rms = np.sqrt(np.divide(squares, counts, out=np.full(n * cameras, np.nan), where=counts > 0))
     return counts.reshape(n, cameras).astype(np.int64), rms.reshape(n, cameras)
 
 
-def _with_gaps_filled(
-    poses: Sequence[FramePose], before: Sequence[FramePose], refined: BoolArray, astray: BoolArray
+def _fill_gaps(
+    poses: Sequence[FramePose], tracked: Sequence[FramePose], is_refined: BoolArray, is_lost_frame: BoolArray
 ) -> list[FramePose]:
-    """Coasting poses between two refined ones, with none lost between, go along a curve through what was measured around
-    them; others, and those that went astray, keep their place relative to the last frame in which the object was seen,
-    before -> now."""
+    """Interpolate coasting poses between two refined ones, and move the others along with their predecessor.
+
+    Coasting poses without lost ones between follow a curve through the measured ones around them. Others, and those of
+    contradicted frames, keep their pose relative to the last frame in which the object was observed.
+    """
     out = list(poses)
-    known = refined & np.array([pose.measured for pose in poses])
-    seen = [k for k, pose in enumerate(before) if pose.seen and not astray[k]]
-    for i, k in enumerate(seen):
-        end = seen[i + 1] if i + 1 < len(seen) else len(before)
-        gap = [g for g in range(k + 1, end) if before[g].world_from_object is not None]
-        coasting = not any(before[g].seen for g in gap)
-        if coasting and end < len(before) and known[k] and known[end] and 0 < len(gap) == end - k - 1:
-            around = [m for m in seen[max(0, i + 1 - AROUND) : i + 1 + AROUND] if known[m]]
-            for g, pose in zip(gap, _between([poses[m] for m in around], [before[g].time for g in gap]), strict=True):
+    is_measured = is_refined & np.array([pose.is_measured for pose in poses])
+    observed = [k for k, pose in enumerate(tracked) if pose.is_observed and not is_lost_frame[k]]
+    for i, k in enumerate(observed):
+        end = observed[i + 1] if i + 1 < len(observed) else len(tracked)
+        gap = [g for g in range(k + 1, end) if tracked[g].world_from_object is not None]
+        coasting = not any(tracked[g].is_observed for g in gap)
+        if coasting and end < len(tracked) and is_measured[k] and is_measured[end] and 0 < len(gap) == end - k - 1:
+            neighbors = [m for m in observed[max(0, i + 1 - N_NEIGHBORS) : i + 1 + N_NEIGHBORS] if is_measured[m]]
+            for g, pose in zip(
+                gap, _interpolate_poses([poses[m] for m in neighbors], [tracked[g].time for g in gap]), strict=True
+            ):
                 near, far = (k, g - k) if g - k <= end - g else (end, end - g)
-                # As uncertain as the nearer end, and what as many frames of coasting made of it.
-                spread = poses[near].covariance + before[k + far].covariance
-                out[g] = replace(before[g], world_from_object=pose, covariance=spread)
+                # The covariance of the nearer end plus that of as many frames of coasting.
+                covariance = poses[near].covariance + tracked[k + far].covariance
+                out[g] = replace(tracked[g], world_from_object=pose, covariance=covariance)
             continue
-        old, new = before[k].world_from_object, poses[k].world_from_object
+        old, new = tracked[k].world_from_object, poses[k].world_from_object
         for g in gap:
-            there = before[g].world_from_object
-            if old is not None and new is not None and there is not None:
-                out[g] = replace(before[g], world_from_object=new * old.inv() * there)
+            gap_pose = tracked[g].world_from_object
+            if old is not None and new is not None and gap_pose is not None:
+                out[g] = replace(tracked[g], world_from_object=new * old.inv() * gap_pose)
     return out
 
 
-def _between(known: Sequence[FramePose], times: Sequence[float]) -> RigidTransform:
-    """Poses at times (n,), on cubic splines through known ones."""
-    stacked, when = _stacked(known), np.array([pose.time for pose in known])
-    places = CubicSpline(when, stacked.translation)(times)
-    return RigidTransform.from_components(places, RotationSpline(when, stacked.rotation)(times))
+def _interpolate_poses(poses: Sequence[FramePose], times: Sequence[float]) -> RigidTransform:
+    """Interpolate poses at times (n,) by cubic splines."""
+    stacked, known_times = _stack_poses(poses), np.array([pose.time for pose in poses])
+    translations = CubicSpline(known_times, stacked.translation)(times)
+    return RigidTransform.from_components(translations, RotationSpline(known_times, stacked.rotation)(times))

@@ -1,5 +1,6 @@
-"""Chen and Schonfeld: a rotation from orthographic second moments by Sylvester's equation.
+"""Rotation estimators based on Sylvester's equation, after Chen and Schonfeld (2010).
 
-Of one camera (`one_camera`), of all (`centralized`), or `distributed` among them; `equation` is Sylvester's equation by
-itself. `depth_plane`, `displacement` and `bad_cameras` are what it takes to use them: our own.
+They use orthographic second moments: of one camera (`one_camera`), of all cameras (`centralized`), or `distributed`
+over network nodes. `equation` solves Sylvester's equation itself. `depth_plane`, `translation` and `camera_faults` are
+our extensions for practical use.
 """

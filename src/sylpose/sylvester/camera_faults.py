@@ -1,9 +1,9 @@
-"""Sensor errors: a camera with a wrong calibration, junk matches or a frozen image, recognised and named.
+"""Detection of faulty cameras: wrong calibration, junk matches or a frozen image.
 
-Each camera is judged by how far its matches are from what the rotation that most cameras agree on allows (`affine_votes`).
-What kind of fault it has, its own moments say: whatever the object's rotation and the plane of its depths, the affine map
-y = F x has |F'u| = s, near 1, for the u that is normal to m. A camera whose F is too small for every u is junk; one whose
-matches do not move, though the others say so, is frozen; of the rest the calibration is doubted.
+Each camera is scored by the distance of its matches from the consensus rotation of the cameras (`affine_consensus`).
+Its own moments determine the kind of fault: for any rotation and any plane of depths, the affine map y = F x has |F'u|
+= s, near 1, for the u that is normal to m. A camera whose F is too small for every u has junk matches; one whose
+matches do not move while those of others do is frozen; otherwise its calibration is wrong.
 
 Source: Chen & Schonfeld (2010) name sensor errors; the test is ours.
 """
@@ -18,71 +18,71 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import fdtri
 
-from sylpose.display import Telling, Told
+from sylpose.display import Printable, Summary
 from sylpose.geometry.arrays import BoolArray, FloatArray
-from sylpose.geometry.matrices import checked_rotation, transpose
-from sylpose.geometry.validation import items, listed, whole
+from sylpose.geometry.matrices import check_rotation, transpose
+from sylpose.geometry.validation import check_integer, check_list, check_sequence
 from sylpose.moments import PairMoments
 from sylpose.results import RotationEstimate, Status
 from sylpose.sylvester.affine_consensus import (
-    FAULT,
-    LEFT_OVER,
-    SCALE,
+    FAULT_SCORE,
+    NON_AFFINE_SD,
+    SCALE_SD,
     AffineFits,
-    affine_fits,
-    agreed_rotation,
-    score,
-    settled,
+    compute_scores,
+    find_consensus_rotation,
+    fit_affine_maps,
+    refine_consensus,
 )
 from sylpose.sylvester.centralized import CentralizedSolution, solve_centralized
-from sylpose.sylvester.orthographic import views_of
+from sylpose.sylvester.orthographic import compute_views
 
 __all__ = [
     "Diagnosis",
     "Fault",
     "FaultKind",
     "RobustSolution",
-    "diagnose",
-    "doubt_of",
+    "diagnose_cameras",
+    "find_faulty_cameras",
+    "find_static_views",
+    "max_fault_score",
     "solve_robust",
-    "stand_still",
-    "suspect_cameras",
 ]
 
 FaultKind = Literal["calibration", "frozen", "junk"]
 
-# A camera is trusted in full up to this score, and not at all from `FAULT` on: half of that (choice).
-TRUSTED = 6.0
-# Of a camera at fault: junk where no rotation comes nearer than this score to what its matches say (measured:
-# docs/benchmarks.md#bad-sensors, the kind is right in all).
-JUNK = 4.0
-# A camera stands still where chance makes its matches' displacements as large at least this often (choice; F-test).
-STILL = 1e-4
-# One that stands still is not displaced by more than this share of how far its places are apart, squared (choice).
-LITTLE = 0.1
-# The rotation is searched for with no more cameras than this (choice: time).
-SEARCHED = 24
-# Squares of displacements up to this share of those of the places are rounding (derived).
-NO_MOTION = 1e-12
-_TEXTS: dict[FaultKind, str] = {
-    "calibration": "its matches fit a rotation, but not that of the other cameras: its calibration is wrong, it was moved, "
-    "or its images are mirrored, exchanged or of something else",
-    "frozen": "it sees no motion while the other cameras do: its image is frozen",
+# A camera has full weight up to this score, half of `FAULT_SCORE`, and none from `FAULT_SCORE` on (choice).
+FULL_WEIGHT_SCORE = 6.0
+# A camera at fault has junk matches if no rotation gives it a score below this (measured:
+# docs/history/benchmarks.md#bad-sensors, the kind is right in all).
+JUNK_SCORE = 4.0
+# Matches are static if noise explains their displacements at this significance level (choice; F-test).
+STATIC_SIGNIFICANCE = 1e-4
+# Squared displacements of static matches are at most this share of their squared spread (choice).
+STATIC_SHARE = 0.1
+# Maximum number of cameras in the search for the rotation (choice: time).
+MAX_CAMERAS_SEARCHED = 24
+# Squared displacements up to this share of the points' squares are rounding (derived).
+ROUNDING_SHARE = 1e-12
+_FAULT_TEXTS: dict[FaultKind, str] = {
+    "calibration": "its matches fit a rotation, but not that of the other cameras: its calibration is wrong, "
+    "it was moved, or its images are mirrored, exchanged or of another object",
+    "frozen": "its matches do not move while those of the other cameras do: its image is frozen",
     "junk": "no rotation explains its matches: they are junk",
 }
 
 
 @dataclass(frozen=True)
 class Fault:
-    """What is wrong with a camera.
+    """Fault of a camera.
 
     Attributes:
         camera: its name, or its index as text.
-        kind: "calibration" (its matches fit a rotation, but not that of the other cameras: its camera_from_world is wrong,
-            or its images are mirrored or another camera's), "junk" (no rotation explains its matches), or "frozen" (it sees
-            no motion while the others do).
-        score: squared distance of its affine map from what the others' rotation allows, in standard deviations.
-        text: a sentence that names the camera.
+        kind: "calibration" (its matches fit a rotation, but not that of the other cameras: its camera_from_world is
+            wrong, or its images are mirrored or another camera's), "junk" (no rotation explains its matches), or
+            "frozen" (its matches do not move while those of the others do).
+        score: squared distance of its affine map from the others' rotation, in standard deviations.
+        text: a sentence with the camera's name.
     """
 
     camera: str
@@ -92,16 +92,17 @@ class Fault:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Diagnosis(Told):
-    """What the cameras' moments say of the cameras.
+class Diagnosis(Printable):
+    """Diagnosis of all cameras from their moments.
 
     Attributes:
-        consistent: more than half of the cameras that could be judged, junk and frozen ones aside, agree on a rotation, and
-            who disagrees is certain.
-        text: a sentence: what was found, or why it cannot be told.
-        rotation: (3, 3) what the cameras are judged by, world frame.
-        scores: (C,) as `Fault.score`; NaN for cameras with too few matches or none spread over two dimensions.
-        weights: (C,) 0 for a camera at fault, 1 for one that is trusted (or cannot be judged), between them in doubt.
+        consistent: more than half of the cameras with a score, except junk and frozen ones, agree on a rotation, and
+            the set of those that disagree is certain.
+        text: a sentence with the faults found, or the reason why they are uncertain.
+        rotation: (3, 3) rotation that the scores refer to, world frame.
+        scores: (C,) as `Fault.score`; NaN for cameras with too few or collinear matches.
+        weights: (C,) 0 for a camera at fault, 1 for a good one (or one without a score), between them near the
+            threshold.
         faults: (C,) None for a camera that is not at fault.
     """
 
@@ -112,20 +113,20 @@ class Diagnosis(Told):
     weights: FloatArray
     faults: tuple[Fault | None, ...]
 
-    def _told(self) -> Telling:
-        return Telling(self.text)
+    def _summary(self) -> Summary:
+        return Summary(self.text)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RobustSolution(RotationEstimate):
-    """The rotation of the cameras that can be relied upon.
+    """Rotation estimated from the cameras that are not at fault.
 
     Attributes:
-        status: that of `solution`; but NOT_CONSISTENT where no majority of cameras agrees,
-            or it is not certain which one is wrong (`diagnosis.text`): `solution` is then the likeliest.
-        rotation, information, unseen, iterations: those of `solution`.
-        solution: the centralised estimate with the cameras' weights; None where every camera is junk.
-        diagnosis: what is wrong with which camera.
+        status: that of `solution`, or `NOT_CONSISTENT` if no majority of cameras agrees or the faulty camera is
+            uncertain (`diagnosis.text`); `solution` is then the likeliest.
+        rotation, information, unobservable, iterations: those of `solution`.
+        solution: the centralized estimate with the cameras' weights; None if all cameras have junk matches.
+        diagnosis: the fault of each camera.
     """
 
     solution: CentralizedSolution | None
@@ -133,7 +134,7 @@ class RobustSolution(RotationEstimate):
 
     @property
     def weights(self) -> FloatArray:
-        """(C,) of the cameras."""
+        """(C,) weights of the cameras."""
         return self.diagnosis.weights
 
     @property
@@ -141,75 +142,80 @@ class RobustSolution(RotationEstimate):
         """(C,) None for a camera that is not at fault."""
         return self.diagnosis.faults
 
-    def _told_besides(self) -> list[tuple[str, str]]:
+    def _extra_rows(self) -> list[tuple[str, str]]:
         return [("cameras", self.diagnosis.text)]
 
 
 def solve_robust(
     rotations: ArrayLike, moments: Sequence[PairMoments], *, names: Sequence[str] | None = None, aim: bool = True
 ) -> RobustSolution:
-    """The centralised estimate of the cameras that are not at fault, with what is wrong with the others.
+    """Estimate the rotation from the cameras that are not at fault, and diagnose the others.
 
     Args:
         rotations: (C, 3, 3) Q of camera_from_world.
         moments: C pair moments.
-        names: C, for the faults' texts; None for the indices.
-        aim: as in `views_of`.
+        names: C camera names for the faults' texts; None for the indices.
+        aim: as in `compute_views`.
+
+    Returns:
+        The weighted centralized estimate with its diagnosis.
 
     Raises:
-        ValueError: as `solve_centralized`; names that are not C.
+        ValueError: as `solve_centralized`, or the number of names is not C.
     """
-    moments = listed(moments, PairMoments, "moments")
-    diagnosis = diagnose(rotations, moments, names=names, aim=aim)
+    moments = check_list(moments, PairMoments, "moments")
+    diagnosis = diagnose_cameras(rotations, moments, names=names, aim=aim)
     Q = np.asarray(rotations, dtype=float)
     kept = np.flatnonzero(diagnosis.weights > 0).tolist()
     if len(kept) == 0:
         nothing = np.full((3, 3), np.nan), np.zeros((3, 3)), np.eye(3)
         return RobustSolution(Status.NOT_CONSISTENT, *nothing, 0, None, diagnosis)
-    weighted = [moments[c].weighted(float(diagnosis.weights[c])) for c in kept]
+    weighted = [moments[c].scale_weights(float(diagnosis.weights[c])) for c in kept]
     s = solve_centralized(Q[kept], weighted, aim=aim)
     status = s.status if diagnosis.consistent else Status.NOT_CONSISTENT
-    return RobustSolution(status, s.rotation, s.information, s.unseen, s.iterations, s, diagnosis)
+    return RobustSolution(status, s.rotation, s.information, s.unobservable, s.iterations, s, diagnosis)
 
 
-def diagnose(
+def diagnose_cameras(
     rotations: ArrayLike, moments: Sequence[PairMoments], *, names: Sequence[str] | None = None, aim: bool = True
 ) -> Diagnosis:
-    """Which cameras are at fault, judged by the rotation that most of them agree on; for any estimator to go on with
-    (drop the moments of weight 0, scale the others).
+    """Find the cameras at fault by the consensus rotation, as input weights for any estimator.
 
-    Two cameras that disagree are seen to, but not which is wrong; of three or four cameras it is often not certain, junk and
-    frozen ones aside, because few affine maps leave much open. A fault that does not show in the matches (a wrong
-    calibration while the object hardly turns) is not found, and does little harm.
+    Estimators drop the moments of weight 0 and scale the others. With two cameras a disagreement is detected, but not
+    the faulty camera. With three or four it is often uncertain, except for junk and frozen ones. A fault that does not
+    affect the matches (a wrong calibration while the object hardly rotates) is not found and has little effect.
 
     Args:
         rotations, moments, names, aim: as in `solve_robust`.
 
+    Returns:
+        The faults and weights of all cameras.
+
     Raises:
-        ValueError: as `views_of`; names that are not C.
+        ValueError: as `compute_views`, or the number of names is not C.
     """
-    moments = listed(moments, PairMoments, "moments")
-    labels = _labels(names, len(moments))
-    fits = affine_fits(views_of(rotations, moments, aim=aim))
-    still, junk = stand_still(moments, fits), _junk(fits)
-    kinds = _kinds(still, junk > JUNK)
-    voters = np.flatnonzero(junk <= FAULT)
+    moments = check_list(moments, PairMoments, "moments")
+    labels = _camera_labels(names, len(moments))
+    fits = fit_affine_maps(compute_views(rotations, moments, aim=aim))
+    static, junk = find_static_views(moments, fits), _junk_scores(fits)
+    kinds = _fault_kinds(static, junk > JUNK_SCORE)
+    voters = np.flatnonzero(junk <= FAULT_SCORE)
     if len(voters) == 0:
-        return _report(labels, fits, kinds, np.eye(3), junk, True)
-    # A still object cannot be seen to move: where two or more cameras see motion, they are heard and the still ones are not.
-    moving = voters[~still[voters]]
-    heard = moving if len(moving) > 1 else voters
-    some = heard[np.linspace(0, len(heard) - 1, min(len(heard), SEARCHED)).astype(int)]
-    Q = np.asarray(rotations, dtype=float)[fits.camera[some]]
-    plain = solve_centralized(Q, [moments[c] for c in fits.camera[some]], aim=aim).rotation
-    R, certain = agreed_rotation(fits.subset(some), plain)
-    R, of_heard = settled(fits.subset(heard), R)
-    scores = np.maximum(score(fits, R[None]).squared[0], junk)
-    scores[heard] = of_heard
-    return _report(labels, fits, kinds, R, scores, certain)
+        return _build_diagnosis(labels, fits, kinds, np.eye(3), junk, True)
+    # A static object cannot appear to move: if two or more cameras observe motion, those without motion do not vote.
+    moving = voters[~static[voters]]
+    voting = moving if len(moving) > 1 else voters
+    sample = voting[np.linspace(0, len(voting) - 1, min(len(voting), MAX_CAMERAS_SEARCHED)).astype(int)]
+    Q = np.asarray(rotations, dtype=float)[fits.camera[sample]]
+    initial = solve_centralized(Q, [moments[c] for c in fits.camera[sample]], aim=aim).rotation
+    R, certain = find_consensus_rotation(fits.subset(sample), initial)
+    R, voting_scores = refine_consensus(fits.subset(voting), R)
+    scores = np.maximum(compute_scores(fits, R[None]).scores[0], junk)
+    scores[voting] = voting_scores
+    return _build_diagnosis(labels, fits, kinds, R, scores, certain)
 
 
-def suspect_cameras(
+def find_faulty_cameras(
     rotations: ArrayLike,
     moments: Sequence[PairMoments],
     rotation: ArrayLike,
@@ -218,47 +224,55 @@ def suspect_cameras(
     names: Sequence[str] | None = None,
     aim: bool = True,
 ) -> Diagnosis:
-    """Which cameras are at fault if the object's rotation is `rotation`, found by any other means.
+    """Find the cameras at fault for a known rotation of the object.
 
     Args:
         rotations, moments, names, aim: as in `solve_robust`.
-        rotation: (3, 3) R, world frame. It is taken as exact.
-        at_fault: cameras that are known to be so by other means (matches that no epipolar line is near to, say): what is
-            wrong with them is all that is asked.
+        rotation: (3, 3) R, world frame, assumed exact.
+        at_fault: indices of cameras already known to be at fault (for instance by large epipolar residuals); only the
+            kind of their fault is determined.
+
+    Returns:
+        The faults and weights of all cameras.
 
     Raises:
-        ValueError: as `views_of`; names that are not C; a matrix that is no rotation.
+        ValueError: as `compute_views`, the number of names is not C, or rotation is not a rotation matrix.
     """
-    R = checked_rotation(rotation)
-    moments = listed(moments, PairMoments, "moments")
-    known = [whole(c, f"at_fault[{k}]", most=len(moments) - 1) for k, c in enumerate(items(at_fault, "at_fault"))]
-    labels = _labels(names, len(moments))
-    fits = affine_fits(views_of(rotations, moments, aim=aim))
-    still, junk = stand_still(moments, fits), _junk(fits)
-    scores = np.maximum(score(fits, R[None]).squared[0], junk)
-    scores[np.isin(fits.camera, np.array(known, dtype=np.int64))] = np.inf
-    return _report(labels, fits, _kinds(still, junk > JUNK), R, scores, True)
+    R = check_rotation(rotation)
+    moments = check_list(moments, PairMoments, "moments")
+    faulty = [
+        check_integer(c, f"at_fault[{k}]", maximum=len(moments) - 1)
+        for k, c in enumerate(check_sequence(at_fault, "at_fault"))
+    ]
+    labels = _camera_labels(names, len(moments))
+    fits = fit_affine_maps(compute_views(rotations, moments, aim=aim))
+    static, junk = find_static_views(moments, fits), _junk_scores(fits)
+    scores = np.maximum(compute_scores(fits, R[None]).scores[0], junk)
+    scores[np.isin(fits.camera, np.array(faulty, dtype=np.int64))] = np.inf
+    return _build_diagnosis(labels, fits, _fault_kinds(static, junk > JUNK_SCORE), R, scores, True)
 
 
-def doubt_of(fits: AffineFits, rotation: FloatArray | None = None) -> float:
-    """What a camera can tell of itself: the largest `Fault.score` of these cameras if the object's rotation is this one
-    (3, 3), taken as exact; if it is whatever suits each of them best, without one. 0 if none can be judged."""
-    scores = _junk(fits)
+def max_fault_score(fits: AffineFits, rotation: FloatArray | None = None) -> float:
+    """Return the largest `Fault.score` of these cameras at a rotation (3, 3), assumed exact.
+
+    Without a rotation, each camera is scored at its own best one. 0 if no camera can be scored.
+    """
+    scores = _junk_scores(fits)
     if rotation is not None:
-        scores = np.maximum(score(fits, rotation[None]).squared[0], scores)
+        scores = np.maximum(compute_scores(fits, rotation[None]).scores[0], scores)
     return float(scores.max(initial=0.0))
 
 
-def _junk(fits: AffineFits) -> FloatArray:
-    """(n,) score of the rotation that suits a camera best: 0 unless |F'u| < 1 for all u."""
+def _junk_scores(fits: AffineFits) -> FloatArray:
+    """Return each camera's score (n,) at its own best rotation: 0 unless |F'u| < 1 for all u."""
     u, values, v = np.linalg.svd(fits.F)
     along = (u[:, :, 0, None] * v[:, None, 0]).reshape(-1, 4)
-    variance = np.einsum("ci,cij,cj->c", along, fits.noise, along) + SCALE**2 + LEFT_OVER**2
+    variance = np.einsum("ci,cij,cj->c", along, fits.noise, along) + SCALE_SD**2 + NON_AFFINE_SD**2
     return np.asarray(np.maximum(1 - values[:, 0], 0.0) ** 2 / variance)
 
 
-def stand_still(moments: Sequence[PairMoments], fits: AffineFits) -> BoolArray:
-    """(n,) cameras whose matches do not move by more than their noise."""
+def find_static_views(moments: Sequence[PairMoments], fits: AffineFits) -> BoolArray:
+    """Return the mask (n,) of cameras whose matches do not move by more than their noise."""
     if len(fits.camera) == 0:
         return np.zeros(0, dtype=bool)
     M = np.array([moments[c].matrix for c in fits.camera])
@@ -270,49 +284,55 @@ def stand_still(moments: Sequence[PairMoments], fits: AffineFits) -> BoolArray:
     # d = y - x as a function of s = x + y: the noise of d is not in s, as it is in x, where the image may be narrow.
     ss = xx + yy + yx + transpose(yx) - s[:, :, None] * s[:, None] / n[:, None, None]
     ds = yy - xx + yx - transpose(yx) - d[:, :, None] * s[:, None] / n[:, None, None]
-    by_place = (ds * transpose(np.linalg.solve(ss, transpose(ds)))).sum(axis=(1, 2))
-    # F-test of the affine map's six numbers; what rounding leaves is no motion. Half of a turn looks like noise in d.
-    noise = np.maximum(dd - by_place, 0.0) / (2 * n - 6)
-    rounding = NO_MOTION * np.trace(M, axis1=1, axis2=2)
-    little = dd <= LITTLE * np.trace(ss, axis1=1, axis2=2)
-    return np.asarray(little & (mean + by_place <= 6 * noise * fdtri(6, 2 * n - 6, 1 - STILL) + rounding))
+    explained = (ds * transpose(np.linalg.solve(ss, transpose(ds)))).sum(axis=(1, 2))
+    # F-test of the affine map's six numbers; displacements within rounding are no motion. A half turn looks like noise
+    # in d.
+    noise = np.maximum(dd - explained, 0.0) / (2 * n - 6)
+    rounding = ROUNDING_SHARE * np.trace(M, axis1=1, axis2=2)
+    is_small = dd <= STATIC_SHARE * np.trace(ss, axis1=1, axis2=2)
+    return np.asarray(
+        is_small & (mean + explained <= 6 * noise * fdtri(6, 2 * n - 6, 1 - STATIC_SIGNIFICANCE) + rounding)
+    )
 
 
-def _report(
+def _build_diagnosis(
     labels: Sequence[str],
     fits: AffineFits,
     kinds: Sequence[FaultKind],
     R: FloatArray,
-    judged: FloatArray,
+    camera_scores: FloatArray,
     certain: bool,
 ) -> Diagnosis:
-    """What the scores (n,) of the cameras that could be judged mean; `certain`: who is at fault, if anyone is."""
-    at_fault = judged > FAULT
-    own = np.array([kind == "junk" for kind in kinds], dtype=bool) & at_fault
-    accused = at_fault & ~own
-    agree, against = int((~at_fault).sum()), sum(kinds[k] == "calibration" for k in np.flatnonzero(accused).tolist())
-    # One camera's word against another's is none.
-    majority = agree > against and (agree > 1 or not accused.any())
-    consistent = len(judged) == 0 or (majority and (certain or not accused.any()))
-    trust = np.clip((FAULT - judged) / (FAULT - TRUSTED), 0.0, 1.0)
+    """Build the diagnosis from the scores (n,); `certain`: whether the set of faulty cameras is certain."""
+    at_fault = camera_scores > FAULT_SCORE
+    is_junk = np.array([kind == "junk" for kind in kinds], dtype=bool) & at_fault
+    disagreeing = at_fault & ~is_junk
+    agree, against = (
+        int((~at_fault).sum()),
+        sum(kinds[k] == "calibration" for k in np.flatnonzero(disagreeing).tolist()),
+    )
+    # One camera against one other is no majority.
+    majority = agree > against and (agree > 1 or not disagreeing.any())
+    consistent = len(camera_scores) == 0 or (majority and (certain or not disagreeing.any()))
+    score_weights = np.clip((FAULT_SCORE - camera_scores) / (FAULT_SCORE - FULL_WEIGHT_SCORE), 0.0, 1.0)
     weights, scores = np.ones(len(labels)), np.full(len(labels), np.nan)
-    weights[fits.camera] = trust if majority else np.where(own, 0.0, 1.0)
-    scores[fits.camera] = judged
+    weights[fits.camera] = score_weights if majority else np.where(is_junk, 0.0, 1.0)
+    scores[fits.camera] = camera_scores
     faults: list[Fault | None] = [None] * len(labels)
-    for k in np.flatnonzero(at_fault if consistent else own).tolist():
+    for k in np.flatnonzero(at_fault if consistent else is_junk).tolist():
         c = int(fits.camera[k])
-        faults[c] = Fault(labels[c], kinds[k], float(judged[k]), f"camera {labels[c]}: {_TEXTS[kinds[k]]}")
-    said = [fault.text for fault in faults if fault is not None]
-    if not consistent and accused.any():
-        who = ", ".join(labels[c] for c in fits.camera[accused])
-        said.append(f"the cameras disagree, and it is not certain which one is wrong (the likeliest: {who})")
-    text = "; ".join(said) or "no camera is found to be at fault"
+        faults[c] = Fault(labels[c], kinds[k], float(camera_scores[k]), f"camera {labels[c]}: {_FAULT_TEXTS[kinds[k]]}")
+    sentences = [fault.text for fault in faults if fault is not None]
+    if not consistent and disagreeing.any():
+        likeliest = ", ".join(labels[c] for c in fits.camera[disagreeing])
+        sentences.append(f"the cameras disagree, and it is not certain which one is wrong (the likeliest: {likeliest})")
+    text = "; ".join(sentences) or "no camera is at fault"
     return Diagnosis(consistent, f"{text[0].upper()}{text[1:]}.", R, scores, weights, tuple(faults))
 
 
-def _kinds(still: BoolArray, junk: BoolArray) -> list[FaultKind]:
-    return ["junk" if j else "frozen" if s else "calibration" for s, j in zip(still, junk, strict=True)]
+def _fault_kinds(static: BoolArray, junk: BoolArray) -> list[FaultKind]:
+    return ["junk" if j else "frozen" if s else "calibration" for s, j in zip(static, junk, strict=True)]
 
 
-def _labels(names: Sequence[str] | None, n: int) -> list[str]:
-    return [str(c) for c in range(n)] if names is None else listed(names, str, "names", n)
+def _camera_labels(names: Sequence[str] | None, n: int) -> list[str]:
+    return [str(c) for c in range(n)] if names is None else check_list(names, str, "names", n)

@@ -1,4 +1,4 @@
-"""Compiled: what each camera's depth plane predicts (`depth_plane`), its cost and the derivatives of that.
+"""Compiled kernels of `depth_plane`: prediction, cost and derivatives of each camera.
 
 A camera's unknowns, in order: w (3) of R = exp(w) R̂; then its own: a (2), log s, τ (2), log ζ, log σ.
 """
@@ -10,24 +10,24 @@ import numpy as np
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.numba_linalg import kernel
 
-__all__ = ["costs", "derivatives"]
+__all__ = ["evaluate_costs", "evaluate_derivatives"]
 
 
-# What is believed beforehand. The plane's normal points any way: a density of (1 + |a|²)^-3/2 for its slopes (derived).
+# Priors. A uniform direction of the plane's normal: a density of (1 + |a|²)^-3/2 for its slopes (derived).
 SLOPE_POWER = 1.5
-# Standard deviation of log s: an object that comes 5 % nearer is a fast one (choice).
-LOG_SCALE = 0.05
-# Relief, as a share of the points' spread, and the standard deviation of its logarithm (choice: vague).
-RELIEF, LOG_RELIEF = 0.3, 0.7
-# Noise, as a share of the points' spread: worth one more coordinate that has it (choice).
-NOISE = 0.005
+# Standard deviation of log s: an approach by 5 % is fast (choice).
+LOG_SCALE_SD = 0.05
+# Residual depth, as a share of the points' spread, and the standard deviation of its logarithm (choice: vague).
+RESIDUAL_DEPTH, LOG_RESIDUAL_DEPTH_SD = 0.3, 0.7
+# Noise, as a share of the points' spread: equivalent to one additional coordinate with this noise (choice).
+NOISE_PRIOR = 0.005
 
 
 @kernel
 def _predict(
     Qx: FloatArray, Qy: FloatArray, R: FloatArray, own: FloatArray, perspective: bool, Rc: FloatArray, H: FloatArray
 ) -> None:
-    """Fills R_c (3, 3) and H (3, 3)."""
+    """Write R_c (3, 3) and H (3, 3)."""
     for i in range(3):
         for j in range(3):
             Rc[i, j] = 0.0
@@ -45,8 +45,8 @@ def _predict(
 
 
 @kernel
-def _on_products(H: FloatArray, A: FloatArray) -> None:
-    """Fills A (2, 9): y_12 (H x)_3 - y_3 (H x)_12 = A (y ⊗ x). Linear in H."""
+def _residual_matrix(H: FloatArray, A: FloatArray) -> None:
+    """Write A (2, 9): y_12 (H x)_3 - y_3 (H x)_12 = A (y ⊗ x). Linear in H."""
     A[:] = 0.0
     for j in range(3):
         A[0, j] = A[1, 3 + j] = H[2, j]
@@ -55,7 +55,7 @@ def _on_products(H: FloatArray, A: FloatArray) -> None:
 
 @kernel
 def _covariances(H: FloatArray, Rc: FloatArray, own: FloatArray, G: FloatArray, V: FloatArray) -> None:
-    """Fills G = I + F F' and V = σ² G + ζ² s² m m' (2, 2)."""
+    """Write G = I + F F' and V = σ² G + ζ² s² m m' (2, 2)."""
     noise, relief = np.exp(2.0 * own[6]), np.exp(2.0 * (own[5] + own[2]))
     for i in range(2):
         for j in range(2):
@@ -65,7 +65,7 @@ def _covariances(H: FloatArray, Rc: FloatArray, own: FloatArray, G: FloatArray, 
 
 @kernel
 def _invert(a: FloatArray, out: FloatArray) -> float:
-    """out (2, 2) becomes the inverse of a; returns its determinant."""
+    """Write the inverse of a (2, 2) to out and return the determinant of a."""
     det = a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]
     out[0, 0], out[1, 1] = a[1, 1] / det, a[0, 0] / det
     out[0, 1], out[1, 0] = -a[0, 1] / det, -a[1, 0] / det
@@ -73,7 +73,7 @@ def _invert(a: FloatArray, out: FloatArray) -> float:
 
 
 @kernel
-def costs(
+def evaluate_costs(
     Qx: FloatArray,
     Qy: FloatArray,
     M: FloatArray,
@@ -85,7 +85,7 @@ def costs(
     own: FloatArray,
     out: FloatArray,
 ) -> None:
-    """out (S,) becomes minus the logarithm of likelihood and priors at R (S, 3, 3), own (S, C, 7)."""
+    """Write the negative log posterior to out (S,) at R (S, 3, 3) and own (S, C, 7)."""
     Rc, H, A = np.empty((3, 3)), np.empty((3, 3)), np.empty((2, 9))
     G, V, W = np.empty((2, 2)), np.empty((2, 2)), np.empty((2, 2))
     for start in range(len(R)):
@@ -93,7 +93,7 @@ def costs(
         for c in range(len(n)):
             q = own[start, c]
             _predict(Qx[c], Qy[c], R[start], q, perspective, Rc, H)
-            _on_products(H, A)
+            _residual_matrix(H, A)
             _covariances(H, Rc, q, G, V)
             ratio = _invert(V, W)
             ratio /= G[0, 0] * G[1, 1] - G[0, 1] * G[1, 0]
@@ -103,14 +103,14 @@ def costs(
                     for k in range(9):
                         for m in range(9):
                             fit += W[i, j] * A[j, k] * M[c, k, m] * A[i, m]
-            out[start] += 0.5 * fit + SLOPE_POWER * np.log1p(q[0] ** 2 + q[1] ** 2) + 0.5 * (q[2] / LOG_SCALE) ** 2
-            out[start] += 0.5 * ((q[5] - np.log(RELIEF * spread[c])) / LOG_RELIEF) ** 2
+            out[start] += 0.5 * fit + SLOPE_POWER * np.log1p(q[0] ** 2 + q[1] ** 2) + 0.5 * (q[2] / LOG_SCALE_SD) ** 2
+            out[start] += 0.5 * ((q[5] - np.log(RESIDUAL_DEPTH * spread[c])) / LOG_RESIDUAL_DEPTH_SD) ** 2
             if not noise_known:
-                out[start] += q[6] + 0.5 * (NOISE * spread[c] * np.exp(-q[6])) ** 2
+                out[start] += q[6] + 0.5 * (NOISE_PRIOR * spread[c] * np.exp(-q[6])) ** 2
 
 
 @kernel
-def derivatives(
+def evaluate_derivatives(
     Qx: FloatArray,
     Qy: FloatArray,
     M: FloatArray,
@@ -124,10 +124,10 @@ def derivatives(
     gradient: FloatArray,
     information: FloatArray,
 ) -> None:
-    """Fills gradient (S, C, 10) and Fisher's information (S, C, 10, 10) of each camera's cost.
+    """Write gradient (S, C, 10) and Fisher information (S, C, 10, 10) of each camera's cost.
 
-    The information takes V's share I + F F' as given: it belongs to total least squares. `searching`, it has besides
-    what curvature by w it lacks where m and the residuals are small, so that a step does not go too far.
+    The information treats V's factor I + F F' as constant, as in total least squares. With `searching`, curvature by w
+    that is missing where m and the residuals are small is added, which limits the steps.
     """
     Rc, H, A = np.empty((3, 3)), np.empty((3, 3)), np.empty((2, 9))
     G, V, W, G_inverse = np.empty((2, 2)), np.empty((2, 2)), np.empty((2, 2)), np.empty((2, 2))
@@ -138,11 +138,11 @@ def derivatives(
         for c in range(len(n)):
             q, g, info = own[start, c], gradient[start, c], information[start, c]
             _predict(Qx[c], Qy[c], R[start], q, perspective, Rc, H)
-            _on_products(H, A)
+            _residual_matrix(H, A)
             _covariances(H, Rc, q, G, V)
             _invert(V, W)
             _invert(G, G_inverse)
-            _derivatives_of_prediction(Qy[c], q, Rc, H, G, perspective, dH, dV)
+            _prediction_derivatives(Qy[c], q, Rc, H, G, perspective, dH, dV)
             for i in range(2):
                 for k in range(9):
                     AM[i, k] = 0.0
@@ -164,7 +164,7 @@ def derivatives(
                 for k in range(9):
                     pull[i, k] = W[i, 0] * AM[0, k] + W[i, 1] * AM[1, k]
             for u in range(10):
-                _on_products(dH[u], dA[u])
+                _residual_matrix(dH[u], dA[u])
                 g[u] = 0.0
                 for i in range(2):
                     for k in range(9):
@@ -188,10 +188,10 @@ def derivatives(
                         for j in range(2):
                             total += 0.5 * n[c] * WdV[u, i, j] * WdV[v, j, i]
                     info[u, v] = info[v, u] = total
-            # A relief that the noise hides adds ζ² to the cost, whose curvature by log ζ is not in its information.
+            # Residual depth below the noise adds ζ² to the cost; its curvature by log ζ is missing in the information.
             info[8, 8] += 2.0 * max(g[8], 0.0)
             if searching:
-                # V grows with the square of w where m = 0. Residuals of V leave nothing of it in the mean.
+                # V grows with the square of w where m = 0; for residuals of covariance V this term is zero on average.
                 excess = 0.5 * max(by_V[0, 0] + by_V[1, 1], 0.0) * np.exp(2.0 * (q[5] + q[2]))
                 for u in range(3):
                     dm[u, 0] = Qy[c, 1, u] * Rc[2, 2] - Qy[c, 2, u] * Rc[1, 2]
@@ -203,7 +203,7 @@ def derivatives(
 
 
 @kernel
-def _derivatives_of_prediction(
+def _prediction_derivatives(
     Qy: FloatArray,
     own: FloatArray,
     Rc: FloatArray,
@@ -213,23 +213,23 @@ def _derivatives_of_prediction(
     dH: FloatArray,
     dV: FloatArray,
 ) -> None:
-    """Fills dH (10, 3, 3), and dV (10, 2, 2) but for what comes by way of F."""
+    """Write dH (10, 3, 3), and dV (10, 2, 2) without the part through F."""
     dH[:] = 0.0
     dV[:] = 0.0
     s, noise, relief = np.exp(own[2]), np.exp(2.0 * own[6]), np.exp(2.0 * (own[5] + own[2]))
-    turned = np.empty((3, 3))
+    rotated = np.empty((3, 3))
     for u in range(3):
-        # exp(w) before R is exp(Q w) before R_c: the axis Q e_u, across each column.
+        # exp(w) left of R is exp(Q w) left of R_c: the cross product of the axis Q e_u with each column.
         for j in range(3):
-            turned[0, j] = Qy[1, u] * Rc[2, j] - Qy[2, u] * Rc[1, j]
-            turned[1, j] = Qy[2, u] * Rc[0, j] - Qy[0, u] * Rc[2, j]
-            turned[2, j] = Qy[0, u] * Rc[1, j] - Qy[1, u] * Rc[0, j]
+            rotated[0, j] = Qy[1, u] * Rc[2, j] - Qy[2, u] * Rc[1, j]
+            rotated[1, j] = Qy[2, u] * Rc[0, j] - Qy[0, u] * Rc[2, j]
+            rotated[2, j] = Qy[0, u] * Rc[1, j] - Qy[1, u] * Rc[0, j]
         for i in range(3):
             for j in range(2):
-                dH[u, i, j] = s * (turned[i, j] + turned[i, 2] * own[j])
+                dH[u, i, j] = s * (rotated[i, j] + rotated[i, 2] * own[j])
         for i in range(2):
             for j in range(2):
-                dV[u, i, j] = relief * (turned[i, 2] * Rc[j, 2] + Rc[i, 2] * turned[j, 2])
+                dV[u, i, j] = relief * (rotated[i, 2] * Rc[j, 2] + Rc[i, 2] * rotated[j, 2])
     for i in range(3):
         for j in range(2):
             dH[3 + j, i, j] = s * Rc[i, 2]
@@ -250,21 +250,21 @@ def _derivatives_of_prediction(
 
 @kernel
 def _add_priors(own: FloatArray, spread: float, noise_known: bool, g: FloatArray, info: FloatArray) -> None:
-    """In place; a noise that is known is made to stay."""
+    """Add the priors in place; if the noise is known, its unknown is fixed."""
     slope = 2.0 * SLOPE_POWER / (1.0 + own[0] ** 2 + own[1] ** 2)
     for i in range(2):
         g[3 + i] += slope * own[i]
         info[3 + i, 3 + i] += slope
-    g[5] += own[2] / LOG_SCALE**2
-    info[5, 5] += 1.0 / LOG_SCALE**2
-    g[8] += (own[5] - np.log(RELIEF * spread)) / LOG_RELIEF**2
-    info[8, 8] += 1.0 / LOG_RELIEF**2
+    g[5] += own[2] / LOG_SCALE_SD**2
+    info[5, 5] += 1.0 / LOG_SCALE_SD**2
+    g[8] += (own[5] - np.log(RESIDUAL_DEPTH * spread)) / LOG_RESIDUAL_DEPTH_SD**2
+    info[8, 8] += 1.0 / LOG_RESIDUAL_DEPTH_SD**2
     if noise_known:
         g[9] = 0.0
         info[9] = 0.0
         info[:, 9] = 0.0
         info[9, 9] = 1.0
     else:
-        excess = (NOISE * spread * np.exp(-own[6])) ** 2
+        excess = (NOISE_PRIOR * spread * np.exp(-own[6])) ** 2
         g[9] += 1.0 - excess
         info[9, 9] += 2.0 * excess

@@ -1,8 +1,8 @@
-"""Points known in 3D, by their depth or from a model: the same Sylvester's equation with other data.
+"""Motion estimators for points known in 3D (2D-3D and 3D-3D), by the same Sylvester equation.
 
-Every estimator of the paper minimises a cost whose stationary points solve Σ A_c R B_c + L R = Σ C_c, R'R = I, L = L'.
+Every estimator of the paper minimizes a cost whose stationary points solve Σ A_c R B_c + L R = Σ C_c, R'R = I, L = L'.
 
-- 2D-3D: points X known in frame i, seen orthographically in frame j, y = P Q (R X + t - o) + noise. A_c = Q'P'PQ,
+- 2D-3D: points X known in frame i, orthographic images in frame j, y = P Q (R X + t - o) + noise. A_c = Q'P'PQ,
   B_c = S_XX (3x3), C_c = Q'P' S_yX: the unbalanced Procrustes problem, which no singular value decomposition solves.
 - 3D-3D: y = R X + t + noise. A = I, B = S_XX, C = S_yX. As R S_XX = (R S_XX R') R, the equation is K R = C with the
   symmetric K = L + R S_XX R', so K² = C C': a polar decomposition (Kabsch, 1976; Umeyama, 1991).
@@ -21,48 +21,49 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from sylpose.display import proof_told, vector
+from sylpose.display import format_optimality, format_vector
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.matrices import checked_rotations, transpose
-from sylpose.geometry.observability import UNSEEN_TURN, unseen_directions
-from sylpose.geometry.validation import finite, items
+from sylpose.geometry.matrices import check_rotations, transpose
+from sylpose.geometry.observability import UNOBSERVABLE_ROTATION_SD, find_unobservable_directions
+from sylpose.geometry.validation import check_finite, check_sequence
 from sylpose.results import RotationEstimate, Status
-from sylpose.sylvester.centralized import status_of
-from sylpose.sylvester.so3 import CERTIFICATE, FLAT, LEAST, Quadratic, minimize
+from sylpose.sylvester.centralized import rotation_status
+from sylpose.sylvester.so3 import CERTIFICATE, MIN_RELATIVE_VARIANCE, ZERO_CURVATURE, QuadraticCost, minimize
 
 __all__ = ["KnownDepthSolution", "solve_2d3d", "solve_3d3d"]
 
 
-# Eigenvalues up to this share of others are zero: well above rounding's 1e-16 (choice).
+# Eigenvalues up to this share of the largest ones count as zero: well above rounding's 1e-16 (choice).
 ROUNDING = 1e-12
-# Points whose distance from their mean is this share of that from the origin are spread by rounding only (derived).
-FALLEN = 16 * float(np.finfo(float).eps)
-# No weight is larger, and one that is smaller than the inverse is none: squares stay in range (derived).
-MOST = 1e100
+# Spread relative to the distance from the origin below which it is due to rounding only (derived).
+COINCIDENT_SPREAD = 16 * float(np.finfo(float).eps)
+# Largest weight; weights below its inverse count as zero, so that squares stay in range (derived).
+MAX_WEIGHT = 1e100
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class KnownDepthSolution(RotationEstimate):
-    """The motion of points that are known in 3D.
+    """Motion of points known in 3D.
 
     Attributes:
-        status: OK; NOT_CERTIFIED, the best of all minima found; NOT_CONVERGED; TURN_NOT_OBSERVABLE, something is `unseen`.
-        rotation: (3, 3) the first of `candidates`; NaN where no points are spread: then the information is zero, the
-            multiplier too.
-        information: (3, 3) of w, 1/rad²: the Hessian of the cost on SO(3) over the residuals' variance. Depth is
-            known: there is no bias.
-        unseen: (k, 3) unit directions of w with a standard deviation beyond `UNSEEN_TURN`.
-        iterations: of the minimiser; 0 for the closed form.
-        candidates: (k, 3, 3) rotations: the global optimum when proved, else all local minima found, best first
-            (two mirrored ones of a flat object in one camera, for instance); where something is not seen they sample a
-            continuum.
+        status: `OK`; `NOT_CERTIFIED` (the best of all minima found); `NOT_CONVERGED`; `ROTATION_NOT_OBSERVABLE`
+            (`unobservable` is not empty).
+        rotation: (3, 3) the first of `candidates`; NaN if the points have no spread: then information and multiplier
+            are zero.
+        information: (3, 3) of w, 1/rad²: the Hessian of the cost on SO(3) over the residual variance. There is no bias,
+            as depth is known.
+        unobservable: (k, 3) unit directions of w with a standard deviation above `UNOBSERVABLE_ROTATION_SD`.
+        iterations: iterations of the minimizer; 0 for the closed form.
+        candidates: (k, 3, 3) rotations: the global optimum if certified, else all local minima found, best first
+            (for instance the two mirrored ones of a flat object in one camera). Along unobservable directions they
+            sample a continuum.
         costs: (k,) half the sum of squared residuals of each, in units in which H has the mean eigenvalue 1.
         certified: `rotation` is proved to be the global optimum by Sylvester's multiplier alone (`sylvester.so3`).
         multiplier: (3, 3) L of Sylvester's equation at `rotation`, in the units of `costs`.
         center: (3,) weighted mean of all points in frame i, world.
-        displacement: (3,) d of the centre, X_j = R (X_i - center) + center + d; of least length where a direction is not
-            seen (one camera: along its axis). NaN without a rotation, but for 3D-3D.
-        displacement_information: (3, 3) of d given the rotation; zero along what is not seen.
+        center_translation: (3,) translation d of the center, X_j = R (X_i - center) + center + d; of minimum norm along
+            unobservable directions (one camera: its axis). NaN without a rotation, except for 3D-3D.
+        center_translation_information: (3, 3) of d given the rotation; zero along unobservable directions.
     """
 
     candidates: FloatArray
@@ -70,18 +71,18 @@ class KnownDepthSolution(RotationEstimate):
     certified: bool
     multiplier: FloatArray
     center: FloatArray
-    displacement: FloatArray
-    displacement_information: FloatArray
+    center_translation: FloatArray
+    center_translation_information: FloatArray
 
     @property
     def translation(self) -> FloatArray:
-        """(3,) t."""
-        return self.center + self.displacement - self.rotation @ self.center
+        """(3,) t of X_j = R X_i + t."""
+        return self.center + self.center_translation - self.rotation @ self.center
 
-    def _told_besides(self) -> list[tuple[str, str]]:
+    def _extra_rows(self) -> list[tuple[str, str]]:
         return [
-            ("displacement", f"{vector(self.displacement, 4)} of the points' centre"),
-            proof_told(self.certified, len(self.candidates)),
+            ("translation", f"{format_vector(self.center_translation, 4)} of the points' center"),
+            format_optimality(self.certified, len(self.candidates)),
         ]
 
 
@@ -93,30 +94,33 @@ def solve_2d3d(
     centers: ArrayLike | None = None,
     weights: Sequence[ArrayLike] | None = None,
 ) -> KnownDepthSolution:
-    """The motion of points known in 3D in frame i, from their orthographic images in frame j, all cameras together.
+    """Estimate the motion of points known in 3D in frame i from their orthographic images in frame j in all cameras.
 
-    The rotation follows from each camera's points and images about their means, the displacement from the means.
-    Images are in the points' unit of length; weak perspective: normalised points of a camera that looks at the object,
-    times the object's depth.
+    The rotation follows from each camera's points and images about their means, the translation from the means. Images
+    are in the points' unit of length; for weak perspective pass the normalized points of a camera that looks at the
+    object, multiplied by the object's depth.
 
     Args:
         rotations: (C, 3, 3) Q of camera_from_world.
         points: per camera (n, 3) in frame i, world; n may be 0.
         images: per camera (n, 2), y = P Q (X_j - o).
         centers: (C, 3) o, the world point at the origin of each image; None for the world's origin.
-        weights: per camera (n,) non-negative, at most 1e100, none if below 1e-100; None for ones. A point of weight w counts
-            as w points: small weights leave little information.
+        weights: per camera (n,) non-negative, at most 1e100, zero if below 1e-100; None for ones. A point of weight w
+            counts as w points: small weights give little information.
+
+    Returns:
+        The motion with its information and certificate.
 
     Raises:
-        ValueError: shapes that do not fit, values that are not finite, matrices that are no rotations, no points at all.
+        ValueError: shapes do not match, values are not finite, matrices are not rotations, or there are no points.
     """
-    points = items(points, "points")
-    Q = checked_rotations(rotations, len(points))
-    images = items(images, "images", len(Q))
-    o = np.zeros((len(Q), 3)) if centers is None else finite(centers, (len(Q), 3), "centers")
-    w = [None] * len(Q) if weights is None else items(weights, "weights", len(Q))
+    points = check_sequence(points, "points")
+    Q = check_rotations(rotations, len(points))
+    images = check_sequence(images, "images", len(Q))
+    o = np.zeros((len(Q), 3)) if centers is None else check_finite(centers, (len(Q), 3), "centers")
+    w = [None] * len(Q) if weights is None else check_sequence(weights, "weights", len(Q))
     sets = [
-        _moments(points[c], images[c], w[c], (f"points[{c}]", f"images[{c}]", f"weights[{c}]"), 2)
+        _compute_moments(points[c], images[c], w[c], (f"points[{c}]", f"images[{c}]", f"weights[{c}]"), 2)
         for c in range(len(Q))
     ]
     weight = sum(s.weight for s in sets)
@@ -124,7 +128,7 @@ def solve_2d3d(
         raise ValueError("no camera has points")
     center = sum((s.weight * s.mean_x for s in sets), start=np.zeros(3)) / weight
     PQ = Q[:, :2]
-    q = Quadratic.of_terms(
+    q = QuadraticCost.from_terms(
         transpose(PQ) @ PQ,
         np.array([s.s_xx for s in sets]),
         transpose(PQ) @ np.array([s.s_yx for s in sets]),
@@ -132,48 +136,51 @@ def solve_2d3d(
         np.array([s.weight for s in sets]),
     )
     scale = float(q.scale)
-    if not scale > FALLEN**2 * sum(s.total for s in sets):
-        return _nothing(center, np.full(3, np.nan))
+    if not scale > COINCIDENT_SPREAD**2 * sum(s.total for s in sets):
+        return _no_spread_solution(center, np.full(3, np.nan))
     candidates, _, iterations = minimize(q.H, q.h)
     R = np.asarray(candidates[0])
-    best = q.at(R)
+    best = q.evaluate(R)
     converged, H, L = bool(best.stationary), q.H / scale, best.multiplier / scale
     certified = converged and (
-        _proved_by_multiplier(H, L)
-        or _proved_by_two_rows(PQ[[s.weight > 0 for s in sets]], H, L)
-        or _proved_by_two_columns(np.sum([s.s_xx for s in sets], axis=0), H, R.T @ L @ R)
+        _is_certified_full(H, L)
+        or _is_certified_by_rows(PQ[[s.weight > 0 for s in sets]], H, L)
+        or _is_certified_by_columns(np.sum([s.s_xx for s in sets], axis=0), H, R.T @ L @ R)
     )
     if certified:
         candidates = candidates[:1]
     costs = q.cost(candidates) / scale
-    unseen = unseen_directions(best.information, UNSEEN_TURN, flat=FLAT)
-    status = status_of(converged, certified, unseen)
-    d, of_d = _displacement(PQ, o, sets, R, center, float(q.variance(best.cost)))
+    unobservable = find_unobservable_directions(best.information, UNOBSERVABLE_ROTATION_SD, min_ratio=ZERO_CURVATURE)
+    status = rotation_status(converged, certified, unobservable)
+    d, d_information = _solve_translation(PQ, o, sets, R, center, float(q.variance(best.cost)))
     return KnownDepthSolution(
-        status, R, best.information, unseen, iterations, candidates, costs, certified, L, center, d, of_d
+        status, R, best.information, unobservable, iterations, candidates, costs, certified, L, center, d, d_information
     )
 
 
 def solve_3d3d(x: ArrayLike, y: ArrayLike, weights: ArrayLike | None = None) -> KnownDepthSolution:
-    """The motion of points known in 3D in both frames: the rotation of the polar decomposition, never a reflection.
+    """Estimate the motion of points known in 3D in both frames, by polar decomposition (never a reflection).
 
     K R = C, K² = C C' leaves K's signs free: K = U diag(σ1, σ2, ±σ3) U' with the singular values and left vectors of C,
-    and the largest K for which det R = 1 is the global optimum, also for flat sets and for mirrored ones. The turn about
-    the line of collinear points is not seen; of all those as good the least turn is given.
+    and the largest K for which det R = 1 is the global optimum, also for flat and mirrored sets. The rotation about the
+    line of collinear points is not observable; the smallest of the equivalent rotations is returned.
 
     Args:
         x, y: (n, 3) points in frames i and j, world.
-        weights: as in `solve_2d3d`, (n,).
+        weights: (n,) as in `solve_2d3d`.
+
+    Returns:
+        The motion with its information.
 
     Raises:
-        ValueError: shapes that do not fit, values that are not finite, negative weights, no points.
+        ValueError: shapes do not match, values are not finite, weights are negative, or there are no points.
     """
-    s = _moments(x, y, weights, ("x", "y", "weights"), 3)
+    s = _compute_moments(x, y, weights, ("x", "y", "weights"), 3)
     if not s.weight > 0:
         raise ValueError("there are no points")
     d, scale = s.mean_y - s.mean_x, float(np.trace(s.s_xx)) / 3
-    if not scale > FALLEN**2 * s.total:
-        return _nothing(s.mean_x, d)
+    if not scale > COINCIDENT_SPREAD**2 * s.total:
+        return _no_spread_solution(s.mean_x, d)
     S, C = s.s_xx / scale, s.s_yx / scale
     U, sigma, W = np.linalg.svd(C)
     signs = np.array([1.0, 1.0, np.sign(np.linalg.det(U @ W))])
@@ -181,31 +188,34 @@ def solve_3d3d(x: ArrayLike, y: ArrayLike, weights: ArrayLike | None = None) -> 
     hessian = np.trace(K) * np.eye(3) - K
     values, vectors = np.linalg.eigh(hessian)
     if values[0] <= ROUNDING * values[1]:
-        R = _least_turn(R, vectors[:, 0])
+        R = _smallest_rotation(R, vectors[:, 0])
     squares = (s.half_yy / scale) + 0.5 * float(np.trace(S))
     cost = max(squares - float(np.trace(K)), 0.0)
-    variance = max(cost, LEAST * squares) * scale / s.weight * 2 / 3
+    variance = max(cost, MIN_RELATIVE_VARIANCE * squares) * scale / s.weight * 2 / 3
     information = hessian * scale / variance
-    unseen = unseen_directions(information, UNSEEN_TURN, flat=FLAT)
+    unobservable = find_unobservable_directions(information, UNOBSERVABLE_ROTATION_SD, min_ratio=ZERO_CURVATURE)
     return KnownDepthSolution(
-        status=status_of(True, True, unseen),
+        status=rotation_status(True, True, unobservable),
         rotation=R,
         candidates=R[None],
         costs=np.array([cost]),
         certified=True,
         multiplier=K - R @ S @ R.T,
         information=information,
-        unseen=unseen,
+        unobservable=unobservable,
         center=s.mean_x,
-        displacement=d,
-        displacement_information=s.weight / variance * np.eye(3),
+        center_translation=d,
+        center_translation_information=s.weight / variance * np.eye(3),
         iterations=0,
     )
 
 
 class _Moments(NamedTuple):
-    """Of one set of points x (n, 3) and y (n, k): weight Σ w, means, Σ w xx' and Σ w yx' about them, half Σ w |y|² about its
-    mean, and the half sums of squares of both about the origin, to judge what is no more than rounding."""
+    """Weighted moments of points x (n, 3) and y (n, k).
+
+    Weight Σ w; means; Σ w xx', Σ w yx' and half Σ w |y|² about the means; Σ w |x|² about the origin, the scale for
+    detecting rounding errors.
+    """
 
     weight: float
     mean_x: FloatArray
@@ -216,38 +226,41 @@ class _Moments(NamedTuple):
     total: float
 
 
-def _moments(
+def _compute_moments(
     x: ArrayLike, y: ArrayLike, weights: ArrayLike | None, names: tuple[str, str, str], dimensions: int
 ) -> _Moments:
-    points, images = finite(x, ("n", 3), names[0]), finite(y, ("n", dimensions), names[1])
+    points, images = check_finite(x, ("n", 3), names[0]), check_finite(y, ("n", dimensions), names[1])
     n = len(points)
     if len(images) != n:
         raise ValueError(f"{names[0]} has {n} points and {names[1]} has {len(images)}")
-    w = np.ones(n) if weights is None else finite(weights, (n,), names[2], most=MOST)
+    w = np.ones(n) if weights is None else check_finite(weights, (n,), names[2], maximum=MAX_WEIGHT)
     if (w < 0).any():
         raise ValueError(f"{names[2]} must be {n} finite, non-negative numbers")
-    w = np.where(w < 1 / MOST, 0.0, w)
+    w = np.where(w < 1 / MAX_WEIGHT, 0.0, w)
     weight = float(w.sum())
     share = w / weight if weight > 0 else w
     mean_x, mean_y = share @ points, share @ images
-    # Once more, of what is left: far from the origin a mean has more rounding than the points.
+    # A second pass on the residuals: far from the origin the mean has larger rounding errors than the points.
     mean_x, mean_y = mean_x + share @ (points - mean_x), mean_y + share @ (images - mean_y)
     total = float(w @ (points**2).sum(axis=1))
     dx, dy = points - mean_x, images - mean_y
     return _Moments(weight, mean_x, mean_y, (dx.T * w) @ dx, (dy.T * w) @ dx, float(w @ (dy**2).sum(axis=1)) / 2, total)
 
 
-def _proved_by_multiplier(H: FloatArray, L: FloatArray) -> bool:
-    """The certificate by K. That by all multipliers (`so3_squares`) proves more, but also the better one of two mirrored
-    turns that differ by less than noise: whoever has known points is told that these are not certified."""
+def _is_certified_full(H: FloatArray, L: FloatArray) -> bool:
+    """Return whether K certifies the optimum.
+
+    The certificate by all multipliers (`so3_sos_certificate`) is stronger, but would also certify the better one of two
+    mirrored rotations that differ by less than noise; for known points these are reported as not certified.
+    """
     return bool(np.linalg.eigvalsh(H + np.kron(L, np.eye(3)))[0] > CERTIFICATE)
 
 
-def _proved_by_two_rows(PQ: FloatArray, H: FloatArray, L: FloatArray) -> bool:
-    """The certificate for cameras that all look the same way, one camera above all.
+def _is_certified_by_rows(PQ: FloatArray, H: FloatArray, L: FloatArray) -> bool:
+    """Return whether K certifies the optimum of cameras with parallel axes (in particular one camera).
 
-    Their cost says nothing of the row of R along their axis, so K = H + L ⊗ I is never positive definite. But that row
-    follows from the other two: K positive definite on those proves the optimum all the same.
+    Their cost does not depend on the row of R along their axis, so K = H + L ⊗ I is never positive definite. But that
+    row follows from the other two: K positive definite on those two certifies the optimum.
     """
     values, axes = np.linalg.eigh(np.einsum("cki,ckj->ij", PQ, PQ))
     if values[0] > ROUNDING * values[2]:
@@ -257,10 +270,11 @@ def _proved_by_two_rows(PQ: FloatArray, H: FloatArray, L: FloatArray) -> bool:
     return bool(np.linalg.eigvalsh(across @ K @ across.T)[0] > CERTIFICATE)
 
 
-def _proved_by_two_columns(s_xx: FloatArray, H: FloatArray, M: FloatArray) -> bool:
-    """The certificate for points of all cameras on parallel planes: the cost says nothing of R along their normal.
+def _is_certified_by_columns(s_xx: FloatArray, H: FloatArray, M: FloatArray) -> bool:
+    """Return whether K certifies the optimum of points on parallel planes.
 
-    With M = R'L R, K r = h is also (H + I ⊗ M) r = h; and two columns of R give the third.
+    Their cost does not depend on R along the planes' normal. With M = R'L R, K r = h is also (H + I ⊗ M) r = h; and two
+    columns of R determine the third.
     """
     values, axes = np.linalg.eigh(s_xx)
     if values[0] > ROUNDING * values[2]:
@@ -270,12 +284,12 @@ def _proved_by_two_columns(s_xx: FloatArray, H: FloatArray, M: FloatArray) -> bo
     return bool(np.linalg.eigvalsh(across @ K @ across.T)[0] > CERTIFICATE)
 
 
-def _displacement(
+def _solve_translation(
     PQ: FloatArray, o: FloatArray, sets: Sequence[_Moments], R: FloatArray, center: FloatArray, variance: float
 ) -> tuple[FloatArray, FloatArray]:
-    """d from the means, ȳ = P Q (R (x̄ - center) + center + d - o), and its information.
+    """Return d from the means, ȳ = P Q (R (x̄ - center) + center + d - o), and its information.
 
-    Over the larger of two variances: the points' residuals' about R and, where the means leave some over, theirs.
+    The information uses the larger of two variances: of the points' residuals about R and, if redundant, of the means.
     """
     root = np.sqrt([s.weight for s in sets])
     rows = (root[:, None, None] * PQ).reshape(-1, 3)
@@ -291,26 +305,26 @@ def _displacement(
     return d, rows.T @ rows / variance
 
 
-def _least_turn(R: FloatArray, axis: FloatArray) -> FloatArray:
-    """Of all exp(θ [axis]x) R that of the least angle: with the largest trace, along + across cos θ + other sin θ."""
+def _smallest_rotation(R: FloatArray, axis: FloatArray) -> FloatArray:
+    """Return the exp(θ [axis]x) R of the smallest angle: of the largest trace, along + across cos θ + other sin θ."""
     along = float(axis @ R @ axis)
     other = float(axis @ [R[1, 2] - R[2, 1], R[2, 0] - R[0, 2], R[0, 1] - R[1, 0]])
     return np.asarray(Rotation.from_rotvec(np.arctan2(other, np.trace(R) - along) * axis).as_matrix() @ R)
 
 
-def _nothing(center: FloatArray, displacement: FloatArray) -> KnownDepthSolution:
-    """Points that fall together: nothing of the turn is seen."""
+def _no_spread_solution(center: FloatArray, center_translation: FloatArray) -> KnownDepthSolution:
+    """Return the solution for coincident points, whose rotation is not observable."""
     return KnownDepthSolution(
-        status=Status.TURN_NOT_OBSERVABLE,
+        status=Status.ROTATION_NOT_OBSERVABLE,
         rotation=np.full((3, 3), np.nan),
         candidates=np.full((1, 3, 3), np.nan),
         costs=np.zeros(1),
         certified=False,
         multiplier=np.zeros((3, 3)),
         information=np.zeros((3, 3)),
-        unseen=np.eye(3),
+        unobservable=np.eye(3),
         center=center,
-        displacement=displacement,
-        displacement_information=np.zeros((3, 3)),
+        center_translation=center_translation,
+        center_translation_information=np.zeros((3, 3)),
         iterations=0,
     )

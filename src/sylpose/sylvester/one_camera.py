@@ -1,31 +1,34 @@
-"""What one camera alone says of a rotation: Sylvester's equation under pseudo-orthogonality.
+"""Rotation estimator for a single camera: Sylvester's equation under pseudo-orthogonality.
 
-Seen orthographically, centred points move by y = N x + m z + noise, N the upper-left 2x2 block of the rotation as the
-camera sees it, m the first two entries of its third column, z the depth, which is ignored. The least squares
+In an orthographic view, centered points move by y = N x + m z + noise, N the upper-left 2x2 block of the rotation in
+the camera's frame, m the first two entries of its third column, z the depth, which is ignored. The least-squares
+problem
 
-    minimise 1/2 Σ |y - N x|²   subject to   N N' + m m' = I
+    minimize 1/2 Σ |y - N x|²   subject to   N N' + m m' = I
 
 has the stationary points (C. Chen, D. Schonfeld, "Pose estimation from multiple cameras based on Sylvester's equation",
 Computer Vision and Image Understanding 114 (2010); what follows is our derivation)
 
     N S_xx + L N = S_yx,   L = L',   L m = 0.
 
-The constraint says that the largest singular value of N is 1: N = u v' + c u⊥ v⊥', |c| <= 1, m = ±√(1 - c²) u⊥. So L is
-λ u u' unless m = 0, and the equation gives v = (S_xx + λ)⁻¹ S_yx' u and makes u an eigenvector of
+The constraint means that the largest singular value of N is 1: N = u v' + c u⊥ v⊥', |c| <= 1, m = ±√(1 - c²) u⊥. So L
+is λ u u' unless m = 0, the equation gives v = (S_xx + λ)⁻¹ S_yx' u, and u is an eigenvector of
 
-    M(λ) = S_yx S_xx⁻¹ (S_xx + λ)⁻¹ S_yx':   a scalar equation is left, |v| = 1.
+    M(λ) = S_yx S_xx⁻¹ (S_xx + λ)⁻¹ S_yx':   a scalar equation remains, |v| = 1.
 
-With u the eigenvector of the larger eigenvalue μ it is the derivative of g(λ) = λ/2 (μ(λ) - 1), and 0 divides two cases.
+With u the eigenvector of the larger eigenvalue μ it is the derivative of g(λ) = λ/2 (μ(λ) - 1). There are two cases, by
+the sign of λ.
 
-- The unconstrained N = S_yx S_xx⁻¹ has no singular value above 1 (noise in x shrinks it). Then the constraint may be
-  read as "one at least 1", some |N'u| >= 1. For every u, λ/2 (u'M u - 1) is the concave dual of the distance to that,
-  so g, the least of these duals, is concave on -s < λ <= 0, s the smaller eigenvalue of S_xx, and the duality gap is
-  zero at its maximum: the root is unique and the answer the global optimum.
-- It has one above 1. Then the constraint may be read as "all at most 1", which is convex: whatever satisfies it with L
+- The unconstrained N = S_yx S_xx⁻¹ has no singular value above 1 (noise in x shrinks it). The constraint is then
+equivalent
+  to "one is at least 1", some |N'u| >= 1. For every u, λ/2 (u'M u - 1) is the concave dual of the distance to that set,
+  so g, the minimum of these duals, is concave on -s < λ <= 0, s the smaller eigenvalue of S_xx, and the duality gap is
+  zero at its maximum: the root is unique and gives the global optimum.
+- It has one above 1. The constraint is then equivalent to "all are at most 1", which is convex: any solution with L
   positive semidefinite is the global optimum. Either N is orthogonal, m = 0 (L of rank two), or λ > 0 at the root.
 
-One camera cannot tell the sign of m: two mirrored rotations fit equally well. And an out-of-plane turn of φ changes N
-by φ²/2 only: a small one is hardly seen, and where there is none the two solutions are one.
+One camera does not determine the sign of m: two mirrored rotations fit equally well. An out-of-plane rotation by φ
+changes N by φ²/2 only, so a small one is hardly observable; if there is none, both solutions are equal.
 """
 
 from __future__ import annotations
@@ -39,45 +42,46 @@ from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
-from sylpose.display import Telling, Told, turned
+from sylpose.display import Printable, Summary, format_rotation
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.matrices import checked_rotation, covariance_of, transpose
-from sylpose.geometry.validation import kind_of
+from sylpose.geometry.matrices import check_rotation, invert_information, transpose
+from sylpose.geometry.validation import check_type
 from sylpose.moments import PairMoments
 from sylpose.results import RotationEstimate, Status
-from sylpose.sylvester.centralized import status_of, unseen_turns
-from sylpose.sylvester.depth_bias import information_on_surfaces
-from sylpose.sylvester.orthographic import ROUNDING, Views, quadratic_of, views_of
+from sylpose.sylvester.centralized import find_unobservable_rotations, rotation_status
+from sylpose.sylvester.depth_bias import information_with_depth_bias
+from sylpose.sylvester.orthographic import ROUNDING_SHARE, Views, build_cost, compute_views
 
 __all__ = ["OneCameraSolution", "solve_one_camera", "solve_unconstrained"]
 
 
 # Points are collinear where the smaller eigenvalue of S_xx is at most this share of the larger: well above rounding's
 # 1e-16 (choice).
-COLLINEAR = 1e-12
-# Where S_yx says nothing at all no motion decides: this share of S_xx, of the size of rounding, is added to it. So the
-# root is above -s also where without it v would be left free there (derived).
-STILL = 1e-15
+COLLINEAR_RATIO = 1e-12
+# If S_yx is zero, "no motion" is selected: this share of S_xx, of the size of rounding, is added to S_yx. The root is
+# then above -s also where v would otherwise be undetermined (derived).
+REGULARIZATION = 1e-15
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class OneCameraSolution(Told):
-    """The two rotations that one camera cannot tell apart, orthographic views: two `RotationEstimate` in one.
+class OneCameraSolution(Printable):
+    """Two mirrored rotations that fit one camera's orthographic view equally well.
 
     Attributes:
-        status: OK, the rotation is found but for the mirror; TURN_NOT_OBSERVABLE, besides that something is `unseen`;
-            NOT_CERTIFIED, not proved to be the global optimum (in 30,000 random problems: never).
+        status: `OK`, the rotation is found up to the mirror ambiguity; `ROTATION_NOT_OBSERVABLE`, `unobservable` is not
+            empty; `NOT_CERTIFIED`, not proved to be the global optimum (in 30,000 random problems: never).
         rotations: (2, 3, 3) X_j = R X_i + t, world frame, of equal cost: the one with `m`, then the one with -m. They
-            are equal where m = 0. What is unseen is as little turned as it may be. NaN if the points have no spread.
-        N: (2, 2) upper-left block of the rotation as the camera sees it (turned onto the mean rays, with `aim`).
-        m: (2,) the rest of its first two rows, with m[0] > 0, or m[0] = 0 and m[1] >= 0.
+            are equal if m = 0. The rotation about unobservable axes is minimal. NaN if the points have no spread.
+        N: (2, 2) upper-left block of the rotation in the camera's frame (rotated onto the mean rays, with `aim`).
+        m: (2,) third entries of its first two rows, with m[0] > 0, or m[0] = 0 and m[1] >= 0.
         multiplier: (2, 2) L of Sylvester's equation in the units of `cost`; zero for the unconstrained estimate.
-        cost: half the sum of squared residuals, in units of 2/9 tr S_xx (`Quadratic.scale` of this one camera).
-        information: (2, 3, 3) of w, R = exp(w) rotations[k], world axes, 1/rad²: of noise and of what a surface may have
-            done, as in `CentralizedSolution`. It knows nothing of the other, mirrored solution.
-        noise_information: (2, 3, 3) what it would be if depth were known to be uncorrelated with the image: the Hessian of
-            the cost on SO(3) over the residuals' variance.
-        unseen: (2, k, 3) for each rotation the unit directions of w, world axes, that are not seen (`unseen_turns`).
+        cost: half the sum of squared residuals, in units of 2/9 tr S_xx (`QuadraticCost.scale` of this one camera).
+        information: (2, 3, 3) of w, R = exp(w) rotations[k], world axes, 1/rad²: from noise and the possible bias by a
+            surface, as in `CentralizedSolution`. It does not include the mirror ambiguity.
+        noise_information: (2, 3, 3) information if depth is uncorrelated with the image: the Hessian of the cost on
+            SO(3) over the residual variance.
+        unobservable: (2, k, 3) per rotation the unit directions of w, world axes, that are not observable
+            (`find_unobservable_rotations`).
         iterations: evaluations of the scalar equation.
     """
 
@@ -88,105 +92,118 @@ class OneCameraSolution(Told):
     multiplier: FloatArray
     cost: float
     information: FloatArray
-    unseen: FloatArray
+    unobservable: FloatArray
     iterations: int
     noise_information: FloatArray
 
-    def nearest(self, guess: FloatArray) -> RotationEstimate:
-        """Of the two that which is nearer to a guess (3, 3): the camera itself cannot tell.
+    def select_nearest(self, guess: FloatArray) -> RotationEstimate:
+        """Return the solution that is nearer to a guess (3, 3), which resolves the mirror ambiguity.
 
         Raises:
-            ValueError: a guess that is no rotation.
+            ValueError: guess is not a rotation.
         """
-        guess = checked_rotation(guess, "guess")
+        guess = check_rotation(guess, "guess")
         k = int(np.argmin(np.linalg.norm(self.rotations - guess, axis=(1, 2))))
-        return RotationEstimate(self.status, self.rotations[k], self.information[k], self.unseen[k], self.iterations)
+        return RotationEstimate(
+            self.status, self.rotations[k], self.information[k], self.unobservable[k], self.iterations
+        )
 
-    def _told(self) -> Telling:
+    def _summary(self) -> Summary:
         status = f"{self.status.value}. {self.status.text}"
         if not np.isfinite(self.rotations).all():
-            return Telling(self.status.value, sentence=status)
+            return Summary(self.status.value, sentence=status)
         first, second = (Rotation.from_matrix(R) for R in self.rotations)
-        sure, mirrored = (covariance_of(information) for information in self.information)
-        rows = [("turned", turned(first, sure)), ("or, mirrored", turned(second, mirrored))]
-        return Telling(f"{self.status.value}, turned {turned(first)} or {turned(second)}", rows, status)
+        sure, mirrored = (invert_information(information) for information in self.information)
+        rows = [("rotated", format_rotation(first, sure)), ("or, mirrored", format_rotation(second, mirrored))]
+        return Summary(
+            f"{self.status.value}, rotated {format_rotation(first)} or {format_rotation(second)}", rows, status
+        )
 
 
 def solve_one_camera(rotation: ArrayLike, moments: PairMoments, *, aim: bool = True) -> OneCameraSolution:
-    """The global optimum under pseudo-orthogonality, which holds to rounding whatever the data.
+    """Estimate the rotation from one camera: the global optimum under pseudo-orthogonality.
 
-    Exact for noise-free orthographic data in which depth is uncorrelated with the image.
+    The constraint is satisfied to rounding for any data. The result is exact for noise-free orthographic data in which
+    depth is uncorrelated with the image.
 
     Args:
         rotation: (3, 3) Q of camera_from_world.
-        moments: of the camera's matches between the two frames.
-        aim: as in `views_of`; False for exactly orthographic points.
+        moments: pair moments of the camera's matches between the two frames.
+        aim: as in `compute_views`; False for exactly orthographic points.
+
+    Returns:
+        The two mirrored rotations.
 
     Raises:
-        ValueError: a matrix that is no rotation.
+        ValueError: rotation is not a rotation matrix.
     """
-    views = _views(rotation, moments, aim)
+    views = _single_view(rotation, moments, aim)
     if not _has_spread(views):
-        return _nothing()
-    s, axes, T = _normalised(views)
+        return _no_spread_solution()
+    s, axes, T = _normalize(views)
     if s[0] == 0:
-        return _solution(views, axes, _of_a_line(s[1], axes[:, 1], T[:, 1], axes))
-    return _solution(views, axes, _constrained(s, T + STILL * axes * s))
+        return _make_solution(views, axes, _solve_collinear(s[1], axes[:, 1], T[:, 1], axes))
+    return _make_solution(views, axes, _solve_constrained(s, T + REGULARIZATION * axes * s))
 
 
 def solve_unconstrained(rotation: ArrayLike, moments: PairMoments, *, aim: bool = True) -> OneCameraSolution:
-    """The baseline: N = S_yx S_xx⁻¹, Sylvester's equation with L = 0, then adjusted to the nearest block of a rotation.
+    """Estimate the rotation by the unconstrained baseline, then project it to the nearest block of a rotation.
 
-    Nearest in the Frobenius norm: the larger singular value becomes 1, the smaller is made 1 where it is more.
-    The paper's introduction finds fault with this two-step estimate. Of collinear points, which leave the equation
-    singular, the least N. Off the optimum the Hessian, `noise_information`, may be negative. Arguments and errors as in
-    `solve_one_camera`.
+    N = S_yx S_xx⁻¹ solves Sylvester's equation with L = 0. The projection is in the Frobenius norm: the larger singular
+    value becomes 1, the smaller is limited to 1. The paper's introduction criticizes this two-step estimate. For
+    collinear points the equation is singular and the minimum-norm N is used. Away from the optimum the Hessian,
+    `noise_information`, may be negative. Arguments, result and errors are those of `solve_one_camera`.
     """
-    views = _views(rotation, moments, aim)
+    views = _single_view(rotation, moments, aim)
     if not _has_spread(views):
-        return _nothing()
-    s, axes, T = _normalised(views)
+        return _no_spread_solution()
+    s, axes, T = _normalize(views)
     U, values, W = np.linalg.svd(T / np.where(s > 0, s, np.inf))
     c = min(float(values[1]), 1.0)
-    return _solution(views, axes, _Block(U @ np.diag([1.0, c]) @ W, _rest(U[:, 0], c), np.zeros((2, 2)), True, 0))
+    return _make_solution(
+        views, axes, _BlockSolution(U @ np.diag([1.0, c]) @ W, _third_column(U[:, 0], c), np.zeros((2, 2)), True, 0)
+    )
 
 
-class _Block(NamedTuple):
-    """N, in the axes of `_normalised` on its right, m, the multiplier, whether it is proved optimal, iterations."""
+class _BlockSolution(NamedTuple):
+    """Solution for N (in the axes of `_normalize` on its right) and m, with its multiplier and certificate."""
 
     N: FloatArray
     m: FloatArray
     multiplier: FloatArray
-    proved: bool
+    certified: bool
     iterations: int
 
 
-def _views(rotation: ArrayLike, moments: PairMoments, aim: bool) -> Views:
-    Q = checked_rotation(rotation)
-    return views_of(Q[None], [kind_of(moments, PairMoments, "moments")], aim=aim)
+def _single_view(rotation: ArrayLike, moments: PairMoments, aim: bool) -> Views:
+    Q = check_rotation(rotation)
+    return compute_views(Q[None], [check_type(moments, PairMoments, "moments")], aim=aim)
 
 
 def _has_spread(views: Views) -> bool:
-    # What centring leaves by rounding is no spread; a little stricter than `quadratic_of`, which refuses such.
-    return bool(np.trace(views.s_xx[0]) > 10 * ROUNDING * views.total)
+    # Excludes rounding errors of centering; slightly stricter than `build_cost`, which raises an error.
+    return bool(np.trace(views.s_xx[0]) > 10 * ROUNDING_SHARE * views.total)
 
 
-def _normalised(views: Views) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """S_xx / tr S_xx = axes diag(s) axes', s (2,) ascending, s[0] = 0 if collinear, and T = S_yx axes / tr S_xx."""
+def _normalize(views: Views) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return s, axes and T: S_xx / tr S_xx = axes diag(s) axes', T = S_yx axes / tr S_xx.
+
+    s (2,) is ascending; s[0] = 0 if the points are collinear.
+    """
     trace = np.trace(views.s_xx[0])
     s, axes = np.linalg.eigh(views.s_xx[0] / trace)
-    if s[0] <= max(COLLINEAR * s[1], ROUNDING * views.total / trace):
+    if s[0] <= max(COLLINEAR_RATIO * s[1], ROUNDING_SHARE * views.total / trace):
         s[0] = 0
     return s, axes, views.s_yx[0] @ axes / trace
 
 
-def _constrained(s: FloatArray, T: FloatArray) -> _Block:
-    """Minimise 1/2 tr N diag(s) N' - tr N'T over the N with largest singular value 1, s > 0."""
+def _solve_constrained(s: FloatArray, T: FloatArray) -> _BlockSolution:
+    """Minimize 1/2 tr N diag(s) N' - tr N'T over the N with largest singular value 1, s > 0."""
     s0, s1 = float(s[0]), float(s[1])
     (a0, a1), (b0, b1) = T.tolist()
 
     def stationary(d: float) -> tuple[float, float, float, float]:
-        """u and v of λ = d - s0."""
+        """Return u and v for λ = d - s0."""
         w0, w1 = 1 / d, 1 / (s1 - s0 + d)
         p, q = w0 / s0, w1 / s1
         angle = 0.5 * atan2(2 * (p * a0 * b0 + q * a1 * b1), p * (a0 * a0 - b0 * b0) + q * (a1 * a1 - b1 * b1))
@@ -194,12 +211,12 @@ def _constrained(s: FloatArray, T: FloatArray) -> _Block:
         return u0, u1, w0 * (a0 * u0 + b0 * u1), w1 * (a1 * u0 + b1 * u1)
 
     def excess(d: float) -> float:
-        """1 - 1/|v|: the scalar equation, in the form that is nearly linear."""
+        """Return 1 - 1/|v|: the scalar equation in its nearly linear form."""
         _, _, v0, v1 = stationary(d)
         return 1 - 1 / max(hypot(v0, v1), 1e-300)
 
     if excess(s0) >= 0:
-        block = _orthogonal(s, T)
+        block = _solve_orthogonal(s, T)
         if block is not None:
             return block
         low, high = s0, 2 * max(float(np.linalg.norm(T)), s0)
@@ -214,7 +231,7 @@ def _constrained(s: FloatArray, T: FloatArray) -> _Block:
     )
     u0, u1, v0, v1 = stationary(d)
     if abs(hypot(v0, v1) - 1) > 1e-12:
-        u0, u1, v0, v1 = _at_kink(s, T, d)
+        u0, u1, v0, v1 = _solve_at_kink(s, T, d)
     u, v = np.array([u0, u1]), np.array([v0, v1]) / hypot(v0, v1)
     u_across, v_across = np.array([-u1, u0]), np.array([-v[1], v[0]])
     c = float(u_across @ T @ v_across / (s @ v_across**2))
@@ -222,18 +239,19 @@ def _constrained(s: FloatArray, T: FloatArray) -> _Block:
     c = min(max(c, -1.0), 1.0)
     N = np.outer(u, v) + c * np.outer(u_across, v_across)
     multiplier = float(u @ T @ v - s @ v**2) * np.outer(u, u)
-    return _Block(N, _rest(u, c), multiplier, proved, int(report.function_calls))
+    return _BlockSolution(N, _third_column(u, c), multiplier, proved, int(report.function_calls))
 
 
-def _rest(u: FloatArray, c: float) -> FloatArray:
-    """m of an N whose singular values are 1, on the left with u, and |c|: √(1 - c²) u⊥."""
+def _third_column(u: FloatArray, c: float) -> FloatArray:
+    """Return m = √(1 - c²) u⊥ of an N with singular values 1 (left vector u) and |c|."""
     return np.asarray(np.sqrt((1 - c) * (1 + c)) * np.array([-u[1], u[0]]))
 
 
-def _at_kink(s: FloatArray, T: FloatArray, d: float) -> tuple[float, float, float, float]:
-    """u and v where both eigenvalues of M(λ) are equal and |v| jumps past 1: every u is an eigenvector, one has |v| = 1.
+def _solve_at_kink(s: FloatArray, T: FloatArray, d: float) -> tuple[float, float, float, float]:
+    """Return u and v where both eigenvalues of M(λ) are equal and |v| jumps across 1.
 
-    |v|² = u'K u with K = T (diag(s) + λ)⁻² T'. Of its two solutions that with the larger u'M u.
+    Every u is an eigenvector there; one has |v| = 1. |v|² = u'K u with K = T (diag(s) + λ)⁻² T'; of the two solutions
+    the one with the larger u'M u is returned.
     """
     w = 1 / (s - s[0] + d)
     K, M = (T * w**2) @ T.T, (T * (w / s)) @ T.T
@@ -247,10 +265,11 @@ def _at_kink(s: FloatArray, T: FloatArray, d: float) -> tuple[float, float, floa
     return float(u[0]), float(u[1]), float(v[0]), float(v[1])
 
 
-def _orthogonal(s: FloatArray, T: FloatArray) -> _Block | None:
-    """The orthogonal N (m = 0) that is the global optimum, its L being positive semidefinite; None if there is none.
+def _solve_orthogonal(s: FloatArray, T: FloatArray) -> _BlockSolution | None:
+    """Return the orthogonal N (m = 0) if it is the global optimum (L positive semidefinite), else None.
 
-    Only for an unconstrained N outside of the constraint. The best rotation and the best reflection, closed forms.
+    Valid only if the unconstrained N violates the constraint. The best rotation and the best reflection have closed
+    forms.
     """
     for sign in (1.0, -1.0):
         angle = atan2(T[1, 0] - sign * T[0, 1], T[0, 0] + sign * T[1, 1])
@@ -258,67 +277,78 @@ def _orthogonal(s: FloatArray, T: FloatArray) -> _Block | None:
         L = (T - N * s) @ N.T
         L = (L + L.T) / 2
         if np.linalg.eigvalsh(L)[0] >= 0:
-            return _Block(N, np.zeros(2), L, True, 1)
+            return _BlockSolution(N, np.zeros(2), L, True, 1)
     return None
 
 
-def _of_a_line(s: float, line: FloatArray, t: FloatArray, axes: FloatArray) -> _Block:
-    """Collinear points: only where the line's direction goes is seen, and the turn about it is free: the least turn.
+def _solve_collinear(s: float, line: FloatArray, t: FloatArray, axes: FloatArray) -> _BlockSolution:
+    """Solve for collinear points: only the line's new direction is observed; the smallest rotation is returned.
 
     Args:
-        s: the spread along the line, `line` (2,) its direction in frame i, t = s N line in the absence of noise.
+        s: spread along the line.
+        line: (2,) its direction in frame i.
+        t: (2,) s N line plus noise.
+        axes: (2, 2) as in `_normalize`.
     """
-    seen, excess = t / s, float(np.linalg.norm(t)) - s
+    image_direction, excess = t / s, float(np.linalg.norm(t)) - s
     if excess > 0:
-        seen = t / np.linalg.norm(t)
-    before, after = np.array([*line, 0.0]), np.array([*seen, sqrt(max(0.0, 1 - float(seen @ seen)))])
-    # The least rotation of one unit vector to another: the product of two half turns, or a half turn in the image.
+        image_direction = t / np.linalg.norm(t)
+    before, after = (
+        np.array([*line, 0.0]),
+        np.array([*image_direction, sqrt(max(0.0, 1 - float(image_direction @ image_direction)))]),
+    )
+    # The smallest rotation between two unit vectors: the product of two half-turn rotations, or a half turn in the
+    # image.
     half = before + after
     if half @ half < 1e-15:
         R = np.diag([-1.0, -1.0, 1.0])
     else:
         R = (2 * np.outer(half, half) / (half @ half) - np.eye(3)) @ (2 * np.outer(before, before) - np.eye(3))
-    return _Block(R[:2, :2] @ axes, R[:2, 2], max(excess, 0.0) * np.outer(seen, seen), True, 0)
+    return _BlockSolution(
+        R[:2, :2] @ axes, R[:2, 2], max(excess, 0.0) * np.outer(image_direction, image_direction), True, 0
+    )
 
 
-def _solution(views: Views, axes: FloatArray, block: _Block) -> OneCameraSolution:
+def _make_solution(views: Views, axes: FloatArray, block: _BlockSolution) -> OneCameraSolution:
     N, m = block.N @ axes.T, block.m
     m = (-m if m[0] < 0 or (m[0] == 0 and m[1] < 0) else m) + 0.0  # no -0
-    rotations = transpose(views.rotation_y) @ np.array([_rotation(N, m), _rotation(N, -m)]) @ views.rotation_x
-    q = quadratic_of(views)
-    at = q.at(rotations)
-    information = np.array([information_on_surfaces(views, R) for R in rotations])
-    unseen = unseen_turns(information, rotations[0], 1)
+    rotations = (
+        transpose(views.rotation_y) @ np.array([_complete_rotation(N, m), _complete_rotation(N, -m)]) @ views.rotation_x
+    )
+    q = build_cost(views)
+    at = q.evaluate(rotations)
+    information = np.array([information_with_depth_bias(views, R) for R in rotations])
+    unobservable = find_unobservable_rotations(information, rotations[0], 1)
     return OneCameraSolution(
-        status=status_of(True, block.proved, unseen[0]),
+        status=rotation_status(True, block.certified, unobservable[0]),
         rotations=rotations,
         N=N,
         m=m,
         multiplier=4.5 * block.multiplier,
         cost=float(at.cost[0] / q.scale),
         information=information,
-        unseen=unseen,
+        unobservable=unobservable,
         iterations=block.iterations,
         noise_information=at.information,
     )
 
 
-def _rotation(N: FloatArray, m: FloatArray) -> FloatArray:
+def _complete_rotation(N: FloatArray, m: FloatArray) -> FloatArray:
     rows = np.column_stack([N, m])
     return np.array([rows[0], rows[1], np.cross(rows[0], rows[1])])
 
 
-def _nothing() -> OneCameraSolution:
+def _no_spread_solution() -> OneCameraSolution:
     nan = np.full((2, 3, 3), np.nan)
     return OneCameraSolution(
-        status=Status.TURN_NOT_OBSERVABLE,
+        status=Status.ROTATION_NOT_OBSERVABLE,
         rotations=nan,
         N=nan[0, :2, :2],
         m=nan[0, 0, :2],
         multiplier=np.zeros((2, 2)),
         cost=0.0,
         information=np.zeros((2, 3, 3)),
-        unseen=np.array([np.eye(3)] * 2),
+        unobservable=np.array([np.eye(3)] * 2),
         iterations=0,
         noise_information=np.zeros((2, 3, 3)),
     )

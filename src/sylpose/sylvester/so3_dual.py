@@ -1,5 +1,7 @@
-"""The dual of a quadratic cost on SO(3) by the multiplier of RR' = I alone, compiled: where it has its maximum inside, the
-minimum is found and proved at once, and many cameras' as a rule are.
+"""Compiled Newton solver for the dual of a quadratic cost on SO(3), with the multiplier of RR' = I alone.
+
+If the dual has its maximum in the interior, the global minimum follows and is certified; with many cameras this is the
+usual case.
 """
 
 from __future__ import annotations
@@ -10,18 +12,18 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.numba_linalg import cholesky, cholesky_solve, kernel, solve_factored
 from sylpose.sylvester.so3_sos_certificate import CERTIFICATE
 
-__all__ = ["dual_newton", "system"]
+__all__ = ["build_system", "solve_dual"]
 
 
 # A bound on Newton's steps; certified problems take three or four (choice).
-DUAL_STEPS = 40
-# The symmetric 3x3 matrices have the orthonormal basis (e_a e_b' + e_b e_a') / norm, (a, b) from these.
+MAX_DUAL_STEPS = 40
+# Indices (a, b) of the orthonormal basis (e_a e_b' + e_b e_a') / norm of the symmetric 3x3 matrices.
 _ROWS, _COLUMNS = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
 
 
 @kernel
-def system(H: FloatArray, L: FloatArray, step: FloatArray, length: float, K: FloatArray) -> None:
-    """K (9, 9) becomes H + (L + length step) ⊗ I."""
+def build_system(H: FloatArray, L: FloatArray, step: FloatArray, length: float, K: FloatArray) -> None:
+    """Write H + (L + length step) ⊗ I to K (9, 9)."""
     for i in range(9):
         for j in range(9):
             K[i, j] = H[i, j]
@@ -32,26 +34,27 @@ def system(H: FloatArray, L: FloatArray, step: FloatArray, length: float, K: Flo
 
 
 @kernel
-def dual_newton(H: FloatArray, h: FloatArray, R: FloatArray) -> tuple[bool, int]:
-    """Maximises the concave dual d(L) = -1/2 h'K⁻¹h - 1/2 tr L where K = H + L ⊗ I is positive definite.
+def solve_dual(H: FloatArray, h: FloatArray, R: FloatArray) -> tuple[bool, int]:
+    """Maximize the concave dual d(L) = -1/2 h'K⁻¹h - 1/2 tr L over positive definite K = H + L ⊗ I.
 
-    Its gradient is 1/2 (RR' - I), r = K⁻¹h. H is positive semidefinite, so that any positive multiple of the identity
-    is a start inside. R (3, 3) becomes the rotation.
+    Its gradient is 1/2 (RR' - I), r = K⁻¹h. H is positive semidefinite, so any positive multiple of the identity is a
+    feasible start. The rotation is written to R (3, 3).
 
     Returns:
-        whether there is one: not when the maximum is on the boundary or R is a reflection; the steps.
+        Whether there is a rotation (not if the maximum is on the boundary or R is a reflection), and the number of
+        steps.
     """
     multiplier, step, gradient = np.zeros((3, 3)), np.zeros((3, 3)), np.empty(6)
-    factor, ahead, r = np.empty((9, 9)), np.empty((9, 9)), np.empty(9)
-    curvature, along = np.empty((6, 6)), np.empty(6)
+    factor, factor_ahead, r = np.empty((9, 9)), np.empty((9, 9)), np.empty(9)
+    curvature, direction = np.empty((6, 6)), np.empty(6)
     for i in range(3):
         multiplier[i, i] = 0.01
     value, slope, length = -np.inf, 0.0, 1.0
-    for iteration in range(DUAL_STEPS):
-        # A step must end inside, at most 0.7 of the way to the boundary.
-        system(H, multiplier, step, length, factor)
-        system(H, multiplier, step, length / 0.7, ahead)
-        inside = cholesky(factor) and cholesky(ahead)
+    for iteration in range(MAX_DUAL_STEPS):
+        # A step must stay in the interior, at most 0.7 of the way to the boundary.
+        build_system(H, multiplier, step, length, factor)
+        build_system(H, multiplier, step, length / 0.7, factor_ahead)
+        inside = cholesky(factor) and cholesky(factor_ahead)
         new_value = 0.0
         if inside:
             for i in range(9):
@@ -64,38 +67,41 @@ def dual_newton(H: FloatArray, h: FloatArray, R: FloatArray) -> tuple[bool, int]
         if not inside or new_value < value + 1e-4 * length * slope - 1e-13 * abs(value):
             length *= 0.5
             continue
-        value, least, largest = new_value, np.inf, 0.0
+        value, min_pivot, max_deviation = new_value, np.inf, 0.0
         for i in range(9):
-            least = min(least, factor[i, i] ** 2)
+            min_pivot = min(min_pivot, factor[i, i] ** 2)
         for i in range(3):
             for j in range(3):
                 multiplier[i, j] += length * step[i, j]
                 s = -1.0 if i == j else 0.0
                 for k in range(3):
                     s += r[3 * i + k] * r[3 * j + k]
-                largest = max(largest, abs(s))
-        if least < CERTIFICATE:
+                max_deviation = max(max_deviation, abs(s))
+        if min_pivot < CERTIFICATE:
             return False, iteration
-        if largest < 1e-11:
-            return _to_rotation(r, R), iteration
+        if max_deviation < 1e-11:
+            return _orthogonalize(r, R), iteration
         _dual_derivatives(factor, r, gradient, curvature)
         for k in range(6):
-            along[k] = gradient[k]
-        # The curvature is singular where R is (one camera): then the step is long, and ends near the boundary.
-        if not cholesky_solve(curvature, along):
+            direction[k] = gradient[k]
+        # The curvature is singular if R is (one camera): the step is then long and ends near the boundary.
+        if not cholesky_solve(curvature, direction):
             return False, iteration
         slope, length = 0.0, 1.0
         for k in range(6):
-            slope += gradient[k] * along[k]
+            slope += gradient[k] * direction[k]
             a, b = _ROWS[k], _COLUMNS[k]
-            step[a, b] = step[b, a] = along[k] if a == b else np.sqrt(0.5) * along[k]
-    return False, DUAL_STEPS
+            step[a, b] = step[b, a] = direction[k] if a == b else np.sqrt(0.5) * direction[k]
+    return False, MAX_DUAL_STEPS
 
 
 @kernel
 def _dual_derivatives(factor: FloatArray, r: FloatArray, gradient: FloatArray, curvature: FloatArray) -> None:
-    """Gradient 1/2 <S_k, RR' - I> (6,) and curvature r'(S_k ⊗ I) K⁻¹ (S_l ⊗ I) r (6, 6) of the dual, negative and a
-    trace's 1e-13 above singular, S_k the basis of the symmetric matrices; K's Cholesky factor is given."""
+    """Write gradient (6,) and negative curvature (6, 6) of the dual, given K's Cholesky factor.
+
+    They are 1/2 <S_k, RR' - I> and r'(S_k ⊗ I) K⁻¹ (S_l ⊗ I) r with S_k the basis of the symmetric matrices. The
+    curvature is regularized by 1e-13 of its trace.
+    """
     half, trace = np.zeros((6, 9)), 0.0
     for k in range(6):
         a, b = _ROWS[k], _COLUMNS[k]
@@ -121,11 +127,11 @@ def _dual_derivatives(factor: FloatArray, r: FloatArray, gradient: FloatArray, c
 
 
 @kernel
-def _to_rotation(r: FloatArray, R: FloatArray) -> bool:
-    """R (3, 3) becomes r (9,), orthogonal to 1e-11, after a Newton-Schulz step, which squares what is left of that.
+def _orthogonalize(r: FloatArray, R: FloatArray) -> bool:
+    """Write r (9,), orthogonal to 1e-11, to R (3, 3) after one Newton-Schulz step, which squares the deviation.
 
     Returns:
-        whether it is a rotation, not a reflection.
+        Whether it is a rotation, not a reflection.
     """
     for i in range(3):
         for j in range(3):

@@ -1,6 +1,6 @@
-"""The compiled part of `so3`: its minima, by the dual and by Newton's method on SO(3), one problem after another.
+"""Compiled kernels of `so3`: minima by the dual and by Newton's method on SO(3), for N problems sequentially.
 
-Each problem's result depends on that problem alone, so that one alone and the same one among thousands agree to the bit.
+The result of each problem depends on that problem alone, so it is bit-identical in batches of any size.
 """
 
 from __future__ import annotations
@@ -8,26 +8,26 @@ from __future__ import annotations
 import numpy as np
 
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
-from sylpose.geometry.numba_linalg import cholesky, cholesky_solve, kernel, turn_by
-from sylpose.sylvester.so3_dual import dual_newton, system
-from sylpose.sylvester.so3_sos_certificate import CERTIFICATE, LOWER, is_least
+from sylpose.geometry.numba_linalg import apply_rotvec, cholesky, cholesky_solve, kernel
+from sylpose.sylvester.so3_dual import build_system, solve_dual
+from sylpose.sylvester.so3_sos_certificate import CERTIFICATE, COST_TOLERANCE, certify_minimum
 
-__all__ = ["FLAT", "SAME", "STATIONARY", "certify_each", "derivatives_each", "minimize_each"]
+__all__ = ["GRADIENT_TOLERANCE", "MERGE_ANGLE", "ZERO_CURVATURE", "certify_each", "derivatives_each", "minimize_each"]
 
 
-# Stationary to this: the largest tangent derivative of the cost, H's mean eigenvalue being 1:
+# Stationarity tolerance of the largest tangent derivative of the cost, for a mean eigenvalue of H of 1:
 # the root of rounding (derived).
-STATIONARY = 1e-8
-# Curvature less negative than this, relative to that mean, is none (choice).
-FLAT = 1e-6
-# Minima nearer than this (radians) are one; a minimum where two mirrored ones merge is found to some 1e-4 only
+GRADIENT_TOLERANCE = 1e-8
+# Curvature less negative than this, relative to that mean, counts as zero (choice).
+ZERO_CURVATURE = 1e-6
+# Minima nearer than this (radians) are merged; where two mirrored minima coincide they are found to about 1e-4 only
 # (derived: the cost is of fourth order there).
-SAME = 1e-3
-# So many of the starts, the best, are gone down from before a proof is tried: the global minimum is among what they reach
+MERGE_ANGLE = 1e-3
+# Number of best starts that are minimized from before the first certificate is tried: they reach the global minimum
 # (measured: in 96 to 100 % of 300 problems each of six kinds of benchmarks/certificate.py).
-FIRST = 4
+N_FIRST_STARTS = 4
 # A bound on Newton's steps (choice).
-DIRECT_STEPS = 100
+MAX_NEWTON_STEPS = 100
 
 
 @kernel
@@ -40,47 +40,54 @@ def minimize_each(
     certified: BoolArray,
     iterations: IntArray,
 ) -> None:
-    """Minimises 1/2 r'Hr - h'r over SO(3) for N problems.
+    """Minimize 1/2 r'Hr - h'r over SO(3) for N problems.
 
     Args:
-        H: (N, 9, 9) positive semidefinite, h: (N, 9); scaled here, once, to a mean eigenvalue of 1, as the limits are for.
-        starts: (S, 3, 3) of the search where the dual gives no certificate.
-        candidates: (N, S, 3, 3) becomes the minima, best first, `counts` (N,) of them.
-        certified: (N,) becomes whether the first is proved to be the global minimum; then it is the only one.
-        iterations: (N,) becomes the number of Newton's steps.
+        H: (N, 9, 9) positive semidefinite, h: (N, 9); scaled here to a mean eigenvalue of 1, for which the limits are
+            set.
+        starts: (S, 3, 3) initial rotations of the search, used where the dual gives no certificate.
+        candidates: (N, S, 3, 3) output: the minima, best first, `counts` (N,) of them.
+        certified: (N,) output: whether the first is proved to be the global minimum; then it is the only candidate.
+        iterations: (N,) output: the number of Newton steps.
     """
     scaled_H, scaled_h = np.empty((9, 9)), np.empty(9)
     for n in range(H.shape[0]):
-        _scaled(H[n], h[n], scaled_H, scaled_h)
+        _rescale(H[n], h[n], scaled_H, scaled_h)
         counts[n] = 1
-        found, iterations[n] = dual_newton(scaled_H, scaled_h, candidates[n, 0])
-        certified[n] = found and _is_certified(scaled_H, scaled_h, candidates[n, 0])
+        is_solved, iterations[n] = solve_dual(scaled_H, scaled_h, candidates[n, 0])
+        certified[n] = is_solved and _is_certified(scaled_H, scaled_h, candidates[n, 0])
         if not certified[n]:
-            certified[n], counts[n], steps = _search(scaled_H, scaled_h, starts, candidates[n])
+            certified[n], counts[n], steps = _search_minima(scaled_H, scaled_h, starts, candidates[n])
             iterations[n] += steps
 
 
 @kernel
 def certify_each(H: FloatArray, h: FloatArray, rotations: FloatArray, certified: BoolArray) -> None:
-    """certified (N,) becomes whether rotations (N, 3, 3) are proved to be the global minima that `minimize_each` certifies,
-    to within `STATIONARY`: what is left of the descent is gone down first."""
+    """Write to certified (N,) whether rotations (N, 3, 3) are the global minima that `minimize_each` certifies.
+
+    Rotations need to be stationary to within `GRADIENT_TOLERANCE` only: the descent is completed before the certificate
+    is tried.
+    """
     scaled_H, scaled_h, R = np.empty((9, 9)), np.empty(9), np.empty((3, 3))
     gradient, hessian = np.empty(3), np.empty((3, 3))
     for n in range(H.shape[0]):
-        _scaled(H[n], h[n], scaled_H, scaled_h)
+        _rescale(H[n], h[n], scaled_H, scaled_h)
         _derivatives(scaled_H, scaled_h, rotations[n], gradient, hessian)
         certified[n] = False
-        if _largest(gradient) < STATIONARY:
+        if _max_abs(gradient) < GRADIENT_TOLERANCE:
             _copy(rotations[n], R)
             certified[n] = _is_certified(scaled_H, scaled_h, R)
             if not certified[n]:
                 _descend(scaled_H, scaled_h, R, gradient, hessian)
-                certified[n] = is_least(scaled_H, scaled_h, R)[0] and _distance2(R, rotations[n]) < 2.0 * SAME**2
+                certified[n] = (
+                    certify_minimum(scaled_H, scaled_h, R)[0]
+                    and _squared_distance(R, rotations[n]) < 2.0 * MERGE_ANGLE**2
+                )
 
 
 @kernel
-def _distance2(a: FloatArray, b: FloatArray) -> float:
-    """|a - b|² of (3, 3): for near rotations twice the squared angle between them."""
+def _squared_distance(a: FloatArray, b: FloatArray) -> float:
+    """Return |a - b|² of (3, 3) matrices: for close rotations twice the squared angle between them."""
     s = 0.0
     for i in range(3):
         for j in range(3):
@@ -89,8 +96,8 @@ def _distance2(a: FloatArray, b: FloatArray) -> float:
 
 
 @kernel
-def _scaled(H: FloatArray, h: FloatArray, scaled_H: FloatArray, scaled_h: FloatArray) -> None:
-    """Over H's mean eigenvalue; as they are where H is zero."""
+def _rescale(H: FloatArray, h: FloatArray, scaled_H: FloatArray, scaled_h: FloatArray) -> None:
+    """Divide H and h by the mean eigenvalue of H; leave them unchanged if H is zero."""
     scale = 0.0
     for i in range(9):
         scale += H[i, i] / 9.0
@@ -106,14 +113,14 @@ def _scaled(H: FloatArray, h: FloatArray, scaled_H: FloatArray, scaled_h: FloatA
 def derivatives_each(
     H: FloatArray, h: FloatArray, rotations: FloatArray, costs: FloatArray, gradients: FloatArray, hessians: FloatArray
 ) -> None:
-    """`_derivatives` of N problems at one rotation each; costs (N,), gradients (N, 3), hessians (N, 3, 3) are filled."""
+    """Write costs (N,), gradients (N, 3) and hessians (N, 3, 3) of N problems at one rotation each."""
     for n in range(rotations.shape[0]):
         costs[n] = _derivatives(H[n], h[n], rotations[n], gradients[n], hessians[n])
 
 
 @kernel
 def _derivatives(H: FloatArray, h: FloatArray, R: FloatArray, gradient: FloatArray, hessian: FloatArray) -> float:
-    """Cost, gradient (3,) and Hessian (3, 3) of the cost at exp(w) R, w = 0.
+    """Return the cost and write its gradient (3,) and Hessian (3, 3) at exp(w) R, w = 0.
 
     exp(w) = I + W + W²/2 + ..., W² = ww' - |w|² I: with G the derivative by R and T = G R', the gradient is <W, T> and
     the Hessian J'HJ + (T + T')/2 - tr(T) I, J's columns being the derivatives [e_k]x R of R by w.
@@ -153,17 +160,17 @@ def _derivatives(H: FloatArray, h: FloatArray, R: FloatArray, gradient: FloatArr
 
 
 @kernel
-def _largest(values: FloatArray) -> float:
-    """The largest absolute value of three."""
+def _max_abs(values: FloatArray) -> float:
+    """Return the largest absolute value of three."""
     return float(max(abs(values[0]), abs(values[1]), abs(values[2])))
 
 
 @kernel
 def _is_certified(H: FloatArray, h: FloatArray, R: FloatArray) -> bool:
-    """Whether R is stationary and K = H + L ⊗ I, with its multiplier L = (C - Σ A R B) R', positive definite."""
+    """Return whether R is stationary and K = H + L ⊗ I, L = (C - Σ A R B) R', is positive definite."""
     gradient, hessian = np.empty(3), np.empty((3, 3))
     _derivatives(H, h, R, gradient, hessian)
-    if not _largest(gradient) < STATIONARY:
+    if not _max_abs(gradient) < GRADIENT_TOLERANCE:
         return False
     L, K = np.zeros((3, 3)), np.empty((9, 9))
     for i in range(9):
@@ -173,69 +180,73 @@ def _is_certified(H: FloatArray, h: FloatArray, R: FloatArray) -> bool:
         for c in range(3):
             L[i // 3, c] += 0.5 * s * R[c, i % 3]
             L[c, i // 3] += 0.5 * s * R[c, i % 3]
-    system(H, L, L, 0.0, K)
+    build_system(H, L, L, 0.0, K)
     for i in range(9):
         K[i, i] -= CERTIFICATE
     return cholesky(K)
 
 
 @kernel
-def _search(H: FloatArray, h: FloatArray, starts: FloatArray, minima: FloatArray) -> tuple[bool, int, int]:
-    """The global minimum on SO(3) into `minima` if one can be proved, else the local ones, best first, that damped Newton
-    steps reach from the starts. The best few starts have the global one in reach, as a rule, and are asked first.
+def _search_minima(H: FloatArray, h: FloatArray, starts: FloatArray, minima: FloatArray) -> tuple[bool, int, int]:
+    """Write the global minimum to `minima` if it can be certified, else the local minima found, best first.
+
+    Damped Newton steps descend from the starts. The best few starts usually reach the global minimum and are tried
+    first.
 
     Returns:
-        whether it is proved; how many differ; the most steps that a start took, with those of the proofs.
+        Whether the minimum is certified; the number of distinct minima; the largest number of steps from a start plus
+        those of the certificates.
     """
     n = starts.shape[0]
-    ends, costs, left = np.empty((n, 3, 3)), np.empty(n), np.empty(n, np.bool_)
+    ends, costs, remaining = np.empty((n, 3, 3)), np.empty(n), np.empty(n, np.bool_)
     gradient, hessian = np.empty(3), np.empty((3, 3))
-    order = _order(H, h, starts)
-    best, most, of_proofs, tried = order[0], 0, 0, -1
+    order = _sort_starts(H, h, starts)
+    best, max_steps, certificate_steps, tried = order[0], 0, 0, -1
     for done in range(n):
         s = order[done]
         _copy(starts[s], ends[s])
         costs[s], steps = _descend(H, h, ends[s], gradient, hessian)
-        most = max(most, steps)
+        max_steps = max(max_steps, steps)
         for i in range(3):
-            hessian[i, i] += FLAT
-        left[s] = _largest(gradient) < STATIONARY and cholesky(hessian)
+            hessian[i, i] += ZERO_CURVATURE
+        remaining[s] = _max_abs(gradient) < GRADIENT_TOLERANCE and cholesky(hessian)
         if costs[s] < costs[best]:
             best = s
-        if done == FIRST - 1 or done == n - 1:
-            wanted = tried < 0 or _distance2(ends[best], ends[tried]) > 2.0 * SAME**2
+        if done == N_FIRST_STARTS - 1 or done == n - 1:
+            try_certificate = tried < 0 or _squared_distance(ends[best], ends[tried]) > 2.0 * MERGE_ANGLE**2
             for i in range(done + 1):
                 k = order[i]
-                # Of two that are equally good there is no proof, and no need to look for one: one camera, mostly.
-                wanted = wanted and (
-                    costs[k] > costs[best] + LOWER or not _distance2(ends[best], ends[k]) > 2.0 * SAME**2
+                # Two equally good minima (usually one camera) cannot be certified; skip the attempt.
+                try_certificate = try_certificate and (
+                    costs[k] > costs[best] + COST_TOLERANCE
+                    or not _squared_distance(ends[best], ends[k]) > 2.0 * MERGE_ANGLE**2
                 )
-            if wanted:
-                proved, steps = is_least(H, h, ends[best])
-                of_proofs += steps
+            if try_certificate:
+                proved, steps = certify_minimum(H, h, ends[best])
+                certificate_steps += steps
                 if proved:
                     _copy(ends[best], minima[0])
-                    return True, 1, most + of_proofs
+                    return True, 1, max_steps + certificate_steps
             tried = best
-    left[best] = True
+    remaining[best] = True
     count = 0
-    while left[best]:
-        left[best] = False
+    while remaining[best]:
+        remaining[best] = False
         new = True
         for k in range(count):
-            new = new and _distance2(ends[best], minima[k]) > 2.0 * SAME**2
+            new = new and _squared_distance(ends[best], minima[k]) > 2.0 * MERGE_ANGLE**2
         if new:
             _copy(ends[best], minima[count])
             count += 1
         for s in range(n):
-            if left[s] and (costs[s] < costs[best] or not left[best]):
+            if remaining[s] and (costs[s] < costs[best] or not remaining[best]):
                 best = s
-    return False, count, most + of_proofs
+    return False, count, max_steps + certificate_steps
 
 
 @kernel
-def _order(H: FloatArray, h: FloatArray, starts: FloatArray) -> IntArray:
-    """(S,) of the starts (S, 3, 3), those of least cost first."""
+def _sort_starts(H: FloatArray, h: FloatArray, starts: FloatArray) -> IntArray:
+    """Return indices (S,) of the starts (S, 3, 3) by increasing cost."""
     count = starts.shape[0]
     costs, order = np.zeros(count), np.empty(count, np.int64)
     for n in range(count):
@@ -256,16 +267,18 @@ def _order(H: FloatArray, h: FloatArray, starts: FloatArray) -> IntArray:
 def _descend(
     H: FloatArray, h: FloatArray, R: FloatArray, gradient: FloatArray, hessian: FloatArray
 ) -> tuple[float, int]:
-    """R (3, 3) goes down to a stationary point by Newton's steps, damped where they lead up.
+    """Move R (3, 3) to a stationary point by Newton steps, damped where they increase the cost.
+
+    Gradient and Hessian at that point are written to `gradient` and `hessian`.
 
     Returns:
-        its cost, whose derivatives gradient and hessian become; how many steps.
+        The cost and the number of steps.
     """
     factor, step = np.empty((3, 3)), np.empty(3)
     new_gradient, new_hessian, new = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     cost, damping = _derivatives(H, h, R, gradient, hessian), 0.0
-    for iteration in range(DIRECT_STEPS):
-        if _largest(gradient) < 1e-12:
+    for iteration in range(MAX_NEWTON_STEPS):
+        if _max_abs(gradient) < 1e-12:
             return cost, iteration
         _copy(hessian, factor)
         for i in range(3):
@@ -276,11 +289,11 @@ def _descend(
             length = np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
             for i in range(3):
                 step[i] *= 1.0 / max(length, 1.0)
-            turn_by(step, R, new)
+            apply_rotvec(step, R, new)
             new_cost = _derivatives(H, h, new, new_gradient, new_hessian)
             uphill = new_cost > cost + 1e-14 * (1.0 + abs(cost))  # by more than rounding
         if uphill:
-            if _largest(gradient) < STATIONARY:
+            if _max_abs(gradient) < GRADIENT_TOLERANCE:
                 return cost, iteration
             damping = max(4.0 * damping, 0.01)
             continue
@@ -289,12 +302,12 @@ def _descend(
         _copy(new_hessian, hessian)
         for i in range(3):
             gradient[i] = new_gradient[i]
-    return cost, DIRECT_STEPS
+    return cost, MAX_NEWTON_STEPS
 
 
 @kernel
 def _copy(source: FloatArray, target: FloatArray) -> None:
-    """Of (3, 3)."""
+    """Copy a (3, 3) matrix."""
     for i in range(3):
         for j in range(3):
             target[i, j] = source[i, j]

@@ -1,20 +1,21 @@
-"""The certificate in full, compiled: what a cost on SO(3) exceeds its minimum by is a sum of squares.
+"""Sum-of-squares certificate of global minima on SO(3), compiled.
 
-With a unit quaternion (c, x) of S = R2 R', R the minimum, S is quadratic in (c, x), so that cost(R2) - cost(R) is a quartic
-form f. It and its gradient vanish at x = 0, where R2 is R, so that f = m'Gm in nine monomials,
+With a unit quaternion (c, x) of S = R2 R', R the minimum, S is quadratic in (c, x), so cost(R2) - cost(R) is a quartic
+form f. Its value and gradient vanish at x = 0, where R2 = R, so f = m'Gm in nine monomials,
 
     m = (c x_1, c x_2, c x_3,   x_1², x_2², x_3²,   √2 x_2 x_3, √2 x_3 x_1, √2 x_1 x_2),   |m| = |x|.
 
 G is not the only such matrix: the monomials obey 14 equations m'N_k m = 0, such as (x_1²)(x_2²) = (x_1 x_2)². If
-G + Σ μ_k N_k is positive definite for some μ, then f > 0 for every other rotation: R is the one global minimum. These are
-the multipliers of all that is quadratic and holds of a rotation: of the 20 equations of RR' = I, R'R = I and each row the
-cross product of the two others, with the bound itself, R's being stationary leaves 21 - 7 free. K of `so3` is what the
-first six give.
+G + Σ μ_k N_k is positive definite for some μ, then f > 0 for every other rotation: R is the unique global minimum. The
+μ are the multipliers of all quadratic constraints of a rotation: 20 equations (RR' = I, R'R = I, each row the cross
+product of the two others) and the bound itself, of which stationarity of R leaves 21 - 7 free. The matrix K of `so3`
+uses the first six only.
 
-μ is sought by Newton's method along the path of a barrier: the maxima of η t + log det(G + Σ μ_k N_k - t D), η growing,
-where D is the identity on the last six. (The first block of G is the same for all μ: the Hessian of the cost by x, halved.)
+μ is found by Newton's method along a barrier path: the maxima of η t + log det(G + Σ μ_k N_k - t D) for growing η,
+where D is the identity on the last six monomials. (The first block of G is the same for all μ: half the Hessian of the
+cost by x.)
 
-Source: that the relaxation is nearly always tight is Briales & Gonzalez-Jimenez's (2017); the form in nine monomials and
+Source: Briales & Gonzalez-Jimenez (2017) for the relaxation being nearly always tight; the form in nine monomials and
 the search are ours.
 """
 
@@ -25,24 +26,32 @@ import numpy as np
 from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.geometry.numba_linalg import cholesky, kernel, solve_factored
 
-__all__ = ["CERTIFICATE", "FREE", "LOWER", "free_matrices", "gram", "is_least"]
+__all__ = [
+    "CERTIFICATE",
+    "COST_TOLERANCE",
+    "N_MULTIPLIERS",
+    "build_gram_matrix",
+    "certify_minimum",
+    "constraint_matrices",
+]
 
 
-# A matrix must be this much above singular, relative to H's mean eigenvalue of 1, to certify: well above rounding
+# Minimum eigenvalue of a certifying matrix, relative to H's mean eigenvalue of 1: well above rounding
 # (choice).
 CERTIFICATE = 1e-9
-# What the cost elsewhere may be lower by, in the same units, because R is stationary to rounding only (choice).
-LOWER = 1e-12
-# A bound on Newton's steps; what can be certified takes three to ten as a rule (choice).
-STEPS = 60
-# A maximum of the barrier is followed this closely (the squared Newton decrement), then η grows by this factor (choice).
-NEAR, GROWTH = 1.0, 30.0
-# How many multipliers are free (derived).
-FREE = 14
+# Tolerance by which the cost of other rotations may be lower, in the same units: R is stationary to rounding only
+# (choice).
+COST_TOLERANCE = 1e-12
+# A bound on Newton's steps; problems that can be certified usually take three to ten (choice).
+MAX_STEPS = 60
+# Squared Newton decrement below which η is increased, and the factor by which it is increased (choice).
+MAX_DECREMENT, BARRIER_GROWTH = 1.0, 30.0
+# Number of free multipliers (derived).
+N_MULTIPLIERS = 14
 
 
-def _free_entries() -> tuple[IntArray, FloatArray]:
-    """(14, 2, 2) rows and columns, (14, 2) weights w: each N_k is the sum of two w (e_a e_b' + e_b e_a')."""
+def _constraint_entries() -> tuple[IntArray, FloatArray]:
+    """Return indices (14, 2, 2) and weights w (14, 2): each N_k is the sum of two w (e_a e_b' + e_b e_a')."""
     root, at, weights = np.sqrt(0.5), [], []
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
@@ -58,102 +67,106 @@ def _free_entries() -> tuple[IntArray, FloatArray]:
 
 
 # Rows at least as large as columns: the lower triangle.
-_AT, _WEIGHTS = _free_entries()
+_INDICES, _WEIGHTS = _constraint_entries()
 
 
-def free_matrices() -> FloatArray:
-    """(14, 9, 9) N_k."""
-    N = np.zeros((FREE, 9, 9))
-    for k in range(FREE):
-        for (a, b), w in zip(_AT[k], _WEIGHTS[k], strict=True):
+def constraint_matrices() -> FloatArray:
+    """Return N_k (14, 9, 9)."""
+    N = np.zeros((N_MULTIPLIERS, 9, 9))
+    for k in range(N_MULTIPLIERS):
+        for (a, b), w in zip(_INDICES[k], _WEIGHTS[k], strict=True):
             N[k, a, b] += w
             N[k, b, a] += w
     return N
 
 
 @kernel
-def is_least(H: FloatArray, h: FloatArray, R: FloatArray) -> tuple[bool, int]:
-    """Whether R (3, 3) is proved to be the one global minimum of 1/2 r'Hr - h'r on SO(3), H (9, 9) of mean eigenvalue 1.
+def certify_minimum(H: FloatArray, h: FloatArray, R: FloatArray) -> tuple[bool, int]:
+    """Try to certify R (3, 3) as the unique global minimum of 1/2 r'Hr - h'r on SO(3), H (9, 9) of mean eigenvalue 1.
 
     Returns:
-        also how many of Newton's steps it took to say.
+        Whether R is certified, and the number of Newton steps.
     """
     G, gradient = np.empty((9, 9)), np.empty(3)
-    gram(H, h, R, G, gradient)
+    build_gram_matrix(H, h, R, G, gradient)
     size, squared = 1.0, gradient[0] ** 2 + gradient[1] ** 2 + gradient[2] ** 2
     for i in range(9):
         size = max(size, abs(G[i, i]))
     # With all eigenvalues above the margin, f >= margin |x|² - |gradient| |x|, at least -|gradient|² / (4 margin).
-    margin = max(CERTIFICATE * size, squared / (4.0 * LOWER))
-    factor, spare, inverse = np.empty((9, 9)), np.empty((9, 9)), np.empty((9, 9))
-    multipliers, step, slope = np.zeros(FREE), np.zeros(FREE + 1), np.empty(FREE + 1)
-    curvature, curvature_factor = np.empty((FREE + 1, FREE + 1)), np.empty((FREE + 1, FREE + 1))
-    first = np.empty((3, 3))
+    margin = max(CERTIFICATE * size, squared / (4.0 * COST_TOLERANCE))
+    factor, work, inverse = np.empty((9, 9)), np.empty((9, 9)), np.empty((9, 9))
+    multipliers, step, slope = np.zeros(N_MULTIPLIERS), np.zeros(N_MULTIPLIERS + 1), np.empty(N_MULTIPLIERS + 1)
+    curvature, curvature_factor = (
+        np.empty((N_MULTIPLIERS + 1, N_MULTIPLIERS + 1)),
+        np.empty((N_MULTIPLIERS + 1, N_MULTIPLIERS + 1)),
+    )
+    first_block = np.empty((3, 3))
     for i in range(3):
         for j in range(3):
-            first[i, j] = G[i, j]
-        first[i, i] -= margin
-    if not cholesky(first):
+            first_block[i, j] = G[i, j]
+        first_block[i, i] -= margin
+    if not cholesky(first_block):
         return False, 0
     t = -size
     for _ in range(100):
-        _moved(G, multipliers, t, step, 0.0, factor)
+        _build_matrix(G, multipliers, t, step, 0.0, factor)
         if cholesky(factor):
             break
         t *= 2.0
     t *= 2.0  # well inside
     eta = -6.0 / t
-    for iteration in range(STEPS):
-        _moved(G, multipliers, t, step, 0.0, factor)
+    for iteration in range(MAX_STEPS):
+        _build_matrix(G, multipliers, t, step, 0.0, factor)
         if not cholesky(factor):
             return False, iteration
         if t > margin:
-            _moved(G, multipliers, 0.0, step, 0.0, spare)
+            _build_matrix(G, multipliers, 0.0, step, 0.0, work)
             for i in range(9):
-                spare[i, i] -= margin
-            if cholesky(spare):
+                work[i, i] -= margin
+            if cholesky(work):
                 return True, iteration
-        _inverse(factor, spare, inverse)
-        _barrier(inverse, spare, slope, curvature)
-        for i in range(FREE + 1):
+        _invert_factored(factor, work, inverse)
+        _barrier_derivatives(inverse, work, slope, curvature)
+        for i in range(N_MULTIPLIERS + 1):
             for j in range(i + 1):
                 curvature_factor[i, j] = curvature[i, j]
         if not cholesky(curvature_factor):
             return False, iteration
         while True:
             decrement = 0.0
-            for k in range(FREE + 1):
-                step[k] = slope[k] if k < FREE else slope[k] + eta
+            for k in range(N_MULTIPLIERS + 1):
+                step[k] = slope[k] if k < N_MULTIPLIERS else slope[k] + eta
             solve_factored(curvature_factor, step)
-            for k in range(FREE + 1):
-                decrement += step[k] * (slope[k] if k < FREE else slope[k] + eta)
-            if decrement > NEAR:
+            for k in range(N_MULTIPLIERS + 1):
+                decrement += step[k] * (slope[k] if k < N_MULTIPLIERS else slope[k] + eta)
+            if decrement > MAX_DECREMENT:
                 break
-            # At a maximum no t is larger by more than 6 / η.
+            # At a maximum, t is at most 6 / η below its supremum.
             if t + 9.0 / eta < margin:
                 return False, iteration
-            eta *= GROWTH
-        # A step must end inside, at most 0.8 of the way to the boundary.
+            eta *= BARRIER_GROWTH
+        # A step must stay in the interior, at most 0.8 of the way to the boundary.
         length = 1.0
         for _ in range(100):
-            _moved(G, multipliers, t, step, length / 0.8, spare)
-            if cholesky(spare):
+            _build_matrix(G, multipliers, t, step, length / 0.8, work)
+            if cholesky(work):
                 break
             length *= 0.7
-        for k in range(FREE):
+        for k in range(N_MULTIPLIERS):
             multipliers[k] += length * step[k]
-        t += length * step[FREE]
-        for k in range(FREE + 1):
+        t += length * step[N_MULTIPLIERS]
+        for k in range(N_MULTIPLIERS + 1):
             step[k] = 0.0
-    return False, STEPS
+    return False, MAX_STEPS
 
 
 @kernel
-def gram(H: FloatArray, h: FloatArray, R: FloatArray, G: FloatArray, gradient: FloatArray) -> None:
-    """G (9, 9) becomes the matrix of f = cost(S R) - cost(R) for μ = 0, gradient (3,) of f by x, which G is without.
+def build_gram_matrix(H: FloatArray, h: FloatArray, R: FloatArray, G: FloatArray, gradient: FloatArray) -> None:
+    """Write the matrix G (9, 9) of f = cost(S R) - cost(R) for μ = 0, and the gradient (3,) of f by x.
 
-    With s = vec(S), T = (I ⊗ R) H (I ⊗ R') and n = c² + |x|² = 1, s = n vec(I) + U m: f = 1/2 m'U'TUm + n g'Um, where
-    g = T vec(I) - (I ⊗ R) h is the cost's derivative. Nothing cancels but in g.
+    G does not contain the gradient. With s = vec(S), T = (I ⊗ R) H (I ⊗ R') and n = c² + |x|² = 1, s = n vec(I) + U m:
+    f = 1/2 m'U'TUm + n g'Um, where g = T vec(I) - (I ⊗ R) h is the cost's derivative. Only g is subject to
+    cancellation.
     """
     half, T, TU, g = np.empty((9, 9)), np.empty((9, 9)), np.empty((9, 9)), np.empty(9)
     for i in range(9):
@@ -165,18 +178,19 @@ def gram(H: FloatArray, h: FloatArray, R: FloatArray, G: FloatArray, gradient: F
                 half[i, 3 * l + m] = s
     for i in range(3):
         for k in range(3):
-            of_g = 0.0
+            g_entry = 0.0
             for n in range(3):
-                of_g -= R[k, n] * h[3 * i + n]
+                g_entry -= R[k, n] * h[3 * i + n]
             for l in range(9):
                 s = 0.0
                 for n in range(3):
                     s += R[k, n] * half[3 * i + n, l]
                 T[3 * i + k, l] = s
                 if l % 4 == 0:
-                    of_g += s
-            g[3 * i + k] = of_g
-    # U: of S_ii the entries -2 for x_j² and x_k², of S_ij √2 for √2 x_i x_j and -2 for c x_k, of S_ji +2 for that.
+                    g_entry += s
+            g[3 * i + k] = g_entry
+    # U: S_ii has the entries -2 for x_j² and x_k², S_ij has √2 for √2 x_i x_j and -2 for c x_k, S_ji has +2 for the
+    # latter.
     for k in range(3):
         i, j = (k + 1) % 3, (k + 2) % 3
         ij, ji, ii, jj = 3 * i + j, 3 * j + i, 4 * i, 4 * j
@@ -191,7 +205,7 @@ def gram(H: FloatArray, h: FloatArray, R: FloatArray, G: FloatArray, gradient: F
             G[k, l] = TU[ji, l] - TU[ij, l]
             G[3 + k, l] = -TU[ii, l] - TU[jj, l]
             G[6 + k, l] = np.sqrt(0.5) * (TU[ij, l] + TU[ji, l])
-    # n g'Um: c² times a square goes to the first block, |x|² times one to the last; c x_k is the gradient's.
+    # n g'Um: c² times a square goes to the first block, |x|² times a square to the last; c x_k belongs to the gradient.
     for k in range(3):
         i, j = (k + 1) % 3, (k + 2) % 3
         ij, ji, ii, jj = 3 * i + j, 3 * j + i, 4 * i, 4 * j
@@ -208,63 +222,68 @@ def gram(H: FloatArray, h: FloatArray, R: FloatArray, G: FloatArray, gradient: F
 
 
 @kernel
-def _moved(G: FloatArray, multipliers: FloatArray, t: float, step: FloatArray, length: float, out: FloatArray) -> None:
-    """The lower triangle of out (9, 9) becomes G + Σ μ_k N_k - t D, after length times step of (μ, t)."""
+def _build_matrix(
+    G: FloatArray, multipliers: FloatArray, t: float, step: FloatArray, length: float, out: FloatArray
+) -> None:
+    """Write G + Σ μ_k N_k - t D to the lower triangle of out (9, 9), with (μ, t) moved by length times step."""
     for i in range(9):
         for j in range(i + 1):
             out[i, j] = G[i, j]
-    for k in range(FREE):
+    for k in range(N_MULTIPLIERS):
         mu = multipliers[k] + length * step[k]
         for c in range(2):
-            a, b, w = _AT[k, c, 0], _AT[k, c, 1], _WEIGHTS[k, c]
+            a, b, w = _INDICES[k, c, 0], _INDICES[k, c, 1], _WEIGHTS[k, c]
             out[a, b] += 2.0 * w * mu if a == b else w * mu
     for i in range(3, 9):
-        out[i, i] -= t + length * step[FREE]
+        out[i, i] -= t + length * step[N_MULTIPLIERS]
 
 
 @kernel
-def _inverse(factor: FloatArray, spare: FloatArray, inverse: FloatArray) -> None:
-    """inverse (9, 9) becomes (L L')⁻¹, given L; spare (9, 9) becomes L⁻¹."""
+def _invert_factored(factor: FloatArray, work: FloatArray, inverse: FloatArray) -> None:
+    """Write (L L')⁻¹ to inverse (9, 9), given L, and L⁻¹ to work (9, 9)."""
     for i in range(9):
-        spare[i, i] = 1.0 / factor[i, i]
+        work[i, i] = 1.0 / factor[i, i]
         for j in range(i):
             s = 0.0
             for k in range(j, i):
-                s -= factor[i, k] * spare[k, j]
-            spare[i, j] = s * spare[i, i]
+                s -= factor[i, k] * work[k, j]
+            work[i, j] = s * work[i, i]
     for i in range(9):
         for j in range(i + 1):
             s = 0.0
             for k in range(i, 9):
-                s += spare[k, i] * spare[k, j]
+                s += work[k, i] * work[k, j]
             inverse[i, j] = inverse[j, i] = s
 
 
 @kernel
-def _barrier(W: FloatArray, WDW: FloatArray, slope: FloatArray, curvature: FloatArray) -> None:
-    """Of log det by (μ, t), W the matrix's inverse: slope (15,), and curvature (15, 15), negative. WDW (9, 9) is spare."""
+def _barrier_derivatives(W: FloatArray, WDW: FloatArray, slope: FloatArray, curvature: FloatArray) -> None:
+    """Write slope (15,) and negative curvature (15, 15) of log det by (μ, t).
+
+    W is the matrix's inverse; WDW (9, 9) is work space.
+    """
     for i in range(9):
         for j in range(i + 1):
             s = 0.0
             for k in range(3, 9):
                 s += W[i, k] * W[j, k]
             WDW[i, j] = WDW[j, i] = s
-    for k in range(FREE):
+    for k in range(N_MULTIPLIERS):
         slope[k] = along_t = 0.0
         for c in range(2):
-            a, b, w = _AT[k, c, 0], _AT[k, c, 1], _WEIGHTS[k, c]
+            a, b, w = _INDICES[k, c, 0], _INDICES[k, c, 1], _WEIGHTS[k, c]
             slope[k] += 2.0 * w * W[a, b]
             along_t -= 2.0 * w * WDW[a, b]
-        curvature[k, FREE] = curvature[FREE, k] = along_t
+        curvature[k, N_MULTIPLIERS] = curvature[N_MULTIPLIERS, k] = along_t
         for l in range(k + 1):
             s = 0.0
             for c in range(2):
-                a, b = _AT[k, c, 0], _AT[k, c, 1]
+                a, b = _INDICES[k, c, 0], _INDICES[k, c, 1]
                 for d in range(2):
-                    e, f = _AT[l, d, 0], _AT[l, d, 1]
+                    e, f = _INDICES[l, d, 0], _INDICES[l, d, 1]
                     s += 2.0 * _WEIGHTS[k, c] * _WEIGHTS[l, d] * (W[a, e] * W[b, f] + W[a, f] * W[b, e])
             curvature[k, l] = curvature[l, k] = s
-    slope[FREE] = curvature[FREE, FREE] = 0.0
+    slope[N_MULTIPLIERS] = curvature[N_MULTIPLIERS, N_MULTIPLIERS] = 0.0
     for i in range(3, 9):
-        slope[FREE] -= W[i, i]
-        curvature[FREE, FREE] += WDW[i, i]
+        slope[N_MULTIPLIERS] -= W[i, i]
+        curvature[N_MULTIPLIERS, N_MULTIPLIERS] += WDW[i, i]

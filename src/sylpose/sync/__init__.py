@@ -1,1 +1,1 @@
-"""By how much cameras' clocks differ: found from the motion they record (`pulses`), kept in offsets.toml (`offsets`)."""
+"""Time offsets between cameras: their estimation (`speed_correlation`) and the file offsets.toml (`offsets`)."""

@@ -1,4 +1,4 @@
-"""offsets.toml: by how many seconds each camera's images are later than their times say."""
+"""offsets.toml: delay of each camera's images relative to their timestamps, seconds."""
 
 from __future__ import annotations
 
@@ -13,42 +13,52 @@ from numpy.typing import ArrayLike
 
 from sylpose.capture import Session
 from sylpose.capture.live import LiveSession
-from sylpose.capture.names import belongs_to
-from sylpose.input_limits import parsed_toml, text_of, told
+from sylpose.capture.names import match_all_names
+from sylpose.input_limits import input_errors, parse_toml, read_text
 from sylpose.sync.speed_correlation import split_offsets
 
-__all__ = ["OFFSETS_FILE", "find_offsets", "load_offsets", "retimed"]
+__all__ = ["OFFSETS_FILE", "apply_offsets", "find_offsets", "load_offsets"]
 
 OFFSETS_FILE = "offsets.toml"
-# Seconds: clocks that are set by hand are hours apart (choice).
+# Largest offset, seconds: manually set clocks are hours apart (choice).
 MAX_OFFSET = 86_400.0
 
 
 def load_offsets(path: Path, cameras: Sequence[str]) -> dict[str, float]:
-    """Seconds by camera; those that the file does not name have none.
+    """Read offsets.toml.
+
+    Args:
+        path: the file.
+        cameras: names of the cameras.
+
+    Returns:
+        Seconds by camera, for the cameras in the file.
 
     Raises:
         FileNotFoundError: no such file.
-        ValueError: naming the file: not TOML, an unknown camera, a value that is no number of seconds.
+        ValueError: not TOML, an unknown camera, or a value that is not a number of seconds; the message names the file.
     """
-    text = text_of(path)
-    with told(path):
+    text = read_text(path)
+    with input_errors(path):
         try:
-            data = parsed_toml(text)
+            data = parse_toml(text)
         except tomllib.TOMLDecodeError as error:
             raise ValueError(f"lines such as cam_0 = 0.0042 are expected ({error})") from None
-        names = belongs_to(data, cameras, path)
+        names = match_all_names(data, cameras, path)
         for name, value in data.items():
             if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= MAX_OFFSET:
-                raise ValueError(f"the offset of {name} must be a number of seconds, got {value!r}; at most a day")
+                raise ValueError(f"the offset of {name} must be a number of seconds (at most a day), got {value!r}")
         return {camera: float(data[name]) for name, camera in names.items()}
 
 
 def find_offsets(session: Session | LiveSession, file: Path | None = None) -> dict[str, float]:
-    """The offsets in a file, else in offsets.toml in the session's folder, else none.
+    """Read the offsets of a session from a file, by default from offsets.toml in its folder.
+
+    Returns:
+        Seconds by camera; empty without a file.
 
     Raises:
-        FileNotFoundError, ValueError: as `load_offsets`; a recording whose times are no seconds.
+        FileNotFoundError, ValueError: as `load_offsets`; a recording whose times are not in seconds.
     """
     if file is None:
         file = session.path / OFFSETS_FILE
@@ -57,52 +67,55 @@ def find_offsets(session: Session | LiveSession, file: Path | None = None) -> di
     offsets = load_offsets(file, (*session.rig.names, *session.without))
     offsets = {name: seconds for name, seconds in offsets.items() if name in session.rig.names}
     if any(offsets.values()) and isinstance(session, Session) and session.rate is None:
-        raise ValueError(f"{file}: offsets are in seconds, but of this recording only the order of the frames is known")
+        raise ValueError(f"{file}: offsets are in seconds, but this recording has neither timestamps nor a frame rate")
     return offsets
 
 
-def retimed(session: Session, offsets: ArrayLike) -> Session:
-    """The session with the cameras' times set right: frames of one time in one frame set, each with its own time stamp.
+def apply_offsets(session: Session, offsets: ArrayLike) -> Session:
+    """Apply time offsets to a session: simultaneous frames share a frame set, each with its own timestamp.
 
-    Cameras that are more than a frame apart are moved by whole frames, so that all have an image at instant 0.
+    Cameras more than a frame apart are shifted by whole frames, so that all have an image in frame set 0.
 
     Args:
-        offsets: (C,) seconds by which each camera's images are later than their times say.
+        session: the recording.
+        offsets: (C,) delay of each camera's images relative to their timestamps, seconds.
 
     Raises:
-        ValueError: as many offsets as cameras are expected, and a session with a rate; a camera without a
-            frame while all run.
+        ValueError: a number of offsets that differs from the number of cameras, a session without rate, or a camera
+            without a frame in the common time.
     """
-    late = np.asarray(offsets, dtype=float)
-    if late.shape != (len(session.rig),) or not np.isfinite(late).all():
-        raise ValueError(f"offsets: {len(session.rig)} numbers are expected, one for each camera, got {late}")
-    if not late.any():
+    delays = np.asarray(offsets, dtype=float)
+    if delays.shape != (len(session.rig),) or not np.isfinite(delays).all():
+        raise ValueError(f"offsets: {len(session.rig)} numbers are expected, one per camera, got {delays}")
+    if not delays.any():
         return session
     if session.rate is None:
-        raise ValueError(f"{session.path}: offsets are in seconds, but this recording's rate is not known")
+        raise ValueError(f"{session.path}: offsets are in seconds, but this recording's frame rate is unknown")
     old, n = session.timeline, len(session.rig)
-    shift, rest = split_offsets(late, session.rate)
+    whole_frames, remainder = split_offsets(delays, session.rate)
     frames, stamps = np.full(old.frames.shape, -1, np.int64), np.full(old.stamps.shape, np.nan)
     for c in range(n):
-        kept = max(len(frames) + shift[c], 0)
+        kept = max(len(frames) + whole_frames[c], 0)
         frames[:kept, c], stamps[:kept, c] = old.frames[len(frames) - kept :, c], old.stamps[len(frames) - kept :, c]
-    stamped = bool(np.isfinite(old.stamps).any())
-    if stamped:
-        stamps = stamps + late
-    used = (frames >= 0).any(axis=1) & (np.isfinite(stamps).any(axis=1) | (not stamped))
+    has_timestamps = bool(np.isfinite(old.stamps).any())
+    if has_timestamps:
+        stamps = stamps + delays
+    used = (frames >= 0).any(axis=1) & (np.isfinite(stamps).any(axis=1) | (not has_timestamps))
     for name, before, now in zip(session.rig.names, old.frames.T, frames.T, strict=True):
         if (before >= 0).any() and not (now >= 0).any():
             raise ValueError(f"{session.path}: with these offsets {name} ends before the last camera begins")
-    rows = np.flatnonzero(used) if stamped else np.arange(1 + np.flatnonzero(used).max(initial=-1))
+    rows = np.flatnonzero(used) if has_timestamps else np.arange(1 + np.flatnonzero(used).max(initial=-1))
     frames, stamps = frames[rows], stamps[rows]
-    if stamped:
+    if has_timestamps:
         times = np.nanmean(stamps, axis=1)
     else:
         times = old.times[rows]
-        stamps = np.where(frames >= 0, times[:, None] + rest, np.nan)
+        stamps = np.where(frames >= 0, times[:, None] + remainder, np.nan)
     if any(later <= earlier for earlier, later in pairwise(times)):
         raise ValueError(f"{session.path}: with these offsets the times of the frames do not increase")
-    lost = [f"{name} {-k}" for name, k in zip(session.rig.names, shift, strict=True) if k]
-    said = f"The cameras start at different times; frames before the last one starts are not used: {', '.join(lost)}."
-    warnings = (*session.warnings, said) if lost else session.warnings
+    lost = [f"{name} {-k}" for name, k in zip(session.rig.names, whole_frames, strict=True) if k]
+    message = (
+        f"The cameras start at different times; frames before the last one starts are not used: {', '.join(lost)}."
+    )
+    warnings = (*session.warnings, message) if lost else session.warnings
     return replace(session, timeline=replace(old, frames=frames, times=times, stamps=stamps), warnings=warnings)

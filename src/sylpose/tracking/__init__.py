@@ -1,4 +1,4 @@
-"""The object's pose in every frame, as the frames come: features, landmarks and two frames put together.
+"""Frame-by-frame tracking of a rigid object's pose.
 
-What one camera does with its own images, and what all do together with a few numbers from each; `tracker` is its front.
+Each camera processes its own images; all cameras combine a few numbers from each into one pose. Entry point: `tracker`.
 """

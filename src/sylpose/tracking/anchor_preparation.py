@@ -1,9 +1,9 @@
-"""The next anchor, prepared beside the frames.
+"""Preparation of the next anchor in a background thread.
 
-New features are wanted while enough of the anchor's are still followed: what is in a solved frame's image besides those is
-found, and matched with the keyframes by its looks, by a thread of its own. So many frames later it joins them: that frame is
-the anchor from then on. It has been solved without, by features that were followed, so each camera judges by itself which of
-the new matches agree with its pose. That depends on the frames' numbers alone, never on how long anything took.
+New features are needed before the anchor's tracks run out. A thread detects the remaining features of a solved frame
+and matches them with the keyframes by descriptors. A fixed number of frames later that frame becomes the anchor. Its
+pose was solved from tracked features alone, so each camera decides by itself which new matches agree with it. The
+timing depends on frame numbers only, never on computing time.
 """
 
 from __future__ import annotations
@@ -12,160 +12,232 @@ from dataclasses import replace
 
 import numpy as np
 
-from sylpose.features.klt import advance, begin
-from sylpose.features.sift import ALL_FEATURES, Features, detect, match_features, seen_before
+from sylpose.features.klt import start_tracks, track_features
+from sylpose.features.sift import MAX_FAINT_FEATURES, Features, detect_features, find_static_features, match_features
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import BoolArray, Image, IntArray
-from sylpose.geometry.future import Later
-from sylpose.landmarks.alignment import stack
-from sylpose.landmarks.camera_terms import camera_terms, own_of
+from sylpose.geometry.future import BackgroundResult
+from sylpose.landmarks.alignment import stack_matches
+from sylpose.landmarks.camera_terms import compute_camera_terms, make_camera_state
 from sylpose.rig import Camera
-from sylpose.tracking.camera import CameraPart
-from sylpose.tracking.context import Region, Team
-from sylpose.tracking.frame import CameraFrame, Pair, SolvedFrame, match_pair, without_background
-from sylpose.tracking.joint_state import Joint
-from sylpose.tracking.keyframes import references_of, with_keyframe
+from sylpose.tracking.camera import CameraTracker
+from sylpose.tracking.context import Region, TrackerContext
+from sylpose.tracking.frame import CameraFrame, FrameMatches, SolvedFrame, drop_background, match_frames
+from sylpose.tracking.joint_state import JointState
+from sylpose.tracking.keyframes import add_keyframe, select_references
 from sylpose.tracking.klt_frontend import (
-    FEATURES,
+    N_ANCHOR_FEATURES,
     Anchor,
     CameraAnchor,
-    Followed,
-    Renewal,
-    begin_anchor,
-    some_of,
-    with_new,
+    NextAnchor,
+    TrackedFeatures,
+    append_new_features,
+    create_anchor,
+    select_tracked,
 )
-from sylpose.tracking.observations import cut, sights_of
-from sylpose.tracking.pose_search import KLT_FEATURES, Found
-from sylpose.tracking.region import polygon_mask
-from sylpose.tracking.reobserved import SeenAgain
+from sylpose.tracking.observations import build_observations, split_by_pair
+from sylpose.tracking.pose_search import MAX_KLT_FEATURES, PoseCandidate
+from sylpose.tracking.region import rasterize_outline
+from sylpose.tracking.reobserved import ReobservedFeatures
 
-__all__ = ["begun", "joined", "looked_for", "wants"]
+__all__ = ["begin_preparation", "can_prepare", "find_new_features", "join_anchor"]
 
-# Frames until what is found in one joins: at 30 per second the time that it takes on a processor with other work (choice).
-LATER = 7
-# Noise of a match by which it is judged, pixels, at least (choice).
-NOISE_PX = 1.0
-
-
-def wants(joint: Joint) -> bool:
-    """Whether the last frame, one that was solved by followed features alone, is one that may be the next anchor."""
-    return joint.renewal is None and joint.proven and not joint.object.guessed
+# Delay in frames until the new features are added: at 30 frames per second the time needed on a busy processor
+# (choice).
+JOIN_DELAY = 7
+# Minimum noise by which a match is judged, pixels (choice).
+MIN_NOISE_PX = 1.0
 
 
-def begun(team: Team, joint: Joint, frames: FrameSet, found: Found) -> Joint:
-    """New features are looked for in the frame just solved."""
-    assert found.followed is not None
-    last, followed = joint.base, found.followed
+def can_prepare(state: JointState) -> bool:
+    """Return whether the last frame may become the next anchor."""
+    return state.next_anchor_number is None and state.has_moved and not state.object.is_depth_guessed
 
-    def begin_for(c: int) -> None:
-        part, its = team.parts[c], followed[c]
-        part.renewal = None
-        if its.image is None:
+
+def begin_preparation(
+    context: TrackerContext, state: JointState, frames: FrameSet, candidate: PoseCandidate
+) -> JointState:
+    """Start detecting new features in the last solved frame."""
+    assert candidate.tracked is not None
+    last, tracked = state.last_frame, candidate.tracked
+
+    def begin_in_camera(c: int) -> None:
+        camera_tracker, tracked_features = context.camera_trackers[c], tracked[c]
+        camera_tracker.next_anchor = None
+        if tracked_features.image is None:
             return
-        keyframes = references_of(joint.keyframes, c, last.viewpoints[c], last)
-        references = {k.number: part.frames[k.number].features for k in keyframes}
-        where = _where(found.regions[c], frames.masks[c], part.camera)
-        looking = Later(
-            looked_for, its.image, part.camera, where, joint.starves, its, part.surroundings, part.still_px, references
+        keyframes = select_references(state.keyframes, c, last.viewpoints[c], last)
+        references = {k.number: camera_tracker.frames[k.number].features for k in keyframes}
+        area = _search_area(candidate.regions[c], frames.masks[c], camera_tracker.camera)
+        detection = BackgroundResult(
+            find_new_features,
+            tracked_features.image,
+            camera_tracker.camera,
+            area,
+            state.is_feature_poor,
+            tracked_features,
+            camera_tracker.background_features,
+            camera_tracker.static_px,
+            references,
         )
-        part.renewal = Renewal(last.number, its.image, found.rig.cameras[c], len(its), its.rows, looking)
+        camera_tracker.next_anchor = NextAnchor(
+            last.number,
+            tracked_features.image,
+            candidate.rig.cameras[c],
+            len(tracked_features),
+            tracked_features.rows,
+            detection,
+        )
 
-    team.crew.each(begin_for)
-    return replace(joint, renewal=last.number)
+    context.executor.map_cameras(begin_in_camera)
+    return replace(state, next_anchor_number=last.number)
 
 
-def _where(region: Region, mask: BoolArray | None, camera: Camera) -> BoolArray:
-    where = polygon_mask(region, camera.size)
-    return where if mask is None else where & mask
+def _search_area(region: Region, mask: BoolArray | None, camera: Camera) -> BoolArray:
+    area = rasterize_outline(region, camera.size)
+    return area if mask is None else area & mask
 
 
-def looked_for(
+def find_new_features(
     image: Image,
     camera: Camera,
-    where: BoolArray,
+    area: BoolArray,
     faint: bool,
-    followed: Followed,
-    surroundings: Features,
-    still_px: float,
+    tracked: TrackedFeatures,
+    background_features: Features,
+    static_px: float,
     references: dict[int, Features],
 ) -> tuple[Features, dict[int, IntArray]]:
-    """New features in an area (h, w) of an image, and their matches with those of earlier frames, by number.
+    """Detect new features in an area (h, w) of an image and match them with earlier frames.
 
     Args:
-        faint: whether faint ones are asked for.
+        faint: whether low-contrast features are included.
+        tracked: tracked features, which are not detected again.
+        background_features: known background features.
+        references: features of earlier frames, by number.
+
+    Returns:
+        the new features; by frame number, match indices (m, 2).
     """
-    detected = detect(image, camera, where, ALL_FEATURES if faint else KLT_FEATURES, faint=faint)
-    new = with_new(followed, detected, seen_before(detected, surroundings, still_px), FEATURES)
-    new = new.subset(np.arange(len(followed), len(new)))
+    detected = detect_features(image, camera, area, MAX_FAINT_FEATURES if faint else MAX_KLT_FEATURES, faint=faint)
+    new = append_new_features(
+        tracked, detected, find_static_features(detected, background_features, static_px), N_ANCHOR_FEATURES
+    )
+    new = new.subset(np.arange(len(tracked), len(new)))
     return new, {number: match_features(features, new) for number, features in references.items()}
 
 
-def joined(team: Team, joint: Joint, number: int) -> Joint:
-    """With the next anchor, once it is to be there in the frame with this number; else as it was."""
-    if joint.renewal is None or number < joint.renewal + LATER or joint.renewal not in joint.known:
-        return joint
-    frame = joint.known[joint.renewal]
-    team.crew.each(lambda c: _join(team.parts[c], joint, frame), long=True)
-    keyframes = tuple(sorted(with_keyframe(joint.keyframes, frame), key=lambda k: k.number))
-    return replace(joint, anchor=Anchor(frame, joint.base.number - frame.number), keyframes=keyframes, renewal=None)
+def join_anchor(context: TrackerContext, state: JointState, number: int) -> JointState:
+    """Switch to the next anchor once it is due in the frame with this number."""
+    if (
+        state.next_anchor_number is None
+        or number < state.next_anchor_number + JOIN_DELAY
+        or state.next_anchor_number not in state.known_frames
+    ):
+        return state
+    frame = state.known_frames[state.next_anchor_number]
+    context.executor.map_cameras(lambda c: _join_camera(context.camera_trackers[c], state, frame), is_slow=True)
+    keyframes = tuple(sorted(add_keyframe(state.keyframes, frame), key=lambda k: k.number))
+    return replace(
+        state,
+        anchor=Anchor(frame, state.last_frame.number - frame.number),
+        keyframes=keyframes,
+        next_anchor_number=None,
+    )
 
 
-def _join(part: CameraPart, joint: Joint, frame: SolvedFrame) -> None:
-    """One camera's side of `joined`: the frame has the new features as well, and its features are followed from now on."""
-    its, old, before = part.renewal, part.frames[frame.number], part.anchor
-    part.renewal = None
-    if its is None or before is None or its.number != frame.number or its.known != len(old.features):
-        # It saw nothing of the frame, or was not believed.
-        part.anchor = begin_anchor(frame.number, old, None, None)
+def _join_camera(camera_tracker: CameraTracker, state: JointState, frame: SolvedFrame) -> None:
+    """Add the new features to one camera's frame and track them from now on."""
+    next_anchor, old, previous_anchor = (
+        camera_tracker.next_anchor,
+        camera_tracker.frames[frame.number],
+        camera_tracker.anchor,
+    )
+    camera_tracker.next_anchor = None
+    if (
+        next_anchor is None
+        or previous_anchor is None
+        or next_anchor.number != frame.number
+        or next_anchor.n_tracked != len(old.features)
+    ):
+        # The camera had no image of the frame, or was rejected.
+        camera_tracker.anchor = create_anchor(frame.number, old, None, None)
         return
-    features, matches = its.found.value()
-    new, pose, radius = part.frame(features), frame.world_from_object, joint.object.radius
+    features, matches = next_anchor.result.value()
+    new_frame, pose, radius = camera_tracker.create_frame(features), frame.world_from_object, state.object.radius
     pairs = []
     for number, indices in matches.items():
-        if number in part.frames and number in joint.known:
-            pair = match_pair(number, part.frames[number], new, indices)
-            then = joint.known[number].world_from_object
-            pairs.append(without_background(pair, new, its.camera, then, pose, radius))
-    seen = _agreeing(its.camera, [pair for pair in pairs if len(pair)], new, frame, radius)
-    part.learn(new, its.camera, pose, seen, joint.object.points, radius)
-    both = CameraFrame(
+        if number in camera_tracker.frames and number in state.known_frames:
+            pair = match_frames(number, camera_tracker.frames[number], new_frame, indices)
+            reference_pose = state.known_frames[number].world_from_object
+            pairs.append(drop_background(pair, new_frame, next_anchor.camera, reference_pose, pose, radius))
+    reobserved = _select_agreeing(next_anchor.camera, [pair for pair in pairs if len(pair)], new_frame, frame, radius)
+    camera_tracker.update_landmarks(new_frame, next_anchor.camera, pose, reobserved, state.object.points, radius)
+    merged = CameraFrame(
         Features.concatenate([old.features, features]),
-        np.concatenate([old.background, new.background]),
-        part.table,
-        np.concatenate([old.numbers, new.numbers]),
-        part.still_px,
+        np.concatenate([old.background, new_frame.background]),
+        camera_tracker.table,
+        np.concatenate([old.landmark_ids, new_frame.landmark_ids]),
+        camera_tracker.static_px,
     )
-    part.frames[frame.number] = both
-    part.anchor = _followed_since(its, new, both, frame, joint.base, before)
+    camera_tracker.frames[frame.number] = merged
+    camera_tracker.anchor = _track_to_last_image(
+        next_anchor, new_frame, merged, frame, state.last_frame, previous_anchor
+    )
 
 
-def _agreeing(camera: Camera, pairs: list[Pair], new: CameraFrame, frame: SolvedFrame, radius: float) -> SeenAgain:
-    """What of a camera's matches agrees with its frame's pose."""
+def _select_agreeing(
+    camera: Camera, pairs: list[FrameMatches], new: CameraFrame, frame: SolvedFrame, radius: float
+) -> ReobservedFeatures:
+    """Select a camera's matches that agree with its frame's pose."""
     if not pairs:
-        return SeenAgain.none()
-    sights, _ = sights_of(camera, pairs, new, frame)
-    stacked = stack([replace(sights, trust=np.ones(len(sights.trust)))])
-    own = own_of(stacked)
-    camera_terms(stacked, 0, np.eye(3), np.zeros(3), NOISE_PX, True, own, np.empty((6, 7)))
-    return SeenAgain.of(pairs, cut(own.weights, own.across * camera.focal, pairs), new.still_px, radius)
+        return ReobservedFeatures.empty()
+    observations, _ = build_observations(camera, pairs, new, frame)
+    stacked = stack_matches([replace(observations, prior_weight=np.ones(len(observations.prior_weight)))])
+    terms = make_camera_state(stacked)
+    compute_camera_terms(stacked, 0, np.eye(3), np.zeros(3), MIN_NOISE_PX, True, terms, np.empty((6, 7)))
+    return ReobservedFeatures.from_matches(
+        pairs, split_by_pair(terms.weights, terms.cross_residual * camera.focal, pairs), new.static_px, radius
+    )
 
 
-def _followed_since(
-    its: Renewal, new: CameraFrame, both: CameraFrame, frame: SolvedFrame, last: SolvedFrame, before: CameraAnchor
+def _track_to_last_image(
+    next_anchor: NextAnchor,
+    new_features: CameraFrame,
+    merged: CameraFrame,
+    frame: SolvedFrame,
+    last: SolvedFrame,
+    previous_anchor: CameraAnchor,
 ) -> CameraAnchor:
-    """The frame's features as they are in the last image: those that were followed all the time are where they are, the new
-    ones are followed from there in one go.
+    """Track the frame's features to the last image and create the anchor.
+
+    Features with tracks keep their present pixels; new ones are tracked from the frame in a single step.
 
     Args:
-        before: the anchor until now.
+        next_anchor: the prepared anchor's data.
+        new_features, merged: the frame's new features; all its features, tracked ones first.
+        frame, last: the anchor's frame; the last solved frame.
+        previous_anchor: the anchor until now.
     """
-    tracks, fresh = before.tracks.subset(its.rows), begin(its.image, new.features.pixels)
-    alive = some_of(np.concatenate([before.alive[its.rows], fresh.followed & ~new.background]), its.known)
-    alive[: its.known] = before.alive[its.rows]
-    if before.image is not None:
-        means = new.landmarks.mean
-        then, now = (its.camera.project(at.world_from_object.apply(means)) for at in (frame, last))
-        fresh = advance(fresh.keep(alive[its.known :]), its.image, before.image, fresh.pixels + now - then)
-    alive[its.known :] &= fresh.followed
-    return CameraAnchor(frame.number, both, tracks.join(fresh), alive, before.image)
+    tracks, new_tracks = (
+        previous_anchor.tracks.subset(next_anchor.rows),
+        start_tracks(next_anchor.image, new_features.features.pixels),
+    )
+    alive = select_tracked(
+        np.concatenate([previous_anchor.is_alive[next_anchor.rows], new_tracks.tracked & ~new_features.background]),
+        next_anchor.n_tracked,
+    )
+    alive[: next_anchor.n_tracked] = previous_anchor.is_alive[next_anchor.rows]
+    if previous_anchor.image is not None:
+        means = new_features.landmarks.mean
+        start_pixels, end_pixels = (
+            next_anchor.camera.project(solved.world_from_object.apply(means)) for solved in (frame, last)
+        )
+        new_tracks = track_features(
+            new_tracks.keep(alive[next_anchor.n_tracked :]),
+            next_anchor.image,
+            previous_anchor.image,
+            new_tracks.pixels + end_pixels - start_pixels,
+        )
+    alive[next_anchor.n_tracked :] &= new_tracks.tracked
+    return CameraAnchor(frame.number, merged, tracks.concatenate(new_tracks), alive, previous_anchor.image)

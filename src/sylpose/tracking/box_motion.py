@@ -1,7 +1,7 @@
-"""In boxes, until the object has moved: whether it is the object that moves, or something else in them.
+"""Motion in boxes before the object has moved: that of the object, or of something else.
 
-A box holds more than the object. Somebody who passes by behind it is seen at the box's edges, around the object; a wall is
-seen there, too. The object is at the middle: what the middle does is what it does.
+A box contains more than the object. A person passing behind it, or a wall, is visible near the box's edges. The object
+is at the center, so motion at the center is the object's.
 """
 
 from __future__ import annotations
@@ -13,68 +13,74 @@ import numpy as np
 from sylpose.features.sift import Features
 from sylpose.geometry.arrays import BoolArray
 from sylpose.landmarks.landmark_filter import Landmarks
-from sylpose.tracking.context import Region, Team
-from sylpose.tracking.frame import CameraFrame, Frame, Pair, away
-from sylpose.tracking.joint_state import MIN_MOVED, Joint
-from sylpose.tracking.reports import Middle
+from sylpose.tracking.context import Region, TrackerContext
+from sylpose.tracking.frame import CameraFrame, Frame, FrameMatches, measure_displacement
+from sylpose.tracking.joint_state import MIN_MOVED_FEATURES, JointState
+from sylpose.tracking.reports import BoxMotionReport
 
-__all__ = ["in_the_middle", "middle_stands", "still_ones"]
+__all__ = ["count_center_features", "is_box_center_static", "select_static_matches"]
 
-# The middle of a box is this share of its width and height (choice).
-MIDDLE = 0.5
-# It stands where it stands still by itself, and is displaced by less than this share of what moves, both medians (choice:
-# a body that turns about itself moves its middle by some third).
-STANDS = 0.15
+# The center of a box is this share of its width and height (choice).
+CENTER_RATIO = 0.5
+# The center is static if its displacement is within the noise and below this share of that of moving features, both
+# medians (choice: a body rotating about itself moves its center by about a third).
+MAX_CENTER_MOTION_RATIO = 0.15
 
 
-def middle_stands(team: Team, joint: Joint, frame: Frame, pairs: Sequence[Sequence[Pair]]) -> bool:
-    """Whether something moves in the boxes, and what is at their middle does not, in most cameras that see it.
+def is_box_center_static(
+    context: TrackerContext, state: JointState, frame: Frame, pairs: Sequence[Sequence[FrameMatches]]
+) -> bool:
+    """Return whether something moves in the boxes but not at their centers, in most cameras.
 
     Args:
-        pairs: by camera, each its own: the frame's matches.
+        pairs: per camera, local: the frame's matches.
     """
-    first = joint.keyframes[0].world_from_object
-    points = first.apply(joint.object.points)
+    first = state.keyframes[0].world_from_object
+    points = first.apply(state.object.points)
 
-    def of(c: int) -> Middle:
-        outline = team.rig.cameras[c].project(points)
+    def create_report(c: int) -> BoxMotionReport:
+        outline = context.rig.cameras[c].project(points)
         outline = outline[np.isfinite(outline).all(axis=1)]
         if not len(outline) or not pairs[c]:
-            return Middle.none()
+            return BoxMotionReport.empty()
         low, high = outline.min(axis=0), outline.max(axis=0)
-        known = Landmarks.concatenate([pair.landmarks for pair in pairs[c]])
-        shift = away(known, np.concatenate([pair.pixels_j for pair in pairs[c]]))
-        off = np.abs(known.origin - 0.5 * (low + high)) / np.maximum(0.5 * (high - low), 1e-9)
-        middle, moved = (off < MIDDLE).all(axis=1), shift > frame.cameras[c].still_px
+        landmarks = Landmarks.concatenate([pair.landmarks for pair in pairs[c]])
+        displacement = measure_displacement(landmarks, np.concatenate([pair.pixels_j for pair in pairs[c]]))
+        offset = np.abs(landmarks.origin - 0.5 * (low + high)) / np.maximum(0.5 * (high - low), 1e-9)
+        is_center, is_moving = (offset < CENTER_RATIO).all(axis=1), displacement > frame.cameras[c].static_px
         feature = np.concatenate([pair.indices[:, 1] for pair in pairs[c]])
-        counts = [len(np.unique(feature[some])) for some in (middle, moved)]
-        pixels = [float(np.median(shift[some])) if some.any() else np.nan for some in (middle, moved)]
-        return Middle(counts[0], pixels[0], pixels[0] <= frame.cameras[c].still_px, counts[1], pixels[1])
+        counts = [len(np.unique(feature[some])) for some in (is_center, is_moving)]
+        pixels = [float(np.median(displacement[some])) if some.any() else np.nan for some in (is_center, is_moving)]
+        return BoxMotionReport(counts[0], pixels[0], pixels[0] <= frame.cameras[c].static_px, counts[1], pixels[1])
 
-    told = team.crew.ask(of, Middle.none())
-    moving = [middle.moved_px for middle in told if middle.moved >= MIN_MOVED]
-    seeing = [middle for middle in told if middle.seen >= MIN_MOVED]
-    least = STANDS * float(np.median(moving)) if moving else 0.0
-    return 2 * sum(middle.still and middle.middle_px < least for middle in seeing) > len(seeing)
+    reports = context.executor.all_gather(create_report, BoxMotionReport.empty())
+    displacements = [middle.moving_displacement_px for middle in reports if middle.n_moving >= MIN_MOVED_FEATURES]
+    usable = [middle for middle in reports if middle.n_center >= MIN_MOVED_FEATURES]
+    max_displacement = MAX_CENTER_MOTION_RATIO * float(np.median(displacements)) if displacements else 0.0
+    return 2 * sum(
+        middle.is_center_static and middle.center_displacement_px < max_displacement for middle in usable
+    ) > len(usable)
 
 
-def in_the_middle(team: Team, c: int, features: Features, region: Region) -> int:
-    """How many of a camera's features are in the middle of the object's region."""
+def count_center_features(context: TrackerContext, c: int, features: Features, region: Region) -> int:
+    """Count a camera's features in the center of the object's region."""
     if region is None:
         return 0
     middle = region.mean(axis=0)
-    return int(team.parts[c].inside(features, middle + MIDDLE * (region - middle)).sum())
+    return int(context.camera_trackers[c].find_inside(features, middle + CENTER_RATIO * (region - middle)).sum())
 
 
-def still_ones(team: Team, frame: Frame, pairs: Sequence[Sequence[Pair]]) -> list[list[Pair]]:
-    """By camera, each its own: the matches of what is where it was seen first."""
+def select_static_matches(
+    context: TrackerContext, frame: Frame, pairs: Sequence[Sequence[FrameMatches]]
+) -> list[list[FrameMatches]]:
+    """Select matches of features that have not moved since they were first observed; per camera, local."""
 
-    def of(c: int) -> list[Pair]:
-        kept = [pair.subset(_stands(pair, frame.cameras[c])) for pair in pairs[c]]
+    def select_in_camera(c: int) -> list[FrameMatches]:
+        kept = [pair.subset(_is_static(pair, frame.cameras[c])) for pair in pairs[c]]
         return [pair for pair in kept if len(pair)]
 
-    return team.crew.each(of)
+    return context.executor.map_cameras(select_in_camera)
 
 
-def _stands(pair: Pair, current: CameraFrame) -> BoolArray:
-    return np.asarray(away(pair.landmarks, pair.pixels_j) <= current.still_px)
+def _is_static(pair: FrameMatches, current: CameraFrame) -> BoolArray:
+    return np.asarray(measure_displacement(pair.landmarks, pair.pixels_j) <= current.static_px)

@@ -1,7 +1,7 @@
-"""One camera's part of the tracker: what it sees in its own images, and all that it remembers of the object.
+"""Tracker of one camera: feature detection in its own images and its memory of the object.
 
-It is asked with what all cameras know alike (a pose, the object's radius, numbers of frames) and sees nothing of other
-cameras. What it finds is its own; what it tells the others of it are `records`.
+Its inputs are shared by all cameras (a pose, the object's radius, frame numbers). It has no access to other cameras'
+data and sends them only `reports`.
 """
 
 from __future__ import annotations
@@ -13,342 +13,403 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.features.sift import ALL_FEATURES, MAX_FEATURES, Features, detect, seen_before
+from sylpose.features.sift import MAX_FAINT_FEATURES, MAX_FEATURES, Features, detect_features, find_static_features
 from sylpose.geometry.arrays import BoolArray, FloatArray, Image
-from sylpose.landmarks.landmark_filter import Landmarks, learn_landmarks
+from sylpose.landmarks.landmark_filter import Landmarks, update_landmarks
 from sylpose.landmarks.landmark_table import LandmarkTable
-from sylpose.matches import STILL_PX
+from sylpose.matches import STATIC_PX
 from sylpose.rig import Camera
-from sylpose.tracking.camera_motion_detection import View, Watch
+from sylpose.tracking.camera_motion_detection import CameraMotionDetector, View
 from sylpose.tracking.frame import (
     CameraFrame,
-    Pair,
+    DetectedFeatures,
+    FrameMatches,
     SolvedFrame,
-    Sought,
-    learn_background,
-    match_pair,
-    pair_near,
-    standing,
+    find_background,
+    mark_background,
+    match_frames,
+    match_near_pose,
 )
-from sylpose.tracking.klt_frontend import CameraAnchor, Followed, Renewal, begin_anchor, follow, gone_on
-from sylpose.tracking.region import polygon_mask
-from sylpose.tracking.reobserved import KNOWN_DEPTH, SeenAgain
+from sylpose.tracking.klt_frontend import (
+    CameraAnchor,
+    NextAnchor,
+    TrackedFeatures,
+    advance_anchor,
+    create_anchor,
+    track_anchor,
+)
+from sylpose.tracking.region import rasterize_outline
+from sylpose.tracking.reobserved import SURFACE_DEPTH_SD_RATIO, ReobservedFeatures
 
-__all__ = ["CameraPart", "is_large", "still_of"]
+__all__ = ["CameraTracker", "compute_static_px", "is_large"]
 
-# So many of them show it better than what the boxes allow (choice).
-MIN_SURFACE = 20
-# What is displaced by so many standard deviations of a camera's keypoints has moved; no camera is taken to be worse than
-# this, pixels (choice).
-STILL_SIGMAS, MOST_STILL_PX = 5.0, 6.0
-# Features that are remembered as background (choice).
-MOST_SURROUNDINGS = 8000
-# The noise is a mean over about so many frames (choice).
-NOISE_MEMORY = 5
-# Where what is found is found by chance: beside where it should be, in reaches (choice).
-BESIDE = ((6.0, 0.0), (0.0, 6.0), (-6.0, 0.0), (0.0, -6.0))
-# Images with more pixels than Full HD are made smaller where all of them is searched: what is found there is looked at anew
-# in full (choice).
-SEARCH_PIXELS = 1920 * 1080
-# Around the object's outline its surroundings are looked at up to so many times its size (choice).
-SURROUNDINGS = 2.0
-# A feature this near to one that is known, pixels, is the same (choice).
-KNOWN_PLACE_PX = 1.5
+# With so many landmarks of known depth they describe the surface better than the volume inside the boxes (choice).
+MIN_SURFACE_LANDMARKS = 20
+# A feature has moved if displaced by so many standard deviations of the camera's keypoint noise, which is limited to
+# this maximum, pixels (choice).
+STATIC_SIGMAS, MAX_STATIC_PX = 5.0, 6.0
+# Maximum number of remembered background features (choice).
+MAX_BACKGROUND_FEATURES = 8000
+# The noise is averaged over about so many frames (choice).
+NOISE_AVERAGING_FRAMES = 5
+# Offsets at which matches occur by chance only, in search radii from the expected place (choice).
+CHANCE_OFFSETS = ((6.0, 0.0), (0.0, 6.0), (-6.0, 0.0), (0.0, -6.0))
+# Larger images than Full HD are downscaled where the whole image is searched; detection is repeated at full resolution
+# where something was found (choice).
+MAX_SEARCH_PIXELS = 1920 * 1080
+# The surroundings of the object's outline are searched up to so many times its size (choice).
+SURROUNDINGS_SCALE = 2.0
+# Features closer than this, pixels, are the same (choice).
+DUPLICATE_PX = 1.5
 
 
-def still_of(noise_px: float) -> float:
-    """What is displaced by less than this, pixels, stands still for all that keypoints of this noise can tell."""
-    return float(np.clip(STILL_SIGMAS * noise_px, STILL_PX, MOST_STILL_PX))
+def compute_static_px(noise_px: float) -> float:
+    """Return the displacement, pixels, below which keypoints of this noise are static."""
+    return float(np.clip(STATIC_SIGMAS * noise_px, STATIC_PX, MAX_STATIC_PX))
 
 
 def is_large(camera: Camera) -> bool:
-    """Whether a camera's images are searched reduced."""
+    """Return whether a camera's images are downscaled for searching."""
     width, height = camera.size
-    return width * height > SEARCH_PIXELS
+    return width * height > MAX_SEARCH_PIXELS
 
 
-class CameraPart:
-    """What one camera remembers.
+class CameraTracker:
+    """Tracker state of one camera.
 
     Attributes:
         index: in the rig.
         camera: its calibration.
         table: its landmarks.
-        frames: what it has of solved frames, by number: the keyframes, the last one and the anchor.
-        anchor: its side of the frame whose features are followed, if any; renewal: of the next one, while it is prepared.
-        surroundings: the first frame's features outside the object's region, and what was found to be background since:
-            what is later seen at the same place is background.
-        noise_px: of its keypoints, as the frames so far have it.
-        view: image and mask of the last solved frame, until all is found in it that there is.
-        watch: whether it stands, whatever becomes of the object.
-        sought: what it looked at last, in the present frame.
+        frames: its data of solved frames, by number: the keyframes, the last frame and the anchor.
+        anchor: its tracks of the anchor frame, if any.
+        next_anchor: those of the next anchor, while it is prepared.
+        background_features: those outside the object's region in the first frame, and those found later. Features
+            observed later at the same place are background.
+        noise_px: running estimate of keypoint noise.
+        view: image and mask of the last solved frame, until all features have been detected in it.
+        motion_detector: detects motion of the camera itself.
+        detections: features detected in the current frame.
     """
 
     def __init__(self, index: int, camera: Camera) -> None:
         self.index, self.camera = index, camera
         self.frames: dict[int, CameraFrame] = {}
         self.anchor: CameraAnchor | None = None
-        self.renewal: Renewal | None = None
-        self.surroundings = Features.none()
+        self.next_anchor: NextAnchor | None = None
+        self.background_features = Features.empty()
         self.table = LandmarkTable()
         self.noise_px = 0.0
         self.view: View = (None, None)
-        self.watch = Watch(camera)
-        self.sought = Sought()
+        self.motion_detector = CameraMotionDetector(camera)
+        self.detections = DetectedFeatures()
 
     @property
-    def still_px(self) -> float:
-        """What is displaced by less than this, pixels, stands still for all that the camera's keypoints can tell."""
-        return still_of(self.noise_px)
+    def static_px(self) -> float:
+        """Displacements below this are within the camera's keypoint noise, pixels."""
+        return compute_static_px(self.noise_px)
 
-    # --- seeing: nothing of it is remembered -------------------------------------------------------------------------
+    # --- detection and matching: state is not changed -----------------------------------------------------------------
 
     def detect(
         self,
         image: Image | None,
         mask: BoolArray | None,
-        where: BoolArray | None,
-        most: int = MAX_FEATURES,
+        area: BoolArray | None,
+        max_features: int = MAX_FEATURES,
         *,
         faint: bool = False,
         reduced: bool = False,
     ) -> Features:
-        """The features of an image, inside an area (h, w; None: everywhere) and the object's mask; the `most` strongest, or
-        with `faint` all. `reduced`: of a large area made smaller."""
+        """Detect features inside an area and the object's mask.
+
+        Args:
+            area: (h, w) area; None: the whole image.
+            max_features: maximum number of features, the strongest.
+            faint: whether to keep low-contrast features and ignore `max_features`.
+            reduced: whether to downscale a large area.
+        """
         if image is None:
-            return Features.none()
-        if where is None:
-            where = np.ones(self.camera.size[::-1], bool)
-        where = where if mask is None else where & mask
-        most = ALL_FEATURES if faint else most
-        return detect(image, self.camera, where, most, faint=faint, max_pixels=SEARCH_PIXELS if reduced else None)
+            return Features.empty()
+        if area is None:
+            area = np.ones(self.camera.size[::-1], bool)
+        area = area if mask is None else area & mask
+        max_features = MAX_FAINT_FEATURES if faint else max_features
+        return detect_features(
+            image, self.camera, area, max_features, faint=faint, max_pixels=MAX_SEARCH_PIXELS if reduced else None
+        )
 
     @property
     def is_large(self) -> bool:
-        """Whether its images are searched reduced."""
+        """Whether the camera's images are downscaled for searching."""
         return is_large(self.camera)
 
-    def closer(
+    def detect_at_full_res(
         self, image: Image | None, mask: BoolArray | None, features: Features, region: FloatArray | None, *, faint: bool
     ) -> Features:
-        """The features inside a region's outline (k, 2), by those of a search of the whole image: where that was reduced,
-        all that its own pixels show there."""
-        if image is None or not self.is_large:
-            return features.subset(self.inside(features, region))
-        return self.detect(image, mask, polygon_mask(region, self.camera.size), faint=faint)
+        """Return the features inside a region's outline (k, 2), detected at full resolution.
 
-    def told_apart(
+        Args:
+            features: of the whole image; used as they are unless the image was searched downscaled.
+        """
+        if image is None or not self.is_large:
+            return features.subset(self.find_inside(features, region))
+        return self.detect(image, mask, rasterize_outline(region, self.camera.size), faint=faint)
+
+    def split_foreground(
         self,
         image: Image | None,
         mask: BoolArray | None,
         features: Features,
         region: FloatArray | None,
-        stood: BoolArray,
+        is_static: BoolArray,
     ) -> tuple[Features, Features]:
-        """Those of the features of a whole image that may be the object's, inside a region's outline (k, 2), and the others:
-        those outside, and those of which it is known that they `stood` (n,)."""
-        mine = self.inside(features, region) & ~stood
-        if image is None or not self.is_large:
-            return features.subset(mine), features.subset(~mine)
-        found = self.closer(image, mask, features, region, faint=False)
-        still = seen_before(found, features.subset(stood), self.still_px)
-        return found.subset(~still), Features.concatenate([features.subset(~mine), found.subset(still)])
+        """Split a whole image's features into possible object features and background.
 
-    def around(
+        Args:
+            region: (k, 2) outline of the object.
+            is_static: (n,) which features are known to be static.
+
+        Returns:
+            features inside the region that may be the object's; all others.
+        """
+        is_foreground = self.find_inside(features, region) & ~is_static
+        if image is None or not self.is_large:
+            return features.subset(is_foreground), features.subset(~is_foreground)
+        detected = self.detect_at_full_res(image, mask, features, region, faint=False)
+        is_background = find_static_features(detected, features.subset(is_static), self.static_px)
+        return detected.subset(~is_background), Features.concatenate(
+            [features.subset(~is_foreground), detected.subset(is_background)]
+        )
+
+    def detect_surroundings(
         self, image: Image | None, mask: BoolArray | None, region: FloatArray | None, *, faint: bool
     ) -> Features:
-        """The features outside a region's outline (k, 2); of large images in full where they are near to it."""
-        where = ~polygon_mask(region, self.camera.size)
-        found = self.detect(image, mask, where, faint=faint, reduced=True)
+        """Detect features outside a region's outline (k, 2); in large images at full resolution near it."""
+        area = ~rasterize_outline(region, self.camera.size)
+        detected = self.detect(image, mask, area, faint=faint, reduced=True)
         if region is None or not self.is_large:
-            return found
+            return detected
         middle = region.mean(axis=0)
-        near = where & polygon_mask(middle + SURROUNDINGS * (region - middle), self.camera.size)
-        return Features.concatenate([found, self.detect(image, mask, near, faint=faint, reduced=True)])
+        near_area = area & rasterize_outline(middle + SURROUNDINGS_SCALE * (region - middle), self.camera.size)
+        return Features.concatenate([detected, self.detect(image, mask, near_area, faint=faint, reduced=True)])
 
-    def inside(self, features: Features, region: FloatArray | None) -> BoolArray:
-        """(n,) which features are inside a region's outline (k, 2)."""
+    def find_inside(self, features: Features, region: FloatArray | None) -> BoolArray:
+        """Return which features (n,) are inside a region's outline (k, 2)."""
         row, column = np.round(features.pixels).astype(np.int64).T[::-1]
-        return np.asarray(polygon_mask(region, self.camera.size)[row, column])
+        return np.asarray(rasterize_outline(region, self.camera.size)[row, column])
 
-    def frame(self, features: Features) -> CameraFrame:
-        """A frame to be solved; what the first frame has at the same place around the object is background."""
-        return CameraFrame(features, self.known_background(features), self.table, still_px=self.still_px)
+    def create_frame(self, features: Features) -> CameraFrame:
+        """Create a frame to be solved; features at the place of known background are marked."""
+        return CameraFrame(features, self.find_known_background(features), self.table, static_px=self.static_px)
 
-    def blind(self) -> CameraFrame:
-        """A frame of which nothing is seen."""
-        return self.frame(Features.none())
+    def create_empty_frame(self) -> CameraFrame:
+        """Create a frame without features."""
+        return self.create_frame(Features.empty())
 
-    def known_background(self, features: Features) -> BoolArray:
-        """(n,) features that the first frame had at the same place, outside the object's region."""
-        return seen_before(features, self.surroundings, self.still_px)
+    def find_known_background(self, features: Features) -> BoolArray:
+        """Return which features (n,) coincide with known background."""
+        return find_static_features(features, self.background_features, self.static_px)
 
-    def follow(
+    def track_anchor(
         self,
-        last: RigidTransform,
-        ahead: RigidTransform,
+        last_pose: RigidTransform,
+        predicted_pose: RigidTransform,
         image: Image | None,
         mask: BoolArray | None,
         radius: float,
-    ) -> Followed:
-        """The anchor's features in the next image. See `anchor.follow`."""
+    ) -> TrackedFeatures:
+        """Track the anchor's features in the next image. See `klt_frontend.track_anchor`."""
         assert self.anchor is not None
-        return follow(self.anchor, self.camera, last, ahead, image, mask, radius)
+        return track_anchor(self.anchor, self.camera, last_pose, predicted_pose, image, mask, radius)
 
-    def match(self, current: CameraFrame, references: Sequence[int]) -> list[Pair]:
-        """Matches by their looks with earlier frames, in this order: each passes on what it knows of the background, and the
-        next one uses it."""
-        pairs = [match_pair(number, self.frames[number], current) for number in references]
+    def match(self, current: CameraFrame, references: Sequence[int]) -> list[FrameMatches]:
+        """Match by descriptors with earlier frames, in the given order.
+
+        Each pair passes its known background on to the frame, and so to the next pair.
+        """
+        pairs = [match_frames(number, self.frames[number], current) for number in references]
         return [pair for pair in pairs if len(pair)]
 
     def match_near(
-        self, current: CameraFrame, references: Sequence[int], pose: RigidTransform, reach_px: float
-    ) -> list[Pair]:
-        """Matches with earlier frames of what is where it should be at a pose (world_from_object), within some pixels."""
-        pairs = [pair_near(number, self.frames[number], current, self.camera, pose, reach_px) for number in references]
+        self, current: CameraFrame, references: Sequence[int], pose: RigidTransform, radius_px: float
+    ) -> list[FrameMatches]:
+        """Match with landmarks of earlier frames near their projections.
+
+        Args:
+            pose: world_from_object.
+            radius_px: search radius, pixels.
+        """
+        pairs = [
+            match_near_pose(number, self.frames[number], current, self.camera, pose, radius_px) for number in references
+        ]
         return [pair for pair in pairs if len(pair)]
 
-    def evidence(
-        self, current: CameraFrame, references: Sequence[int], pose: RigidTransform, reach_px: float
+    def count_supporting_features(
+        self, current: CameraFrame, references: Sequence[int], pose: RigidTransform, radius_px: float
     ) -> tuple[int, float]:
-        """How many features look like landmarks that should be there at a pose, within some pixels; and how many do where
-        these should not be, by chance."""
+        """Count features that match landmarks near their projections, and those that match by chance.
+
+        Args:
+            pose: world_from_object.
+            radius_px: search radius, pixels.
+
+        Returns:
+            number of features near the projections; mean number at offset places.
+        """
 
         def count(dx: float, dy: float) -> int:
-            beside = dx * reach_px, dy * reach_px
+            offset = dx * radius_px, dy * radius_px
             pairs = [
-                pair_near(number, self.frames[number], current, self.camera, pose, reach_px, beside)
+                match_near_pose(number, self.frames[number], current, self.camera, pose, radius_px, offset)
                 for number in references
             ]
             return len(np.unique(np.concatenate([np.empty(0, np.int64), *(pair.indices[:, 1] for pair in pairs)])))
 
-        return count(0.0, 0.0), float(np.mean([count(*beside) for beside in BESIDE]))
+        return count(0.0, 0.0), float(np.mean([count(*chance_offset) for chance_offset in CHANCE_OFFSETS]))
 
-    # --- learning: once a frame is accepted --------------------------------------------------------------------------
+    # --- update after a frame is accepted -----------------------------------------------------------------------------
 
     def learn_background(
         self,
-        pairs: Sequence[Pair],
+        pairs: Sequence[FrameMatches],
         current: CameraFrame,
-        now: RigidTransform,
-        known: Mapping[int, SolvedFrame],
+        pose_j: RigidTransform,
+        known_frames: Mapping[int, SolvedFrame],
         radius: float,
     ) -> None:
-        """What stood still where the object, at `now` (world_from_object), had moved by then is background."""
+        """Mark features as background that were static while the object moved.
+
+        Args:
+            pose_j: the current world_from_object.
+        """
         before = current.background.copy()
         for pair in pairs:
-            pose = known[pair.reference].world_from_object
-            learn_background(pair, current, standing(pair, current, self.camera, pose, now, radius))
-        found = current.features.subset(current.background & ~before)
-        if len(self.surroundings) < MOST_SURROUNDINGS:
-            self.surroundings = Features.concatenate([self.surroundings, found])
+            pose_i = known_frames[pair.reference].world_from_object
+            mark_background(pair, current, find_background(pair, current, self.camera, pose_i, pose_j, radius))
+        background = current.features.subset(current.background & ~before)
+        if len(self.background_features) < MAX_BACKGROUND_FEATURES:
+            self.background_features = Features.concatenate([self.background_features, background])
 
-    def learn_noise(self, noise_px: float) -> None:
-        """What the features of another frame showed of the keypoints' noise; NaN: nothing."""
+    def update_noise(self, noise_px: float) -> None:
+        """Update the keypoint noise with another frame's; NaN: unchanged."""
         if np.isfinite(noise_px):
-            self.noise_px += (noise_px - self.noise_px) / (NOISE_MEMORY if self.noise_px else 1)
+            self.noise_px += (noise_px - self.noise_px) / (NOISE_AVERAGING_FRAMES if self.noise_px else 1)
 
-    def learn(
+    def update_landmarks(
         self,
         current: CameraFrame,
-        seen_from: Camera,
+        frame_camera: Camera,
         world_from_object: RigidTransform,
-        seen: SeenAgain,
+        reobserved: ReobservedFeatures,
         cloud: FloatArray,
         radius: float,
         bulge: float = 0.0,
     ) -> None:
-        """The landmarks of a solved frame.
+        """Update the landmarks with a solved frame.
 
         Args:
-            seen_from: the camera as it stood for this frame.
-            seen: those of its features that were seen before.
-            cloud: (n, 3) points on the object, object's frame, where too few landmarks tell where its surface is.
-            bulge: see `depth_prior`.
+            frame_camera: the camera, with its pose at this frame.
+            reobserved: features that were observed before.
+            cloud: (n, 3) points on the object, object's frame, used while too few landmarks describe its surface.
+            bulge: see `predict_depths`.
         """
-        surface = seen.surface if len(seen.surface) >= MIN_SURFACE else cloud
-        current.numbers = self.table.learn(
-            learn_landmarks(
-                current.features, seen_from, world_from_object, seen.known, seen.index, surface, radius, bulge
+        surface = reobserved.surface_points if len(reobserved.surface_points) >= MIN_SURFACE_LANDMARKS else cloud
+        current.landmark_ids = self.table.update(
+            update_landmarks(
+                current.features,
+                frame_camera,
+                world_from_object,
+                reobserved.landmarks,
+                reobserved.index,
+                surface,
+                radius,
+                bulge,
             )
         )
-        # What the earlier frames took for other landmarks is one.
-        for pair in seen.inliers:
-            pair.earlier.numbers[pair.indices[:, 0]] = current.numbers[pair.indices[:, 1]]
+        # Landmarks that earlier frames kept apart are merged.
+        for pair in reobserved.inliers:
+            pair.earlier.landmark_ids[pair.indices[:, 0]] = current.landmark_ids[pair.indices[:, 1]]
 
-    def relearnt(
-        self, number: int, seen_from: Camera, world_from_object: RigidTransform, cloud: FloatArray, radius: float
+    def reinitialize_landmarks(
+        self, number: int, frame_camera: Camera, world_from_object: RigidTransform, cloud: FloatArray, radius: float
     ) -> Landmarks:
-        """A frame's landmarks as if none of them had been seen elsewhere. See `learn`."""
-        frame, none = self.frames[number], SeenAgain.none()
-        new = learn_landmarks(frame.features, seen_from, world_from_object, none.known, none.index, cloud, radius)
-        return replace(new, id=frame.numbers)
+        """Compute a frame's landmarks as if they were observed in this frame only. See `update_landmarks`."""
+        frame, none = self.frames[number], ReobservedFeatures.empty()
+        new = update_landmarks(
+            frame.features, frame_camera, world_from_object, none.landmarks, none.index, cloud, radius
+        )
+        return replace(new, id=frame.landmark_ids)
 
-    def begin(self, number: int, first: CameraFrame, surroundings: Features, view: View) -> None:
-        """The first solved frame, with its image; the features around the object in it."""
+    def initialize(self, number: int, first: CameraFrame, background_features: Features, view: View) -> None:
+        """Start with the first solved frame, its image and the background features around the object."""
         self.frames, self.anchor, self.view = {number: first}, None, view
-        self.surroundings = surroundings
+        self.background_features = background_features
 
-    def enrich(
+    def add_remaining_features(
         self, number: int, pose: RigidTransform, region: FloatArray | None, cloud: FloatArray, radius: float
     ) -> None:
-        """All that can still be found in the image of the last solved frame becomes features of it, once.
+        """Add all remaining features in the last solved frame's image to that frame, once.
 
         Args:
-            pose: its world_from_object; region: (k, 2) the object's outline in it, None out of sight.
-            cloud: (n, 3) points on the object, object's frame, where too few landmarks tell where its surface is.
+            number: of the frame.
+            pose: its world_from_object.
+            region: (k, 2) the object's outline in it, None if out of view.
+            cloud: (n, 3) points on the object, object's frame, used while too few landmarks describe its surface.
         """
         (image, mask), self.view = self.view, (None, None)
         old = self.frames[number]
-        found = self.detect(image, mask, polygon_mask(region, self.camera.size), faint=True)
-        if len(found) and len(old.features):
-            found = found.subset(cKDTree(old.features.pixels).query(found.pixels)[0] > KNOWN_PLACE_PX)
-        if not len(found):
+        detected = self.detect(image, mask, rasterize_outline(region, self.camera.size), faint=True)
+        if len(detected) and len(old.features):
+            detected = detected.subset(cKDTree(old.features.pixels).query(detected.pixels)[0] > DUPLICATE_PX)
+        if not len(detected):
             return
-        known, none = old.landmarks, SeenAgain.none()
-        surface = known.mean[known.depth_sd < KNOWN_DEPTH * radius]
-        cloud = surface if len(surface) >= MIN_SURFACE else cloud
-        new = learn_landmarks(found, self.camera, pose, none.known, none.index, cloud, radius)
+        known, none = old.landmarks, ReobservedFeatures.empty()
+        surface = known.mean[known.depth_sd < SURFACE_DEPTH_SD_RATIO * radius]
+        cloud = surface if len(surface) >= MIN_SURFACE_LANDMARKS else cloud
+        new = update_landmarks(detected, self.camera, pose, none.landmarks, none.index, cloud, radius)
         self.frames[number] = CameraFrame(
-            Features.concatenate([old.features, found]),
-            np.concatenate([old.background, self.known_background(found)]),
+            Features.concatenate([old.features, detected]),
+            np.concatenate([old.background, self.find_known_background(detected)]),
             self.table,
-            np.concatenate([old.numbers, self.table.learn(new)]),
+            np.concatenate([old.landmark_ids, self.table.update(new)]),
         )
 
-    def keep(self, number: int, current: CameraFrame, numbers: set[int], view: View) -> None:
-        """A solved frame, with its image; of those with other numbers than these nothing is kept."""
+    def store_frame(self, number: int, current: CameraFrame, kept_numbers: set[int], view: View) -> None:
+        """Store a solved frame and its image; discard frames whose numbers are not listed."""
         self.frames[number], self.view = current, view
-        self.frames = {k: frame for k, frame in self.frames.items() if k in numbers}
-        self.table.keep(np.concatenate([frame.numbers for frame in self.frames.values()]))
+        self.frames = {k: frame for k, frame in self.frames.items() if k in kept_numbers}
+        self.table.prune(np.concatenate([frame.landmark_ids for frame in self.frames.values()]))
 
-    def anchor_at(self, number: int, image: Image | None, before: Followed | None) -> None:
-        """A solved frame becomes the anchor. See `anchor.begin_anchor`."""
-        self.anchor, self.renewal = begin_anchor(number, self.frames[number], image, before), None
+    def set_anchor(self, number: int, image: Image | None, tracked: TrackedFeatures | None) -> None:
+        """Make a solved frame the anchor. See `klt_frontend.create_anchor`."""
+        self.anchor, self.next_anchor = create_anchor(number, self.frames[number], image, tracked), None
 
-    def go_on(self, followed: Followed, pairs: Sequence[Pair], weights: Sequence[FloatArray]) -> None:
-        """A frame was solved by the anchor's features alone."""
-        self.anchor = gone_on(followed, pairs, weights)
+    def advance_anchor(
+        self, tracked: TrackedFeatures, pairs: Sequence[FrameMatches], weights: Sequence[FloatArray]
+    ) -> None:
+        """Update the anchor after a frame solved by its tracked features alone."""
+        self.anchor = advance_anchor(tracked, pairs, weights)
 
     @property
-    def knows(self) -> bool:
-        """Whether it has seen anything of the object that it would know again."""
+    def has_observations(self) -> bool:
+        """Whether it has observations by which it could recognize the object."""
         return any(len(frame.features) for frame in self.frames.values())
 
-    def constants(self) -> list[object]:
-        """What it holds that is never written to."""
-        anchor, watch = self.anchor, self.watch
+    def list_immutable(self) -> list[object]:
+        """List the objects of its state that are never modified."""
+        anchor, watch = self.anchor, self.motion_detector
         of_anchor = () if anchor is None else (anchor.tracks, anchor.image, anchor.frame.features)
-        features = (self.surroundings, *(frame.features for frame in self.frames.values()))
-        return [self.camera, self.view, self.renewal, watch.backdrop, watch.steady, *of_anchor, *features]
+        features = (self.background_features, *(frame.features for frame in self.frames.values()))
+        return [self.camera, self.view, self.next_anchor, watch.background, watch.stabilizer, *of_anchor, *features]
 
-    def look_anew(self) -> None:
-        """Another frame: nothing was looked at in it yet."""
-        self.sought = Sought()
+    def begin_frame(self) -> None:
+        """Clear the detected features at the start of a frame."""
+        self.detections = DetectedFeatures()
 
-    def forget(self) -> None:
-        """Everything: the object is looked for anew."""
-        self.frames, self.anchor, self.surroundings, self.view = {}, None, Features.none(), (None, None)
-        self.renewal = None
+    def reset(self) -> None:
+        """Discard everything known of the object."""
+        self.frames, self.anchor, self.background_features, self.view = {}, None, Features.empty(), (None, None)
+        self.next_anchor = None
         self.noise_px = 0.0
         self.table = LandmarkTable()

@@ -1,4 +1,8 @@
-"""The cameras as the joint part sees them, wherever they are."""
+"""Execution of per-camera work, in one process or distributed.
+
+Lists described as "per camera, local" have one entry per camera. In a distributed run a process sees only the entry of
+its own camera.
+"""
 
 from __future__ import annotations
 
@@ -7,71 +11,74 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Protocol, TypeVar
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.landmarks.alignment import Aligned, Sights, Start, align
+from sylpose.landmarks.alignment import AlignmentResult, AlignmentStart, LandmarkMatches, align
 
-__all__ = ["Alignment", "Crew", "OneProcess"]
+__all__ = ["Alignment", "CameraExecutor", "LocalExecutor"]
 
 T = TypeVar("T")
 
-# A pose; by camera, each its own, (weights, residuals) of its sights.
-Alignment = tuple[Aligned, list[tuple[FloatArray, FloatArray]]]
+# A pose and, per camera, local: (weights, residuals) of its observations.
+Alignment = tuple[AlignmentResult, list[tuple[FloatArray, FloatArray]]]
 
 
-class Crew(Protocol):
-    """What the joint part can have the cameras do. Each camera is named by its index in the rig.
+class CameraExecutor(Protocol):
+    """Interface for running functions on all cameras, named by their index in the rig.
 
-    Every camera that takes part runs the same joint part with the same questions in the same order, so a question need not
-    be sent: it is known what is asked. Answers are sent.
+    Every participating camera runs the same program and calls these methods in the same order. So only results are
+    sent, never requests.
     """
 
-    def each(self, do: Callable[[int], T], *, long: bool = False) -> list[T]:
-        """Each camera does something with what is its own, and keeps what comes of it.
+    def map_cameras(self, function: Callable[[int], T], *, is_slow: bool = False) -> list[T]:
+        """Run a function for each camera and keep each result with its camera.
 
         Args:
-            long: whether that takes milliseconds: cameras in one process do it side by side.
+            function: function of the camera's index; uses and changes only that camera's data.
+            is_slow: whether it takes milliseconds: cameras in one process then run in parallel.
 
         Returns:
-            by camera what came of it. Where a camera is elsewhere so is this: it may be handed on to that camera alone.
+            per camera, local: the results. In a distributed run a result may be passed on to the same camera only.
         """
 
-    def ask(self, do: Callable[[int], T], nothing: T) -> list[T]:
-        """Each camera tells all others something: `records`, or plain numbers and arrays.
+    def all_gather(self, function: Callable[[int], T], default: T) -> list[T]:
+        """Run a function for each camera and share the results with all cameras.
 
         Args:
-            nothing: what a camera says that sees nothing, and what is taken for the word of one that is not heard.
+            function: function of the camera's index; returns `reports`, numbers or arrays.
+            default: result of a camera without an image, also used in place of an excluded camera's result.
 
         Returns:
-            by camera, in the rig's order, the same everywhere.
+            per camera, in the rig's order: the results, identical on all cameras.
         """
 
-    def align(self, sights: Sequence[Sights], starts: Sequence[Start]) -> list[Alignment]:
-        """From each start the pose that all cameras' sights agree on best (`landmarks.alignment`).
+    def align(self, observations: Sequence[LandmarkMatches], starts: Sequence[AlignmentStart]) -> list[Alignment]:
+        """Estimate the pose that best fits all cameras' observations, from each start (`landmarks.alignment`).
 
         Args:
-            sights: by camera, each its own.
+            observations: per camera, local: observations of landmarks.
+            starts: initial poses.
         """
 
 
-class OneProcess:
-    """All cameras in one process, which work side by side in threads."""
+class LocalExecutor:
+    """Executor for all cameras in one process, with worker threads."""
 
     def __init__(self, cameras: int, workers: int) -> None:
         self._cameras = range(cameras)
         self._pool = ThreadPoolExecutor(workers)
 
     def close(self) -> None:
-        """End the threads."""
+        """Shut down the worker threads."""
         self._pool.shutdown()
 
-    def each(self, do: Callable[[int], T], *, long: bool = False) -> list[T]:
-        """See `Crew`. What is brief takes less time than handing it to a thread would."""
-        return list(self._pool.map(do, self._cameras)) if long else [do(c) for c in self._cameras]
+    def map_cameras(self, function: Callable[[int], T], *, is_slow: bool = False) -> list[T]:
+        """See `CameraExecutor`. Short tasks run in the calling thread, which costs less than handing them over."""
+        return list(self._pool.map(function, self._cameras)) if is_slow else [function(c) for c in self._cameras]
 
-    def ask(self, do: Callable[[int], T], nothing: T) -> list[T]:  # noqa: ARG002
-        """See `Crew`."""
-        return [do(c) for c in self._cameras]
+    def all_gather(self, function: Callable[[int], T], default: T) -> list[T]:  # noqa: ARG002
+        """See `CameraExecutor`."""
+        return [function(c) for c in self._cameras]
 
-    def align(self, sights: Sequence[Sights], starts: Sequence[Start]) -> list[Alignment]:
-        """See `Crew`."""
-        found = [align(sights, *start) for start in starts]
-        return [(one, list(zip(one.weights, one.residuals, strict=True))) for one in found]
+    def align(self, observations: Sequence[LandmarkMatches], starts: Sequence[AlignmentStart]) -> list[Alignment]:
+        """See `CameraExecutor`."""
+        aligned = [align(observations, *start) for start in starts]
+        return [(one, list(zip(one.weights, one.residuals, strict=True))) for one in aligned]

@@ -1,8 +1,8 @@
-"""Cameras that are bumped into while they record: named, and their images turned back.
+"""Correction of camera motion: detected rotations are reported and images rotated back.
 
-A camera whose background says that it was nudged (`watch`) is not heard until that is so in two frames in a row. From then
-on its images are turned back before anything else sees them: the camera stands where its calibration says, and all that was
-learnt before holds.
+A camera whose background shows a rotation (`camera_motion_detection`) is ignored until two consecutive frames give the
+same rotation. From then on its images are rotated back before any processing: its calibration and all landmarks stay
+valid.
 """
 
 from __future__ import annotations
@@ -14,74 +14,87 @@ import numpy as np
 
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import FloatArray
-from sylpose.tracking.camera_executor import Crew
-from sylpose.tracking.camera_motion_detection import PAUSE, View
-from sylpose.tracking.context import REGION_GROWTH, Team
-from sylpose.tracking.joint_state import Joint, Nudge
-from sylpose.tracking.region import region_polygon
-from sylpose.tracking.reports import Stance
+from sylpose.tracking.camera_executor import CameraExecutor
+from sylpose.tracking.camera_motion_detection import PAUSE_FRAMES, View
+from sylpose.tracking.context import REGION_MARGIN, TrackerContext
+from sylpose.tracking.joint_state import JointState, Nudge
+from sylpose.tracking.region import project_outline
+from sylpose.tracking.reports import CameraMotionReport
 from sylpose.tracking.tracked_frame import TrackedFrame
 
-__all__ = ["steadied", "with_nudges"]
+__all__ = ["add_nudge_faults", "compensate_camera_motion"]
 
 
-def steadied(team: Team, joint: Joint, frames: FrameSet) -> tuple[Joint, FrameSet]:
-    """The images as if no camera had been nudged, without those of cameras that seem to have been just now; and with the
-    nudges that have become certain."""
-    crew, n = team.crew, len(team.rig)
-    seen = crew.each(lambda c: team.parts[c].watch.seen(frames.images[c], frames.masks[c]))
-    center, points = joint.object.center, joint.object.points
+def compensate_camera_motion(
+    context: TrackerContext, state: JointState, frames: FrameSet
+) -> tuple[JointState, FrameSet]:
+    """Compensate camera rotations in the images and record newly confirmed ones.
+
+    Images of cameras with an unconfirmed rotation are removed.
+
+    Returns:
+        the state; the images.
+    """
+    executor, n = context.executor, len(context.rig)
+    stabilized = executor.map_cameras(
+        lambda c: context.camera_trackers[c].motion_detector.stabilize(frames.images[c], frames.masks[c])
+    )
+    center, points = state.object.center, state.object.points
     if center is not None:
-        points = points + center if joint.last is None else joint.predicted(frames.time).apply(points)
+        points = points + center if state.last is None else state.predict_pose(frames.time).apply(points)
 
-    def look(c: int) -> Stance:
-        def region() -> FloatArray | None:
-            return region_polygon(team.rig.cameras[c], points, REGION_GROWTH) if center is not None else None
+    def detect_motion(c: int) -> CameraMotionReport:
+        def project_region() -> FloatArray | None:
+            return project_outline(context.rig.cameras[c], points, REGION_MARGIN) if center is not None else None
 
-        return team.parts[c].watch.look(seen[c][0], region, frames.index)
+        return context.camera_trackers[c].motion_detector.detect(stabilized[c][0], project_region, frames.index)
 
-    told = crew.ask(look, Stance())
-    turned = [c for c, stance in enumerate(told) if stance.angle > 0]
-    if not turned:
-        return joint, _with(crew, frames, seen)
-    # What moves in most cameras at once is the object, or all of them; of one alone nobody knows, until it is known where
-    # the object is.
-    if sum(stance.odd for stance in told) > max(n // 2, 1) or (n == 1 and center is None):
-        crew.each(lambda c: team.parts[c].watch.forget(PAUSE) if c in turned else None)
-        return joint, _with(crew, frames, seen)
-    certain = [c for c in turned if told[c].certain]
+    reports = executor.all_gather(detect_motion, CameraMotionReport())
+    rotated = [c for c, report in enumerate(reports) if report.angle > 0]
+    if not rotated:
+        return state, _replace_images(executor, frames, stabilized)
+    # Motion in most cameras at once is that of the object, or of all cameras. With one camera the two cannot be
+    # distinguished until the object's position is known.
+    if sum(report.has_changed for report in reports) > max(n // 2, 1) or (n == 1 and center is None):
+        executor.map_cameras(
+            lambda c: context.camera_trackers[c].motion_detector.restart(PAUSE_FRAMES) if c in rotated else None
+        )
+        return state, _replace_images(executor, frames, stabilized)
+    confirmed = [c for c in rotated if reports[c].is_confirmed]
 
-    def heard(c: int) -> View:
-        if c in certain:
-            team.parts[c].watch.turn_back()
-            return team.parts[c].watch.seen(frames.images[c], frames.masks[c])
-        return (None, None) if c in turned else seen[c]
+    def correct_view(c: int) -> View:
+        if c in confirmed:
+            context.camera_trackers[c].motion_detector.apply_correction()
+            return context.camera_trackers[c].motion_detector.stabilize(frames.images[c], frames.masks[c])
+        return (None, None) if c in rotated else stabilized[c]
 
-    found = tuple(Nudge(c, told[c].since, told[c].turn, told[c].sd) for c in certain)
-    return replace(joint, nudges=(*joint.nudges, *found)), _with(crew, frames, crew.each(heard))
+    nudges = tuple(Nudge(c, reports[c].first_frame, reports[c].rotation, reports[c].sd) for c in confirmed)
+    return replace(state, nudges=(*state.nudges, *nudges)), _replace_images(
+        executor, frames, executor.map_cameras(correct_view)
+    )
 
 
-def with_nudges(team: Team, joint: Joint, decided: Sequence[TrackedFrame]) -> list[TrackedFrame]:
-    """Frames with the nudges up to then as faults; what is not known of how a camera was turned is not known of the pose."""
+def add_nudge_faults(context: TrackerContext, state: JointState, decided: Sequence[TrackedFrame]) -> list[TrackedFrame]:
+    """Add camera rotations up to each frame as faults, and their uncertainty to its pose."""
     out = []
     for tracked in decided:
-        before = [nudge for nudge in joint.nudges if nudge.frame <= tracked.pose.index]
+        before = [nudge for nudge in state.nudges if nudge.frame <= tracked.pose.index]
         pose = tracked.pose
         for nudge in before:
-            camera = team.rig.cameras[nudge.camera]
+            camera = context.rig.cameras[nudge.camera]
             covariance = pose.covariance
             if pose.world_from_object is not None:
-                far = np.linalg.norm(pose.world_from_object.translation - camera.center)
-                covariance = covariance + np.diag(np.repeat([nudge.sd**2, (nudge.sd * far) ** 2], 3))
-            said = (
+                distance = np.linalg.norm(pose.world_from_object.translation - camera.center)
+                covariance = covariance + np.diag(np.repeat([nudge.sd**2, (nudge.sd * distance) ** 2], 3))
+            fault = (
                 f"camera {camera.name} was nudged at frame {nudge.frame}: the background turned by "
                 f"{np.degrees(nudge.angle):.2g} degrees"
             )
-            pose = replace(pose, covariance=covariance, faults=(*pose.faults, said))
+            pose = replace(pose, covariance=covariance, faults=(*pose.faults, fault))
         out.append(replace(tracked, pose=pose, nudges=tuple(before)) if before else tracked)
     return out
 
 
-def _with(crew: Crew, frames: FrameSet, seen: Sequence[View]) -> FrameSet:
-    images, masks = crew.each(lambda c: seen[c][0]), crew.each(lambda c: seen[c][1])
+def _replace_images(executor: CameraExecutor, frames: FrameSet, views: Sequence[View]) -> FrameSet:
+    images, masks = executor.map_cameras(lambda c: views[c][0]), executor.map_cameras(lambda c: views[c][1])
     return replace(frames, images=tuple(images), masks=tuple(masks))

@@ -1,9 +1,8 @@
-"""Whether one camera stands, by its own background.
+"""Detection of one camera's motion from its own background.
 
-It watches corners all over its image (`features.static_background`). When nearly all of those that stood have moved
-by one rotation
-about the camera's centre, where the object is or may be apart, the camera was nudged. What becomes of that is decided with
-the others (`nudges`).
+Corners all over the image are observed (`features.static_background`). If nearly all static ones move by one rotation
+about the camera's center, outside the object's region, the camera was nudged. The decision is made with all cameras
+(`camera_motion_correction`).
 """
 
 from __future__ import annotations
@@ -13,139 +12,155 @@ from collections.abc import Callable
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sylpose.features.static_background import FEWEST, Backdrop, Steadied, Turn, alike, begin, turn_since
+from sylpose.features.static_background import (
+    MIN_CORNERS,
+    CameraRotation,
+    RotationRectifier,
+    StaticBackground,
+    detect_corners,
+    estimate_camera_rotation,
+    find_unchanged_corners,
+)
 from sylpose.geometry.arrays import BoolArray, FloatArray, Image
 from sylpose.rig import Camera
-from sylpose.tracking.region import polygon_mask
-from sylpose.tracking.reports import Stance
+from sylpose.tracking.region import rasterize_outline
+from sylpose.tracking.reports import CameraMotionReport
 
-__all__ = ["PAUSE", "View", "Watch"]
+__all__ = ["PAUSE_FRAMES", "CameraMotionDetector", "View"]
 
 # An image, and the object's mask (h, w) in it.
 View = tuple[Image | None, BoolArray | None]
 
-# A camera stands while so many of the corners that stood in the frame before look as they did (measured: of "background" in
-# benchmarks/kinds.py, 0.8 at least where it stands, less than 0.1 where it was nudged by a degree; 0.6 where an object that
-# fills half of the image starts).
-STANDS = 0.4
-# It was turned where so many corners and such a share of those asked agree on that, spread by such a share of its image, and
-# no more than such a share stands still (choice).
-LEAST, AGREE, SPREAD, STILL = 12, 0.6, 0.1, 0.1
-# A nudge is a displacement by so many pixels in the middle, and by so many standard deviations (choice).
-NUDGE_PX, SURE = 2.0, 10.0
-# Two rotations are one within so many pixels in the middle of the image, or so many standard deviations (choice).
+# A camera is static while this share of the corners that were static in the previous frame look unchanged (measured: of
+# "background" in benchmarks/kinds.py, 0.8 at least where it is static, less than 0.1 where it was nudged by a degree;
+# 0.6 where an object that fills half of the image starts to move).
+MIN_UNCHANGED_RATIO = 0.4
+# A rotation is detected if so many corners, and such a share of those tested, agree on it, spread over such a share of
+# the image, while at most such a share is static (choice).
+MIN_AGREEING, MIN_AGREEING_RATIO, MIN_SPREAD, MAX_STATIC_RATIO = 12, 0.6, 0.1, 0.1
+# A nudge has at least this median displacement, pixels, and this many standard deviations (choice).
+NUDGE_PX, MIN_NUDGE_SDS = 2.0, 10.0
+# Two rotations are equal within so many pixels at the image center, or so many standard deviations (choice).
 SAME_PX, SAME_SDS = 0.5, 4.0
-# After so many frames in a row in which a camera does not stand, and it is not certain by what it was turned, it is watched
-# anew, so many frames later; where there is too little to watch it by, that is looked for again after as many (choice).
-PATIENCE, PAUSE = 10, 30
+# After so many consecutive frames of unexplained change, detection restarts so many frames later; with too few corners
+# it restarts after the same pause (choice).
+MAX_CHANGED_FRAMES, PAUSE_FRAMES = 10, 30
 
 
-class Watch:
-    """What one camera remembers of how it stands.
+class CameraMotionDetector:
+    """Motion detector of one camera.
 
     Attributes:
         camera: its calibration.
-        backdrop: the corners, as an image had them in which the camera stood; None while it is not watched.
-        stood: (n,) which of them looked alike when the camera last stood; without those on the object once it does not.
-        steady: how its images are turned back, once it was nudged.
-        turned: the rotation since the backdrop that the last frame showed, if any; since: the recording's number of the
-            first such frame.
-        odd: frames in a row in which the camera does not stand.
-        pause: frames until it is watched anew.
+        background: corners of a reference image of the static camera; None while detection is paused.
+        is_static: (n,) corners unchanged when the camera was last static; after that, without those on the object.
+        stabilizer: rotates the images back once the camera was nudged.
+        last_rotation: rotation since the reference image in the last frame, if any.
+        first_frame: the recording's number of the first such frame.
+        n_changed: number of consecutive frames in which the image disagrees with a static camera.
+        pause: frames until detection restarts.
     """
 
     def __init__(self, camera: Camera) -> None:
         self.camera = camera
-        self.backdrop: Backdrop | None = None
-        self.stood: BoolArray = np.zeros(0, bool)
-        self.steady: Steadied | None = None
-        self.turned: Turn | None = None
-        self.since = self.odd = self.pause = 0
+        self.background: StaticBackground | None = None
+        self.is_static: BoolArray = np.zeros(0, bool)
+        self.stabilizer: RotationRectifier | None = None
+        self.last_rotation: CameraRotation | None = None
+        self.first_frame = self.n_changed = self.pause = 0
 
-    def seen(self, image: Image | None, mask: BoolArray | None) -> View:
-        """An image and the object's mask in it, turned back as far as the camera is known to be turned."""
-        if image is None or self.steady is None:
+    def stabilize(self, image: Image | None, mask: BoolArray | None) -> View:
+        """Rotate an image and the object's mask back by the known camera rotation."""
+        if image is None or self.stabilizer is None:
             return image, mask
-        return self.steady.image(image), self.steady.mask(mask)
+        return self.stabilizer.rectify_image(image), self.stabilizer.rectify_mask(mask)
 
-    def look(self, image: Image | None, region: Callable[[], FloatArray | None], index: int) -> Stance:
-        """How the camera stands.
+    def detect(self, image: Image | None, region: Callable[[], FloatArray | None], index: int) -> CameraMotionReport:
+        """Check whether the camera has moved.
 
         Args:
-            image: turned back; None without one.
-            region: tells the object's outline in it, (k, 2); None where that is not known.
+            image: corrected; None without one.
+            region: returns the object's outline in it, (k, 2); None while unknown.
             index: the recording's number of the frame.
         """
         if image is None:
-            return Stance(odd=self.odd > 0)
-        if self.backdrop is None:
+            return CameraMotionReport(has_changed=self.n_changed > 0)
+        if self.background is None:
             self.pause -= 1
             if self.pause < 0:
                 self._begin(image)
-            return Stance()
-        like = alike(self.backdrop, image)
-        if (like & self.stood).sum() >= STANDS * self.stood.sum():
-            self.stood, self.turned, self.odd = like, None, 0
-            if like.sum() < FEWEST:
-                self.forget(PATIENCE)
-            return Stance()
-        if not self.odd:
-            # Where the object is may be less certain in the frames to come: without this camera.
-            self.stood = self.stood & ~self._on(region())
-        enough = self.stood.sum() >= LEAST
-        turn = turn_since(self.backdrop, image, self.camera, self.stood) if enough else None
-        self.odd += 1
-        if turn is None or not _is_nudge(turn):
-            self.turned = None
-            if self.odd > PATIENCE:
-                self.forget(PAUSE)
-            return Stance(odd=True)
-        certain = self.turned is not None and _is_same(turn, self.turned, self.camera)
-        self.since = self.since if self.turned is not None else index
-        self.turned = turn
-        if self.odd > PATIENCE and not certain:
-            self.forget(PAUSE)
-        return Stance(True, Rotation.from_matrix(turn.rotation).as_rotvec(), turn.sd, self.since, certain)
+            return CameraMotionReport()
+        is_unchanged = find_unchanged_corners(self.background, image)
+        if (is_unchanged & self.is_static).sum() >= MIN_UNCHANGED_RATIO * self.is_static.sum():
+            self.is_static, self.last_rotation, self.n_changed = is_unchanged, None, 0
+            if is_unchanged.sum() < MIN_CORNERS:
+                self.restart(MAX_CHANGED_FRAMES)
+            return CameraMotionReport()
+        if not self.n_changed:
+            # The object's position may become less certain in the next frames, without this camera.
+            self.is_static = self.is_static & ~self._is_on_object(region())
+        is_enough = self.is_static.sum() >= MIN_AGREEING
+        rotation = estimate_camera_rotation(self.background, image, self.camera, self.is_static) if is_enough else None
+        self.n_changed += 1
+        if rotation is None or not _is_nudge(rotation):
+            self.last_rotation = None
+            if self.n_changed > MAX_CHANGED_FRAMES:
+                self.restart(PAUSE_FRAMES)
+            return CameraMotionReport(has_changed=True)
+        is_confirmed = self.last_rotation is not None and _is_same(rotation, self.last_rotation, self.camera)
+        self.first_frame = self.first_frame if self.last_rotation is not None else index
+        self.last_rotation = rotation
+        if self.n_changed > MAX_CHANGED_FRAMES and not is_confirmed:
+            self.restart(PAUSE_FRAMES)
+        return CameraMotionReport(
+            True, Rotation.from_matrix(rotation.rotation).as_rotvec(), rotation.sd, self.first_frame, is_confirmed
+        )
 
-    def turn_back(self) -> None:
-        """What the last frame showed is a nudge."""
-        assert self.backdrop is not None
-        assert self.turned is not None
-        before = np.eye(3) if self.steady is None else self.steady.rotation
-        self.steady = Steadied(self.camera, before @ self.turned.rotation)
-        columns, rows = self.backdrop.pixels.astype(np.int64).T
-        self.stood = self.stood & self.steady.seen[rows, columns]
-        self.turned, self.odd = None, 0
+    def apply_correction(self) -> None:
+        """Apply the last frame's rotation as a correction."""
+        assert self.background is not None
+        assert self.last_rotation is not None
+        previous_rotation = np.eye(3) if self.stabilizer is None else self.stabilizer.rotation
+        self.stabilizer = RotationRectifier(self.camera, previous_rotation @ self.last_rotation.rotation)
+        columns, rows = self.background.pixels.astype(np.int64).T
+        self.is_static = self.is_static & self.stabilizer.valid[rows, columns]
+        self.last_rotation, self.n_changed = None, 0
 
-    def forget(self, pause: int) -> None:
-        """The camera is watched anew after so many frames."""
-        self.backdrop, self.turned, self.odd, self.pause = None, None, 0, pause
+    def restart(self, pause: int) -> None:
+        """Restart detection after so many frames."""
+        self.background, self.last_rotation, self.n_changed, self.pause = None, None, 0, pause
 
     def _begin(self, image: Image) -> None:
-        self.backdrop = begin(image, None if self.steady is None else self.steady.seen)
-        self.stood = np.ones(len(self.backdrop), bool)
-        if len(self.backdrop) < FEWEST:
-            self.forget(PAUSE)
+        self.background = detect_corners(image, None if self.stabilizer is None else self.stabilizer.valid)
+        self.is_static = np.ones(len(self.background), bool)
+        if len(self.background) < MIN_CORNERS:
+            self.restart(PAUSE_FRAMES)
 
-    def _on(self, region: FloatArray | None) -> BoolArray:
-        """(n,) which of the corners are where the object is."""
-        assert self.backdrop is not None
-        columns, rows = self.backdrop.pixels.astype(np.int64).T
-        return np.asarray(polygon_mask(region, self.camera.size)[rows, columns])
-
-
-def _is_nudge(turn: Turn) -> bool:
-    """Whether a turn is that of the whole camera, and seen beyond doubt."""
-    most = turn.agree >= LEAST and turn.agree >= AGREE * turn.asked and turn.still <= STILL * turn.asked
-    sure = _angle(turn.rotation) > SURE * turn.sd
-    return bool(most and turn.spread >= SPREAD and turn.shift_px > NUDGE_PX and sure)
+    def _is_on_object(self, region: FloatArray | None) -> BoolArray:
+        """Return which corners (n,) are on the object."""
+        assert self.background is not None
+        columns, rows = self.background.pixels.astype(np.int64).T
+        return np.asarray(rasterize_outline(region, self.camera.size)[rows, columns])
 
 
-def _is_same(one: Turn, other: Turn, camera: Camera) -> bool:
-    """Whether two turns are one: the camera stands again."""
-    apart = _angle(one.rotation @ other.rotation.T)
-    return bool(apart < max(SAME_PX / camera.focal, SAME_SDS * np.hypot(one.sd, other.sd)))
+def _is_nudge(rotation: CameraRotation) -> bool:
+    """Return whether a rotation is that of the whole camera and significant."""
+    is_majority = (
+        rotation.n_inliers >= MIN_AGREEING
+        and rotation.n_inliers >= MIN_AGREEING_RATIO * rotation.n_evaluated
+        and rotation.n_static <= MAX_STATIC_RATIO * rotation.n_evaluated
+    )
+    is_significant = _rotation_angle(rotation.rotation) > MIN_NUDGE_SDS * rotation.sd
+    return bool(
+        is_majority and rotation.spread >= MIN_SPREAD and rotation.displacement_px > NUDGE_PX and is_significant
+    )
 
 
-def _angle(rotation: FloatArray) -> float:
+def _is_same(a: CameraRotation, b: CameraRotation, camera: Camera) -> bool:
+    """Return whether two rotations are equal, so that the camera is static again."""
+    angle = _rotation_angle(a.rotation @ b.rotation.T)
+    return bool(angle < max(SAME_PX / camera.focal, SAME_SDS * np.hypot(a.sd, b.sd)))
+
+
+def _rotation_angle(rotation: FloatArray) -> float:
     return float(Rotation.from_matrix(rotation).magnitude())

@@ -1,9 +1,9 @@
-"""What a known object looks like to cameras that never saw it: as it did to those that learnt it, from where they looked.
+"""Transfer of a known object's keyframes to cameras that never observed it.
 
-A camera sees of an object what another one saw of it once it stands to the object as that one did. So each keyframe of each
-camera that learnt it is a keyframe of each camera of another rig, at the pose in which that one would see the same. It is
-one of that camera alone: in it the others see something else. How the cameras that learnt the object stood to each other is
-in these poses, which therefore stay as they are when frames are refined together.
+If an object has the same pose relative to two cameras, both have the same view of it. So each keyframe of each learning
+camera becomes a keyframe of each new camera, at the pose that gives the same view. It belongs to that camera alone,
+since the others have different views there. These poses contain the arrangement of the learning cameras and therefore
+stay fixed in joint refinement.
 """
 
 from __future__ import annotations
@@ -17,27 +17,27 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.features.sift import Features
 from sylpose.geometry.arrays import FloatArray, IntArray
-from sylpose.geometry.rigid import turn_of
+from sylpose.geometry.rigid import rotation_matrix_of
 from sylpose.landmarks.landmark_filter import Landmarks
 from sylpose.rig import Rig
 from sylpose.tracking.frame import SolvedFrame
-from sylpose.tracking.keyframes import MAX_KEYFRAMES, NEW_TURN
-from sylpose.tracking.known_object import CameraMemory, KnownObject
+from sylpose.tracking.keyframes import MAX_KEYFRAMES, MIN_NEW_ROTATION
+from sylpose.tracking.known_object import CameraLandmarks, KnownObject
 
-__all__ = ["calibrated_apart", "carried", "elsewhere"]
+__all__ = ["estimate_calibration_sd", "transfer_keyframes", "transform_frame"]
 
-# A keyframe in which a camera saw fewer landmarks is not carried over (choice).
-LEAST = 8
-# Of the keyframes that there may be, so many are left to the take (choice).
-OWN = 30
-# Views this much further from each other are left where there are too many (choice).
-SPARSER = 1.3
-# What each of two calibrations puts things apart by in an image as a whole, pixels, for nothing tells it (choice).
-APART_PX = 1.0
+# Keyframes with fewer landmarks of a camera are not transferred (choice).
+MIN_LANDMARKS = 8
+# Number of keyframes reserved for the new recording (choice).
+N_RESERVED_KEYFRAMES = 30
+# Factor by which the spacing of views grows while there are too many (choice).
+SPACING_FACTOR = 1.3
+# Assumed systematic image error of each of two calibrations, pixels, as no data determines it (choice).
+CALIBRATION_ERROR_PX = 1.0
 
 
 class _View(NamedTuple):
-    """What one camera saw in a keyframe: its name, the keyframe, from which direction (3,), and how many landmarks."""
+    """One camera's view in a keyframe: camera name, keyframe, direction (3,) and number of landmarks."""
 
     camera: str
     keyframe: int
@@ -45,78 +45,90 @@ class _View(NamedTuple):
     landmarks: int
 
 
-def carried(known: KnownObject, rig: Rig) -> tuple[tuple[SolvedFrame, ...], dict[str, CameraMemory]]:
-    """The keyframes that another rig has of an object, each of one of its cameras, and by camera what it knows of them."""
-    views = _views(known, max((MAX_KEYFRAMES - OWN) // len(rig), LEAST))
-    every, first = _landmarks(known)
+def transfer_keyframes(known: KnownObject, rig: Rig) -> tuple[tuple[SolvedFrame, ...], dict[str, CameraLandmarks]]:
+    """Transfer the keyframes to another rig.
+
+    Returns:
+        keyframes, each of one camera of the rig; by camera name, its landmarks in them.
+    """
+    views = _select_views(known, max((MAX_KEYFRAMES - N_RESERVED_KEYFRAMES) // len(rig), MIN_LANDMARKS))
+    all_landmarks, first_ids = _merge_landmarks(known)
     keyframes = list[SolvedFrame]()
     features: dict[str, list[Features]] = {name: [] for name in rig.names}
     numbers: dict[str, list[IntArray]] = {name: [] for name in rig.names}
     for camera in rig:
         for view in views:
-            memory = known._cameras[view.camera]
-            its, new_from_old = memory.features[view.keyframe], camera.camera_from_world.inv()
+            own_landmarks = known._cameras[view.camera]
+            keyframe_features, new_from_old = own_landmarks.features[view.keyframe], camera.camera_from_world.inv()
             new_from_old = new_from_old * known.rig[view.camera].camera_from_world
-            keyframes.append(replace(elsewhere(known._keyframes[view.keyframe], new_from_old), stays=True))
+            keyframes.append(replace(transform_frame(known._keyframes[view.keyframe], new_from_old), is_fixed=True))
             for name in rig.names:
-                mine = name == camera.name
-                seen = Features(camera.denormalize(its.normalized), its.normalized, its.descriptors)
-                features[name].append(seen if mine else Features.none())
-                own = memory.numbers[view.keyframe] + first[view.camera]
-                numbers[name].append(own if mine else np.empty(0, np.int64))
-    memories = {}
+                is_own = name == camera.name
+                seen = Features(
+                    camera.denormalize(keyframe_features.normalized),
+                    keyframe_features.normalized,
+                    keyframe_features.descriptors,
+                )
+                features[name].append(seen if is_own else Features.empty())
+                own = own_landmarks.landmark_ids[view.keyframe] + first_ids[view.camera]
+                numbers[name].append(own if is_own else np.empty(0, np.int64))
+    landmarks_by_camera = {}
     for name in rig.names:
         used = np.unique(np.concatenate(numbers[name]))
-        landmarks = every.subset(np.searchsorted(every.id, used))
-        memories[name] = CameraMemory(landmarks, tuple(features[name]), tuple(numbers[name]))
-    return tuple(keyframes), memories
+        landmarks = all_landmarks.subset(np.searchsorted(all_landmarks.id, used))
+        landmarks_by_camera[name] = CameraLandmarks(landmarks, tuple(features[name]), tuple(numbers[name]))
+    return tuple(keyframes), landmarks_by_camera
 
 
-def _views(known: KnownObject, most: int) -> list[_View]:
-    """Which keyframes of which cameras are carried over: from all sides, those first that show most."""
-    every = list[_View]()
+def _select_views(known: KnownObject, max_views: int) -> list[_View]:
+    """Select the views to transfer: from all sides, those with most landmarks first."""
+    candidates = list[_View]()
     for name, memory in known._cameras.items():
         for k, (frame, features) in enumerate(zip(known._keyframes, memory.features, strict=True)):
-            if len(features) >= LEAST:
+            if len(features) >= MIN_LANDMARKS:
                 eye = frame.world_from_object.inv().apply(known.rig[name].center)
-                every.append(_View(name, k, eye / np.linalg.norm(eye), len(features)))
-    every.sort(key=lambda view: -view.landmarks)
-    apart = NEW_TURN
+                candidates.append(_View(name, k, eye / np.linalg.norm(eye), len(features)))
+    candidates.sort(key=lambda view: -view.landmarks)
+    min_angle = MIN_NEW_ROTATION
     while True:
         chosen = list[_View]()
-        for view in every:
-            if all(view.direction @ other.direction < np.cos(apart) for other in chosen):
+        for view in candidates:
+            if all(view.direction @ other.direction < np.cos(min_angle) for other in chosen):
                 chosen.append(view)
-        if len(chosen) <= most:
+        if len(chosen) <= max_views:
             return chosen
-        apart *= SPARSER
+        min_angle *= SPACING_FACTOR
 
 
-def _landmarks(known: KnownObject) -> tuple[Landmarks, dict[str, int]]:
-    """All cameras' landmarks as those of one, and by camera the number that its first one has got."""
-    parts, first, number = list[Landmarks](), dict[str, int](), 0
+def _merge_landmarks(known: KnownObject) -> tuple[Landmarks, dict[str, int]]:
+    """Merge all cameras' landmarks; also return each camera's first number."""
+    camera_trackers, first, number = list[Landmarks](), dict[str, int](), 0
     for name, memory in known._cameras.items():
         first[name] = number
-        parts.append(replace(memory.landmarks, id=memory.landmarks.id + number))
+        camera_trackers.append(replace(memory.landmarks, id=memory.landmarks.id + number))
         number += int(memory.landmarks.id.max(initial=-1)) + 1
-    return Landmarks.concatenate(parts), first
+    return Landmarks.concatenate(camera_trackers), first
 
 
-def elsewhere(frame: SolvedFrame, new_from_world: RigidTransform) -> SolvedFrame:
-    """A keyframe in another world."""
+def transform_frame(frame: SolvedFrame, new_from_world: RigidTransform) -> SolvedFrame:
+    """Transform a keyframe to another world frame."""
     if (new_from_world.as_matrix() == np.eye(4)).all():
         return frame
-    turn = block_diag(*[turn_of(new_from_world)] * 2)
+    rotation = block_diag(*[rotation_matrix_of(new_from_world)] * 2)
     pose = new_from_world * frame.world_from_object
-    return replace(frame, world_from_object=pose, covariance=turn @ frame.covariance @ turn.T)
+    return replace(frame, world_from_object=pose, covariance=rotation @ frame.covariance @ rotation.T)
 
 
-def calibrated_apart(known: KnownObject, rig: Rig) -> float:
-    """How far off an object's place may be, length units, as two rigs have it whose calibrations are as good as usual."""
-    places = np.array([keyframe.world_from_object.translation for keyframe in known._keyframes])
-    away = float(np.median([np.linalg.norm(places - camera.center, axis=1) for camera in known.rig]))
-    # Of cameras that are off independently of each other, the mean.
+def estimate_calibration_sd(known: KnownObject, rig: Rig) -> float:
+    """Return the standard deviation of an object's position between two rigs.
+
+    Both calibrations are assumed to have the usual accuracy. The result is in length units.
+    """
+    positions = np.array([keyframe.world_from_object.translation for keyframe in known._keyframes])
+    distance = float(np.median([np.linalg.norm(positions - camera.center, axis=1) for camera in known.rig]))
+    # Mean over cameras with independent errors.
     variances = [
-        sum((APART_PX * away / camera.focal) ** 2 for camera in its) / len(its) ** 2 for its in (known.rig, rig)
+        sum((CALIBRATION_ERROR_PX * distance / camera.focal) ** 2 for camera in cameras) / len(cameras) ** 2
+        for cameras in (known.rig, rig)
     ]
     return float(np.sqrt(sum(variances)))

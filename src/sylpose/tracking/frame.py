@@ -1,4 +1,4 @@
-"""A frame: what each camera has of it, and its pose once it is solved; matches between two frames of a camera."""
+"""Frames, solved and unsolved, and one camera's matches between two frames."""
 
 from __future__ import annotations
 
@@ -8,114 +8,115 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.features.sift import Features, match_features, match_where_expected
+from sylpose.features.sift import Features, match_features, match_guided
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.landmarks.landmark_filter import Landmarks
 from sylpose.landmarks.landmark_table import LandmarkTable
-from sylpose.matches import STILL_PX
+from sylpose.matches import STATIC_PX
 from sylpose.relative_pose.terms import TermData
 from sylpose.rig import Camera
 
 __all__ = [
     "CameraFrame",
+    "DetectedFeatures",
     "Frame",
-    "Pair",
+    "FrameMatches",
     "SolvedFrame",
-    "Sought",
-    "away",
-    "inliers_of",
-    "learn_background",
-    "match_pair",
-    "pair_near",
-    "sought_in",
-    "still",
+    "collect_detected_features",
+    "drop_background",
+    "find_static",
+    "mark_background",
+    "match_frames",
+    "match_near_pose",
+    "measure_displacement",
+    "select_inliers",
     "triangulate",
-    "without_background",
 ]
 
-# A feature that stands still where the object's surface moved by this much is background (choice).
+# A feature that is static where the object's surface moved by this many pixels is background (choice).
 BACKGROUND_PX = 4.0
-# Faint features stand still less exactly: within this, pixels, if it is no more than this share of what a point on the
-# object moves (choice).
-FAINTLY_STILL_PX, STILL_SHARE = 4.0, 0.2
-# Standard deviations of its depth within which a landmark is looked for (choice).
-DEPTH_REACH = 2.0
-# Points are added to the object's cloud when their depth is known to this share of it (choice).
-DEPTH_SHARE = 0.1
+# Low-contrast features are localized less precisely: they are static within this many pixels, if that is at most this
+# share of the motion of a point on the object (choice).
+MAX_FAINT_STATIC_PX, MAX_STATIC_RATIO = 4.0, 0.2
+# Half length of a landmark's search range, in standard deviations of its depth (choice).
+DEPTH_SEARCH_SDS = 2.0
+# Points are added to the object's cloud once their depth is known to this relative precision (choice).
+MAX_RELATIVE_DEPTH_SD = 0.1
 
 
 @dataclass(eq=False)
 class CameraFrame:
-    """What one camera has of one frame, and keeps to itself.
+    """One camera's data of one frame, never shared with other cameras.
 
     Attributes:
         features: of its image.
-        background: (n,) which of them were found to stand still where the object moved; filled in as they are matched.
-        table: the camera's landmarks; numbers: (n,) of the features in it, once the frame is solved.
-        still_px: a feature displaced by less than this stands still for all that the camera's keypoints can tell.
+        background: (n,) which features were static where the object moved; filled in during matching.
+        table: the camera's landmarks.
+        landmark_ids: (n,) the features' landmarks in it, once the frame is solved.
+        static_px: displacements below this are within the keypoint noise, pixels.
     """
 
     features: Features
     background: BoolArray
     table: LandmarkTable
-    numbers: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
-    still_px: float = STILL_PX
+    landmark_ids: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    static_px: float = STATIC_PX
 
     @property
     def landmarks(self) -> Landmarks:
-        """(n) of the features, as they are known by now."""
-        return self.table.of(self.numbers)
+        """(n) landmarks of the features, as estimated so far."""
+        return self.table.get(self.landmark_ids)
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A frame that is not solved: it has no pose.
+    """An unsolved frame, without a pose.
 
     Attributes:
-        number: frames are numbered as they come.
+        number: frames are numbered consecutively.
         time: seconds.
-        late: (C,) seconds after `time` that each camera took its image.
-        cameras: what each has of it.
+        time_offsets: (C,) seconds after `time` at which each camera took its image.
+        cameras: per camera, local: its data.
     """
 
     number: int
     time: float
-    late: FloatArray
+    time_offsets: FloatArray
     cameras: Sequence[CameraFrame]
 
 
 @dataclass(frozen=True, eq=False)
 class SolvedFrame:
-    """A frame with its pose: what all cameras know of it. What each has of it besides, it keeps under the number.
+    """A frame with its pose, shared by all cameras.
 
     Attributes:
-        number, time, late: as in `Frame`.
+        number, time, time_offsets: as in `Frame`; each camera stores its own data under the number.
         world_from_object: the pose.
         covariance: (6, 6) of (w, d), docs/conventions.md.
-        viewpoints: (C, 3) the cameras' centres in the object's frame.
-        sees: (C,) which cameras have features of it.
-        age: in how many frames the landmarks were usually seen that it was solved with.
-        stays: whether its pose is not refined with others: that of a keyframe which another rig has seen.
+        viewpoints: (C, 3) camera centers in the object's frame.
+        is_visible: (C,) which cameras have features in it.
+        landmark_age: typical number of frames in which the landmarks used for its pose were observed.
+        is_fixed: whether joint refinement keeps its pose fixed, as for keyframes transferred from another rig.
     """
 
     number: int
     time: float
-    late: FloatArray
+    time_offsets: FloatArray
     world_from_object: RigidTransform
     covariance: FloatArray
     viewpoints: FloatArray
-    sees: BoolArray
-    age: float = 1.0
-    stays: bool = False
+    is_visible: BoolArray
+    landmark_age: float = 1.0
+    is_fixed: bool = False
 
 
 @dataclass(frozen=True, eq=False)
-class Pair:
-    """Matches of one camera between an earlier frame and the current one.
+class FrameMatches:
+    """One camera's matches between an earlier frame and the current one.
 
     Attributes:
         reference: the earlier frame's number.
-        earlier: what the camera has of it.
+        earlier: the camera's data of it.
         indices: (n, 2) into the earlier and the current frame's features.
         pixels_i, pixels_j: (n, 2) as recorded.
         normalized_i, normalized_j: (n, 2).
@@ -130,16 +131,16 @@ class Pair:
     normalized_j: FloatArray
 
     @classmethod
-    def of(cls, reference: int, earlier: CameraFrame, later: Features, indices: IntArray) -> Pair:
-        """The matches that the indices (n, 2) say."""
+    def from_indices(cls, reference: int, earlier: CameraFrame, later: Features, indices: IntArray) -> FrameMatches:
+        """Build the matches from feature indices (n, 2)."""
         a, (i, j) = earlier.features, indices.T
         return cls(reference, earlier, indices, a.pixels[i], later.pixels[j], a.normalized[i], later.normalized[j])
 
     def __len__(self) -> int:
         return len(self.indices)
 
-    def subset(self, mask: BoolArray) -> Pair:
-        """The matches where the mask (n,) is True."""
+    def subset(self, mask: BoolArray) -> FrameMatches:
+        """Return the matches where the mask (n,) is True."""
         return replace(
             self,
             indices=self.indices[mask],
@@ -151,162 +152,206 @@ class Pair:
 
     @property
     def landmarks(self) -> Landmarks:
-        """(n) of the matches, by the earlier frame."""
-        return self.earlier.table.of(self.earlier.numbers[self.indices[:, 0]])
+        """(n) landmarks of the matches, from the earlier frame."""
+        return self.earlier.table.get(self.earlier.landmark_ids[self.indices[:, 0]])
 
     @property
-    def seen(self) -> IntArray:
-        """(n,) in how many frames each match's landmark was seen."""
-        return self.earlier.table.seen(self.earlier.numbers[self.indices[:, 0]])
+    def observation_counts(self) -> IntArray:
+        """(n,) number of frames in which each match's landmark was observed."""
+        return self.earlier.table.observation_counts(self.earlier.landmark_ids[self.indices[:, 0]])
 
-    def term(self, index: int, camera: Camera, moved: RigidTransform | None = None) -> TermData:
-        """The matches as a term of a motion.
+    def to_term(self, index: int, camera: Camera, previous_from_reference: RigidTransform | None = None) -> TermData:
+        """Return the matches as a term of a motion estimate.
 
         Args:
             index: of the camera in the rig.
-            moved: takes the object from the earlier frame to the one that the motion starts from; None: the same.
+            camera: its calibration.
+            previous_from_reference: motion of the object from the earlier frame to the frame that the estimated motion
+                starts from; None if both are the same frame.
         """
         x, y = self.normalized_i, self.normalized_j
-        return TermData(index, x, y, camera.rotation, camera.center, camera.focal, moved)
+        return TermData(index, x, y, camera.rotation, camera.center, camera.focal, previous_from_reference)
 
 
 @dataclass(frozen=True, eq=False)
-class Sought:
-    """What a camera looked at in a frame, pixels: (n, 2) all features, and (m, 2) those that match what is known of the
-    object and do not agree with its pose, or are of no pose."""
+class DetectedFeatures:
+    """A camera's detected features in a frame, pixels.
+
+    Attributes:
+        features: (n, 2) all features.
+        rejected: (m, 2) features that match known landmarks but do not agree with the pose, or without a pose.
+    """
 
     features: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
     rejected: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
 
 
-def sought_in(features: Features, pairs: Sequence[Pair] = (), weights: Sequence[FloatArray] | None = None) -> Sought:
-    """Of a frame's features, its matches, and the weight (n,) of each pair's in the pose; None without one."""
-    tried, agrees = np.zeros(len(features), bool), np.zeros(len(features), bool)
+def collect_detected_features(
+    features: Features, pairs: Sequence[FrameMatches] = (), weights: Sequence[FloatArray] | None = None
+) -> DetectedFeatures:
+    """Collect a frame's detected and rejected features.
+
+    Args:
+        pairs: matches with earlier frames.
+        weights: (n,) per pair, of its matches in the pose; None without a pose.
+    """
+    is_matched, is_inlier = np.zeros(len(features), bool), np.zeros(len(features), bool)
     for k, pair in enumerate(pairs):
-        tried[pair.indices[:, 1]] = True
+        is_matched[pair.indices[:, 1]] = True
         if weights is not None:
-            agrees[pair.indices[weights[k] > 0, 1]] = True
-    return Sought(features.pixels, features.pixels[tried & ~agrees])
+            is_inlier[pair.indices[weights[k] > 0, 1]] = True
+    return DetectedFeatures(features.pixels, features.pixels[is_matched & ~is_inlier])
 
 
-def base_from_reference(pair: Pair, base: SolvedFrame, known: Mapping[int, SolvedFrame]) -> RigidTransform | None:
-    """What `Pair.term` takes as `moved`, of the frames whose poses are known."""
-    if pair.reference == base.number:
+def compute_reference_motion(
+    pair: FrameMatches, previous: SolvedFrame, known_frames: Mapping[int, SolvedFrame]
+) -> RigidTransform | None:
+    """Return the object's motion from a pair's reference frame to the last solved one.
+
+    Returns:
+        argument `previous_from_reference` of `FrameMatches.to_term`; None if both are the same frame.
+    """
+    if pair.reference == previous.number:
         return None
-    return base.world_from_object * known[pair.reference].world_from_object.inv()
+    return previous.world_from_object * known_frames[pair.reference].world_from_object.inv()
 
 
-def match_pair(reference: int, earlier: CameraFrame, current: CameraFrame, indices: IntArray | None = None) -> Pair:
-    """Matches of one camera, without the earlier frame's known background (which is passed on to the current frame); indices
-    (m, 2) where they are known."""
+def match_frames(
+    reference: int, earlier: CameraFrame, current: CameraFrame, indices: IntArray | None = None
+) -> FrameMatches:
+    """Match one camera's features with those of an earlier frame, without its known background.
+
+    The background is passed on to the current frame.
+
+    Args:
+        indices: (m, 2) matches of features, if already known.
+    """
     a, b = earlier.features, current.features
     indices = match_features(a, b) if indices is None else indices
     known = earlier.background[indices[:, 0]]
-    stands = np.linalg.norm(a.pixels[indices[:, 0]] - b.pixels[indices[:, 1]], axis=1) < current.still_px
-    current.background[indices[known & stands, 1]] = True
-    return Pair.of(reference, earlier, b, indices[~known & ~current.background[indices[:, 1]]])
+    is_still = np.linalg.norm(a.pixels[indices[:, 0]] - b.pixels[indices[:, 1]], axis=1) < current.static_px
+    current.background[indices[known & is_still, 1]] = True
+    return FrameMatches.from_indices(reference, earlier, b, indices[~known & ~current.background[indices[:, 1]]])
 
 
-def pair_near(
+def match_near_pose(
     reference: int,
     earlier: CameraFrame,
     current: CameraFrame,
     camera: Camera,
     pose: RigidTransform,
-    reach_px: float,
-    beside_px: tuple[float, float] = (0.0, 0.0),
-) -> Pair:
-    """Matches of one camera between the earlier frame's landmarks and what is where they should be.
+    radius_px: float,
+    offset_px: tuple[float, float] = (0.0, 0.0),
+) -> FrameMatches:
+    """Match the earlier frame's landmarks with features near their projections.
 
     Args:
         pose: world_from_object, of the current frame.
-        reach_px: how far from there, pixels, besides what the landmarks' depth leaves open.
-        beside_px: looked for so far beside where they should be: what is found there is found by chance.
+        radius_px: search radius, pixels, in addition to the range left open by the landmarks' depth.
+        offset_px: offset of the search from the projections; with an offset, matches are found by chance only.
     """
     landmarks = earlier.landmarks
-    away = DEPTH_REACH * landmarks.depth_error
-    ends = np.stack([camera.project(pose.apply(landmarks.mean + s * away).reshape(-1, 3)) for s in (-1, 1)], axis=1)
+    depth_offsets = DEPTH_SEARCH_SDS * landmarks.depth_error
+    ends = np.stack(
+        [camera.project(pose.apply(landmarks.mean + s * depth_offsets).reshape(-1, 3)) for s in (-1, 1)], axis=1
+    )
     ends[earlier.background] = np.nan
-    indices = match_where_expected(earlier.features, current.features, ends + np.array(beside_px), reach_px)
-    return Pair.of(reference, earlier, current.features, indices[~current.background[indices[:, 1]]])
+    indices = match_guided(earlier.features, current.features, ends + np.array(offset_px), radius_px)
+    return FrameMatches.from_indices(reference, earlier, current.features, indices[~current.background[indices[:, 1]]])
 
 
-def inliers_of(pairs: Sequence[Pair], weights: Sequence[FloatArray]) -> list[Pair]:
-    """The pairs' inliers, given one weight array per pair; pairs without any are left out."""
+def select_inliers(pairs: Sequence[FrameMatches], weights: Sequence[FloatArray]) -> list[FrameMatches]:
+    """Select each pair's inliers, given its weights; omit pairs without any."""
     kept = [pair.subset(w > 0) for pair, w in zip(pairs, weights, strict=True)]
     return [pair for pair in kept if len(pair)]
 
 
-def still(pair: Pair, still_px: float = STILL_PX) -> BoolArray:
-    """(n,) matches that stand still in the image."""
-    return np.asarray(np.linalg.norm(pair.pixels_i - pair.pixels_j, axis=1) < still_px)
+def find_static(pair: FrameMatches, static_px: float = STATIC_PX) -> BoolArray:
+    """Return which matches (n,) are static in the image."""
+    return np.asarray(np.linalg.norm(pair.pixels_i - pair.pixels_j, axis=1) < static_px)
 
 
-def away(known: Landmarks, pixels: FloatArray) -> FloatArray:
-    """(n,) how far landmarks are, now seen at some pixels (n, 2), from where they were seen first."""
-    return np.asarray(np.linalg.norm(pixels - known.origin, axis=1))
+def measure_displacement(landmarks: Landmarks, pixels: FloatArray) -> FloatArray:
+    """Return each landmark's distance (n,) from its first observed pixel to its current one (n, 2)."""
+    return np.asarray(np.linalg.norm(pixels - landmarks.origin, axis=1))
 
 
-def standing(
-    pair: Pair, current: CameraFrame, camera: Camera, before: RigidTransform, now: RigidTransform, radius: float
+def find_background(
+    pair: FrameMatches,
+    current: CameraFrame,
+    camera: Camera,
+    pose_i: RigidTransform,
+    pose_j: RigidTransform,
+    radius: float,
 ) -> BoolArray:
-    """(n,) matches that stand still where a point on the object moved.
+    """Return which matches (n,) are static where a point on the object moved.
 
     Args:
-        before, now: world_from_object.
+        pose_i, pose_j: world_from_object.
         radius: of the object.
     """
-    stands = still(pair, current.still_px)
-    at = np.flatnonzero(stands)
-    moved = _moved_px(pair.pixels_i[at], pair.normalized_i[at], camera, before, now, radius)
-    stands[at] = moved > BACKGROUND_PX - STILL_PX + current.still_px
-    return stands
+    is_background = find_static(pair, current.static_px)
+    at = np.flatnonzero(is_background)
+    moved = _min_motion_px(pair.pixels_i[at], pair.normalized_i[at], camera, pose_i, pose_j, radius)
+    is_background[at] = moved > BACKGROUND_PX - STATIC_PX + current.static_px
+    return is_background
 
 
-def without_background(
-    pair: Pair, current: CameraFrame, camera: Camera, before: RigidTransform, ahead: RigidTransform, radius: float
-) -> Pair:
-    """The matches without those that stand still and were never seen to move, where a point on the object would have moved:
-    they are marked as `learn_background` marks them, before the pose is known.
+def drop_background(
+    pair: FrameMatches,
+    current: CameraFrame,
+    camera: Camera,
+    reference_pose: RigidTransform,
+    predicted_pose: RigidTransform,
+    radius: float,
+) -> FrameMatches:
+    """Remove static, never moved matches where a point on the object would have moved.
+
+    They are marked as background as in `mark_background`, before the pose is known.
 
     Args:
-        ahead: world_from_object as predicted. An object that stops instead is still known by what was seen to move.
+        predicted_pose: predicted world_from_object. An object that stops instead is still tracked by landmarks that
+            have moved.
     """
-    shift = np.linalg.norm(pair.pixels_i - pair.pixels_j, axis=1)
-    background = (shift < FAINTLY_STILL_PX) & ~pair.landmarks.moved
+    displacement = np.linalg.norm(pair.pixels_i - pair.pixels_j, axis=1)
+    background = (displacement < MAX_FAINT_STATIC_PX) & ~pair.landmarks.has_moved
     if not background.any():
         return pair
     at = np.flatnonzero(background)
-    moved = _moved_px(pair.pixels_i[at], pair.normalized_i[at], camera, before, ahead, radius)
-    background[at] = (moved > BACKGROUND_PX) & (shift[at] < np.maximum(STILL_SHARE * moved, STILL_PX))
-    learn_background(pair, current, background)
+    moved = _min_motion_px(pair.pixels_i[at], pair.normalized_i[at], camera, reference_pose, predicted_pose, radius)
+    background[at] = (moved > BACKGROUND_PX) & (displacement[at] < np.maximum(MAX_STATIC_RATIO * moved, STATIC_PX))
+    mark_background(pair, current, background)
     return pair.subset(~background)
 
 
-def learn_background(pair: Pair, current: CameraFrame, background: BoolArray) -> None:
-    """Marks matches (n,) as background in both frames."""
-    pair.earlier.background[pair.indices[background, 0]] = True
-    current.background[pair.indices[background, 1]] = True
+def mark_background(pair: FrameMatches, current: CameraFrame, is_background: BoolArray) -> None:
+    """Mark matches (n,) as background in both frames."""
+    pair.earlier.background[pair.indices[is_background, 0]] = True
+    current.background[pair.indices[is_background, 1]] = True
 
 
-def learn_only(pairs: Sequence[Pair], current: CameraFrame) -> None:
-    """Marks all of a frame's features but those of some matches as background."""
-    own = np.concatenate([np.empty(0, np.int64), *(pair.indices[:, 1] for pair in pairs)])
-    current.background[np.setdiff1d(np.arange(len(current.features)), own)] = True
+def mark_others_as_background(pairs: Sequence[FrameMatches], current: CameraFrame) -> None:
+    """Mark all features of a frame except those of the given matches as background."""
+    kept = np.concatenate([np.empty(0, np.int64), *(pair.indices[:, 1] for pair in pairs)])
+    current.background[np.setdiff1d(np.arange(len(current.features)), kept)] = True
 
 
-def _moved_px(
+def _min_motion_px(
     pixels: FloatArray,
     normalized: FloatArray,
     camera: Camera,
-    before: RigidTransform,
-    now: RigidTransform,
+    pose_i: RigidTransform,
+    pose_j: RigidTransform,
     radius: float,
 ) -> FloatArray:
-    """(n,) by how many pixels what was seen at pixels (n, 2), normalised (n, 2), would move at least if it were on the
-    object, at any depth of it."""
-    middle = camera.camera_from_world.apply(before.translation)[2]
-    moves = now.as_matrix() @ before.inv().as_matrix() @ camera.camera_from_world.inv().as_matrix()
+    """Return the least image motion (n,) of points on the object, over its depth range, pixels.
+
+    Args:
+        pixels: (n, 2) observations.
+        normalized: (n, 2) the same, normalized.
+    """
+    middle = camera.camera_from_world.apply(pose_i.translation)[2]
+    moves = pose_j.as_matrix() @ pose_i.inv().as_matrix() @ camera.camera_from_world.inv().as_matrix()
     along = np.column_stack([normalized, np.ones(len(normalized))]) @ moves[:3, :3].T
     moved = np.full(len(pixels), np.inf)
     for depth in (middle - radius, middle, middle + radius):
@@ -315,15 +360,15 @@ def _moved_px(
     return moved
 
 
-def triangulate(pair: Pair, camera: Camera, before: RigidTransform, now: RigidTransform) -> FloatArray:
-    """The matches' places in the object's frame (m, 3), those whose depth is known well enough.
+def triangulate(pair: FrameMatches, camera: Camera, pose_i: RigidTransform, pose_j: RigidTransform) -> FloatArray:
+    """Triangulate matches whose depth is well determined, (m, 3) in the object's frame.
 
-    A camera's two views of a moving object are two views of a standing object from a moving camera.
+    Two views of a moving object by one camera equal two views of a static object by a moving camera.
 
     Args:
-        before, now: world_from_object.
+        pose_i, pose_j: world_from_object.
     """
-    object_from_world_i, object_from_world_j = before.inv(), now.inv()
+    object_from_world_i, object_from_world_j = pose_i.inv(), pose_j.inv()
     start, end = object_from_world_i.apply(camera.center), object_from_world_j.apply(camera.center)
     ones = np.ones((len(pair), 1))
     u = object_from_world_i.rotation.apply(np.hstack([pair.normalized_i, ones]) @ camera.rotation)
@@ -332,7 +377,7 @@ def triangulate(pair: Pair, camera: Camera, before: RigidTransform, now: RigidTr
     across = np.cross(u, v)
     square = (across**2).sum(axis=1)
     sine = np.sqrt(square) / (np.linalg.norm(u, axis=1) * np.linalg.norm(v, axis=1))
-    good = sine > 1.0 / (DEPTH_SHARE * camera.focal)  # one pixel over the sine: the relative error of the depth
+    good = sine > 1.0 / (MAX_RELATIVE_DEPTH_SD * camera.focal)  # relative depth error: one pixel over the sine
     offset = end - start
     s = np.einsum("ni,ni->n", np.cross(offset, v[good]), across[good]) / square[good]
     return np.asarray((start + s[:, None] * u[good])[s > 0])

@@ -1,4 +1,4 @@
-"""The start without boxes: what moves against the standing background is the object."""
+"""Initialization without boxes: what moves against the static background is the object."""
 
 from __future__ import annotations
 
@@ -9,236 +9,278 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.geometry.arrays import BoolArray, FloatArray
-from sylpose.relative_pose.fit import MIN_MATCHES, Fit, no_fit
-from sylpose.relative_pose.motion import motion_about
-from sylpose.relative_pose.observability import observed
+from sylpose.relative_pose.fit import MIN_MATCHES, Fit, make_failed_fit
+from sylpose.relative_pose.motion import make_motion_about
+from sylpose.relative_pose.observability import set_observability_status
 from sylpose.relative_pose.solver import fit_terms
-from sylpose.relative_pose.terms import TermData, object_place
+from sylpose.relative_pose.terms import TermData, locate_object
 from sylpose.results import FrameStatus, Status
 from sylpose.rig import Rig
-from sylpose.tracking.camera import still_of
-from sylpose.tracking.camera_executor import Crew
-from sylpose.tracking.frame import Pair, inliers_of, still
-from sylpose.tracking.frame_solvers import dealt, gathered
-from sylpose.tracking.reports import Moved
+from sylpose.tracking.camera import compute_static_px
+from sylpose.tracking.camera_executor import CameraExecutor
+from sylpose.tracking.frame import FrameMatches, find_static, select_inliers
+from sylpose.tracking.frame_solvers import gather_terms, scatter_fit
+from sylpose.tracking.reports import MovingMatches
 
-__all__ = ["FirstMotion", "agree", "first_motion", "is_ambiguous", "jitter_of"]
+__all__ = ["FirstMotion", "estimate_first_motion", "estimate_jitter", "is_ambiguous", "is_continuing_motion"]
 
-# Another motion with this share of the object's inliers might be the object as well (choice).
-RIVAL_SHARE = 0.5
-# What may be keypoints that stand still is displaced by less than this, pixels; their noise is measured by these, if more
-# than this share of them is displaced by less than half of it (choice).
-MAYBE_STILL_PX, STILL_SHARE = 4.0, 0.65
-# Rayleigh's distribution has its median at so many standard deviations (derived).
+# Another motion with this share of the object's inliers may be the object as well (choice).
+AMBIGUITY_RATIO = 0.5
+# Keypoints displaced by less than this, pixels, may be static. They define the noise if more than this share of them is
+# displaced by less than half of it (choice).
+MAX_STATIC_PX, MIN_STATIC_RATIO = 4.0, 0.65
+# Median of the Rayleigh distribution in standard deviations (derived).
 RAYLEIGH_MEDIAN = float(np.sqrt(2.0 * np.log(2.0)))
-# A camera sees a motion when so many matches agree with it that are displaced, in the middle, by this much, pixels, and by
-# so many times the noise of what stands still (choice).
-SIGNIFICANT, SIGNIFICANT_PX, SIGNIFICANT_SIGMAS = 6, 3.5, 7.0
-# A rigid motion must be likelier than displacements in random directions by this much per unknown, logarithm (choice:
-# Akaike's criterion asks for 1, Bayes' for half the logarithm of the number of matches).
-LIKELIER = 5.0
+# A camera detects a motion with at least so many inliers, whose median displacement exceeds this, pixels, and so many
+# times the noise of static keypoints (choice).
+MIN_SIGNIFICANT_MATCHES, MIN_DISPLACEMENT_PX, MIN_DISPLACEMENT_SIGMAS = 6, 3.5, 7.0
+# A rigid motion must exceed the log-likelihood of displacements in random directions by this much per unknown (choice:
+# Akaike's criterion requires 1, Bayes' half the logarithm of the number of matches).
+MIN_LOG_GAIN_PER_UNKNOWN = 5.0
 # Unknowns of a motion, and of each camera's surface (derived).
-OF_MOTION, OF_SURFACE = 6, 6
-# From one frame to the next, a motion since the first frame changes its turn by no more than this share of it, or by this
-# much, radians (choice).
-SAME_SHARE, SAME_TURN = 0.6, np.radians(0.75)
-# This share of all matches goes astray, and does not mean that anything moved (choice).
-STRAY_SHARE = 0.05
-# Of what moves, residuals are no larger than this share of the displacements (choice).
-JUNK = 0.35
-# Noise of keypoints at least, pixels (choice).
-LEAST_PX = 0.15
+MOTION_UNKNOWNS, SURFACE_UNKNOWNS = 6, 6
+# Between consecutive frames, the rotation since the first frame changes by at most this share, or this angle, radians
+# (choice).
+MAX_ROTATION_CHANGE_RATIO, MAX_ROTATION_CHANGE = 0.6, np.radians(0.75)
+# This share of all matches is wrong without any motion (choice).
+OUTLIER_RATIO = 0.05
+# Largest rms residual of moving matches as a share of their displacement (choice).
+MAX_RESIDUAL_RATIO = 0.35
+# Minimum keypoint noise, pixels (choice).
+MIN_NOISE_PX = 0.15
 
 
 @dataclass(frozen=True, eq=False)
 class FirstMotion:
-    """The motion since a frame in which nothing but the object is going to move.
+    """Motion since a frame, of the only object that moves.
 
     Attributes:
-        fit: of what moves.
-        center: (3,) that it is about.
-        radius: of its inliers about the middle of them, `middle` (3,); NaN without any.
-        count: number of inliers.
-        shift_px: by how much they are displaced, in the middle; NaN without any.
-        cameras: how many see it: so many matches that are displaced by so much.
-        certain: whether it is more than the noise of what stands still.
-        whole: whether all of it is seen, the size of the turn and the length of the way too.
-        nothing: what is to be said where that is not the object's motion: nothing was matched, nothing moved, or no rigid
-            body.
-        inliers: by camera, each its own.
+        fit: of the moving matches.
+        center: (3,) point that the motion is about.
+        inlier_center: (3,) center of its inliers.
+        radius: of its inliers about `inlier_center`; NaN without any.
+        n_inliers: number of inliers.
+        displacement_px: median displacement of the inliers; NaN without any.
+        n_cameras: number of cameras that detect it, with enough inliers displaced far enough.
+        is_significant: whether it exceeds the noise of static keypoints.
+        is_observable: whether it is fully observable, including rotation angle and length of translation.
+        failure_status: status to report if this is not the object's motion: too few matches, no motion, or no rigid
+            motion.
+        inliers: per camera, local.
     """
 
     fit: Fit
     center: FloatArray
-    middle: FloatArray
+    inlier_center: FloatArray
     radius: float
-    count: int
-    shift_px: float
-    cameras: int
-    certain: bool
-    whole: bool
-    nothing: FrameStatus
-    inliers: Sequence[Sequence[Pair]]
+    n_inliers: int
+    displacement_px: float
+    n_cameras: int
+    is_significant: bool
+    is_observable: bool
+    failure_status: FrameStatus
+    inliers: Sequence[Sequence[FrameMatches]]
 
     @property
     def motion(self) -> RigidTransform:
-        """Of the object since the frame."""
-        return motion_about(self.center, self.fit.rotation, self.fit.shift)
+        """Motion of the object since the frame."""
+        return make_motion_about(self.center, self.fit.rotation, self.fit.translation)
 
 
-def agree(one: RigidTransform | None, next_one: RigidTransform | None) -> bool:
-    """Whether two frames' motions since the same frame, in this order, may be of one body that goes on.
+def is_continuing_motion(earlier: RigidTransform | None, later: RigidTransform | None) -> bool:
+    """Return whether two frames' motions since the same frame may belong to one continuing body.
 
-    Few cameras and a flat object leave a second motion that explains the matches as well; it is another one in each frame.
-    """
-    if one is None or next_one is None:
-        return False
-    turn = max(one.rotation.magnitude(), next_one.rotation.magnitude())
-    return bool((next_one.rotation * one.rotation.inv()).magnitude() <= max(SAME_SHARE * turn, SAME_TURN))
-
-
-def jitter_of(pair: Pair) -> float:
-    """By how much keypoints that stand still scatter in each direction, pixels; the least where next to none do."""
-    shift = np.linalg.norm(pair.pixels_i - pair.pixels_j, axis=1)
-    near = shift[shift < MAYBE_STILL_PX]
-    # What moves slowly is found at all these distances alike.
-    slow = np.count_nonzero(near < MAYBE_STILL_PX / 2) <= STILL_SHARE * len(near)
-    return LEAST_PX if slow else max(float(np.median(near)) / RAYLEIGH_MEDIAN, LEAST_PX)
-
-
-def first_motion(
-    crew: Crew, rig: Rig, pairs: Sequence[Sequence[Pair]], first: int, rng: np.random.Generator
-) -> FirstMotion:
-    """The motion since the frame with the number `first`, from what moves of the matches with it.
+    With few cameras and a planar object a second motion fits as well; that one differs in each frame.
 
     Args:
-        pairs: by camera, each its own.
+        earlier, later: motions, in order of time.
     """
-    matches = sum(crew.ask(lambda c: sum(len(pair) for pair in pairs[c] if pair.reference == first), 0))
-    own = crew.each(lambda c: [pair for pair in pairs[c] if pair.reference == first])
-    jitter = crew.each(lambda c: [jitter_of(pair) for pair in own[c]])
+    if earlier is None or later is None:
+        return False
+    angle = max(earlier.rotation.magnitude(), later.rotation.magnitude())
+    return bool(
+        (later.rotation * earlier.rotation.inv()).magnitude()
+        <= max(MAX_ROTATION_CHANGE_RATIO * angle, MAX_ROTATION_CHANGE)
+    )
 
-    def moving_of(c: int) -> list[Pair]:
-        return [pair.subset(~still(pair, still_of(px))) for pair, px in zip(own[c], jitter[c], strict=True)]
 
-    moving = crew.each(moving_of)
+def estimate_jitter(pair: FrameMatches) -> float:
+    """Estimate the scatter of static keypoints in each direction, pixels; a minimum if almost none is static."""
+    displacement = np.linalg.norm(pair.pixels_i - pair.pixels_j, axis=1)
+    near = displacement[displacement < MAX_STATIC_PX]
+    # A slowly moving object shows all these displacements equally often.
+    is_slow = np.count_nonzero(near < MAX_STATIC_PX / 2) <= MIN_STATIC_RATIO * len(near)
+    return MIN_NOISE_PX if is_slow else max(float(np.median(near)) / RAYLEIGH_MEDIAN, MIN_NOISE_PX)
 
-    def moved(c: int) -> list[Moved]:
+
+def estimate_first_motion(
+    executor: CameraExecutor,
+    rig: Rig,
+    pairs: Sequence[Sequence[FrameMatches]],
+    first_number: int,
+    rng: np.random.Generator,
+) -> FirstMotion:
+    """Estimate the motion since the frame with the number `first_number`, from its moving matches.
+
+    Args:
+        pairs: per camera, local: matches.
+    """
+    matches = sum(
+        executor.all_gather(lambda c: sum(len(pair) for pair in pairs[c] if pair.reference == first_number), 0)
+    )
+    first_pairs = executor.map_cameras(lambda c: [pair for pair in pairs[c] if pair.reference == first_number])
+    jitter = executor.map_cameras(lambda c: [estimate_jitter(pair) for pair in first_pairs[c]])
+
+    def select_moving(c: int) -> list[FrameMatches]:
         return [
-            Moved(
-                pair.term(c, rig.cameras[c]),
+            pair.subset(~find_static(pair, compute_static_px(px)))
+            for pair, px in zip(first_pairs[c], jitter[c], strict=True)
+        ]
+
+    moving = executor.map_cameras(select_moving)
+
+    def create_reports(c: int) -> list[MovingMatches]:
+        return [
+            MovingMatches(
+                pair.to_term(c, rig.cameras[c]),
                 np.linalg.norm(pair.pixels_i - pair.pixels_j, axis=1),
                 px,
-                len(everything) - len(pair),
+                len(all_matches) - len(pair),
             )
-            for pair, everything, px in zip(moving[c], own[c], jitter[c], strict=True)
+            for pair, all_matches, px in zip(moving[c], first_pairs[c], jitter[c], strict=True)
             if len(pair)
         ]
 
-    records: list[list[Moved]] = crew.ask(moved, [])
+    records: list[list[MovingMatches]] = executor.all_gather(create_reports, [])
     terms = [[record.term for record in of_camera] for of_camera in records]
-    data, nowhere = gathered(terms), np.full(3, np.nan)
-    nothing = FrameStatus.TOO_FEW_MATCHES if matches < MIN_MATCHES else FrameStatus.NO_MOTION
-    if sum(map(len, data)) > max(MIN_MATCHES, STRAY_SHARE * matches):
-        nothing = FrameStatus.NOT_CONSISTENT
+    data, undefined_point = gather_terms(terms), np.full(3, np.nan)
+    failure_status = FrameStatus.TOO_FEW_MATCHES if matches < MIN_MATCHES else FrameStatus.NO_MOTION
+    if sum(map(len, data)) > max(MIN_MATCHES, OUTLIER_RATIO * matches):
+        failure_status = FrameStatus.NOT_CONSISTENT
     if not data:
-        fit = no_fit(data, Status.TOO_FEW_MATCHES)
-        return FirstMotion(fit, nowhere, nowhere, np.nan, 0, np.nan, 0, False, False, nothing, crew.each(lambda _: []))
-    center, radius = object_place(data)
+        fit = make_failed_fit(data, Status.TOO_FEW_MATCHES)
+        return FirstMotion(
+            fit,
+            undefined_point,
+            undefined_point,
+            np.nan,
+            0,
+            np.nan,
+            0,
+            False,
+            False,
+            failure_status,
+            executor.map_cameras(lambda _: []),
+        )
+    center, radius = locate_object(data)
     fit = fit_terms(data, center, radius, [], rng)
-    told = [record for of_camera in records for record in of_camera]
-    clear = ~_junk(fit, told)
-    if 2 <= clear.sum() < len(clear):
-        # What agrees in the other cameras is what jitters most of all that stands still.
-        some = [term for term, mine in zip(data, clear, strict=True) if mine]
-        center, radius = object_place(some)
-        fit = _of_all(fit_terms(some, center, radius, [], rng), data, clear)
-    seeing, likelier = _significance(fit, told)
-    agreement = dealt(fit, terms)
-    good = [
-        (term.subset(w > 0), record.shift_px[w > 0]) for term, record, w in zip(data, told, fit.weights, strict=True)
+    flat_reports = [record for of_camera in records for record in of_camera]
+    is_consistent = ~_find_poor_terms(fit, flat_reports)
+    if 2 <= is_consistent.sum() < len(is_consistent):
+        # In the other cameras, inliers are static keypoints with the largest jitter.
+        consistent_terms = [term for term, consistent in zip(data, is_consistent, strict=True) if consistent]
+        center, radius = locate_object(consistent_terms)
+        fit = _expand_fit(fit_terms(consistent_terms, center, radius, [], rng), data, is_consistent)
+    detects_motion, is_likelier = _test_significance(fit, flat_reports)
+    match_weights = scatter_fit(fit, terms)
+    inliers = [
+        (term.subset(w > 0), record.displacement_px[w > 0])
+        for term, record, w in zip(data, flat_reports, fit.weights, strict=True)
     ]
-    good = [(term, shift) for term, shift in good if len(term)]
-    middle, size = object_place([term for term, _ in good]) if good else (nowhere, np.nan)
-    displacement = np.concatenate([np.empty(0), *(shift for _, shift in good)])
-    cameras = int(seeing.sum())
+    inliers = [(term, shift) for term, shift in inliers if len(term)]
+    inlier_center, size = locate_object([term for term, _ in inliers]) if inliers else (undefined_point, np.nan)
+    displacement = np.concatenate([np.empty(0), *(shift for _, shift in inliers)])
+    n_cameras = int(detects_motion.sum())
     return FirstMotion(
         fit,
         center,
-        middle,
+        inlier_center,
         size,
         len(displacement),
         float(np.median(displacement)) if len(displacement) else np.nan,
-        cameras,
-        likelier and cameras >= min(2, len(rig)),
-        fit.status is Status.OK and observed(fit, size).status is Status.OK,
-        nothing,
-        crew.each(lambda c: inliers_of([pair for pair in moving[c] if len(pair)], [w for w, _ in agreement[c]])),
+        n_cameras,
+        is_likelier and n_cameras >= min(2, len(rig)),
+        fit.status is Status.OK and set_observability_status(fit, size).status is Status.OK,
+        failure_status,
+        executor.map_cameras(
+            lambda c: select_inliers([pair for pair in moving[c] if len(pair)], [w for w, _ in match_weights[c]])
+        ),
     )
 
 
-def _junk(fit: Fit, told: Sequence[Moved]) -> BoolArray:
-    """(T,) the cameras in which a fit leaves much of the displacements of its inliers unexplained."""
-    junk = np.zeros(len(told), bool)
-    for t, (record, w, across) in enumerate(zip(told, fit.weights, fit.residuals, strict=True)):
+def _find_poor_terms(fit: Fit, reports: Sequence[MovingMatches]) -> BoolArray:
+    """Return the cameras (T,) in which a fit leaves much of its inliers' displacement unexplained."""
+    is_poor = np.zeros(len(reports), bool)
+    for t, (record, w, across) in enumerate(zip(reports, fit.weights, fit.residuals, strict=True)):
         good = w > 0
         if good.any():
             rms = float(np.sqrt(np.mean(across[good] ** 2)))
-            junk[t] = rms > JUNK * float(np.median(record.shift_px[good]))
-    return junk
+            is_poor[t] = rms > MAX_RESIDUAL_RATIO * float(np.median(record.displacement_px[good]))
+    return is_poor
 
 
-def _of_all(fit: Fit, data: Sequence[TermData], chosen: BoolArray) -> Fit:
-    """A fit to the chosen terms (T,) as one to all of them, of which the others have no inliers."""
+def _expand_fit(fit: Fit, data: Sequence[TermData], is_chosen: BoolArray) -> Fit:
+    """Extend a fit to the chosen terms (T,) to all terms; the others get no inliers."""
     weights, residuals = iter(fit.weights), iter(fit.residuals)
-    nothing = [np.zeros(len(term)) for term in data]
+    zero_arrays = [np.zeros(len(term)) for term in data]
     return fit.with_matches(
-        [next(weights) if mine else none for none, mine in zip(nothing, chosen, strict=True)],
-        [next(residuals) if mine else none for none, mine in zip(nothing, chosen, strict=True)],
+        [next(weights) if chosen else zeros for zeros, chosen in zip(zero_arrays, is_chosen, strict=True)],
+        [next(residuals) if chosen else zeros for zeros, chosen in zip(zero_arrays, is_chosen, strict=True)],
     )
 
 
-def _significance(fit: Fit, told: Sequence[Moved]) -> tuple[BoolArray, bool]:
-    """(T,) which cameras see a motion beyond the noise of keypoints that stand still, and whether it is likelier than that
-    the matches are displaced as they are in directions of their own.
+def _test_significance(fit: Fit, reports: Sequence[MovingMatches]) -> tuple[BoolArray, bool]:
+    """Test whether a fit is significant against keypoint noise and random displacements.
 
-    A displacement by d in any direction has the share 1 / (π √(d² - r²)) of a component r; a rigid motion, which says where
-    the match's epipolar line is, has Gauss's of a residual r.
+    A displacement of length d in a random direction has the density 1 / (π √(d² - r²)) of a component r. A rigid
+    motion, which predicts the match's epipolar line, has a Gaussian density of the residual r.
+
+    Returns:
+        (T,) cameras that detect a motion beyond the noise of static keypoints; whether a rigid motion is likelier than
+        independent displacements of the matches.
     """
-    likelier, seeing = 0.0, np.zeros(len(told), bool)
-    for t, (record, w, across) in enumerate(zip(told, fit.weights, fit.residuals, strict=True)):
+    log_gain, detects_motion = 0.0, np.zeros(len(reports), bool)
+    for t, (record, w, across) in enumerate(zip(reports, fit.weights, fit.residuals, strict=True)):
         good = w > 0
         if not good.any():
             continue
-        r, shift = np.abs(across[good]), record.shift_px[good]
-        sigma = max(LEAST_PX, record.jitter_px, float(np.sqrt(np.mean(r**2))))
-        by_chance = 1.0 / (np.pi * np.sqrt(np.maximum(shift**2 - r**2, sigma**2)))
+        r, translation = np.abs(across[good]), record.displacement_px[good]
+        sigma = max(MIN_NOISE_PX, record.jitter_px, float(np.sqrt(np.mean(r**2))))
+        by_chance = 1.0 / (np.pi * np.sqrt(np.maximum(translation**2 - r**2, sigma**2)))
         motion = np.exp(-0.5 * (r / sigma) ** 2) / (np.sqrt(2.0 * np.pi) * sigma)
-        gain = float(np.log(motion / by_chance).sum()) - LIKELIER * OF_SURFACE
-        far = float(np.median(shift)) > max(SIGNIFICANT_PX, SIGNIFICANT_SIGMAS * record.jitter_px)
-        seeing[t] = good.sum() >= SIGNIFICANT and far and gain > 0
-        likelier += gain
-    return seeing, likelier > LIKELIER * OF_MOTION
+        gain = float(np.log(motion / by_chance).sum()) - MIN_LOG_GAIN_PER_UNKNOWN * SURFACE_UNKNOWNS
+        is_displaced = float(np.median(translation)) > max(
+            MIN_DISPLACEMENT_PX, MIN_DISPLACEMENT_SIGMAS * record.jitter_px
+        )
+        detects_motion[t] = good.sum() >= MIN_SIGNIFICANT_MATCHES and is_displaced and gain > 0
+        log_gain += gain
+    return detects_motion, log_gain > MIN_LOG_GAIN_PER_UNKNOWN * MOTION_UNKNOWNS
 
 
 def is_ambiguous(
-    crew: Crew,
+    executor: CameraExecutor,
     rig: Rig,
-    pairs: Sequence[Sequence[Pair]],
-    first: int,
-    found: FirstMotion,
+    pairs: Sequence[Sequence[FrameMatches]],
+    first_number: int,
+    initial_motion: FirstMotion,
     rng: np.random.Generator,
 ) -> bool:
-    """Whether something else than the object moved as a rigid body too, and nearly as much of it was seen.
+    """Return whether something else moved as a rigid body, with nearly as many inliers.
 
     Args:
-        pairs: by camera, each its own: all matches since the frame with the number `first`.
-        found: what is taken for the object's motion.
+        pairs: per camera, local: all matches since the frame with the number `first_number`.
+        initial_motion: the motion accepted as the object's.
     """
 
-    def others_of(c: int) -> list[Pair]:
-        taken = np.concatenate([np.empty(0, np.int64), *(pair.indices[:, 0] for pair in found.inliers[c])])
-        return [pair.subset(~np.isin(pair.indices[:, 0], taken)) for pair in pairs[c]]
+    def select_others(c: int) -> list[FrameMatches]:
+        object_indices = np.concatenate(
+            [np.empty(0, np.int64), *(pair.indices[:, 0] for pair in initial_motion.inliers[c])]
+        )
+        return [pair.subset(~np.isin(pair.indices[:, 0], object_indices)) for pair in pairs[c]]
 
-    other = first_motion(crew, rig, crew.each(others_of), first, rng)
-    return other.fit.status is Status.OK and other.certain and other.count > RIVAL_SHARE * found.count
+    other = estimate_first_motion(executor, rig, executor.map_cameras(select_others), first_number, rng)
+    return (
+        other.fit.status is Status.OK
+        and other.is_significant
+        and other.n_inliers > AMBIGUITY_RATIO * initial_motion.n_inliers
+    )

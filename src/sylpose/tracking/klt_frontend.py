@@ -1,8 +1,8 @@
-"""The KLT front end: an anchor frame's features, followed from image to image until too few of them are left.
+"""KLT front end: tracks an anchor frame's features from image to image.
 
-SIFT finds the features of an anchor and matches them with the keyframes; in the frames between two anchors they are only
-followed, which takes a tenth of the time and places them better (`features.klt`). The next anchor goes on with those that
-are still followed and adds new ones beside them.
+SIFT detects the anchor's features and matches them with the keyframes. Frames between two anchors only track them,
+which takes a tenth of the time and is more precise (`features.klt`). The next anchor keeps the surviving tracks and
+adds new features.
 """
 
 from __future__ import annotations
@@ -14,230 +14,258 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.features.klt import Tracks, advance, begin, grey
+from sylpose.features.klt import Tracks, start_tracks, to_gray, track_features
 from sylpose.features.sift import Features
 from sylpose.geometry.arrays import BoolArray, FloatArray, Image, IntArray
-from sylpose.geometry.future import Later
-from sylpose.geometry.rigid import turn_between
+from sylpose.geometry.future import BackgroundResult
+from sylpose.geometry.rigid import relative_rotvec
 from sylpose.rig import Camera
-from sylpose.tracking.frame import CameraFrame, Pair, SolvedFrame
-from sylpose.tracking.reports import Following
+from sylpose.tracking.frame import CameraFrame, FrameMatches, SolvedFrame
+from sylpose.tracking.reports import TrackingReport
 
-__all__ = ["Anchor", "CameraAnchor", "Followed", "Renewal", "begin_anchor", "follow", "some_of", "suffices", "with_new"]
+__all__ = [
+    "Anchor",
+    "CameraAnchor",
+    "NextAnchor",
+    "TrackedFeatures",
+    "append_new_features",
+    "create_anchor",
+    "has_enough_tracks",
+    "select_tracked",
+    "track_anchor",
+]
 
 
-# Features per camera that an anchor has in all, if there are so many (keyframes are anchors, and are searched by them), and
-# how many are followed of them; how many of these are new at least (choice).
-FEATURES, FOLLOWED, MIN_NEW = 350, 170, 40
-# A new feature this near to one that is followed, pixels, is the same (choice).
-SAME_PX = 4.0
-# Features that were lost on the way are looked for again where their depth is known to this share of the object's
-# radius (choice).
-KNOWN_DEPTH = 0.1
-# What of an anchor's features must still be seen: these shares of them, in all and in each camera, and so many in all, while
-# the object has turned by less than this (radians) since (choice).
-ANCHOR_SHARE, CAMERA_SHARE, MIN_FOLLOWED, ANCHOR_TURN = 0.4, 0.25, 60, np.radians(30.0)
-# The next anchor is prepared where these shares, times this, are no longer seen, or the turn is more than that over
-# this (choice).
-SOON = 1.5
-# Frames until a camera in which no feature was followed is searched again (choice).
-ASK_AGAIN = 8
-# An anchor with few features, when more could be followed, lasts for so many frames: by then it shows which of these
-# move with the object (choice).
-FEW_LAST = 2
+# Features per camera of an anchor (they are also used for matching, as anchors become keyframes); how many of them are
+# tracked; minimum number of new ones among those (choice).
+N_ANCHOR_FEATURES, MAX_TRACKED, MIN_NEW_FEATURES = 350, 170, 40
+# A new feature closer than this to a tracked one, pixels, is the same (choice).
+DUPLICATE_PX = 4.0
+# Lost features are searched again where their depth is known to this share of the object's radius (choice).
+MAX_DEPTH_SD_RATIO = 0.1
+# An anchor is used while these shares of its features are still tracked, overall and per camera, at least so many in
+# total, and the object has rotated by less than this (radians) since (choice).
+MIN_TRACKED_RATIO, MIN_CAMERA_RATIO, MIN_TRACKED, MAX_ANCHOR_ROTATION = 0.4, 0.25, 60, np.radians(30.0)
+# Preparation of the next anchor starts when the tracked shares fall below these times this factor, or the rotation
+# exceeds that divided by it (choice).
+PREPARATION_MARGIN = 1.5
+# Number of frames after which a camera without tracks is searched again (choice).
+RETRY_FRAMES = 8
+# Number of frames for which a sparse anchor is used: by then it is clear which features move with the object (choice).
+MAX_SPARSE_AGE = 2
 
 
 @dataclass(frozen=True, eq=False)
 class Anchor:
-    """A frame whose features are followed: what all cameras know of it.
+    """Frame whose features are tracked by KLT; shared by all cameras.
 
     Attributes:
-        frame: its landmarks learn what the followed features show.
-        age: number of frames that were solved by its features alone.
-        few: whether it was begun right after the first frame in boxes, when nobody knew of what is new in them what it is.
+        frame: its landmarks are updated by the tracked features.
+        age: number of frames solved by its features alone.
+        is_sparse: whether it was created right after the first frame in boxes, when new features in them might be
+            background.
     """
 
     frame: SolvedFrame
     age: int = 0
-    few: bool = False
+    is_sparse: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class CameraAnchor:
-    """One camera's side of it: its features, as far as they have been followed.
+    """One camera's side of an anchor: the tracks of its features.
 
     Attributes:
-        number: of the anchor's frame; frame: what the camera has of it.
-        tracks: a row for each of the frame's features.
-        alive: (n,) False for features that turned out not to be on the object.
-        image: the last one, grey; None before the camera's first.
+        number: of the anchor's frame.
+        frame: the camera's data of it.
+        tracks: one row per feature of the frame.
+        is_alive: (n,) False for features found not to be on the object.
+        image: the last one, grayscale; None before the camera's first.
     """
 
     number: int
     frame: CameraFrame
     tracks: Tracks
-    alive: BoolArray
+    is_alive: BoolArray
     image: Image | None
 
 
 @dataclass(frozen=True, eq=False)
-class Followed:
-    """What an anchor's features look like in a camera's image.
+class TrackedFeatures:
+    """An anchor's features tracked in a camera's image.
 
     Attributes:
-        anchor: whose features they are.
-        rows: (m,) which of the anchor's features were found.
-        features: those, in the frame.
-        before: (m, 2) where they were in the frame before; NaN for those that were lost there.
+        anchor: the camera's anchor.
+        rows: (m,) indices of the anchor's features that were found.
+        features: these features, in the frame.
+        previous_pixels: (m, 2) their pixels in the previous frame; NaN for those that were lost there.
         tracks: of all of the anchor's features.
-        image: the frame's, grey, or None.
+        image: the frame's, grayscale, or None.
     """
 
     anchor: CameraAnchor
     rows: IntArray
     features: Features
-    before: FloatArray
+    previous_pixels: FloatArray
     tracks: Tracks
     image: Image | None
 
     def __len__(self) -> int:
         return len(self.rows)
 
-    def pair(self) -> Pair:
-        """Their matches with the anchor; in the frame they are the camera's first features."""
+    def match_with_anchor(self) -> FrameMatches:
+        """Return the matches with the anchor; tracked features come first in the frame."""
         indices = np.column_stack([self.rows, np.arange(len(self.rows))])
-        return Pair.of(self.anchor.number, self.anchor.frame, self.features, indices)
+        return FrameMatches.from_indices(self.anchor.number, self.anchor.frame, self.features, indices)
 
-    def report(self, region: FloatArray | None) -> Following:
-        """What `suffices` asks of each camera, given the object's region in its image, None where it is out of sight."""
-        looks = self.image is not None and region is not None
-        return Following(len(self), int(self.anchor.alive.sum()), looks, self.anchor.image is not None)
+    def create_report(self, region: FloatArray | None) -> TrackingReport:
+        """Create the camera's report for `has_enough_tracks`.
+
+        Args:
+            region: (k, 2) the object's outline in the image, None if out of view.
+        """
+        expects_object = self.image is not None and region is not None
+        return TrackingReport(len(self), int(self.anchor.is_alive.sum()), expects_object, self.anchor.image is not None)
 
 
 @dataclass(frozen=True, eq=False)
-class Renewal:
+class NextAnchor:
     """One camera's side of the next anchor, while it is prepared (`tracking.anchor_preparation`).
 
     Attributes:
-        number: of its frame; image: its, grey.
-        camera: as it stood for it.
-        known: how many features of it were followed; rows: (known,) which of the features of the anchor before they are.
-        found: the new ones, and their matches (m, 2) with earlier frames, by number.
+        number: of its frame.
+        image: its image, grayscale.
+        camera: with its pose at that frame.
+        n_tracked: number of its features that are tracked.
+        rows: (n_tracked,) their indices in the previous anchor.
+        result: the new features and their matches (m, 2) with earlier frames, by number.
     """
 
     number: int
     image: Image
     camera: Camera
-    known: int
+    n_tracked: int
     rows: IntArray
-    found: Later[tuple[Features, dict[int, IntArray]]]
+    result: BackgroundResult[tuple[Features, dict[int, IntArray]]]
 
 
-def suffices(reports: Sequence[Following], anchor: Anchor, ahead: RigidTransform, margin: float = 1.0) -> bool:
-    """Whether enough of an anchor's features are still seen to do without new ones.
+def has_enough_tracks(
+    reports: Sequence[TrackingReport], anchor: Anchor, predicted_pose: RigidTransform, margin: float = 1.0
+) -> bool:
+    """Return whether an anchor's tracked features suffice without new ones.
 
     Args:
-        ahead: world_from_object as predicted for the frame.
-        margin: by how much they have to be more than enough.
+        reports: of all cameras.
+        predicted_pose: predicted world_from_object.
+        margin: safety factor on the required numbers.
     """
-    turn = np.linalg.norm(turn_between(anchor.frame.world_from_object, ahead))
-    found, alive = np.array([r.found for r in reports]), np.array([r.alive for r in reports])
-    shares = margin * np.array([ANCHOR_SHARE, CAMERA_SHARE])
-    enough = found.sum() >= max(shares[0] * alive.sum(), MIN_FOLLOWED) and (found >= shares[1] * alive).all()
+    angle = np.linalg.norm(relative_rotvec(anchor.frame.world_from_object, predicted_pose))
+    found, alive = np.array([r.n_tracked for r in reports]), np.array([r.n_alive for r in reports])
+    shares = margin * np.array([MIN_TRACKED_RATIO, MIN_CAMERA_RATIO])
+    is_enough = found.sum() >= max(shares[0] * alive.sum(), MIN_TRACKED) and (found >= shares[1] * alive).all()
     for r in reports:
-        # A camera that gives images again takes part at once; one that saw nothing is asked again after a while.
-        enough &= not (r.looks and not r.follows)
-        enough &= not (r.looks and r.alive == 0 and anchor.age >= ASK_AGAIN)
-    lasts = not (anchor.few and anchor.age >= FEW_LAST)
-    return bool(enough and lasts and turn < ANCHOR_TURN / margin)
+        # A camera that delivers images again is searched at once; one without tracks is searched again after a while.
+        is_enough &= not (r.expects_object and not r.has_previous_image)
+        is_enough &= not (r.expects_object and r.n_alive == 0 and anchor.age >= RETRY_FRAMES)
+    is_lasting = not (anchor.is_sparse and anchor.age >= MAX_SPARSE_AGE)
+    return bool(is_enough and is_lasting and angle < MAX_ANCHOR_ROTATION / margin)
 
 
-def begin_anchor(number: int, current: CameraFrame, image: Image | None, before: Followed | None) -> CameraAnchor:
-    """Makes a solved frame an anchor.
+def create_anchor(
+    number: int, current: CameraFrame, image: Image | None, tracked: TrackedFeatures | None
+) -> CameraAnchor:
+    """Create a camera's anchor from a solved frame.
 
     Args:
         image: the frame's.
-        before: what was followed up to it: the camera's first features. They keep their patches.
+        tracked: features tracked up to it: the camera's first features. They keep their patches.
     """
-    image = _grey(image) if before is None else before.image
-    known = 0 if before is None else len(before)
-    # Without an image nothing can be begun.
-    new = begin(np.zeros((1, 1), np.uint8) if image is None else image, current.features.pixels[known:])
-    tracks = new if before is None else before.tracks.subset(before.rows).join(new)
-    return CameraAnchor(number, current, tracks, some_of(tracks.followed & ~current.background, known), image)
+    image = _to_grayscale(image) if tracked is None else tracked.image
+    known = 0 if tracked is None else len(tracked)
+    # Without an image no tracks can be started.
+    new = start_tracks(np.zeros((1, 1), np.uint8) if image is None else image, current.features.pixels[known:])
+    tracks = new if tracked is None else tracked.tracks.subset(tracked.rows).concatenate(new)
+    return CameraAnchor(number, current, tracks, select_tracked(tracks.tracked & ~current.background, known), image)
 
 
-def _grey(image: Image | None) -> Image | None:
-    return None if image is None else grey(image)
+def _to_grayscale(image: Image | None) -> Image | None:
+    return None if image is None else to_gray(image)
 
 
-def some_of(followed: BoolArray, known: int) -> BoolArray:
-    """(n,) the features that will be followed: the first `known`, and of the others some from all over the list."""
-    new = known + np.flatnonzero(followed[known:])
-    wanted = max(FOLLOWED - known, MIN_NEW)
-    some = followed.copy()
-    some[known:] = False
-    some[new if len(new) <= wanted else new[np.arange(wanted) * len(new) // wanted]] = True
-    return some
+def select_tracked(tracked: BoolArray, n_tracked: int) -> BoolArray:
+    """Select features (n,) to track: the first `n_tracked`, and some of the others spread over the list."""
+    new = n_tracked + np.flatnonzero(tracked[n_tracked:])
+    n_wanted = max(MAX_TRACKED - n_tracked, MIN_NEW_FEATURES)
+    is_selected = tracked.copy()
+    is_selected[n_tracked:] = False
+    is_selected[new if len(new) <= n_wanted else new[np.arange(n_wanted) * len(new) // n_wanted]] = True
+    return is_selected
 
 
-def gone_on(followed: Followed, pairs: Sequence[Pair], weights: Sequence[FloatArray]) -> CameraAnchor:
-    """The anchor after a frame that was solved by its features alone: what did not agree there is not on the object."""
-    anchor, alive = followed.anchor, followed.anchor.alive.copy()
+def advance_anchor(
+    tracked: TrackedFeatures, pairs: Sequence[FrameMatches], weights: Sequence[FloatArray]
+) -> CameraAnchor:
+    """Return the anchor after a frame solved by its features alone: outliers are dropped."""
+    anchor, alive = tracked.anchor, tracked.anchor.is_alive.copy()
     for pair, w in zip(pairs, weights, strict=True):
         alive[pair.indices[w == 0, 0]] = False
-    image = anchor.image if followed.image is None else followed.image
-    return CameraAnchor(anchor.number, anchor.frame, followed.tracks, alive, image)
+    image = anchor.image if tracked.image is None else tracked.image
+    return CameraAnchor(anchor.number, anchor.frame, tracked.tracks, alive, image)
 
 
-def follow(
+def track_anchor(
     anchor: CameraAnchor,
     camera: Camera,
-    last: RigidTransform,
-    ahead: RigidTransform,
+    last_pose: RigidTransform,
+    predicted_pose: RigidTransform,
     image: Image | None,
     mask: BoolArray | None,
     radius: float,
-) -> Followed:
-    """Looks for an anchor's features in the camera's next image.
+) -> TrackedFeatures:
+    """Track an anchor's features in the camera's next image.
 
     Args:
-        last, ahead: world_from_object, of the image they were last followed to and as predicted for this.
-        image: the frame's; mask: (h, w), True on the object.
+        last_pose: world_from_object of the last image with tracks.
+        predicted_pose: predicted world_from_object.
+        image: the frame's.
+        mask: (h, w), True on the object.
         radius: of the object.
     """
-    image, tracks = _grey(image), anchor.tracks
-    if image is None or anchor.image is None or not anchor.alive.any():
-        return Followed(anchor, np.empty(0, np.int64), Features.none(), np.empty((0, 2)), tracks, image)
-    guess, alive = np.full((len(tracks), 2), np.nan), np.flatnonzero(anchor.alive)
-    landmarks, followed = anchor.frame.table.of(anchor.frame.numbers[alive]), tracks.followed[alive]
-    expected, was = (camera.project(pose.apply(landmarks.mean)) for pose in (ahead, last))
-    # Where a feature was is known better than where its landmark's image was; that tells only how it moves.
-    guess[alive] = np.where(followed[:, None], tracks.pixels[alive] + expected - was, expected)
-    lost = np.flatnonzero(~followed)
-    guess[alive[lost[landmarks.subset(lost).depth_sd >= KNOWN_DEPTH * radius]]] = np.nan
-    tracks = advance(tracks.keep(anchor.alive), anchor.image, image, guess)
-    rows = np.flatnonzero(tracks.followed)
+    image, tracks = _to_grayscale(image), anchor.tracks
+    if image is None or anchor.image is None or not anchor.is_alive.any():
+        return TrackedFeatures(anchor, np.empty(0, np.int64), Features.empty(), np.empty((0, 2)), tracks, image)
+    guess, alive = np.full((len(tracks), 2), np.nan), np.flatnonzero(anchor.is_alive)
+    landmarks, tracked = anchor.frame.table.get(anchor.frame.landmark_ids[alive]), tracks.tracked[alive]
+    expected, last_pixels = (camera.project(pose.apply(landmarks.mean)) for pose in (predicted_pose, last_pose))
+    # A feature's last pixel is known better than its landmark's projection; the projection gives the expected motion
+    # only.
+    guess[alive] = np.where(tracked[:, None], tracks.pixels[alive] + expected - last_pixels, expected)
+    lost = np.flatnonzero(~tracked)
+    guess[alive[lost[landmarks.subset(lost).depth_sd >= MAX_DEPTH_SD_RATIO * radius]]] = np.nan
+    tracks = track_features(tracks.keep(anchor.is_alive), anchor.image, image, guess)
+    rows = np.flatnonzero(tracks.tracked)
     if mask is not None:
         column, row = np.round(tracks.pixels[rows]).astype(np.int64).T
         rows = rows[mask[row, column]]
     pixels = tracks.pixels[rows]
     old = anchor.frame.features
     features = Features(pixels, camera.normalize_to_grid(pixels), old.descriptors[rows], old.faint[rows])
-    return Followed(anchor, rows, features, anchor.tracks.pixels[rows], tracks, image)
+    return TrackedFeatures(anchor, rows, features, anchor.tracks.pixels[rows], tracks, image)
 
 
-def with_new(followed: Followed, detected: Features, background: BoolArray, most: int = FEATURES) -> Features:
-    """The followed features, then some of the detected ones that are not near to any of them.
+def append_new_features(
+    tracked: TrackedFeatures, detected: Features, background: BoolArray, max_features: int = N_ANCHOR_FEATURES
+) -> Features:
+    """Append detected features that are not near tracked ones.
 
     Args:
-        background: (n,), which of the detected ones are known to be background.
-        most: so many in all, but `MIN_NEW` detected ones at least.
+        background: (n,) which detected features are known to be background.
+        max_features: maximum total number, but at least `MIN_NEW_FEATURES` detected features are added.
     """
-    a, b = followed.features, detected.subset(~background)
+    a, b = tracked.features, detected.subset(~background)
     if len(a) and len(b):
-        b = b.subset(cKDTree(a.pixels).query(b.pixels)[0] > SAME_PX)
-    wanted = max(most - len(a), MIN_NEW)
-    if len(b) > wanted:
-        b = b.subset(np.arange(wanted) * len(b) // wanted)
+        b = b.subset(cKDTree(a.pixels).query(b.pixels)[0] > DUPLICATE_PX)
+    n_wanted = max(max_features - len(a), MIN_NEW_FEATURES)
+    if len(b) > n_wanted:
+        b = b.subset(np.arange(n_wanted) * len(b) // n_wanted)
     return Features.concatenate([a, b])

@@ -1,4 +1,7 @@
-"""What was learnt of an object in one take, so that another begins with it: as if it went on after the object was lost."""
+"""Object model learned in one recording, with which another recording can start.
+
+A tracker that starts with it behaves as if the object had been lost before the first frame.
+"""
 
 from __future__ import annotations
 
@@ -9,217 +12,237 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.display import Telling, Told, length, named
+from sylpose.display import Printable, Summary, format_length, truncate_rows
 from sylpose.features.sift import Features
 from sylpose.geometry.arrays import FloatArray, IntArray
-from sylpose.geometry.validation import finite, kind_of, number
-from sylpose.input_limits import one_line
+from sylpose.geometry.validation import check_finite, check_number, check_type
+from sylpose.input_limits import to_one_line
 from sylpose.landmarks.landmark_filter import Landmarks
-from sylpose.rig import MAX_LENGTH, Rig, single_pose
-from sylpose.tracking.camera import CameraPart
+from sylpose.rig import MAX_LENGTH, Rig, check_single_pose
+from sylpose.tracking.camera import CameraTracker
 from sylpose.tracking.frame import SolvedFrame
-from sylpose.tracking.joint_state import Joint
-from sylpose.units import FIRST_DISTANCES
+from sylpose.tracking.joint_state import JointState
+from sylpose.units import INITIAL_DISTANCES
 
-__all__ = ["FEWEST", "CameraMemory", "KnownObject", "ObjectFrame", "learnt_of"]
+__all__ = ["MIN_KEYFRAMES", "CameraLandmarks", "KnownObject", "ObjectFrame", "build_known_object"]
 
-# From fewer keyframes next to nothing is known of an object (choice).
-FEWEST = 2
-# Characters that say how a frame was found (choice).
-SAID = 200
+# Minimum number of keyframes of a usable object model (choice).
+MIN_KEYFRAMES = 2
+# Maximum length of a frame's description, characters (choice).
+MAX_DESCRIPTION_CHARS = 200
 
 
 @dataclass(frozen=True, eq=False)
-class CameraMemory:
-    """What one camera knows of an object.
+class CameraLandmarks:
+    """One camera's landmarks of an object.
 
     Attributes:
         landmarks: (n) of the object.
-        features: of each keyframe, those that are landmarks; numbers: (m,) which of them each is (`Landmarks.id`).
+        features: per keyframe, those that are landmarks.
+        landmark_ids: per keyframe, (m,) the landmark of each feature (`Landmarks.id`).
     """
 
     landmarks: Landmarks
     features: tuple[Features, ...]
-    numbers: tuple[IntArray, ...]
+    landmark_ids: tuple[IntArray, ...]
 
-    def seen_in(self, keyframe: int) -> Landmarks:
-        """(m) of the features of a keyframe."""
-        return self.landmarks.subset(np.searchsorted(self.landmarks.id, self.numbers[keyframe]))
+    def select_keyframe(self, keyframe: int) -> Landmarks:
+        """Return the landmarks (m) of a keyframe's features."""
+        return self.landmarks.subset(np.searchsorted(self.landmarks.id, self.landmark_ids[keyframe]))
 
 
 @dataclass(frozen=True, eq=False)
 class ObjectFrame:
-    """The frame of an object that poses are told in.
+    """Coordinate frame of an object in which poses are expressed.
 
     Attributes:
-        from_learnt: from the frame that it was learnt in.
-        sd: (6,) how far it may be from the one that was meant: radians about its own axes, length units along them; zero
-            where it is one by definition.
-        said: how it was found, a few words; "" of the frame that it was learnt in.
+        from_learned: transform from the frame in which the object was learned.
+        sd: (6,) standard deviations from the intended frame: radians about its own axes, length units along them; zero
+            for a frame given by definition.
+        description: short description of how it was defined; "" for the frame in which the object was learned.
     """
 
-    from_learnt: RigidTransform = field(default_factory=RigidTransform.identity)
+    from_learned: RigidTransform = field(default_factory=RigidTransform.identity)
     sd: FloatArray = field(default_factory=lambda: np.zeros(6))
-    said: str = ""
+    description: str = ""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class KnownObject(Told):
-    """An object as a take has learnt it (object.npz, `load_object`), for another one to begin with.
+class KnownObject(Printable):
+    """Object model learned in one recording and used by another (object.npz, `load_object`).
 
-    Landmarks and keyframes stay in the frame that it was learnt in, whose origin is in the object's middle: there the
-    tracker expects it, and what it decides is the same to the bit whatever frame poses are told in.
+    Landmarks and keyframes stay in the frame in which they were learned, with its origin at the object's center. The
+    tracker works in that frame, so its results are bit-identical whatever frame poses are expressed in.
 
     Attributes:
-        rig: that saw it.
+        rig: of the cameras that learned it.
         radius: of the object.
-        mark: a word that this object, learnt in this take, has in all files that come of it.
-        frame: that poses are told in.
-        scale_sd: relative standard deviation of all its lengths, where they were not measured by cameras.
+        fingerprint: identifier of this model, stored in all files derived from it.
+        frame: in which poses are expressed.
+        scale_sd: relative standard deviation of all its lengths, if they were not measured by calibrated cameras.
     """
 
     rig: Rig
     radius: float
-    mark: str
-    # Learnt frame: (n, 3) a cloud on it; frames that show it from all sides, in order of time; by the name of a camera, what
-    # that knows.
+    fingerprint: str
+    # In the learned frame: (n, 3) points on the object; keyframes from all sides, in order of time; landmarks by camera
+    # name.
     _points: FloatArray
     _keyframes: tuple[SolvedFrame, ...]
-    _cameras: Mapping[str, CameraMemory]
+    _cameras: Mapping[str, CameraLandmarks]
     frame: ObjectFrame = field(default_factory=ObjectFrame)
     scale_sd: float = 0.0
 
     @property
     def unit(self) -> str:
-        """Of its lengths, "" where that is not said; `FIRST_DISTANCES` where one camera alone has seen it."""
+        """Length unit, "" if undefined; `INITIAL_DISTANCES` if a single camera learned the object."""
         return self.rig.unit
 
     @property
     def camera_names(self) -> tuple[str, ...]:
-        """That have seen it."""
+        """Names of the cameras that observed the object."""
         return tuple(self._cameras)
 
     @property
     def points(self) -> FloatArray:
-        """(n, 3) a cloud on it, object's frame."""
-        return np.asarray(self.frame.from_learnt.apply(self._points)).reshape(-1, 3)
+        """Points on the object (n, 3), object's frame."""
+        return np.asarray(self.frame.from_learned.apply(self._points)).reshape(-1, 3)
 
     @property
-    def places(self) -> FloatArray:
-        """(n, 3) of its landmarks, of all cameras, object's frame."""
-        learnt = np.concatenate([memory.landmarks.mean for memory in self._cameras.values()])
-        return np.asarray(self.frame.from_learnt.apply(learnt)).reshape(-1, 3)
+    def positions(self) -> FloatArray:
+        """Landmark positions (n, 3) of all cameras, object's frame."""
+        learned = np.concatenate([memory.landmarks.mean for memory in self._cameras.values()])
+        return np.asarray(self.frame.from_learned.apply(learned)).reshape(-1, 3)
 
     @property
     def depth_sd(self) -> FloatArray:
-        """(n,) standard deviations of these places where each is known least."""
+        """Standard deviations (n,) of the landmark positions in their least certain direction."""
         return np.concatenate([memory.landmarks.depth_sd for memory in self._cameras.values()])
 
-    def in_frame(self, new_from_object: RigidTransform, sd: FloatArray | None = None, said: str = "") -> KnownObject:
-        """The same object, whose poses are told in another frame.
+    def to_frame(
+        self, new_from_object: RigidTransform, sd: FloatArray | None = None, description: str = ""
+    ) -> KnownObject:
+        """Return the object with poses expressed in another frame.
 
         Args:
+            new_from_object: transform from the present frame to the new one.
             sd: (6,) of the new frame, as in `ObjectFrame`; None: zero.
-            said: how it was found.
+            description: description of the new frame.
 
         Raises:
-            TypeError, ValueError: naming the argument: no single transform of finite values, no standard deviations.
+            TypeError, ValueError: an argument is not a single finite transform or not valid standard deviations.
         """
-        sd = finite(np.zeros(6) if sd is None else sd, (6,), "sd")
+        sd = check_finite(np.zeros(6) if sd is None else sd, (6,), "sd")
         if (sd < 0.0).any():
             raise ValueError("sd: standard deviations are not negative")
-        from_learnt = single_pose(new_from_object, "new_from_object") * self.frame.from_learnt
-        frame = ObjectFrame(from_learnt, sd, one_line(kind_of(said, str, "said"), SAID))
+        from_learned = check_single_pose(new_from_object, "new_from_object") * self.frame.from_learned
+        description = to_one_line(check_type(description, str, "description"), MAX_DESCRIPTION_CHARS)
+        frame = ObjectFrame(from_learned, sd, description)
         return replace(self, frame=frame)
 
-    def sized(self, factor: float, unit: str, sd: float = 0.0) -> KnownObject:
-        """The same object so many times as large, of one that a single camera has learnt: before that camera nothing changes
-        by it but how far away everything is.
+    def scaled(self, factor: float, unit: str, sd: float = 0.0) -> KnownObject:
+        """Return an object learned by a single camera, scaled by a factor.
+
+        For that camera only the distances change.
 
         Args:
-            unit: of its lengths then, or "".
+            factor: ratio of new to old lengths.
+            unit: of the new lengths, or "".
             sd: relative standard deviation of the factor.
 
         Raises:
-            ValueError: lengths that cameras have measured; no factor, no standard deviation.
+            ValueError: the lengths were measured by calibrated cameras; invalid factor or standard deviation.
         """
-        if self.unit != FIRST_DISTANCES:
-            raise ValueError("cameras have measured its lengths: scaled they would contradict every calibration")
-        factor, sd = number(factor, "factor", above=0.0, most=MAX_LENGTH), number(sd, "sd", least=0.0, most=1.0)
-        eye, size = self.rig.cameras[0].center, np.repeat([1.0, factor], 3)
+        if self.unit != INITIAL_DISTANCES:
+            raise ValueError("calibrated cameras measured its lengths: scaling would contradict the calibration")
+        factor, sd = (
+            check_number(factor, "factor", above=0.0, maximum=MAX_LENGTH),
+            check_number(sd, "sd", minimum=0.0, maximum=1.0),
+        )
+        camera_center, size = self.rig.cameras[0].center, np.repeat([1.0, factor], 3)
 
-        def larger(frame: SolvedFrame) -> SolvedFrame:
+        def scale_frame(frame: SolvedFrame) -> SolvedFrame:
             pose, covariance = frame.world_from_object, frame.covariance * np.outer(size, size)
-            there = RigidTransform.from_components(eye + factor * (pose.translation - eye), pose.rotation)
-            return replace(frame, world_from_object=there, covariance=covariance)
-
-        def enlarged(memory: CameraMemory) -> CameraMemory:
-            its = memory.landmarks
-            return replace(
-                memory, landmarks=replace(its, mean=factor * its.mean, information=its.information / factor**2)
+            scaled_pose = RigidTransform.from_components(
+                camera_center + factor * (pose.translation - camera_center), pose.rotation
             )
+            return replace(frame, world_from_object=scaled_pose, covariance=covariance)
 
-        frame = self.frame.from_learnt
+        def scale_landmarks(own: CameraLandmarks) -> CameraLandmarks:
+            its = own.landmarks
+            return replace(own, landmarks=replace(its, mean=factor * its.mean, information=its.information / factor**2))
+
+        frame = self.frame.from_learned
         return replace(
             self,
-            rig=Rig(self.rig.cameras, kind_of(unit, str, "unit")),
+            rig=Rig(self.rig.cameras, check_type(unit, str, "unit")),
             radius=factor * self.radius,
             _points=factor * self._points,
-            _keyframes=tuple(map(larger, self._keyframes)),
-            _cameras={name: enlarged(memory) for name, memory in self._cameras.items()},
+            _keyframes=tuple(map(scale_frame, self._keyframes)),
+            _cameras={name: scale_landmarks(memory) for name, memory in self._cameras.items()},
             frame=replace(
                 self.frame,
-                from_learnt=RigidTransform.from_components(factor * frame.translation, frame.rotation),
+                from_learned=RigidTransform.from_components(factor * frame.translation, frame.rotation),
                 sd=self.frame.sd * size,
             ),
             scale_sd=sd,
         )
 
-    def _told(self) -> Telling:
+    def _summary(self) -> Summary:
         brief = (
-            f"radius {length(self.radius, self.unit)}, {len(self.places)} landmarks, {len(self._keyframes)} keyframes"
+            f"radius {format_length(self.radius, self.unit)}, {len(self.positions)} landmarks, "
+            f"{len(self._keyframes)} keyframes"
         )
         cameras = [(name, f"{len(memory.landmarks.mean)} landmarks") for name, memory in self._cameras.items()]
-        return Telling(brief, named(cameras))
+        return Summary(brief, truncate_rows(cameras))
 
 
-def learnt_of(
-    rig: Rig, joint: Joint, parts: Sequence[CameraPart], begun: KnownObject | None = None
+def build_known_object(
+    rig: Rig, state: JointState, camera_trackers: Sequence[CameraTracker], initial: KnownObject | None = None
 ) -> KnownObject | None:
-    """What is known of the object by now; None before it was seen to move and turn: what is known may be the background.
+    """Build the object model learned so far; None until the object has moved and rotated.
+
+    Before that, the landmarks may be background.
 
     Args:
-        begun: what the take has begun with.
+        initial: object model that the recording started with.
     """
-    if joint.last is None or not joint.proven or len(joint.keyframes) < FEWEST or joint.object.guessed:
+    if (
+        state.last is None
+        or not state.has_moved
+        or len(state.keyframes) < MIN_KEYFRAMES
+        or state.object.is_depth_guessed
+    ):
         return None
     cameras = {}
-    for part in parts:
+    for camera_tracker in camera_trackers:
         features, numbers = list[Features](), list[IntArray]()
-        for keyframe in joint.keyframes:
-            frame = part.frames[keyframe.number]
+        for keyframe in state.keyframes:
+            frame = camera_tracker.frames[keyframe.number]
             known = frame.landmarks
-            good = known.moved & ~frame.background & np.isfinite(known.mean).all(axis=1)
+            good = known.has_moved & ~frame.background & np.isfinite(known.mean).all(axis=1)
             features.append(frame.features.subset(good))
-            numbers.append(frame.numbers[good])
-        landmarks = part.table.of(np.unique(np.concatenate(numbers)))
-        cameras[part.camera.name] = CameraMemory(landmarks, tuple(features), tuple(numbers))
-    model = joint.object
-    if begun is not None:
-        seen_by = Rig(rig.cameras, begun.unit)
+            numbers.append(frame.landmark_ids[good])
+        landmarks = camera_tracker.table.get(np.unique(np.concatenate(numbers)))
+        cameras[camera_tracker.camera.name] = CameraLandmarks(landmarks, tuple(features), tuple(numbers))
+    model = state.object
+    if initial is not None:
+        new_rig = Rig(rig.cameras, initial.unit)
         return replace(
-            begun,
-            rig=seen_by,
+            initial,
+            rig=new_rig,
             radius=model.radius,
             _points=model.points,
-            _keyframes=joint.keyframes,
+            _keyframes=state.keyframes,
             _cameras=cameras,
         )
-    seen_by = rig if len(rig) > 1 else Rig(rig.cameras, FIRST_DISTANCES)
-    return KnownObject(seen_by, model.radius, _mark(joint.keyframes, cameras), model.points, joint.keyframes, cameras)
+    new_rig = rig if len(rig) > 1 else Rig(rig.cameras, INITIAL_DISTANCES)
+    return KnownObject(
+        new_rig, model.radius, _compute_fingerprint(state.keyframes, cameras), model.points, state.keyframes, cameras
+    )
 
 
-def _mark(keyframes: Sequence[SolvedFrame], cameras: Mapping[str, CameraMemory]) -> str:
+def _compute_fingerprint(keyframes: Sequence[SolvedFrame], cameras: Mapping[str, CameraLandmarks]) -> str:
     total = hashlib.blake2b(digest_size=8)
     for keyframe in keyframes:
         total.update(np.ascontiguousarray(keyframe.world_from_object.as_matrix()).tobytes())

@@ -1,4 +1,4 @@
-"""Accepting a frame: its pose becomes a fact, and all that it teaches is learnt."""
+"""Map update: accept a frame's pose and update landmarks, background and model with it."""
 
 from __future__ import annotations
 
@@ -11,358 +11,494 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.features.sift import Features
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import BoolArray, FloatArray
-from sylpose.matches import STILL_PX
+from sylpose.matches import STATIC_PX
 from sylpose.relative_pose.fit import MIN_MATCHES
-from sylpose.relative_pose.observability import observed
-from sylpose.results import FramePose, FrameStatus, Observable, Status
-from sylpose.tracking.context import Region, Team
-from sylpose.tracking.frame import Frame, Pair, SolvedFrame, Sought, learn_only, sought_in, triangulate
-from sylpose.tracking.initialization import FirstMotion, agree, first_motion
-from sylpose.tracking.joint_state import Joint, covariance_with_references
-from sylpose.tracking.keyframes import viewpoints
+from sylpose.relative_pose.observability import set_observability_status
+from sylpose.results import FramePose, FrameStatus, Observability, Status
+from sylpose.tracking.context import Region, TrackerContext
+from sylpose.tracking.frame import (
+    DetectedFeatures,
+    Frame,
+    FrameMatches,
+    SolvedFrame,
+    collect_detected_features,
+    mark_others_as_background,
+    triangulate,
+)
+from sylpose.tracking.initialization import FirstMotion, estimate_first_motion, is_continuing_motion
+from sylpose.tracking.joint_state import JointState, add_reference_covariance
+from sylpose.tracking.keyframes import compute_viewpoints
 from sylpose.tracking.klt_frontend import Anchor
-from sylpose.tracking.observations import usual_age
-from sylpose.tracking.pose_search import Found, on_the_move
-from sylpose.tracking.reobserved import SeenAgain
-from sylpose.tracking.reports import placed, total_ages
-from sylpose.tracking.tracked_frame import Sightings, TrackedFrame, shown, sightings, unsolved_frame
-from sylpose.tracking.window import at_least, is_due, refined
+from sylpose.tracking.observations import compute_full_weight_age
+from sylpose.tracking.pose_search import PoseCandidate, drop_static_matches
+from sylpose.tracking.reobserved import ReobservedFeatures
+from sylpose.tracking.reports import expand_ages, quantize_positions
+from sylpose.tracking.tracked_frame import (
+    LandmarkObservations,
+    TrackedFrame,
+    create_unsolved_frame,
+    record_observations,
+    select_shown_matches,
+)
+from sylpose.tracking.window import enlarge_covariance, is_refinement_due, refine_window
 
-__all__ = ["accept_first", "accepted", "first_points", "not_found", "silenced", "told_by_matches", "triangulated"]
+__all__ = [
+    "accept_first_frame",
+    "accept_frame",
+    "estimate_first_points",
+    "find_muted_cameras",
+    "handle_missing_object",
+    "triangulate_inliers",
+    "update_from_matches",
+]
 
-# One camera sees a turn and its mirror image alike, with hollow for round: an object in a box is taken to be round, and its
-# middle to be nearer than its centre by this share of its radius (choice).
-BULGE = 0.5
-# A camera of whose matches no more than this share agrees was rejected as a whole, where of another's this share does
-# (choice).
-REJECTED, HEARD = 0.2, 0.5
-# A camera that is doubted by this factor teaches nothing in that frame (choice).
-SILENT = 30.0
-# The error of a turn while all depths are guesses, as a share of it (choice).
-MIRRORED = 0.5
-# So many points show where an object's surface is (choice).
-MIN_POINTS = 20
+# A single camera cannot distinguish a rotation from its mirror image, concave from convex. An object in a box is
+# assumed convex: the middle of its surface is nearer than its center by this share of its radius (choice).
+CONVEX_BULGE_RATIO = 0.5
+# A camera is rejected as a whole if at most this share of its matches are inliers, while in another camera at least
+# this share are (choice).
+MAX_REJECTED_INLIER_RATIO, MIN_INLIER_RATIO_OTHERS = 0.2, 0.5
+# A camera whose variance inflation exceeds this does not update landmarks in that frame (choice).
+MAX_UPDATE_INFLATION = 30.0
+# Relative error of a rotation while all depths are guesses (choice).
+MIRROR_ERROR_RATIO = 0.5
+# Minimum number of points that describe an object's surface (choice).
+MIN_SURFACE_POINTS = 20
 
 
-def accept_first(
-    team: Team,
-    joint: Joint,
+def accept_first_frame(
+    context: TrackerContext,
+    state: JointState,
     frames: FrameSet,
     frame: Frame,
-    surroundings: Sequence[Features],
+    background_features: Sequence[Features],
     center: FloatArray,
     regions: Sequence[Region],
-) -> tuple[Joint, TrackedFrame]:
-    """The frame whose pose defines the object's frame.
+) -> tuple[JointState, TrackedFrame]:
+    """Accept the frame whose pose defines the object's frame.
 
     Args:
-        surroundings: by camera, each its own: the features around the object.
+        background_features: per camera, local: features around the object.
         center: (3,) of the object, world.
+        regions: per camera, local: outlines of the object.
+
+    Returns:
+        the state; the result.
     """
-    crew, parts, model = team.crew, team.parts, joint.object
+    executor, camera_trackers, model = context.executor, context.camera_trackers, state.object
     pose = RigidTransform.from_translation(center)
-    sees = np.array(crew.ask(lambda c: len(frame.cameras[c].features) > 0, False))
-    first = SolvedFrame(frame.number, frame.time, frame.late, pose, np.zeros((6, 6)), viewpoints(team.rig, pose), sees)
-    bulge = BULGE if model.bounded and len(team.rig) == 1 else 0.0
+    is_visible = np.array(executor.all_gather(lambda c: len(frame.cameras[c].features) > 0, False))
+    first = SolvedFrame(
+        frame.number,
+        frame.time,
+        frame.time_offsets,
+        pose,
+        np.zeros((6, 6)),
+        compute_viewpoints(context.rig, pose),
+        is_visible,
+    )
+    bulge = CONVEX_BULGE_RATIO if model.is_bounded and len(context.rig) == 1 else 0.0
 
-    def learn(c: int) -> None:
-        part, current = parts[c], frame.cameras[c]
-        part.begin(frame.number, current, surroundings[c], (frames.images[c], frames.masks[c]))
-        part.learn(current, part.camera, pose, SeenAgain.none(), model.points, model.radius, bulge)
+    def update_camera(c: int) -> None:
+        camera_tracker, current = camera_trackers[c], frame.cameras[c]
+        camera_tracker.initialize(frame.number, current, background_features[c], (frames.images[c], frames.masks[c]))
+        camera_tracker.update_landmarks(
+            current, camera_tracker.camera, pose, ReobservedFeatures.empty(), model.points, model.radius, bulge
+        )
 
-    crew.each(learn)
-    joint = joint.begun(first)
-    if team.follows:
-        crew.each(lambda c: parts[c].anchor_at(frame.number, frames.images[c], None))
-        joint = replace(joint, anchor=Anchor(first))
-    n = len(team.rig)
-    nothing = np.zeros(n, np.int64), np.full(n, np.nan)
-    result = FramePose(frames.index, frames.time, FrameStatus.FIRST, pose, first.covariance, *nothing)
-    seen = crew.each(lambda c: sightings([], frame.cameras[c]))
-    return joint, TrackedFrame(result, frames, (None,) * n, tuple(regions), model.radius, tuple(seen), frame.late)
+    executor.map_cameras(update_camera)
+    state = state.set_first_frame(first)
+    if context.uses_klt:
+        executor.map_cameras(lambda c: camera_trackers[c].set_anchor(frame.number, frames.images[c], None))
+        state = replace(state, anchor=Anchor(first))
+    n = len(context.rig)
+    no_inliers = np.zeros(n, np.int64), np.full(n, np.nan)
+    result = FramePose(frames.index, frames.time, FrameStatus.FIRST, pose, first.covariance, *no_inliers)
+    observations = executor.map_cameras(lambda c: record_observations([], frame.cameras[c]))
+    return state, TrackedFrame(
+        result, frames, (None,) * n, tuple(regions), model.radius, tuple(observations), frame.time_offsets
+    )
 
 
-def accepted(team: Team, joint: Joint, frames: FrameSet, found: Found) -> tuple[Joint, TrackedFrame]:
-    """A frame is solved."""
-    crew, parts, base, solution = team.crew, team.parts, joint.base, found.solution
-    # A camera that was rejected as a whole would teach landmarks that agree with what it sees, and be believed again.
-    doubt = _doubt(found)
-    on_it = np.array([a.tried_moved for a in found.agreed]) >= MIN_MATCHES  # else it may see something else
-    # Nor do frames teach in which all may be background still: as the object creeps, its landmarks would go half of the way.
-    proven = joint.proven_by(found.agreed)
-    silent = silenced(doubt, on_it) | (not proven)
-    cameras = crew.each(lambda c: parts[c].blind() if silent[c] else found.frame.cameras[c])
-    frame = replace(found.frame, cameras=cameras)
-    known, radius = joint.known, joint.object.radius
-    pose = found.motion * base.world_from_object
-    stood = solution.status is Status.NO_MOTION  # the pose is the base's, and so is its error
-    covariance = base.covariance if proven else joint.keyframes[0].covariance
-    if not stood:
-        alike = _goes_on(joint, found) if solution.biased else 0.0
-        covariance = covariance_with_references(solution.information, pose, found.agreed, known, radius, alike)
-        if joint.refined is not None and not joint.missed:
-            covariance = at_least(covariance, joint.refined)
-    if not proven:
-        covariance = covariance + _unnoticed(team, pose, radius)
-    if joint.object.guessed:
-        # With all depths guessed, the mirror image of a turn explains it nearly as well.
-        turn = (pose.rotation * joint.keyframes[0].world_from_object.rotation.inv()).magnitude()
-        covariance = covariance + np.diag(np.repeat([(MIRRORED * turn) ** 2, 0.0], 3))
+def accept_frame(
+    context: TrackerContext, state: JointState, frames: FrameSet, candidate: PoseCandidate
+) -> tuple[JointState, TrackedFrame]:
+    """Accept a solved frame: update landmarks, background, anchor and state.
+
+    Args:
+        candidate: the pose candidate.
+
+    Returns:
+        the state; the result.
+    """
+    executor, camera_trackers, last_frame, solution = (
+        context.executor,
+        context.camera_trackers,
+        state.last_frame,
+        candidate.solution,
+    )
+    # Landmarks of a rejected camera would agree with its own images, and it would be accepted again.
+    variance_inflation = _compute_inflation(candidate)
+    has_matches = (
+        np.array([a.n_known_moved for a in candidate.agreements]) >= MIN_MATCHES
+    )  # otherwise it may see another object
+    # Nor are landmarks updated while all may still be background: they would follow a slowly moving object halfway.
+    has_moved = state.is_motion_verified(candidate.agreements)
+    is_muted = find_muted_cameras(variance_inflation, has_matches) | (not has_moved)
+    cameras = executor.map_cameras(
+        lambda c: camera_trackers[c].create_empty_frame() if is_muted[c] else candidate.frame.cameras[c]
+    )
+    frame = replace(candidate.frame, cameras=cameras)
+    known_frames, radius = state.known_frames, state.object.radius
+    pose = candidate.motion * last_frame.world_from_object
+    is_static = solution.status is Status.NO_MOTION  # the pose and its error are those of the last frame
+    covariance = last_frame.covariance if has_moved else state.keyframes[0].covariance
+    if not is_static:
+        correlation = _rotation_continuity(state, candidate) if solution.is_biased else 0.0
+        covariance = add_reference_covariance(
+            solution.information, pose, candidate.agreements, known_frames, radius, correlation
+        )
+        if state.refined_covariance is not None and not state.n_missed:
+            covariance = enlarge_covariance(covariance, state.refined_covariance)
+    if not has_moved:
+        covariance = covariance + _undetected_motion_covariance(context, pose, radius)
+    if state.object.is_depth_guessed:
+        # With all depths guessed, the mirrored rotation fits nearly as well.
+        rotation = (pose.rotation * state.keyframes[0].world_from_object.rotation.inv()).magnitude()
+        covariance = covariance + np.diag(np.repeat([(MIRROR_ERROR_RATIO * rotation) ** 2, 0.0], 3))
     solved = SolvedFrame(
         frame.number,
         frame.time,
-        frame.late,
+        frame.time_offsets,
         pose,
         covariance,
-        viewpoints(team.rig, pose),
-        np.array([a.sees for a in found.agreed]) & ~silent,
-        usual_age(total_ages([a.ages for a in found.agreed])),
+        compute_viewpoints(context.rig, pose),
+        np.array([a.has_features for a in candidate.agreements]) & ~is_muted,
+        compute_full_weight_age(expand_ages([a.ages for a in candidate.agreements])),
     )
 
-    def seen_again(c: int) -> SeenAgain:
-        if found.first is not None:
-            parts[c].table.learn(found.first[c])
-        if silent[c]:
-            return SeenAgain.none()
-        if found.anew:
-            parts[c].learn_background(found.pairs[c], frame.cameras[c], pose, known, radius)
-        parts[c].learn_noise(found.agreed[c].residual_px)
-        return SeenAgain.of(found.pairs[c], solution.agreement[c], frame.cameras[c].still_px, radius)
+    def collect_reobserved(c: int) -> ReobservedFeatures:
+        if candidate.first_landmarks is not None:
+            camera_trackers[c].table.update(candidate.first_landmarks[c])
+        if is_muted[c]:
+            return ReobservedFeatures.empty()
+        if candidate.has_new_features:
+            camera_trackers[c].learn_background(candidate.pairs[c], frame.cameras[c], pose, known_frames, radius)
+        camera_trackers[c].update_noise(candidate.agreements[c].residual_px)
+        return ReobservedFeatures.from_matches(
+            candidate.pairs[c], solution.match_weights[c], frame.cameras[c].static_px, radius
+        )
 
-    seen = crew.each(seen_again)
-    model = joint.object
-    if not model.bounded:
-        for surface in crew.ask(lambda c: placed(seen[c].surface, radius), np.empty((0, 3))):
-            model = model.with_points(surface, team.seed)
-    status = FrameStatus.RELOCALISED if joint.missed else FrameStatus.TRACKED
-    after = replace(joint, object=model).accepted(solved, found.motion, anew=found.anew, agreed=found.agreed)
-    # Where it was found again next to nothing is known of what else is seen: the next frame asks the keyframes too.
-    begins = found.anew and team.follows and status is FrameStatus.TRACKED
-    if begins:
-        # Right after the first frame, what is new in the boxes is not followed: nobody knows yet what it is.
-        after_first = base.number == joint.keyframes[0].number
-        after = replace(after, anchor=Anchor(solved, few=joint.object.bounded and after_first))
-    kept = set(after.known)
+    reobserved = executor.map_cameras(collect_reobserved)
+    model = state.object
+    if not model.is_bounded:
+        for surface in executor.all_gather(
+            lambda c: quantize_positions(reobserved[c].surface_points, radius), np.empty((0, 3))
+        ):
+            model = model.add_points(surface, context.seed)
+    status = FrameStatus.RELOCALIZED if state.n_missed else FrameStatus.TRACKED
+    new_state = replace(state, object=model).add_solved_frame(
+        solved, candidate.motion, has_new_features=candidate.has_new_features, agreements=candidate.agreements
+    )
+    # After relocalization little is known of the other features: the next frame is matched with the keyframes too.
+    begins_anchor = candidate.has_new_features and context.uses_klt and status is FrameStatus.TRACKED
+    if begins_anchor:
+        # Right after the first frame, new features in the boxes are not tracked: they may be background.
+        after_first = last_frame.number == state.keyframes[0].number
+        new_state = replace(new_state, anchor=Anchor(solved, is_sparse=state.object.is_bounded and after_first))
+    kept_numbers = set(new_state.known_frames)
 
-    def learn(c: int) -> tuple[tuple[FloatArray, FloatArray] | None, Sightings, Sought]:
-        part, current = parts[c], frame.cameras[c]
-        followed = None if found.followed is None else found.followed[c]
-        part.learn(current, found.rig.cameras[c], pose, seen[c], model.points, radius)
-        if followed is not None and not found.anew:
-            # Until the object has moved, what does not agree may be the object, and the rest background.
-            judged = after.proven and not silent[c]
-            weights = [w for w, _ in solution.agreement[c]]
-            part.go_on(followed, found.pairs[c] if judged else [], weights if judged else [])
-        part.keep(frame.number, current, kept, (frames.images[c], frames.masks[c]))
-        if begins:
-            part.anchor_at(frame.number, frames.images[c], None if silent[c] else followed)
-        before = None if followed is None else followed.before
-        sought = sought_in(found.frame.cameras[c].features, found.pairs[c], [w for w, _ in solution.agreement[c]])
-        return shown(seen[c].inliers, current, base.number, before), sightings(seen[c].inliers, current), sought
+    def update_camera(c: int) -> tuple[tuple[FloatArray, FloatArray] | None, LandmarkObservations, DetectedFeatures]:
+        camera_tracker, current = camera_trackers[c], frame.cameras[c]
+        tracked = None if candidate.tracked is None else candidate.tracked[c]
+        camera_tracker.update_landmarks(current, candidate.rig.cameras[c], pose, reobserved[c], model.points, radius)
+        if tracked is not None and not candidate.has_new_features:
+            # Until the object has moved, disagreeing features may be the object's and the others background.
+            is_judged = new_state.has_moved and not is_muted[c]
+            weights = [w for w, _ in solution.match_weights[c]]
+            camera_tracker.advance_anchor(
+                tracked, candidate.pairs[c] if is_judged else [], weights if is_judged else []
+            )
+        camera_tracker.store_frame(frame.number, current, kept_numbers, (frames.images[c], frames.masks[c]))
+        if begins_anchor:
+            camera_tracker.set_anchor(frame.number, frames.images[c], None if is_muted[c] else tracked)
+        before = None if tracked is None else tracked.previous_pixels
+        detected = collect_detected_features(
+            candidate.frame.cameras[c].features, candidate.pairs[c], [w for w, _ in solution.match_weights[c]]
+        )
+        return (
+            select_shown_matches(reobserved[c].inliers, current, last_frame.number, before),
+            record_observations(reobserved[c].inliers, current),
+            detected,
+        )
 
-    learnt = crew.each(learn, long=found.anew)
-    if team.refines and is_due(after):
-        after = refined(team, after)
-    last = after.with_length(after.base)
-    observable = Observable.NO_LENGTH if after.length_sd else Observable.ALL
+    updates = executor.map_cameras(update_camera, is_slow=candidate.has_new_features)
+    if context.refines_window and is_refinement_due(new_state):
+        new_state = refine_window(context, new_state)
+    last = new_state.add_scale_uncertainty(new_state.last_frame)
+    observable = Observability.NO_TRANSLATION_SCALE if new_state.path_scale_sd else Observability.ALL
     result = FramePose(
         frames.index,
         frames.time,
         status,
         last.world_from_object,
         last.covariance,
-        np.array([a.features for a in found.agreed], np.int64),
-        np.array([a.residual_px for a in found.agreed]),
-        Observable.NO_SCALE if len(team.rig) == 1 else observable,
-        doubt,
+        np.array([a.n_inlier_features for a in candidate.agreements], np.int64),
+        np.array([a.residual_px for a in candidate.agreements]),
+        Observability.NO_SCALE if len(context.rig) == 1 else observable,
+        variance_inflation,
         solution.faults,
-        np.array([a.tried_features for a in found.agreed], np.int64),
+        np.array([a.n_features for a in candidate.agreements], np.int64),
     )
-    matches, seen_now = crew.each(lambda c: learnt[c][0]), crew.each(lambda c: learnt[c][1])
-    sought = crew.each(lambda c: learnt[c][2])
-    return replace(after, last=last), TrackedFrame(
-        result.judged(),
+    matches, landmark_observations = (
+        executor.map_cameras(lambda c: updates[c][0]),
+        executor.map_cameras(lambda c: updates[c][1]),
+    )
+    detections = executor.map_cameras(lambda c: updates[c][2])
+    return replace(new_state, last=last), TrackedFrame(
+        result.update_uncertain_status(),
         frames,
         tuple(matches),
-        tuple(found.regions),
+        tuple(candidate.regions),
         model.radius,
-        tuple(seen_now),
-        frame.late,
-        sought=tuple(sought),
+        tuple(landmark_observations),
+        frame.time_offsets,
+        detections=tuple(detections),
     )
 
 
-def silenced(doubt: FloatArray, on_it: BoolArray) -> BoolArray:
-    """(C,) the cameras that teach nothing in a frame.
+def find_muted_cameras(variance_inflation: FloatArray, has_matches: BoolArray) -> BoolArray:
+    """Find cameras (C,) whose landmarks are not updated in a frame.
 
-    Where most are doubted nobody knows which are wrong: none is silent, or the one left would go on by what it sees alone,
-    agree with itself, and be sure of it.
-
-    Args:
-        doubt: (C,) as in `FramePose`; on_it: (C,) which cameras have matches enough to be doubted.
-    """
-    doubted = on_it & (doubt > SILENT)
-    most = 2 * np.count_nonzero(doubted) > np.count_nonzero(on_it)
-    return np.zeros_like(doubted) if most else doubted
-
-
-def _unnoticed(team: Team, pose: RigidTransform, radius: float) -> FloatArray:
-    """(6, 6) of (w, d): by how much an object may have moved of which all that is known is that nothing moved, since most of
-    what is seen may be background."""
-    away = np.array([camera.camera_from_world.apply(pose.translation)[2] / camera.focal for camera in team.rig])
-    shift = STILL_PX * float(np.median(np.abs(away)))
-    return np.diag(np.repeat([(shift / radius) ** 2, shift**2], 3))
-
-
-def _goes_on(joint: Joint, found: Found) -> float:
-    """The cosine of the angle between the axes of the turn so far and of the one that was found; 0 where it turns back.
-
-    What a surface does to a turn is in proportion to it: as long as the object turns on, errors add up.
-    """
-    so_far = (joint.base.world_from_object.rotation * joint.keyframes[0].world_from_object.rotation.inv()).as_rotvec()
-    step = found.motion.rotation.as_rotvec()
-    lengths = float(np.linalg.norm(so_far) * np.linalg.norm(step))
-    return max(0.0, float(so_far @ step) / lengths) if lengths > 0 else 0.0
-
-
-def _doubt(found: Found) -> FloatArray:
-    """(C,) as in `FramePose`: the solution's doubt, where there is anything of the camera to be doubted."""
-    shares = np.array([a.matches / max(a.tried, 1) for a in found.agreed])
-    asked = np.array([a.tried for a in found.agreed]) >= MIN_MATCHES
-    rejected = asked & (shares < REJECTED) & (shares.max() > HEARD)
-    return np.where(rejected, np.inf, np.where(asked, found.solution.doubt, np.nan))
-
-
-def not_found(
-    team: Team, joint: Joint, frames: FrameSet, ahead: RigidTransform, regions: Sequence[Region]
-) -> tuple[Joint, TrackedFrame]:
-    """A frame in which the object was not found: it is taken to have gone on as before, until that says nothing. Where all
-    that agrees with a pose stands still and never moved, nothing is said of it.
+    If most cameras disagree it is unclear which are wrong, so none is muted. Otherwise the remaining one would confirm
+    its own observations with false certainty.
 
     Args:
-        ahead: world_from_object as predicted.
-        regions: where it was looked for.
+        variance_inflation: (C,) variance inflation as in `FramePose`.
+        has_matches: (C,) which cameras have enough matches to be judged.
     """
-    only_still = joint.only_still
-    joint, covariance = joint.without(frames.time)
-    sought, radius = team.crew.each(lambda c: team.parts[c].sought), joint.object.radius
-    if only_still:
-        return joint, unsolved_frame(team, frames, FrameStatus.ONLY_STILL, sought, regions, radius)
-    if joint.lost:
-        return joint, unsolved_frame(team, frames, FrameStatus.LOST, sought, regions, radius)
-    return joint, unsolved_frame(team, frames, FrameStatus.COASTING, sought, regions, radius, ahead, covariance)
+    is_inflated = has_matches & (variance_inflation > MAX_UPDATE_INFLATION)
+    is_majority = 2 * np.count_nonzero(is_inflated) > np.count_nonzero(has_matches)
+    return np.zeros_like(is_inflated) if is_majority else is_inflated
 
 
-def told_by_matches(
-    team: Team, joint: Joint, frame: Frame, pairs: Sequence[Sequence[Pair]], guess: RigidTransform
-) -> tuple[Joint, RigidTransform | None, RigidTransform, Sequence[Sequence[Pair]]]:
-    """While nothing but boxes tells where the object's surface is, or nothing how it moves, a frame's matches may.
+def _undetected_motion_covariance(context: TrackerContext, pose: RigidTransform, radius: float) -> FloatArray:
+    """Return the covariance (6, 6) of (w, d) of an undetected motion.
+
+    It applies while most features may be background, so that only a static scene is established.
+    """
+    pixel_sizes = np.array(
+        [camera.camera_from_world.apply(pose.translation)[2] / camera.focal for camera in context.rig]
+    )
+    translation = STATIC_PX * float(np.median(np.abs(pixel_sizes)))
+    return np.diag(np.repeat([(translation / radius) ** 2, translation**2], 3))
+
+
+def _rotation_continuity(state: JointState, candidate: PoseCandidate) -> float:
+    """Return the cosine between the axes of the total and the latest rotation; 0 if it reverses.
+
+    A surface biases a rotation in proportion to its angle: errors accumulate while the object keeps rotating.
+    """
+    total = (
+        state.last_frame.world_from_object.rotation * state.keyframes[0].world_from_object.rotation.inv()
+    ).as_rotvec()
+    step = candidate.motion.rotation.as_rotvec()
+    lengths = float(np.linalg.norm(total) * np.linalg.norm(step))
+    return max(0.0, float(total @ step) / lengths) if lengths > 0 else 0.0
+
+
+def _compute_inflation(candidate: PoseCandidate) -> FloatArray:
+    """Return the variance inflation (C,) as in `FramePose`; NaN for cameras with too few matches to judge."""
+    shares = np.array([a.n_inlier_matches / max(a.n_matches, 1) for a in candidate.agreements])
+    is_judged = np.array([a.n_matches for a in candidate.agreements]) >= MIN_MATCHES
+    is_rejected = is_judged & (shares < MAX_REJECTED_INLIER_RATIO) & (shares.max() > MIN_INLIER_RATIO_OTHERS)
+    return np.where(is_rejected, np.inf, np.where(is_judged, candidate.solution.variance_inflation, np.nan))
+
+
+def handle_missing_object(
+    context: TrackerContext,
+    state: JointState,
+    frames: FrameSet,
+    predicted_pose: RigidTransform,
+    regions: Sequence[Region],
+) -> tuple[JointState, TrackedFrame]:
+    """Handle a frame in which the object was not found.
+
+    The pose is extrapolated until it becomes too uncertain. If only static features agreed with a pose, none is
+    reported.
 
     Args:
-        frame: that is not solved yet; pairs: by camera, each its own: its matches.
+        predicted_pose: predicted world_from_object.
+        regions: search regions.
+
+    Returns:
+        the state; the result.
+    """
+    is_background_only = state.is_background_only
+    state, covariance = state.coast(frames.time)
+    detections, radius = (
+        context.executor.map_cameras(lambda c: context.camera_trackers[c].detections),
+        state.object.radius,
+    )
+    if is_background_only:
+        return state, create_unsolved_frame(context, frames, FrameStatus.BACKGROUND_ONLY, detections, regions, radius)
+    if state.is_lost:
+        return state, create_unsolved_frame(context, frames, FrameStatus.LOST, detections, regions, radius)
+    return state, create_unsolved_frame(
+        context, frames, FrameStatus.COASTING, detections, regions, radius, predicted_pose, covariance
+    )
+
+
+def update_from_matches(
+    context: TrackerContext,
+    state: JointState,
+    frame: Frame,
+    pairs: Sequence[Sequence[FrameMatches]],
+    guess: RigidTransform,
+) -> tuple[JointState, RigidTransform | None, RigidTransform, Sequence[Sequence[FrameMatches]]]:
+    """Update depth and motion from a frame's matches.
+
+    Nothing is done unless depth is known from boxes only or the motion is unknown.
+
+    Args:
+        frame: not solved yet.
+        pairs: per camera, local: its matches.
         guess: of its pose, world_from_object.
 
     Returns:
-        what is known by then; the pose that the matches tell, or None; that or else the guess; by camera, each its own, the
-        matches that are left: with frames that are still known, and of what is not background.
+        the state; the pose estimated from the matches, or None; that pose or else the guess; per camera, local: the
+        remaining matches, with frames that are still known and without background.
     """
-    if not joint.object.guessed and joint.velocity.frames:
-        return joint, None, guess, pairs
-    guessed = joint.object.guessed
-    joint, found = _with_surface(team, joint, frame, pairs)
+    if not state.object.is_depth_guessed and state.velocity.n_frames:
+        return state, None, guess, pairs
+    was_guessed = state.object.is_depth_guessed
+    state, initial_motion = _update_depth(context, state, frame, pairs)
 
-    def on_it(c: int) -> list[Pair]:
-        known = [pair for pair in pairs[c] if pair.reference in joint.known]
+    def drop_background(c: int) -> list[FrameMatches]:
+        known = [pair for pair in pairs[c] if pair.reference in state.known_frames]
         return [pair.subset(~frame.cameras[c].background[pair.indices[:, 1]]) for pair in known]
 
-    if found is None:
-        return joint, None, guess, team.crew.each(on_it)
-    seen = found.motion * joint.keyframes[0].world_from_object
-    told_now = guessed and not joint.object.guessed
-    if joint.velocity.frames and not told_now:
-        return joint, seen, seen, team.crew.each(on_it)
-    # The first motion that tells of the surface: what does not take part in it is background, however much of the boxes it
-    # fills. Some of what stands still would agree with a motion that is hardly another one, as points at which the object
-    # hardly moves, so only what is seen to move tells more of it; other methods need every match.
-    if not team.refines:
-        return joint, seen, seen, on_the_move(team, joint, frame, team.crew.each(on_it), seen)
-    if joint.object.bounded:
-        # Of what is new in the boxes nobody knows whether it is the object: the next frames tell.
-        team.crew.each(lambda c: learn_only(found.inliers[c], frame.cameras[c]))
-    return joint, seen, seen, found.inliers
+    if initial_motion is None:
+        return state, None, guess, context.executor.map_cameras(drop_background)
+    pose = initial_motion.motion * state.keyframes[0].world_from_object
+    is_depth_new = was_guessed and not state.object.is_depth_guessed
+    if state.velocity.n_frames and not is_depth_new:
+        return state, pose, pose, context.executor.map_cameras(drop_background)
+    # The first motion that determines depth also separates the background: whatever does not take part, however much of
+    # the boxes it fills. Static features near points where the object barely moves may agree with it, so only moving
+    # features are kept. Other methods need every match.
+    if not context.refines_window:
+        return (
+            state,
+            pose,
+            pose,
+            drop_static_matches(context, state, frame, context.executor.map_cameras(drop_background), pose),
+        )
+    if state.object.is_bounded:
+        # New features in the boxes may be background: the next frames decide.
+        context.executor.map_cameras(lambda c: mark_others_as_background(initial_motion.inliers[c], frame.cameras[c]))
+    return state, pose, pose, initial_motion.inliers
 
 
-def _with_surface(
-    team: Team, joint: Joint, frame: Frame, pairs: Sequence[Sequence[Pair]]
-) -> tuple[Joint, FirstMotion | None]:
-    """What boxes allow is much deeper than the object. Epipolar geometry needs no depth: once it finds a motion since the
-    first frame, that tells where the surface is, and the landmarks are learnt anew.
+def _update_depth(
+    context: TrackerContext, state: JointState, frame: Frame, pairs: Sequence[Sequence[FrameMatches]]
+) -> tuple[JointState, FirstMotion | None]:
+    """Replace depths guessed from boxes by those of a motion since the first frame.
+
+    Boxes allow far more depth than the object has. Epipolar geometry needs no depth: its motion determines the surface,
+    and the landmarks are reinitialized with it.
 
     Args:
-        frame: that is not solved yet; what is found to be background is marked in it.
-        pairs: by camera, each its own: its matches.
+        frame: not solved yet; background is marked in it.
+        pairs: per camera, local: its matches.
 
     Returns:
-        what is known by then; the motion, if it was found. If more than boxes tells where the surface is, this is all that
-        is done.
+        the state; the motion, or None. If depth is already known, only the motion is estimated.
     """
-    crew, first = team.crew, joint.keyframes[0]
-    found = first_motion(crew, team.rig, pairs, first.number, team.rng())
-    # Something else than the object may pass by behind it.
-    far = np.linalg.norm(found.middle - first.world_from_object.translation) > joint.object.radius
-    if not found.certain or found.fit.mixed or found.fit.other is not None or far:
-        return joint, None
-    before, now = first.world_from_object, found.motion * first.world_from_object
+    executor, first = context.executor, state.keyframes[0]
+    initial_motion = estimate_first_motion(executor, context.rig, pairs, first.number, context.create_rng())
+    # Something may pass by behind the object.
+    is_far = np.linalg.norm(initial_motion.inlier_center - first.world_from_object.translation) > state.object.radius
+    if (
+        not initial_motion.is_significant
+        or initial_motion.fit.is_mixed
+        or initial_motion.fit.alternative is not None
+        or is_far
+    ):
+        return state, None
+    first_pose, current_pose = first.world_from_object, initial_motion.motion * first.world_from_object
 
-    def told_apart(c: int) -> None:
-        """Boxes may have more background in them than object: what stands still as the rest moves."""
+    def mark_background(c: int) -> None:
+        """Mark static features as background: boxes may contain more background than object."""
         known = {first.number: first}
-        team.parts[c].learn_background(
-            [pair for pair in pairs[c] if pair.reference == first.number], frame.cameras[c], now, known, found.radius
+        context.camera_trackers[c].learn_background(
+            [pair for pair in pairs[c] if pair.reference == first.number],
+            frame.cameras[c],
+            current_pose,
+            known,
+            initial_motion.radius,
         )
 
-    crew.each(told_apart)
-    enough = (Status.OK,) if len(team.rig) > 1 else (Status.OK, Status.SCALE_NOT_OBSERVABLE)
-    if observed(found.fit, joint.object.radius).status not in enough:
-        return joint, None
-    # With two cameras a flat object leaves a second motion, another one in each frame.
-    if found.cameras == 2 and not agree(joint.first_motion, found.motion):
-        return replace(joint, first_motion=found.motion), None
-    if not joint.object.guessed:
-        return joint, found
+    executor.map_cameras(mark_background)
+    accepted_statuses = (Status.OK,) if len(context.rig) > 1 else (Status.OK, Status.SCALE_NOT_OBSERVABLE)
+    if set_observability_status(initial_motion.fit, state.object.radius).status not in accepted_statuses:
+        return state, None
+    # With two cameras a planar object has a second solution, which differs in each frame.
+    if initial_motion.n_cameras == 2 and not is_continuing_motion(state.first_motion, initial_motion.motion):
+        return replace(state, first_motion=initial_motion.motion), None
+    if not state.object.is_depth_guessed:
+        return state, initial_motion
     points = np.concatenate(
-        crew.ask(lambda c: placed(triangulated(team, c, found.inliers[c], before, now), found.radius), np.empty((0, 3)))
+        executor.all_gather(
+            lambda c: quantize_positions(
+                triangulate_inliers(context, c, initial_motion.inliers[c], first_pose, current_pose),
+                initial_motion.radius,
+            ),
+            np.empty((0, 3)),
+        )
     )
-    if len(points) < MIN_POINTS:
-        return joint, found
-    joint = joint.relearnt(found.radius)
+    if len(points) < MIN_SURFACE_POINTS:
+        return state, initial_motion
+    state = state.reset_to_first_frame(initial_motion.radius)
 
-    def learn(c: int) -> None:
-        part, camera = team.parts[c], team.rig.cameras[c]
-        part.table.learn(part.relearnt(first.number, camera, before, points, found.radius))
+    def reinitialize_camera(c: int) -> None:
+        camera_tracker, camera = context.camera_trackers[c], context.rig.cameras[c]
+        camera_tracker.table.update(
+            camera_tracker.reinitialize_landmarks(first.number, camera, first_pose, points, initial_motion.radius)
+        )
 
-    crew.each(learn)
-    return joint, found
+    executor.map_cameras(reinitialize_camera)
+    return state, initial_motion
 
 
-def first_points(
-    team: Team, c: int, inliers: Sequence[Pair], before: RigidTransform, now: RigidTransform
+def estimate_first_points(
+    context: TrackerContext,
+    c: int,
+    inliers: Sequence[FrameMatches],
+    first_pose: RigidTransform,
+    current_pose: RigidTransform,
 ) -> FloatArray:
-    """(m, 3) about where a camera's inliers are on the object. Where its motion tells next to nothing of their depth, they
-    are taken to be as far away as its middle."""
-    found = triangulated(team, c, inliers, before, now)
+    """Estimate positions (m, 3) of a camera's inliers on the object.
+
+    If the motion determines too few depths, all are placed at the depth of the object's center.
+    """
+    points = triangulate_inliers(context, c, inliers, first_pose, current_pose)
     count = sum(map(len, inliers))
-    if 2 * len(found) > count or not count:
-        return found
-    camera = team.rig.cameras[c]
-    depth = camera.camera_from_world.apply(before.translation)[2]
+    if 2 * len(points) > count or not count:
+        return points
+    camera = context.rig.cameras[c]
+    depth = camera.camera_from_world.apply(first_pose.translation)[2]
     rays = np.concatenate([np.column_stack([pair.normalized_i, np.ones(len(pair))]) for pair in inliers])
-    return np.asarray(before.inv().apply(camera.camera_from_world.inv().apply(depth * rays)))
+    return np.asarray(first_pose.inv().apply(camera.camera_from_world.inv().apply(depth * rays)))
 
 
-def triangulated(
-    team: Team, c: int, inliers: Sequence[Pair], before: RigidTransform, now: RigidTransform
+def triangulate_inliers(
+    context: TrackerContext,
+    c: int,
+    inliers: Sequence[FrameMatches],
+    first_pose: RigidTransform,
+    current_pose: RigidTransform,
 ) -> FloatArray:
-    """(m, 3) where a camera's inliers are on the object. See `frame.triangulate`."""
-    points = [triangulate(pair, team.rig.cameras[c], before, now) for pair in inliers]
+    """Triangulate a camera's inliers on the object, (m, 3). See `frame.triangulate`."""
+    points = [triangulate(pair, context.rig.cameras[c], first_pose, current_pose) for pair in inliers]
     return np.concatenate([np.empty((0, 3)), *points])

@@ -1,5 +1,4 @@
-"""A known object before the cameras of another take: where these would have seen what is known of it, and how its poses are
-told."""
+"""Transfer of a known object to another recording's cameras, and of poses to the object's frame."""
 
 from __future__ import annotations
 
@@ -12,237 +11,258 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.geometry.arrays import FloatArray
 from sylpose.landmarks.landmark_table import LandmarkTable
-from sylpose.results import FramePose, Observable
+from sylpose.results import FramePose, Observability
 from sylpose.rig import Rig
-from sylpose.tracking.camera import CameraPart
-from sylpose.tracking.cross_rig_transfer import calibrated_apart, carried, elsewhere
+from sylpose.tracking.camera import CameraTracker
+from sylpose.tracking.cross_rig_transfer import estimate_calibration_sd, transfer_keyframes, transform_frame
 from sylpose.tracking.frame import CameraFrame, SolvedFrame
-from sylpose.tracking.joint_state import Joint
-from sylpose.tracking.keyframes import viewpoints
-from sylpose.tracking.known_object import CameraMemory, KnownObject
-from sylpose.tracking.motion_model import Velocity
+from sylpose.tracking.joint_state import JointState
+from sylpose.tracking.keyframes import compute_viewpoints
+from sylpose.tracking.known_object import CameraLandmarks, KnownObject
+from sylpose.tracking.motion_model import VelocityModel
 from sylpose.tracking.object_model import ObjectModel
-from sylpose.tracking.pose_search import WAIT_FOR_MORE
-from sylpose.units import FIRST_DISTANCES
+from sylpose.tracking.pose_search import MAX_WAIT_FRAMES
+from sylpose.units import INITIAL_DISTANCES
 
-__all__ = ["KnownHere", "Telling", "begun_with", "check_unit", "known_here"]
+__all__ = ["PoseConverter", "TransferredObject", "check_unit", "initialize_from_object", "transfer_object"]
 
-# Landmarks are where these cameras saw them, within so many pixels in the middle, unless they are other cameras or stand
-# elsewhere: calibrated anew they are a pixel or two off, moved by hand tens (choice).
+# A camera is unchanged if the median reprojection error of its landmarks is at most this, pixels: after a new
+# calibration it is one or two, after moving a camera by hand tens (choice).
 SAME_RIG_PX = 5.0
 
 
 @dataclass(frozen=True, eq=False)
-class Telling:
-    """How poses of a known object are told: of its frame, and less certain by what its cameras are calibrated otherwise than
-    when it was learnt, and by what is not known of its size.
+class PoseConverter:
+    """Conversion of tracked poses to a known object's frame.
+
+    It adds the uncertainty due to calibration differences since the object was learned, and due to its unknown scale.
 
     Attributes:
-        from_learnt: from the frame that the object was learnt in, which the tracker has poses of, to its frame.
-        anew: (6, 6) covariance of (w, d): how far poses may be off where cameras are calibrated otherwise.
-        scale_sd: relative standard deviation of the object's lengths; radius: of the object.
-        eye: (3,) where a single camera stands; None of several.
-        sized: whether a single camera sees how far away it is, by its size.
+        from_learned: transform from the frame in which the object was learned, which the tracker uses, to the object's
+            frame.
+        calibration_covariance: (6, 6) covariance of (w, d) due to calibration differences.
+        scale_sd: relative standard deviation of the object's lengths.
+        radius: of the object.
+        camera_center: (3,) center of a single camera; None with several.
+        measures_distance: whether a single camera measures distance by the object's size.
     """
 
-    from_learnt: RigidTransform
-    anew: FloatArray
+    from_learned: RigidTransform
+    calibration_covariance: FloatArray
     scale_sd: float
     radius: float
-    eye: FloatArray | None
-    sized: bool
+    camera_center: FloatArray | None
+    measures_distance: bool
 
-    def of(self, pose: FramePose) -> FramePose:
-        """A pose as the tracker, or the refinement of all poses, has it, as it is told."""
+    def convert(self, pose: FramePose) -> FramePose:
+        """Convert a pose of the tracker, or of the joint refinement of all poses, to the object's frame."""
         if pose.world_from_object is None:
             return pose
-        observable = Observable.ALL if self.sized else pose.observable
-        wider = replace(pose, covariance=pose.covariance + self.anew, observable=observable)
-        told = wider.of_frame(self.from_learnt)
-        if self.scale_sd and told.world_from_object is not None:
-            origin = told.world_from_object.translation
-            off = origin - (pose.world_from_object.translation if self.eye is None else self.eye)
-            sized = np.outer(off, off)
-            if self.eye is None:  # what is too large, or too small, lies elsewhere for each camera
+        observable = Observability.ALL if self.measures_distance else pose.observability
+        inflated = replace(pose, covariance=pose.covariance + self.calibration_covariance, observability=observable)
+        converted = inflated.in_object_frame(self.from_learned)
+        if self.scale_sd and converted.world_from_object is not None:
+            origin = converted.world_from_object.translation
+            offset = origin - (pose.world_from_object.translation if self.camera_center is None else self.camera_center)
+            sized = np.outer(offset, offset)
+            if self.camera_center is None:  # an object of the wrong size is displaced differently for each camera
                 sized += self.radius**2 * np.eye(3)
-            about = np.eye(3) if self.eye is None else np.zeros((3, 3))
-            told = replace(told, covariance=told.covariance + self.scale_sd**2 * block_diag(about, sized))
-        return told.judged()
+            rotation_block = np.eye(3) if self.camera_center is None else np.zeros((3, 3))
+            converted = replace(
+                converted, covariance=converted.covariance + self.scale_sd**2 * block_diag(rotation_block, sized)
+            )
+        return converted.update_uncertain_status()
 
 
 @dataclass(frozen=True, eq=False)
-class KnownHere:
-    """A known object, as the cameras of another take would have seen it.
+class TransferredObject:
+    """Known object as the cameras of another recording would have observed it.
 
     Attributes:
-        known: the object.
-        keyframes: in the world of these cameras; memories: by the name of a camera, what it knows, of these keyframes.
-        telling: how poses are told; names: of these cameras.
+        known_object: the object.
+        keyframes: in the world frame of these cameras.
+        landmarks: by camera name, its landmarks in these keyframes.
+        converter: converts poses to the object's frame.
+        names: of these cameras.
     """
 
-    known: KnownObject
+    known_object: KnownObject
     keyframes: tuple[SolvedFrame, ...]
-    memories: Mapping[str, CameraMemory]
-    telling: Telling
+    landmarks: Mapping[str, CameraLandmarks]
+    converter: PoseConverter
     names: tuple[str, ...]
 
     @property
-    def another_rig(self) -> bool:
-        """Whether it was learnt by other cameras, or by these as they stood elsewhere."""
-        return self.keyframes[0].stays
+    def is_other_rig(self) -> bool:
+        """Whether the object was learned by other cameras, or by these in a different arrangement."""
+        return self.keyframes[0].is_fixed
 
     @property
     def note(self) -> str:
-        """A sentence on cameras that do not stand where they stood; "" of those that do."""
-        if self.another_rig:
+        """A remark on cameras that have moved since the object was learned; "" if none has."""
+        if self.is_other_rig:
             return (
-                "Other cameras have learnt the object, or these as they stood elsewhere: what those saw is taken to be what "
-                "these would see, and poses are no better known than two calibrations usually agree."
+                "Other cameras learned the object, or these have moved since: landmarks are transferred to new views, "
+                "and pose uncertainty includes the usual difference between two calibrations."
             )
-        moved = [name for name in self.names if name in self.known.camera_names and name not in self.memories]
-        return (
-            f"Elsewhere than when the object was learnt: {', '.join(moved)}, which knows nothing of it yet."
-            if moved
-            else ""
-        )
+        moved = [name for name in self.names if name in self.known_object.camera_names and name not in self.landmarks]
+        return f"Moved since the object was learned: {', '.join(moved)}, without landmarks so far." if moved else ""
 
 
-def known_here(known: KnownObject, rig: Rig) -> KnownHere:
-    """A known object before the cameras of a rig: of those that saw it, where they stood to each other, in any world; or of
-    others.
+def transfer_object(known: KnownObject, rig: Rig) -> TransferredObject:
+    """Transfer a known object to the cameras of a rig.
+
+    These may be cameras that observed it, in the same arrangement and any world frame, or others.
 
     Raises:
         ValueError: lengths in another unit.
     """
     check_unit(known, rig)
-    keyframes, same, off = _in_this_world(known, rig)
-    if same:
-        memories = {name: known._cameras[name] for name in same}
-        shift = _calibrated_anew(rig, keyframes, {name: off[name] for name in same})
+    keyframes, unchanged, errors_px = _align_world(known, rig)
+    if unchanged:
+        landmarks = {name: known._cameras[name] for name in unchanged}
+        position_sd = _estimate_position_sd(rig, keyframes, {name: errors_px[name] for name in unchanged})
     else:
-        (keyframes, memories), shift = carried(known, rig), calibrated_apart(known, rig)
-    telling = Telling(
-        known.frame.from_learnt,
-        np.diag(np.repeat([(shift / known.radius) ** 2, shift**2], 3)),
+        (keyframes, landmarks), position_sd = transfer_keyframes(known, rig), estimate_calibration_sd(known, rig)
+    converter = PoseConverter(
+        known.frame.from_learned,
+        np.diag(np.repeat([(position_sd / known.radius) ** 2, position_sd**2], 3)),
         known.scale_sd,
         known.radius,
         rig.cameras[0].center if len(rig) == 1 else None,
-        len(rig) == 1 and known.unit != FIRST_DISTANCES,
+        len(rig) == 1 and known.unit != INITIAL_DISTANCES,
     )
-    return KnownHere(known, keyframes, memories, telling, rig.names)
+    return TransferredObject(known, keyframes, landmarks, converter, rig.names)
 
 
 def check_unit(known: KnownObject, rig: Rig) -> None:
-    """Whether a rig can tell the object's lengths.
+    """Check that a rig and the object use the same length unit.
 
     Raises:
-        ValueError: they are in another unit.
+        ValueError: different units.
     """
-    if known.unit == FIRST_DISTANCES and len(rig) > 1:
+    if known.unit == INITIAL_DISTANCES and len(rig) > 1:
         raise ValueError(
-            "one camera has learnt it, so that its lengths are relative to its first distance; "
-            "sylpose object scale gives it a size"
+            "a single camera learned it, so that its lengths are relative to the first distance; "
+            "sylpose object scale sets its size"
         )
-    if known.unit not in (rig.unit, FIRST_DISTANCES):
-        said = [f"in {unit}" if unit else "in no unit that is said" for unit in (known.unit, rig.unit)]
-        raise ValueError(f"its lengths are {said[0]}, those of the calibration {said[1]}")
+    if known.unit not in (rig.unit, INITIAL_DISTANCES):
+        units = [f"in {unit}" if unit else "without a unit" for unit in (known.unit, rig.unit)]
+        raise ValueError(f"its lengths are {units[0]}, those of the calibration {units[1]}")
 
 
-def _in_this_world(
+def _align_world(
     known: KnownObject, rig: Rig
 ) -> tuple[tuple[SolvedFrame, ...], tuple[str, ...], dict[str, FloatArray]]:
-    """The keyframes in the rig's world; the cameras that stand there as those did that saw it, none where these are too few
-    for the same rig; and what `_off` says of all.
+    """Transform the keyframes to the rig's world frame.
 
-    The world is that of the cameras that saw it, or the one in which one of them stands where it stood: whichever has most
-    of them stand so.
+    Candidates are the unchanged world frame and those that align one camera with its former pose; the one that keeps
+    most cameras unchanged is used.
+
+    Returns:
+        keyframes; names of the unchanged cameras, empty if too few for the same rig; `_compute_reprojection_errors` of
+        all cameras.
     """
     names = [name for name in rig.names if name in known._cameras]
-    worlds = [RigidTransform.identity()]
-    worlds += [rig[name].camera_from_world.inv() * known.rig[name].camera_from_world for name in names]
+    candidates = [RigidTransform.identity()]
+    candidates += [rig[name].camera_from_world.inv() * known.rig[name].camera_from_world for name in names]
     found = []
-    for new_from_world in worlds:
-        keyframes = tuple(elsewhere(frame, new_from_world) for frame in known._keyframes)
-        off = _off(known, rig, keyframes, names)
-        far = _medians(off)
-        same = tuple(name for name in names if far[name] <= SAME_RIG_PX)
-        found.append(((-len(same), sum(min(px, 1e6) for px in far.values())), keyframes, same, off))
-    # As it is, unless another one is clearly better: it would be known no better, calibrated anew, by one camera alone.
-    as_it_is, *others = found
-    best = min(others, key=lambda world: world[0], default=as_it_is)
-    best = best if best[0][0] < as_it_is[0][0] else as_it_is
-    _, keyframes, same, off = best
-    # Of a single one, any world may be that in which it stands as before; of a few of many, others know more.
-    enough = len(same) > 1 or best is as_it_is
-    return keyframes, same if enough and 2 * len(same) >= min(len(rig), len(known._cameras)) else (), off
+    for new_from_world in candidates:
+        keyframes = tuple(transform_frame(frame, new_from_world) for frame in known._keyframes)
+        errors_px = _compute_reprojection_errors(known, rig, keyframes, names)
+        medians = _compute_median_errors(errors_px)
+        unchanged = tuple(name for name in names if medians[name] <= SAME_RIG_PX)
+        found.append(((-len(unchanged), sum(min(px, 1e6) for px in medians.values())), keyframes, unchanged, errors_px))
+    # Keep the world frame unless another one is clearly better, as aligning one recalibrated camera alone gains
+    # nothing.
+    original, *others = found
+    best = min(others, key=lambda world: world[0], default=original)
+    best = best if best[0][0] < original[0][0] else original
+    _, keyframes, unchanged, errors_px = best
+    # A single camera can be aligned in any world frame; a few of many do not suffice.
+    is_enough = len(unchanged) > 1 or best is original
+    return (
+        keyframes,
+        unchanged if is_enough and 2 * len(unchanged) >= min(len(rig), len(known._cameras)) else (),
+        errors_px,
+    )
 
 
-def _off(known: KnownObject, rig: Rig, keyframes: Sequence[SolvedFrame], names: Sequence[str]) -> dict[str, FloatArray]:
-    """By camera, (n, 2) pixels from where its landmarks were seen to where the rig's cameras see them."""
-    off = {}
+def _compute_reprojection_errors(
+    known: KnownObject, rig: Rig, keyframes: Sequence[SolvedFrame], names: Sequence[str]
+) -> dict[str, FloatArray]:
+    """Return each camera's reprojection errors (n, 2) of its landmarks in the new rig, pixels."""
+    errors_px = {}
     for name in names:
-        memory, pieces = known._cameras[name], [np.empty((0, 2))]
-        for k, (frame, features) in enumerate(zip(keyframes, memory.features, strict=True)):
-            places = frame.world_from_object.apply(memory.seen_in(k).mean).reshape(-1, 3)
-            pieces.append(rig[name].project(places) - features.pixels)
-        off[name] = np.concatenate(pieces)
-    return off
+        own, pieces = known._cameras[name], [np.empty((0, 2))]
+        for k, (frame, features) in enumerate(zip(keyframes, own.features, strict=True)):
+            positions = frame.world_from_object.apply(own.select_keyframe(k).mean).reshape(-1, 3)
+            pieces.append(rig[name].project(positions) - features.pixels)
+        errors_px[name] = np.concatenate(pieces)
+    return errors_px
 
 
-def _medians(off: Mapping[str, FloatArray]) -> dict[str, float]:
-    """By camera how far it is off in the middle, pixels; infinite where landmarks are behind it, 0 of one without any."""
-    far = {name: np.nan_to_num(np.linalg.norm(its, axis=1), nan=np.inf) for name, its in off.items()}
-    return {name: float(np.median(its)) if len(its) else 0.0 for name, its in far.items()}
+def _compute_median_errors(errors_px: Mapping[str, FloatArray]) -> dict[str, float]:
+    """Return each camera's median error, pixels; infinite if landmarks are behind it, 0 without any."""
+    distances = {name: np.nan_to_num(np.linalg.norm(its, axis=1), nan=np.inf) for name, its in errors_px.items()}
+    return {name: float(np.median(its)) if len(its) else 0.0 for name, its in distances.items()}
 
 
-def _calibrated_anew(rig: Rig, keyframes: Sequence[SolvedFrame], off: Mapping[str, FloatArray]) -> float:
-    """How far off the place of an object may be, length units, where cameras are calibrated otherwise than when it was
-    learnt. It is drawn by what its landmarks are off as a whole in each camera's images."""
-    far = []
-    for name, its in off.items():
+def _estimate_position_sd(rig: Rig, keyframes: Sequence[SolvedFrame], errors_px: Mapping[str, FloatArray]) -> float:
+    """Return the object's position uncertainty due to recalibrated cameras, length units.
+
+    It is derived from the landmarks' median displacement in each camera's images.
+    """
+    deviations = []
+    for name, its in errors_px.items():
         if len(its):
             camera = rig[name]
             away = np.median([camera.camera_from_world.apply(k.world_from_object.translation)[2] for k in keyframes])
-            far.append(float(np.linalg.norm(np.nanmedian(its, axis=0))) * away / camera.focal)
-    # Of cameras that are off independently of each other, the mean.
-    return float(np.sqrt(np.sum(np.square(far)))) / len(far) if far else 0.0
+            deviations.append(float(np.linalg.norm(np.nanmedian(its, axis=0))) * away / camera.focal)
+    # Mean over cameras with independent errors.
+    return float(np.sqrt(np.sum(np.square(deviations)))) / len(deviations) if deviations else 0.0
 
 
-def begun_with(here: KnownHere, rig: Rig, parts: Sequence[CameraPart], time: float) -> Joint:
-    """The state of a tracker that has lost an object that it knows from its frames 0 to K - 1; the cameras' parts get what
-    they know.
+def initialize_from_object(
+    transferred: TransferredObject, rig: Rig, camera_trackers: Sequence[CameraTracker], time: float
+) -> JointState:
+    """Create the state of a tracker that lost a known object.
+
+    The object's keyframes are frames 0 to K - 1. The cameras' trackers receive their landmarks.
 
     Args:
         time: of the first frame to come.
     """
-    sees = np.zeros((len(here.keyframes), len(rig)), bool)
-    for c, part in enumerate(parts):
-        memory = here.memories.get(part.camera.name)
-        if memory is None:
-            part.frames = {k: part.blind() for k in range(len(sees))}
+    is_visible = np.zeros((len(transferred.keyframes), len(rig)), bool)
+    for c, camera_tracker in enumerate(camera_trackers):
+        own = transferred.landmarks.get(camera_tracker.camera.name)
+        if own is None:
+            camera_tracker.frames = {k: camera_tracker.create_empty_frame() for k in range(len(is_visible))}
             continue
-        part.table = LandmarkTable.holding(memory.landmarks)
-        for k, (features, numbers) in enumerate(zip(memory.features, memory.numbers, strict=True)):
-            part.frames[k] = CameraFrame(features, np.zeros(len(features), bool), part.table, numbers.copy())
-            sees[k, c] = len(features) > 0
+        camera_tracker.table = LandmarkTable.from_landmarks(own.landmarks)
+        for k, (features, numbers) in enumerate(zip(own.features, own.landmark_ids, strict=True)):
+            camera_tracker.frames[k] = CameraFrame(
+                features, np.zeros(len(features), bool), camera_tracker.table, numbers.copy()
+            )
+            is_visible[k, c] = len(features) > 0
     keyframes = tuple(
         replace(
             frame,
             number=k,
-            time=time + k - len(sees),
-            late=np.zeros(len(rig)),
-            viewpoints=viewpoints(rig, frame.world_from_object),
-            sees=sees[k],
+            time=time + k - len(is_visible),
+            time_offsets=np.zeros(len(rig)),
+            viewpoints=compute_viewpoints(rig, frame.world_from_object),
+            is_visible=is_visible[k],
         )
-        for k, frame in enumerate(here.keyframes)
+        for k, frame in enumerate(transferred.keyframes)
     )
-    return Joint(
-        ObjectModel(None, here.known.radius, here.known._points),
+    return JointState(
+        ObjectModel(None, transferred.known_object.radius, transferred.known_object._points),
         last=keyframes[-1],
         keyframes=keyframes,
-        velocity=Velocity(frames=1, interval=1.0),
-        missed=1,
-        seen_again=WAIT_FOR_MORE,  # poses are wanted from the first frame on, however little of it is seen there
-        lost=True,
-        proven=True,
+        velocity=VelocityModel(n_frames=1, interval=1.0),
+        n_missed=1,
+        n_reobserved=MAX_WAIT_FRAMES,  # poses are required from the first frame on, even if little is visible
+        is_lost=True,
+        has_moved=True,
     )

@@ -1,6 +1,6 @@
-"""Finding an object's pose in a frame: where it should be, or anywhere. Nothing that is found is learnt here.
+"""Pose search in one frame: near the prediction or anywhere. Landmarks are not updated here.
 
-What is looked at is each camera's own; that all of them come to the same pose follows from what they tell each other.
+Each camera uses only its own images; all arrive at the same pose because it depends on exchanged reports alone.
 """
 
 from __future__ import annotations
@@ -14,344 +14,464 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.features.sift import MAX_FEATURES, Features
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import FloatArray, IntArray
-from sylpose.geometry.matrices import covariance_of
-from sylpose.geometry.rigid import turn_between, turn_of
+from sylpose.geometry.matrices import invert_information
+from sylpose.geometry.rigid import relative_rotvec, rotation_matrix_of
 from sylpose.geometry.robust_loss import SIGMA_OF_MEDIAN
 from sylpose.landmarks.landmark_filter import Landmarks
 from sylpose.landmarks.landmark_table import LandmarkTable
-from sylpose.relative_pose.motion import motion_about
+from sylpose.relative_pose.motion import make_motion_about
 from sylpose.results import Status
 from sylpose.rig import Rig
-from sylpose.tracking.camera_executor import Crew
-from sylpose.tracking.context import Region, Team
-from sylpose.tracking.frame import CameraFrame, Frame, Pair, Sought, inliers_of, sought_in, still, without_background
-from sylpose.tracking.frame_solvers import Agreement, Problem, Solution
-from sylpose.tracking.joint_state import Joint
-from sylpose.tracking.keyframes import references_of, viewpoints
-from sylpose.tracking.klt_frontend import FEATURES as ANCHOR_FEATURES
-from sylpose.tracking.klt_frontend import SOON, Followed, suffices, with_new
-from sylpose.tracking.relocalization import LOOSE_RATIO, RATIO, pose_of, recognised, to_try
-from sylpose.tracking.reobserved import have_moved
-from sylpose.tracking.reports import Ages, Agreed, Following, Recognised
+from sylpose.tracking.camera_executor import CameraExecutor
+from sylpose.tracking.context import Region, TrackerContext
+from sylpose.tracking.frame import (
+    CameraFrame,
+    DetectedFeatures,
+    Frame,
+    FrameMatches,
+    collect_detected_features,
+    drop_background,
+    find_static,
+    select_inliers,
+)
+from sylpose.tracking.frame_solvers import MatchWeights, PoseProblem, PoseSolution
+from sylpose.tracking.joint_state import JointState
+from sylpose.tracking.keyframes import compute_viewpoints, select_references
+from sylpose.tracking.klt_frontend import N_ANCHOR_FEATURES as ANCHOR_FEATURES
+from sylpose.tracking.klt_frontend import PREPARATION_MARGIN, TrackedFeatures, append_new_features, has_enough_tracks
+from sylpose.tracking.relocalization import (
+    DESCRIPTOR_RATIO,
+    LOOSE_DESCRIPTOR_RATIO,
+    estimate_relocalized_pose,
+    match_keyframes,
+    select_keyframes,
+)
+from sylpose.tracking.reobserved import find_moved
+from sylpose.tracking.reports import LandmarkAges, PoseAgreement, RelocalizationMatches, TrackingReport
 
 __all__ = [
-    "WAIT_FOR_MORE",
-    "Found",
-    "followed_from_anchor",
-    "is_a_corner",
+    "MAX_WAIT_FRAMES",
+    "PoseCandidate",
+    "detect_in_regions",
+    "drop_static_matches",
+    "estimate_noise",
     "is_fast",
-    "is_the_same",
-    "looked_for",
-    "matched",
-    "noise_of",
-    "on_the_move",
-    "recognised_anywhere",
-    "solved_from",
+    "is_near_start",
+    "is_partly_visible",
+    "match_references",
+    "relocalize",
+    "solve_pose",
+    "track_from_anchor",
 ]
 
-# Features per camera that are detected where features are followed (choice).
-KLT_FEATURES = 400
-# An object that turns by more than this from frame to frame, radians, shows another side in each (measured:
-# benchmarks/loops.py, where more features at 7.6 degrees a frame were no gain) (choice).
-FAST_TURN = np.radians(10.0)
-# With a turn less certain than this (radians), an object that was missed is not taken as found, for so many frames at
-# most (choice).
-AGAIN_SD, WAIT_FOR_MORE = 0.005, 2
-# A pose found again must be the one that relocalisation found: within this turn (radians) and share of the
-# radius (choice).
-AGAIN_TURN, AGAIN_SHIFT = 0.17, 0.3
-# After so many frames in a row it is known how the object moves (choice).
-KNOWN_SPEED = 1
-# Matches that are off by this share of the object's radius in the image (root mean square), and by so many pixels, agree
-# with anything (choice).
-NOISE, NOISE_PX = 0.03, 3.0
-# Times that a frame is solved where its cameras' instants differ, each time with the speed that the one before
-# found (choice).
-SPEED_ROUNDS = 2
+# Maximum number of features detected per camera while features are tracked by KLT (choice).
+MAX_KLT_FEATURES = 400
+# An object that rotates by more than this per frame, radians, shows another side each time (measured:
+# benchmarks/loops.py, where more features at 7.6 degrees per frame were no gain) (choice).
+FAST_ROTATION = np.radians(10.0)
+# A missing object is not accepted again while its rotation is less certain than this, radians, for at most so many
+# frames (choice).
+MAX_RELOCALIZED_SD, MAX_WAIT_FRAMES = 0.005, 2
+# The pose solved after relocalization must agree with the relocalized one within this rotation and share of the radius
+# (choice).
+MAX_START_ROTATION, MAX_START_TRANSLATION = 0.17, 0.3
+# The velocity is known after so many consecutive frames (choice).
+MIN_VELOCITY_FRAMES = 1
+# Matches whose rms residual exceeds this share of the object's radius in the image, and so many pixels, agree with any
+# pose (choice).
+MAX_NOISE_RATIO, MAX_NOISE_PX = 0.03, 3.0
+# Number of solutions of a frame whose cameras have different time stamps, each with the velocity of the previous one
+# (choice).
+VELOCITY_ROUNDS = 2
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
-    """A frame's motion since the last one, and what it was found from.
+class PoseCandidate:
+    """A candidate pose: a frame's motion since the last solved one and its evidence.
 
     Attributes:
         frame: not solved yet.
-        rig: the cameras as they stood for it.
-        pairs: by camera, each its own: the matches.
-        solution: see there.
+        rig: the cameras with their poses at this frame.
+        pairs: per camera, local: the matches.
+        solution: of the pose solver.
         motion: of the object since the last solved frame.
-        agreed: by camera, what of its matches agrees.
-        regions: where it was looked for.
-        followed: by camera, each its own: its first features, if they were followed.
-        anew: whether it has others, to be matched by their looks.
-        first: by camera, each its own: the landmarks of the first frame, where this one tells better where they are.
+        agreements: per camera, how its matches agree with the pose.
+        regions: search regions.
+        tracked: per camera, local: its tracked features, which come first; None without KLT.
+        has_new_features: whether it has newly detected features, to be matched by descriptors.
+        first_landmarks: per camera, local: landmarks of the first frame, where this frame improves them.
     """
 
     frame: Frame
     rig: Rig
-    pairs: Sequence[Sequence[Pair]]
-    solution: Solution
+    pairs: Sequence[Sequence[FrameMatches]]
+    solution: PoseSolution
     motion: RigidTransform
-    agreed: Sequence[Agreed]
+    agreements: Sequence[PoseAgreement]
     regions: Sequence[Region]
-    followed: Sequence[Followed] | None
-    anew: bool
-    first: Sequence[Landmarks] | None = None
+    tracked: Sequence[TrackedFeatures] | None
+    has_new_features: bool
+    first_landmarks: Sequence[Landmarks] | None = None
 
-    def standing(self) -> Found:
-        """The same, taken to show no motion."""
+    def as_static(self) -> PoseCandidate:
+        """Return the candidate with its motion set to zero."""
         solution = replace(self.solution, status=Status.NO_MOTION)
-        return replace(self, solution=solution, motion=RigidTransform.identity(), first=None)
+        return replace(self, solution=solution, motion=RigidTransform.identity(), first_landmarks=None)
 
     @property
-    def matches(self) -> int:
-        """Number of matches that agree."""
-        return sum(a.matches for a in self.agreed)
+    def n_matches(self) -> int:
+        """Number of inlier matches."""
+        return sum(a.n_inlier_matches for a in self.agreements)
 
 
-def followed_from_anchor(
-    team: Team, joint: Joint, frames: FrameSet, ahead: RigidTransform, regions: Sequence[Region]
-) -> tuple[list[Followed], int, bool, bool]:
-    """By camera, each its own: the anchor's features in the next images; and of all cameras, how many they are, whether they
-    suffice to do without others, and whether they soon may not."""
-    assert joint.anchor is not None
-    last, radius = joint.base.world_from_object, joint.object.radius
-    followed = team.crew.each(
-        lambda c: team.parts[c].follow(last, ahead, frames.images[c], frames.masks[c], radius), long=True
-    )
-    reports = team.crew.ask(lambda c: followed[c].report(regions[c]), Following.none())
-    # While the next anchor is prepared, less is enough.
-    least = 1.0 if joint.renewal is None else 1.0 / SOON
-    enough, plenty = (suffices(reports, joint.anchor, ahead, margin) for margin in (least, SOON))
-    return followed, sum(report.found for report in reports), enough, not plenty
-
-
-def is_fast(joint: Joint, ahead: RigidTransform) -> bool:
-    """Whether the next frame shows another side of the object than the last one (at world_from_object as predicted), or may
-    do so for all that is known."""
-    turn = np.linalg.norm(turn_between(joint.base.world_from_object, ahead))
-    return bool(not joint.velocity.frames or joint.missed > 0 or turn > FAST_TURN)
-
-
-def looked_for(
-    team: Team,
-    joint: Joint,
+def track_from_anchor(
+    context: TrackerContext,
+    state: JointState,
     frames: FrameSet,
-    ahead: RigidTransform,
+    predicted_pose: RigidTransform,
     regions: Sequence[Region],
-    followed: Sequence[Followed] | None,
-) -> list[Features]:
-    """By camera, each its own: the features in the object's regions, after those that were followed; faint ones too, where
-    the others hardly suffice.
+) -> tuple[list[TrackedFeatures], int, bool, bool]:
+    """Track the anchor's features in the next images.
 
     Args:
-        ahead: world_from_object as predicted.
+        predicted_pose: predicted world_from_object.
+
+    Returns:
+        per camera, local: the tracked features; their total number; whether they suffice without new features; whether
+        new ones will be needed soon.
     """
-    # Where features are not seen for long, following is worth little, and every frame has to have enough of them.
-    most = (
-        (KLT_FEATURES, ANCHOR_FEATURES) if team.follows and not is_fast(joint, ahead) else (MAX_FEATURES, MAX_FEATURES)
+    assert state.anchor is not None
+    last, radius = state.last_frame.world_from_object, state.object.radius
+    tracked = context.executor.map_cameras(
+        lambda c: context.camera_trackers[c].track_anchor(
+            last, predicted_pose, frames.images[c], frames.masks[c], radius
+        ),
+        is_slow=True,
     )
-    detected = team.detect(frames, regions, most[0], faint=joint.starves)
-    if followed is None:
+    reports = context.executor.all_gather(lambda c: tracked[c].create_report(regions[c]), TrackingReport.empty())
+    # While the next anchor is prepared, less is enough.
+    min_margin = 1.0 if state.next_anchor_number is None else 1.0 / PREPARATION_MARGIN
+    is_enough, is_enough_for_long = (
+        has_enough_tracks(reports, state.anchor, predicted_pose, margin) for margin in (min_margin, PREPARATION_MARGIN)
+    )
+    return tracked, sum(report.n_tracked for report in reports), is_enough, not is_enough_for_long
+
+
+def is_fast(state: JointState, predicted_pose: RigidTransform) -> bool:
+    """Return whether the next frame may show another side of the object than the last one.
+
+    True too where the motion is unknown.
+
+    Args:
+        predicted_pose: predicted world_from_object.
+    """
+    angle = np.linalg.norm(relative_rotvec(state.last_frame.world_from_object, predicted_pose))
+    return bool(not state.velocity.n_frames or state.n_missed > 0 or angle > FAST_ROTATION)
+
+
+def detect_in_regions(
+    context: TrackerContext,
+    state: JointState,
+    frames: FrameSet,
+    predicted_pose: RigidTransform,
+    regions: Sequence[Region],
+    tracked: Sequence[TrackedFeatures] | None,
+) -> list[Features]:
+    """Detect features in the object's regions and append them to the tracked ones.
+
+    Low-contrast features are included where the others are barely enough.
+
+    Args:
+        predicted_pose: predicted world_from_object.
+        tracked: per camera, local: tracked features; None without KLT.
+
+    Returns:
+        per camera, local: tracked features first, then new ones.
+    """
+    # Where features disappear quickly, KLT tracking helps little, and every frame needs enough detected features.
+    max_features = (
+        (MAX_KLT_FEATURES, ANCHOR_FEATURES)
+        if context.uses_klt and not is_fast(state, predicted_pose)
+        else (MAX_FEATURES, MAX_FEATURES)
+    )
+    detected = context.detect(frames, regions, max_features[0], faint=state.is_feature_poor)
+    if tracked is None:
         return detected
-    return team.crew.each(
-        lambda c: with_new(followed[c], detected[c], team.parts[c].known_background(detected[c]), most[1])
+    return context.executor.map_cameras(
+        lambda c: append_new_features(
+            tracked[c], detected[c], context.camera_trackers[c].find_known_background(detected[c]), max_features[1]
+        )
     )
 
 
-def matched(
-    team: Team,
-    joint: Joint,
+def match_references(
+    context: TrackerContext,
+    state: JointState,
     frame: Frame,
     guess: RigidTransform,
-    followed: Sequence[Followed] | None = None,
+    tracked: Sequence[TrackedFeatures] | None = None,
     *,
-    anew: bool = True,
-) -> list[list[Pair]]:
-    """By camera, each its own: matches with the anchor, of what was followed, and, of what is new, with the last solved
-    frame and with keyframes that show the object from about the same side.
+    has_new_features: bool = True,
+) -> list[list[FrameMatches]]:
+    """Match a frame's features with the anchor, the last frame and keyframes.
+
+    Tracked features are matched with the anchor; new ones with the last frame and with keyframes of similar viewpoints.
 
     Args:
         guess: world_from_object.
-        anew: whether there is anything new.
-    """
-    here, last = viewpoints(team.rig, guess), joint.base if followed is None else None
+        has_new_features: whether there are new features.
 
-    def of(c: int) -> list[Pair]:
-        pairs = [followed[c].pair()] if followed is not None and len(followed[c]) else []
-        if anew:
-            references = [*([] if last is None else [last]), *references_of(joint.keyframes, c, here[c], last)]
-            pairs += team.parts[c].match(frame.cameras[c], [reference.number for reference in references])
-        team.parts[c].sought = sought_in(frame.cameras[c].features, pairs)
+    Returns:
+        per camera, local: matches.
+    """
+    viewpoints_now, last = compute_viewpoints(context.rig, guess), state.last_frame if tracked is None else None
+
+    def match_camera(c: int) -> list[FrameMatches]:
+        pairs = [tracked[c].match_with_anchor()] if tracked is not None and len(tracked[c]) else []
+        if has_new_features:
+            references = [
+                *([] if last is None else [last]),
+                *select_references(state.keyframes, c, viewpoints_now[c], last),
+            ]
+            pairs += context.camera_trackers[c].match(frame.cameras[c], [reference.number for reference in references])
+        context.camera_trackers[c].detections = collect_detected_features(frame.cameras[c].features, pairs)
         return pairs
 
-    pairs = team.crew.each(of, long=anew)
-    return on_the_move(team, joint, frame, pairs, guess) if joint.velocity.frames >= KNOWN_SPEED else pairs
-
-
-def on_the_move(
-    team: Team, joint: Joint, frame: Frame, pairs: Sequence[Sequence[Pair]], ahead: RigidTransform
-) -> list[list[Pair]]:
-    """By camera, each its own: the matches without those that are seen to be background by how the object goes on: to be
-    at `ahead` (world_from_object)."""
-    poses, radius = {number: solved.world_from_object for number, solved in joint.known.items()}, joint.object.radius
-
-    def of(c: int) -> list[Pair]:
-        seen = frame.cameras[c], team.rig.cameras[c]
-        kept = [without_background(pair, *seen, poses[pair.reference], ahead, radius) for pair in pairs[c]]
-        return [pair for pair in kept if len(pair)]
-
-    return team.crew.each(of)
-
-
-def solved_from(
-    team: Team,
-    joint: Joint,
-    frame: Frame,
-    pairs: Sequence[Sequence[Pair]],
-    guess: RigidTransform,
-    regions: Sequence[Region],
-    followed: Sequence[Followed] | None = None,
-    *,
-    anew: bool = True,
-) -> Found | None:
-    """A frame's pose by its matches, from a guess (world_from_object); None if it cannot be found from there."""
-    base, velocity, crew = joint.base, joint.velocity, team.crew
-    center, elapsed = base.world_from_object.translation, frame.time - base.time
-    speed, first = velocity.motion(elapsed), None
-    for _ in range(SPEED_ROUNDS):
-        rig = velocity.rig_seen_at_once(team.rig, frame.late, center, speed, elapsed)
-        motion = guess * base.world_from_object.inv()
-        hypothesis = (turn_of(motion), motion.apply(center) - center)
-        radius = joint.object.radius
-        problem = Problem(rig, base, joint.known, radius, hypothesis, team.seed, frame.cameras, pairs)
-        solution = team.solve(crew, problem)
-        if not solution.status.has_pose or (solution.status is Status.NO_MOTION and joint.missed):
-            return None
-        if not joint.lost and solution.status is not Status.NO_MOTION:
-            known = solution.rotation, solution.shift, solution.information
-            rotation, shift, information = velocity.added_to(*known, center, elapsed)
-            solution = replace(solution, rotation=rotation, shift=shift, information=information)
-        speed = motion = motion_about(center, solution.rotation, solution.shift)
-        guess = motion * base.world_from_object
-        if not frame.late.any():
-            break
-        # The cameras' instants were accounted for with the speed of the frame before; now this frame's is known, and
-        # after the first motion also the first frame's.
-        if base.number == joint.keyframes[0].number and len(joint.keyframes) == 1:
-            first = _first_relearnt(team, joint, velocity.rig_seen_at_once(team.rig, base.late, center, speed, elapsed))
-            pairs = _with_first(crew, pairs, base.number, first)
-    agreement = solution.agreement
-    agreed = crew.ask(lambda c: _agreed(pairs[c], agreement[c], frame.cameras[c]), Agreed.none())
-    noise = solution.status is not Status.NO_MOTION and _is_noise(team, joint, guess, agreed)
-    return None if noise else Found(frame, rig, pairs, solution, motion, agreed, regions, followed, anew, first)
-
-
-def _is_noise(team: Team, joint: Joint, pose: RigidTransform, agreed: Sequence[Agreed]) -> bool:
-    """Whether what agrees with a pose (world_from_object) does so in no camera any better than anything else would."""
-    limit = [max(NOISE * team.radius_px(joint, c, pose), NOISE_PX) for c in range(len(team.rig))]
-    noise = np.array([a.residual_px for a in agreed])
-    return bool((np.isnan(noise) | (noise > limit)).all())
-
-
-def _first_relearnt(team: Team, joint: Joint, seen_from: Rig) -> list[Landmarks]:
-    """By camera, each its own: the landmarks of the first frame, by cameras as they stood for it."""
-    first, cloud, radius = joint.base, joint.object.points, joint.object.radius
-    return team.crew.each(
-        lambda c: team.parts[c].relearnt(first.number, seen_from.cameras[c], first.world_from_object, cloud, radius)
+    pairs = context.executor.map_cameras(match_camera, is_slow=has_new_features)
+    return (
+        drop_static_matches(context, state, frame, pairs, guess)
+        if state.velocity.n_frames >= MIN_VELOCITY_FRAMES
+        else pairs
     )
 
 
-def _with_first(
-    crew: Crew, pairs: Sequence[Sequence[Pair]], number: int, landmarks: Sequence[Landmarks]
-) -> list[list[Pair]]:
-    """The pairs, with other landmarks of the first frame."""
+def drop_static_matches(
+    context: TrackerContext,
+    state: JointState,
+    frame: Frame,
+    pairs: Sequence[Sequence[FrameMatches]],
+    predicted_pose: RigidTransform,
+) -> list[list[FrameMatches]]:
+    """Remove matches that are background according to the predicted motion; per camera, local.
 
-    tables = crew.each(lambda c: LandmarkTable.holding(landmarks[c]))
+    Args:
+        predicted_pose: predicted world_from_object.
+    """
+    poses, radius = (
+        {number: solved.world_from_object for number, solved in state.known_frames.items()},
+        state.object.radius,
+    )
 
-    def of(c: int) -> list[Pair]:
+    def drop_in_camera(c: int) -> list[FrameMatches]:
+        frame_and_camera = frame.cameras[c], context.rig.cameras[c]
+        kept = [
+            drop_background(pair, *frame_and_camera, poses[pair.reference], predicted_pose, radius) for pair in pairs[c]
+        ]
+        return [pair for pair in kept if len(pair)]
+
+    return context.executor.map_cameras(drop_in_camera)
+
+
+def solve_pose(
+    context: TrackerContext,
+    state: JointState,
+    frame: Frame,
+    pairs: Sequence[Sequence[FrameMatches]],
+    guess: RigidTransform,
+    regions: Sequence[Region],
+    tracked: Sequence[TrackedFeatures] | None = None,
+    *,
+    has_new_features: bool = True,
+) -> PoseCandidate | None:
+    """Solve a frame's pose from its matches, starting at a guess.
+
+    Args:
+        pairs: per camera, local: the matches.
+        guess: world_from_object.
+
+    Returns:
+        the pose candidate, or None if the solver fails.
+    """
+    last_frame, velocity, executor = state.last_frame, state.velocity, context.executor
+    center, elapsed = last_frame.world_from_object.translation, frame.time - last_frame.time
+    motion_over_interval, first_landmarks = velocity.predict_motion(elapsed), None
+    for _ in range(VELOCITY_ROUNDS):
+        rig = velocity.synchronize_rig(context.rig, frame.time_offsets, center, motion_over_interval, elapsed)
+        motion = guess * last_frame.world_from_object.inv()
+        hypothesis = (rotation_matrix_of(motion), motion.apply(center) - center)
+        radius = state.object.radius
+        problem = PoseProblem(
+            rig, last_frame, state.known_frames, radius, hypothesis, context.seed, frame.cameras, pairs
+        )
+        solution = context.solver(executor, problem)
+        if not solution.status.has_pose or (solution.status is Status.NO_MOTION and state.n_missed):
+            return None
+        if not state.is_lost and solution.status is not Status.NO_MOTION:
+            prior_free = solution.rotation, solution.translation, solution.information
+            rotation, translation, information = velocity.fuse(*prior_free, center, elapsed)
+            solution = replace(solution, rotation=rotation, translation=translation, information=information)
+        motion_over_interval = motion = make_motion_about(center, solution.rotation, solution.translation)
+        guess = motion * last_frame.world_from_object
+        if not frame.time_offsets.any():
+            break
+        # Time offsets were corrected with the previous frame's velocity. Now this frame's is known, and after the first
+        # motion also the first frame's.
+        if last_frame.number == state.keyframes[0].number and len(state.keyframes) == 1:
+            first_landmarks = _reinitialize_first_landmarks(
+                context,
+                state,
+                velocity.synchronize_rig(context.rig, last_frame.time_offsets, center, motion_over_interval, elapsed),
+            )
+            pairs = _replace_first_landmarks(executor, pairs, last_frame.number, first_landmarks)
+    agreement = solution.match_weights
+    agreements = executor.all_gather(
+        lambda c: _measure_agreement(pairs[c], agreement[c], frame.cameras[c]), PoseAgreement.empty()
+    )
+    is_noise = solution.status is not Status.NO_MOTION and _is_noise(context, state, guess, agreements)
+    return (
+        None
+        if is_noise
+        else PoseCandidate(
+            frame, rig, pairs, solution, motion, agreements, regions, tracked, has_new_features, first_landmarks
+        )
+    )
+
+
+def _is_noise(
+    context: TrackerContext, state: JointState, pose: RigidTransform, agreements: Sequence[PoseAgreement]
+) -> bool:
+    """Return whether in every camera the residuals at a pose (world_from_object) are no better than noise."""
+    limit = [
+        max(MAX_NOISE_RATIO * context.object_radius_px(state, c, pose), MAX_NOISE_PX) for c in range(len(context.rig))
+    ]
+    residuals_px = np.array([a.residual_px for a in agreements])
+    return bool((np.isnan(residuals_px) | (residuals_px > limit)).all())
+
+
+def _reinitialize_first_landmarks(context: TrackerContext, state: JointState, rig: Rig) -> list[Landmarks]:
+    """Recompute the landmarks of the first frame with time-corrected camera poses; per camera, local."""
+    first, cloud, radius = state.last_frame, state.object.points, state.object.radius
+    return context.executor.map_cameras(
+        lambda c: context.camera_trackers[c].reinitialize_landmarks(
+            first.number, rig.cameras[c], first.world_from_object, cloud, radius
+        )
+    )
+
+
+def _replace_first_landmarks(
+    executor: CameraExecutor, pairs: Sequence[Sequence[FrameMatches]], number: int, landmarks: Sequence[Landmarks]
+) -> list[list[FrameMatches]]:
+    """Return the pairs with the first frame's landmarks replaced."""
+
+    tables = executor.map_cameras(lambda c: LandmarkTable.from_landmarks(landmarks[c]))
+
+    def replace_landmarks(c: int) -> list[FrameMatches]:
         return [
             replace(pair, earlier=replace(pair.earlier, table=tables[c])) if pair.reference == number else pair
             for pair in pairs[c]
         ]
 
-    return crew.each(of)
+    return executor.map_cameras(replace_landmarks)
 
 
-def _agreed(pairs: Sequence[Pair], agreement: Agreement, current: CameraFrame) -> Agreed:
-    """What a camera tells the others of a solution."""
-    inliers = inliers_of(pairs, [w for w, _ in agreement])
-    squares = np.concatenate([np.empty(0), *(r[w > 0] ** 2 for w, r in agreement)])
-    indices = _features_of([pair.indices for pair in inliers])
-    tried, landmarks = _features_of([pair.indices for pair in pairs]), [pair.landmarks for pair in pairs]
-    agrees = np.concatenate([np.empty(0, bool), *(w > 0 for w, _ in agreement)])
-    every = Landmarks.concatenate(landmarks)
-    known = every.subset(agrees)
-    moves = np.concatenate([np.empty(0, bool), *(~still(pair) for pair in inliers)])
-    return Agreed(
-        matches=len(indices),
-        tried=len(tried),
+def _measure_agreement(
+    pairs: Sequence[FrameMatches], match_weights: MatchWeights, current: CameraFrame
+) -> PoseAgreement:
+    """Summarize one camera's agreement with a solution."""
+    inliers = select_inliers(pairs, [w for w, _ in match_weights])
+    squares = np.concatenate([np.empty(0), *(r[w > 0] ** 2 for w, r in match_weights)])
+    indices = _concatenate_features([pair.indices for pair in inliers])
+    tried, landmarks = _concatenate_features([pair.indices for pair in pairs]), [pair.landmarks for pair in pairs]
+    is_inlier = np.concatenate([np.empty(0, bool), *(w > 0 for w, _ in match_weights)])
+    all_landmarks = Landmarks.concatenate(landmarks)
+    inlier_landmarks = all_landmarks.subset(is_inlier)
+    is_moving = np.concatenate([np.empty(0, bool), *(~find_static(pair) for pair in inliers)])
+    return PoseAgreement(
+        n_inlier_matches=len(indices),
+        n_matches=len(tried),
         references=tuple(pair.reference for pair in pairs),
-        weights=tuple(float(w.sum()) for w, _ in agreement),
-        ages=Ages.of(known.seen.astype(float)),
-        features=_different(indices),
-        moved=_different(indices[have_moved(inliers, known, agreement, current.still_px)]),
-        tried_moved=_different(tried[every.moved]),
+        weights=tuple(float(w.sum()) for w, _ in match_weights),
+        ages=LandmarkAges.from_frame_counts(inlier_landmarks.n_observations.astype(float)),
+        n_inlier_features=_count_unique(indices),
+        n_moved=_count_unique(indices[find_moved(inliers, inlier_landmarks, match_weights, current.static_px)]),
+        n_known_moved=_count_unique(tried[all_landmarks.has_moved]),
         residual_px=float(np.sqrt(squares.mean())) if len(squares) else np.nan,
-        sees=len(current.features) > 0,
-        strong=_different(indices[~current.features.faint[indices]]),
-        noise_px=noise_of(np.sqrt(squares)),
-        moving=_different(indices[moves]),
-        tried_features=_different(tried),
+        has_features=len(current.features) > 0,
+        n_strong=_count_unique(indices[~current.features.faint[indices]]),
+        noise_px=estimate_noise(np.sqrt(squares)),
+        n_moving=_count_unique(indices[is_moving]),
+        n_features=_count_unique(tried),
     )
 
 
-def _features_of(indices: Sequence[IntArray]) -> IntArray:
-    """(n,) features of the current frame, of matches (m, 2) each."""
+def _concatenate_features(indices: Sequence[IntArray]) -> IntArray:
+    """Concatenate the current frame's feature indices (n,) of several sets of matches (m, 2)."""
     return np.concatenate([np.empty(0, np.int64), *(index[:, 1] for index in indices)])
 
 
-def _different(features: IntArray) -> int:
-    """How many different ones there are."""
+def _count_unique(features: IntArray) -> int:
+    """Count unique features."""
     return int(np.count_nonzero(np.bincount(features)))
 
 
-def noise_of(off: FloatArray) -> float:
-    """Standard deviation of what agrees, by how far it is off (n,): the root of the mean square, or by the median where
-    that is less, since a few of many faint features may be far off; NaN without any."""
-    return float(min(np.sqrt(np.mean(off**2)), SIGMA_OF_MEDIAN * np.median(np.abs(off)))) if len(off) else np.nan
+def estimate_noise(residuals: FloatArray) -> float:
+    """Estimate the standard deviation of inlier residuals (n,); NaN without any.
+
+    It is the rms, or the median-based estimate if smaller, since a few of many low-contrast features may be far off.
+    """
+    return (
+        float(min(np.sqrt(np.mean(residuals**2)), SIGMA_OF_MEDIAN * np.median(np.abs(residuals))))
+        if len(residuals)
+        else np.nan
+    )
 
 
-def recognised_anywhere(team: Team, joint: Joint, frame: Frame, *, faint: bool = False) -> RigidTransform | None:
-    """world_from_object by the keyframes' landmarks alone, wherever the object is; None if it is not found.
+def relocalize(
+    context: TrackerContext, state: JointState, frame: Frame, *, faint: bool = False
+) -> RigidTransform | None:
+    """Relocalize the object anywhere in the images, from the keyframes' landmarks alone.
 
     Args:
         frame: with the features of the whole images.
-        faint: whether these are all that there are, and need not be as much alike.
-    """
-    ratio = LOOSE_RATIO if faint else RATIO
+        faint: whether low-contrast features are included; then a looser descriptor ratio is used.
 
-    def of(c: int) -> Recognised:
-        part = team.parts[c]
-        tried = to_try(joint.keyframes, c, joint.base, joint.missed)
-        own = recognised([part.frames[k.number] for k in tried], frame.cameras[c], joint.object.radius, ratio)
-        if not len(part.sought.rejected):
-            part.sought = Sought(frame.cameras[c].features.pixels, own.pixels)
+    Returns:
+        world_from_object; None if not found.
+    """
+    ratio = LOOSE_DESCRIPTOR_RATIO if faint else DESCRIPTOR_RATIO
+
+    def match_camera(c: int) -> RelocalizationMatches:
+        camera_tracker = context.camera_trackers[c]
+        tried = select_keyframes(state.keyframes, c, state.last_frame, state.n_missed)
+        own = match_keyframes(
+            [camera_tracker.frames[k.number] for k in tried], frame.cameras[c], state.object.radius, ratio
+        )
+        if not len(camera_tracker.detections.rejected):
+            camera_tracker.detections = DetectedFeatures(frame.cameras[c].features.pixels, own.pixels)
         return own
 
-    found = team.crew.each(of, long=True)
-    return pose_of(team.rig, team.crew.ask(lambda c: found[c], Recognised.none()))
+    matches = context.executor.map_cameras(match_camera, is_slow=True)
+    return estimate_relocalized_pose(
+        context.rig, context.executor.all_gather(lambda c: matches[c], RelocalizationMatches.empty())
+    )
 
 
-def is_the_same(joint: Joint, found: Found, pose: RigidTransform) -> bool:
-    """Whether what was found is what was recognised: solvers that start there may end elsewhere."""
-    away = found.motion * joint.base.world_from_object * pose.inv()
-    far = np.linalg.norm(away.apply(pose.translation) - pose.translation) > AGAIN_SHIFT * joint.object.radius
-    return bool(not far and away.rotation.magnitude() <= AGAIN_TURN)
+def is_near_start(state: JointState, candidate: PoseCandidate, pose: RigidTransform) -> bool:
+    """Return whether a solved pose is close to the pose it started from, e.g. by relocalization."""
+    difference = candidate.motion * state.last_frame.world_from_object * pose.inv()
+    is_far = (
+        np.linalg.norm(difference.apply(pose.translation) - pose.translation)
+        > MAX_START_TRANSLATION * state.object.radius
+    )
+    return bool(not is_far and difference.rotation.magnitude() <= MAX_START_ROTATION)
 
 
-def is_a_corner(joint: Joint, found: Found) -> bool:
-    """Whether so little of an object that was missed is back that the next frame will show more, and what would be learnt
-    now stay wrong."""
-    uncertain = bool(np.sqrt(np.diag(covariance_of(found.solution.information))[:3].max()) > AGAIN_SD)
-    return joint.missed > 0 and uncertain and joint.seen_again < WAIT_FOR_MORE
+def is_partly_visible(state: JointState, candidate: PoseCandidate) -> bool:
+    """Return whether too little of a missing object is visible to accept its pose yet.
+
+    Landmarks learned from an uncertain pose would remain wrong.
+    """
+    is_uncertain = bool(
+        np.sqrt(np.diag(invert_information(candidate.solution.information))[:3].max()) > MAX_RELOCALIZED_SD
+    )
+    return state.n_missed > 0 and is_uncertain and state.n_reobserved < MAX_WAIT_FRAMES

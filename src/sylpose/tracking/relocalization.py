@@ -1,4 +1,4 @@
-"""Finding an object again after it was lost: its landmarks, as the keyframes saw them, anywhere in the images."""
+"""Relocalization of a lost object: matches keyframe landmarks anywhere in the images."""
 
 from __future__ import annotations
 
@@ -12,29 +12,35 @@ from sylpose.features.sift import match_features
 from sylpose.results import Status
 from sylpose.rig import Rig
 from sylpose.tracking.frame import CameraFrame, SolvedFrame
-from sylpose.tracking.keyframes import nearest_views
-from sylpose.tracking.reports import Recognised
+from sylpose.tracking.keyframes import find_nearest_views
+from sylpose.tracking.reports import RelocalizationMatches
 
-__all__ = ["LOOSE_RATIO", "RATIO", "pose_of", "recognised", "to_try"]
+__all__ = [
+    "DESCRIPTOR_RATIO",
+    "LOOSE_DESCRIPTOR_RATIO",
+    "estimate_relocalized_pose",
+    "match_keyframes",
+    "select_keyframes",
+]
 
-# Keyframes that each camera's image is compared with: those seen from nearest to where it looked from last, then others
-# from all sides, in turn (choice).
-NEAREST, OTHERS = 6, 6
-# Landmarks whose depth is known to this share of the object's radius (choice).
-KNOWN_DEPTH = 0.3
-# Fewer matches that agree are not believed: a body of the same outline in the same place, or the object's unknown side,
-# makes about twenty; the object itself hundreds (measured: tests/tracking/test_relocalization.py) (choice).
+# Number of keyframes compared per camera: those nearest to its last viewpoint, and others from all sides in rotation
+# (choice).
+N_NEAREST_KEYFRAMES, N_OTHER_KEYFRAMES = 6, 6
+# Largest depth standard deviation of a landmark, as a share of the object's radius (choice).
+MAX_DEPTH_SD_RATIO = 0.3
+# Minimum number of inliers: a body of the same outline in the same place, or an unknown side of the object, gives about
+# twenty, the object itself hundreds (measured: tests/tracking/test_relocalization.py) (choice).
 MIN_INLIERS = 24
 MAX_ERROR_PX = 8.0
-# Largest ratio of descriptors' distances to the best and the second best: as for other matches, and where that has found
-# nothing. The pose is searched among them, and half of them may be wrong (measured: benchmarks/features.py) (choice).
-RATIO, LOOSE_RATIO = 0.8, 0.9
+# Largest ratio of the descriptor distances to the best and the second-best match: as elsewhere, and where that failed.
+# The robust pose solver tolerates half of the matches being wrong (measured: benchmarks/features.py) (choice).
+DESCRIPTOR_RATIO, LOOSE_DESCRIPTOR_RATIO = 0.8, 0.9
 
 
-def recognised(
-    keyframes: Sequence[CameraFrame], current: CameraFrame, radius: float, ratio: float = RATIO
-) -> Recognised:
-    """A camera's features that look like landmarks of its keyframes.
+def match_keyframes(
+    keyframes: Sequence[CameraFrame], current: CameraFrame, radius: float, ratio: float = DESCRIPTOR_RATIO
+) -> RelocalizationMatches:
+    """Match a camera's features with the landmarks of its keyframes.
 
     Args:
         current: with the features of the whole image.
@@ -44,17 +50,17 @@ def recognised(
     points, pixels = [np.empty((0, 3))], [np.empty((0, 2))]
     for keyframe in keyframes:
         features, landmarks = keyframe.features, keyframe.landmarks
-        good = (landmarks.depth_sd < KNOWN_DEPTH * radius) & ~keyframe.background
-        index = match_features(features.subset(good), current.features, ratio)
-        points.append(landmarks.mean[good][index[:, 0]])
+        is_usable = (landmarks.depth_sd < MAX_DEPTH_SD_RATIO * radius) & ~keyframe.background
+        index = match_features(features.subset(is_usable), current.features, ratio)
+        points.append(landmarks.mean[is_usable][index[:, 0]])
         pixels.append(current.features.pixels[index[:, 1]])
-    # A feature that several keyframes recognise counts once per landmark place.
+    # A feature matched in several keyframes counts once.
     _, first = np.unique(np.round(np.concatenate(pixels), 1), axis=0, return_index=True)
-    return Recognised(np.concatenate(points)[first], np.concatenate(pixels)[first])
+    return RelocalizationMatches(np.concatenate(points)[first], np.concatenate(pixels)[first])
 
 
-def pose_of(rig: Rig, records: Sequence[Recognised]) -> RigidTransform | None:
-    """world_from_object by what all cameras recognised; None if that is too little to be believed."""
+def estimate_relocalized_pose(rig: Rig, records: Sequence[RelocalizationMatches]) -> RigidTransform | None:
+    """Estimate world_from_object from all cameras' matches; None with too few inliers."""
     points, pixels = [record.points for record in records], [record.pixels for record in records]
     pose = estimate_pose(rig, points, pixels, max_error_px=MAX_ERROR_PX)
     usable = (Status.OK, Status.NOT_CONVERGED) if len(rig) > 1 else (Status.OK, Status.SCALE_NOT_OBSERVABLE)
@@ -63,17 +69,19 @@ def pose_of(rig: Rig, records: Sequence[Recognised]) -> RigidTransform | None:
     return pose.motion
 
 
-def to_try(keyframes: Sequence[SolvedFrame], camera: int, last: SolvedFrame, turn: int) -> list[SolvedFrame]:
-    """The keyframes that a camera's image is compared with.
+def select_keyframes(
+    keyframes: Sequence[SolvedFrame], camera: int, last: SolvedFrame, n_missed: int
+) -> list[SolvedFrame]:
+    """Select the keyframes to compare a camera's image with.
 
     Args:
         keyframes: in order of time.
         last: the last solved frame.
-        turn: in how many frames the object was not found; each time others are tried.
+        n_missed: number of frames since the object was lost; each uses other keyframes.
     """
-    nearest = nearest_views(keyframes, camera, last.viewpoints[camera], NEAREST)
+    nearest = find_nearest_views(keyframes, camera, last.viewpoints[camera], N_NEAREST_KEYFRAMES)
     tried = {k.number for k in nearest}
-    others = [k for k in keyframes if k.sees[camera] and k.number not in tried]
-    # Every frame tries others, so that all have been tried after a few.
-    stride = max(len(others) // OTHERS, 1)
-    return nearest + others[turn % stride :: stride]
+    others = [k for k in keyframes if k.is_visible[camera] and k.number not in tried]
+    # Each frame uses other keyframes, so that all are covered after a few.
+    stride = max(len(others) // N_OTHER_KEYFRAMES, 1)
+    return nearest + others[n_missed % stride :: stride]

@@ -1,7 +1,7 @@
-"""What one camera tells all the others: small frozen records of numbers, no image, no feature, no function.
+"""Reports that cameras exchange: small frozen records of numbers, without images or features.
 
-A frame's decisions are functions of these alone (`joint`, `phases`), so that every camera that hears the same comes to the
-same (docs/map.md, "Two halves").
+A frame's decisions depend on these records alone (`joint_state`, `state_machine`), so all cameras that receive the same
+records make the same decisions (docs/map.md, "Two halves").
 """
 
 from __future__ import annotations
@@ -12,298 +12,321 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from sylpose.geometry.arrays import FloatArray, IntArray
-from sylpose.landmarks.alignment import Sights
+from sylpose.landmarks.alignment import LandmarkMatches
 from sylpose.relative_pose.terms import TermData
 
 __all__ = [
-    "Ages",
-    "Agreed",
-    "Chance",
-    "Following",
-    "Known",
-    "Middle",
-    "Moved",
-    "Recognised",
-    "Seen",
-    "Sighted",
-    "Stance",
-    "placed",
-    "total_ages",
+    "BoxMotionReport",
+    "CameraMotionReport",
+    "CameraObservations",
+    "InlierStatistics",
+    "KnownDepthMatches",
+    "LandmarkAges",
+    "MovingMatches",
+    "NewObservations",
+    "PoseAgreement",
+    "RelocalizationMatches",
+    "TrackingReport",
+    "expand_ages",
+    "quantize_positions",
 ]
 
 
-# Places that need not be known well are told to this share of the object's radius, at least (choice).
-PLACED = 1.0 / 256.0
+# Positions that need little precision are rounded to this share of the object's radius, or finer (choice).
+POSITION_GRID_RATIO = 1.0 / 256.0
 
 
-def placed(points: FloatArray, radius: float) -> FloatArray:
-    """Points (n, 3) about where they are, on an object of some radius: rounded, for few bytes."""
-    grid = 2.0 ** np.floor(np.log2(PLACED * radius))
+def quantize_positions(points: FloatArray, radius: float) -> FloatArray:
+    """Round points (n, 3) to a grid relative to the object's radius, to save bytes."""
+    grid = 2.0 ** np.floor(np.log2(POSITION_GRID_RATIO * radius))
     return np.asarray(np.round(points / grid) * grid)
 
 
 @dataclass(frozen=True, eq=False)
-class Following:
-    """How one camera's followed features are.
+class TrackingReport:
+    """Status of one camera's KLT tracks.
 
     Attributes:
-        found, alive: how many are still seen; how many of the anchor's are on the object for all that is known.
-        looks: whether it has an image and the object should be in it.
-        follows: whether it had an image before, to follow them from.
+        n_tracked: number of features still tracked.
+        n_alive: number of the anchor's features not known to be off the object.
+        expects_object: whether the camera has an image and the object should be visible in it.
+        has_previous_image: whether it had a previous image to track from.
     """
 
-    found: int
-    alive: int
-    looks: bool
-    follows: bool
+    n_tracked: int
+    n_alive: int
+    expects_object: bool
+    has_previous_image: bool
 
     @classmethod
-    def none(cls) -> Following:
-        """Of a camera that sees nothing."""
+    def empty(cls) -> TrackingReport:
+        """Return the report of a camera without an image."""
         return cls(0, 0, False, False)
 
 
 @dataclass(frozen=True, eq=False)
-class Moved:
-    """One camera's matches with one earlier frame that do not stand still.
+class MovingMatches:
+    """One camera's moving matches with one earlier frame.
 
     Attributes:
         term: the matches.
-        shift_px: (n,) by how much each is displaced, pixels.
-        jitter_px: by how much those that stand still scatter in each direction, pixels.
-        standing: how many these are.
+        displacement_px: (n,) image displacement of each, pixels.
+        jitter_px: scatter of static keypoints in each direction, pixels.
+        n_static: number of static matches.
     """
 
     term: TermData
-    shift_px: FloatArray
+    displacement_px: FloatArray
     jitter_px: float
-    standing: int
+    n_static: int
 
 
 @dataclass(frozen=True, eq=False)
-class Middle:
-    """By how much what one camera sees in its box is displaced since it was seen first.
+class BoxMotionReport:
+    """Image motion in one camera's box since its features were first observed.
 
     Attributes:
-        seen: number of features at the box's middle; middle_px: what half of their matches are displaced by less than;
-            still: whether that is no more than what stands still is.
-        moved: number of features in all of the box that do not stand still; moved_px: what half of these are displaced by.
+        n_center: number of features at the box's center.
+        center_displacement_px: median displacement of their matches.
+        is_center_static: whether that is within the static threshold.
+        n_moving: number of moving features in the whole box.
+        moving_displacement_px: their median displacement.
     """
 
-    seen: int
-    middle_px: float
-    still: bool
-    moved: int
-    moved_px: float
+    n_center: int
+    center_displacement_px: float
+    is_center_static: bool
+    n_moving: int
+    moving_displacement_px: float
 
     @classmethod
-    def none(cls) -> Middle:
-        """Of a camera that sees nothing."""
+    def empty(cls) -> BoxMotionReport:
+        """Return the report of a camera without an image."""
         return cls(0, np.nan, False, 0, np.nan)
 
 
 @dataclass(frozen=True, eq=False)
-class Ages:
-    """In how many frames one camera's landmarks were seen.
+class LandmarkAges:
+    """Histogram of the number of frames in which one camera's landmarks were observed.
 
     Attributes:
-        values, counts: (k,) so many frames, that many landmarks.
-        moving: how many of them move or did.
-        oldest: the largest value of all landmarks of the frames that were matched with.
-        depth_sd: how well their depth is known, standard deviation of the middle one, length units; NaN without any.
+        values: (k,) numbers of frames.
+        counts: (k,) numbers of landmarks observed in so many frames.
+        n_moving: number of landmarks that move or have moved.
+        oldest: largest value over all landmarks of the reference frames.
+        depth_sd: median standard deviation of their depth, length units; NaN without any.
     """
 
     values: FloatArray
     counts: FloatArray
-    moving: int = 0
+    n_moving: int = 0
     oldest: int = 0
     depth_sd: float = np.nan
 
     @classmethod
-    def of(cls, seen: FloatArray, moving: int = 0, oldest: int = 0, depth_sd: float = np.nan) -> Ages:
-        """Of landmarks seen in so many frames (n,)."""
-        counts = np.bincount(seen.astype(np.int64))
+    def from_frame_counts(
+        cls, frame_counts: FloatArray, n_moving: int = 0, oldest: int = 0, depth_sd: float = np.nan
+    ) -> LandmarkAges:
+        """Build the histogram from each landmark's number of frames (n,)."""
+        counts = np.bincount(frame_counts.astype(np.int64))
         values = np.flatnonzero(counts)
-        return cls(values.astype(float), counts[values].astype(float), moving, oldest, depth_sd)
+        return cls(values.astype(float), counts[values].astype(float), n_moving, oldest, depth_sd)
 
 
-def total_ages(of_cameras: list[Ages]) -> FloatArray:
-    """(n,) in how many frames each landmark of all cameras was seen, in order."""
-    values = np.concatenate([ages.values for ages in of_cameras])
-    return np.sort(np.repeat(values, np.concatenate([ages.counts for ages in of_cameras]).astype(np.int64)))
-
-
-@dataclass(frozen=True, eq=False)
-class Chance:
-    """How many of one camera's features agree with a pose.
-
-    Attributes:
-        matches: weighted matches, of which a feature may have several.
-        inliers, tried: features.
-        by_chance: how many would agree if their matches were random.
-        unknowns: that the camera's surface adds.
-    """
-
-    matches: int
-    inliers: int
-    tried: int
-    by_chance: float
-    unknowns: int
+def expand_ages(ages_by_camera: list[LandmarkAges]) -> FloatArray:
+    """Return the sorted ages (n,) of all cameras' landmarks, in frames."""
+    values = np.concatenate([ages.values for ages in ages_by_camera])
+    return np.sort(np.repeat(values, np.concatenate([ages.counts for ages in ages_by_camera]).astype(np.int64)))
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
-    """One camera's landmarks that agree with a pose and whose depth is known.
+class InlierStatistics:
+    """Support for a pose in one camera, compared with random matches.
 
     Attributes:
-        sights: the matches.
-        weights: (n,) 0 for those that are not used.
+        n_inlier_matches: number of inlier matches; a feature may have several.
+        n_inlier_features, n_features: number of features.
+        expected_by_chance: expected number of inliers if matches were random.
+        n_unknowns: number of unknowns added by the camera's depth model.
     """
 
-    sights: Sights
+    n_inlier_matches: int
+    n_inlier_features: int
+    n_features: int
+    expected_by_chance: float
+    n_unknowns: int
+
+
+@dataclass(frozen=True, eq=False)
+class KnownDepthMatches:
+    """One camera's landmarks of known depth that agree with a pose.
+
+    Attributes:
+        observations: the matches.
+        weights: (n,) 0 for matches that are not used.
+    """
+
+    observations: LandmarkMatches
     weights: FloatArray
 
     @classmethod
-    def none(cls) -> Known:
-        """Of a camera that sees nothing."""
-        return cls(Sights.none(), np.empty(0))
+    def empty(cls) -> KnownDepthMatches:
+        """Return the report of a camera without an image."""
+        return cls(LandmarkMatches.empty(), np.empty(0))
 
 
 @dataclass(frozen=True, eq=False)
-class Agreed:
-    """What of one camera's matches agrees with the frame's pose.
+class PoseAgreement:
+    """Agreement of one camera's matches with the frame's pose.
 
     Attributes:
-        matches: number of inliers, of so many matches that were tried.
-        references: numbers of the frames they are matches with, and weights: the sum of each one's weights.
+        n_inlier_matches: number of inlier matches.
+        n_matches: number of matches, inliers or not.
+        references: numbers of the reference frames.
+        weights: per reference frame, the sum of the weights of its matches.
         ages: of the inliers' landmarks.
-        features: number of features that are inliers, and moved: of those that have moved with the object, now or before.
-        tried_moved: number of features, inliers or not, that were seen to move with the object before.
-        moving: number of features that are inliers and do not stand still.
-        residual_px: the rms of their residuals, NaN without any.
-        sees: whether the frame has any feature of this camera.
-        strong: number of features that are inliers and not faint.
-        noise_px: standard deviation of the inliers' residuals, whatever a few of them are; NaN without any.
-        tried_features: number of features that have matches, inliers or not.
+        n_inlier_features: number of inlier features.
+        n_moved: number of inlier features that move, or have moved, with the object.
+        n_known_moved: number of features, inliers or not, whose landmark has moved with the object before.
+        n_moving: number of inlier features that are not static in the image.
+        residual_px: rms of the inliers' residuals, NaN without any.
+        has_features: whether the camera has any feature in this frame.
+        n_strong: number of inlier features that are not low-contrast.
+        noise_px: robust standard deviation of the inliers' residuals; NaN without any.
+        n_features: number of features that have matches, inliers or not.
     """
 
-    matches: int
-    tried: int
+    n_inlier_matches: int
+    n_matches: int
     references: tuple[int, ...]
     weights: tuple[float, ...]
-    ages: Ages
-    features: int
-    moved: int
-    tried_moved: int
+    ages: LandmarkAges
+    n_inlier_features: int
+    n_moved: int
+    n_known_moved: int
     residual_px: float
-    sees: bool
-    moving: int = 0
-    strong: int = 0
+    has_features: bool
+    n_moving: int = 0
+    n_strong: int = 0
     noise_px: float = np.nan
-    tried_features: int = 0
+    n_features: int = 0
 
     @classmethod
-    def none(cls) -> Agreed:
-        """Of a camera that sees nothing."""
-        return cls(0, 0, (), (), Ages.of(np.empty(0)), 0, 0, 0, np.nan, False)
+    def empty(cls) -> PoseAgreement:
+        """Return the report of a camera without an image."""
+        return cls(0, 0, (), (), LandmarkAges.from_frame_counts(np.empty(0)), 0, 0, 0, np.nan, False)
 
 
 @dataclass(frozen=True, eq=False)
-class Recognised:
-    """One camera's features that look like landmarks of its keyframes.
+class RelocalizationMatches:
+    """One camera's features that match landmarks of its keyframes.
 
     Attributes:
-        points: (n, 3) the landmarks, object's frame; pixels: (n, 2) the features.
+        points: (n, 3) the landmarks, object's frame.
+        pixels: (n, 2) the features.
     """
 
     points: FloatArray
     pixels: FloatArray
 
     @classmethod
-    def none(cls) -> Recognised:
-        """Of a camera that sees nothing."""
+    def empty(cls) -> RelocalizationMatches:
+        """Return the report of a camera without an image."""
         return cls(np.empty((0, 3)), np.empty((0, 2)))
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
-    """What one camera saw in several frames, and did not tell before; together with that, what all remember of it.
+class NewObservations:
+    """One camera's observations in several frames that it has not shared before.
+
+    Every camera keeps them, so that later reports contain only new ones.
 
     Attributes:
-        frame: (n,) numbers of frames; landmark: (n,) numbers of its landmarks; image: (n, 2) normalised points.
-        known: (m,) in order, the numbers of those that are to be used now; place: (m, 3) about where each is on the object.
+        frame: (n,) frame numbers.
+        landmark: (n,) landmark numbers.
+        image: (n, 2) normalized points.
+        landmark_ids: (m,) sorted numbers of the landmarks to use now.
+        positions: (m, 3) their approximate positions on the object.
     """
 
     frame: IntArray
     landmark: IntArray
     image: FloatArray
-    known: IntArray
-    place: FloatArray
+    landmark_ids: IntArray
+    positions: FloatArray
 
     @classmethod
-    def none(cls) -> Seen:
-        """Of a camera that sees nothing."""
+    def empty(cls) -> NewObservations:
+        """Return the report of a camera without an image."""
         no = np.empty(0, np.int64)
         return cls(no, no, np.empty((0, 2)), no, np.empty((0, 3)))
 
-    def of(self, frames: Sequence[int], landmarks: IntArray | None = None) -> Seen:
-        """What was seen in some frames, of some landmarks: sights alone."""
-        kept = np.isin(self.frame, frames)
-        kept &= True if landmarks is None else np.isin(self.landmark, landmarks)
-        return replace(Seen.none(), frame=self.frame[kept], landmark=self.landmark[kept], image=self.image[kept])
+    def select(self, frames: Sequence[int], landmarks: IntArray | None = None) -> NewObservations:
+        """Select the observations in some frames, and of some landmarks if given."""
+        is_selected = np.isin(self.frame, frames)
+        is_selected &= True if landmarks is None else np.isin(self.landmark, landmarks)
+        return replace(
+            NewObservations.empty(),
+            frame=self.frame[is_selected],
+            landmark=self.landmark[is_selected],
+            image=self.image[is_selected],
+        )
 
-    def among(self, later: Seen) -> Seen:
-        """With what was told later: sights alone, in order of frames and landmarks."""
-        frame, landmark = np.concatenate([self.frame, later.frame]), np.concatenate([self.landmark, later.landmark])
+    def merge(self, newer: NewObservations) -> NewObservations:
+        """Merge with newer observations, sorted by frame and landmark."""
+        frame, landmark = np.concatenate([self.frame, newer.frame]), np.concatenate([self.landmark, newer.landmark])
         order = np.lexsort([landmark, frame])
-        image = np.concatenate([self.image, later.image])[order]
-        return replace(Seen.none(), frame=frame[order], landmark=landmark[order], image=image)
+        image = np.concatenate([self.image, newer.image])[order]
+        return replace(NewObservations.empty(), frame=frame[order], landmark=landmark[order], image=image)
 
 
 @dataclass(frozen=True, eq=False)
-class Sighted:
-    """All that one camera saw in some frames: what refining them together needs.
+class CameraObservations:
+    """All of one camera's observations in some frames, input to their joint refinement.
 
     Attributes:
-        frame: (n,) which of these frames; landmark: (n,) which of the landmarks; image: (n, 2) normalised points.
-        known: (m,) the landmarks' numbers, in order; place: (m, 3) about where each is on the object; moved: (m,) 1 for
-            those that are known to have moved with it, or 0.
+        frame: (n,) index into these frames.
+        landmark: (n,) index into the landmarks.
+        image: (n, 2) normalized points.
+        landmark_ids: (m,) sorted landmark numbers.
+        positions: (m, 3) approximate positions on the object.
+        has_moved: (m,) 1 for landmarks known to have moved with it, else 0.
     """
 
     frame: IntArray
     landmark: IntArray
     image: FloatArray
-    known: IntArray
-    place: FloatArray
-    moved: IntArray
+    landmark_ids: IntArray
+    positions: FloatArray
+    has_moved: IntArray
 
     @classmethod
-    def none(cls) -> Sighted:
-        """Of a camera that sees nothing."""
+    def empty(cls) -> CameraObservations:
+        """Return the report of a camera without an image."""
         no = np.empty(0, np.int64)
         return cls(no, no, np.empty((0, 2)), no, np.empty((0, 3)), no)
 
 
 @dataclass(frozen=True, eq=False)
-class Stance:
-    """How one camera stands, for all that its background shows.
+class CameraMotionReport:
+    """Camera motion estimated from one camera's background.
 
     Attributes:
-        odd: whether it does not look as it did.
-        turn: (3,) rotation vector, camera's axes, that it seems to be turned by since it last stood; 0 where it is nothing
-            like that.
-        sd: standard deviation about the axis of which least is known, radians.
-        since: the recording's number of the first frame that showed it.
-        certain: whether two frames in a row showed the same.
+        has_changed: whether the image no longer agrees with a static camera.
+        rotation: (3,) estimated rotation vector since the camera was last static, camera's axes; 0 if no rotation
+            explains the images.
+        sd: standard deviation about the least certain axis, radians.
+        first_frame: recording's number of the first frame that showed it.
+        is_confirmed: whether two consecutive frames gave the same rotation.
     """
 
-    odd: bool = False
-    turn: FloatArray = field(default_factory=lambda: np.zeros(3))
+    has_changed: bool = False
+    rotation: FloatArray = field(default_factory=lambda: np.zeros(3))
     sd: float = 0.0
-    since: int = 0
-    certain: bool = False
+    first_frame: int = 0
+    is_confirmed: bool = False
 
     @property
     def angle(self) -> float:
-        """That it seems to be turned by, radians."""
-        return float(np.linalg.norm(self.turn))
+        """Estimated rotation angle, radians."""
+        return float(np.linalg.norm(self.rotation))

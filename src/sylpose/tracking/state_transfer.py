@@ -1,4 +1,4 @@
-"""What a camera has to know to take part from now on, where it was not there before: all that the others know alike."""
+"""Transfer of the shared tracker state to a camera that joins a running system."""
 
 from __future__ import annotations
 
@@ -10,97 +10,119 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import FloatArray
-from sylpose.tracking.camera import CameraPart
-from sylpose.tracking.camera_executor import Crew
+from sylpose.tracking.camera import CameraTracker
+from sylpose.tracking.camera_executor import CameraExecutor
 from sylpose.tracking.frame import Frame
-from sylpose.tracking.joint_state import Joint
-from sylpose.tracking.klt_frontend import begin_anchor
-from sylpose.tracking.state_machine import Waiting
+from sylpose.tracking.joint_state import JointState
+from sylpose.tracking.klt_frontend import create_anchor
+from sylpose.tracking.state_machine import BufferedFrame
 
-__all__ = ["Handover", "Waited", "check_handover", "handed_over", "taken_over"]
+__all__ = ["BufferedRecord", "Handover", "build_handover", "check_handover", "restore_handover"]
 
 
 @dataclass(frozen=True, eq=False)
-class Waited:
-    """A frame that waits for the object to move; the motion since the first of them, if any.
+class BufferedRecord:
+    """Shared data of a buffered frame, and its motion since the first buffered one, if any.
 
     Attributes:
-        index, time: as in `FrameSet`; times: (C,) the same, NaN without one.
-        number, late: as in `Frame`.
+        index, time: as in `FrameSet`.
+        times: (C,) as in `FrameSet`; NaN for a camera without time stamp.
+        number, time_offsets: as in `Frame`.
     """
 
     index: int
     time: float
     times: FloatArray
     number: int
-    late: FloatArray
+    time_offsets: FloatArray
     motion: RigidTransform | None
 
 
 @dataclass(frozen=True, eq=False)
 class Handover:
-    """All that is known alike. number: of the next frame."""
+    """Complete shared state between two frames.
 
-    joint: Joint
-    waiting: tuple[Waited, ...]
+    Attributes:
+        state: the shared state.
+        buffered: records of the buffered frames.
+        number: of the next frame.
+    """
+
+    state: JointState
+    buffered: tuple[BufferedRecord, ...]
     number: int
 
 
-def handed_over(joint: Joint, waiting: Sequence[Waiting], number: int) -> Handover:
-    """What is known alike between two frames."""
+def build_handover(state: JointState, buffered: Sequence[BufferedFrame], number: int) -> Handover:
+    """Create a handover between two frames."""
 
-    def waited(w: Waiting) -> Waited:
+    def create_record(w: BufferedFrame) -> BufferedRecord:
         times = np.array([np.nan if t is None else t for t in w.frames.times])
-        return Waited(w.frames.index, w.frames.time, times, w.frame.number, w.frame.late, w.motion)
+        return BufferedRecord(w.frames.index, w.frames.time, times, w.frame.number, w.frame.time_offsets, w.motion)
 
-    # What was told of sights is told again, and what is in the making is made anew.
-    return Handover(replace(joint, told=(), renewal=None, pending=None), tuple(waited(w) for w in waiting), number)
+    # Observations are shared again, and pending background work is restarted.
+    return Handover(
+        replace(state, shared_observations=(), next_anchor_number=None, pending_refinement=None),
+        tuple(create_record(w) for w in buffered),
+        number,
+    )
 
 
 def check_handover(handover: Handover, cameras: int) -> None:
-    """Whether a handover is one of a rig of so many cameras.
+    """Check that a handover is consistent with a rig of so many cameras.
 
     Raises:
         ValueError: it is not.
     """
-    joint, n = handover.joint, cameras
-    anchor = () if joint.anchor is None else (joint.anchor.frame,)
-    frames = (*joint.keyframes, *joint.recent, *anchor, *(f for f in (joint.last, joint.together) if f is not None))
-    good = all(len(f.late) == len(f.viewpoints) == len(f.sees) == n and f.number >= 0 for f in frames)
-    good &= all(len(w.times) == len(w.late) == n for w in handover.waiting) and handover.number >= 0
-    good &= bool(joint.keyframes) == (joint.last is not None) and not (frames and joint.last is None)
-    good &= all(0 <= nudge.camera < n for nudge in joint.nudges)
-    if not good:
-        raise ValueError(f"what all know is not of {n} cameras")
+    state, n = handover.state, cameras
+    anchor = () if state.anchor is None else (state.anchor.frame,)
+    frames = (*state.keyframes, *state.recent, *anchor, *(f for f in (state.last, state.last_refined) if f is not None))
+    is_consistent = all(
+        len(f.time_offsets) == len(f.viewpoints) == len(f.is_visible) == n and f.number >= 0 for f in frames
+    )
+    is_consistent &= all(len(w.times) == len(w.time_offsets) == n for w in handover.buffered) and handover.number >= 0
+    is_consistent &= bool(state.keyframes) == (state.last is not None) and not (frames and state.last is None)
+    is_consistent &= all(0 <= nudge.camera < n for nudge in state.nudges)
+    if not is_consistent:
+        raise ValueError(f"the shared state is not that of {n} cameras")
 
 
-def taken_over(
-    handover: Handover, crew: Crew, parts: Sequence[CameraPart], mine: Sequence[Waiting] | None
-) -> tuple[Joint, list[Waiting], int]:
-    """The inverse: state, waiting frames, number of the next one.
+def restore_handover(
+    handover: Handover,
+    executor: CameraExecutor,
+    camera_trackers: Sequence[CameraTracker],
+    local_frames: Sequence[BufferedFrame] | None,
+) -> tuple[JointState, list[BufferedFrame], int]:
+    """Restore state, buffered frames and next frame number from a handover.
 
     Args:
-        mine: the frames that wait, where the cameras here were there all the time; None where they come: then they have
-            seen nothing of the frames so far.
+        local_frames: buffered frames of local cameras that took part so far; None for cameras that join now, which have
+            no features of the earlier frames.
     """
-    joint, told = handover.joint, handover.waiting
-    if mine is not None:
-        # What was sent is rounded: all go on with the same.
-        return joint, [w._replace(motion=t.motion) for w, t in zip(mine, told, strict=True)], handover.number
-    nothing = (None,) * len(parts)
+    state, records = handover.state, handover.buffered
+    if local_frames is not None:
+        # The transmitted motion is rounded: all cameras continue with the same value.
+        return state, [w._replace(motion=t.motion) for w, t in zip(local_frames, records, strict=True)], handover.number
+    no_images = (None,) * len(camera_trackers)
 
     def begin(c: int) -> None:
-        part = parts[c]
-        part.forget()
-        part.frames = {number: part.blind() for number in joint.known} if joint.last is not None else {}
-        if joint.anchor is not None:
-            number = joint.anchor.frame.number
-            part.anchor = begin_anchor(number, part.frames[number], None, None)
+        camera_tracker = camera_trackers[c]
+        camera_tracker.reset()
+        camera_tracker.frames = (
+            {number: camera_tracker.create_empty_frame() for number in state.known_frames}
+            if state.last is not None
+            else {}
+        )
+        if state.anchor is not None:
+            number = state.anchor.frame.number
+            camera_tracker.anchor = create_anchor(number, camera_tracker.frames[number], None, None)
 
-    def waited(w: Waited) -> Waiting:
+    def create_buffered_frame(w: BufferedRecord) -> BufferedFrame:
         times = tuple(None if np.isnan(t) else float(t) for t in w.times)
-        frame = Frame(w.number, w.time, w.late, crew.each(lambda c: parts[c].blind()))
-        return Waiting(frame, FrameSet(w.index, w.time, times, nothing, nothing), w.motion)
+        frame = Frame(
+            w.number, w.time, w.time_offsets, executor.map_cameras(lambda c: camera_trackers[c].create_empty_frame())
+        )
+        return BufferedFrame(frame, FrameSet(w.index, w.time, times, no_images, no_images), w.motion)
 
-    crew.each(begin)
-    return joint, [waited(w) for w in told], handover.number
+    executor.map_cameras(begin)
+    return state, [create_buffered_frame(w) for w in records], handover.number

@@ -1,4 +1,4 @@
-"""What the tracker says about each frame."""
+"""Tracking result of one frame."""
 
 from __future__ import annotations
 
@@ -13,48 +13,56 @@ from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.relative_pose.fit import MIN_MATCHES
 from sylpose.results import FramePose, FrameStatus
-from sylpose.tracking.context import Team
-from sylpose.tracking.frame import CameraFrame, Pair, Sought, sought_in
+from sylpose.tracking.context import TrackerContext
+from sylpose.tracking.frame import CameraFrame, DetectedFeatures, FrameMatches, collect_detected_features
 from sylpose.tracking.joint_state import Nudge
 
-__all__ = ["Sightings", "TrackedFrame", "looks", "shown", "sightings", "unsolved_frame", "why_none"]
+__all__ = [
+    "LandmarkObservations",
+    "TrackedFrame",
+    "create_unsolved_frame",
+    "explain_missing_pose",
+    "record_observations",
+    "select_shown_matches",
+    "wrap_unmatched_features",
+]
 
 
 @dataclass(frozen=True, eq=False)
-class Sightings:
-    """What one camera saw of the object in one frame: what a joint refinement of all poses needs.
+class LandmarkObservations:
+    """One camera's landmark observations in one frame, input to the joint refinement of all poses.
 
     Attributes:
-        landmark: (n,) numbers; the same feature of the object seen in several frames by this camera has the same one.
-        normalized: (n, 2) where each was seen, undistorted.
-        place: (n, 3) where it is on the object, as far as is known by then, object's frame.
-        moved: (n,) whether it is known by then to have moved with the object: else it may be background.
+        landmark_ids: (n,) landmark numbers, unique per camera and object feature.
+        normalized: (n, 2) undistorted normalized image points.
+        positions: (n, 3) estimated landmark positions, object's frame.
+        has_moved: (n,) whether the landmark is known to have moved with the object; otherwise it may be background.
     """
 
-    landmark: IntArray
+    landmark_ids: IntArray
     normalized: FloatArray
-    place: FloatArray
-    moved: BoolArray
+    positions: FloatArray
+    has_moved: BoolArray
 
 
 @dataclass(frozen=True, eq=False)
 class TrackedFrame:
-    """A frame's pose and what it rests on.
+    """Pose of one frame with the data behind it.
 
     Attributes:
         pose: the result.
-        frames: the images it was found in, those of a camera that was nudged turned back.
+        frames: the images used; images of a camera that was nudged are rotated back.
         matches: per camera (previous pixels (n, 2), current pixels (n, 2)) of the inliers against the last solved
             frame, or None.
-        regions: per camera the outline (k, 2) that was searched, pixels; None for the whole image or none of it.
+        regions: per camera the searched outline (k, 2), pixels; None for the whole image or none of it.
         radius: of the object, length units; NaN while unknown.
-        sightings: per camera, empty where the frame was not solved.
-        late: (C,) seconds after `frames.time` at which each camera saw it.
-        note: a sentence, where there is something to be said of this frame.
-        nudges: of cameras up to now, in order of time; from each on that camera's images are turned back.
-        sought: per camera what it looked at; empty in the first frame.
-        learnt: of an object that is known from another take, the pose of the frame that it was learnt in, which
-            `sightings` are told in; None: the same.
+        observations: per camera landmark observations, empty where the frame was not solved.
+        time_offsets: (C,) seconds after `frames.time` at which each camera took its image.
+        note: a remark on this frame, or "".
+        nudges: camera rotations detected so far, in order of time; later images of those cameras are rotated back.
+        detections: per camera its detected features; empty in the first frame.
+        learned_pose: pose in the frame that a known object was learned in, which `observations` refer to; None if it
+            equals `pose`.
     """
 
     pose: FramePose
@@ -62,97 +70,110 @@ class TrackedFrame:
     matches: tuple[tuple[FloatArray, FloatArray] | None, ...]
     regions: tuple[FloatArray | None, ...]
     radius: float
-    sightings: tuple[Sightings, ...] = ()
-    late: FloatArray = field(default_factory=lambda: np.empty(0))
+    observations: tuple[LandmarkObservations, ...] = ()
+    time_offsets: FloatArray = field(default_factory=lambda: np.empty(0))
     note: str = ""
     nudges: tuple[Nudge, ...] = ()
-    sought: tuple[Sought, ...] = ()
-    learnt: FramePose | None = None
+    detections: tuple[DetectedFeatures, ...] = ()
+    learned_pose: FramePose | None = None
 
 
-def shown(
-    inliers: Sequence[Pair], current: CameraFrame, base: int, before: FloatArray | None
+def select_shown_matches(
+    inliers: Sequence[FrameMatches], current: CameraFrame, previous: int, previous_pixels: FloatArray | None
 ) -> tuple[FloatArray, FloatArray] | None:
-    """One camera's inliers against the last solved frame, as `TrackedFrame.matches`.
+    """Return one camera's inliers against the last solved frame, for `TrackedFrame.matches`.
 
     Args:
-        base: the last solved frame's number.
-        before: (m, 2) where the first m features were in it, if they were followed.
+        inliers: matches with earlier frames that agree with the pose.
+        current: the camera's current frame.
+        previous: the last solved frame's number.
+        previous_pixels: (m, 2) pixels of the first m features in that frame, if they were tracked by KLT.
     """
-    if before is not None:
+    if previous_pixels is not None:
         index = np.unique(np.concatenate([np.empty(0, np.int64), *(pair.indices[:, 1] for pair in inliers)]))
-        index = index[index < len(before)]
-        index = index[np.isfinite(before[index]).all(axis=1)]
-        return before[index], current.features.pixels[index]
-    with_base = [pair for pair in inliers if pair.reference == base]
-    return (with_base[0].pixels_i, with_base[0].pixels_j) if with_base else None
+        index = index[index < len(previous_pixels)]
+        index = index[np.isfinite(previous_pixels[index]).all(axis=1)]
+        return previous_pixels[index], current.features.pixels[index]
+    with_previous = [pair for pair in inliers if pair.reference == previous]
+    return (with_previous[0].pixels_i, with_previous[0].pixels_j) if with_previous else None
 
 
-def sightings(inliers: Sequence[Pair], current: CameraFrame) -> Sightings:
-    """One camera's features that were used, and those that were seen for the first time."""
+def record_observations(inliers: Sequence[FrameMatches], current: CameraFrame) -> LandmarkObservations:
+    """Collect one camera's observations: inlier features and newly observed ones."""
     used = np.concatenate([np.empty(0, np.int64), *(pair.indices[:, 1] for pair in inliers)])
     landmarks = current.landmarks
-    index = np.union1d(used, np.flatnonzero(landmarks.seen == 1))
-    return Sightings(
-        landmarks.id[index], current.features.normalized[index], landmarks.mean[index], landmarks.moved[index]
+    index = np.union1d(used, np.flatnonzero(landmarks.n_observations == 1))
+    return LandmarkObservations(
+        landmarks.id[index], current.features.normalized[index], landmarks.mean[index], landmarks.has_moved[index]
     )
 
 
-def looks(team: Team, features: Sequence[Features]) -> list[Sought]:
-    """By camera, each its own: features that are compared with none."""
-    return team.crew.each(lambda c: sought_in(features[c]))
+def wrap_unmatched_features(context: TrackerContext, features: Sequence[Features]) -> list[DetectedFeatures]:
+    """Wrap features without matches as `DetectedFeatures`; per camera, local."""
+    return context.executor.map_cameras(lambda c: collect_detected_features(features[c]))
 
 
-def unsolved_frame(
-    team: Team,
+def create_unsolved_frame(
+    context: TrackerContext,
     frames: FrameSet,
     status: FrameStatus,
-    sought: Sequence[Sought],
+    detections: Sequence[DetectedFeatures],
     regions: Sequence[FloatArray | None] | None = None,
     radius: float = np.nan,
     world_from_object: RigidTransform | None = None,
     covariance: FloatArray | None = None,
 ) -> TrackedFrame:
-    """Of a frame in which the object was not found; the pose is where it is thought to be, if anywhere.
+    """Create the result of a frame in which the object was not found.
 
     Args:
-        sought: by camera, each its own: what it looked at.
+        detections: per camera, local: the detected features.
+        world_from_object: predicted pose, if any.
+        covariance: (6, 6) of (w, d), its uncertainty.
     """
     n = len(frames.images)
     covariance = np.full((6, 6), np.nan) if covariance is None else covariance
-    nothing = np.zeros(n, np.int64), np.full(n, np.nan)
-    told = team.crew.ask(lambda c: np.array([len(sought[c].features), len(sought[c].rejected)]), np.zeros(2, np.int64))
-    features, matches = np.array(told).T
+    no_inliers = np.zeros(n, np.int64), np.full(n, np.nan)
+    counts = context.executor.all_gather(
+        lambda c: np.array([len(detections[c].features), len(detections[c].rejected)]), np.zeros(2, np.int64)
+    )
+    features, matches = np.array(counts).T
     pose = FramePose(
         frames.index,
         frames.time,
         status,
         world_from_object,
         covariance,
-        *nothing,
+        *no_inliers,
         matches=matches,
-        reason=why_none(status, int(features.sum()), int(matches.sum())),
+        reason=explain_missing_pose(status, int(features.sum()), int(matches.sum())),
     )
     none = (None,) * n
-    return TrackedFrame(pose, frames, none, tuple(regions or none), radius, sought=tuple(sought))
+    return TrackedFrame(pose, frames, none, tuple(regions or none), radius, detections=tuple(detections))
 
 
-def why_none(status: FrameStatus, features: int, matches: int) -> str:
-    """Why a frame has no pose, for people, by how many features were looked at and how many of them match what is known of
-    the object, in all cameras together."""
-    if status is FrameStatus.ONLY_STILL:
-        return "what agrees with a pose stands still and was never seen to move"
+def explain_missing_pose(status: FrameStatus, features: int, matches: int) -> str:
+    """Explain why a frame has no pose, for users.
+
+    Args:
+        features: number of features examined, over all cameras.
+        matches: number of those that match known landmarks.
+    """
+    if status is FrameStatus.BACKGROUND_ONLY:
+        return "features that agree with a pose are static and never moved"
     if features < MIN_MATCHES:
-        return f"{_counted(features, 'feature')} where it was looked for, in all cameras together"
+        return f"{_format_count(features, 'feature')} in the search regions of all cameras"
     if status is FrameStatus.NO_MOTION:
-        return f"{_counted(features, 'feature')}, too few of which moved, or by too little"
+        return f"{_format_count(features, 'feature')}, too few of which moved far enough"
     if status is FrameStatus.NOT_CONSISTENT:
-        return f"{_counted(features, 'feature')}; what moved was no rigid body, or not for long"
+        return f"{_format_count(features, 'feature')}; no rigid motion lasted long enough"
     if matches < MIN_MATCHES:
-        return f"{matches} of {_counted(features, 'feature')} match what is known of the object"
-    return f"no pose agrees with enough of the {_counted(matches, 'match', 'matches')} among {_counted(features, 'feature')}"
+        return f"{matches} of {_format_count(features, 'feature')} match known landmarks"
+    return (
+        f"no pose fits enough of the {_format_count(matches, 'match', 'matches')} "
+        f"among {_format_count(features, 'feature')}"
+    )
 
 
-def _counted(number: int, one: str, many: str | None = None) -> str:
-    """A number of things."""
-    return f"{number} {one if number == 1 else many or one + 's'}"
+def _format_count(number: int, singular: str, plural: str | None = None) -> str:
+    """Format a count with its noun."""
+    return f"{number} {singular if number == 1 else plural or singular + 's'}"

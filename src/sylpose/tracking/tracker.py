@@ -1,4 +1,4 @@
-"""The tracker in one process: the object's pose in every frame, each frame against several earlier ones."""
+"""Single-process tracker: the object's pose in every frame, against several earlier frames."""
 
 from __future__ import annotations
 
@@ -10,28 +10,28 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sylpose.frames import Box, FrameSet, check_frames
-from sylpose.geometry.validation import kind_of, number, shown, whole
-from sylpose.input_limits import one_line
-from sylpose.methods import FEATURES, METHODS, features_of
+from sylpose.frames import Box, FrameSet, check_frame_set
+from sylpose.geometry.validation import check_integer, check_number, check_type, format_value
+from sylpose.input_limits import to_one_line
+from sylpose.methods import FEATURES, METHODS, resolve_features
 from sylpose.rig import Rig
-from sylpose.tracking.camera import CameraPart
-from sylpose.tracking.camera_executor import Crew, OneProcess
-from sylpose.tracking.camera_motion_correction import with_nudges
-from sylpose.tracking.context import Team
+from sylpose.tracking.camera import CameraTracker
+from sylpose.tracking.camera_executor import CameraExecutor, LocalExecutor
+from sylpose.tracking.camera_motion_correction import add_nudge_faults
+from sylpose.tracking.context import TrackerContext
 from sylpose.tracking.frame import SolvedFrame
 from sylpose.tracking.frame_solvers import SOLVERS
-from sylpose.tracking.joint_state import Joint
-from sylpose.tracking.known_object import KnownObject, learnt_of
+from sylpose.tracking.joint_state import JointState
+from sylpose.tracking.known_object import KnownObject, build_known_object
 from sylpose.tracking.object_model import ObjectModel
-from sylpose.tracking.object_transfer import KnownHere, begun_with, known_here
-from sylpose.tracking.state_machine import Waiting, finish, next_frame
-from sylpose.tracking.state_transfer import Handover, handed_over, taken_over
+from sylpose.tracking.object_transfer import TransferredObject, initialize_from_object, transfer_object
+from sylpose.tracking.state_machine import BufferedFrame, finish_initialization, process_frame
+from sylpose.tracking.state_transfer import Handover, build_handover, restore_handover
 from sylpose.tracking.tracked_frame import TrackedFrame
 
-MAX_LATE = 1e6  # seconds: cameras of one recording are not days apart (choice)
+MAX_TIME_OFFSET = 1e6  # seconds: cameras of one recording start within days of each other (choice)
 
-__all__ = ["Memory", "Tracker", "Tracking", "track"]
+__all__ = ["Tracker", "TrackerBase", "TrackerSnapshot", "track"]
 
 
 def track(
@@ -44,63 +44,72 @@ def track(
     offsets: Mapping[str, float] | None = None,
     workers: int | None = None,
     seed: int = 0,
-    known: KnownObject | None = None,
+    known_object: KnownObject | None = None,
 ) -> Iterator[TrackedFrame]:
-    """The object's pose in every frame, as the frames come.
+    """Track one rigid object and yield its pose frame by frame.
 
     Args:
         frames: of the recording, in order: `session.frames()`.
-        rig: C cameras. With one camera the object is put at distance 1 of it, and every frame's status says that the
-            scale is not observable.
-        boxes: where the object is in the first frame, per camera that sees it, pixels; None: the object is what moves
-            against the standing background.
-        method: "landmarks" (places of the features on the object grow certain over time: drifts least), "epipolar"
-            (epipolar geometry against several references), one of the paper's estimators frame to frame (as in
-            `estimate_motion`), or "known-depth" (Sylvester's equation for landmarks whose depth is known by now).
-        features: "sift" (SIFT in every frame, as in the paper), "klt" (followed from image to image, SIFT only where that
-            does not suffice: several times faster, and more precise; not for the paper's estimators, which want the
-            matches with the frame before) or "auto": "klt" for the method "landmarks", else "sift".
-        offsets: by camera, seconds by which its images are later than its time stamps say.
-        known: the object, as another take has learnt it (`load_object`): poses are told in the frame that it had there,
-            from the first frame on in which it is found.
+        rig: C cameras. With one camera the object is placed at distance 1 from it, and the status of every frame
+            reports that the scale is not observable.
+        boxes: per camera, the object's box in the first frame, pixels; None: whatever moves against the static
+            background is tracked.
+        method: "landmarks" (landmark positions on the object are refined over time; least drift), "epipolar" (epipolar
+            geometry against several reference frames), one of the paper's frame-to-frame estimators (as in
+            `estimate_motion`), or "known-depth" (Sylvester's equation for landmarks of known depth).
+        features: "sift" (SIFT in every frame, as in the paper), "klt" (KLT tracking between frames, SIFT only where
+            that is not enough: several times faster and more precise; not for the paper's estimators, which need
+            matches with the previous frame) or "auto": "klt" for the method "landmarks", else "sift".
+        offsets: per camera, seconds by which its images are later than its time stamps.
+        known_object: the object as learned from another recording (`load_object`); poses are expressed in its frame
+            and start with the first frame in which it is found.
         workers: threads for detection and matching; None: one per core, at most one per camera.
-        seed: of the outlier rejection. The same input and seed give the same output, whatever the number of threads.
+        seed: of outlier rejection. Equal input and seed give equal output for any number of threads.
 
     Yields:
         One `TrackedFrame` per frame. Without boxes the first ones are held back until the object has moved.
 
     Raises:
-        ValueError: an unknown method; a negative seed; boxes of cameras that the rig does not have, or that do not meet in
-            space; a known object that other cameras saw, together with boxes, or with another method than "landmarks".
+        ValueError: unknown method; negative seed; boxes of cameras that are not in the rig, or that do not intersect in
+            space; a known object observed by other cameras, combined with boxes or with another method than
+            "landmarks".
     """
     with Tracker(
-        rig, boxes, method=method, features=features, offsets=offsets, workers=workers, seed=seed, known=known
+        rig,
+        boxes,
+        method=method,
+        features=features,
+        offsets=offsets,
+        workers=workers,
+        seed=seed,
+        known_object=known_object,
     ) as tracker:
-        for frame_set in _iterated(frames):
+        for frame_set in _check_frame_sequence(frames):
             yield from tracker.step(frame_set)
         yield from tracker.flush()
 
 
-def _iterated(frames: Iterable[FrameSet]) -> Iterable[FrameSet]:
+def _check_frame_sequence(frames: Iterable[FrameSet]) -> Iterable[FrameSet]:
     if not isinstance(frames, Iterable) or isinstance(frames, (str, bytes, Mapping)):
-        raise TypeError(f"frames must be a sequence of FrameSet, got {shown(frames)}")
+        raise TypeError(f"frames must be a sequence of FrameSet, got {format_value(frames)}")
     return frames
 
 
-class Memory(NamedTuple):
-    """All that is known between two frames, by all and by each camera here."""
+class TrackerSnapshot(NamedTuple):
+    """Complete tracker state between two frames: shared state and that of each local camera."""
 
-    joint: Joint
-    waiting: Sequence[Waiting]
-    number: int
-    parts: Sequence[CameraPart]
+    state: JointState
+    buffered: Sequence[BufferedFrame]
+    next_number: int
+    camera_trackers: Sequence[CameraTracker]
 
 
-class Tracking:
-    """The way through a recording, whoever the cameras' crew is.
+class TrackerBase:
+    """Tracker core, independent of how the cameras are executed.
 
     Args:
-        parts: by camera, each its own.
+        camera_trackers: per camera, local: its tracker.
+        executor: executes functions for all cameras.
         rig, boxes, method, features, offsets, seed, known: see `track`.
 
     Raises:
@@ -110,125 +119,150 @@ class Tracking:
     def __init__(
         self,
         rig: Rig,
-        parts: Sequence[CameraPart],
-        crew: Crew,
+        camera_trackers: Sequence[CameraTracker],
+        executor: CameraExecutor,
         boxes: Mapping[str, Box] | None,
         *,
         method: str,
         features: str,
         offsets: Mapping[str, float] | None,
         seed: int,
-        known: KnownObject | None = None,
+        known_object: KnownObject | None = None,
     ) -> None:
-        follows = features_of(method, features) == "klt"
-        whole(seed, "seed")
-        for name, value in kind_of({} if offsets is None else offsets, Mapping, "offsets").items():
+        uses_klt = resolve_features(method, features) == "klt"
+        check_integer(seed, "seed")
+        for name, value in check_type({} if offsets is None else offsets, Mapping, "offsets").items():
             if name not in rig.names:
-                raise ValueError(f"offsets: no camera {shown(name)} in the rig ({one_line(', '.join(rig.names), 200)})")
-            number(value, f"offsets: {name}", least=-MAX_LATE, most=MAX_LATE)
-        for name, box in kind_of({} if boxes is None else boxes, Mapping, "boxes").items():
-            kind_of(box, Box, f"boxes: {shown(name)}")
-        late = np.array([(offsets or {}).get(name, 0.0) for name in rig.names])
-        self._team = Team(rig, parts, crew, SOLVERS[method], follows, late, seed, method == METHODS[0])
+                raise ValueError(
+                    f"offsets: no camera {format_value(name)} in the rig ({to_one_line(', '.join(rig.names), 200)})"
+                )
+            check_number(value, f"offsets: {name}", minimum=-MAX_TIME_OFFSET, maximum=MAX_TIME_OFFSET)
+        for name, box in check_type({} if boxes is None else boxes, Mapping, "boxes").items():
+            check_type(box, Box, f"boxes: {format_value(name)}")
+        time_offsets = np.array([(offsets or {}).get(name, 0.0) for name in rig.names])
+        self._context = TrackerContext(
+            rig, camera_trackers, executor, SOLVERS[method], uses_klt, time_offsets, seed, method == METHODS[0]
+        )
         self._rig = rig
-        self._joint = Joint(ObjectModel.in_boxes(rig, boxes) if boxes else ObjectModel())
-        if known is not None:
-            kind_of(known, KnownObject, "known")
+        self._state = JointState(ObjectModel.from_boxes(rig, boxes) if boxes else ObjectModel())
+        if known_object is not None:
+            check_type(known_object, KnownObject, "known")
             if boxes:
-                raise ValueError("boxes: of an object that is known, none are wanted")
+                raise ValueError("boxes: not allowed for a known object")
             if method != METHODS[0]:
-                raise ValueError(f"method: an object that is known is tracked by {METHODS[0]!r}, not by {method!r}")
-        # The object before these cameras, where it is known from another take.
-        self.known: KnownHere | None = None if known is None else known_here(known, rig)
-        self._waiting: Sequence[Waiting] = []
-        self.number = 0  # of the next frame
+                raise ValueError(f"method: a known object needs {METHODS[0]!r}, got {method!r}")
+        # The known object as these cameras would have observed it.
+        self.transferred_object: TransferredObject | None = (
+            None if known_object is None else transfer_object(known_object, rig)
+        )
+        self._buffered: Sequence[BufferedFrame] = []
+        self.next_number = 0  # of the next frame
 
     def step(self, frames: FrameSet) -> list[TrackedFrame]:
-        """Take in the next frame.
+        """Process the next frame.
 
         Returns:
-            The frames that are now decided, in order: usually this one; none while the object has not moved yet and no
-            boxes tell where it is, then those that waited for it and this one.
+            The frames decided by now, in order: usually this one. Without boxes none until the object has moved, then
+            all buffered frames and this one.
         """
-        check_frames(frames, self._rig)
-        here, note = self.known, ""
-        if here is not None and not self.number:
-            note = here.note
-            self._joint = begun_with(here, self._rig, self._here(), frames.time)
-            self.number = len(here.keyframes)
-        index, self.number = self.number, self.number + 1
-        self._joint, self._waiting, decided = next_frame(self._team, self._joint, self._waiting, index, frames)
-        if here is None:
+        check_frame_set(frames, self._rig)
+        transferred, note = self.transferred_object, ""
+        if transferred is not None and not self.next_number:
+            note = transferred.note
+            self._state = initialize_from_object(transferred, self._rig, self._local_trackers(), frames.time)
+            self.next_number = len(transferred.keyframes)
+        index, self.next_number = self.next_number, self.next_number + 1
+        self._state, self._buffered, decided = process_frame(self._context, self._state, self._buffered, index, frames)
+        if transferred is None:
             return decided
         return [
-            replace(tracked, pose=here.telling.of(tracked.pose), learnt=tracked.pose, note=tracked.note or note)
+            replace(
+                tracked,
+                pose=transferred.converter.convert(tracked.pose),
+                learned_pose=tracked.pose,
+                note=tracked.note or note,
+            )
             for tracked in decided
         ]
 
     @property
-    def memory(self) -> Memory:
-        """All that is known by now, the cameras here included: until the next frame, whose way changes some of it."""
-        return Memory(self._joint, self._waiting, self.number, self._here())
+    def snapshot(self) -> TrackerSnapshot:
+        """The current state, including local cameras; `step` modifies parts of it in place."""
+        return TrackerSnapshot(self._state, self._buffered, self.next_number, self._local_trackers())
 
-    def remembered(self) -> Memory:
-        """The same, for longer: a copy."""
-        # What is never written to need not be copied: images, descriptors, calibrations.
-        constants: list[object] = [waiting.frames for waiting in self._waiting]
-        constants += [own for part in self._here() for own in part.constants()]
-        constants += [own.features for waiting in self._waiting for own in waiting.frame.cameras if own is not None]
-        changing = self._here(), list(self._waiting)
-        parts, waiting = copy.deepcopy(changing, {id(constant): constant for constant in constants})
-        return Memory(self._joint, waiting, self.number, parts)
+    def copy_snapshot(self) -> TrackerSnapshot:
+        """Copy the current state, so that it outlives the next `step`."""
+        # Immutable objects need not be copied: images, descriptors, calibrations.
+        constants: list[object] = [buffered.frames for buffered in self._buffered]
+        constants += [own for part in self._local_trackers() for own in part.list_immutable()]
+        constants += [own.features for buffered in self._buffered for own in buffered.frame.cameras if own is not None]
+        mutable = self._local_trackers(), list(self._buffered)
+        camera_trackers, buffered = copy.deepcopy(mutable, {id(constant): constant for constant in constants})
+        return TrackerSnapshot(self._state, buffered, self.next_number, camera_trackers)
 
-    def go_back(self, memory: Memory) -> None:
-        """To what was known then; a memory serves once."""
-        self._joint, self._waiting, self.number, parts = memory
-        for part, its in zip(self._here(), parts, strict=True):
-            vars(part).update(vars(its))
+    def restore(self, snapshot: TrackerSnapshot) -> None:
+        """Restore an earlier state; each `TrackerSnapshot` may be restored once."""
+        self._state, self._buffered, self.next_number, camera_trackers = snapshot
+        for camera_tracker, its in zip(self._local_trackers(), camera_trackers, strict=True):
+            vars(camera_tracker).update(vars(its))
 
-    def _here(self) -> list[CameraPart]:
-        """The parts of the cameras in this process."""
-        return [part for part in self._team.parts if part is not None]
+    def _local_trackers(self) -> list[CameraTracker]:
+        """Return the trackers of the cameras in this process."""
+        return [part for part in self._context.camera_trackers if part is not None]
 
-    def learnt(self) -> KnownObject | None:
-        """What is known of the object by now, for another take; None where that is next to nothing."""
-        return learnt_of(self._rig, self._joint, self._here(), None if self.known is None else self.known.known)
+    def build_known_object(self) -> KnownObject | None:
+        """Build a known object for another recording; None while too little is known."""
+        return build_known_object(
+            self._rig,
+            self._state,
+            self._local_trackers(),
+            None if self.transferred_object is None else self.transferred_object.known_object,
+        )
 
-    def handed_over(self) -> Handover:
-        """What a camera has to know that is to take part from the next frame on."""
-        return handed_over(self._joint, self._waiting, self.number)
+    def create_handover(self) -> Handover:
+        """Create the handover for a camera that joins at the next frame."""
+        return build_handover(self._state, self._buffered, self.next_number)
 
-    def take_over(self, handover: Handover, *, new: bool) -> None:
-        """Go on from there, where the cameras here are `new` as if they had seen nothing so far."""
-        team, mine = self._team, None if new else self._waiting
-        self._joint, self._waiting, self.number = taken_over(handover, team.crew, team.parts, mine)
+    def apply_handover(self, handover: Handover, *, is_new: bool) -> None:
+        """Continue from a handover.
+
+        Args:
+            handover: the shared state.
+            is_new: whether the local cameras join now, without any observations so far.
+        """
+        context, local_frames = self._context, None if is_new else self._buffered
+        self._state, self._buffered, self.next_number = restore_handover(
+            handover, context.executor, context.camera_trackers, local_frames
+        )
 
     @property
-    def knows(self) -> bool:
-        """Whether a camera here has seen anything of the object that it would know again."""
-        return any(part.knows for part in self._here())
+    def has_observations(self) -> bool:
+        """Whether a local camera has observations by which it could recognize the object."""
+        return any(part.has_observations for part in self._local_trackers())
 
     @property
-    def defining(self) -> SolvedFrame | None:
+    def first_frame(self) -> SolvedFrame | None:
         """The frame whose pose defines the object's frame; None before the first pose."""
-        return self._joint.keyframes[0] if self._joint.keyframes else None
+        return self._state.keyframes[0] if self._state.keyframes else None
 
-    def begin_anew(self) -> None:
-        """Where a pose is known of an object that no camera would know again: another one is looked for, by its motion,
-        whose first pose defines its frame."""
-        if self._joint.last is not None:
-            self._joint = Joint(nudges=self._joint.nudges)
-            for part in self._here():
-                part.forget()
+    def restart(self) -> None:
+        """Restart if a pose exists of an object that no camera could recognize.
+
+        The next moving object is then tracked, and its first pose defines the object's frame.
+        """
+        if self._state.last is not None:
+            self._state = JointState(nudges=self._state.nudges)
+            for camera_tracker in self._local_trackers():
+                camera_tracker.reset()
 
     def flush(self) -> list[TrackedFrame]:
-        """The frames still undecided at the recording's end: the object moved little, or never."""
-        waiting, self._waiting = self._waiting, []
-        return with_nudges(self._team, self._joint, finish(self._team, waiting))
+        """Return the frames still undecided at the recording's end: the object moved little or never."""
+        buffered, self._buffered = self._buffered, []
+        return add_nudge_faults(self._context, self._state, finish_initialization(self._context, buffered))
 
 
-class Tracker(Tracking):
-    """Follows one rigid object, frame by frame: a context manager around its worker threads.
+class Tracker(TrackerBase):
+    """Single-process tracker of one rigid object; a context manager for its worker threads.
 
     Args:
         rig, boxes, method, features, offsets, known, workers, seed: see `track`.
@@ -247,15 +281,15 @@ class Tracker(Tracking):
         offsets: Mapping[str, float] | None = None,
         workers: int | None = None,
         seed: int = 0,
-        known: KnownObject | None = None,
+        known_object: KnownObject | None = None,
     ) -> None:
-        kind_of(rig, Rig, "rig")
+        check_type(rig, Rig, "rig")
         if workers is not None:
-            whole(workers, "workers", least=0)
-        self._crew = OneProcess(len(rig), workers or min(len(rig), os.cpu_count() or 1))
-        parts = [CameraPart(c, camera) for c, camera in enumerate(rig)]
-        asked: dict[str, Any] = {"method": method, "features": features, "offsets": offsets, "seed": seed}
-        super().__init__(rig, parts, self._crew, boxes, **asked, known=known)
+            check_integer(workers, "workers", minimum=0)
+        self._executor = LocalExecutor(len(rig), workers or min(len(rig), os.cpu_count() or 1))
+        camera_trackers = [CameraTracker(c, camera) for c, camera in enumerate(rig)]
+        options: dict[str, Any] = {"method": method, "features": features, "offsets": offsets, "seed": seed}
+        super().__init__(rig, camera_trackers, self._executor, boxes, **options, known_object=known_object)
 
     def __enter__(self) -> Tracker:
         return self
@@ -264,5 +298,5 @@ class Tracker(Tracking):
         self.close()
 
     def close(self) -> None:
-        """End the worker threads."""
-        self._crew.close()
+        """Shut down the worker threads."""
+        self._executor.close()

@@ -1,10 +1,10 @@
-"""Another path, as two frames far apart tell it: a check of poses that were found one after the other.
+"""Alternative initial path from wide-baseline motions, to check sequential poses.
 
-Where the object turns slowly, is nearly flat, or few cameras see it, its first small turn is told from its relief by next to
-nothing. What is then believed of the relief makes each next pose agree with the last ones, and the refinement of all of them
-ends in the nearest minimum, sure of itself. Two frames far apart know nothing of that: the landmarks that both see are
-matches, which one large motion explains or does not, with relief as unknown as ever (`estimate_motion`). Where that motion
-contradicts the path, the path is bent to agree with it, as another start of the refinement, and the likelier one counts.
+If the object rotates slowly, is nearly planar or is visible in few cameras, its first small rotation barely separates
+motion from depth. A wrong depth then makes each next pose consistent with the previous ones, and joint refinement ends
+in the nearest local minimum with false certainty. Two distant frames are free of this: the landmarks observed in both
+are matches, which one large motion explains or not, with depth unknown (`estimate_motion`). If that motion contradicts
+the path, the path is bent to agree with it, as another start of the refinement, and the likelier result is used.
 """
 
 from __future__ import annotations
@@ -22,106 +22,117 @@ from sylpose.relative_pose.motion import estimate_motion
 from sylpose.results import Status
 from sylpose.rig import Rig
 
-__all__ = ["another_path"]
+__all__ = ["find_alternative_path"]
 
-# Of a path of fewer frames nothing is asked: what few frames agree on, the next may not (choice).
-LEAST = 16
-# Two frames are compared where so many landmarks are seen in both of them, by two cameras at least; and believed where so
-# large a share of these agree on the motion (choice).
-SHARED, CAMERAS, AGREED = 60, 2, 0.75
-# A motion contradicts a path where it excludes the path's (chi-squared, once in a thousand times), and is off by more than
-# this turn, radians, or share of the object's radius: what matters less is the refinement's to find (choice).
-EXCLUDED = chi_squared_bound(6)
-TURN, SHIFT = np.deg2rad(0.5), 0.03
-# Links of a path that are asked, about; those of so many frames in two halves (choice).
-LINKS, LONG = 6, 8
+# Shorter paths are not checked: the next frames may contradict what few frames agree on (choice).
+MIN_PATH_FRAMES = 16
+# Two frames are compared if so many landmarks are observed in both, by at least two cameras; the motion is valid if
+# this share of them are inliers (choice).
+MIN_SHARED_LANDMARKS, MIN_CAMERAS, MIN_INLIER_RATIO = 60, 2, 0.75
+# A motion contradicts a path if it excludes the path's (chi-squared, once in a thousand times) and differs by more than
+# this rotation, radians, or share of the object's radius. Smaller differences are left to the refinement (choice).
+MAX_CHI_SQUARED = chi_squared_bound(6)
+MIN_ROTATION, MIN_TRANSLATION = np.deg2rad(0.5), 0.03
+# Approximate number of links of a path that are checked; links over so many frames are split in halves (choice).
+MAX_LINKS, LONG_LINK_FRAMES = 6, 8
 
 
-def another_path(rig: Rig, seen: Observations, path: RigidTransform, radius: float) -> RigidTransform | None:
-    """The path (N poses), bent to agree with the motions between frames that are far apart; None where these do not
-    contradict it.
+def find_alternative_path(
+    rig: Rig, observations: Observations, path: RigidTransform, radius: float
+) -> RigidTransform | None:
+    """Return the path bent to agree with motions between distant frames, or None.
 
-    From the last frame on, each link leads to the earliest frame that shares enough landmarks; what is halfway is asked as
-    well.
+    From the last frame backward, each link leads to the earliest frame that shares enough landmarks; the frame halfway
+    is checked as well. None means that these motions do not contradict the path.
 
     Args:
+        observations: landmark observations of all frames.
+        path: N poses.
         radius: of the object.
     """
-    if len(path) < LEAST:
+    if len(path) < MIN_PATH_FRAMES:
         return None
     nodes = [len(path) - 1]
-    while nodes[-1] > 0 and len(nodes) <= LINKS:
-        earlier = _earliest(seen, nodes[-1])
+    while nodes[-1] > 0 and len(nodes) <= MAX_LINKS:
+        earlier = _find_earliest(observations, nodes[-1])
         if earlier is None:
             break
-        if nodes[-1] - earlier >= LONG:
+        if nodes[-1] - earlier >= LONG_LINK_FRAMES:
             nodes.append((earlier + nodes[-1]) // 2)
         nodes.append(earlier)
     pairs = list(pairwise(reversed(nodes)))
-    offs = [_off(rig, seen, path, *pair, radius) for pair in pairs]
-    if all(off is None for off in offs):
+    deviations = [_compute_deviation(rig, observations, path, *pair, radius) for pair in pairs]
+    if all(deviation is None for deviation in deviations):
         return None
     poses = list(path)
-    # From the first link on; what is before it stays.
-    for (earlier, later), off in zip(pairs, offs, strict=True):
-        poses[earlier + 1 :] = _bent(path, poses[earlier], earlier, later, off)
+    # Poses before the first link stay.
+    for (earlier, later), deviation in zip(pairs, deviations, strict=True):
+        poses[earlier + 1 :] = _bend_path(path, poses[earlier], earlier, later, deviation)
     return RigidTransform.concatenate(poses)
 
 
-def _shared(seen: Observations, one: int, other: int) -> list[tuple[IntArray, IntArray]]:
-    """Of each camera the observations of the same landmarks in two frames."""
+def _find_shared(observations: Observations, first: int, second: int) -> list[tuple[IntArray, IntArray]]:
+    """Return per camera the observations of common landmarks in two frames."""
     out = []
-    for camera in range(int(seen.camera.max(initial=-1)) + 1):
-        mine = [np.flatnonzero((seen.frame == k) & (seen.camera == camera)) for k in (one, other)]
-        _, a, b = np.intersect1d(seen.landmark[mine[0]], seen.landmark[mine[1]], return_indices=True)
-        out.append((mine[0][a], mine[1][b]))
+    for camera in range(int(observations.camera.max(initial=-1)) + 1):
+        indices = [np.flatnonzero((observations.frame == k) & (observations.camera == camera)) for k in (first, second)]
+        _, a, b = np.intersect1d(
+            observations.landmark[indices[0]], observations.landmark[indices[1]], return_indices=True
+        )
+        out.append((indices[0][a], indices[1][b]))
     return out
 
 
-def _earliest(seen: Observations, later: int) -> int | None:
-    """The earliest frame that shares enough landmarks with a later one."""
-    at = seen.frame == later
-    also = (seen.frame < later) & np.isin(seen.landmark, seen.landmark[at])
-    counts = np.bincount(seen.frame[also], minlength=later)
-    for k in np.flatnonzero(counts >= SHARED).tolist():
-        if len(np.unique(seen.camera[also & (seen.frame == k)])) >= CAMERAS:
+def _find_earliest(observations: Observations, later: int) -> int | None:
+    """Return the earliest frame that shares enough landmarks with a later one."""
+    is_later = observations.frame == later
+    is_shared = (observations.frame < later) & np.isin(observations.landmark, observations.landmark[is_later])
+    counts = np.bincount(observations.frame[is_shared], minlength=later)
+    for k in np.flatnonzero(counts >= MIN_SHARED_LANDMARKS).tolist():
+        if len(np.unique(observations.camera[is_shared & (observations.frame == k)])) >= MIN_CAMERAS:
             return int(k)
     return None
 
 
-def _off(
-    rig: Rig, seen: Observations, path: RigidTransform, earlier: int, later: int, radius: float
+def _compute_deviation(
+    rig: Rig, observations: Observations, path: RigidTransform, earlier: int, later: int, radius: float
 ) -> FloatArray | None:
-    """(6,) (w, d) from the later pose to where it would be by the motion between the two frames, about the object's place;
-    None where that motion is not known, or does not contradict the path."""
-    pairs = _shared(seen, earlier, later)
-    matches = [Matches(seen.image[a], seen.image[b]) for a, b in pairs]
-    matches += [Matches.none()] * (len(rig) - len(matches))
+    """Compare the later pose with the motion between two frames.
+
+    Returns:
+        (6,) (w, d) from the later pose to the one by that motion, about the object's center; None if the motion is
+        unknown or does not contradict the path.
+    """
+    pairs = _find_shared(observations, earlier, later)
+    matches = [Matches(observations.image[a], observations.image[b]) for a, b in pairs]
+    matches += [Matches.empty()] * (len(rig) - len(matches))
     found = estimate_motion(rig, matches, center=path[earlier].translation, radius=radius)
-    if found.status is not Status.OK or found.motion is None or found.faults or found.second > 0.0:
+    if found.status is not Status.OK or found.motion is None or found.faults or found.second_body_ratio > 0.0:
         return None
-    if found.n_inliers.sum() < AGREED * sum(len(m) for m in matches):
+    if found.n_inliers.sum() < MIN_INLIER_RATIO * sum(len(m) for m in matches):
         return None
-    should = found.motion * path[earlier]
-    turn = (should.rotation * path[later].rotation.inv()).as_rotvec()
-    off = np.concatenate([turn, should.translation - path[later].translation])
-    matters = np.linalg.norm(turn) > TURN or np.linalg.norm(off[3:]) > SHIFT * radius
-    return off if matters and off @ found.information @ off > EXCLUDED else None
+    corrected = found.motion * path[earlier]
+    rotation = (corrected.rotation * path[later].rotation.inv()).as_rotvec()
+    deviation = np.concatenate([rotation, corrected.translation - path[later].translation])
+    is_relevant = np.linalg.norm(rotation) > MIN_ROTATION or np.linalg.norm(deviation[3:]) > MIN_TRANSLATION * radius
+    return deviation if is_relevant and deviation @ found.information @ deviation > MAX_CHI_SQUARED else None
 
 
-def _bent(
-    path: RigidTransform, start: RigidTransform, earlier: int, later: int, off: FloatArray | None
+def _bend_path(
+    path: RigidTransform, start: RigidTransform, earlier: int, later: int, deviation: FloatArray | None
 ) -> list[RigidTransform]:
-    """The poses after the earlier frame, which begins at another pose; up to the later one a growing share of what that is
-    off is added, as the path turns."""
-    moved = start * path[earlier].inv()
-    turns = (path.rotation * path[earlier].rotation.inv()).magnitude()
-    whole, out = max(float(turns[later]), 1e-9), []
+    """Bend the poses after the earlier frame, which gets a new pose.
+
+    Up to the later frame an increasing share of its correction is applied, in proportion to the rotation.
+    """
+    correction = start * path[earlier].inv()
+    angles = (path.rotation * path[earlier].rotation.inv()).magnitude()
+    total_angle, out = max(float(angles[later]), 1e-9), []
     for k in range(earlier + 1, len(path)):
-        pose = moved * path[k]
-        if off is not None:
-            share = min(float(turns[k]) / whole, 1.0) if k < later else 1.0
-            turn = Rotation.from_rotvec(share * off[:3])
-            pose = RigidTransform.from_components(pose.translation + share * off[3:], turn * pose.rotation)
+        pose = correction * path[k]
+        if deviation is not None:
+            share = min(float(angles[k]) / total_angle, 1.0) if k < later else 1.0
+            rotation = Rotation.from_rotvec(share * deviation[:3])
+            pose = RigidTransform.from_components(pose.translation + share * deviation[3:], rotation * pose.rotation)
         out.append(pose)
     return out

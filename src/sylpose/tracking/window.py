@@ -1,10 +1,9 @@
-"""The window: the most telling solved frames, refined together while tracking goes on.
+"""Sliding-window bundle adjustment of selected frames during tracking.
 
-A frame's pose is found against earlier ones, whose errors it takes over. Every now and then the keyframes and the last
-frames are refined jointly (`bundle_adjustment.bundle`), with the landmarks that several of them see: what they got
-wrong at first,
-a length that only a later turn tells, and the drift up to a side that is seen again, go out of all of them. What is later
-found against them is as good.
+A frame's pose inherits the errors of the frames it is matched with. At intervals the keyframes and the latest frames
+are refined jointly with the landmarks that several of them observe (`bundle_adjustment.bundle`). This corrects initial
+errors, a scale that only a later rotation determines, and the drift up to a revisited side; later frames build on the
+result.
 """
 
 from __future__ import annotations
@@ -15,163 +14,226 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.bundle_adjustment.bundle import Bundled, Observations
-from sylpose.bundle_adjustment.scale_prior import SMALL_TURN, bundle_sized, length_is_open
+from sylpose.bundle_adjustment.bundle import BundleResult, Observations
+from sylpose.bundle_adjustment.scale_prior import SMALL_ROTATION, bundle_adjust_with_scale, is_scale_unobservable
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
-from sylpose.geometry.future import Later
-from sylpose.geometry.rigid import turn_between
-from sylpose.results import UNCERTAIN_TURN, Status
+from sylpose.geometry.future import BackgroundResult
+from sylpose.geometry.rigid import relative_rotvec
+from sylpose.results import MAX_ROTATION_SD, Status
 from sylpose.rig import Rig
-from sylpose.tracking.context import Team
+from sylpose.tracking.context import TrackerContext
 from sylpose.tracking.frame import SolvedFrame
-from sylpose.tracking.joint_state import Joint, Refinement
-from sylpose.tracking.keyframes import inherited, nearest_views, viewpoints
-from sylpose.tracking.reports import Seen, placed
-from sylpose.tracking.wide_baseline_init import another_path
+from sylpose.tracking.joint_state import JointState, Refinement
+from sylpose.tracking.keyframes import compute_viewpoints, find_nearest_views, inherit_covariance
+from sylpose.tracking.reports import NewObservations, quantize_positions
+from sylpose.tracking.wide_baseline_init import find_alternative_path
 
-__all__ = ["at_least", "bundled_together", "finished", "is_due", "refined"]
+__all__ = ["bundle_frames", "collect_refinement", "enlarge_covariance", "is_refinement_due", "refine_window"]
 
-# Frames that are refined together at most, the first one and the last among them (choice).
-MOST = 32
-# Landmarks of one camera that are used at most, those seen most often first (choice).
-LANDMARKS = 150
-# So many that have moved are enough to do without those that never did (choice).
-MANY = 20
-# After the first frames, once the object has turned by this since (radians), or moved by this share of its radius: what it
-# shows of itself before that is little news; but no more often than one of `OFTEN` frames, and one of `SELDOM` (choice).
-NEWS_TURN, NEWS_SHIFT, OFTEN, SELDOM = np.radians(10.0), 0.3, 4, 12
-# Of fewer frames nothing is told. Of fewer than this the depths are not known well enough to be refined with the
-# poses (choice).
-FEWEST, LEAST = 2, 9
-# Where the object took so many frames to show that, the refinement is ready so many frames later (choice).
-UNHURRIED, LATER = 8, 5
-# A pose is refined by less than this turn (radians) and share of the object's radius (choice).
-MAX_TURN, MAX_SHIFT = 0.1, 0.3
-# Rounds of the solver: it starts near the answer (choice).
-ROUNDS = 12
-# Landmarks have smaller numbers (derived).
-LANDMARK_NUMBERS = 2**32
-
-
-def is_due(joint: Joint) -> bool:
-    """Whether the frame just solved is to be refined with the others: the first ones are, then those that show enough that
-    is new."""
-    last, before = joint.base, joint.together
-    if joint.pending is not None:
-        return False
-    if before is None or last.number - joint.keyframes[0].number <= LEAST:
-        return True
-    off, since = _moved(before, last.world_from_object), last.number - before.number
-    new = np.linalg.norm(off[:3]) > NEWS_TURN or np.linalg.norm(off[3:]) > NEWS_SHIFT * joint.object.radius
-    return since >= SELDOM or (since >= OFTEN and bool(new))
+# Maximum number of frames refined jointly, the first one and the last included (choice).
+MAX_FRAMES = 32
+# Maximum number of landmarks used per camera, those observed most often first (choice).
+MAX_LANDMARKS = 150
+# With at least so many moved landmarks, those that never moved are omitted (choice).
+MIN_MOVED_LANDMARKS = 20
+# After the first frames, a refinement is due once the object has rotated by this since the last one (radians) or moved
+# by this share of its radius, as less motion shows little new; at the earliest after `MIN_INTERVAL` frames, at the
+# latest after `MAX_INTERVAL` (choice).
+MIN_NEW_ROTATION, MIN_NEW_TRANSLATION, MIN_INTERVAL, MAX_INTERVAL = np.radians(10.0), 0.3, 4, 12
+# Minimum number of frames for a refinement; and for one that changes poses, as fewer frames do not determine depths
+# well enough (choice).
+MIN_FRAMES, MIN_FRAMES_TO_APPLY = 2, 9
+# If the last refinement is at least so many frames ago, the next one runs in the background and is applied so many
+# frames later (choice).
+BACKGROUND_INTERVAL, RESULT_DELAY = 8, 5
+# A refinement is valid if it changes the last pose by less than this rotation (radians) and share of the object's
+# radius (choice).
+MAX_ROTATION_CHANGE, MAX_TRANSLATION_CHANGE = 0.1, 0.3
+# Maximum number of solver iterations: it starts near the solution (choice).
+MAX_ROUNDS = 12
+# Upper limit of landmark numbers (derived).
+MAX_LANDMARK_ID = 2**32
 
 
-def refined(team: Team, joint: Joint) -> Joint:
-    """With the poses of the keyframes and of the last frames refined together; each camera places its landmarks anew. As
-    long as there are few frames, and where the refinement goes astray, it only tells how well the path's length and the
-    last frame's pose are known.
+def is_refinement_due(state: JointState) -> bool:
+    """Return whether the last solved frame is to be refined with others.
 
-    Where nothing presses, as the object shows little that is new, that is begun here, and `finished` some frames later.
+    The first frames always are; later ones are after enough new motion.
     """
-    frames = _chosen(joint)
-    if len(frames) < FEWEST:
-        return joint
+    last, before = state.last_frame, state.last_refined
+    if state.pending_refinement is not None:
+        return False
+    if before is None or last.number - state.keyframes[0].number <= MIN_FRAMES_TO_APPLY:
+        return True
+    change, since = _compute_pose_change(before, last.world_from_object), last.number - before.number
+    is_new = (
+        np.linalg.norm(change[:3]) > MIN_NEW_ROTATION
+        or np.linalg.norm(change[3:]) > MIN_NEW_TRANSLATION * state.object.radius
+    )
+    return since >= MAX_INTERVAL or (since >= MIN_INTERVAL and bool(is_new))
+
+
+def refine_window(context: TrackerContext, state: JointState) -> JointState:
+    """Refine the keyframes and the last frames jointly; each camera updates its landmarks.
+
+    With few frames, or if the refinement diverges, it only updates the uncertainty of the path's scale and of the last
+    frame's pose.
+
+    Where the object shows little that is new, the refinement runs in the background and `collect_refinement` applies it
+    some frames later.
+    """
+    frames = _select_frames(state)
+    if len(frames) < MIN_FRAMES:
+        return state
     numbers = [frame.number for frame in frames]
-    presses = joint.together is None or joint.base.number - joint.together.number < UNHURRIED
-    before = joint.told or (Seen.none(),) * len(team.rig)
-    new = team.crew.ask(lambda c: _news(team, joint, c, numbers, before[c]), Seen.none())
-    told = [seen.among(after) for seen, after in zip(before, new, strict=True)]
-    joint = replace(joint, told=tuple(seen.of(sorted(joint.known)) for seen in told), together=joint.base)
-    used = [seen.of(numbers, after.known) for seen, after in zip(told, new, strict=True)]
-    names = np.repeat(np.arange(len(new)), [len(seen.known) for seen in new])
-    if not len(names):
-        return joint
-    found = Later(bundled_together, *_what(team, frames, used, new), joint.object.radius)
-    pending = Refinement(joint.base.number, tuple(frames), names, tuple(seen.known for seen in new), found)
-    joint = replace(joint, pending=pending)
-    return _applied(team, joint, pending) if presses else joint
+    is_urgent = state.last_refined is None or state.last_frame.number - state.last_refined.number < BACKGROUND_INTERVAL
+    earlier = state.shared_observations or (NewObservations.empty(),) * len(context.rig)
+    new = context.executor.all_gather(
+        lambda c: _collect_new_observations(context, state, c, numbers, earlier[c]), NewObservations.empty()
+    )
+    shared = [
+        shared_by_camera.merge(new_by_camera) for shared_by_camera, new_by_camera in zip(earlier, new, strict=True)
+    ]
+    state = replace(
+        state,
+        shared_observations=tuple(shared_by_camera.select(sorted(state.known_frames)) for shared_by_camera in shared),
+        last_refined=state.last_frame,
+    )
+    used = [
+        shared_by_camera.select(numbers, new_by_camera.landmark_ids)
+        for shared_by_camera, new_by_camera in zip(shared, new, strict=True)
+    ]
+    landmark_cameras = np.repeat(np.arange(len(new)), [len(shared_by_camera.landmark_ids) for shared_by_camera in new])
+    if not len(landmark_cameras):
+        return state
+    found = BackgroundResult(bundle_frames, *_build_bundle_input(context, frames, used, new), state.object.radius)
+    pending = Refinement(
+        state.last_frame.number,
+        tuple(frames),
+        landmark_cameras,
+        tuple(shared_by_camera.landmark_ids for shared_by_camera in new),
+        found,
+    )
+    state = replace(state, pending_refinement=pending)
+    return _apply_refinement(context, state, pending) if is_urgent else state
 
 
-def finished(team: Team, joint: Joint, number: int) -> Joint:
-    """With what comes of a refinement that was begun, once it is to be there in the frame with this number."""
-    pending = joint.pending
-    return joint if pending is None or number < pending.number + LATER else _applied(team, joint, pending)
+def collect_refinement(context: TrackerContext, state: JointState, number: int) -> JointState:
+    """Apply a background refinement once it is due in the frame with this number."""
+    pending = state.pending_refinement
+    return (
+        state
+        if pending is None or number < pending.number + RESULT_DELAY
+        else _apply_refinement(context, state, pending)
+    )
 
 
-def _applied(team: Team, joint: Joint, pending: Refinement) -> Joint:
-    """With what comes of a refinement; frames that were solved since then go along with the last one that it has."""
-    joint, frames = replace(joint, pending=None), pending.frames
-    bundled = _with_inherited(pending.found.value(), frames)
+def _apply_refinement(context: TrackerContext, state: JointState, pending: Refinement) -> JointState:
+    """Apply a refinement; frames solved since then follow the correction of its last frame."""
+    state, frames = replace(state, pending_refinement=None), pending.frames
+    bundled = _add_fixed_covariance(pending.result.value(), frames)
     if bundled.status is Status.TOO_FEW_MATCHES:
-        return joint
-    joint = replace(joint, length_sd=bundled.length_sd if length_is_open(bundled) else 0.0)
-    at = [frame.number for frame in frames].index(pending.number)  # of frames that waited, it is not the last one
+        return state
+    state = replace(state, path_scale_sd=bundled.scale_sd if is_scale_unobservable(bundled) else 0.0)
+    at = [frame.number for frame in frames].index(pending.number)  # for buffered frames it is not the last one
     last, refined_to = frames[at], bundled.world_from_object[at]
-    off = _moved(last, refined_to)
-    near = np.linalg.norm(off[:3]) < MAX_TURN and np.linalg.norm(off[3:]) < MAX_SHIFT * joint.object.radius
-    settled = len(frames) >= LEAST and bundled.status is Status.OK and near
-    if settled and _tells_surface(bundled, pending.names):
-        joint = replace(joint, object=replace(joint.object, guessed=False))
-    now = joint.known
-    # What is seen in boxes may be the mirror image of a turn, and settle there as well.
-    if not settled or joint.object.guessed:
-        unknown = np.sqrt(np.diag(bundled.covariance[at])[:3].max()) > UNCERTAIN_TURN
-        if not bundled.tied[at] or unknown:  # it has no opinion
-            return joint
-        # Two ways of using the same matches: a pose is no better known than they agree on it.
-        doubted = at_least(last.covariance, bundled.covariance[at]) + np.outer(off, off)
-        known = {last.number: replace(now[last.number], covariance=doubted)} if last.number in now else {}
-        return replace(joint.moved(known), refined=doubted)
+    change = _compute_pose_change(last, refined_to)
+    is_near = (
+        np.linalg.norm(change[:3]) < MAX_ROTATION_CHANGE
+        and np.linalg.norm(change[3:]) < MAX_TRANSLATION_CHANGE * state.object.radius
+    )
+    is_settled = len(frames) >= MIN_FRAMES_TO_APPLY and bundled.status is Status.OK and is_near
+    if is_settled and _has_known_depth(bundled, pending.landmark_cameras):
+        state = replace(state, object=replace(state.object, is_depth_guessed=False))
+    known_frames = state.known_frames
+    # In boxes the solution may be the mirrored rotation, and converge there too.
+    if not is_settled or state.object.is_depth_guessed:
+        is_uncertain = np.sqrt(np.diag(bundled.covariance[at])[:3].max()) > MAX_ROTATION_SD
+        if not bundled.connected[at] or is_uncertain:  # the frame is unconstrained
+            return state
+        # The covariance includes the difference between the two estimates, which use the same matches.
+        inflated = enlarge_covariance(last.covariance, bundled.covariance[at]) + np.outer(change, change)
+        known = (
+            {last.number: replace(known_frames[last.number], covariance=inflated)}
+            if last.number in known_frames
+            else {}
+        )
+        return replace(state.replace_frames(known), refined_covariance=inflated)
     poses = {
         frame.number: (bundled.world_from_object[k], bundled.covariance[k])
         for k, frame in enumerate(frames)
-        if bundled.tied[k] and frame.number in now and not frame.stays
+        if bundled.connected[k] and frame.number in known_frames and not frame.is_fixed
     }
-    if bundled.tied[at]:
-        along = refined_to * last.world_from_object.inv()
-        poses |= {k: (along * f.world_from_object, f.covariance) for k, f in now.items() if k > frames[-1].number}
+    if bundled.connected[at]:
+        correction = refined_to * last.world_from_object.inv()
+        poses |= {
+            k: (correction * f.world_from_object, f.covariance)
+            for k, f in known_frames.items()
+            if k > frames[-1].number
+        }
     moved = {
-        k: replace(now[k], world_from_object=pose, covariance=covariance, viewpoints=viewpoints(team.rig, pose))
+        k: replace(
+            known_frames[k],
+            world_from_object=pose,
+            covariance=covariance,
+            viewpoints=compute_viewpoints(context.rig, pose),
+        )
         for k, (pose, covariance) in poses.items()
     }
 
-    def learn(c: int) -> None:
-        mine = pending.names == c
-        if mine.any():
-            team.parts[c].table.place(pending.known[c], bundled.landmarks[mine])
+    def update_camera(c: int) -> None:
+        is_local = pending.landmark_cameras == c
+        if is_local.any():
+            context.camera_trackers[c].table.move(pending.landmark_ids[c], bundled.landmarks[is_local])
 
-    team.crew.each(learn, long=True)
-    return replace(joint.moved(moved), refined=bundled.covariance[at] if bundled.tied[at] else None)
+    context.executor.map_cameras(update_camera, is_slow=True)
+    return replace(
+        state.replace_frames(moved), refined_covariance=bundled.covariance[at] if bundled.connected[at] else None
+    )
 
 
-def _with_inherited(bundled: Bundled, frames: Sequence[SolvedFrame]) -> Bundled:
-    """With what the frames that stay are off."""
-    stays, own = np.array([frame.stays for frame in frames]), np.array([frame.covariance for frame in frames])
-    if not stays.any():
+def _add_fixed_covariance(bundled: BundleResult, frames: Sequence[SolvedFrame]) -> BundleResult:
+    """Add the fixed frames' covariance to that of the refined ones."""
+    is_fixed, covariances = (
+        np.array([frame.is_fixed for frame in frames]),
+        np.array([frame.covariance for frame in frames]),
+    )
+    if not is_fixed.any():
         return bundled
-    return replace(bundled, covariance=bundled.covariance + inherited(bundled.world_from_object, own, stays))
+    return replace(
+        bundled, covariance=bundled.covariance + inherit_covariance(bundled.world_from_object, covariances, is_fixed)
+    )
 
 
-def _tells_surface(bundled: Bundled, names: IntArray) -> bool:
-    """Whether more than boxes tells where the object's surface is: after a turn that more than two cameras agree on. Two may
-    agree on its mirror image, with hollow for round.
+def _has_known_depth(bundled: BundleResult, landmark_cameras: IntArray) -> bool:
+    """Return whether the refinement determines depth, beyond what boxes provide.
+
+    That requires a rotation on which more than two cameras agree: two may agree on its mirror image, concave for
+    convex.
 
     Args:
-        names: (m,) whose landmarks they are.
+        landmark_cameras: (m,) camera of each landmark.
     """
     poses = bundled.world_from_object
-    turned = (poses.rotation * poses.rotation[0].inv()).magnitude().max()
-    return bool(turned > SMALL_TURN) and len(np.unique(names)) > 2 and not length_is_open(bundled)
+    max_angle = (poses.rotation * poses.rotation[0].inv()).magnitude().max()
+    return (
+        bool(max_angle > SMALL_ROTATION) and len(np.unique(landmark_cameras)) > 2 and not is_scale_unobservable(bundled)
+    )
 
 
-def _moved(last: SolvedFrame, after: RigidTransform) -> FloatArray:
-    """(6,) (w, d) by what a frame's pose is refined."""
+def _compute_pose_change(last: SolvedFrame, refined_pose: RigidTransform) -> FloatArray:
+    """Return the change (6,) (w, d) of a frame's pose by the refinement."""
     before = last.world_from_object
-    return np.concatenate([turn_between(before, after), after.translation - before.translation])
+    return np.concatenate([relative_rotvec(before, refined_pose), refined_pose.translation - before.translation])
 
 
-def at_least(a: FloatArray, b: FloatArray) -> FloatArray:
-    """A covariance (6, 6) that is larger than b wherever a is not."""
+def enlarge_covariance(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return a covariance (6, 6) not smaller than either input in any direction.
+
+    Args:
+        a: positive definite; enlarged wherever it is smaller than b.
+        b: lower bound.
+    """
     root = np.linalg.cholesky(a)
     inverse = np.linalg.inv(root)
     values, vectors = np.linalg.eigh(inverse @ b @ inverse.T)
@@ -179,104 +241,118 @@ def at_least(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray(0.5 * (out + out.T))
 
 
-def _chosen(joint: Joint) -> list[SolvedFrame]:
-    """In order of time: the first keyframe, the frame just solved, the recent ones, and of the others some that are evenly
-    spread; of those that stay the ones in which a camera looked from nearby."""
-    known = [frame for frame in joint.keyframes if frame.stays]
-    every = {frame.number: frame for frame in (*joint.keyframes, *joint.recent, joint.base) if not frame.stays}
-    frames = [every[number] for number in sorted(every)]
-    if known:
-        views = joint.base.viewpoints
-        near = [nearest_views(known, c, view, MOST // (2 * len(views)) + 1) for c, view in enumerate(views)]
-        stay = {frame.number: frame for its in near for frame in its}
-        return [*(stay[number] for number in sorted(stay)), *frames[-MOST // 2 :]]
-    if len(frames) <= MOST:
+def _select_frames(state: JointState) -> list[SolvedFrame]:
+    """Select the frames to refine, in order of time.
+
+    These are the first keyframe, the last frame, the recent ones and evenly spaced others; of fixed keyframes those
+    with the nearest viewpoints.
+    """
+    fixed = [frame for frame in state.keyframes if frame.is_fixed]
+    moving = {
+        frame.number: frame for frame in (*state.keyframes, *state.recent, state.last_frame) if not frame.is_fixed
+    }
+    frames = [moving[number] for number in sorted(moving)]
+    if fixed:
+        views = state.last_frame.viewpoints
+        near = [find_nearest_views(fixed, c, view, MAX_FRAMES // (2 * len(views)) + 1) for c, view in enumerate(views)]
+        nearest_frames = {frame.number: frame for its in near for frame in its}
+        return [*(nearest_frames[number] for number in sorted(nearest_frames)), *frames[-MAX_FRAMES // 2 :]]
+    if len(frames) <= MAX_FRAMES:
         return frames
-    recent = frames[-MOST // 2 :]
-    older = frames[: -MOST // 2]
-    spread = np.unique(np.linspace(0, len(older) - 1, MOST - len(recent)).astype(int))
-    chosen = {frame.number: frame for frame in (*(older[k] for k in spread), *recent, joint.base)}
+    recent = frames[-MAX_FRAMES // 2 :]
+    older = frames[: -MAX_FRAMES // 2]
+    spread = np.unique(np.linspace(0, len(older) - 1, MAX_FRAMES - len(recent)).astype(int))
+    chosen = {frame.number: frame for frame in (*(older[k] for k in spread), *recent, state.last_frame)}
     return [chosen[number] for number in sorted(chosen)]
 
 
-def _news(team: Team, joint: Joint, c: int, numbers: Sequence[int], before: Seen) -> Seen:
-    """Which landmarks a camera wants used of what it saw in frames with these numbers, and what of that it has not told
-    before."""
-    part = team.parts[c]
-    frames = [part.frames[number] for number in numbers]
-    frame = np.repeat(np.asarray(numbers, np.int64), [len(frame.numbers) for frame in frames])
-    landmark = np.concatenate([np.empty(0, np.int64), *(frame.numbers for frame in frames)])
+def _collect_new_observations(
+    context: TrackerContext, state: JointState, c: int, numbers: Sequence[int], shared: NewObservations
+) -> NewObservations:
+    """Select a camera's landmarks and its observations not shared before, in given frames."""
+    camera_tracker = context.camera_trackers[c]
+    frames = [camera_tracker.frames[number] for number in numbers]
+    frame = np.repeat(np.asarray(numbers, np.int64), [len(frame.landmark_ids) for frame in frames])
+    landmark = np.concatenate([np.empty(0, np.int64), *(frame.landmark_ids for frame in frames)])
     image = np.concatenate([np.empty((0, 2)), *(frame.features.normalized for frame in frames)])
-    # A landmark that two features of a frame were taken for says nothing there.
-    sight, first, count = np.unique(_sights(frame, landmark), return_index=True, return_counts=True)
-    sight, first = sight[count == 1], first[count == 1]
-    known, inverse, sights = np.unique(landmark[first], return_inverse=True, return_counts=True)
-    # Once the object has moved, what never did may be background, which a path with less of a turn explains as well.
-    moved = part.table.of(known).moved
-    trusted = moved if np.count_nonzero(moved) >= MANY else np.ones(len(known), bool)
-    # Of one that was taken for others since, or they for it, not all that was told is so any more.
-    old = before.of(numbers)
-    wrong = old.landmark[~np.isin(_sights(old.frame, old.landmark), sight)]
-    good = np.flatnonzero((sights > 1) & trusted & ~np.isin(known, wrong))
-    good = np.sort(good[np.argsort(-sights[good], kind="stable")[:LANDMARKS]])
-    untold = first[np.isin(inverse, good) & ~np.isin(sight, _sights(old.frame, old.landmark))]
-    # Where to start from need not be known well.
-    place = placed(part.table.of(known[good]).mean, joint.object.radius)
-    return Seen(frame[untold], landmark[untold], image[untold], known[good], place)
+    # A landmark matched with two features of a frame is ambiguous there.
+    keys, first, count = np.unique(_compute_keys(frame, landmark), return_index=True, return_counts=True)
+    keys, first = keys[count == 1], first[count == 1]
+    known, inverse, counts = np.unique(landmark[first], return_inverse=True, return_counts=True)
+    # Once the object has moved, landmarks that never did may be background, which a path with less rotation explains as
+    # well.
+    moved = camera_tracker.table.get(known).has_moved
+    is_usable = moved if np.count_nonzero(moved) >= MIN_MOVED_LANDMARKS else np.ones(len(known), bool)
+    # Observations of landmarks merged with others since are partly invalid.
+    shared_here = shared.select(numbers)
+    invalid = shared_here.landmark[~np.isin(_compute_keys(shared_here.frame, shared_here.landmark), keys)]
+    good = np.flatnonzero((counts > 1) & is_usable & ~np.isin(known, invalid))
+    good = np.sort(good[np.argsort(-counts[good], kind="stable")[:MAX_LANDMARKS]])
+    is_new = first[np.isin(inverse, good) & ~np.isin(keys, _compute_keys(shared_here.frame, shared_here.landmark))]
+    # Initial positions need little precision.
+    positions = quantize_positions(camera_tracker.table.get(known[good]).mean, state.object.radius)
+    return NewObservations(frame[is_new], landmark[is_new], image[is_new], known[good], positions)
 
 
-def _sights(frame: IntArray, landmark: IntArray) -> IntArray:
-    """(n,) a number for each, of frames (n,) and landmarks (n,)."""
-    return frame * LANDMARK_NUMBERS + landmark
+def _compute_keys(frame: IntArray, landmark: IntArray) -> IntArray:
+    """Return a unique key (n,) for each pair of frame (n,) and landmark (n,)."""
+    return frame * MAX_LANDMARK_ID + landmark
 
 
-def _what(
-    team: Team, frames: Sequence[SolvedFrame], told: Sequence[Seen], new: Sequence[Seen]
+def _build_bundle_input(
+    context: TrackerContext,
+    frames: Sequence[SolvedFrame],
+    used: Sequence[NewObservations],
+    new: Sequence[NewObservations],
 ) -> tuple[Rig, Observations, RigidTransform, FloatArray, FloatArray, BoolArray | None]:
-    """What is refined: the rig, the observations, the poses, where the landmarks are, when each camera took each frame, and
-    which frames stay, None for the first.
+    """Build the input of `bundle_frames`.
 
     Args:
-        told: by camera, what is used; new: which landmarks, and where they are.
+        used: per camera, the observations used.
+        new: per camera, the landmarks and their positions.
+
+    Returns:
+        rig; observations; poses; landmark positions; times at which each camera took each frame; which frames are
+        fixed, or None if none is.
     """
-    cameras = np.repeat(np.arange(len(told)), [len(seen.frame) for seen in told])
-    starts = np.cumsum([0, *(len(seen.known) for seen in new)])
-    landmark = [starts[c] + np.searchsorted(new[c].known, seen.landmark) for c, seen in enumerate(told)]
+    cameras = np.repeat(np.arange(len(used)), [len(seen.frame) for seen in used])
+    starts = np.cumsum([0, *(len(seen.landmark_ids) for seen in new)])
+    landmark = [starts[c] + np.searchsorted(new[c].landmark_ids, seen.landmark) for c, seen in enumerate(used)]
     observations = Observations(
-        np.searchsorted([frame.number for frame in frames], np.concatenate([seen.frame for seen in told])),
+        np.searchsorted([frame.number for frame in frames], np.concatenate([seen.frame for seen in used])),
         cameras,
         np.concatenate(landmark).astype(np.int64),
-        np.concatenate([seen.image for seen in told]),
+        np.concatenate([seen.image for seen in used]),
     )
     poses = RigidTransform.concatenate([frame.world_from_object for frame in frames])
-    times = np.array([frame.time + frame.late for frame in frames])
-    if (np.diff(times.mean(axis=1)) <= 0).any():  # by what cameras say of their clocks: that cannot be
+    times = np.array([frame.time + frame.time_offsets for frame in frames])
+    if (np.diff(times.mean(axis=1)) <= 0).any():  # the reported time offsets are inconsistent
         times = np.array([frame.time for frame in frames])
-    stays = np.array([frame.stays for frame in frames])
-    places = np.concatenate([seen.place for seen in new])
-    return team.rig, observations, poses, places, times, stays if stays.any() else None
+    is_fixed = np.array([frame.is_fixed for frame in frames])
+    positions = np.concatenate([seen.positions for seen in new])
+    return context.rig, observations, poses, positions, times, is_fixed if is_fixed.any() else None
 
 
-def bundled_together(
+def bundle_frames(
     rig: Rig,
     observations: Observations,
     poses: RigidTransform,
     landmarks: FloatArray,
     times: FloatArray,
-    stays: BoolArray | None,
+    is_fixed: BoolArray | None,
     radius: float,
-) -> Bundled:
-    """The frames refined together; see `_what`."""
-    return bundle_sized(
+) -> BundleResult:
+    """Refine the frames jointly; see `_build_bundle_input`."""
+    return bundle_adjust_with_scale(
         rig,
         observations,
         poses,
         radius,
-        # Those that stay are of no path, and tell where the surface is.
-        other=another_path(rig, observations, poses, radius) if stays is None else None,
-        fixed=stays,
+        # Fixed frames form no path, and determine the depth.
+        alternative_start=find_alternative_path(rig, observations, poses, radius) if is_fixed is None else None,
+        fixed=is_fixed,
         landmarks=landmarks,
         times=times,
-        max_rounds=ROUNDS,
-        roughly=True,
+        max_iterations=MAX_ROUNDS,
+        coarse=True,
     )

@@ -1,60 +1,60 @@
 // The page of `sylpose box`. Coordinates are those of the recorded image from edge to edge: its first pixel is the square
 // from (0, 0) to (1, 1), and boxes are [x, y, width, height] in whole pixels.
 
-const CAMERA_COLOURS = ["#ffb000", "#38b6ff", "#ff5fa8", "#8fd14f", "#b48cff", "#ff7a45", "#2fd6c3", "#e8e05a"];
-const OBJECT_COLOURS = ["#00e08a", "#ffd23f", "#ff6b6b", "#4cc9f0", "#c77dff", "#f9844a"];
-const DRAG = 4; // screen pixels, from which on a press is a drag
+const CAMERA_COLORS = ["#ffb000", "#38b6ff", "#ff5fa8", "#8fd14f", "#b48cff", "#ff7a45", "#2fd6c3", "#e8e05a"];
+const OBJECT_COLORS = ["#00e08a", "#ffd23f", "#ff6b6b", "#4cc9f0", "#c77dff", "#f9844a"];
+const DRAG = 4; // screen pixels; a longer movement is a drag
 const SIDES = ["nw", "n", "ne", "e", "se", "s", "sw", "w"];
 
 const $ = (id) => document.getElementById(id);
 const SVG = "http://www.w3.org/2000/svg";
 
-let cameras = []; // {name, width, height, image, colour, tile, svg, view}
+let cameras = []; // {name, width, height, image, color, tile, svg, view}
 let boxes = {}; // by object, by camera
 let active = ""; // object
-let told = { bands: {}, boxes: {}, wrong: "" }; // what its boxes tell
+let hints = { bands: {}, boxes: {}, wrong: "" }; // for its boxes
 let history = [];
-let written = "{}"; // as the file has them
+let written = "{}"; // content of the file
 let drag = null;
 let large = null;
 
-// --- asking -----------------------------------------------------------------------------------------------------------
+// --- requests --------------------------------------------------------------------------------------------------------
 
-async function ask(path, options) {
-  let answer;
+async function request(path, options) {
+  let response;
   try {
-    answer = await fetch(path, options);
+    response = await fetch(path, options);
   } catch {
-    throw new Error("The command has ended: nothing can be saved any more. Start it again.");
+    throw new Error("The command has ended, so boxes can no longer be saved. Start it again.");
   }
-  const value = await answer.json();
-  if (!answer.ok) throw new Error(value.error);
+  const value = await response.json();
+  if (!response.ok) throw new Error(value.error);
   return value;
 }
 
-let asking = null; // until all that changed is told
+let pending = null; // until the hints are up to date
 let again = false;
 
-function askHints() {
+function requestHints() {
   again = true;
   $("cameras").ariaBusy = "true";
-  asking ??= answered();
+  pending ??= updateHints();
 }
 
-// One question at a time; what changed meanwhile is asked for afterwards.
-async function answered() {
+// One request at a time; later changes cause another request.
+async function updateHints() {
   while (again) {
     again = false;
     const name = active;
     try {
-      const found = await ask(`hints?boxes=${encodeURIComponent(JSON.stringify(boxes[name]))}`);
-      if (name === active) told = found;
+      const found = await request(`hints?boxes=${encodeURIComponent(JSON.stringify(boxes[name]))}`);
+      if (name === active) hints = found;
     } catch (error) {
-      told = { bands: {}, boxes: {}, wrong: error.message };
+      hints = { bands: {}, boxes: {}, wrong: error.message };
     }
     draw();
   }
-  asking = null;
+  pending = null;
   $("cameras").ariaBusy = "false";
 }
 
@@ -73,7 +73,7 @@ function undo() {
 
 function changed() {
   draw();
-  askHints();
+  requestHints();
 }
 
 function put(camera, box) {
@@ -83,13 +83,13 @@ function put(camera, box) {
   changed();
 }
 
-// What is suggested by the boxes as they are now, which may be another box than is shown still; else the one given.
+// Take the boxes suggested by the current boxes, which may differ from those still shown; else `otherwise`.
 async function take(some, otherwise) {
-  await asking;
-  const found = some.filter((c) => !boxes[active][c.name] && (told.boxes[c.name] ?? otherwise));
+  await pending;
+  const found = some.filter((c) => !boxes[active][c.name] && (hints.boxes[c.name] ?? otherwise));
   if (!found.length) return;
   remember();
-  for (const { name } of found) boxes[active][name] = told.boxes[name] ?? otherwise;
+  for (const { name } of found) boxes[active][name] = hints.boxes[name] ?? otherwise;
   changed();
 }
 
@@ -155,7 +155,7 @@ function move(event) {
   show(camera, drag.box ?? before);
 }
 
-// What is dragged is shown, and hinted at, before it counts.
+// Show a box, with hints, while it is dragged.
 function show(camera, box) {
   if (box) boxes[active][camera.name] = box;
   else delete boxes[active][camera.name];
@@ -206,7 +206,7 @@ function key(camera, event) {
   } else if (event.key === "Delete" || event.key === "Backspace") {
     if (box) put(camera, null);
   } else if (event.key === "Enter") {
-    // Without a mouse a box begins in the middle.
+    // Without a mouse, a box starts in the middle.
     const { width: w, height: h } = camera;
     const middle = [Math.round(w / 3), Math.round(h / 3), Math.round(w / 3), Math.round(h / 3)];
     take([camera], middle);
@@ -221,7 +221,7 @@ function key(camera, event) {
 
 function choose(name) {
   active = name;
-  told = { bands: {}, boxes: {}, wrong: "" };
+  hints = { bands: {}, boxes: {}, wrong: "" };
   changed();
 }
 
@@ -236,7 +236,7 @@ function addObject() {
 
 function rename(before, after) {
   if (!after || after === before) return draw();
-  if (boxes[after]) return say(`There is an object ${after} already.`, true);
+  if (boxes[after]) return say(`There is already an object ${after}.`, true);
   remember();
   boxes = Object.fromEntries(Object.entries(boxes).map(([name, its]) => [name === before ? after : name, its]));
   if (active === before) active = after;
@@ -267,7 +267,7 @@ function drawObjects() {
     chip.setAttribute("aria-selected", name === active);
     const dot = document.createElement("span");
     dot.className = "dot";
-    dot.style.background = colourOf(k);
+    dot.style.background = colorOf(k);
     const input = document.createElement("input");
     Object.assign(input, { value: name, spellcheck: false, title: "The object's name", ariaLabel: "The object's name" });
     input.addEventListener("change", () => rename(name, input.value.trim()));
@@ -286,21 +286,21 @@ function drawObjects() {
     return chip;
   });
   const add = document.createElement("button");
-  Object.assign(add, { textContent: "+ object", title: "Several objects are tracked each by itself" });
+  Object.assign(add, { textContent: "+ object", title: "Add an object; each object is tracked separately" });
   add.addEventListener("click", addObject);
   $("objects").replaceChildren(...chips, add);
   $("objects").dataset.shown = names.join(" ");
 }
 
 const count = (name) => `${Object.keys(boxes[name]).length}/${cameras.length}`;
-const colourOf = (k) => OBJECT_COLOURS[k % OBJECT_COLOURS.length];
+const colorOf = (k) => OBJECT_COLORS[k % OBJECT_COLORS.length];
 
 // --- drawing ----------------------------------------------------------------------------------------------------------
 
-function shape(kind, { colour, ...attributes }, parent) {
+function shape(kind, { color, ...attributes }, parent) {
   const element = document.createElementNS(SVG, kind);
   for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
-  if (colour) element.style.setProperty("--of", colour);
+  if (color) element.style.setProperty("--of", color);
   parent.append(element);
   return element;
 }
@@ -313,22 +313,22 @@ function rectangle([x, y, width, height], parent, attributes) {
 function drawTile(camera) {
   if (!camera.image) return;
   const { svg, tile } = camera;
-  const pixel = 1 / (svg.getScreenCTM()?.a || 1); // of the screen, in those of the image
+  const pixel = 1 / (svg.getScreenCTM()?.a || 1); // a screen pixel in image pixels
   const names = Object.keys(boxes);
   const own = boxes[active]?.[camera.name];
   const layers = Object.fromEntries([...svg.querySelectorAll("g")].map((g) => [g.getAttribute("class"), g]));
   for (const layer of Object.values(layers)) layer.replaceChildren();
 
-  for (const { of, outline, middle } of told.bands[camera.name] ?? []) {
-    const { colour } = cameras.find((c) => c.name === of);
+  for (const { of, outline, middle } of hints.bands[camera.name] ?? []) {
+    const { color } = cameras.find((c) => c.name === of);
     const points = (line) => line.map((p) => p.join(",")).join(" ");
-    if (outline.length) shape("polygon", { points: points(outline), colour, "data-of": of }, layers.bands);
-    if (middle.length) shape("polyline", { points: points(middle), colour, "data-of": of }, layers.bands);
+    if (outline.length) shape("polygon", { points: points(outline), color, "data-of": of }, layers.bands);
+    if (middle.length) shape("polyline", { points: points(middle), color, "data-of": of }, layers.bands);
   }
   names.forEach((name, k) => {
     const box = boxes[name][camera.name];
     if (!box || name === active) return;
-    rectangle(box, layers.others, { "data-object": name, colour: colourOf(k) });
+    rectangle(box, layers.others, { "data-object": name, color: colorOf(k) });
     const label = shape("text", { "font-size": 0 }, layers.others);
     label.textContent = name;
     label.style.fontSize = `${13 * pixel}px`;
@@ -336,14 +336,14 @@ function drawTile(camera) {
     label.setAttribute("x", box[0] + 3 * pixel);
     label.setAttribute("y", box[1] - 5 * pixel > 12 * pixel ? box[1] - 5 * pixel : box[1] + 15 * pixel);
   });
-  const colour = colourOf(names.indexOf(active));
-  const suggested = !own && told.boxes[camera.name];
-  if (suggested) rectangle(suggested, layers.suggested, { "data-suggested": "yes", colour });
+  const color = colorOf(names.indexOf(active));
+  const suggested = !own && hints.boxes[camera.name];
+  if (suggested) rectangle(suggested, layers.suggested, { "data-suggested": "yes", color });
   if (own) {
     const [x, y, w, h] = own;
-    rectangle(own, layers.own, { "data-object": active, colour });
+    rectangle(own, layers.own, { "data-object": active, color });
     for (const side of SIDES) {
-      // Of what is small, the corners are enough.
+      // Small boxes have handles at their corners only.
       if (side.length === 1 && (side === "n" || side === "s" ? w : h) < 40 * pixel) continue;
       const cx = side.includes("w") ? x : side.includes("e") ? x + w : x + w / 2;
       const cy = side.includes("n") ? y : side.includes("s") ? y + h : y + h / 2;
@@ -360,7 +360,7 @@ function drawTile(camera) {
   tile.querySelector(".numbers").textContent = own
     ? `${own[2]} × ${own[3]} px at ${own[0]}, ${own[1]}`
     : suggested
-      ? "click the dashed box to take it"
+      ? "click the dashed box to accept it"
       : "";
   svg.setAttribute("aria-label", `${camera.name}: ${own ? `box ${own.join(", ")}` : "no box"}`);
 }
@@ -368,26 +368,26 @@ function drawTile(camera) {
 function draw() {
   cameras.forEach(drawTile);
   drawObjects();
-  const suggested = cameras.filter((c) => told.boxes[c.name] && !boxes[active][c.name]).length;
+  const suggested = cameras.filter((c) => hints.boxes[c.name] && !boxes[active][c.name]).length;
   $("take").hidden = suggested === 0;
-  $("take").textContent = suggested === 1 ? "Take the suggested box" : `Take ${suggested} suggested boxes`;
+  $("take").textContent = suggested === 1 ? "Accept the suggested box" : `Accept ${suggested} suggested boxes`;
   $("undo").disabled = !history.length;
-  if (told.wrong) say(sentence(told.wrong), true);
+  if (hints.wrong) say(sentence(hints.wrong), true);
   else say(guidance(suggested));
 }
 
 function sentence(words) {
-  const meet = words.match(/no place in space is inside the boxes of (.*) all at once/);
-  return meet ? `The boxes of ${meet[1]} are not of one thing: no place in space is inside all of them.` : words;
+  const meet = words.match(/the boxes of (.*) do not intersect in space/);
+  return meet ? `The boxes of ${meet[1]} do not intersect in space, so they cannot contain the same object.` : words;
 }
 
 function guidance(suggested) {
   const known = Object.keys(boxes[active]).length;
-  if (!known) return "Drag a box around the object in any camera: rather a little too large than too small.";
-  if (cameras.length === 1) return "Save writes the box.";
-  if (known === 1) return "Now in a second camera: the object is somewhere along the band. Leave out cameras that do not see it.";
-  if (suggested) return "Dashed boxes are where the others meet: click them to take them, or draw your own.";
-  return "Save writes the boxes; cameras that do not see the object need none.";
+  if (!known) return "Drag a box around the object in any camera; rather too large than too small.";
+  if (cameras.length === 1) return "Save the box.";
+  if (known === 1) return "Now drag a box in a second camera: the object is inside the band. Skip cameras that do not see it.";
+  if (suggested) return "Dashed boxes are suggestions from the other boxes: click to accept them, or draw your own.";
+  return "Save the boxes. Cameras that do not see the object need none.";
 }
 
 function say(words, wrong = false) {
@@ -406,7 +406,7 @@ function enlarge(camera) {
   camera.svg.focus();
 }
 
-// As many columns as make the images largest; or one large, and the others beside it.
+// Use the number of columns with the largest images; or show one large image with the others next to it.
 function arrange() {
   const main = $("cameras");
   const width = main.clientWidth - 32;
@@ -415,7 +415,7 @@ function arrange() {
   const widest = Math.max(...cameras.map(ratio));
   for (const camera of cameras) {
     camera.tile.removeAttribute("style");
-    camera.tile.querySelector(".large").textContent = camera === large ? "All" : "Large";
+    camera.tile.querySelector(".large").textContent = camera === large ? "Show all" : "Enlarge";
   }
   main.style.gridTemplateRows = large && cameras.length > 2 ? `repeat(${cameras.length - 2}, max-content) 1fr` : "";
   if (large) {
@@ -442,7 +442,7 @@ function arrange() {
       const image = Math.min(across, down * widest);
       if (image > best.image) best = { image, columns };
     }
-    // Rather to be scrolled than too small to be drawn in.
+    // Scroll rather than shrink images too far to draw in.
     const image = Math.max(best.image, Math.min(360, width));
     const columns = best.image >= image ? best.columns : Math.max(1, Math.floor((width + GAP) / (image + GAP)));
     main.style.gridTemplateColumns = `repeat(${columns}, ${image}px)`;
@@ -454,10 +454,10 @@ function arrange() {
 function build(camera, k) {
   const tile = $("tile").content.firstElementChild.cloneNode(true);
   const svg = tile.querySelector("svg");
-  Object.assign(camera, { tile, svg, colour: CAMERA_COLOURS[k % CAMERA_COLOURS.length], view: [0, 0, camera.width, camera.height] });
+  Object.assign(camera, { tile, svg, color: CAMERA_COLORS[k % CAMERA_COLORS.length], view: [0, 0, camera.width, camera.height] });
   tile.dataset.camera = camera.name;
   tile.querySelector(".name").textContent = camera.name;
-  tile.querySelector(".dot").style.background = camera.colour;
+  tile.querySelector(".dot").style.background = camera.color;
   svg.setAttribute("viewBox", camera.view.join(" "));
   if (camera.image) {
     const picture = svg.querySelector("image");
@@ -480,16 +480,16 @@ function build(camera, k) {
   $("cameras").append(tile);
 }
 
-// --- all of it --------------------------------------------------------------------------------------------------------
+// --- start and save --------------------------------------------------------------------------------------------------
 
 async function save() {
   $("save").disabled = true;
   try {
-    // With the boxes the command ends, and answers nothing more.
-    await asking;
-    const { file, next } = await ask("boxes", { method: "POST", body: JSON.stringify(boxes) });
+    // The command ends after saving and accepts no more requests.
+    await pending;
+    const { file, next } = await request("boxes", { method: "POST", body: JSON.stringify(boxes) });
     written = JSON.stringify(boxes);
-    $("file").textContent = `The boxes are in ${file}.`;
+    $("file").textContent = `The boxes were written to ${file}.`;
     $("next").textContent = next;
     $("saved").showModal();
   } catch (error) {
@@ -512,7 +512,7 @@ addEventListener("resize", arrange);
 addEventListener("beforeunload", (event) => JSON.stringify(boxes) !== written && event.preventDefault());
 
 try {
-  const state = await ask("state");
+  const state = await request("state");
   ({ cameras, boxes } = state);
   written = JSON.stringify(boxes);
   active = Object.keys(boxes)[0];
@@ -520,7 +520,7 @@ try {
   $("recording").textContent = `${state.recording}, frame ${state.frame}`;
   cameras.forEach(build);
   arrange();
-  askHints();
+  requestHints();
   cameras.find((camera) => camera.image)?.svg.focus();
 } catch (error) {
   say(error.message, true);

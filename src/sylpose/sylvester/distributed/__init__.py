@@ -1,5 +1,5 @@
-"""The paper's cameras among themselves: each has its own matches, a few numbers are exchanged.
+"""Distributed rotation estimators: each camera node has its own matches and exchanges a few numbers with the others.
 
-Each scheme (`exchange`, `refine`, `gossip`) is one camera's step, (state, inbox) -> (state, packets), with nothing shared;
-`simulated` runs all cameras in one process, over a network that may fail.
+Each scheme (`exchange`, `refine`, `gossip`) is a pure step function of one node, (state, inbox) -> (state, packets).
+`simulation` runs all nodes in one process, over a network with faults.
 """

@@ -1,4 +1,4 @@
-"""Extrapolation: where the steps of several cameras lead, from how their messages changed in the last ones.
+"""Anderson acceleration: extrapolation of the fixed-point iteration from the last changes of all messages.
 
 Source: D. G. Anderson, "Iterative procedures for nonlinear integral equations" (1965).
 """
@@ -11,23 +11,23 @@ import numpy as np
 
 from sylpose.geometry.arrays import FloatArray
 
-__all__ = ["History", "extended", "extrapolated"]
+__all__ = ["History", "extend_history", "extrapolate"]
 
-# (V, change of V) of the last rounds, (C, 3, 3) each, all members in order.
+# (V, change of V) of the last rounds, (C, 3, 3) each, members in order.
 History = tuple[tuple[FloatArray, FloatArray], ...]
 
-# Rounds that the extrapolation looks back: more than the 9 unknowns of a rotation's matrix (choice).
-MEMORY = 10
+# Number of past rounds used: more than the 9 unknowns of a rotation matrix (choice).
+MAX_HISTORY = 10
 
 
-def extended(history: History, V: FloatArray, step: FloatArray) -> tuple[History, bool]:
-    """With the last step; from anew, and astray, where that is longer than the steps before."""
-    astray = bool(history) and not np.linalg.norm(step) < 2 * min(np.linalg.norm(f) for _, f in history)
-    return (*(() if astray else history), (V, step))[-MEMORY - 1 :], astray
+def extend_history(history: History, V: FloatArray, step: FloatArray) -> tuple[History, bool]:
+    """Append the last step; restart the history and return True if it is much longer than the previous ones."""
+    has_diverged = bool(history) and not np.linalg.norm(step) < 2 * min(np.linalg.norm(f) for _, f in history)
+    return (*(() if has_diverged else history), (V, step))[-MAX_HISTORY - 1 :], has_diverged
 
 
-def extrapolated(history: History) -> FloatArray:
-    """The combination of the last V whose steps cancel best, with its own step. (C, 3, 3)."""
+def extrapolate(history: History) -> FloatArray:
+    """Return the extrapolated V (C, 3, 3): the combination of the last V with the smallest step, plus that step."""
     V, step = history[-1]
     if len(history) < 4:
         return np.asarray(V + step)

@@ -1,5 +1,4 @@
-"""What a camera knows of a rotation, and how it says it: one quadratic cost on SO(3), in 56 numbers; at one rotation, what
-surfaces may have done to it, in 80."""
+"""Evidence of a camera and its serialization: a quadratic cost on SO(3) (56 numbers) and surface sums (80 numbers)."""
 
 from __future__ import annotations
 
@@ -7,57 +6,75 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.matrices import symmetric_of, upper_of
+from sylpose.geometry.matrices import pack_upper, unpack_symmetric
 from sylpose.moments import PairMoments
-from sylpose.sylvester.depth_bias import LEANING, Sums
-from sylpose.sylvester.orthographic import quadratic_of, views_of
-from sylpose.sylvester.so3 import LEAST, Quadratic
+from sylpose.sylvester.depth_bias import SLOPE_GRID, SurfaceSums
+from sylpose.sylvester.orthographic import build_cost, compute_views
+from sylpose.sylvester.so3 import MIN_RELATIVE_VARIANCE, QuadraticCost
 
-__all__ = ["EVIDENCE", "SURFACES", "evidence_of", "noise_of", "packed", "packed_sums", "unpacked", "unpacked_sums"]
+__all__ = [
+    "EVIDENCE_SIZE",
+    "SURFACE_SUMS_SIZE",
+    "compute_evidence",
+    "pack_evidence",
+    "pack_sums",
+    "relative_noise",
+    "unpack_evidence",
+    "unpack_sums",
+]
 
-# Numbers of one: H's upper triangle, h, constant and weight (derived).
-EVIDENCE = 45 + 9 + 2
-# Of `surfaces.Sums`: B, own and scales, shape, fits and doubts (derived).
-SURFACES = 3 * 6 + 18 + len(LEANING) * (10 + 1)
+# Number of values of the evidence: H's upper triangle, h, constant and weight (derived).
+EVIDENCE_SIZE = 45 + 9 + 2
+# Number of values of `depth_bias.SurfaceSums`: hessian, camera slopes and scales; body slopes; normal equations and log
+# determinants (derived).
+SURFACE_SUMS_SIZE = 3 * 6 + 18 + len(SLOPE_GRID) * (10 + 1)
 
 
-def evidence_of(rotation: ArrayLike, moments: PairMoments, *, aim: bool = True) -> Quadratic:
-    """Of one camera, Q (3, 3) of camera_from_world; zero if its matches have no spread.
+def compute_evidence(rotation: ArrayLike, moments: PairMoments, *, aim: bool = True) -> QuadraticCost:
+    """Compute the evidence of one camera, the cost of its matches; zero if they have no spread.
+
+    Args:
+        rotation: (3, 3) Q of camera_from_world.
+        moments: the camera's pair moments.
+        aim: as in `compute_views`.
 
     Raises:
-        ValueError: a matrix that is no rotation.
+        ValueError: rotation is not a rotation matrix.
     """
-    views = views_of(np.asarray(rotation, dtype=float)[None], [moments], aim=aim)
+    views = compute_views(np.asarray(rotation, dtype=float)[None], [moments], aim=aim)
     try:
-        return quadratic_of(views)
+        return build_cost(views)
     except ValueError:
-        return Quadratic.zero()
+        return QuadraticCost.zero()
 
 
-def packed(evidence: Quadratic) -> FloatArray:
-    """(56,) as sent. Means and sums of these are those of the evidence."""
-    return np.array([*upper_of(evidence.H), *evidence.h, evidence.constant, evidence.weight])
+def pack_evidence(evidence: QuadraticCost) -> FloatArray:
+    """Pack evidence into (56,) values. Packing is linear: means and sums of the values are those of the evidence."""
+    return np.array([*pack_upper(evidence.H), *evidence.h, evidence.constant, evidence.weight])
 
 
-def unpacked(values: FloatArray) -> Quadratic:
-    """The inverse of `packed`."""
-    return Quadratic(symmetric_of(values[:45]), values[45:54], values[54], values[55])
+def unpack_evidence(values: FloatArray) -> QuadraticCost:
+    """Unpack the values of `pack_evidence`."""
+    return QuadraticCost(unpack_symmetric(values[:45]), values[45:54], values[54], values[55])
 
 
-def noise_of(cost: float, size: float, weight: float) -> float:
-    """`Quadratic.variance` over `Quadratic.size`: what `surfaces.sums_of` is told."""
-    return max(cost / size, LEAST) / weight
+def relative_noise(cost: float, size: float, weight: float) -> float:
+    """Return `QuadraticCost.variance` over `QuadraticCost.size`, the noise argument of `compute_surface_sums`."""
+    return max(cost / size, MIN_RELATIVE_VARIANCE) / weight
 
 
-def packed_sums(sums: Sums, noise: float) -> FloatArray:
-    """(80,) as sent, none much larger than 1, and as they add up; `noise` as of `sums_of`."""
-    squares = [upper_of(matrix) for matrix in sums[:3]]
-    fits = [noise * upper_of(fit) for fit in sums.fits]
-    return np.concatenate([*squares, sums.shape.ravel(), *fits, sums.doubts])
+def pack_sums(sums: SurfaceSums, noise: float) -> FloatArray:
+    """Pack surface sums into (80,) values, none much larger than 1; they add like the sums.
+
+    `noise` is as in `compute_surface_sums`.
+    """
+    squares = [pack_upper(matrix) for matrix in sums[:3]]
+    fits = [noise * pack_upper(fit) for fit in sums.normal_equations]
+    return np.concatenate([*squares, sums.body_slopes.ravel(), *fits, sums.log_determinants])
 
 
-def unpacked_sums(values: FloatArray, noise: float) -> Sums:
-    """The inverse of `packed_sums`."""
-    turns, own, scales = (symmetric_of(part) for part in values[:18].reshape(3, 6))
-    fits = np.array([symmetric_of(part) for part in values[36 : -len(LEANING)].reshape(-1, 10)]) / noise
-    return Sums(turns, own, scales, values[18:36].reshape(3, 6), fits, values[-len(LEANING) :])
+def unpack_sums(values: FloatArray, noise: float) -> SurfaceSums:
+    """Unpack the values of `pack_sums`."""
+    hessian, camera_slopes, scales = (unpack_symmetric(part) for part in values[:18].reshape(3, 6))
+    fits = np.array([unpack_symmetric(part) for part in values[36 : -len(SLOPE_GRID)].reshape(-1, 10)]) / noise
+    return SurfaceSums(hessian, camera_slopes, scales, values[18:36].reshape(3, 6), fits, values[-len(SLOPE_GRID) :])

@@ -1,5 +1,6 @@
-"""What follows from everybody's moments: the rotation of the cameras that can be relied upon, and what is wrong with the
-others. A function of what was heard alone, so that all who heard the same say the same, to the bit.
+"""Result of a node and its computation from the moments of all cameras, with fault detection.
+
+It depends only on the received moments, so that all nodes with the same moments have the same result to the bit.
 """
 
 from __future__ import annotations
@@ -14,23 +15,23 @@ from sylpose.moments import PairMoments
 from sylpose.sylvester.affine_consensus import MIN_MATCHES
 from sylpose.sylvester.camera_faults import solve_robust
 
-__all__ = ["UNKNOWN", "Verdict", "plausible", "verdict"]
+__all__ = ["NO_ESTIMATE", "NodeEstimate", "decode_moments", "solve_with_faults"]
 
-# A camera has at most so many times the matches of the one in the middle, or of one that has few: 10 to 1000 is usual
-# (choice: three times what that makes; docs/benchmarks.md#distributed).
-HEAVY, FEW_MATCHES = 300.0, 20.0
+# Maximum factor of a camera's number of matches over the median, or over a small number: 10 to 1000 is usual
+# (choice: three times the resulting factor; docs/history/benchmarks.md#distributed).
+MAX_COUNT_RATIO, FEW_MATCHES = 300.0, 20.0
 
 
 @dataclass(frozen=True, eq=False)
-class Verdict:
-    """What a camera has come to.
+class NodeEstimate:
+    """Result of one node.
 
     Attributes:
-        rotation, information: (3, 3) as in `CentralizedSolution`; None where there is none.
-        converged: it is an answer of this scheme, and that of all others as far as this camera can know.
-        consistent: it is known which cameras are at fault (`Diagnosis`).
-        weights: camera -> its weight in the answer, more than 0.
-        faults: camera -> what is wrong with it, as a sentence.
+        rotation, information: (3, 3) as in `CentralizedSolution`; None without a result.
+        converged: the scheme has converged, and to the result of all others as far as this node can determine.
+        consistent: the set of faulty cameras is certain (`Diagnosis`).
+        weights: camera -> its weight in the result, more than 0.
+        faults: camera -> its fault, as a sentence.
     """
 
     rotation: FloatArray | None = None
@@ -42,40 +43,48 @@ class Verdict:
 
     @property
     def used(self) -> tuple[int, ...]:
-        """The cameras that the answer is from."""
+        """Cameras that contribute to the result."""
         return tuple(sorted(self.weights))
 
 
-UNKNOWN = Verdict()
+NO_ESTIMATE = NodeEstimate()
 
 
-def verdict(seen: Mapping[int, tuple[FloatArray, PairMoments]], *, aim: bool) -> Verdict:
-    """Of cameras by number, Q (3, 3) of camera_from_world and moments each: `solve_robust` of those whose number of
-    matches a camera can have."""
-    counts = {c: m.count for c, (_, m) in seen.items()}
-    usual = float(np.median([n for n in counts.values() if n >= MIN_MATCHES] or [0.0]))
-    heavy = {
-        c: f"camera {c}: it claims {n:.0f} matches" for c, n in counts.items() if n > HEAVY * max(usual, FEW_MATCHES)
+def solve_with_faults(evidence: Mapping[int, tuple[FloatArray, PairMoments]], *, aim: bool) -> NodeEstimate:
+    """Solve with fault detection (`solve_robust`), without cameras that claim an implausible number of matches.
+
+    Args:
+        evidence: camera -> Q (3, 3) of camera_from_world and moments.
+        aim: as in `solve_centralized`.
+    """
+    counts = {c: m.count for c, (_, m) in evidence.items()}
+    median_count = float(np.median([n for n in counts.values() if n >= MIN_MATCHES] or [0.0]))
+    implausible = {
+        c: f"camera {c}: it claims {n:.0f} matches"
+        for c, n in counts.items()
+        if n > MAX_COUNT_RATIO * max(median_count, FEW_MATCHES)
     }
-    of = sorted(seen.keys() - heavy.keys())
-    Q = np.array([seen[c][0] for c in of]).reshape(-1, 3, 3)
+    cameras = sorted(evidence.keys() - implausible.keys())
+    Q = np.array([evidence[c][0] for c in cameras]).reshape(-1, 3, 3)
     try:
-        s = solve_robust(Q, [seen[c][1] for c in of], names=[str(c) for c in of], aim=aim)
+        s = solve_robust(Q, [evidence[c][1] for c in cameras], names=[str(c) for c in cameras], aim=aim)
     except ValueError:  # no camera has any spread
-        return Verdict(faults=heavy)
-    faults = heavy | {c: fault.text for c, fault in zip(of, s.faults, strict=True) if fault is not None}
-    weights = {c: float(w) for c, w in zip(of, s.weights, strict=True) if w > 0}
+        return NodeEstimate(faults=implausible)
+    faults = implausible | {c: fault.text for c, fault in zip(cameras, s.faults, strict=True) if fault is not None}
+    weights = {c: float(w) for c, w in zip(cameras, s.weights, strict=True) if w > 0}
     if s.solution is None:
-        return Verdict(consistent=False, faults=faults)
+        return NodeEstimate(consistent=False, faults=faults)
     converged = s.solution.converged
-    return Verdict(s.rotation, s.information, converged, s.diagnosis.consistent, weights, dict(sorted(faults.items())))
+    return NodeEstimate(
+        s.rotation, s.information, converged, s.diagnosis.consistent, weights, dict(sorted(faults.items()))
+    )
 
 
-def plausible(values: FloatArray, aim: bool) -> PairMoments:
-    """The moments that 45 numbers are.
+def decode_moments(values: FloatArray, aim: bool) -> PairMoments:
+    """Decode 45 numbers as moments and check that an image can have them.
 
     Raises:
-        ValueError: why no image has such moments.
+        ValueError: no image can have such moments.
     """
     try:
         moments = PairMoments.from_bytes(values.astype("<f8").tobytes())

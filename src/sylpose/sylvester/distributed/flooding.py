@@ -1,8 +1,8 @@
-"""Evidence shown on a sparse network: each camera passes on what it was shown, until all have seen all.
+"""Flooding of the evidence on a sparse network: each node forwards what it has received until all nodes have it.
 
-A message is one camera's moments and rotation, those that were passed on least often so far, and what the sender has come
-to. On a line of n cameras all is everywhere after about 2 n rounds, where all hear each other after two. Lost messages cost
-rounds; a camera that is never heard of is missed for good once nothing new has come for long.
+A message contains one camera's moments and rotation, the least often forwarded one, and the sender's result. On a line
+of n nodes this takes about 2 n rounds, in a complete graph two. Lost messages cost rounds; a camera whose evidence
+never arrives is left out after many rounds without news.
 """
 
 from __future__ import annotations
@@ -14,58 +14,68 @@ import numpy as np
 
 from sylpose.geometry.arrays import FloatArray
 from sylpose.moments import PairMoments
-from sylpose.sylvester.distributed.evidence_exchange import AGREED, opened, shown_values
-from sylpose.sylvester.distributed.fault_decision import UNKNOWN, Verdict, verdict
-from sylpose.sylvester.distributed.lockstep import PATIENCE
+from sylpose.sylvester.distributed.evidence_exchange import (
+    AGREEMENT_TOLERANCE,
+    pack_camera_evidence,
+    unpack_camera_evidence,
+)
+from sylpose.sylvester.distributed.fault_decision import NO_ESTIMATE, NodeEstimate, solve_with_faults
+from sylpose.sylvester.distributed.lockstep import MAX_MISSED_ROUNDS
 from sylpose.sylvester.distributed.messages import Message, Packet, encode
 
-__all__ = ["PASSED", "Passing", "begun", "passed_on", "passing_packets"]
+__all__ = ["FLOODING_SIZE", "FloodingState", "make_packets", "process_messages", "start_flooding"]
 
-# Numbers of a message: which camera, what it shows, the sender's answer (derived).
-PASSED = 1 + 54 + 9
+# Number of values of a message: the camera, its evidence, the sender's result (derived).
+FLOODING_SIZE = 1 + 54 + 9
 
 
 @dataclass(frozen=True, eq=False)
-class Passing:
-    """What one camera was shown.
+class FloodingState:
+    """Flooding state of one node.
 
     Attributes:
-        shown: camera -> (54,) as it showed them. times: camera -> how often they were passed on.
-        answers: neighbour -> (9,) its answer, once it says that it has all.
-        silent: neighbour -> rounds since it was heard.
-        still: rounds since anything new came. lingered: rounds since all neighbours have this camera's answer.
-        verdict: of all that was shown, once that is all that will be.
+        evidence: camera -> (54,) evidence received. times: camera -> number of times it was forwarded.
+        results: neighbor -> (9,) its result, once it has all evidence.
+        missed_rounds: neighbor -> rounds since its last message.
+        quiet_rounds: rounds since the last new evidence.
+        rounds_converged: rounds since all neighbors have this node's result.
+        estimate: result from all evidence, once complete.
     """
 
     camera: int
-    neighbours: tuple[int, ...]
+    neighbors: tuple[int, ...]
     n_cameras: int
     aim: bool
-    shown: dict[int, FloatArray]
-    times: dict[int, int] = field(default_factory=dict)
-    answers: dict[int, FloatArray] = field(default_factory=dict)
-    silent: dict[int, int] = field(default_factory=dict)
+    evidence: dict[int, FloatArray]
+    n_forwarded: dict[int, int] = field(default_factory=dict)
+    results: dict[int, FloatArray] = field(default_factory=dict)
+    missed_rounds: dict[int, int] = field(default_factory=dict)
     refused: dict[int, str] = field(default_factory=dict)
-    still: int = 0
-    lingered: int = 0
-    verdict: Verdict = UNKNOWN
+    quiet_rounds: int = 0
+    rounds_converged: int = 0
+    estimate: NodeEstimate = NO_ESTIMATE
 
     @property
-    def all_shown(self) -> bool:
-        """Nothing more will come."""
-        return len(self.shown) == self.n_cameras or self.still > PATIENCE + self.n_cameras
+    def is_complete(self) -> bool:
+        """Return whether all evidence has arrived, or no more is expected."""
+        return len(self.evidence) == self.n_cameras or self.quiet_rounds > MAX_MISSED_ROUNDS + self.n_cameras
 
 
-def begun(
-    camera: int, neighbours: tuple[int, ...], n_cameras: int, rotation: FloatArray, moments: PairMoments, aim: bool
-) -> Passing:
-    """A camera shows its own."""
-    return Passing(camera, neighbours, n_cameras, aim, {camera: shown_values(rotation, moments)})
+def start_flooding(
+    camera: int, neighbors: tuple[int, ...], n_cameras: int, rotation: FloatArray, moments: PairMoments, aim: bool
+) -> FloodingState:
+    """Start flooding with this node's own evidence."""
+    return FloodingState(camera, neighbors, n_cameras, aim, {camera: pack_camera_evidence(rotation, moments)})
 
 
-def passed_on(p: Passing, messages: Mapping[tuple[int, int], Message], heard: Collection[int]) -> Passing:
-    """With the neighbours' messages, by sender and round, each of `PASSED` numbers; of whom anything was heard."""
-    shown, answers, refused = dict(p.shown), dict(p.answers), dict(p.refused)
+def process_messages(
+    p: FloodingState, messages: Mapping[tuple[int, int], Message], active: Collection[int]
+) -> FloodingState:
+    """Process the neighbors' messages of `FLOODING_SIZE` values, by (sender, round).
+
+    `active` are the neighbors with any message.
+    """
+    shown, answers, refused = dict(p.evidence), dict(p.results), dict(p.refused)
     for (sender, _), message in sorted(messages.items(), key=lambda item: item[0]):
         of, values = int(message.values[0]), message.values[1:55]
         if message.final:
@@ -73,34 +83,43 @@ def passed_on(p: Passing, messages: Mapping[tuple[int, int], Message], heard: Co
         try:
             if not 0 <= of < p.n_cameras:
                 raise ValueError(f"moments of camera {of}, of {p.n_cameras}")
-            opened(values, p.aim)
+            unpack_camera_evidence(values, p.aim)
             shown.setdefault(of, values)
         except ValueError as error:
             refused.setdefault(sender, str(error))
-    silent = {c: 0 if c in heard else p.silent.get(c, 0) + 1 for c in p.neighbours}
-    still = 0 if len(shown) > len(p.shown) else p.still + 1
-    p = replace(p, shown=shown, answers=answers, refused=refused, silent=silent, still=still)
-    if not p.all_shown:
-        return replace(p, verdict=UNKNOWN, lingered=0)
-    if still == 0 or p.verdict is UNKNOWN:
-        p = replace(p, verdict=verdict({c: opened(v, p.aim) for c, v in sorted(shown.items())}, aim=p.aim))
+    missed_rounds = {c: 0 if c in active else p.missed_rounds.get(c, 0) + 1 for c in p.neighbors}
+    still = 0 if len(shown) > len(p.evidence) else p.quiet_rounds + 1
+    p = replace(p, evidence=shown, results=answers, refused=refused, missed_rounds=missed_rounds, quiet_rounds=still)
+    if not p.is_complete:
+        return replace(p, estimate=NO_ESTIMATE, rounds_converged=0)
+    if still == 0 or p.estimate is NO_ESTIMATE:
+        p = replace(
+            p,
+            estimate=solve_with_faults(
+                {c: unpack_camera_evidence(v, p.aim) for c, v in sorted(shown.items())}, aim=p.aim
+            ),
+        )
     agree = all(
-        c in answers and np.linalg.norm(answers[c] - answer_of(p)) < AGREED
-        for c in p.neighbours
-        if silent[c] <= PATIENCE
+        c in answers and np.linalg.norm(answers[c] - rotation_values(p)) < AGREEMENT_TOLERANCE
+        for c in p.neighbors
+        if missed_rounds[c] <= MAX_MISSED_ROUNDS
     )
-    converged = agree and p.verdict.rotation is not None
-    return replace(p, verdict=replace(p.verdict, converged=converged), lingered=p.lingered + 1 if converged else 0)
+    converged = agree and p.estimate.rotation is not None
+    return replace(
+        p,
+        estimate=replace(p.estimate, converged=converged),
+        rounds_converged=p.rounds_converged + 1 if converged else 0,
+    )
 
 
-def passing_packets(p: Passing, number: int, clean: bool) -> tuple[Passing, list[Packet]]:
-    """What it passes on next, the same to all neighbours."""
-    c = min(p.shown, key=lambda c: (p.times.get(c, 0), c != p.camera, c))
-    message = Message(number, clean, p.all_shown, np.concatenate([[c], p.shown[c], answer_of(p)]))
-    packets = [Packet(p.neighbours, encode(p.camera, message))] if p.neighbours else []
-    return replace(p, times={**p.times, c: p.times.get(c, 0) + 1}), packets
+def make_packets(p: FloodingState, number: int, clean: bool) -> tuple[FloodingState, list[Packet]]:
+    """Return the next message, the same for all neighbors."""
+    c = min(p.evidence, key=lambda c: (p.n_forwarded.get(c, 0), c != p.camera, c))
+    message = Message(number, clean, p.is_complete, np.concatenate([[c], p.evidence[c], rotation_values(p)]))
+    packets = [Packet(p.neighbors, encode(p.camera, message))] if p.neighbors else []
+    return replace(p, n_forwarded={**p.n_forwarded, c: p.n_forwarded.get(c, 0) + 1}), packets
 
 
-def answer_of(p: Passing) -> FloatArray:
-    """(9,) its rotation; zeros without one."""
-    return np.zeros(9) if p.verdict.rotation is None else p.verdict.rotation.ravel()
+def rotation_values(p: FloodingState) -> FloatArray:
+    """Return this node's rotation (9,); zeros without one."""
+    return np.zeros(9) if p.estimate.rotation is None else p.estimate.rotation.ravel()

@@ -1,14 +1,13 @@
-"""Whether there is a rotation that suits the matches of all cameras: before anybody doubts, while refinement goes on.
+"""Joint consistency search: a rotation that is consistent with the matches of all cameras, during the refinement.
 
-The common rotation of refinement ignores depth and is off on a leaning surface, by so much that good cameras' matches do not
-allow it. What they do allow is judged with the plane of each camera's depths (`sylvester.affine_consensus`), and the
-rotation that
-suits all best is found by Gauss-Newton: each tells its normal equations at one rotation, all sum them and take the same
-step. It starts from the common rotation once that is nearly known, so that it costs no rounds, as a rule; where it ends at
-what somebody's matches do not allow, it starts again from no turn. Nobody doubts where every camera is trusted in full at
-one of the two: then `solve_robust` trusts all of them, too.
+The common rotation ignores depth; on an oblique surface its bias can exceed what good cameras' matches allow.
+Consistency is therefore scored with a depth plane per camera (`sylvester.affine_consensus`). The best rotation is found
+by Gauss-Newton: each node sends its normal equations at one rotation; all nodes sum them and make the same step. The
+search starts from the nearly constant common rotation, usually without additional rounds, and again from the identity
+if a camera disagrees with the result. If all cameras have full weight at one of the two results, no evidence is
+requested, as `solve_robust` would not reject a camera either.
 
-A camera that stands still is not heard where two others move, as in `diagnose`.
+A camera with static matches is ignored if two others move, as in `diagnose_cameras`.
 """
 
 from __future__ import annotations
@@ -19,70 +18,71 @@ from typing import NamedTuple
 import numpy as np
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.matrices import symmetric_of, upper_of
-from sylpose.sylvester.affine_consensus import AffineFits, normal_equations, turned
-from sylpose.sylvester.camera_faults import TRUSTED, doubt_of
+from sylpose.geometry.matrices import pack_upper, unpack_symmetric
+from sylpose.sylvester.affine_consensus import AffineFits, apply_step, build_normal_equations
+from sylpose.sylvester.camera_faults import FULL_WEIGHT_SCORE, max_fault_score
 
-__all__ = ["IDLE", "VOTE", "Search", "begun", "searched", "vote_of"]
+__all__ = ["NO_SEARCH", "VOTE_SIZE", "SearchState", "compute_vote", "start_search", "step_search"]
 
-# Numbers of one: normal equations, score, and whether the camera moves, stands still or is not judged, 0 (derived).
-VOTE = 6 + 3 + 1 + 1
-MOVES, STILL = 1.0, -1.0
-# A step that turns by less, radians, changes no score by more than a hundredth; and steps at most, as in `affine_votes`
-# (choice).
-ENOUGH, STEPS = 1e-4, 12
+# Number of values of a vote: normal equations, score, and 1 if the matches move, -1 if static, 0 without a score
+# (derived).
+VOTE_SIZE = 6 + 3 + 1 + 1
+MOVING, STATIC = 1.0, -1.0
+# Step, radians, below which no score changes by more than a hundredth; maximum number of steps, as in
+# `affine_consensus` (choice).
+STEP_TOLERANCE, STEPS = 1e-4, 12
 
 
-class Search(NamedTuple):
-    """Where the search for a rotation that suits all stands; the same at every camera.
+class SearchState(NamedTuple):
+    """State of the search, identical at every node.
 
     Attributes:
-        rotation: (3, 3) at which votes are told next, or the one that was found.
-        steps: so far from this start; less than 0 before there is one.
-        again: from no turn.
-        worst: the largest score of any camera at `rotation`, once it is `over`.
-        over: nothing is sought any more.
+        rotation: (3, 3) at which the next votes are computed, or the result.
+        steps: number of steps from this start; negative before the start.
+        is_second: this is the second search, from the identity.
+        worst: the largest score of any camera at `rotation`, once `is_over`.
+        is_over: the search has ended.
     """
 
     rotation: FloatArray
     steps: int = 0
-    again: bool = False
+    is_second: bool = False
     worst: float = np.inf
-    over: bool = False
+    is_over: bool = False
 
     @property
-    def begun(self) -> bool:
-        """Whether votes are told, or were."""
+    def has_started(self) -> bool:
+        """Return whether the search has started."""
         return self.steps >= 0
 
 
 # No search (derived).
-IDLE = Search(np.eye(3), -1)
+NO_SEARCH = SearchState(np.eye(3), -1)
 
 
-def begun(rotation: FloatArray) -> Search:
-    """From the common rotation (3, 3)."""
-    return Search(rotation)
+def start_search(rotation: FloatArray) -> SearchState:
+    """Start the search from the common rotation (3, 3)."""
+    return SearchState(rotation)
 
 
-def vote_of(fits: AffineFits, still: bool, rotation: FloatArray) -> FloatArray:
-    """(11,) what one camera tells at a rotation (3, 3); `still`: as `stand_still` says. Zeros if it cannot be judged."""
+def compute_vote(fits: AffineFits, is_static: bool, rotation: FloatArray) -> FloatArray:
+    """Compute the vote (11,) of one camera at a rotation (3, 3); zeros without a score."""
     if len(fits.camera) == 0:
-        return np.zeros(VOTE)
-    (information,), (gradient,) = normal_equations(fits, rotation[None], np.ones((1, 1), dtype=bool))
-    told = [doubt_of(fits, rotation), STILL if still else MOVES]
-    return np.concatenate([upper_of(information), gradient, told])
+        return np.zeros(VOTE_SIZE)
+    (information,), (gradient,) = build_normal_equations(fits, rotation[None], np.ones((1, 1), dtype=bool))
+    score_and_motion = [max_fault_score(fits, rotation), STATIC if is_static else MOVING]
+    return np.concatenate([pack_upper(information), gradient, score_and_motion])
 
 
-def searched(search: Search, votes: Mapping[int, FloatArray]) -> Search:
-    """A step further, with everybody's votes (11,) at `search.rotation`."""
-    moving = [v for v in votes.values() if v[10] == MOVES]
-    heard = moving if len(moving) > 1 else list(votes.values())
-    total = np.sum([v[:9] for v in heard], axis=0)
-    (rotation,), (length,) = turned(search.rotation[None], symmetric_of(total[:6])[None], total[None, 6:])
-    if length > ENOUGH and search.steps < STEPS:
+def step_search(search: SearchState, votes: Mapping[int, FloatArray]) -> SearchState:
+    """Make one step, given the votes (11,) of all nodes at `search.rotation`."""
+    moving = [v for v in votes.values() if v[10] == MOVING]
+    voting = moving if len(moving) > 1 else list(votes.values())
+    total = np.sum([v[:9] for v in voting], axis=0)
+    (rotation,), (length,) = apply_step(search.rotation[None], unpack_symmetric(total[:6])[None], total[None, 6:])
+    if length > STEP_TOLERANCE and search.steps < STEPS:
         return search._replace(rotation=rotation, steps=search.steps + 1)
     worst = max(float(v[9]) for v in votes.values())
-    if worst > TRUSTED and not search.again:
-        return Search(np.eye(3), again=True)
-    return search._replace(worst=worst, over=True)
+    if worst > FULL_WEIGHT_SCORE and not search.is_second:
+        return SearchState(np.eye(3), is_second=True)
+    return search._replace(worst=worst, is_over=True)
