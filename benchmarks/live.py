@@ -86,7 +86,7 @@ def compare_live(scene: RenderedSequence, n_frames: int) -> LiveComparison:
         return out
 
     start = time.perf_counter()
-    with patch("sylpose.tracking.map_update.refined", timed_refinement):
+    with patch("sylpose.tracking.map_update.refine_window", timed_refinement):
         tracks = [Track.from_tracked(frame) for frame in track(scene.frames, scene.rig, scene.boxes)]
     seconds = time.perf_counter() - start
     measured = [k for k, t in enumerate(tracks) if t.pose.is_measured]

@@ -23,7 +23,7 @@ session, out, method, smooth = sys.argv[1:5]
 start = time.perf_counter()
 run = track_session(open_session(session), out, method=method, smooth=smooth == "yes")
 memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-print(json.dumps({"frames": len(run.trajectory), "solved": int(run.trajectory.solved.sum()),
+print(json.dumps({"frames": len(run.trajectory), "solved": int(run.trajectory.measured_mask.sum()),
                   "seconds": time.perf_counter() - start, "parts": run.seconds, "memory_mb": memory}))
 """
 

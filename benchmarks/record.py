@@ -112,7 +112,7 @@ def record(benchmark: Benchmark) -> Record:
     """Run a benchmark and return what it printed.
 
     Raises:
-        RuntimeError: it printed no table.
+        RuntimeError: it printed no table, or one without rows.
     """
     script, *options = shlex.split(benchmark.command)
     environment = os.environ | {"COLUMNS": "400", "PYTHONPATH": f"{ROOT / 'src'}{os.pathsep}{ROOT}"}
@@ -120,8 +120,8 @@ def record(benchmark: Benchmark) -> Record:
         [sys.executable, script, *options], cwd=ROOT, env=environment, stdout=subprocess.PIPE, text=True, check=False
     )
     tables, remarks = parse_output(done.stdout)
-    if not tables:
-        raise RuntimeError(f"{benchmark.command} printed no table (exit code {done.returncode})")
+    if not tables or not all(table.rows for table in tables):
+        raise RuntimeError(f"{benchmark.command} printed no table with rows (exit code {done.returncode})")
     return Record(
         benchmark.name,
         f"python {benchmark.command}",

@@ -94,9 +94,25 @@ class Motion(Printable):
     unit: str = ""
 
     @property
+    def rotation(self) -> Rotation | None:
+        """Rotation of `motion`; None without a motion."""
+        return None if self.motion is None else self.motion.rotation
+
+    @property
+    def translation(self) -> FloatArray | None:
+        """(3,) translation d of `center`, to which `covariance` refers: R c + t - c; None without a motion."""
+        return None if self.motion is None else np.asarray(self.motion.apply(self.center) - self.center)
+
+    @property
     def n_inliers(self) -> IntArray:
         """(C,) number of inliers per camera."""
         return np.array([int(mask.sum()) for mask in self.inliers], dtype=np.int64)
+
+    @property
+    def inlier_ratio(self) -> float:
+        """Fraction of the matches of all cameras that are inliers; NaN without matches."""
+        matches = sum(len(mask) for mask in self.inliers)
+        return float(self.n_inliers.sum() / matches) if matches else np.nan
 
     def _summary(self) -> Summary:
         status = f"{self.status.value}. {self.status.text}"

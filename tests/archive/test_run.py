@@ -200,14 +200,14 @@ def test_processes_on_an_object_store(tmp_path: Path, monkeypatch: pytest.Monkey
 
 MAIN = """
 from pathlib import Path
-from sylpose.archive.processes import Processes
-from sylpose.archive.run import run_all
-from sylpose.archive.stores import place
-from tests.archive.archive_worker import HOW, recordings_in
+from sylpose.archive.processes import ProcessWorkers
+from sylpose.archive.run import process_all
+from sylpose.archive.stores import open_store
+from tests.archive.archive_worker import SETTINGS, make_recordings
 
 if __name__ == "__main__":
-    with Processes(place("out"), HOW, 2) as workers:
-        run_all(recordings_in(Path("in")), place("out"), HOW, workers, print)
+    with ProcessWorkers(open_store("out"), SETTINGS, 2) as workers:
+        process_all(make_recordings(Path("in")), open_store("out"), SETTINGS, workers, print)
 """
 
 

@@ -7,7 +7,17 @@ from pathlib import Path
 import pytest
 
 from benchmarks.page import PAGE, render
-from benchmarks.record import RESULTS, Record, Table, load_page, load_record, parse_output, save_record
+from benchmarks.record import (
+    RESULTS,
+    Benchmark,
+    Record,
+    Table,
+    load_page,
+    load_record,
+    parse_output,
+    record,
+    save_record,
+)
 
 OUTPUT = """
 ## Times
@@ -63,3 +73,10 @@ def test_invalid_result_file_is_rejected(tmp_path: Path) -> None:
     for name in ("other.json", "missing.json"):
         with pytest.raises(ValueError, match=rf"{name}: not a file of results"):
             load_record(tmp_path / name)
+
+
+def test_benchmark_without_rows_is_not_recorded(tmp_path: Path) -> None:
+    script = tmp_path / "broken.py"
+    script.write_text("print('| a |'); print('|---|'); raise SystemExit(3)")
+    with pytest.raises(RuntimeError, match=r"printed no table with rows \(exit code 3\)"):
+        record(Benchmark("broken", "Broken", str(script), ""))

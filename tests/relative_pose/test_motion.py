@@ -218,6 +218,26 @@ def test_covariance_without_information_is_infinite() -> None:
 # --- the paper's estimators -------------------------------------------------------------------------------------------
 
 
+def test_rotation_translation_and_inlier_ratio_of_a_result() -> None:
+    """The translation is that of the center, to which the covariance refers."""
+    rig, rng = simulate.ring(4), np.random.default_rng(0)
+    pair = simulate.simulate_matches(
+        rig, simulate.ellipsoid((0.15, 0.12, 0.1)), simulate.random_motion(6.0, 0.03, rng), rng=rng, outliers=0.25
+    )
+    found = estimate_motion(rig, pair.matches)
+    assert found.motion is not None
+    assert found.rotation is not None
+    assert found.translation is not None
+    np.testing.assert_array_equal(found.rotation.as_matrix(), found.motion.rotation.as_matrix())
+    expected = pair.motion.apply(found.center) - found.center
+    sigma = np.sqrt(np.diag(found.covariance)[3:])
+    assert np.all(np.abs(found.translation - expected) < 5 * sigma + 1e-4)
+    assert found.inlier_ratio == pytest.approx(0.75, abs=0.05)
+    nothing = estimate_motion(rig, [Matches.empty()] * 4)
+    assert (nothing.rotation, nothing.translation) == (None, None)
+    assert np.isnan(nothing.inlier_ratio)
+
+
 def test_sylvester_is_the_centralized_solution_of_the_inliers() -> None:
     rig = make_rig(6)
     pair = make_pair(rig, 1, turn=4.0)
