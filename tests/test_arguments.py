@@ -467,6 +467,7 @@ def find_result_problem(found: Any, nan: bool) -> str | None:
     if isinstance(getattr(found, "status", None), Status) and found.status is Status.OK:
         for name in ("rotation", "rotations", "information", "center", "multiplier", "costs", "displacement"):
             value = getattr(found, name, None)
+            value = value.as_matrix() if isinstance(value, Rotation) else value
             if value is not None and name != "rotations" and not np.isfinite(value).all():
                 return f"OK with {name} that is not finite"
         if hasattr(found, "motion"):
