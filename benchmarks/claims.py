@@ -82,15 +82,13 @@ def main() -> None:
     )
     print("|---|---|---|---|---|---|")
     for percent in options.shares:
-        build_occluded = occlude(scene, percent, np.random.default_rng(1))
-        single_process = [
-            frame.pose for frame in track(build_occluded.frames, build_occluded.rig, build_occluded.boxes)
-        ]
-        print(f"| {percent:.0f} % | one process | {format_row(build_occluded, single_process)} |", flush=True)
+        occluded = occlude(scene, percent, np.random.default_rng(1))
+        single_process = [frame.pose for frame in track(occluded.frames, occluded.rig, occluded.boxes)]
+        print(f"| {percent:.0f} % | one process | {format_row(occluded, single_process)} |", flush=True)
         for mode in MODES:
-            outcome = track_by_nodes(build_occluded.frames, build_occluded.rig, build_occluded.boxes, mode=mode)
+            outcome = track_by_nodes(occluded.frames, occluded.rig, occluded.boxes, mode=mode)
             node_poses = [[frame.pose for frame in outcome.frames[c]] for c in range(len(scene.rig))]
-            print(f"| | nodes, {mode} | {format_row(build_occluded, node_poses[OCCLUDED[0]])} |", flush=True)
+            print(f"| | nodes, {mode} | {format_row(occluded, node_poses[OCCLUDED[0]])} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -63,7 +63,7 @@ class Worker:
             limit_s: time limit per call, seconds.
             warm_up: scene that each new process solves first, not counted.
         """
-        self._load_live_file, self._limit_s, self._warm_up = load, limit_s, warm_up
+        self._load, self._limit_s, self._warm_up = load, limit_s, warm_up
         self._process: multiprocessing.process.BaseProcess | None = None
         self._connection: Connection | None = None
 
@@ -88,12 +88,12 @@ class Worker:
         os.environ.update(ONE_THREAD)
         context = multiprocessing.get_context("spawn")
         self._connection, there = context.Pipe()
-        self._process = context.Process(target=_serve, args=(there, self._load_live_file), daemon=True)
+        self._process = context.Process(target=_serve, args=(there, self._load), daemon=True)
         self._process.start()
         there.close()
         loaded = self._receive(START_LIMIT_S)
         if loaded.failure:
-            raise RuntimeError(f"the solver of {self._load_live_file.__name__} does not start: {loaded.failure}")
+            raise RuntimeError(f"the solver of {self._load.__name__} does not start: {loaded.failure}")
         if self._warm_up is None:
             return loaded.seconds, 0.0
         self._connection.send((self._warm_up, {}))

@@ -177,17 +177,17 @@ class Player:
     """Simulated camera that plays a video in real time, optionally in a loop."""
 
     def __init__(self, frames: list[Image], forever: bool = False, missing: int = -1) -> None:
-        self._format_frame_count, self._forever, self._missing, self._next = frames, forever, missing, 0
+        self._frames, self._forever, self._missing, self._next = frames, forever, missing, 0
         self._start = time.monotonic()
 
     def read(self) -> Grab | None:
         while self._next == self._missing:
             self._next += 1
-        if self._next >= len(self._format_frame_count) and not self._forever:
+        if self._next >= len(self._frames) and not self._forever:
             return None
         time.sleep(max(0.0, self._start + self._next / RATE - time.monotonic()))
-        k = self._next % (2 * len(self._format_frame_count) - 2)
-        image = self._format_frame_count[min(k, 2 * len(self._format_frame_count) - 2 - k)]
+        k = self._next % (2 * len(self._frames) - 2)
+        image = self._frames[min(k, 2 * len(self._frames) - 2 - k)]
         self._next += 1
         return Grab((image.shape[1], image.shape[0]), lambda: image)
 

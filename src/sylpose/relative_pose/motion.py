@@ -170,8 +170,8 @@ def estimate_motions(
     """
     check_integer(threads, "threads", minimum=1)
     match_sets = [
-        check_list(estimate_pair, Matches, f"pairs[{k}]", len(check_type(rig, Rig, "rig")))
-        for k, estimate_pair in enumerate(check_sequence(pairs, "pairs"))
+        check_list(pair, Matches, f"pairs[{k}]", len(check_type(rig, Rig, "rig")))
+        for k, pair in enumerate(check_sequence(pairs, "pairs"))
     ]
 
     def estimate_pair(matches: Sequence[Matches]) -> Motion:

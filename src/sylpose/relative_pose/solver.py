@@ -239,14 +239,14 @@ def _build_fit(
         return make_failed_fit(data, Status.MOSTLY_STATIC)
     elif rod_direction is None:
         # Unobservable or ambiguously assigned motions need no further checks.
-        check_alternatives = not (checks.has_soft_assignment or checks.is_mixed) and is_fully_observable(
+        needs_alternatives = not (checks.has_soft_assignment or checks.is_mixed) and is_fully_observable(
             information, without_depth, rotation, translation, radius
         )
         weakly_observed, cost = (
-            check_alternatives and checks.may_be_curved and has_weak_direction(stack, irls_fit, radius),
+            needs_alternatives and checks.may_be_curved and has_weak_direction(stack, irls_fit, radius),
             float(minima.costs.min()),
         )
-        if check_alternatives:
+        if needs_alternatives:
             refined_minima = _refine_from_alternatives(
                 stack, probabilities, irls_fit, cost, weakly_observed or checks.inliers < FEW_INLIERS
             )
