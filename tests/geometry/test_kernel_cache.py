@@ -32,7 +32,7 @@ NOWHERE = "from sylpose.geometry import cache_folders as c; c.is_writable = lamb
 FULL = (
     "import numba.core.caching as n; n.IndexDataCacheFile._open_for_write = lambda *_: open('/no/such/folder', 'wb'); "
 )
-COMPILING = "sylpose compiles for this computer, for up to two minutes"
+COMPILING = "sylpose compiles its kernels for up to two minutes"
 
 
 def run_process(
@@ -57,7 +57,7 @@ def run_process(
 def test_dependencies_are_part_of_the_key(tmp_path: Path) -> None:
     value, hits, (text,) = run_process(tmp_path)
     assert (value, hits) == ("7.0", "0")
-    assert text.startswith(f"{COMPILING} after an installation or an update; kept in ")
+    assert text.startswith(f"{COMPILING} after an installation or an update; cached in ")
     assert run_process(tmp_path) == ("7.0", "1", []), "a cached kernel is loaded without a message"
     assert run_process(tmp_path, 4.0)[:2] == ("9.0", "0"), "the called kernel has changed"
     assert run_process(tmp_path, 4.0, 2.0)[:2] == ("10.0", "0"), "a constant of another file has changed"
@@ -79,7 +79,7 @@ def test_read_only_cache_is_loaded(tmp_path: Path) -> None:
     # Missing kernels are stored in the user's cache and found there.
     value, hits, (text,) = run_process(tmp_path, 4.0, before=READ_ONLY)
     assert (value, hits) == ("9.0", "0")
-    assert text.endswith(f"kept in {tmp_path / 'caches' / 'sylpose'}")
+    assert text.endswith(f"cached in {tmp_path / 'caches' / 'sylpose'}")
     assert run_process(tmp_path, 4.0, before=READ_ONLY) == ("9.0", "1", [])
 
 

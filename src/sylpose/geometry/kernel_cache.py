@@ -205,13 +205,13 @@ def mark_announced() -> bool:
 def _log_compilation(kept_in: Path | None) -> None:
     if mark_announced():
         return
-    reason, location = "after an installation or an update", f"kept in {kept_in and display_folder(kept_in)}"
+    reason, location = "after an installation or an update", f"cached in {kept_in and display_folder(kept_in)}"
     if kept_in is None:
         reason, location = (
             "at every start",
             f"no folder is writable for its cache, {CACHE_DIR_VARIABLE}=FOLDER sets one",
         )
-    _log.warning("sylpose compiles for this computer, for up to two minutes %s; %s", reason, location)
+    _log.warning("sylpose compiles its kernels for up to two minutes %s; %s", reason, location)
 
 
 def _warn_not_cached(folder: Path, reason: str) -> None:
