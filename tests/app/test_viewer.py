@@ -7,8 +7,10 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -275,6 +277,25 @@ def test_slider_moves_object(browser: Any, server: tuple[Any, str], result: Path
             assert shown.page.locator("img[src=x]").count() == 0
             assert wrong_in(shown) == []
             assert all(address.startswith((url, "blob:")) for address in shown.requests)
+
+
+def test_view_moves_position_and_target_of_a_client(server: tuple[Any, str], result: Path) -> None:
+    """A camera's view looks from its center through the image; the view of all looks at the origin of the page."""
+    viser, _ = server
+    scenes, rig = read_scenes(result), calibration.load(result / "calibration.used.toml")
+    with ResultPlayer(viser, scenes, rig, None, "title") as player:
+        assert tuple(viser.initial_camera.look_at) == (0.0, 0.0, 0.0)
+        client = SimpleNamespace(camera=SimpleNamespace(), atomic=nullcontext)
+        player.page.set_view(client, None)
+        assert client.camera.look_at == (0.0, 0.0, 0.0)
+        player.page.set_view(client, 1)
+        camera, scene = rig.cameras[1], next(iter(scenes.values()))
+        np.testing.assert_allclose(
+            client.camera.position, (camera.center - scene.center) / scene.camera_distance, atol=1e-6
+        )
+        direction = np.subtract(client.camera.look_at, client.camera.position)
+        # The image's middle is near the optical axis.
+        assert direction @ camera.direction > 0.95 * np.linalg.norm(direction)
 
 
 def test_playback_to_the_end(server: tuple[Any, str], result: Path) -> None:

@@ -69,7 +69,7 @@ def _check_output(state: OutputState) -> None:
         raise ValueError("negative file sizes")
 
 
-_CAMERA_PART_FIELDS = {
+_CAMERA_TRACKER_FIELDS = {
     "index": int,
     "camera": Camera,
     "frames": dict[int, CameraFrame],
@@ -81,7 +81,7 @@ _CAMERA_PART_FIELDS = {
     "view": View,
     "motion_detector": CameraMotionDetector,
 }
-_WATCH_FIELDS = {
+_MOTION_DETECTOR_FIELDS = {
     "camera": Camera,
     "background": StaticBackground | None,
     "is_static": BoolArray,
@@ -114,11 +114,11 @@ _RECORD_TYPES = (
     SerializableType(Frame, {"time_offsets": ("c",)}),
     SerializableType(FrameSet),
     SerializableType(CameraFrame, {"background": ("n",), "landmark_ids": ("m",)}),
-    SerializableType(CameraTracker, fields=_CAMERA_PART_FIELDS, sets_attributes=True),
+    SerializableType(CameraTracker, fields=_CAMERA_TRACKER_FIELDS, sets_attributes=True),
     SerializableType(CameraAnchor, {"is_alive": ("n",)}),
     SerializableType(NextAnchor, {"rows": ("n",)}),
     SerializableType(TrackedFeatures, {"rows": ("m",), "previous_pixels": ("m", 2)}),
-    SerializableType(CameraMotionDetector, {"is_static": ("n",)}, _WATCH_FIELDS, sets_attributes=True),
+    SerializableType(CameraMotionDetector, {"is_static": ("n",)}, _MOTION_DETECTOR_FIELDS, sets_attributes=True),
     SerializableType(StaticBackground, {"small_image": ("h", "w"), "pixels": ("n", 2), "patches": ("n", "s")}),
     SerializableType(CameraRotation, {"rotation": (3, 3)}),
     SerializableType(RotationRectifier, {"rotation": (3, 3)}, {"camera": Camera, "rotation": FloatArray}),

@@ -151,7 +151,7 @@ def select_solved_frames(trajectory: Trajectory) -> list[FramePose]:
 def _summarize(trajectory: Trajectory) -> list[tuple[str, str]]:
     found = int(trajectory.measured_mask.sum())
     n_relocalized = sum(f.status is FrameStatus.RELOCALIZED for f in trajectory)
-    text = f"{found} of {len(trajectory)} frames" + (f" ({n_relocalized} relocalised)" if n_relocalized else "")
+    text = f"{found} of {len(trajectory)} frames" + (f" ({n_relocalized} relocalized)" if n_relocalized else "")
     rest = Counter(f.status for f in trajectory if not f.is_measured)
     label = "Found" if any(f.status is FrameStatus.LOCALIZED for f in trajectory) else "Tracked"
     facts = [(label, ", ".join([text, *(f"{status.value} {n}" for status, n in rest.most_common())]))]

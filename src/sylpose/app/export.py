@@ -73,7 +73,7 @@ def export_trajectory(
     Args:
         trajectory: the trajectory to write.
         out: the file, or the folder of a ROS bag.
-        to: one of `FORMATS`; None: derived from the file's name.
+        to: one of `EXPORT_FORMATS`; None: derived from the file's name.
         name: name of the object, for formats that contain one.
         start, stop: first frame, and first frame that is omitted; None for no limit.
         z_up: the world's z axis is known to point up, as in a user-defined world.

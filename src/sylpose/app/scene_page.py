@@ -100,7 +100,7 @@ class ScenePage:
         self._api.configure_default_lights(cast_shadow=False)
         self._api.configure_environment_map(hdri=None)
         server.initial_camera.fov = FOV
-        server.initial_camera.check_rig_geometry = (0.0, 0.0, 0.0)
+        server.initial_camera.look_at = (0.0, 0.0, 0.0)
         server.initial_camera.position = tuple(self._choose_viewpoint())
         self._floor = self._api.add_grid(
             "/floor",
@@ -324,7 +324,7 @@ class ScenePage:
             self._view_camera = camera
             self.refresh()
         start = self.server.initial_camera
-        up, eye, target, fov = self._scene.axes[2], start.position, start.check_rig_geometry, start.fov
+        up, eye, target, fov = self._scene.axes[2], start.position, start.look_at, start.fov
         if camera is not None:
             pose, straight = self._scene.world_from_camera[camera], self._rectified[camera]
             middle = np.append(0.5 * (straight.low + straight.high), 1.0)
@@ -337,7 +337,7 @@ class ScenePage:
             eye = target + CLOSEUP_DISTANCE * nodes.size * eye / np.linalg.norm(eye)
         with client.atomic():
             client.camera.up_direction = tuple(up)
-            client.camera.position, client.camera.check_rig_geometry, client.camera.fov = tuple(eye), tuple(target), fov
+            client.camera.position, client.camera.look_at, client.camera.fov = tuple(eye), tuple(target), fov
 
     def _depth_behind_objects(self, c: int) -> float:
         """Return a depth behind all objects in a camera's view."""

@@ -153,10 +153,8 @@ def sync_session(
     single_object = session.select_object(session.objects[0])
     offsets, sd, converged, frames = whole_frames, np.full(n, np.inf), False, 0
     before = after = np.full(n, np.nan)
-    tracked_frames, tracking_offsets = (
-        list[Track](),
-        offsets,
-    )  # `then`: offsets used for tracking; frames without a pose have no delays
+    # Tracked frames, and the offsets with which they were tracked; frames without a pose have no delays.
+    tracked_frames, tracking_offsets = list[Track](), offsets
     for k in range(MAX_ROUNDS):
         if k == 0 or (np.abs(offsets - tracking_offsets) * rate > RETRACK_FRAMES).any():
             shifted, tracking_offsets = apply_offsets(single_object, offsets), offsets

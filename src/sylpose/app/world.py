@@ -115,7 +115,7 @@ def resolve_world(rig: Rig, spec: WorldSpec, read_images: ImageReader | None = N
         if spec.images is not None:
             read_images = partial(_read_board_images, spec.images, rig, spec.frame or 0)
         elif read_images is None:
-            raise ValueError(f"--world {_shorten(text)}: --world-from FOLDER, with images of the board, is missing")
+            raise ValueError(f"--world {_shorten(text)}: --world-from DIR, with images of the board, is missing")
         frame = f"frame {spec.frame or 0}" + (f" of {spec.images}" if spec.images is not None else "")
         return _make_board_world(rig, board, find_board(rig, read_images(), board), frame)
     if spec.frame is not None or spec.images is not None:

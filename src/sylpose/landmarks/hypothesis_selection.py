@@ -52,7 +52,7 @@ def select_hypothesis(
     differences = [
         _pose_difference(hypotheses[best], hypotheses[k].rotation, hypotheses[k].translation) for k in equivalent
     ]
-    difference = max(differences, key=lambda off: _squared_distance(off, scale), default=np.zeros(6))
+    difference = max(differences, key=lambda difference: _squared_distance(difference, scale), default=np.zeros(6))
     return best, difference if _squared_distance(difference, scale) > SAME_POSE_DISTANCE else np.zeros(6)
 
 

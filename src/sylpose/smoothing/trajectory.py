@@ -124,8 +124,8 @@ def smooth(
         rig: the tracker's.
         offsets_sd: seconds; if given, the cameras' time offsets are estimated as well, with this prior standard
             deviation.
-        calibration_prior: prior of calibration errors (`default_calibration_prior`), as in `bundle`.
-        recalibrate: whether to estimate them, as in `bundle`.
+        calibration_prior: prior of calibration errors (`default_calibration_prior`), as in `bundle_adjust`.
+        recalibrate: whether to estimate them, as in `bundle_adjust`.
         moved_cameras: cameras that were moved, and from which frame on, in addition to camera motions detected by the
             tracker; their new poses are estimated if a calibration prior is given.
         on_iteration: called with the number of each iteration of the refinement as it begins.
@@ -134,8 +134,7 @@ def smooth(
         the refined trajectory.
 
     Raises:
-        ValueError, TypeError: naming the argument; `recalibrate` or `moved_cameras` cameras without a calibration
-            prior.
+        ValueError, TypeError: naming the argument; `recalibrate` or `moved_cameras` without a calibration prior.
     """
     n = len(check_type(rig, Rig, "rig"))
     frames, moved_cameras = check_list(frames, Track, "frames"), check_list(moved_cameras, MovedCamera, "moved_cameras")
@@ -157,7 +156,7 @@ def smooth(
     if on_iteration is not None and not callable(on_iteration):
         raise TypeError(f"on_iteration must be a function, got {format_value(on_iteration)}")
     if moved_cameras and calibration_prior is None:
-        raise ValueError("moved_cameras: require a calibration_prior")
+        raise ValueError("moved_cameras: requires a calibration_prior")
     zeros = np.zeros(len(rig))
     # A frame without observations (before the object was seen to move) would only bend the path between its neighbors.
     used = [

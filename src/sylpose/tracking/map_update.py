@@ -139,9 +139,8 @@ def accept_frame(
     )
     # Landmarks of a rejected camera would agree with its own images, and it would be accepted again.
     variance_inflation = _compute_inflation(candidate)
-    has_matches = (
-        np.array([a.n_known_moved for a in candidate.agreements]) >= MIN_MATCHES
-    )  # otherwise it may see another object
+    # Other cameras may see another object.
+    has_matches = np.array([a.n_known_moved for a in candidate.agreements]) >= MIN_MATCHES
     # Nor are landmarks updated while all may still be background: they would follow a slowly moving object halfway.
     has_moved = state.is_motion_verified(candidate.agreements)
     is_muted = find_muted_cameras(variance_inflation, has_matches) | (not has_moved)

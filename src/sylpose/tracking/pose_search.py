@@ -340,7 +340,7 @@ def solve_pose(
 def _is_noise(
     context: TrackerContext, state: JointState, pose: RigidTransform, agreements: Sequence[PoseAgreement]
 ) -> bool:
-    """Return whether in every camera the residuals at a pose (world_from_object) are no better than noise."""
+    """Return whether in no camera the matches fit a pose (world_from_object) better than any other pose."""
     limit = [
         max(MAX_NOISE_RATIO * context.object_radius_px(state, c, pose), MAX_NOISE_PX) for c in range(len(context.rig))
     ]

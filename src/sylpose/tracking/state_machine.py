@@ -212,9 +212,8 @@ def is_matched_with_first(state: JointState, number: int) -> bool:
     Only matches with the first frame determine depth, and until depth is known a pose is uncertain.
     """
     age = number - state.keyframes[0].number
-    needs_confirmation = (
-        state.first_motion is not None
-    )  # a motion detected by two cameras needs confirmation by the next frame
+    # A motion that two cameras detect needs confirmation by the next frame.
+    needs_confirmation = state.first_motion is not None
     return state.object.is_depth_guessed and (
         age <= N_FIRST_MATCHED or age % FIRST_MATCH_INTERVAL == 0 or needs_confirmation
     )
