@@ -97,15 +97,15 @@ lint: $(VENV)/.installed-dev
 bench: $(VENV)/.installed-bench
 	$(BIN)/python benchmarks/two_frames.py --compare benchmarks/two_frames_baseline.json
 
-# About an hour, most of it rendering, the peers and the two long ones; parts of it: `benchmarks/tracking.py --help`.
 # docs/benchmarks.md, from the results that `bench-record` stored.
 bench-page: $(VENV)/.installed-dev
 	$(BIN)/python benchmarks/page.py
 
-# Runs every benchmark of the page: hours.
+# Runs every benchmark of the page: two hours or more.
 bench-record: $(VENV)/.installed-bench
 	$(BIN)/python benchmarks/record.py
 
+# About an hour, most of it rendering, the peers and the two long ones; parts of it: `benchmarks/tracking.py --help`.
 bench-tracking: $(VENV)/.installed-bench
 	$(BIN)/python benchmarks/tracking.py --compare benchmarks/tracking_baseline.json
 

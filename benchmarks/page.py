@@ -23,19 +23,19 @@ def render(folder: Path = RESULTS) -> str:
     for benchmark in benchmarks:
         path = folder / f"{benchmark.name}.json"
         if path.exists():
-            sections.append(_section(benchmark, load_record(path)))
+            sections.append(_format_section(benchmark, load_record(path)))
     return "\n".join(sections)
 
 
-def _section(benchmark: Benchmark, made: Record) -> str:
-    origin = f"{made.date}, sylpose {made.version} at {made.commit}, Python {made.python}, {made.machine}."
-    parts = [f"## {benchmark.title}\n", benchmark.about + "\n", f"    {made.command}\n", origin + "\n"]
-    parts += [_table(table) for table in made.tables]
-    parts += [f"- {line.removeprefix('- ')}" for line in made.remarks]
+def _format_section(benchmark: Benchmark, result: Record) -> str:
+    origin = f"{result.date}, sylpose {result.version} at {result.commit}, Python {result.python}, {result.machine}."
+    parts = [f"## {benchmark.title}\n", benchmark.about + "\n", f"    {result.command}\n", origin + "\n"]
+    parts += [_format_table(table) for table in result.tables]
+    parts += [f"- {line.removeprefix('- ')}" for line in result.remarks]
     return "\n".join(parts) + "\n"
 
 
-def _table(table: Table) -> str:
+def _format_table(table: Table) -> str:
     lines = [f"### {table.title}\n"] if table.title else []
     lines.append("| " + " | ".join(table.header) + " |")
     lines.append("|---" * len(table.header) + "|")

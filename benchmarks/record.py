@@ -1,6 +1,6 @@
 """Run benchmarks and store their tables for docs/benchmarks.md.
 
-    python benchmarks/record.py [NAME ...]      # all of them without a name: an hour or more
+    python benchmarks/record.py [NAME ...]      # all of them without a name: two hours or more
     python benchmarks/page.py                   # then write the page
 
 Each benchmark prints its figures as Markdown tables. Its output goes to benchmarks/results/NAME.json, together with the
@@ -24,6 +24,7 @@ from typing import NamedTuple
 import msgspec
 
 import sylpose
+from sylpose.app.system_resources import available_cores
 
 __all__ = ["RESULTS", "ROOT", "Benchmark", "Record", "Table", "load_page", "load_record", "parse_output", "record"]
 
@@ -88,10 +89,10 @@ def parse_output(text: str) -> tuple[list[Table], list[str]]:
     while k < len(lines):
         line = lines[k].strip()
         if line.startswith("|") and k + 1 < len(lines) and re.fullmatch(r"\|[-:| ]+", lines[k + 1].strip()):
-            header, k = _cells(line), k + 2
+            header, k = _split_cells(line), k + 2
             rows = []
             while k < len(lines) and lines[k].strip().startswith("|"):
-                rows.append(_cells(lines[k]))
+                rows.append(_split_cells(lines[k]))
                 k += 1
             tables.append(Table(title, header, rows))
             title = ""
@@ -104,7 +105,7 @@ def parse_output(text: str) -> tuple[list[Table], list[str]]:
     return tables, remarks
 
 
-def _cells(line: str) -> list[str]:
+def _split_cells(line: str) -> list[str]:
     return [cell.strip() for cell in line.strip().removeprefix("|").removesuffix("|").split("|")]
 
 
@@ -112,22 +113,25 @@ def record(benchmark: Benchmark) -> Record:
     """Run a benchmark and return what it printed.
 
     Raises:
-        RuntimeError: it printed no table, or one without rows.
+        RuntimeError: it failed, or printed no table or one without rows.
     """
     script, *options = shlex.split(benchmark.command)
     environment = os.environ | {"COLUMNS": "400", "PYTHONPATH": f"{ROOT / 'src'}{os.pathsep}{ROOT}"}
-    done = subprocess.run(
-        [sys.executable, script, *options], cwd=ROOT, env=environment, stdout=subprocess.PIPE, text=True, check=False
+    process = subprocess.run(
+        [sys.executable, script, *options], cwd=ROOT, env=environment, capture_output=True, text=True, check=False
     )
-    tables, remarks = parse_output(done.stdout)
+    # Exit code 1 may mean a missed target: the tables are complete then.
+    if "Traceback (most recent call last)" in process.stderr:
+        raise RuntimeError(f"{benchmark.command} failed: {process.stderr.strip().splitlines()[-1]}")
+    tables, remarks = parse_output(process.stdout)
     if not tables or not all(table.rows for table in tables):
-        raise RuntimeError(f"{benchmark.command} printed no table with rows (exit code {done.returncode})")
+        raise RuntimeError(f"{benchmark.command} printed no table with rows (exit code {process.returncode})")
     return Record(
         benchmark.name,
         f"python {benchmark.command}",
         datetime.date.today().isoformat(),
-        _machine(),
-        _commit(),
+        _describe_machine(),
+        _find_commit(),
         sylpose.__version__,
         platform.python_version(),
         tables,
@@ -135,18 +139,17 @@ def record(benchmark: Benchmark) -> Record:
     )
 
 
-def _machine() -> str:
-    """The processor and the number of its cores that this process may use."""
+def _describe_machine() -> str:
+    """Return the processor and the number of its cores that this process may use."""
     model = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.exists() and (found := re.search(r"(?m)^model name\s*:\s*(.*)$", info.read_text())):
         model = found[1]
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return f"{cores} cores of {model}"
+    return f"{available_cores()} cores of {model}"
 
 
-def _commit() -> str:
-    """The abbreviated commit, with a plus sign if tracked files differ from it."""
+def _find_commit() -> str:
+    """Return the abbreviated commit, with a plus sign if tracked files differ from it."""
 
     def git(*arguments: str) -> str:
         done = subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=False)
@@ -167,11 +170,11 @@ def load_record(path: Path) -> Record:
         raise ValueError(f"{path}: not a file of results ({error})") from None
 
 
-def save_record(made: Record) -> Path:
+def save_record(result: Record) -> Path:
     """Write a record to its file in benchmarks/results, indented, so that changes are readable."""
     RESULTS.mkdir(exist_ok=True)
-    path = RESULTS / f"{made.name}.json"
-    path.write_bytes(msgspec.json.format(msgspec.json.encode(made), indent=1) + b"\n")
+    path = RESULTS / f"{result.name}.json"
+    path.write_bytes(msgspec.json.format(msgspec.json.encode(result), indent=1) + b"\n")
     return path
 
 
@@ -179,8 +182,10 @@ def main() -> int:
     _, benchmarks = load_page()
     names = [benchmark.name for benchmark in benchmarks]
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("names", nargs="*", choices=[*names, []], metavar="NAME", help=", ".join(names))
+    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(names))
     options = parser.parse_args()
+    if unknown := set(options.names) - set(names):
+        parser.error(f"no benchmark {', '.join(sorted(unknown))}; there are: {', '.join(names)}")
     failed = 0
     for benchmark in benchmarks:
         if options.names and benchmark.name not in options.names:

@@ -232,15 +232,8 @@ def format_verdict(result: RowResult) -> str:
 def make_table(results: Results, markdown: bool) -> Table:
     """Return the table of all rows."""
     solvers = [s for s in ("poselib", "pycolmap") if any(s in r.peers for r in results.rows)]
-    out = Table(box=box.MARKDOWN if markdown else box.SIMPLE)
-    out.add_column("row", no_wrap=True)
-    for solver in ("sylpose", *solvers):
-        for what in (f"{solver} deg", "mm", "ms"):
-            out.add_column(what, justify="right", no_wrap=True)
-    out.add_column("bound deg", justify="right", no_wrap=True)
-    out.add_column("mm", justify="right", no_wrap=True)
-    out.add_column("sylpose / bound", justify="right", no_wrap=True)
-    out.add_column("verdict", no_wrap=True)
+    of_solvers = [name for solver in ("sylpose", *solvers) for name in (f"{solver} deg", "mm", "ms")]
+    out = _new_table(("row", *of_solvers, "bound deg", "mm", "sylpose / bound", "verdict"), markdown)
     for r in results.rows:
         cells = [r.name, *_own_cells(r)]
         for solver in solvers:
@@ -261,7 +254,7 @@ def _own_cells(row: RowResult) -> list[str]:
 
 
 def _format_cells(row: RowResult, tried: Sequence[SolverResult]) -> list[str]:
-    """Format errors and time: the best options per figure, and those of `select_fastest_as_good`."""
+    """Format errors and time: the best options per figure, and those of `select_fastest`."""
     if not tried:
         return ["", "", ""]
     cells = []
@@ -273,7 +266,7 @@ def _format_cells(row: RowResult, tried: Sequence[SolverResult]) -> list[str]:
 
 
 def find_misses(results: Results, by_chance: bool) -> list[str]:
-    """Return a line for each row that misses its target (issue 4, items 2, 3 and 6), the largest miss first.
+    """Return a line for each row that misses its accuracy target, the largest miss first.
 
     Args:
         results: results of a run.
@@ -404,7 +397,7 @@ class Setting(NamedTuple):
         time: its time over ours, median of the rows.
         errors: its median errors over ours on the same scenes, median of the rows: rotation, center.
         tails: the same of the 90th percentiles.
-        rows, as_accurate: number of rows, and of those in which it is as accurate as sylpose within 5 %.
+        rows, as_accurate: number of rows, and of those in which it is as accurate (`is_as_accurate`).
     """
 
     problem: str

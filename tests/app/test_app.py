@@ -58,7 +58,7 @@ def test_summary_counts_measured_frames(recording: Path, tmp_path: Path, capsys:
     frames[5] = replace(frames[5], status=FrameStatus.RELOCALIZED)
     changed = Run({"object": Trajectory(frames, run.trajectory.camera_names)}, run.files, (), run.seconds)
     console_output.print_summary(console_output.make_console(), changed, 6)
-    assert "4 of 6 frames (1 relocalised), coasting 1, lost 1" in capsys.readouterr().out
+    assert "4 of 6 frames (1 relocalized), coasting 1, lost 1" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("straight", [0, 3])

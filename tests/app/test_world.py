@@ -350,5 +350,5 @@ def test_invalid_board_images(recording: Path, tmp_path: Path) -> None:
         cv2.imwrite(str(tmp_path / f"{name}.png"), np.zeros((48, 64), np.uint8))
         with pytest.raises(ValueError, match=message):
             resolve_world(rig, WorldSpec(TAG, images=tmp_path))
-    with pytest.raises(ValueError, match="--world-from FOLDER, with images of the board, is missing"):
+    with pytest.raises(ValueError, match="--world-from DIR, with images of the board, is missing"):
         resolve_world(rig, WorldSpec(TAG))

@@ -80,3 +80,10 @@ def test_benchmark_without_rows_is_not_recorded(tmp_path: Path) -> None:
     script.write_text("print('| a |'); print('|---|'); raise SystemExit(3)")
     with pytest.raises(RuntimeError, match=r"printed no table with rows \(exit code 3\)"):
         record(Benchmark("broken", "Broken", str(script), ""))
+
+
+def test_benchmark_that_fails_between_rows_is_not_recorded(tmp_path: Path) -> None:
+    script = tmp_path / "broken.py"
+    script.write_text("print('| a |'); print('|---|'); print('| 1 |', flush=True); raise ValueError('no recording')")
+    with pytest.raises(RuntimeError, match=r"failed: ValueError: no recording"):
+        record(Benchmark("broken", "Broken", str(script), ""))

@@ -330,5 +330,5 @@ def _check_boxes(session: Session | LiveSession, location: ObjectLocation, start
     first = session.timeline.frames[min(start, session.n_frames - 1)]
     without_image = [name for name, frame in zip(session.rig.names, first, strict=True) if name in boxes and frame < 0]
     if without_image:
-        found.append(f"{', '.join(without_image)}: has a box for the first frame but no image in it.")
+        found.append(f"{', '.join(without_image)}: no image in the first frame, for which there is a box.")
     return found

@@ -287,7 +287,7 @@ WorldFrame = Annotated[
         "--world-frame",
         metavar="N",
         min=0,
-        help="Detect the world board in this frame; default: the first frame.",
+        help="Detect the world board in this frame of the recording or of --world-from; default: the first frame.",
         rich_help_panel=OUTPUT,
     ),
 ]
@@ -296,7 +296,7 @@ WorldFrom = Annotated[
     typer.Option(
         "--world-from",
         metavar="DIR",
-        help="Detect the world board in these images or videos instead of SESSION.",
+        help="Detect the world board in these images or videos instead of the session's.",
         rich_help_panel=OUTPUT,
     ),
 ]

@@ -110,7 +110,7 @@ class TrackerBase:
     Args:
         camera_trackers: per camera, local: its tracker.
         executor: executes functions for all cameras.
-        rig, boxes, method, features, offsets, seed, known: see `track`.
+        rig, boxes, method, features, offsets, seed, known_object: see `track`.
 
     Raises:
         ValueError: as `track`.
