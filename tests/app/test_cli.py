@@ -550,7 +550,7 @@ def test_check_prints_a_summary(run: Command, recording: Path, tmp_path: Path) -
     assert "Ready to track" in result.out
     assert "Target: the object in the boxes of cam_0" in result.out
     assert cv2.imread(str(tmp_path / "rig.png")) is not None
-    assert cv2.imread(str(tmp_path / "follows.png")) is not None
+    assert cv2.imread(str(tmp_path / "target.png")) is not None
 
 
 def without_boxes(recording: Path) -> Session:

@@ -8,7 +8,11 @@ from scipy.spatial.transform import Rotation
 
 import sylpose.bundle_adjustment.problem as problem_module
 from sylpose.bundle_adjustment.bundle import bundle_adjust
-from sylpose.bundle_adjustment.pose_derivatives import differentiate_quadratic, differentiate_quartic, velocity_variance
+from sylpose.bundle_adjustment.pose_derivatives import (
+    compute_velocity_variance,
+    differentiate_quadratic,
+    differentiate_quartic,
+)
 from sylpose.geometry.arrays import FloatArray
 from tests.bundle_adjustment.test_bundle import RADIUS, RIG, disturb_poses, path, tracks
 
@@ -66,7 +70,7 @@ def test_velocity_variance() -> None:
     times = np.arange(12) / 30.0
     alone = np.eye(12)[:, :, None] * np.ones(3)
     slopes = np.array([differentiate_quartic(about(np.zeros(12)), places, times)[:, 0, 3] for places in alone])
-    np.testing.assert_allclose(velocity_variance(times), (slopes**2).sum(axis=0), rtol=1e-9)
+    np.testing.assert_allclose(compute_velocity_variance(times), (slopes**2).sum(axis=0), rtol=1e-9)
 
 
 def test_time_offsets_are_not_overestimated(monkeypatch: pytest.MonkeyPatch) -> None:

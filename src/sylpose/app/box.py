@@ -172,22 +172,22 @@ def run_box_command(
     if images is None or all(image is None for image in images.images):
         raise ValueError(f"{session.path}: no camera has an image in frame {start} to draw boxes in")
     file = session.path / "boxes.toml" if out is None else out
-    drawing = BoxEditor(session, start, images.images, file, shlex.join(command))
+    editor = BoxEditor(session, start, images.images, file, shlex.join(command))
     try:
-        with drawing.build_page(port) as page:
+        with editor.build_page(port) as page:
             opened = browser and open_browser(page.url)
             console.print(f"{'Opened' if opened else 'Open'} {page.url} in a browser", soft_wrap=True)
             console.print("Save on that page writes the boxes and ends this command; Ctrl-C changes nothing.")
-            while not drawing.ended.wait(POLL_INTERVAL):  # on Windows, Ctrl-C does not interrupt a wait without timeout
+            while not editor.ended.wait(POLL_INTERVAL):  # on Windows, Ctrl-C does not interrupt a wait without timeout
                 pass
     except KeyboardInterrupt:
         raise KeyboardInterrupt("interrupted; no boxes were written") from None
-    boxes = drawing.saved
+    boxes = editor.saved
     console_output.print_warnings(console, check_session(replace(session, objects=tuple(boxes), _boxes=boxes), start))
     cameras = ", ".join(dict.fromkeys(camera for by_camera in boxes.values() for camera in by_camera))
     label = "Boxes" if len(boxes) == 1 else f"Boxes of {', '.join(boxes)}"
     console.print(f"{label} in {cameras}: {file}", soft_wrap=True)
-    console.print(f"Next: {drawing.next_command}", soft_wrap=True)
+    console.print(f"Next: {editor.next_command}", soft_wrap=True)
     return file
 
 

@@ -68,7 +68,7 @@ class ObjectLocation:
 def run_check_command(session: Session, out: Path | None) -> None:
     """Validate a session and print its rig, facts and warnings.
 
-    Draws the rig into `rig.png` and the tracking target into `follows.png`. With a user-defined world, also
+    Draws the rig into `rig.png` and the tracking target into `target.png`. With a user-defined world, also
     writes `world.png` and the world's file.
 
     Args:
@@ -99,7 +99,7 @@ def run_check_command(session: Session, out: Path | None) -> None:
     target = None if errors else find_tracking_target(session)
     pictures = [picture]
     if target is not None and target.frames is not None:
-        pictures.append(picture.with_name("follows.png"))
+        pictures.append(picture.with_name("target.png"))
         draw_regions(pictures[-1], target.frames.images, session.rig.names, target.outlines)
     if session.world is not None:
         pictures.append(picture.with_name("world.png"))

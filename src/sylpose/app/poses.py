@@ -132,7 +132,7 @@ def run_pose_command(
             )
         frames = _detect_in_recording(session, layout, start, stop, every, album)
         options |= {"start": start, "stop": stop, "every": every, "offsets": dict(offsets) or None}
-        write_metadata = partial(write_run_metadata, out, session, options, warnings)
+        metadata_writer = partial(write_run_metadata, out, session, options, warnings)
     else:
         if without:
             raise ValueError("--exclude-camera: only for recordings; with tables, omit those of the camera")
@@ -146,14 +146,14 @@ def run_pose_command(
         tables = [*inputs, *map(Path, (parse_video_option(cameras) or {}).values())]
         frames = _read_tables(known, inputs, rig, cameras, rate, likelihood, warnings)
         options |= {"rate": rate, "likelihood": likelihood}
-        write_metadata = partial(write_table_run_metadata, out, tables, calibration_file, rig, options, warnings)
+        metadata_writer = partial(write_table_run_metadata, out, tables, calibration_file, rig, options, warnings)
     console_output.print_warnings(console, warnings)
     poses, results = list[FramePose](), ResultsFolder(out)
     with ExitStack() as stack:
         stack.enter_context(lock_folder(out))
         results.move_earlier_results()
         stack.push(lambda error, *_: results.restore_earlier_results() if error is not None and not poses else None)
-        files = write_metadata()
+        files = metadata_writer()
         with console.status("Solving poses ..."), TrajectoryWriter(out, rig.names, rig.unit) as writer:
             for frame in frames:
                 found = estimate_pose(rig, frame.points, frame.pixels, max_error_px=max_error_px, seed=seed)

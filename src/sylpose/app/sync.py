@@ -279,11 +279,13 @@ def write_offsets(offsets: TimeOffsets, path: Path) -> None:
         OSError: the file cannot be written; the message names it.
     """
     lines = ["# Delay of each camera's images relative to their timestamps, seconds, estimated by `sylpose sync`."]
-    for name, offset, sd, known in zip(offsets.cameras, offsets.offsets, offsets.sd, offsets.precision, strict=True):
+    for name, offset, sd, precision in zip(
+        offsets.cameras, offsets.offsets, offsets.sd, offsets.precision, strict=True
+    ):
         key = format_toml_key(name)
         precision_text = f"+- {sd:.6f} (1 sd)" if np.isfinite(sd) else "not observable from the motion"
         lines.append(
-            f"{key} = {offset:.6f}  # {known.value}: {precision_text}"
+            f"{key} = {offset:.6f}  # {precision.value}: {precision_text}"
             if np.isfinite(sd)
             else f"{key} = 0.0  # {precision_text}"
         )
@@ -330,12 +332,12 @@ def run_sync_command(
     )
     console.print()
     warnings = [*synced.problems]
-    for known in (OffsetPrecision.COARSE, OffsetPrecision.UNOBSERVABLE):
-        names = [name for name, k in zip(synced.cameras, synced.precision, strict=True) if k is known]
+    for precision in (OffsetPrecision.COARSE, OffsetPrecision.UNOBSERVABLE):
+        names = [name for name, k in zip(synced.cameras, synced.precision, strict=True) if k is precision]
         if names:
-            warnings.append(f"{', '.join(names)}: {known.text[0].lower()}{known.text[1:]}")
+            warnings.append(f"{', '.join(names)}: {precision.text[0].lower()}{precision.text[1:]}")
     console_output.print_warnings(console, warnings)
-    if any(known is not OffsetPrecision.UNOBSERVABLE for known in synced.precision):
+    if any(precision is not OffsetPrecision.UNOBSERVABLE for precision in synced.precision):
         write_offsets(synced, path)
         console_output.print_files(console, "Offsets", [path])
     return synced
@@ -360,10 +362,10 @@ def _check_arguments(session: Session, out: Path | None, seed: int) -> None:
 
 def _table_rows(synced: TimeOffsets) -> list[list[str]]:
     rows = []
-    for c, (name, known) in enumerate(zip(synced.cameras, synced.precision, strict=True)):
+    for c, (name, precision) in enumerate(zip(synced.cameras, synced.precision, strict=True)):
         delay, sd = 1e3 * synced.offsets[c], 1e3 * synced.sd[c]
-        digits = 2 if known is OffsetPrecision.FINE else 0
-        is_known = known is not OffsetPrecision.UNOBSERVABLE
+        digits = 2 if precision is OffsetPrecision.FINE else 0
+        is_known = precision is not OffsetPrecision.UNOBSERVABLE
         residual = f"{synced.before[c]:.2f} to {synced.after[c]:.2f} px" if np.isfinite(synced.before[c]) else "-"
         rows.append(
             [
@@ -372,7 +374,7 @@ def _table_rows(synced: TimeOffsets) -> list[list[str]]:
                 f"{sd:.{digits}f} ms" if is_known else "-",
                 f"{synced.offsets[c] * synced.rate:.{digits}f}" if is_known else "-",
                 residual,
-                known.value,
+                precision.value,
             ]
         )
     return rows

@@ -28,7 +28,7 @@ from sylpose.bundle_adjustment.calibration_refinement import (
     rescale_calibration_prior,
 )
 from sylpose.bundle_adjustment.camera_parameters import compute_depth_basis, default_depth_prior, make_camera_parameters
-from sylpose.bundle_adjustment.covisibility import covisibility_pattern, find_connected_frames
+from sylpose.bundle_adjustment.covisibility import build_covisibility_pattern, find_connected_frames
 from sylpose.bundle_adjustment.kernels import TIME_OFFSET, SortedObservations
 from sylpose.bundle_adjustment.optimizer import minimize, refine_with_calibration
 from sylpose.bundle_adjustment.problem import Fit, Problem, State
@@ -213,7 +213,7 @@ def bundle_adjust(
     problem = Problem(
         observations=sorted_observations,
         repeat_mask=np.repeat(repeated, np.diff(sorted_observations.start)).astype(float),
-        pattern=covisibility_pattern(sorted_observations, repeated),
+        pattern=build_covisibility_pattern(sorted_observations, repeated),
         start_rotations=rotations,
         start_translations=translations,
         prior=pose_information + np.diag(weak_information),

@@ -28,12 +28,12 @@ __all__ = [
     "add_calibration_errors",
     "add_calibration_parameters",
     "add_moved_cameras",
+    "compute_mean_camera_distance",
     "correct_rig",
     "default_calibration_prior",
     "free_calibration",
     "linearize_lenses",
     "make_correction",
-    "mean_camera_distance",
 ]
 
 
@@ -109,7 +109,7 @@ class CalibrationCorrection:
     prior_sd: FloatArray
 
 
-def mean_camera_distance(rig: Iterable[Camera]) -> float:
+def compute_mean_camera_distance(rig: Iterable[Camera]) -> float:
     """Return the cameras' mean distance from their centroid; 1 for a single one."""
     centers = np.array([camera.center for camera in rig])
     return float(np.linalg.norm(centers - centers.mean(axis=0), axis=1).mean()) or 1.0
@@ -117,7 +117,7 @@ def mean_camera_distance(rig: Iterable[Camera]) -> float:
 
 def default_calibration_prior(rig: Rig) -> CalibrationPrior:
     """Return the typical errors of calibrations; smaller for lenses with a small reported reprojection error."""
-    size = mean_camera_distance(rig)
+    size = compute_mean_camera_distance(rig)
     scales = np.array(
         [1.0 if c.error_px is None else np.clip(c.error_px / TYPICAL_ERROR_PX, MIN_ERROR_RATIO, 1.0) for c in rig]
     )
@@ -133,7 +133,11 @@ def default_calibration_prior(rig: Rig) -> CalibrationPrior:
 
 def add_moved_cameras(rig: Rig, prior: CalibrationPrior, moved: Sequence[MovedCamera]) -> tuple[Rig, CalibrationPrior]:
     """Add a camera for each change of pose, in order of time: a copy with an uncertain pose."""
-    translation_sd, current, predecessors = MOVED_TRANSLATION_RATIO * mean_camera_distance(rig), np.arange(len(rig)), []
+    translation_sd, current, predecessors = (
+        MOVED_TRANSLATION_RATIO * compute_mean_camera_distance(rig),
+        np.arange(len(rig)),
+        [],
+    )
     for i, m in enumerate(moved):
         predecessors.append(current[m.camera])
         current[m.camera] = len(rig) + i
@@ -187,7 +191,7 @@ def _common_motion_projector(rig: Sequence[Camera], prior: CalibrationPrior, ind
     """
     centers, common = np.array([c.center for c in rig]), np.zeros((6 * len(rig), 6))
     centroid = centers.mean(axis=0)
-    size = mean_camera_distance(rig)
+    size = compute_mean_camera_distance(rig)
     for c, camera in enumerate(rig):
         rotation_sd, translation_sd = prior.rotation_sd[indices[c]], prior.translation_sd[indices[c]]
         # The world rotated by w: X' = X + w x (X - middle), so Q' = Q exp(-w) = exp(-Q w) Q.

@@ -9,10 +9,10 @@ from scipy.sparse.csgraph import connected_components
 from sylpose.bundle_adjustment.kernels import SortedObservations
 from sylpose.geometry.arrays import BoolArray, IntArray
 
-__all__ = ["covisibility_pattern", "find_connected_frames"]
+__all__ = ["build_covisibility_pattern", "find_connected_frames"]
 
 
-def covisibility_pattern(observations: SortedObservations, repeated: BoolArray) -> csr_array:
+def build_covisibility_pattern(observations: SortedObservations, repeated: BoolArray) -> csr_array:
     """Return (F, F) lower triangle of the covisibility of moving frames."""
     n = int(observations.free_index.max()) + 1
     incidence = _incidence(observations, observations.free_index[observations.frame], n, repeated)

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sylpose.bundle_adjustment.kernels import SortedObservations, Views, eliminate_landmark, longest_track
+from sylpose.bundle_adjustment.kernels import SortedObservations, Views, eliminate_landmark, find_longest_track
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.numba_linalg import kernel
 
@@ -44,11 +44,11 @@ def shrink_depth_noise(
             continue
         plane = np.linalg.lstsq(observations.depth_basis[own], depths[own], rcond=None)[0]
         relief = depths[own] - observations.depth_basis[own] @ plane
-        change[own] = -relief * noise[own] / (noise[own] + _estimate_relief_variance(relief**2, noise[own]))
+        change[own] = -relief * noise[own] / (noise[own] + _estimate_residual_depth_variance(relief**2, noise[own]))
     return np.ascontiguousarray(points + change[:, None] * observations.depth_direction)
 
 
-def _estimate_relief_variance(squares: FloatArray, noise: FloatArray) -> float:
+def _estimate_residual_depth_variance(squares: FloatArray, noise: FloatArray) -> float:
     """Estimate the variance of the relief from squares (n,) of noisy values with individual noise variances.
 
     It is close to zero where noise explains the squares.
@@ -74,7 +74,7 @@ def compute_depth_noise(
 
     Landmarks without a weighted observation are left unchanged.
     """
-    longest, n_shared = longest_track(observations.start), views.parameters.shape[1]
+    longest, n_shared = find_longest_track(observations.start), views.parameters.shape[1]
     e, pose_jacobian, point_jacobian = np.empty((longest, 2)), np.empty((longest, 2, 6)), np.empty((longest, 2, 3))
     shared_jacobian = np.zeros((longest, 2, n_shared))
     root, slope, v = np.zeros((3, 3)), np.empty(3), np.empty(3)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sylpose.bundle_adjustment.kernels import SortedObservations, Views, eliminate_landmark, longest_track
+from sylpose.bundle_adjustment.kernels import SortedObservations, Views, eliminate_landmark, find_longest_track
 from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.geometry.numba_linalg import kernel
 
@@ -31,7 +31,7 @@ def accumulate_group_scores(
         pose_gradients, shared_gradients: (F, G, 6), (G, C, K) gradients.
         information: (F, G, 6, 6) information of each group on each frame.
     """
-    longest, n_shared = longest_track(observations.start), views.parameters.shape[1]
+    longest, n_shared = find_longest_track(observations.start), views.parameters.shape[1]
     e, pose_jacobian, point_jacobian = np.empty((longest, 2)), np.empty((longest, 2, 6)), np.empty((longest, 2, 3))
     shared_jacobian = np.zeros((longest, 2, n_shared))
     root, slope, rows, shared = np.zeros((3, 3)), np.empty(3), np.empty((3, 2)), np.empty((3, 6))

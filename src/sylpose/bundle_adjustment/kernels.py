@@ -28,10 +28,10 @@ __all__ = [
     "Views",
     "compute_depth_residual",
     "compute_derivatives",
+    "compute_pixel_scale",
     "compute_residuals",
     "eliminate_landmark",
-    "longest_track",
-    "pixel_scale",
+    "find_longest_track",
 ]
 
 
@@ -107,7 +107,7 @@ def compute_residuals(observations: SortedObservations, views: Views, points: Fl
                 y[a] = r[a, 0] * points[i, 0] + r[a, 1] * points[i, 1] + r[a, 2] * points[i, 2]
             z = m[2, 0] * y[0] + m[2, 1] * y[1] + m[2, 2] * y[2] + b[2]
             if z > 1e-9:
-                focal = views.focals[c] * pixel_scale(observations, views, n)
+                focal = views.focals[c] * compute_pixel_scale(observations, views, n)
                 for a in range(2):
                     p = m[a, 0] * y[0] + m[a, 1] * y[1] + m[a, 2] * y[2] + b[a]
                     image = observations.image[n, a]
@@ -119,7 +119,7 @@ def compute_residuals(observations: SortedObservations, views: Views, points: Fl
 
 
 @kernel
-def pixel_scale(observations: SortedObservations, views: Views, n: int) -> float:
+def compute_pixel_scale(observations: SortedObservations, views: Views, n: int) -> float:
     """Return the size of observation n's pixel relative to that of the given lens.
 
     Without this factor, a longer focal length would reduce all residuals.
@@ -156,7 +156,7 @@ def compute_derivatives(
     g1 = m[1, 0] * y0 + m[1, 1] * y1 + m[1, 2] * y2
     g2 = m[2, 0] * y0 + m[2, 1] * y1 + m[2, 2] * y2
     p0, p1, z = g0 + b[0], g1 + b[1], g2 + b[2]
-    scale_factor = pixel_scale(observations, views, n)
+    scale_factor = compute_pixel_scale(observations, views, n)
     focal = views.focals[c] * scale_factor
     scale = focal / z
     # Velocity of the point in the camera's axes.
@@ -284,7 +284,7 @@ def compute_depth_residual(observations: SortedObservations, views: Views, point
 
 
 @kernel
-def longest_track(start: IntArray) -> int:
+def find_longest_track(start: IntArray) -> int:
     longest = 0
     for i in range(start.shape[0] - 1):
         longest = max(longest, start[i + 1] - start[i])

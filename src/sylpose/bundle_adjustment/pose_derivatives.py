@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.geometry.arrays import FloatArray
 
-__all__ = ["differentiate_quadratic", "differentiate_quartic", "velocity_variance"]
+__all__ = ["compute_velocity_variance", "differentiate_quadratic", "differentiate_quartic"]
 
 # Poses that determine a polynomial of the fourth degree (derived).
 STENCIL_SIZE = 5
@@ -66,7 +66,7 @@ def differentiate_quartic(rotations: FloatArray, translations: FloatArray, times
     return out
 
 
-def velocity_variance(times: FloatArray) -> FloatArray:
+def compute_velocity_variance(times: FloatArray) -> FloatArray:
     """Return (N,) approximate variance of the speeds of `differentiate_quartic`.
 
     The poses are independent, with unit variance.

@@ -21,7 +21,11 @@ from sylpose.bundle_adjustment.kernels import (
     Views,
     compute_residuals,
 )
-from sylpose.bundle_adjustment.pose_derivatives import differentiate_quadratic, differentiate_quartic, velocity_variance
+from sylpose.bundle_adjustment.pose_derivatives import (
+    compute_velocity_variance,
+    differentiate_quadratic,
+    differentiate_quartic,
+)
 from sylpose.bundle_adjustment.reduced_system import Solver, System, estimate_calibration_scales
 from sylpose.bundle_adjustment.schur import ReducedSystem, back_substitute, eliminate_landmarks
 from sylpose.bundle_adjustment.triangulation import triangulate_rays
@@ -371,7 +375,7 @@ class Problem:
         n = self.camera_parameters.n_offsets
         out = solver.parameter_covariance(excess)
         if n:
-            noise, share = velocity_variance(self.times), 1.0 / (n + 1)
+            noise, share = compute_velocity_variance(self.times), 1.0 / (n + 1)
             variance = float((self.camera_parameters.basis[:, TIME_OFFSET, :n] ** 2).sum()) / n
             spurious = 1.0 + 6.0 * share * (1.0 - share) * float(noise.sum()) * variance
             information = np.linalg.inv(solver.parameter_covariance()[:n, :n]) - spurious * np.eye(n)

@@ -12,7 +12,7 @@ from sylpose.bundle_adjustment.kernels import (
     Views,
     compute_depth_residual,
     eliminate_landmark,
-    longest_track,
+    find_longest_track,
 )
 from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.geometry.numba_linalg import kernel
@@ -75,7 +75,7 @@ def eliminate_landmarks(
         weights: (n,) of the squared residuals, 1/pixels²; 0 for points behind their camera.
         landmark_prior: (2,) as of `eliminate_landmark`.
     """
-    longest, (n_cameras, n_shared) = longest_track(observations.start), views.parameters.shape
+    longest, (n_cameras, n_shared) = find_longest_track(observations.start), views.parameters.shape
     e, pose_jacobian, point_jacobian = np.empty((longest, 2)), np.empty((longest, 2, 6)), np.empty((longest, 2, 3))
     shared_jacobian = np.zeros((longest, 2, n_shared))
     root, slope = np.zeros((3, 3)), np.empty(3)
@@ -257,7 +257,7 @@ def back_substitute(
         change: (C, K) of the shared parameters.
         out: (m, 3) landmarks, filled.
     """
-    longest, n_shared = longest_track(observations.start), views.parameters.shape[1]
+    longest, n_shared = find_longest_track(observations.start), views.parameters.shape[1]
     e, pose_jacobian, point_jacobian = np.empty((longest, 2)), np.empty((longest, 2, 6)), np.empty((longest, 2, 3))
     shared_jacobian = np.zeros((longest, 2, n_shared))
     root, slope, x = np.zeros((3, 3)), np.empty(3), np.empty(3)

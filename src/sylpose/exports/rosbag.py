@@ -49,7 +49,7 @@ def write_rosbag(poses: Poses, path: Path) -> list[str]:
             part.mkdir()
             with Writer(part / path.name, version=BAG_VERSION) as bag:
                 pose_connection = bag.add_connection(f"/{name}/pose", "geometry_msgs/msg/PoseStamped", typestore=store)
-                transform_connection = bag.add_connection("/tf", "tf2_msgs/msg/TFMessage", typestore=store)
+                tf_connection = bag.add_connection("/tf", "tf2_msgs/msg/TFMessage", typestore=store)
                 for k in np.flatnonzero(poses.has_pose):
                     stamp_ns = round(float(poses.times[k]) * 1e9)
                     header = head(stamp(stamp_ns // 10**9, stamp_ns % 10**9), WORLD_FRAME)
@@ -63,9 +63,7 @@ def write_rosbag(poses: Poses, path: Path) -> list[str]:
                     )
                     stamped = kinds["geometry_msgs/msg/TransformStamped"](header, name, transform)
                     message = kinds["tf2_msgs/msg/TFMessage"]([stamped])
-                    bag.write(
-                        transform_connection, stamp_ns, store.serialize_cdr(message, transform_connection.msgtype)
-                    )
+                    bag.write(tf_connection, stamp_ns, store.serialize_cdr(message, tf_connection.msgtype))
             (part / path.name).rename(path)
         finally:
             shutil.rmtree(part, ignore_errors=True)

@@ -351,7 +351,7 @@ def update_depth_model(c: int, step: FloatArray, state: CameraState) -> None:
 
 
 @kernel
-def _cost(q: float) -> float:
+def _compute_robust_cost(q: float) -> float:
     """Return the bisquare cost, 0 to 1, of a squared distance relative to the cutoff."""
     return 1.0 - max(1.0 - q, 0.0) ** 3
 
@@ -376,7 +376,7 @@ def compute_cost(
     linearize_matches(stacked, c, rotation, translation, depth_model, (noise_px / stacked.focal[c]) ** 2, state)
     cost = 0.0
     for i in range(stacked.offsets[c], stacked.offsets[c + 1]):
-        cost += stacked.prior_weight[i] * _cost((state.distance[i] / CUTOFF) ** 2)
+        cost += stacked.prior_weight[i] * _compute_robust_cost((state.distance[i] / CUTOFF) ** 2)
     return cost
 
 
@@ -408,6 +408,6 @@ def evaluate_pose(
     cost, inliers = 0.0, 0
     for i in range(stacked.offsets[c], stacked.offsets[c + 1]):
         state.cross_residual[i] *= stacked.focal[c]
-        cost += stacked.prior_weight[i] * _cost((state.distance[i] / CUTOFF) ** 2)
+        cost += stacked.prior_weight[i] * _compute_robust_cost((state.distance[i] / CUTOFF) ** 2)
         inliers += state.weights[i] > 0.0
     return cost, reference_cost, inliers

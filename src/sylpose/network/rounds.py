@@ -313,9 +313,9 @@ def step_round(state: RoundState, inbox: Inbox, *, tick: bool = True) -> tuple[R
         relays=relays,
     )
     s, more = _join_dispute(_adopt_end(s))
-    s, verdict_packets = _exclude_faulty(_exclude_inactive(s))
+    s, rollback_packets = _exclude_faulty(_exclude_inactive(s))
     s = _set_outcome(s)
-    return s, out + more + verdict_packets + (_retransmit(s) if tick and not s.is_excluded else [])
+    return s, out + more + rollback_packets + (_retransmit(s) if tick and not s.is_excluded else [])
 
 
 def _retransmit(s: RoundState) -> list[Packet]:

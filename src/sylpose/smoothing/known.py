@@ -25,25 +25,30 @@ def make_keyframe_tracks(transferred: TransferredObject, rig: Rig, time: float) 
     """
     tracks, n = [], len(transferred.keyframes)
     for k, frame in enumerate(transferred.keyframes):
-        sightings = []
+        observations = []
         for name in rig.names:
-            memory = transferred.landmarks.get(name)
-            if memory is None:
-                sightings.append(
+            camera_landmarks = transferred.landmarks.get(name)
+            if camera_landmarks is None:
+                observations.append(
                     LandmarkObservations(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 3)), np.empty(0, bool))
                 )
                 continue
-            observed = memory.select_keyframe(k)
-            sightings.append(
+            observed = camera_landmarks.select_keyframe(k)
+            observations.append(
                 LandmarkObservations(
-                    memory.landmark_ids[k], memory.features[k].normalized, observed.mean, observed.has_moved
+                    camera_landmarks.landmark_ids[k],
+                    camera_landmarks.features[k].normalized,
+                    observed.mean,
+                    observed.has_moved,
                 )
             )
-        counts = np.array([len(s.landmark_ids) for s in sightings])
+        counts = np.array([len(s.landmark_ids) for s in observations])
         status = FrameStatus.TRACKED if k else FrameStatus.FIRST
         residuals = np.full(len(rig), np.nan)
         pose = FramePose(k - n, time + k - n, status, frame.world_from_object, frame.covariance, counts, residuals)
         tracks.append(
-            Track(pose, tuple(sightings), np.zeros(len(rig)), transferred.known_object.radius, is_fixed=frame.is_fixed)
+            Track(
+                pose, tuple(observations), np.zeros(len(rig)), transferred.known_object.radius, is_fixed=frame.is_fixed
+            )
         )
     return tracks

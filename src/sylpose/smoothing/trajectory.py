@@ -21,7 +21,7 @@ from sylpose.bundle_adjustment.calibration_refinement import (
     CalibrationPrior,
     MovedCamera,
     add_moved_cameras,
-    mean_camera_distance,
+    compute_mean_camera_distance,
 )
 from sylpose.bundle_adjustment.lost_frames import find_lost_frames
 from sylpose.bundle_adjustment.scale_prior import bundle_adjust_with_scale, is_scale_unobservable
@@ -245,7 +245,7 @@ def _detected_moved_cameras(last: Track, rig: Rig) -> list[MovedCamera]:
     A camera's rotation comes with a translation, which the background shows as a rotation, more so the nearer it is;
     the background is assumed to be behind the object.
     """
-    pose, translation_sd = last.pose.world_from_object, MOVED_TRANSLATION_RATIO * mean_camera_distance(rig)
+    pose, translation_sd = last.pose.world_from_object, MOVED_TRANSLATION_RATIO * compute_mean_camera_distance(rig)
     assert pose is not None
     distances = np.linalg.norm(np.array([c.center for c in rig]) - pose.translation, axis=1)
     return [
@@ -269,17 +269,17 @@ def _collect_observations(frames: Sequence[Track]) -> tuple[Observations, FloatA
     counts = [[len(s.landmark_ids) for s in f.observations] for f in frames]
     cameras = np.concatenate([np.repeat(np.arange(len(n)), n) for n in counts])
     frame = np.repeat(np.arange(len(frames)), [sum(n) for n in counts])
-    all_sightings = [s for f in frames for s in f.observations]
+    all_observations = [s for f in frames for s in f.observations]
     # Landmark numbers are per camera.
-    number = np.concatenate([s.landmark_ids for s in all_sightings])
+    number = np.concatenate([s.landmark_ids for s in all_observations])
     _, landmark = np.unique(cameras * (number.max(initial=0) + 1) + number, return_inverse=True)
     used = _select_observations(
-        frame, landmark, np.bincount(landmark, np.concatenate([s.has_moved for s in all_sightings])) > 0
+        frame, landmark, np.bincount(landmark, np.concatenate([s.has_moved for s in all_observations])) > 0
     )
     _, indices = np.unique(landmark[used], return_inverse=True)
     landmarks = np.zeros((int(indices.max(initial=-1)) + 1, 3))
-    landmarks[indices] = np.concatenate([s.positions for s in all_sightings])[used]  # the last one wins
-    image = np.concatenate([s.normalized for s in all_sightings])[used]
+    landmarks[indices] = np.concatenate([s.positions for s in all_observations])[used]  # the last one wins
+    image = np.concatenate([s.normalized for s in all_observations])[used]
     return Observations(frame[used], cameras[used], indices, image), landmarks
 
 

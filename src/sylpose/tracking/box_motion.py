@@ -54,11 +54,11 @@ def is_box_center_static(
         return BoxMotionReport(counts[0], pixels[0], pixels[0] <= frame.cameras[c].static_px, counts[1], pixels[1])
 
     reports = context.executor.all_gather(create_report, BoxMotionReport.empty())
-    displacements = [middle.moving_displacement_px for middle in reports if middle.n_moving >= MIN_MOVED_FEATURES]
-    usable = [middle for middle in reports if middle.n_center >= MIN_MOVED_FEATURES]
+    displacements = [report.moving_displacement_px for report in reports if report.n_moving >= MIN_MOVED_FEATURES]
+    usable = [report for report in reports if report.n_center >= MIN_MOVED_FEATURES]
     max_displacement = MAX_CENTER_MOTION_RATIO * float(np.median(displacements)) if displacements else 0.0
     return 2 * sum(
-        middle.is_center_static and middle.center_displacement_px < max_displacement for middle in usable
+        report.is_center_static and report.center_displacement_px < max_displacement for report in usable
     ) > len(usable)
 
 

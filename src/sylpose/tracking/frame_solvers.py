@@ -147,9 +147,9 @@ def _gather_terms(
     """Gather all cameras' terms; with `previous_only` only those relative to the last solved frame."""
 
     def collect_terms(c: int) -> list[TermData]:
-        camera, base, known = problem.rig.cameras[c], problem.previous, problem.known_frames
-        pairs = [pair for pair in problem.pairs[c] if not previous_only or pair.reference == base.number]
-        return [pair.to_term(c, camera, compute_reference_motion(pair, base, known)) for pair in pairs]
+        camera, previous, known = problem.rig.cameras[c], problem.previous, problem.known_frames
+        pairs = [pair for pair in problem.pairs[c] if not previous_only or pair.reference == previous.number]
+        return [pair.to_term(c, camera, compute_reference_motion(pair, previous, known)) for pair in pairs]
 
     return executor.all_gather(collect_terms, [])
 
@@ -196,9 +196,9 @@ def solve_paper(method: str, executor: CameraExecutor, problem: PoseProblem) -> 
     def assign_weights(c: int) -> MatchWeights:
         mine = iter(scattered[c])
         nothing = [(np.zeros(len(pair)), np.zeros(len(pair))) for pair in problem.pairs[c]]
-        base = problem.previous.number
+        previous = problem.previous.number
         return [
-            next(mine) if pair.reference == base else no for pair, no in zip(problem.pairs[c], nothing, strict=True)
+            next(mine) if pair.reference == previous else no for pair, no in zip(problem.pairs[c], nothing, strict=True)
         ]
 
     return replace(
@@ -286,11 +286,12 @@ def _align_landmarks(
 def _compute_support(
     executor: CameraExecutor,
     observations: Sequence[LandmarkMatches],
-    found: Sequence[Sequence[tuple[FloatArray, FloatArray]]],
+    alignments: Sequence[Sequence[tuple[FloatArray, FloatArray]]],
 ) -> list[float]:
     """Sum `compute_support` over all cameras, for several alignments."""
     supports = executor.all_gather(
-        lambda c: tuple(compute_support(observations[c], *of[c]) for of in found), (0.0,) * len(found)
+        lambda c: tuple(compute_support(observations[c], *alignment[c]) for alignment in alignments),
+        (0.0,) * len(alignments),
     )
     return [sum(camera_supports) for camera_supports in zip(*supports, strict=True)]
 

@@ -153,7 +153,7 @@ def accept_frame(
     is_static = solution.status is Status.NO_MOTION  # the pose and its error are those of the last frame
     covariance = last_frame.covariance if has_moved else state.keyframes[0].covariance
     if not is_static:
-        correlation = _rotation_continuity(state, candidate) if solution.is_biased else 0.0
+        correlation = _compute_rotation_continuity(state, candidate) if solution.is_biased else 0.0
         covariance = add_reference_covariance(
             solution.information, pose, candidate.agreements, known_frames, radius, correlation
         )
@@ -293,7 +293,7 @@ def _undetected_motion_covariance(context: TrackerContext, pose: RigidTransform,
     return np.diag(np.repeat([(translation / radius) ** 2, translation**2], 3))
 
 
-def _rotation_continuity(state: JointState, candidate: PoseCandidate) -> float:
+def _compute_rotation_continuity(state: JointState, candidate: PoseCandidate) -> float:
     """Return the cosine between the axes of the total and the latest rotation; 0 if it reverses.
 
     A surface biases a rotation in proportion to its angle: errors accumulate while the object keeps rotating.

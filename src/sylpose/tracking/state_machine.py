@@ -478,16 +478,16 @@ def _initialize_from_motion(
             first_frames.images[c], first_frames.masks[c], features, regions[c], is_static
         )
 
-    split_features = executor.map_cameras(split_foreground)
+    features_by_side = executor.map_cameras(split_foreground)
     inside, around = (
-        executor.map_cameras(lambda c: split_features[c][0]),
-        executor.map_cameras(lambda c: split_features[c][1]),
+        executor.map_cameras(lambda c: features_by_side[c][0]),
+        executor.map_cameras(lambda c: features_by_side[c][1]),
     )
     frame = context.create_frame(first.number, first_frames, inside)
     state, tracked = accept_first_frame(
         context, state, first_frames, frame, around, initial_motion.inlier_center, regions
     )
-    decided, begin, end_frame = [tracked], state.last_frame, between.pop()
+    decided, start_frame, end_frame = [tracked], state.last_frame, between.pop()
     state, tracked = _solve_buffered_frame(context, state, end_frame, end_pose)
     if not (state.has_moved and tracked.pose.is_observed):
         # No rigid motion that lasted: wait for another one.
@@ -495,7 +495,7 @@ def _initialize_from_motion(
         return None
     end, last = state.last_frame, tracked
     # The velocity is unknown for the frames between.
-    state = replace(state, last=begin, keyframes=(begin, end), anchor=None, velocity=VelocityModel())
+    state = replace(state, last=start_frame, keyframes=(start_frame, end), anchor=None, velocity=VelocityModel())
     for buffered_frame in between:
         state, tracked = _solve_buffered_frame(
             context, state, buffered_frame, state.predict_pose(buffered_frame.frames.time)

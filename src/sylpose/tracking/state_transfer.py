@@ -105,7 +105,7 @@ def restore_handover(
         return state, [w._replace(motion=t.motion) for w, t in zip(local_frames, records, strict=True)], handover.number
     no_images = (None,) * len(camera_trackers)
 
-    def begin(c: int) -> None:
+    def restore_camera(c: int) -> None:
         camera_tracker = camera_trackers[c]
         camera_tracker.reset()
         camera_tracker.frames = (
@@ -124,5 +124,5 @@ def restore_handover(
         )
         return BufferedFrame(frame, FrameSet(w.index, w.time, times, no_images, no_images), w.motion)
 
-    executor.map_cameras(begin)
+    executor.map_cameras(restore_camera)
     return state, [create_buffered_frame(w) for w in records], handover.number
