@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 # What touches cv2: OpenCV 4 and 5 are asked alike.
-OPENCV_TESTS := tests/calibration tests/capture tests/features tests/report tests/simulate tests/test_rig.py
+OPENCV_TESTS := tests/io tests/features tests/report tests/simulate tests/test_rig.py
 
 .PHONY: demo demo-network test kernels test-slow test-opencv4 test-opencv5 browser web lint format dist bench bench-page bench-record bench-tracking bench-paper docs gallery clean
 

@@ -21,9 +21,9 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose import estimate_motion, open_session
-from sylpose.capture import Session
 from sylpose.features.sift import Features, detect_features, match_features
 from sylpose.geometry.arrays import FloatArray
+from sylpose.io.capture import Session
 from sylpose.matches import Matches
 from sylpose.moments import PairMoments
 from sylpose.results import Status

@@ -34,20 +34,17 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from benchmarks.fuzz_calibrations import SAMPLES, Sample
-from sylpose import __version__, calibration
-from sylpose.app.checkpoint import CHECKPOINT, FORMAT, load_checkpoint
-from sylpose.app.checkpoint_schema import FUNCTIONS, RECORD_TYPES, OutputState, RunState
-from sylpose.app.frame_store import _FRAME, FrameFile
-from sylpose.app.pixel_files import load_image_points
-from sylpose.app.point_files import load_points
-from sylpose.app.serialization import serialize
+from sylpose import __version__
 from sylpose.archive.recordings import TrackingOptions, find_recordings
-from sylpose.capture.boxes import load_boxes
-from sylpose.capture.images import read_image, read_image_size
-from sylpose.capture.live import open_live
-from sylpose.capture.timeline import load_timestamps
 from sylpose.frames import Box, FrameSet
 from sylpose.input_limits import MAX_MESSAGE_LENGTH
+from sylpose.io import calibration
+from sylpose.io.capture.boxes import load_boxes
+from sylpose.io.capture.images import read_image, read_image_size
+from sylpose.io.capture.live import open_live
+from sylpose.io.capture.timeline import load_timestamps
+from sylpose.io.pixel_files import load_image_points
+from sylpose.io.point_files import load_points
 from sylpose.landmarks.alignment import LandmarkMatches
 from sylpose.landmarks.messages import EvaluationMessage, TermsMessage
 from sylpose.moments import PairMoments
@@ -71,6 +68,10 @@ from sylpose.relative_pose.terms import TermData
 from sylpose.report.files import TrajectoryWriter, read_trajectory, read_tum
 from sylpose.results import FramePose, FrameStatus
 from sylpose.rig import Rig
+from sylpose.runs.checkpoint import CHECKPOINT, FORMAT, load_checkpoint
+from sylpose.runs.checkpoint_schema import FUNCTIONS, RECORD_TYPES, OutputState, RunState
+from sylpose.runs.frame_store import _FRAME, FrameFile
+from sylpose.serialization import serialize
 from sylpose.simulate import ring
 from sylpose.smoothing.trajectory import Track
 from sylpose.sylvester.distributed.fault_decision import decode_moments

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sylpose import FrameSet, track
-from sylpose.app.demo import compute_errors
+from sylpose.commands.demo import compute_errors
 from sylpose.frames import Box
 from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Rig

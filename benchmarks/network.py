@@ -35,7 +35,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import network_kills, network_latency, network_soak, network_tree
-from sylpose import calibration
+from sylpose.io import calibration
 from sylpose.network.membership import ExchangeRequest, ExchangeResult, JoinRequest, Membership, Request, Response
 from sylpose.network.rounds import begin_next_round, start_rounds, step_round
 from sylpose.network.runner import NodeRunner

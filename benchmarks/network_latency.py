@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.node_processes import RATE, SIZE, run_processes, write_looped_recording
-from sylpose.capture import open_session
+from sylpose.io.capture import open_session
 from sylpose.methods import MODES
 from sylpose.network.simulation import track_by_nodes
 from sylpose.network.wire_format import HEADER

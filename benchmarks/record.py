@@ -24,7 +24,7 @@ from typing import NamedTuple
 import msgspec
 
 import sylpose
-from sylpose.app.system_resources import available_cores
+from sylpose.runs.system_resources import available_cores
 
 __all__ = ["RESULTS", "ROOT", "Benchmark", "Record", "Table", "load_page", "load_record", "parse_output", "record"]
 

@@ -24,11 +24,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.app.precompile import compile_all
-from sylpose.app.sync import OffsetPrecision, sync_session
-from sylpose.capture import open_session
+from sylpose.commands.sync import OffsetPrecision, sync_session
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import FloatArray
+from sylpose.io.capture import open_session
+from sylpose.runs.precompile import compile_all
 from sylpose.simulate import Recording, make_demo_scene, write_recording
 
 RATE = 30.0

@@ -31,9 +31,9 @@ from benchmarks.peers import (
     to_poselib_matches,
     to_poselib_rig,
 )
-from sylpose.capture import Session, open_session
 from sylpose.features.sift import Features, detect_features, match_features
 from sylpose.geometry.arrays import FloatArray
+from sylpose.io.capture import Session, open_session
 from sylpose.report.files import read_tum, write_tum
 from sylpose.rig import Camera
 

@@ -16,11 +16,11 @@ import numpy as np
 from PIL import Image
 
 from pages.gallery import DOCS
-from sylpose.app.demo import run_demo_command
+from sylpose.commands.demo import run_demo_command
 from sylpose.report.files import read_trajectory
 from sylpose.report.plots import INK, X_COLOR, Y_COLOR, Z_COLOR, create_figure, style_panel
 from sylpose.results import Trajectory
-from tests.browser import launch_browser, open_page
+from tests.chromium import launch_browser, open_page
 
 # The frame whose images are shown, and the picture's width in pixels (choice).
 FRAME, WIDTH = 32, 1378

@@ -21,15 +21,15 @@ from matplotlib.figure import Figure
 from PIL import Image
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose import calibration
-from sylpose.app.run import track_session
-from sylpose.capture import open_session
 from sylpose.geometry.arrays import FloatArray
+from sylpose.io import calibration
+from sylpose.io.capture import open_session
 from sylpose.report.camera_consistency import describe_camera_problems
 from sylpose.report.files import read_tum
 from sylpose.report.plots import INK, JUMP_DEG, X_COLOR, Y_COLOR, Z_COLOR, create_figure, style_panel
 from sylpose.results import FramePose, FrameStatus, Trajectory
 from sylpose.rig import Rig
+from sylpose.runs.run import track_session
 from sylpose.simulate import Actor, Recording, Scene, arc, chamfered_box, make_demo_scene, write_recording
 from sylpose.simulate.recording_files import object_suffixes
 

@@ -17,12 +17,12 @@ from scipy.spatial.transform import Rotation
 
 from sylpose import estimate_motion
 from sylpose.absolute_pose.pose import estimate_pose
-from sylpose.app.precompile import PARTS
 from sylpose.geometry.arrays import FloatArray
 from sylpose.matches import Matches
 from sylpose.moments import PairMoments
 from sylpose.relative_pose.precompile import warm_up
 from sylpose.rig import Camera
+from sylpose.runs.precompile import PARTS
 from sylpose.simulate import ring
 from sylpose.sylvester.centralized import solve_centralized
 from sylpose.sylvester.depth_plane import solve_depth_plane

@@ -13,9 +13,16 @@ import numpy as np
 import pytest
 from hypothesis import settings
 from matplotlib.figure import Figure
+from scipy.spatial.transform import RigidTransform
 
+from sylpose.io.capture import open_session
+from sylpose.io.object_files import OBJECT_FILE, load_object
+from sylpose.report.files import read_trajectory
+from sylpose.runs.run import track_session
 from sylpose.simulate import make_demo_scene, write_sequence
-from tests.browser import launch_browser
+from sylpose.tracking.known_object import KnownObject
+from tests.chromium import launch_browser
+from tests.recordings import FIRST, mapping_path, write_box_recording
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -48,7 +55,7 @@ def session(recording: Path, tmp_path: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    """For `tests.browser.opened`."""
+    """For `tests.chromium.opened`."""
     with launch_browser() as its:
         yield its
 
@@ -66,3 +73,27 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(Figure, "savefig", savefig)
     monkeypatch.setattr("sylpose.report.page.render_page", lambda *_: "")
+
+
+@pytest.fixture(scope="session")
+def first(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a recording's folder with its results in it; read-only."""
+    folder = write_box_recording(tmp_path_factory.mktemp("first") / "take", mapping_path, FIRST)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sylpose.report.plots.plot_trajectory", lambda *_, **__: None)
+        track_session(open_session(folder), overlay=False)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def known(first: Path) -> KnownObject:
+    """Return the object model of the first recording."""
+    return load_object(first / "sylpose" / OBJECT_FILE)
+
+
+@pytest.fixture(scope="session")
+def actor_from_object(first: Path) -> RigidTransform:
+    """Return the object frame of the first recording, defined by its first measured pose."""
+    pose = next(p for p in read_trajectory(first / "sylpose" / "trajectory.csv") if p.world_from_object is not None)
+    assert pose.world_from_object is not None
+    return mapping_path(pose.index).inv() * pose.world_from_object

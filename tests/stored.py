@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from sylpose.app.checkpoint_schema import FUNCTIONS, RECORD_TYPES
-from sylpose.app.serialization import deserialize, serialize
+from sylpose.runs.checkpoint_schema import FUNCTIONS, RECORD_TYPES
+from sylpose.serialization import deserialize, serialize
 from sylpose.tracking.tracker import Tracker, TrackerSnapshot
 
 __all__ = ["dump_state", "restore_state"]

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.app.compare import describe_mismatches
 from sylpose.cli import main, results
+from sylpose.commands.compare import describe_mismatches
 from sylpose.comparison import Alignment, associate_timestamps, compare_trajectories, compute_statistics
 from sylpose.geometry.arrays import FloatArray
 from sylpose.report.files import write_tum

@@ -109,7 +109,7 @@ def test_all_public_printables_are_tested() -> None:
     public = {
         name for name in sylpose.__all__ if isinstance(t := getattr(sylpose, name), type) and issubclass(t, Printable)
     }
-    assert public - {"KnownObject"} <= set(ALL)  # a known object: tests/app/test_object_files.py
+    assert public - {"KnownObject"} <= set(ALL)  # a known object: tests/io/test_object_files.py
 
 
 def test_motion_prints_values_and_uncertainty() -> None:

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.capture import open_session
 from sylpose.geometry.arrays import FloatArray
+from sylpose.io.capture import open_session
 from sylpose.results import FramePose, FrameStatus
 from sylpose.tracking.tracker import track
 from tests.paths import DATA

@@ -23,15 +23,14 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from sylpose.absolute_pose.pose import estimate_pose
-    from sylpose.app.object_files import load_object, save_object
-    from sylpose.app.run import Run, track_session
     from sylpose.boards.board_pose import BoardObservation, find_board
     from sylpose.boards.specification import Board, parse_board
-    from sylpose.calibration.world import World, load_world, world_with_up
-    from sylpose.capture import Session, Source, Timeline, open_session
-    from sylpose.capture.live import LiveSession, open_live
-    from sylpose.capture.streams import Device, Grab
     from sylpose.frames import Box, FrameSet
+    from sylpose.io.calibration.world import World, load_world, world_with_up
+    from sylpose.io.capture import Session, Source, Timeline, open_session
+    from sylpose.io.capture.live import LiveSession, open_live
+    from sylpose.io.capture.streams import Device, Grab
+    from sylpose.io.object_files import load_object, save_object
     from sylpose.matches import Matches
     from sylpose.moments import PairMoments
     from sylpose.relative_pose.motion import estimate_motion, estimate_motions
@@ -45,6 +44,7 @@ if TYPE_CHECKING:
         Trajectory,
     )
     from sylpose.rig import Camera, Rig
+    from sylpose.runs.run import Run, track_session
     from sylpose.sylvester.camera_faults import Diagnosis, Fault, RobustSolution, solve_robust
     from sylpose.sylvester.centralized import (
         CentralizedBatch,
@@ -147,14 +147,14 @@ __all__ = [
 ]
 
 _HOMES = {
-    "sylpose.app.object_files": ("load_object", "save_object"),
-    "sylpose.app.run": ("Run", "track_session"),
+    "sylpose.io.object_files": ("load_object", "save_object"),
+    "sylpose.runs.run": ("Run", "track_session"),
     "sylpose.boards.board_pose": ("BoardObservation", "find_board"),
     "sylpose.boards.specification": ("Board", "parse_board"),
-    "sylpose.calibration.world": ("World", "load_world", "world_with_up"),
-    "sylpose.capture": ("Session", "Source", "Timeline", "open_session"),
-    "sylpose.capture.live": ("LiveSession", "open_live"),
-    "sylpose.capture.streams": ("Device", "Grab"),
+    "sylpose.io.calibration.world": ("World", "load_world", "world_with_up"),
+    "sylpose.io.capture": ("Session", "Source", "Timeline", "open_session"),
+    "sylpose.io.capture.live": ("LiveSession", "open_live"),
+    "sylpose.io.capture.streams": ("Device", "Grab"),
     "sylpose.frames": ("Box", "FrameSet"),
     "sylpose.absolute_pose.pose": ("estimate_pose",),
     "sylpose.matches": ("Matches",),

@@ -13,15 +13,15 @@ from pathlib import Path
 
 import pytest
 
-from sylpose.app.run import track_session
 from sylpose.archive import batch_command, worker
 from sylpose.archive.claims import hold_claim
 from sylpose.archive.contract import RunSettings, process_recording, read_record
 from sylpose.archive.recordings import TrackingOptions, find_recordings
 from sylpose.archive.stores import open_store
 from sylpose.archive.summary import collect_rows
-from sylpose.capture import open_session
 from sylpose.cli import main
+from sylpose.io.capture import open_session
+from sylpose.runs.run import track_session
 from tests.archive.archive_worker import SETTINGS, count_work, make_recordings
 
 COLUMNS = ["recording", "status", "frames", "coverage", "residual_px", "faults", "seconds", "error"]

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import pytest
 
-from sylpose.app.system_resources import available_cores, available_memory
 from sylpose.archive import run, stores
 from sylpose.archive.claims import hold_claim, is_process_alive
 from sylpose.archive.contract import RunSettings, Summary
@@ -21,6 +20,7 @@ from sylpose.archive.recordings import Recording
 from sylpose.archive.run import WorkerDeath, process_all, select_shard
 from sylpose.archive.stores import Store, open_store
 from sylpose.archive.summary import collect_rows
+from sylpose.runs.system_resources import available_cores, available_memory
 from tests.archive.archive_worker import SETTINGS, count_work, make_recordings
 from tests.archive.s3 import s3_server
 

@@ -26,7 +26,7 @@ from benchmarks.tracking_report import (
     score_trajectory,
 )
 from benchmarks.tracking_scenes import BUILDERS, DISTANCE, build_recording, render_recording
-from sylpose.capture import open_session
+from sylpose.io.capture import open_session
 from sylpose.report.files import read_tum, write_tum
 from sylpose.simulate import Actor, Recording, Scene, arc, chamfered_box, compute_visible_shares, write_recording
 

@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sylpose import calibration
-from sylpose.app.network_demo import build_node_command
-from sylpose.capture import open_session
 from sylpose.cli import main
+from sylpose.commands.network_demo import build_node_command
+from sylpose.io import calibration
+from sylpose.io.capture import open_session
 from sylpose.network.keys import make_keys
 from sylpose.network.membership import ExchangeRequest, Membership, Request, Response
 from sylpose.network.node import Node, track_by_node

@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sylpose.app import node
-from sylpose.app.node_view import _parse_pose
+from sylpose.commands import node
+from sylpose.commands.node_view import _parse_pose
 from sylpose.network.keys import OBSERVER, build_access_rules, build_tls_settings, make_keys
 from sylpose.network.zenoh_transport import MAX_LINE_BYTES, LinkSettings, NodeAddress, check_name, decode_line
 

@@ -17,10 +17,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose import calibration
-from sylpose.app.page import write_report_page
-from sylpose.app.run_metadata import SETTINGS, USED_CALIBRATION
 from sylpose.geometry.euler_angles import PAN_TILT_ROLL
+from sylpose.io import calibration
 from sylpose.report import page_data
 from sylpose.report.files import write_trajectory
 from sylpose.report.page import ASSETS_DIR, PageHeader, render_page
@@ -35,7 +33,9 @@ from sylpose.report.page_data import (
 from sylpose.report.scene import IMAGE_GRID, Scene, Thumbnails, build_scene
 from sylpose.results import FramePose, FrameStatus, Trajectory
 from sylpose.rig import Rig, make_look_at_camera
-from tests.browser import OpenedPage, open_page
+from sylpose.runs.page import write_report_page
+from sylpose.runs.run_metadata import SETTINGS, USED_CALIBRATION
+from tests.chromium import OpenedPage, open_page
 from tests.paths import REPOSITORY
 
 if TYPE_CHECKING:

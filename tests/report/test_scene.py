@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose import calibration
-from sylpose.app.run_metadata import USED_CALIBRATION
-from sylpose.app.scene import read_scene
+from sylpose.io import calibration
 from sylpose.report.files import write_trajectory
 from sylpose.report.scene import FRUSTUM_DEPTH_RATIO, IMAGE_GRID, PointCloud, Scene, build_scene
 from sylpose.results import FramePose, FrameStatus, Trajectory
 from sylpose.rig import Rig, make_look_at_camera
+from sylpose.runs.run_metadata import USED_CALIBRATION
+from sylpose.runs.scene import read_scene
 
 CAMERAS = ("left", "right", "above")
 

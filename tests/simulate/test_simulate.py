@@ -15,8 +15,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform
 
-from sylpose import calibration, simulate
+from sylpose import simulate
 from sylpose.geometry.arrays import FloatArray
+from sylpose.io import calibration
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import Body, OutlierKind, SimulatedPair
 

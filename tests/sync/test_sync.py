@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.app import sync as app_sync
-from sylpose.app.sync import OffsetPrecision, run_sync_command, sync_session, write_offsets
-from sylpose.capture import Session, open_session
+from sylpose.commands import sync as app_sync
+from sylpose.commands.sync import OffsetPrecision, run_sync_command, sync_session, write_offsets
 from sylpose.geometry.arrays import FloatArray
+from sylpose.io.capture import Session, open_session
 from sylpose.results import FramePose, FrameStatus, Status
 from sylpose.simulate import Actor, Recording, Scene, arc, chamfered_box, write_recording
 from sylpose.smoothing.trajectory import SmoothedTrajectory, Track

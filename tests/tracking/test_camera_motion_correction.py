@@ -13,8 +13,6 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from benchmarks.kinds_scenes import rotate_view
-from sylpose.app.checkpoint_schema import RECORD_TYPES
-from sylpose.app.serialization import deserialize, serialize
 from sylpose.features.static_background import (
     MIN_CORNERS,
     RotationRectifier,
@@ -26,6 +24,8 @@ from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import FloatArray, Image
 from sylpose.results import FramePose, FrameStatus
 from sylpose.rig import Camera
+from sylpose.runs.checkpoint_schema import RECORD_TYPES
+from sylpose.serialization import deserialize, serialize
 from sylpose.simulate import make_demo_scene
 from sylpose.simulate.textures import make_room_image
 from sylpose.tracking.camera_motion_correction import add_nudge_faults

@@ -14,7 +14,6 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
-from sylpose.app import console_output
 from sylpose.archive.contract import RunSettings, Summary
 from sylpose.archive.processes import ProcessWorkers, choose_default_jobs
 from sylpose.archive.ray_cluster import RayWorkers
@@ -22,6 +21,7 @@ from sylpose.archive.recordings import FoundRecordings, Recording
 from sylpose.archive.run import process_all, select_shard
 from sylpose.archive.stores import Store
 from sylpose.archive.summary import Row, collect_rows, find_finished_recordings, make_row, write_summary
+from sylpose.runs import console_output
 
 __all__ = ["run_batch_command", "run_status_command"]
 

@@ -13,11 +13,11 @@ from multiprocessing.context import SpawnProcess
 from types import TracebackType
 from typing import Any, Self
 
-from sylpose.app.system_resources import available_cores, available_memory
 from sylpose.archive.contract import RunSettings, Summary, process_recording
 from sylpose.archive.recordings import Recording
 from sylpose.archive.run import WorkerDeath
 from sylpose.archive.stores import Store
+from sylpose.runs.system_resources import available_cores, available_memory
 
 __all__ = ["MIN_MEMORY", "ProcessWorkers", "choose_default_jobs", "thread_environment"]
 

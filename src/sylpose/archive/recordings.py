@@ -14,13 +14,13 @@ from typing import Any
 import msgspec
 
 from sylpose import __version__
-from sylpose.app.world import is_world_text
 from sylpose.archive.stores import Store, StoredFile, is_url, open_store, resolve_location
-from sylpose.calibration.files import is_calibration_name
-from sylpose.capture.names import IMAGE_SUFFIXES
-from sylpose.capture.sources import NON_CAMERA_NAMES, VIDEO_SUFFIXES
 from sylpose.input_limits import MAX_TABLE_BYTES, input_errors, parse_toml, to_one_line
+from sylpose.io.calibration.files import is_calibration_name
+from sylpose.io.capture.names import IMAGE_SUFFIXES
+from sylpose.io.capture.sources import NON_CAMERA_NAMES, VIDEO_SUFFIXES
 from sylpose.methods import FEATURES, METHODS, resolve_features
+from sylpose.runs.world import is_world_text
 
 __all__ = ["FoundRecordings", "Recording", "TrackingOptions", "find_recordings"]
 

@@ -103,10 +103,10 @@ def convert(
     Reads the formats of sylpose, Anipose, Caliscope, OpenCV (FileStorage, stereo), Kalibr, COLMAP, ROS, JARVIS,
     Qualisys, Vicon, OptiTrack, EasyMocap, MultiCamSelfCal, Matlab, Metashape, NeRF and DeepLabCut.
     """
-    from sylpose import calibration
-    from sylpose.app.world import parse_world_option, resolve_world
-    from sylpose.calibration.world import transform_rig
+    from sylpose.io import calibration
+    from sylpose.io.calibration.world import transform_rig
     from sylpose.rig import Rig
+    from sylpose.runs.world import parse_world_option, resolve_world
 
     rig = calibration.load(source, _parse_image_sizes(size or []))
     if is_in is not None:

@@ -29,7 +29,7 @@ def doctor(
     Shows versions, the OpenCV variant, cores and memory, the cache of compiled code, and the extras with their install
     commands. Exits with code 1 and a message for each required package that is missing or broken.
     """
-    from sylpose.app.doctor import run_doctor_command
+    from sylpose.commands.doctor import run_doctor_command
 
     if problems := run_doctor_command(as_json=as_json, compile_first=compile_first):
         exit_with_failures(problems)

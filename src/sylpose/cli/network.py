@@ -202,16 +202,16 @@ def node(
     A node reads only its own images. All nodes get the same poses, equal to those of one computer with all images;
     nodes may join late or rejoin. Writes CAMERA.tum and CAMERA.csv into OUT and publishes each pose (docs/network.md).
     """
-    from sylpose import calibration as calibrations
-    from sylpose.app.view import load_camera
+    from sylpose.io import calibration as calibrations
     from sylpose.network.zenoh_transport import LinkSettings
+    from sylpose.runs.view import load_camera
 
     _require_zenoh()
     if calibration is None:
         raise ValueError("--calibration FILE is required: the rig's, identical on all nodes")
     links = LinkSettings(listen, tuple(connect or ()), keys, multicast)
     if view is not None:
-        from sylpose.app.node_view import run_node_view_command
+        from sylpose.commands.node_view import run_node_view_command
 
         if camera is not None or source is not None:
             raise ValueError("--view runs a node without a camera: give no CAMERA and no --source with it")
@@ -221,7 +221,7 @@ def node(
         ):
             exit_with_failures([f"{view}: no node in network {network} published a pose"])
         return
-    from sylpose.app.node import NodeOptions, run_node_command
+    from sylpose.commands.node import NodeOptions, run_node_command
 
     if camera is None or source is None:
         raise ValueError("a node requires a camera and its images: give CAMERA and --source (or --view CAMERA)")
@@ -265,7 +265,7 @@ def nodes(
     ] = 2.5,
 ) -> None:
     """List the nodes of a network: status, peers, frames, latency, bytes and rounds per frame, clocks."""
-    from sylpose.app.node import run_nodes_command
+    from sylpose.commands.node import run_nodes_command
     from sylpose.network.zenoh_transport import LinkSettings
 
     _require_zenoh()
@@ -292,9 +292,9 @@ def init(
 
     Copy ca.pem, CAMERA.pem and CAMERA.key to that camera's machine. Keep ca.key here; it signs further keys.
     """
-    from sylpose import calibration as calibrations
-    from sylpose.app import console_output
+    from sylpose.io import calibration as calibrations
     from sylpose.network.keys import make_keys
+    from sylpose.runs import console_output
 
     _require_zenoh()
     rig = calibrations.load(calibration)
@@ -326,7 +326,7 @@ def network_demo(
 
     Plots all four results against the ground truth in OUT/network.png.
     """
-    from sylpose.app.network_demo import run_network_demo
+    from sylpose.commands.network_demo import run_network_demo
 
     _require_zenoh()
     if failures := run_network_demo(out, frames=frames, speed=speed, seed=seed):

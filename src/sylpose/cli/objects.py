@@ -38,7 +38,7 @@ POINTS = (
 @report_errors
 def show(file: ObjectFile) -> None:
     """Show the contents of an object file: landmarks, keyframes, cameras, unit, size, frame and its uncertainty."""
-    from sylpose.app.objects import run_object_show_command
+    from sylpose.commands.objects import run_object_show_command
 
     run_object_show_command(file)
 
@@ -100,7 +100,7 @@ def frame(
 
     Reports the frame's uncertainty if it results from measurements, and writes a point cloud (.ply) next to OUT.
     """
-    from sylpose.app.objects import run_object_frame_command
+    from sylpose.commands.objects import run_object_frame_command
 
     run_object_frame_command(
         source,
@@ -153,7 +153,7 @@ def scale(
     the unit of LENGTH and the object's distance is observable. Lengths from several calibrated cameras are only
     compared.
     """
-    from sylpose.app.objects import run_object_scale_command
+    from sylpose.commands.objects import run_object_scale_command
 
     if unit is not None and unit not in METERS:
         raise ValueError(f"--unit must be one of {', '.join(METERS)}, got {unit!r}")
@@ -178,6 +178,6 @@ def apply(
 
     The standard deviations of positions are upper bounds: trajectory files contain no correlations.
     """
-    from sylpose.app.objects import run_object_apply_command
+    from sylpose.commands.objects import run_object_apply_command
 
     run_object_apply_command(file, result, out, plot_format)

@@ -94,8 +94,8 @@ def pose(
     Writes trajectory.tum, trajectory.csv (status, uncertainty, inliers and residuals per camera), report.png,
     report.html and the settings of the run (settings.toml).
     """
-    from sylpose.app import console_output
-    from sylpose.app.poses import run_pose_command
+    from sylpose.commands.poses import run_pose_command
+    from sylpose.runs import console_output
 
     run = run_pose_command(
         model,

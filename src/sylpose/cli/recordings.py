@@ -64,9 +64,9 @@ def check(
 
     Plots the rig from above and from the side in OUT/rig.png, and with --world the world axes in OUT/world.png.
     """
-    from sylpose.app.check import run_check_command
-    from sylpose.app.session_options import open_recording
-    from sylpose.app.world import parse_world_option
+    from sylpose.runs.check import run_check_command
+    from sylpose.runs.session_options import open_recording
+    from sylpose.runs.world import parse_world_option
 
     world_spec = parse_world_option(world, world_frame, world_from)
     run_check_command(
@@ -103,9 +103,9 @@ def box(
     The page shows where the object of one box can be in the other cameras; from two boxes it suggests the rest.
     Existing boxes are loaded. Only this computer can open the page.
     """
-    from sylpose.app.box import run_box_command
-    from sylpose.app.session_options import open_recording
-    from sylpose.capture.live import is_live
+    from sylpose.commands.box import run_box_command
+    from sylpose.io.capture.live import is_live
+    from sylpose.runs.session_options import open_recording
 
     if is_live(session):
         raise ValueError(f"{session}: has live cameras; boxes can only be drawn in recordings")
@@ -157,8 +157,8 @@ def sync(
 
     Writes offsets.toml, which sylpose track reads.
     """
-    from sylpose.app.session_options import open_recording
-    from sylpose.app.sync import OffsetPrecision, run_sync_command
+    from sylpose.commands.sync import OffsetPrecision, run_sync_command
+    from sylpose.runs.session_options import open_recording
 
     opened = open_recording(session, calibration, boxes, masks, None, camera, rate, without=without)
     if set(run_sync_command(opened, out, max_lag=max_lag, start=start, stop=stop, seed=seed).precision) == {

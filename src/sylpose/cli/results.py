@@ -18,7 +18,7 @@ from sylpose.cli.common import (
     make_choice_check,
     report_errors,
 )
-from sylpose.exports.formats import EXPORT_FORMATS
+from sylpose.io.exports.formats import EXPORT_FORMATS
 
 __all__ = ["compare", "export"]
 
@@ -68,7 +68,7 @@ def export(
     world_from_object. Frames without a measured pose are gaps: missing points, an invisible object, or no message. c3d,
     rosbag, parquet and usd require extras: pip install 'sylpose[export,usd]'.
     """
-    from sylpose.app.export import run_export_command
+    from sylpose.commands.export import run_export_command
 
     run_export_command(result, out, to, name, start, stop)
 
@@ -113,6 +113,6 @@ def compare(
 
     Prints a table and writes compare.png and compare.json. Errors are expressed in B's frames.
     """
-    from sylpose.app.compare import run_compare_command
+    from sylpose.commands.compare import run_compare_command
 
     run_compare_command(a, b, align, step, within, out, plot_format)

@@ -46,7 +46,7 @@ def demo(
     A textured block rotates and drifts in front of the cameras. Exit code 0 if the rotation error is below 2 degrees in
     all frames.
     """
-    from sylpose.app.demo import run_demo_command
+    from sylpose.commands.demo import run_demo_command
 
     if failures := run_demo_command(out, frames=frames, turn_deg=turn, n_cameras=cameras, seed=seed):
         exit_with_failures(failures)
@@ -89,7 +89,7 @@ def show(
 
     Requires the extra `viewer`: pip install 'sylpose[viewer]'.
     """
-    from sylpose.app.show import run_show_command
+    from sylpose.commands.show import run_show_command
 
     run_show_command(result, calibration, recording, save=save, host=host, port=port, browser=browser)
 
@@ -141,7 +141,7 @@ def view(
 
     Writes view_CAMERA.tum (camera_from_object), view_CAMERA.csv and view_CAMERA.png.
     """
-    from sylpose.app.view import run_view_command
+    from sylpose.runs.view import run_view_command
 
     run_view_command(result, camera, calibration, eye, at, out, plot_format, angles)
 
@@ -158,7 +158,7 @@ def report(
 
     It is built from the files in the folder; images come from the existing page, or else from the recording.
     """
-    from sylpose.app.report import run_report_command
+    from sylpose.commands.report import run_report_command
 
     run_report_command(result)
 
@@ -186,8 +186,8 @@ def experiments(
 
     Writes paper_STUDY.csv and paper_STUDY.png for each study and paper_index.md into OUT; other files there are kept.
     """
-    from sylpose.app import console_output
-    from sylpose.app.experiments import run_studies, select_studies
+    from sylpose.commands.experiments import run_studies, select_studies
+    from sylpose.runs import console_output
 
     files = run_studies(select_studies(only or []), out, seed=seed, quick=quick)
     console_output.print_files(console_output.make_console(), "Files", files)

@@ -188,12 +188,12 @@ def track(
     residuals), report.html, report.png and overlay.mp4 into OUT; several objects get one folder each. Without boxes and
     masks, whatever moves against the static background is tracked.
     """
-    from sylpose.app.check import check_session, describe_axis_miss
-    from sylpose.app.object_files import load_known_objects
-    from sylpose.app.run import has_finished, output_path
-    from sylpose.app.session_options import open_from_options
-    from sylpose.app.track_command import explain_failures, run_track_command
-    from sylpose.app.world import parse_world_option
+    from sylpose.commands.track_command import explain_failures, run_track_command
+    from sylpose.io.object_files import load_known_objects
+    from sylpose.runs.check import check_session, describe_axis_miss
+    from sylpose.runs.run import has_finished, output_path
+    from sylpose.runs.session_options import open_from_options
+    from sylpose.runs.world import parse_world_option
     from sylpose.sync.offsets import find_offsets
 
     resolve_features(method, features)

@@ -37,7 +37,7 @@ def create_session_folder(path: str | Path, rig: Rig) -> Path:
         OSError: a folder or file cannot be written.
         ValueError: images have an odd width or height, which videos do not support.
     """
-    from sylpose import calibration
+    from sylpose.io import calibration
 
     for camera in rig:
         if camera.size[0] % 2 or camera.size[1] % 2:

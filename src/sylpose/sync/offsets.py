@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sylpose.capture import Session
-from sylpose.capture.live import LiveSession
-from sylpose.capture.names import match_all_names
 from sylpose.input_limits import input_errors, parse_toml, read_text
+from sylpose.io.capture import Session
+from sylpose.io.capture.live import LiveSession
+from sylpose.io.capture.names import match_all_names
 from sylpose.sync.speed_correlation import split_offsets
 
 __all__ = ["OFFSETS_FILE", "apply_offsets", "find_offsets", "load_offsets"]

@@ -1,0 +1,1 @@
+"""Commands, for use from Python as well; `sylpose.cli` defines their options."""

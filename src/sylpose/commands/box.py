@@ -1,0 +1,214 @@
+"""`sylpose box`: a browser page on which the user draws the objects' boxes in the first frame."""
+
+from __future__ import annotations
+
+import shlex
+import threading
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TypeVar
+
+import msgspec
+
+from sylpose.atomic_io import format_boxes_toml, replace_atomically
+from sylpose.browser.box_hints import compute_box_hints
+from sylpose.browser.local_page import GetHandler, LocalPage, Response, json_response, open_browser
+from sylpose.frames import Box
+from sylpose.geometry.arrays import FloatArray, Image
+from sylpose.input_limits import to_one_line
+from sylpose.io.capture import Session
+from sylpose.io.capture.boxes import DEFAULT_OBJECT_NAME, parse_boxes
+from sylpose.report.pictures import encode_jpeg, shrink_image
+from sylpose.runs import console_output
+from sylpose.runs.check import check_session
+from sylpose.tracking.region import carve_box_volume
+
+__all__ = ["BoxEditor", "run_box_command"]
+
+# Folder of the page's files.
+PAGE_FOLDER = Path(__file__).parent / "pages"
+MEDIA_TYPES = {"box.html": "text/html; charset=utf-8", "box.css": "text/css", "box.js": "text/javascript"}
+# Longer side of an image on the page in pixels (choice: a large screen's); boxes use the recording's pixels.
+MAX_IMAGE_SIDE = 2560
+# Seconds between two checks whether the boxes are saved (choice).
+POLL_INTERVAL = 0.2
+
+T = TypeVar("T")
+
+Numbers = tuple[float, float, float, float]
+Boxes = dict[str, dict[str, Box]]
+
+
+@dataclass(eq=False)
+class BoxEditor:
+    """State of the page: its inputs and the boxes that were saved.
+
+    Attributes:
+        session: the recording, with its existing boxes.
+        start: number of the frame in which boxes are drawn.
+        images: image of each camera; None if a camera has none.
+        out: file to which the boxes are written.
+        next_command: command that continues with the boxes.
+        saved: boxes that were written, once `ended` is set.
+    """
+
+    session: Session
+    start: int
+    images: tuple[Image | None, ...]
+    out: Path
+    next_command: str
+    saved: Boxes = field(default_factory=dict)
+    ended: threading.Event = field(default_factory=threading.Event)
+
+    def send_state(self, _: Mapping[str, str]) -> Response:
+        """Return the initial state of the page as JSON."""
+        rig = self.session.rig
+        cameras = [
+            {"name": camera.name, "width": camera.size[0], "height": camera.size[1], "image": image is not None}
+            for camera, image in zip(rig, self.images, strict=True)
+        ]
+        boxes = {name: _boxes_to_numbers(self.session.select_object(name).boxes) for name in self.session.objects}
+        recording = self.session.path.resolve().name
+        return json_response({"recording": recording, "frame": self.start, "cameras": cameras, "boxes": boxes})
+
+    def send_image(self, query: Mapping[str, str]) -> Response:
+        """Return a camera's image as JPEG."""
+        image = dict(zip(self.session.rig.names, self.images, strict=True)).get(query.get("camera", ""))
+        if image is None:
+            raise ValueError("no such camera, or it has no image")
+        return Response(encode_jpeg(shrink_image(image, MAX_IMAGE_SIDE)), "image/jpeg")
+
+    def send_hints(self, query: Mapping[str, str]) -> Response:
+        """Return epipolar bands and suggested boxes in the other cameras for one object's boxes."""
+        numbers = _decode_json(query.get("boxes", "").encode(), dict[str, Numbers])
+        boxes = next(iter(self._validate({DEFAULT_OBJECT_NAME: numbers}).values())) if numbers else {}
+        found = compute_box_hints(self.session.rig, boxes)
+        bands = {
+            name: [
+                {
+                    "of": other,
+                    "outline": _to_page_coordinates(band.outline),
+                    "middle": _to_page_coordinates(band.center_curve),
+                }
+                for other, band in by_other.items()
+            ]
+            for name, by_other in found.bands.items()
+        }
+        return json_response({"bands": bands, "boxes": _boxes_to_numbers(found.boxes), "wrong": found.error})
+
+    def save(self, body: bytes) -> Response:
+        """Write the boxes of all objects and end the command."""
+        sent = {
+            name: by_camera
+            for name, by_camera in _decode_json(body, dict[str, dict[str, Numbers]]).items()
+            if by_camera
+        }
+        if not sent:
+            raise ValueError("there is no box yet: drag one around the object in at least two cameras")
+        boxes = self._validate(sent)
+        if self.session.masks is not None and {*boxes} != {*self.session.objects}:
+            raise ValueError(
+                f"{self.session.masks} has masks of {', '.join(self.session.objects)}: the boxes must be of the same "
+                f"objects, not of {', '.join(boxes)}"
+            )
+        for name, by_camera in boxes.items():
+            if len(by_camera) > 1:
+                try:
+                    carve_box_volume(self.session.rig, by_camera)
+                except ValueError as error:
+                    raise ValueError(str(error) if len(boxes) == 1 else f"{name}: {error}") from None
+        with replace_atomically(self.out) as part:
+            part.write_text(_format_boxes_toml(boxes), encoding="utf-8")
+        self.saved = boxes
+        return json_response({"file": str(self.out), "next": self.next_command}, on_sent=self.ended.set)
+
+    def build_page(self, port: int) -> LocalPage:
+        """Return the page with its request handlers, ready to be served."""
+
+        def file(name: str) -> GetHandler:
+            return lambda _: Response((PAGE_FOLDER / name).read_bytes(), MEDIA_TYPES[name])
+
+        gets = {"": file("box.html"), "box.css": file("box.css"), "box.js": file("box.js")}
+        gets |= {"state": self.send_state, "image": self.send_image, "hints": self.send_hints}
+        return LocalPage(gets, {"boxes": self.save}, port)
+
+    def _validate(self, sent: Mapping[str, Mapping[str, Numbers]]) -> Boxes:
+        """Validate boxes exactly as if they were read from a file."""
+        given = {name: {camera: Box(*box) for camera, box in by_camera.items()} for name, by_camera in sent.items()}
+        return parse_boxes(_format_boxes_toml(given), self.session.rig, Path(self.out.name))
+
+
+def run_box_command(
+    session: Session, out: Path | None, options: Sequence[str], *, start: int, port: int, browser: bool
+) -> Path:
+    """Let the user draw boxes on a browser page and write them.
+
+    Args:
+        session: the recording, with its existing boxes.
+        out: file to write; None: boxes.toml in the recording.
+        options: options that `sylpose track` needs as well for this recording.
+        start: number of the frame in which boxes are drawn.
+        port: port of the page; 0 for any free one.
+        browser: open the page in the user's browser.
+
+    Returns:
+        the file with the boxes.
+
+    Raises:
+        KeyboardInterrupt: interrupted by the user, with a message; nothing was written.
+        ValueError: the recording does not have the frame, or no camera has an image in it.
+        OSError: the port is in use; the message names it.
+    """
+    console = console_output.make_console()
+    console.print(console_output.format_headline(session))
+    command = ["sylpose", "track", str(session.path), *options, *(["--start", str(start)] if start else [])]
+    command += [] if out is None else ["--boxes", str(out)]
+    problems: list[str] = []
+    with closing(session.frames(start, start + 1, on_problem=problems.append)) as frames:
+        images = next(frames, None)
+    console_output.print_warnings(console, problems)
+    if images is None or all(image is None for image in images.images):
+        raise ValueError(f"{session.path}: no camera has an image in frame {start} to draw boxes in")
+    file = session.path / "boxes.toml" if out is None else out
+    editor = BoxEditor(session, start, images.images, file, shlex.join(command))
+    try:
+        with editor.build_page(port) as page:
+            opened = browser and open_browser(page.url)
+            console.print(f"{'Opened' if opened else 'Open'} {page.url} in a browser", soft_wrap=True)
+            console.print("Save on that page writes the boxes and ends this command; Ctrl-C changes nothing.")
+            while not editor.ended.wait(POLL_INTERVAL):  # on Windows, Ctrl-C does not interrupt a wait without timeout
+                pass
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt("interrupted; no boxes were written") from None
+    boxes = editor.saved
+    console_output.print_warnings(console, check_session(replace(session, objects=tuple(boxes), _boxes=boxes), start))
+    cameras = ", ".join(dict.fromkeys(camera for by_camera in boxes.values() for camera in by_camera))
+    label = "Boxes" if len(boxes) == 1 else f"Boxes of {', '.join(boxes)}"
+    console.print(f"{label} in {cameras}: {file}", soft_wrap=True)
+    console.print(f"Next: {editor.next_command}", soft_wrap=True)
+    return file
+
+
+def _decode_json(data: bytes, kind: type[T]) -> T:
+    """Decode JSON sent by the page."""
+    try:
+        return msgspec.json.decode(data, type=kind)
+    except msgspec.MsgspecError as error:
+        raise ValueError(f"boxes by camera are expected ({to_one_line(str(error))})") from None
+
+
+def _format_boxes_toml(boxes: Mapping[str, Mapping[str, Box]]) -> str:
+    """Return the content of boxes.toml; a single unnamed object gets no table."""
+    named = {"" if list(boxes) == [DEFAULT_OBJECT_NAME] else name: by_camera for name, by_camera in boxes.items()}
+    return format_boxes_toml({name: _boxes_to_numbers(by_camera) for name, by_camera in named.items()})
+
+
+def _boxes_to_numbers(boxes: Mapping[str, Box]) -> dict[str, Numbers]:
+    return {camera: (box.x, box.y, box.width, box.height) for camera, box in boxes.items()}
+
+
+def _to_page_coordinates(pixels: FloatArray) -> list[list[float]]:
+    """Convert pixels to the page's coordinates, in which the center of the first pixel is at (0.5, 0.5)."""
+    return [[round(x, 1), round(y, 1)] for x, y in (pixels + 0.5).tolist()]

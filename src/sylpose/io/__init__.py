@@ -1,0 +1,1 @@
+"""Files: calibrations, recordings, exports, object and point files (docs/formats.md)."""

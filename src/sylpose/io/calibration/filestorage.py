@@ -1,0 +1,261 @@
+"""OpenCV's FileStorage, YAML, JSON or XML, in the common layouts for several cameras.
+
+OpenCV defines no layout for a rig. Accepted are one node per camera (or a map or a sequence `cameras`), each with
+
+- `camera_matrix` 3x3,
+- `distortion_coefficients`,
+- `image_width` and `image_height`, or `image_size` (width, height),
+- `R` (3x3, or a rotation vector) and `T`: the pose camera_from_world, as of cv2.solvePnP and cv2.stereoCalibrate; or
+  `camera_from_world` or `world_from_camera`, 3x4 or 4x4,
+- if the lens is not of OpenCV's standard model: `fisheye: 1` or `distortion_model: fisheye`,
+- optionally `avg_reprojection_error`, pixels: per camera, or one value for all next to the cameras,
+
+or common synonyms of these keys (`_NAMES` below), and Multical's `calibration.json`, which has separate `camera_poses`.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from sylpose.io.calibration.camera_builder import (
+    SizeLookup,
+    lens_model_by_name,
+    lookup_sizes,
+    make_camera,
+    make_pose,
+    make_rig,
+    parse_pose_matrix,
+    to_plain,
+)
+from sylpose.io.calibration.incomplete_files import describe_incomplete
+from sylpose.rig import Camera, LensModel, Rig
+
+__all__ = ["get_value", "has_values", "is_calibration", "parse_error_px", "parse_lens_model", "read", "to_text"]
+
+_NAMES = {
+    "matrix": ("camera_matrix", "cameraMatrix", "K", "intrinsic_matrix", "intrinsics", "intrinsic", "matrix", "mtx"),
+    "distortion": (
+        *("distortion_coefficients", "distCoeffs", "dist_coeffs", "distortion_coeffs", "distortion_vector"),
+        *("distortion", "distortions", "dist", "D"),
+    ),
+    "size": ("image_size", "imageSize", "size", "resolution", "img_size"),
+    "width": ("image_width", "imageWidth", "width", "img_width"),
+    "height": ("image_height", "imageHeight", "height", "img_height"),
+    "rotation": ("R", "rotation", "rotation_matrix", "rvec", "rotation_vector"),
+    "translation": ("T", "t", "translation", "translation_vector", "tvec"),
+    "camera_from_world": ("camera_from_world", "extrinsics", "extrinsic", "extrinsic_matrix"),
+    "world_from_camera": ("world_from_camera",),
+    "name": ("name", "camera_name"),
+    "error": (
+        *("avg_reprojection_error", "Avg_Reprojection_Error", "reprojection_error", "rms_reprojection_error"),
+        *("rms_error", "rms", "error"),
+    ),
+}
+# Keys that distinguish a camera's node from others (such as a board, which has a name and a size as well).
+_CAMERA_KEYS = {n for k in ("matrix", "distortion", "rotation", "translation", "camera_from_world") for n in _NAMES[k]}
+
+_LENS_KEYS = ("lens", "distortion_model", "distortion_type", "camera_model", "model")
+_FLAGS: dict[str, LensModel] = {
+    **dict.fromkeys(("true", "1", "1.0"), "fisheye"),
+    **dict.fromkeys(("false", "0", "0.0"), "opencv"),
+}
+
+_CONVENTIONS = (
+    "R and T are camera_from_world, X_camera = R X_world + T; the center of the top-left pixel is (0, 0); "
+    "distortion coefficients in the order of OpenCV"
+)
+
+
+def is_calibration(data: Any) -> bool:
+    """Return whether a decoded file has cameras in a layout that `read` accepts, or at least one camera's lens."""
+    return isinstance(data, dict) and (
+        "cameras" in data
+        or bool(_CAMERA_KEYS & data.keys())
+        or any(isinstance(node, dict) and _CAMERA_KEYS & node.keys() for node in data.values())
+    )
+
+
+def read(data: dict[str, Any], path: Path, sizes: SizeLookup | None = None) -> Rig:
+    """Read the rig of a decoded file.
+
+    Args:
+        data: decoded content.
+        path: path of the file, for the messages.
+        sizes: lookup of image sizes for cameras whose node has none; None if unavailable.
+
+    Raises:
+        ValueError: invalid content; the message names the file, and the camera if applicable.
+    """
+    nodes = _find_camera_nodes(data, path)
+    if not nodes and _CAMERA_KEYS & data.keys():
+        if (
+            not has_values(data, "matrix", "rotation")
+            and (format_hint := describe_incomplete("plain", data)) is not None
+        ):
+            raise ValueError(f"{path}: no calibration: this looks like a file of {format_hint}")
+        raise ValueError(f"{path}: contains a single lens; one node per camera is required, each with its pose R and T")
+    unit = data.get("unit", "")
+    if not isinstance(unit, str):
+        raise ValueError(f"{path}: unit must be a string, got {unit!r}")
+    common_error = parse_error_px(data, str(path))
+    known_sizes = {} if sizes is None else _lookup_missing_sizes(nodes, path, sizes)
+    return make_rig(
+        path, [_parse_camera(node, name, path, common_error, known_sizes.get(name)) for name, node in nodes], unit
+    )
+
+
+def to_text(rig: Rig, suffix: str) -> str:
+    """Format the rig as FileStorage text for a suffix ".yml", ".yaml", ".json" or ".xml": a sequence `cameras`.
+
+    A sequence is used because OpenCV does not accept every name as a node's.
+    """
+    storage = cv2.FileStorage(suffix, cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
+    storage.write("conventions", _CONVENTIONS)
+    storage.write("unit", rig.unit)
+    storage.startWriteStruct("cameras", cv2.FILE_NODE_SEQ)
+    for camera in rig:
+        pose = camera.camera_from_world.as_matrix()
+        storage.startWriteStruct("", cv2.FILE_NODE_MAP)
+        storage.write("name", camera.name)
+        storage.write("image_width", camera.size[0])
+        storage.write("image_height", camera.size[1])
+        storage.write("lens", camera.lens)
+        storage.write("camera_matrix", np.array(camera.matrix))
+        storage.write("distortion_coefficients", camera.distortion.reshape(1, -1).copy())
+        storage.write("R", pose[:3, :3].copy())
+        storage.write("T", pose[:3, 3:].copy())
+        if camera.error_px is not None:
+            storage.write("avg_reprojection_error", camera.error_px)
+        storage.endWriteStruct()
+    storage.endWriteStruct()
+    return str(storage.releaseAndGetString())
+
+
+def _find_camera_nodes(data: dict[str, Any], path: Path) -> list[tuple[str, dict[str, Any]]]:
+    """Return (name, node) of every camera."""
+    cameras = data.get("cameras", data)
+    if isinstance(cameras, list):
+        nodes = []
+        for i, node in enumerate(cameras):
+            name = get_value(node, "name", f"{path}: cameras[{i}]") if isinstance(node, dict) else None
+            if not isinstance(name, str):
+                raise ValueError(f"{path}: cameras[{i}] must be a map with a key 'name'")
+            nodes.append((name, node))
+    elif isinstance(cameras, dict):
+        # In a map `cameras` every map is a camera; at the top level there may be others (metadata, matrices).
+        everything = cameras is not data
+        nodes = [(k, v) for k, v in cameras.items() if isinstance(v, dict) and (everything or _CAMERA_KEYS & v.keys())]
+    else:
+        raise ValueError(f"{path}: 'cameras' must be a map or a sequence")
+    poses = data.get("camera_poses")
+    if not isinstance(poses, dict):
+        return nodes
+    of_camera = _read_multical_poses(poses)
+    return [(name, node | of_camera.get(name, {})) for name, node in nodes]
+
+
+def _read_multical_poses(poses: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    # Keys are "cam1" or, with a master camera, "cam1_to_MASTER". Either way the pose maps points from the rig's (the
+    # master's) frame to camera cam1, despite the key: multical/io/export_calib.py, export_relative.
+    found: dict[str, dict[str, Any]] = {}
+    for key, pose in poses.items():
+        for name in (key, key.partition("_to_")[0], key.rpartition("_to_")[0]):
+            found.setdefault(name, pose if isinstance(pose, dict) else {})
+    return found
+
+
+def _lookup_missing_sizes(
+    nodes: list[tuple[str, dict[str, Any]]], path: Path, sizes: SizeLookup
+) -> dict[str, tuple[int, int]]:
+    """Look up image sizes of cameras whose node has none."""
+    size_keys = [name for key in ("size", "width", "height") for name in _NAMES[key]]
+    without = [name for name, node in nodes if all(node.get(key) is None for key in size_keys)]
+    known = lookup_sizes(path, [name for name, _ in nodes], sizes) if without else {}
+    return {name: known[name] for name in without}
+
+
+def _parse_camera(
+    node: dict[str, Any], name: str, path: Path, common_error: float | None, known_size: tuple[int, int] | None
+) -> Camera:
+    where = f"{path}: camera {name}"
+    own_error = parse_error_px(node, where)
+    size = get_value(node, "size", where) if known_size is None else known_size
+    if size is None:
+        size = [_require_value(node, "width", where), _require_value(node, "height", where)]
+    return make_camera(
+        path,
+        name,
+        size=np.ravel(size) if isinstance(size, list) else size,
+        matrix=_require_value(node, "matrix", where),
+        distortion=_require_value(node, "distortion", where),
+        camera_from_world=_parse_pose(node, name, path),
+        lens=parse_lens_model(node, where),
+        error_px=common_error if own_error is None else own_error,
+    )
+
+
+def parse_error_px(node: dict[str, Any], where: str) -> float | None:
+    """Return the reprojection error of a camera, or of all, in pixels; None if missing."""
+    value = get_value(node, "error", where)
+    if value is None or (isinstance(value, (int, float)) and not isinstance(value, bool)):
+        return value
+    raise ValueError(f"{where}: the reprojection error must be a number of pixels, got {value!r}")
+
+
+def _parse_pose(node: dict[str, Any], name: str, path: Path) -> RigidTransform:
+    where = f"{path}: camera {name}"
+    given = {key: value for key in ("camera_from_world", "world_from_camera") if (value := get_value(node, key, where))}
+    if not given:
+        return make_pose(
+            path, name, _require_value(node, "rotation", where), _require_value(node, "translation", where)
+        )
+    if len(given) == 2 or get_value(node, "rotation", where) is not None:
+        raise ValueError(f"{where}: its pose is given twice; keep one")
+    key, value = given.popitem()
+    pose = parse_pose_matrix(path, name, key, value)
+    return pose if key == "camera_from_world" else pose.inv()
+
+
+def parse_lens_model(node: dict[str, Any], where: str) -> LensModel:
+    """Return the lens model given by a camera's keys; OpenCV's standard model by default."""
+    found: set[LensModel] = set()
+    for key in _LENS_KEYS:
+        if (value := node.get(key)) is None:
+            continue
+        model = lens_model_by_name(value, where, key)
+        # In Kalibr, a "pinhole" camera with an "equidistant" lens is a fisheye.
+        if str(value).lower() != "pinhole":
+            found.add(model)
+    if (fisheye := node.get("fisheye")) is not None:
+        # A boolean true is 1.0 after OpenCV's YAML parsing, and "true" after XML.
+        if str(fisheye).lower() not in _FLAGS:
+            raise ValueError(f"{where}: fisheye must be true or false, got {fisheye!r}")
+        found.add(_FLAGS[str(fisheye).lower()])
+    if len(found) > 1:
+        raise ValueError(f"{where}: the lens is declared both fisheye and not fisheye")
+    return found.pop() if found else "opencv"
+
+
+def _require_value(node: dict[str, Any], key: str, where: str) -> Any:
+    value = get_value(node, key, where)
+    if value is None:
+        raise ValueError(f"{where}: missing key {_NAMES[key][0]!r} (or {', '.join(_NAMES[key][1:])})")
+    return value
+
+
+def has_values(node: dict[str, Any], *keys: str) -> bool:
+    """Return whether a camera has values for all these keys, under any of their names."""
+    return all(any(node.get(name) is not None for name in _NAMES[key]) for key in keys)
+
+
+def get_value(node: dict[str, Any], key: str, where: str) -> Any:
+    """Return the value of a key under any of its names, as plain numbers; None if missing."""
+    names = [name for name in _NAMES[key] if node.get(name) is not None]
+    if len(names) > 1:
+        raise ValueError(f"{where}: {' and '.join(names)} are synonyms; keep one")
+    return to_plain(node[names[0]], f"{where}: {names[0]}") if names else None

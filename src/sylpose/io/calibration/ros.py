@@ -1,0 +1,218 @@
+"""ROS camera_info files in YAML, one per camera, with transforms next to them. Lengths are meters.
+
+camera_info is written by camera_calibration (left.yaml, ost.yaml) or printed as a message by `ros2 topic echo`.
+Transforms give the frames' poses: /tf_static, or any TransformStamped, printed likewise. X_parent = R X_child + t; a
+camera's frame is its optical one (x right, y down, z forward). Without transforms, the poses of a stereo pair follow
+from its projection and rectification matrices.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sylpose.io.calibration.camera_builder import (
+    lens_model_by_name,
+    make_camera,
+    make_pose,
+    make_rig,
+    parse_numbers,
+    to_plain,
+)
+from sylpose.io.calibration.sniffing import read_folder_documents
+from sylpose.rig import Camera, Rig
+
+__all__ = ["is_ros", "read"]
+
+# Keys of messages, and of camera_calibration's files.
+_KEYS = {
+    "K": ("camera_matrix", "k", "K"),
+    "D": ("distortion_coefficients", "d", "D"),
+    "R": ("rectification_matrix", "r", "R"),
+    "P": ("projection_matrix", "p", "P"),
+    "width": ("image_width", "width"),
+    "height": ("image_height", "height"),
+}
+# Maximum depth of the frame tree (choice: deeper than any robot's).
+MAX_TREE_DEPTH = 100
+
+
+def is_ros(data: Any) -> bool:
+    """Return whether a decoded file is a camera_info, or has transforms."""
+    return _is_info(data) or next(_iterate_transforms(data), None) is not None
+
+
+def read(_: Any, path: Path) -> Rig:
+    """Read the rig of all camera_info and transforms in the file's folder; its world is the root frame.
+
+    Raises:
+        ValueError: invalid content; the message names the file, and the camera if applicable.
+    """
+    found = list(read_folder_documents(path, "camera_matrix", "distortion_model", "child_frame_id"))
+    infos = [(file, data) for file, data in found if _is_info(data)]
+    transforms = [(file, transform) for file, data in found for transform in _iterate_transforms(data)]
+    if not infos:
+        raise ValueError(f"{path}: these are ROS transforms without a camera_info next to them")
+    names = [_camera_name(data) or file.stem for file, data in infos]
+    if len(set(names)) < len(names):
+        names = [file.stem for file, _ in infos]
+    info_by_name = dict(zip(names, infos, strict=True))
+    if transforms:
+        tree = _build_tree(transforms)
+        poses = {name: _find_camera_from_root(name, data, tree, file) for name, (file, data) in info_by_name.items()}
+        if len(roots := {root for root, _ in poses.values()}) > 1:
+            raise ValueError(f"{path}: the ROS transforms next to it do not connect {' and '.join(sorted(roots))}")
+        of_camera = {name: pose for name, (_, pose) in poses.items()}
+    else:
+        of_camera = _poses_from_rectification(info_by_name, path)
+    return make_rig(
+        path, [_parse_camera(file, name, data, of_camera[name]) for name, (file, data) in info_by_name.items()], "m"
+    )
+
+
+def _is_info(data: Any) -> bool:
+    """Return whether it has the keys common to both forms of camera_info, and absent in other formats."""
+    return (
+        isinstance(data, dict)
+        and "distortion_model" in data
+        and all(_get_value(data, key) is not None for key in ("K", "P", "width", "height"))
+        and "camera_from_world" not in data
+    )
+
+
+def _get_value(data: dict[str, Any], key: str) -> Any:
+    return next((data[name] for name in _KEYS[key] if data.get(name) is not None), None)
+
+
+def _camera_name(data: dict[str, Any]) -> str:
+    """Return the last part of the camera's name (narrow_stereo/left is left), or of its frame's without "optical"."""
+    name = str(data.get("camera_name") or "").strip("/").rpartition("/")[2]
+    return name or _get_frame_id(data).removesuffix("_optical_frame").removesuffix("_optical").rpartition("/")[2]
+
+
+def _get_frame_id(data: dict[str, Any]) -> str:
+    header = data.get("header")
+    return str(header.get("frame_id") or "").strip("/") if isinstance(header, dict) else ""
+
+
+def _iterate_transforms(data: Any) -> Iterator[dict[str, Any]]:
+    """Yield the transforms of a TFMessage, of a list, or a single one."""
+    if isinstance(data, dict) and isinstance(data.get("transforms"), list):
+        data = data["transforms"]
+    for transform in data if isinstance(data, list) else [data]:
+        if (
+            isinstance(transform, dict)
+            and "child_frame_id" in transform
+            and isinstance(transform.get("transform"), dict)
+        ):
+            yield transform
+
+
+def _build_tree(transforms: list[tuple[Path, dict[str, Any]]]) -> dict[str, tuple[str, RigidTransform]]:
+    """Build the frame tree: by frame, its parent, and its pose in the parent."""
+    tree: dict[str, tuple[str, RigidTransform]] = {}
+    for file, transform in transforms:
+        child, parent = str(transform["child_frame_id"]).strip("/"), _get_frame_id(transform)
+        where = f"{file}: the transform of {child}"
+        if not parent or not child:
+            raise ValueError(f"{where}: header.frame_id and child_frame_id must name frames")
+        translation, quaternion = (
+            [_parse_component(transform["transform"], what, axis, where) for axis in axes] for what, axes in _PARTS
+        )
+        if not abs(np.linalg.norm(quaternion) - 1.0) < 1e-3:
+            raise ValueError(f"{where}: its rotation must be a quaternion x, y, z, w of length 1")
+        tree[child] = parent, make_pose(file, child, Rotation.from_quat(quaternion).as_matrix(), translation)
+    return tree
+
+
+_PARTS = (("translation", "xyz"), ("rotation", "xyzw"))
+
+
+def _parse_component(transform: dict[str, Any], part: str, axis: str, where: str) -> float:
+    values = transform.get(part)
+    if not isinstance(values, dict) or values.get(axis) is None:
+        raise ValueError(f"{where}: missing {part}.{axis}")
+    return float(parse_numbers([values[axis]], 1, f"{where}: {part}.{axis}")[0])
+
+
+def _find_camera_from_root(
+    name: str, data: dict[str, Any], tree: dict[str, tuple[str, RigidTransform]], path: Path
+) -> tuple[str, RigidTransform]:
+    """Return the root frame of a camera, and its pose camera_from_root."""
+    frames = {*tree, *(parent for parent, _ in tree.values())}
+    camera_frame = _get_frame_id(data)
+    if camera_frame not in frames:
+        candidates = sorted(frame for frame in frames if _is_optical_frame(frame, name))
+        if len(candidates) != 1:
+            description = (
+                f"{camera_frame!r} or the optical one of {name}" if camera_frame else f"the optical one of {name}"
+            )
+            raise ValueError(f"{path}: camera {name}: no frame in the ROS transforms next to it is {description}")
+        camera_frame = candidates[0]
+    root_from_camera, frame = RigidTransform.identity(), camera_frame
+    for _ in range(MAX_TREE_DEPTH):
+        if frame not in tree:
+            return frame, root_from_camera.inv()
+        frame, pose = tree[frame]
+        root_from_camera = pose * root_from_camera
+    raise ValueError(f"{path}: camera {name}: the frame {camera_frame} is its own ancestor")
+
+
+def _is_optical_frame(frame: str, name: str) -> bool:
+    """Return whether a frame is the camera's optical frame, as opposed to its link (x forward)."""
+    last = frame.rpartition("/")[2]
+    return last in (name, f"{name}_optical", f"{name}_optical_frame", f"{name}_camera_optical_frame")
+
+
+def _poses_from_rectification(
+    info_by_name: dict[str, tuple[Path, dict[str, Any]]], path: Path
+) -> dict[str, RigidTransform]:
+    """Compute camera_from_world of two cameras from their rectification.
+
+    The world is the rectified first camera's frame. A point X of it is at R'(X + (Tx/fx, Ty/fy, 0)) in a camera, by
+    sensor_msgs/CameraInfo: Tx = -fx B in the second one.
+    """
+    poses = {}
+    for name, (file, data) in info_by_name.items():
+        where = f"{file}: camera {name}"
+        projection = parse_numbers(_flatten(_get_value(data, "P"), where, "P"), 12, f"{where}: P").reshape(3, 4)
+        rotation = make_pose(
+            file,
+            name,
+            np.reshape(parse_numbers(_flatten(_get_value(data, "R"), where, "R"), 9, f"{where}: R"), (3, 3)),
+            [0] * 3,
+        )
+        focal = projection[[0, 1], [0, 1]]
+        translation = np.append(projection[:2, 3] / np.where(focal > 0, focal, 1.0), 0.0)
+        poses[name] = rotation.inv() * RigidTransform.from_translation(translation)
+    baselines = [pose.translation for pose in poses.values() if pose.translation.any()]
+    if len(poses) != 2 or len(baselines) != 1:
+        raise ValueError(
+            f"{path}: this is a ROS camera_info, which does not contain the camera's pose; add "
+            "tf_static.yaml (ros2 topic echo --once /tf_static), or use P and R of a stereo pair"
+        )
+    return poses
+
+
+def _flatten(value: Any, where: str, key: str) -> list[Any]:
+    rows = to_plain(value, f"{where}: {key}")
+    if rows is None:
+        raise ValueError(f"{where}: missing {_KEYS[key][0]!r}")
+    return [v for row in rows for v in (row if isinstance(row, list) else [row])] if isinstance(rows, list) else [rows]
+
+
+def _parse_camera(path: Path, name: str, data: dict[str, Any], pose: RigidTransform) -> Camera:
+    where = f"{path}: camera {name}"
+    return make_camera(
+        path,
+        name,
+        size=[_get_value(data, "width"), _get_value(data, "height")],
+        matrix=np.reshape(parse_numbers(_flatten(_get_value(data, "K"), where, "K"), 9, f"{where}: K"), (3, 3)),
+        distortion=_flatten(_get_value(data, "D"), where, "D"),
+        camera_from_world=pose,
+        lens=lens_model_by_name(data["distortion_model"], where, "distortion_model"),
+    )

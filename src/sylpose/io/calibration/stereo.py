@@ -1,0 +1,160 @@
+"""OpenCV stereo calibration: M1 D1 M2 D2 in intrinsics.yml and R T in extrinsics.yml, or all in one file.
+
+X_2 = R X_1 + T, as of cv2.stereoCalibrate: the world is the first camera's frame. R1 R2 P1 P2 Q belong to rectified
+images and are not used. With more than two cameras, each has its own pose camera_from_world, R1 T1, R2 T2, ...
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from sylpose.io.calibration.camera_builder import SizeLookup, lookup_sizes, make_camera, make_pose, make_rig, to_plain
+from sylpose.io.calibration.filestorage import get_value, has_values, parse_error_px, parse_lens_model
+from sylpose.io.calibration.sniffing import find_sibling_file, read_plain
+from sylpose.rig import Rig
+
+__all__ = ["is_stereo", "read", "to_text"]
+
+_CAMERA_SUFFIX = r"_?(\d+|left|right|l|r)"
+_MATRIX = re.compile(r"(?:M|K|A|CM|mtx|camera_?matrix|intrinsics?(?:_?matrix)?)" + _CAMERA_SUFFIX, re.IGNORECASE)
+_LENS = re.compile(r"(?:D|dist|dist_?coeffs?|distortions?|distortion_?coefficients)" + _CAMERA_SUFFIX, re.IGNORECASE)
+_ROTATION = re.compile(r"(?:R|rotation)" + _CAMERA_SUFFIX, re.IGNORECASE)
+_TRANSLATION = re.compile(r"(?:T|translation)" + _CAMERA_SUFFIX, re.IGNORECASE)
+_OMNIDIR = re.compile(r"xi" + _CAMERA_SUFFIX, re.IGNORECASE)
+_SIDES = {"l": "left", "r": "right"}
+
+
+def is_stereo(data: Any) -> bool:
+    """Return whether a decoded file has numbered camera matrices, or R and T without a camera they belong to."""
+    if not isinstance(data, dict):
+        return False
+    if len(_collect_numbered(data, _MATRIX)) > 1:
+        return True
+    cameras = any(isinstance(node, dict) and has_values(node, "matrix") for node in (data, *data.values()))
+    return has_values(data, "rotation", "translation") and not cameras and "cameras" not in data
+
+
+def read(data: dict[str, Any], path: Path, sizes: SizeLookup | None = None) -> Rig:
+    """Read the rig; cameras are named by their numbers ("1", "2") or sides ("left", "right").
+
+    Raises:
+        ValueError: naming the file, and what is missing in it and its counterpart.
+    """
+    given_data = data
+    if not _collect_numbered(data, _MATRIX):
+        data = data | _read_other_file(
+            path, "extri", "intri", "camera matrices and lenses (M1 D1 M2 D2)", "R and T alone"
+        )
+    matrices, lenses = _collect_numbered(data, _MATRIX), _collect_numbered(data, _LENS)
+    if found := _collect_numbered(data, _OMNIDIR):
+        raise ValueError(f"{path}: {next(iter(found.values()))[0]}: cv2.omnidir's model is not supported")
+    if len(matrices) < 2:
+        raise ValueError(f"{path}: R and T relate two cameras, but there is only one camera matrix")
+    poses = _read_own_poses(data, list(matrices), path)
+    if poses is None and not has_values(data, "rotation", "translation"):
+        what = "camera matrices without R and T"
+        if _collect_numbered(given_data, _ROTATION):
+            what += " (R1 and R2 only rectify images)"
+        data = data | _read_other_file(path, "intri", "extri", "R and T, the second camera's pose", what)
+    where = str(path)
+    size = get_value(data, "size", where)
+    if size is None and has_values(data, "width", "height"):
+        size = [get_value(data, "width", where), get_value(data, "height", where)]
+    known_sizes = dict.fromkeys(matrices, size) if size is not None else lookup_sizes(path, list(matrices), sizes)
+    if poses is None:
+        if len(matrices) > 2:
+            raise ValueError(f"{path}: {len(matrices)} camera matrices and one R and T: each camera needs its R and T")
+        first, second = matrices
+        rotation, translation = get_value(data, "rotation", where), get_value(data, "translation", where)
+        poses = {first: RigidTransform.identity(), second: make_pose(path, second, rotation, translation)}
+    cameras = []
+    for name, (key, matrix) in matrices.items():
+        if name not in lenses:
+            raise ValueError(f"{path}: camera {name}: no distortion next to {key!r}, such as D{name}")
+        cameras.append(
+            make_camera(
+                path,
+                name,
+                size=known_sizes[name],
+                matrix=to_plain(matrix, f"{path}: {key}"),
+                distortion=to_plain(lenses[name][1], f"{path}: {lenses[name][0]}"),
+                camera_from_world=poses[name],
+                lens=parse_lens_model(data, where),
+                error_px=parse_error_px(data, where),
+            )
+        )
+    return make_rig(path, cameras)
+
+
+def to_text(rig: Rig, suffix: str) -> str:
+    """Format the rig as a single file for that suffix, with the keys of OpenCV's sample and the image size.
+
+    Raises:
+        ValueError: other than two cameras, of one size and lens model.
+    """
+    if len(rig) != 2:
+        raise ValueError(
+            f"an OpenCV stereo calibration has two cameras, not {len(rig)} ({', '.join(rig.names)}); Rig.subset "
+            "chooses two, or --only CAM --only CAM of sylpose calibration convert"
+        )
+    first, second = rig
+    for what, same in (("sizes", first.size == second.size), ("lens models", first.lens == second.lens)):
+        if not same:
+            raise ValueError(
+                f"an OpenCV stereo calibration requires equal {what}: those of {first.name} and {second.name} differ"
+            )
+    pose = (second.camera_from_world * first.camera_from_world.inv()).as_matrix()
+    storage = cv2.FileStorage(suffix, cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
+    for i, camera in enumerate(rig, start=1):
+        storage.write(f"M{i}", np.array(camera.matrix))
+        storage.write(f"D{i}", camera.distortion.reshape(1, -1).copy())
+    storage.write("R", pose[:3, :3].copy())
+    storage.write("T", pose[:3, 3:].copy())
+    storage.write("image_width", first.size[0])
+    storage.write("image_height", first.size[1])
+    if first.lens == "fisheye":
+        storage.write("fisheye", 1)
+    return str(storage.releaseAndGetString())
+
+
+def _collect_numbered(data: dict[str, Any], key: re.Pattern[str]) -> dict[str, tuple[str, Any]]:
+    """Collect key and value by the camera's number or side."""
+    found: dict[str, tuple[str, Any]] = {}
+    for name, value in data.items():
+        if value is not None and (match := key.fullmatch(name)):
+            suffix = match[1].lower()
+            found.setdefault(_SIDES.get(suffix, suffix), (name, value))
+    return found
+
+
+def _read_own_poses(data: dict[str, Any], names: list[str], path: Path) -> dict[str, RigidTransform] | None:
+    """Return camera_from_world of cameras with their own rotation and translation; None unless all have both."""
+    rotations, translations = _collect_numbered(data, _ROTATION), _collect_numbered(data, _TRANSLATION)
+    if any(name not in rotations or name not in translations for name in names):
+        return None
+    return {
+        name: make_pose(
+            path, name, *(to_plain(value, f"{path}: {key}") for key, value in (rotations[name], translations[name]))
+        )
+        for name in names
+    }
+
+
+def _read_other_file(path: Path, part: str, other: str, what: str, present: str) -> dict[str, Any]:
+    """Read the content of the counterpart file."""
+    file = find_sibling_file(path, part, other)
+    if file is None:
+        raise ValueError(
+            f"{path}: this is one of two files of an OpenCV stereo calibration, {present}; it requires {what}, in it or "
+            f"in {'intrinsics' if other == 'intri' else 'extrinsics'}.yml next to it"
+        )
+    found = read_plain(file)
+    if not isinstance(found, dict):
+        raise ValueError(f"{file}: not a map of names and values")
+    return found

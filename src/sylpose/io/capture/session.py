@@ -1,0 +1,339 @@
+"""Recorded sessions: opening a recording and reading its frame sets."""
+
+from __future__ import annotations
+
+import warnings as python_warnings
+from collections.abc import Callable, Generator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack, closing
+from dataclasses import dataclass, field, replace
+from itertools import zip_longest
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from sylpose.frames import Box, FrameSet
+from sylpose.geometry.arrays import BoolArray
+from sylpose.geometry.validation import check_list
+from sylpose.input_limits import input_errors
+from sylpose.io import calibration as calibrations
+from sylpose.io.calibration.world import World, transform_rig
+from sylpose.io.capture.boxes import Masks, check_first_masks, find_masks, load_boxes, merge_object_names
+from sylpose.io.capture.frame_readers import CameraReader, FrameReading, check_readable
+from sylpose.io.capture.sources import Source, find_sources, read_image_sizes
+from sylpose.io.capture.timeline import Timeline, build_timeline, load_timestamps
+from sylpose.rig import Rig
+
+__all__ = ["Session", "SessionBase", "issue_warning", "merge_masks", "open_session"]
+
+
+@dataclass(frozen=True, eq=False)
+class SessionBase:
+    """Common base of recordings and live sessions: a rig and one or more objects.
+
+    Attributes:
+        path: the session folder.
+        rig: the calibrated cameras.
+        calibration: the file that the rig was read from.
+        objects: the object names; "object" for an unnamed one. Boxes exist for all objects or for none; so do masks.
+        masks: the folder of masks, or None.
+        warnings: messages about suspicious but usable input.
+        world: user-defined world frame in which the rig is expressed; None for the calibration's.
+        without: excluded cameras of the calibration; the rig contains only the others.
+    """
+
+    path: Path
+    rig: Rig
+    calibration: Path
+    objects: tuple[str, ...]
+    masks: Path | None
+    warnings: tuple[str, ...]
+    _boxes: dict[str, dict[str, Box]] = field(repr=False)
+    _masks: dict[str, tuple[Masks, ...]] = field(repr=False)
+    world: World | None = field(default=None, kw_only=True)
+    without: tuple[str, ...] = field(default=(), kw_only=True)
+
+    @property
+    def boxes(self) -> dict[str, Box]:
+        """The object's box in the first frame set, by camera; cameras without a box are missing.
+
+        Raises:
+            ValueError: the session has several objects; see `select_object`.
+        """
+        if len(self.objects) > 1:
+            raise ValueError(f"{self.path}: several objects ({', '.join(self.objects)}): select one object first")
+        return self._boxes.get(self.objects[0], {})
+
+    def select_object(self, name: str) -> Self:
+        """Return the session restricted to the boxes and masks of one object.
+
+        Raises:
+            ValueError: no such object.
+        """
+        if name not in self.objects:
+            raise ValueError(f"{self.path}: no object {name!r} in the session ({', '.join(self.objects)})")
+        boxes = {name: self._boxes[name]} if name in self._boxes else {}
+        masks = {name: self._masks[name]} if name in self._masks else {}
+        return replace(self, objects=(name,), _boxes=boxes, _masks=masks)
+
+    def with_rig(self, rig: Rig) -> Self:
+        """Return the session with a modified rig: another unit or world frame, or refined parameters.
+
+        Raises:
+            ValueError: the cameras, their order or their sizes differ.
+        """
+        if [(c.name, c.size) for c in rig] != [(c.name, c.size) for c in self.rig]:
+            raise ValueError(
+                f"rig: the cameras {', '.join(self.rig.names)} of {self.path} and their sizes are expected"
+            )
+        return replace(self, rig=rig)
+
+    def with_world(self, world: World) -> Self:
+        """Return the session with its rig expressed in a user-defined world frame.
+
+        Args:
+            world: the world frame, located in the calibration's.
+
+        Raises:
+            ValueError: a world frame is already set, or as `calibration.world.transform_rig`.
+        """
+        if self.world is not None:
+            raise ValueError(f"world: {self.path} is already expressed in {self.world.description or 'another one'}")
+        return replace(self.with_rig(transform_rig(self.rig, world)), world=world)
+
+
+@dataclass(frozen=True, eq=False)
+class Session(SessionBase):
+    """A recording: one video or image folder per camera.
+
+    Attributes:
+        sources: one per camera, in the rig's order.
+        timeline: frame of each camera and time of each frame set.
+    """
+
+    sources: tuple[Source, ...]
+    timeline: Timeline
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frame sets, from 0 to the last in which any camera has a frame."""
+        return len(self.timeline.times)
+
+    @property
+    def rate(self) -> float | None:
+        """Frame sets per second, or None for images without timestamps."""
+        return self.timeline.rate
+
+    def frames(
+        self,
+        start: int = 0,
+        stop: int | None = None,
+        every: int = 1,
+        on_problem: Callable[[str], None] | None = None,
+    ) -> Generator[FrameSet, None, None]:
+        """Yield the frame sets start, start + every, ... below stop.
+
+        One frame set is read ahead, with one thread per camera; nothing else is kept in memory. The image of a camera
+        without a frame is None. Truncated files are read as far as possible; iteration ends after the last frame of the
+        last camera.
+
+        Args:
+            start: number of the first frame set.
+            stop: number after the last; None, or more than `n_frames`, for all.
+            every: step between frame sets.
+            on_problem: called with one message per truncated file and per unreadable frame, before the frame set is
+                yielded, in the caller's thread; None for `warnings.warn`.
+
+        Raises:
+            ValueError: a start outside the session, stop <= start, every < 1; at the call, not at the first frame.
+            OSError, ValueError: while iterating, a video can no longer be opened.
+        """
+        if not 0 <= start < self.n_frames:
+            raise ValueError(f"start must be in 0 ... {self.n_frames - 1} (the session's frames), got {start}")
+        if stop is not None and stop <= start:
+            raise ValueError(f"stop must be greater than start ({start}), got {stop}")
+        if every < 1:
+            raise ValueError(f"every must be at least 1, got {every}")
+        indices = range(start, self.n_frames if stop is None else min(stop, self.n_frames), every)
+        return self._read(indices, on_problem or issue_warning)
+
+    def _read(self, indices: range, on_problem: Callable[[str], None]) -> Generator[FrameSet, None, None]:
+        with ExitStack() as stack:
+            readers = [
+                stack.enter_context(closing(CameraReader(source, {name: m[c] for name, m in self._masks.items()})))
+                for c, source in enumerate(self.sources)
+            ]
+            pool = stack.enter_context(ThreadPoolExecutor(len(readers), thread_name_prefix="sylpose-capture"))
+
+            def submit(i: int) -> list[Future[FrameReading]]:
+                row = self.timeline.frames[i].tolist()
+                return [pool.submit(reader.read, k) for reader, k in zip(readers, row, strict=True)]
+
+            last = [
+                int(np.flatnonzero(column >= 0)[-1]) if (column >= 0).any() else -1 for column in self.timeline.frames.T
+            ]
+            pending = submit(indices[0])
+            for i, next_index in zip_longest(indices, indices[1:]):
+                readings = [future.result() for future in pending]
+                pending = [] if next_index is None else submit(next_index)
+                for reading in readings:
+                    for problem in reading.problems:
+                        on_problem(problem)
+                if all(reading.ended or end < i for reading, end in zip(readings, last, strict=True)):
+                    return
+                yield self._frame_set(i, readings)
+
+    def _frame_set(self, i: int, readings: list[FrameReading]) -> FrameSet:
+        masks = {name: tuple(reading.masks[name] for reading in readings) for name in self._masks}
+        return FrameSet(
+            i,
+            float(self.timeline.times[i]),
+            tuple(None if np.isnan(stamp) else float(stamp) for stamp in self.timeline.stamps[i]),
+            tuple(reading.image for reading in readings),
+            tuple(merge_masks([m[c] for m in masks.values()]) for c in range(len(readings))),
+            masks if len(masks) > 1 else {},
+        )
+
+
+def open_session(
+    path: Path | str,
+    *,
+    calibration: Path | None = None,
+    boxes: Path | None = None,
+    masks: Path | None = None,
+    offsets: Mapping[str, int] | None = None,
+    cameras: Mapping[str, Path | str] | None = None,
+    rate: float | None = None,
+    without: Sequence[str] = (),
+) -> Session:
+    """Open a recording: a folder with one video (`cam_0.mp4`) or one image folder (`cam_0/`) per camera.
+
+    File names are matched to the calibration's cameras, tolerantly if that is unambiguous (`0.avi` is `cam_0`). Frames
+    are used as coded, without the rotation in the file's metadata; their size must equal the calibration's. The folder
+    may also contain the calibration, boxes.toml, masks/ and timestamps.csv, which are found automatically.
+
+    Args:
+        path: the session folder.
+        calibration: the calibration file, if it is not the only one in the folder.
+        boxes: the file of boxes, instead of boxes.toml in the folder.
+        masks: the folder of masks, instead of masks/ in the folder.
+        offsets: frame offset by camera; frame k is in frame set k + offset, so a camera that starts late has offset >
+            0.
+        cameras: video or image folder by camera (relative to `path`), if the names do not identify them.
+        rate: frame rate of image folders without timestamps, frames per second.
+        without: cameras of the calibration to exclude, whether they have images or not.
+
+    Returns:
+        The session; its `warnings` list suspicious input.
+
+    Raises:
+        FileNotFoundError: no such folder or file.
+        ValueError: the message names the file or camera and the expected content.
+    """
+    path = Path(path)
+    with input_errors(path):
+        return _open_session(path, calibration, boxes, masks, offsets, cameras, rate, without)
+
+
+def reopen_session(
+    path: Path,
+    calibration: Path,
+    offsets: Mapping[str, int],
+    cameras: Mapping[str, Path | str],
+    rate: float | None,
+    without: Sequence[str],
+) -> Session:
+    """Open the images of a recording by the calibration of an earlier run, which lacks the excluded cameras.
+
+    Raises:
+        FileNotFoundError, ValueError: as `open_session`.
+    """
+    with input_errors(path):
+        return _open_session(path, calibration, None, None, offsets, cameras, rate, without, is_reopened=bool(without))
+
+
+def _open_session(
+    path: Path,
+    calibration: Path | None,
+    boxes: Path | None,
+    masks: Path | None,
+    offsets: Mapping[str, int] | None,
+    cameras: Mapping[str, Path | str] | None,
+    rate: float | None,
+    without: Sequence[str],
+    is_reopened: bool = False,
+) -> Session:
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: no such folder")
+    if not path.is_dir():
+        raise ValueError(f"{path}: a folder with one video or image folder per camera is expected, not a file")
+    calibration = calibrations.find(path) if calibration is None else Path(calibration)
+    boxes = None if boxes is None else Path(boxes)
+    masks = None if masks is None else Path(masks)
+    if boxes is None and not is_reopened and (path / "boxes.toml").is_file():
+        boxes = path / "boxes.toml"
+    if masks is None and not is_reopened and (path / "masks").is_dir():
+        masks = path / "masks"
+
+    others = [] if masks is None else [masks]
+    rig = calibrations.load(
+        calibration, lambda names: read_image_sizes(path, names, calibration, others, cameras, without)
+    )
+    full_rig, rig = rig, rig if is_reopened else _exclude_cameras(rig, without, calibration)
+    sources, warnings = find_sources(
+        path, rig, calibration, other_folders=others, source_by_camera=cameras, without=without
+    )
+    for source in sources:
+        check_readable(source)
+    stamps_file = path / "timestamps.csv"
+    stamps = load_timestamps(stamps_file, rig.names, without) if stamps_file.is_file() else None
+    timeline, timeline_warnings = build_timeline(sources, stamps, offsets, rate)
+    by_object, mask_warnings = ({}, []) if masks is None else find_masks(masks, full_rig, sources)
+    for camera_masks in by_object.values():
+        check_first_masks(camera_masks, sources, timeline.frames)
+    object_boxes = {} if boxes is None else load_boxes(boxes, full_rig)
+    object_boxes = {
+        name: {c: box for c, box in by_camera.items() if c in rig.names} for name, by_camera in object_boxes.items()
+    }
+    return Session(
+        path=path,
+        rig=rig,
+        calibration=calibration,
+        sources=sources,
+        objects=merge_object_names(object_boxes, by_object, boxes, masks),
+        masks=masks,
+        timeline=timeline,
+        warnings=(*warnings, *timeline_warnings, *mask_warnings),
+        without=tuple(without),
+        _boxes=object_boxes,
+        _masks=by_object,
+    )
+
+
+def _exclude_cameras(rig: Rig, without: Sequence[str], calibration: Path) -> Rig:
+    """Return the rig without the excluded cameras.
+
+    Raises:
+        ValueError: an unknown camera, or no camera remains.
+    """
+    without = check_list(without, str, "without")
+    if unknown := [name for name in without if name not in rig.names]:
+        raise ValueError(f"without: {unknown[0]!r} is not a camera of {calibration.name} ({', '.join(rig.names)})")
+    kept = [name for name in rig.names if name not in without]
+    if not kept:
+        raise ValueError(f"without: no camera of {calibration.name} remains")
+    return rig.subset(kept) if without else rig
+
+
+def merge_masks(masks: Sequence[BoolArray | None]) -> BoolArray | None:
+    """Return the union of the objects' masks (h, w); None unless all are known. A single mask is returned as it is."""
+    known = [mask for mask in masks if mask is not None]
+    if not known or len(known) < len(masks):
+        return None
+    return known[0] if len(known) == 1 else np.logical_or.reduce(known)
+
+
+def issue_warning(problem: str) -> None:
+    """Issue a problem as a Python warning; the default `on_problem` of `frames`."""
+    python_warnings.warn(problem, stacklevel=3)

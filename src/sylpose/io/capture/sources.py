@@ -1,0 +1,317 @@
+"""Image sources of a session folder: one video or image folder per camera."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import av
+import av.error
+from av.container import InputContainer
+from av.video.stream import VideoStream
+
+from sylpose.input_limits import UnreadableFileError, resolve_path
+from sylpose.io.capture.images import read_image, read_image_size
+from sylpose.io.capture.names import find_repeated_recordings, image_files, image_numbers, match_names
+from sylpose.rig import Camera, Rig
+
+__all__ = [
+    "NON_CAMERA_NAMES",
+    "VIDEO_SUFFIXES",
+    "Source",
+    "find_sources",
+    "open_source",
+    "open_video",
+    "read_image_sizes",
+]
+
+VIDEO_SUFFIXES = frozenset(
+    {".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v", ".mpg", ".mpeg", ".ts", ".mts", ".m2ts", ".wmv", ".flv", ".ogv"}
+)
+# FFmpeg detects the format by content: any file may be a playlist of other files and URLs, whatever its name. Only
+# video containers are allowed, and only local files.
+DEMUXER_OPTIONS = {
+    "protocol_whitelist": "file",
+    "format_whitelist": "mov,mp4,m4a,3gp,3g2,mj2,avi,matroska,webm,mpeg,mpegvideo,mpegts,asf,flv,live_flv,ogg",
+}
+# A title that is not UTF-8 must not make a video unreadable. PyAV >= 19 accepts any title; earlier versions need this
+# option.
+METADATA_OPTIONS: dict[str, Any] = {} if int(av.__version__.partition(".")[0]) >= 19 else {"metadata_errors": "replace"}
+# Folder names that sylpose itself writes or reads, and which are never cameras.
+NON_CAMERA_NAMES = frozenset({"sylpose", "masks", "overlay"})
+
+
+@dataclass(frozen=True)
+class Source:
+    """Image source of one camera.
+
+    Attributes:
+        camera: the camera's name in the calibration.
+        path: the video or the folder.
+        kind: "video" or "images".
+        size: (width, height) in pixels, as coded: rotation metadata of videos and photographs is not applied.
+        n_frames: number of frames that the video declares; counted if it declares none.
+        rate: average frame rate in frames per second; None for images and for videos without one.
+        files: the images in order; empty for videos.
+        numbers: the numbers in the image names; None for videos and if the names have no usable numbers.
+    """
+
+    camera: str
+    path: Path
+    kind: Literal["video", "images"]
+    size: tuple[int, int]
+    n_frames: int
+    rate: float | None = None
+    files: tuple[Path, ...] = field(default=(), repr=False)
+    numbers: tuple[int, ...] | None = field(default=None, repr=False)
+
+    def frame_number(self, k: int) -> int:
+        """Return the number in the name of image `k`, or `k` if the names have no numbers."""
+        return k if self.numbers is None else self.numbers[k]
+
+
+def find_sources(
+    path: Path,
+    rig: Rig,
+    calibration: Path,
+    other_folders: Iterable[Path] = (),
+    source_by_camera: Mapping[str, Path | str] | None = None,
+    without: Sequence[str] = (),
+) -> tuple[tuple[Source, ...], list[str]]:
+    """Find the image source of each camera in a session folder.
+
+    Args:
+        path: the session folder.
+        rig: the calibrated cameras.
+        calibration: the calibration file, named in messages.
+        other_folders: folders with other content, such as masks.
+        source_by_camera: video or image folder by camera, if the names do not identify it; the others are found by
+            name.
+        without: excluded cameras that are not in the rig; their sources are optional.
+
+    Returns:
+        The sources in the rig's order, and warnings.
+
+    Raises:
+        FileNotFoundError: a file given in `source_by_camera` does not exist.
+        ValueError: cameras without source and sources without camera (all listed), an unreadable video, or an image
+            size that differs from the calibration's.
+    """
+    by_camera = _match_entries(path, rig.names, calibration, other_folders, source_by_camera, without)
+    warnings: list[str] = []
+    sources = []
+    for camera in rig:
+        entry = by_camera[camera.name]
+        sources.append(_probe_images(entry, camera) if entry.is_dir() else _probe_video(entry, camera, warnings))
+    return tuple(sources), warnings
+
+
+def read_image_sizes(
+    path: Path,
+    cameras: Sequence[str],
+    calibration: Path,
+    other_folders: Iterable[Path] = (),
+    source_by_camera: Mapping[str, Path | str] | None = None,
+    without: Sequence[str] = (),
+) -> dict[str, tuple[int, int]]:
+    """Read the image sizes of cameras whose calibration does not contain them.
+
+    Returns:
+        (width, height) by camera.
+
+    Raises:
+        FileNotFoundError, ValueError: as `find_sources`.
+    """
+    sizes = {}
+    kept = [name for name in cameras if name not in without]
+    for name, entry in _match_entries(path, kept, calibration, other_folders, source_by_camera, without).items():
+        if entry.is_dir():
+            sizes[name] = read_image_size(image_files(entry)[0])
+            continue
+        container, stream = open_video(entry)
+        with container:
+            sizes[name] = (stream.width, stream.height)
+    return sizes
+
+
+def _match_entries(
+    path: Path,
+    cameras: Sequence[str],
+    calibration: Path,
+    other_folders: Iterable[Path],
+    source_by_camera: Mapping[str, Path | str] | None,
+    without: Sequence[str],
+) -> dict[str, Path]:
+    """Return the video or image folder of each camera, without those of excluded cameras."""
+    by_camera = _resolve_sources(path, cameras, calibration, source_by_camera or {})
+    unassigned = [name for name in cameras if name not in by_camera]
+    others = {resolve_path(folder) for folder in (*other_folders, *by_camera.values())}
+    known = (*cameras, *without)
+    found = [
+        entry for entry in sorted(path.iterdir()) if _is_source(entry, known) and resolve_path(entry) not in others
+    ]
+    if not found and unassigned:
+        raise ValueError(f"{path}: no videos and no folders of images, one per camera, in this folder")
+    names = {entry: entry.name if entry.is_dir() else entry.stem for entry in found}
+    try:
+        matched = match_names(dict.fromkeys(names.values()), [*unassigned, *without])
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}; select it with --video NAME=FILE") from None
+    for entry in found:
+        name = matched.get(names[entry])
+        if name in by_camera:
+            raise ValueError(f"{path}: {by_camera[name].name} and {entry.name} are both for camera {name}")
+        if name is not None:
+            by_camera[name] = entry
+    for name in without:
+        by_camera.pop(name, None)
+    missing = [name for name in cameras if name not in by_camera]
+    # If sources were named explicitly, the folder may contain others.
+    extra = [entry.name for entry in found if names[entry] not in matched] if not source_by_camera else []
+    if missing and (first := find_repeated_recordings(list(names.values()), unassigned)):
+        several = ", ".join(entry.name for entry in found if names[entry] in first)
+        raise ValueError(
+            f"{path}: several recordings in one folder ({several} are all of camera {unassigned[0]}); select one with "
+            "--video NAME=FILE for each camera"
+        )
+    if missing or extra:
+        problems = []
+        if missing:
+            problems.append(f"no video or image folder for camera {', '.join(missing)} of {calibration.name}")
+        if extra:
+            problems.append(f"no camera in {calibration.name} ({', '.join(cameras)}) for {', '.join(extra)}")
+        hint = f", or exclude a camera with --exclude-camera {missing[0]}" if 0 < len(missing) < len(cameras) else ""
+        found_text = "" if len(extra) == len(found) else f"; found {', '.join(entry.name for entry in found)}"
+        raise ValueError(f"{path}: {'; '.join(problems)}{found_text}; assign them with --video NAME=FILE{hint}")
+    return by_camera
+
+
+def _resolve_sources(
+    path: Path, cameras: Sequence[str], calibration: Path, source_by_camera: Mapping[str, Path | str]
+) -> dict[str, Path]:
+    entries: dict[str, Path] = {}
+    for name, file in source_by_camera.items():
+        if name not in cameras:
+            raise ValueError(f"cameras: {name!r} is not a camera of {calibration.name} ({', '.join(cameras)})")
+        entry = path / file
+        if not entry.exists():
+            raise FileNotFoundError(f"{entry}: no such video or image folder, for camera {name}")
+        if entry.is_dir() and not image_files(entry):
+            raise ValueError(f"{entry}: no images in this folder, for camera {name}")
+        same = [other for other, other_entry in entries.items() if resolve_path(other_entry) == resolve_path(entry)]
+        if same:
+            raise ValueError(f"{entry}: assigned to both camera {same[0]} and camera {name}")
+        entries[name] = entry
+    return entries
+
+
+def open_video(path: Path) -> tuple[InputContainer, VideoStream]:
+    """Open a video; the caller closes the container.
+
+    Returns:
+        The container and its first video stream.
+
+    Raises:
+        ValueError: the file is not a video, or its header is missing.
+    """
+    if not path.is_file():
+        raise UnreadableFileError(f"{path}: a video is expected, not a folder, a pipe or a device")
+    try:
+        container = av.open(str(path.absolute()), options=DEMUXER_OPTIONS, **METADATA_OPTIONS)
+    except av.error.FFmpegError as error:
+        raise ValueError(f"{path}: cannot be opened as a video ({error.strerror})") from None
+    if not container.streams.video:
+        container.close()
+        raise ValueError(f"{path}: cannot be opened as a video (it contains no video stream)")
+    stream = container.streams.video[0]
+    # Cameras are decoded in parallel; additional threads per camera would each buffer frames.
+    stream.codec_context.thread_count = 1
+    return container, stream
+
+
+def _is_source(entry: Path, cameras: Sequence[str]) -> bool:
+    name = entry.name if entry.is_dir() else entry.stem
+    if entry.name.startswith(".") or (name.lower() in NON_CAMERA_NAMES and name not in cameras):
+        return False
+    if entry.is_dir():
+        # A folder with a trajectory or a picture of the rig is the output of an earlier run.
+        output = any(entry.glob("trajectory.*")) or (entry / "rig.png").exists()
+        return not output and bool(image_files(entry))
+    return entry.suffix.lower() in VIDEO_SUFFIXES
+
+
+def _check_size(path: Path, camera: Camera, size: tuple[int, int]) -> None:
+    if size != camera.size:
+        raise ValueError(
+            f"{path}: images of {size[0]}x{size[1]}, but camera {camera.name} "
+            f"is calibrated at {camera.size[0]}x{camera.size[1]}"
+        )
+
+
+def _probe_images(folder: Path, camera: Camera) -> Source:
+    files = image_files(folder)
+    _check_size(files[0], camera, read_image_size(files[0]))
+    read_image(files[0], camera.size)
+    return Source(camera.name, folder, "images", camera.size, len(files), None, tuple(files), image_numbers(files))
+
+
+def _probe_video(path: Path, camera: Camera, warnings: list[str]) -> Source:
+    container, stream = open_video(path)
+    with container:
+        size = (stream.width, stream.height)
+        _check_size(path, camera, size)
+        rate = stream.average_rate or stream.guessed_rate
+        rate_s = float(rate) if rate else None
+        n_frames = _count_declared_frames(path, stream)
+    return Source(camera.name, path, "video", size, n_frames or _count_frames(path, rate_s, warnings), rate_s)
+
+
+def _count_declared_frames(path: Path, stream: VideoStream) -> int:
+    """Return the number of frames that the container declares, minus those hidden by its edit list.
+
+    Stream-copied cuts have edit lists.
+    """
+    entries = stream.index_entries
+    hidden = sum(entry.is_discard for entry in entries) if len(entries) == stream.frames else 0
+    # More frames than bytes: the header is damaged or malicious, so the frames are counted instead.
+    return stream.frames - hidden if stream.frames < path.stat().st_size else 0
+
+
+def _count_frames(path: Path, rate: float | None, warnings: list[str]) -> int:
+    """Count the frames of a container that does not declare them (Matroska, WebM, MPEG-TS, fragmented MP4)."""
+    n_frames, end = 0, 0.0
+    container, stream = open_video(path)
+    with container:
+        declared = float(stream.duration * stream.time_base) if stream.duration and stream.time_base else 0.0
+        if not declared and len(container.streams) == 1 and container.duration:
+            declared = container.duration / av.time_base
+        try:
+            for packet in container.demux(stream):
+                if packet.size and not packet.is_discard:
+                    n_frames += 1
+                    if packet.pts is not None:
+                        end = max(end, float((packet.pts + (packet.duration or 0)) * packet.time_base))
+        except av.error.FFmpegError as error:
+            warnings.append(f"{path.name} is cut off after {n_frames} frames ({error.strerror}).")
+            return n_frames
+    if end < declared - max(0.1, 2.5 / (rate or 25.0)):
+        warnings.append(f"{path.name} is cut off: {n_frames} frames, {end:.2f} s of the declared {declared:.2f} s.")
+    return n_frames
+
+
+def open_source(path: Path, camera: Camera) -> Source:
+    """Open one camera's recording: a video or an image folder.
+
+    Raises:
+        FileNotFoundError: the path does not exist.
+        ValueError: it is neither, or its image size differs from the camera's.
+    """
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: no such file or folder")
+    if not path.is_dir():
+        return _probe_video(path, camera, [])
+    if not image_files(path):
+        raise ValueError(f"{path}: no images in this folder")
+    return _probe_images(path, camera)

@@ -1,0 +1,129 @@
+"""Text exports: CSV with all columns, TUM, TRC (OpenSim, Mokka) and BVH (Blender, Maya)."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from sylpose.atomic_io import replace_atomically
+from sylpose.io.exports.poses import UP_UNKNOWN_NOTE, Poses, find_runs
+from sylpose.report.tables import build_columns
+from sylpose.results import Trajectory
+
+__all__ = ["write_bvh", "write_csv", "write_trc", "write_tum"]
+
+
+def write_csv(trajectory: Trajectory, path: Path) -> list[str]:
+    """Write all frames and columns (`report.tables`); cells are empty for missing values."""
+    columns = build_columns(trajectory)
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(columns)
+    table.writerows(zip(*([_format_cell(value) for value in column] for column in columns.values()), strict=True))
+    _write_text(path, text.getvalue())
+    return []
+
+
+def _format_cell(value: Any) -> str:
+    if isinstance(value, float) and math.isnan(value):
+        return ""
+    return repr(float(value)) if isinstance(value, float) else str(value)
+
+
+def write_tum(poses: Poses, path: Path) -> list[str]:
+    """Write time tx ty tz qx qy qz qw of each pose."""
+    rows = np.column_stack([poses.times, poses.positions, poses.quaternions])[poses.has_pose]
+    unit = poses.unit or "units of the calibration"
+    _write_text(
+        path,
+        f"# time tx ty tz qx qy qz qw : world_from_object, positions in {unit}\n" + _format_lines(rows.tolist(), " "),
+    )
+    return []
+
+
+def write_trc(poses: Poses, path: Path) -> list[str]:
+    """Write four markers, the center and the axis ends; cells are empty in gaps.
+
+    Raises:
+        ValueError: frames that are not at a steady rate.
+    """
+    rate, poses = poses.compute_rate("trc"), poses.in_unit("mm")
+    names, positions = poses.compute_markers()
+    n, head = (
+        len(poses),
+        "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames",
+    )
+    numbers = [f"{rate:g}", f"{rate:g}", n, len(names), poses.unit or "units", f"{rate:g}", 1, n]
+    axes = "\t".join(f"{axis}{k}" for k in range(1, len(names) + 1) for axis in "XYZ")
+    lines = [
+        f"PathFileType\t4\t(X/Y/Z)\t{path.name}",
+        head,
+        "\t".join(map(str, numbers)),
+        "Frame#\tTime\t" + "".join(f"{name}\t\t\t" for name in names),
+        f"\t\t{axes}",
+        "",
+    ]
+    for k, (time, row) in enumerate(zip(poses.times - poses.times[0], positions.reshape(n, -1), strict=True), start=1):
+        cells = ["" if math.isnan(v) else f"{v:.6f}" for v in row]
+        lines.append("\t".join([str(k), f"{time:.6f}", *cells]))
+    _write_text(path, "\n".join(lines) + "\n")
+    return _note_unit(poses, "mm")
+
+
+def write_bvh(poses: Poses, path: Path) -> list[str]:
+    """Write a single moving joint with rotation order Z, X, Y, from the first pose to the last.
+
+    BVH readers such as Blender assume y up by default, so a world with z up is rotated.
+
+    Raises:
+        ValueError: frames that are not at a steady rate; gaps between poses, which BVH cannot represent.
+    """
+    poses = poses.trim()
+    if not poses.has_pose.all():
+        first, stop = max(find_runs(poses.has_pose), key=lambda run: run[1] - run[0])
+        raise ValueError(
+            f"bvh cannot represent gaps, and {int((~poses.has_pose).sum())} frames between the first pose and the last "
+            f"have no pose; the longest run with poses is --start {poses.indices[first]} "
+            f"--stop {poses.indices[stop - 1] + 1}"
+        )
+    rate, is_rotated = poses.compute_rate("bvh"), poses.z_up
+    poses = poses.with_y_up()
+    rotations = Rotation.from_quat(poses.quaternions)
+    angles = np.degrees(np.unwrap(rotations.as_euler("ZXY", suppress_warnings=True), axis=0))
+    head = f"""HIERARCHY
+ROOT {poses.identifier}
+{{
+\tOFFSET 0.0 0.0 0.0
+\tCHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
+\tEnd Site
+\t{{
+\t\tOFFSET 0.0 0.0 {poses.axis_length!r}
+\t}}
+}}
+MOTION
+Frames: {len(poses)}
+Frame Time: {1 / rate:.9f}
+"""
+    _write_text(path, head + _format_lines(np.column_stack([poses.positions, angles]).tolist(), " "))
+    up_note = "its world is rotated: z up becomes y up" if is_rotated else UP_UNKNOWN_NOTE
+    return [f"its frames are {poses.indices[0]} to {poses.indices[-1]} of the recording", up_note]
+
+
+def _note_unit(poses: Poses, expected: str) -> list[str]:
+    return [] if poses.unit == expected else [f"lengths are in the calibration's unknown unit, not {expected}"]
+
+
+def _format_lines(rows: Iterable[list[float]], separator: str) -> str:
+    return "".join(separator.join(repr(v) for v in row) + "\n" for row in rows)
+
+
+def _write_text(path: Path, text: str) -> None:
+    with replace_atomically(path) as part:
+        part.write_text(text, encoding="utf-8")

@@ -1,0 +1,1 @@
+"""One recording from start to files: options, run, outputs, checkpoints, metadata and progress."""

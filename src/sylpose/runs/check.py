@@ -1,0 +1,334 @@
+"""`sylpose check`: validation of a session before it is tracked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from sylpose.atomic_io import make_output_folder
+from sylpose.geometry.arrays import FloatArray
+from sylpose.io.calibration import format_name
+from sylpose.io.calibration.world import save_world
+from sylpose.io.capture import Session
+from sylpose.io.capture.live import LiveSession
+from sylpose.report.preview import draw_regions, draw_world_axes
+from sylpose.report.rigview import describe_rig, find_axes_intersection, plot_rig
+from sylpose.rig import Rig
+from sylpose.runs import console_output
+from sylpose.runs.console_output import format_length
+from sylpose.runs.preview import Preview, box_outlines, preview_moving_object
+from sylpose.runs.run_metadata import WORLD
+from sylpose.runs.session_options import check_output_folder
+from sylpose.runs.session_warnings import boxes_hint, find_session_warnings
+from sylpose.tracking.region import carve_box_volume
+
+__all__ = [
+    "ObjectLocation",
+    "check_rig_geometry",
+    "check_session",
+    "collect_facts",
+    "describe_axis_miss",
+    "list_errors",
+    "list_warnings",
+    "locate_object",
+    "run_check_command",
+]
+
+
+# Cameras whose baseline is below this share of their distance to the object count as coincident (choice: parallax
+# of a pixel at f = 1000 px).
+MIN_BASELINE_RATIO = 1e-3
+# Optical axes intersect if they miss each other by at most this share of the cameras' distance (choice: aimed by hand,
+# a degree).
+MAX_AXIS_MISS_RATIO = 0.02
+# Larger distances are unlikely to be in meters (choice).
+MAX_PLAUSIBLE_METERS = 200.0
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectLocation:
+    """Expected location of the object.
+
+    Attributes:
+        center: (3,) in the world; None if unknown.
+        radius: radius of the object in length units, or None.
+        source: "the boxes" or "the optical axes".
+        error: error message if the given boxes cannot belong to one object, else "".
+    """
+
+    center: FloatArray | None
+    radius: float | None
+    source: str
+    error: str = ""
+
+
+def run_check_command(session: Session, out: Path | None) -> None:
+    """Validate a session and print its rig, facts and warnings.
+
+    Draws the rig into `rig.png` and the tracking target into `target.png`. With a user-defined world, also
+    writes `world.png` and the world's file.
+
+    Args:
+        session: the recording to validate.
+        out: folder for the pictures; None: `sylpose` in the session's folder.
+
+    Raises:
+        ValueError: the boxes cannot belong to one object.
+        OSError: a file or folder cannot be written; the message names it.
+    """
+    folder = session.path / "sylpose" if out is None else out
+    check_output_folder(session, folder)
+    picture = make_output_folder(folder) / "rig.png"
+    locations = {name: locate_object(session.select_object(name)) for name in session.objects}
+    location = next(iter(locations.values()))
+    console = console_output.make_console()
+    console.print(console_output.format_headline(session))
+    console.print()
+    console_output.print_table(
+        console,
+        console_output.RIG_HEADER,
+        console_output.build_rig_rows(session, describe_rig(session.rig, location.center)),
+    )
+    console.print()
+    console_output.print_facts(console, collect_facts(session, locations))
+    plot_rig(session.rig, picture, location.center if location.radius else None, location.radius)
+    errors = list_errors(locations)
+    target = None if errors else find_tracking_target(session)
+    pictures = [picture]
+    if target is not None and target.frames is not None:
+        pictures.append(picture.with_name("target.png"))
+        draw_regions(pictures[-1], target.frames.images, session.rig.names, target.outlines)
+    if session.world is not None:
+        pictures.append(picture.with_name("world.png"))
+        first = target.frames if target is not None else None
+        images = first.images if first is not None else [None] * len(session.rig)
+        draw_world_axes(pictures[-1], images, session.rig)
+        save_world(session.world, picture.with_name(WORLD))
+    console_output.print_files(console, "Pictures" if len(pictures) > 1 else "Picture", pictures)
+    console.print()
+    if target is not None:
+        console.print(f"Target: {target.description}.", highlight=False)
+    problems = [*list_warnings(session, locations), *(target.warnings if target is not None else ())]
+    console_output.print_warnings(console, problems)
+    if errors:
+        raise ValueError(f"{'; '.join(errors)}; correct the boxes: {boxes_hint(session)}")
+    axis_note = describe_axis_miss(session.rig)
+    if problems:
+        console.print("Can be tracked; see the warnings above.")
+    else:
+        console.print(f"Can be tracked. {axis_note}" if axis_note else "Ready to track.")
+
+
+def find_tracking_target(session: Session) -> Preview:
+    """Return the tracking target: the first object's boxes, or whatever moves if there are none."""
+    name = next(iter(session.objects), None)
+    boxes = session.boxes if name is None else session.select_object(name).boxes
+    if not boxes:
+        return preview_moving_object(session)
+    first = next(iter(session.frames()), None)
+    return Preview(first, box_outlines(session, boxes), f"the object in the boxes of {', '.join(boxes)}")
+
+
+def locate_object(session: Session | LiveSession) -> ObjectLocation:
+    """Locate the object where the boxes of two or more cameras meet, else where the optical axes meet."""
+    if len(session.boxes) < 2:
+        return ObjectLocation(find_axes_intersection(session.rig), None, "the optical axes")
+    try:
+        center, points = carve_box_volume(session.rig, session.boxes)
+    except ValueError as error:
+        return ObjectLocation(find_axes_intersection(session.rig), None, "the optical axes", str(error))
+    return ObjectLocation(center, float(np.quantile(np.linalg.norm(points - center, axis=1), 0.95)), "the boxes")
+
+
+def collect_facts(session: Session, locations: Mapping[str, ObjectLocation]) -> list[tuple[str, str]]:
+    """Return label and text of each fact about the session, apart from the camera table.
+
+    Args:
+        session: the recording.
+        locations: expected location by object name.
+    """
+    rig, unit = session.rig, session.rig.unit or "unspecified"
+    calibration = session.calibration
+    inside = calibration.parent.resolve() == session.path.resolve()
+    name = calibration.name if inside else str(calibration)
+    entries = [("Calibration", f"{name}, {format_name(calibration)}, length unit {unit}")]
+    kinds = {"video": "videos", "images": "folders of images"}
+    if session.world is not None:
+        entries.append(("World", session.world.description or "from a file"))
+    entries.append(("Recorded", " and ".join(sorted({kinds[source.kind] for source in session.sources}))))
+    stamps = np.isfinite(session.timeline.stamps).any()
+    if stamps:
+        times = f"timestamps.csv, {session.timeline.times[-1] - session.timeline.times[0]:.2f} s"
+    elif session.rate:
+        times = f"from the frame rate, {session.n_frames / session.rate:.2f} s"
+    else:
+        times = "none: frame numbers serve as times"
+    entries.append(("Time", times))
+    for name in session.objects:
+        boxes = session.select_object(name).boxes.items()
+        text = ", ".join(f"{camera} {box.width:.0f}x{box.height:.0f}" for camera, box in boxes)
+        entries.append((_object_label("Boxes", name, session), text or "none: whatever moves is tracked"))
+    entries.append(("Masks", "none" if session.masks is None else str(session.masks)))
+    entries += [
+        (_object_label("Object", name, session), _describe_location(rig, location))
+        for name, location in locations.items()
+    ]
+    return entries
+
+
+def _object_label(label: str, name: str, session: Session) -> str:
+    return label if len(session.objects) == 1 else f"{label}, {name}"
+
+
+def _describe_location(rig: Rig, location: ObjectLocation) -> str:
+    if location.center is None:
+        return "unknown"
+    # Round to a thousandth of the distance.
+    resolution = 1e-3 * float(np.mean([np.linalg.norm(location.center - c.center) for c in rig]))
+    coordinates = ", ".join(
+        f"{value:.3g}" for value in np.where(np.abs(location.center) < resolution, 0.0, location.center)
+    )
+    text = f"where {location.source} meet, ({coordinates})"
+    if location.source == "the optical axes":
+        text += f", to within {format_length(max(_max_axis_distance(rig, location.center), resolution), rig.unit)}"
+    elif location.radius:
+        text += f", radius up to {format_length(location.radius, rig.unit)}"
+    return text
+
+
+def check_session(session: Session | LiveSession, start: int = 0) -> list[str]:
+    """Return warnings about a session to be tracked from frame `start` on, without reading its images."""
+    return list_warnings(session, {name: locate_object(session.select_object(name)) for name in session.objects}, start)
+
+
+def list_warnings(session: Session | LiveSession, locations: Mapping[str, ObjectLocation], start: int = 0) -> list[str]:
+    """Return problems that do not prevent tracking from frame `start` on.
+
+    Args:
+        session: the recording or live session.
+        locations: expected location by object name.
+        start: first frame to be tracked.
+    """
+    by_object = {
+        name: [*check_rig_geometry(session.rig, location), *_check_boxes(session.select_object(name), location, start)]
+        for name, location in locations.items()
+    }
+    # A problem of the rig occurs for every object: report it once.
+    common = [
+        message for message in next(iter(by_object.values())) if all(message in own for own in by_object.values())
+    ]
+    own = [f"{name}: {message}" for name, found in by_object.items() for message in found if message not in common]
+    return [*find_session_warnings(session, start), *common, *own]
+
+
+def list_errors(locations: Mapping[str, ObjectLocation]) -> list[str]:
+    """Return the errors that prevent objects from being tracked."""
+    return [
+        location.error if len(locations) == 1 else f"{name}: {location.error}"
+        for name, location in locations.items()
+        if location.error
+    ]
+
+
+def check_rig_geometry(rig: Rig, location: ObjectLocation) -> list[str]:
+    """Return warnings about the cameras' positions and viewing directions."""
+    if len(rig) == 1:
+        return ["Only one camera: translations are known only in units of the object's first distance."]
+    found = []
+    rows = describe_rig(rig, location.center)
+    spread = max(max(row.angles) for row in rows)
+    if location.center is None:
+        if spread > 5.0:
+            message = "The cameras diverge: their optical axes pass no common point in front of them."
+            inverse = Rig([replace(camera, camera_from_world=camera.camera_from_world.inv()) for camera in rig])
+            if find_axes_intersection(inverse) is not None:
+                message += " With inverted poses they would meet: the calibration probably contains world_from_camera."
+            found.append(message)
+    else:
+        outside = [
+            row.name
+            for row, camera in zip(rows, rig, strict=True)
+            if not _is_in_image(rig, camera.name, location.center)
+        ]
+        if outside:
+            point = (
+                "the point where the boxes meet" if location.source == "the boxes" else "the point where the axes meet"
+            )
+            rest = "it" if len(outside) == 1 else "they"
+            look = "looks" if len(outside) == 1 else "look"
+            found.append(f"{', '.join(outside)}: {point} is not in the image; {rest} {look} elsewhere.")
+    reach = max(max(row.baselines) for row in rows)
+    if location.center is not None:
+        reach = float(np.median([row.distance for row in rows]))
+    pairs = [
+        f"{row.name} and {other.name}"
+        for i, row in enumerate(rows)
+        for j, other in enumerate(rows[:i])
+        if row.baselines[j] <= MIN_BASELINE_RATIO * reach
+    ]
+    if pairs:
+        found.append(
+            f"At the same position: {', '.join(pairs[:5])}{', ...' if len(pairs) > 5 else ''}. Without a baseline the "
+            "object's distance is not observable."
+        )
+    if reach > MAX_PLAUSIBLE_METERS and rig.unit in ("", "m"):
+        found.append(
+            f"Distances of {reach:.0f} {'m' if rig.unit else 'units'}: the calibration is probably in millimeters; "
+            "all results use its unit."
+        )
+    return found
+
+
+def _max_axis_distance(rig: Rig, point: FloatArray) -> float:
+    """Return the largest distance of a point from the cameras' optical axes."""
+    return max(float(np.linalg.norm(np.cross(point - camera.center, camera.direction))) for camera in rig)
+
+
+def describe_axis_miss(rig: Rig) -> str:
+    """Describe by how far the optical axes miss each other; return "" if they meet.
+
+    A large distance is no error by itself: cameras need not be aimed at one point.
+    """
+    point = find_axes_intersection(rig)
+    if point is None:
+        return ""
+    miss = _max_axis_distance(rig, point)
+    ratio = miss / float(np.median([np.linalg.norm(point - camera.center) for camera in rig]))
+    if ratio <= MAX_AXIS_MISS_RATIO:
+        return ""
+    return (
+        f"The optical axes miss each other by {format_length(miss, rig.unit)}, {100 * ratio:.0f} % of the cameras' "
+        "distance: normal for cameras not aimed at one point; otherwise the calibration is off."
+    )
+
+
+def _is_in_image(rig: Rig, name: str, point: FloatArray) -> bool:
+    pixel = rig[name].project(point)[0]
+    return bool(np.isfinite(pixel).all() and (pixel >= 0).all() and (pixel <= np.array(rig[name].size) - 1).all())
+
+
+def _check_boxes(session: Session | LiveSession, location: ObjectLocation, start: int) -> list[str]:
+    boxes, found = session.boxes, []
+    if len(boxes) == 1 and len(session.rig) > 1:
+        found.append(
+            f"Only one camera has a box ({next(iter(boxes))}): the object's distance is unknown; give a box in each "
+            "camera that sees it."
+        )
+    if location.source == "the boxes" and location.center is not None:
+        for name, box in boxes.items():
+            offset = session.rig[name].project(location.center)[0] - [box.x + box.width / 2, box.y + box.height / 2]
+            if not (np.abs(offset) <= [box.width / 2, box.height / 2]).all():
+                found.append(
+                    f"The box of {name} does not fit the others: they meet {np.linalg.norm(offset):.0f} px from its "
+                    "center."
+                )
+    if isinstance(session, LiveSession):
+        return found
+    first = session.timeline.frames[min(start, session.n_frames - 1)]
+    without_image = [name for name, frame in zip(session.rig.names, first, strict=True) if name in boxes and frame < 0]
+    if without_image:
+        found.append(f"{', '.join(without_image)}: no image in the first frame, for which there is a box.")
+    return found

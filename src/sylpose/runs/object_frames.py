@@ -1,0 +1,171 @@
+"""Definitions of an object's frame: each returns the transform to the new frame and its standard deviations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sylpose.absolute_pose.object_axes import (
+    axes_from_extent,
+    axes_from_plane,
+    axes_from_points,
+    estimate_axes_sd,
+    fit_plane,
+    fit_plane_to_points,
+)
+from sylpose.geometry.arrays import FloatArray
+from sylpose.runs.point_selection import ObjectRun, PickedPoint, parse_point, precise_landmarks, read_object_run
+from sylpose.tracking.known_object import KnownObject
+
+__all__ = [
+    "LARGEST",
+    "NewFrame",
+    "PointParser",
+    "frame_from_extent",
+    "frame_from_plane",
+    "frame_from_points",
+    "make_joint_sampler",
+    "move_frame",
+]
+
+LARGEST = "largest"
+# Landmarks within this share of the object's radius from a picked point belong to its plane (choice).
+PLANE_RADIUS_RATIO = 0.3
+
+
+class NewFrame(NamedTuple):
+    """A new object frame: the transform to it, its standard deviations (6,), and a description."""
+
+    new_from_object: RigidTransform
+    sd: FloatArray
+    description: str
+
+
+class PointParser:
+    """Parser of picked points; the result to which pixels refer is read when the first pixel point needs it."""
+
+    def __init__(self, known: KnownObject, source: Path, result: Path | None) -> None:
+        self.known, self._source, self._path = known, source, result
+        self._result: ObjectRun | None = None
+
+    @property
+    def result(self) -> ObjectRun:
+        """Return the result of a run of the object: the one given, or the folder of the object file."""
+        if self._result is None:
+            self._result = read_object_run(self._source.parent if self._path is None else self._path, self.known)
+        return self._result
+
+    def __call__(self, option: str, text: str) -> PickedPoint:
+        result = self.result if text.lstrip().startswith("@") else None
+        with _prefix_errors(option):
+            return parse_point(text.strip(), self.known, result)
+
+
+@contextmanager
+def _prefix_errors(option: str) -> Iterator[None]:
+    """Prefix the message of a ValueError with the option's name."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{option} {error}") from None
+
+
+def frame_from_points(points: PointParser, *texts: str) -> NewFrame:
+    """Define the frame by the origin, a point on +X and a point in the XY plane."""
+    origin, x, xy = (points(option, word) for option, word in zip(("--origin", "--x", "--xy"), texts, strict=True))
+
+    def solve_frame(draw: Callable[[PickedPoint], FloatArray]) -> RigidTransform:
+        return axes_from_points(draw(origin), draw(x), draw(xy))
+
+    frame = solve_frame(lambda p: p.position)
+    return NewFrame(frame, estimate_axes_sd(frame, lambda rng: solve_frame(make_joint_sampler(rng))), "three points")
+
+
+def make_joint_sampler(rng: np.random.Generator) -> Callable[[PickedPoint], FloatArray]:
+    """Return a function that draws the positions of picked points from their joint distribution."""
+    poses = dict[int, FloatArray]()
+    return lambda point: point.sample(rng, poses)
+
+
+def frame_from_plane(points: PointParser, plane: Sequence[str], origin: str | None, x: str | None) -> NewFrame:
+    """Define the frame by the largest plane, or by the plane at picked points."""
+    known = points.known
+    points_on_plane, description = precise_landmarks(known), "largest plane"
+    if list(plane) != [LARGEST]:
+        picked_points = np.array([points("--plane", word).position for word in plane])
+        distances = np.linalg.norm(points_on_plane[:, None] - picked_points, axis=2).min(axis=1)
+        points_on_plane, description = (
+            points_on_plane[distances < PLANE_RADIUS_RATIO * known.radius],
+            f"plane at {len(picked_points)} picked point{'s' if len(picked_points) > 1 else ''}",
+        )
+    rng, middle = np.random.default_rng(0), known.frame.from_learned.translation
+    with _prefix_errors("--plane:"):
+        normal, center, inliers = fit_plane(points_on_plane, known.radius, middle, rng)
+    origin_point = None if origin is None else points("--origin", origin)
+    x_point = None if x is None else points("--x", x)
+    points_on_plane = points_on_plane[inliers]
+
+    def solve_frame(
+        normal: FloatArray, center: FloatArray, draw: Callable[[PickedPoint], FloatArray]
+    ) -> RigidTransform:
+        return axes_from_plane(
+            normal,
+            center,
+            None if origin_point is None else draw(origin_point),
+            None if x_point is None else draw(x_point),
+        )
+
+    frame = solve_frame(normal, center, lambda p: p.position)
+    sd = estimate_axes_sd(
+        frame,
+        lambda rng: solve_frame(
+            *fit_plane_to_points(points_on_plane[rng.integers(0, len(points_on_plane), len(points_on_plane))], normal),
+            make_joint_sampler(rng),
+        ),
+    )
+    return NewFrame(frame, sd, f"{description}, {len(points_on_plane)} landmarks")
+
+
+def frame_from_extent(known: KnownObject) -> NewFrame:
+    """Define the frame by the principal directions of the landmarks."""
+    positions = precise_landmarks(known)
+    with _prefix_errors("--extent:"):
+        frame = axes_from_extent(positions)
+    sd = estimate_axes_sd(
+        frame, lambda rng: axes_from_extent(positions[rng.integers(0, len(positions), len(positions))])
+    )
+    return NewFrame(frame, sd, f"extent of {len(positions)} landmarks")
+
+
+def move_frame(points: PointParser, origin: str | None, turn: str | None) -> NewFrame:
+    """Move and rotate the present frame; its uncertainty and that of a picked origin are propagated."""
+    origin_point = PickedPoint(np.zeros(3), np.zeros((3, 3))) if origin is None else points("--origin", origin)
+    angles = np.zeros(3)
+    if turn is not None:
+        try:
+            angles = np.array([float(cell) for cell in turn.split(",")])
+        except ValueError:
+            angles = np.empty(0)
+        if angles.shape != (3,) or not np.isfinite(angles).all():
+            raise ValueError(f"--turn: expected three angles in degrees, separated by commas, got {turn!r}")
+    axes, sd = Rotation.from_euler("xyz", angles, degrees=True), points.known.frame.sd
+    frame = RigidTransform.from_components(origin_point.position, axes).inv()
+
+    def sample_frame(rng: np.random.Generator) -> RigidTransform:
+        off = rng.normal(size=6) * sd
+        there = RigidTransform.from_components(make_joint_sampler(rng)(origin_point), axes).inv()
+        return there * RigidTransform.from_components(off[3:], Rotation.from_rotvec(off[:3]))
+
+    exact = origin_point.is_exact and not sd.any()
+    description = " and ".join(w for w, given in (("origin moved", origin), ("axes rotated", turn)) if given)
+    previous = points.known.frame.description
+    return NewFrame(
+        frame,
+        np.zeros(6) if exact else estimate_axes_sd(frame, sample_frame),
+        f"{previous}, {description}"[-200:] if previous else description,
+    )

@@ -1,0 +1,203 @@
+"""Metadata of a run: its options and calibration, written next to the results and read again."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from sylpose import __version__
+from sylpose.atomic_io import format_toml_key, format_toml_string, make_output_folder, replace_atomically
+from sylpose.input_limits import input_errors, parse_toml, read_text
+from sylpose.io import calibration
+from sylpose.io.calibration.world import save_world
+from sylpose.io.capture import Session
+from sylpose.io.capture.live import LiveSession
+from sylpose.rig import Rig
+from sylpose.runs.checkpoint import compute_fingerprint, compute_rig_checksum
+
+__all__ = [
+    "SETTINGS",
+    "USED_CALIBRATION",
+    "WORLD",
+    "file_checksum",
+    "find_run_folder",
+    "read_settings",
+    "read_world_definition",
+    "settings_table",
+    "write_run_metadata",
+    "write_table_run_metadata",
+]
+
+SETTINGS, USED_CALIBRATION, WORLD = "settings.toml", "calibration.used.toml", "world.toml"
+# Packages whose versions may change results by rounding; OpenCV in any of its variants.
+_OPENCV = ("opencv-python-headless", "opencv-python", "opencv-contrib-python-headless", "opencv-contrib-python")
+_PACKAGES = ("numpy", "scipy", "numba", "av", *_OPENCV)
+_HEADER = (
+    f"# Options of this run of sylpose. The calibration that it used is in {USED_CALIBRATION}, in the same folder.\n"
+)
+
+
+def write_run_metadata(
+    folder: Path, session: Session | LiveSession, options: Mapping[str, object], warnings: Sequence[str] = ()
+) -> list[Path]:
+    """Write `settings.toml` and `calibration.used.toml`, and `world.toml` if the session has its own world frame.
+
+    Args:
+        folder: folder of the run; created if missing.
+        session: the session that is tracked.
+        options: numbers, strings or tables of these, by their names in `track_session`; None is omitted.
+        warnings: warnings from before the run.
+
+    Returns:
+        The files.
+
+    Raises:
+        OSError: the file cannot be written; the message names it.
+    """
+    session_options = {
+        "rate": session.rate,
+        "unit": session.rig.unit or None,
+        "world": session.world and session.world.description,
+    }
+    inputs: dict[str, object] = {
+        "recording": str(session.path.resolve()),
+        "calibration": str(session.calibration.resolve()),
+    }
+    tables = ""
+    if isinstance(session, Session):
+        inputs |= _drop_none({"rate": session.rate, "without": [*session.without] or None})
+        if session.timeline.offsets:
+            tables += _format_table("frame_offsets", session.timeline.offsets)
+        tables += _format_table("cameras", {source.camera: str(source.path.resolve()) for source in session.sources})
+        tables += "\n# Checksums of the inputs; of images, their names and sizes."
+        tables += _format_table("checksums", compute_fingerprint(session))
+    files = _write_metadata(folder, session.rig, inputs, {**options, **_drop_none(session_options)}, warnings, tables)
+    if session.world is None:
+        return files
+    save_world(session.world, folder / WORLD)
+    return [*files, folder / WORLD]
+
+
+def write_table_run_metadata(
+    folder: Path,
+    tables: Sequence[Path],
+    calibration_file: Path,
+    rig: Rig,
+    options: Mapping[str, object],
+    warnings: Sequence[str] = (),
+) -> list[Path]:
+    """Write the same files for a run on tables of image points instead of a recording.
+
+    Args:
+        folder: folder of the run; created if missing.
+        tables: files with image points.
+        calibration_file: the calibration's file.
+        rig: the cameras.
+        options: as in `write_run_metadata`.
+        warnings: warnings from before the run.
+
+    Raises:
+        OSError: naming the file that cannot be written, or read.
+    """
+    inputs = {"tables": [str(table.resolve()) for table in tables], "calibration": str(calibration_file.resolve())}
+    checksums = {str(table.resolve()): file_checksum(table) for table in tables} | {
+        "calibration": compute_rig_checksum(rig)
+    }
+    run_options = {**options, **_drop_none({"unit": rig.unit or None})}
+    return _write_metadata(folder, rig, inputs, run_options, warnings, _format_table("checksums", checksums))
+
+
+def file_checksum(file: Path) -> str:
+    """Return the BLAKE2b checksum of a file's content."""
+    return hashlib.blake2b(file.read_bytes(), digest_size=16).hexdigest()
+
+
+def _write_metadata(
+    folder: Path,
+    rig: Rig,
+    inputs: Mapping[str, object],
+    options: Mapping[str, object],
+    warnings: Sequence[str],
+    tables: str,
+) -> list[Path]:
+    """Write both files: the run's inputs, its options, and the tables after them."""
+    make_output_folder(folder)
+    options = _drop_none(options)
+    text = f"{_HEADER}started = {datetime.now(UTC).isoformat(timespec='seconds')}\n{_format_lines(inputs)}"
+    if warnings:
+        text += _format_lines({"warnings": [*warnings]})
+    text += _format_table("options", {name: value for name, value in options.items() if not isinstance(value, Mapping)})
+    for name, value in options.items():
+        if isinstance(value, Mapping):
+            text += _format_table(name, value)
+    text += tables + _format_table("versions", _collect_versions())
+    with replace_atomically(folder / SETTINGS) as part:
+        part.write_text(text, encoding="utf-8")
+    calibration.save(rig, folder / USED_CALIBRATION)
+    return [folder / SETTINGS, folder / USED_CALIBRATION]
+
+
+def _drop_none(values: Mapping[str, object]) -> dict[str, object]:
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def find_run_folder(folder: Path) -> Path:
+    """Return the folder of the run that contains `folder`, which may be that of one of several objects."""
+    return folder.parent if not (folder / SETTINGS).is_file() and (folder.parent / SETTINGS).is_file() else folder
+
+
+def read_settings(folder: Path) -> dict[str, Any]:
+    """Read settings.toml; return an empty dictionary if it does not exist, as for runs of 0.1.0."""
+    file = find_run_folder(folder) / SETTINGS
+    if not file.is_file():
+        return {}
+    content = read_text(file)
+    with input_errors(file):
+        return parse_toml(content)
+
+
+def settings_table(settings: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    table = settings.get(name)
+    return table if isinstance(table, dict) else {}
+
+
+def read_world_definition(result: Path) -> str | None:
+    """Return the definition of a result's own world frame (z up), or None for the calibration's world.
+
+    Args:
+        result: folder of the run, or of one of its objects, or a file in it.
+    """
+    folder = result if result.is_dir() else result.parent
+    # The existence of world.toml does not decide it: `sylpose check` writes one, too.
+    world = settings_table(read_settings(folder), "options").get("world")
+    return None if world is None else str(world)
+
+
+def _collect_versions() -> dict[str, str]:
+    found = {"sylpose": __version__, "python": platform.python_version(), "system": platform.platform(terse=True)}
+    for package in _PACKAGES:
+        with suppress(PackageNotFoundError):
+            found[package] = version(package)
+    return found
+
+
+def _format_table(name: str, values: Mapping[str, object]) -> str:
+    return f"\n[{name}]\n{_format_lines(values)}"
+
+
+def _format_lines(values: Mapping[str, object]) -> str:
+    return "".join(f"{format_toml_key(key)} = {_format_value(value)}\n" for key, value in values.items())
+
+
+def _format_value(value: object) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, list):
+        return f"[{', '.join(map(_format_value, value))}]"
+    return format_toml_string(value) if isinstance(value, str) else repr(value)

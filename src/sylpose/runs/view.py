@@ -1,0 +1,211 @@
+"""`sylpose view`: express a finished trajectory in the frame of a real or virtual camera."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sylpose import __version__
+from sylpose.geometry.euler_angles import PAN_TILT_ROLL, EulerAngles, parse_euler_angles
+from sylpose.io import calibration
+from sylpose.io.calibration.world import load_world, transform_rig
+from sylpose.report.files import read_trajectory, write_trajectory
+from sylpose.report.plots import plot_trajectory
+from sylpose.results import Trajectory
+from sylpose.rig import Camera, Rig, make_look_at_camera
+from sylpose.runs import console_output
+from sylpose.runs.run_metadata import USED_CALIBRATION, WORLD, read_world_definition
+from sylpose.units import METERS
+from sylpose.view import trajectory_view
+
+__all__ = ["find_calibration", "load_camera", "make_virtual_camera", "read_result", "run_view_command", "write_view"]
+
+# Intrinsics of virtual cameras; a trajectory in the camera's frame does not depend on them.
+VIRTUAL_FOCAL, VIRTUAL_SIZE = 1000.0, (1280, 960)
+
+
+def run_view_command(
+    result: Path,
+    name: str,
+    calibration_file: Path | None,
+    position: tuple[float, float, float] | None,
+    target: tuple[float, float, float] | None,
+    out: Path | None,
+    plot_format: str = "png",
+    angles: str | None = None,
+) -> None:
+    """Write a run's trajectory in a camera's frame and print the files.
+
+    Args:
+        result: folder of the run, or its trajectory.csv.
+        name: name of a camera of the calibration, or with `position` of the view.
+        calibration_file: a calibration; None for that of the run.
+        position, target: position of a virtual camera and the point that it looks at, in the world.
+        out: folder for the files; None for that of the trajectory.
+        plot_format: suffix of the plot.
+        angles: additional Euler angles about the camera's axes, as `geometry.euler_angles.parse_euler_angles` reads
+            them.
+
+    Raises:
+        ValueError, OSError: as the functions below; options that exclude each other.
+    """
+    trajectory = read_result(result)
+    if position is not None:
+        if calibration_file is not None:
+            raise ValueError("--from (virtual camera) and --calibration (existing camera) exclude each other")
+        camera = make_virtual_camera(name, position, target, trajectory, z_up=read_world_definition(result) is not None)
+    elif target is not None:
+        raise ValueError("--at requires --from X Y Z, the camera's position")
+    else:
+        camera = load_camera(name, find_calibration(result, calibration_file), result)
+    euler_angles = None if angles is None else parse_euler_angles(angles)
+    folder = out if out is not None else result if result.is_dir() else result.parent
+    console_output.print_files(
+        console_output.make_console(), "Files", write_view(trajectory, name, camera, folder, plot_format, euler_angles)
+    )
+
+
+def read_result(path: Path) -> Trajectory:
+    """Read the trajectory of a run.
+
+    Args:
+        path: folder that `sylpose track` wrote, or its trajectory.csv.
+
+    Raises:
+        FileNotFoundError: a file is missing; the message names it.
+        ValueError: not a trajectory.
+    """
+    file = path / "trajectory.csv" if path.is_dir() else path
+    if not file.is_file():
+        raise FileNotFoundError(
+            f"{file}: no such file; expected a folder that sylpose track wrote, or its trajectory.csv"
+        )
+    return read_trajectory(file)
+
+
+def find_calibration(result: Path, calibration_file: Path | None) -> Path:
+    """Return the calibration file of a result.
+
+    That is the given one, or the one that the run used, or for runs without a copy that of the session around the
+    folder.
+
+    Raises:
+        ValueError: no calibration, or several.
+    """
+    if calibration_file is not None:
+        return calibration_file
+    if (used := _find_run_file(result, USED_CALIBRATION)) is not None:
+        return used
+    folder = result if result.is_dir() else result.parent
+    for session in (folder.parent, folder.parent.parent):
+        try:
+            return calibration.find(session)
+        except (ValueError, OSError):
+            continue
+    raise ValueError(f"{result}: no calibration found for the camera; give --calibration FILE")
+
+
+def load_camera(name: str, file: Path, result: Path | None = None) -> Camera:
+    """Load a camera of a calibration, in the world and unit of a result if one is given.
+
+    Raises:
+        ValueError: an unknown camera.
+    """
+    rig = calibration.load(file)
+    if name not in rig.names:
+        raise ValueError(f"{file}: no camera {name!r} in it ({', '.join(rig.names)})")
+    return (rig if result is None else _convert_to_result(rig, result))[name]
+
+
+def _convert_to_result(rig: Rig, result: Path) -> Rig:
+    """Convert a calibration to the unit and world of a result.
+
+    The world is only changed if that brings the cameras that both share closer together. A calibration without shared
+    cameras is assumed to be in the result's world.
+    """
+    used = _find_run_file(result, USED_CALIBRATION)
+    if used is None:
+        return rig
+    used_rig = calibration.load(used)
+    shared = [name for name in rig.names if name in used_rig.names]
+    candidates, world = [rig], _find_run_file(result, WORLD)
+    if world is not None and shared:
+        candidates.append(transform_rig(rig, load_world(world, rig)))
+    candidates = [
+        candidate.in_unit(used_rig.unit) if {candidate.unit, used_rig.unit} <= METERS.keys() else candidate
+        for candidate in candidates
+    ]
+    return min(
+        candidates, key=lambda way: sum(np.linalg.norm(way[name].center - used_rig[name].center) for name in shared)
+    )
+
+
+def _find_run_file(result: Path, name: str) -> Path | None:
+    """Find a file of the run in the result's folder or its parent, which contains the folders of several objects."""
+    folder = result if result.is_dir() else result.parent
+    return next((run / name for run in (folder, folder.parent) if (run / name).is_file()), None)
+
+
+def make_virtual_camera(
+    name: str,
+    position: tuple[float, float, float],
+    target: tuple[float, float, float] | None,
+    trajectory: Trajectory,
+    z_up: bool = False,
+) -> Camera:
+    """Create an upright virtual camera at a point, looking at another one.
+
+    Args:
+        name: name of the camera.
+        position: its position in the world.
+        target: the point that it looks at; None for the object's first position.
+        trajectory: the object's trajectory.
+        z_up: the world's z axis points up, as in user-defined worlds; in calibrations y usually points down.
+
+    Raises:
+        ValueError: numbers that are not finite; equal points; a trajectory without poses.
+    """
+    for option, point in (("--from", position), ("--at", target)):
+        if point is not None and not all(map(math.isfinite, point)):
+            raise ValueError(f"{option}: expected three finite numbers, got {' '.join(map(str, point))}")
+    if target is None:
+        positions = [pose.position for pose in trajectory if pose.world_from_object is not None]
+        if not positions:
+            raise ValueError("the trajectory has no poses to look at")
+        target = tuple(positions[0])
+    y_down_from_z_up = RigidTransform.from_rotation(Rotation.from_euler("x", 90.0 if z_up else 0.0, degrees=True))
+    camera = make_look_at_camera(
+        name, y_down_from_z_up.apply(position), y_down_from_z_up.apply(target), VIRTUAL_FOCAL, VIRTUAL_SIZE
+    )
+    return replace(camera, camera_from_world=camera.camera_from_world * y_down_from_z_up)
+
+
+def write_view(
+    trajectory: Trajectory,
+    name: str,
+    camera: Camera,
+    folder: Path,
+    plot_format: str = "png",
+    angles: EulerAngles | None = None,
+) -> list[Path]:
+    """Write view_NAME.tum, .csv and a plot with the trajectory in the camera's frame, and return these files.
+
+    A trajectory read from a file has only standard deviations, which are rotated as if they were independent.
+
+    Raises:
+        ValueError: a name that cannot be part of a file name.
+        OSError: a file or folder cannot be written; the message names it.
+    """
+    if not name or any(c in name for c in '/\\:*?"<>|'):
+        raise ValueError(f"{name!r} cannot be part of a file's name")
+    view = trajectory_view(trajectory, camera)
+    stem = f"view_{name}"
+    files = write_trajectory(folder, view, stem=stem, world=name, angles=angles)
+    plot_path = folder / f"{stem}.{plot_format}"
+    note = f"{folder.resolve().name}, in the frame of {name}, sylpose {__version__}"
+    plot_trajectory(view, plot_path, note=note, angles=angles or PAN_TILT_ROLL)
+    return [*files, plot_path]

@@ -1,0 +1,118 @@
+"""Kernels are compiled once after an installation, by parallel processes."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import sylpose
+from sylpose.geometry import kernel_cache
+from sylpose.relative_pose import robust_fit
+from sylpose.relative_pose.precompile import warm_up
+from sylpose.runs import precompile
+from sylpose.runs.console_output import make_console
+
+
+@pytest.fixture
+def elsewhere(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Record the parts compiled in other processes; the remaining kernel is not compiled."""
+    arguments: list[str] = []
+    monkeypatch.setattr(precompile, "_compile_in_subprocess", arguments.append)
+    monkeypatch.setattr(precompile, "available_cores", lambda: 2)
+    return arguments
+
+
+@pytest.fixture
+def installed(elsewhere: list[str], monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Simulate a new installation: no kernel is cached before its part is compiled."""
+    monkeypatch.setattr(precompile, "is_compiled", lambda: len(elsewhere) > 0)
+    return elsewhere
+
+
+def test_compiled_kernels_are_reused(elsewhere: list[str]) -> None:
+    warm_up()
+    assert precompile.is_compiled()
+    precompile.compile_all()
+    assert not elsewhere
+
+
+def test_outdated_kernels_count_as_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    warm_up()
+    with monkeypatch.context() as other:
+        other.setattr(kernel_cache, "compute_digest", lambda _: "of other sources")
+        assert not precompile.is_compiled()
+    kernel: Any = robust_fit.fit_robust_motion
+    monkeypatch.setattr(type(kernel.targetctx.codegen()), "magic_tuple", lambda _: ("another", "processor", ""))
+    assert not precompile.is_compiled()
+
+
+def test_each_part_is_compiled_once(installed: list[str]) -> None:
+    seconds: list[float] = []
+    precompile.compile_all(seconds.append)
+    assert sorted(installed) == sorted(precompile.PARTS)
+    assert sum(seconds) == pytest.approx(precompile.TOTAL_SECONDS)
+    precompile.compile_all()
+    assert len(installed) == len(precompile.PARTS)
+
+
+def test_no_processes_without_cache_folder(installed: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(precompile, "find_kernel_cache", lambda: None)
+    precompile.compile_all()
+    assert not installed
+
+
+def test_single_core_compiles_in_one_process(installed: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    ran: list[str] = []
+    monkeypatch.setattr(precompile, "available_cores", lambda: 1)
+    monkeypatch.setattr(precompile, "PARTS", {"a": (1.0, lambda: ran.append("a")), "b": (2.0, lambda: ran.append("b"))})
+    seconds: list[float] = []
+    precompile.compile_all(seconds.append)
+    assert (ran, seconds, installed) == (["a", "b"], [1.0, 2.0, precompile.REST_SECONDS], [])
+
+
+@pytest.mark.parametrize("kept", [True, False])
+@pytest.mark.usefixtures("installed")
+def test_compilation_message(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, kept: bool) -> None:
+    monkeypatch.setattr(kernel_cache, "_logged", set())
+    if not kept:
+        monkeypatch.setattr(precompile, "find_kernel_cache", lambda: None)
+    precompile.compile_with_progress(make_console())
+    precompile.compile_with_progress(make_console())
+    (line,) = capsys.readouterr().out.splitlines()
+    assert line.startswith("Compiling for one to two minutes, ")
+    wanted = f"after an installation or an update; cached in {Path(sylpose.__file__).parent}."
+    if not kept:
+        wanted = "at every start; no cache folder is writable, set one with NUMBA_CACHE_DIR=FOLDER."
+    assert line.endswith(wanted)
+
+
+@pytest.mark.usefixtures("installed")
+def test_compilation_message_is_not_repeated(
+    capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(kernel_cache, "_logged", set())
+    kernel_cache._log_compilation(Path("kernels"))
+    precompile.compile_with_progress(make_console())
+    assert [record.getMessage()[:17] for record in caplog.records] == ["sylpose compiles "]
+    assert capsys.readouterr().out == ""
+
+
+def test_no_message_if_compiled(capsys: pytest.CaptureFixture[str]) -> None:
+    warm_up()
+    precompile.compile_with_progress(make_console())
+    assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize("part", sorted(precompile.PARTS))
+def test_every_part_runs(part: str) -> None:
+    precompile.main([part])
+
+
+def test_compile_part_by_name() -> None:
+    command = [sys.executable, "-m", "sylpose.runs.precompile", "following"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
