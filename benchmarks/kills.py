@@ -31,7 +31,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from sylpose.cli import main as sylpose
+from sylpose.commands.main import main as sylpose
 from sylpose.simulate import make_demo_scene, write_sequence
 
 __all__ = ["Interruption", "count_operations", "create_recording", "interrupt_and_resume", "run_trials"]

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.cli import main, results
+from sylpose.cli import results
 from sylpose.commands.compare import describe_mismatches
+from sylpose.commands.main import main
 from sylpose.comparison import Alignment, associate_timestamps, compare_trajectories, compute_statistics
 from sylpose.geometry.arrays import FloatArray
 from sylpose.report.files import write_tum

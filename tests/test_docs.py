@@ -20,7 +20,7 @@ import pytest
 import typer
 
 import sylpose
-from sylpose.cli import app, main
+from sylpose.commands.main import app, main
 from sylpose.results import Status
 from sylpose.simulate import dome, ellipsoid, random_motion, simulate_matches
 from tests.paths import REPOSITORY

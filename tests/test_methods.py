@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import sylpose
-from sylpose.cli import main
+from sylpose.commands.main import main
 from sylpose.methods import (
     FEATURES,
     METHODS,

@@ -12,7 +12,7 @@ from urllib.parse import unquote, urlparse
 import pytest
 
 import sylpose
-from sylpose.cli import main
+from sylpose.commands.main import main
 from tests.paths import REPOSITORY
 
 

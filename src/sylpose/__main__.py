@@ -2,6 +2,6 @@
 
 import sys
 
-from sylpose.cli import main
+from sylpose.commands.main import main
 
 sys.exit(main())

@@ -19,7 +19,7 @@ from sylpose.archive.contract import RunSettings, process_recording, read_record
 from sylpose.archive.recordings import TrackingOptions, find_recordings
 from sylpose.archive.stores import open_store
 from sylpose.archive.summary import collect_rows
-from sylpose.cli import main
+from sylpose.commands.main import main
 from sylpose.io.capture import open_session
 from sylpose.runs.run import track_session
 from tests.archive.archive_worker import SETTINGS, count_work, make_recordings

@@ -22,7 +22,7 @@ from sylpose.browser.local_page import HOST
 from sylpose.browser.result_player import ResultPlayer, collect_frames
 from sylpose.browser.scene_page import MAX_PATH_SEGMENTS, TRACKED_COLOR, escape_markdown, split_path, status_color
 from sylpose.browser.viewer_server import VISER_MISSING, serve_viewer
-from sylpose.cli import main
+from sylpose.commands.main import main
 from sylpose.commands.show import read_scenes
 from sylpose.io import calibration
 from sylpose.io.capture import open_session

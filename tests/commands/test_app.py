@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.cli import main
+from sylpose.commands.main import main
 from sylpose.geometry.arrays import Image
 from sylpose.io.capture import live, open_session
 from sylpose.io.capture.streams import Grab
@@ -327,7 +327,7 @@ def test_options_not_supported_by_nodes(session: Path, capsys: pytest.CaptureFix
 
 def test_help_does_not_import_heavy_modules() -> None:
     code = (
-        "import sys\nfrom sylpose.cli import main\nmain(['track', '-h'])\n"
+        "import sys\nfrom sylpose.commands.main import main\nmain(['track', '-h'])\n"
         "print(sorted({'numpy', 'cv2', 'av', 'matplotlib', 'scipy', 'numba', 'rich.console'} & set(sys.modules)))"
     )
     output = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout

@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 
 from sylpose.browser.box_hints import compute_epipolar_band
-from sylpose.cli import main
+from sylpose.commands.main import main
 from sylpose.frames import Box
 from sylpose.io import calibration
 from sylpose.io.capture.boxes import load_boxes

@@ -22,8 +22,8 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import sylpose
-from sylpose.cli import main
 from sylpose.commands import demo
+from sylpose.commands.main import main
 from sylpose.display import format_length
 from sylpose.frames import FrameSet
 from sylpose.io import calibration

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 import sylpose
-from sylpose.cli import main
 from sylpose.commands import doctor
 from sylpose.commands.doctor import Diagnosis, diagnose
+from sylpose.commands.main import main
 from sylpose.relative_pose.precompile import warm_up
 from tests.paths import REPOSITORY
 

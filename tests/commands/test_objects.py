@@ -16,8 +16,8 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.atomic_io import format_boxes_toml
-from sylpose.cli import main
 from sylpose.commands.demo import compute_errors
+from sylpose.commands.main import main
 from sylpose.io.capture import open_session
 from sylpose.report.files import read_trajectory, read_tum
 from sylpose.runs.run import track_session

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from sylpose.cli import main
-from sylpose.cli.common import map_option_names, substitute_option_name
 from sylpose.cli.track import track
+from sylpose.commands.app import map_option_names, substitute_option_name
+from sylpose.commands.main import main
 from sylpose.io import calibration
 from sylpose.io.capture import open_session
 from sylpose.report.files import write_trajectory

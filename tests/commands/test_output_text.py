@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from sylpose import __version__
-from sylpose.cli import main
+from sylpose.commands.main import main
 from sylpose.io import calibration
 from sylpose.io.capture import open_session
 from sylpose.report.files import read_trajectory

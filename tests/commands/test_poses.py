@@ -13,7 +13,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.boards.specification import parse_board
-from sylpose.cli import main
+from sylpose.commands.main import main
 from sylpose.commands.poses import run_pose_command
 from sylpose.commands.report import _collect_stills
 from sylpose.commands.show import read_scenes

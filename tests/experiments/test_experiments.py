@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sylpose.cli import main
+from sylpose.commands.main import main
 from sylpose.experiments import STUDIES, Study, Table, distributed
 from sylpose.experiments.accuracy import ALL_CAMERAS, CONSTRAINT_ESTIMATORS, DEPTH_PLANE, run_constraint
 from sylpose.experiments.distributed import DISTRIBUTED

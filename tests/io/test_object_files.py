@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.cli import main
+from sylpose.commands.main import main
 from sylpose.io import calibration
 from sylpose.io.capture import open_session
 from sylpose.io.object_files import CLOUD_FILE, OBJECT_FILE, load_known_objects, load_object, save_object, write_cloud

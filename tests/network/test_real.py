@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sylpose.cli import main
+from sylpose.commands.main import main
 from sylpose.commands.network_demo import build_node_command
 from sylpose.io import calibration
 from sylpose.io.capture import open_session

@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from benchmarks.camera_motion import draw_camera_motion, render_images
 from sylpose.bundle_adjustment.calibration_refinement import CalibrationCorrection, MovedCamera
-from sylpose.cli import main
+from sylpose.commands.main import main
 from sylpose.io import calibration
 from sylpose.rig import Rig
 from sylpose.runs.calibration_refinement import REFINED, REFINED_END, compute_final_rig, describe_changes, write_refined

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from sylpose.atomic_io import partial_path, replace_atomically
-from sylpose.cli import main
+from sylpose.commands.main import main
 from sylpose.commands.sync import TimeOffsets, write_offsets
 from sylpose.io import calibration
 from sylpose.io.capture import Session, open_session

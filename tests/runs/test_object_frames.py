@@ -14,7 +14,7 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.boards.specification import parse_board
-from sylpose.cli import main
+from sylpose.commands.main import main
 from sylpose.commands.objects import change_object_frame
 from sylpose.io.capture import open_session
 from sylpose.io.object_files import CLOUD_FILE, OBJECT_FILE, load_object, save_object

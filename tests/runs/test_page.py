@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import pytest
 
-from sylpose.cli import main
+from sylpose.commands.main import main
 from sylpose.frames import FrameSet
 from sylpose.io.capture import open_session
 from sylpose.report.formats import PAGE_FILE

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from sylpose.atomic_io import partial_path
-from sylpose.cli import main
+from sylpose.commands.main import main
 from sylpose.io import calibration
 from sylpose.io.capture import open_session
 from sylpose.report.files import TrajectoryWriter, read_trajectory
@@ -39,7 +39,7 @@ TRAJECTORIES = ("trajectory.tum", "trajectory.csv")
 # Program that runs `sylpose` and is killed after writing a frame's line: `-c KILLED LINE arguments`.
 KILLED = """
 import os, signal, sys
-from sylpose.cli import main
+from sylpose.commands.main import main
 from sylpose.report.files import TrajectoryWriter
 line = int(sys.argv[1])
 write, written = TrajectoryWriter.write, []

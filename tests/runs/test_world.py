@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.archive.recordings import TrackingOptions, find_recordings
 from sylpose.archive.worker import track_recording
 from sylpose.boards.specification import parse_board
-from sylpose.cli import main
+from sylpose.commands.main import main
 from sylpose.io import calibration
 from sylpose.io.calibration.world import load_world
 from sylpose.io.capture import open_session

@@ -18,13 +18,13 @@ import sylpose
 from sylpose.archive.contract import Summary
 from sylpose.archive.recordings import Recording
 from sylpose.archive.stores import is_url, open_store
-from sylpose.commands.track_command import explain_failures
 from sylpose.input_limits import to_one_line
 from sylpose.io.capture import open_session
 from sylpose.report.camera_consistency import describe_camera_problems
 from sylpose.results import Trajectory
 from sylpose.runs.run import Run, track_session
 from sylpose.runs.session_options import apply_world_and_unit
+from sylpose.runs.session_warnings import explain_failures
 from sylpose.runs.world import WorldSpec, is_world_text
 from sylpose.simulate import make_demo_scene, write_sequence
 from sylpose.sync.offsets import find_offsets

@@ -6,23 +6,18 @@ from typing import Annotated
 
 import typer
 
-from sylpose.cli.common import (
+from sylpose.commands.app import (
     ADVANCED,
     INPUT,
     OUTPUT,
     GroupedCommand,
-    Overlay,
-    RefineCalibration,
-    Seed,
-    StopFrame,
-    Unit,
-    World,
     app,
     exit_with_failures,
     format_examples,
     make_choice_check,
     report_errors,
 )
+from sylpose.commands.options import Overlay, RefineCalibration, Seed, StopFrame, Unit, World
 from sylpose.methods import FEATURES, METHODS, resolve_features
 
 __all__ = ["batch"]

@@ -9,18 +9,8 @@ from typing import Annotated
 
 import typer
 
-from sylpose.cli.common import (
-    INPUT,
-    OUTPUT,
-    GroupedCommand,
-    World,
-    WorldFrame,
-    WorldFrom,
-    app,
-    format_examples,
-    print_message,
-    report_errors,
-)
+from sylpose.commands.app import INPUT, OUTPUT, GroupedCommand, app, format_examples, print_message, report_errors
+from sylpose.commands.options import World, WorldFrame, WorldFrom
 from sylpose.units import METERS
 
 __all__ = ["convert"]

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from sylpose.cli.common import app, exit_with_failures, format_examples, report_errors
+from sylpose.commands.app import app, exit_with_failures, format_examples, report_errors
 
 __all__ = ["doctor"]
 

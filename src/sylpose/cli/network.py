@@ -7,20 +7,20 @@ from typing import Annotated
 
 import typer
 
-from sylpose.cli.common import (
+from sylpose.commands.app import (
     ADVANCED,
     INPUT,
     LIVE,
     OBJECT,
     OUTPUT,
     GroupedCommand,
-    Seed,
     app,
     exit_with_failures,
     format_examples,
     make_choice_check,
     report_errors,
 )
+from sylpose.commands.options import Seed
 from sylpose.methods import FEATURES, METHODS, MODES, resolve_features
 
 __all__ = ["init", "network_demo", "node", "nodes"]

@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from sylpose.cli.common import GroupedCommand, PlotFormat, app, format_examples, report_errors
+from sylpose.commands.app import GroupedCommand, app, format_examples, report_errors
+from sylpose.commands.options import PlotFormat
 from sylpose.units import METERS
 
 __all__ = ["apply", "frame", "scale", "show"]

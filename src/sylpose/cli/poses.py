@@ -7,23 +7,25 @@ from typing import Annotated
 
 import typer
 
-from sylpose.cli.common import (
+from sylpose.commands.app import (
     ADVANCED,
     INPUT,
     OUTPUT,
+    GroupedCommand,
+    app,
+    exit_with_failures,
+    format_examples,
+    report_errors,
+)
+from sylpose.commands.options import (
     CalibrationFile,
     CameraFiles,
     ExcludedCameras,
-    GroupedCommand,
     PlotFormat,
     Rate,
     Seed,
     StopFrame,
     Unit,
-    app,
-    exit_with_failures,
-    format_examples,
-    report_errors,
 )
 from sylpose.units import METERS
 

@@ -8,17 +8,23 @@ from typing import Annotated
 
 import typer
 
-from sylpose.cli.common import (
+from sylpose.commands.app import (
     ADVANCED,
     INPUT,
     OUTPUT,
+    GroupedCommand,
+    app,
+    exit_with_failures,
+    format_examples,
+    report_errors,
+)
+from sylpose.commands.options import (
     BoxesFile,
     Browser,
     CalibrationFile,
     CameraFiles,
     ExcludedCameras,
     FrameOffsets,
-    GroupedCommand,
     MasksFolder,
     OutFolder,
     Port,
@@ -30,10 +36,6 @@ from sylpose.cli.common import (
     World,
     WorldFrame,
     WorldFrom,
-    app,
-    exit_with_failures,
-    format_examples,
-    report_errors,
 )
 
 __all__ = ["box", "check", "sync"]

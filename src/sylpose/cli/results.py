@@ -7,17 +7,8 @@ from typing import Annotated
 
 import typer
 
-from sylpose.cli.common import (
-    INPUT,
-    OUTPUT,
-    GroupedCommand,
-    PlotFormat,
-    StopFrame,
-    app,
-    format_examples,
-    make_choice_check,
-    report_errors,
-)
+from sylpose.commands.app import INPUT, OUTPUT, GroupedCommand, app, format_examples, make_choice_check, report_errors
+from sylpose.commands.options import PlotFormat, StopFrame
 from sylpose.io.exports.formats import EXPORT_FORMATS
 
 __all__ = ["compare", "export"]

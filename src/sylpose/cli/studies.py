@@ -7,21 +7,17 @@ from typing import Annotated
 
 import typer
 
-from sylpose.cli.common import (
+from sylpose.commands.app import (
     INPUT,
     LIVE,
     OUTPUT,
-    Browser,
-    EulerAxes,
     GroupedCommand,
-    PlotFormat,
-    Port,
-    Seed,
     app,
     exit_with_failures,
     format_examples,
     report_errors,
 )
+from sylpose.commands.options import Browser, EulerAxes, PlotFormat, Port, Seed
 
 __all__ = ["demo", "experiments", "report", "show", "view"]
 

@@ -7,12 +7,21 @@ from typing import Annotated
 
 import typer
 
-from sylpose.cli.common import (
+from sylpose.commands.app import (
     ADVANCED,
     INPUT,
     LIVE,
     OBJECT,
     OUTPUT,
+    GroupedCommand,
+    app,
+    exit_with_failures,
+    format_examples,
+    make_choice_check,
+    print_message,
+    report_errors,
+)
+from sylpose.commands.options import (
     BoxesFile,
     Browser,
     CalibrationFile,
@@ -20,7 +29,6 @@ from sylpose.cli.common import (
     EulerAxes,
     ExcludedCameras,
     FrameOffsets,
-    GroupedCommand,
     MasksFolder,
     OutFolder,
     Overlay,
@@ -35,12 +43,6 @@ from sylpose.cli.common import (
     World,
     WorldFrame,
     WorldFrom,
-    app,
-    exit_with_failures,
-    format_examples,
-    make_choice_check,
-    print_message,
-    report_errors,
 )
 from sylpose.methods import FEATURES, METHODS, MODES, format_methods_table, resolve_features
 
@@ -188,11 +190,12 @@ def track(
     residuals), report.html, report.png and overlay.mp4 into OUT; several objects get one folder each. Without boxes and
     masks, whatever moves against the static background is tracked.
     """
-    from sylpose.commands.track_command import explain_failures, run_track_command
+    from sylpose.commands.track_command import run_track_command
     from sylpose.io.object_files import load_known_objects
     from sylpose.runs.check import check_session, describe_axis_miss
     from sylpose.runs.run import has_finished, output_path
     from sylpose.runs.session_options import open_from_options
+    from sylpose.runs.session_warnings import explain_failures
     from sylpose.runs.world import parse_world_option
     from sylpose.sync.offsets import find_offsets
 

@@ -1,1 +1,1 @@
-"""Commands, for use from Python as well; `sylpose.cli` defines their options."""
+"""One file per command: its options and what it does; `main` runs them."""

@@ -12,13 +12,14 @@ from rich.text import Text
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.atomic_io import make_output_folder, output_errors, replace_atomically
-from sylpose.commands.track_command import explain_failures, run_track_command
+from sylpose.commands.track_command import run_track_command
 from sylpose.comparison import associate_timestamps
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.validation import check_number
 from sylpose.io.capture import open_session
 from sylpose.report.files import read_tum
 from sylpose.runs import console_output
+from sylpose.runs.session_warnings import explain_failures
 from sylpose.simulate import DemoTruth, render_sequence
 
 __all__ = ["MAX_ERROR_DEG", "DemoErrors", "compute_errors", "render_demo", "run_demo_command"]

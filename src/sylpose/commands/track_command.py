@@ -28,7 +28,7 @@ from sylpose.tracking.tracked_frame import TrackedFrame
 if TYPE_CHECKING:
     from sylpose.browser.live_page import LivePage
 
-__all__ = ["explain_failures", "run_track_command"]
+__all__ = ["run_track_command"]
 
 
 def run_track_command(
@@ -223,28 +223,3 @@ def _defer_interrupts(session: Session | LiveSession) -> Iterator[Callable[[], b
         yield pressed.is_set
     finally:
         signal.signal(signal.SIGINT, previous)
-
-
-def explain_failures(session: Session | LiveSession, run: Run) -> list[str]:
-    """Explain for each object without a solved frame why there is none, one sentence per object."""
-    reasons = []
-    for name, trajectory in run.trajectories.items():
-        if console_output.select_solved_frames(trajectory):
-            continue
-        prefix = f"{name}: " if len(run.trajectories) > 1 else ""
-        statuses = [frame.status for frame in trajectory if frame.world_from_object is None]
-        if not len(trajectory):
-            reasons.append(f"{prefix}no frame was tracked")
-        elif not statuses:
-            reasons.append(
-                f"{prefix}no motion could be estimated: there is only the first frame, the reference of all poses"
-            )
-        else:
-            sentence = f"{prefix}no frame could be solved. {max(statuses, key=statuses.count).text}"
-            if not session.select_object(name).boxes and session.masks is None:
-                sentence += (
-                    f" Provide boxes of the object in the first frame ({boxes_hint(session)}) or masks (--masks) to "
-                    "select it."
-                )
-            reasons.append(sentence)
-    return reasons

@@ -8,8 +8,10 @@ import numpy as np
 
 from sylpose.io.capture import Session
 from sylpose.io.capture.live import LiveSession
+from sylpose.runs.console_output import select_solved_frames
+from sylpose.runs.run_result import Run
 
-__all__ = ["boxes_hint", "find_session_warnings"]
+__all__ = ["boxes_hint", "explain_failures", "find_session_warnings"]
 
 # Timestamps of one frame set that deviate more from their mean, frames, cause a warning (choice: cameras without a
 # common trigger reach one frame in either direction).
@@ -48,3 +50,28 @@ def find_session_warnings(session: Session | LiveSession, start: int = 0) -> lis
 def boxes_hint(session: Session | LiveSession) -> str:
     """Return the option or command that provides boxes for a session."""
     return "--boxes" if isinstance(session, LiveSession) else f"sylpose box {shlex.quote(str(session.path))} draws them"
+
+
+def explain_failures(session: Session | LiveSession, run: Run) -> list[str]:
+    """Explain for each object without a solved frame why there is none, one sentence per object."""
+    reasons = []
+    for name, trajectory in run.trajectories.items():
+        if select_solved_frames(trajectory):
+            continue
+        prefix = f"{name}: " if len(run.trajectories) > 1 else ""
+        statuses = [frame.status for frame in trajectory if frame.world_from_object is None]
+        if not len(trajectory):
+            reasons.append(f"{prefix}no frame was tracked")
+        elif not statuses:
+            reasons.append(
+                f"{prefix}no motion could be estimated: there is only the first frame, the reference of all poses"
+            )
+        else:
+            sentence = f"{prefix}no frame could be solved. {max(statuses, key=statuses.count).text}"
+            if not session.select_object(name).boxes and session.masks is None:
+                sentence += (
+                    f" Provide boxes of the object in the first frame ({boxes_hint(session)}) or masks (--masks) to "
+                    "select it."
+                )
+            reasons.append(sentence)
+    return reasons

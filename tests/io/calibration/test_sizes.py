@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from sylpose import open_session
-from sylpose.cli import main
+from sylpose.commands.main import main
 from sylpose.io import calibration
 
 

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.cli import calibrations, main
+from sylpose.cli import calibrations
+from sylpose.commands.main import main
 from sylpose.io import calibration
 from sylpose.io.calibration.writers import OUTPUT_FORMATS
 from sylpose.rig import Camera, LensModel, Rig

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from sylpose.cli import main
+from sylpose.commands.main import main
 from sylpose.io import calibration
 from sylpose.io.capture import open_session
 from sylpose.runs.checkpoint import compute_fingerprint

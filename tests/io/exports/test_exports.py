@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sylpose.cli import main
 from sylpose.commands.export import export_trajectory
+from sylpose.commands.main import main
 from sylpose.io.exports.formats import EXPORT_FORMATS
 from sylpose.io.exports.poses import UP_UNKNOWN_NOTE, Poses
 from sylpose.report.files import read_tum, write_trajectory

@@ -1,4 +1,8 @@
-"""Shared parts of the commands: the app, error handling, grouped help and common options."""
+"""Shared parts of the commands: the app, options records, error handling, grouped help and common options.
+
+A command is a function of one frozen record of options (`command`). Command modules import everything but their options
+in function bodies: the tracker and matplotlib take a second each to load, which `--help` does not need.
+"""
 
 from __future__ import annotations
 
@@ -6,16 +10,17 @@ import functools
 import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import MISSING, dataclass, fields
+from inspect import Parameter, Signature
 from pathlib import Path
-from typing import Annotated, Any, NoReturn, ParamSpec, get_type_hints
+from types import UnionType
+from typing import Annotated, Any, NoReturn, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import typer
 from typer.core import TyperCommand
 from typer.models import OptionInfo
 
 from sylpose.input_limits import MAX_SENTENCE_LENGTH, to_one_line
-from sylpose.report.formats import PICTURE_FORMATS
-from sylpose.units import METERS
 
 __all__ = [
     "ADVANCED",
@@ -25,37 +30,21 @@ __all__ = [
     "OBJECT",
     "OUTPUT",
     "WRONG_INPUT",
-    "BoxesFile",
-    "Browser",
-    "CalibrationFile",
-    "CameraFiles",
-    "EulerAxes",
-    "ExcludedCameras",
-    "FrameOffsets",
+    "CommandOptions",
     "GroupedCommand",
-    "MasksFolder",
-    "OutFolder",
-    "Overlay",
-    "PlotFormat",
-    "Port",
-    "Rate",
-    "RefineCalibration",
-    "Seed",
-    "SessionPath",
-    "StopFrame",
-    "Unit",
-    "World",
-    "WorldFrame",
-    "WorldFrom",
     "app",
+    "command",
     "exit_with_failures",
     "format_examples",
     "make_choice_check",
+    "pick",
     "print_message",
     "report_errors",
 ]
 
 P = ParamSpec("P")
+T = TypeVar("T")
+OptionsT = TypeVar("OptionsT", bound="CommandOptions")
 
 FAILED, WRONG_INPUT, INTERRUPTED = 1, 2, 130
 # Sections of `--help`, in their order; options without a section come first, under "Options".
@@ -110,6 +99,97 @@ class GroupedCommand(TyperCommand):
             if records:
                 with formatter.section(name):
                     formatter.write_dl(records)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CommandOptions:
+    """Options of a command; each field is `Annotated` with its `typer.Option` or `typer.Argument`.
+
+    Commands that are called from Python accept text for paths, sequences for tuples and integers for floats.
+
+    Raises:
+        TypeError, ValueError: naming the field: another type, or out of its range.
+    """
+
+    def __post_init__(self) -> None:
+        """Convert and check each field; a record that restricts combinations extends this method."""
+        for name, hint in _resolve_hints(type(self)).items():
+            value, info = getattr(self, name), hint.__metadata__[0]
+            converted = _convert_value(get_args(hint)[0], value, name)
+            for item in converted if isinstance(converted, tuple) else (converted,):
+                if isinstance(item, (int, float)) and not isinstance(item, bool):
+                    _check_range(item, info.min, info.max, name)
+            object.__setattr__(self, name, converted)
+
+
+def _resolve_hints(record: type[CommandOptions]) -> dict[str, Any]:
+    hints = get_type_hints(record, include_extras=True)
+    return {field.name: hints[field.name] for field in fields(record)}
+
+
+def _convert_value(hint: Any, value: Any, name: str) -> Any:
+    """Return the value as a type that options have: a class, tuple or optional one."""
+    if get_origin(hint) in (Union, UnionType):
+        return None if value is None else _convert_value(get_args(hint)[0], value, name)
+    if get_origin(hint) is tuple and isinstance(value, (list, tuple)):
+        kinds = get_args(hint)
+        kinds = kinds[:1] * len(value) if kinds[-1] is Ellipsis else kinds
+        if len(value) != len(kinds):
+            raise TypeError(f"{name} must have {len(kinds)} values, got {len(value)}")
+        return tuple(_convert_value(kind, item, name) for kind, item in zip(kinds, value, strict=True))
+    if hint is Path and isinstance(value, str):
+        return Path(value)
+    if hint is float and type(value) is int:
+        return float(value)
+    kind = get_origin(hint) or hint
+    if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
+        raise TypeError(f"{name} must be {kind.__name__}, got {type(value).__name__}")
+    return value
+
+
+def _check_range(value: float, minimum: float | None, maximum: float | None, name: str) -> None:
+    if minimum is not None and not value >= minimum:
+        raise ValueError(f"{name} must be at least {minimum:g}, got {value}")
+    if maximum is not None and not value <= maximum:
+        raise ValueError(f"{name} must be at most {maximum:g}, got {value}")
+
+
+def command(
+    summary: str, *lines: str, group: typer.Typer = app, name: str | None = None, notes: str = ""
+) -> Callable[[Callable[[OptionsT], None]], Callable[[OptionsT], None]]:
+    """Register a function of one options record as a command; its fields become the options, in their order.
+
+    Args:
+        summary: short help, for the list of commands.
+        lines: example command lines.
+        group: the app, or one of its groups (`object`).
+        name: the command's name; by default the function's.
+        notes: text before the examples.
+    """
+
+    def register(function: Callable[[OptionsT], None]) -> Callable[[OptionsT], None]:
+        (record,) = (hint for key, hint in get_type_hints(function).items() if key != "return")
+        hints = _resolve_hints(record)
+        repeatable = {key for key, hint in hints.items() if get_args(get_args(hint)[0])[-1:] == (Ellipsis,)}
+
+        @functools.wraps(function)
+        def run(**values: Any) -> None:
+            function(record(**{key: value or () if key in repeatable else value for key, value in values.items()}))
+
+        parameters = []
+        for field in fields(record):
+            hint, default = hints[field.name], Parameter.empty if field.default is MISSING else field.default
+            if field.name in repeatable:  # Typer has no tuples of any length
+                kind = get_args(get_args(hint)[0])[0]
+                hint, default = Annotated[list[kind] | None, hint.__metadata__[0]], None  # type: ignore[valid-type]
+            parameters.append(Parameter(field.name, Parameter.KEYWORD_ONLY, default=default, annotation=hint))
+        run.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
+        run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+        epilog = notes + ("\n" if notes else "") + format_examples(*lines)
+        group.command(name, cls=GroupedCommand, short_help=summary, epilog=epilog)(report_errors(run))
+        return function
+
+    return register
 
 
 def report_errors(command: Callable[P, None]) -> Callable[P, None]:
@@ -185,164 +265,6 @@ def format_error(error: ValueError | OSError) -> str:
     return str(error) or type(error).__name__
 
 
-SessionPath = Annotated[
-    Path,
-    typer.Argument(metavar="SESSION", help="Folder with one video (cam_0.mp4) or one folder of images per camera."),
-]
-CalibrationFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--calibration",
-        metavar="PATH",
-        help="Read the calibration from this file or folder; by default searched in SESSION.",
-        rich_help_panel=INPUT,
-    ),
-]
-BoxesFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--boxes",
-        metavar="FILE",
-        help="Read the object's boxes in the first frame; default: SESSION/boxes.toml if present.",
-        rich_help_panel=OBJECT,
-    ),
-]
-MasksFolder = Annotated[
-    Path | None,
-    typer.Option(
-        "--masks",
-        metavar="DIR",
-        help="Read the object's masks; default: SESSION/masks if present.",
-        rich_help_panel=OBJECT,
-    ),
-]
-FrameOffsets = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--frame-offset",
-        metavar="CAM=N",
-        help="Set by how many frames a camera starts late. Repeatable.",
-        rich_help_panel=INPUT,
-    ),
-]
-EulerAxes = Annotated[
-    str | None,
-    typer.Option(
-        "--euler",
-        metavar="AXES",
-        help="Add three Euler angles to the CSV and plot them: XYZ (intrinsic axes), xyz (extrinsic axes), or three "
-        'vectors, "0,0,1 1,0,0 0,1,0".',
-        rich_help_panel=OUTPUT,
-    ),
-]
-CameraFiles = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--video",
-        metavar="NAME=FILE",
-        help="Assign a video or image folder to a camera if its name does not match. Repeatable.",
-        rich_help_panel=INPUT,
-    ),
-]
-ExcludedCameras = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--exclude-camera",
-        metavar="CAM",
-        help="Leave out a camera, for example one without a video. Repeatable.",
-        rich_help_panel=INPUT,
-    ),
-]
-Rate = Annotated[
-    float | None,
-    typer.Option(
-        "--rate",
-        metavar="HZ",
-        help="Set the frame rate of image folders, for times in seconds.",
-        rich_help_panel=INPUT,
-    ),
-]
-Unit = Annotated[
-    str | None,
-    typer.Option(
-        "--unit",
-        metavar="|".join(METERS),
-        help="Set the length unit of the results; default: the calibration's.",
-        rich_help_panel=OUTPUT,
-    ),
-]
-World = Annotated[
-    str | None,
-    typer.Option(
-        "--world",
-        metavar="WORLD",
-        help="Set the world frame, z up: a board on the floor (chessboard:9x6,square=25mm), up=0,-1,0 in the calibration's "
-        "frame, or a file (world.toml, or three points: docs/formats.md).",
-        rich_help_panel=OUTPUT,
-    ),
-]
-WorldFrame = Annotated[
-    int | None,
-    typer.Option(
-        "--world-frame",
-        metavar="N",
-        min=0,
-        help="Detect the world board in this frame of the recording or of --world-from; default: the first frame.",
-        rich_help_panel=OUTPUT,
-    ),
-]
-WorldFrom = Annotated[
-    Path | None,
-    typer.Option(
-        "--world-from",
-        metavar="DIR",
-        help="Detect the world board in these images or videos instead of the session's.",
-        rich_help_panel=OUTPUT,
-    ),
-]
-OutFolder = Annotated[
-    Path | None,
-    typer.Option(
-        "--out", metavar="DIR", help="Write the results here; default: SESSION/sylpose.", rich_help_panel=OUTPUT
-    ),
-]
-StopFrame = Annotated[
-    int | None, typer.Option(metavar="N", help="Stop before this frame; default: the end.", rich_help_panel=INPUT)
-]
-Overlay = Annotated[bool, typer.Option("--overlay/--no-overlay", help="Write overlay.mp4.", rich_help_panel=OUTPUT)]
-Port = Annotated[
-    int,
-    typer.Option(
-        "--port",
-        metavar="N",
-        min=0,
-        max=65535,
-        help="Serve the page on this port; 0: any free port.",
-        rich_help_panel=LIVE,
-    ),
-]
-Browser = Annotated[
-    bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.", rich_help_panel=LIVE)
-]
-RefineCalibration = Annotated[
-    bool,
-    typer.Option(
-        "--refine-calibration",
-        help="Smooth and also estimate the calibration's errors; write calibration.refined.toml.",
-        rich_help_panel=ADVANCED,
-    ),
-]
-Seed = Annotated[
-    int,
-    typer.Option(
-        "--seed",
-        metavar="N",
-        help="Set the random seed; equal seeds give equal results.",
-        rich_help_panel=ADVANCED,
-    ),
-]
-
-
 def make_choice_check(choices: Sequence[str]) -> Callable[[str], str]:
     """Return a Typer callback that accepts only the given choices."""
 
@@ -354,16 +276,16 @@ def make_choice_check(choices: Sequence[str]) -> Callable[[str], str]:
     return check
 
 
-PlotFormat = Annotated[
-    str,
-    typer.Option(
-        "--format",
-        metavar="|".join(PICTURE_FORMATS),
-        help="Set the file format of plots.",
-        callback=make_choice_check(PICTURE_FORMATS),
-        rich_help_panel=OUTPUT,
-    ),
-]
+def pick(options: CommandOptions, record: type[T], **changes: object) -> T:
+    """Return another record of the options with the same names.
+
+    Args:
+        options: options of a command.
+        record: a dataclass.
+        changes: fields with other values or names.
+    """
+    names = [field.name for field in fields(record) if hasattr(options, field.name)]  # type: ignore[arg-type]
+    return record(**({name: getattr(options, name) for name in names} | changes))
 
 
 def exit_with_failures(messages: Sequence[str]) -> NoReturn:
