@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sylpose.browser.box_hints import compute_box_hints, compute_epipolar_band, compute_epipolar_curve
+from sylpose.browser.box_hints import compute_box_hints, compute_epipolar_band
 from sylpose.frames import Box
 from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Camera, Rig, make_look_at_camera
@@ -52,6 +52,11 @@ def project_points(camera: Camera, points: FloatArray) -> FloatArray:
     return np.column_stack([fx * x + cx, fy * y + cy])
 
 
+def epipolar_curve(other: Camera, pixel: FloatArray, camera: Camera) -> FloatArray:
+    """Return the curve of a pixel: that of the center of a box of one pixel."""
+    return compute_epipolar_band(other, Box(float(pixel[0]), float(pixel[1]), 1.0, 1.0), camera).center_curve
+
+
 def is_inside(camera: Camera, pixels: FloatArray) -> bool:
     return bool(((pixels > 0) & (pixels < np.array(camera.size) - 1)).all())
 
@@ -78,7 +83,7 @@ def test_point_lies_on_its_epipolar_curve(lens: str) -> None:
         (in_a,), (in_b,) = project_points(a, point), project_points(b, point)
         if not is_inside(a, in_a) or not is_inside(b, in_b):
             continue
-        curve = compute_epipolar_curve(a, in_a, b)
+        curve = epipolar_curve(a, in_a, b)
         off.append(distance(curve, in_b))
         visible = curve[((curve > 0) & (curve < np.array(b.size) - 1)).all(axis=1)]
         bent.append(max(distance(visible[[0, -1]], pixel) for pixel in visible))
@@ -92,7 +97,7 @@ def test_curve_runs_from_near_to_far() -> None:
     rig = rig_of("bent")
     a, b = rig.cameras[:2]
     pixel = project_points(a, np.zeros((1, 3)))[0]
-    curve = compute_epipolar_curve(a, pixel, b)
+    curve = epipolar_curve(a, pixel, b)
     ray = a.rays(pixel[None])[0]
     places = [
         int(np.argmin(np.linalg.norm(curve - project_points(b, (a.center + s * ray)[None]), axis=1)))

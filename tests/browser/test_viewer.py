@@ -18,10 +18,9 @@ import numpy as np
 import pytest
 
 from sylpose.browser.live_page import LivePage, ObjectPath
-from sylpose.browser.local_page import HOST
 from sylpose.browser.result_player import ResultPlayer, collect_frames
 from sylpose.browser.scene_page import MAX_PATH_SEGMENTS, TRACKED_COLOR, escape_markdown, split_path, status_color
-from sylpose.browser.viewer_server import VISER_MISSING, serve_viewer
+from sylpose.browser.server import HOST, VISER_MISSING, serve_viewer
 from sylpose.commands.main import main
 from sylpose.commands.show import read_scenes
 from sylpose.io import calibration

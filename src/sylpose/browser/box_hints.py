@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import product
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from sylpose.report.drawing import project_points
 from sylpose.rig import Camera, Rig
 from sylpose.tracking.region import carve_box_volume
 
-__all__ = ["BoxHints", "EpipolarBand", "compute_box_hints", "compute_epipolar_band", "compute_epipolar_curve"]
+__all__ = ["BoxHints", "EpipolarBand", "compute_box_hints", "compute_epipolar_band"]
 
 # Samples of a curve to find its visible part, and samples of that part (choice: a step in the image of a wide lens is a
 # few pixels, over which no lens bends a line by a tenth of one).
@@ -68,12 +69,10 @@ def compute_box_hints(rig: Rig, boxes: Mapping[str, Box]) -> BoxHints:
         rig: the cameras.
         boxes: boxes of one object by camera name.
     """
-    bands = {
-        camera.name: {
-            name: compute_epipolar_band(rig[name], box, camera) for name, box in boxes.items() if name != camera.name
-        }
-        for camera in rig
-    }
+    bands: dict[str, dict[str, EpipolarBand]] = {camera.name: {} for camera in rig}
+    for camera, (name, box) in product(rig, boxes.items()):
+        if name != camera.name:
+            bands[camera.name][name] = compute_epipolar_band(rig[name], box, camera)
     if len(boxes) < 2:
         return BoxHints(bands)
     try:
@@ -87,23 +86,6 @@ def compute_box_hints(rig: Rig, boxes: Mapping[str, Box]) -> BoxHints:
     return BoxHints(bands, {name: box for name, box in suggested.items() if box is not None})
 
 
-def compute_epipolar_curve(other: Camera, pixel: FloatArray, camera: Camera) -> FloatArray:
-    """Compute the epipolar curve of another camera's pixel, including lens distortion.
-
-    Args:
-        other: the other camera.
-        pixel: (2,) pixel of its recorded (distorted) image.
-        camera: camera in whose image the curve is computed.
-
-    Returns:
-        (n, 2) pixels of the recorded image from near to far, in the image and around it; empty if the curve does not
-        pass near the image or the cameras coincide.
-    """
-    ray = other.rays(pixel[None])[0]
-    baseline = _baseline_direction(other, camera)
-    return np.empty((0, 2)) if baseline is None else _project_ray(camera, baseline, ray)
-
-
 def compute_epipolar_band(other: Camera, box: Box, camera: Camera) -> EpipolarBand:
     """Compute the region of a camera's image that may show the content of another camera's box.
 
@@ -112,10 +94,11 @@ def compute_epipolar_band(other: Camera, box: Box, camera: Camera) -> EpipolarBa
         box: the box in its recorded image, pixels.
         camera: camera in whose image the band is computed.
     """
-    empty = np.empty((0, 2))
-    baseline = _baseline_direction(other, camera)
-    if baseline is None:
+    empty, baseline = np.empty((0, 2)), other.center - camera.center
+    length = float(np.linalg.norm(baseline))
+    if length <= MIN_BASELINE_RATIO * max(np.linalg.norm(other.center), np.linalg.norm(camera.center)):
         return EpipolarBand(empty, empty)
+    baseline = baseline / length
     outline_rays = other.rays(_sample_outline(box))
     center_ray = other.rays([[box.x + (box.width - 1) / 2, box.y + (box.height - 1) / 2]])[0]
     curve = _project_ray(camera, baseline, center_ray)
@@ -143,9 +126,8 @@ def compute_epipolar_band(other: Camera, box: Box, camera: Camera) -> EpipolarBa
     ]
     far = min(sides, key=lambda side: float((outline_rays[side] @ baseline).mean()))
     far_edge = project_points(camera, camera.center + outline_rays[far])
-    return EpipolarBand(
-        np.concatenate([curves[first], far_edge[_is_near_image(camera, far_edge)], curves[last][::-1]]), curve
-    )
+    far_edge = far_edge[_is_near_image(camera, far_edge)]
+    return EpipolarBand(np.concatenate([curves[first], far_edge, curves[last][::-1]]), curve)
 
 
 def _sample_outline(box: Box) -> FloatArray:
@@ -155,15 +137,6 @@ def _sample_outline(box: Box) -> FloatArray:
     right, down = np.array([box.width, 0.0]), np.array([0.0, box.height])
     corners = [low, low + right, low + right + down, low + down]
     return np.concatenate([a + share * (b - a) for a, b in zip(corners, [*corners[1:], low], strict=True)])
-
-
-def _baseline_direction(other: Camera, camera: Camera) -> FloatArray | None:
-    """Return the unit vector (3,) from `camera` to `other`; None if they coincide."""
-    baseline = other.center - camera.center
-    length = float(np.linalg.norm(baseline))
-    if length <= MIN_BASELINE_RATIO * max(np.linalg.norm(other.center), np.linalg.norm(camera.center)):
-        return None
-    return np.asarray(baseline / length)
 
 
 def _project_ray(camera: Camera, baseline: FloatArray, ray: FloatArray) -> FloatArray:
@@ -184,15 +157,13 @@ def _project_ray(camera: Camera, baseline: FloatArray, ray: FloatArray) -> Float
 
     end = float(np.arctan2(length, ray @ baseline))
     angles = np.linspace(0.0, end, N_SEARCH_SAMPLES)
-    runs = np.flatnonzero(
-        np.diff(np.concatenate([[False], _is_near_image(camera, project_angles(angles)), [False]]).astype(int))
-    )
+    is_near = np.concatenate([[False], _is_near_image(camera, project_angles(angles)), [False]])
+    runs = np.flatnonzero(np.diff(is_near.astype(int)))
     if not len(runs):
         return np.empty((0, 2))
     begin, stop = max(runs.reshape(-1, 2).tolist(), key=lambda run: run[1] - run[0])
-    pixels = project_angles(
-        np.linspace(angles[max(begin - 1, 0)], angles[min(stop, N_SEARCH_SAMPLES - 1)], N_CURVE_SAMPLES)
-    )
+    low, high = angles[max(begin - 1, 0)], angles[min(stop, N_SEARCH_SAMPLES - 1)]
+    pixels = project_angles(np.linspace(low, high, N_CURVE_SAMPLES))
     return pixels[_is_near_image(camera, pixels)]
 
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
 
-from sylpose.browser.result_player import add_layer_controls, add_view_control, describe_pose
+from sylpose.browser.result_player import add_layer_controls, add_view_control
 from sylpose.browser.scene_page import MAX_PATH_SEGMENTS, ScenePage, escape_markdown
 from sylpose.geometry.arrays import FloatArray
 from sylpose.report.scene import build_scene
@@ -68,8 +67,7 @@ class LivePage:
 
     def __init__(self, server: Any, rig: Rig, objects: Sequence[str], title: str) -> None:
         scene = build_scene(Trajectory([], rig.names, rig.unit), rig)
-        self.page, self.error = ScenePage(server, scene, rig), ""
-        self._server, self._scene = server, scene
+        self.page, self.error, self._server, self._scene = ScenePage(server, scene, rig), "", server, scene
         self._labels = {name: name if len(objects) > 1 else "" for name in objects}
         self._paths = {name: ObjectPath() for name in objects}
         self._latest: dict[str, TrackedFrame] = {}
@@ -86,7 +84,7 @@ class LivePage:
         self._thread.start()
         return self
 
-    def __exit__(self, *_: type[BaseException] | BaseException | TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         self._ended.set()
         self._updated.set()
         self._thread.join()
@@ -116,18 +114,12 @@ class LivePage:
     def _draw(self) -> None:
         with self._lock:
             latest, self._latest = self._latest, {}
-            paths = {
-                name: (np.array(path.positions), list(path.statuses))
-                for name, path in self._paths.items()
-                if path.positions
-            }
+            paths = {name: (np.array(p.positions), list(p.statuses)) for name, p in self._paths.items() if p.positions}
         if not latest:
             return
-        texts = []
         newest = max(latest.values(), key=lambda tracked: tracked.pose.index)
         with self._server.atomic():
-            for name, tracked in latest.items():
-                texts.append(self._draw_object(name, tracked))
+            texts = [self._draw_object(name, tracked) for name, tracked in latest.items()]
             for name, (positions, statuses) in paths.items():
                 self.page.set_path(name, positions, statuses)
         self.page.set_images(newest.frames.images)
@@ -141,22 +133,10 @@ class LivePage:
         self.page.set_size(name, radius, float(pose.sigma[3:].max()))
         self.page.set_pose(name, matrix, pose.covariance)
         positions = [sightings.positions for sightings in tracked.observations]
-        colors = np.repeat(
-            self._scene.colors[: len(positions)],
-            [len(positions_of_camera) for positions_of_camera in positions],
-            axis=0,
-        )
+        colors = np.repeat(self._scene.colors[: len(positions)], [len(p) for p in positions], axis=0)
         if positions:
             points = np.concatenate(positions)
             # Leave out distant points: they are not on the object, or their position is uncertain.
             near = np.linalg.norm(points, axis=1) < 2.0 * radius
             self.page.set_points(name, points[near], colors[near])
-        return describe_pose(
-            self._labels[name],
-            self._scene.unit,
-            pose.status,
-            pose.reason,
-            matrix,
-            pose.covariance,
-            self.page.compute_enlargement(name),
-        )
+        return self.page.describe_pose(name, self._labels[name], pose.status, pose.reason, matrix, pose.covariance)

@@ -5,21 +5,19 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
 
-from sylpose.browser.scene_page import DRAWN_SDS, LAYERS, NO_POSE_COLOR, ScenePage, escape_markdown, status_color
-from sylpose.browser.viewer_server import THEME, serve_viewer
+from sylpose.browser.scene_page import LAYERS, ScenePage, escape_markdown
+from sylpose.browser.server import THEME, serve_viewer
 from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.io.capture.random_access import RandomAccessReader
 from sylpose.report.scene import Scene
 from sylpose.results import FrameStatus
 from sylpose.rig import Rig
-from sylpose.runs.console_output import format_length
 
-__all__ = ["ResultPlayer", "add_layer_controls", "add_view_control", "describe_pose", "render_standalone_page"]
+__all__ = ["ResultPlayer", "add_layer_controls", "add_view_control", "render_standalone_page"]
 
 # Frame rate of images without times, and updates per second during playback (choice).
 DEFAULT_FRAME_RATE, UPDATE_RATE = 10.0, 25.0
@@ -73,7 +71,7 @@ class ResultPlayer:
             thread.start()
         return self
 
-    def __exit__(self, *_: type[BaseException] | BaseException | TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         self._ended.set()
         with self._request_changed:
             self._request_changed.notify_all()
@@ -100,11 +98,7 @@ class ResultPlayer:
             if (row := find_row(scene, index)) is not None:
                 pose, covariance = scene.world_from_object[row], scene.covariance[row]
                 status, reason = FrameStatus(scene.status[row]), scene.reason[row]
-                parts.append(
-                    describe_pose(
-                        name, scene.unit, status, reason, pose, covariance, self.page.compute_enlargement(name)
-                    )
-                )
+                parts.append(self.page.describe_pose(name, name, status, reason, pose, covariance))
         return "\n\n".join(parts)
 
     def play(self, playing: bool) -> None:
@@ -177,42 +171,7 @@ def set_frame(page: ScenePage, scenes: Mapping[str, Scene], index: int) -> None:
     with page.server.atomic():
         for name, scene in scenes.items():
             k = find_row(scene, index)
-            if k is None:
-                page.set_pose(name, None, None)
-            else:
-                page.set_pose(name, scene.world_from_object[k], scene.covariance[k])
-
-
-def describe_pose(
-    name: str, unit: str, status: FrameStatus, reason: str, pose: FloatArray, covariance: FloatArray, enlargement: float
-) -> str:
-    """Describe an object in a frame as Markdown.
-
-    Args:
-        name: the object's name.
-        unit: length unit.
-        status: status of the frame.
-        reason: why it has this status; "" for the status's default text.
-        pose: (4, 4) world_from_object, NaN without a pose.
-        covariance: (6, 6) of (w, d).
-        enlargement: factor by which the drawn standard deviations are enlarged.
-    """
-    has_pose = bool(np.isfinite(pose).all())
-    color = status_color(status.value) if has_pose else NO_POSE_COLOR
-    lines = [
-        f"<span style='color:rgb{color}'>⬤</span> **{escape_markdown(name)}{': ' if name else ''}{status.value}**",
-        escape_markdown(reason or status.text),
-    ]
-    if has_pose:
-        sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-        lines.append(f"at {', '.join(f'{v:.4g}' for v in pose[:3, 3])} {escape_markdown(unit)}")
-        if not np.isfinite(sigma).all():
-            lines.append("uncertainty of the pose is unbounded")
-        elif sigma.any():
-            rotation_sd, position_sd = np.degrees(np.linalg.norm(sigma[:3])), float(np.linalg.norm(sigma[3:]))
-            lines.append(f"sd {rotation_sd:.2g}° and {format_length(position_sd, escape_markdown(unit))}")
-            lines.append(f"(drawn {DRAWN_SDS * enlargement:.0f} times as large)")
-    return "  \n".join(lines)
+            page.set_pose(name, *((None, None) if k is None else (scene.world_from_object[k], scene.covariance[k])))
 
 
 def add_view_control(server: Any, page: ScenePage, objects: Sequence[str], cameras: Sequence[str]) -> None:

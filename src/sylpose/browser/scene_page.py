@@ -13,13 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from sylpose.display import format_length
 from sylpose.geometry.arrays import FloatArray, Image, IntArray
 from sylpose.report.pictures import build_undistortion_map
 from sylpose.report.scene import Scene
 from sylpose.results import FrameStatus
 from sylpose.rig import Rig
 
-__all__ = ["DRAWN_SDS", "LAYERS", "NO_POSE_COLOR", "ScenePage", "escape_markdown", "split_path", "status_color"]
+__all__ = ["LAYERS", "ScenePage", "escape_markdown", "split_path", "status_color"]
 
 # Longer side of the images, pixels (choice: sharp enough next to the object, 20 kB each).
 IMAGE_SIZE = 480
@@ -38,6 +39,9 @@ FOV, ASPECT, ELEVATION, VIEW_MARGIN, BLOCKING_DISTANCE = np.deg2rad(40.0), 1.15,
 CLOSEUP_DISTANCE = 5.5
 # Colors of the floor's cells and sections, on a light and on a dark page.
 FLOOR_COLORS = {False: ((236, 236, 236), (214, 214, 214)), True: ((44, 46, 50), (66, 69, 75))}
+# Options of nodes that lines share, and of those that surfaces share.
+_LINES: dict[str, Any] = {"thickness_units": "screen"}
+_SURFACE: dict[str, Any] = {"cast_shadow": False, "receive_shadow": False, "visible": False}
 LAYERS = ("Cameras", "Images", "Path", "Axes", "Points", "Uncertainty", "Floor")
 Rgb = tuple[int, int, int]
 
@@ -73,7 +77,6 @@ class ObjectNodes:
     enlargement: float = 1.0
     size: float = 0.0
     positions: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
-    has_pose: bool = False
     has_ellipsoid: bool = False
 
 
@@ -102,20 +105,13 @@ class ScenePage:
         server.initial_camera.fov = FOV
         server.initial_camera.look_at = (0.0, 0.0, 0.0)
         server.initial_camera.position = tuple(self._choose_viewpoint())
-        self._floor = self._api.add_grid(
-            "/floor",
-            width=4.0,
-            height=4.0,
-            cell_size=0.1,
-            section_size=0.5,
-            cell_thickness=0.6,
-            section_thickness=1.0,
-            cell_color=FLOOR_COLORS[False][0],
-            section_color=FLOOR_COLORS[False][1],
-            shadow_opacity=0.0,
-            wxyz=_wxyz(np.column_stack([right, ahead, np.cross(right, ahead)])),
-            position=tuple(self._floor_height() * up),
-        )
+        # The floor is below the lowest camera and the object.
+        heights = self._to_page(scene.world_from_camera[:, :3, 3]) @ up
+        height = float(min(heights.min(), -1.2 * scene.axis_length / scene.camera_distance)) - 0.03
+        pose = {"wxyz": _wxyz(np.column_stack([right, ahead, np.cross(right, ahead)])), "position": tuple(height * up)}
+        sizes = {"width": 4.0, "height": 4.0, "cell_size": 0.1, "section_size": 0.5, "shadow_opacity": 0.0}
+        self._floor = self._api.add_grid("/floor", cell_thickness=0.6, section_thickness=1.0, **sizes, **pose)
+        self._floor.cell_color, self._floor.section_color = FLOOR_COLORS[False]
         self._lines: list[Any] = []
         self._labels: list[Any] = []
         self._recorded_images: list[Any] = []
@@ -143,12 +139,6 @@ class ScenePage:
                 best, nearest = VIEW_MARGIN * max(distance, 1.0) * view, rank
         return np.asarray(best)
 
-    def _floor_height(self) -> float:
-        """Return the height of the floor, below the lowest camera and the object."""
-        up = self._scene.axes[2]
-        heights = self._to_page(self._scene.world_from_camera[:, :3, 3]) @ up
-        return float(min(heights.min(), -1.2 * self._scene.axis_length / self._scene.camera_distance)) - 0.03
-
     def _to_page(self, points: FloatArray) -> FloatArray:
         """Convert world points (..., 3) to page coordinates."""
         return np.asarray((points - self._scene.center) / self._scene.camera_distance)
@@ -163,29 +153,12 @@ class ScenePage:
         around = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
         edges = np.concatenate([np.stack([np.broadcast_to(center, (4, 3)), corners], axis=1), around])
         # Node names use the index: a camera's name may contain any characters.
-        self._lines.append(
-            self._api.add_line_segments(
-                f"/camera{c}", edges.astype(np.float32), color, thickness=2.0, thickness_units="screen"
-            )
-        )
-        label_position = center - 0.04 * rotation[:, 2]
-        self._labels.append(
-            self._api.add_label(f"/name{c}", name, position=tuple(label_position), anchor="bottom-center")
-        )
-        self._recorded_images.append(
-            self._api.add_image(
-                f"/image{c}",
-                np.zeros((2, 2, 3), np.uint8),
-                float(right - left),
-                float(bottom - top),
-                format="jpeg",
-                jpeg_quality=80,
-                cast_shadow=False,
-                receive_shadow=False,
-                wxyz=_wxyz(rotation),
-                visible=False,
-            )
-        )
+        lines, place = edges.astype(np.float32), tuple(center - 0.04 * rotation[:, 2])
+        self._lines.append(self._api.add_line_segments(f"/camera{c}", lines, color, thickness=2.0, **_LINES))
+        self._labels.append(self._api.add_label(f"/name{c}", name, position=place, anchor="bottom-center"))
+        blank, size = np.zeros((2, 2, 3), np.uint8), (float(right - left), float(bottom - top))
+        options = {"format": "jpeg", "jpeg_quality": 80, "wxyz": _wxyz(rotation), **_SURFACE}
+        self._recorded_images.append(self._api.add_image(f"/image{c}", blank, *size, **options))
         self._place_image(c, FRUSTUM_DEPTH)
 
     def _place_image(self, c: int, depth: float) -> None:
@@ -197,37 +170,17 @@ class ScenePage:
 
     def add(self, name: str) -> None:
         """Add an object without pose, points or path."""
-        key = f"/object{len(self._objects)}"
+        key, blank = f"/object{len(self._objects)}", np.zeros((1, 2, 3), np.float32)
         axes = self._api.add_frame(key, visible=False)
-        points = self._api.add_point_cloud(
-            f"{key}/points",
-            np.zeros((1, 3), np.float32),
-            (0, 0, 0),
-            point_shape="circle",
-            precision="float32",
-            visible=False,
-        )
-        uncertainty = self._api.add_icosphere(
-            f"{key}_uncertainty",
-            1.0,
-            (60, 140, 230),
-            opacity=0.3,
-            cast_shadow=False,
-            receive_shadow=False,
-            visible=False,
-        )
+        look = {"point_shape": "circle", "precision": "float32", "visible": False}
+        points = self._api.add_point_cloud(f"{key}/points", blank[0, :1], (0, 0, 0), **look)
+        ellipsoid = self._api.add_icosphere(f"{key}_uncertainty", 1.0, (60, 140, 230), opacity=0.3, **_SURFACE)
+        look = {"thickness": 3.0, "visible": False, **_LINES}
         path = {
-            color: self._api.add_line_segments(
-                f"{key}_path{k}",
-                np.zeros((1, 2, 3), np.float32),
-                color,
-                thickness=3.0,
-                thickness_units="screen",
-                visible=False,
-            )
+            color: self._api.add_line_segments(f"{key}_path{k}", blank, color, **look)
             for k, color in enumerate((TRACKED_COLOR, *_COLORS.values()))
         }
-        self._objects[name] = ObjectNodes(axes, points, uncertainty, path)
+        self._objects[name] = ObjectNodes(axes, points, ellipsoid, path)
         self.set_size(name, self._scene.axis_length)
 
     def set_size(self, name: str, radius: float, usual_sd: float = np.nan) -> None:
@@ -238,10 +191,6 @@ class ScenePage:
         nodes.points.point_size = 0.02 * size
         wanted = ELLIPSOID_SIZE * radius / (DRAWN_SDS * usual_sd) if usual_sd > 0 else 1.0
         nodes.enlargement = max(1.0, 10.0 ** float(np.floor(np.log10(wanted))))
-
-    def compute_enlargement(self, name: str) -> float:
-        """Return the factor by which an object's standard deviations are enlarged to be visible."""
-        return self._objects[name].enlargement
 
     def set_points(self, name: str, points: FloatArray, colors: IntArray) -> None:
         """Set an object's points (n, 3), in its frame, and their colors (n, 3)."""
@@ -263,9 +212,9 @@ class ScenePage:
     def set_pose(self, name: str, world_from_object: FloatArray | None, covariance: FloatArray | None) -> None:
         """Set an object's pose (4, 4), or None, and its covariance (6, 6) of (w, d)."""
         nodes = self._objects[name]
-        nodes.has_pose = world_from_object is not None and bool(np.isfinite(world_from_object).all())
-        nodes.has_ellipsoid = False
-        if nodes.has_pose and world_from_object is not None:
+        nodes.axes.visible = nodes.has_ellipsoid = False
+        if world_from_object is not None and np.isfinite(world_from_object).all():
+            nodes.axes.visible = True
             nodes.axes.wxyz = _wxyz(world_from_object[:3, :3])
             nodes.axes.position = tuple(self._to_page(world_from_object[:3, 3]))
             if covariance is not None and np.isfinite(covariance[3:, 3:]).all():
@@ -277,6 +226,34 @@ class ScenePage:
                 nodes.ellipsoid.wxyz = _wxyz(vectors * np.linalg.det(vectors))
                 nodes.ellipsoid.position = nodes.axes.position
         self._update_visibility(nodes)
+
+    def describe_pose(
+        self, name: str, label: str, status: FrameStatus, reason: str, pose: FloatArray, covariance: FloatArray
+    ) -> str:
+        """Describe an object in a frame as Markdown.
+
+        Args:
+            name: the object.
+            label: name to show; "" for a single object.
+            status: status of the frame.
+            reason: why it has this status; "" for the status's default text.
+            pose: (4, 4) world_from_object, NaN without a pose.
+            covariance: (6, 6) of (w, d).
+        """
+        has_pose, unit = bool(np.isfinite(pose).all()), escape_markdown(self._scene.unit)
+        color = status_color(status.value) if has_pose else NO_POSE_COLOR
+        title = f"**{escape_markdown(label)}{': ' if label else ''}{status.value}**"
+        lines = [f"<span style='color:rgb{color}'>⬤</span> {title}", escape_markdown(reason or status.text)]
+        if has_pose:
+            sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+            lines.append(f"at {', '.join(f'{v:.4g}' for v in pose[:3, 3])} {unit}")
+            if not np.isfinite(sigma).all():
+                lines.append("uncertainty of the pose is unbounded")
+            elif sigma.any():
+                rotation_sd, position_sd = np.degrees(np.linalg.norm(sigma[:3])), float(np.linalg.norm(sigma[3:]))
+                lines.append(f"sd {rotation_sd:.2g}° and {format_length(position_sd, unit)}")
+                lines.append(f"(drawn {DRAWN_SDS * self._objects[name].enlargement:.0f} times as large)")
+        return "  \n".join(lines)
 
     def set_images(self, images: Sequence[Image | None]) -> None:
         """Set the images (BGR) of all cameras."""
@@ -309,7 +286,6 @@ class ScenePage:
             lines.colors = (color + (255 - color) // 2 if dark else color).astype(np.uint8)
 
     def _update_visibility(self, nodes: ObjectNodes) -> None:
-        nodes.axes.visible = nodes.has_pose
         nodes.axes.show_axes = self.visible["Axes"]
         nodes.points.visible = self.visible["Points"] and len(nodes.points.points) > 1
         nodes.ellipsoid.visible = nodes.has_ellipsoid and self.visible["Uncertainty"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import threading
 from collections.abc import Mapping, Sequence
-from contextlib import closing
+from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypeVar
@@ -14,7 +14,7 @@ import msgspec
 
 from sylpose.atomic_io import format_boxes_toml, replace_atomically
 from sylpose.browser.box_hints import compute_box_hints
-from sylpose.browser.local_page import GetHandler, LocalPage, Response, json_response, open_browser
+from sylpose.browser.server import GetHandler, Response, json_response, open_browser, serve_page
 from sylpose.frames import Box
 from sylpose.geometry.arrays import FloatArray, Image
 from sylpose.input_limits import to_one_line
@@ -124,15 +124,15 @@ class BoxEditor:
         self.saved = boxes
         return json_response({"file": str(self.out), "next": self.next_command}, on_sent=self.ended.set)
 
-    def build_page(self, port: int) -> LocalPage:
-        """Return the page with its request handlers, ready to be served."""
+    def serve(self, port: int) -> AbstractContextManager[str]:
+        """Serve the page; the context manager returns its URL."""
 
         def file(name: str) -> GetHandler:
             return lambda _: Response((PAGE_FOLDER / name).read_bytes(), MEDIA_TYPES[name])
 
         gets = {"": file("box.html"), "box.css": file("box.css"), "box.js": file("box.js")}
         gets |= {"state": self.send_state, "image": self.send_image, "hints": self.send_hints}
-        return LocalPage(gets, {"boxes": self.save}, port)
+        return serve_page(gets, {"boxes": self.save}, port)
 
     def _validate(self, sent: Mapping[str, Mapping[str, Numbers]]) -> Boxes:
         """Validate boxes exactly as if they were read from a file."""
@@ -174,9 +174,9 @@ def run_box_command(
     file = session.path / "boxes.toml" if out is None else out
     editor = BoxEditor(session, start, images.images, file, shlex.join(command))
     try:
-        with editor.build_page(port) as page:
-            opened = browser and open_browser(page.url)
-            console.print(f"{'Opened' if opened else 'Open'} {page.url} in a browser", soft_wrap=True)
+        with editor.serve(port) as url:
+            opened = browser and open_browser(url)
+            console.print(f"{'Opened' if opened else 'Open'} {url} in a browser", soft_wrap=True)
             console.print("Save on that page writes the boxes and ends this command; Ctrl-C changes nothing.")
             while not editor.ended.wait(POLL_INTERVAL):  # on Windows, Ctrl-C does not interrupt a wait without timeout
                 pass

@@ -7,9 +7,8 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from sylpose.atomic_io import replace_atomically
-from sylpose.browser.local_page import HOST, open_browser
 from sylpose.browser.result_player import ResultPlayer, render_standalone_page
-from sylpose.browser.viewer_server import serve_viewer
+from sylpose.browser.server import HOST, open_browser, serve_viewer
 from sylpose.io import calibration
 from sylpose.io.capture import Session
 from sylpose.io.capture.random_access import RandomAccessReader

@@ -84,8 +84,7 @@ def _serve_live_page(
 ) -> Iterator[LivePage]:
     """Serve a page that shows the run while it is tracked; `rig` has the unit of its poses."""
     from sylpose.browser.live_page import LivePage
-    from sylpose.browser.local_page import open_browser
-    from sylpose.browser.viewer_server import serve_viewer
+    from sylpose.browser.server import open_browser, serve_viewer
 
     with (
         serve_viewer(port=port) as (server, url),
