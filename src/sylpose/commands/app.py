@@ -37,6 +37,7 @@ __all__ = [
     "exit_with_failures",
     "format_examples",
     "make_choice_check",
+    "option",
     "pick",
     "print_message",
     "report_errors",
@@ -99,6 +100,21 @@ class GroupedCommand(TyperCommand):
             if records:
                 with formatter.section(name):
                     formatter.write_dl(records)
+
+
+def option(metavar: str | None, text: str, panel: str | None = None, name: str | None = None, **more: Any) -> OptionInfo:
+    """Return an option, for the annotation of a field.
+
+    Args:
+        metavar: placeholder of its value in the help; None for a switch.
+        text: its help.
+        panel: section of the help; None for "Options".
+        name: its name, or "--on/--off"; by default the field's.
+        more: further arguments of `typer.Option`.
+    """
+    names = [] if name is None else [name]
+    made: OptionInfo = typer.Option(*names, metavar=metavar, help=text, rich_help_panel=panel, **more)
+    return made
 
 
 @dataclass(frozen=True, kw_only=True)
