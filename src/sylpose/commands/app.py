@@ -102,21 +102,6 @@ class GroupedCommand(TyperCommand):
                     formatter.write_dl(records)
 
 
-def option(metavar: str | None, text: str, panel: str | None = None, name: str | None = None, **more: Any) -> OptionInfo:
-    """Return an option, for the annotation of a field.
-
-    Args:
-        metavar: placeholder of its value in the help; None for a switch.
-        text: its help.
-        panel: section of the help; None for "Options".
-        name: its name, or "--on/--off"; by default the field's.
-        more: further arguments of `typer.Option`.
-    """
-    names = [] if name is None else [name]
-    made: OptionInfo = typer.Option(*names, metavar=metavar, help=text, rich_help_panel=panel, **more)
-    return made
-
-
 @dataclass(frozen=True, kw_only=True)
 class CommandOptions:
     """Options of a command; each field is `Annotated` with its `typer.Option` or `typer.Argument`.
@@ -279,6 +264,21 @@ def format_error(error: ValueError | OSError) -> str:
     if isinstance(error, OSError) and error.filename is not None and error.strerror:
         return f"{error.filename}: {error.strerror.lower()}"
     return str(error) or type(error).__name__
+
+
+def option(words: str, section: str | None, text: str, **more: Any) -> Any:
+    """Describe an option of a command.
+
+    Args:
+        words: its names and its metavar, "--boxes FILE".
+        section: its section of `--help`; None for "Options".
+        text: its help.
+        more: further arguments of `typer.Option`: min, max, callback, show_default.
+    """
+    names = [word for word in words.split() if word.startswith("-")]
+    return typer.Option(
+        *names, metavar=words.removeprefix(" ".join(names)).strip() or None, help=text, rich_help_panel=section, **more
+    )
 
 
 def make_choice_check(choices: Sequence[str]) -> Callable[[str], str]:
