@@ -23,9 +23,8 @@ from sylpose.io.capture import open_session
 from sylpose.report.camera_consistency import describe_camera_problems
 from sylpose.results import Trajectory
 from sylpose.runs.run import Run, track_session
-from sylpose.runs.session_options import apply_world_and_unit
 from sylpose.runs.session_warnings import explain_failures
-from sylpose.runs.world import WorldSpec, is_world_text
+from sylpose.runs.world import WorldSpec, apply_world_and_unit, is_world_text
 from sylpose.simulate import make_demo_scene, write_sequence
 from sylpose.sync.offsets import find_offsets
 

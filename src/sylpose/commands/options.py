@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
-from sylpose.commands.app import ADVANCED, INPUT, LIVE, OBJECT, OUTPUT, CommandOptions, make_choice_check
+from sylpose.commands.app import ADVANCED, INPUT, LIVE, OBJECT, OUTPUT, CommandOptions, make_choice_check, option
 from sylpose.methods import FEATURES, METHODS, resolve_features
 from sylpose.report.formats import PICTURE_FORMATS
 from sylpose.units import METERS
+
+if TYPE_CHECKING:
+    from sylpose.io.capture import Session
+    from sylpose.io.capture.session import SessionBase
+    from sylpose.runs.world import WorldSpec
 
 __all__ = [
     "BoxesFile",
@@ -20,7 +26,9 @@ __all__ = [
     "CameraFiles",
     "CameraOptions",
     "EulerAxes",
+    "Every",
     "ExcludedCameras",
+    "FrameOffset",
     "FrameOffsets",
     "MasksFolder",
     "MethodOptions",
@@ -35,180 +43,110 @@ __all__ = [
     "RefineCalibration",
     "Seed",
     "SessionPath",
+    "Smooth",
+    "StartFrame",
     "StopFrame",
     "Unit",
     "World",
     "WorldFrame",
     "WorldFrom",
     "WorldOptions",
+    "parse_video_option",
 ]
+
+SessionT = TypeVar("SessionT", bound="SessionBase")
 
 SessionPath = Annotated[
     Path,
     typer.Argument(metavar="SESSION", help="Folder with one video (cam_0.mp4) or one folder of images per camera."),
 ]
-CalibrationFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--calibration",
-        metavar="PATH",
-        help="Read the calibration from this file or folder; by default searched in SESSION.",
-        rich_help_panel=INPUT,
-    ),
-]
+_CALIBRATION = option(
+    "--calibration PATH",
+    INPUT,
+    "Read the calibration from this file or folder; by default searched in SESSION.",
+)
+CalibrationFile = Annotated[Path | None, _CALIBRATION]
 BoxesFile = Annotated[
     Path | None,
-    typer.Option(
-        "--boxes",
-        metavar="FILE",
-        help="Read the object's boxes in the first frame; default: SESSION/boxes.toml if present.",
-        rich_help_panel=OBJECT,
+    option(
+        "--boxes FILE", OBJECT, "Read the object's boxes in the first frame; default: SESSION/boxes.toml if present."
     ),
 ]
 MasksFolder = Annotated[
-    Path | None,
-    typer.Option(
-        "--masks",
-        metavar="DIR",
-        help="Read the object's masks; default: SESSION/masks if present.",
-        rich_help_panel=OBJECT,
-    ),
+    Path | None, option("--masks DIR", OBJECT, "Read the object's masks; default: SESSION/masks if present.")
 ]
-FrameOffsets = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--frame-offset",
-        metavar="CAM=N",
-        help="Set by how many frames a camera starts late. Repeatable.",
-        rich_help_panel=INPUT,
-    ),
-]
+_FRAME_OFFSET = option("--frame-offset CAM=N", INPUT, "Set by how many frames a camera starts late. Repeatable.")
+FrameOffsets = Annotated[list[str] | None, _FRAME_OFFSET]
+FrameOffset = Annotated[tuple[str, ...], _FRAME_OFFSET]
 EulerAxes = Annotated[
     str | None,
-    typer.Option(
-        "--euler",
-        metavar="AXES",
-        help="Add three Euler angles to the CSV and plot them: XYZ (intrinsic axes), xyz (extrinsic axes), or three "
+    option(
+        "--euler AXES",
+        OUTPUT,
+        "Add three Euler angles to the CSV and plot them: XYZ (intrinsic axes), xyz (extrinsic axes), or three "
         'vectors, "0,0,1 1,0,0 0,1,0".',
-        rich_help_panel=OUTPUT,
     ),
 ]
-CameraFiles = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--video",
-        metavar="NAME=FILE",
-        help="Assign a video or image folder to a camera if its name does not match. Repeatable.",
-        rich_help_panel=INPUT,
-    ),
-]
-ExcludedCameras = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--exclude-camera",
-        metavar="CAM",
-        help="Leave out a camera, for example one without a video. Repeatable.",
-        rich_help_panel=INPUT,
-    ),
-]
-Rate = Annotated[
-    float | None,
-    typer.Option(
-        "--rate",
-        metavar="HZ",
-        help="Set the frame rate of image folders, for times in seconds.",
-        rich_help_panel=INPUT,
-    ),
-]
+_VIDEO = option(
+    "--video NAME=FILE", INPUT, "Assign a video or image folder to a camera if its name does not match. Repeatable."
+)
+CameraFiles = Annotated[list[str] | None, _VIDEO]
+_EXCLUDED = option("--exclude-camera CAM", INPUT, "Leave out a camera, for example one without a video. Repeatable.")
+ExcludedCameras = Annotated[list[str] | None, _EXCLUDED]
+Rate = Annotated[float | None, option("--rate HZ", INPUT, "Set the frame rate of image folders, for times in seconds.")]
 Unit = Annotated[
     str | None,
-    typer.Option(
-        "--unit",
-        metavar="|".join(METERS),
-        help="Set the length unit of the results; default: the calibration's.",
-        rich_help_panel=OUTPUT,
-    ),
+    option(f"--unit {'|'.join(METERS)}", OUTPUT, "Set the length unit of the results; default: the calibration's."),
 ]
 World = Annotated[
     str | None,
-    typer.Option(
-        "--world",
-        metavar="WORLD",
-        help="Set the world frame, z up: a board on the floor (chessboard:9x6,square=25mm), up=0,-1,0 in the calibration's "
+    option(
+        "--world WORLD",
+        OUTPUT,
+        "Set the world frame, z up: a board on the floor (chessboard:9x6,square=25mm), up=0,-1,0 in the calibration's "
         "frame, or a file (world.toml, or three points: docs/formats.md).",
-        rich_help_panel=OUTPUT,
     ),
 ]
 WorldFrame = Annotated[
     int | None,
-    typer.Option(
-        "--world-frame",
-        metavar="N",
+    option(
+        "--world-frame N",
+        OUTPUT,
+        "Detect the world board in this frame of the recording or of --world-from; default: the first frame.",
         min=0,
-        help="Detect the world board in this frame of the recording or of --world-from; default: the first frame.",
-        rich_help_panel=OUTPUT,
     ),
 ]
 WorldFrom = Annotated[
     Path | None,
-    typer.Option(
-        "--world-from",
-        metavar="DIR",
-        help="Detect the world board in these images or videos instead of the session's.",
-        rich_help_panel=OUTPUT,
-    ),
+    option("--world-from DIR", OUTPUT, "Detect the world board in these images or videos instead of the session's."),
 ]
-OutFolder = Annotated[
-    Path | None,
-    typer.Option(
-        "--out", metavar="DIR", help="Write the results here; default: SESSION/sylpose.", rich_help_panel=OUTPUT
-    ),
-]
-StopFrame = Annotated[
-    int | None, typer.Option(metavar="N", help="Stop before this frame; default: the end.", rich_help_panel=INPUT)
-]
-Overlay = Annotated[bool, typer.Option("--overlay/--no-overlay", help="Write overlay.mp4.", rich_help_panel=OUTPUT)]
-Port = Annotated[
-    int,
-    typer.Option(
-        "--port",
-        metavar="N",
-        min=0,
-        max=65535,
-        help="Serve the page on this port; 0: any free port.",
-        rich_help_panel=LIVE,
-    ),
-]
-Browser = Annotated[
-    bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.", rich_help_panel=LIVE)
+OutFolder = Annotated[Path | None, option("--out DIR", OUTPUT, "Write the results here; default: SESSION/sylpose.")]
+StartFrame = Annotated[int, option("--start N", INPUT, "Start at this frame.")]
+StopFrame = Annotated[int | None, option("--stop N", INPUT, "Stop before this frame; default: the end.")]
+Every = Annotated[int, option("--every N", INPUT, "Use every N-th frame.")]
+Overlay = Annotated[bool, option("--overlay/--no-overlay", OUTPUT, "Write overlay.mp4.")]
+Port = Annotated[int, option("--port N", LIVE, "Serve the page on this port; 0: any free port.", min=0, max=65535)]
+Browser = Annotated[bool, option("--browser/--no-browser", LIVE, "Open the page in the browser.")]
+Smooth = Annotated[
+    bool | None,
+    option("--smooth/--no-smooth", ADVANCED, "Refine all poses jointly at the end; default: for recordings."),
 ]
 RefineCalibration = Annotated[
     bool,
-    typer.Option(
+    option(
         "--refine-calibration",
-        help="Smooth and also estimate the calibration's errors; write calibration.refined.toml.",
-        rich_help_panel=ADVANCED,
+        ADVANCED,
+        "Smooth and also estimate the calibration's errors; write calibration.refined.toml.",
     ),
 ]
-Seed = Annotated[
-    int,
-    typer.Option(
-        "--seed",
-        metavar="N",
-        help="Set the random seed; equal seeds give equal results.",
-        rich_help_panel=ADVANCED,
-    ),
-]
-
-
+Seed = Annotated[int, option("--seed N", ADVANCED, "Set the random seed; equal seeds give equal results.")]
 PlotFormat = Annotated[
     str,
-    typer.Option(
-        "--format",
-        metavar="|".join(PICTURE_FORMATS),
-        help="Set the file format of plots.",
+    option(
+        f"--format {'|'.join(PICTURE_FORMATS)}",
+        OUTPUT,
+        "Set the file format of plots.",
         callback=make_choice_check(PICTURE_FORMATS),
-        rich_help_panel=OUTPUT,
     ),
 ]
 
@@ -218,24 +156,33 @@ class CameraOptions(CommandOptions):
     """Calibration and videos of the cameras."""
 
     calibration: CalibrationFile = None
-    video: Annotated[
-        tuple[str, ...],
-        typer.Option(
-            "--video",
-            metavar="NAME=FILE",
-            help="Assign a video or image folder to a camera if its name does not match. Repeatable.",
-            rich_help_panel=INPUT,
-        ),
-    ] = ()
-    exclude_camera: Annotated[
-        tuple[str, ...],
-        typer.Option(
-            metavar="CAM",
-            help="Leave out a camera, for example one without a video. Repeatable.",
-            rich_help_panel=INPUT,
-        ),
-    ] = ()
+    video: Annotated[tuple[str, ...], _VIDEO] = ()
+    exclude_camera: Annotated[tuple[str, ...], _EXCLUDED] = ()
     rate: Rate = None
+
+    def open_recording(self, path: Path, frame_offset: Sequence[str] = (), **files: Path | None) -> Session:
+        """Open the recording in a folder.
+
+        Args:
+            path: the folder.
+            frame_offset: values of `--frame-offset`.
+            files: boxes and masks, as for `open_session`.
+
+        Raises:
+            ValueError, OSError: as `open_session`; options of another form.
+        """
+        from sylpose.io.capture import open_session
+
+        offsets = _parse_frame_offsets(frame_offset)
+        return open_session(
+            path,
+            calibration=self.calibration,
+            cameras=parse_video_option(self.video),
+            offsets=offsets,
+            rate=self.rate,
+            without=self.exclude_camera,
+            **files,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -244,6 +191,10 @@ class RecordingOptions(CameraOptions):
 
     session: SessionPath
     masks: MasksFolder = None
+
+    def open(self, boxes: Path | None = None, frame_offset: Sequence[str] = ()) -> Session:
+        """Open the recording, as `open_recording` does."""
+        return self.open_recording(self.session, frame_offset, boxes=boxes, masks=self.masks)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -255,12 +206,35 @@ class WorldOptions(CommandOptions):
     world_frame: WorldFrame = None
     world_from: WorldFrom = None
 
+    def __post_init__(self) -> None:
+        """Check that options of the world come with a world."""
+        super().__post_init__()
+        if self.world is None and (self.world_frame is not None or self.world_from is not None):
+            raise ValueError("--world-frame and --world-from require --world")
+
+    @property
+    def world_spec(self) -> WorldSpec | None:
+        """Return the specification of the world; None for the calibration's."""
+        from sylpose.runs.world import WorldSpec
+
+        return None if self.world is None else WorldSpec(self.world, self.world_frame, self.world_from)
+
+    def apply_to(self, session: SessionT) -> SessionT:
+        """Return the session in the requested world and unit.
+
+        Raises:
+            ValueError, OSError: as `apply_world_and_unit`.
+        """
+        from sylpose.runs.world import apply_world_and_unit
+
+        return apply_world_and_unit(session, self.world_spec, self.unit)
+
 
 @dataclass(frozen=True, kw_only=True)
 class RangeOptions(CommandOptions):
     """Frames to process."""
 
-    start: Annotated[int, typer.Option(metavar="N", help="Start at this frame.", rich_help_panel=INPUT)] = 0
+    start: StartFrame = 0
     stop: StopFrame = None
 
 
@@ -270,21 +244,21 @@ class MethodOptions(CommandOptions):
 
     method: Annotated[
         str,
-        typer.Option(
-            metavar="NAME",
-            help="Select the estimation method, from those that sylpose track --help lists.",
+        option(
+            "--method NAME",
+            ADVANCED,
+            "Select the estimation method; sylpose track --help lists them.",
             callback=make_choice_check(METHODS),
-            rich_help_panel=ADVANCED,
         ),
     ] = METHODS[0]
     features: Annotated[
         str,
-        typer.Option(
-            metavar="|".join(FEATURES),
-            help="Match SIFT in every frame, or track KLT between SIFT keyframes (faster, more precise); auto: KLT for "
+        option(
+            f"--features {'|'.join(FEATURES)}",
+            ADVANCED,
+            "Match SIFT in every frame, or track KLT between SIFT keyframes (faster, more precise); auto: KLT for "
             "landmarks, else SIFT.",
             callback=make_choice_check(FEATURES),
-            rich_help_panel=ADVANCED,
         ),
     ] = FEATURES[0]
 
@@ -300,3 +274,33 @@ class PageOptions(CommandOptions):
 
     port: Port = 0
     browser: Browser = True
+
+
+def parse_video_option(values: Sequence[str]) -> dict[str, str] | None:
+    """Parse the values of `--video NAME=FILE` into files by name.
+
+    Raises:
+        ValueError: a value of another form, or a name given twice.
+    """
+    cameras: dict[str, str] = {}
+    for text in values:
+        name, _, file = text.partition("=")
+        if not name or not file:
+            raise ValueError(f"--video: expected NAME=FILE, such as cam_2=left.mp4, got {text!r}")
+        if name in cameras:
+            raise ValueError(f"--video: {name} is given twice")
+        cameras[name] = file
+    return cameras or None
+
+
+def _parse_frame_offsets(values: Sequence[str]) -> dict[str, int] | None:
+    offsets = {}
+    for text in values:
+        camera, _, frames = text.rpartition("=")
+        try:
+            offsets[camera] = int(frames)
+        except ValueError:
+            camera = ""
+        if not camera:
+            raise ValueError(f"--frame-offset: expected CAMERA=FRAMES, such as cam_2=5, got {text!r}")
+    return offsets or None

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
 from sylpose.io.capture import Session, live, open_session
 from sylpose.io.capture.session import SessionBase
-from sylpose.runs.world import WorldSpec, resolve_session_world
-from sylpose.units import METERS
+from sylpose.runs.world import WorldSpec, apply_world_and_unit
 
-__all__ = ["apply_world_and_unit", "check_output_folder", "open_from_options", "open_recording", "parse_video_option"]
+__all__ = ["check_output_folder", "open_from_options", "open_recording", "parse_video_option"]
 
 SessionT = TypeVar("SessionT", bound=SessionBase)
 
@@ -91,23 +89,6 @@ def open_from_options(
         path, calibration=calibration, boxes=boxes, masks=masks, follow=follow, lossless=lossless, rate=rate
     )
     return apply_world_and_unit(opened, world, unit)
-
-
-def apply_world_and_unit(opened: SessionT, world: WorldSpec | None, unit: str | None) -> SessionT:
-    """Express a session in another world frame, then in another unit; lengths in `world` have the calibration's unit.
-
-    Raises:
-        ValueError, OSError: as `resolve_session_world` and `Rig.in_unit`.
-    """
-    if world is not None:
-        found, notes = resolve_session_world(opened, world)
-        opened = replace(opened.with_world(found), warnings=(*opened.warnings, *notes))
-    if unit in METERS and not opened.rig.unit:
-        raise ValueError(
-            f"--unit {unit}: {opened.calibration} does not state its unit; set it with sylpose calibration convert IN "
-            "OUT --is-in m"
-        )
-    return opened if unit is None else opened.with_rig(opened.rig.in_unit(unit))
 
 
 def check_output_folder(session: Session | live.LiveSession, out: Path) -> None:

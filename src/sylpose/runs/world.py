@@ -5,9 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -26,7 +27,14 @@ from sylpose.results import Status
 from sylpose.rig import Rig
 from sylpose.units import METERS
 
-__all__ = ["WorldSpec", "is_world_text", "parse_world_option", "resolve_session_world", "resolve_world"]
+__all__ = [
+    "WorldSpec",
+    "apply_world_and_unit",
+    "is_world_text",
+    "parse_world_option",
+    "resolve_session_world",
+    "resolve_world",
+]
 
 # Largest log ratio of a board's measured to its given size (choice: a printer's scaling is less).
 MAX_LOG_SIZE_RATIO = 0.05
@@ -37,6 +45,8 @@ _FAILURE_REASONS = {
     Status.SCALE_NOT_OBSERVABLE: "its distance is not observable; use more cameras or a larger board",
     Status.NOT_CONSISTENT: "their detections are inconsistent: it is another board, or a camera was moved",
 }
+
+SessionT = TypeVar("SessionT", bound=SessionBase)
 
 ImageReader = Callable[[], Sequence[Image | None]]
 
@@ -54,6 +64,23 @@ class WorldSpec:
     world: str
     frame: int | None = None
     images: Path | None = None
+
+
+def apply_world_and_unit(opened: SessionT, world: WorldSpec | None, unit: str | None) -> SessionT:
+    """Express a session in another world frame, then in another unit; lengths in `world` have the calibration's unit.
+
+    Raises:
+        ValueError, OSError: as `resolve_session_world` and `Rig.in_unit`.
+    """
+    if world is not None:
+        found, notes = resolve_session_world(opened, world)
+        opened = replace(opened.with_world(found), warnings=(*opened.warnings, *notes))
+    if unit in METERS and not opened.rig.unit:
+        raise ValueError(
+            f"--unit {unit}: {opened.calibration} does not state its unit; set it with sylpose calibration convert IN "
+            "OUT --is-in m"
+        )
+    return opened if unit is None else opened.with_rig(opened.rig.in_unit(unit))
 
 
 def is_world_text(world: str) -> bool:
