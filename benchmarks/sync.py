@@ -24,12 +24,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.commands.sync import OffsetPrecision, sync_session
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import FloatArray
 from sylpose.io.capture import open_session
 from sylpose.runs.precompile import compile_all
 from sylpose.simulate import Recording, make_demo_scene, write_recording
+from sylpose.sync.estimation import OffsetPrecision, sync_session
 
 RATE = 30.0
 

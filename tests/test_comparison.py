@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.cli import results
+from sylpose.commands import compare
 from sylpose.commands.compare import describe_mismatches
 from sylpose.commands.main import main
 from sylpose.comparison import Alignment, associate_timestamps, compare_trajectories, compute_statistics
@@ -166,7 +166,7 @@ def test_times_must_increase_and_overlap() -> None:
 
 
 def test_compare_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert get_args(Alignment) == results.ALIGNMENTS
+    assert get_args(Alignment) == compare.ALIGNMENTS
     (times, found), (_, right) = motion(1, 0.01), motion()
     write_tum(tmp_path / "a.tum", times, found, "m")
     write_tum(tmp_path / "b.tum", times, right, "m")

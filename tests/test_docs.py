@@ -229,7 +229,7 @@ def test_python_runs(block: Block, session: Path, monkeypatch: pytest.MonkeyPatc
         exec("\n".join(imports), namespace)
         return
     monkeypatch.chdir(session.rename(session.parent / "recording").parent)
-    monkeypatch.setattr("sylpose.commands.sync.MAX_ROUNDS", 1)  # checks that it runs, not its accuracy
+    monkeypatch.setattr("sylpose.sync.estimation.MAX_ROUNDS", 1)  # checks that it runs, not its accuracy
     for start, given in GIVEN.items():
         if block.lines[0].startswith(start):
             namespace |= given()

@@ -53,7 +53,7 @@ ALLOWED: dict[str, set[str]] = {
     "report": NOUNS | FILES,
     "io": {""} | NOUNS | FILES | {"boards", "report", "tracking", "landmarks", "features"},
     "simulate": NOUNS | FILES | {"io"},
-    "sync": NOUNS | {"io"},
+    "sync": NOUNS | FILES | {"io", "tracking", "smoothing"},
     "experiments": NOUNS | {"sylvester", "simulate", "report"},
     "network": NOUNS | PARTS | FILES | {"relative_pose", "landmarks", "tracking", "smoothing"},
     # Its results contain the version that made them.

@@ -22,12 +22,12 @@ from sylpose.browser.result_player import ResultPlayer, collect_frames
 from sylpose.browser.scene_page import MAX_PATH_SEGMENTS, TRACKED_COLOR, escape_markdown, split_path, status_color
 from sylpose.browser.server import HOST, VISER_MISSING, serve_viewer
 from sylpose.commands.main import main
-from sylpose.commands.show import read_scenes
 from sylpose.io import calibration
 from sylpose.io.capture import open_session
 from sylpose.io.capture.random_access import RandomAccessReader
 from sylpose.results import FrameStatus
 from sylpose.runs.run import track_session
+from sylpose.runs.scene import read_scenes
 from sylpose.runs.source_recording import open_source_recording
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import track

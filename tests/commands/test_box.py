@@ -45,7 +45,7 @@ def box_command(monkeypatch: pytest.MonkeyPatch, *args: object) -> Iterator[Runn
         run.urls.put(url)
         return True
 
-    monkeypatch.setattr("sylpose.commands.box.open_browser", shown)
+    monkeypatch.setattr("sylpose.browser.server.open_browser", shown)
     thread = threading.Thread(target=lambda: run.codes.append(main(["box", *map(str, args)])), daemon=True)
     thread.start()
     run.url = run.urls.get(timeout=60)
@@ -259,7 +259,7 @@ def test_interrupt_changes_no_file(
     def interrupted(_: str) -> bool:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("sylpose.commands.box.open_browser", interrupted)
+    monkeypatch.setattr("sylpose.browser.server.open_browser", interrupted)
     assert main(["box", str(session)]) == 130
     assert capsys.readouterr().err == "sylpose: interrupted; no boxes were written\n"
     assert {file.name: file.stat().st_mtime_ns for file in session.iterdir()} == before

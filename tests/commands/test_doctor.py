@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 
 import sylpose
-from sylpose.commands import doctor
-from sylpose.commands.doctor import Diagnosis, diagnose
 from sylpose.commands.main import main
 from sylpose.relative_pose.precompile import warm_up
+from sylpose.runs import installation
+from sylpose.runs.installation import Diagnosis, diagnose
 from tests.paths import REPOSITORY
 
 PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -36,7 +36,7 @@ def use_project_requirements(monkeypatch: pytest.MonkeyPatch) -> None:
     lines = [*PROJECT["dependencies"]]
     for extra, inside in PROJECT["optional-dependencies"].items():
         lines += [f'{line}; extra == "{extra}"' for line in inside]
-    monkeypatch.setattr(doctor, "requires", lambda _: lines)
+    monkeypatch.setattr(installation, "requires", lambda _: lines)
 
 
 def test_working_installation(capsys: pytest.CaptureFixture[str]) -> None:
@@ -57,12 +57,12 @@ def test_json_output(capsys: pytest.CaptureFixture[str]) -> None:
     assert output["problems"] == []
     assert output["versions"]["sylpose"] == sylpose.__version__
     # Every dependency was imported, and is listed by its module's name.
-    needed = {doctor._module_name(name_of(line)) for line in PROJECT["dependencies"]}
+    needed = {installation._module_name(name_of(line)) for line in PROJECT["dependencies"]}
     assert needed <= set(output["versions"])
     for module in needed:
         assert output["versions"][module] != "?", module
     extras = set(PROJECT["optional-dependencies"])
-    assert set(output["extras"]) == extras - doctor.DEVELOPER_EXTRAS
+    assert set(output["extras"]) == extras - installation.DEVELOPER_EXTRAS
 
 
 def test_broken_libraries_are_reported(tmp_path: Path) -> None:
@@ -89,7 +89,7 @@ def test_broken_libraries_are_reported(tmp_path: Path) -> None:
 
 def test_outdated_versions_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     lines = [*PROJECT["dependencies"], "numpy>=99"]
-    monkeypatch.setattr(doctor, "requires", lambda _: lines)
+    monkeypatch.setattr(installation, "requires", lambda _: lines)
     (problem,) = diagnose().problems
     assert problem.startswith(f"numpy is {np.__version__}, sylpose needs numpy>=99: ")
 
@@ -97,7 +97,7 @@ def test_outdated_versions_are_reported(monkeypatch: pytest.MonkeyPatch) -> None
 def test_several_opencv_packages_give_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
     def installed(*names: str) -> Diagnosis:
         monkeypatch.setattr(
-            doctor, "distributions", lambda: [SimpleNamespace(metadata={"Name": name}) for name in names]
+            installation, "distributions", lambda: [SimpleNamespace(metadata={"Name": name}) for name in names]
         )
         return diagnose()
 
@@ -116,7 +116,7 @@ def test_missing_extras_are_listed_with_the_pip_command(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     lines = [*PROJECT["dependencies"], 'not-there>=1; extra == "archive"', 'numpy; extra == "archive"']
-    monkeypatch.setattr(doctor, "requires", lambda _: lines)
+    monkeypatch.setattr(installation, "requires", lambda _: lines)
     assert main(["doctor"]) == 0
     assert "archive: python -m pip install 'not-there>=1'\n" in capsys.readouterr().out
 

@@ -16,7 +16,6 @@ from sylpose.boards.specification import parse_board
 from sylpose.commands.main import main
 from sylpose.commands.poses import run_pose_command
 from sylpose.commands.report import _collect_stills
-from sylpose.commands.show import read_scenes
 from sylpose.io import calibration
 from sylpose.io.pixel_files import load_image_points
 from sylpose.io.point_files import load_points
@@ -25,6 +24,7 @@ from sylpose.report.page import render_page
 from sylpose.results import FrameStatus, Observability, Trajectory
 from sylpose.rig import Rig
 from sylpose.runs.run_metadata import SETTINGS, USED_CALIBRATION
+from sylpose.runs.scene import read_scenes
 from sylpose.runs.source_recording import open_source_recording
 from sylpose.simulate import Actor, Recording, Scene, chamfered_box, write_recording
 from tests.recordings import BOX, RIG, attach_target, compute_pose_error, moved_path

@@ -111,7 +111,7 @@ def test_interrupted_run_keeps_finished_studies(
 
     finished = BY_NAME["layout"]._replace(run=lambda *_: study_table("layout"))
     chosen = [finished, BY_NAME["noise"]._replace(run=interrupted), BY_NAME["turn"]]
-    monkeypatch.setattr("sylpose.commands.experiments.STUDIES", chosen)
+    monkeypatch.setattr("sylpose.experiments.STUDIES", chosen)
     assert main(["experiments", "--out", str(tmp_path), "--quick"]) == 130
     assert "after 1 of 3 studies" in capsys.readouterr().err
     assert {path.name for path in tmp_path.iterdir()} == {"paper_layout.csv", "paper_layout.png", "paper_index.md"}

@@ -18,12 +18,12 @@ import pytest
 
 from sylpose.atomic_io import partial_path, replace_atomically
 from sylpose.commands.main import main
-from sylpose.commands.sync import TimeOffsets, write_offsets
 from sylpose.io import calibration
 from sylpose.io.capture import Session, open_session
 from sylpose.runs.results_folder import EARLIER
 from sylpose.runs.run import has_finished, track_session
 from sylpose.runs.run_metadata import SETTINGS, USED_CALIBRATION
+from sylpose.sync.estimation import TimeOffsets, write_offsets
 from sylpose.sync.speed_correlation import OffsetEstimate
 from sylpose.tracking.tracked_frame import TrackedFrame
 

@@ -6,6 +6,7 @@ import csv
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,13 +15,14 @@ from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.commands import sync as app_sync
-from sylpose.commands.sync import OffsetPrecision, run_sync_command, sync_session, write_offsets
+from sylpose.commands.main import main
 from sylpose.geometry.arrays import FloatArray
 from sylpose.io.capture import Session, open_session
 from sylpose.results import FramePose, FrameStatus, Status
 from sylpose.simulate import Actor, Recording, Scene, arc, chamfered_box, write_recording
 from sylpose.smoothing.trajectory import SmoothedTrajectory, Track
+from sylpose.sync import estimation
+from sylpose.sync.estimation import OffsetPrecision, TimeOffsets, sync_session, write_offsets
 from sylpose.sync.offsets import apply_offsets, load_offsets
 from sylpose.sync.speed_correlation import (
     SpeedSignal,
@@ -218,9 +220,9 @@ def test_offsets_end_to_end(
     recording: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     # The speeds use all frames; two sections suffice for the refinement.
-    monkeypatch.setattr(app_sync, "MAX_TRACKED_FRAMES", 24)
+    monkeypatch.setattr(estimation, "MAX_TRACKED_FRAMES", 24)
     times_tracked = count_tracking(monkeypatch, track)
-    found = run_sync_command(open_session(recording))
+    found = run_command(monkeypatch, recording, code=0)
     assert found.tracked == 24
     assert len(times_tracked) == 1
     true = LATE - LATE.mean()
@@ -236,6 +238,19 @@ def test_offsets_end_to_end(
     assert [written[name] for name in CAMERAS] == pytest.approx(found.offsets.tolist(), abs=1e-6)
 
 
+def run_command(monkeypatch: pytest.MonkeyPatch, recording: Path, code: int) -> TimeOffsets:
+    """Run `sylpose sync` and return its estimate."""
+    found: list[TimeOffsets] = []
+
+    def estimate(*args: Any, **options: Any) -> TimeOffsets:
+        found.append(sync_session(*args, **options))
+        return found[-1]
+
+    monkeypatch.setattr(estimation, "sync_session", estimate)
+    assert main(["sync", str(recording)]) == code
+    return found[0]
+
+
 def count_tracking(monkeypatch: pytest.MonkeyPatch, tracking: Callable[..., object]) -> list[int]:
     """Return a list that grows by one each time the object is tracked."""
     times: list[int] = []
@@ -244,7 +259,7 @@ def count_tracking(monkeypatch: pytest.MonkeyPatch, tracking: Callable[..., obje
         times.append(len(times))
         return tracking(*args, **kwargs)
 
-    monkeypatch.setattr(app_sync, "track", tracked)
+    monkeypatch.setattr(estimation, "track", tracked)
     return times
 
 
@@ -268,8 +283,8 @@ def test_retracking_if_frame_offsets_change(
         return SmoothedTrajectory((), Status.OK, change / RATE * np.array([1.0, -1.0, 0.0]), sd, np.ones(3), 3)
 
     times_tracked = count_tracking(monkeypatch, lambda *_, **__: iter(()))
-    monkeypatch.setattr(app_sync, "smooth", smoothed)
-    monkeypatch.setattr(app_sync, "_image_speeds", lambda *_: np.full(3, 300.0))
+    monkeypatch.setattr(estimation, "smooth", smoothed)
+    monkeypatch.setattr(estimation, "_image_speeds", lambda *_: np.full(3, 300.0))
     found = sync_session(open_session(recording))
     assert len(times_tracked) == times
     assert found.precision == (OffsetPrecision.FINE,) * 3
@@ -277,7 +292,7 @@ def test_retracking_if_frame_offsets_change(
     apart = found.offsets - np.array([1.0, -1.0, 0.0]) * sum(changes) / RATE
     assert apart * RATE == pytest.approx(np.round(apart * RATE - apart[2] * RATE) + apart[2] * RATE, abs=1e-6)
     # A hundredth of a pixel of the tracked features' errors correlates with the motion.
-    assert found.sd == pytest.approx(np.hypot(sd, app_sync.ERROR_ALONG_MOTION_PX / 300.0))
+    assert found.sd == pytest.approx(np.hypot(sd, estimation.ERROR_ALONG_MOTION_PX / 300.0))
 
 
 def test_speed_of_tracked_object() -> None:
@@ -294,7 +309,7 @@ def test_speed_of_tracked_object() -> None:
         return Track(pose, (own, none), np.zeros(2), 0.1)
 
     # 3 pixels in a tenth of a second, then 8 in two tenths.
-    found = app_sync._image_speeds([seen(0.1, [1, 50]), seen(0.2, [4, 90]), seen(0.4, [12, 0])], rig)
+    found = estimation._image_speeds([seen(0.1, [1, 50]), seen(0.2, [4, 90]), seen(0.4, [12, 0])], rig)
     assert found[0] == pytest.approx(np.sqrt((30**2 + 40**2) / 3), rel=1e-6)
     assert found[1] < 1e-5
 
@@ -302,10 +317,9 @@ def test_speed_of_tracked_object() -> None:
 def test_uniform_motion_is_inconclusive(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(app_sync, "MAX_ROUNDS", 1)
-    found = run_sync_command(
-        open_session(record_videos(tmp_path / "screw", screw_motion, np.array([0.0, 0.4, -0.3]), 33))
-    )
+    monkeypatch.setattr(estimation, "MAX_ROUNDS", 1)
+    record_videos(tmp_path / "screw", screw_motion, np.array([0.0, 0.4, -0.3]), 33)
+    found = run_command(monkeypatch, tmp_path / "screw", code=1)
     assert found.precision == (OffsetPrecision.UNOBSERVABLE,) * 3
     assert not found.offsets.any()
     assert np.isinf(found.sd).all()
@@ -368,20 +382,22 @@ def test_unsynchronizable_recordings_are_rejected(recording: Path) -> None:
         sync_session(session, max_lag=0.0, stop=3)
 
 
-def test_interrupt_preserves_offsets(recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupt_preserves_offsets(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(app_sync, "estimate_coarse_offsets", interrupt)
+    monkeypatch.setattr(estimation, "estimate_coarse_offsets", interrupt)
     file = tmp_path / "offsets.toml"
     file.write_text("cam_0 = 0.25\n")
-    with pytest.raises(KeyboardInterrupt, match="is unchanged"):
-        run_sync_command(open_session(recording), file, stop=3)
+    assert main(["sync", str(recording), "--out", str(file), "--stop", "3"]) == 130
+    assert capsys.readouterr().err.endswith(f"sylpose: interrupted; {file} is unchanged\n")
     assert file.read_text() == "cam_0 = 0.25\n"
 
 
 def test_untrackable_recording_keeps_whole_frame_offsets(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(app_sync, "track", lambda *_, **__: iter(()))
+    monkeypatch.setattr(estimation, "track", lambda *_, **__: iter(()))
     found = sync_session(open_session(recording))
     assert found.precision == (OffsetPrecision.COARSE,) * 3
     assert found.offsets * RATE == pytest.approx(
@@ -391,7 +407,7 @@ def test_untrackable_recording_keeps_whole_frame_offsets(recording: Path, monkey
 
 
 def test_names_are_quoted_if_necessary(recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(app_sync, "track", lambda *_, **__: iter(()))
+    monkeypatch.setattr(estimation, "track", lambda *_, **__: iter(()))
     found = replace(sync_session(open_session(recording), stop=3), cameras=("left", "up right", "ünder.2"))
     write_offsets(found, tmp_path / "o.toml")
     assert load_offsets(tmp_path / "o.toml", found.cameras) == dict.fromkeys(found.cameras, 0.0)

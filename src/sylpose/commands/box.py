@@ -1,170 +1,58 @@
-"""`sylpose box`: a browser page on which the user draws the objects' boxes in the first frame."""
+"""`sylpose box`: draw the objects' boxes in the first frame on a page in the browser."""
 
 from __future__ import annotations
 
-import shlex
-import threading
-from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, closing
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Annotated
 
-import msgspec
+from sylpose.commands.app import INPUT, OUTPUT, command, option
+from sylpose.commands.options import FrameOffset, PageOptions, RecordingOptions
 
-from sylpose.atomic_io import format_boxes_toml, replace_atomically
-from sylpose.browser.box_hints import compute_box_hints
-from sylpose.browser.server import GetHandler, Response, json_response, open_browser, serve_page
-from sylpose.frames import Box
-from sylpose.geometry.arrays import FloatArray, Image
-from sylpose.input_limits import to_one_line
-from sylpose.io.capture import Session
-from sylpose.io.capture.boxes import DEFAULT_OBJECT_NAME, parse_boxes
-from sylpose.report.pictures import encode_jpeg, shrink_image
-from sylpose.runs import console_output
-from sylpose.runs.check import check_session
-from sylpose.tracking.region import carve_box_volume
+__all__ = ["BoxOptions", "box"]
 
-__all__ = ["BoxEditor", "run_box_command"]
-
-# Folder of the page's files.
-PAGE_FOLDER = Path(__file__).parent / "pages"
-MEDIA_TYPES = {"box.html": "text/html; charset=utf-8", "box.css": "text/css", "box.js": "text/javascript"}
-# Longer side of an image on the page in pixels (choice: a large screen's); boxes use the recording's pixels.
-MAX_IMAGE_SIDE = 2560
 # Seconds between two checks whether the boxes are saved (choice).
 POLL_INTERVAL = 0.2
 
-T = TypeVar("T")
 
-Numbers = tuple[float, float, float, float]
-Boxes = dict[str, dict[str, Box]]
+@dataclass(frozen=True, kw_only=True)
+class BoxOptions(PageOptions, RecordingOptions):
+    """Options of `sylpose box`."""
+
+    out: Annotated[Path | None, option("--out FILE", OUTPUT, "Write the boxes here; default: SESSION/boxes.toml.")] = (
+        None
+    )
+    frame_offset: FrameOffset = ()
+    start: Annotated[int, option("--start N", INPUT, "Draw in this frame, the first to track.")] = 0
 
 
-@dataclass(eq=False)
-class BoxEditor:
-    """State of the page: its inputs and the boxes that were saved.
+@command(
+    "Draw object boxes on a page in the browser.",
+    "sylpose box recording",
+    "sylpose box recording --start 100 --out at_100.toml",
+)
+def box(options: BoxOptions) -> None:
+    """Draw boxes of one or several objects in the first frame of each camera, on a page in the browser.
 
-    Attributes:
-        session: the recording, with its existing boxes.
-        start: number of the frame in which boxes are drawn.
-        images: image of each camera; None if a camera has none.
-        out: file to which the boxes are written.
-        next_command: command that continues with the boxes.
-        saved: boxes that were written, once `ended` is set.
+    The page shows where the object of one box can be in the other cameras; from two boxes it suggests the rest.
+    Existing boxes are loaded. Only this computer can open the page.
     """
+    import shlex
+    from contextlib import closing
+    from dataclasses import replace
 
-    session: Session
-    start: int
-    images: tuple[Image | None, ...]
-    out: Path
-    next_command: str
-    saved: Boxes = field(default_factory=dict)
-    ended: threading.Event = field(default_factory=threading.Event)
+    from sylpose.browser import server
+    from sylpose.browser.box_page import BoxEditor
+    from sylpose.io.capture.live import is_live
+    from sylpose.runs import console_output
+    from sylpose.runs.check import check_session
 
-    def send_state(self, _: Mapping[str, str]) -> Response:
-        """Return the initial state of the page as JSON."""
-        rig = self.session.rig
-        cameras = [
-            {"name": camera.name, "width": camera.size[0], "height": camera.size[1], "image": image is not None}
-            for camera, image in zip(rig, self.images, strict=True)
-        ]
-        boxes = {name: _boxes_to_numbers(self.session.select_object(name).boxes) for name in self.session.objects}
-        recording = self.session.path.resolve().name
-        return json_response({"recording": recording, "frame": self.start, "cameras": cameras, "boxes": boxes})
-
-    def send_image(self, query: Mapping[str, str]) -> Response:
-        """Return a camera's image as JPEG."""
-        image = dict(zip(self.session.rig.names, self.images, strict=True)).get(query.get("camera", ""))
-        if image is None:
-            raise ValueError("no such camera, or it has no image")
-        return Response(encode_jpeg(shrink_image(image, MAX_IMAGE_SIDE)), "image/jpeg")
-
-    def send_hints(self, query: Mapping[str, str]) -> Response:
-        """Return epipolar bands and suggested boxes in the other cameras for one object's boxes."""
-        numbers = _decode_json(query.get("boxes", "").encode(), dict[str, Numbers])
-        boxes = next(iter(self._validate({DEFAULT_OBJECT_NAME: numbers}).values())) if numbers else {}
-        found = compute_box_hints(self.session.rig, boxes)
-        bands = {
-            name: [
-                {
-                    "of": other,
-                    "outline": _to_page_coordinates(band.outline),
-                    "middle": _to_page_coordinates(band.center_curve),
-                }
-                for other, band in by_other.items()
-            ]
-            for name, by_other in found.bands.items()
-        }
-        return json_response({"bands": bands, "boxes": _boxes_to_numbers(found.boxes), "wrong": found.error})
-
-    def save(self, body: bytes) -> Response:
-        """Write the boxes of all objects and end the command."""
-        sent = {
-            name: by_camera
-            for name, by_camera in _decode_json(body, dict[str, dict[str, Numbers]]).items()
-            if by_camera
-        }
-        if not sent:
-            raise ValueError("there is no box yet: drag one around the object in at least two cameras")
-        boxes = self._validate(sent)
-        if self.session.masks is not None and {*boxes} != {*self.session.objects}:
-            raise ValueError(
-                f"{self.session.masks} has masks of {', '.join(self.session.objects)}: the boxes must be of the same "
-                f"objects, not of {', '.join(boxes)}"
-            )
-        for name, by_camera in boxes.items():
-            if len(by_camera) > 1:
-                try:
-                    carve_box_volume(self.session.rig, by_camera)
-                except ValueError as error:
-                    raise ValueError(str(error) if len(boxes) == 1 else f"{name}: {error}") from None
-        with replace_atomically(self.out) as part:
-            part.write_text(_format_boxes_toml(boxes), encoding="utf-8")
-        self.saved = boxes
-        return json_response({"file": str(self.out), "next": self.next_command}, on_sent=self.ended.set)
-
-    def serve(self, port: int) -> AbstractContextManager[str]:
-        """Serve the page; the context manager returns its URL."""
-
-        def file(name: str) -> GetHandler:
-            return lambda _: Response((PAGE_FOLDER / name).read_bytes(), MEDIA_TYPES[name])
-
-        gets = {"": file("box.html"), "box.css": file("box.css"), "box.js": file("box.js")}
-        gets |= {"state": self.send_state, "image": self.send_image, "hints": self.send_hints}
-        return serve_page(gets, {"boxes": self.save}, port)
-
-    def _validate(self, sent: Mapping[str, Mapping[str, Numbers]]) -> Boxes:
-        """Validate boxes exactly as if they were read from a file."""
-        given = {name: {camera: Box(*box) for camera, box in by_camera.items()} for name, by_camera in sent.items()}
-        return parse_boxes(_format_boxes_toml(given), self.session.rig, Path(self.out.name))
-
-
-def run_box_command(
-    session: Session, out: Path | None, options: Sequence[str], *, start: int, port: int, browser: bool
-) -> Path:
-    """Let the user draw boxes on a browser page and write them.
-
-    Args:
-        session: the recording, with its existing boxes.
-        out: file to write; None: boxes.toml in the recording.
-        options: options that `sylpose track` needs as well for this recording.
-        start: number of the frame in which boxes are drawn.
-        port: port of the page; 0 for any free one.
-        browser: open the page in the user's browser.
-
-    Returns:
-        the file with the boxes.
-
-    Raises:
-        KeyboardInterrupt: interrupted by the user, with a message; nothing was written.
-        ValueError: the recording does not have the frame, or no camera has an image in it.
-        OSError: the port is in use; the message names it.
-    """
+    start, out = options.start, options.out
+    if is_live(options.session):
+        raise ValueError(f"{options.session}: has live cameras; boxes can only be drawn in recordings")
+    session = options.open(out if out is not None and out.exists() else None, options.frame_offset)
     console = console_output.make_console()
     console.print(console_output.format_headline(session))
-    command = ["sylpose", "track", str(session.path), *options, *(["--start", str(start)] if start else [])]
-    command += [] if out is None else ["--boxes", str(out)]
     problems: list[str] = []
     with closing(session.frames(start, start + 1, on_problem=problems.append)) as frames:
         images = next(frames, None)
@@ -172,10 +60,10 @@ def run_box_command(
     if images is None or all(image is None for image in images.images):
         raise ValueError(f"{session.path}: no camera has an image in frame {start} to draw boxes in")
     file = session.path / "boxes.toml" if out is None else out
-    editor = BoxEditor(session, start, images.images, file, shlex.join(command))
+    editor = BoxEditor(session, start, images.images, file, shlex.join(_continue_with_boxes(options)))
     try:
-        with editor.serve(port) as url:
-            opened = browser and open_browser(url)
+        with editor.serve(options.port) as url:
+            opened = options.browser and server.open_browser(url)
             console.print(f"{'Opened' if opened else 'Open'} {url} in a browser", soft_wrap=True)
             console.print("Save on that page writes the boxes and ends this command; Ctrl-C changes nothing.")
             while not editor.ended.wait(POLL_INTERVAL):  # on Windows, Ctrl-C does not interrupt a wait without timeout
@@ -188,27 +76,19 @@ def run_box_command(
     label = "Boxes" if len(boxes) == 1 else f"Boxes of {', '.join(boxes)}"
     console.print(f"{label} in {cameras}: {file}", soft_wrap=True)
     console.print(f"Next: {editor.next_command}", soft_wrap=True)
-    return file
 
 
-def _decode_json(data: bytes, kind: type[T]) -> T:
-    """Decode JSON sent by the page."""
-    try:
-        return msgspec.json.decode(data, type=kind)
-    except msgspec.MsgspecError as error:
-        raise ValueError(f"boxes by camera are expected ({to_one_line(str(error))})") from None
-
-
-def _format_boxes_toml(boxes: Mapping[str, Mapping[str, Box]]) -> str:
-    """Return the content of boxes.toml; a single unnamed object gets no table."""
-    named = {"" if list(boxes) == [DEFAULT_OBJECT_NAME] else name: by_camera for name, by_camera in boxes.items()}
-    return format_boxes_toml({name: _boxes_to_numbers(by_camera) for name, by_camera in named.items()})
-
-
-def _boxes_to_numbers(boxes: Mapping[str, Box]) -> dict[str, Numbers]:
-    return {camera: (box.x, box.y, box.width, box.height) for camera, box in boxes.items()}
-
-
-def _to_page_coordinates(pixels: FloatArray) -> list[list[float]]:
-    """Convert pixels to the page's coordinates, in which the center of the first pixel is at (0.5, 0.5)."""
-    return [[round(x, 1), round(y, 1)] for x, y in (pixels + 0.5).tolist()]
+def _continue_with_boxes(options: BoxOptions) -> list[str]:
+    """Return the command that tracks the recording with the boxes, with the options that it needs as well."""
+    values: dict[str, tuple[object, ...]] = {
+        "--calibration": (options.calibration,),
+        "--masks": (options.masks,),
+        "--frame-offset": options.frame_offset,
+        "--video": options.video,
+        "--exclude-camera": options.exclude_camera,
+        "--rate": (options.rate,),
+        "--start": (options.start or None,),
+        "--boxes": (options.out,),
+    }
+    words = ((name, str(value)) for name, given in values.items() for value in given if value is not None)
+    return ["sylpose", "track", str(options.session), *(word for pair in words for word in pair)]

@@ -2,29 +2,56 @@
 
 from __future__ import annotations
 
-import json
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, cast
 
-import numpy as np
-from rich.text import Text
-from scipy.spatial.transform import RigidTransform
+import typer
 
-from sylpose.atomic_io import make_output_folder, replace_atomically
-from sylpose.comparison import Alignment, Comparison, compare_trajectories, compute_statistics
-from sylpose.geometry.arrays import FloatArray
-from sylpose.report.comparison import plot_comparison
-from sylpose.report.files import read_tum
-from sylpose.runs import console_output
-from sylpose.runs.run_metadata import read_settings, read_world_definition, settings_table
-from sylpose.runs.view import read_result
+from sylpose.commands.app import OUTPUT, CommandOptions, command, make_choice_check, option
+from sylpose.commands.options import PlotFormat
 from sylpose.units import METERS
 
-__all__ = ["build_json_content", "describe_mismatches", "read_motion", "run_compare_command"]
+if TYPE_CHECKING:
+    from scipy.spatial.transform import RigidTransform
 
+    from sylpose.comparison import Alignment, Comparison
+    from sylpose.geometry.arrays import FloatArray
+
+__all__ = ["CompareOptions", "compare", "describe_mismatches"]
+
+# Same as in `comparison`, repeated here to avoid importing NumPy.
+ALIGNMENTS = ("first", "none", "se3", "sim3", "both")
 PRINTED_STATISTICS = ("rmse", "median", "max")
 # Smaller errors are shown as 0: rounding, in degrees and in lengths of any unit (choice).
 ROUNDING_ERROR = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True)
+class CompareOptions(CommandOptions):
+    """Options of `sylpose compare`."""
+
+    a: Annotated[
+        Path, typer.Argument(metavar="A", help="Trajectory: a folder of sylpose track, a trajectory.csv or a .tum.")
+    ]
+    b: Annotated[Path, typer.Argument(metavar="B", help="Reference trajectory, in the same formats.")]
+    align: Annotated[
+        str,
+        option(
+            f"--align {'|'.join(ALIGNMENTS)}",
+            None,
+            "Align A to B before comparing. first: the object's frame (motion since the first common pose); none; se3, "
+            "sim3: the world frame, rigidly or with scale, fitted to positions; both: the world and the object's frame.",
+            callback=make_choice_check(ALIGNMENTS),
+        ),
+    ] = "first"
+    step: Annotated[int, option("--step N", None, "Compute relative errors over N poses.")] = 1
+    within: Annotated[
+        float | None,
+        option("--within SEC", None, "Match poses within this time difference; default: half of B's smallest step."),
+    ] = None
+    out: Annotated[Path, option("--out DIR", OUTPUT, "Write compare.json and compare.png here.")] = Path()
+    plot_format: PlotFormat = "png"
 
 
 class _Motion(NamedTuple):
@@ -35,75 +62,87 @@ class _Motion(NamedTuple):
     unit: str
 
 
-def run_compare_command(
-    a: Path, b: Path, align: str, step: int, within: float | None, out: Path, plot_format: str = "png"
-) -> None:
-    """Compare trajectory A with B; print the errors and write `compare.json` and a plot.
+@command(
+    "Compute the errors between two trajectories.",
+    "sylpose compare recording/sylpose truth.tum",
+    "sylpose compare first/sylpose second/sylpose --align none --out compared",
+)
+def compare(options: CompareOptions) -> None:
+    """Compute absolute and relative pose errors of A with respect to B.
 
-    Args:
-        a, b: run folders, trajectory.csv files or TUM files.
-        align: alignment of A to B, as in `compare_trajectories`.
-        step: number of poses between the two poses of a relative error.
-        within: largest difference of the times of paired poses; None as in `compare_trajectories`.
-        out: output folder.
-        plot_format: file name extension of the plot.
-
-    Raises:
-        ValueError: as `compare_trajectories`; a file is not a trajectory.
-        OSError: a file cannot be read or written; the message names it.
+    Prints a table and writes compare.png and compare.json. Errors are expressed in B's frames.
     """
-    ours, theirs = read_motion(a), read_motion(b)
-    poses = ours.poses
+    import json
+
+    import numpy as np
+    from rich.text import Text
+    from scipy.spatial.transform import RigidTransform
+
+    from sylpose.atomic_io import make_output_folder, replace_atomically
+    from sylpose.comparison import compare_trajectories, compute_statistics
+    from sylpose.report.comparison import plot_comparison
+    from sylpose.runs import console_output
+
+    a, b, align, step = options.a, options.b, options.align, options.step
+    ours, theirs = _read_motion(a), _read_motion(b)
+    poses, unit = ours.poses, theirs.unit or ours.unit
     if ours.unit in METERS and theirs.unit in METERS:
         scale = METERS[ours.unit] / METERS[theirs.unit]
         poses = RigidTransform.from_components(scale * poses.translation, poses.rotation)
-    unit = theirs.unit or ours.unit
+    alignment = cast("Alignment", align)
     result = compare_trajectories(
-        ours.times, poses, theirs.times, theirs.poses, align=cast(Alignment, align), step=step, max_time_diff=within
+        ours.times, poses, theirs.times, theirs.poses, align=alignment, step=step, max_time_diff=options.within
     )
     console = console_output.make_console()
-    console.print(
-        Text.assemble(
-            (f"{a} against {b}", "bold"), f": {len(result.times)} of {result.n_reference} poses, aligned by {align}"
-        ),
-        soft_wrap=True,
-    )
+    summary = f": {len(result.times)} of {result.n_reference} poses, aligned by {align}"
+    console.print(Text.assemble((f"{a} against {b}", "bold"), summary), soft_wrap=True)
     if align == "sim3":
         console.print(f"Scale: {result.scale:.6g}")
     rows = []
-    for label, degrees, lengths in _list_errors(result, step):
+    errors = {
+        "absolute": (result.rotation, result.position),
+        "pose-to-pose" if step == 1 else f"{step}-pose": (result.relative_rotation, result.relative_position),
+    }
+    for label, (degrees, lengths) in errors.items():
         both = compute_statistics(np.degrees(degrees)), compute_statistics(lengths)
-        rotation, position = ({name: v if v > ROUNDING_ERROR else 0.0 for name, v in values.items()} for values in both)
-        rows.append([f"{label} rotation", *(f"{rotation[name]:.3g}°" for name in PRINTED_STATISTICS)])
-        rows.append(
-            [f"{label} position", *(console_output.format_length(position[name], unit) for name in PRINTED_STATISTICS)]
-        )
+        values = ([statistics[name] for name in PRINTED_STATISTICS] for statistics in both)
+        rotation, position = ([v if v > ROUNDING_ERROR else 0.0 for v in row] for row in values)
+        rows.append([f"{label} rotation", *(f"{value:.3g}°" for value in rotation)])
+        rows.append([f"{label} position", *(console_output.format_length(value, unit) for value in position)])
     console_output.print_table(console, ("Error", *PRINTED_STATISTICS), rows)
     console_output.print_warnings(console, describe_mismatches(a, b, ours.unit, theirs.unit, align))
-    folder = make_output_folder(out)
-    files = [folder / "compare.json", folder / f"compare.{plot_format}"]
+    folder = make_output_folder(options.out)
+    files = [folder / "compare.json", folder / f"compare.{options.plot_format}"]
     with replace_atomically(files[0]) as part:
-        part.write_text(json.dumps(build_json_content(result, step, unit), indent=1) + "\n", encoding="utf-8")
+        part.write_text(json.dumps(_build_json_content(result, step, unit), indent=1) + "\n", encoding="utf-8")
     plot_comparison(result, files[1], unit=unit, title=f"{a} against {b}")
     console_output.print_files(console, "Files", files)
 
 
-def read_motion(path: Path) -> _Motion:
+def _read_motion(path: Path) -> _Motion:
     """Read the measured poses of a run's folder, a trajectory.csv or a TUM file.
 
     Raises:
         ValueError: the file contains no pose; the message names it.
         OSError: the file cannot be read.
     """
+    import numpy as np
+    from scipy.spatial.transform import RigidTransform
+
+    from sylpose.report.files import read_tum
+    from sylpose.runs.view import read_result
+
     if path.is_file() and path.suffix.lower() in (".tum", ".txt"):
-        times, poses = read_tum(path)
-        motion = _Motion(times, poses, "")
+        motion = _Motion(*read_tum(path), "")
     else:
         trajectory = read_result(path)
-        frames = [frame for frame in trajectory if frame.is_measured and frame.world_from_object is not None]
-        matrices = [frame.world_from_object.as_matrix() for frame in frames if frame.world_from_object is not None]
-        poses = RigidTransform.from_matrix(np.array(matrices).reshape(-1, 4, 4))
-        motion = _Motion(np.array([frame.time for frame in frames]), poses, trajectory.unit)
+        found = [
+            (f.time, f.world_from_object.as_matrix())
+            for f in trajectory
+            if f.is_measured and f.world_from_object is not None
+        ]
+        matrices = np.array([matrix for _, matrix in found]).reshape(-1, 4, 4)
+        motion = _Motion(np.array([time for time, _ in found]), RigidTransform.from_matrix(matrices), trajectory.unit)
     if not len(motion.times):
         raise ValueError(f"{path}: contains no pose")
     return motion
@@ -111,6 +150,8 @@ def read_motion(path: Path) -> _Motion:
 
 def describe_mismatches(a: Path, b: Path, unit_a: str, unit_b: str, align: str) -> list[str]:
     """Describe differences of units, worlds and calibrations for which the alignment does not compensate."""
+    from sylpose.runs.run_metadata import read_settings, read_world_definition, settings_table
+
     found = []
     if unit_a != unit_b and not {unit_a, unit_b} <= METERS.keys() and align != "sim3":
         units = [unit or "an unspecified unit" for unit in (unit_a, unit_b)]
@@ -119,11 +160,8 @@ def describe_mismatches(a: Path, b: Path, unit_a: str, unit_b: str, align: str) 
         )
     settings = [read_settings(path if path.is_dir() else path.parent) for path in (a, b)]
     # A TUM file has no settings, even if its folder has some.
-    if (
-        align == "both"
-        or not all(settings)
-        or not all(path.is_dir() or path.suffix.lower() == ".csv" for path in (a, b))
-    ):
+    are_runs = all(settings) and all(path.is_dir() or path.suffix.lower() == ".csv" for path in (a, b))
+    if align == "both" or not are_runs:
         return found
     remedy = "--align both compensates for that."
     worlds = [read_world_definition(path) or "its calibration's" for path in (a, b)]
@@ -135,17 +173,23 @@ def describe_mismatches(a: Path, b: Path, unit_a: str, unit_b: str, align: str) 
     return found
 
 
-def build_json_content(result: Comparison, step: int, unit: str) -> dict[str, Any]:
+def _build_json_content(result: Comparison, step: int, unit: str) -> dict[str, Any]:
     """Return the content of compare.json: statistics and all errors, in degrees and length units."""
+    import numpy as np
+
+    from sylpose.comparison import compute_statistics
+
     content: dict[str, Any] = {
         "align": result.align,
         "step": step,
         "poses": len(result.times),
         "of": result.n_reference,
-        "unit": unit,
-        "scale": result.scale,
     }
-    for name, (_, rotation, position) in zip(("absolute", "relative"), _list_errors(result, step), strict=True):
+    content |= {"unit": unit, "scale": result.scale}
+    for name, rotation, position in (
+        ("absolute", result.rotation, result.position),
+        ("relative", result.relative_rotation, result.relative_position),
+    ):
         content[name] = {
             "rotation_deg": compute_statistics(np.degrees(rotation)),
             "position": compute_statistics(position),
@@ -153,11 +197,3 @@ def build_json_content(result: Comparison, step: int, unit: str) -> dict[str, An
             "position_of_each": position.tolist(),
         }
     return content | {"times": result.times.tolist()}
-
-
-def _list_errors(result: Comparison, step: int) -> list[tuple[str, FloatArray, FloatArray]]:
-    interval = "pose-to-pose" if step == 1 else f"{step}-pose"
-    return [
-        ("absolute", result.rotation, result.position),
-        (interval, result.relative_rotation, result.relative_position),
-    ]

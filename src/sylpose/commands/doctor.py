@@ -1,256 +1,56 @@
-"""`sylpose doctor`: check of the installation and list of missing optional packages.
-
-Modules that may be broken are imported one by one in the checks, never at the top of this file.
-"""
+"""`sylpose doctor`: check the installation and list missing optional packages."""
 
 from __future__ import annotations
 
-import json
-import os
-import platform
-import re
-import sys
-import tempfile
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, field
-from importlib import import_module
-from importlib.metadata import PackageNotFoundError, distributions, requires, version
-from pathlib import Path
-from types import ModuleType
+from dataclasses import asdict, dataclass
+from typing import Annotated
 
-from packaging.requirements import InvalidRequirement, Requirement
+from sylpose.commands.app import CommandOptions, command, exit_with_failures, option
 
-import sylpose
-from sylpose.geometry.cache_folders import CACHE_DIR_VARIABLE, display_folder, is_writable
-from sylpose.runs.system_resources import available_cores, available_memory
+__all__ = ["DoctorOptions", "doctor"]
 
-__all__ = ["Diagnosis", "diagnose", "run_doctor_command"]
-
-# Module names of distributions whose module is named differently.
-MODULE_NAMES = {"opencv-python-headless": "cv2", "pyyaml": "yaml", "eclipse-zenoh": "zenoh"}
-# All of these install the module cv2 into the same folder.
-OPENCV_PACKAGES = ("opencv-python", "opencv-python-headless", "opencv-contrib-python", "opencv-contrib-python-headless")
 LABEL_WIDTH = 14
-# Extras for developers of sylpose.
-DEVELOPER_EXTRAS = {"dev", "bench"}
 
 
-@dataclass
-class Diagnosis:
-    """Result of checking the installation.
+@dataclass(frozen=True, kw_only=True)
+class DoctorOptions(CommandOptions):
+    """Options of `sylpose doctor`."""
 
-    Attributes:
-        facts: text of each fact by its label.
-        versions: versions of sylpose, Python, OpenCV's packages and all required modules, by name.
-        problems: messages about requirements that do not work.
-        warnings: messages about possible problems.
-        extras: missing requirements by name of the extra; empty if the extra is complete.
+    json: Annotated[bool, option("--json", None, "Print one JSON object, for programs and bug reports.")] = False
+    compile: Annotated[
+        bool, option("--compile", None, "Compile the tracking kernels now, to save the time in the first run.")
+    ] = False
+
+
+@command("Check the installation.", "sylpose doctor", "sylpose doctor --json", "sylpose doctor --compile")
+def doctor(options: DoctorOptions) -> None:
+    """Check the installation and list missing optional packages.
+
+    Shows versions, the OpenCV variant, cores and memory, the cache of compiled code, and the extras with their install
+    commands. Exits with code 1 and a message for each required package that is missing or broken.
     """
+    import json
 
-    facts: dict[str, str] = field(default_factory=dict)
-    versions: dict[str, str] = field(default_factory=dict)
-    problems: list[str] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)
-    extras: dict[str, list[str]] = field(default_factory=dict)
+    from sylpose.runs.installation import diagnose
 
-
-def run_doctor_command(*, as_json: bool = False, compile_first: bool = False) -> list[str]:
-    """Check the installation and print the result; return the problems.
-
-    Args:
-        as_json: print one JSON object with the fields of `Diagnosis`.
-        compile_first: compile the kernels that tracking needs unless they are cached.
-    """
     found = diagnose()
-    if compile_first and not found.problems:
+    if options.compile and not found.problems:
         from sylpose.runs.console_output import make_console
         from sylpose.runs.precompile import compile_with_progress
 
-        compile_with_progress(make_console(stderr=as_json))
+        compile_with_progress(make_console(stderr=options.json))
         found = diagnose()
-    if as_json:
+    if options.json:
         print(json.dumps(asdict(found), indent=2))
-        return found.problems
-    for label, value in found.facts.items():
-        print(f"{label:{LABEL_WIDTH}}{value}")
-    for k, (name, missing) in enumerate(found.extras.items()):
-        text = f"python -m pip install {' '.join(map(repr, missing))}" if missing else "installed"
-        print(f"{'' if k else 'Extras':{LABEL_WIDTH}}{name}: {text}")
-    for warning in found.warnings:
-        print(f"! {warning}")
-    if not found.problems:
-        print("The installation works; see the warnings." if found.warnings else "The installation works.")
-    return found.problems
-
-
-def diagnose() -> Diagnosis:
-    """Run all checks; report each failure as a message instead of an exception."""
-    found = Diagnosis(versions={"sylpose": sylpose.__version__, "Python": platform.python_version()})
-    found.facts["sylpose"] = f"{sylpose.__version__} in {Path(sylpose.__file__).parent}"
-    found.facts["Python"] = f"{platform.python_version()} ({platform.python_implementation()}), {sys.executable}"
-    found.facts["Platform"] = f"{platform.platform()}, {platform.machine()}"
-    memory = available_memory()
-    found.facts["Computer"] = f"{available_cores()} cores" + (
-        "" if memory is None else f", {memory / 2**30:.0f} GB of memory"
-    )
-    modules = dict(_import_libraries(found))
-    found.facts["Libraries"] = ", ".join(f"{name} {found.versions[name]}" for name in modules)
-    if opencv := modules.get("cv2"):
-        _check_opencv(opencv, found)
-    _check_module(found, "SIFT features cannot be detected", modules.get("cv2"), _can_detect_features)
-    _check_module(found, "videos cannot be decoded", modules.get("av"), _can_decode_video)
-    _check_folders(found)
-    if not found.problems:
-        _check_kernels(found)
-    _check_extras(found)
-    return found
-
-
-def _list_requirements() -> list[tuple[Requirement, str]]:
-    """Return sylpose's requirements, each with the name of its extra or ""."""
-    try:
-        lines = requires("sylpose") or []
-    except PackageNotFoundError:
-        return []
-    found = []
-    for line in lines:
-        try:
-            requirement = Requirement(line)
-        except InvalidRequirement:
-            continue
-        match = re.search(r"extra == ['\"]([\w-]+)['\"]", str(requirement.marker or ""))
-        found.append((requirement, match.group(1) if match else ""))
-    return found
-
-
-def _module_name(name: str) -> str:
-    return MODULE_NAMES.get(name.lower(), name.lower().replace("-", "_"))
-
-
-def _import_libraries(found: Diagnosis) -> Iterator[tuple[str, ModuleType]]:
-    """Import the required modules; yield name and module of each that can be loaded."""
-    needed = [requirement for requirement, extra in _list_requirements() if not extra]
-    if not needed:
-        found.warnings.append("sylpose is run from its sources, not installed; its requirements are not checked")
-    for requirement in needed:
-        name = _module_name(requirement.name)
-        try:
-            module = import_module(name)
-        except Exception as error:  # incompatible libraries may raise anything
-            remedy = f"python -m pip install '{requirement.name}{requirement.specifier}'"
-            if name == "cv2" and "libGL" in str(error):
-                remedy = "opencv-python-headless needs no graphics: uninstall the other package and install it"
-            found.problems.append(f"{name} cannot be loaded ({type(error).__name__}: {error}); {remedy}")
-            continue
-        installed = getattr(module, "__version__", None) or _installed_version(requirement.name)
-        found.versions[name] = str(installed or "?")
-        if installed and not requirement.specifier.contains(str(installed), prereleases=True):
-            found.problems.append(
-                f"{name} is {installed}, sylpose needs {requirement.name}{requirement.specifier}: "
-                f"python -m pip install '{requirement.name}{requirement.specifier}'"
-            )
-        yield name, module
-
-
-def _installed_version(name: str) -> str | None:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return None
-
-
-def _check_opencv(cv2: ModuleType, found: Diagnosis) -> None:
-    """Report the installed OpenCV packages; several at once overwrite each other's files."""
-    installed = sorted(
-        {name for name in (_normalize_name(d.metadata["Name"]) for d in distributions()) if name in OPENCV_PACKAGES}
-    )
-    found.versions |= {name: _installed_version(name) or "?" for name in installed}
-    gui = re.search(r"(?m)^\s*GUI:\s*(\S+)", cv2.getBuildInformation())
-    windows = "with GUI" if gui and gui.group(1) != "NONE" else "without GUI"
-    packages = " and ".join(f"{name} {_installed_version(name)}" for name in installed) or "not from a pip package"
-    found.facts["OpenCV"] = f"{cv2.__version__}: {packages}; {windows}, in {Path(cv2.__file__ or '').parent}"
-    if len(installed) > 1:
-        found.warnings.append(
-            f"{len(installed)} packages of OpenCV are installed into one folder, {' and '.join(installed)}: they "
-            "overwrite each other's files. Uninstall them all and install one"
-        )
-
-
-def _normalize_name(name: str | None) -> str:
-    return (name or "").lower().replace("_", "-")
-
-
-def _check_module(
-    found: Diagnosis, message: str, module: ModuleType | None, works: Callable[[ModuleType], bool]
-) -> None:
-    if module is None:
-        return
-    try:
-        if works(module):
-            return
-        found.problems.append(f"{message} by {module.__name__} {getattr(module, '__version__', '')}")
-    except Exception as error:
-        found.problems.append(f"{message} by {module.__name__} ({type(error).__name__}: {error})")
-
-
-def _can_detect_features(cv2: ModuleType) -> bool:
-    import numpy as np
-
-    noise = np.random.default_rng(0).integers(0, 255, (64, 64), np.uint8)
-    return len(cv2.SIFT_create().detect(cv2.resize(noise, (256, 256)))) > 0
-
-
-def _can_decode_video(av: ModuleType) -> bool:
-    return "h264" in av.codecs_available
-
-
-def _check_folders(found: Diagnosis) -> None:
-    try:
-        found.facts["Temporary"] = tempfile.gettempdir()
-    except OSError:
-        found.warnings.append("no temporary folder is writable: set TMPDIR=FOLDER; batch and plots need it")
-    chosen = os.environ.get(CACHE_DIR_VARIABLE)
-    if chosen and not is_writable(Path(chosen)):
-        found.warnings.append(f"{CACHE_DIR_VARIABLE}={chosen} cannot be written; compiled code is cached elsewhere")
-
-
-def _check_kernels(found: Diagnosis) -> None:
-    """Report where compiled code is cached, and check that compiled code runs."""
-    try:
-        from sylpose.geometry.kernel_cache import mark_announced
-        from sylpose.runs.precompile import find_kernel_cache, is_compiled
-    except Exception as error:
-        found.problems.append(f"sylpose itself cannot be loaded ({type(error).__name__}: {error})")
-        return
-    mark_announced()  # suppress the notice: the fact below reports the same
-    folder, is_ready = find_kernel_cache(), is_compiled()
-    where = "nowhere: no folder is writable" if folder is None else f"in {display_folder(folder)}"
-    found.facts["Compiled code"] = f"{'ready' if is_ready else 'not compiled yet'}, cached {where}"
-    if folder is None and not is_ready:
-        found.warnings.append(
-            f"compiled code cannot be cached, so every start takes one to two minutes: set {CACHE_DIR_VARIABLE}=FOLDER "
-            "to a writable folder"
-        )
-    try:
-        _check_compilation()
-    except Exception as error:
-        found.problems.append(f"Numba cannot compile or run compiled code ({type(error).__name__}: {error})")
-
-
-def _check_compilation() -> None:
-    import numpy as np
-
-    from sylpose.geometry.numba_linalg import cholesky_solve
-
-    x = np.array([2.0, 4.0])
-    if not cholesky_solve(2.0 * np.eye(2), x) or not np.allclose(x, [1.0, 2.0]):
-        raise ArithmeticError(f"2 x = (2, 4) gave x = {x}")
-
-
-def _check_extras(found: Diagnosis) -> None:
-    for requirement, extra in _list_requirements():
-        if extra and extra not in DEVELOPER_EXTRAS and requirement.name.lower() != "sylpose":
-            missing = found.extras.setdefault(extra, [])
-            installed = _installed_version(requirement.name)
-            if installed is None or not requirement.specifier.contains(installed, prereleases=True):
-                missing.append(f"{requirement.name}{requirement.specifier}")
+    else:
+        for label, value in found.facts.items():
+            print(f"{label:{LABEL_WIDTH}}{value}")
+        for k, (name, missing) in enumerate(found.extras.items()):
+            text = f"python -m pip install {' '.join(map(repr, missing))}" if missing else "installed"
+            print(f"{'' if k else 'Extras':{LABEL_WIDTH}}{name}: {text}")
+        for warning in found.warnings:
+            print(f"! {warning}")
+        if not found.problems:
+            print("The installation works; see the warnings." if found.warnings else "The installation works.")
+    if found.problems:
+        exit_with_failures(found.problems)

@@ -1,87 +1,95 @@
-"""`sylpose experiments`: sequential run of the paper's studies, with a table and a figure of each."""
+"""`sylpose experiments`: run the paper's studies, with a table and a figure of each."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-from rich.console import Console
+from sylpose.commands.app import CommandOptions, command, option
+from sylpose.commands.options import Seed
 
-from sylpose.atomic_io import make_output_folder, replace_atomically
-from sylpose.experiments import STUDIES, Study
-from sylpose.runs import console_output
+if TYPE_CHECKING:
+    from sylpose.experiments import Study
 
-__all__ = ["run_studies", "select_studies"]
+__all__ = ["ExperimentsOptions", "experiments"]
 
 # Prefix of all files written; other files of the folder are not touched.
 PREFIX = "paper_"
 INDEX = f"{PREFIX}index.md"
 
 
-def select_studies(names: Sequence[str]) -> list[Study]:
-    """Return the studies of the given names in their standard order; all if there are no names.
+@dataclass(frozen=True, kw_only=True)
+class ExperimentsOptions(CommandOptions):
+    """Options of `sylpose experiments`."""
 
-    Raises:
-        ValueError: there is no study of that name.
+    out: Annotated[Path, option("--out DIR", None, "Write tables and figures here.")] = Path("sylpose_experiments")
+    only: Annotated[
+        tuple[str, ...],
+        option("--only STUDY", None, "Run only this study. Repeatable; an unknown name lists them."),
+    ] = ()
+    quick: Annotated[bool, option("--quick", None, "Use few trials: half a minute instead of five.")] = False
+    seed: Seed = 0
+
+    def __post_init__(self) -> None:
+        """Check the seed."""
+        super().__post_init__()
+        if self.seed < 0:
+            raise ValueError(f"--seed must not be negative, got {self.seed}")
+
+
+@command(
+    "Run the paper's experiments: tables and figures.",
+    "sylpose experiments",
+    "sylpose experiments --only noise --only cameras --out noise --quick",
+)
+def experiments(options: ExperimentsOptions) -> None:
+    """Simulate the paper's estimators: accuracy, robustness and computing time.
+
+    Writes paper_STUDY.csv and paper_STUDY.png for each study and paper_index.md into OUT; other files there are kept.
     """
-    for name in names:
-        if name not in {study.name for study in STUDIES}:
-            raise ValueError(f"no study {name!r}; available: {', '.join(study.name for study in STUDIES)}")
-    return [study for study in STUDIES if not names or study.name in names]
+    import time
 
+    from sylpose.atomic_io import make_output_folder, replace_atomically
+    from sylpose.experiments import STUDIES
+    from sylpose.runs import console_output
 
-def run_studies(studies: Sequence[Study], out: Path, *, seed: int, quick: bool) -> list[Path]:
-    """Run studies and print their findings; each study's files are complete when the next one starts.
+    known = [study.name for study in STUDIES]
+    for name in options.only:
+        if name not in known:
+            raise ValueError(f"no study {name!r}; available: {', '.join(known)}")
+    studies = [study for study in STUDIES if not options.only or study.name in options.only]
+    folder = make_output_folder(options.out)
+    console, files = console_output.make_console(), list[Path]()
+    quick = ", --quick" if options.quick else ""
+    index = [f"# The paper's experiments\n\n`sylpose experiments`, seed {options.seed}{quick}.\n"]
 
-    Args:
-        studies: the studies to run.
-        out: output folder, created if missing. Only paper_NAME.csv and paper_NAME.png of each study and
-            paper_index.md in it are replaced.
-        seed: seed of the random numbers, not negative.
-        quick: run few trials.
+    def write_text(file: Path, text: str, newline: str | None = None) -> None:
+        with replace_atomically(file) as part:
+            part.write_text(text, encoding="utf-8", newline=newline)
 
-    Returns:
-        the files.
-
-    Raises:
-        KeyboardInterrupt: interrupted by the user; the message has the number of finished studies.
-        ValueError: a negative seed.
-        OSError: the folder or a file cannot be written; the message names it.
-    """
-    if seed < 0:
-        raise ValueError(f"--seed must not be negative, got {seed}")
-    folder = make_output_folder(out)
-    console = console_output.make_console()
-    files: list[Path] = []
-    entries: list[str] = []
-    _write_index(folder, entries, seed, quick)
+    write_text(folder / INDEX, index[0])
     for k, study in enumerate(studies):
-        trials = study.quick_trials if quick else study.trials
-        start = time.perf_counter()
+        trials, start = study.quick_trials if options.quick else study.trials, time.perf_counter()
+        csv, png = (folder / f"{PREFIX}{study.name}.{kind}" for kind in ("csv", "png"))
         try:
             with console.status(f"{study.name}: {study.question} ({k + 1} of {len(studies)}) ..."):
-                table = study.run(seed, trials)
-                csv, png = (folder / f"{PREFIX}{study.name}.{kind}" for kind in ("csv", "png"))
-                with replace_atomically(csv) as part:
-                    part.write_text(table.to_csv(), encoding="utf-8", newline="")
+                table = study.run(options.seed, trials)
+                write_text(csv, table.to_csv(), newline="")
                 study.draw(table, png)
         except KeyboardInterrupt:
-            raise KeyboardInterrupt(
-                f"interrupted after {k} of {len(studies)} studies; finished results are in {folder}"
-            ) from None
-        files += [csv, png]
+            finished = f"{k} of {len(studies)} studies; finished results are in {folder}"
+            raise KeyboardInterrupt(f"interrupted after {finished}") from None
         findings = study.summarize(table)
-        entries.append(_format_entry(study, trials, findings))
-        _write_index(folder, entries, seed, quick)
-        _print_study(console, study, findings, time.perf_counter() - start)
-    return [*files, folder / INDEX]
-
-
-def _print_study(console: Console, study: Study, findings: Sequence[str], seconds: float) -> None:
-    console.print(f"{study.name}: {study.question} [{seconds:.0f} s]")
-    for sentence in findings:
-        console.print(f"  {sentence}", soft_wrap=True)
+        files += [csv, png]
+        # The index lists the studies of this run; each study's files are complete when the next one starts.
+        index.append(_format_entry(study, trials, findings))
+        write_text(folder / INDEX, "\n".join(index))
+        console.print(f"{study.name}: {study.question} [{time.perf_counter() - start:.0f} s]")
+        for sentence in findings:
+            console.print(f"  {sentence}", soft_wrap=True)
+    console_output.print_files(console, "Files", [*files, folder / INDEX])
 
 
 def _format_entry(study: Study, trials: int, findings: Sequence[str]) -> str:
@@ -89,10 +97,3 @@ def _format_entry(study: Study, trials: int, findings: Sequence[str]) -> str:
     lines = "\n".join(f"- {sentence}" for sentence in findings)
     head = f"## {study.name}\n\n{study.question} [Table]({name}.csv), {trials} trials."
     return f"{head}\n\n{lines}\n\n![{study.question}]({name}.png)\n"
-
-
-def _write_index(folder: Path, entries: Sequence[str], seed: int, quick: bool) -> None:
-    """Write the index of this run's studies; files of earlier runs remain but are not listed."""
-    with replace_atomically(folder / INDEX) as part:
-        head = f"# The paper's experiments\n\n`sylpose experiments`, seed {seed}{', --quick' if quick else ''}.\n"
-        part.write_text("\n".join([head, *entries]), encoding="utf-8")

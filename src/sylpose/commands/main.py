@@ -13,7 +13,14 @@ from sylpose import __version__
 from sylpose.commands.app import app
 
 # Importing a module registers its commands; the order is that of `--help`.
-from sylpose.cli import track, batch, recordings, studies, results, network, calibrations, objects, poses, doctor  # noqa: F401 # isort: skip
+from sylpose.cli import track, batch  # noqa: F401 # isort: skip
+from sylpose.commands import check, box, sync  # noqa: F401 # isort: skip
+from sylpose.cli import studies  # noqa: F401 # isort: skip
+from sylpose.commands import show, view, report, experiments, export, compare  # noqa: F401 # isort: skip
+from sylpose.cli import network  # noqa: F401 # isort: skip
+from sylpose.commands import calibration  # noqa: F401 # isort: skip
+from sylpose.cli import objects, poses  # noqa: F401 # isort: skip
+from sylpose.commands import doctor  # noqa: F401 # isort: skip
 
 __all__ = ["app", "main"]
 

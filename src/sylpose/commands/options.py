@@ -41,6 +41,7 @@ __all__ = [
     "Rate",
     "RecordingOptions",
     "RefineCalibration",
+    "ResultPath",
     "Seed",
     "SessionPath",
     "Smooth",
@@ -59,6 +60,9 @@ SessionT = TypeVar("SessionT", bound="SessionBase")
 SessionPath = Annotated[
     Path,
     typer.Argument(metavar="SESSION", help="Folder with one video (cam_0.mp4) or one folder of images per camera."),
+]
+ResultPath = Annotated[
+    Path, typer.Argument(metavar="RESULT", help="Folder that sylpose track wrote, or its trajectory.csv.")
 ]
 _CALIBRATION = option(
     "--calibration PATH",

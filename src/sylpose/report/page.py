@@ -10,6 +10,7 @@ import base64
 import hashlib
 import html
 import json
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,24 +20,36 @@ from string import Template
 from typing import Any
 from urllib.parse import quote
 
+import msgspec
+import numpy as np
+
 from sylpose.atomic_io import replace_atomically
 from sylpose.geometry.euler_angles import EulerAngles
-from sylpose.input_limits import MAX_SENTENCE_LENGTH, to_one_line
+from sylpose.input_limits import MAX_SENTENCE_LENGTH, input_errors, read_bytes, to_one_line
 from sylpose.report.camera_consistency import describe_camera_problems
 from sylpose.report.failure_reasons import explain_missing_poses
 from sylpose.report.page_data import build_page_data, build_page_images
 from sylpose.report.plots import summarize_trajectory
-from sylpose.report.scene import Scene
+from sylpose.report.scene import Scene, Thumbnails
 from sylpose.results import Observability, Trajectory
 from sylpose.rig import Rig
 
-__all__ = ["IMAGES_ELEMENT_ID", "PageHeader", "render_page", "write_page"]
+__all__ = ["PageHeader", "read_stills", "render_page", "write_page"]
 
 ASSETS_DIR = Path(__file__).with_name("assets")
 # Maximum number of sentences in a list; the list states how many are left out.
 MAX_LIST_ITEMS = 30
 # ID of the page element with the images.
 IMAGES_ELEMENT_ID = "images-data"
+# Largest size in bytes of a page whose images are reused; no page is as large.
+MAX_PAGE_BYTES = 2**25
+
+
+class _PageImages(msgspec.Struct, frozen=True):
+    """Images in a page: numbers of the frames, and for each frame JPEG files or None."""
+
+    index: list[int]
+    files: list[list[bytes | None]]
 
 
 @dataclass(frozen=True)
@@ -216,3 +229,23 @@ def _load_asset(name: str) -> str:
 def _compute_hash(text: str) -> str:
     """Compute the hash with which a browser verifies a script or style."""
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+
+
+def read_stills(page: Path) -> Thumbnails:
+    """Read the images of a page.
+
+    Raises:
+        ValueError: naming the file: not a report page.
+    """
+    content = read_bytes(page, MAX_PAGE_BYTES).decode("utf-8", "replace")
+    with input_errors(page):
+        found = re.search(f'<script type="application/json" id="{IMAGES_ELEMENT_ID}">(.*?)</script>', content, re.S)
+        if found is None:
+            raise ValueError("not a page of sylpose; remove it to create a new one")
+        try:
+            images = msgspec.json.decode(found[1], type=_PageImages)
+        except msgspec.MsgspecError as error:
+            raise ValueError(f"its images are not in sylpose's format ({error})") from None
+        if len(images.index) != len(images.files):
+            raise ValueError("its images are not in sylpose's format")
+        return Thumbnails(np.array(images.index, np.int64), tuple(map(tuple, images.files)))

@@ -1,28 +1,21 @@
-"""`sylpose check`: validation of a session before it is tracked."""
+"""Validation of a session before it is tracked: facts, warnings and errors about its rig and boxes."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
-from sylpose.atomic_io import make_output_folder
+from sylpose.display import format_length
 from sylpose.geometry.arrays import FloatArray
 from sylpose.io.calibration import format_name
-from sylpose.io.calibration.world import save_world
 from sylpose.io.capture import Session
 from sylpose.io.capture.live import LiveSession
-from sylpose.report.preview import draw_regions, draw_world_axes
-from sylpose.report.rigview import describe_rig, find_axes_intersection, plot_rig
+from sylpose.report.rigview import describe_rig, find_axes_intersection
 from sylpose.rig import Rig
-from sylpose.runs import console_output
-from sylpose.runs.console_output import format_length
 from sylpose.runs.preview import Preview, box_outlines, preview_moving_object
-from sylpose.runs.run_metadata import WORLD
-from sylpose.runs.session_options import check_output_folder
-from sylpose.runs.session_warnings import boxes_hint, find_session_warnings
+from sylpose.runs.session_warnings import find_session_warnings
 from sylpose.tracking.region import carve_box_volume
 
 __all__ = [
@@ -31,10 +24,10 @@ __all__ = [
     "check_session",
     "collect_facts",
     "describe_axis_miss",
+    "find_tracking_target",
     "list_errors",
     "list_warnings",
     "locate_object",
-    "run_check_command",
 ]
 
 
@@ -63,63 +56,6 @@ class ObjectLocation:
     radius: float | None
     source: str
     error: str = ""
-
-
-def run_check_command(session: Session, out: Path | None) -> None:
-    """Validate a session and print its rig, facts and warnings.
-
-    Draws the rig into `rig.png` and the tracking target into `target.png`. With a user-defined world, also
-    writes `world.png` and the world's file.
-
-    Args:
-        session: the recording to validate.
-        out: folder for the pictures; None: `sylpose` in the session's folder.
-
-    Raises:
-        ValueError: the boxes cannot belong to one object.
-        OSError: a file or folder cannot be written; the message names it.
-    """
-    folder = session.path / "sylpose" if out is None else out
-    check_output_folder(session, folder)
-    picture = make_output_folder(folder) / "rig.png"
-    locations = {name: locate_object(session.select_object(name)) for name in session.objects}
-    location = next(iter(locations.values()))
-    console = console_output.make_console()
-    console.print(console_output.format_headline(session))
-    console.print()
-    console_output.print_table(
-        console,
-        console_output.RIG_HEADER,
-        console_output.build_rig_rows(session, describe_rig(session.rig, location.center)),
-    )
-    console.print()
-    console_output.print_facts(console, collect_facts(session, locations))
-    plot_rig(session.rig, picture, location.center if location.radius else None, location.radius)
-    errors = list_errors(locations)
-    target = None if errors else find_tracking_target(session)
-    pictures = [picture]
-    if target is not None and target.frames is not None:
-        pictures.append(picture.with_name("target.png"))
-        draw_regions(pictures[-1], target.frames.images, session.rig.names, target.outlines)
-    if session.world is not None:
-        pictures.append(picture.with_name("world.png"))
-        first = target.frames if target is not None else None
-        images = first.images if first is not None else [None] * len(session.rig)
-        draw_world_axes(pictures[-1], images, session.rig)
-        save_world(session.world, picture.with_name(WORLD))
-    console_output.print_files(console, "Pictures" if len(pictures) > 1 else "Picture", pictures)
-    console.print()
-    if target is not None:
-        console.print(f"Target: {target.description}.", highlight=False)
-    problems = [*list_warnings(session, locations), *(target.warnings if target is not None else ())]
-    console_output.print_warnings(console, problems)
-    if errors:
-        raise ValueError(f"{'; '.join(errors)}; correct the boxes: {boxes_hint(session)}")
-    axis_note = describe_axis_miss(session.rig)
-    if problems:
-        console.print("Can be tracked; see the warnings above.")
-    else:
-        console.print(f"Can be tracked. {axis_note}" if axis_note else "Ready to track.")
 
 
 def find_tracking_target(session: Session) -> Preview:

@@ -15,7 +15,7 @@ from sylpose.runs.calibration_refinement import REFINED
 from sylpose.runs.view import find_calibration, read_result
 from sylpose.tracking.known_object import KnownObject
 
-__all__ = ["find_used_calibration", "load_rig", "make_cloud", "read_cloud", "read_scene"]
+__all__ = ["find_used_calibration", "load_rig", "make_cloud", "read_cloud", "read_scene", "read_scenes"]
 
 
 def read_scene(result: Path, calibration_file: Path | None = None, stills: Thumbnails | None = None) -> Scene:
@@ -34,6 +34,29 @@ def read_scene(result: Path, calibration_file: Path | None = None, stills: Thumb
     folder = result if result.is_dir() else result.parent
     rig = load_rig(trajectory, find_used_calibration(folder) if calibration_file is None else calibration_file)
     return build_scene(trajectory, rig, read_cloud(folder / OBJECT_FILE, rig.names), stills)
+
+
+def read_scenes(result: Path, calibration_file: Path | None = None) -> dict[str, Scene]:
+    """Read the scenes of a run by object; "" is the name of a single object.
+
+    Args:
+        result: folder of the run, which has a subfolder for each of several objects.
+        calibration_file: a calibration; None for that of the run.
+
+    Raises:
+        FileNotFoundError: no trajectory.
+        ValueError: invalid files, or files of other cameras; no frames.
+    """
+    if not result.is_dir():
+        raise FileNotFoundError(f"{result}: expected a folder that sylpose track wrote")
+    folders = {"": result}
+    if not (result / "trajectory.csv").is_file():
+        found = sorted(file.parent for file in result.glob("*/trajectory.csv"))
+        folders = {folder.name: folder for folder in found} or folders
+    scenes = {name: read_scene(folder, calibration_file) for name, folder in folders.items()}
+    if not any(len(scene.index) for scene in scenes.values()):
+        raise ValueError(f"{result}: contains no frames to show")
+    return scenes
 
 
 def find_used_calibration(folder: Path) -> Path:

@@ -1,4 +1,4 @@
-"""`sylpose view`: express a finished trajectory in the frame of a real or virtual camera."""
+"""Finished trajectories, the cameras of their runs and virtual ones, and trajectories in their frames."""
 
 from __future__ import annotations
 
@@ -10,63 +10,21 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose import __version__
-from sylpose.geometry.euler_angles import PAN_TILT_ROLL, EulerAngles, parse_euler_angles
+from sylpose.geometry.euler_angles import PAN_TILT_ROLL, EulerAngles
 from sylpose.io import calibration
 from sylpose.io.calibration.world import load_world, transform_rig
 from sylpose.report.files import read_trajectory, write_trajectory
 from sylpose.report.plots import plot_trajectory
 from sylpose.results import Trajectory
 from sylpose.rig import Camera, Rig, make_look_at_camera
-from sylpose.runs import console_output
-from sylpose.runs.run_metadata import USED_CALIBRATION, WORLD, read_world_definition
+from sylpose.runs.run_metadata import USED_CALIBRATION, WORLD
 from sylpose.units import METERS
 from sylpose.view import trajectory_view
 
-__all__ = ["find_calibration", "load_camera", "make_virtual_camera", "read_result", "run_view_command", "write_view"]
+__all__ = ["find_calibration", "load_camera", "make_virtual_camera", "read_result", "write_view"]
 
 # Intrinsics of virtual cameras; a trajectory in the camera's frame does not depend on them.
 VIRTUAL_FOCAL, VIRTUAL_SIZE = 1000.0, (1280, 960)
-
-
-def run_view_command(
-    result: Path,
-    name: str,
-    calibration_file: Path | None,
-    position: tuple[float, float, float] | None,
-    target: tuple[float, float, float] | None,
-    out: Path | None,
-    plot_format: str = "png",
-    angles: str | None = None,
-) -> None:
-    """Write a run's trajectory in a camera's frame and print the files.
-
-    Args:
-        result: folder of the run, or its trajectory.csv.
-        name: name of a camera of the calibration, or with `position` of the view.
-        calibration_file: a calibration; None for that of the run.
-        position, target: position of a virtual camera and the point that it looks at, in the world.
-        out: folder for the files; None for that of the trajectory.
-        plot_format: suffix of the plot.
-        angles: additional Euler angles about the camera's axes, as `geometry.euler_angles.parse_euler_angles` reads
-            them.
-
-    Raises:
-        ValueError, OSError: as the functions below; options that exclude each other.
-    """
-    trajectory = read_result(result)
-    if position is not None:
-        if calibration_file is not None:
-            raise ValueError("--from (virtual camera) and --calibration (existing camera) exclude each other")
-        camera = make_virtual_camera(name, position, target, trajectory, z_up=read_world_definition(result) is not None)
-    elif target is not None:
-        raise ValueError("--at requires --from X Y Z, the camera's position")
-    else:
-        camera = load_camera(name, find_calibration(result, calibration_file), result)
-    euler_angles = None if angles is None else parse_euler_angles(angles)
-    folder = out if out is not None else result if result.is_dir() else result.parent
-    console_output.print_files(
-        console_output.make_console(), "Files", write_view(trajectory, name, camera, folder, plot_format, euler_angles)
-    )
 
 
 def read_result(path: Path) -> Trajectory:

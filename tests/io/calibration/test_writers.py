@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.cli import calibrations
+from sylpose.commands import calibration as calibration_command
 from sylpose.commands.main import main
 from sylpose.io import calibration
 from sylpose.io.calibration.writers import OUTPUT_FORMATS
@@ -160,7 +160,7 @@ def test_colmap_is_read_by_pycolmap(tmp_path: Path) -> None:
 
 
 def test_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert tuple(OUTPUT_FORMATS) == calibrations.OUTPUT_FORMATS
+    assert tuple(OUTPUT_FORMATS) == calibration_command.OUTPUT_FORMATS
     rig = make_rig([("opencv", 4), ("opencv", 4)])
     calibration.save(rig, tmp_path / "a.toml")
     command = ["calibration", "convert", str(tmp_path / "a.toml")]

@@ -13,9 +13,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sylpose.commands.export import export_trajectory
 from sylpose.commands.main import main
-from sylpose.io.exports.formats import EXPORT_FORMATS
+from sylpose.io.exports.formats import EXPORT_FORMATS, export_trajectory
 from sylpose.io.exports.poses import UP_UNKNOWN_NOTE, Poses
 from sylpose.report.files import read_tum, write_trajectory
 from sylpose.results import FramePose, FrameStatus, Trajectory
@@ -382,7 +381,7 @@ def test_nothing_to_export(name: str, tmp_path: Path) -> None:
 
 
 def test_missing_packages_are_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sylpose.commands.export.find_spec", lambda _: None)
+    monkeypatch.setattr("sylpose.io.exports.formats.find_spec", lambda _: None)
     for to, its in EXPORT_FORMATS.items():
         if its.package:
             with pytest.raises(ValueError, match=rf"--to {to} needs .* pip install 'sylpose\[{its.extra}\]'"):

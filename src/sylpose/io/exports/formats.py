@@ -1,10 +1,16 @@
-"""Export formats of trajectories, importable without the writers' dependencies."""
+"""Export of trajectories to other programs' formats; importable without the writers' dependencies."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-__all__ = ["EXPORT_FORMATS", "ExportFormat"]
+if TYPE_CHECKING:
+    from sylpose.results import Trajectory
+
+__all__ = ["EXPORT_FORMATS", "ExportFormat", "export_trajectory", "select_frames"]
 
 
 class ExportFormat(NamedTuple):
@@ -32,3 +38,87 @@ EXPORT_FORMATS: dict[str, ExportFormat] = {
     "rosbag": ExportFormat((), "rosbags", "export"),
     "usd": ExportFormat((".usda", ".usdc", ".usd"), "pxr", "usd"),
 }
+# Formats that take the trajectory with all its columns; the others take its poses.
+_TABLES = ("csv", "parquet")
+
+
+def export_trajectory(
+    trajectory: Trajectory,
+    out: Path,
+    to: str | None = None,
+    *,
+    name: str = "object",
+    start: int | None = None,
+    stop: int | None = None,
+    z_up: bool = False,
+) -> list[str]:
+    """Write a trajectory in another format.
+
+    Args:
+        trajectory: the trajectory to write.
+        out: the file, or the folder of a ROS bag.
+        to: one of `EXPORT_FORMATS`; None: derived from the file's name.
+        name: name of the object, for formats that contain one.
+        start, stop: first frame, and first frame that is omitted; None for no limit.
+        z_up: the world's z axis is known to point up, as in a user-defined world.
+
+    Returns:
+        notes on differences between the file and the trajectory.
+
+    Raises:
+        ValueError: an unknown format, or a file name that does not match it; a required package is not installed; no
+            frames between `start` and `stop`, or no poses in them; content that the format does not support.
+        OSError: the file cannot be written; the message names it.
+    """
+    suffix = out.suffix.lower()
+    if to is None:
+        to = next((key for key, known in EXPORT_FORMATS.items() if suffix in known.suffixes), None)
+        if to is None:
+            raise ValueError(f"{out}: unknown file name extension; give --to {'|'.join(EXPORT_FORMATS)}")
+    if to not in EXPORT_FORMATS:
+        raise ValueError(f"--to must be one of {', '.join(EXPORT_FORMATS)}, got {to!r}")
+    suffixes, package, extra = EXPORT_FORMATS[to]
+    if suffixes and suffix not in suffixes:
+        raise ValueError(f"{out}: the file name of {to} must end in one of {', '.join(suffixes)}")
+    if package and find_spec(package) is None:
+        raise ValueError(f"--to {to} needs {package}, which is not installed: pip install 'sylpose[{extra}]'")
+    from sylpose.io.exports.poses import Poses
+
+    selected = select_frames(trajectory, start, stop)
+    return _load_writer(to)(selected if to in _TABLES else Poses.from_trajectory(selected, name, z_up), out)
+
+
+def select_frames(trajectory: Trajectory, start: int | None, stop: int | None) -> Trajectory:
+    """Return the part of a trajectory from frame `start` to before frame `stop`.
+
+    Raises:
+        ValueError: it contains no frame.
+    """
+    kept = [f for f in trajectory if (start is None or f.index >= start) and (stop is None or f.index < stop)]
+    if not kept:
+        requested = " ".join(f"--{end} {n}" for end, n in (("start", start), ("stop", stop)) if n is not None)
+        available = f"frames {trajectory[0].index} to {trajectory[-1].index}" if len(trajectory) else "none"
+        raise ValueError(f"no frame to export: the trajectory has {available}, requested: {requested or 'all'}")
+    return type(trajectory)(kept, trajectory.camera_names, trajectory.unit)
+
+
+def _load_writer(to: str) -> Callable[[Any, Path], list[str]]:
+    """Import the writer of a format, with the package that it requires."""
+    from sylpose.io.exports import text
+
+    write: Callable[[Any, Path], list[str]]
+    texts: dict[str, Callable[[Any, Path], list[str]]]
+    texts = {"csv": text.write_csv, "tum": text.write_tum, "trc": text.write_trc, "bvh": text.write_bvh}
+    if to == "c3d":
+        from sylpose.io.exports.c3d import write_c3d as write
+    elif to == "gltf":
+        from sylpose.io.exports.gltf import write_gltf as write
+    elif to == "parquet":
+        from sylpose.io.exports.parquet import write_parquet as write
+    elif to == "rosbag":
+        from sylpose.io.exports.rosbag import write_rosbag as write
+    elif to == "usd":
+        from sylpose.io.exports.usd import write_usd as write
+    else:
+        write = texts[to]
+    return write

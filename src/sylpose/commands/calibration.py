@@ -1,93 +1,75 @@
-"""`sylpose calibration convert`."""
+"""`sylpose calibration convert`: convert a calibration to another format, length unit or world frame."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from sylpose.commands.app import INPUT, OUTPUT, GroupedCommand, app, format_examples, print_message, report_errors
-from sylpose.commands.options import World, WorldFrame, WorldFrom
+from sylpose.commands.app import INPUT, OUTPUT, app, command, option, print_message
+from sylpose.commands.options import WorldOptions
 from sylpose.units import METERS
 
-__all__ = ["convert"]
+__all__ = ["ConvertOptions", "convert"]
 
 # Same as in `calibration.writers`, repeated here to avoid importing it.
 OUTPUT_FORMATS = ("sylpose", "opencv", "opencv-stereo", "anipose", "kalibr", "colmap")
-
 
 calibration_app = typer.Typer(help="Convert calibration files.", no_args_is_help=True, rich_markup_mode=None)
 app.add_typer(calibration_app, name="calibration")
 
 
-@calibration_app.command(
-    cls=GroupedCommand,
-    short_help="Convert a calibration to another format or unit.",
-    epilog=format_examples(
-        "sylpose calibration convert camera_array.toml calibration.yml",
-        "sylpose calibration convert rig.toml floor.toml --world chessboard:9x6,square=25mm --world-from floor_images",
-        "sylpose calibration convert camchain.yaml calibration.toml --to anipose",
-        "sylpose calibration convert rig.toml stereo.yml --to opencv-stereo --only cam_0 --only cam_2",
-        "sylpose calibration convert colmap/sparse/0 calibration.toml",
-    ),
-)
-@report_errors
-def convert(
+@dataclass(frozen=True, kw_only=True)
+class ConvertOptions(WorldOptions):
+    """Options of `sylpose calibration convert`."""
+
     source: Annotated[
         Path, typer.Argument(metavar="IN", help="Calibration file or folder in any format that sylpose reads.")
-    ],
+    ]
     target: Annotated[
         Path,
         typer.Argument(
             metavar="OUT",
             help="Output: .toml (sylpose), .yml, .json or .xml (OpenCV), camchain.yaml (Kalibr), or a folder (COLMAP).",
         ),
-    ],
+    ]
     to: Annotated[
-        str | None,
-        typer.Option(
-            metavar="|".join(OUTPUT_FORMATS),
-            help="Set the format of OUT; default: from its name.",
-            rich_help_panel=OUTPUT,
-        ),
-    ] = None,
+        str | None, option(f"--to {'|'.join(OUTPUT_FORMATS)}", OUTPUT, "Set the format of OUT; default: from its name.")
+    ] = None
     unit: Annotated[
-        str | None,
-        typer.Option(
-            metavar="|".join(METERS),
-            help="Set the length unit of OUT; default: that of IN.",
-            rich_help_panel=OUTPUT,
-        ),
-    ] = None,
+        str | None, option(f"--unit {'|'.join(METERS)}", OUTPUT, "Set the length unit of OUT; default: that of IN.")
+    ] = None
     is_in: Annotated[
-        str | None,
-        typer.Option(
-            metavar="|".join(METERS), help="Set the length unit of IN if the file has none.", rich_help_panel=INPUT
-        ),
-    ] = None,
+        str | None, option(f"--is-in {'|'.join(METERS)}", INPUT, "Set the length unit of IN if the file has none.")
+    ] = None
     only: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="CAM",
-            help="Write only this camera; repeat for more, in this order. Default: all.",
-            rich_help_panel=OUTPUT,
-        ),
-    ] = None,
-    world: World = None,
-    world_frame: WorldFrame = None,
-    world_from: WorldFrom = None,
+        tuple[str, ...],
+        option("--only CAM", OUTPUT, "Write only this camera; repeat for more, in this order. Default: all."),
+    ] = ()
     size: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="[CAM=]WIDTHxHEIGHT",
-            help="Set the image size of all cameras or of one if IN does not contain it. Repeatable.",
-            rich_help_panel=INPUT,
+        tuple[str, ...],
+        option(
+            "--size [CAM=]WIDTHxHEIGHT",
+            INPUT,
+            "Set the image size of all cameras or of one if IN does not contain it. Repeatable.",
         ),
-    ] = None,
-) -> None:
+    ] = ()
+
+
+@command(
+    "Convert a calibration to another format or unit.",
+    "sylpose calibration convert camera_array.toml calibration.yml",
+    "sylpose calibration convert rig.toml floor.toml --world chessboard:9x6,square=25mm --world-from floor_images",
+    "sylpose calibration convert camchain.yaml calibration.toml --to anipose",
+    "sylpose calibration convert rig.toml stereo.yml --to opencv-stereo --only cam_0 --only cam_2",
+    "sylpose calibration convert colmap/sparse/0 calibration.toml",
+    group=calibration_app,
+)
+def convert(options: ConvertOptions) -> None:
     """Convert a calibration to another format, length unit or world frame.
 
     Reads the formats of sylpose, Anipose, Caliscope, OpenCV (FileStorage, stereo), Kalibr, COLMAP, ROS, JARVIS,
@@ -96,9 +78,10 @@ def convert(
     from sylpose.io import calibration
     from sylpose.io.calibration.world import transform_rig
     from sylpose.rig import Rig
-    from sylpose.runs.world import parse_world_option, resolve_world
+    from sylpose.runs.world import resolve_world
 
-    rig = calibration.load(source, _parse_image_sizes(size or []))
+    source, target, is_in, only = options.source, options.target, options.is_in, options.only
+    rig = calibration.load(source, _parse_image_sizes(options.size))
     if is_in is not None:
         if rig.unit not in ("", is_in):
             raise ValueError(f"--is-in {is_in}: {source} states that its unit is {rig.unit}")
@@ -106,17 +89,17 @@ def convert(
             raise ValueError(f"--is-in must be one of {', '.join(METERS)}, got {is_in!r}")
         rig = Rig(rig.cameras, is_in)
     notes: list[str] = []
-    if (world_spec := parse_world_option(world, world_frame, world_from)) is not None:
+    if (world_spec := options.world_spec) is not None:
         found, notes = resolve_world(rig, world_spec)
         rig = transform_rig(rig, found)
-    rig = rig if unit is None else rig.in_unit(unit)
+    rig = rig if options.unit is None else rig.in_unit(options.unit)
     if only:
         if unknown := [name for name in only if name not in rig.names]:
             raise ValueError(f"--only: {unknown[0]!r} is no camera of {source} ({', '.join(rig.names)})")
         if len(set(only)) < len(only):
             raise ValueError(f"--only: a camera is given twice ({', '.join(only)})")
         rig = rig.subset(only)
-    lost = calibration.save(rig, target, to)
+    lost = calibration.save(rig, target, options.to)
     summary = "; ".join([f"{len(rig)} cameras ({', '.join(rig.names)})", *lost])
     print(f"{target}, {calibration.format_name(target)}: {summary}")
     for note in notes:

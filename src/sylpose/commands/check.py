@@ -1,0 +1,78 @@
+"""`sylpose check`: validate a recording before it is tracked."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from sylpose.commands.app import command
+from sylpose.commands.options import BoxesFile, FrameOffset, OutFolder, RecordingOptions, WorldOptions
+
+__all__ = ["CheckOptions", "check"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckOptions(WorldOptions, RecordingOptions):
+    """Options of `sylpose check`."""
+
+    boxes: BoxesFile = None
+    frame_offset: FrameOffset = ()
+    out: OutFolder = None
+
+
+@command(
+    "Validate a recording and report problems.",
+    "sylpose check recording",
+    "sylpose check recording --calibration rig.toml --out results",
+)
+def check(options: CheckOptions) -> None:
+    """Validate a recording and report problems.
+
+    Plots the rig from above and from the side in OUT/rig.png, and with --world the world axes in OUT/world.png.
+    """
+    from sylpose.atomic_io import make_output_folder
+    from sylpose.io.calibration.world import save_world
+    from sylpose.report.preview import draw_regions, draw_world_axes
+    from sylpose.report.rigview import describe_rig, plot_rig
+    from sylpose.runs import check as checks
+    from sylpose.runs import console_output
+    from sylpose.runs.run_metadata import WORLD
+    from sylpose.runs.session_options import check_output_folder
+    from sylpose.runs.session_warnings import boxes_hint
+
+    session = options.apply_to(options.open(options.boxes, options.frame_offset))
+    folder = session.path / "sylpose" if options.out is None else options.out
+    check_output_folder(session, folder)
+    pictures = [make_output_folder(folder) / "rig.png"]
+    locations = {name: checks.locate_object(session.select_object(name)) for name in session.objects}
+    location = next(iter(locations.values()))
+    console = console_output.make_console()
+    console.print(console_output.format_headline(session))
+    console.print()
+    rows = console_output.build_rig_rows(session, describe_rig(session.rig, location.center))
+    console_output.print_table(console, console_output.RIG_HEADER, rows)
+    console.print()
+    console_output.print_facts(console, checks.collect_facts(session, locations))
+    plot_rig(session.rig, pictures[0], location.center if location.radius else None, location.radius)
+    errors = checks.list_errors(locations)
+    target = None if errors else checks.find_tracking_target(session)
+    first = None if target is None else target.frames
+    if target is not None and first is not None:
+        pictures.append(folder / "target.png")
+        draw_regions(pictures[-1], first.images, session.rig.names, target.outlines)
+    if session.world is not None:
+        pictures.append(folder / "world.png")
+        draw_world_axes(pictures[-1], [None] * len(session.rig) if first is None else first.images, session.rig)
+        save_world(session.world, folder / WORLD)
+    console_output.print_files(console, "Pictures" if len(pictures) > 1 else "Picture", pictures)
+    console.print()
+    if target is not None:
+        console.print(f"Target: {target.description}.", highlight=False)
+    problems = [*checks.list_warnings(session, locations), *(target.warnings if target is not None else ())]
+    console_output.print_warnings(console, problems)
+    if errors:
+        raise ValueError(f"{'; '.join(errors)}; correct the boxes: {boxes_hint(session)}")
+    if problems:
+        console.print("Can be tracked; see the warnings above.")
+    else:
+        axis_note = checks.describe_axis_miss(session.rig)
+        console.print(f"Can be tracked. {axis_note}" if axis_note else "Ready to track.")
