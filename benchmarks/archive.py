@@ -19,9 +19,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from sylpose.archive.contract import RunSettings, Summary, process_recording
-from sylpose.archive.processes import ProcessWorkers
 from sylpose.archive.recordings import Recording, TrackingOptions, find_recordings
-from sylpose.archive.run import process_all
+from sylpose.archive.run import ProcessWorkers, process_all
 from sylpose.archive.stores import open_store
 from sylpose.archive.worker import track_recording
 from sylpose.simulate import make_demo_scene, write_sequence
@@ -48,11 +47,11 @@ def track_and_measure(recording: Recording, folder: Path, threads: int) -> Summa
 
 def time_batch(recordings: list[Recording], folder: Path, jobs: int) -> tuple[float, float, list[Summary]]:
     """Process recordings; return wall seconds including the start of the workers, their processor seconds, and summaries."""
-    settings, summaries = RunSettings(run=folder.name, work="benchmarks.archive:track_and_measure"), list[Summary]()
+    settings, summaries = RunSettings(open_store(folder), track_and_measure), list[Summary]()
     start, usage_before = time.monotonic(), resource.getrusage(resource.RUSAGE_CHILDREN)
-    with ProcessWorkers(open_store(folder), settings, jobs) as workers:
-        process_all(recordings, open_store(folder), settings, workers, lambda _, summary: summaries.append(summary))
-    assert all(summary.is_done for summary in summaries), summaries
+    with ProcessWorkers(settings, jobs) as workers:
+        process_all(recordings, settings, workers, lambda _, summary: summaries.append(summary))
+    assert all(summary.status == "done" for summary in summaries), summaries
     usage_after = resource.getrusage(resource.RUSAGE_CHILDREN)
     processor_time = usage_after.ru_utime + usage_after.ru_stime - usage_before.ru_utime - usage_before.ru_stime
     return time.monotonic() - start, processor_time, summaries
@@ -71,7 +70,7 @@ def main() -> None:
         write_sequence(root / "in" / "r000", replace(scene, frames=arguments.frames), boxes=True)
         for k in range(1, arguments.recordings):
             shutil.copytree(root / "in" / "r000", root / "in" / f"r{k:03}")
-        recordings = list(find_recordings([str(root / "in")], TrackingOptions(overlay=False)).recordings)
+        recordings = find_recordings([str(root / "in")], TrackingOptions(overlay=False))[0]
         time_batch(recordings[:1], root / "warm", 1)
         seconds: dict[int, list[float]] = {jobs: [] for jobs in arguments.jobs}
         processor_times: dict[int, list[float]] = {jobs: [] for jobs in arguments.jobs}
@@ -94,11 +93,11 @@ def main() -> None:
             print(
                 f"memory of a worker, {description}: {max(float(summary.notes[k]) for summary in summaries):.0f} MB at most"
             )
-        settings = RunSettings(run="a", work="benchmarks.archive:do_nothing")
         for description in ("overhead without work", "recordings already done"):
             start = time.monotonic()
             for k in range(N_OVERHEAD_RUNS):
-                process_recording(recordings[k % len(recordings)], open_store(root / "contract" / str(k)), settings)
+                settings = RunSettings(open_store(root / "contract" / str(k)), do_nothing)
+                process_recording(recordings[k % len(recordings)], settings)
             print(f"{description}: {1e3 * (time.monotonic() - start) / N_OVERHEAD_RUNS:.2f} ms per recording")
 
 

@@ -57,7 +57,7 @@ ALLOWED: dict[str, set[str]] = {
     "experiments": NOUNS | {"sylvester", "simulate", "report"},
     "network": NOUNS | PARTS | FILES | {"relative_pose", "landmarks", "tracking", "smoothing"},
     # Its results contain the version that made them.
-    "archive": {""} | NOUNS | {"io", "sync", "report", "simulate", "runs"},
+    "archive": {""} | NOUNS | FILES | {"io", "sync", "report", "simulate", "runs"},
 }
 # Where images are processed, read or written.
 SEES_IMAGES = {"rig", "features", "boards", "tracking.region", "sync", "io", "report", "simulate"}

@@ -6,13 +6,13 @@ import os
 import signal
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from sylpose.archive.contract import RunSettings, Summary
 from sylpose.archive.recordings import Recording, TrackingOptions, find_recordings
-
-SETTINGS = RunSettings(run="a", work="tests.archive.archive_worker:do_work")
+from sylpose.archive.stores import Store
 
 
 def make_recordings(folder: Path, **orders: str) -> list[Recording]:
@@ -22,7 +22,7 @@ def make_recordings(folder: Path, **orders: str) -> list[Recording]:
         (folder / name / "do").write_text(order)
         (folder / name / "calibration.toml").touch()
         (folder / name / "cam_0.mp4").touch()
-    return list(find_recordings([str(folder)], TrackingOptions()).recordings)
+    return find_recordings([str(folder)], TrackingOptions())[0]
 
 
 def count_work(folder: Path, name: str) -> int:
@@ -32,7 +32,7 @@ def count_work(folder: Path, name: str) -> int:
 
 def do_work(recording: Recording, folder: Path, threads: int) -> Summary:
     """Write two files, unless instructed otherwise; leave a mark each time."""
-    source = Path(recording.url)
+    source = Path(recording.path)
     order, _, rest = (source / "do").read_text().partition(" ")
     (source / "sylpose").mkdir(exist_ok=True)  # not among the inputs
     (source / "sylpose" / "parent").write_text(str(os.getppid()))
@@ -63,6 +63,11 @@ def do_work(recording: Recording, folder: Path, threads: int) -> Summary:
         raise KeyboardInterrupt
     (folder / "results" / "half").unlink()
     (folder / "results" / "mug").mkdir()
-    (folder / "results" / "mug" / "trajectory.csv").write_text(f"{recording.name} {recording.options.seed}")
+    (folder / "results" / "mug" / "trajectory.csv").write_text(f"{recording.name} {recording.seed}")
     (folder / "results" / "threads").write_text(f"{threads} {os.environ.get('OPENBLAS_NUM_THREADS')}")
     return Summary(status="done", frames=7, coverage=0.5, faults=("cam_1 was moved",))
+
+
+def make_settings(out: Store, **changes: Any) -> RunSettings:
+    """Return the settings of a run "a" that does the substitute work."""
+    return RunSettings(out, do_work, **{"run": "a"} | changes)

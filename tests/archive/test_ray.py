@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import replace
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from sylpose.archive.contract import Summary
-from sylpose.archive.ray_cluster import RayWorkers
 from sylpose.archive.recordings import Recording
-from sylpose.archive.run import WorkerDeath, process_all
+from sylpose.archive.run import RayWorkers, process_all
 from sylpose.archive.stores import open_store
-from tests.archive.archive_worker import SETTINGS, count_work, make_recordings
+from tests.archive.archive_worker import count_work, make_recordings, make_settings
 from tests.paths import REPOSITORY
 
 ray: Any = pytest.importorskip("ray")
@@ -46,10 +45,10 @@ def cluster() -> Iterator[Any]:
 def test_unusable_cluster_raises_one_sentence(cluster: Any, tmp_path: Path) -> None:
     out = open_store(tmp_path / "out")
     with pytest.raises(ValueError, match=r"no computer in the cluster has 1 cores and 64.0 GB of memory"):
-        RayWorkers(out, SETTINGS, cluster.address, memory=64 * GB)
+        RayWorkers(make_settings(out), cluster.address, memory=64 * GB)
     assert not ray.is_initialized()
     with pytest.raises(ValueError, match="other processes cannot see it"):
-        RayWorkers(open_store("memory://x"), SETTINGS, cluster.address)
+        RayWorkers(make_settings(open_store("memory://x")), cluster.address)
 
 
 def test_killed_node_only_delays(cluster: Any, tmp_path: Path) -> None:
@@ -71,19 +70,21 @@ def test_killed_node_only_delays(cluster: Any, tmp_path: Path) -> None:
             cluster.remove_node(killed[0], allow_graceful=False)
 
     nodes = list(cluster.worker_nodes)
-    deaths: list[WorkerDeath] = []
-    how = replace(SETTINGS, scratch=str(tmp_path / "scratch"))
-    with RayWorkers(out, how, cluster.address, memory=GB // 2) as workers:
+    deaths: list[str] = []
+    settings = make_settings(out, scratch=str(tmp_path / "scratch"))
+    with RayWorkers(settings, cluster.address, memory=GB // 2) as workers:
         assert workers._count_slots() == 2
-        outcome = workers._get_outcome
+        submit = workers.submit
 
-        def noted(task: Any) -> Summary | WorkerDeath:
-            message = outcome(task)
-            deaths.extend([message] if isinstance(message, WorkerDeath) else [])
-            return message
+        def noted(recording: Recording) -> Future[Summary]:
+            future = submit(recording)
+            future.add_done_callback(
+                lambda done: deaths.append(workers.describe_death(done.exception())) if done.exception() else None
+            )
+            return future
 
-        workers._get_outcome = noted  # type: ignore[method-assign]
-        process_all(recordings, out, how, workers, take, look)
+        workers.submit = noted  # type: ignore[method-assign]
+        process_all(recordings, settings, workers, take, look)
         deadline = time.monotonic() + 60
         while workers._count_slots() > 1 and time.monotonic() < deadline:  # Ray may notice later
             time.sleep(0.1)
@@ -97,10 +98,9 @@ def test_killed_node_only_delays(cluster: Any, tmp_path: Path) -> None:
         "e": "done",
         "f": "done",
     }
-    assert found["c"].error == "the worker died (WorkerCrashedError), 2 times"
-    # A lost computer is distinguished from a crashed worker and does not count against the recording.
-    assert [died.with_node for died in deaths].count(True) == 1
-    assert [count_work(folder, name) for name in "abcdef"] == [2, 1, 2, 1, 2, 1]
+    assert found["c"].error == "the worker died (WorkerCrashedError), 3 times"
+    assert deaths.count("the computer was lost") == 1
+    assert [count_work(folder, name) for name in "abcdef"] == [2, 1, 3, 1, 2, 1]
     assert out.read("a/threads") == b"1 1"
     assert {file.name for file in out.files()} == {
         *(f"{name}/{file}" for name in "abef" for file in ("done.json", "mug/trajectory.csv", "threads")),

@@ -7,26 +7,25 @@ import subprocess
 import sys
 import threading
 import time
-from dataclasses import replace
+from concurrent.futures import Future
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from sylpose.archive import run, stores
-from sylpose.archive.claims import hold_claim, is_process_alive
-from sylpose.archive.contract import RunSettings, Summary
-from sylpose.archive.processes import ProcessWorkers, choose_default_jobs
+from sylpose.archive.contract import RunSettings, Summary, hold_claim
 from sylpose.archive.recordings import Recording
-from sylpose.archive.run import WorkerDeath, process_all, select_shard
-from sylpose.archive.stores import Store, open_store
-from sylpose.archive.summary import collect_rows
+from sylpose.archive.run import ProcessWorkers, choose_default_jobs, process_all, select_shard
+from sylpose.archive.stores import open_store
+from sylpose.archive.summary import collect_summaries
 from sylpose.runs.system_resources import available_cores, available_memory
-from tests.archive.archive_worker import SETTINGS, count_work, make_recordings
+from tests.archive.archive_worker import count_work, make_recordings, make_settings
 from tests.archive.s3 import s3_server
 
 
 def run_recordings(
-    recordings: list[Recording], out: Store, jobs: int = 2, how: RunSettings = SETTINGS, memory: int | None = None
+    recordings: list[Recording], settings: RunSettings, jobs: int = 2, memory: int | None = None
 ) -> dict[str, Summary]:
     found: dict[str, Summary] = {}
 
@@ -34,15 +33,15 @@ def run_recordings(
         assert recording.name not in found
         found[recording.name] = summary
 
-    with ProcessWorkers(out, how, jobs, memory) as workers:
-        process_all(recordings, out, how, workers, take)
+    with ProcessWorkers(settings, jobs, memory) as workers:
+        process_all(recordings, settings, workers, take)
     return found
 
 
 def test_dead_worker_loses_only_its_recording(tmp_path: Path) -> None:
     folder, out = tmp_path / "in", open_store(tmp_path / "out")
-    orders = {"a": "work", "b": "die", "c": "die-once", "d": "exit", "e": "wrong", "f": "work"}
-    found = run_recordings(make_recordings(folder, **orders), out, how=replace(SETTINGS, threads=3))
+    orders = {"a": "io-once", "b": "die", "c": "die-once", "d": "exit", "e": "wrong", "f": "work"}
+    found = run_recordings(make_recordings(folder, **orders), make_settings(out, threads=3))
     assert {name: summary.status for name, summary in found.items()} == {
         "a": "done",
         "b": "crashed",
@@ -51,10 +50,10 @@ def test_dead_worker_loses_only_its_recording(tmp_path: Path) -> None:
         "e": "wrong input",
         "f": "done",
     }
-    assert found["b"].error == "the worker was killed by SIGKILL: out of memory?, 2 times"
-    assert found["d"].error == "the worker ended with exit code 3, 2 times"
-    assert [count_work(folder, name) for name in "abcdef"] == [1, 2, 2, 2, 1, 1]
-    assert [row.status for row in collect_rows(out)] == [found[name].status for name in "abcdef"]
+    assert found["b"].error == "the worker was killed by SIGKILL: out of memory?, 3 times"
+    assert found["d"].error == "the worker ended with exit code 3, 3 times"
+    assert [count_work(folder, name) for name in "abcdef"] == [2, 3, 2, 3, 1, 1]
+    assert {name: s.status for name, s in collect_summaries(out).items()} == {n: s.status for n, s in found.items()}
     assert out.read("f/threads") == b"3 3"
     assert not any("claim" in file.name for file in out.files())
 
@@ -64,9 +63,9 @@ def test_memory_is_bounded(tmp_path: Path) -> None:
         pytest.skip("RLIMIT_DATA is Linux's")
     out = open_store(tmp_path / "out")
     recordings = make_recordings(tmp_path / "in", large="memory 3000000000", small="memory 1000000")
-    found = run_recordings(recordings, out, jobs=1, memory=2 << 30)
+    found = run_recordings(recordings, make_settings(out), jobs=1, memory=2 << 30)
     assert found["large"].error == "it exceeded the memory limit of one recording"
-    assert found["small"].is_done
+    assert found["small"].status == "done"
 
 
 def test_recordings_held_by_others_are_awaited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -92,8 +91,9 @@ def test_recordings_held_by_others_are_awaited(tmp_path: Path, monkeypatch: pyte
         if waits:
             let_go.set()
 
-    with ProcessWorkers(out, SETTINGS, 1) as workers:
-        process_all([one], out, SETTINGS, workers, lambda _, summary: found.append(summary), look)
+    settings = make_settings(out)
+    with ProcessWorkers(settings, 1) as workers:
+        process_all([one], settings, workers, lambda _, summary: found.append(summary), look)
     thread.join()
     assert [summary.status for summary in found] == ["done"]
     assert (0, 1) in looks
@@ -108,11 +108,12 @@ def test_interrupt_ends_all_workers_without_files(tmp_path: Path) -> None:
         if all(count_work(folder, name) for name in "ab"):
             raise KeyboardInterrupt
 
-    workers = ProcessWorkers(out, replace(SETTINGS, scratch=str(scratch)), 2)
+    settings = make_settings(out, scratch=str(scratch))
+    workers = ProcessWorkers(settings, 2)
     with pytest.raises(KeyboardInterrupt), workers:
-        process_all(recordings, out, SETTINGS, workers, lambda *_: None, look)
+        process_all(recordings, settings, workers, lambda *_: None, look)
     assert time.monotonic() - start < 300
-    assert not any(worker.process.is_alive() for worker in workers._workers)
+    assert not any(process.is_alive() for process in workers._processes)
     assert out.files() == []
     assert list(scratch.iterdir()) == []
 
@@ -121,32 +122,32 @@ class MortalWorkers:
     """Workers on computers that are lost a given number of times."""
 
     def __init__(self, times: int) -> None:
-        self.times, self.at = times, list[Recording]()
+        self.times = times
 
-    def has_room(self) -> bool:
-        return not self.at
+    def capacity(self) -> int:
+        return 1
 
-    def submit(self, recording: Recording) -> None:
-        self.at.append(recording)
-
-    def count_running(self) -> int:
-        return len(self.at)
-
-    def wait_for_outcomes(self, seconds: float) -> list[tuple[Recording, Summary | WorkerDeath]]:
-        assert seconds > 0
+    def submit(self, recording: Recording) -> Future[Summary]:
+        assert recording.name == "one"
         self.times -= 1
-        dead = self.times >= 0
-        return [
-            (self.at.pop(), WorkerDeath("the computer was lost", with_node=True) if dead else Summary(status="done"))
-        ]
+        future = Future[Summary]()
+        if self.times >= 0:
+            future.set_exception(RuntimeError("the computer was lost"))
+        else:
+            future.set_result(Summary(status="done"))
+        return future
+
+    def describe_death(self, error: Any) -> str:
+        return str(error)
 
 
-@pytest.mark.parametrize(("times", "status"), [(9, "done"), (10, "crashed")])
-def test_lost_computers_do_not_count_as_crashes(tmp_path: Path, times: int, status: str) -> None:
+@pytest.mark.parametrize(("times", "status"), [(2, "done"), (3, "crashed")])
+def test_lost_computers_cost_an_attempt(tmp_path: Path, times: int, status: str) -> None:
     found: list[Summary] = []
-    recordings, out = make_recordings(tmp_path / "in", one="work"), open_store(tmp_path / "out")
-    process_all(recordings, out, SETTINGS, MortalWorkers(times), lambda _, summary: found.append(summary))
+    recordings, settings = make_recordings(tmp_path / "in", one="work"), make_settings(open_store(tmp_path / "out"))
+    process_all(recordings, settings, MortalWorkers(times), lambda _, summary: found.append(summary))
     assert [summary.status for summary in found] == [status]
+    assert found[0].error == ("" if status == "done" else "the computer was lost, 3 times")
 
 
 def test_shards_partition_recordings(tmp_path: Path) -> None:
@@ -174,13 +175,13 @@ def test_processes_on_an_object_store(tmp_path: Path, monkeypatch: pytest.Monkey
         for name, value in (settings | {"REGION": "us-east-1"}).items():
             monkeypatch.setenv(f"AWS_{name}", value)
         monkeypatch.setattr(run, "HELD_CHECK_INTERVAL", 0.1)
-        stores._store.cache_clear()
+        stores._connect.cache_clear()
         out = open_store("s3://lab/results of may")
         recordings = make_recordings(tmp_path / "in", a="sleep 0.2", b="die-once", c="wrong", d="work")
         found: list[dict[str, Summary]] = [{}, {}]
 
         def batch(k: int) -> None:
-            found[k] = run_recordings(recordings[:: 1 - 2 * k], out, jobs=1, how=replace(SETTINGS, run=str(k)))
+            found[k] = run_recordings(recordings[:: 1 - 2 * k], make_settings(out, run=str(k)), jobs=1)
 
         threads = [threading.Thread(target=batch, args=(k,)) for k in (0, 1)]
         for thread in threads:
@@ -191,7 +192,12 @@ def test_processes_on_an_object_store(tmp_path: Path, monkeypatch: pytest.Monkey
             {"a": "done", "b": "done", "c": "wrong input", "d": "done"}
         ] * 2
         assert [count_work(tmp_path / "in", name) for name in "abcd"] == [1, 2, 1, 1]
-        assert [row.status for row in collect_rows(out)] == ["done", "done", "wrong input", "done"]
+        assert [summary.status for summary in collect_summaries(out).values()] == [
+            "done",
+            "done",
+            "wrong input",
+            "done",
+        ]
         files = ("done.json", "mug/trajectory.csv", "threads")
         expected = {f"results of may/{name}/{file}" for name in "abd" for file in files}
         assert set(bucket) == expected | {"results of may/c/failed.json"}
@@ -200,15 +206,21 @@ def test_processes_on_an_object_store(tmp_path: Path, monkeypatch: pytest.Monkey
 
 MAIN = """
 from pathlib import Path
-from sylpose.archive.processes import ProcessWorkers
-from sylpose.archive.run import process_all
+from sylpose.archive.run import ProcessWorkers, process_all
 from sylpose.archive.stores import open_store
-from tests.archive.archive_worker import SETTINGS, make_recordings
+from tests.archive.archive_worker import make_recordings, make_settings
 
 if __name__ == "__main__":
-    with ProcessWorkers(open_store("out"), SETTINGS, 2) as workers:
-        process_all(make_recordings(Path("in")), open_store("out"), SETTINGS, workers, print)
+    settings = make_settings(open_store("out"))
+    with ProcessWorkers(settings, 2) as workers:
+        process_all(make_recordings(Path("in")), settings, workers, print)
 """
+
+
+def is_running(pid: int) -> bool:
+    """Orphans that ended may remain as zombies."""
+    stat = Path(f"/proc/{pid}/stat")
+    return stat.exists() and stat.read_text().rpartition(")")[2].split()[0] != "Z"
 
 
 def test_workers_end_after_driver_is_killed(tmp_path: Path) -> None:
@@ -224,6 +236,6 @@ def test_workers_end_after_driver_is_killed(tmp_path: Path) -> None:
     command.kill()
     command.wait()
     go.touch()
-    while any(is_process_alive(pid) for pid in workers) and time.monotonic() < deadline:
+    while any(is_running(pid) for pid in workers) and time.monotonic() < deadline:
         time.sleep(0.02)
     assert {path.relative_to(out).as_posix() for path in out.rglob("*.json")} == {"a/done.json", "b/done.json"}

@@ -270,7 +270,7 @@ def test_check_plots_world_and_writes_file(recording: Path, tmp_path: Path, caps
 
 def test_batch_with_world(recording: Path, on_the_tag: Path, tmp_path: Path) -> None:
     options = TrackingOptions(stop=4, smooth=False, overlay=False, unit="mm", world=str(on_the_tag / "world.toml"))
-    (found,) = find_recordings([str(recording)], options).recordings
+    ((found,), _) = find_recordings([str(recording)], options)
     summary = track_recording(found, tmp_path, 1)
     assert summary.status == "done"
     reported = calibration.load(tmp_path / "results" / "calibration.used.toml")

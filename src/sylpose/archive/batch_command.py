@@ -2,217 +2,174 @@
 
 from __future__ import annotations
 
-import contextlib
 import signal
-import threading
-import uuid
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
-from sylpose.archive.contract import RunSettings, Summary
-from sylpose.archive.processes import ProcessWorkers, choose_default_jobs
-from sylpose.archive.ray_cluster import RayWorkers
-from sylpose.archive.recordings import FoundRecordings, Recording
-from sylpose.archive.run import process_all, select_shard
+from sylpose.archive.contract import RunSettings, Summary, is_final
+from sylpose.archive.recordings import Recording
+from sylpose.archive.run import ProcessWorkers, RayWorkers, choose_default_jobs, process_all, select_shard
 from sylpose.archive.stores import Store
-from sylpose.archive.summary import Row, collect_rows, find_finished_recordings, make_row, write_summary
+from sylpose.archive.summary import collect_summaries, write_summary
 from sylpose.runs import console_output
 
-__all__ = ["run_batch_command", "run_status_command"]
+__all__ = ["BatchWorkers", "run_batch_command", "run_status_command"]
 
 # Largest number of printed rows, those with messages first; summary.csv contains all (choice: a screen).
 MAX_ROWS = 30
 HEADER = ("Recording", "status", "frames", "found", "residual", "time")
+COLUMNS = (TextColumn("Tracking"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[counts]}"))
 
 
-def run_batch_command(
-    found: FoundRecordings,
-    destination: Store,
-    settings: RunSettings,
-    *,
-    jobs: int | None = None,
-    ray: str | None = None,
-    shard: str | None = None,
-    memory: int | None = None,
-) -> list[Row]:
-    """Track all recordings and print the results.
+@dataclass(frozen=True)
+class BatchWorkers:
+    """Who works on which part of the recordings.
 
-    Args:
-        found: the recordings.
-        destination: where the results go.
-        settings: settings of the run.
+    Attributes:
         jobs: number of processes; None: as many as cores and memory allow.
         ray: address of a Ray cluster, instead of processes.
         shard: "3/100": only this part; then no summary is written, since other shards run in parallel.
         memory: bytes for each recording.
+    """
+
+    jobs: int | None = None
+    ray: str | None = None
+    shard: str | None = None
+    memory: int | None = None
+
+
+def run_batch_command(
+    all_recordings: Sequence[Recording], remarks: Sequence[str], settings: RunSettings, workers: BatchWorkers
+) -> dict[str, Summary]:
+    """Track all recordings and print the results.
+
+    Args:
+        all_recordings: the recordings.
+        remarks: messages about further folders.
+        settings: settings of the run.
+        workers: who works.
 
     Returns:
-        One row per recording, in their order.
+        The summary of each recording by name, in their order.
 
     Raises:
         KeyboardInterrupt: with a message; also on SIGTERM, which SLURM sends at the time limit.
         ValueError, OSError: invalid options, or the destination is not writable.
     """
-    console = console_output.make_console()
-    recordings = list(found.recordings) if shard is None else select_shard(found.recordings, shard)
+    console, shard, destination = console_output.make_console(), workers.shard, settings.destination
+    recordings = all_recordings if shard is None else select_shard(all_recordings, shard)
     # Fail now rather than once per recording if the destination is not writable.
     destination.write("batch.txt", b"Results of sylpose batch, a folder for each recording: docs/archive.md\n")
-    console_output.print_warnings(console, found.remarks)
-    settings = replace(settings, run=settings.run or uuid.uuid4().hex)
-    jobs = jobs or choose_default_jobs(settings.threads)
-    workers_text = f"Ray at {ray}" if ray else f"{min(jobs, max(len(recordings), 1))} at a time"
-    shard_text = f", shard {shard} of {len(found.recordings)}" if shard else ""
-    n = len(recordings)
-    console.print(
-        Text.assemble(
-            (f"{n} recording{'' if n == 1 else 's'}", "bold"), f"{shard_text}, {workers_text} -> {destination.url}"
-        )
-    )
-    finished_summaries = find_finished_recordings(recordings, destination, settings)
-    rows = {name: make_row(name, summary) for name, summary in finished_summaries.items()}
-    if finished_summaries:
-        console.print(
-            f"{len(finished_summaries)} of them {'is' if len(finished_summaries) == 1 else 'are'} already finished."
-        )
-    remaining = [recording for recording in recordings if recording.name not in finished_summaries]
-    with _ProgressLine(n, list(rows.values())) as line, _sigterm_as_interrupt():
-
-        def add_result(recording: Recording, summary: Summary) -> None:
-            rows[recording.name] = make_row(recording.name, summary)
-            line.add_row(rows[recording.name])
-
-        try:
-            with (
-                RayWorkers(destination, settings, ray, memory)
-                if ray
-                else ProcessWorkers(destination, settings, jobs, memory) as workers
-            ):
-                process_all(remaining, destination, settings, workers, add_result, line.show_counts)
-        except KeyboardInterrupt:
-            raise KeyboardInterrupt(
-                f"interrupted after {len(rows)} of {n}; finished results are kept, repeat the command to resume"
-            ) from None
-    ordered = [rows[recording.name] for recording in recordings]
-    _print_rows(console, ordered)
-    if shard is None:
-        _print_files(console, write_summary(destination, ordered))
-    else:
+    console_output.print_warnings(console, remarks)
+    jobs, n = workers.jobs or choose_default_jobs(settings.threads), len(recordings)
+    workers_text = f"Ray at {workers.ray}" if workers.ray else f"{min(jobs, max(n, 1))} at a time"
+    shard_text = f", shard {shard} of {len(all_recordings)}" if shard else ""
+    headline = f"{shard_text}, {workers_text} -> {destination.url}"
+    console.print(Text.assemble((f"{n} recording{'' if n == 1 else 's'}", "bold"), headline))
+    summaries = collect_summaries(destination, recordings)
+    summaries = {name: summary for name, summary in summaries.items() if is_final(summary, settings)}
+    if summaries:
+        console.print(f"{len(summaries)} of them {'is' if len(summaries) == 1 else 'are'} already finished.")
+    remaining = [recording for recording in recordings if recording.name not in summaries]
+    previous_handler = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        with (
+            _ProgressLine(n, summaries) as line,
+            RayWorkers(settings, workers.ray, workers.memory)
+            if workers.ray
+            else ProcessWorkers(settings, jobs, workers.memory) as driver,
+        ):
+            process_all(remaining, settings, driver, line.add_result, line.show_counts)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(
+            f"interrupted after {len(summaries)} of {n}; finished results are kept, repeat the command to resume"
+        ) from None
+    finally:
+        signal.signal(signal.SIGTERM, previous_handler)
+    summaries = {recording.name: summaries[recording.name] for recording in recordings}
+    _print_summaries(console, summaries, None if shard else destination)
+    if shard:
         console.print(f"All shards in one table: sylpose batch --status --out {destination.url}", soft_wrap=True)
-    return ordered
+    return summaries
 
 
-def run_status_command(destination: Store, recordings: Sequence[Recording] | None) -> list[Row]:
+def run_status_command(destination: Store, recordings: Sequence[Recording] | None) -> None:
     """Print the status of all recordings and rewrite the summary.
 
     Args:
         destination: where the results are.
         recordings: None for all in the destination.
 
-    Returns:
-        One row per recording.
-
     Raises:
         ValueError: the destination contains no results.
     """
-    rows = collect_rows(destination, recordings)
-    if not rows:
+    summaries = collect_summaries(destination, recordings)
+    if not summaries:
         raise ValueError(f"{destination.url}: contains no results of sylpose batch")
-    console = console_output.make_console()
-    _print_rows(console, rows)
-    _print_files(console, write_summary(destination, rows))
-    return rows
+    _print_summaries(console_output.make_console(), summaries, destination)
 
 
-class _ProgressLine:
+class _ProgressLine(Progress):
     """Progress line with one line per failure; without a terminal (a log) one line per recording."""
 
-    def __init__(self, n: int, before: list[Row]) -> None:
-        self._n, self._rows = n, before
-        self._console = console_output.make_console(stderr=True)
-        self._progress = Progress(
-            TextColumn("Tracking"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("{task.fields[counts]}"),
-            TimeRemainingColumn(compact=True),
-            console=self._console,
-            transient=True,
-            disable=not self._console.is_terminal,
-        )
-        self._task = self._progress.add_task("", total=n, completed=len(before), counts="")
+    def __init__(self, n: int, summaries: dict[str, Summary]) -> None:
+        console = console_output.make_console(stderr=True)
+        columns = (*COLUMNS, TimeRemainingColumn(compact=True))
+        super().__init__(*columns, console=console, transient=True, disable=not console.is_terminal)
+        self._n, self._summaries = n, summaries
+        self._task = self.add_task("", total=n, completed=len(summaries), counts="")
 
-    def __enter__(self) -> _ProgressLine:
-        self._progress.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._progress.stop()
-
-    def add_row(self, row: Row) -> None:
-        self._rows.append(row)
-        self._progress.update(self._task, completed=len(self._rows))
-        if row.error or not self._console.is_terminal:
-            text = row.error or f"{row.frames} frames, found in {_format_coverage(row)}, {row.seconds:.0f} s"
-            style = "" if row.status == "done" else "bold yellow"
-            line = Text.assemble(f"{len(self._rows)}/{self._n} {row.recording}: ", (row.status, style), f": {text}")
-            self._console.print(line, soft_wrap=True)
+    def add_result(self, recording: Recording, summary: Summary) -> None:
+        self._summaries[recording.name] = summary
+        self.update(self._task, completed=len(self._summaries))
+        if summary.error or self.disable:
+            _, _, frames, coverage, _, duration = _format_row(recording.name, summary)
+            style = "" if summary.status == "done" else "bold yellow"
+            text = f": {summary.error or f'{frames} frames, found in {coverage}, {duration}'}"
+            start = f"{len(self._summaries)}/{self._n} {recording.name}: "
+            self.console.print(Text.assemble(start, (summary.status, style), text), soft_wrap=True)
 
     def show_counts(self, running: int, held: int) -> None:
-        n_failed = sum(row.status != "done" for row in self._rows)
-        parts = (
-            [f"{running} running"] + [f"{held} held by others"] * bool(held) + [f"{n_failed} failed"] * bool(n_failed)
-        )
-        self._progress.update(self._task, counts=", ".join(parts))
+        n_failed = sum(summary.status != "done" for summary in self._summaries.values())
+        texts = [f"{n} {label}" for n, label in ((held, "held by others"), (n_failed, "failed")) if n]
+        self.update(self._task, counts=", ".join([f"{running} running", *texts]))
 
 
-def _print_rows(console: Console, rows: Sequence[Row]) -> None:
-    with_messages = [row for row in rows if row.status != "done" or row.error or row.faults]
-    shown = list(rows) if len(rows) <= MAX_ROWS else with_messages[:MAX_ROWS]
+def _print_summaries(console: Console, summaries: dict[str, Summary], destination: Store | None) -> None:
+    """Print the summaries, and write them to a destination."""
+    messages = {name: "; ".join(filter(None, (s.error, *s.faults))) for name, s in summaries.items()}
+    shown = list(summaries)
+    if len(shown) > MAX_ROWS:
+        shown = [name for name, summary in summaries.items() if summary.status != "done" or messages[name]][:MAX_ROWS]
     if shown:
         console.print()
-        console_output.print_table(console, HEADER, (_format_row(row) for row in shown))
-    notes = [
-        f"{row.recording}: {'; '.join(filter(None, (row.error, row.faults)))}" for row in shown if row in with_messages
-    ]
-    if any(not note.endswith(": ") for note in notes):
+        console_output.print_table(console, HEADER, (_format_row(name, summaries[name]) for name in shown))
+    if notes := [f"{name}: {messages[name]}" for name in shown if messages[name]]:
         console.print()
-        console_output.print_warnings(console, [note for note in notes if not note.endswith(": ")])
+        console_output.print_warnings(console, notes)
     console.print()
-    counts = Counter(row.status for row in rows)
-    count_texts = [
-        f"{n} {status}" for status, n in sorted(counts.items(), key=lambda item: (item[0] != "done", item[0]))
-    ]
-    facts = [("Recordings", f"{len(rows)}: {', '.join(count_texts)}")]
-    if len(shown) < len(rows):
-        facts.append(("Not shown", f"{len(rows) - len(shown)}: see summary.csv"))
-    if seconds := sum(row.seconds or 0.0 for row in rows):
+    counts = sorted(Counter(s.status for s in summaries.values()).items(), key=lambda c: (c[0] != "done", c[0]))
+    facts = [("Recordings", f"{len(summaries)}: {', '.join(f'{n} {status}' for status, n in counts)}")]
+    if len(shown) < len(summaries):
+        facts.append(("Not shown", f"{len(summaries) - len(shown)}: see summary.csv"))
+    if seconds := sum(summary.seconds or 0.0 for summary in summaries.values()):
         facts.append(("Time", f"{_format_duration(seconds)} in total, over all recordings"))
+    if destination is not None:
+        facts.append(("File", write_summary(destination, summaries)))
     console_output.print_facts(console, facts)
 
 
-def _print_files(console: Console, files: Sequence[str]) -> None:
-    console_output.print_facts(console, [("Files" if k == 0 else "", file) for k, file in enumerate(files)])
-
-
-def _format_row(row: Row) -> tuple[str, ...]:
-    return (
-        row.recording,
-        row.status,
-        "-" if row.frames is None else str(row.frames),
-        _format_coverage(row),
-        "-" if row.residual_px is None else f"{row.residual_px:.2f} px",
-        "-" if row.seconds is None else _format_duration(row.seconds),
-    )
-
-
-def _format_coverage(row: Row) -> str:
+def _format_row(name: str, s: Summary) -> tuple[str, ...]:
+    frames = "-" if s.frames is None else str(s.frames)
     # Rounded down: 100% means all frames.
-    return "-" if row.coverage is None else f"{int(100 * row.coverage)}%"
+    coverage = "-" if s.coverage is None else f"{int(100 * s.coverage)}%"
+    residual = "-" if s.residual_px is None else f"{s.residual_px:.2f} px"
+    return name, s.status, frames, coverage, residual, "-" if s.seconds is None else _format_duration(s.seconds)
 
 
 def _format_duration(seconds: float) -> str:
@@ -220,19 +177,3 @@ def _format_duration(seconds: float) -> str:
         return f"{seconds:.1f} s"
     minutes, hours = round(seconds / 60), int(seconds // 3600)
     return f"{minutes} min" if minutes < 100 else f"{hours} h {minutes - 60 * hours} min"
-
-
-@contextlib.contextmanager
-def _sigterm_as_interrupt() -> Iterator[None]:
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    previous_handler = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, previous_handler)

@@ -2,48 +2,64 @@
 
 `process_recording` is idempotent: a recording finished with the same inputs, options and version is not processed
 again. Results appear in the destination only when they are complete, `done.json` last of all.
+
+A claim separates two workers: a file `claim-N` that is created only if it does not exist, which every store
+supports. The claim with the highest number counts. Its worker rewrites it. A claim that was not rewritten for two
+minutes, or that is of the same run, whose driver knows that its worker died, is superseded by creating number N + 1,
+which again only one worker can. A worker that was only suspended detects that it was superseded.
 """
 
 from __future__ import annotations
 
+import hashlib
 import os
+import re
 import shutil
+import socket
 import tempfile
+import threading
 import time
 import traceback
-from collections.abc import Callable
-from dataclasses import dataclass
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
 import msgspec
+import numpy as np
 
 from sylpose import __version__
-from sylpose.archive.claims import RecordingHeldError, hold_claim, host_id, is_process_alive
 from sylpose.archive.recordings import Recording
-from sylpose.archive.stores import Store
+from sylpose.archive.stores import Store, is_inside
 
 __all__ = [
     "DONE_FILE",
     "FAILED_FILE",
-    "Record",
+    "RecordingHeldError",
     "RunSettings",
-    "Status",
     "Summary",
     "find_finished",
+    "hold_claim",
+    "is_final",
     "mark_crashed",
     "process_recording",
+    "read_owner",
     "read_record",
 ]
 
 DONE_FILE, FAILED_FILE = "done.json", "failed.json"
-# Attempts after disk or network failures, and seconds before the first retry, doubled each time (choice).
-MAX_IO_ATTEMPTS, FIRST_RETRY_S = 3, 2.0
-SCRATCH_PREFIX = "sylpose-scratch"
+# Seconds between renewals, and until a claim expires (choice: eight missed renewals; a recording waits that long after
+# its computer crashed; the clocks of computers must agree better than that).
+RENEW_INTERVAL, CLAIM_LIFETIME = 15.0, 120.0
 
-Status = Literal["done", "nothing found", "wrong input", "i/o error", "crashed", "bug", "held"]
-# Statuses with results, and statuses that would recur with the same inputs.
-FINISHED_STATUSES, FINAL_FAILURES = ("done", "nothing found"), ("wrong input",)
+Status = Literal[
+    "done", "nothing found", "wrong input", "i/o error", "crashed", "bug", "held", "waiting", "running", "outdated"
+]
+FINISHED_STATUSES = ("done", "nothing found")  # those with results
+# Errors of the input; further ones of the operating system may be temporary.
+INPUT_ERRORS = (FileNotFoundError, PermissionError, IsADirectoryError, NotADirectoryError, ValueError)
 
 
 class Summary(msgspec.Struct, frozen=True, kw_only=True):
@@ -51,7 +67,8 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         status: "done", "nothing found" (tracked, but no pose in any frame), or the kind of failure; "held" by another
-            worker.
+            worker. In overviews also "waiting", "running", and "outdated" (finished with other inputs, options or
+            version).
         frames: number of tracked frames.
         coverage: share of frames in which the object was localized; the least of several objects.
         residual_px: median over cameras and frames, pixels; the largest of several objects.
@@ -62,33 +79,29 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     """
 
     status: Status
-    frames: int = 0
+    frames: int | None = None
     coverage: float | None = None
     residual_px: float | None = None
     faults: tuple[str, ...] = ()
-    seconds: float = 0.0
+    seconds: float | None = None
     error: str = ""
     notes: tuple[str, ...] = ()
 
-    @property
-    def is_done(self) -> bool:
-        return self.status == "done"
 
-
-class Record(msgspec.Struct, frozen=True, kw_only=True):
+class Record(msgspec.Struct, frozen=True):
     """Content of `done.json` and `failed.json`; `files` are the result files in the same folder."""
 
     summary: Summary
-    files: tuple[str, ...] = ()
+    files: tuple[str, ...]
     digest: str
     version: str
     recording: Recording
     host: str
-    traceback: str = ""
+    traceback: str
 
 
-# Processes a recording: writes into the folder `results` below the given folder, using the given number of threads.
-Work = Callable[[Recording, Path, int], Summary]
+class RecordingHeldError(Exception):
+    """Another worker holds the recording."""
 
 
 @dataclass(frozen=True)
@@ -96,53 +109,49 @@ class RunSettings:
     """Settings common to all recordings of a run.
 
     Attributes:
+        destination: where the results go.
+        work: processes a recording: writes into the folder `results` below the given folder, using the given number of
+            threads.
         run: a unique name of the run.
-        work: "package.module:function", a `Work`; by default the tracking.
         threads: number of threads per recording.
         scratch: folder for temporary copies and results; None: the system's temporary folder.
         retry_failed: retry recordings that failed with wrong input.
     """
 
-    run: str
-    work: str = "sylpose.archive.worker:track_recording"
+    destination: Store
+    work: Callable[[Recording, Path, int], Summary]
+    run: str = field(default_factory=lambda: uuid.uuid4().hex)
     threads: int = 1
     scratch: str | None = None
     retry_failed: bool = False
 
 
-def _load_work(settings: RunSettings) -> Work:
-    module, _, name = settings.work.partition(":")
-    work: Work = getattr(__import__(module, fromlist=[name]), name)
-    return work
-
-
-def process_recording(recording: Recording, destination: Store, settings: RunSettings) -> Summary:
+def process_recording(recording: Recording, settings: RunSettings) -> Summary:
     """Process a recording, unless it is finished or another worker holds it; only interrupts are raised.
 
     Results are written into a scratch folder first, then into the destination, `done.json` last.
 
     Args:
         recording: the recording.
-        destination: where the results go.
         settings: settings of the run.
 
     Returns:
         The new or existing summary; errors are summaries, too.
     """
-    store, start = destination.join(recording.name), time.monotonic()
+    store, start = settings.destination.join(recording.name), time.monotonic()
     try:
-        if summary := find_finished(store, recording, settings):
+        if summary := find_finished(recording, settings):
             return summary
-        with hold_claim(store, settings.run) as claim:
+        with hold_claim(store, settings.run) as is_current:
             # Another worker may have finished meanwhile.
-            if summary := find_finished(store, recording, settings):
+            if summary := find_finished(recording, settings):
                 return summary
-            with _make_scratch(settings.scratch) as folder:
-                summary, trace = _run_work(recording, Path(folder), settings)
+            with _make_scratch(store, settings.scratch) as folder:
+                summary, trace = _run_work(recording, folder, settings)
                 summary = msgspec.structs.replace(summary, seconds=round(time.monotonic() - start, 3))
-                if not claim.is_current:
+                if not is_current():
                     return Summary(status="held", error="another worker took it over")
-                _publish_results(store, Path(folder) / "results", _make_record(recording, summary, trace))
+                _publish_results(store, folder / "results", recording, summary, trace)
             return summary
     except RecordingHeldError as held:
         return Summary(status="held", error=str(held))
@@ -150,20 +159,9 @@ def process_recording(recording: Recording, destination: Store, settings: RunSet
         return Summary(status="i/o error", error=_describe_error(error), seconds=time.monotonic() - start)
 
 
-def mark_crashed(recording: Recording, destination: Store, settings: RunSettings, reason: str) -> Summary:
+def mark_crashed(recording: Recording, settings: RunSettings, reason: str) -> Summary:
     """Mark a recording as crashed after its workers died, unless another run works on it or has finished it."""
-    store = destination.join(recording.name)
-    try:
-        with hold_claim(store, settings.run):
-            if summary := find_finished(store, recording, settings):
-                return summary
-            summary = Summary(status="crashed", error=reason)
-            _publish_results(store, None, _make_record(recording, summary, ""))
-            return summary
-    except RecordingHeldError as held:
-        return Summary(status="held", error=str(held))
-    except OSError as error:
-        return Summary(status="crashed", error=f"{reason}; {_describe_error(error)}")
+    return process_recording(recording, replace(settings, work=lambda *_: Summary(status="crashed", error=reason)))
 
 
 def read_record(store: Store) -> Record | None:
@@ -178,84 +176,127 @@ def read_record(store: Store) -> Record | None:
     return None
 
 
-def find_finished(store: Store, recording: Recording, settings: RunSettings) -> Summary | None:
+def is_final(summary: Summary, settings: RunSettings) -> bool:
+    """Return whether a recording need not be processed again."""
+    return summary.status in FINISHED_STATUSES or (summary.status == "wrong input" and not settings.retry_failed)
+
+
+def find_finished(recording: Recording, settings: RunSettings) -> Summary | None:
     """Return the summary of a recording that need not be processed again, else None."""
-    record = read_record(store)
-    if record is None or record.digest != recording.digest:
+    record = read_record(settings.destination.join(recording.name))
+    if record is None or record.digest != recording.digest or not is_final(record.summary, settings):
         return None
-    status = record.summary.status
-    return (
-        record.summary
-        if status in FINISHED_STATUSES or (status in FINAL_FAILURES and not settings.retry_failed)
-        else None
-    )
+    return record.summary
+
+
+@contextmanager
+def hold_claim(store: Store, run: str) -> Iterator[Callable[[], bool]]:
+    """Hold the claim on a recording within the context.
+
+    Args:
+        store: the recording's folder in the destination.
+        run: an earlier worker of the same run is superseded immediately, since the run's driver knows that it has died.
+
+    Yields:
+        returns whether no other claim has superseded it.
+
+    Raises:
+        RecordingHeldError: another live worker holds it; the message names it.
+        OSError: the store does not respond.
+    """
+    claims = _list_claims(store)
+    other_run, owner = _read_live_claim(store, claims)
+    if owner and other_run != run:
+        raise RecordingHeldError(f"held by {owner}")
+    # By the same listing: if another worker has created this number meanwhile, it holds the recording.
+    name = f"claim-{int(max(claims)[6:]) + 1 if claims else 0:06}"
+    content = f"{run}\nprocess {os.getpid()} of {socket.gethostname()}".encode()
+    if not store.create(name, content):
+        raise RecordingHeldError("held by another worker")
+    ended = threading.Event()
+
+    def is_current() -> bool:
+        return max(_list_claims(store), default="") == name
+
+    def renew() -> None:
+        while not ended.wait(RENEW_INTERVAL):
+            with suppress(OSError):  # retried at the next renewal
+                if is_current():
+                    store.write(name, content)
+
+    thread = threading.Thread(target=renew, daemon=True, name="sylpose-claim")
+    try:
+        thread.start()
+        yield is_current
+    finally:
+        ended.set()
+        thread.join()
+        with suppress(OSError):  # it expires
+            for claim in _list_claims(store):
+                if claim <= name:
+                    store.remove(claim)
+
+
+def read_owner(store: Store) -> str:
+    """Return the process that holds a recording and may still be at work; empty without any."""
+    return _read_live_claim(store, _list_claims(store))[1]
+
+
+def _read_live_claim(store: Store, claims: dict[str, float]) -> tuple[str, str]:
+    """Return the run and the process of the latest claim; empty if it has expired."""
+    if not claims or time.time() - claims[max(claims)] > CLAIM_LIFETIME:
+        return "", ""
+    run, _, owner = (store.read(max(claims)) or b"").decode(errors="replace").partition("\n")
+    return run, owner or "another worker"
+
+
+def _list_claims(store: Store) -> dict[str, float]:
+    """Return when each claim was written, by name."""
+    return {file.name: file.modified for file in store.files() if re.fullmatch(r"claim-[0-9]{6}", file.name)}
 
 
 def _run_work(recording: Recording, folder: Path, settings: RunSettings) -> tuple[Summary, str]:
-    """Run the work with retries; return the summary, and the traceback of a bug."""
-    work = _load_work(settings)
-    for attempt in range(MAX_IO_ATTEMPTS):
-        try:
-            (folder / "results").mkdir(parents=True, exist_ok=True)
-            return work(recording, folder, settings.threads), ""
-        except MemoryError:
-            return Summary(status="crashed", error="it exceeded the memory limit of one recording"), ""
-        except (FileNotFoundError, PermissionError, IsADirectoryError, NotADirectoryError) as error:
+    """Run the work; return the summary, and the traceback of a bug."""
+    try:
+        return settings.work(recording, folder, settings.threads), ""
+    except MemoryError:
+        return Summary(status="crashed", error="it exceeded the memory limit of one recording"), ""
+    except Exception as error:
+        if isinstance(error, INPUT_ERRORS) and not isinstance(error, np.linalg.LinAlgError):
             return Summary(status="wrong input", error=_describe_error(error)), ""
-        except OSError as error:
-            if attempt == MAX_IO_ATTEMPTS - 1:
-                return Summary(
-                    status="i/o error", error=f"{_describe_error(error)} (tried {MAX_IO_ATTEMPTS} times)"
-                ), ""
-            shutil.rmtree(folder / "results", ignore_errors=True)
-            time.sleep(FIRST_RETRY_S * 2**attempt)
-        except Exception as error:
-            if isinstance(error, ValueError) and type(error).__name__ != "LinAlgError":
-                return Summary(status="wrong input", error=_describe_error(error)), ""
-            message = f"{type(error).__name__}: {error}".split("\n", 1)[0]
-            return Summary(status="bug", error=f"{message} (failed.json has the traceback)"), traceback.format_exc()
-    raise AssertionError("unreachable")
+        if isinstance(error, OSError):
+            return Summary(status="i/o error", error=_describe_error(error)), ""
+        message = f"{type(error).__name__}: {error}".split("\n", 1)[0]
+        return Summary(status="bug", error=f"{message} (failed.json has the traceback)"), traceback.format_exc()
 
 
-def _publish_results(store: Store, results: Path | None, record: Record) -> None:
+def _publish_results(store: Store, results: Path, recording: Recording, summary: Summary, trace: str) -> None:
     """Replace the results of an earlier run.
 
     The earlier `done.json` is removed first, and the new one written last. Other files are left unchanged.
     """
-    earlier = read_record(store)
-    for name in (DONE_FILE, FAILED_FILE, *(earlier.files if earlier else ())):
+    earlier, done = read_record(store), summary.status in FINISHED_STATUSES
+    for name in (DONE_FILE, FAILED_FILE, *filter(is_inside, earlier.files if earlier else ())):
         store.remove(name)
-    done = record.summary.status in FINISHED_STATUSES
-    paths = sorted(path for path in results.rglob("*") if path.is_file()) if results is not None and done else []
-    names = tuple(path.relative_to(results).as_posix() for path in paths if results is not None)
+    paths = sorted(path for path in results.rglob("*") if path.is_file() and done)
+    names = tuple(path.relative_to(results).as_posix() for path in paths)
     for name, path in zip(names, paths, strict=True):
         store.write(name, path)
-    record = msgspec.structs.replace(record, files=names)
+    record = Record(summary, names, recording.digest, __version__, recording, socket.gethostname(), trace)
     store.write(DONE_FILE if done else FAILED_FILE, msgspec.json.format(msgspec.json.encode(record), indent=1))
 
 
-def _make_record(recording: Recording, summary: Summary, trace: str) -> Record:
-    return Record(
-        summary=summary,
-        digest=recording.digest,
-        version=__version__,
-        recording=recording,
-        host=host_id(),
-        traceback=trace,
-    )
-
-
-def _make_scratch(parent: str | None) -> tempfile.TemporaryDirectory[str]:
-    """Create a temporary folder, after removing those left by killed workers."""
+@contextmanager
+def _make_scratch(store: Store, parent: str | None) -> Iterator[Path]:
+    """Create a temporary folder with `results`, after removing those of killed workers with the same recording."""
     root = Path(parent or tempfile.gettempdir())
+    prefix = f"sylpose-scratch-{hashlib.blake2b(store.url.encode(), digest_size=8).hexdigest()}-"
+    for leftover in root.glob(f"{prefix}*"):
+        shutil.rmtree(leftover, ignore_errors=True)
     root.mkdir(parents=True, exist_ok=True)
-    for leftover in root.glob(f"{SCRATCH_PREFIX}-{host_id()}-*"):
-        pid = leftover.name.removeprefix(f"{SCRATCH_PREFIX}-{host_id()}-").partition("-")[0]
-        if pid.isdigit() and not is_process_alive(int(pid)):
-            shutil.rmtree(leftover, ignore_errors=True)
-    return tempfile.TemporaryDirectory(
-        prefix=f"{SCRATCH_PREFIX}-{host_id()}-{os.getpid()}-", dir=root, ignore_cleanup_errors=True
-    )
+    with tempfile.TemporaryDirectory(prefix=prefix, dir=root, ignore_cleanup_errors=True) as folder:
+        Path(folder, "results").mkdir()
+        yield Path(folder)
 
 
 def _describe_error(error: Exception) -> str:

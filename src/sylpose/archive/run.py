@@ -1,100 +1,102 @@
-"""Distribution of all recordings to workers; a worker that dies loses only its current recording."""
+"""Distribution of recordings to local processes or a Ray cluster; a worker that dies loses only its recording."""
 
 from __future__ import annotations
 
+import logging
+import multiprocessing
+import os
+import signal
+import sys
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from multiprocessing.context import SpawnProcess
+from typing import Any, Protocol, Self
 
-from sylpose.archive.contract import RunSettings, Summary, mark_crashed
+from sylpose.archive.contract import RunSettings, Summary, mark_crashed, process_recording
 from sylpose.archive.recordings import Recording
-from sylpose.archive.stores import Store
+from sylpose.runs.system_resources import available_cores, available_memory
 
-__all__ = ["WorkerDeath", "Workers", "process_all", "select_shard"]
+__all__ = ["ProcessWorkers", "RayWorkers", "Workers", "choose_default_jobs", "process_all", "select_shard"]
 
-# Worker crashes, and lost computers, after which a recording is abandoned (choice: a crash is retried once; lost
-# computers are not a recording's fault).
-MAX_CRASHES, MAX_LOST_NODES = 2, 10
-# Seconds between checks of recordings held by other workers, and of the own workers (choice).
-HELD_CHECK_INTERVAL, WORKER_CHECK_INTERVAL = 5.0, 0.5
-
-
-@dataclass(frozen=True)
-class WorkerDeath:
-    """A worker that ended without a result.
-
-    Attributes:
-        reason: why it ended.
-        with_node: the whole computer was lost.
-    """
-
-    reason: str
-    with_node: bool = False
+# Attempts if workers die or disks and networks fail (choice: a node of a cluster may go away).
+MAX_ATTEMPTS = 3
+# Seconds between checks of recordings held by other workers, and of the own workers; for workers to end (choice).
+HELD_CHECK_INTERVAL, WORKER_CHECK_INTERVAL, EXIT_TIMEOUT_S = 5.0, 0.5, 10.0
+# Tasks in flight per available slot, so that the next ones are queued (choice).
+TASKS_PER_SLOT = 2
+# Seconds for tasks to release their claims after an interrupt (choice).
+RELEASE_TIMEOUT_S = 10.0
+DEATHS = {
+    "OutOfMemoryError": "Ray killed the worker because of low memory",
+    "NodeDiedError": "the computer was lost",
+}
+# Least memory of one recording, bytes (choice: several times the figure in docs/benchmarks.md), and largest share of
+# the computer's memory for all (choice).
+MIN_MEMORY, MAX_MEMORY_RATIO = 2 << 30, 0.9
 
 
 class Workers(Protocol):
-    """Driver interface: accepts recordings and returns the results of `process_recording`."""
+    """Driver interface: runs `process_recording` elsewhere."""
 
-    def has_room(self) -> bool:
-        """Return whether one more recording may be submitted."""
+    def capacity(self) -> int:
+        """Return how many recordings may be submitted at a time."""
 
-    def submit(self, recording: Recording) -> None: ...
+    def submit(self, recording: Recording) -> Future[Summary]:
+        """Process a recording; the future has an exception if the worker dies."""
 
-    def count_running(self) -> int:
-        """Return the number of submitted recordings without an outcome."""
-
-    def wait_for_outcomes(self, seconds: float) -> list[tuple[Recording, Summary | WorkerDeath]]:
-        """Return new outcomes, after waiting up to `seconds` for the first."""
+    def describe_death(self, error: Any) -> str:
+        """Return why a worker died, from the exception of its future."""
 
 
 def process_all(
     recordings: Sequence[Recording],
-    destination: Store,
     settings: RunSettings,
     workers: Workers,
     on_outcome: Callable[[Recording, Summary], None],
     on_progress: Callable[[int, int], None] = lambda *_: None,
 ) -> None:
-    """Distribute all recordings to workers; one whose worker dies is retried once, then abandoned.
+    """Distribute all recordings to workers; one whose worker dies is retried, then abandoned.
 
     Recordings held by other runs are checked again until these finish them or their claim expires.
 
     Args:
         recordings: to be processed.
-        destination: where the results go.
         settings: settings of the run.
         workers: the driver.
         on_outcome: called once with each recording.
         on_progress: called regularly with the numbers of running recordings and of those held by others.
     """
-    waiting, deaths, lost_nodes = deque(recordings), Counter[str](), Counter[str]()
-    held: list[tuple[float, Recording]] = []
-    while waiting or held or workers.count_running():
-        now = time.monotonic()
-        waiting.extend(recording for due, recording in held if due <= now)
-        held = [(due, recording) for due, recording in held if due > now]
-        while waiting and workers.has_room():
-            workers.submit(waiting.popleft())
-        on_progress(workers.count_running(), len(held))
-        if not workers.count_running():
+    waiting, held, attempts = deque(recordings), deque[tuple[float, Recording]](), Counter[str]()
+    running: dict[Future[Summary], Recording] = {}
+    while waiting or held or running:
+        while held and held[0][0] <= time.monotonic():
+            waiting.append(held.popleft()[1])
+        while waiting and len(running) < workers.capacity():
+            recording = waiting.popleft()
+            running[workers.submit(recording)] = recording
+        on_progress(len(running), len(held))
+        if not running:
             time.sleep(WORKER_CHECK_INTERVAL)
-            continue
-        for recording, outcome in workers.wait_for_outcomes(WORKER_CHECK_INTERVAL):
-            if isinstance(outcome, WorkerDeath):
-                count = lost_nodes if outcome.with_node else deaths
-                count[recording.name] += 1
-                if deaths[recording.name] < MAX_CRASHES and lost_nodes[recording.name] < MAX_LOST_NODES:
-                    waiting.appendleft(recording)
+        for future in wait(running, WORKER_CHECK_INTERVAL, FIRST_COMPLETED).done:
+            recording, death = running.pop(future), future.exception()
+            if death is not None or future.result().status == "i/o error":
+                attempts[recording.name] += 1
+                if attempts[recording.name] < MAX_ATTEMPTS:
+                    waiting.append(recording)
                     continue
-                outcome = mark_crashed(
-                    recording, destination, settings, f"{outcome.reason}, {count[recording.name]} times"
-                )
-            if outcome.status == "held":
+            if death is None:
+                summary = future.result()
+            else:
+                reason = f"{workers.describe_death(death)}, {attempts[recording.name]} times"
+                summary = mark_crashed(recording, settings, reason)
+            if summary.status == "held":
                 held.append((time.monotonic() + HELD_CHECK_INTERVAL, recording))
             else:
-                on_outcome(recording, outcome)
+                on_outcome(recording, summary)
 
 
 def select_shard(recordings: Sequence[Recording], shard: str) -> list[Recording]:
@@ -109,3 +111,170 @@ def select_shard(recordings: Sequence[Recording], shard: str) -> list[Recording]
             f"--shard: one of 1/N to N/N is expected, such as 3/100, got {shard!r} (for SLURM: --array=1-100)"
         )
     return list(recordings[int(k) - 1 :: int(n)])
+
+
+def choose_default_jobs(threads: int) -> int:
+    """Return the number of processes that cores and memory allow."""
+    total = available_memory()
+    by_memory = available_cores() if total is None else int(MAX_MEMORY_RATIO * total) // MIN_MEMORY
+    return max(1, min(available_cores() // threads, by_memory))
+
+
+def _limit_threads(threads: int) -> dict[str, str]:
+    """Return environment variables that limit the threads of libraries."""
+    names = ("OMP", "OPENBLAS", "MKL", "NUMBA", "VECLIB_MAXIMUM")
+    return {**{f"{name}_NUM_THREADS": str(threads) for name in names}, "OPENCV_FOR_THREADS_NUM": str(threads)}
+
+
+class WorkerDeathError(Exception):
+    """The worker process, its argument, ended before its recording."""
+
+
+class ProcessWorkers:
+    """Context manager of local worker processes, each replaced when it dies; all end with it.
+
+    Args:
+        settings: settings of the run.
+        jobs: number of processes.
+        memory: memory limit per process on Linux, bytes; None: an equal share of the computer's.
+    """
+
+    def __init__(self, settings: RunSettings, jobs: int, memory: int | None = None) -> None:
+        total = available_memory()
+        self._memory = memory or (None if total is None else int(MAX_MEMORY_RATIO * total) // jobs)
+        self._settings, self._jobs, self._threads = settings, jobs, ThreadPoolExecutor(jobs)
+        self._processes: list[SpawnProcess] = []
+        self._idle: list[tuple[SpawnProcess, Connection]] = []
+
+    def __enter__(self) -> Self:
+        self._environment = dict(os.environ)  # which processes inherit
+        os.environ.update(_limit_threads(self._settings.threads))
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for process in self._processes:
+            process.terminate()
+        for process in self._processes:
+            process.join(EXIT_TIMEOUT_S)
+            process.kill()
+        self._threads.shutdown()
+        os.environ.clear()
+        os.environ.update(self._environment)
+
+    def capacity(self) -> int:
+        return self._jobs
+
+    def submit(self, recording: Recording) -> Future[Summary]:
+        if self._idle:
+            process, pipe = self._idle.pop()
+        else:
+            context = multiprocessing.get_context("spawn")
+            pipe, other = context.Pipe()
+            process = context.Process(target=_run_worker, args=(other, self._settings, self._memory), daemon=True)
+            process.start()
+            other.close()
+            self._processes.append(process)
+        return self._threads.submit(self._wait_for_summary, recording, process, pipe)
+
+    def _wait_for_summary(self, recording: Recording, process: SpawnProcess, pipe: Connection) -> Summary:
+        try:
+            pipe.send(recording)
+            summary: Summary = pipe.recv()
+        except (EOFError, OSError):
+            raise WorkerDeathError(process) from None
+        self._idle.append((process, pipe))
+        return summary
+
+    def describe_death(self, error: WorkerDeathError) -> str:
+        process = error.args[0]
+        process.join(EXIT_TIMEOUT_S)
+        code = process.exitcode
+        if code is None or code >= 0:
+            return f"the worker ended with exit code {code}"
+        name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
+        return f"the worker was killed by {name}{': out of memory?' if name == 'SIGKILL' else ''}"
+
+
+def _run_worker(pipe: Connection, settings: RunSettings, memory: int | None) -> None:
+    """Run a worker process: receive recordings, send summaries."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # from the terminal, meant for the parent process
+    signal.signal(signal.SIGTERM, _interrupt)
+    if memory is not None and sys.platform == "linux":
+        import resource
+
+        hard = resource.getrlimit(resource.RLIMIT_DATA)[1]
+        resource.setrlimit(resource.RLIMIT_DATA, (memory if hard < 0 else min(memory, hard), hard))
+    with suppress(KeyboardInterrupt, EOFError, BrokenPipeError):
+        while True:
+            pipe.send(process_recording(pipe.recv(), settings))
+
+
+def _interrupt(*_: Any) -> None:
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # SLURM signals every process, and then the parent does
+    raise KeyboardInterrupt
+
+
+class RayWorkers:
+    """Context manager of Ray tasks; its end cancels running tasks.
+
+    Args:
+        settings: settings of the run.
+        address: address of the cluster: "auto", "host:6379" or "ray://host:10001".
+        memory: bytes that Ray reserves for each recording.
+
+    Raises:
+        ValueError: Ray is not installed, no cluster at the address, or no computer in it is large enough.
+    """
+
+    def __init__(self, settings: RunSettings, address: str, memory: int | None = None) -> None:
+        try:
+            import ray
+        except ImportError:
+            raise ValueError("--ray needs Ray: python3 -m pip install 'sylpose[cluster]'") from None
+        if settings.destination.url.startswith("memory://"):
+            raise ValueError(f"--out {settings.destination.url}: other processes cannot see it")
+        self._ray: Any = ray
+        self._memory, self._settings = memory or MIN_MEMORY, settings
+        try:
+            ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
+        except (ConnectionError, ValueError, RuntimeError, TimeoutError) as error:
+            raise ValueError(f"--ray {address}: {str(error).strip().splitlines()[0]}") from None
+        if not self._count_slots():
+            ray.shutdown()
+            needed = f"{settings.threads} cores and {self._memory / 2**30:.1f} GB of memory"
+            raise ValueError(f"--ray {address}: no computer in the cluster has {needed}")
+        # One retry policy for all drivers: that of `run.py`, not Ray's.
+        environment = {"env_vars": _limit_threads(settings.threads)}
+        self._task = ray.remote(num_cpus=settings.threads, memory=self._memory, max_retries=0, runtime_env=environment)(
+            process_recording
+        )
+        self._futures: set[Any] = set()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        tasks = [future.object_ref for future in self._futures if not future.done()]
+        for task in tasks:
+            self._ray.cancel(task, force=False)
+        if tasks:
+            self._ray.wait(tasks, num_returns=len(tasks), timeout=RELEASE_TIMEOUT_S)
+        self._ray.shutdown()
+
+    def _count_slots(self) -> int:
+        """Return how many recordings the cluster can currently process in parallel."""
+        alive = [node["Resources"] for node in self._ray.nodes() if node["Alive"]]
+        cores, memory = self._settings.threads, self._memory
+        return sum(min(int(node.get("CPU", 0)) // cores, int(node.get("memory", 0)) // memory) for node in alive)
+
+    def capacity(self) -> int:
+        return max(TASKS_PER_SLOT * self._count_slots(), 1)
+
+    def submit(self, recording: Recording) -> Future[Summary]:
+        future: Future[Summary] = self._task.remote(recording, self._settings).future()
+        self._futures = {other for other in self._futures if not other.done()} | {future}
+        return future
+
+    def describe_death(self, error: BaseException | None) -> str:
+        name = type(error).__name__
+        return DEATHS.get(name, f"the worker died ({name})")

@@ -1,162 +1,179 @@
-"""Common interface to folders and object stores: files by their paths below a location."""
+"""Folders and object stores: files by their names below a location."""
 
 from __future__ import annotations
 
 import os
 import re
+import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
-from typing import Any
+from pathlib import Path, PurePath
+from typing import Any, NamedTuple
 
-import obstore
-from obstore.exceptions import (
-    AlreadyExistsError,
-    BaseError,
-    PermissionDeniedError,
-    PreconditionError,
-    UnauthenticatedError,
-)
-from obstore.store import LocalStore, MemoryStore, from_url
+from sylpose.atomic_io import replace_atomically
 
-__all__ = ["Store", "StoredFile", "is_url", "open_store", "resolve_location"]
+__all__ = [
+    "ObjectStore",
+    "Store",
+    "StoredFile",
+    "is_inside",
+    "is_url",
+    "open_store",
+    "resolve_location",
+    "split_location",
+]
 
 
-@dataclass(frozen=True)
-class StoredFile:
+class StoredFile(NamedTuple):
     """A file below a location.
 
     Attributes:
         name: path below the location, with "/".
         size: in bytes.
         tag: changes with the content: an object store's etag, a file's modification time.
+        modified: when it was written, seconds since 1970.
     """
 
     name: str
     size: int
     tag: str
+    modified: float
 
 
 @dataclass(frozen=True)
 class Store:
-    """A folder, or a prefix of an object store; picklable.
-
-    All methods raise OSError with a message that names the unreadable or unwritable file.
+    """A folder; `ObjectStore` has the same methods. All raise OSError that names the file.
 
     Attributes:
-        url: `s3://bucket/prefix` and the like; the absolute path of a folder.
+        url: the absolute path of a folder; `s3://bucket/prefix` and the like.
     """
 
     url: str
 
-    @property
-    def folder(self) -> Path | None:
-        """Path of the folder; None in object stores."""
-        return None if is_url(self.url) else Path(self.url)
-
     def join(self, name: str) -> Store:
-        return Store(f"{self.url.rstrip('/')}/{name}")
+        return Store(os.path.normpath(Path(self.url, name)))
 
     def read(self, name: str) -> bytes | None:
         """Read a file; None if it does not exist."""
-        with self._describe_errors("read", name):
-            try:
-                return bytes(obstore.get(*self._locate(name)).bytes())
-            except FileNotFoundError:
-                return None
+        with suppress(FileNotFoundError, NotADirectoryError):
+            return Path(self.url, name).read_bytes()
+        return None
 
     def write(self, name: str, content: bytes | Path) -> None:
         """Write a file atomically, replacing an existing one."""
-        with self._describe_errors("write", name):
-            obstore.put(*self._locate(name), content)
+        with replace_atomically(Path(self.url, name)) as path:
+            if isinstance(content, bytes):
+                path.write_bytes(content)
+            else:
+                shutil.copyfile(content, path)
 
     def create(self, name: str, content: bytes) -> bool:
         """Create a file; False if it exists. Of several concurrent attempts only one succeeds."""
-        with self._describe_errors("write", name):
-            try:
-                obstore.put(*self._locate(name), content, mode="create")
-            except (AlreadyExistsError, PreconditionError):
-                return False
+        path = Path(self.url, name)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with suppress(FileExistsError), path.open("xb") as file:
+            file.write(content)
             return True
+        return False
 
     def remove(self, name: str) -> None:
         """Remove a file, if it exists."""
-        with self._describe_errors("remove", name):
-            try:
-                obstore.delete(*self._locate(name))
-            except FileNotFoundError:
-                return
+        Path(self.url, name).unlink(missing_ok=True)
+
+    def files(self) -> list[StoredFile]:
+        """Return all files below this location, sorted by name; links are followed, hidden files skipped."""
+        found, visited = [], set[str]()
+        for where, folders, names in os.walk(self.url, followlinks=True):
+            if os.path.realpath(where) in visited:  # circular links
+                folders.clear()
+                continue
+            visited.add(os.path.realpath(where))
+            folders[:] = [name for name in folders if not name.startswith(".")]
+            for path in (Path(where, name) for name in names if not name.startswith(".")):
+                if path.is_file():
+                    name, stat = path.relative_to(self.url).as_posix(), path.stat()
+                    found.append(StoredFile(name, stat.st_size, str(stat.st_mtime_ns), stat.st_mtime))
+        return sorted(found)
+
+
+class ObjectStore(Store):
+    """A prefix of an object store, by obstore."""
+
+    def join(self, name: str) -> Store:
+        return ObjectStore(f"{self.url}/{name}")
+
+    def read(self, name: str) -> bytes | None:
+        with self._errors("read", name) as (client, path), suppress(FileNotFoundError):
+            return bytes(client.get(path).bytes())
+        return None
+
+    def write(self, name: str, content: bytes | Path) -> None:
+        with self._errors("write", name) as (client, path):
+            client.put(path, content)
+
+    def create(self, name: str, content: bytes) -> bool:
+        from obstore.exceptions import AlreadyExistsError, PreconditionError
+
+        with self._errors("write", name) as (client, path), suppress(AlreadyExistsError, PreconditionError):
+            client.put(path, content, mode="create")
+            return True
+        return False
+
+    def remove(self, name: str) -> None:
+        with self._errors("remove", name) as (client, path), suppress(FileNotFoundError):
+            client.delete(path)
 
     def fetch(self, name: str, target: Path) -> None:
         """Copy a file to a local path."""
         target.parent.mkdir(parents=True, exist_ok=True)
-        with self._describe_errors("read", name), target.open("wb") as file:
-            for part in obstore.get(*self._locate(name)).stream():
+        with self._errors("read", name) as (client, path), target.open("wb") as file:
+            for part in client.get(path).stream():
                 file.write(bytes(part))
 
-    def names(self) -> list[str]:
-        """Return the names of the files directly in this location, sorted; empty if it does not exist."""
-        with self._describe_errors("list"):
-            store, prefix = self._locate("")
-            found = obstore.list_with_delimiter(store, prefix or None)["objects"]
-            return sorted(entry["path"].rpartition("/")[2] for entry in found)
-
     def files(self) -> list[StoredFile]:
-        """Return all files below this location, sorted by name; links are followed, hidden files skipped."""
-        with self._describe_errors("list"):
-            found = list(_walk(Path(self.url)) if self.folder is not None else self._list_objects())
-        return sorted(found, key=lambda file: file.name)
-
-    def _list_objects(self) -> Iterator[StoredFile]:
-        store, prefix = self._locate("")
-        for entries in obstore.list(store, prefix or None):
-            for entry in entries:
-                name = entry["path"][len(prefix) :].lstrip("/")
-                if name and not _is_hidden(name):
-                    yield StoredFile(name, entry["size"], str(entry["e_tag"] or entry["last_modified"].isoformat()))
-
-    def _locate(self, name: str) -> tuple[Any, str]:
-        """Return the store, and a file's path in it."""
-        if not is_url(self.url):
-            return _folder_store(), _relative_to_root(f"{self.url.rstrip('/')}/{name}")
-        root, path = _split_url(self.url)
-        return _store(root), "/".join(part for part in (path, name) if part)
+        with self._errors("list") as (client, prefix):
+            entries = client.list(prefix or None).collect()
+        found = []
+        for entry in entries:
+            name, modified = entry["path"][len(prefix) :].lstrip("/"), entry["last_modified"]
+            if name and not any(part.startswith(".") for part in name.split("/")):
+                tag = str(entry["e_tag"] or modified.isoformat())
+                found.append(StoredFile(name, entry["size"], tag, modified.timestamp()))
+        return sorted(found)
 
     @contextmanager
-    def _describe_errors(self, action: str, name: str = "") -> Iterator[None]:
-        where = f"{self.url}/{name}".rstrip("/")
+    def _errors(self, action: str, name: str = "") -> Iterator[tuple[Any, str]]:
+        """Yield the client of the bucket and a file's path in it; describe errors."""
+        from obstore.exceptions import BaseError
+
+        root, path = re.fullmatch("([^/]+//[^/]*)/?(.*)", f"{self.url}/{name}".rstrip("/"), re.DOTALL).groups()  # type: ignore[union-attr]
         try:
-            yield
+            yield _connect(root), path
         except FileNotFoundError:
-            raise FileNotFoundError(f"cannot {action} {where}: no such file") from None
-        except NotImplementedError:
-            raise OSError(f"cannot {action} {where}: this kind of store does not support it") from None
-        except (PermissionDeniedError, UnauthenticatedError) as error:
-            raise PermissionError(f"cannot {action} {where}: {_first_line(error)}") from None
-        except BaseError as error:
-            kind = PermissionError if "os error 13" in str(error) else OSError
-            raise kind(f"cannot {action} {where}: {_first_line(error)}") from None
+            raise FileNotFoundError(f"cannot {action} {root}/{path}: no such file") from None
+        except (BaseError, NotImplementedError) as error:
+            raise OSError(f"cannot {action} {root}/{path}: {_first_line(error)}") from None
 
 
 def open_store(location: str | Path) -> Store:
     """Return the store of a URL or of a folder's path.
 
     Raises:
-        ValueError: an unsupported URL.
+        ValueError: an unsupported URL, or obstore is not installed.
     """
-    text = str(location)
+    text = str(location).removeprefix("file://") or "/"
     if not is_url(text):
         return Store(Path(text).expanduser().absolute().as_posix())
     text = text.rstrip("/")
-    if text.startswith("file://"):
-        return Store(text.removeprefix("file://") or "/")
     try:
-        _store(_split_url(text)[0])
-    except BaseError as error:
+        _connect("/".join(text.split("/")[:3]))
+    except ImportError:
+        raise ValueError(f"{text}: object stores need obstore: python3 -m pip install 'sylpose[archive]'") from None
+    except Exception as error:  # obstore's errors have no common class with those of a wrong address
         raise ValueError(f"{text}: {_first_line(error)}") from None
-    return Store(text)
+    return ObjectStore(text)
 
 
 def is_url(location: str) -> bool:
@@ -164,53 +181,29 @@ def is_url(location: str) -> bool:
     return re.match(r"[A-Za-z][\w+.-]+://", location) is not None
 
 
+def is_inside(name: str) -> bool:
+    """Return whether a file's name below a folder cannot lead out of it."""
+    return not PurePath(name).is_absolute() and ".." not in PurePath(name).parts
+
+
 def resolve_location(location: str, base: Store) -> Store:
     """Resolve a location in a manifest in `base`: a URL, an absolute path, or a path relative to `base`."""
-    if is_url(location) or Path(location).expanduser().is_absolute():
-        return open_store(location)
-    return base.join(location) if base.folder is None else open_store(os.path.normpath(base.folder / location))
+    is_absolute = is_url(location) or Path(location).expanduser().is_absolute()
+    return open_store(location) if is_absolute else base.join(location)
 
 
-def _split_url(url: str) -> tuple[str, str]:
-    """Split a URL into its root, such as `s3://bucket`, and the path in it."""
-    scheme, _, rest = url.partition("://")
-    host, _, path = rest.partition("/")
-    return f"{scheme}://{host}", path
+def split_location(location: str) -> tuple[Store, str]:
+    """Return the store that contains a file, and its name there."""
+    folder, _, name = open_store(location).url.rpartition("/")
+    return open_store(folder or "/"), name
 
 
 @cache
-def _store(root: str) -> Any:
+def _connect(root: str) -> Any:
+    from obstore.store import MemoryStore, from_url
+
     # In-memory stores exist in this process only: for tests.
     return MemoryStore() if root.startswith("memory://") else from_url(root)
-
-
-@cache
-def _folder_store() -> Any:
-    return LocalStore()
-
-
-def _relative_to_root(path: str) -> str:
-    return Path(path).as_posix().lstrip("/")
-
-
-def _walk(folder: Path) -> Iterator[StoredFile]:
-    visited: set[str] = set()
-    for where, folders, names in os.walk(folder, followlinks=True):
-        real = os.path.realpath(where)
-        if real in visited:  # circular links
-            folders.clear()
-            continue
-        visited.add(real)
-        folders[:] = sorted(name for name in folders if not name.startswith("."))
-        for name in names:
-            path = Path(where, name)
-            if not name.startswith(".") and path.is_file():
-                stat = path.stat()
-                yield StoredFile(path.relative_to(folder).as_posix(), stat.st_size, str(stat.st_mtime_ns))
-
-
-def _is_hidden(name: str) -> bool:
-    return any(part.startswith(".") for part in name.split("/"))
 
 
 def _first_line(error: Exception) -> str:

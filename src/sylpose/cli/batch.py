@@ -113,8 +113,7 @@ def batch(
     """Track all recordings below folders or object-store URLs, or in manifests, each as with sylpose track.
 
     Repeating the command skips finished recordings; a failed recording does not stop the others. DEST gets one folder
-    per recording and summary.csv (summary.parquet if PyArrow is installed). Exit code 0: all done; 1: some failed; 2:
-    wrong input.
+    per recording and summary.csv. Exit code 0: all done; 1: some failed; 2: wrong input.
     """
     if not out:
         raise ValueError("--out DEST is missing: the folder or URL for the results")
@@ -126,10 +125,11 @@ def batch(
         raise ValueError(f"--stop must be greater than --start ({start}), got {stop}")
     resolve_features(method, features)
 
-    from sylpose.archive.batch_command import run_batch_command, run_status_command
+    from sylpose.archive.batch_command import BatchWorkers, run_batch_command, run_status_command
     from sylpose.archive.contract import RunSettings
     from sylpose.archive.recordings import TrackingOptions, find_recordings
     from sylpose.archive.stores import open_store
+    from sylpose.archive.worker import track_recording
 
     destination = open_store(out)
     found = None
@@ -149,10 +149,10 @@ def batch(
         )
         found = find_recordings(source, options, calibration, destination)
     if status or found is None:
-        run_status_command(destination, None if found is None else found.recordings)
+        run_status_command(destination, None if found is None else found[0])
         return
-    settings = RunSettings(run="", threads=threads, scratch=scratch, retry_failed=retry_failed)
-    size = None if memory is None else int(memory * 2**30)
-    rows = run_batch_command(found, destination, settings, jobs=jobs, ray=ray, shard=shard, memory=size)
-    if failed := sum(row.status != "done" for row in rows):
-        exit_with_failures([f"{failed} of {len(rows)} recordings without a trajectory"])
+    settings = RunSettings(destination, track_recording, threads=threads, scratch=scratch, retry_failed=retry_failed)
+    workers = BatchWorkers(jobs, ray, shard, None if memory is None else int(memory * 2**30))
+    summaries = run_batch_command(*found, settings, workers)
+    if failed := sum(summary.status != "done" for summary in summaries.values()):
+        exit_with_failures([f"{failed} of {len(summaries)} recordings without a trajectory"])
