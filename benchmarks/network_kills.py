@@ -56,7 +56,7 @@ def kills(n: int, cameras: int = 4, seed: int = 0) -> str:
                     _kill_and_restart(nodes, names, names[rng.integers(cameras)], rng.uniform(0.0, MAX_DOWNTIME_S))
                 )
                 print(kill_results[-1], file=sys.stderr, flush=True)
-        import_times = [_time_python("import sylpose.commands.node") for _ in range(3)]
+        import_times = [_time_python("import sylpose.network.node, sylpose.network.zenoh_transport") for _ in range(3)]
         start_times = [_time_python("pass") for _ in range(3)]
     pose_times = [k.seconds_to_pose for k in kill_results if k.seconds_to_pose is not None]
     pauses, listen_times = [k.max_pause for k in kill_results], [k.seconds_to_listen for k in kill_results]

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from sylpose.commands.network_demo import build_node_command
+from sylpose.commands.network import build_node_command
 from sylpose.methods import MODES
 from sylpose.network.zenoh_transport import LOOPBACK, LinkSettings, watch_network
 from sylpose.simulate import make_demo_scene, render_frames

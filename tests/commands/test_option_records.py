@@ -9,7 +9,8 @@ from typing import Annotated
 import pytest
 import typer
 
-from sylpose.commands.app import command, pick
+from sylpose.commands.app import app, command, option, pick
+from sylpose.commands.main import main
 from sylpose.commands.options import MethodOptions, RecordingOptions
 
 group = typer.Typer(rich_markup_mode=None)
@@ -18,9 +19,16 @@ received: list[ProbeOptions] = []
 
 @dataclass(frozen=True, kw_only=True)
 class ProbeOptions(MethodOptions, RecordingOptions):
+    """Options of the probe.
+
+    Attributes:
+        exact: Switch, described in the docstring over more than one line, which Click wraps again to the width of
+            the terminal.
+    """
+
     point: Annotated[tuple[float, float] | None, typer.Option(metavar="X Y", help="Set a point.")] = None
     count: Annotated[int, typer.Option(min=1, max=9, help="Set a number.")] = 2
-    exact: Annotated[bool, typer.Option("--exact", help="Switch.")] = False
+    exact: Annotated[bool, option("--exact")] = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -92,14 +100,25 @@ def test_pick_returns_the_shared_options() -> None:
     )
 
 
+def test_every_option_has_a_help() -> None:
+    main(["--version"])  # registers the commands
+    commands = [typer.main.get_command(app)]
+    for found in commands:
+        commands += getattr(found, "commands", {}).values()
+        for parameter in found.params:
+            assert getattr(parameter, "help", None), f"{found.name} {parameter.name}"
+    assert len(commands) > 20
+
+
 def test_help_lists_inherited_options_and_notes(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("--help") == 0
-    text = capsys.readouterr().out
+    text = " ".join(capsys.readouterr().out.split())
     for words in (
         "Receive options.",
         "--exclude-camera CAM",
         "--count",
         "[default: 2",
+        "--exact Switch, described in the docstring over more than one line, which Click wraps again",
         "Note.",
         "sylpose probe recording",
     ):

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from sylpose.commands.main import main
-from sylpose.commands.network_demo import build_node_command
+from sylpose.commands.network import build_node_command
 from sylpose.io import calibration
 from sylpose.io.capture import open_session
 from sylpose.network.keys import make_keys

@@ -12,8 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sylpose.commands import node
-from sylpose.commands.node_view import _parse_pose
+from sylpose.commands.node import NodesOptions, _parse_pose, nodes
 from sylpose.network.keys import OBSERVER, build_access_rules, build_tls_settings, make_keys
 from sylpose.network.zenoh_transport import MAX_LINE_BYTES, LinkSettings, NodeAddress, check_name, decode_line
 
@@ -100,8 +99,8 @@ def test_untrusted_text_is_sanitized_for_terminal(
             on_state("0" * 16, "cam_0", line)
         return SimpleNamespace(close=lambda: None)
 
-    monkeypatch.setattr(node, "watch_network", watched)
-    assert node.run_nodes_command("lab", LinkSettings(), 0.0)
+    monkeypatch.setattr("sylpose.network.zenoh_transport.watch_network", watched)
+    nodes(NodesOptions(network="lab", seconds=0.1))
     message = capsys.readouterr().out
     assert "well" in message
     assert not {"\x1b", "\x07", "\r", "\u202e"} & set(message)

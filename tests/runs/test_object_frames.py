@@ -15,12 +15,12 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.boards.specification import parse_board
 from sylpose.commands.main import main
-from sylpose.commands.objects import change_object_frame
 from sylpose.io.capture import open_session
 from sylpose.io.object_files import CLOUD_FILE, OBJECT_FILE, load_object, save_object
 from sylpose.report.files import read_trajectory, write_trajectory
 from sylpose.results import FramePose, FrameStatus, Observability, Trajectory
 from sylpose.rig import Rig
+from sylpose.runs.object_frames import change_object_frame
 from sylpose.runs.run import track_session
 from sylpose.runs.run_metadata import USED_CALIBRATION
 from sylpose.simulate import Actor, Recording, Scene, chamfered_box, write_recording

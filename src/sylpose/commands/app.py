@@ -10,8 +10,9 @@ import functools
 import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import MISSING, dataclass, fields
-from inspect import Parameter, Signature
+from inspect import Parameter, Signature, cleandoc
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, NoReturn, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -104,7 +105,9 @@ class GroupedCommand(TyperCommand):
 
 @dataclass(frozen=True, kw_only=True)
 class CommandOptions:
-    """Options of a command; each field is `Annotated` with its `typer.Option` or `typer.Argument`.
+    """Options of a command; each field is `Annotated` with its `option` or `typer.Argument`.
+
+    The help of an option is its text in the "Attributes" of the record's docstring.
 
     Commands that are called from Python accept text for paths, sequences for tuples and integers for floats.
 
@@ -123,9 +126,20 @@ class CommandOptions:
             object.__setattr__(self, name, converted)
 
 
+@functools.cache
 def _resolve_hints(record: type[CommandOptions]) -> dict[str, Any]:
-    hints = get_type_hints(record, include_extras=True)
-    return {field.name: hints[field.name] for field in fields(record)}
+    """Return the annotation of each field, with its help from the docstrings of the record and its bases."""
+    hints, texts, found = get_type_hints(record, include_extras=True), dict[str, str](), dict[str, Any]()
+    for base in reversed(record.__mro__):
+        section = cleandoc(base.__doc__ or "").partition("\nAttributes:\n")[2]
+        texts |= re.findall(r"^    (\w+): (.+(?:\n {8}.+)*)", section, re.M)
+    for field in fields(record):
+        kind, info = get_args(hints[field.name])
+        if text := texts.get(field.name):
+            info = copy(info)
+            info.help = " ".join(text.split())
+        found[field.name] = Annotated[kind, info]  # type: ignore[valid-type]
+    return found
 
 
 def _convert_value(hint: Any, value: Any, name: str) -> Any:
@@ -266,13 +280,13 @@ def format_error(error: ValueError | OSError) -> str:
     return str(error) or type(error).__name__
 
 
-def option(words: str, section: str | None, text: str, **more: Any) -> Any:
+def option(words: str, section: str | None = None, text: str | None = None, **more: Any) -> Any:
     """Describe an option of a command.
 
     Args:
         words: its names and its metavar, "--boxes FILE".
         section: its section of `--help`; None for "Options".
-        text: its help.
+        text: its help; None for that in the docstring of its record.
         more: further arguments of `typer.Option`: min, max, callback, show_default.
     """
     names = [word for word in words.split() if word.startswith("-")]

@@ -17,13 +17,16 @@ POLL_INTERVAL = 0.2
 
 @dataclass(frozen=True, kw_only=True)
 class BoxOptions(PageOptions, RecordingOptions):
-    """Options of `sylpose box`."""
+    """Options of `sylpose box`.
 
-    out: Annotated[Path | None, option("--out FILE", OUTPUT, "Write the boxes here; default: SESSION/boxes.toml.")] = (
-        None
-    )
+    Attributes:
+        out: Write the boxes here; default: SESSION/boxes.toml.
+        start: Draw in this frame, the first to track.
+    """
+
+    out: Annotated[Path | None, option("--out FILE", OUTPUT)] = None
     frame_offset: FrameOffset = ()
-    start: Annotated[int, option("--start N", INPUT, "Draw in this frame, the first to track.")] = 0
+    start: Annotated[int, option("--start N", INPUT)] = 0
 
 
 @command(

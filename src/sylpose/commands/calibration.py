@@ -25,39 +25,25 @@ app.add_typer(calibration_app, name="calibration")
 
 @dataclass(frozen=True, kw_only=True)
 class ConvertOptions(WorldOptions):
-    """Options of `sylpose calibration convert`."""
+    """Options of `sylpose calibration convert`.
 
-    source: Annotated[
-        Path, typer.Argument(metavar="IN", help="Calibration file or folder in any format that sylpose reads.")
-    ]
-    target: Annotated[
-        Path,
-        typer.Argument(
-            metavar="OUT",
-            help="Output: .toml (sylpose), .yml, .json or .xml (OpenCV), camchain.yaml (Kalibr), or a folder (COLMAP).",
-        ),
-    ]
-    to: Annotated[
-        str | None, option(f"--to {'|'.join(OUTPUT_FORMATS)}", OUTPUT, "Set the format of OUT; default: from its name.")
-    ] = None
-    unit: Annotated[
-        str | None, option(f"--unit {'|'.join(METERS)}", OUTPUT, "Set the length unit of OUT; default: that of IN.")
-    ] = None
-    is_in: Annotated[
-        str | None, option(f"--is-in {'|'.join(METERS)}", INPUT, "Set the length unit of IN if the file has none.")
-    ] = None
-    only: Annotated[
-        tuple[str, ...],
-        option("--only CAM", OUTPUT, "Write only this camera; repeat for more, in this order. Default: all."),
-    ] = ()
-    size: Annotated[
-        tuple[str, ...],
-        option(
-            "--size [CAM=]WIDTHxHEIGHT",
-            INPUT,
-            "Set the image size of all cameras or of one if IN does not contain it. Repeatable.",
-        ),
-    ] = ()
+    Attributes:
+        source: Calibration file or folder in any format that sylpose reads.
+        target: Output: .toml (sylpose), .yml, .json or .xml (OpenCV), camchain.yaml (Kalibr), or a folder (COLMAP).
+        to: Set the format of OUT; default: from its name.
+        unit: Set the length unit of OUT; default: that of IN.
+        is_in: Set the length unit of IN if the file has none.
+        only: Write only this camera; repeat for more, in this order. Default: all.
+        size: Set the image size of all cameras or of one if IN does not contain it. Repeatable.
+    """
+
+    source: Annotated[Path, typer.Argument(metavar="IN")]
+    target: Annotated[Path, typer.Argument(metavar="OUT")]
+    to: Annotated[str | None, option(f"--to {'|'.join(OUTPUT_FORMATS)}", OUTPUT)] = None
+    unit: Annotated[str | None, option(f"--unit {'|'.join(METERS)}", OUTPUT)] = None
+    is_in: Annotated[str | None, option(f"--is-in {'|'.join(METERS)}", INPUT)] = None
+    only: Annotated[tuple[str, ...], option("--only CAM", OUTPUT)] = ()
+    size: Annotated[tuple[str, ...], option("--size [CAM=]WIDTHxHEIGHT", INPUT)] = ()
 
 
 @command(

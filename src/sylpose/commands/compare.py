@@ -29,28 +29,24 @@ ROUNDING_ERROR = 1e-9
 
 @dataclass(frozen=True, kw_only=True)
 class CompareOptions(CommandOptions):
-    """Options of `sylpose compare`."""
+    """Options of `sylpose compare`.
 
-    a: Annotated[
-        Path, typer.Argument(metavar="A", help="Trajectory: a folder of sylpose track, a trajectory.csv or a .tum.")
-    ]
-    b: Annotated[Path, typer.Argument(metavar="B", help="Reference trajectory, in the same formats.")]
-    align: Annotated[
-        str,
-        option(
-            f"--align {'|'.join(ALIGNMENTS)}",
-            None,
-            "Align A to B before comparing. first: the object's frame (motion since the first common pose); none; se3, "
-            "sim3: the world frame, rigidly or with scale, fitted to positions; both: the world and the object's frame.",
-            callback=make_choice_check(ALIGNMENTS),
-        ),
-    ] = "first"
-    step: Annotated[int, option("--step N", None, "Compute relative errors over N poses.")] = 1
-    within: Annotated[
-        float | None,
-        option("--within SEC", None, "Match poses within this time difference; default: half of B's smallest step."),
-    ] = None
-    out: Annotated[Path, option("--out DIR", OUTPUT, "Write compare.json and compare.png here.")] = Path()
+    Attributes:
+        a: Trajectory: a folder of sylpose track, a trajectory.csv or a .tum.
+        b: Reference trajectory, in the same formats.
+        align: Align A to B before comparing. first: the object's frame (motion since the first common pose); none; se3,
+            sim3: the world frame, rigidly or with scale, fitted to positions; both: the world and the object's frame.
+        step: Compute relative errors over N poses.
+        within: Match poses within this time difference; default: half of B's smallest step.
+        out: Write compare.json and compare.png here.
+    """
+
+    a: Annotated[Path, typer.Argument(metavar="A")]
+    b: Annotated[Path, typer.Argument(metavar="B")]
+    align: Annotated[str, option(f"--align {'|'.join(ALIGNMENTS)}", callback=make_choice_check(ALIGNMENTS))] = "first"
+    step: Annotated[int, option("--step N")] = 1
+    within: Annotated[float | None, option("--within SEC")] = None
+    out: Annotated[Path, option("--out DIR", OUTPUT)] = Path()
     plot_format: PlotFormat = "png"
 
 

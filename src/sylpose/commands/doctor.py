@@ -14,12 +14,15 @@ LABEL_WIDTH = 14
 
 @dataclass(frozen=True, kw_only=True)
 class DoctorOptions(CommandOptions):
-    """Options of `sylpose doctor`."""
+    """Options of `sylpose doctor`.
 
-    json: Annotated[bool, option("--json", None, "Print one JSON object, for programs and bug reports.")] = False
-    compile: Annotated[
-        bool, option("--compile", None, "Compile the tracking kernels now, to save the time in the first run.")
-    ] = False
+    Attributes:
+        json: Print one JSON object, for programs and bug reports.
+        compile: Compile the tracking kernels now, to save the time in the first run.
+    """
+
+    json: Annotated[bool, option("--json")] = False
+    compile: Annotated[bool, option("--compile")] = False
 
 
 @command("Check the installation.", "sylpose doctor", "sylpose doctor --json", "sylpose doctor --compile")

@@ -22,14 +22,17 @@ INDEX = f"{PREFIX}index.md"
 
 @dataclass(frozen=True, kw_only=True)
 class ExperimentsOptions(CommandOptions):
-    """Options of `sylpose experiments`."""
+    """Options of `sylpose experiments`.
 
-    out: Annotated[Path, option("--out DIR", None, "Write tables and figures here.")] = Path("sylpose_experiments")
-    only: Annotated[
-        tuple[str, ...],
-        option("--only STUDY", None, "Run only this study. Repeatable; an unknown name lists them."),
-    ] = ()
-    quick: Annotated[bool, option("--quick", None, "Use few trials: half a minute instead of five.")] = False
+    Attributes:
+        out: Write tables and figures here.
+        only: Run only this study. Repeatable; an unknown name lists them.
+        quick: Use few trials: half a minute instead of five.
+    """
+
+    out: Annotated[Path, option("--out DIR")] = Path("sylpose_experiments")
+    only: Annotated[tuple[str, ...], option("--only STUDY")] = ()
+    quick: Annotated[bool, option("--quick")] = False
     seed: Seed = 0
 
     def __post_init__(self) -> None:

@@ -15,17 +15,20 @@ __all__ = ["ExportOptions", "export"]
 
 @dataclass(frozen=True, kw_only=True)
 class ExportOptions(CommandOptions):
-    """Options of `sylpose export`."""
+    """Options of `sylpose export`.
+
+    Attributes:
+        out: Write this file; for rosbag, this folder.
+        to: Set the format; default: from FILE's name.
+        name: Set the object's name in FILE; default: its own.
+        start: Start at this frame; default: RESULT's first.
+    """
 
     result: ResultPath
-    out: Annotated[Path, option("--out FILE", OUTPUT, "Write this file; for rosbag, this folder.")]
-    to: Annotated[
-        str | None, option(f"--to {'|'.join(EXPORT_FORMATS)}", OUTPUT, "Set the format; default: from FILE's name.")
-    ] = None
-    name: Annotated[str | None, option("--name NAME", OUTPUT, "Set the object's name in FILE; default: its own.")] = (
-        None
-    )
-    start: Annotated[int | None, option("--start N", INPUT, "Start at this frame; default: RESULT's first.")] = None
+    out: Annotated[Path, option("--out FILE", OUTPUT)]
+    to: Annotated[str | None, option(f"--to {'|'.join(EXPORT_FORMATS)}", OUTPUT)] = None
+    name: Annotated[str | None, option("--name NAME", OUTPUT)] = None
+    start: Annotated[int | None, option("--start N", INPUT)] = None
     stop: StopFrame = None
 
 

@@ -16,10 +16,8 @@ from sylpose.commands.app import app
 from sylpose.cli import track, batch  # noqa: F401 # isort: skip
 from sylpose.commands import check, box, sync  # noqa: F401 # isort: skip
 from sylpose.cli import studies  # noqa: F401 # isort: skip
-from sylpose.commands import show, view, report, experiments, export, compare  # noqa: F401 # isort: skip
-from sylpose.cli import network  # noqa: F401 # isort: skip
-from sylpose.commands import calibration  # noqa: F401 # isort: skip
-from sylpose.cli import objects, poses  # noqa: F401 # isort: skip
+from sylpose.commands import show, view, report, experiments, export, compare, node, network, calibration, object  # noqa: F401 # isort: skip
+from sylpose.cli import poses  # noqa: F401 # isort: skip
 from sylpose.commands import doctor  # noqa: F401 # isort: skip
 
 __all__ = ["app", "main"]

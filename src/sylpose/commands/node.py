@@ -1,167 +1,218 @@
-"""`sylpose node` and `sylpose nodes`: a camera node of a network, and a list of the nodes."""
+"""`sylpose node` and `sylpose nodes`: a camera of a network, a view of it without images, and a list of the nodes."""
 
 from __future__ import annotations
 
 import json
-import os
-import signal
+import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
-from rich.console import Console
+import typer
 
-from sylpose import __version__
-from sylpose.commands.frame_source import LiveSource, RecordedSource
-from sylpose.frames import Box
-from sylpose.input_limits import to_one_line
-from sylpose.io import calibration as calibrations
-from sylpose.io.capture.boxes import load_boxes
-from sylpose.io.capture.sources import open_source
-from sylpose.network.membership import Membership, Request, Response
-from sylpose.network.node import Node, track_by_node
-from sylpose.network.rounds import Timeouts
-from sylpose.network.runner import TICK_SECONDS, NodeRunner
-from sylpose.network.wire_format import MAX_CAMERAS
-from sylpose.network.zenoh_transport import LinkSettings, NodeAddress, ZenohTransport, compute_rig_digest, watch_network
-from sylpose.report.files import TrajectoryWriter
-from sylpose.report.json_lines import format_pose_line
-from sylpose.results import FramePose
-from sylpose.rig import Rig
-from sylpose.runs import console_output
-from sylpose.tracking.tracked_frame import TrackedFrame
+from sylpose.commands.app import (
+    ADVANCED,
+    INPUT,
+    LIVE,
+    OBJECT,
+    OUTPUT,
+    CommandOptions,
+    command,
+    exit_with_failures,
+    make_choice_check,
+    option,
+)
+from sylpose.commands.options import MethodOptions, Seed
+from sylpose.methods import MODES
 
-__all__ = ["NodeOptions", "catch_interrupts", "run_node_command", "run_nodes_command"]
+if TYPE_CHECKING:
+    from scipy.spatial.transform import RigidTransform
+
+    from sylpose.frames import Box
+    from sylpose.network.membership import Membership
+    from sylpose.network.runner import NodeRunner
+    from sylpose.network.zenoh_transport import LinkSettings, ZenohTransport
+    from sylpose.results import FramePose
+    from sylpose.rig import Rig
+
+__all__ = ["NetworkOptions", "NodeOptions", "NodesOptions", "node", "nodes", "require_zenoh"]
 
 # Seconds between two status lines of a node (choice).
 REPORT_INTERVAL = 1.0
 # Apparent clock offsets above this, in seconds, exceed the delay of a local network (choice).
 MAX_CLOCK_OFFSET = 0.2
+# Longest text of another node that is printed, in characters (choice).
+MAX_TEXT_LENGTH = 40
+# A view: seconds without a pose after which tracking is considered ended, and largest wait for the first pose (choice).
+END_TIMEOUT, START_TIMEOUT = 5.0, 60.0
+# Numbers of a node's state that `sylpose nodes` prints, with their format.
+_COLUMNS = (("rate", ".1f"), ("latency_ms", ".0f"), ("bytes_per_frame", ".0f"), ("rounds_per_frame", ".1f"))
+_HEADER = ("node", "state", "with", "frames", "per s", "ms", "bytes/frame", "rounds/frame", "clock ms")
 
 
-@dataclass(frozen=True)
-class NodeOptions:
-    """Options of a node: see `sylpose node --help`."""
+@dataclass(frozen=True, kw_only=True)
+class NetworkOptions(CommandOptions):
+    """A network of nodes, and how to connect to it.
 
-    camera: str
-    calibration: Path
-    source: str
-    boxes: Path | None
-    out: Path | None
-    network: str
-    links: LinkSettings
-    rate: float | None
-    speed: float
-    wait: float
-    patience: float
-    method: str
-    features: str
-    mode: str
-    seed: int
+    Attributes:
+        network: Join the nodes with the same name and rig.
+        listen: Accept connections at this address; default: from this machine only.
+        connect: Connect to this node first. Repeatable.
+        keys: Use the node's keys from sylpose network init.
+    """
 
+    network: Annotated[str, option("--network NAME", LIVE)] = "sylpose"
+    listen: Annotated[str, option("--listen HOST:PORT", LIVE)] = "127.0.0.1:0"
+    connect: Annotated[tuple[str, ...], option("--connect HOST:PORT", LIVE)] = ()
+    keys: Annotated[Path | None, option("--keys DIR", LIVE)] = None
 
-@dataclass
-class _NodeProgress:
-    """Progress of a node, for its status lines."""
+    def links(self, **more: Any) -> LinkSettings:
+        """Return how to connect; check that the extra is installed."""
+        require_zenoh()
+        from sylpose.network.zenoh_transport import LinkSettings
 
-    frames: int = 0
-    poses: int = 0
-    last: FramePose | None = None
-    latency: float = 0.0
-    members: tuple[int, ...] = ()
+        return LinkSettings(self.listen, self.connect, self.keys, **more)
 
 
-def run_node_command(options: NodeOptions) -> bool:
-    """Run one camera's node in a network until its source ends or it is interrupted.
+@dataclass(frozen=True, kw_only=True)
+class NodeOptions(MethodOptions, NetworkOptions):
+    """Options of `sylpose node`.
 
-    Returns:
-        whether any pose was measured.
+    Attributes:
+        camera: The camera's name in the calibration.
+        calibration: Read the calibration of the whole rig, identical on all nodes.
+        source: Read the images from a camera (by number), a video, a stream or a folder.
+        boxes: Read the object's boxes in the first frame, identical on all nodes.
+        view: Run a node without images that writes the others' poses in this camera's frame.
+        out: Write the results here; default: ./sylpose_CAMERA.
+        multicast: Discover other nodes on the network of --listen.
+        rate: Set the frame rate, identical on all nodes.
+        speed: Set the playback speed of a recording: 2 is twice as fast, 0 as fast as possible.
+        wait: Wait for the other cameras before starting without them.
+        patience: Wait for a connected camera that makes no progress.
+        mode: Get the same result as one process (exact), or nearly the same in fewer rounds (compact).
+    """
+
+    camera: Annotated[str | None, typer.Argument(metavar="CAMERA")] = None
+    calibration: Annotated[Path | None, option("--calibration FILE", INPUT)] = None
+    source: Annotated[str | None, option("--source DEVICE|FILE|URL|FOLDER", INPUT)] = None
+    boxes: Annotated[Path | None, option("--boxes FILE", OBJECT)] = None
+    view: Annotated[str | None, option("--view CAMERA", OUTPUT)] = None
+    out: Annotated[Path | None, option("--out DIR", OUTPUT)] = None
+    multicast: Annotated[bool, option("--multicast/--no-multicast", LIVE)] = True
+    rate: Annotated[float | None, option("--rate HZ", INPUT, min=0.001)] = None
+    speed: Annotated[float, option("--speed X", INPUT, min=0)] = 1.0
+    wait: Annotated[float, option("--wait SEC", LIVE, min=0)] = 10.0
+    patience: Annotated[float, option("--patience SEC", LIVE, min=0.1)] = 10.0
+    mode: Annotated[str, option(f"--mode {'|'.join(MODES)}", ADVANCED, callback=make_choice_check(MODES))] = MODES[0]
+    seed: Seed = 0
+
+    def __post_init__(self) -> None:
+        """Check that the node has a camera with images, or is a view without them."""
+        super().__post_init__()
+        if self.calibration is None:
+            raise ValueError("--calibration FILE is required: the rig's, identical on all nodes")
+        if self.view is not None and (self.camera is not None or self.source is not None):
+            raise ValueError("--view runs a node without a camera: give no CAMERA and no --source with it")
+        if self.view is None and (self.camera is None or self.source is None):
+            raise ValueError("a node requires a camera and its images: give CAMERA and --source (or --view CAMERA)")
+
+
+@command(
+    "Run one camera as a node of a network.",
+    "sylpose node cam_0 --calibration rig.toml --source recording/cam_0.mp4 --boxes recording/boxes.toml",
+    "sylpose node cam_2 --calibration rig.toml --source 0 --rate 30 --listen 192.168.1.12:7447 --keys keys",
+    "sylpose node --view top --calibration virtual.toml",
+)
+def node(options: NodeOptions) -> None:
+    """Run one camera of a rig as a node that estimates the pose jointly with the other cameras.
+
+    A node reads only its own images. All nodes get the same poses, equal to those of one computer with all images;
+    nodes may join late or rejoin. Writes CAMERA.tum and CAMERA.csv into OUT and publishes each pose (docs/network.md).
+    """
+    if options.view is not None:
+        _view_network(options, options.view)
+    else:
+        _run_node(options, options.camera or "", options.source or "")
+
+
+def _run_node(options: NodeOptions, camera: str, source_name: str) -> None:
+    """Run one camera's node until its source ends or it is interrupted.
 
     Raises:
         ValueError, OSError: the calibration lacks the camera, the source cannot be read, or the name is in use.
         KeyboardInterrupt: stopped by a signal, after all files are complete.
     """
-    rig = calibrations.load(options.calibration)
-    c = _camera_index(rig, options.camera, options.calibration)
+    from sylpose import __version__
+    from sylpose.io import calibration as calibrations
+    from sylpose.network.membership import Membership, Request, Response
+    from sylpose.network.node import Node, track_by_node
+    from sylpose.network.rounds import Timeouts
+    from sylpose.network.runner import TICK_SECONDS, NodeRunner
+    from sylpose.network.zenoh_transport import NodeAddress, ZenohTransport, compute_rig_digest
+    from sylpose.report.files import TrajectoryWriter
+    from sylpose.report.json_lines import format_pose_line
+    from sylpose.runs import console_output
+    from sylpose.runs.frame_source import open_node_source
+
+    calibration = options.calibration or Path()
+    rig = calibrations.load(calibration)
+    if camera not in rig.names:
+        raise ValueError(f"{calibration}: no camera {camera!r} in it ({', '.join(rig.names)})")
+    links, c = options.links(multicast=options.multicast, names=rig.names), rig.names.index(camera)
     boxes = _read_boxes(options.boxes, rig)
-    source = _open_source(options, rig, c)
-    console = console_output.make_console()
-    place = NodeAddress(
-        options.camera, compute_rig_digest(rig, _format_shared_options(options, boxes)), options.network
-    )
-    progress = _NodeProgress()
-    present = Membership(
-        c,
-        len(rig),
-        incarnation=time.time_ns() & 0xFFFFFFFF,
-        wait=round(options.wait / TICK_SECONDS),
-        timeouts=Timeouts(round(1.0 / TICK_SECONDS), round(options.patience / TICK_SECONDS)),
-    )
-    folder = options.out if options.out is not None else Path(f"sylpose_{options.camera}")
-    refused: dict[int, str] = {}
+    source = open_node_source(source_name, c, rig.cameras[c], options.rate, options.speed)
+    # Options that must be the same at all nodes.
+    shared = (__version__, options.method, options.features, options.mode, options.seed, options.rate)
+    digest = compute_rig_digest(rig, repr((*shared, sorted((boxes or {}).items()))))
+    timeouts = Timeouts(round(1.0 / TICK_SECONDS), round(options.patience / TICK_SECONDS))
+    wait = round(options.wait / TICK_SECONDS)
+    present = Membership(c, len(rig), incarnation=time.time_ns() & 0xFFFFFFFF, wait=wait, timeouts=timeouts)
 
     def work(request: Callable[[Request, int], Response]) -> None:
         node = Node(c, len(rig), request, options.mode)
-        node.refused = refused
-        for tracked in _track_timed(node, rig, source, boxes, options, progress):
-            progress.members, progress.last = node.members, tracked.pose
-            progress.frames += 1
-            progress.poses += tracked.pose.is_measured
-            writer.write(tracked.pose)
-            members = [rig.names[i] for i in node.members]
-            by_name = _refusals_by_name(rig, refused, runner, wire)
+        node.refused = status.refused
+        run = partial(track_by_node, method=options.method, features=options.features, seed=options.seed)
+        for tracked in run(node, rig, source, boxes, must_join=True):
+            pose = tracked.pose
+            status.add(pose, time.monotonic() - source.arrival_time)
+            writer.write(pose)
+            members, refusals = [rig.names[i] for i in node.members], status.describe_refusals()
             wire.publish_pose(
-                format_pose_line(
-                    tracked.pose, rig.names, rig.unit, node=options.camera, took_part=members, refused=by_name
-                )
+                format_pose_line(pose, rig.names, rig.unit, node=camera, took_part=members, refused=refusals)
             )
 
     runner = NodeRunner(present, work, lambda packets: wire.send(packets))
     # Connect before opening the files: those of a running node of the same name must not be overwritten.
-    wire = ZenohTransport(place, rig.names, options.links, runner.receive, on_disconnect=runner.report_lost)
+    address = NodeAddress(camera, digest, options.network)
+    wire = ZenohTransport(address, rig.names, links, runner.receive, on_disconnect=runner.report_lost)
+    status = _NodeStatus(camera, rig, wire, runner)
+    folder = options.out if options.out is not None else Path(f"sylpose_{camera}")
     try:
         with (
-            TrajectoryWriter(folder, rig.names, rig.unit, stem=options.camera) as writer,
-            catch_interrupts() as stopped,
+            TrajectoryWriter(folder, rig.names, rig.unit, stem=camera) as writer,
+            _catch_interrupts() as stopped,
         ):
-            reporter = _StatusReporter(console, options, rig, progress, wire, refused, runner)
-            console.print(reporter.describe_address(), soft_wrap=True)
-            runner.run(reporter.tick, stopped)
+            status.console.print(_describe_address(options, camera, digest), soft_wrap=True)
+            runner.run(status.report, stopped)
     finally:
         wire.close()
         with suppress(ValueError):  # its thread may still be reading
             source.close()
-    console_output.print_files(console, "Files", [writer.tum_path, writer.csv_path])
+    console_output.print_files(status.console, "Files", [writer.tum_path, writer.csv_path])
     if stopped():
-        raise KeyboardInterrupt(f"{options.camera}: stopped")
-    return progress.poses > 0
-
-
-def _format_shared_options(options: NodeOptions, boxes: dict[str, Box] | None) -> str:
-    """Return a text of the options that must be the same at all nodes."""
-    return repr(
-        (
-            __version__,
-            options.method,
-            options.features,
-            options.mode,
-            options.seed,
-            options.rate,
-            sorted((boxes or {}).items()),
-        )
-    )
-
-
-def _camera_index(rig: Rig, camera: str, calibration: Path) -> int:
-    if camera not in rig.names:
-        raise ValueError(f"{calibration}: no camera {camera!r} in it ({', '.join(rig.names)})")
-    return rig.names.index(camera)
+        raise KeyboardInterrupt(f"{camera}: stopped")
+    if not status.poses:
+        exit_with_failures([f"{camera}: no pose was found"])
 
 
 def _read_boxes(path: Path | None, rig: Rig) -> dict[str, Box] | None:
+    from sylpose.io.capture.boxes import load_boxes
+
     if path is None:
         return None
     by_object = load_boxes(path, rig)
@@ -170,67 +221,20 @@ def _read_boxes(path: Path | None, rig: Rig) -> dict[str, Box] | None:
     return next(iter(by_object.values()), None)
 
 
-def _open_source(options: NodeOptions, rig: Rig, c: int) -> RecordedSource | LiveSource:
-    """Open the source: an existing file or folder, else a device or a URL."""
-    source, path = options.source, Path(options.source)
-    if path.is_dir() or (path.is_file() and not path.is_char_device()):
-        return RecordedSource(c, open_source(path, rig.cameras[c]), options.rate, options.speed)
-    device: int | str | None = int(source) if source.isdigit() else source if "://" in source else None
-    if device is None and not path.exists():
-        raise ValueError(f"--source {source}: no such file or folder, and not a camera number or URL")
-    if options.rate is None:
-        raise ValueError("--rate HZ is needed with a camera or a stream: all nodes number frames by it")
-    return LiveSource(c, rig.cameras[c], source if device is None else device, options.rate)
-
-
-def _track_timed(
-    node: Node,
-    rig: Rig,
-    source: RecordedSource | LiveSource,
-    boxes: dict[str, Box] | None,
-    options: NodeOptions,
-    progress: _NodeProgress,
-) -> Iterator[TrackedFrame]:
-    """Yield the tracked frames, and record each one's latency since its images were available."""
-    timed_source = _TimedSource(source)
-    tracked = track_by_node(
-        node,
-        rig,
-        timed_source,
-        boxes,
-        must_join=True,
-        method=options.method,
-        features=options.features,
-        seed=options.seed,
-    )
-    for frame in tracked:
-        progress.latency = time.monotonic() - timed_source.arrival_time
-        yield frame
-
-
-class _TimedSource:
-    """Frame source that records when the latest frame became available."""
-
-    def __init__(self, source: RecordedSource | LiveSource) -> None:
-        self._source, self.arrival_time = source, 0.0
-        self.time_of, self.frame_set = source.time_of, source.frame_set
-
-    def newest(self, wanted: int) -> tuple[int, float | None]:
-        """See `CameraFrames`."""
-        found = self._source.newest(wanted)
-        self.arrival_time = time.monotonic()
-        return found
-
-
-def _refusals_by_name(rig: Rig, refused: dict[int, str], runner: NodeRunner, wire: ZenohTransport) -> dict[str, str]:
-    """Return the reason of each refused node by its name."""
-    by_number = {**runner.membership.all_refused, **refused, **runner.membership.all_evidence.describe(rig.names)}
-    return {**{rig.names[c]: why for c, why in by_number.items() if c < len(rig)}, **wire.refused}
+def _describe_address(options: NodeOptions, camera: str, digest: str) -> str:
+    """Describe the address at which a node listens and who can connect."""
+    text = f"{camera} in network {options.network}, rig {digest[:8]}, listens at {options.listen}"
+    if options.keys is not None:
+        return f"{text}, to nodes with keys of {options.keys}"
+    local = options.listen.startswith(("127.", "localhost"))
+    return f"{text}: this machine only" if local else f"{text}: OPEN to everyone who can reach it, without keys"
 
 
 @contextmanager
-def catch_interrupts() -> Iterator[Callable[[], bool]]:
+def _catch_interrupts() -> Iterator[Callable[[], bool]]:
     """Let SIGINT and SIGTERM end a node between two steps; yield a function that returns whether one arrived."""
+    import signal
+
     signals: list[int] = []
     handlers = {s: signal.signal(s, lambda number, _: signals.append(number)) for s in (signal.SIGINT, signal.SIGTERM)}
     try:
@@ -240,133 +244,207 @@ def catch_interrupts() -> Iterator[Callable[[], bool]]:
             signal.signal(number, handler)
 
 
-class _StatusReporter:
-    """Reporter of a node's state: a line per second on the terminal, and one of JSON to the network."""
+class _NodeStatus:
+    """State of a node: a line per second on the terminal, and one of JSON to the network."""
 
-    def __init__(
-        self,
-        console: Console,
-        options: NodeOptions,
-        rig: Rig,
-        progress: _NodeProgress,
-        wire: ZenohTransport,
-        refused: dict[int, str],
-        runner: NodeRunner,
-    ) -> None:
-        self._console, self._options, self._rig, self._progress = console, options, rig, progress
-        self._wire, self._refused, self._runner = wire, refused, runner
+    def __init__(self, camera: str, rig: Rig, wire: ZenohTransport, runner: NodeRunner) -> None:
+        from sylpose.runs.console_output import make_console
+
+        self.console, self.refused, self.poses = make_console(), dict[int, str](), 0
+        self._camera, self._rig, self._wire, self._runner = camera, rig, wire, runner
+        self._frames, self._latency = 0, 0.0
+        self._last: FramePose | None = None
         self._next_report = time.monotonic()
         self._previous = (0, 0, 0, self._next_report)
         self._reported: dict[str, str] = {}
 
-    def describe_address(self) -> str:
-        """Describe the address at which this node listens and who can connect."""
-        options = self._options
-        text = f"{options.camera} in network {options.network}, rig {self._wire.address.rig[:8]}"
-        text += f", listens at {options.links.listen}"
-        if options.links.keys is not None:
-            return f"{text}, to nodes with keys of {options.links.keys}"
-        local = options.links.listen.startswith(("127.", "localhost"))
-        return f"{text}: this machine only" if local else f"{text}: OPEN to everyone who can reach it, without keys"
+    def add(self, pose: FramePose, latency: float) -> None:
+        """Count a frame, tracked `latency` seconds after its images were available."""
+        self._frames, self.poses = self._frames + 1, self.poses + pose.is_measured
+        self._last, self._latency = pose, latency
 
-    def tick(self, present: Membership) -> None:
+    def describe_refusals(self) -> dict[str, str]:
+        """Return the reason of each refused node by its name."""
+        names, membership = self._rig.names, self._runner.membership
+        by_number = {**membership.all_refused, **self.refused, **membership.all_evidence.describe(names)}
+        return {**{names[c]: why for c, why in by_number.items() if c < len(names)}, **self._wire.refused}
+
+    def report(self, present: Membership) -> None:
         """Report the node's state if the next report is due; called every tick."""
+        from sylpose.runs.console_output import print_to_stderr
+
         now = time.monotonic()
         if now < self._next_report:
             return
         self._next_report = now + REPORT_INTERVAL
-        refused = _refusals_by_name(self._rig, self._refused, self._runner, self._wire)
+        refused = self.describe_refusals()
         for name, reason in refused.items():
             if self._reported.get(name) != reason:
                 self._reported[name] = reason
-                console_output.print_to_stderr(f"{self._options.camera}: {name} is refused: {reason}")
-        state = self._build_state(present, now)
+                print_to_stderr(f"{self._camera}: {name} is refused: {reason}")
+        members = [self._rig.names[c] for c in present.members]
+        state = self._build_state(present.frames, members, now)
         self._wire.publish_state(json.dumps({**state, "refused": refused}))
-        self._console.print(self._format_line(state), soft_wrap=True)
+        text, pose = f"{self._camera}: waiting for other nodes", self._last
+        if members:
+            text = f"{self._camera}: with {', '.join(members)}; no frame yet"
+        if members and pose is not None:
+            timing = f"{state['rate']:.1f} per second, {state['latency_ms']:.0f} ms"
+            where = self._format_position(pose)
+            text = f"{self._camera}: frame {pose.index} {pose.status.value}{where}; with {', '.join(members)}; {timing}"
+        self.console.print(text, soft_wrap=True)
 
-    def _build_state(self, present: Membership, now: float) -> dict[str, object]:
-        progress, (frames, sent, rounds, since) = self._progress, self._previous
-        number, n_done = present.frames, progress.frames - frames
-        elapsed = max(now - since, 1e-9)
-        self._previous = (progress.frames, self._runner.bytes_sent, self._runner.rounds, now)
+    def _build_state(self, number: int, members: list[str], now: float) -> dict[str, Any]:
+        import os
+
+        frames, sent, rounds, since = self._previous
+        n_done, elapsed = self._frames - frames, max(now - since, 1e-9)
+        self._previous = (self._frames, self._runner.bytes_sent, self._runner.rounds, now)
         return {
-            "node": self._options.camera,
+            "node": self._camera,
             "clock": time.time(),
             "pid": os.getpid(),
-            "state": "waiting" if not present.members else "tracking" if number else "starting",
-            "members": [self._rig.names[c] for c in present.members],
+            "state": "waiting" if not members else "tracking" if number else "starting",
+            "members": members,
             "frames": number,
             "rate": n_done / elapsed,
-            "latency_ms": 1e3 * progress.latency,
+            "latency_ms": 1e3 * self._latency,
             "bytes_per_frame": (self._runner.bytes_sent - sent) / n_done if n_done else 0.0,
             "rounds_per_frame": (self._runner.rounds - rounds) / n_done if n_done else 0.0,
-            "status": "" if progress.last is None else progress.last.status.value,
+            "status": "" if self._last is None else self._last.status.value,
         }
 
-    def _format_line(self, state: dict[str, object]) -> str:
-        pose, members = self._progress.last, ", ".join(map(str, state["members"]))  # type: ignore[call-overload]
-        if not members:
-            return f"{self._options.camera}: waiting for other nodes"
-        if pose is None:
-            return f"{self._options.camera}: with {members}; no frame yet"
-        where = ""
-        if pose.world_from_object is not None:
-            x, y, z = pose.position
-            rotation_sd, position_sd = np.degrees(pose.sigma[:3].max()), pose.sigma[3:].max()
-            where = f" at {x:.4g} {y:.4g} {z:.4g} {self._rig.unit}, ±{position_sd:.2g}, ±{rotation_sd:.2g}°"
-        return (
-            f"{self._options.camera}: frame {pose.index} {pose.status.value}{where}; with {members}; "
-            f"{state['rate']:.1f} per second, {state['latency_ms']:.0f} ms"
-        )
+    def _format_position(self, pose: FramePose) -> str:
+        if pose.world_from_object is None:
+            return ""
+        x, y, z = pose.position
+        rotation_sd, position_sd = math.degrees(pose.sigma[:3].max()), pose.sigma[3:].max()
+        return f" at {x:.4g} {y:.4g} {z:.4g} {self._rig.unit}, ±{position_sd:.2g}, ±{rotation_sd:.2g}°"
 
 
-def run_nodes_command(network: str, links: LinkSettings, seconds: float) -> bool:
-    """Print the nodes of a network as a table.
+def _view_network(options: NodeOptions, name: str) -> None:
+    """Receive a network's poses and write them in a camera's frame (camera_from_object)."""
+    from queue import Empty, SimpleQueue
 
-    Args:
-        network: name of the network.
-        links: how to connect.
-        seconds: time to listen for nodes.
+    from scipy.spatial.transform import RigidTransform
 
-    Returns:
-        whether any node was found.
+    from sylpose.network.zenoh_transport import watch_network
+    from sylpose.report.files import write_tum
+    from sylpose.runs import console_output
+    from sylpose.runs.view import load_camera
+
+    links, camera = options.links(multicast=options.multicast), load_camera(name, options.calibration or Path())
+    lines: SimpleQueue[str] = SimpleQueue()
+    session = watch_network(links, options.network, lambda *_: None, lambda _, line: lines.put(line))
+    seen: dict[int, tuple[float, RigidTransform]] = {}
+    console, last_print, last_pose = console_output.make_console(), 0.0, time.monotonic()
+    with _catch_interrupts() as stopped:
+        while not stopped() and time.monotonic() - last_pose < (END_TIMEOUT if seen else START_TIMEOUT):
+            try:
+                found = _parse_pose(lines.get(timeout=0.2))
+            except Empty:
+                continue
+            if found is None or found[0] in seen:  # every node sends the same pose of a frame
+                continue
+            last_pose = time.monotonic()
+            frame, timestamp, pose = found
+            seen[frame] = timestamp, camera.camera_from_world * pose
+            if last_pose - last_print > 1.0:
+                last_print = last_pose
+                x, y, z = seen[frame][1].translation
+                console.print(f"{name}: frame {frame} at {x:.4g} {y:.4g} {z:.4g} in camera axes", soft_wrap=True)
+    session.close()
+    if not seen:
+        exit_with_failures([f"{name}: no node in network {options.network} published a pose"])
+    frames = [seen[k] for k in sorted(seen)]
+    folder = options.out if options.out is not None else Path(f"sylpose_{name}")
+    folder.mkdir(parents=True, exist_ok=True)
+    file = folder / f"view_{name}.tum"
+    write_tum(file, [t for t, _ in frames], RigidTransform.concatenate([pose for _, pose in frames]))
+    console_output.print_files(console, "Files", [file])
+
+
+def _parse_pose(line: str) -> tuple[int, float, RigidTransform] | None:
+    """Parse frame number, time and pose from a line of JSON; return None if it has no valid pose."""
+    import numpy as np
+    from scipy.spatial.transform import RigidTransform, Rotation
+
+    from sylpose.rig import MAX_LENGTH
+
+    try:
+        content = json.loads(line)
+        quaternion, position = np.array(content["quaternion"], float), np.array(content["position"], float)
+        if quaternion.shape != (4,) or position.shape != (3,):
+            return None
+        if not np.abs([*position, float(content["time"])]).max() <= MAX_LENGTH or not np.isfinite(quaternion).all():
+            return None
+        pose = RigidTransform.from_components(position, Rotation.from_quat(quaternion))
+        return int(content["frame"]), float(content["time"]), pose
+    except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
+        return None
+
+
+@dataclass(frozen=True, kw_only=True)
+class NodesOptions(NetworkOptions):
+    """Options of `sylpose nodes`.
+
+    Attributes:
+        seconds: Listen for this long.
     """
-    found: dict[tuple[str, str], tuple[dict[str, object], float]] = {}
+
+    seconds: Annotated[float, option("--seconds SEC", LIVE, min=0.1)] = 2.5
+
+
+@command("List nodes and their status.", "sylpose nodes", "sylpose nodes --network lab --keys keys")
+def nodes(options: NodesOptions) -> None:
+    """List the nodes of a network: status, peers, frames, latency, bytes and rounds per frame, clocks."""
+    links, network = options.links(), options.network
+    from sylpose.input_limits import to_one_line
+    from sylpose.network.wire_format import MAX_CAMERAS
+    from sylpose.network.zenoh_transport import watch_network
+    from sylpose.runs import console_output
+
+    found: dict[tuple[str, str], tuple[dict[str, Any], float]] = {}
 
     def on_state(rig: str, name: str, line: str) -> None:
         with suppress(ValueError, TypeError, KeyError, OverflowError, RecursionError):
             state = json.loads(line)
             numbers = [float(state[key]) for key in ("clock", "frames", *(key for key, _ in _COLUMNS))]
-            if np.isfinite(numbers).all() and len(found) < MAX_CAMERAS:
+            if all(map(math.isfinite, numbers)) and len(found) < MAX_CAMERAS:
                 found[rig, name] = state, time.time() - numbers[0]
 
     session = watch_network(links, network, on_state, lambda *_: None)
-    time.sleep(seconds)
+    time.sleep(options.seconds)
     session.close()
-    rigs = {rig for rig, _ in found}
-    rows = []
-    for (rig, name), (node_state, clock_offset) in sorted(found.items(), key=lambda item: item[0]):
-        members = node_state.get("members")
+    rigs, rows = {rig for rig, _ in found}, []
+    for (rig, name), (state, offset) in sorted(found.items(), key=lambda item: item[0]):
+        members = state.get("members")
         rows.append(
             [
                 name if len(rigs) == 1 else f"{name} ({rig[:8]})",
-                to_one_line(str(node_state.get("state", "")), MAX_TEXT_LENGTH),
+                to_one_line(str(state.get("state", "")), MAX_TEXT_LENGTH),
                 to_one_line(" ".join(map(str, members)), 4 * MAX_TEXT_LENGTH) if isinstance(members, list) else "",
-                f"{float(str(node_state.get('frames', 0))):.0f}",
-                *(f"{float(str(node_state.get(key, 0.0))):{form}}" for key, form in _COLUMNS),
-                f"{1e3 * clock_offset:.0f}" if abs(clock_offset) < MAX_CLOCK_OFFSET else f"{clock_offset:+.1f} s",
+                f"{float(state['frames']):.0f}",
+                *(f"{float(state[key]):{form}}" for key, form in _COLUMNS),
+                f"{1e3 * offset:.0f}" if abs(offset) < MAX_CLOCK_OFFSET else f"{offset:+.1f} s",
             ]
         )
-    console = console_output.make_console()
-    header = ["node", "state", "with", "frames", "per s", "ms", "bytes/frame", "rounds/frame", "clock ms"]
-    console_output.print_table(console, header, rows) if rows else console.print(f"no nodes in network {network}")
+    if not rows:
+        exit_with_failures([f"network {network} has no nodes"])
+    console_output.print_table(console_output.make_console(), _HEADER, rows)
     if len(rigs) > 1:
         console_output.print_to_stderr(
             f"{len(rigs)} different calibrations or options in network {network}: such nodes do not communicate"
         )
-    return bool(rows)
 
 
-# Longest text of another node that is printed, in characters (choice).
-MAX_TEXT_LENGTH = 40
-_COLUMNS = (("rate", ".1f"), ("latency_ms", ".0f"), ("bytes_per_frame", ".0f"), ("rounds_per_frame", ".1f"))
+def require_zenoh() -> None:
+    """Check that the packages of the extra `network` are installed.
+
+    Raises:
+        ValueError: one is missing.
+    """
+    from importlib.util import find_spec
+
+    if any(find_spec(name) is None for name in ("zenoh", "cryptography")):
+        raise ValueError("nodes require the extra [network]: pip install 'sylpose[network]'")

@@ -18,9 +18,13 @@ __all__ = ["ReportOptions", "report"]
 
 @dataclass(frozen=True, kw_only=True)
 class ReportOptions(CommandOptions):
-    """Options of `sylpose report`."""
+    """Options of `sylpose report`.
 
-    result: Annotated[Path, typer.Argument(metavar="RESULT", help="Folder that sylpose track wrote.")]
+    Attributes:
+        result: Folder that sylpose track wrote.
+    """
+
+    result: Annotated[Path, typer.Argument(metavar="RESULT")]
 
 
 @command("Rebuild the report page of a finished run.", "sylpose report recording/sylpose")

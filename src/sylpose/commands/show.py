@@ -16,19 +16,21 @@ __all__ = ["ShowOptions", "show"]
 
 @dataclass(frozen=True, kw_only=True)
 class ShowOptions(PageOptions):
-    """Options of `sylpose show`."""
+    """Options of `sylpose show`.
 
-    result: Annotated[Path, typer.Argument(metavar="RESULT", help="Folder that sylpose track wrote.")]
-    calibration: Annotated[
-        Path | None, option("--calibration FILE", INPUT, "Read this calibration; default: the one of the run.")
-    ] = None
-    recording: Annotated[
-        Path | None, option("--recording DIR", INPUT, "Read the images from here if the recording was moved.")
-    ] = None
-    save: Annotated[Path | None, option("--save FILE.html", OUTPUT, "Write a self-contained page and exit.")] = None
-    host: Annotated[
-        str, option("--host HOST", LIVE, "Serve the page at this address; 0.0.0.0: also for other computers.")
-    ] = "127.0.0.1"
+    Attributes:
+        result: Folder that sylpose track wrote.
+        calibration: Read this calibration; default: the one of the run.
+        recording: Read the images from here if the recording was moved.
+        save: Write a self-contained page and exit.
+        host: Serve the page at this address; 0.0.0.0: also for other computers.
+    """
+
+    result: Annotated[Path, typer.Argument(metavar="RESULT")]
+    calibration: Annotated[Path | None, option("--calibration FILE", INPUT)] = None
+    recording: Annotated[Path | None, option("--recording DIR", INPUT)] = None
+    save: Annotated[Path | None, option("--save FILE.html", OUTPUT)] = None
+    host: Annotated[str, option("--host HOST", LIVE)] = "127.0.0.1"
 
 
 @command(

@@ -18,13 +18,16 @@ __all__ = ["SyncOptions", "sync"]
 
 @dataclass(frozen=True, kw_only=True)
 class SyncOptions(RangeOptions, RecordingOptions):
-    """Options of `sylpose sync`."""
+    """Options of `sylpose sync`.
+
+    Attributes:
+        out: Write the offsets here; default: SESSION/offsets.toml.
+        max_lag: Limit the time offset between two cameras.
+    """
 
     boxes: BoxesFile = None
-    out: Annotated[
-        Path | None, option("--out FILE", OUTPUT, "Write the offsets here; default: SESSION/offsets.toml.")
-    ] = None
-    max_lag: Annotated[float, option("--max-lag SEC", ADVANCED, "Limit the time offset between two cameras.")] = 3.0
+    out: Annotated[Path | None, option("--out FILE", OUTPUT)] = None
+    max_lag: Annotated[float, option("--max-lag SEC", ADVANCED)] = 3.0
     seed: Seed = 0
 
     def __post_init__(self) -> None:

@@ -18,20 +18,22 @@ Point = tuple[float, float, float]
 
 @dataclass(frozen=True, kw_only=True)
 class ViewOptions(CommandOptions):
-    """Options of `sylpose view`."""
+    """Options of `sylpose view`.
+
+    Attributes:
+        camera: A camera's name; with --from, a name for the view.
+        calibration: Look up CAMERA in this calibration; default: that of the run.
+        eye: Place a virtual camera at this world position.
+        at: Point the virtual camera here; default: the object's first position.
+        out: Write the view here; default: RESULT.
+    """
 
     result: ResultPath
-    camera: Annotated[str, typer.Argument(metavar="CAMERA", help="A camera's name; with --from, a name for the view.")]
-    calibration: Annotated[
-        Path | None,
-        option("--calibration FILE", INPUT, "Look up CAMERA in this calibration; default: that of the run."),
-    ] = None
-    eye: Annotated[Point | None, option("--from X Y Z", INPUT, "Place a virtual camera at this world position.")] = None
-    at: Annotated[
-        Point | None,
-        option("--at X Y Z", INPUT, "Point the virtual camera here; default: the object's first position."),
-    ] = None
-    out: Annotated[Path | None, option("--out DIR", OUTPUT, "Write the view here; default: RESULT.")] = None
+    camera: Annotated[str, typer.Argument(metavar="CAMERA")]
+    calibration: Annotated[Path | None, option("--calibration FILE", INPUT)] = None
+    eye: Annotated[Point | None, option("--from X Y Z", INPUT)] = None
+    at: Annotated[Point | None, option("--at X Y Z", INPUT)] = None
+    out: Annotated[Path | None, option("--out DIR", OUTPUT)] = None
     plot_format: PlotFormat = "png"
     angles: EulerAxes = None
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,6 +20,7 @@ from sylpose.absolute_pose.object_axes import (
     fit_plane_to_points,
 )
 from sylpose.geometry.arrays import FloatArray
+from sylpose.results import FramePose
 from sylpose.runs.point_selection import ObjectRun, PickedPoint, parse_point, precise_landmarks, read_object_run
 from sylpose.tracking.known_object import KnownObject
 
@@ -26,16 +28,19 @@ __all__ = [
     "LARGEST",
     "NewFrame",
     "PointParser",
+    "change_object_frame",
     "frame_from_extent",
     "frame_from_plane",
     "frame_from_points",
-    "make_joint_sampler",
+    "measure_distance",
     "move_frame",
 ]
 
 LARGEST = "largest"
 # Landmarks within this share of the object's radius from a picked point belong to its plane (choice).
 PLANE_RADIUS_RATIO = 0.3
+# Monte Carlo draws for the uncertainty of a distance (choice).
+N_DRAWS = 200
 
 
 class NewFrame(NamedTuple):
@@ -169,3 +174,32 @@ def move_frame(points: PointParser, origin: str | None, turn: str | None) -> New
         np.zeros(6) if exact else estimate_axes_sd(frame, sample_frame),
         f"{previous}, {description}"[-200:] if previous else description,
     )
+
+
+def measure_distance(a: PickedPoint, b: PickedPoint) -> tuple[float, float]:
+    """Return the distance of two picked points, and its relative standard deviation.
+
+    Raises:
+        ValueError: the points coincide.
+    """
+    distance = float(np.linalg.norm(b.position - a.position))
+    if not distance > 0:
+        raise ValueError("--between: the two points coincide")
+    samplers = map(make_joint_sampler, [np.random.default_rng(0)] * N_DRAWS)
+    return distance, float(np.std([np.linalg.norm(draw(b) - draw(a)) for draw in samplers])) / distance
+
+
+def change_object_frame(pose: FramePose, new_from_object: RigidTransform) -> FramePose:
+    """Re-express a pose with known standard deviations but unknown correlations in another object frame.
+
+    The resulting standard deviations of the position are upper bounds for any correlation of rotation and position
+    errors.
+    """
+    changed = pose.in_object_frame(new_from_object)
+    if pose.world_from_object is None or changed.world_from_object is None:
+        return pose
+    x, y, z = np.abs(changed.world_from_object.translation - pose.world_from_object.translation)
+    lever = np.array([[0.0, z, y], [z, 0.0, x], [y, x, 0.0]])
+    lever_sd = np.where(lever > 0.0, lever * np.where(lever > 0.0, pose.sigma[:3], 0.0), 0.0).sum(axis=1)
+    sd = np.concatenate([pose.sigma[:3], pose.sigma[3:] + lever_sd])
+    return replace(changed, covariance=np.diag(sd**2))

@@ -1,4 +1,7 @@
-"""Frame sources of a node: one camera's frames, from a recording or a live camera, numbered the same at all nodes."""
+"""Frame sources of a node: one camera's frames, from a recording or a live camera, numbered the same at all nodes.
+
+`arrival_time` of a source is the monotonic time at which its newest frame became available.
+"""
 
 from __future__ import annotations
 
@@ -6,18 +9,19 @@ import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from statistics import fmean
 
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import Image
 from sylpose.io.capture.frame_assembly import StreamClock
 from sylpose.io.capture.frame_readers import CameraReader
-from sylpose.io.capture.sources import Source
+from sylpose.io.capture.sources import Source, open_source
 from sylpose.io.capture.streams import Device, open_device
 from sylpose.network.frame_announcement import FRAME_PENDING, NO_FRAME
 from sylpose.rig import Camera
 
-__all__ = ["LiveSource", "RecordedSource"]
+__all__ = ["LiveSource", "RecordedSource", "open_node_source"]
 
 # Frames of a live camera that are kept until all nodes agree on the next one; seconds to wait for a frame (choice).
 MAX_KEPT_FRAMES, MAX_WAIT = 16, 0.3
@@ -52,6 +56,7 @@ class RecordedSource:
         self._reader = CameraReader(source, {})
         self._start_time: float | None = None  # monotonic time of frame 0, shown or not
         self._last_requested = 0  # number of the last requested frame
+        self.arrival_time = 0.0
 
     def newest(self, wanted: int) -> tuple[int, float | None]:
         """See `CameraFrames`."""
@@ -59,13 +64,13 @@ class RecordedSource:
             return NO_FRAME, None
         if self._pace:
             elapsed = wanted / (self._rate * self._pace)
-            if self._start_time is None or wanted not in (
-                self._last_requested,
-                self._last_requested + 1,
-            ):  # the node joined at another frame
+            # Otherwise the node joined at another frame.
+            is_next = wanted in (self._last_requested, self._last_requested + 1)
+            if self._start_time is None or not is_next:
                 self._start_time = time.monotonic() - elapsed
             self._last_requested = wanted
             time.sleep(max(self._start_time + elapsed - time.monotonic(), 0.0))
+        self.arrival_time = time.monotonic()
         return wanted, self.time_of(wanted)
 
     def time_of(self, number: int) -> float | None:
@@ -108,7 +113,7 @@ class LiveSource:
         self._device = opener(source, model.size, rate)
         self._frames: OrderedDict[int, tuple[float, Image]] = OrderedDict()
         self._condition = threading.Condition()
-        self._ended, self._error, self._has_stalled = False, "", False
+        self._ended, self._error, self._has_stalled, self.arrival_time = False, "", False, 0.0
         self._reader = threading.Thread(target=self._run, daemon=True)
         self._reader.start()
 
@@ -152,7 +157,7 @@ class LiveSource:
             timeout = 1.0 / self._rate if self._has_stalled else MAX_WAIT
             self._condition.wait_for(lambda: self._ended or max(self._frames, default=-1) >= wanted, timeout)
             newest = max(self._frames, default=-1)
-            self._has_stalled = newest < wanted
+            self._has_stalled, self.arrival_time = newest < wanted, time.monotonic()
             if newest >= wanted:
                 return newest, self._frames[newest][0]
             if self._error:
@@ -174,3 +179,28 @@ class LiveSource:
         """Close the camera after the frame that it is reading."""
         self._ended = True
         self._reader.join(MAX_WAIT)
+
+
+def open_node_source(
+    source: str, camera: int, model: Camera, rate: float | None, speed: float
+) -> RecordedSource | LiveSource:
+    """Open the source of a node: an existing file or folder, else a device or a URL.
+
+    Args:
+        source: value of `--source`.
+        camera: index of the camera.
+        model: its calibration.
+        rate: frames per second; None: the recording's own rate.
+        speed: playback speed of a recording.
+
+    Raises:
+        ValueError, OSError: the source cannot be read; a live camera without a rate.
+    """
+    path = Path(source)
+    if path.is_dir() or (path.is_file() and not path.is_char_device()):
+        return RecordedSource(camera, open_source(path, model), rate, speed)
+    if not (source.isdigit() or "://" in source or path.exists()):
+        raise ValueError(f"--source {source}: no such file or folder, and not a camera number or URL")
+    if rate is None:
+        raise ValueError("--rate HZ is needed with a camera or a stream: all nodes number frames by it")
+    return LiveSource(camera, model, int(source) if source.isdigit() else source, rate)

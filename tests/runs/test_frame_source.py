@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sylpose.commands.frame_source import LiveSource, RecordedSource
 from sylpose.io.capture.frame_assembly import Grab
 from sylpose.io.capture.sources import open_source
 from sylpose.network.frame_announcement import (
@@ -19,6 +18,7 @@ from sylpose.network.frame_announcement import (
     choose_frame,
     find_common_newcomers,
 )
+from sylpose.runs.frame_source import LiveSource, RecordedSource
 from sylpose.simulate import render_sequence
 from sylpose.simulate.rigs import ring
 
