@@ -117,7 +117,8 @@ class CommandOptions:
 
     def __post_init__(self) -> None:
         """Convert and check each field; a record that restricts combinations extends this method."""
-        for name, hint in _resolve_hints(type(self)).items():
+        record: Any = type(self)
+        for name, hint in _resolve_hints(record).items():
             value, info = getattr(self, name), hint.__metadata__[0]
             converted = _convert_value(get_args(hint)[0], value, name)
             for item in converted if isinstance(converted, tuple) else (converted,):
@@ -127,7 +128,7 @@ class CommandOptions:
 
 
 @functools.cache
-def _resolve_hints(record: type[CommandOptions]) -> dict[str, Any]:
+def _resolve_hints(record: type[Any]) -> dict[str, Any]:
     """Return the annotation of each field, with its help from the docstrings of the record and its bases."""
     hints, texts, found = get_type_hints(record, include_extras=True), dict[str, str](), dict[str, Any]()
     for base in reversed(record.__mro__):
@@ -138,7 +139,7 @@ def _resolve_hints(record: type[CommandOptions]) -> dict[str, Any]:
         if text := texts.get(field.name):
             info = copy(info)
             info.help = " ".join(text.split())
-        found[field.name] = Annotated[kind, info]  # type: ignore[valid-type]
+        found[field.name] = Annotated[kind, info]
     return found
 
 
