@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sylpose import FrameSet, track
-from sylpose.commands.demo import compute_errors
+from sylpose.comparison import compare_trajectories
 from sylpose.frames import Box
 from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Rig
@@ -58,14 +58,9 @@ def errors_of(seed: int, features: str) -> FloatArray:
     tracked = track(sequence.frames, sequence.rig, sequence.boxes, features=features)
     solved = [f.pose for f in tracked if f.pose.world_from_object is not None]
     poses = RigidTransform.concatenate([p.world_from_object for p in solved])
-    errors = compute_errors(
-        [p.time for p in solved],
-        poses,
-        np.arange(FRAMES),
-        sequence.world_from_object,
-        sequence.world_from_object[0].translation,
-    )
-    errors_deg_mm = np.column_stack([errors.rotation, 1e3 * errors.translation])
+    times = np.array([p.time for p in solved])
+    errors = compare_trajectories(times, poses, np.arange(FRAMES, dtype=float), sequence.world_from_object)
+    errors_deg_mm = np.column_stack([np.degrees(errors.rotation[1:]), 1e3 * errors.position[1:]])
     return np.concatenate(
         [np.median(errors_deg_mm, axis=0), errors_deg_mm.max(axis=0), np.median(errors_deg_mm[-4:], axis=0)]
     )

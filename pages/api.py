@@ -18,6 +18,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "Recordings": ("open_session", "Session", "Source", "Timeline", "open_live", "LiveSession", "Device", "Grab"),
     "Tracking": (
         "track_session",
+        "RunOptions",
         "Run",
         "track",
         "TrackedFrame",

@@ -16,7 +16,7 @@ import numpy as np
 from PIL import Image
 
 from pages.gallery import DOCS
-from sylpose.commands.demo import run_demo_command
+from sylpose.commands.demo import DemoOptions, demo
 from sylpose.report.files import read_trajectory
 from sylpose.report.plots import INK, X_COLOR, Y_COLOR, Z_COLOR, create_figure, style_panel
 from sylpose.results import Trajectory
@@ -75,8 +75,7 @@ def main() -> None:
     images = DOCS / "images"
     with TemporaryDirectory() as temporary:
         folder = Path(temporary) / "demo"
-        if wrong := run_demo_command(folder, frames=60, turn_deg=90.0, n_cameras=4, seed=0):
-            raise SystemExit("; ".join(wrong))
+        demo(DemoOptions(out=folder))
         results = folder / "sylpose"
         with av.open(str(results / "overlay.mp4")) as video:
             seen = [frame.to_ndarray(format="rgb24") for frame in video.decode(video=0)][FRAME]

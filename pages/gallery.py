@@ -29,6 +29,7 @@ from sylpose.report.files import read_tum
 from sylpose.report.plots import INK, JUMP_DEG, X_COLOR, Y_COLOR, Z_COLOR, create_figure, style_panel
 from sylpose.results import FramePose, FrameStatus, Trajectory
 from sylpose.rig import Rig
+from sylpose.runs.options import RunOptions
 from sylpose.runs.run import track_session
 from sylpose.simulate import Actor, Recording, Scene, arc, chamfered_box, make_demo_scene, write_recording
 from sylpose.simulate.recording_files import object_suffixes
@@ -198,7 +199,7 @@ def tracked(shown: Shown) -> Outcome:
         if shown.calibration is not None:
             calibration.save(shown.calibration(recording.scene.rig), folder / "calibration.toml")
         session = open_session(folder)
-        run = track_session(session, **shown.options)
+        run = track_session(session, options=RunOptions(**shown.options))
         off = {}
         for name, suffix in zip(recording.objects, object_suffixes(recording.objects), strict=True):
             _, truth = read_tum(folder / f"groundtruth{suffix}.tum")

@@ -18,6 +18,7 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.io.capture import open_session
 from sylpose.io.object_files import OBJECT_FILE, load_object
 from sylpose.report.files import read_trajectory
+from sylpose.runs.options import RunOptions
 from sylpose.runs.run import track_session
 from sylpose.simulate import make_demo_scene, write_sequence
 from sylpose.tracking.known_object import KnownObject
@@ -81,7 +82,7 @@ def first(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = write_box_recording(tmp_path_factory.mktemp("first") / "take", mapping_path, FIRST)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("sylpose.report.plots.plot_trajectory", lambda *_, **__: None)
-        track_session(open_session(folder), overlay=False)
+        track_session(open_session(folder), options=RunOptions(overlay=False))
     return folder
 
 

@@ -109,8 +109,7 @@ def imported_modules(module: str, types: bool) -> Iterator[str]:
 
 
 def room_of(module: str) -> str:
-    first = module.partition(".")[0]
-    return "commands" if first == "cli" else first  # options that have no record yet
+    return module.partition(".")[0]
 
 
 INNER = [m for m in modules() if m not in ("", "__main__") and room_of(m) not in ("runs", "browser", "commands")]

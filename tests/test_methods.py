@@ -76,7 +76,7 @@ def test_unsupported_features_are_rejected(method: Method, recording: Path) -> N
             with pytest.raises(ValueError, match=f"features: '{features}' does not suit the method '{method.name}'"):
                 Tracker(session.rig, method=method.name, features=features)
             with pytest.raises(ValueError, match=f"features: '{features}'"):
-                sylpose.track_session(session, method=method.name, features=features)
+                sylpose.track_session(session, options=sylpose.RunOptions(method=method.name, features=features))
     assert not (recording / "sylpose").exists()
 
 

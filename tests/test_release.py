@@ -35,7 +35,7 @@ WHOLE = installed.package_files() | {f"{INFO}licenses/{name}" for name in instal
 
 def test_complete_wheel_passes(tmp_path: Path) -> None:
     assert "LICENSE" in installed.LEGAL
-    assert {"sylpose/py.typed", "sylpose/cli/doctor.py"} <= WHOLE
+    assert {"sylpose/py.typed", "sylpose/commands/doctor.py"} <= WHOLE
     assert installed.wheel_contents(wheel_with(tmp_path / "a.whl", WHOLE)) == []
 
 

@@ -19,6 +19,7 @@ from sylpose.io.capture import open_session
 from sylpose.runs.checkpoint import CHECKPOINT, DIGEST_SIZE, load_checkpoint
 from sylpose.runs.checkpoint_schema import FUNCTIONS, RECORD_TYPES, RunState
 from sylpose.runs.frame_store import FrameFile
+from sylpose.runs.options import RunOptions
 from sylpose.runs.run import track_session
 from sylpose.serialization import deserialize, serialize
 from sylpose.smoothing.trajectory import Track
@@ -112,12 +113,12 @@ def checkpoint(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Pat
     """Return the checkpoint of a run that failed after three frames, with its tracks."""
     out = tmp_path_factory.mktemp("part")
 
-    def breaks(tracked: TrackedFrame) -> None:
+    def breaks(_: str, tracked: TrackedFrame) -> None:
         if tracked.pose.index == 3:
             raise RuntimeError("a bug")
 
     with pytest.raises(RuntimeError):
-        track_session(open_session(recording), out, overlay=False, checkpoint_seconds=0, on_frame=breaks)
+        track_session(open_session(recording), out, RunOptions(overlay=False, checkpoint_seconds=0), on_frame=breaks)
     return out / CHECKPOINT
 
 

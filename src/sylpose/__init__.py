@@ -44,7 +44,9 @@ if TYPE_CHECKING:
         Trajectory,
     )
     from sylpose.rig import Camera, Rig
-    from sylpose.runs.run import Run, track_session
+    from sylpose.runs.options import RunOptions
+    from sylpose.runs.run import track_session
+    from sylpose.runs.run_result import Run
     from sylpose.sylvester.camera_faults import Diagnosis, Fault, RobustSolution, solve_robust
     from sylpose.sylvester.centralized import (
         CentralizedBatch,
@@ -107,6 +109,7 @@ __all__ = [
     "RotationEstimate",
     "RotationView",
     "Run",
+    "RunOptions",
     "Session",
     "SingularSylvesterError",
     "Source",
@@ -148,7 +151,9 @@ __all__ = [
 
 _HOMES = {
     "sylpose.io.object_files": ("load_object", "save_object"),
-    "sylpose.runs.run": ("Run", "track_session"),
+    "sylpose.runs.options": ("RunOptions",),
+    "sylpose.runs.run": ("track_session",),
+    "sylpose.runs.run_result": ("Run",),
     "sylpose.boards.board_pose": ("BoardObservation", "find_board"),
     "sylpose.boards.specification": ("Board", "parse_board"),
     "sylpose.io.calibration.world": ("World", "load_world", "world_with_up"),

@@ -20,6 +20,7 @@ from sylpose.archive.stores import open_store
 from sylpose.archive.summary import collect_summaries
 from sylpose.commands.main import main
 from sylpose.io.capture import open_session
+from sylpose.runs.options import RunOptions
 from sylpose.runs.run import track_session
 from tests.archive.archive_worker import count_work, do_work, make_recordings, make_settings
 
@@ -51,7 +52,7 @@ def test_results_equal_track_command(recording: Path, tmp_path: Path, monkeypatc
     out = open_store("memory://results")
     settings = RunSettings(out, worker.track_recording, threads=2, scratch=str(tmp_path / "scratch"))
     summary = process_recording(found, settings)
-    run = track_session(open_session(recording), tmp_path / "track", overlay=False, every=2, seed=3)
+    run = track_session(open_session(recording), tmp_path / "track", RunOptions(overlay=False, every=2, seed=3))
     for path in (tmp_path / "track").iterdir():
         if path.suffix in (".csv", ".tum"):
             assert out.join("day 1/turn").read(path.name) == path.read_bytes(), path.name

@@ -26,9 +26,10 @@ from sylpose.io import calibration
 from sylpose.io.capture import open_session
 from sylpose.io.capture.random_access import RandomAccessReader
 from sylpose.results import FrameStatus
+from sylpose.runs.options import RunOptions
+from sylpose.runs.page import read_scenes
 from sylpose.runs.run import track_session
-from sylpose.runs.scene import read_scenes
-from sylpose.runs.source_recording import open_source_recording
+from sylpose.runs.run_metadata import open_source_recording
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import track
 from tests.chromium import OpenedPage, open_page
@@ -42,7 +43,7 @@ SMALL = {"width": 480, "height": 300}
 def result(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a result of the first frames of `recording`."""
     out = tmp_path_factory.mktemp("result")
-    track_session(open_session(recording), out, stop=TRACKED, overlay=False)
+    track_session(open_session(recording), out, RunOptions(stop=TRACKED, overlay=False))
     return out
 
 
@@ -161,7 +162,7 @@ def test_source_recording_with_frame_offsets(session: Path, tmp_path: Path) -> N
 
 
 def test_changed_recording_is_rejected(session: Path, tmp_path: Path) -> None:
-    track_session(open_session(session), tmp_path / "out", stop=2, overlay=False)
+    track_session(open_session(session), tmp_path / "out", RunOptions(stop=2, overlay=False))
     settings = tmp_path / "out" / "settings.toml"
     text = settings.read_text()
     assert open_source_recording(tmp_path / "out").n_frames == FRAMES

@@ -25,7 +25,9 @@ from sylpose.io.capture.streams import Grab
 from sylpose.report.files import read_trajectory
 from sylpose.results import FramePose, FrameStatus, Observability, Trajectory
 from sylpose.runs import console_output
-from sylpose.runs.run import Run, track_session
+from sylpose.runs.options import RunOptions
+from sylpose.runs.run import track_session
+from sylpose.runs.run_result import Run
 from sylpose.sync.offsets import load_offsets
 from tests.conftest import FRAMES
 
@@ -51,7 +53,7 @@ def error_message(capsys: pytest.CaptureFixture[str], *args: object) -> str:
 
 
 def test_summary_counts_measured_frames(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    run = track_session(open_session(recording), tmp_path, stop=6, overlay=False)
+    run = track_session(open_session(recording), tmp_path, RunOptions(stop=6, overlay=False))
     frames = [*run.trajectory]
     frames[3] = replace(frames[3], status=FrameStatus.COASTING)
     frames[4] = replace(frames[4], status=FrameStatus.LOST, world_from_object=None)
@@ -102,7 +104,9 @@ def test_result_is_smoothed_by_default(session: Path, tmp_path: Path) -> None:
         assert (
             main(["track", str(session), "--no-overlay", "--stop", "5", "--out", str(tmp_path / name), *options]) == 0
         )
-    run = track_session(open_session(session), tmp_path / "run", stop=5, overlay=False, on_smoothing=rounds.append)
+    run = track_session(
+        open_session(session), tmp_path / "run", RunOptions(stop=5, overlay=False), on_smoothing=rounds.append
+    )
     assert rounds[:2] == [1, 2]
     files = {name: (tmp_path / name).iterdir() for name in ("as tracked", "smoothed", "paper", "run")}
     names = {name: {file.name for file in found} for name, found in files.items()}
@@ -118,7 +122,7 @@ def test_notes_of_frames_become_problems_of_the_run(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("sylpose.tracking.state_machine.is_ambiguous", lambda *_: True)
-    run = track_session(replace(open_session(recording), _boxes={}), tmp_path, stop=6, overlay=False)
+    run = track_session(replace(open_session(recording), _boxes={}), tmp_path, RunOptions(stop=6, overlay=False))
     assert any("another moved nearly as much" in problem for problem in run.problems)
 
 
@@ -266,7 +270,7 @@ def test_options_not_supported_by_live_cameras(session: Path, capsys: pytest.Cap
     (session / "live.toml").write_text("[sources]\n" + "".join(f"{n} = {c}\n" for c, n in enumerate(CAMERAS)))
     opened = live.open_live(session)
     with pytest.raises(ValueError, match="live session cannot be resumed"):
-        track_session(opened, resume=True)
+        track_session(opened, options=RunOptions(resume=True))
 
 
 def test_growing_folder_is_tracked_as_it_grows(

@@ -34,7 +34,8 @@ from sylpose.report.rigview import find_axes_intersection
 from sylpose.results import FrameStatus
 from sylpose.rig import Camera, Rig, make_look_at_camera
 from sylpose.runs import check as checks
-from sylpose.runs.preview import preview_moving_object
+from sylpose.runs.check import preview_moving_object
+from sylpose.runs.options import RunOptions
 from sylpose.runs.run import track_session
 from sylpose.tracking.frame_solvers import SOLVERS
 from sylpose.tracking.tracked_frame import TrackedFrame
@@ -387,7 +388,10 @@ def test_truncated_video_is_tracked_and_reported(run: Command, session: Path) ->
 def test_track_session_from_python(recording: Path, tmp_path: Path) -> None:
     seen: list[int] = []
     result = track_session(
-        open_session(recording), tmp_path, stop=3, overlay=False, on_frame=lambda f: seen.append(f.pose.index)
+        open_session(recording),
+        tmp_path,
+        RunOptions(stop=3, overlay=False),
+        on_frame=lambda _, f: seen.append(f.pose.index),
     )
     assert seen == [0, 1, 2]
     assert len(result.trajectory) == 3
@@ -395,9 +399,9 @@ def test_track_session_from_python(recording: Path, tmp_path: Path) -> None:
     assert set(result.seconds) == {"reading", "tracking", "saving", "smoothing", "plots"}
     assert min(result.seconds.values()) >= 0
     with pytest.raises(ValueError, match="magic"):
-        track_session(open_session(recording), tmp_path, method="magic")
+        track_session(open_session(recording), tmp_path, RunOptions(method="magic"))
     with pytest.raises(ValueError, match="start"):
-        track_session(open_session(recording), tmp_path / "new", start=99)
+        track_session(open_session(recording), tmp_path / "new", RunOptions(start=99))
     assert not (tmp_path / "new").exists()
 
 
@@ -698,46 +702,6 @@ def test_demo_never_replaces_a_recording(run: Command, session: Path) -> None:
     assert "at least 2 frames" in error_message(run("demo", "--out", session / "new", "--frames", 1))
 
 
-def poses(n: int, seed: int) -> RigidTransform:
-    rng = np.random.default_rng(seed)
-    return RigidTransform.from_components(rng.normal(0, 1, (n, 3)), Rotation.random(n, rng=rng))
-
-
-def test_score_is_independent_of_object_frame_and_rate() -> None:
-    truth, times = poses(20, 1), np.arange(20) / 10
-    elsewhere = truth * poses(1, 2)[0]
-    result = demo.compute_errors(times + 0.01, elsewhere, times, truth, [0.1, 0.2, 0.3])
-    assert result.missing == 0
-    assert max(result.rotation.max(), result.translation.max()) < 1e-5
-    result = demo.compute_errors(times[::2], elsewhere[::2], times, truth, [0.1, 0.2, 0.3])
-    assert result.missing == 10
-
-
-def test_score_measures_rotation_and_translation_of_the_center() -> None:
-    truth, times = poses(5, 3), np.arange(5.0)
-    center = np.array([0.4, -0.2, 1.0])
-    wrong = truth.as_matrix()
-    # The last pose is rotated by 3 degrees about the true center there, then translated by 5 mm.
-    last_center = (truth[4] * truth[0].inv()).apply(center)
-    turn = RigidTransform.from_components(last_center, Rotation.identity()) * RigidTransform.from_rotation(
-        Rotation.from_rotvec([0, np.radians(3), 0])
-    )
-    extra = RigidTransform.from_translation([0.003, 0, 0.004]) * turn * RigidTransform.from_translation(-last_center)
-    wrong[4] = (extra * truth[4]).as_matrix()
-    result = demo.compute_errors(times, RigidTransform.from_matrix(wrong), times, truth, center)
-    assert result.rotation[-1] == pytest.approx(3.0)
-    assert result.translation[-1] == pytest.approx(0.005)
-    assert result.rotation[:-1].max() < 1e-5
-
-
-def test_score_with_too_few_poses_is_rejected() -> None:
-    truth = poses(3, 4)
-    with pytest.raises(ValueError, match="only 1 of 3"):
-        demo.compute_errors([0.0], truth[:1], [0.0, 1.0, 2.0], truth, [0, 0, 0])
-    with pytest.raises(ValueError, match="two true poses"):
-        demo.compute_errors([], truth[:0], [0.0, 1.0, 2.0], truth, [0, 0, 0])
-
-
 # --- the rest --------------------------------------------------------------------------------------------------------
 
 
@@ -850,7 +814,7 @@ def test_results_do_not_depend_on_the_unit(session: Path, tmp_path: Path) -> Non
             replace(camera, camera_from_world=RigidTransform.from_components(factor * p.translation, p.rotation))
             for camera, p in poses
         ]
-        run = track_session(opened.with_rig(Rig(moved)), tmp_path / str(factor), stop=4, overlay=False)
+        run = track_session(opened.with_rig(Rig(moved)), tmp_path / str(factor), RunOptions(stop=4, overlay=False))
         results.append(run.trajectory)
     for a, b in zip(*results, strict=True):
         assert a.status is b.status

@@ -16,10 +16,11 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.atomic_io import format_boxes_toml
-from sylpose.commands.demo import compute_errors
 from sylpose.commands.main import main
+from sylpose.comparison import compare_trajectories
 from sylpose.io.capture import open_session
 from sylpose.report.files import read_trajectory, read_tum
+from sylpose.runs.options import RunOptions
 from sylpose.runs.run import track_session
 from sylpose.simulate import Actor, Recording, Scene, chamfered_box, make_demo_scene, write_recording
 from sylpose.tracking.tracked_frame import TrackedFrame
@@ -71,10 +72,10 @@ def test_each_object_has_its_files(out: Path) -> None:
 @pytest.mark.parametrize("name", ["mug", "tray"])
 def test_each_object_has_correct_poses(two: Path, out: Path, name: str) -> None:
     times, truth = read_tum(two / f"groundtruth_{name}.tum")
-    result = compute_errors(*read_tum(out / name / "trajectory.tum"), times, truth, truth[0].translation)
-    assert result.missing == 0
-    assert result.rotation.max() < 1.5
-    assert result.translation.max() < 0.003
+    result = compare_trajectories(*read_tum(out / name / "trajectory.tum"), times, truth)
+    assert len(result.times) == result.n_reference
+    assert np.degrees(result.rotation).max() < 1.5
+    assert result.position.max() < 0.003
 
 
 def test_result_is_independent_of_other_objects(two: Path, out: Path, tmp_path: Path) -> None:
@@ -129,10 +130,10 @@ def test_python_call_and_resume(two: Path, out: Path, tmp_path: Path) -> None:
     session = open_session(two)
     part = tmp_path / "part"
 
-    def breaks(after: int) -> Callable[[TrackedFrame], None]:
+    def breaks(after: int) -> Callable[[str, TrackedFrame], None]:
         seen: list[TrackedFrame] = []
 
-        def on_frame(tracked: TrackedFrame) -> None:
+        def on_frame(_: str, tracked: TrackedFrame) -> None:
             seen.append(tracked)
             if len(seen) == after:
                 raise RuntimeError("between the two objects of a frame")
@@ -140,10 +141,10 @@ def test_python_call_and_resume(two: Path, out: Path, tmp_path: Path) -> None:
         return on_frame
 
     with pytest.raises(RuntimeError):
-        track_session(session, part, overlay=False, checkpoint_seconds=0, on_frame=breaks(9))
+        track_session(session, part, RunOptions(overlay=False, checkpoint_seconds=0), on_frame=breaks(9))
     assert len(read_trajectory(part / "mug" / "trajectory.csv")) == 5
     assert len(read_trajectory(part / "tray" / "trajectory.csv")) == 4
-    run = track_session(session, part, overlay=False, resume=True)
+    run = track_session(session, part, RunOptions(overlay=False, resume=True))
     for name in ("mug", "tray"):
         assert len(run.trajectories[name]) == FRAMES
         for file in TRAJECTORIES:

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from sylpose.cli.track import track
 from sylpose.commands.app import map_option_names, substitute_option_name
 from sylpose.commands.main import main
+from sylpose.commands.track import TrackOptions
 from sylpose.io import calibration
 from sylpose.io.capture import open_session
 from sylpose.report.files import write_trajectory
@@ -66,7 +66,7 @@ def test_errors_in_python_name_the_argument(session: Path) -> None:
 
 
 def test_typed_values_are_not_taken_for_arguments() -> None:
-    options = map_option_names(track)
+    options = map_option_names(TrackOptions)
     assert options["offsets"] == "--frame-offset"
     assert options["plot_format"] == "--format"
     assert options["smooth"] == "--smooth"

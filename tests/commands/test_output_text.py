@@ -13,12 +13,13 @@ import pytest
 
 from sylpose import __version__
 from sylpose.commands.main import main
+from sylpose.commands.track import open_pose_stream
 from sylpose.io import calibration
 from sylpose.io.capture import open_session
 from sylpose.report.files import read_trajectory
 from sylpose.report.json_lines import format_pose_line
 from sylpose.results import FramePose, FrameStatus
-from sylpose.runs.pose_stream import open_pose_stream
+from sylpose.runs.options import RunOptions
 from sylpose.runs.run import track_session
 from sylpose.runs.run_metadata import SETTINGS, USED_CALIBRATION
 
@@ -115,7 +116,7 @@ def test_pose_line_of_unknown_values() -> None:
 
 
 def test_result_contains_settings_and_calibration(recording: Path, tmp_path: Path) -> None:
-    run = track_session(open_session(recording), tmp_path, overlay=False, smooth=False, stop=4, seed=3)
+    run = track_session(open_session(recording), tmp_path, RunOptions(overlay=False, smooth=False, stop=4, seed=3))
     assert {tmp_path / SETTINGS, tmp_path / USED_CALIBRATION} <= set(run.files)
     kept = tomllib.loads((tmp_path / SETTINGS).read_text())
     assert kept["recording"] == str(recording.resolve())

@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.boards.specification import parse_board
 from sylpose.commands.main import main
-from sylpose.commands.poses import run_pose_command
+from sylpose.commands.pose import PoseOptions, solve_poses
 from sylpose.commands.report import _collect_stills
 from sylpose.io import calibration
 from sylpose.io.pixel_files import load_image_points
@@ -23,9 +23,8 @@ from sylpose.report.files import read_trajectory, read_tum
 from sylpose.report.page import render_page
 from sylpose.results import FrameStatus, Observability, Trajectory
 from sylpose.rig import Rig
-from sylpose.runs.run_metadata import SETTINGS, USED_CALIBRATION
-from sylpose.runs.scene import read_scenes
-from sylpose.runs.source_recording import open_source_recording
+from sylpose.runs.page import read_scenes
+from sylpose.runs.run_metadata import SETTINGS, USED_CALIBRATION, open_source_recording
 from sylpose.simulate import Actor, Recording, Scene, chamfered_box, write_recording
 from tests.recordings import BOX, RIG, attach_target, compute_pose_error, moved_path
 
@@ -314,9 +313,9 @@ def test_marker_result_can_be_shown_and_reported(cube: Path, tmp_path: Path, mon
     assert {file.name for file in out.iterdir()} == files
     assert len(solved(out)) == 2
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sylpose.commands.poses.detect_markers", lambda *_: 1 / 0)
+        patch.setattr("sylpose.runs.correspondences.detect_markers", lambda *_: 1 / 0)
         with pytest.raises(ZeroDivisionError):
-            run_pose_command(model, [cube], out, likelihood=0.6)
+            solve_poses(PoseOptions(model=model, observations=(cube,), out=out))
     assert len(solved(out)) == 2
     assert {file.name for file in out.iterdir()} == files
 

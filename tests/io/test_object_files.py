@@ -20,6 +20,7 @@ from sylpose.io.capture import open_session
 from sylpose.io.object_files import CLOUD_FILE, OBJECT_FILE, load_known_objects, load_object, save_object, write_cloud
 from sylpose.results import Observability
 from sylpose.rig import Rig
+from sylpose.runs.options import RunOptions
 from sylpose.runs.run import track_session
 from sylpose.simulate import Actor, Recording, Scene, arc, chamfered_box, write_recording
 from sylpose.tracking.known_object import KnownObject
@@ -44,7 +45,7 @@ def test_object_keeps_frame_in_other_recording(
     tmp_path: Path, known: KnownObject, actor_from_object: RigidTransform, path: Path_, smooth: bool
 ) -> None:
     take = write_box_recording(tmp_path / "take", path, NEXT, seed=5)
-    run = track_session(open_session(take), overlay=False, smooth=smooth, known=known)
+    run = track_session(open_session(take), options=RunOptions(overlay=False, smooth=smooth, known=known))
     assert all(pose.is_measured for pose in run.trajectory)
     assert all(pose.observability is Observability.ALL for pose in run.trajectory)
     wrong = np.array([compute_pose_error(pose, path(pose.index) * actor_from_object) for pose in run.trajectory])
@@ -75,7 +76,7 @@ def sights(known: KnownObject) -> int:
 
 def test_known_object_gains_landmarks(tmp_path: Path, known: KnownObject) -> None:
     take = write_box_recording(tmp_path / "take", moved_path, NEXT, seed=5)
-    track_session(open_session(take), tmp_path / "out", overlay=False, known=known)
+    track_session(open_session(take), tmp_path / "out", RunOptions(overlay=False, known=known))
     more = load_object(tmp_path / "out" / OBJECT_FILE)
     assert len(more._keyframes) > len(known._keyframes)
     assert sights(more) > sights(known)
@@ -85,21 +86,20 @@ def test_resume_with_known_object(
     first: Path, known: KnownObject, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     session = open_session(write_box_recording(tmp_path / "take", moved_path, 8, seed=5))
-    whole = track_session(session, tmp_path / "whole", overlay=False, known=known)
+    whole = track_session(session, tmp_path / "whole", RunOptions(overlay=False, known=known))
     done: list[int] = []
     with pytest.raises(KeyboardInterrupt):
         track_session(
             session,
             tmp_path / "out",
-            overlay=False,
-            known=known,
-            on_frame=lambda f: done.append(f.pose.index),
+            RunOptions(overlay=False, known=known),
+            on_frame=lambda _, f: done.append(f.pose.index),
             interrupted=lambda: len(done) == 4,
         )
     with pytest.raises(
         ValueError, match=r"checkpoint\.bin: the interrupted run had known object [0-9a-f]{32}, not none"
     ):
-        track_session(session, tmp_path / "out", overlay=False, resume=True)
+        track_session(session, tmp_path / "out", RunOptions(overlay=False, resume=True))
     file = f"--object={first / 'sylpose' / OBJECT_FILE}"
     assert main(["track", str(session.path), "--out", str(tmp_path / "out"), "--no-overlay", "--resume", file]) == 0
     assert "Resuming after 4 of 8 frames" in capsys.readouterr().out
@@ -139,7 +139,7 @@ def test_point_cloud_is_on_object(first: Path, known: KnownObject, actor_from_ob
 
 def test_static_object_is_not_learned(tmp_path: Path) -> None:
     stands = write_box_recording(tmp_path / "take", lambda _: RigidTransform.identity(), 4)
-    track_session(open_session(stands), overlay=False)
+    track_session(open_session(stands), options=RunOptions(overlay=False))
     assert not (stands / "sylpose" / OBJECT_FILE).exists()
     assert (stands / "sylpose" / "trajectory.csv").exists()
 
@@ -148,7 +148,7 @@ def test_absent_object_is_not_found(tmp_path: Path, known: KnownObject) -> None:
     """Track another object with a different texture."""
     other = Scene(RIG, (Actor(chamfered_box([0.2, 0.3, 0.2], 77), moved_path),), 6, 11)
     write_recording(Recording(other), tmp_path / "take")
-    run = track_session(open_session(tmp_path / "take"), overlay=False, known=known)
+    run = track_session(open_session(tmp_path / "take"), options=RunOptions(overlay=False, known=known))
     assert not run.trajectory.measured_mask.any()
     assert all(pose.reason for pose in run.trajectory)
 
@@ -212,7 +212,7 @@ def test_known_object_transfers_to_other_rig(
     """Track with three other cameras, or one of them, in the same object frame and with consistent uncertainty."""
     rig = OTHERS.subset(names)
     take = write_box_recording(tmp_path / "take", moved_path, 6, seed=5, rig=rig)
-    run = track_session(open_session(take), overlay=False, smooth=smooth, known=known)
+    run = track_session(open_session(take), options=RunOptions(overlay=False, smooth=smooth, known=known))
     assert run.problems == (transfer_object(known, rig).note,)
     assert run.trajectory.unit == "m"
     assert all(pose.is_measured and pose.observability is Observability.ALL for pose in run.trajectory)
@@ -229,7 +229,7 @@ def test_known_object_transfers_to_other_rig(
         assert more.rig.names == names
         assert any(k.is_fixed for k in more._keyframes)
         with pytest.raises(ValueError, match="refine_calibration: object was learned with another rig"):
-            track_session(open_session(take), overlay=False, refine_calibration=True, known=known)
+            track_session(open_session(take), options=RunOptions(overlay=False, refine_calibration=True, known=known))
 
 
 def test_recalibrated_cameras_increase_uncertainty(
@@ -245,10 +245,10 @@ def test_recalibrated_cameras_increase_uncertainty(
     ]
     calibration.save(Rig(cameras, "m"), tmp_path / "rig.toml")
     session = open_session(take, calibration=tmp_path / "rig.toml")
-    same = track_session(open_session(take), tmp_path / "same", overlay=False, smooth=True, known=known)
+    same = track_session(open_session(take), tmp_path / "same", RunOptions(overlay=False, smooth=True, known=known))
     usual = np.mean([pose.sigma[:3].min() for pose in same.trajectory])
     for smooth in (False, True):
-        run = track_session(session, tmp_path / "out", overlay=False, smooth=smooth, known=known)
+        run = track_session(session, tmp_path / "out", RunOptions(overlay=False, smooth=smooth, known=known))
         wrong = [compute_pose_error(pose, moved_path(pose.index) * actor_from_object) for pose in run.trajectory]
         squares = [e @ np.linalg.solve(p.covariance, e) / 6 for e, p in zip(wrong, run.trajectory, strict=True)]
         assert 0.02 < np.mean(squares) < 3.0
@@ -266,9 +266,9 @@ def test_options_excluding_known_object(known: KnownObject, first: Path) -> None
     with pytest.raises(ValueError, match="method: a known object needs 'landmarks', got 'epipolar'"):
         Tracker(RIG, method="epipolar", known_object=known)
     with pytest.raises(ValueError, match="distributed: nodes do not support known objects"):
-        track_session(open_session(first), distributed="exact", known=known)
+        track_session(open_session(first), options=RunOptions(distributed="exact", known=known))
     with pytest.raises(ValueError, match="known: no object 'cup' in"):
-        track_session(open_session(first), known={"cup": known})
+        track_session(open_session(first), options=RunOptions(known={"cup": known}))
 
 
 @pytest.mark.parametrize(

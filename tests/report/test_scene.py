@@ -14,8 +14,8 @@ from sylpose.report.files import write_trajectory
 from sylpose.report.scene import FRUSTUM_DEPTH_RATIO, IMAGE_GRID, PointCloud, Scene, build_scene
 from sylpose.results import FramePose, FrameStatus, Trajectory
 from sylpose.rig import Rig, make_look_at_camera
+from sylpose.runs.page import read_scene
 from sylpose.runs.run_metadata import USED_CALIBRATION
-from sylpose.runs.scene import read_scene
 
 CAMERAS = ("left", "right", "above")
 

@@ -20,6 +20,7 @@ from sylpose.atomic_io import partial_path, replace_atomically
 from sylpose.commands.main import main
 from sylpose.io import calibration
 from sylpose.io.capture import Session, open_session
+from sylpose.runs.options import RunOptions
 from sylpose.runs.results_folder import EARLIER
 from sylpose.runs.run import has_finished, track_session
 from sylpose.runs.run_metadata import SETTINGS, USED_CALIBRATION
@@ -78,8 +79,9 @@ def opened(recording: Path) -> Session:
     return open_session(recording)
 
 
-def run(session: Session, out: Path, smooth: bool, **options: Any) -> None:
-    track_session(session, out, stop=STOP, smooth=smooth, overlay=False, checkpoint_seconds=0, workers=1, **options)
+def run(session: Session, out: Path, smooth: bool, on_frame: Any = None, **options: Any) -> None:
+    options |= {"stop": STOP, "smooth": smooth, "overlay": False, "checkpoint_seconds": 0, "workers": 1}
+    track_session(session, out, RunOptions(**options), on_frame=on_frame)
 
 
 @pytest.fixture(scope="module")
@@ -164,7 +166,7 @@ def folders(out: Path) -> list[Path]:
 def test_failing_run_keeps_the_earlier_result(opened: Session, tmp_path: Path) -> None:
     out = prepare_earlier_result(tmp_path / "out")
 
-    def breaks(tracked: TrackedFrame) -> None:
+    def breaks(_: str, tracked: TrackedFrame) -> None:
         if tracked.pose.index == 1:
             raise RuntimeError("a bug")
 
@@ -203,7 +205,7 @@ def test_failing_resumed_run_keeps_the_files(
 def test_two_runs_in_one_folder(opened: Session, tmp_path: Path) -> None:
     output = list[str]()
 
-    def another(_: TrackedFrame) -> None:
+    def another(*_: object) -> None:
         with pytest.raises(ValueError, match="another run is writing its results there") as refused:
             run(opened, tmp_path, False, resume=bool(output))
         output.append(str(refused.value))
@@ -250,7 +252,7 @@ def test_results_are_not_written_into_the_recording(session: Path, capsys: pytes
             assert f"--out {out}: " in output[0]
     assert sorted(session.rglob("*")) == before
     with pytest.raises(ValueError, match="--checkpoint must be a number of seconds"):
-        track_session(open_session(session), checkpoint_seconds=float("nan"))
+        track_session(open_session(session), options=RunOptions(checkpoint_seconds=float("nan")))
     assert sorted(session.rglob("*")) == before
     assert main(["sync", str(session), "--out", str(session / "cam_0.mp4")]) == 2
     assert "exists and is not a file of offsets" in capsys.readouterr().err

@@ -21,6 +21,7 @@ from sylpose.report.files import read_trajectory, write_trajectory
 from sylpose.results import FramePose, FrameStatus, Observability, Trajectory
 from sylpose.rig import Rig
 from sylpose.runs.object_frames import change_object_frame
+from sylpose.runs.options import RunOptions
 from sylpose.runs.run import track_session
 from sylpose.runs.run_metadata import USED_CALIBRATION
 from sylpose.simulate import Actor, Recording, Scene, chamfered_box, write_recording
@@ -96,7 +97,7 @@ def test_poses_in_new_object_frame(tmp_path: Path, known: KnownObject, smooth: b
     session = open_session(write_box_recording(tmp_path / "take", moved_path, 6, seed=5))
     tool = known.to_frame(NEW_FROM_OBJECT, description="by hand")
     runs = [
-        track_session(session, tmp_path / f"out{k}", overlay=False, smooth=smooth, known=its)
+        track_session(session, tmp_path / f"out{k}", RunOptions(overlay=False, smooth=smooth, known=its))
         for k, its in enumerate((known, tool))
     ]
     for a, b in zip(*(run.trajectory for run in runs), strict=True):
@@ -354,7 +355,7 @@ def by_one(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = write_box_recording(tmp_path_factory.mktemp("one") / "take", mapping_path, 50, rig=RIG.subset(["cam_1"]))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("sylpose.report.plots.plot_trajectory", lambda *_, **__: None)
-        track_session(open_session(folder), overlay=False, smooth=False)
+        track_session(open_session(folder), options=RunOptions(overlay=False, smooth=False))
     return folder
 
 
@@ -383,7 +384,7 @@ def test_scale_of_single_camera_object(by_one: Path, tmp_path: Path, capsys: pyt
     actor_from_frame = RigidTransform.from_translation(points[0]) * turned_to(points)
     again = write_box_recording(tmp_path / "again", moved_path, NEXT - 6, seed=5, rig=RIG.subset(["cam_1"]))
     for smooth in (False, True):
-        run = track_session(open_session(again), overlay=False, smooth=smooth, known=sized)
+        run = track_session(open_session(again), options=RunOptions(overlay=False, smooth=smooth, known=sized))
         assert run.trajectory.unit == "m"
         assert all(pose.is_measured and pose.observability is Observability.ALL for pose in run.trajectory)
         wrong = np.array(

@@ -19,9 +19,9 @@ from sylpose.frames import FrameSet
 from sylpose.io.capture import open_session
 from sylpose.report.formats import PAGE_FILE
 from sylpose.report.scene import Thumbnails
-from sylpose.runs.page import write_report_page
+from sylpose.runs.options import RunOptions
+from sylpose.runs.page import MIN_THUMBNAILS, ThumbnailAlbum, thumbnail_step, write_report_page
 from sylpose.runs.run import track_session
-from sylpose.runs.thumbnails import MIN_THUMBNAILS, ThumbnailAlbum, thumbnail_step
 
 FRAMES = 6
 
@@ -62,8 +62,9 @@ def test_album_after_resume(n: int, at: int) -> None:
     assert again.stills().images == whole.stills().images
 
 
-def run(recording: Path, out: Path, **options: Any) -> bytes:
-    track_session(open_session(recording), out, stop=FRAMES, overlay=False, **options)
+def run(recording: Path, out: Path, interrupted: Any = None, **options: Any) -> bytes:
+    options |= {"stop": FRAMES, "overlay": False}
+    track_session(open_session(recording), out, RunOptions(**options), interrupted=interrupted)
     return undated(out / PAGE_FILE)
 
 
@@ -125,7 +126,7 @@ def test_report_rebuilds_page(whole: Path, tmp_path: Path, capsys: pytest.Captur
 def test_page_contains_warnings(session: Path, tmp_path: Path) -> None:
     boxes = (session / "boxes.toml").read_text().splitlines()
     (session / "boxes.toml").write_text("\n".join(boxes[:2]))
-    track_session(open_session(session), tmp_path, stop=3, overlay=False)
+    track_session(open_session(session), tmp_path, RunOptions(stop=3, overlay=False))
     page = (tmp_path / PAGE_FILE).read_text(encoding="utf-8")
     message = "Only one camera has a box (cam_0): the object"
     assert f"<li>{message}" in page

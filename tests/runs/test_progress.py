@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from sylpose.io.capture import open_session
+from sylpose.runs.options import RunOptions
 from sylpose.runs.progress import NotebookProgress, show_progress
 from sylpose.runs.run import track_session
 from tests.conftest import FRAMES
@@ -23,10 +24,9 @@ def test_callback_is_called_for_each_frame(recording: Path, tmp_path: Path, caps
     track_session(
         open_session(recording),
         tmp_path,
-        stop=8,
-        overlay=False,
+        RunOptions(stop=8, overlay=False),
         progress=lambda done, total: reported.append((done, total)),
-        on_frame=lambda tracked: frames.append(tracked.pose.index),
+        on_frame=lambda _, tracked: frames.append(tracked.pose.index),
     )
     # It works with the other callbacks, and nothing is printed.
     assert reported == [(k, 8) for k in range(1, 9)]
@@ -41,13 +41,16 @@ def test_resumed_run_continues_counting(recording: Path, tmp_path: Path) -> None
         track_session(
             open_session(recording),
             tmp_path,
-            overlay=False,
+            RunOptions(overlay=False),
             interrupted=lambda: len(reported) > 0,
-            on_frame=reported.append,
+            on_frame=lambda *frame: reported.append(frame),
         )
     message: list[tuple[int, int | None]] = []
     track_session(
-        open_session(recording), tmp_path, overlay=False, resume=True, progress=lambda *numbers: message.append(numbers)
+        open_session(recording),
+        tmp_path,
+        RunOptions(overlay=False, resume=True),
+        progress=lambda *numbers: message.append(numbers),
     )
     first = message[0][0]
     assert first > 0
@@ -56,7 +59,7 @@ def test_resumed_run_continues_counting(recording: Path, tmp_path: Path) -> None
 
 
 def test_no_progress_by_default(recording: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    track_session(open_session(recording), tmp_path, stop=3, overlay=False)
+    track_session(open_session(recording), tmp_path, RunOptions(stop=3, overlay=False))
     captured = capfd.readouterr()
     assert captured.out == captured.err == ""
 
@@ -65,7 +68,7 @@ def test_bar_in_terminal(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("FORCE_COLOR", "1")  # rich then treats any output as a terminal
-    track_session(open_session(recording), tmp_path, stop=6, overlay=False, progress=True)
+    track_session(open_session(recording), tmp_path, RunOptions(stop=6, overlay=False), progress=True)
     shown = capfd.readouterr().err
     assert "Tracking" in shown
     assert "6/6" in shown
@@ -102,7 +105,7 @@ def test_line_in_notebook(
     recording: Path, tmp_path: Path, notebook: Shown, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("sylpose.runs.progress.MIN_UPDATE_SECONDS", 0.0)
-    track_session(open_session(recording), tmp_path, stop=6, overlay=False, progress=True)
+    track_session(open_session(recording), tmp_path, RunOptions(stop=6, overlay=False), progress=True)
     assert notebook.lines[0] == "Tracking"
     (half,) = (line for line in notebook.lines if " 3 of 6 frames" in line)
     assert half.count("█") == half.count("░") == 15
@@ -133,4 +136,4 @@ def test_frames_of_several_objects_are_counted_once() -> None:
 @pytest.mark.parametrize("wrong", [3, "yes", [1]])
 def test_invalid_progress_is_rejected(recording: Path, tmp_path: Path, wrong: Any) -> None:
     with pytest.raises(TypeError, match="progress must be True, None or a function"):
-        track_session(open_session(recording), tmp_path / "out", overlay=False, progress=wrong)
+        track_session(open_session(recording), tmp_path / "out", RunOptions(overlay=False), progress=wrong)

@@ -27,6 +27,7 @@ from sylpose.rig import Rig
 from sylpose.runs import checkpoint as checkpoints
 from sylpose.runs.checkpoint import CHECKPOINT
 from sylpose.runs.checkpoint_schema import RECORD_TYPES, RunState
+from sylpose.runs.options import RunOptions
 from sylpose.runs.run import track_session
 from sylpose.tracking.tracked_frame import TrackedFrame
 
@@ -132,13 +133,13 @@ def interrupted(session: Path, out: Path, after: int, **options: Any) -> None:
     """Start a run that fails after a number of frames."""
     seen: list[TrackedFrame] = []
 
-    def breaks(tracked: TrackedFrame) -> None:
+    def breaks(_: str, tracked: TrackedFrame) -> None:
         seen.append(tracked)
         if len(seen) == after:
             raise PowerCutError
 
     with pytest.raises(PowerCutError):
-        track_session(open_session(session), out, on_frame=breaks, overlay=False, **options)
+        track_session(open_session(session), out, RunOptions(overlay=False, **options), on_frame=breaks)
 
 
 @pytest.mark.parametrize(
@@ -157,9 +158,9 @@ def interrupted(session: Path, out: Path, after: int, **options: Any) -> None:
 def test_resumed_run_is_exact(session: Path, tmp_path: Path, options: dict[str, Any], after: int) -> None:
     if "every" in options:
         (session / "boxes.toml").unlink()  # without boxes, the first frames are buffered with their images
-    track_session(open_session(session), tmp_path / "whole", overlay=False, **options)
+    track_session(open_session(session), tmp_path / "whole", RunOptions(overlay=False, **options))
     interrupted(session, tmp_path / "part", after, **{"checkpoint_seconds": 0, **options})
-    run = track_session(open_session(session), tmp_path / "part", overlay=False, resume=True, **options)
+    run = track_session(open_session(session), tmp_path / "part", RunOptions(overlay=False, resume=True, **options))
     assert same(tmp_path / "part", tmp_path / "whole")
     assert {f.name for f in (tmp_path / "part").iterdir()} == {f.name for f in run.files}
     assert np.array_equal(
@@ -172,7 +173,7 @@ def test_resume_after_failure_while_finishing(
     session: Path, tmp_path: Path, where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     options: dict[str, Any] = {"stop": 5, "overlay": False, "checkpoint_seconds": 0}
-    track_session(open_session(session), tmp_path / "whole", **options)
+    track_session(open_session(session), tmp_path / "whole", RunOptions(**options))
 
     def breaks(*_: object, **__: object) -> None:
         raise PowerCutError
@@ -181,10 +182,10 @@ def test_resume_after_failure_while_finishing(
     with monkeypatch.context() as patch:
         patch.setattr(f"sylpose.runs.outputs.{where}", breaks)
         with pytest.raises(PowerCutError):
-            track_session(open_session(session), tmp_path / "part", **options)
+            track_session(open_session(session), tmp_path / "part", RunOptions(**options))
     assert (tmp_path / "part" / CHECKPOINT).exists()
     assert len(read_trajectory(tmp_path / "part" / "tracked.csv")) == 5
-    run = track_session(open_session(session), tmp_path / "part", resume=True, **options)
+    run = track_session(open_session(session), tmp_path / "part", RunOptions(resume=True, **options))
     assert same(tmp_path / "part", tmp_path / "whole")
     assert {f.name for f in (tmp_path / "part").iterdir()} == {f.name for f in run.files}
 
@@ -296,7 +297,7 @@ def test_unwritable_checkpoint_is_reported(recording: Path, tmp_path: Path, monk
         save(path, *state)
 
     monkeypatch.setattr("sylpose.runs.checkpoint_schedule.save_checkpoint", full)
-    run = track_session(open_session(recording), tmp_path, stop=3, overlay=False, checkpoint_seconds=0)
+    run = track_session(open_session(recording), tmp_path, RunOptions(stop=3, overlay=False, checkpoint_seconds=0))
     assert len(run.trajectory) == 3
     (message,) = run.problems
     assert "checkpoint.bin: no space left" in message

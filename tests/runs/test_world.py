@@ -20,9 +20,9 @@ from sylpose.io.capture import open_session
 from sylpose.report.files import read_trajectory, read_tum
 from sylpose.results import Trajectory
 from sylpose.rig import Rig
+from sylpose.runs.options import RunOptions
 from sylpose.runs.run import track_session
-from sylpose.runs.session_options import open_recording
-from sylpose.runs.world import WorldSpec, resolve_session_world, resolve_world
+from sylpose.runs.world import WorldSpec, apply_world_and_unit, resolve_session_world, resolve_world
 from sylpose.simulate import render_frames, write_sequence
 from tests.boards.drawing import make_floor_scene
 
@@ -124,8 +124,8 @@ def test_covariances_rotate_with_world(recording: Path, tmp_path: Path) -> None:
     """Compare full covariances, before they are reduced to standard deviations of axes."""
     runs = []
     for requested in (None, WorldSpec("up=0.1,-1,0.3 origin=0.1,0.2,0")):
-        opened = open_recording(recording, None, None, None, None, world=requested)
-        runs.append((opened, track_session(opened, tmp_path, overlay=False, smooth=False).trajectory))
+        opened = apply_world_and_unit(open_session(recording), requested, None)
+        runs.append((opened, track_session(opened, tmp_path, RunOptions(overlay=False, smooth=False)).trajectory))
     world = runs[1][0].world
     assert world is not None
     turn = block_diag(*[world.world_from_calibration.rotation.as_matrix()] * 2)
@@ -193,9 +193,9 @@ def test_world_file_of_run_is_exact(recording: Path, on_the_tag: Path, tmp_path:
 
 def test_resume_requires_same_world(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out, stops = tmp_path / "out", iter(range(100))
-    opened = open_recording(recording, None, None, None, None, world=WorldSpec(TAG))
+    opened = apply_world_and_unit(open_session(recording), WorldSpec(TAG), None)
     with pytest.raises(KeyboardInterrupt):
-        track_session(opened, out, overlay=False, checkpoint_seconds=0, interrupted=lambda: next(stops) > 4)
+        track_session(opened, out, RunOptions(overlay=False, checkpoint_seconds=0), interrupted=lambda: next(stops) > 4)
     assert sylpose("track", recording, "--out", out, "--no-overlay", "-q", "--resume") == 2
     assert "calibration changed since the interrupted run" in capsys.readouterr().err
     assert sylpose("track", recording, "--out", out, "--no-overlay", "-q", "--resume", "--world", TAG) == 0

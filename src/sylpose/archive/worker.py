@@ -16,9 +16,11 @@ from sylpose.archive.stores import ObjectStore, is_inside, is_url, open_store, s
 from sylpose.input_limits import to_one_line
 from sylpose.io.capture import open_session
 from sylpose.report.camera_consistency import describe_camera_problems
+from sylpose.runs.check import explain_failures
+from sylpose.runs.options import RunOptions
 from sylpose.runs.precompile import compile_all, is_compiled
-from sylpose.runs.run import Run, track_session
-from sylpose.runs.session_warnings import explain_failures
+from sylpose.runs.run import track_session
+from sylpose.runs.run_result import Run
 from sylpose.runs.world import WorldSpec, apply_world_and_unit, is_world_text
 from sylpose.sync.offsets import find_offsets
 
@@ -60,14 +62,13 @@ def track_recording(recording: Recording, folder: Path, threads: int) -> Summary
         if world is not None:
             world = WorldSpec(world if is_world_text(world) else str(local(world, "given_world.toml")))
         session = apply_world_and_unit(session, world, unit)
-        run = track_session(
-            session,
-            folder / "results",
+        run_options = RunOptions(
             offsets=find_offsets(session, local(recording.offsets, "given_offsets")),
             checkpoint_seconds=float("inf"),
             workers=threads,
             **options,
         )
+        run = track_session(session, folder / "results", run_options)
         return summarize_run(run, explain_failures(session, run), session.warnings)
     except (ValueError, OSError) as error:
         message = str(error)

@@ -234,7 +234,7 @@ def report_errors(command: Callable[P, None]) -> Callable[P, None]:
     return run
 
 
-def map_option_names(command: Callable[..., None]) -> dict[str, str]:
+def map_option_names(command: Any) -> dict[str, str]:
     """Map the names of a command's Python arguments to its options."""
     found: dict[str, str] = {}
     for name, hint in get_type_hints(command, include_extras=True).items():

@@ -35,9 +35,9 @@ def check(options: CheckOptions) -> None:
     from sylpose.report.rigview import describe_rig, plot_rig
     from sylpose.runs import check as checks
     from sylpose.runs import console_output
+    from sylpose.runs.check import boxes_hint
+    from sylpose.runs.results_folder import check_output_folder
     from sylpose.runs.run_metadata import WORLD
-    from sylpose.runs.session_options import check_output_folder
-    from sylpose.runs.session_warnings import boxes_hint
 
     session = options.apply_to(options.open(options.boxes, options.frame_offset))
     folder = session.path / "sylpose" if options.out is None else options.out

@@ -13,12 +13,8 @@ from sylpose import __version__
 from sylpose.commands.app import app
 
 # Importing a module registers its commands; the order is that of `--help`.
-from sylpose.cli import track  # noqa: F401 # isort: skip
-from sylpose.commands import batch, check, box, sync  # noqa: F401 # isort: skip
-from sylpose.cli import studies  # noqa: F401 # isort: skip
-from sylpose.commands import show, view, report, experiments, export, compare, node, network, calibration, object  # noqa: F401 # isort: skip
-from sylpose.cli import poses  # noqa: F401 # isort: skip
-from sylpose.commands import doctor  # noqa: F401 # isort: skip
+from sylpose.commands import track, batch, check, box, sync, demo, show, view, report, experiments, export  # noqa: F401 # isort: skip
+from sylpose.commands import compare, node, network, pose, doctor, calibration, object  # noqa: F401 # isort: skip
 
 __all__ = ["app", "main"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -13,9 +13,6 @@ from sylpose.commands.app import CommandOptions, app, command, exit_with_failure
 from sylpose.commands.node import require_zenoh
 from sylpose.commands.options import Seed
 from sylpose.methods import MODES
-
-if TYPE_CHECKING:
-    from sylpose.geometry.arrays import FloatArray
 
 __all__ = ["DemoOptions", "InitOptions", "build_node_command", "init", "network_demo"]
 
@@ -98,9 +95,9 @@ def network_demo(options: DemoOptions) -> None:
     require_zenoh()
     from sylpose.commands.demo import render_demo
 
-    truth = render_demo(options.out, frames=options.frames, turn_deg=90.0, n_cameras=len(CAMERAS), seed=options.seed)
+    render_demo(options.out, frames=options.frames, turn_deg=90.0, n_cameras=len(CAMERAS), seed=options.seed)
     downtime = _run_nodes(options)
-    if failures := _evaluate(options, downtime, truth.world_from_object[0].translation):
+    if failures := _evaluate(options, downtime):
         exit_with_failures(failures)
 
 
@@ -169,11 +166,12 @@ def _run_nodes(options: DemoOptions) -> tuple[float, float] | None:
     return None if killed is None or rejoined is None else (killed[0] / RATE, rejoined / RATE)
 
 
-def _evaluate(options: DemoOptions, downtime: tuple[float, float] | None, center: FloatArray) -> list[str]:
+def _evaluate(options: DemoOptions, downtime: tuple[float, float] | None) -> list[str]:
     """Print the nodes' errors as a table, plot them, and return error messages."""
     import numpy as np
 
-    from sylpose.commands.demo import MAX_ERROR_DEG, compute_errors
+    from sylpose.commands.demo import MAX_ERROR_DEG
+    from sylpose.comparison import compare_trajectories
     from sylpose.report.files import read_trajectory, read_tum
     from sylpose.report.network import NodeResult, plot_nodes
     from sylpose.runs import console_output
@@ -184,15 +182,16 @@ def _evaluate(options: DemoOptions, downtime: tuple[float, float] | None, center
         name, results = folder.removesuffix("_again"), options.out / "nodes" / folder
         try:
             found = read_trajectory(results / f"{name}.csv")
-            errors = compute_errors(*read_tum(results / f"{name}.tum"), true_times, truth, center)
+            errors = compare_trajectories(*read_tum(results / f"{name}.tum"), true_times, truth)
         except (OSError, ValueError):
             failures.append(f"{folder}: no result; its output is in {results / 'output.txt'}")
             continue
         solved = [pose for pose in found if pose.world_from_object is not None]
-        worst = float(errors.rotation.max(initial=0.0))
+        rotation = np.degrees(errors.rotation[1:])
+        worst = float(rotation.max(initial=0.0))
         rows.append([folder, f"{solved[0].index} to {solved[-1].index}", f"{len(solved)}", f"{worst:.3f}"])
         times = np.array([pose.time for pose in solved[1:]])
-        answers.append(NodeResult(folder.replace("_again", " again"), found, times, errors.rotation))
+        answers.append(NodeResult(folder.replace("_again", " again"), found, times, rotation))
         if worst > MAX_ERROR_DEG:
             failures.append(f"{folder}: {worst:.1f} degrees off")
         if name != KILLED and len(solved) < options.frames:

@@ -53,9 +53,14 @@ def _collect_stills(folder: Path) -> tuple[Thumbnails, str]:
     from sylpose.report.formats import PAGE_FILE
     from sylpose.report.page import read_stills
     from sylpose.report.scene import Thumbnails
-    from sylpose.runs.run_metadata import SETTINGS, find_run_folder, read_settings, settings_table
-    from sylpose.runs.source_recording import open_source_recording
-    from sylpose.runs.thumbnails import ThumbnailAlbum
+    from sylpose.runs.page import ThumbnailAlbum
+    from sylpose.runs.run_metadata import (
+        SETTINGS,
+        find_run_folder,
+        open_source_recording,
+        read_settings,
+        settings_table,
+    )
 
     if (folder / PAGE_FILE).is_file():
         return read_stills(folder / PAGE_FILE), ""

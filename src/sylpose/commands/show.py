@@ -52,8 +52,8 @@ def show(options: ShowOptions) -> None:
     from sylpose.io import calibration
     from sylpose.io.capture.random_access import RandomAccessReader
     from sylpose.runs import console_output
-    from sylpose.runs.scene import read_scenes
-    from sylpose.runs.source_recording import open_source_recording
+    from sylpose.runs.page import read_scenes
+    from sylpose.runs.run_metadata import open_source_recording
     from sylpose.runs.view import find_calibration
 
     console, result = console_output.make_console(), options.result

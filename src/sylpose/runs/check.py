@@ -2,35 +2,52 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import shlex
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 
 from sylpose.display import format_length
+from sylpose.frames import Box, FrameSet
 from sylpose.geometry.arrays import FloatArray
 from sylpose.io.calibration import format_name
 from sylpose.io.capture import Session
 from sylpose.io.capture.live import LiveSession
 from sylpose.report.rigview import describe_rig, find_axes_intersection
+from sylpose.results import FrameStatus
 from sylpose.rig import Rig
-from sylpose.runs.preview import Preview, box_outlines, preview_moving_object
-from sylpose.runs.session_warnings import find_session_warnings
+from sylpose.runs.console_output import select_solved_frames
+from sylpose.runs.run_result import Run
 from sylpose.tracking.region import carve_box_volume
+from sylpose.tracking.tracked_frame import TrackedFrame
+from sylpose.tracking.tracker import Tracker
 
 __all__ = [
     "ObjectLocation",
+    "boxes_hint",
     "check_rig_geometry",
     "check_session",
     "collect_facts",
     "describe_axis_miss",
+    "explain_failures",
+    "find_session_warnings",
     "find_tracking_target",
     "list_errors",
     "list_warnings",
     "locate_object",
+    "preview_moving_object",
 ]
 
 
+# Timestamps of one frame set that deviate more from their mean, frames, cause a warning (choice: cameras without a
+# common trigger reach one frame in either direction).
+MAX_TIMESTAMP_SPREAD = 2.0
+# Number of frames that are tracked (choice).
+PREVIEW_FRAMES = 30
+# Directions of the points on the object whose motion in the images is reported (derived).
+DIRECTIONS = np.concatenate([np.eye(3), -np.eye(3)])
 # Cameras whose baseline is below this share of their distance to the object count as coincident (choice: parallax
 # of a pixel at f = 1000 px).
 MIN_BASELINE_RATIO = 1e-3
@@ -56,6 +73,23 @@ class ObjectLocation:
     radius: float | None
     source: str
     error: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Preview:
+    """Preview of the tracked object.
+
+    Attributes:
+        frames: the first frame, for drawing; None for a recording without frames.
+        outlines: by camera, outline (k, 2) in pixels, or None if the object is not visible or unknown.
+        description: description.
+        warnings: warnings.
+    """
+
+    frames: FrameSet | None
+    outlines: tuple[FloatArray | None, ...]
+    description: str
+    warnings: tuple[str, ...] = ()
 
 
 def find_tracking_target(session: Session) -> Preview:
@@ -268,3 +302,116 @@ def _check_boxes(session: Session | LiveSession, location: ObjectLocation, start
     if without_image:
         found.append(f"{', '.join(without_image)}: no image in the first frame, for which there is a box.")
     return found
+
+
+def preview_moving_object(session: Session, n_frames: int = PREVIEW_FRAMES) -> Preview:
+    """Find what moves against the static background in the first frames, as `track` does."""
+    names, tracked, first = session.rig.names, list[TrackedFrame](), None
+    with Tracker(session.rig) as tracker:
+        for frames in islice(session.frames(), n_frames):
+            first = frames if first is None else first
+            tracked += tracker.step(frames)
+            if any(f.pose.is_observed for f in tracked[1:]):
+                break
+        else:
+            tracked += tracker.flush()
+    solved = [f for f in tracked if f.pose.is_observed]
+    if len(solved) < 2:
+        statuses = [f.pose.status for f in tracked]
+        why = statuses[-1].text if statuses else FrameStatus.TOO_FEW_MATCHES.text
+        range_text = f"the first {len(tracked)} frames" if len(tracked) > 1 else "the first frame"
+        description = (
+            f"Without boxes, the moving object is tracked, but nothing trackable moves within {range_text}. {why} "
+            f"Select the object with boxes: {boxes_hint(session)}."
+        )
+        return Preview(first, (None,) * len(names), "nothing yet", (description,))
+    begin, end = solved[0], solved[-1]
+    displacements = _median_displacements(session, begin, end)
+    counts = [
+        f"{name} {n} features, {px:.0f} px"
+        for name, n, px in zip(names, end.pose.inliers.tolist(), displacements, strict=True)
+        if n
+    ]
+    description = f"what moves from frame {begin.pose.index} to {end.pose.index}: {', '.join(counts)}"
+    return Preview(begin.frames, begin.regions, description, (begin.note,) if begin.note else ())
+
+
+def _median_displacements(session: Session, begin: TrackedFrame, end: TrackedFrame) -> Sequence[float]:
+    """Return the median displacement of the object's surface in each camera's images, pixels."""
+    first_pose, last_pose = begin.pose.world_from_object, end.pose.world_from_object
+    assert first_pose is not None
+    assert last_pose is not None
+    points = begin.radius * DIRECTIONS
+    displacements = [
+        camera.project(last_pose.apply(points)) - camera.project(first_pose.apply(points)) for camera in session.rig
+    ]
+    return [float(np.median(np.linalg.norm(shift, axis=1))) for shift in displacements]
+
+
+def box_outlines(session: Session, boxes: Mapping[str, Box]) -> tuple[FloatArray | None, ...]:
+    """Return the corners (4, 2) of each camera's box, or None without one."""
+
+    def corners(box: Box) -> FloatArray:
+        right, bottom = box.x + box.width - 1, box.y + box.height - 1
+        return np.array([[box.x, box.y], [right, box.y], [right, bottom], [box.x, bottom]], float)
+
+    return tuple(corners(boxes[name]) if name in boxes else None for name in session.rig.names)
+
+
+def find_session_warnings(session: Session | LiveSession, start: int = 0) -> list[str]:
+    """Return warnings about a session that is tracked from frame `start` on, as sentences."""
+    warnings = [*session.warnings]
+    if isinstance(session, LiveSession):
+        return warnings
+    n, parts = session.n_frames, []
+    for name, column in zip(session.rig.names, session.timeline.frames.T, strict=True):
+        present = np.flatnonzero(column >= 0)
+        if not len(present):
+            parts.append(f"{name} has none of them")
+        elif len(present) < n:
+            missing = int(present[-1] - present[0] + 1 - len(present))
+            gap_text = f" without {missing} in between" if missing else ""
+            parts.append(f"{name} has {present[0]} to {present[-1]}{gap_text}")
+    if parts:
+        warnings.append(f"Not every camera has all frames 0 to {n - 1}: {', '.join(parts)}.")
+    deviations = session.timeline.stamps - session.timeline.times[:, None]
+    if session.rate and np.nanmax(np.abs(deviations), initial=0.0) * session.rate > MAX_TIMESTAMP_SPREAD:
+        worst = float(np.nanmax(np.abs(deviations)))
+        warnings.append(
+            f"The cameras' timestamps of one frame set are up to {worst:.3g} s from their mean, so frames of different "
+            "times are combined. Check that the clocks are synchronized."
+        )
+    # All objects have boxes or none.
+    if session.select_object(session.objects[0]).boxes and start > 0:
+        warnings.append(f"The boxes are assumed to be of frame {start}, where tracking starts.")
+    return warnings
+
+
+def boxes_hint(session: Session | LiveSession) -> str:
+    """Return the option or command that provides boxes for a session."""
+    return "--boxes" if isinstance(session, LiveSession) else f"sylpose box {shlex.quote(str(session.path))} draws them"
+
+
+def explain_failures(session: Session | LiveSession, run: Run) -> list[str]:
+    """Explain for each object without a solved frame why there is none, one sentence per object."""
+    reasons = []
+    for name, trajectory in run.trajectories.items():
+        if select_solved_frames(trajectory):
+            continue
+        prefix = f"{name}: " if len(run.trajectories) > 1 else ""
+        statuses = [frame.status for frame in trajectory if frame.world_from_object is None]
+        if not len(trajectory):
+            reasons.append(f"{prefix}no frame was tracked")
+        elif not statuses:
+            reasons.append(
+                f"{prefix}no motion could be estimated: there is only the first frame, the reference of all poses"
+            )
+        else:
+            sentence = f"{prefix}no frame could be solved. {max(statuses, key=statuses.count).text}"
+            if not session.select_object(name).boxes and session.masks is None:
+                sentence += (
+                    f" Provide boxes of the object in the first frame ({boxes_hint(session)}) or masks (--masks) to "
+                    "select it."
+                )
+            reasons.append(sentence)
+    return reasons

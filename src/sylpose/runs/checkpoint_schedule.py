@@ -10,7 +10,7 @@ from pathlib import Path
 from sylpose.io.capture import Session
 from sylpose.runs.checkpoint import CHECKPOINT, RESTART_HINT, compute_fingerprint, load_checkpoint, save_checkpoint
 from sylpose.runs.checkpoint_schema import RunState
-from sylpose.runs.timing import StageTimer
+from sylpose.runs.run_result import StageTimer
 
 __all__ = ["CheckpointWriter"]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import textwrap
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -18,7 +19,6 @@ from sylpose.display import format_length
 from sylpose.input_limits import MAX_SENTENCE_LENGTH, to_one_line
 from sylpose.report.camera_consistency import describe_camera_problems
 from sylpose.results import FramePose, FrameStatus, Observability, Trajectory
-from sylpose.runs.console import make_console, print_to_stderr
 from sylpose.units import INITIAL_DISTANCES
 
 if TYPE_CHECKING:  # loading these takes a second
@@ -47,6 +47,19 @@ __all__ = [
 MAX_WARNINGS = 12
 MAX_FAILED_RANGES = 4  # ranges of failed frames whose reason is printed
 LABEL_WIDTH = 14
+
+
+def make_console(*, stderr: bool = False, quiet: bool = False) -> Console:
+    """Create a console that does not wrap lines when its output goes to a file or a pipe."""
+    console = Console(stderr=stderr, quiet=quiet, highlight=False, emoji=False, markup=False)
+    if not console.is_terminal:
+        console.width = 10_000
+    return console
+
+
+def print_to_stderr(message: str) -> None:
+    """Print a message to stderr, prefixed by the program's name."""
+    print(f"sylpose: {to_one_line(message, MAX_SENTENCE_LENGTH)}", file=sys.stderr)
 
 
 def print_facts(console: Console, facts: Iterable[tuple[str, str]]) -> None:

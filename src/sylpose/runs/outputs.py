@@ -9,7 +9,7 @@ from pathlib import Path
 
 from sylpose.atomic_io import make_output_folder
 from sylpose.bundle_adjustment.calibration_refinement import default_calibration_prior
-from sylpose.geometry.euler_angles import PAN_TILT_ROLL, EulerAngles
+from sylpose.geometry.euler_angles import PAN_TILT_ROLL, parse_euler_angles
 from sylpose.input_limits import MAX_TABLE_BYTES
 from sylpose.io.object_files import CLOUD_FILE, OBJECT_FILE, save_object, write_cloud
 from sylpose.report.files import TrajectoryWriter, write_trajectory
@@ -19,8 +19,9 @@ from sylpose.rig import Rig
 from sylpose.runs.calibration_refinement import describe_changes, find_moved_cameras, write_refined
 from sylpose.runs.checkpoint_schema import OutputState
 from sylpose.runs.frame_store import FrameFile
-from sylpose.runs.thumbnails import ThumbnailAlbum
-from sylpose.runs.timing import StageTimer
+from sylpose.runs.options import RunOptions
+from sylpose.runs.page import ThumbnailAlbum
+from sylpose.runs.run_result import StageTimer
 from sylpose.smoothing.known import make_keyframe_tracks
 from sylpose.smoothing.trajectory import Track, smooth
 from sylpose.tracking.known_object import KnownObject
@@ -45,16 +46,13 @@ class ObjectOutput:
     Args:
         folder: created if missing.
         rig: cameras and length unit of the files.
+        options: options of the run. With `smooth`, frames are written to tracked.tum and .csv, and the data are kept
+            from which `finish` makes trajectory.tum and .csv.
         clock: measures the time of "plots" and "smoothing".
-        smooth: write the frames to tracked.tum and .csv, and keep the data from which `finish` makes trajectory.tum and
-            .csv.
-        recalibrate: also refine the calibration and write it.
-        plot_format: suffix of the report plot.
         note: title of the report, one line.
         warnings: warnings from before the run.
-        angles: Euler angles in the report and additionally in the files.
         known: the object model in this rig, if it is known from another recording.
-        album: images of the run for the report page; None for no page.
+        album: images of the run for the report page.
         resume: state of an interrupted run whose files are continued.
 
     Raises:
@@ -65,28 +63,26 @@ class ObjectOutput:
         self,
         folder: Path,
         rig: Rig,
+        options: RunOptions,
         clock: StageTimer,
         *,
-        smooth: bool = False,
-        recalibrate: bool = False,
-        plot_format: str = "png",
-        note: str = "",
-        warnings: Sequence[str] = (),
-        angles: EulerAngles | None = None,
-        known: TransferredObject | None = None,
-        album: ThumbnailAlbum | None = None,
-        resume: OutputState | None = None,
+        note: str,
+        warnings: Sequence[str],
+        known: TransferredObject | None,
+        album: ThumbnailAlbum,
+        resume: OutputState | None,
     ) -> None:
         self.folder, self._rig, self._clock = make_output_folder(folder), rig, clock
         self.changes: list[str] = []
-        self._recalibrate, self._note, self._known, self._angles = recalibrate, note, known, angles
+        self._recalibrate, self._note, self._known = options.refine_calibration, note, known
+        self._angles = None if options.angles is None else parse_euler_angles(options.angles)
         self._album, self._warnings = album, warnings
-        self.report_path = self.folder / f"report.{plot_format}"
+        self.report_path = self.folder / f"report.{options.plot_format}"
         state = OutputState() if resume is None else resume
-        stem = TRACKED if smooth else RESULT
+        stem = TRACKED if options.smooth else RESULT
         writer = None if resume is None else resume.writer
-        self._writer = TrajectoryWriter(self.folder, rig.names, rig.unit, stem=stem, angles=angles, resume=writer)
-        self._tracks = FrameFile(self.folder / TRACKS, Track, state.tracks_bytes) if smooth else None
+        self._writer = TrajectoryWriter(self.folder, rig.names, rig.unit, stem=stem, angles=self._angles, resume=writer)
+        self._tracks = FrameFile(self.folder / TRACKS, Track, state.tracks_bytes) if options.smooth else None
         # Kept on disk: runs of days do not fit in memory, and the trajectory files contain rounded values.
         self._poses = FrameFile(self.folder, FramePose)
         self.n_frames = 0
@@ -97,8 +93,8 @@ class ObjectOutput:
         self.files = [
             *self._files_named(RESULT),
             self.report_path,
-            *([] if album is None else [self.folder / PAGE_FILE]),
-            *(self._files_named(TRACKED) if smooth else []),
+            self.folder / PAGE_FILE,
+            *(self._files_named(TRACKED) if options.smooth else []),
         ]
 
     def _files_named(self, stem: str) -> list[Path]:
@@ -210,7 +206,7 @@ class ObjectOutput:
                     angles=angles,
                     input_warnings=self._warnings,
                 )
-                if self._album is not None and self._files_named(RESULT)[1].stat().st_size <= MAX_TABLE_BYTES:
+                if self._files_named(RESULT)[1].stat().st_size <= MAX_TABLE_BYTES:
                     from sylpose.runs.page import write_report_page
 
                     write_report_page(self.folder, self._album.stills())

@@ -1,30 +1,51 @@
-"""report.html of a run, built only from the files in its folder."""
+"""report.html and 3D scene of a run, read from the files in its folder, and thumbnails of its images."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from sylpose import __version__
+from sylpose.frames import FrameSet
 from sylpose.geometry.euler_angles import PAN_TILT_ROLL, parse_euler_angles
 from sylpose.input_limits import input_errors
-from sylpose.io.object_files import OBJECT_FILE
+from sylpose.io import calibration
+from sylpose.io.object_files import MAX_DRAWN_DEPTH_SD, OBJECT_FILE, load_object
 from sylpose.report.formats import PAGE_FILE
 from sylpose.report.page import PageHeader, write_page
-from sylpose.report.scene import Thumbnails, build_scene
+from sylpose.report.pictures import encode_thumbnail
+from sylpose.report.scene import PointCloud, Scene, Thumbnails, build_scene
 from sylpose.results import Trajectory
+from sylpose.rig import Rig
 from sylpose.runs import console_output
+from sylpose.runs.calibration_refinement import REFINED
 from sylpose.runs.run_metadata import SETTINGS, find_run_folder, read_settings, settings_table
-from sylpose.runs.scene import find_used_calibration, load_rig, read_cloud
-from sylpose.runs.view import read_result
+from sylpose.runs.view import find_calibration, read_result
+from sylpose.tracking.known_object import KnownObject
 
-__all__ = ["write_report_page"]
+__all__ = [
+    "MIN_THUMBNAILS",
+    "ThumbnailAlbum",
+    "find_used_calibration",
+    "load_rig",
+    "make_cloud",
+    "read_cloud",
+    "read_scene",
+    "read_scenes",
+    "thumbnail_step",
+    "write_report_page",
+]
 
 # Packages of settings.toml whose versions the page's header shows.
 _SHOWN_PACKAGES = {"numpy": "NumPy", "opencv": "OpenCV"}
+# Smallest number of frames that are kept, if the run has as many; at most twice as many (choice: one per second or two
+# of a usual recording).
+MIN_THUMBNAILS = 24
 _VIDEO = re.compile(r"overlay(_(\d+))?\.mp4")
 
 
@@ -102,3 +123,141 @@ def _overlay_links(root: Path, prefix: str) -> list[str]:
     """Return links to the parts of the overlay video, in order."""
     found = [match for file in root.glob("overlay*.mp4") if (match := _VIDEO.fullmatch(file.name))]
     return [f"{prefix}{match[0]}" for match in sorted(found, key=lambda match: int(match[2] or -1))]
+
+
+def read_scene(result: Path, calibration_file: Path | None = None, stills: Thumbnails | None = None) -> Scene:
+    """Read the cameras, the object and its path.
+
+    Args:
+        result: folder of the run, or of one of several objects, or its trajectory.csv.
+        calibration_file: a calibration; None for that of the run.
+        stills: images of some frames.
+
+    Raises:
+        FileNotFoundError: no trajectory.
+        ValueError: invalid files, or files of other cameras.
+    """
+    trajectory = read_result(result)
+    folder = result if result.is_dir() else result.parent
+    rig = load_rig(trajectory, find_used_calibration(folder) if calibration_file is None else calibration_file)
+    return build_scene(trajectory, rig, read_cloud(folder / OBJECT_FILE, rig.names), stills)
+
+
+def read_scenes(result: Path, calibration_file: Path | None = None) -> dict[str, Scene]:
+    """Read the scenes of a run by object; "" is the name of a single object.
+
+    Args:
+        result: folder of the run, which has a subfolder for each of several objects.
+        calibration_file: a calibration; None for that of the run.
+
+    Raises:
+        FileNotFoundError: no trajectory.
+        ValueError: invalid files, or files of other cameras; no frames.
+    """
+    if not result.is_dir():
+        raise FileNotFoundError(f"{result}: expected a folder that sylpose track wrote")
+    folders = {"": result}
+    if not (result / "trajectory.csv").is_file():
+        found = sorted(file.parent for file in result.glob("*/trajectory.csv"))
+        folders = {folder.name: folder for folder in found} or folders
+    scenes = {name: read_scene(folder, calibration_file) for name, folder in folders.items()}
+    if not any(len(scene.index) for scene in scenes.values()):
+        raise ValueError(f"{result}: contains no frames to show")
+    return scenes
+
+
+def find_used_calibration(folder: Path) -> Path:
+    """Return the calibration file of the poses in a run's folder: the refined one, or else the one used.
+
+    Raises:
+        ValueError: no calibration.
+    """
+    refined = folder / REFINED
+    return refined if refined.is_file() else find_calibration(folder, None)
+
+
+def load_rig(trajectory: Trajectory, file: Path) -> Rig:
+    """Load the rig of a calibration with the trajectory's unit, which with one camera differs from the calibration's.
+
+    Raises:
+        ValueError: a calibration of other cameras.
+    """
+    rig = calibration.load(file)
+    if rig.names != trajectory.camera_names:
+        raise ValueError(
+            f"{file}: it has the cameras {', '.join(rig.names)}, the trajectory {', '.join(trajectory.camera_names)}"
+        )
+    return Rig(rig.cameras, trajectory.unit)
+
+
+def read_cloud(file: Path, names: tuple[str, ...]) -> PointCloud | None:
+    """Read the point cloud of object.npz for cameras with these names; return None if the file does not exist.
+
+    Raises:
+        ValueError: naming the file: not an object, or of other cameras.
+    """
+    if not file.is_file():
+        return None
+    known = load_object(file)
+    if unknown := {*known.camera_names} - {*names}:
+        raise ValueError(f"{file}: it has the cameras {', '.join(sorted(unknown))}, which the calibration lacks")
+    return make_cloud(known, names)
+
+
+def make_cloud(known: KnownObject, names: tuple[str, ...]) -> PointCloud:
+    """Return the point cloud of the landmarks with a small depth sd, as in object.ply."""
+    points, cameras = [np.empty((0, 3))], [np.empty(0, np.int64)]
+    for name, memory in known._cameras.items():
+        precise = memory.landmarks.depth_sd < MAX_DRAWN_DEPTH_SD * known.radius
+        points.append(memory.landmarks.mean[precise])
+        cameras.append(np.full(int(precise.sum()), names.index(name)))
+    return PointCloud(np.concatenate(points), np.concatenate(cameras), known.radius)
+
+
+class ThumbnailAlbum:
+    """Collection of thumbnails that drops every second frame whenever it has twice the intended number.
+
+    The kept frames depend only on the number of frames.
+
+    Args:
+        cameras: number of cameras.
+    """
+
+    def __init__(self, cameras: int) -> None:
+        self._cameras = cameras
+        self._step = 1
+        self._kept: list[tuple[int, tuple[bytes | None, ...]]] = []
+        self._position = 0
+
+    def put(self, frames: FrameSet) -> None:
+        """Add the next frame of the run."""
+        if self._position % self._step == 0:
+            self._kept.append((frames.index, tuple(encode_thumbnail(image, self._cameras) for image in frames.images)))
+        self._position += 1
+        if len(self._kept) == 2 * MIN_THUMBNAILS:
+            self._kept, self._step = self._kept[::2], 2 * self._step
+
+    def restore(self, position: int, frames_kept: Iterable[FrameSet]) -> None:
+        """Restore the state after the first `position` frames of a run.
+
+        Args:
+            position: number of frames.
+            frames_kept: every `thumbnail_step(position)`-th of them.
+        """
+        self._step = thumbnail_step(position)
+        for frames in frames_kept:
+            self._kept.append((frames.index, tuple(encode_thumbnail(image, self._cameras) for image in frames.images)))
+        self._position = position
+
+    def stills(self) -> Thumbnails:
+        """Return the thumbnails kept so far."""
+        index = np.array([number for number, _ in self._kept], np.int64)
+        return Thumbnails(index, tuple(images for _, images in self._kept))
+
+
+def thumbnail_step(position: int) -> int:
+    """Return the spacing of the frames kept after `position` frames."""
+    step = 1
+    while -(-position // step) >= 2 * MIN_THUMBNAILS:
+        step *= 2
+    return step

@@ -6,13 +6,13 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, Protocol
+from typing import Any
 
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
 
 from sylpose.results import FrameStatus
-from sylpose.runs.console import make_console, print_to_stderr
+from sylpose.runs.console_output import make_console, print_to_stderr
 from sylpose.tracking.tracked_frame import TrackedFrame
 
 __all__ = ["Progress", "ProgressCallback", "TrackingProgress", "show_progress"]
@@ -27,49 +27,52 @@ BAR_WIDTH = 30
 SECONDS_BETWEEN_LINES = 20.0
 
 
-class Progress(Protocol):
-    """Receiver of the progress of a run."""
+class Progress:
+    """Count of tracked frames, which calls a function after each.
+
+    Args:
+        frames: total number of frames, including those of an interrupted run; None if unknown.
+        objects: number of objects, for each of which `update` is called.
+        callback: the function; None for none.
+    """
+
+    def __init__(self, frames: int | None, objects: int, callback: ProgressCallback | None = None) -> None:
+        self._frames, self._objects, self._callback = frames, objects, callback
+        self._skipped, self._updates = 0, 0
+
+    @property
+    def tracked(self) -> int:
+        """Return the number of frames in which all objects are tracked."""
+        return self._updates // self._objects
+
+    @property
+    def done(self) -> int:
+        """Return the number of tracked frames, including those of an interrupted run."""
+        return self._skipped + self.tracked
 
     def skip(self, frames: int) -> None:
         """Set the number of frames that an interrupted run has tracked."""
+        self._skipped = frames
+        self._report()
 
-    def update(self, tracked: TrackedFrame) -> None:
+    def update(self, tracked: TrackedFrame) -> None:  # noqa: ARG002
         """Count one more frame of one object."""
+        self._updates += 1
+        if self._updates % self._objects == 0:
+            self._report()
+
+    def _report(self) -> None:
+        if self._callback is not None:
+            self._callback(self.done, self._frames)
 
     def report_smoothing_round(self, number: int) -> None:
         """Report a round of the joint refinement of all poses."""
 
 
-class CallbackProgress:
-    """Progress that calls a function after each frame.
-
-    Args:
-        callback: the function.
-        frames: total number of frames, or None.
-        objects: number of objects, for each of which `update` is called.
-    """
-
-    def __init__(self, callback: ProgressCallback, frames: int | None, objects: int) -> None:
-        self._callback, self._frames, self._objects = callback, frames, objects
-        self._skipped, self._updates = 0, 0
-
-    def skip(self, frames: int) -> None:
-        self._skipped = frames
-        self._callback(frames, self._frames)
-
-    def update(self, tracked: TrackedFrame) -> None:  # noqa: ARG002
-        self._updates += 1
-        if self._updates % self._objects == 0:
-            self._callback(self._skipped + self._updates // self._objects, self._frames)
-
-    def report_smoothing_round(self, number: int) -> None:
-        pass
-
-
-class TrackingProgress:
+class TrackingProgress(Progress):
     """Progress bar on stderr with frames, frame rate and inliers; without a terminal, a line every twenty seconds.
 
-    A context manager; `update` can be passed to `track_session` as `on_frame`.
+    A context manager.
 
     Args:
         cameras: number of cameras.
@@ -79,7 +82,7 @@ class TrackingProgress:
     """
 
     def __init__(self, cameras: int, frames: int | None, objects: int = 1, *, quiet: bool = False) -> None:
-        self._updates, self._skipped, self._objects = 0, 0, objects
+        super().__init__(frames, objects)
         self._last_line_time = time.monotonic()
         console = make_console(stderr=True, quiet=quiet)
         self._last_activity = quiet
@@ -108,20 +111,8 @@ class TrackingProgress:
         """Remove the bar; may be called twice."""
         self._progress.stop()
 
-    @property
-    def tracked(self) -> int:
-        """Return the number of frames in which all objects are tracked."""
-        return self._updates // self._objects
-
-    @property
-    def done(self) -> int:
-        """Return the number of tracked frames, including those of an interrupted run."""
-        return self._skipped + self.tracked
-
-    def skip(self, frames: int) -> None:
-        """Set the number of frames that an interrupted run has tracked."""
-        self._skipped = frames
-        self._progress.update(self._task, completed=frames)
+    def _report(self) -> None:
+        self._progress.update(self._task, completed=self.done)
 
     def report_smoothing_round(self, number: int) -> None:
         """Show a round of the joint refinement of all poses."""
@@ -129,13 +120,13 @@ class TrackingProgress:
 
     def update(self, tracked: TrackedFrame) -> None:
         """Count one more frame of one object and update the bar."""
-        self._updates += 1
+        super().update(tracked)
         pose = tracked.pose
         measured = pose.is_measured and pose.status is not FrameStatus.FIRST
         inliers = f"{int(pose.inliers.sum())} inliers" if measured else pose.reason or pose.status.value
         elapsed = self._progress.tasks[0].elapsed
         rate = f"{self.tracked / elapsed:.1f} frames/s" if elapsed else ""
-        self._progress.update(self._task, completed=self.done, rate=rate, inliers=inliers)
+        self._progress.update(self._task, rate=rate, inliers=inliers)
         now = time.monotonic()
         if self._progress.disable and not self._last_activity and now - self._last_line_time >= SECONDS_BETWEEN_LINES:
             self._last_line_time = now
@@ -144,16 +135,16 @@ class TrackingProgress:
             print_to_stderr(f"tracked {self.done}{of} frames, {rate or 'no rate yet'}, {inliers}")
 
 
-class NotebookProgress(CallbackProgress):
+class NotebookProgress(Progress):
     """Progress line in a notebook's output, without control characters or widgets."""
 
     def __init__(self, frames: int | None, objects: int) -> None:
-        super().__init__(self._show, frames, objects)
+        super().__init__(frames, objects)
         self._started = self._last_update = time.monotonic()
         self._display_handle = _display(_Line("Tracking"))
 
-    def _show(self, done: int, frames: int | None) -> None:
-        now = time.monotonic()
+    def _report(self) -> None:
+        done, frames, now = self.done, self._frames, time.monotonic()
         if now - self._last_update < MIN_UPDATE_SECONDS and done != frames:
             return
         self._last_update = now
@@ -167,8 +158,8 @@ class NotebookProgress(CallbackProgress):
 
     def end(self) -> None:
         """Show the final number of frames and the time."""
-        done, seconds = self._skipped + self._updates // self._objects, time.monotonic() - self._started
-        self._display_handle.update(_Line(f"{done} frames in {seconds:.1f} s"))
+        seconds = time.monotonic() - self._started
+        self._display_handle.update(_Line(f"{self.done} frames in {seconds:.1f} s"))
 
 
 class _Line:
@@ -204,9 +195,9 @@ def show_progress(
         TypeError: another type of `progress`.
     """
     if progress is None or progress is False:
-        yield CallbackProgress(lambda done, frames: None, frames, objects)  # noqa: ARG005
+        yield Progress(frames, objects)
     elif callable(progress):
-        yield CallbackProgress(progress, frames, objects)
+        yield Progress(frames, objects, progress)
     elif progress is not True:
         raise TypeError(f"progress must be True, None or a function, got an object of type {type(progress).__name__}")
     elif "ipykernel" in sys.modules:

@@ -16,13 +16,15 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from sylpose.atomic_io import make_output_folder, output_errors, partial_path
+from sylpose.io.capture import Session
+from sylpose.io.capture.live import LiveSession
 from sylpose.io.object_files import CLOUD_FILE, OBJECT_FILE
 from sylpose.runs.calibration_refinement import REFINED, REFINED_END
 from sylpose.runs.checkpoint import CHECKPOINT
 from sylpose.runs.outputs import RESULT, SUFFIXES, TRACKED, TRACKS
 from sylpose.runs.run_metadata import SETTINGS, USED_CALIBRATION, WORLD
 
-__all__ = ["EARLIER", "ResultsFolder", "lock_folder"]
+__all__ = ["EARLIER", "ResultsFolder", "check_output_folder", "lock_folder"]
 
 LOCK_FILE = ".lock"
 # Subfolders with the earlier results: kept, while being moved there or back, and while being removed.
@@ -58,6 +60,25 @@ def lock_folder(folder: Path) -> Iterator[None]:
                 (folder / LOCK_FILE).unlink(missing_ok=True)
         finally:
             lock.release()
+
+
+def check_output_folder(session: Session | LiveSession, out: Path) -> None:
+    """Check that results may be written into a folder.
+
+    Raises:
+        ValueError: they would be taken for part of the recording.
+    """
+    target = Path(os.path.realpath(out))
+    if target == Path(os.path.realpath(session.path)):
+        raise ValueError(f"--out {out}: this is the recording's folder, where results would be taken for cameras")
+    cameras = {name: session.path / name for name in session.rig.names}
+    if isinstance(session, Session):
+        cameras = {source.camera: source.path for source in session.sources}
+    for name, path in cameras.items():
+        if Path(os.path.realpath(path)) in (target, *target.parents):
+            raise ValueError(f"--out {out}: camera {name} has its images there ({path})")
+    if session.masks is not None and Path(os.path.realpath(session.masks)) in (target, *target.parents):
+        raise ValueError(f"--out {out}: the masks are there ({session.masks})")
 
 
 class ResultsFolder:

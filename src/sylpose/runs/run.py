@@ -4,44 +4,39 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import ExitStack, closing
+from dataclasses import dataclass, replace
 from datetime import datetime
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from sylpose import __version__
 from sylpose.frames import FrameSet
-from sylpose.geometry.euler_angles import parse_euler_angles
 from sylpose.io.capture import Session
 from sylpose.io.capture.live import LiveSession
 from sylpose.io.object_files import object_checksum
-from sylpose.methods import FEATURES, METHODS, MODES, resolve_features
+from sylpose.methods import METHODS
 from sylpose.network.node_tracker import NodesTracker
-from sylpose.report.formats import PICTURE_FORMATS
-from sylpose.results import FramePose
 from sylpose.rig import Rig
+from sylpose.runs.check import check_session
 from sylpose.runs.checkpoint_schedule import CheckpointWriter
 from sylpose.runs.checkpoint_schema import OutputState, RunState
+from sylpose.runs.options import RunOptions
 from sylpose.runs.outputs import MAX_SMOOTHED_FRAMES, ObjectOutput, Overlay
-from sylpose.runs.progress import ProgressCallback, show_progress
-from sylpose.runs.results_folder import ResultsFolder, lock_folder
+from sylpose.runs.page import ThumbnailAlbum, thumbnail_step
+from sylpose.runs.progress import Progress, ProgressCallback, show_progress
+from sylpose.runs.results_folder import ResultsFolder, check_output_folder, lock_folder
 from sylpose.runs.run_metadata import SETTINGS, USED_CALIBRATION, WORLD, write_run_metadata
-from sylpose.runs.run_result import Run
-from sylpose.runs.session_options import check_output_folder
-from sylpose.runs.thumbnails import ThumbnailAlbum, thumbnail_step
-from sylpose.runs.timing import StageTimer
+from sylpose.runs.run_result import Run, StageTimer
 from sylpose.sync.offsets import apply_offsets, find_offsets
 from sylpose.tracking.known_object import KnownObject
 from sylpose.tracking.tracked_frame import TrackedFrame
-from sylpose.tracking.tracker import Tracker, TrackerSnapshot
+from sylpose.tracking.tracker import Tracker
 from sylpose.units import INITIAL_DISTANCES
 
-__all__ = ["CHECKPOINT_SECONDS", "Run", "has_finished", "output_path", "result_unit", "track_session"]
+__all__ = ["has_finished", "name_known_objects", "output_path", "result_units", "track_session"]
 
 # Frame rate of the overlay if the recording has none, frames per second.
 DEFAULT_OVERLAY_RATE = 2.0
-# Seconds between two checkpoints (choice: acceptable loss of work).
-CHECKPOINT_SECONDS = 20.0
 
 
 def output_path(session: Session | LiveSession, out: Path | str | None = None) -> Path:
@@ -49,12 +44,20 @@ def output_path(session: Session | LiveSession, out: Path | str | None = None) -
     return session.path / "sylpose" if out is None else Path(out)
 
 
-def result_unit(rig: Rig, known: KnownObject | None = None) -> str:
-    """Return the length unit of a run's results.
+def result_units(session: Session | LiveSession, known: Mapping[str, KnownObject]) -> dict[str, str]:
+    """Return the length unit of each object's results.
 
     With one camera it is the calibration's unit only if the object's size is known, otherwise `INITIAL_DISTANCES`.
+
+    Args:
+        session: the session.
+        known: known objects by name.
     """
-    return rig.unit if len(rig) > 1 or (known is not None and known.unit != INITIAL_DISTANCES) else INITIAL_DISTANCES
+    has_size = {name for name, model in known.items() if model.unit != INITIAL_DISTANCES}
+    return {
+        name: session.rig.unit if len(session.rig) > 1 or name in has_size else INITIAL_DISTANCES
+        for name in session.objects
+    }
 
 
 def has_finished(session: Session | LiveSession, out: Path | str | None = None) -> bool:
@@ -69,28 +72,11 @@ def _make_results_folder(session: Session | LiveSession, out: Path | str | None)
 def track_session(
     session: Session | LiveSession,
     out: Path | str | None = None,
+    options: RunOptions | None = None,
     *,
-    method: str = METHODS[0],
-    features: str = FEATURES[0],
-    offsets: Mapping[str, float] | None = None,
-    start: int = 0,
-    stop: int | None = None,
-    every: int = 1,
-    overlay: bool = True,
-    smooth: bool | None = None,
-    refine_calibration: bool = False,
-    plot_format: str = "png",
-    angles: str | None = None,
-    known: KnownObject | Mapping[str, KnownObject] | None = None,
-    seed: int = 0,
-    workers: int | None = None,
-    distributed: str | None = None,
-    resume: bool = False,
-    checkpoint_seconds: float = CHECKPOINT_SECONDS,
     progress: bool | ProgressCallback | None = None,
     on_resume: Callable[[int], None] | None = None,
-    on_frame: Callable[[TrackedFrame], None] | None = None,
-    on_pose: Callable[[str, FramePose], None] | None = None,
+    on_frame: Callable[[str, TrackedFrame], None] | None = None,
     on_smoothing: Callable[[int], None] | None = None,
     on_problem: Callable[[str], None] | None = None,
     interrupted: Callable[[], bool] | None = None,
@@ -100,33 +86,16 @@ def track_session(
     Several objects get one folder each, with the first four files. If an exception ends the run early (Ctrl-C, a full
     disk, a bug), the trajectory files contain the frames solved so far, and `report.png` and `overlay.mp4` are
     completed before the exception propagates. If a run with smoothing is killed, its frames are in `tracked.tum` and
-    `tracked.csv`. `resume` continues from the last checkpoint and yields the same trajectories as an uninterrupted run.
+    `tracked.csv`. Resuming continues from the last checkpoint and yields the same trajectories as an uninterrupted run.
 
     Args:
         session: session from `open_session` or `open_live`.
         out: folder for the files, which are replaced; None for `sylpose` in the session's folder.
-        method, features, seed: as in `track`.
-        offsets: as in `track`; None for those of `offsets.toml` in the session's folder, if it exists.
-        start, stop, every: frames start, start + every, ... below stop.
-        overlay: write `overlay.mp4`.
-        smooth: refine all poses jointly at the end (`sylpose.smoothing`); the poses as tracked go to `tracked.tum` and
-            `tracked.csv`. None: for recordings of up to 10,000 frames, with the method "landmarks".
-        refine_calibration: smooth, and refine the calibration with the poses; it goes to `calibration.refined.toml`.
-        plot_format: file format of the report: "png", "svg" or "pdf".
-        angles: Euler angles in the report and additionally in trajectory.csv: "XYZ" (intrinsic axes), "xyz" (extrinsic
-            axes), or three vectors, "0,0,1 1,0,0 0,1,0" (intrinsic).
-        known: object model, or models by name, from another recording (`io.object_files`); poses are expressed in its
-            frame. Boxes of these objects are not used.
-        workers: as in `track`; the result does not depend on it.
-        distributed: None for one process; "exact" or "compact" for one node per camera over a simulated network
-            (`network.node_tracker`), for recordings only.
-        resume: continue the interrupted run in `out`, which must have had the same options.
-        checkpoint_seconds: time between two checkpoints; 0 for one after every frame. Live sessions have none.
+        options: method, frames, outputs and so on; None for the defaults.
         progress: True for a progress bar in a terminal or a notebook; or a function that is called with the number of
             tracked frames and the total (None for live sessions). None shows nothing.
         on_resume: called with the number of frames that the interrupted run has solved.
-        on_frame: called with each frame once it is in the trajectory files, once per object.
-        on_pose: called with the object's name and its pose in each frame, as it is tracked.
+        on_frame: called with the object's name and each frame, once it is in the trajectory files.
         on_smoothing: called with the number of each round of the joint refinement.
         on_problem: called with a message for each truncated file and each frame that cannot be read.
         interrupted: called after each frame; if it returns True, a checkpoint is written and KeyboardInterrupt raised.
@@ -135,37 +104,276 @@ def track_session(
         The trajectories, the files written and the problems found.
 
     Raises:
-        ValueError: frames outside the session, an unknown method, features that it cannot use, or boxes whose rays do
-            not meet; `resume` with other options or another session than the interrupted run, or for a live session.
-        FileNotFoundError: `resume` without an interrupted run.
+        ValueError: frames outside the session, or boxes whose rays do not meet; resuming with other options or another
+            session than the interrupted run, or a live session.
+        FileNotFoundError: resuming without an interrupted run.
         OSError: a file or folder cannot be written or read; the message names it.
     """
-    resolve_features(method, features)
-    if not checkpoint_seconds >= 0:
-        raise ValueError(f"--checkpoint must be a number of seconds, 0 or more, got {checkpoint_seconds}")
-    if plot_format not in PICTURE_FORMATS:
-        raise ValueError(f"plot_format must be one of {', '.join(PICTURE_FORMATS)}, got {plot_format!r}")
-    euler_angles = None if angles is None else parse_euler_angles(angles)
-    if workers is not None and workers < 1:
-        raise ValueError(f"workers must be at least 1, got {workers}")
-    if distributed is not None:
-        _check_distributed(distributed, session, resume=resume, known=bool(known))
-    smooth = True if refine_calibration else smooth
-    offsets = find_offsets(session) if offsets is None else dict(offsets)
-    if isinstance(session, Session):  # apply the offsets to its timestamps
-        session, time_offsets = apply_offsets(session, [offsets.get(name, 0.0) for name in session.rig.names]), None
-    else:
-        time_offsets = offsets
-    problems: list[str] = []
+    events = _Events(
+        on_resume or _ignore, on_frame or _ignore, on_smoothing or _ignore, on_problem or _ignore, interrupted
+    )
+    run = _SessionRun(session, out, options or RunOptions(), events)
+    with ExitStack() as stack:
+        run.open_trackers(stack)
+        if run.options.resume and not run.results.path.is_dir():
+            raise FileNotFoundError(f"{run.results.path}: no interrupted run to resume (there is no such folder)")
+        # Nothing has been written up to here.
+        stack.enter_context(lock_folder(run.results.path))
+        run.progress = stack.enter_context(
+            show_progress(progress, len(session.rig), run.n_frames or None, len(run.trackers))
+        )
+        states = run.restore_checkpoint() if run.options.resume else run.begin(stack)
+        with ExitStack() as outputs:
+            run.open_outputs(outputs, states)
+            run.track_frames()
+            run.finish_outputs()
+        run.results.end()
+    return run.make_result()
 
-    def report_problem(problem: str) -> None:
-        problems.append(problem)
-        if on_problem is not None:
-            on_problem(problem)
 
-    n_frames = len(range(start, _end_frame(session, stop), max(every, 1)))
-    smooth = _is_smoothed(smooth, session, method, n_frames)
-    settings = {"method": method, "features": features, "seed": seed, "start": start, "stop": stop, "every": every}
+def _ignore(*_: object) -> None:
+    pass
+
+
+@dataclass(frozen=True)
+class _Events:
+    """Callbacks of `track_session`."""
+
+    on_resume: Callable[[int], None]
+    on_frame: Callable[[str, TrackedFrame], None]
+    on_smoothing: Callable[[int], None]
+    on_problem: Callable[[str], None]
+    interrupted: Callable[[], bool] | None
+
+
+class _SessionRun:
+    """Steps of `track_session`, in their order, and their common state.
+
+    Args:
+        session, out, options: as for `track_session`.
+        events: its callbacks.
+    """
+
+    progress: Progress
+
+    def __init__(
+        self, session: Session | LiveSession, out: Path | str | None, options: RunOptions, events: _Events
+    ) -> None:
+        if options.distributed is not None and not isinstance(session, Session):
+            raise ValueError("distributed: nodes are simulated for recordings, not for live cameras")
+        self.events, self.problems = events, list[str]()
+        offsets = find_offsets(session) if options.offsets is None else dict(options.offsets)
+        self._time_offsets: dict[str, float] | None = offsets
+        if isinstance(session, Session):  # apply the offsets to its timestamps
+            session = apply_offsets(session, [offsets.get(name, 0.0) for name in session.rig.names])
+            self._time_offsets = None
+        self.session = session
+        self.n_frames = len(range(options.start, _end_frame(session, options.stop), max(options.every, 1)))
+        self.known = name_known_objects(session, options.known)
+        self.options = replace(options, offsets=offsets or None, smooth=_is_smoothed(options, session, self.n_frames))
+        self.results, self.clock = _make_results_folder(session, out), StageTimer()
+        check_output_folder(session, self.results.path)
+        self._frames = session.frames(options.start, options.stop, options.every, self.report_problem)
+        self._settings = self._collect_settings()
+        self._saver: CheckpointWriter | None = None
+        if isinstance(session, Session) and options.distributed is None:
+            self._saver = CheckpointWriter(
+                self.results.path, self._settings, session, options.checkpoint_seconds, self.report_problem, self.clock
+            )
+        if options.resume and self._saver is None:
+            raise ValueError("a live session cannot be resumed: its frames are gone")
+        self.trackers: dict[str, Tracker | NodesTracker] = {}
+        self._outputs: dict[str, ObjectOutput] = {}
+        self._position = 0
+        self._warnings = check_session(session, options.start)
+        self._album = ThumbnailAlbum(len(session.rig))
+        self._overlay: Overlay | None = None
+
+    def report_problem(self, problem: str) -> None:
+        """Store and report a problem."""
+        self.problems.append(problem)
+        self.events.on_problem(problem)
+
+    def _collect_settings(self) -> dict[str, Any]:
+        """Return the options that must be the same to resume."""
+        names = ("method", "features", "seed", "start", "stop", "every")
+        return {name: getattr(self.options, name) for name in names} | {
+            "known": ", ".join(f"{name} {object_checksum(its)}" for name, its in self.known.items()) or None,
+            "angles": self.options.angles,
+            "smooth": self.options.smooth,
+            "refine_calibration": self.options.refine_calibration or None,
+            "offsets": self.options.offsets,
+        }
+
+    def open_trackers(self, stack: ExitStack) -> None:
+        """Create a tracker for each object."""
+        options = self.options
+        arguments: dict[str, Any] = {"method": options.method, "features": options.features, "seed": options.seed}
+        arguments["offsets"] = self._time_offsets
+        for name in self.session.objects:
+            boxes = None if name in self.known else self.session.select_object(name).boxes or None
+            if options.distributed is not None:
+                nodes = NodesTracker(self.session.rig, boxes, mode=options.distributed, **arguments)
+                self.trackers[name] = stack.enter_context(nodes)
+                continue
+            known = self.known.get(name)
+            tracker = Tracker(self.session.rig, boxes, workers=options.workers, known_object=known, **arguments)
+            self.trackers[name] = stack.enter_context(tracker)
+            learned = tracker.transferred_object
+            if options.refine_calibration and learned is not None and learned.is_other_rig:
+                raise ValueError(
+                    f"refine_calibration: {name} was learned with another rig, which does not constrain this one"
+                )
+
+    def begin(self, stack: ExitStack) -> dict[str, OutputState]:
+        """Move earlier results away, which return if no frame is tracked, and write the first files."""
+        self.results.move_earlier_results()
+
+        def restore(error: object, *_: object) -> None:
+            has_frames = self._position > 0 or any(output.n_frames for output in self._outputs.values())
+            if error is not None and not has_frames:
+                self.results.restore_earlier_results()
+
+        stack.push(restore)
+        states = {name: OutputState() for name in self.session.objects}
+        write_run_metadata(self.results.path, self.session, self._settings, self._warnings)
+        if self._saver is not None:
+            self._saver.begin(self._make_state(states))
+        return states
+
+    def restore_checkpoint(self) -> dict[str, OutputState]:
+        """Continue from the last checkpoint; return the state of each object's files."""
+        assert self._saver is not None
+        assert isinstance(self.session, Session)
+        options = self.options
+        self.results.recover()
+        checkpoint = self._saver.load()
+        position = self._position = checkpoint.position
+        for name, tracker in self.trackers.items():
+            if isinstance(tracker, Tracker):
+                tracker.restore(checkpoint.trackers[name])
+        first = options.start + position * options.every
+        self._frames = _iterate_no_frames()
+        if first < _end_frame(self.session, options.stop):
+            self._frames = self.session.frames(first, options.stop, options.every, self.report_problem)
+        if position:
+            step = options.every * thumbnail_step(position)
+            self._album.restore(position, self.session.frames(options.start, first, step, _ignore))
+        self.progress.skip(position)
+        self.events.on_resume(position)
+        return checkpoint.outputs
+
+    def _make_state(self, outputs: dict[str, OutputState]) -> RunState:
+        trackers = {name: tracker.snapshot for name, tracker in self.trackers.items() if isinstance(tracker, Tracker)}
+        return RunState(self._position, trackers, outputs)
+
+    def open_outputs(self, stack: ExitStack, states: dict[str, OutputState]) -> None:
+        """Open each object's files and the overlay video, and start reading."""
+        session, options = self.session, self.options
+        units = result_units(session, self.known)
+        rigs = {name: Rig(session.rig.cameras, unit) for name, unit in units.items()}
+        for name, folder in zip(session.objects, self.results.folders, strict=True):
+            tracker = self.trackers[name]
+            self._outputs[name] = ObjectOutput(
+                folder,
+                rigs[name],
+                options,
+                self.clock,
+                note=self._format_note(name),
+                warnings=self._warnings,
+                known=tracker.transferred_object if isinstance(tracker, Tracker) else None,
+                album=self._album,
+                resume=None if self._saver is None else states[name],
+            )
+            stack.callback(self._outputs[name].close)
+        number = options.start + self._position * options.every
+        self._overlay_path = self.results.path / (f"overlay_{number}.mp4" if self._position else "overlay.mp4")
+        if options.overlay:
+            rate = max(session.rate / options.every, 1.0) if session.rate else DEFAULT_OVERLAY_RATE
+            rig, smooth = rigs[session.objects[0]], bool(options.smooth)
+            self._overlay = Overlay(self._overlay_path, rig, rate, session.objects, self.clock, smooth=smooth)
+            stack.enter_context(closing(self._overlay))
+        stack.enter_context(closing(self._frames))
+
+    def _format_note(self, name: str) -> str:
+        """Return the report's note: recording, object, method, version and time."""
+        of = self.session.path.resolve().name + (f", {name}" if len(self.session.objects) > 1 else "")
+        how = f"method {self.options.method}" + (", refined jointly" if self.options.smooth else "")
+        return f"{of}, {how}, sylpose {__version__}, {datetime.now().astimezone():%Y-%m-%d %H:%M %Z}"
+
+    def track_frames(self) -> None:
+        """Track all frames, with a checkpoint from time to time.
+
+        Raises:
+            KeyboardInterrupt: the run was interrupted, after a checkpoint.
+        """
+        for frame_set in self.clock.measure_iteration("reading", self._frames):
+            with self.clock.measure("plots"):
+                self._album.put(frame_set)
+            for name, tracker in self.trackers.items():
+                with self.clock.measure("tracking"):
+                    final_frames = tracker.step(frame_set.for_object(name))
+                self._write_frames(name, final_frames)
+            self._position += 1
+            stopping = self.events.interrupted is not None and self.events.interrupted()
+            if self._saver is not None and (stopping or self._saver.is_due):
+                self._saver.save(
+                    lambda: self._make_state({name: output.state() for name, output in self._outputs.items()})
+                )
+            if stopping:
+                raise KeyboardInterrupt
+        for name, tracker in self.trackers.items():
+            with self.clock.measure("tracking"):
+                final_frames = tracker.flush()
+            self._write_frames(name, final_frames)
+
+    def _write_frames(self, name: str, frames: list[TrackedFrame]) -> None:
+        for tracked in frames:
+            self._outputs[name].write(tracked)
+            if tracked.note:
+                self._report_problem_of(name, tracked.note)
+            if self._overlay is not None:
+                self._overlay.put(name, tracked)
+            self.progress.update(tracked)
+            self.events.on_frame(name, tracked)
+
+    def _report_problem_of(self, name: str, problem: str) -> None:
+        self.report_problem(problem if len(self._outputs) == 1 else f"{name}: {problem}")
+
+    def finish_outputs(self) -> None:
+        """Smooth the trajectories if requested, and write the learned objects."""
+        for name, output in self._outputs.items():
+            if sentence := output.finish(self._report_smoothing_round):
+                self._report_problem_of(name, sentence)
+        for name, tracker in self.trackers.items():
+            if isinstance(tracker, Tracker) and self.options.method == METHODS[0]:
+                self._outputs[name].write_object(tracker.build_known_object())
+
+    def _report_smoothing_round(self, number: int) -> None:
+        self.progress.report_smoothing_round(number)
+        self.events.on_smoothing(number)
+
+    def make_result(self) -> Run:
+        """Return the result after all files are closed."""
+        files = [file for output in self._outputs.values() for file in output.files]
+        files += [self._overlay_path] if self.options.overlay else []
+        files += [self.results.path / SETTINGS, self.results.path / USED_CALIBRATION]
+        files += [self.results.path / WORLD] if self.session.world is not None else []
+        trajectories = {name: output.trajectory for name, output in self._outputs.items()}
+        changes = {name: tuple(output.changes) for name, output in self._outputs.items()}
+        nodes = {name: tracker for name, tracker in self.trackers.items() if isinstance(tracker, NodesTracker)}
+        network = {name: tracker.describe_cost() for name, tracker in nodes.items()}
+        return Run(trajectories, tuple(files), tuple(self.problems), self.clock.seconds, changes, network)
+
+
+def name_known_objects(
+    session: Session | LiveSession, known: KnownObject | Mapping[str, KnownObject] | None
+) -> dict[str, KnownObject]:
+    """Return the known objects by name; a single one is the session's only object.
+
+    Raises:
+        ValueError: a name that is no object of the session, or none for one of several objects.
+    """
     if isinstance(known, KnownObject):
         if len(session.objects) > 1:
             raise ValueError(f"known: several objects ({', '.join(session.objects)}): give them by name")
@@ -173,190 +381,7 @@ def track_session(
     known = dict(known or {})
     if unknown := known.keys() - {*session.objects}:
         raise ValueError(f"known: no object {', '.join(map(repr, sorted(unknown)))} in {session.path}")
-    settings["known"] = ", ".join(f"{name} {object_checksum(its)}" for name, its in known.items()) or None
-    settings |= {
-        "angles": angles,
-        "smooth": smooth,
-        "refine_calibration": refine_calibration or None,
-        "offsets": offsets or None,
-    }
-    results, clock = _make_results_folder(session, out), StageTimer()
-    check_output_folder(session, results.path)
-    frames = session.frames(start, stop, every, report_problem)
-    saver = None
-    if isinstance(session, Session) and distributed is None:
-        saver = CheckpointWriter(results.path, settings, session, checkpoint_seconds, report_problem, clock)
-    options: dict[str, Any] = {"method": method, "features": features, "offsets": time_offsets, "seed": seed}
-    make_tracker: Any = partial(Tracker, workers=workers)
-    if distributed is not None:
-        make_tracker = partial(NodesTracker, mode=distributed)
-    rigs = {name: Rig(session.rig.cameras, result_unit(session.rig, known.get(name))) for name in session.objects}
-    if resume and saver is None:
-        raise ValueError("a live session cannot be resumed: its frames are gone")
-    with ExitStack() as run_stack:
-        trackers: dict[str, Tracker | NodesTracker] = {}
-        for name in session.objects:
-            boxes = None if name in known else session.select_object(name).boxes or None
-            extra = {"known_object": known[name]} if name in known else {}
-            tracker = trackers[name] = run_stack.enter_context(make_tracker(session.rig, boxes, **options, **extra))
-            if (
-                refine_calibration
-                and isinstance(tracker, Tracker)
-                and tracker.transferred_object
-                and tracker.transferred_object.is_other_rig
-            ):
-                raise ValueError(
-                    f"refine_calibration: {name} was learned with another rig, which does not constrain this one"
-                )
-        if resume and not results.path.is_dir():
-            raise FileNotFoundError(f"{results.path}: no interrupted run to resume (there is no such folder)")
-        # Nothing has been written up to here.
-        run_stack.enter_context(lock_folder(results.path))
-        progress_display = run_stack.enter_context(
-            show_progress(progress, len(session.rig), n_frames or None, len(trackers))
-        )
-        position, states = 0, {name: OutputState() for name in session.objects}
-        album, warnings = ThumbnailAlbum(len(session.rig)), _find_warnings(session, start)
-        outputs: dict[str, ObjectOutput] = {}
-
-        def has_frames() -> bool:
-            return position > 0 or any(output.n_frames for output in outputs.values())
-
-        if resume and saver is not None and isinstance(session, Session):
-            results.recover()
-            checkpoint = saver.load()
-            position, states = checkpoint.position, checkpoint.outputs
-            for name, tracker in trackers.items():
-                if isinstance(tracker, Tracker):
-                    tracker.restore(checkpoint.trackers[name])
-            frames = _remaining_frames(session, start, stop, every, position, report_problem)
-            if position:
-                first = start + position * every
-                album.restore(position, session.frames(start, first, every * thumbnail_step(position), lambda _: None))
-            progress_display.skip(position)
-            if on_resume is not None:
-                on_resume(position)
-        else:
-            results.move_earlier_results()
-            run_stack.push(
-                lambda error, *_: results.restore_earlier_results() if error is not None and not has_frames() else None
-            )
-            write_run_metadata(results.path, session, settings, warnings)
-            if saver is not None:
-                saver.begin(RunState(0, _collect_snapshots(trackers), states))
-
-        stack = run_stack.enter_context(ExitStack())
-        for name, folder in zip(session.objects, results.folders, strict=True):
-            state, tracker = None if saver is None else states[name], trackers[name]
-            outputs[name] = ObjectOutput(
-                folder,
-                rigs[name],
-                clock,
-                smooth=smooth,
-                recalibrate=refine_calibration,
-                plot_format=plot_format,
-                angles=euler_angles,
-                note=_format_note(session, name, method, smooth),
-                warnings=warnings,
-                known=tracker.transferred_object if isinstance(tracker, Tracker) else None,
-                album=album,
-                resume=state,
-            )
-            stack.callback(outputs[name].close)
-        overlay_video = None
-        overlay_path = results.path / (f"overlay_{start + position * every}.mp4" if position else "overlay.mp4")
-        if overlay:
-            rate = max(session.rate / every, 1.0) if session.rate else DEFAULT_OVERLAY_RATE
-            overlay_video = stack.enter_context(
-                closing(Overlay(overlay_path, rigs[session.objects[0]], rate, session.objects, clock, smooth=smooth))
-            )
-
-        def write_frames(name: str, decided: list[TrackedFrame]) -> None:
-            for tracked in decided:
-                outputs[name].write(tracked)
-                if tracked.note:
-                    report_problem(tracked.note if len(outputs) == 1 else f"{name}: {tracked.note}")
-                if overlay_video is not None:
-                    overlay_video.put(name, tracked)
-                progress_display.update(tracked)
-                if on_frame is not None:
-                    on_frame(tracked)
-                if on_pose is not None:
-                    on_pose(name, tracked.pose)
-
-        def report_round(number: int) -> None:
-            progress_display.report_smoothing_round(number)
-            if on_smoothing is not None:
-                on_smoothing(number)
-
-        def current_state() -> RunState:
-            return RunState(
-                position, _collect_snapshots(trackers), {name: output.state() for name, output in outputs.items()}
-            )
-
-        stack.enter_context(closing(frames))
-        for frame_set in clock.measure_iteration("reading", frames):
-            with clock.measure("plots"):
-                album.put(frame_set)
-            for name, tracker in trackers.items():
-                with clock.measure("tracking"):
-                    final_frames = tracker.step(frame_set.for_object(name))
-                write_frames(name, final_frames)
-            position += 1
-            stopping = interrupted is not None and interrupted()
-            if saver is not None and (stopping or saver.is_due):
-                saver.save(current_state)
-            if stopping:
-                raise KeyboardInterrupt
-        for name, tracker in trackers.items():
-            with clock.measure("tracking"):
-                final_frames = tracker.flush()
-            write_frames(name, final_frames)
-        for name, output in outputs.items():
-            if sentence := output.finish(report_round):
-                report_problem(sentence if len(outputs) == 1 else f"{name}: {sentence}")
-        for name, tracker in trackers.items():
-            if isinstance(tracker, Tracker) and method == METHODS[0]:
-                outputs[name].write_object(tracker.build_known_object())
-        stack.close()
-        results.end()
-    files = [file for output in outputs.values() for file in output.files] + ([overlay_path] if overlay else [])
-    files += [results.path / SETTINGS, results.path / USED_CALIBRATION]
-    files += [results.path / WORLD] if session.world is not None else []
-    trajectories = {name: output.trajectory for name, output in outputs.items()}
-    changes = {name: tuple(output.changes) for name, output in outputs.items()}
-    network = {name: tracker.describe_cost() for name, tracker in trackers.items() if isinstance(tracker, NodesTracker)}
-    return Run(trajectories, tuple(files), tuple(problems), clock.seconds, changes, network)
-
-
-def _format_note(session: Session | LiveSession, name: str, method: str, smooth: bool) -> str:
-    """Return the report's note: recording, object, method, version and time."""
-    of = session.path.resolve().name + (f", {name}" if len(session.objects) > 1 else "")
-    how = f"method {method}" + (", refined jointly" if smooth else "")
-    return f"{of}, {how}, sylpose {__version__}, {datetime.now().astimezone():%Y-%m-%d %H:%M %Z}"
-
-
-def _find_warnings(session: Session | LiveSession, start: int) -> list[str]:
-    """Return the warnings about the session, as `sylpose check` finds them."""
-    from sylpose.runs.check import check_session
-
-    return check_session(session, start)
-
-
-def _check_distributed(distributed: str, session: Session | LiveSession, *, resume: bool, known: bool) -> None:
-    """Raise ValueError for options that simulated nodes do not support."""
-    if distributed not in MODES:
-        raise ValueError(f"distributed: {distributed!r} is neither of {', '.join(MODES)}")
-    if resume:
-        raise ValueError("distributed: nodes write no checkpoints, so there is nothing to resume")
-    if known:
-        raise ValueError("distributed: nodes do not support known objects")
-    if not isinstance(session, Session):
-        raise ValueError("distributed: nodes are simulated for recordings, not for live cameras")
-
-
-def _collect_snapshots(trackers: Mapping[str, Tracker | NodesTracker]) -> dict[str, TrackerSnapshot]:
-    return {name: tracker.snapshot for name, tracker in trackers.items() if isinstance(tracker, Tracker)}
+    return known
 
 
 def _end_frame(session: Session | LiveSession, stop: int | None) -> int:
@@ -366,22 +391,13 @@ def _end_frame(session: Session | LiveSession, stop: int | None) -> int:
     return session.n_frames if stop is None else min(stop, session.n_frames)
 
 
-def _is_smoothed(requested: bool | None, session: Session | LiveSession, method: str, frames: int) -> bool:
+def _is_smoothed(options: RunOptions, session: Session | LiveSession, frames: int) -> bool:
+    requested = options.refine_calibration or options.smooth
     if requested and frames > MAX_SMOOTHED_FRAMES:
         raise ValueError(f"smooth: {frames} frames are more than the {MAX_SMOOTHED_FRAMES} that can be refined jointly")
     if requested is not None:
         return requested
-    return isinstance(session, Session) and method == METHODS[0] and frames <= MAX_SMOOTHED_FRAMES
-
-
-def _remaining_frames(
-    session: Session, start: int, stop: int | None, every: int, position: int, on_problem: Callable[[str], None]
-) -> Generator[FrameSet, None, None]:
-    """Return the frames that remain after the first `position` ones."""
-    first = start + position * every
-    if first < _end_frame(session, stop):
-        return session.frames(first, stop, every, on_problem)
-    return _iterate_no_frames()
+    return isinstance(session, Session) and options.method == METHODS[0] and frames <= MAX_SMOOTHED_FRAMES
 
 
 def _iterate_no_frames() -> Generator[FrameSet, None, None]:

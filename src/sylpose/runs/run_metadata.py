@@ -6,20 +6,25 @@ import hashlib
 import platform
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from sylpose import __version__
 from sylpose.atomic_io import format_toml_key, format_toml_string, make_output_folder, replace_atomically
-from sylpose.input_limits import input_errors, parse_toml, read_text
+from sylpose.input_limits import UnreadableFileError, input_errors, parse_toml, read_text
 from sylpose.io import calibration
 from sylpose.io.calibration.world import save_world
 from sylpose.io.capture import Session
 from sylpose.io.capture.live import LiveSession
+from sylpose.io.capture.session import reopen_session
 from sylpose.rig import Rig
 from sylpose.runs.checkpoint import compute_fingerprint, compute_rig_checksum
+from sylpose.sync.offsets import apply_offsets
 
 __all__ = [
     "SETTINGS",
@@ -27,6 +32,7 @@ __all__ = [
     "WORLD",
     "file_checksum",
     "find_run_folder",
+    "open_source_recording",
     "read_settings",
     "read_world_definition",
     "settings_table",
@@ -201,3 +207,63 @@ def _format_value(value: object) -> str:
     if isinstance(value, list):
         return f"[{', '.join(map(_format_value, value))}]"
     return format_toml_string(value) if isinstance(value, str) else repr(value)
+
+
+class _Settings(msgspec.Struct, frozen=True):
+    """Part of settings.toml that locates the images and matches their frames."""
+
+    recording: str = ""
+    cameras: dict[str, str] = {}
+    rate: float | None = None
+    without: list[str] = []
+    frame_offsets: dict[str, int] = {}
+    offsets: dict[str, float] = {}
+    checksums: dict[str, str] = {}
+
+
+def open_source_recording(result: Path, recording: Path | None = None) -> Session:
+    """Open the recording of a run and verify that it is unchanged.
+
+    Args:
+        result: folder of the run, or of one of its objects.
+        recording: present folder of the recording; None if it was not moved.
+
+    Raises:
+        FileNotFoundError: no recording there, or a result without its path.
+        ValueError: a run of live cameras; a recording that was changed.
+    """
+    run = find_run_folder(result)
+    if not (run / SETTINGS).is_file():
+        raise FileNotFoundError(f"{result}: no {SETTINGS}, which contains the recording's path")
+    settings = _read_settings(run / SETTINGS)
+    if not settings.cameras:
+        raise ValueError(
+            f"{run}: the run had live cameras, a growing folder or tables of pixels: there is no recording"
+        )
+    path, cameras = Path(settings.recording), dict(settings.cameras)
+    if recording is not None:
+        path = recording
+        cameras = {name: Path(file).name for name, file in cameras.items()}
+    elif any(name.startswith(("\\\\", "//")) for name in (settings.recording, *cameras.values())):
+        # Access would send the user's credentials to a computer that the result's author has chosen.
+        raise ValueError(f"{run / SETTINGS}: the recording is on another computer; give --recording DIR if it is yours")
+    session = reopen_session(path, run / USED_CALIBRATION, settings.frame_offsets, cameras, None, settings.without)
+    if session.rate is None and settings.rate is not None:  # given by --rate, for image folders
+        rate = settings.rate
+        session = reopen_session(path, run / USED_CALIBRATION, settings.frame_offsets, cameras, rate, settings.without)
+    session = apply_offsets(session, [settings.offsets.get(name, 0.0) for name in session.rig.names])
+    now = compute_fingerprint(session)
+    for name in ("images", "timestamps or offsets"):
+        if settings.checksums.get(name) != now[name]:
+            raise ValueError(f"{path}: the recording's {name} are not those of the run")
+    # Only the images are needed.
+    return replace(session, masks=None, _masks={}, _boxes={})
+
+
+def _read_settings(file: Path) -> _Settings:
+    settings = read_settings(file.parent)
+    with input_errors(file):
+        try:
+            return msgspec.convert(settings, _Settings)
+        except msgspec.MsgspecError as error:
+            raise UnreadableFileError(f"{file}: expected the settings of a run ({error})") from None

@@ -1,13 +1,19 @@
-"""Result of a run."""
+"""Result of a run, and the time of its stages."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from time import perf_counter
+from typing import TypeVar
 
 from sylpose.results import Trajectory
 
-__all__ = ["Run"]
+__all__ = ["Run", "StageTimer"]
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,3 +48,30 @@ class Run:
         if len(self.trajectories) > 1:
             raise ValueError(f"several objects ({', '.join(self.trajectories)}): take one of `trajectories`")
         return next(iter(self.trajectories.values()))
+
+
+@dataclass(eq=False)
+class StageTimer:
+    """Stopwatch of the caller's thread, in seconds by stage."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def measure(self, name: str) -> Iterator[None]:
+        """Add the time of the `with` block to a stage."""
+        begin = perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + perf_counter() - begin
+
+    def measure_iteration(self, name: str, items: Iterable[T]) -> Iterator[T]:
+        """Yield the items and add the time spent waiting for each to a stage."""
+        iterator = iter(items)
+        while True:
+            with self.measure(name):
+                try:
+                    item = next(iterator)
+                except StopIteration:
+                    return
+            yield item

@@ -31,7 +31,6 @@ __all__ = [
     "WorldSpec",
     "apply_world_and_unit",
     "is_world_text",
-    "parse_world_option",
     "resolve_session_world",
     "resolve_world",
 ]
@@ -86,17 +85,6 @@ def apply_world_and_unit(opened: SessionT, world: WorldSpec | None, unit: str | 
 def is_world_text(world: str) -> bool:
     """Return whether a world is given as text (a board or a direction) instead of a file."""
     return is_board(world) or re.match(r"\s*up\s*=", world) is not None
-
-
-def parse_world_option(world: str | None, frame: int | None, images: Path | None) -> WorldSpec | None:
-    """Combine the three world options of a command; return None without `--world`.
-
-    Raises:
-        ValueError: the other options without `--world`.
-    """
-    if world is None and (frame is not None or images is not None):
-        raise ValueError("--world-frame and --world-from require --world")
-    return None if world is None else WorldSpec(world, frame, images)
 
 
 def resolve_session_world(session: SessionBase, spec: WorldSpec) -> tuple[World, list[str]]:

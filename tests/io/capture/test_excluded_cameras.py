@@ -12,8 +12,7 @@ from sylpose.commands.main import main
 from sylpose.io import calibration
 from sylpose.io.capture import open_session
 from sylpose.runs.checkpoint import compute_fingerprint
-from sylpose.runs.run_metadata import USED_CALIBRATION, write_run_metadata
-from sylpose.runs.source_recording import open_source_recording
+from sylpose.runs.run_metadata import USED_CALIBRATION, open_source_recording, write_run_metadata
 from sylpose.simulate import ring
 from sylpose.sync.offsets import find_offsets
 

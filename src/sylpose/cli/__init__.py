@@ -1,1 +1,0 @@
-"""Options of the commands that have no options record yet."""

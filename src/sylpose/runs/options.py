@@ -1,0 +1,81 @@
+"""Options of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from sylpose.geometry.euler_angles import parse_euler_angles
+from sylpose.geometry.validation import check_choice
+from sylpose.methods import FEATURES, METHODS, MODES, resolve_features
+from sylpose.report.formats import PICTURE_FORMATS
+from sylpose.tracking.known_object import KnownObject
+
+__all__ = ["CHECKPOINT_SECONDS", "RunOptions"]
+
+# Seconds between two checkpoints (choice: acceptable loss of work).
+CHECKPOINT_SECONDS = 20.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunOptions:
+    """Options of `track_session`, checked when they are made.
+
+    Attributes:
+        method, features, seed: as in `track`.
+        offsets: as in `track`; None for those of `offsets.toml` in the session's folder, if it exists.
+        start, stop, every: frames start, start + every, ... below stop.
+        overlay: write `overlay.mp4`.
+        smooth: refine all poses jointly at the end (`sylpose.smoothing`); the poses as tracked go to `tracked.tum` and
+            `tracked.csv`. None: for recordings of up to 10,000 frames, with the method "landmarks".
+        refine_calibration: smooth, and refine the calibration with the poses; it goes to `calibration.refined.toml`.
+        plot_format: file format of the report: "png", "svg" or "pdf".
+        angles: Euler angles in the report and additionally in trajectory.csv: "XYZ" (intrinsic axes), "xyz" (extrinsic
+            axes), or three vectors, "0,0,1 1,0,0 0,1,0" (intrinsic).
+        known: object model, or models by name, from another recording (`io.object_files`); poses are expressed in its
+            frame. Boxes of these objects are not used.
+        workers: as in `track`; the result does not depend on it.
+        distributed: None for one process; "exact" or "compact" for one node per camera over a simulated network
+            (`network.node_tracker`), for recordings only.
+        resume: continue the interrupted run in the same folder, which must have had the same options.
+        checkpoint_seconds: time between two checkpoints; 0 for one after every frame. Live sessions have none.
+
+    Raises:
+        ValueError: an unknown method, features that it cannot use, or another value out of its range.
+    """
+
+    method: str = METHODS[0]
+    features: str = FEATURES[0]
+    offsets: Mapping[str, float] | None = None
+    start: int = 0
+    stop: int | None = None
+    every: int = 1
+    overlay: bool = True
+    smooth: bool | None = None
+    refine_calibration: bool = False
+    plot_format: str = "png"
+    angles: str | None = None
+    known: KnownObject | Mapping[str, KnownObject] | None = None
+    seed: int = 0
+    workers: int | None = None
+    distributed: str | None = None
+    resume: bool = False
+    checkpoint_seconds: float = CHECKPOINT_SECONDS
+
+    def __post_init__(self) -> None:
+        resolve_features(self.method, self.features)
+        if not self.checkpoint_seconds >= 0:
+            raise ValueError(f"--checkpoint must be a number of seconds, 0 or more, got {self.checkpoint_seconds}")
+        check_choice(self.plot_format, PICTURE_FORMATS, "plot_format")
+        if self.angles is not None:
+            parse_euler_angles(self.angles)
+        if self.workers is not None and self.workers < 1:
+            raise ValueError(f"workers must be at least 1, got {self.workers}")
+        if self.distributed is None:
+            return
+        if self.distributed not in MODES:
+            raise ValueError(f"distributed: {self.distributed!r} is neither of {', '.join(MODES)}")
+        if self.resume:
+            raise ValueError("distributed: nodes write no checkpoints, so there is nothing to resume")
+        if self.known:
+            raise ValueError("distributed: nodes do not support known objects")
