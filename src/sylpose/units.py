@@ -25,7 +25,7 @@ def parse_length_with_unit(text: str, name: str) -> tuple[float, str]:
     Raises:
         ValueError: naming the argument: not a positive number, or an unknown unit.
     """
-    match = re.fullmatch(r"\s*([0-9.eE+-]+)\s*([A-Za-z]*)\s*", text)
+    match = re.fullmatch(r"\s*+([0-9.eE+-]++)\s*+([A-Za-z]*+)\s*+", text)
     try:
         value = float(match[1]) if match else 0.0
     except ValueError:

@@ -16,7 +16,7 @@ from sylpose.units import METERS
 
 __all__ = ["ConvertOptions", "convert"]
 
-# Same as in `calibration.writers`, repeated here to avoid importing it.
+# Same as in `calibration.formats`, repeated here to avoid importing it.
 OUTPUT_FORMATS = ("sylpose", "opencv", "opencv-stereo", "anipose", "kalibr", "colmap")
 
 calibration_app = typer.Typer(help="Convert calibration files.", no_args_is_help=True, rich_markup_mode=None)

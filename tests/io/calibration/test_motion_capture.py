@@ -79,6 +79,13 @@ def test_qualisys(tmp_path: Path) -> None:
     assert_projects(rig.cameras[0], points_in_view(TURN), pixel)
 
 
+def test_masks_of_many_cameras_are_read(tmp_path: Path) -> None:
+    """XML of motion capture systems may have 16 MB, and blank lines before its first element."""
+    masks = "<masks>" + "<mask left='1' top='2'/>" * 100_000 + "</masks>"
+    text = "\n \n" + make_qualisys(**{"<cameras>": f"{masks}<cameras>"})
+    assert calibration.load(write_file(tmp_path / "take.qca.txt", text)).names == ("26580",)
+
+
 def test_qualisys_without_video_cameras(tmp_path: Path) -> None:
     text = make_qualisys(**{"Miqus Video": "Oqus 300+"})
     assert calibration.load(write_file(tmp_path / "take.qca.txt", text)).names == ("26580", "12039")

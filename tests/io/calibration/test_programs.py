@@ -71,7 +71,10 @@ def test_matlab(newer: bool, tmp_path: Path) -> None:
             {"CameraParameters1": {"MappingCoefficients": [1, 2, 3, 4]}},
             r"camera 1: Matlab's fisheye model \(Scaramuzza's\)",
         ),
-        ({"CameraParameters1": make_matlab()["CameraParameters1"] | {"ImageSize": []}}, "has no image size of 1, 2"),
+        (
+            {"CameraParameters1": make_matlab()["CameraParameters1"] | {"ImageSize": []}},
+            "no image size of 1, and",
+        ),
         (
             {"CameraParameters1": make_matlab()["CameraParameters1"] | {"ImageSize": [3]}},
             "camera 1: ImageSize must be 2 numbers",
@@ -283,6 +286,14 @@ def test_nerf_field_of_view(tmp_path: Path) -> None:
         return focal * x + 800 / 2 - 0.5, focal * y + 600 / 2 - 0.5
 
     assert_projects(rig["r_0"], points_in_front(TURN, -TURN @ np.array([1.0, 2.0, 3.0])), pixel)
+
+
+def test_nerf_fisheye_without_model_is_rejected(tmp_path: Path) -> None:
+    file = write_file(tmp_path / "transforms.json", json.dumps(make_nerf(is_fisheye=True)))
+    with pytest.raises(ValueError, match="camera left: is_fisheye is only supported with camera_model OPENCV_FISHEYE"):
+        calibration.load(file)
+    write_file(file, json.dumps(make_nerf(is_fisheye=True, camera_model="OPENCV_FISHEYE")))
+    assert {camera.lens for camera in calibration.load(file)} == {"fisheye"}
 
 
 def test_nerf_lenses_per_frame_in_folders(tmp_path: Path) -> None:

@@ -98,7 +98,7 @@ def test_matrices_and_quaternions_are_read(tmp_path: Path) -> None:
         ("[world_from_calibration]\nquaternion = [0, 0, 0, 1]", "must have a matrix"),
         ("[world_from_calibration]\nquaternion = [0, 0, 0, 2]\ntranslation = [0, 0, 0]", "must have length 1"),
         ("[world_from_calibration]\nquaternion = [0, 0, 1]\ntranslation = [0, 0, 0]", "the quaternion must be"),
-        ("[world_from_calibration]\nmatrix = [[1, 0], [0, 1]]", "must be 3x4, or 4x4"),
+        ("[world_from_calibration]\nmatrix = [[1, 0], [0, 1]]", "must be a 3x4 or 4x4 matrix"),
         ("[world_from_calibration]\nmatrix = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1, 0]]", "a reflection"),
         ("[world_from_calibration]\nmatrix = [[2, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 0]]", "not a rotation matrix"),
         ("[world_from_calibration]\nmatrix = [[1, 0, 0, nan], [0, 1, 0, 0], [0, 0, 1, 0]]", "not finite"),

@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose.commands import calibration as calibration_command
 from sylpose.commands.main import main
 from sylpose.io import calibration
-from sylpose.io.calibration.writers import OUTPUT_FORMATS
+from sylpose.io.calibration.formats import OUTPUT_FORMATS
 from sylpose.rig import Camera, LensModel, Rig
 from sylpose.simulate import ring
 

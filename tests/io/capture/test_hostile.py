@@ -6,18 +6,21 @@ import os
 import struct
 import time
 import zlib
+from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
+import PIL.ExifTags
+import PIL.Image
 import pytest
 
 from sylpose import open_session
 from sylpose.input_limits import UnreadableFileError
 from sylpose.io import calibration
 from sylpose.io.capture.growing import DONE_FILE
-from sylpose.io.capture.headers import image_size_from_header
-from sylpose.io.capture.images import read_image
+from sylpose.io.capture.images import image_size_from_header, read_image, read_image_size
 from sylpose.io.capture.live import open_live
 from sylpose.io.capture.names import match_names
 from sylpose.simulate import ring
@@ -49,6 +52,51 @@ def test_header_size_matches_decoded_size(suffix: str) -> None:
         assert image_size_from_header(data) == size
         for cut in range(0, 200, 3):
             assert image_size_from_header(data[:cut]) in (None, size)
+
+
+@pytest.mark.filterwarnings("error")
+def test_headers_of_all_pixel_types_are_read() -> None:
+    """Of 1, 8 and 16 bits, with palette, transparency, compression and rotation, as OpenCV decodes them."""
+    rng, written = np.random.default_rng(0), list[bytes]()
+    for shape, values in (
+        ((48, 64), np.uint16),
+        ((48, 64, 3), np.uint16),
+        ((48, 64), np.uint8),
+        ((48, 64, 4), np.uint8),
+    ):
+        image: Any = rng.integers(0, 255, shape).astype(values)
+        written += [bytes(cv2.imencode(suffix, image)[1]) for suffix in (".png", ".tif", ".jp2")]
+    rotated = PIL.Image.Exif()
+    rotated[PIL.ExifTags.Base.Orientation] = 6
+    cases: list[tuple[str, str, dict[str, Any]]] = [
+        *[(mode, kind, {}) for mode in ("1", "L", "P", "RGB") for kind in ("TIFF", "PNG", "BMP", "WEBP")],
+        ("CMYK", "JPEG", {}),
+        ("RGB", "JPEG", {"progressive": True, "exif": rotated}),
+        ("RGB", "TIFF", {"big_tiff": True}),
+        ("RGB", "TIFF", {"compression": "tiff_lzw"}),
+        ("RGB", "JPEG2000", {"no_jp2": True}),
+    ]
+    for mode, kind, options in cases:
+        file = BytesIO()
+        PIL.Image.new(mode, SIZE).save(file, kind, **options)
+        written.append(file.getvalue())
+    flags = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
+    for data in written:
+        decoded = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+        assert decoded is not None
+        assert image_size_from_header(data) == decoded.shape[1::-1] == SIZE
+
+
+@pytest.mark.filterwarnings("error")
+def test_sizes_of_large_images_are_returned_without_warnings(tmp_path: Path) -> None:
+    """Pillow's own limits are below the size of a camera."""
+    file = tmp_path / "a.png"
+    PIL.Image.new("1", (11_000, 10_000)).save(file)
+    assert read_image_size(file) == (11_000, 10_000)
+    header = b"RIFF" + struct.pack("<I", 22) + b"WEBPVP8X" + struct.pack("<II", 10, 0)
+    file.write_bytes(header + 2 * (16_000).to_bytes(3, "little"))
+    with pytest.raises(UnreadableFileError, match=r"a\.png: more than the 134217728 pixels that an image may have"):
+        read_image_size(file)
 
 
 def test_broken_header_loses_one_frame(folder: Path) -> None:

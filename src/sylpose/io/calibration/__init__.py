@@ -7,22 +7,22 @@
 |---|---|---|
 | sylpose TOML | `native` | `format = "sylpose-calibration-1"`, `[cameras.NAME]` |
 | Anipose TOML | `anipose` | `[cam_0]`, `[cam_1]`, ..., `[metadata]` |
-| Caliscope TOML | `caliscope` | `[cameras.0]`, `[cameras.1]`, ... |
+| Caliscope TOML | `anipose` | `[cameras.0]`, `[cameras.1]`, ... |
 | OpenCV FileStorage YAML, JSON, XML | `filestorage` | one node per camera, or a sequence `cameras` |
 | OpenCV stereo | `stereo` | M1 D1 M2 D2 in intrinsics.yml, R T in extrinsics.yml, or all in one |
 | Kalibr | `kalibr` | camchain.yaml: cam0, cam1, ... with T_cn_cnm1 |
 | COLMAP | `colmap` | a folder with cameras.txt and images.txt, or .bin; rig_config.json |
 | ROS | `ros` | camera_info of each camera, and transforms |
-| JARVIS | `jarvis` | one file per camera: intrinsicMatrix, distortionCoefficients, R, T |
-| Qualisys, Vicon, OptiTrack | `qualisys`, `vicon`, `optitrack` | .qca.txt, .xcp, .mcal |
-| EasyMocap | `easymocap` | intri.yml and extri.yml |
-| MultiCamSelfCal | `multicamselfcal` | camera1.Pmat.cal, ..., with basename1.rad, ... |
-| Matlab | `matlab` | stereoParameters as JSON |
-| Metashape | `metashape` | cameras exported as XML |
-| NeRF | `nerf` | transforms.json |
-| DeepLabCut | `deeplabcut` | stereo_params.pickle |
+| JARVIS | `folders` | one file per camera: intrinsicMatrix, distortionCoefficients, R, T |
+| Qualisys, Vicon, OptiTrack | `motion_capture` | .qca.txt, .xcp, .mcal |
+| EasyMocap | `folders` | intri.yml and extri.yml |
+| MultiCamSelfCal | `folders` | camera1.Pmat.cal, ..., with basename1.rad, ... |
+| Matlab | `stereo` | stereoParameters as JSON |
+| Metashape | `photogrammetry` | cameras exported as XML |
+| NeRF | `photogrammetry` | transforms.json |
+| DeepLabCut | `folders` | stereo_params.pickle |
 
-`formats` lists the formats that are read, `writers` those that are written. In any case a `Rig` has poses
+`formats` lists the formats that are read and those that are written. In any case a `Rig` has poses
 `camera_from_world` and OpenCV's pixel convention (docs/conventions.md).
 """
 

@@ -1,4 +1,8 @@
-"""Anipose's `calibration.toml` (aniposelib, Pose2Sim, Caliscope's export): one table per camera, and `[metadata]`."""
+"""TOML with one table per camera: Anipose's `calibration.toml` and Caliscope's `camera_array.toml`.
+
+Anipose's (aniposelib, Pose2Sim, Caliscope's export) has tables `[cam_0]`, `[cam_1]`, ... and `[metadata]`; Caliscope's
+has `[cameras.N]`, N a number.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +12,13 @@ from typing import Any
 import msgspec
 
 from sylpose.atomic_io import format_toml_string
-from sylpose.io.calibration.camera_builder import convert_table, make_camera, make_pose, make_rig
-from sylpose.rig import Camera, Rig
+from sylpose.io.calibration.camera_builder import CameraEntry, convert_table, make_camera, make_pose, make_rig
+from sylpose.rig import Camera, LensModel, Rig
 
-__all__ = ["CameraTable", "is_anipose", "make_table_camera", "read", "to_text"]
+__all__ = ["is_anipose", "is_caliscope", "read", "read_caliscope", "to_text"]
 
 
-class CameraTable(msgspec.Struct):
+class _CameraTable(msgspec.Struct):
     """Camera table as written by Anipose and Caliscope."""
 
     size: tuple[float, float]
@@ -26,7 +30,7 @@ class CameraTable(msgspec.Struct):
     error: float | None = None
 
 
-class _NamedTable(CameraTable):
+class _NamedTable(_CameraTable):
     name: str | None = None
 
 
@@ -50,8 +54,43 @@ def read(data: dict[str, Any], path: Path) -> Rig:
         if key == "metadata":
             continue
         table_with_error = {"error": common_error} | table if isinstance(table, dict) else table
-        entry = convert_table(table_with_error, _NamedTable, f"{path}: camera {key}")
-        cameras.append(make_table_camera(path, entry.name or key, entry))
+        camera = convert_table(table_with_error, _NamedTable, CameraEntry(path, key))
+        cameras.append(_make_table_camera(CameraEntry(path, camera.name or key), camera))
+    return make_rig(path, cameras)
+
+
+def is_caliscope(data: dict[str, Any]) -> bool:
+    """Return whether decoded TOML looks like Caliscope's: a table `cameras` whose keys are numbers."""
+    cameras = data.get("cameras")
+    return isinstance(cameras, dict) and all(key.isdecimal() for key in cameras)
+
+
+def read_caliscope(data: dict[str, Any], path: Path) -> Rig:
+    """Read the rig; camera N is named cam_N, as Caliscope names its videos; cameras with `ignore = true` are skipped.
+
+    Rotations are matrices in older files and rotation vectors in newer ones. `rotation_count` only rotates Caliscope's
+    display and is not used.
+
+    Raises:
+        ValueError: invalid content; the message names file and camera.
+    """
+    cameras = []
+    for number, table in data["cameras"].items():
+        entry = CameraEntry(path, f"cam_{number}")
+        if not isinstance(table, dict):
+            raise ValueError(f"{entry}: expected a table [cameras.{number}]")
+        # Older versions write "null" where there is no value.
+        table = {key: value for key, value in table.items() if value != "null"}
+        if table.get("ignore") is True:
+            continue
+        if not {"rotation", "translation"} <= table.keys():
+            raise ValueError(
+                f"{entry}: no rotation and translation: calibrate its pose in Caliscope, or write ignore = true to "
+                "leave it out"
+            )
+        cameras.append(_make_table_camera(entry, convert_table(table, _CameraTable, entry)))
+    if not cameras:
+        raise ValueError(f"{path}: no camera in this Caliscope file: [cameras.0], ... without ignore = true are needed")
     return make_rig(path, cameras)
 
 
@@ -75,19 +114,7 @@ fisheye = {str(camera.lens == "fisheye").lower()}
 """
 
 
-def make_table_camera(path: Path, name: str, table: CameraTable) -> Camera:
-    """Build the camera of a table.
-
-    Raises:
-        ValueError: invalid content; the message names file and camera.
-    """
-    return make_camera(
-        path,
-        name,
-        size=table.size,
-        matrix=table.matrix,
-        distortion=table.distortions,
-        camera_from_world=make_pose(path, name, table.rotation, table.translation),
-        lens="fisheye" if table.fisheye else "opencv",
-        error_px=table.error,
-    )
+def _make_table_camera(entry: CameraEntry, table: _CameraTable) -> Camera:
+    pose = make_pose(entry, table.rotation, table.translation)
+    lens: LensModel = "fisheye" if table.fisheye else "opencv"
+    return make_camera(entry, table.size, table.matrix, table.distortions, pose, lens, table.error)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from types import MappingProxyType
+from typing import Any, NamedTuple, TypeVar
 from xml.etree.ElementTree import Element
 
 import msgspec
@@ -18,6 +19,7 @@ from sylpose.rig import Camera, LensModel, Rig
 __all__ = [
     "LENS_MODELS",
     "OPENCV_FROM_OPENGL",
+    "CameraEntry",
     "SizeLookup",
     "convert_table",
     "intrinsic_matrix",
@@ -26,10 +28,12 @@ __all__ = [
     "make_camera",
     "make_pose",
     "make_rig",
-    "make_rigid_transform",
     "parse_attribute",
+    "parse_attributes",
+    "parse_matrix",
     "parse_numbers",
     "parse_pose_matrix",
+    "parse_quaternion",
     "standard_lens_terms",
     "to_plain",
 ]
@@ -62,7 +66,7 @@ ROTATION_TOLERANCE = 1e-3
 ROUNDING_TOLERANCE = 1e-12
 
 
-def convert_table(table: Any, kind: type[T], where: str) -> T:
+def convert_table(table: Any, kind: type[T], where: CameraEntry | str) -> T:
     """Convert a decoded table to a typed struct.
 
     Raises:
@@ -79,21 +83,29 @@ def convert_table(table: Any, kind: type[T], where: str) -> T:
         raise ValueError(f"{where}: {key + ': ' if key else ''}{what[0].lower()}{what[1:]}") from None
 
 
+class CameraEntry(NamedTuple):
+    """Camera in a file; its text, the file and the name, begins messages."""
+
+    path: Path
+    name: str
+
+    def __str__(self) -> str:
+        return f"{self.path}: camera {self.name}"
+
+
 def make_camera(
-    path: Path,
-    name: str,
-    *,
+    entry: CameraEntry,
     size: Any,
     matrix: Any,
     distortion: Any,
     camera_from_world: RigidTransform,
-    lens: LensModel,
+    lens: LensModel = "opencv",
     error_px: float | None = None,
 ) -> Camera:
     """Build a `Camera` from the numbers in a file.
 
     Args:
-        path, name: for the messages.
+        entry: file and name.
         size: (width, height).
         matrix: (3, 3).
         distortion: OpenCV's coefficients in any shape.
@@ -102,34 +114,29 @@ def make_camera(
     Raises:
         ValueError: naming file and camera, for anything that `Camera` rejects.
     """
-    where = f"{path}: camera {name}"
-    width_height = _to_array(size, f"{where}: the size")
+    width_height = _to_array(size, f"{entry}: the size")
     if width_height.shape != (2,) or (width_height != width_height.round()).any():
-        raise ValueError(f"{where}: the size must be two whole numbers (width, height), got {size}")
-    arrays = _to_array(matrix, f"{where}: the matrix"), _to_array(distortion, f"{where}: the distortion")
+        raise ValueError(f"{entry}: the size must be two whole numbers (width, height), got {size}")
+    width, height = map(int, width_height)
+    arrays = _to_array(matrix, f"{entry}: the matrix"), _to_array(distortion, f"{entry}: the distortion")
     try:
-        return Camera(name, (int(width_height[0]), int(width_height[1])), *arrays, camera_from_world, lens, error_px)
+        return Camera(entry.name, (width, height), *arrays, camera_from_world, lens, error_px)
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
+        raise ValueError(f"{entry.path}: {error}") from None
 
 
-def make_pose(path: Path, name: str, rotation: Any, translation: Any) -> RigidTransform:
+def make_pose(where: CameraEntry | str, rotation: Any, translation: Any) -> RigidTransform:
     """Build the pose X_b = R X_a + t from the numbers in a file.
 
     Args:
-        path, name: for the messages.
+        where: begins the messages.
         rotation: (3, 3) matrix, replaced by the nearest rotation, or a rotation vector of 3 (OpenCV's `rvec`, radians).
         translation: 3 numbers.
 
     Raises:
-        ValueError: naming file and camera, for a wrong shape, a value that is not finite, or a matrix that is not a
+        ValueError: beginning with `where`, for a wrong shape, a value that is not finite, or a matrix that is not a
             rotation to 1e-3.
     """
-    return make_rigid_transform(f"{path}: camera {name}", rotation, translation)
-
-
-def make_rigid_transform(where: str, rotation: Any, translation: Any) -> RigidTransform:
-    """Build a pose like `make_pose`, with error messages that begin with `where`."""
     r = _to_array(rotation, f"{where}: the rotation")
     t = _to_array(translation, f"{where}: the translation")
     if t.size != 3:
@@ -152,23 +159,35 @@ def make_rigid_transform(where: str, rotation: Any, translation: Any) -> RigidTr
     return RigidTransform(pose, normalize=gap > ROUNDING_TOLERANCE)
 
 
-def parse_pose_matrix(path: Path, name: str, what: str, value: Any) -> RigidTransform:
+def parse_pose_matrix(where: CameraEntry | str, what: str, value: Any) -> RigidTransform:
     """Parse the pose of a 3x4 or 4x4 matrix [R t], by rows or as 12 or 16 numbers.
 
     Args:
-        path, name: for the messages.
+        where: begins the messages.
         what: the matrix's name in the file.
         value: the matrix.
 
     Raises:
-        ValueError: naming file and camera, for another shape or last row, and as `make_pose`.
+        ValueError: beginning with `where`, for another shape or last row, and as `make_pose`.
     """
-    matrix = _to_array(value, f"{path}: camera {name}: {what}")
+    matrix = _to_array(value, f"{where}: {what}")
     if matrix.size in (12, 16):
         matrix = matrix.reshape(-1, 4)
     if matrix.shape not in ((3, 4), (4, 4)) or (len(matrix) == 4 and not np.array_equal(matrix[3], [0, 0, 0, 1])):
-        raise ValueError(f"{path}: camera {name}: {what} must be a 3x4 or 4x4 matrix [R t]")
-    return make_pose(path, name, matrix[:3, :3], matrix[:3, 3])
+        raise ValueError(f"{where}: {what} must be a 3x4 or 4x4 matrix [R t], a 4x4 one with last row (0, 0, 0, 1)")
+    return make_pose(where, matrix[:3, :3], matrix[:3, 3])
+
+
+def parse_quaternion(value: Any, problem: str) -> Rotation:
+    """Parse a rotation given as a quaternion x, y, z, w.
+
+    Raises:
+        ValueError: `problem`, unless its length is 1.
+    """
+    quaternion = np.asarray(value, dtype=float)
+    if not abs(np.linalg.norm(quaternion) - 1.0) < 1e-3:
+        raise ValueError(problem)
+    return Rotation.from_quat(quaternion)
 
 
 def intrinsic_matrix(fx: float, fy: float, cx: float, cy: float) -> FloatArray:
@@ -176,7 +195,7 @@ def intrinsic_matrix(fx: float, fy: float, cx: float, cy: float) -> FloatArray:
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
-def lens_model_by_name(lens_name: Any, where: str, what: str) -> LensModel:
+def lens_model_by_name(lens_name: Any, where: CameraEntry | str, what: str) -> LensModel:
     """Look up OpenCV's lens model by the name in a file under its key `what`.
 
     Raises:
@@ -198,13 +217,16 @@ def parse_numbers(value: Any, n: int | tuple[int, ...], what: str) -> FloatArray
     Raises:
         ValueError: naming `what`, for a wrong count, a value that is not a number, or one that is not finite.
     """
-    words = re.split(r"[\s,]+", value.strip()) if isinstance(value, str) else value
-    array = _to_array(words, what).ravel()
-    if array.size not in (n if isinstance(n, tuple) else (n,)):
-        raise ValueError(
-            f"{what} must be {n if isinstance(n, int) else ' or '.join(map(str, n))} numbers, got {array.size}"
-        )
+    array = _to_array(re.split(r"[\s,]+", value.strip()) if isinstance(value, str) else value, what).ravel()
+    counts = (n,) if isinstance(n, int) else n
+    if array.size not in counts:
+        raise ValueError(f"{what} must be {' or '.join(map(str, counts))} numbers, got {array.size}")
     return array
+
+
+def parse_matrix(value: Any, what: str, columns: int = 3) -> FloatArray:
+    """Parse a matrix (3, columns) as `parse_numbers`; OpenCV's and ROS' nodes are accepted."""
+    return parse_numbers(to_plain(value, what), 3 * columns, what).reshape(3, columns)
 
 
 def to_plain(value: Any, what: str) -> Any:
@@ -221,7 +243,7 @@ def to_plain(value: Any, what: str) -> Any:
         raise ValueError(f"{what} must be a matrix with rows, cols and matching data") from None
 
 
-def parse_attribute(element: Element | None, name: str, where: str, n: int = 1) -> FloatArray:
+def parse_attribute(element: Element | None, name: str, where: CameraEntry | str, n: int = 1) -> FloatArray:
     """Parse the (n,) numbers in an attribute of an XML element.
 
     Raises:
@@ -230,6 +252,11 @@ def parse_attribute(element: Element | None, name: str, where: str, n: int = 1) 
     if element is None or (value := element.get(name)) is None:
         raise ValueError(f"{where}: missing {name!r}")
     return parse_numbers(value, n, f"{where}: {name}")
+
+
+def parse_attributes(element: Element | None, where: CameraEntry | str, *names: str) -> FloatArray:
+    """Parse one number from each of these attributes of an XML element, as `parse_attribute`."""
+    return np.array([parse_attribute(element, name, where)[0] for name in names])
 
 
 def standard_lens_terms(camera: Camera, n: int, model: str) -> FloatArray:
@@ -247,13 +274,17 @@ def standard_lens_terms(camera: Camera, n: int, model: str) -> FloatArray:
     return terms[:n]
 
 
-def lookup_sizes(path: Path, names: Sequence[str], sizes: SizeLookup | None) -> dict[str, tuple[int, int]]:
-    """Look up the image sizes of cameras whose file does not contain them.
+def lookup_sizes(
+    path: Path, names: Sequence[str], sizes: SizeLookup | None, given: Mapping[str, Any] = MappingProxyType({})
+) -> dict[str, Any]:
+    """Return the image sizes of cameras: those given in their file, otherwise those of their videos.
 
     Raises:
         ValueError: naming the file and the cameras of unknown image size.
     """
-    known = {} if sizes is None else dict(sizes(names))
+    if all(name in given for name in names):
+        return dict(given)
+    known = {**(sizes(names) if sizes is not None else {}), **given}
     if missing := [name for name in names if name not in known]:
         raise ValueError(
             f"{path}: has no image size of {', '.join(missing)}, and there are no videos of these names; "

@@ -1,21 +1,25 @@
 """COLMAP models, text or binary: a folder with cameras.txt and images.txt, or .bin; and rig_config.json.
 
-A camera's lens is in `cameras`, its pose in `images`, with one entry per image: `static_cameras` groups them by camera.
+A camera's lens is in `cameras`, its pose in `images`, with one entry per image: `find_static_cameras` groups them by
+camera. Points are skipped.
 
 In COLMAP, the center of the top-left pixel is (0.5, 0.5), quaternions begin with w, and lengths have no unit.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import struct
+from collections.abc import Iterable, Iterator
 from pathlib import Path, PurePosixPath
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
 from sylpose.geometry.arrays import FloatArray
+from sylpose.input_limits import MAX_TABLE_BYTES, input_errors, open_regular_file, to_one_line
 from sylpose.io.calibration.camera_builder import (
+    CameraEntry,
     SizeLookup,
     intrinsic_matrix,
     lookup_sizes,
@@ -23,16 +27,34 @@ from sylpose.io.calibration.camera_builder import (
     make_pose,
     make_rig,
     parse_numbers,
+    parse_quaternion,
     standard_lens_terms,
 )
-from sylpose.io.calibration.colmap_model import Model
-from sylpose.io.calibration.static_cameras import PosedImage, find_static_cameras, image_path, make_unique_names
-from sylpose.rig import Camera, LensModel, Rig
+from sylpose.io.calibration.photogrammetry import (
+    PIXEL_CENTER,
+    PosedImage,
+    find_static_cameras,
+    image_path,
+    make_unique_names,
+)
+from sylpose.rig import MAX_LENGTH, Camera, LensModel, Rig
 
-__all__ = ["PIXEL_CENTER", "is_rig_config", "parse_lens", "read", "read_rig_config", "to_texts"]
+__all__ = ["is_model", "is_rig_config", "read", "read_rig_config", "to_texts"]
 
-# Center of the top-left pixel.
-PIXEL_CENTER = 0.5
+# Maximum number of lenses and of images of a model (choice: a rig of a hundred cameras, a thousand images of each).
+MAX_IMAGES = 100_000
+# Bytes of a line with an image's pose and name (choice: eight numbers with all digits, and the longest path).
+MAX_LINE = 8192
+# Maximum number of parameters in a line of cameras.txt or a binary entry (choice: COLMAP's models have 16).
+MAX_PARAMS = 100
+_FILES = ("cameras", "images", "points3d", "rigs", "frames")
+# Model names and parameter counts, indexed by COLMAP's model IDs in binary files.
+_MODELS_BY_ID = (
+    *(("SIMPLE_PINHOLE", 3), ("PINHOLE", 4), ("SIMPLE_RADIAL", 4), ("RADIAL", 5), ("OPENCV", 8), ("OPENCV_FISHEYE", 8)),
+    *(("FULL_OPENCV", 12), ("FOV", 5), ("SIMPLE_RADIAL_FISHEYE", 4), ("RADIAL_FISHEYE", 5), ("THIN_PRISM_FISHEYE", 12)),
+    *(("RAD_TAN_THIN_PRISM_FISHEYE", 16), ("SIMPLE_DIVISION", 4), ("DIVISION", 5), ("SIMPLE_FISHEYE", 3)),
+    *(("FISHEYE", 4), ("EUCM", 6), ("EQUIRECTANGULAR", 2)),
+)
 # Parameters of the models that OpenCV supports: number of focal lengths, indices of the other parameters among OpenCV's
 # terms, and lens model.
 _MODELS: dict[str, tuple[int, tuple[int, ...], LensModel]] = {
@@ -50,50 +72,57 @@ _MODELS: dict[str, tuple[int, tuple[int, ...], LensModel]] = {
 }
 
 
-class _LensParameters(NamedTuple):
-    matrix: FloatArray
-    distortion: FloatArray
-    lens: LensModel
+class _Lens(NamedTuple):
+    """Entry of COLMAP's cameras."""
+
+    model: str
+    size: Any
+    params: Any
 
 
-def parse_lens(model: str, params: Any, where: str) -> _LensParameters:
-    """Parse a camera of a COLMAP model into matrix, distortion and lens, with the top-left pixel's center at (0, 0).
+class _Model(NamedTuple):
+    """Lenses by ID, and images whose `lens` is such an ID."""
 
-    Raises:
-        ValueError: a model that OpenCV does not have, or a wrong number of parameters.
-    """
-    if model not in _MODELS:
-        raise ValueError(f"{where}: COLMAP's model {model} is not supported; OpenCV's are: {', '.join(_MODELS)}")
-    n_focal, terms, lens = _MODELS[model]
-    values = parse_numbers(params, n_focal + 2 + len(terms), f"{where}: the parameters of {model}")
-    fx, fy = values[0], values[n_focal - 1]
-    cx, cy = values[n_focal : n_focal + 2] - PIXEL_CENTER
-    distortion = np.zeros(4 if lens == "fisheye" or len(terms) <= 4 else 8)
-    distortion[list(terms)] = values[n_focal + 2 :]
-    return _LensParameters(intrinsic_matrix(fx, fy, cx, cy), distortion, lens)
+    lenses: dict[str, _Lens]
+    images: list[PosedImage]
 
 
-def read(model: Model, path: Path) -> Rig:
-    """Read the rig of a model.
+def is_model(path: Path) -> bool:
+    """Return whether a file has the name of a COLMAP model file."""
+    return path.stem.lower() in _FILES and path.suffix.lower() in (".txt", ".bin")
+
+
+def read(_: object, path: Path) -> Rig:
+    """Read the rig of the model that a file is part of.
 
     Raises:
-        ValueError: naming the file, and the camera if applicable: images of one camera with different poses.
+        OSError: a file that cannot be read.
+        ValueError: naming the file and the invalid line or entry, or the camera: cameras without images; images of one
+            camera with different poses.
     """
-    images = [
-        PosedImage(image_path(image.name), str(image.camera), image.quaternion, image.translation)
-        for image in model.images
-    ]
-    if not images:
+    model = _read_model(path)
+    if not model.images:
         raise ValueError(f"{path}: no image of this COLMAP model has a pose")
     cameras = []
-    for static_camera in find_static_cameras(images, path):
-        lens = model.lenses.get(int(static_camera.lens))
-        where = f"{path}: camera {static_camera.name}"
+    for static_camera in find_static_cameras(model.images, path):
+        lens, entry = model.lenses.get(static_camera.lens), CameraEntry(path, static_camera.name)
         if lens is None:
-            raise ValueError(f"{where}: its images have a lens, {static_camera.lens}, that is not in COLMAP's cameras")
-        found = parse_lens(lens.model, lens.params, where)
-        cameras.append(_make_camera(path, static_camera.name, lens.size, found, static_camera.camera_from_world))
+            raise ValueError(f"{entry}: its images have a lens, {static_camera.lens}, that is not in COLMAP's cameras")
+        cameras.append(_parse_camera(entry, lens, static_camera.camera_from_world))
     return make_rig(path, cameras)
+
+
+def _parse_camera(entry: CameraEntry, lens: _Lens, pose: RigidTransform) -> Camera:
+    """Build the camera of a lens, with the top-left pixel's center at (0, 0)."""
+    if lens.model not in _MODELS:
+        raise ValueError(f"{entry}: COLMAP's model {lens.model} is not supported; OpenCV's are: {', '.join(_MODELS)}")
+    n_focal, terms, kind = _MODELS[lens.model]
+    values = parse_numbers(lens.params, n_focal + 2 + len(terms), f"{entry}: the parameters of {lens.model}")
+    cx, cy = values[n_focal : n_focal + 2] - PIXEL_CENTER
+    distortion = np.zeros(4 if kind == "fisheye" or len(terms) <= 4 else 8)
+    distortion[list(terms)] = values[n_focal + 2 :]
+    matrix = intrinsic_matrix(values[0], values[n_focal - 1], cx, cy)
+    return make_camera(entry, lens.size, matrix, distortion, pose, kind)
 
 
 def is_rig_config(data: Any) -> bool:
@@ -115,27 +144,30 @@ def read_rig_config(data: list[Any], path: Path, sizes: SizeLookup | None = None
         raise ValueError(f"{path}: this is a COLMAP rig_config of {len(data)} rigs, without the poses between them")
     nodes = [node for node in data[0]["cameras"] if isinstance(node, dict)]
     names = make_unique_names([PurePosixPath(str(node.get("image_prefix", ""))) for node in nodes])
-    found = []
+    poses = []
     for name, node in zip(names, nodes, strict=True):
-        where = f"{path}: camera {name}"
+        entry = CameraEntry(path, name)
         if "camera_params" not in node or "camera_model_name" not in node:
             raise ValueError(
-                f"{where}: this is a COLMAP rig_config without its camera_model_name and camera_params; the folder of "
+                f"{entry}: this is a COLMAP rig_config without its camera_model_name and camera_params; the folder of "
                 "the reconstruction, with cameras.txt and images.txt (or .bin), has them"
             )
         pose = RigidTransform.identity()
         if not node.get("ref_sensor"):
             if not {"cam_from_rig_rotation", "cam_from_rig_translation"} <= node.keys():
                 raise ValueError(
-                    f"{where}: this is a COLMAP rig_config without its cam_from_rig_rotation and _translation"
+                    f"{entry}: this is a COLMAP rig_config without its cam_from_rig_rotation and _translation"
                 )
-            rotation = _to_rotation(
-                parse_numbers(node["cam_from_rig_rotation"], 4, f"{where}: cam_from_rig_rotation"), where
-            )
-            pose = make_pose(path, name, rotation.as_matrix(), node["cam_from_rig_translation"])
-        found.append((name, parse_lens(str(node["camera_model_name"]), node["camera_params"], where), pose))
+            quaternion = parse_numbers(node["cam_from_rig_rotation"], 4, f"{entry}: cam_from_rig_rotation")
+            rotation = parse_quaternion(np.roll(quaternion, -1), f"{entry}: {quaternion} is not a unit quaternion")
+            pose = make_pose(entry, rotation.as_matrix(), node["cam_from_rig_translation"])
+        poses.append(pose)
     known_sizes = lookup_sizes(path, names, sizes)
-    return make_rig(path, [_make_camera(path, name, known_sizes[name], lens, pose) for name, lens, pose in found])
+    cameras = []
+    for name, node, pose in zip(names, nodes, poses, strict=True):
+        lens = _Lens(str(node["camera_model_name"]), known_sizes[name], node["camera_params"])
+        cameras.append(_parse_camera(CameraEntry(path, name), lens, pose))
+    return make_rig(path, cameras)
 
 
 def to_texts(rig: Rig) -> dict[str, str]:
@@ -170,20 +202,124 @@ def _format_numbers(values: Iterable[float]) -> str:
     return " ".join(repr(float(value)) for value in values)
 
 
-def _make_camera(path: Path, name: str, size: Any, lens: _LensParameters, pose: RigidTransform) -> Camera:
-    return make_camera(
-        path,
-        name,
-        size=size,
-        matrix=lens.matrix,
-        distortion=lens.distortion,
-        camera_from_world=pose,
-        lens=lens.lens,
-    )
+def _read_model(path: Path) -> _Model:
+    """Read the model that a file is part of."""
+    found = {(file.stem.lower(), file.suffix.lower()): file for file in path.parent.iterdir() if is_model(file)}
+    # If a model exists in both forms, prefer the suffix of the given file, then binary, as COLMAP does.
+    for suffix in dict.fromkeys((path.suffix.lower(), ".bin", ".txt")):
+        if ("cameras", suffix) in found and ("images", suffix) in found:
+            cameras, images = found["cameras", suffix], found["images", suffix]
+            break
+    else:
+        missing = [name for name in ("cameras", "images") if not any(name == stem for stem, _ in found)]
+        raise ValueError(
+            f"{path}: this is part of a COLMAP model, whose lenses are in cameras.txt and poses in images.txt, or in "
+            f".bin; {' and '.join(missing) or 'both of one kind'} must be next to it"
+        )
+    with input_errors(cameras):
+        lenses = _read_text_lenses(cameras) if suffix == ".txt" else _read_binary_lenses(cameras)
+    with input_errors(images):
+        return _Model(lenses, _read_text_images(images) if suffix == ".txt" else _read_binary_images(images))
 
 
-def _to_rotation(quaternion: FloatArray, where: str) -> Rotation:
-    """Convert a quaternion w, x, y, z."""
-    if not abs(np.linalg.norm(quaternion) - 1.0) < 1e-3:
-        raise ValueError(f"{where}: {quaternion} is not a unit quaternion")
-    return Rotation.from_quat(np.roll(quaternion, -1))
+def _read_text_lenses(path: Path) -> dict[str, _Lens]:
+    lenses = {}
+    with open_regular_file(path, MAX_TABLE_BYTES) as file:
+        for number, line in _iterate_lines(file):
+            words = line.split(maxsplit=MAX_PARAMS)
+            if not words or words[0].startswith("#"):
+                continue
+            try:
+                key, size = int(words[0]), (int(words[2]), int(words[3]))
+                lenses[str(key)] = _Lens(words[1], size, np.array([float(word) for word in words[4:]]))
+            except (ValueError, IndexError):
+                raise ValueError(
+                    f"line {number}: expected CAMERA_ID MODEL WIDTH HEIGHT PARAMS[] of a COLMAP model"
+                ) from None
+            if len(lenses) > MAX_IMAGES:
+                raise ValueError(f"more than {MAX_IMAGES} cameras")
+    return lenses
+
+
+def _read_text_images(path: Path) -> list[PosedImage]:
+    images = []
+    with open_regular_file(path, MAX_TABLE_BYTES) as file:
+        lines = _iterate_lines(file)
+        for number, line in lines:
+            words = line.split(maxsplit=9)
+            if not words or words[0].startswith("#"):
+                continue
+            try:
+                values, camera, name = [float(word) for word in words[1:8]], int(words[8]), words[9].strip()
+            except (ValueError, IndexError):
+                raise ValueError(f"line {number}: expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME") from None
+            images.append(_make_image(name, camera, np.array(values), f"line {number}: "))
+            next(lines, None)  # its points, possibly none
+            if len(images) > MAX_IMAGES:
+                raise ValueError(f"more than {MAX_IMAGES} images")
+    return images
+
+
+def _iterate_lines(file: BinaryIO) -> Iterator[tuple[int, str]]:
+    """Yield number and beginning of each line, however long it is."""
+    number = 0
+    while line := file.readline(MAX_LINE):
+        number += 1
+        rest = line
+        while not rest.endswith(b"\n") and (rest := file.readline(2**16)):
+            pass
+        yield number, line.decode("utf-8", "replace")
+
+
+def _read_binary_lenses(path: Path) -> dict[str, _Lens]:
+    lenses = {}
+    with open_regular_file(path, MAX_TABLE_BYTES) as file:
+        for _ in range(_read_count(file)):
+            key, model, width, height = _unpack(file, "<IiQQ")
+            if not 0 <= model < len(_MODELS_BY_ID):
+                raise ValueError(f"camera {key}: COLMAP's model number {model} is unknown")
+            name, n = _MODELS_BY_ID[model]
+            lenses[str(key)] = _Lens(name, (width, height), np.array(_unpack(file, f"<{n}d")))
+    return lenses
+
+
+def _read_binary_images(path: Path) -> list[PosedImage]:
+    images = []
+    with open_regular_file(path, MAX_TABLE_BYTES) as file:
+        for _ in range(_read_count(file)):
+            _, *values, camera = _unpack(file, "<I7dI")
+            name = bytearray()
+            while (byte := file.read(1)) != b"\0":
+                name += byte
+                if not byte or len(name) > MAX_LINE:
+                    raise ValueError("the file is truncated in an image's name")
+            images.append(_make_image(name.decode("utf-8", "replace"), camera, np.array(values)))
+            (points,) = _unpack(file, "<Q")
+            # Each point has x, y and the ID of a 3D point.
+            if points > MAX_TABLE_BYTES:
+                raise ValueError(f"an image has an implausible number of points, {points}")
+            file.seek(24 * points, 1)
+    return images
+
+
+def _read_count(file: BinaryIO) -> int:
+    (count,) = _unpack(file, "<Q")
+    if count > MAX_IMAGES:
+        raise ValueError(f"more than {MAX_IMAGES} entries")
+    return int(count)
+
+
+def _unpack(file: BinaryIO, layout: str) -> tuple[Any, ...]:
+    data = file.read(struct.calcsize(layout))
+    if len(data) < struct.calcsize(layout):
+        raise ValueError("the file is truncated: not a complete binary file of a COLMAP model")
+    return struct.unpack(layout, data)
+
+
+def _make_image(name: str, camera: int, values: FloatArray, where: str = "") -> PosedImage:
+    """Build an image from quaternion, w first, and translation."""
+    if not np.abs(values).max() <= MAX_LENGTH or not abs(np.linalg.norm(values[:4]) - 1.0) < 1e-3:
+        raise ValueError(
+            f"{where}image {to_one_line(name, 100)}: its pose is not a unit quaternion, w first, and a translation"
+        )
+    return PosedImage(image_path(name), str(camera), np.roll(values[:4], -1), values[4:])

@@ -9,8 +9,7 @@ from pathlib import Path
 from sylpose.atomic_io import make_output_folder, replace_atomically
 from sylpose.input_limits import input_errors
 from sylpose.io.calibration.camera_builder import SizeLookup
-from sylpose.io.calibration.formats import detect_format, find_folder_file
-from sylpose.io.calibration.writers import choose_output_format
+from sylpose.io.calibration.formats import choose_output_format, detect_format, find_folder_file
 from sylpose.rig import Rig
 
 __all__ = ["find", "format_name", "is_calibration_name", "load", "save"]

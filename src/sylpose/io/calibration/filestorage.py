@@ -15,6 +15,7 @@ or common synonyms of these keys (`_NAMES` below), and Multical's `calibration.j
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,9 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from sylpose.geometry.arrays import FloatArray
 from sylpose.io.calibration.camera_builder import (
+    CameraEntry,
     SizeLookup,
     lens_model_by_name,
     lookup_sizes,
@@ -35,7 +38,16 @@ from sylpose.io.calibration.camera_builder import (
 from sylpose.io.calibration.incomplete_files import describe_incomplete
 from sylpose.rig import Camera, LensModel, Rig
 
-__all__ = ["get_value", "has_values", "is_calibration", "parse_error_px", "parse_lens_model", "read", "to_text"]
+__all__ = [
+    "get_value",
+    "has_values",
+    "is_calibration",
+    "parse_error_px",
+    "parse_lens_model",
+    "read",
+    "to_text",
+    "write_arrays",
+]
 
 _NAMES = {
     "matrix": ("camera_matrix", "cameraMatrix", "K", "intrinsic_matrix", "intrinsics", "intrinsic", "matrix", "mtx"),
@@ -104,9 +116,10 @@ def read(data: dict[str, Any], path: Path, sizes: SizeLookup | None = None) -> R
         raise ValueError(f"{path}: unit must be a string, got {unit!r}")
     common_error = parse_error_px(data, str(path))
     known_sizes = {} if sizes is None else _lookup_missing_sizes(nodes, path, sizes)
-    return make_rig(
-        path, [_parse_camera(node, name, path, common_error, known_sizes.get(name)) for name, node in nodes], unit
-    )
+    cameras = [
+        _parse_camera(CameraEntry(path, name), node, common_error, known_sizes.get(name)) for name, node in nodes
+    ]
+    return make_rig(path, cameras, unit)
 
 
 def to_text(rig: Rig, suffix: str) -> str:
@@ -125,15 +138,19 @@ def to_text(rig: Rig, suffix: str) -> str:
         storage.write("image_width", camera.size[0])
         storage.write("image_height", camera.size[1])
         storage.write("lens", camera.lens)
-        storage.write("camera_matrix", np.array(camera.matrix))
-        storage.write("distortion_coefficients", camera.distortion.reshape(1, -1).copy())
-        storage.write("R", pose[:3, :3].copy())
-        storage.write("T", pose[:3, 3:].copy())
+        lens = {"camera_matrix": camera.matrix, "distortion_coefficients": camera.distortion.reshape(1, -1)}
+        write_arrays(storage, lens | {"R": pose[:3, :3], "T": pose[:3, 3:]})
         if camera.error_px is not None:
             storage.write("avg_reprojection_error", camera.error_px)
         storage.endWriteStruct()
     storage.endWriteStruct()
     return str(storage.releaseAndGetString())
+
+
+def write_arrays(storage: cv2.FileStorage, arrays: Mapping[str, FloatArray]) -> None:
+    """Write arrays by their keys; OpenCV requires them contiguous and writable."""
+    for key, array in arrays.items():
+        storage.write(key, np.array(array, order="C"))
 
 
 def _find_camera_nodes(data: dict[str, Any], path: Path) -> list[tuple[str, dict[str, Any]]]:
@@ -169,37 +186,30 @@ def _read_multical_poses(poses: dict[str, Any]) -> dict[str, dict[str, Any]]:
     return found
 
 
-def _lookup_missing_sizes(
-    nodes: list[tuple[str, dict[str, Any]]], path: Path, sizes: SizeLookup
-) -> dict[str, tuple[int, int]]:
+def _lookup_missing_sizes(nodes: list[tuple[str, dict[str, Any]]], path: Path, sizes: SizeLookup) -> dict[str, Any]:
     """Look up image sizes of cameras whose node has none."""
-    size_keys = [name for key in ("size", "width", "height") for name in _NAMES[key]]
-    without = [name for name, node in nodes if all(node.get(key) is None for key in size_keys)]
+    without = [name for name, node in nodes if not any(has_values(node, key) for key in ("size", "width", "height"))]
     known = lookup_sizes(path, [name for name, _ in nodes], sizes) if without else {}
     return {name: known[name] for name in without}
 
 
-def _parse_camera(
-    node: dict[str, Any], name: str, path: Path, common_error: float | None, known_size: tuple[int, int] | None
-) -> Camera:
-    where = f"{path}: camera {name}"
-    own_error = parse_error_px(node, where)
-    size = get_value(node, "size", where) if known_size is None else known_size
+def _parse_camera(entry: CameraEntry, node: dict[str, Any], common_error: float | None, known_size: Any) -> Camera:
+    own_error = parse_error_px(node, entry)
+    size = get_value(node, "size", entry) if known_size is None else known_size
     if size is None:
-        size = [_require_value(node, "width", where), _require_value(node, "height", where)]
+        size = [_require_value(node, "width", entry), _require_value(node, "height", entry)]
     return make_camera(
-        path,
-        name,
-        size=np.ravel(size) if isinstance(size, list) else size,
-        matrix=_require_value(node, "matrix", where),
-        distortion=_require_value(node, "distortion", where),
-        camera_from_world=_parse_pose(node, name, path),
-        lens=parse_lens_model(node, where),
-        error_px=common_error if own_error is None else own_error,
+        entry,
+        np.ravel(size) if isinstance(size, list) else size,
+        _require_value(node, "matrix", entry),
+        _require_value(node, "distortion", entry),
+        _parse_pose(node, entry),
+        parse_lens_model(node, entry),
+        common_error if own_error is None else own_error,
     )
 
 
-def parse_error_px(node: dict[str, Any], where: str) -> float | None:
+def parse_error_px(node: dict[str, Any], where: CameraEntry | str) -> float | None:
     """Return the reprojection error of a camera, or of all, in pixels; None if missing."""
     value = get_value(node, "error", where)
     if value is None or (isinstance(value, (int, float)) and not isinstance(value, bool)):
@@ -207,21 +217,18 @@ def parse_error_px(node: dict[str, Any], where: str) -> float | None:
     raise ValueError(f"{where}: the reprojection error must be a number of pixels, got {value!r}")
 
 
-def _parse_pose(node: dict[str, Any], name: str, path: Path) -> RigidTransform:
-    where = f"{path}: camera {name}"
-    given = {key: value for key in ("camera_from_world", "world_from_camera") if (value := get_value(node, key, where))}
+def _parse_pose(node: dict[str, Any], entry: CameraEntry) -> RigidTransform:
+    given = {key: value for key in ("camera_from_world", "world_from_camera") if (value := get_value(node, key, entry))}
     if not given:
-        return make_pose(
-            path, name, _require_value(node, "rotation", where), _require_value(node, "translation", where)
-        )
-    if len(given) == 2 or get_value(node, "rotation", where) is not None:
-        raise ValueError(f"{where}: its pose is given twice; keep one")
+        return make_pose(entry, _require_value(node, "rotation", entry), _require_value(node, "translation", entry))
+    if len(given) == 2 or get_value(node, "rotation", entry) is not None:
+        raise ValueError(f"{entry}: its pose is given twice; keep one")
     key, value = given.popitem()
-    pose = parse_pose_matrix(path, name, key, value)
+    pose = parse_pose_matrix(entry, key, value)
     return pose if key == "camera_from_world" else pose.inv()
 
 
-def parse_lens_model(node: dict[str, Any], where: str) -> LensModel:
+def parse_lens_model(node: dict[str, Any], where: CameraEntry | str) -> LensModel:
     """Return the lens model given by a camera's keys; OpenCV's standard model by default."""
     found: set[LensModel] = set()
     for key in _LENS_KEYS:
@@ -241,7 +248,7 @@ def parse_lens_model(node: dict[str, Any], where: str) -> LensModel:
     return found.pop() if found else "opencv"
 
 
-def _require_value(node: dict[str, Any], key: str, where: str) -> Any:
+def _require_value(node: dict[str, Any], key: str, where: CameraEntry | str) -> Any:
     value = get_value(node, key, where)
     if value is None:
         raise ValueError(f"{where}: missing key {_NAMES[key][0]!r} (or {', '.join(_NAMES[key][1:])})")
@@ -253,7 +260,7 @@ def has_values(node: dict[str, Any], *keys: str) -> bool:
     return all(any(node.get(name) is not None for name in _NAMES[key]) for key in keys)
 
 
-def get_value(node: dict[str, Any], key: str, where: str) -> Any:
+def get_value(node: dict[str, Any], key: str, where: CameraEntry | str) -> Any:
     """Return the value of a key under any of its names, as plain numbers; None if missing."""
     names = [name for name in _NAMES[key] if node.get(name) is not None]
     if len(names) > 1:

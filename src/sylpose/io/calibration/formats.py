@@ -1,4 +1,4 @@
-"""Registry of calibration formats: how each is detected and read."""
+"""Registry of calibration formats: how each is detected, read and written."""
 
 from __future__ import annotations
 
@@ -10,31 +10,30 @@ from typing import Any, NamedTuple
 from sylpose.input_limits import input_errors
 from sylpose.io.calibration import (
     anipose,
-    caliscope,
     colmap,
-    deeplabcut,
-    easymocap,
     filestorage,
-    jarvis,
+    folders,
     kalibr,
-    matlab,
-    metashape,
-    multicamselfcal,
+    motion_capture,
     native,
-    nerf,
-    optitrack,
-    qualisys,
+    photogrammetry,
     ros,
     stereo,
-    vicon,
 )
 from sylpose.io.calibration.camera_builder import SizeLookup
-from sylpose.io.calibration.colmap_model import is_model, read_model
 from sylpose.io.calibration.incomplete_files import describe_incomplete
-from sylpose.io.calibration.sniffing import read_content
+from sylpose.io.calibration.markup import read_content
 from sylpose.rig import Rig
 
-__all__ = ["FORMATS_BY_KIND", "Format", "detect_format", "find_folder_file"]
+__all__ = [
+    "FORMATS_BY_KIND",
+    "OUTPUT_FORMATS",
+    "Format",
+    "OutputFormat",
+    "choose_output_format",
+    "detect_format",
+    "find_folder_file",
+]
 
 
 class Format(NamedTuple):
@@ -42,7 +41,7 @@ class Format(NamedTuple):
 
     Attributes:
         name: name for display.
-        matches: whether a file's content has this format, even if incomplete.
+        matches: whether a file's content has this format, even if incomplete; a file's path, for formats by file name.
         read: reader of the rig; with a size lookup for formats without image sizes.
         has_sizes: whether every file of this format contains image sizes.
     """
@@ -57,35 +56,35 @@ class Format(NamedTuple):
         return self.read(data, path) if self.has_sizes else self.read(data, path, sizes)
 
 
-# Formats detected by file name.
-COLMAP_FORMAT = Format("COLMAP model", is_model, colmap.read)
+# Formats detected by file name; their readers get no content.
 FORMATS_BY_FILE_NAME = (
-    Format("MultiCamSelfCal", multicamselfcal.is_multicamselfcal, multicamselfcal.read, has_sizes=False),
-    Format("DeepLabCut pickle", deeplabcut.is_pickle, deeplabcut.read, has_sizes=False),
+    Format("COLMAP model", colmap.is_model, colmap.read),
+    Format("MultiCamSelfCal", folders.is_multicamselfcal, folders.read_multicamselfcal, has_sizes=False),
+    Format("DeepLabCut pickle", folders.is_pickle, folders.read_deeplabcut, has_sizes=False),
 )
 # Formats by kind of content, the more specific ones first.
 FORMATS_BY_KIND: dict[str, tuple[Format, ...]] = {
     "toml": (
         Format("sylpose TOML", lambda data: "format" in data, native.read),
-        Format("Caliscope TOML", caliscope.is_caliscope, caliscope.read),
+        Format("Caliscope TOML", anipose.is_caliscope, anipose.read_caliscope),
         Format("Anipose TOML", anipose.is_anipose, anipose.read),
     ),
     "plain": (
         Format("COLMAP rig_config", colmap.is_rig_config, colmap.read_rig_config, has_sizes=False),
-        Format("NeRF transforms", nerf.is_nerf, nerf.read, has_sizes=False),
-        Format("Matlab stereoParameters", matlab.is_matlab, matlab.read, has_sizes=False),
-        Format("JARVIS", jarvis.is_jarvis, jarvis.read, has_sizes=False),
-        Format("EasyMocap", easymocap.is_easymocap, easymocap.read, has_sizes=False),
+        Format("NeRF transforms", photogrammetry.is_nerf, photogrammetry.read_nerf, has_sizes=False),
+        Format("Matlab stereoParameters", stereo.is_matlab, stereo.read_matlab, has_sizes=False),
+        Format("JARVIS", folders.is_jarvis, folders.read_jarvis, has_sizes=False),
+        Format("EasyMocap", folders.is_easymocap, folders.read_easymocap, has_sizes=False),
         Format("ROS camera_info", ros.is_ros, ros.read),
         Format("Kalibr camchain", kalibr.is_kalibr, kalibr.read),
         Format("OpenCV stereo", stereo.is_stereo, stereo.read, has_sizes=False),
         Format("OpenCV FileStorage", filestorage.is_calibration, filestorage.read, has_sizes=False),
     ),
     "xml": (
-        Format("Qualisys", qualisys.is_qualisys, qualisys.read),
-        Format("Vicon XCP", vicon.is_vicon, vicon.read),
-        Format("OptiTrack MCAL", optitrack.is_optitrack, optitrack.read),
-        Format("Metashape XML", metashape.is_metashape, metashape.read),
+        Format("Qualisys", motion_capture.is_qualisys, motion_capture.read_qualisys),
+        Format("Vicon XCP", motion_capture.is_vicon, motion_capture.read_vicon),
+        Format("OptiTrack MCAL", motion_capture.is_optitrack, motion_capture.read_optitrack),
+        Format("Metashape XML", photogrammetry.is_metashape, photogrammetry.read_metashape),
     ),
     "unknown": (),
 }
@@ -159,8 +158,6 @@ def find_folder_file(folder: Path) -> Path | None:
 
 
 def _detect_file_format(path: Path) -> DetectedFormat:
-    if is_model(path):
-        return DetectedFormat(COLMAP_FORMAT, path, read_model(path))
     for format_ in FORMATS_BY_FILE_NAME:
         if format_.matches(path):
             return DetectedFormat(format_, path, None)
@@ -173,3 +170,83 @@ def _detect_file_format(path: Path) -> DetectedFormat:
     if (hint := describe_incomplete(kind, data)) is not None:
         raise ValueError(f"no calibration: this looks like a file of {hint}")
     raise ValueError(f"not a calibration of a known format; {KNOWN_FORMATS}")
+
+
+_STORAGE = (".yml", ".yaml", ".json", ".xml")
+
+
+class OutputFormat(NamedTuple):
+    """Output format of rigs.
+
+    Attributes:
+        suffixes: suffixes of its file; empty for a folder.
+        to_texts: returns the texts of its files, by their paths.
+        list_differences: returns sentences on differences between the files and the rig.
+    """
+
+    suffixes: tuple[str, ...]
+    to_texts: Callable[[Rig, Path], dict[Path, str]]
+    list_differences: Callable[[Rig], list[str]] = lambda _: []
+
+
+def _make_single_file(to_text: Callable[[Rig], str]) -> Callable[[Rig, Path], dict[Path, str]]:
+    return lambda rig, path: {path: to_text(rig)}
+
+
+def _format_colmap(rig: Rig, folder: Path) -> dict[Path, str]:
+    return {folder / name: text for name, text in colmap.to_texts(rig).items()}
+
+
+def _note_unit(rig: Rig) -> list[str]:
+    return [f"it does not contain the length unit, {rig.unit}"] if rig.unit else []
+
+
+def _note_world(rig: Rig) -> list[str]:
+    return [f"its world is the frame of camera {rig.cameras[0].name}"]
+
+
+def _note_kalibr(rig: Rig) -> list[str]:
+    renamed = ", ".join(f"cam{i} is {name}" for i, name in enumerate(rig.names) if name != f"cam{i}")
+    unit_note = ["lengths are in m"] if rig.unit not in ("", "m") else []
+    return [*_note_world(rig), *([renamed] if renamed else []), *unit_note]
+
+
+OUTPUT_FORMATS: dict[str, OutputFormat] = {
+    "sylpose": OutputFormat((".toml",), _make_single_file(native.to_text)),
+    "opencv": OutputFormat(_STORAGE, lambda rig, path: {path: filestorage.to_text(rig, path.suffix.lower())}),
+    "opencv-stereo": OutputFormat(
+        _STORAGE,
+        lambda rig, path: {path: stereo.to_text(rig, path.suffix.lower())},
+        lambda rig: [
+            *_note_world(rig),
+            f"its cameras are called 1 and 2, which are {' and '.join(rig.names)}",
+            *_note_unit(rig),
+        ],
+    ),
+    "anipose": OutputFormat((".toml",), _make_single_file(anipose.to_text), _note_unit),
+    "kalibr": OutputFormat((".yaml", ".yml"), _make_single_file(kalibr.to_text), _note_kalibr),
+    "colmap": OutputFormat((), _format_colmap, _note_unit),
+}
+
+
+def choose_output_format(path: Path, to: str | None) -> OutputFormat:
+    """Choose the output format of a calibration: the given one, or the one implied by the file name.
+
+    Raises:
+        ValueError: no such format, or a name that does not fit it.
+    """
+    suffix = path.suffix.lower()
+    if to is None:
+        if suffix and suffix not in (".toml", *_STORAGE) and not path.is_dir():
+            raise ValueError(
+                f"{path}: a calibration is written as one of .toml, {', '.join(_STORAGE)}, or as COLMAP's folder; "
+                f"or specify the format: {', '.join(OUTPUT_FORMATS)}"
+            )
+        to = "sylpose" if suffix == ".toml" else "opencv" if suffix in _STORAGE else "colmap"
+        if "camchain" in path.stem.lower() and suffix in OUTPUT_FORMATS["kalibr"].suffixes:
+            to = "kalibr"
+    if to not in OUTPUT_FORMATS:
+        raise ValueError(f"to must be one of {', '.join(OUTPUT_FORMATS)}, got {to!r}")
+    if OUTPUT_FORMATS[to].suffixes and suffix not in OUTPUT_FORMATS[to].suffixes:
+        raise ValueError(f"{path}: {to} is written as one of {', '.join(OUTPUT_FORMATS[to].suffixes)}")
+    return OUTPUT_FORMATS[to]

@@ -14,6 +14,7 @@ from typing import Any
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.io.calibration.camera_builder import (
+    CameraEntry,
     intrinsic_matrix,
     make_camera,
     make_rig,
@@ -51,7 +52,7 @@ def read(data: dict[str, Any], path: Path) -> Rig:
         )
     names = sorted(nodes, key=lambda name: [int(word) for word in re.findall("[0-9]{1,9}", name)])
     poses = _compute_poses({name: nodes[name] for name in names}, path)
-    return make_rig(path, [_parse_camera(nodes[name], name, path, poses[name]) for name in names], "m")
+    return make_rig(path, [_parse_camera(CameraEntry(path, name), nodes[name], poses[name]) for name in names], "m")
 
 
 def to_text(rig: Rig) -> str:
@@ -91,40 +92,36 @@ def _is_camera(node: dict[str, Any]) -> bool:
 def _compute_poses(nodes: dict[str, dict[str, Any]], path: Path) -> dict[str, RigidTransform]:
     """Compute camera_from_world by camera, in the order of the chain."""
     first, *rest = nodes
-    if any("T_cn_cnm1" not in nodes[name] for name in rest):
+    if missing := [name for name in rest if "T_cn_cnm1" not in nodes[name]]:
         if all("T_cam_imu" in node for node in nodes.values()):
-            return {name: parse_pose_matrix(path, name, "T_cam_imu", node["T_cam_imu"]) for name, node in nodes.items()}
-        missing = ", ".join(name for name in rest if "T_cn_cnm1" not in nodes[name])
+            return {
+                name: parse_pose_matrix(CameraEntry(path, name), "T_cam_imu", node["T_cam_imu"])
+                for name, node in nodes.items()
+            }
         raise ValueError(
-            f"{path}: this is a Kalibr camchain without T_cn_cnm1 of {missing}, so camera poses are unknown; "
+            f"{path}: this is a Kalibr camchain without T_cn_cnm1 of {', '.join(missing)}, so camera poses are unknown; "
             "calibrate all of them in one run, or give T_cam_imu of all"
         )
     poses = {first: RigidTransform.identity()}
     previous = poses[first]
     for name in rest:
-        poses[name] = previous = parse_pose_matrix(path, name, "T_cn_cnm1", nodes[name]["T_cn_cnm1"]) * previous
+        pose = parse_pose_matrix(CameraEntry(path, name), "T_cn_cnm1", nodes[name]["T_cn_cnm1"])
+        poses[name] = previous = pose * previous
     return poses
 
 
-def _parse_camera(node: dict[str, Any], name: str, path: Path, pose: RigidTransform) -> Camera:
-    where = f"{path}: camera {name}"
+def _parse_camera(entry: CameraEntry, node: dict[str, Any], pose: RigidTransform) -> Camera:
     model, lens = str(node["camera_model"]), str(node.get("distortion_model", "none"))
     for key, value, supported in (("camera_model", model, ("pinhole",)), ("distortion_model", lens, tuple(_LENSES))):
         if value not in supported:
             full_name = f" ({_UNSUPPORTED_MODELS[value]})" if value in _UNSUPPORTED_MODELS else ""
             raise ValueError(
-                f"{where}: {key} {value!r}{full_name} is not supported; of Kalibr's models, pinhole with radtan, "
+                f"{entry}: {key} {value!r}{full_name} is not supported; of Kalibr's models, pinhole with radtan, "
                 "equidistant or none is"
             )
-    terms = [] if lens == "none" else node.get("distortion_coeffs")
-    if terms is None or "resolution" not in node:
-        raise ValueError(f"{where}: missing key {'resolution' if terms is not None else 'distortion_coeffs'!r}")
-    return make_camera(
-        path,
-        name,
-        size=node["resolution"],
-        matrix=intrinsic_matrix(*parse_numbers(node["intrinsics"], 4, f"{where}: intrinsics")),
-        distortion=terms if lens == "none" else parse_numbers(terms, 4, f"{where}: distortion_coeffs"),
-        camera_from_world=pose,
-        lens=_LENSES[lens],
-    )
+    for key in ("resolution",) if lens == "none" else ("distortion_coeffs", "resolution"):
+        if node.get(key) is None:
+            raise ValueError(f"{entry}: missing key {key!r}")
+    terms: Any = [] if lens == "none" else parse_numbers(node["distortion_coeffs"], 4, f"{entry}: distortion_coeffs")
+    matrix = intrinsic_matrix(*parse_numbers(node["intrinsics"], 4, f"{entry}: intrinsics"))
+    return make_camera(entry, node["resolution"], matrix, terms, pose, _LENSES[lens])

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 
 from sylpose.atomic_io import format_toml_key, format_toml_string
-from sylpose.io.calibration.camera_builder import convert_table, make_camera, make_pose, make_rig
+from sylpose.io.calibration.camera_builder import CameraEntry, convert_table, make_camera, make_pose, make_rig
 from sylpose.rig import Camera, LensModel, Rig
 
 __all__ = ["FORMAT_NAME", "read", "to_text"]
@@ -56,19 +56,11 @@ def read(data: dict[str, Any], path: Path) -> Rig:
     file = convert_table(data, _File, str(path))
     cameras = []
     for name, table in file.cameras.items():
-        entry = convert_table(table, _Camera, f"{path}: camera {name}")
-        pose = entry.camera_from_world
+        entry = CameraEntry(path, name)
+        camera = convert_table(table, _Camera, entry)
+        pose = make_pose(entry, camera.camera_from_world.rotation, camera.camera_from_world.translation)
         cameras.append(
-            make_camera(
-                path,
-                name,
-                size=entry.size,
-                matrix=entry.matrix,
-                distortion=entry.distortion,
-                camera_from_world=make_pose(path, name, pose.rotation, pose.translation),
-                lens=entry.lens,
-                error_px=entry.error_px,
-            )
+            make_camera(entry, camera.size, camera.matrix, camera.distortion, pose, camera.lens, camera.error_px)
         )
     return make_rig(path, cameras, file.unit)
 

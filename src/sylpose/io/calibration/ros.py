@@ -13,17 +13,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
+from sylpose.geometry.arrays import FloatArray
 from sylpose.io.calibration.camera_builder import (
+    CameraEntry,
     lens_model_by_name,
     make_camera,
     make_pose,
     make_rig,
+    parse_matrix,
     parse_numbers,
+    parse_quaternion,
     to_plain,
 )
-from sylpose.io.calibration.sniffing import read_folder_documents
+from sylpose.io.calibration.markup import read_folder_documents
 from sylpose.rig import Camera, Rig
 
 __all__ = ["is_ros", "read"]
@@ -60,17 +64,20 @@ def read(_: Any, path: Path) -> Rig:
     names = [_camera_name(data) or file.stem for file, data in infos]
     if len(set(names)) < len(names):
         names = [file.stem for file, _ in infos]
-    info_by_name = dict(zip(names, infos, strict=True))
+    entries = [CameraEntry(file, name) for name, (file, _) in zip(names, infos, strict=True)]
+    cameras = dict(zip(entries, (data for _, data in infos), strict=True))
     if transforms:
         tree = _build_tree(transforms)
-        poses = {name: _find_camera_from_root(name, data, tree, file) for name, (file, data) in info_by_name.items()}
-        if len(roots := {root for root, _ in poses.values()}) > 1:
+        found_frames = [_find_camera_from_root(entry, data, tree) for entry, data in cameras.items()]
+        poses = [pose for _, pose in found_frames]
+        if len(roots := {root for root, _ in found_frames}) > 1:
             raise ValueError(f"{path}: the ROS transforms next to it do not connect {' and '.join(sorted(roots))}")
-        of_camera = {name: pose for name, (_, pose) in poses.items()}
     else:
-        of_camera = _poses_from_rectification(info_by_name, path)
+        poses = _poses_from_rectification(cameras, path)
     return make_rig(
-        path, [_parse_camera(file, name, data, of_camera[name]) for name, (file, data) in info_by_name.items()], "m"
+        path,
+        [_parse_camera(entry, data, pose) for (entry, data), pose in zip(cameras.items(), poses, strict=True)],
+        "m",
     )
 
 
@@ -121,15 +128,12 @@ def _build_tree(transforms: list[tuple[Path, dict[str, Any]]]) -> dict[str, tupl
         if not parent or not child:
             raise ValueError(f"{where}: header.frame_id and child_frame_id must name frames")
         translation, quaternion = (
-            [_parse_component(transform["transform"], what, axis, where) for axis in axes] for what, axes in _PARTS
+            [_parse_component(transform["transform"], part, axis, where) for axis in axes]
+            for part, axes in (("translation", "xyz"), ("rotation", "xyzw"))
         )
-        if not abs(np.linalg.norm(quaternion) - 1.0) < 1e-3:
-            raise ValueError(f"{where}: its rotation must be a quaternion x, y, z, w of length 1")
-        tree[child] = parent, make_pose(file, child, Rotation.from_quat(quaternion).as_matrix(), translation)
+        rotation = parse_quaternion(quaternion, f"{where}: its rotation must be a quaternion x, y, z, w of length 1")
+        tree[child] = parent, make_pose(CameraEntry(file, child), rotation.as_matrix(), translation)
     return tree
-
-
-_PARTS = (("translation", "xyz"), ("rotation", "xyzw"))
 
 
 def _parse_component(transform: dict[str, Any], part: str, axis: str, where: str) -> float:
@@ -140,18 +144,18 @@ def _parse_component(transform: dict[str, Any], part: str, axis: str, where: str
 
 
 def _find_camera_from_root(
-    name: str, data: dict[str, Any], tree: dict[str, tuple[str, RigidTransform]], path: Path
+    entry: CameraEntry, data: dict[str, Any], tree: dict[str, tuple[str, RigidTransform]]
 ) -> tuple[str, RigidTransform]:
     """Return the root frame of a camera, and its pose camera_from_root."""
     frames = {*tree, *(parent for parent, _ in tree.values())}
     camera_frame = _get_frame_id(data)
     if camera_frame not in frames:
-        candidates = sorted(frame for frame in frames if _is_optical_frame(frame, name))
+        candidates = sorted(frame for frame in frames if _is_optical_frame(frame, entry.name))
         if len(candidates) != 1:
-            description = (
-                f"{camera_frame!r} or the optical one of {name}" if camera_frame else f"the optical one of {name}"
+            own = f"{camera_frame!r} or " if camera_frame else ""
+            raise ValueError(
+                f"{entry}: no frame in the ROS transforms next to it is {own}the optical one of {entry.name}"
             )
-            raise ValueError(f"{path}: camera {name}: no frame in the ROS transforms next to it is {description}")
         camera_frame = candidates[0]
     root_from_camera, frame = RigidTransform.identity(), camera_frame
     for _ in range(MAX_TREE_DEPTH):
@@ -159,7 +163,7 @@ def _find_camera_from_root(
             return frame, root_from_camera.inv()
         frame, pose = tree[frame]
         root_from_camera = pose * root_from_camera
-    raise ValueError(f"{path}: camera {name}: the frame {camera_frame} is its own ancestor")
+    raise ValueError(f"{entry}: the frame {camera_frame} is its own ancestor")
 
 
 def _is_optical_frame(frame: str, name: str) -> bool:
@@ -168,29 +172,20 @@ def _is_optical_frame(frame: str, name: str) -> bool:
     return last in (name, f"{name}_optical", f"{name}_optical_frame", f"{name}_camera_optical_frame")
 
 
-def _poses_from_rectification(
-    info_by_name: dict[str, tuple[Path, dict[str, Any]]], path: Path
-) -> dict[str, RigidTransform]:
+def _poses_from_rectification(cameras: dict[CameraEntry, dict[str, Any]], path: Path) -> list[RigidTransform]:
     """Compute camera_from_world of two cameras from their rectification.
 
     The world is the rectified first camera's frame. A point X of it is at R'(X + (Tx/fx, Ty/fy, 0)) in a camera, by
     sensor_msgs/CameraInfo: Tx = -fx B in the second one.
     """
-    poses = {}
-    for name, (file, data) in info_by_name.items():
-        where = f"{file}: camera {name}"
-        projection = parse_numbers(_flatten(_get_value(data, "P"), where, "P"), 12, f"{where}: P").reshape(3, 4)
-        rotation = make_pose(
-            file,
-            name,
-            np.reshape(parse_numbers(_flatten(_get_value(data, "R"), where, "R"), 9, f"{where}: R"), (3, 3)),
-            [0] * 3,
-        )
+    poses = []
+    for entry, data in cameras.items():
+        projection = _parse_info_matrix(data, "P", entry, columns=4)
+        rotation = make_pose(entry, _parse_info_matrix(data, "R", entry), [0] * 3)
         focal = projection[[0, 1], [0, 1]]
         translation = np.append(projection[:2, 3] / np.where(focal > 0, focal, 1.0), 0.0)
-        poses[name] = rotation.inv() * RigidTransform.from_translation(translation)
-    baselines = [pose.translation for pose in poses.values() if pose.translation.any()]
-    if len(poses) != 2 or len(baselines) != 1:
+        poses.append(rotation.inv() * RigidTransform.from_translation(translation))
+    if len(poses) != 2 or sum(pose.translation.any() for pose in poses) != 1:
         raise ValueError(
             f"{path}: this is a ROS camera_info, which does not contain the camera's pose; add "
             "tf_static.yaml (ros2 topic echo --once /tf_static), or use P and R of a stereo pair"
@@ -198,21 +193,22 @@ def _poses_from_rectification(
     return poses
 
 
-def _flatten(value: Any, where: str, key: str) -> list[Any]:
-    rows = to_plain(value, f"{where}: {key}")
-    if rows is None:
-        raise ValueError(f"{where}: missing {_KEYS[key][0]!r}")
-    return [v for row in rows for v in (row if isinstance(row, list) else [row])] if isinstance(rows, list) else [rows]
+def _parse_info_matrix(data: dict[str, Any], key: str, entry: CameraEntry, columns: int = 3) -> FloatArray:
+    return parse_matrix(_require_value(data, key, entry), f"{entry}: {key}", columns)
 
 
-def _parse_camera(path: Path, name: str, data: dict[str, Any], pose: RigidTransform) -> Camera:
-    where = f"{path}: camera {name}"
+def _require_value(data: dict[str, Any], key: str, entry: CameraEntry) -> Any:
+    if (value := _get_value(data, key)) is None:
+        raise ValueError(f"{entry}: missing {_KEYS[key][0]!r}")
+    return to_plain(value, f"{entry}: {key}")
+
+
+def _parse_camera(entry: CameraEntry, data: dict[str, Any], pose: RigidTransform) -> Camera:
     return make_camera(
-        path,
-        name,
-        size=[_get_value(data, "width"), _get_value(data, "height")],
-        matrix=np.reshape(parse_numbers(_flatten(_get_value(data, "K"), where, "K"), 9, f"{where}: K"), (3, 3)),
-        distortion=_flatten(_get_value(data, "D"), where, "D"),
-        camera_from_world=pose,
-        lens=lens_model_by_name(data["distortion_model"], where, "distortion_model"),
+        entry,
+        [_get_value(data, "width"), _get_value(data, "height")],
+        _parse_info_matrix(data, "K", entry),
+        _require_value(data, "D", entry),
+        pose,
+        lens_model_by_name(data["distortion_model"], entry, "distortion_model"),
     )

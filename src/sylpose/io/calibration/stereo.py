@@ -1,7 +1,10 @@
-"""OpenCV stereo calibration: M1 D1 M2 D2 in intrinsics.yml and R T in extrinsics.yml, or all in one file.
+"""Stereo calibrations of OpenCV and Matlab. X_2 = R X_1 + T: the world is the first camera's frame.
 
-X_2 = R X_1 + T, as of cv2.stereoCalibrate: the world is the first camera's frame. R1 R2 P1 P2 Q belong to rectified
-images and are not used. With more than two cameras, each has its own pose camera_from_world, R1 T1, R2 T2, ...
+- OpenCV: M1 D1 M2 D2 in intrinsics.yml and R T in extrinsics.yml, or all in one file, as of cv2.stereoCalibrate. R1 R2 P1
+  P2 Q belong to rectified images and are not used. With more than two cameras, each has its own pose camera_from_world,
+  R1 T1, R2 T2, ...
+- Matlab: stereoParameters as JSON, jsonencode(toStruct(stereoParams)). Matlab's first pixel is (1, 1). IntrinsicMatrix and
+  RotationOfCamera2 apply to row vectors and are the transposes of OpenCV's; K and PoseCamera2 of newer versions are not.
 """
 
 from __future__ import annotations
@@ -11,15 +14,30 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.io.calibration.camera_builder import SizeLookup, lookup_sizes, make_camera, make_pose, make_rig, to_plain
-from sylpose.io.calibration.filestorage import get_value, has_values, parse_error_px, parse_lens_model
-from sylpose.io.calibration.sniffing import find_sibling_file, read_plain
-from sylpose.rig import Rig
+from sylpose.io.calibration.camera_builder import (
+    CameraEntry,
+    SizeLookup,
+    lookup_sizes,
+    make_camera,
+    make_pose,
+    make_rig,
+    parse_matrix,
+    parse_numbers,
+    to_plain,
+)
+from sylpose.io.calibration.filestorage import (
+    get_value,
+    has_values,
+    parse_error_px,
+    parse_lens_model,
+    write_arrays,
+)
+from sylpose.io.calibration.markup import find_sibling_file, read_plain
+from sylpose.rig import Camera, Rig
 
-__all__ = ["is_stereo", "read", "to_text"]
+__all__ = ["is_matlab", "is_stereo", "read", "read_matlab", "to_text"]
 
 _CAMERA_SUFFIX = r"_?(\d+|left|right|l|r)"
 _MATRIX = re.compile(r"(?:M|K|A|CM|mtx|camera_?matrix|intrinsics?(?:_?matrix)?)" + _CAMERA_SUFFIX, re.IGNORECASE)
@@ -66,29 +84,21 @@ def read(data: dict[str, Any], path: Path, sizes: SizeLookup | None = None) -> R
     size = get_value(data, "size", where)
     if size is None and has_values(data, "width", "height"):
         size = [get_value(data, "width", where), get_value(data, "height", where)]
-    known_sizes = dict.fromkeys(matrices, size) if size is not None else lookup_sizes(path, list(matrices), sizes)
+    known_sizes = lookup_sizes(path, list(matrices), sizes, {} if size is None else dict.fromkeys(matrices, size))
     if poses is None:
         if len(matrices) > 2:
             raise ValueError(f"{path}: {len(matrices)} camera matrices and one R and T: each camera needs its R and T")
         first, second = matrices
         rotation, translation = get_value(data, "rotation", where), get_value(data, "translation", where)
-        poses = {first: RigidTransform.identity(), second: make_pose(path, second, rotation, translation)}
+        poses = {first: RigidTransform.identity(), second: make_pose(CameraEntry(path, second), rotation, translation)}
+    lens_model, error_px = parse_lens_model(data, where), parse_error_px(data, where)
     cameras = []
     for name, (key, matrix) in matrices.items():
+        entry = CameraEntry(path, name)
         if name not in lenses:
-            raise ValueError(f"{path}: camera {name}: no distortion next to {key!r}, such as D{name}")
-        cameras.append(
-            make_camera(
-                path,
-                name,
-                size=known_sizes[name],
-                matrix=to_plain(matrix, f"{path}: {key}"),
-                distortion=to_plain(lenses[name][1], f"{path}: {lenses[name][0]}"),
-                camera_from_world=poses[name],
-                lens=parse_lens_model(data, where),
-                error_px=parse_error_px(data, where),
-            )
-        )
+            raise ValueError(f"{entry}: no distortion next to {key!r}, such as D{name}")
+        arrays = to_plain(matrix, f"{path}: {key}"), to_plain(lenses[name][1], f"{path}: {lenses[name][0]}")
+        cameras.append(make_camera(entry, known_sizes[name], *arrays, poses[name], lens_model, error_px))
     return make_rig(path, cameras)
 
 
@@ -112,10 +122,8 @@ def to_text(rig: Rig, suffix: str) -> str:
     pose = (second.camera_from_world * first.camera_from_world.inv()).as_matrix()
     storage = cv2.FileStorage(suffix, cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
     for i, camera in enumerate(rig, start=1):
-        storage.write(f"M{i}", np.array(camera.matrix))
-        storage.write(f"D{i}", camera.distortion.reshape(1, -1).copy())
-    storage.write("R", pose[:3, :3].copy())
-    storage.write("T", pose[:3, 3:].copy())
+        write_arrays(storage, {f"M{i}": camera.matrix, f"D{i}": camera.distortion.reshape(1, -1)})
+    write_arrays(storage, {"R": pose[:3, :3], "T": pose[:3, 3:]})
     storage.write("image_width", first.size[0])
     storage.write("image_height", first.size[1])
     if first.lens == "fisheye":
@@ -140,7 +148,8 @@ def _read_own_poses(data: dict[str, Any], names: list[str], path: Path) -> dict[
         return None
     return {
         name: make_pose(
-            path, name, *(to_plain(value, f"{path}: {key}") for key, value in (rotations[name], translations[name]))
+            CameraEntry(path, name),
+            *(to_plain(value, f"{path}: {key}") for key, value in (rotations[name], translations[name])),
         )
         for name in names
     }
@@ -158,3 +167,90 @@ def _read_other_file(path: Path, part: str, other: str, what: str, present: str)
     if not isinstance(found, dict):
         raise ValueError(f"{file}: not a map of names and values")
     return found
+
+
+# Matlab
+
+
+_UNITS = {
+    "millimeters": "mm",
+    "mm": "mm",
+    "centimeters": "cm",
+    "cm": "cm",
+    "meters": "m",
+    "m": "m",
+    "inches": "in",
+    "in": "in",
+}
+
+
+def is_matlab(data: Any) -> bool:
+    """Return whether decoded JSON has Matlab's keys of two cameras, or of one."""
+    return isinstance(data, dict) and bool(
+        {"CameraParameters1", "CameraParameters2"} & data.keys() or _is_matlab_lens(data)
+    )
+
+
+def read_matlab(data: dict[str, Any], path: Path, sizes: SizeLookup | None = None) -> Rig:
+    """Read the rig of cameras "1" and "2".
+
+    Raises:
+        ValueError: invalid content; the message names the file, and the camera if applicable.
+    """
+    nodes = {name: data.get(f"CameraParameters{name}") for name in ("1", "2")}
+    if any(node is None for node in nodes.values()):
+        raise ValueError(f"{path}: these are Matlab's parameters of one camera; stereoParameters of two are required")
+    entries = {name: CameraEntry(path, name) for name in nodes}
+    lenses = {name: _find_matlab_lens(node, entries[name]) for name, node in nodes.items()}
+    # ImageSize is (rows, columns).
+    given_sizes = {
+        name: parse_numbers(node["ImageSize"], 2, f"{entries[name]}: ImageSize")[::-1]
+        for name, node in lenses.items()
+        if node.get("ImageSize")
+    }
+    known_sizes = lookup_sizes(path, list(nodes), sizes, given_sizes)
+    poses = {"1": RigidTransform.identity(), "2": _parse_matlab_pose(data, entries["2"])}
+    word = str(data["CameraParameters1"].get("WorldUnits") or "").lower()
+    cameras = [_parse_matlab_camera(entries[name], lenses[name], known_sizes[name], poses[name]) for name in nodes]
+    return make_rig(path, cameras, _UNITS.get(word, ""))
+
+
+def _is_matlab_lens(node: Any) -> bool:
+    return isinstance(node, dict) and "RadialDistortion" in node and ("IntrinsicMatrix" in node or "K" in node)
+
+
+def _find_matlab_lens(node: Any, entry: CameraEntry) -> dict[str, Any]:
+    """Return the struct with the numbers: the camera's own, or its Intrinsics."""
+    inner = node.get("Intrinsics", {}) if isinstance(node, dict) else {}
+    for lens in (node, inner):
+        if isinstance(lens, dict) and _is_matlab_lens(lens):
+            return lens
+    if any(isinstance(lens, dict) and "MappingCoefficients" in lens for lens in (node, inner)):
+        raise ValueError(f"{entry}: Matlab's fisheye model (Scaramuzza's) is not supported")
+    raise ValueError(f"{entry}: missing RadialDistortion and K, or IntrinsicMatrix, of Matlab's cameraParameters")
+
+
+def _parse_matlab_pose(data: dict[str, Any], entry: CameraEntry) -> RigidTransform:
+    struct = data.get("PoseCamera2")
+    if isinstance(struct, dict) and "A" in struct:
+        pose = parse_numbers(struct["A"], 16, f"{entry.path}: PoseCamera2.A").reshape(4, 4)
+        return make_pose(entry, pose[:3, :3], pose[:3, 3])
+    if isinstance(struct, dict) and {"R", "Translation"} <= struct.keys():
+        return make_pose(entry, struct["R"], struct["Translation"])
+    if not {"RotationOfCamera2", "TranslationOfCamera2"} <= data.keys():
+        raise ValueError(
+            f"{entry.path}: these are Matlab's stereoParameters without PoseCamera2, or RotationOfCamera2 and "
+            "TranslationOfCamera2"
+        )
+    rotation = parse_matrix(data["RotationOfCamera2"], f"{entry.path}: RotationOfCamera2").T
+    return make_pose(entry, rotation, data["TranslationOfCamera2"])
+
+
+def _parse_matlab_camera(entry: CameraEntry, node: dict[str, Any], size: Any, pose: RigidTransform) -> Camera:
+    key = "K" if node.get("K") is not None else "IntrinsicMatrix"
+    matrix = parse_matrix(node[key], f"{entry}: {key}")
+    matrix = (matrix if key == "K" else matrix.T).copy()
+    matrix[:2, 2] -= 1.0
+    k = parse_numbers(node["RadialDistortion"], (2, 3), f"{entry}: RadialDistortion")
+    p = parse_numbers(node.get("TangentialDistortion") or [0, 0], 2, f"{entry}: TangentialDistortion")
+    return make_camera(entry, size, matrix, [k[0], k[1], p[0], p[1], *k[2:]], pose)

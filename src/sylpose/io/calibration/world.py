@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,24 +15,30 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.atomic_io import format_toml_string, replace_atomically
-from sylpose.geometry.validation import check_finite, check_number, check_type
-from sylpose.input_limits import input_errors, parse_toml, read_text
-from sylpose.io.calibration.camera_builder import convert_table, make_rigid_transform
-from sylpose.io.calibration.world_points import build_world_from_points, world_from_axes
-from sylpose.rig import MAX_LENGTH, Rig, check_single_pose
-from sylpose.units import METERS
+from sylpose.geometry.arrays import FloatArray
+from sylpose.geometry.validation import check_finite, check_number, check_type, format_value
+from sylpose.input_limits import input_errors, parse_toml, read_text, to_one_line
+from sylpose.io.calibration.camera_builder import convert_table, make_pose, parse_pose_matrix, parse_quaternion
+from sylpose.rig import MAX_FOCAL_PX, MAX_LENGTH, Rig, check_single_pose, intersect_rays
+from sylpose.units import METERS, parse_length_with_unit
 
 __all__ = ["FORMAT", "World", "load_world", "parse_up_world", "save_world", "transform_rig", "world_with_up"]
 
 FORMAT = "sylpose-world-1"
 # Minimum horizontal component of the axis that defines x in the plane (choice: 3 degrees from vertical).
 MIN_HORIZONTAL = 0.05
+# Maximum median reprojection error of a point, pixels (choice: manual picks are accurate to three).
+MAX_POINT_ERROR_PX = 10.0
+# Points are collinear if their extent across the line is below this fraction (choice: 3 degrees).
+MIN_SPREAD_RATIO = 0.05
 _HEADER = """\
 # A user-defined world, for --world of sylpose: X_world = scale (rotation X_calibration + translation).
 # unit: of the translation, the calibration's; world_unit: of lengths in this world.
 """
-_NUMBER = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
-_VECTOR = rf"\s*{_NUMBER}\s*,\s*{_NUMBER}\s*,\s*{_NUMBER}\s*"
+# Possessive quantifiers: each character is looked at once.
+_NUMBER = r"[+-]?(?:[0-9]++\.?[0-9]*+|\.[0-9]++)(?:[eE][+-]?[0-9]++)?"
+_VECTOR = rf"\s*+{_NUMBER}\s*+,\s*+{_NUMBER}\s*+,\s*+{_NUMBER}\s*+"
+_UP = re.compile(rf"\s*+up\s*+=({_VECTOR}|\s*+[+-]?[xyz]\s*+)(?:(?:[,;]\s*+|(?<=\s))origin\s*+=({_VECTOR}))?")
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +139,7 @@ def world_with_up(
     z = up / length
     horizontal_axes = np.eye(3) - np.outer(z, z)
     x = next(axis for axis in horizontal_axes if np.linalg.norm(axis) > MIN_HORIZONTAL)
-    return World(world_from_axes(origin, x, z), description, unit, 1.0, unit)
+    return World(_world_from_axes(origin, x, z), description, unit, 1.0, unit)
 
 
 def parse_up_world(text: str, unit: str = "") -> World | None:
@@ -143,7 +150,7 @@ def parse_up_world(text: str, unit: str = "") -> World | None:
     """
     if not re.match(r"\s*up\s*=", text):
         return None
-    found = re.fullmatch(rf"\s*up\s*=({_VECTOR}|\s*[+-]?[xyz]\s*)(?:[,;\s]\s*origin\s*=({_VECTOR}))?", text)
+    found = _UP.fullmatch(text)
     if found is None:
         raise ValueError(f"{text!r}: up=0,-1,0 or up=-y is expected, optionally followed by origin=0.1,0.2,0")
     if axis := re.fullmatch(r"([+-]?)([xyz])", found[1].strip()):
@@ -173,7 +180,7 @@ def load_world(path: Path | str, rig: Rig) -> World:
         except tomllib.TOMLDecodeError as error:
             raise ValueError(f"not valid TOML: {error}") from None
         if "format" not in data and "world_from_calibration" not in data:
-            pose, scale, unit = build_world_from_points(data, rig)
+            pose, scale, unit = _build_world_from_points(data, rig)
             return World(pose, f"points of {path.name}", rig.unit, scale, unit)
         return _parse_world(data, path)
 
@@ -208,20 +215,131 @@ def _parse_world(data: dict[str, Any], path: Path) -> World:
             "quaternion (x, y, z, w)"
         )
     where = f"{path}: world_from_calibration"
-    if pose_table.quaternion is not None:
-        quaternion = check_finite(pose_table.quaternion, (4,), f"{where}: the quaternion")
-        if abs(np.linalg.norm(quaternion) - 1.0) > 1e-3:
-            raise ValueError(f"{where}: the quaternion must have length 1")
-        pose = make_rigid_transform(where, Rotation.from_quat(quaternion).as_matrix(), pose_table.translation)
-    elif pose_table.matrix is not None:
-        try:
-            matrix = np.array(pose_table.matrix, dtype=float)
-        except ValueError:
-            matrix = np.empty(0)
-        if matrix.shape not in ((3, 4), (4, 4)) or (matrix.shape == (4, 4) and (matrix[3] != [0, 0, 0, 1]).any()):
-            raise ValueError(f"{where}: the matrix must be 3x4, or 4x4 with (0, 0, 0, 1) as last row")
-        pose = make_rigid_transform(where, matrix[:3, :3], matrix[:3, 3])
+    if pose_table.matrix is not None:
+        pose = parse_pose_matrix(where, "the matrix", pose_table.matrix)
     else:
-        pose = make_rigid_transform(where, pose_table.rotation, pose_table.translation)
+        rotation: Any = pose_table.rotation
+        if pose_table.quaternion is not None:
+            quaternion = check_finite(pose_table.quaternion, (4,), f"{where}: the quaternion")
+            rotation = parse_quaternion(quaternion, f"{where}: the quaternion must have length 1").as_matrix()
+        pose = make_pose(where, rotation, pose_table.translation)
     world_unit = file.unit if file.world_unit is None else file.world_unit
     return World(pose, file.description, file.unit, file.scale, world_unit)
+
+
+# Worlds of three or more points: the origin, one on the x axis, and others on the plane z = 0.
+
+
+def _build_world_from_points(data: Mapping[str, Any], rig: Rig) -> tuple[RigidTransform, float, str]:
+    """Build the world defined by a file's points.
+
+    Args:
+        data: `origin`, `x`, `xy` and any others that begin with xy, each a table of pixels by camera or a list of three
+            coordinates in the calibration's world; optional `distance` from the first to the second.
+        rig: the calibration.
+
+    Returns:
+        world_from_calibration, the scale of its lengths, and the unit of scaled lengths.
+
+    Raises:
+        ValueError: naming the point: missing, seen by a single camera, inconsistent between cameras; collinear points.
+    """
+    plane = [name for name in data if name.startswith("xy")]
+    known_keys = {"origin", "x", *plane, "distance"}
+    if unknown := [name for name in data if name not in known_keys]:
+        raise ValueError(
+            f"{format_value(unknown[0])} is neither origin, x, xy (xy2, ...) nor distance, and this is not a world file"
+        )
+    missing = [name for name in ("origin", "x") if name not in data] + ["xy"] * (not plane)
+    if missing:
+        raise ValueError(
+            f"points origin, x (on the x axis) and xy (on the plane z = 0) are expected: {missing[0]} is missing"
+        )
+    places = {name: _locate_point(name, data[name], rig) for name in ("origin", "x", *plane)}
+    origin, x_direction = places["origin"], places["x"] - places["origin"]
+    others = np.array([places[name] - origin for name in plane])
+    normal = _fit_normal(x_direction, others)
+    pose = _world_from_axes(origin, x_direction - (x_direction @ normal) * normal, normal)
+    if "distance" not in data:
+        return pose, 1.0, rig.unit
+    length, unit = parse_length_with_unit(str(data["distance"]), "distance")
+    return pose, length / float(np.linalg.norm(x_direction)), unit or rig.unit
+
+
+def _world_from_axes(origin: FloatArray, x: FloatArray, z: FloatArray) -> RigidTransform:
+    """Return world_from_calibration of a world by its origin and axes x and z in the calibration's world.
+
+    The axes are orthogonal, of any length.
+    """
+    x, z = x / np.linalg.norm(x), z / np.linalg.norm(z)
+    rotation = Rotation.from_matrix(np.stack([x, np.cross(z, x), z]))
+    return RigidTransform.from_components(-rotation.apply(origin), rotation)
+
+
+def _fit_normal(x_direction: FloatArray, others: FloatArray) -> FloatArray:
+    """Fit the normal (3,) of the plane through origin, x and the others (n, 3).
+
+    It is oriented so that y is to the left of x.
+    """
+    length = float(np.linalg.norm(x_direction))
+    extent = float(np.linalg.norm(others, axis=1).max())
+    if not length > 0 or not extent > 0:
+        raise ValueError("two of its points coincide")
+    across = np.cross(x_direction, others.mean(axis=0))
+    across_distance = float(np.linalg.norm(across)) / length
+    if across_distance <= MIN_SPREAD_RATIO * max(length, extent):
+        raise ValueError("its points are collinear, or nearly: they do not define z")
+    rows = np.concatenate([[np.zeros(3), x_direction], others])
+    normal = np.linalg.svd(rows - rows.mean(axis=0))[2][2]
+    return np.asarray(normal if normal @ across > 0 else -normal)
+
+
+def _locate_point(name: str, value: Any, rig: Rig) -> FloatArray:
+    """Compute a point's position (3,) in the calibration's world."""
+    if isinstance(value, list):
+        return _parse_coordinates(name, value, 3, "three coordinates", MAX_LENGTH)
+    if not isinstance(value, Mapping):
+        raise ValueError(f"{name}: pixels by camera, or three coordinates, are expected, got {format_value(value)}")
+    cameras = []
+    for camera in value:
+        if camera not in rig.names:
+            raise ValueError(
+                f"{name}: {format_value(camera)} is not a camera of the calibration "
+                f"({to_one_line(', '.join(rig.names), 200)})"
+            )
+        cameras.append(rig[camera])
+    if len(cameras) < 2:
+        raise ValueError(f"{name}: pixels in at least two cameras are expected, got {len(cameras)}")
+    pixels = [
+        _parse_coordinates(f"{name}: {camera.name}", value[camera.name], 2, "two pixels", MAX_FOCAL_PX)
+        for camera in cameras
+    ]
+    rays = np.concatenate([camera.rays(pixel) for camera, pixel in zip(cameras, pixels, strict=True)])
+    centers = np.array([camera.center for camera in cameras])
+    if np.linalg.svd(rays)[1][1] < MIN_SPREAD_RATIO / 2:
+        raise ValueError(
+            f"{name}: {', '.join(c.name for c in cameras)} see it from nearly one direction; its distance is "
+            "undetermined"
+        )
+    place = intersect_rays(centers, rays)
+    errors = [
+        float(np.linalg.norm(camera.project(place)[0] - pixel)) for camera, pixel in zip(cameras, pixels, strict=True)
+    ]
+    if not np.median(np.nan_to_num(errors, nan=np.inf)) <= MAX_POINT_ERROR_PX:
+        error_list = ", ".join(
+            f"{camera.name} by {error:.0f} px" for camera, error in zip(cameras, errors, strict=True)
+        )
+        raise ValueError(f"{name}: the cameras' pixels are inconsistent; the nearest point is missed by {error_list}")
+    return place
+
+
+def _parse_coordinates(name: str, value: Any, n: int, what: str, maximum: float) -> FloatArray:
+    numbers = value if isinstance(value, list) else []
+    if len(numbers) != n or not all(
+        isinstance(v, (int, float)) and not isinstance(v, bool) and abs(v) <= maximum for v in numbers
+    ):
+        raise ValueError(
+            f"{name}: {what} are expected, such as [{', '.join(['412.5', '180.0', '30.0'][:n])}], got "
+            f"{format_value(str(value))}"
+        )
+    return np.array(numbers, dtype=float)

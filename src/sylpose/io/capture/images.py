@@ -1,22 +1,97 @@
-"""Reading of image files and masks into arrays."""
+"""Reading of image files and masks into arrays; sizes are checked before decoding.
+
+A few kilobytes can decode to gigabytes. Pillow reads the size from the header, OpenCV decodes the pixels.
+"""
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Callable
 from contextlib import suppress
+from io import BytesIO
 from pathlib import Path
 
 import cv2
 import numpy as np
+from PIL.BmpImagePlugin import BmpImageFile
+from PIL.Image import DecompressionBombError
+from PIL.ImageFile import ImageFile
+from PIL.Jpeg2KImagePlugin import Jpeg2KImageFile
+from PIL.JpegImagePlugin import JpegImageFile
+from PIL.PngImagePlugin import PngImageFile
+from PIL.PpmImagePlugin import PpmImageFile
+from PIL.TiffImagePlugin import ImageFileDirectory_v2
+from PIL.WebPImagePlugin import WebPImageFile
 
 from sylpose.geometry.arrays import BoolArray, Image
-from sylpose.input_limits import MAX_TEXT_BYTES, UnreadableFileError, read_bytes
-from sylpose.io.capture.headers import image_size_from_header
+from sylpose.input_limits import MAX_TEXT_BYTES, UnreadableFileError, input_errors, read_bytes
 from sylpose.rig import MAX_PIXELS
 
-__all__ = ["read_image", "read_image_size", "read_mask"]
+__all__ = ["image_size_from_header", "read_image", "read_image_size", "read_mask"]
 
 # Bit depths of cameras; the smallest that contains an image's values is assumed.
 BIT_DEPTHS = (8, 10, 12, 14, 16)
+# Largest tile of a TIFF in pixels; tiles are decoded as a whole, however small the image (choice: 16 times the largest
+# in use).
+MAX_TILE_PIXELS = 2**24
+# Pillow's readers by the first bytes of a file. `PIL.Image.open` is not used: it warns of large images.
+_HEADERS: dict[bytes, Callable[[BytesIO], ImageFile]] = {
+    b"\x89PNG\r\n\x1a\n": PngImageFile,
+    b"\xff\xd8": JpegImageFile,
+    b"BM": BmpImageFile,
+    b"RIFF": WebPImageFile,
+    **dict.fromkeys((b"P1", b"P2", b"P3", b"P4", b"P5", b"P6"), PpmImageFile),
+    b"\xff\x4f\xff\x51": Jpeg2KImageFile,
+}
+_TIFF_SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+# Pillow warns of damaged tags; a file that cannot be read has a message, and other damage is of no consequence.
+warnings.filterwarnings("ignore", category=UserWarning, module=r"PIL\.TiffImagePlugin")
+
+
+def image_size_from_header(data: bytes) -> tuple[int, int] | None:
+    """Return (width, height), as coded, from the header of PNG, JPEG, TIFF, BMP, WebP, Netpbm or JPEG 2000.
+
+    Args:
+        data: the content of the file.
+
+    Returns:
+        (width, height), pixels; None for any other or a damaged file.
+
+    Raises:
+        ValueError: more pixels than Pillow allows, which are more than `MAX_PIXELS`. To be converted by `input_errors`.
+    """
+    try:
+        if data.startswith(_TIFF_SIGNATURES):
+            return _read_tiff_size(data)
+        if data.startswith(b"\x89PNG") and not _has_whole_chunks(data):
+            return None
+        if data.startswith(b"\0\0\0\x0cjP  \r\n\x87\n"):
+            # The codestream begins with its size; the enclosing box may contain another.
+            data = data[data.index(b"\xff\x4f\xff\x51") :]
+        header = next((header for start, header in _HEADERS.items() if data.startswith(start)), None)
+        return None if header is None else header(BytesIO(data)).size
+    except DecompressionBombError:
+        raise ValueError(f"more than the {MAX_PIXELS} pixels that an image may have") from None
+    except Exception:  # damaged bytes can raise any exception
+        return None
+
+
+def _has_whole_chunks(data: bytes) -> bool:
+    """Return whether the chunks of a PNG end with the file: decoders allocate their lengths before checking."""
+    at = 8
+    while at < len(data):
+        at += 12 + int.from_bytes(data[at : at + 4], "big")
+    return at == len(data)
+
+
+def _read_tiff_size(data: bytes) -> tuple[int, int] | None:
+    """Return the size in the first directory of a TIFF, of any pixel type; None if its tiles are too large."""
+    tags = ImageFileDirectory_v2(data[:16] if b"+" in data[:4] else data[:8])
+    file = BytesIO(data)
+    file.seek(tags.next)
+    tags.load(file)
+    width, height, tile_width, tile_height = (int(tags.get(tag, 0)) for tag in (256, 257, 322, 323))
+    return (width, height) if width and height and tile_width * tile_height <= MAX_TILE_PIXELS else None
 
 
 def read_image_size(path: Path) -> tuple[int, int]:
@@ -26,10 +101,11 @@ def read_image_size(path: Path) -> tuple[int, int]:
         OSError: the file cannot be read.
         ValueError: the file is not an image of a supported format; the message names it.
     """
-    size = image_size_from_header(read_bytes(path, _max_file_size(MAX_PIXELS)))
-    if size is None:
-        raise UnreadableFileError(f"{path}: cannot be read as an image")
-    return size
+    data = read_bytes(path, _max_file_size(MAX_PIXELS))
+    with input_errors(path):
+        if (size := image_size_from_header(data)) is None:
+            raise ValueError("cannot be read as an image")
+        return size
 
 
 def read_image(path: Path, size: tuple[int, int]) -> Image:
@@ -48,7 +124,8 @@ def read_image(path: Path, size: tuple[int, int]) -> Image:
             names it.
     """
     data = read_bytes(path, _max_file_size(size[0] * size[1]))
-    header_size = image_size_from_header(data)
+    with input_errors(path):
+        header_size = image_size_from_header(data)
     if header_size is not None and header_size != size:
         raise UnreadableFileError(f"{path}: {header_size[0]}x{header_size[1]}, not {size[0]}x{size[1]} pixels")
     # Some JPEG decoders fill missing data of a truncated file with gray: its end marker is then missing after its data.
