@@ -9,13 +9,14 @@ from __future__ import annotations
 import functools
 import re
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from copy import copy
 from dataclasses import MISSING, dataclass, fields
 from inspect import Parameter, Signature, cleandoc
 from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any, NoReturn, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, NoReturn, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import typer
 from typer.core import TyperCommand
@@ -26,25 +27,19 @@ from sylpose.input_limits import MAX_SENTENCE_LENGTH, to_one_line
 __all__ = [
     "ADVANCED",
     "INPUT",
-    "INTERRUPTED",
     "LIVE",
     "OBJECT",
     "OUTPUT",
-    "WRONG_INPUT",
     "CommandOptions",
-    "GroupedCommand",
     "app",
     "command",
     "exit_with_failures",
-    "format_examples",
     "make_choice_check",
     "option",
     "pick",
     "print_message",
-    "report_errors",
 ]
 
-P = ParamSpec("P")
 T = TypeVar("T")
 OptionsT = TypeVar("OptionsT", bound="CommandOptions")
 
@@ -54,10 +49,8 @@ INPUT, OBJECT, OUTPUT, LIVE, ADVANCED = _SECTIONS = ("Input", "Object", "Output"
 # Options whose argument in the Python functions has another name than in the command.
 _OPTION_BY_ARGUMENT = {
     "cameras": "--video",
-    "known": "--object",
     "max_time_diff": "--within",
     "offsets": "--frame-offset",
-    "plot_format": "--format",
     "up": "--world",
 }
 
@@ -190,7 +183,8 @@ def command(
 
         @functools.wraps(function)
         def run(**values: Any) -> None:
-            function(record(**{key: value or () if key in repeatable else value for key, value in values.items()}))
+            with _report_errors(record, values):
+                function(record(**{key: value or () if key in repeatable else value for key, value in values.items()}))
 
         parameters = []
         for field in fields(record):
@@ -202,47 +196,43 @@ def command(
         run.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
         run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
         epilog = notes + ("\n" if notes else "") + format_examples(*lines)
-        group.command(name, cls=GroupedCommand, short_help=summary, epilog=epilog)(report_errors(run))
+        group.command(name, cls=GroupedCommand, short_help=summary, epilog=epilog)(run)
         return function
 
     return register
 
 
-def report_errors(command: Callable[P, None]) -> Callable[P, None]:
+@contextmanager
+def _report_errors(record: Any, values: Mapping[str, object]) -> Iterator[None]:
     """Turn wrong input and interrupts into a one-line message and an exit code; bugs keep their traceback."""
-
-    @functools.wraps(command)
-    def run(*args: P.args, **kwargs: P.kwargs) -> None:
-        try:
-            command(*args, **kwargs)
-        except KeyboardInterrupt as interrupt:
-            print_message(str(interrupt) or "interrupted")
-            raise typer.Exit(INTERRUPTED) from None
-        except BrokenPipeError:  # the reader has closed the pipe; Typer handles it
+    try:
+        yield
+    except KeyboardInterrupt as interrupt:
+        print_message(str(interrupt) or "interrupted")
+        raise typer.Exit(INTERRUPTED) from None
+    except BrokenPipeError:  # the reader has closed the pipe; Typer handles it
+        raise
+    except (ValueError, OSError) as error:
+        if type(error).__name__ == "LinAlgError":  # a bug
             raise
-        except (ValueError, OSError) as error:
-            if type(error).__name__ == "LinAlgError":  # a bug
-                raise
-            message = format_error(error)
-            print_message(
-                substitute_option_name(message, map_option_names(command), kwargs)
-                if isinstance(error, ValueError)
-                else message
-            )
-            raise typer.Exit(WRONG_INPUT) from None
-
-    return run
+        message = str(error) or type(error).__name__
+        if isinstance(error, ValueError):
+            message = substitute_option_name(message, map_option_names(record), values)
+        elif error.filename is not None and error.strerror:
+            message = f"{error.filename}: {error.strerror.lower()}"
+        print_message(message)
+        raise typer.Exit(WRONG_INPUT) from None
 
 
-def map_option_names(command: Any) -> dict[str, str]:
-    """Map the names of a command's Python arguments to its options."""
+def map_option_names(record: Any) -> dict[str, str]:
+    """Map the names of a record's fields, and of the functions' arguments, to the options."""
     found: dict[str, str] = {}
-    for name, hint in get_type_hints(command, include_extras=True).items():
-        for info in getattr(hint, "__metadata__", ()):
-            if isinstance(info, OptionInfo):
-                # Until Typer builds the command, it keeps the first declaration in `default`.
-                words = [str(w) for w in (info.default, *(info.param_decls or ())) if str(w).startswith("--")]
-                found[name] = words[0].partition("/")[0] if words else f"--{name.replace('_', '-')}"
+    for name, hint in _resolve_hints(record).items():
+        info = hint.__metadata__[0]
+        if isinstance(info, OptionInfo):
+            # Until Typer builds the command, it keeps the first declaration in `default`.
+            words = [str(word) for word in (info.default, *(info.param_decls or ())) if str(word).startswith("--")]
+            found[name] = words[0].partition("/")[0] if words else f"--{name.replace('_', '-')}"
     return found | {name: option for name, option in _OPTION_BY_ARGUMENT.items() if option in found.values()}
 
 
@@ -272,13 +262,6 @@ def print_message(message: str) -> None:
     """Print a message on stderr as one line that begins with "sylpose: "."""
     # Names of files may contain line breaks: reduce the message to one line.
     print(f"sylpose: {to_one_line(message, MAX_SENTENCE_LENGTH)}", file=sys.stderr)
-
-
-def format_error(error: ValueError | OSError) -> str:
-    """Return the message of an error, with the file it concerns."""
-    if isinstance(error, OSError) and error.filename is not None and error.strerror:
-        return f"{error.filename}: {error.strerror.lower()}"
-    return str(error) or type(error).__name__
 
 
 def option(words: str, section: str | None = None, text: str | None = None, **more: Any) -> Any:

@@ -20,12 +20,19 @@ MARKER_FILE = "sylpose-demo.txt"
 
 @dataclass(frozen=True, kw_only=True)
 class DemoOptions(CommandOptions):
-    """Options of `sylpose demo`."""
+    """Options of `sylpose demo`.
 
-    out: Annotated[Path, option("--out DIR", None, "Write the recording and the results here.")] = Path("sylpose_demo")
-    frames: Annotated[int, option("--frames N", None, "Render N frames at 30 per second.")] = 60
-    turn: Annotated[float, option("--turn DEG", None, "Set the object's total rotation.")] = 90.0
-    cameras: Annotated[int, option("--cameras N", None, "Set the number of cameras.")] = 4
+    Attributes:
+        out: Write the recording and the results here.
+        frames: Render N frames at 30 per second.
+        turn: Set the object's total rotation.
+        cameras: Set the number of cameras.
+    """
+
+    out: Annotated[Path, option("--out DIR")] = Path("sylpose_demo")
+    frames: Annotated[int, option("--frames N")] = 60
+    turn: Annotated[float, option("--turn DEG")] = 90.0
+    cameras: Annotated[int, option("--cameras N")] = 4
     seed: Seed = 0
 
 

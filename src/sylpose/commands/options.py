@@ -21,67 +21,39 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BoxesFile",
-    "Browser",
-    "CalibrationFile",
-    "CameraFiles",
     "CameraOptions",
     "EulerAxes",
-    "Every",
-    "ExcludedCameras",
     "FrameOffset",
-    "FrameOffsets",
-    "MasksFolder",
     "MethodOptions",
     "OutFolder",
     "Overlay",
     "PageOptions",
     "PlotFormat",
-    "Port",
     "RangeOptions",
-    "Rate",
     "RecordingOptions",
     "RefineCalibration",
     "ResultPath",
     "Seed",
-    "SessionPath",
     "Smooth",
-    "StartFrame",
     "StopFrame",
     "Unit",
     "World",
-    "WorldFrame",
-    "WorldFrom",
     "WorldOptions",
     "parse_video_option",
 ]
 
 SessionT = TypeVar("SessionT", bound="SessionBase")
 
-SessionPath = Annotated[
-    Path,
-    typer.Argument(metavar="SESSION", help="Folder with one video (cam_0.mp4) or one folder of images per camera."),
-]
-ResultPath = Annotated[
-    Path, typer.Argument(metavar="RESULT", help="Folder that sylpose track wrote, or its trajectory.csv.")
-]
-_CALIBRATION = option(
-    "--calibration PATH",
-    INPUT,
-    "Read the calibration from this file or folder; by default searched in SESSION.",
-)
-CalibrationFile = Annotated[Path | None, _CALIBRATION]
 BoxesFile = Annotated[
     Path | None,
     option(
         "--boxes FILE", OBJECT, "Read the object's boxes in the first frame; default: SESSION/boxes.toml if present."
     ),
 ]
-MasksFolder = Annotated[
-    Path | None, option("--masks DIR", OBJECT, "Read the object's masks; default: SESSION/masks if present.")
+FrameOffset = Annotated[
+    tuple[str, ...],
+    option("--frame-offset CAM=N", INPUT, "Set by how many frames a camera starts late. Repeatable."),
 ]
-_FRAME_OFFSET = option("--frame-offset CAM=N", INPUT, "Set by how many frames a camera starts late. Repeatable.")
-FrameOffsets = Annotated[list[str] | None, _FRAME_OFFSET]
-FrameOffset = Annotated[tuple[str, ...], _FRAME_OFFSET]
 EulerAxes = Annotated[
     str | None,
     option(
@@ -91,13 +63,6 @@ EulerAxes = Annotated[
         'vectors, "0,0,1 1,0,0 0,1,0".',
     ),
 ]
-_VIDEO = option(
-    "--video NAME=FILE", INPUT, "Assign a video or image folder to a camera if its name does not match. Repeatable."
-)
-CameraFiles = Annotated[list[str] | None, _VIDEO]
-_EXCLUDED = option("--exclude-camera CAM", INPUT, "Leave out a camera, for example one without a video. Repeatable.")
-ExcludedCameras = Annotated[list[str] | None, _EXCLUDED]
-Rate = Annotated[float | None, option("--rate HZ", INPUT, "Set the frame rate of image folders, for times in seconds.")]
 Unit = Annotated[
     str | None,
     option(f"--unit {'|'.join(METERS)}", OUTPUT, "Set the length unit of the results; default: the calibration's."),
@@ -111,26 +76,9 @@ World = Annotated[
         "frame, or a file (world.toml, or three points: docs/formats.md).",
     ),
 ]
-WorldFrame = Annotated[
-    int | None,
-    option(
-        "--world-frame N",
-        OUTPUT,
-        "Detect the world board in this frame of the recording or of --world-from; default: the first frame.",
-        min=0,
-    ),
-]
-WorldFrom = Annotated[
-    Path | None,
-    option("--world-from DIR", OUTPUT, "Detect the world board in these images or videos instead of the session's."),
-]
 OutFolder = Annotated[Path | None, option("--out DIR", OUTPUT, "Write the results here; default: SESSION/sylpose.")]
-StartFrame = Annotated[int, option("--start N", INPUT, "Start at this frame.")]
 StopFrame = Annotated[int | None, option("--stop N", INPUT, "Stop before this frame; default: the end.")]
-Every = Annotated[int, option("--every N", INPUT, "Use every N-th frame.")]
 Overlay = Annotated[bool, option("--overlay/--no-overlay", OUTPUT, "Write overlay.mp4.")]
-Port = Annotated[int, option("--port N", LIVE, "Serve the page on this port; 0: any free port.", min=0, max=65535)]
-Browser = Annotated[bool, option("--browser/--no-browser", LIVE, "Open the page in the browser.")]
 Smooth = Annotated[
     bool | None,
     option("--smooth/--no-smooth", ADVANCED, "Refine all poses jointly at the end; default: for recordings."),
@@ -153,16 +101,26 @@ PlotFormat = Annotated[
         callback=make_choice_check(PICTURE_FORMATS),
     ),
 ]
+ResultPath = Annotated[
+    Path, typer.Argument(metavar="RESULT", help="Folder that sylpose track wrote, or its trajectory.csv.")
+]
 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraOptions(CommandOptions):
-    """Calibration and videos of the cameras."""
+    """Calibration and videos of the cameras.
 
-    calibration: CalibrationFile = None
-    video: Annotated[tuple[str, ...], _VIDEO] = ()
-    exclude_camera: Annotated[tuple[str, ...], _EXCLUDED] = ()
-    rate: Rate = None
+    Attributes:
+        calibration: Read the calibration from this file or folder; by default searched in SESSION.
+        video: Assign a video or image folder to a camera if its name does not match. Repeatable.
+        exclude_camera: Leave out a camera, for example one without a video. Repeatable.
+        rate: Set the frame rate of image folders, for times in seconds.
+    """
+
+    calibration: Annotated[Path | None, option("--calibration PATH", INPUT)] = None
+    video: Annotated[tuple[str, ...], option("--video NAME=FILE", INPUT)] = ()
+    exclude_camera: Annotated[tuple[str, ...], option("--exclude-camera CAM", INPUT)] = ()
+    rate: Annotated[float | None, option("--rate HZ", INPUT)] = None
 
     def open_recording(self, path: Path, frame_offset: Sequence[str] = (), **files: Path | None) -> Session:
         """Open the recording in a folder.
@@ -177,12 +135,11 @@ class CameraOptions(CommandOptions):
         """
         from sylpose.io.capture import open_session
 
-        offsets = _parse_frame_offsets(frame_offset)
         return open_session(
             path,
             calibration=self.calibration,
             cameras=parse_video_option(self.video),
-            offsets=offsets,
+            offsets=_parse_frame_offsets(frame_offset),
             rate=self.rate,
             without=self.exclude_camera,
             **files,
@@ -191,10 +148,15 @@ class CameraOptions(CommandOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class RecordingOptions(CameraOptions):
-    """A recording and its calibration, videos and masks."""
+    """A recording and its calibration, videos and masks.
 
-    session: SessionPath
-    masks: MasksFolder = None
+    Attributes:
+        session: Folder with one video (cam_0.mp4) or one folder of images per camera.
+        masks: Read the object's masks; default: SESSION/masks if present.
+    """
+
+    session: Annotated[Path, typer.Argument(metavar="SESSION")]
+    masks: Annotated[Path | None, option("--masks DIR", OBJECT)] = None
 
     def open(self, boxes: Path | None = None, frame_offset: Sequence[str] = ()) -> Session:
         """Open the recording, as `open_recording` does."""
@@ -203,12 +165,17 @@ class RecordingOptions(CameraOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class WorldOptions(CommandOptions):
-    """World frame and length unit of the results."""
+    """World frame and length unit of the results.
+
+    Attributes:
+        world_frame: Detect the world board in this frame of the recording or of --world-from; default: the first frame.
+        world_from: Detect the world board in these images or videos instead of the session's.
+    """
 
     unit: Unit = None
     world: World = None
-    world_frame: WorldFrame = None
-    world_from: WorldFrom = None
+    world_frame: Annotated[int | None, option("--world-frame N", OUTPUT, min=0)] = None
+    world_from: Annotated[Path | None, option("--world-from DIR", OUTPUT)] = None
 
     def __post_init__(self) -> None:
         """Check that options of the world come with a world."""
@@ -236,34 +203,29 @@ class WorldOptions(CommandOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class RangeOptions(CommandOptions):
-    """Frames to process."""
+    """Frames to process.
 
-    start: StartFrame = 0
+    Attributes:
+        start: Start at this frame.
+    """
+
+    start: Annotated[int, option("--start N", INPUT)] = 0
     stop: StopFrame = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class MethodOptions(CommandOptions):
-    """Estimation method and features."""
+    """Estimation method and features.
 
-    method: Annotated[
-        str,
-        option(
-            "--method NAME",
-            ADVANCED,
-            "Select the estimation method; sylpose track --help lists them.",
-            callback=make_choice_check(METHODS),
-        ),
-    ] = METHODS[0]
+    Attributes:
+        method: Select the estimation method; sylpose track --help lists them.
+        features: Match SIFT in every frame, or track KLT between SIFT keyframes (faster, more precise); auto: KLT for
+            landmarks, else SIFT.
+    """
+
+    method: Annotated[str, option("--method NAME", ADVANCED, callback=make_choice_check(METHODS))] = METHODS[0]
     features: Annotated[
-        str,
-        option(
-            f"--features {'|'.join(FEATURES)}",
-            ADVANCED,
-            "Match SIFT in every frame, or track KLT between SIFT keyframes (faster, more precise); auto: KLT for "
-            "landmarks, else SIFT.",
-            callback=make_choice_check(FEATURES),
-        ),
+        str, option(f"--features {'|'.join(FEATURES)}", ADVANCED, callback=make_choice_check(FEATURES))
     ] = FEATURES[0]
 
     def __post_init__(self) -> None:
@@ -274,10 +236,15 @@ class MethodOptions(CommandOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class PageOptions(CommandOptions):
-    """Page in the browser."""
+    """Page in the browser.
 
-    port: Port = 0
-    browser: Browser = True
+    Attributes:
+        port: Serve the page on this port; 0: any free port.
+        browser: Open the page in the browser.
+    """
+
+    port: Annotated[int, option("--port N", LIVE, min=0, max=65535)] = 0
+    browser: Annotated[bool, option("--browser/--no-browser", LIVE)] = True
 
 
 def parse_video_option(values: Sequence[str]) -> dict[str, str] | None:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sylpose.commands.app import ADVANCED, INPUT, OUTPUT, command, exit_with_failures, option
-from sylpose.commands.options import CameraOptions, Every, PlotFormat, RangeOptions, Seed, Unit, parse_video_option
+from sylpose.commands.options import CameraOptions, PlotFormat, RangeOptions, Seed, Unit, parse_video_option
 from sylpose.units import METERS
 
 if TYPE_CHECKING:
@@ -30,39 +30,27 @@ __all__ = ["PoseOptions", "pose", "solve_poses"]
 
 @dataclass(frozen=True, kw_only=True)
 class PoseOptions(RangeOptions, CameraOptions):
-    """Options of `sylpose pose`."""
+    """Options of `sylpose pose`.
 
-    model: Annotated[
-        Path,
-        typer.Argument(metavar="MODEL", help="Object points (.csv: name,x,y,z; .toml; .ply, .obj) or markers (.toml)."),
-    ]
-    observations: Annotated[
-        tuple[Path, ...],
-        typer.Argument(
-            metavar="OBSERVATIONS...",
-            help="Recording, for markers; or tables of image points: camera,frame,name,u,v, or DeepLabCut's.",
-            show_default=False,
-        ),
-    ] = ()
-    out: Annotated[Path, option("--out DIR", OUTPUT, "Write the results here.")] = Path("sylpose_pose")
+    Attributes:
+        model: Object points (.csv: name,x,y,z; .toml; .ply, .obj) or markers (.toml).
+        observations: Recording, for markers; or tables of image points: camera,frame,name,u,v, or DeepLabCut's.
+        out: Write the results here.
+        is_in: Set the length unit of MODEL if the file has none.
+        likelihood: Ignore table points with a lower likelihood.
+        max_error_px: Reject points with larger residuals: five times the largest expected noise.
+        every: Use every N-th frame.
+    """
+
+    model: Annotated[Path, typer.Argument(metavar="MODEL")]
+    observations: Annotated[tuple[Path, ...], typer.Argument(metavar="OBSERVATIONS...", show_default=False)] = ()
+    out: Annotated[Path, option("--out DIR", OUTPUT)] = Path("sylpose_pose")
     unit: Unit = None
-    is_in: Annotated[
-        str | None,
-        option(f"--is-in {'|'.join(METERS)}", INPUT, "Set the length unit of MODEL if the file has none."),
-    ] = None
-    likelihood: Annotated[
-        float, option("--likelihood P", ADVANCED, "Ignore table points with a lower likelihood.", min=0, max=1)
-    ] = 0.6
+    is_in: Annotated[str | None, option(f"--is-in {'|'.join(METERS)}", INPUT)] = None
+    likelihood: Annotated[float, option("--likelihood P", ADVANCED, min=0, max=1)] = 0.6
     # Points with a larger residual are outliers for any noise: five times two and a half pixels (choice).
-    max_error_px: Annotated[
-        float,
-        option(
-            "--max-error PX",
-            ADVANCED,
-            "Reject points with larger residuals: five times the largest expected noise.",
-        ),
-    ] = 12.0
-    every: Every = 1
+    max_error_px: Annotated[float, option("--max-error PX", ADVANCED)] = 12.0
+    every: Annotated[int, option("--every N", INPUT)] = 1
     plot_format: PlotFormat = "png"
     seed: Seed = 0
 

@@ -57,60 +57,45 @@ _UDP = re.compile(r"udp://(\[[0-9a-fA-F:.%\w]+\]|[^\[\]/:]+):(\d{1,5})")
 
 @dataclass(frozen=True, kw_only=True)
 class TrackOptions(PageOptions, MethodOptions, WorldOptions, RangeOptions, RecordingOptions):
-    """Options of `sylpose track`."""
+    """Options of `sylpose track`.
+
+    Attributes:
+        known: Express poses in the frame of an object.npz from another recording; for several objects, repeat with
+            NAME=FILE.
+        offsets: Read the cameras' time offsets in seconds (TOML); default: SESSION/offsets.toml if present.
+        every: Track every N-th frame.
+        quiet: Print only warnings, on stderr.
+        verbose: Print one line per frame.
+        follow: Track image folders that a recorder is still writing.
+        no_drop: With --follow, track all frames, regardless of the delay.
+        stream: Stream poses as JSON lines to stdout (-) or udp://HOST:PORT.
+        show: Show the run in 3D on a page in the browser; see sylpose show.
+        distributed: Run one node per camera over a simulated network: exact as in one process, or compact in fewer
+            rounds.
+        resume: Continue an interrupted run; requires the same options.
+        checkpoint_seconds: Set the time between checkpoints for --resume.
+    """
 
     boxes: BoxesFile = None
-    known: Annotated[
-        tuple[str, ...],
-        option(
-            "--object [NAME=]FILE",
-            OBJECT,
-            "Express poses in the frame of an object.npz from another recording; for several objects, repeat with "
-            "NAME=FILE.",
-        ),
-    ] = ()
+    known: Annotated[tuple[str, ...], option("--object [NAME=]FILE", OBJECT)] = ()
     frame_offset: FrameOffset = ()
-    offsets: Annotated[
-        Path | None,
-        option(
-            "--offsets FILE",
-            INPUT,
-            "Read the cameras' time offsets in seconds (TOML); default: SESSION/offsets.toml if present.",
-        ),
-    ] = None
-    every: Annotated[int, option("--every N", INPUT, "Track every N-th frame.")] = 1
+    offsets: Annotated[Path | None, option("--offsets FILE", INPUT)] = None
+    every: Annotated[int, option("--every N", INPUT)] = 1
     out: OutFolder = None
     overlay: Overlay = True
     angles: EulerAxes = None
     plot_format: PlotFormat = "png"
-    quiet: Annotated[bool, option("--quiet -q", OUTPUT, "Print only warnings, on stderr.")] = False
-    verbose: Annotated[bool, option("--verbose -v", OUTPUT, "Print one line per frame.")] = False
-    follow: Annotated[bool, option("--follow", LIVE, "Track image folders that a recorder is still writing.")] = False
-    no_drop: Annotated[bool, option("--no-drop", LIVE, "With --follow, track all frames, regardless of the delay.")] = (
-        False
-    )
-    stream: Annotated[
-        str | None, option("--stream TO", LIVE, "Stream poses as JSON lines to stdout (-) or udp://HOST:PORT.")
-    ] = None
-    show: Annotated[bool, option("--show", LIVE, "Show the run in 3D on a page in the browser; see sylpose show.")] = (
-        False
-    )
+    quiet: Annotated[bool, option("--quiet -q", OUTPUT)] = False
+    verbose: Annotated[bool, option("--verbose -v", OUTPUT)] = False
+    follow: Annotated[bool, option("--follow", LIVE)] = False
+    no_drop: Annotated[bool, option("--no-drop", LIVE)] = False
+    stream: Annotated[str | None, option("--stream TO", LIVE)] = None
+    show: Annotated[bool, option("--show", LIVE)] = False
     smooth: Smooth = None
     refine_calibration: RefineCalibration = False
-    distributed: Annotated[
-        str | None,
-        option(
-            f"--simulate-nodes {'|'.join(MODES)}",
-            ADVANCED,
-            "Run one node per camera over a simulated network: exact as in one process, or compact in fewer rounds.",
-        ),
-    ] = None
-    resume: Annotated[bool, option("--resume", ADVANCED, "Continue an interrupted run; requires the same options.")] = (
-        False
-    )
-    checkpoint_seconds: Annotated[
-        float, option("--checkpoint SEC", ADVANCED, "Set the time between checkpoints for --resume.", min=0)
-    ] = 20.0
+    distributed: Annotated[str | None, option(f"--simulate-nodes {'|'.join(MODES)}", ADVANCED)] = None
+    resume: Annotated[bool, option("--resume", ADVANCED)] = False
+    checkpoint_seconds: Annotated[float, option("--checkpoint SEC", ADVANCED, min=0)] = 20.0
     seed: Seed = 0
 
     def __post_init__(self) -> None:
