@@ -181,8 +181,7 @@ def main() -> None:
     )
     print("|---|---|---|---|---|---|---|")
     for name in ("temple", "board4", "demo:0"):
-        for method in ("sylvester", "one-camera", "unconstrained") if name != "demo:0" else ("sylvester",):
-            print(track_and_format(name, method, options.shared), flush=True)
+        print(track_and_format(name, "sylvester", options.shared), flush=True)
 
 
 if __name__ == "__main__":

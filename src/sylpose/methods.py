@@ -88,36 +88,6 @@ TABLE = (
         "low bandwidth; flat and faceted objects",
         "sylvester.depth_plane.solve_depth_plane",
     ),
-    _paper_method(
-        "exchange",
-        "as sylvester, moments sent to all cameras",
-        "the result of sylvester, in one round",
-        "sylvester.distributed.simulation.solve_exchange",
-    ),
-    _paper_method(
-        "refine",
-        "as sylvester, only rotations sent to all cameras",
-        "the result of sylvester: the paper's refinement",
-        "sylvester.distributed.simulation.solve_refine",
-    ),
-    _paper_method(
-        "gossip",
-        "as sylvester, moments sent to neighbors only",
-        "the result of sylvester, without all-to-all links",
-        "sylvester.distributed.simulation.solve_gossip",
-    ),
-    _paper_method(
-        "one-camera",
-        "second moments of one camera, with the constraint",
-        "the paper's single camera, for comparison",
-        "sylvester.one_camera.solve_one_camera",
-    ),
-    _paper_method(
-        "unconstrained",
-        "second moments of one camera, projected to SO(3)",
-        "baseline without the constraint, for comparison",
-        "sylvester.one_camera.solve_unconstrained",
-    ),
     Method(
         "known-depth",
         "the landmarks' positions, Sylvester's equation",

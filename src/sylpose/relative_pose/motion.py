@@ -65,9 +65,8 @@ def estimate_motion(
             matches count once.
         method: "epipolar" (perspective, six degrees of freedom, robust:
             docs/method/3-pose.md, "Two frames") or one of the
-            paper's estimators, applied to the pair moments of its inliers: "sylvester" (centralized), "depth-plane"
-            (with a planar depth model), "exchange", "refine", "gossip" (distributed), "one-camera" and "unconstrained"
-            (of the camera with the most matches).
+            paper's estimators, applied to the pair moments of its inliers: "sylvester" or "depth-plane" (with a planar
+            depth model).
         initial: initial guess of the motion (while tracking, the previous motion), tried in addition to the built-in
             starts.
         center: (3,) the object's center in frame i, world; None: the point nearest to the cameras' mean rays.

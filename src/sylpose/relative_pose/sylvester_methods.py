@@ -22,8 +22,7 @@ from sylpose.results import RotationEstimate, Status
 from sylpose.sylvester.camera_faults import diagnose_cameras
 from sylpose.sylvester.centralized import solve_centralized
 from sylpose.sylvester.depth_plane import solve_depth_plane
-from sylpose.sylvester.distributed.simulation import solve_exchange, solve_gossip, solve_refine
-from sylpose.sylvester.one_camera import OneCameraSolution, solve_one_camera, solve_unconstrained
+from sylpose.sylvester.one_camera import solve_one_camera
 from sylpose.sylvester.translation import refine_translation, solve_translation_from_means
 
 __all__ = ["ESTIMATORS", "UNBIASED_METHODS", "apply_paper_method"]
@@ -34,41 +33,15 @@ Moments = Sequence[PairMoments]
 MIN_SPREAD_MATCHES = 3
 
 
-# (rotations (C, 3, 3), C moments, the robust fit's R) -> the estimate.
-Estimator = Callable[[FloatArray, Moments, FloatArray], RotationEstimate]
+def _solve_sylvester(Q: FloatArray, moments: Moments, guess: FloatArray) -> RotationEstimate:
+    """Return the centralized estimate; of a single camera's two mirrored ones that nearer to the guess (3, 3)."""
+    return solve_centralized(Q, moments) if len(Q) > 1 else solve_one_camera(Q[0], moments[0]).select_nearest(guess)
 
 
-def _for_several_cameras(solve: Callable[[FloatArray, Moments], RotationEstimate]) -> Estimator:
-    """Wrap an estimator for several cameras; a single camera uses `solve_one_camera`."""
-
-    def estimate(Q: FloatArray, moments: Moments, guess: FloatArray) -> RotationEstimate:
-        return solve(Q, moments) if len(Q) > 1 else ESTIMATORS["one-camera"](Q, moments, guess)
-
-    return estimate
-
-
-def _for_one_camera(solve: Callable[[FloatArray, PairMoments], OneCameraSolution]) -> Estimator:
-    """Wrap an estimator for the camera with the most matches.
-
-    It cannot decide between its two mirrored solutions: the one nearer to the robust fit's rotation is taken.
-    """
-
-    def estimate(Q: FloatArray, moments: Moments, guess: FloatArray) -> RotationEstimate:
-        c = int(np.argmax([m.count for m in moments]))
-        return solve(Q[c], moments[c]).select_nearest(guess)
-
-    return estimate
-
-
-# The keys are names of methods (`methods`).
-ESTIMATORS: dict[str, Estimator] = {
-    "sylvester": _for_several_cameras(solve_centralized),
+# Name of the method (`methods`): (rotations (C, 3, 3), C moments, the robust fit's R) -> the estimate.
+ESTIMATORS: dict[str, Callable[[FloatArray, Moments, FloatArray], RotationEstimate]] = {
+    "sylvester": _solve_sylvester,
     "depth-plane": lambda Q, moments, _: solve_depth_plane(Q, moments),
-    "exchange": _for_several_cameras(solve_exchange),
-    "refine": _for_several_cameras(solve_refine),
-    "gossip": _for_several_cameras(solve_gossip),
-    "one-camera": _for_one_camera(solve_one_camera),
-    "unconstrained": _for_one_camera(solve_unconstrained),
 }
 # Methods whose translation may follow from epipolar geometry: a bias of the others' rotation would turn into a
 # translation.
