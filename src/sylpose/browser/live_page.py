@@ -8,7 +8,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from sylpose.browser.result_player import add_layer_controls, add_view_control
+from sylpose.browser.result_player import add_controls
 from sylpose.browser.scene_page import MAX_PATH_SEGMENTS, ScenePage, escape_markdown
 from sylpose.geometry.arrays import FloatArray
 from sylpose.report.scene import build_scene
@@ -76,8 +76,7 @@ class LivePage:
             self.page.add(name)
         server.gui.add_markdown(f"**{escape_markdown(title)}**")
         self.status_text = server.gui.add_markdown("Nothing is tracked yet.")
-        add_view_control(server, self.page, objects, rig.names)
-        add_layer_controls(server, self.page, self._updated.set)
+        add_controls(self.page, objects, rig.names, self._updated.set)
         self._thread = threading.Thread(target=self._run, name="sylpose-show", daemon=True)
 
     def __enter__(self) -> Self:

@@ -17,7 +17,7 @@ from sylpose.report.scene import Scene
 from sylpose.results import FrameStatus
 from sylpose.rig import Rig
 
-__all__ = ["ResultPlayer", "add_layer_controls", "add_view_control", "render_standalone_page"]
+__all__ = ["ResultPlayer", "add_controls", "render_standalone_page"]
 
 # Frame rate of images without times, and updates per second during playback (choice).
 DEFAULT_FRAME_RATE, UPDATE_RATE = 10.0, 25.0
@@ -56,14 +56,14 @@ class ResultPlayer:
         self.button = gui.add_button("Play", icon="player-play")
         self._speed = gui.add_dropdown("Speed", tuple(SPEEDS), initial_value="1")
         self.description = gui.add_markdown("")
-        add_view_control(server, self.page, [*scenes], next(iter(scenes.values())).cameras)
-        add_layer_controls(server, self.page, self._reload_images)
+        # Images that were hidden may be of another frame.
+        cameras = next(iter(scenes.values())).cameras
+        add_controls(self.page, [*scenes], cameras, lambda: self._request(self.current, loaded=-1))
         self.slider.on_update(lambda _: self.show(int(self.slider.value)))
         self.button.on_click(lambda _: self.play(self._playback_start is None))
         self._speed.on_update(lambda _: self.play(self._playback_start is not None))
-        self._threads = [
-            threading.Thread(target=target, daemon=True) for target in (self._run_image_loader, self._run_playback)
-        ]
+        loops = self._run_image_loader, self._run_playback
+        self._threads = [threading.Thread(target=loop, daemon=True) for loop in loops]
         self.show(0)
 
     def __enter__(self) -> Self:
@@ -73,8 +73,7 @@ class ResultPlayer:
 
     def __exit__(self, *_: object) -> None:
         self._ended.set()
-        with self._request_changed:
-            self._request_changed.notify_all()
+        self._request(self._requested)
         for thread in self._threads:
             thread.join()
 
@@ -83,23 +82,18 @@ class ResultPlayer:
         k = min(max(k, 0), len(self.index) - 1)
         with self._lock:
             self.current = k
-            set_frame(self.page, self._scenes, int(self.index[k]))
-            self.description.content = self._describe_frame(k)
-        with self._request_changed:
-            self._requested = k
-            self._request_changed.notify_all()
+            index = int(self.index[k])
+            time_of = f", {self._seconds[k]:.3f} s" if self._seconds is not None else ""
+            texts = show_frame(self.page, self._scenes, index)
+            headline = f"Frame {index}{time_of}, {k + 1} of {len(self.index)}"
+            self.description.content = "\n\n".join([headline, *texts])
+        self._request(k)
 
-    def _describe_frame(self, k: int) -> str:
-        """Describe the k-th frame as Markdown."""
-        index = int(self.index[k])
-        time_of = f", {self._seconds[k]:.3f} s" if self._seconds is not None else ""
-        parts = [f"Frame {index}{time_of}, {k + 1} of {len(self.index)}"]
-        for name, scene in self._scenes.items():
-            if (row := find_row(scene, index)) is not None:
-                pose, covariance = scene.world_from_object[row], scene.covariance[row]
-                status, reason = FrameStatus(scene.status[row]), scene.reason[row]
-                parts.append(self.page.describe_pose(name, name, status, reason, pose, covariance))
-        return "\n\n".join(parts)
+    def _request(self, k: int, loaded: int | None = None) -> None:
+        """Request the images of a frame; `loaded` replaces the number of the frame whose images are shown."""
+        with self._request_changed:
+            self._requested, self._loaded = k, self._loaded if loaded is None else loaded
+            self._request_changed.notify_all()
 
     def play(self, playing: bool) -> None:
         """Start playback from the current frame (at the end, from the first), or stop it."""
@@ -120,12 +114,6 @@ class ResultPlayer:
                 self.slider.value = max(k, 0)
             if k == len(self.index) - 1:
                 self.play(False)
-
-    def _reload_images(self) -> None:
-        """Reload the images after a layer change: hidden images may be of another frame."""
-        with self._request_changed:
-            self._loaded = -1
-            self._request_changed.notify_all()
 
     def _run_image_loader(self) -> None:
         """Read the images of the current frame; frames are skipped if reading is slower than playback."""
@@ -153,31 +141,34 @@ def create_static_scene(server: Any, scenes: Mapping[str, Scene], rig: Rig) -> S
 
 def collect_frames(scenes: Mapping[str, Scene]) -> tuple[IntArray, FloatArray]:
     """Return the frame numbers (n,) of all objects, and their times (n,)."""
-    time_by_frame = {
-        int(k): float(t) for scene in scenes.values() for k, t in zip(scene.index, scene.times, strict=True)
-    }
-    index = np.array(sorted(time_by_frame), np.int64)
-    return index, np.array([time_by_frame[k] for k in index.tolist()])
+    index, first = np.unique(np.concatenate([scene.index for scene in scenes.values()]), return_index=True)
+    return index, np.concatenate([scene.times for scene in scenes.values()])[first]
 
 
-def find_row(scene: Scene, index: int) -> int | None:
-    """Return the row of a frame in an object's scene, or None."""
-    k = int(np.searchsorted(scene.index, index))
-    return k if k < len(scene.index) and scene.index[k] == index else None
-
-
-def set_frame(page: ScenePage, scenes: Mapping[str, Scene], index: int) -> None:
-    """Set the poses of all objects to those of a frame."""
+def show_frame(page: ScenePage, scenes: Mapping[str, Scene], index: int) -> list[str]:
+    """Set the poses of all objects to those of a frame, and return their descriptions as Markdown."""
+    texts = []
     with page.server.atomic():
         for name, scene in scenes.items():
-            k = find_row(scene, index)
-            page.set_pose(name, *((None, None) if k is None else (scene.world_from_object[k], scene.covariance[k])))
+            k = int(np.searchsorted(scene.index, index))
+            if k == len(scene.index) or scene.index[k] != index:
+                page.set_pose(name, None, None)
+                continue
+            pose = scene.world_from_object[k], scene.covariance[k]
+            page.set_pose(name, *pose)
+            texts.append(page.describe_pose(name, name, FrameStatus(scene.status[k]), scene.reason[k], *pose))
+    return texts
 
 
-def add_view_control(server: Any, page: ScenePage, objects: Sequence[str], cameras: Sequence[str]) -> None:
-    """Add the choice of viewpoints, separately for each client."""
-    closeups = {f"{name or 'the object'}, close up": name for name in objects}
-    views = server.gui.add_dropdown("See", (WHOLE_SCENE, *closeups, *cameras), initial_value=WHOLE_SCENE)
+def add_controls(
+    page: ScenePage, objects: Sequence[str], cameras: Sequence[str], on_change: Callable[[], None]
+) -> None:
+    """Add the choice of viewpoints, separately for each client, and the switches of the layers.
+
+    `on_change` is called after a change of the layers.
+    """
+    gui, closeups = page.server.gui, {f"{name or 'the object'}, close up": name for name in objects}
+    views = gui.add_dropdown("See", (WHOLE_SCENE, *closeups, *cameras), initial_value=WHOLE_SCENE)
 
     def on_select(event: Any) -> None:
         if event.client is not None:
@@ -185,13 +176,9 @@ def add_view_control(server: Any, page: ScenePage, objects: Sequence[str], camer
             page.set_view(event.client, camera, closeups.get(views.value))
 
     views.on_update(on_select)
-
-
-def add_layer_controls(server: Any, page: ScenePage, on_change: Callable[[], None]) -> None:
-    """Add the switches of the layers; `on_change` is called after a change."""
-    with server.gui.add_folder("Layers"):
+    with gui.add_folder("Layers"):
         for layer in LAYERS:
-            box = server.gui.add_checkbox(layer, initial_value=True)
+            box = gui.add_checkbox(layer, initial_value=True)
 
             def toggle(_: Any, layer: str = layer, box: Any = box) -> None:
                 page.visible[layer] = box.value
@@ -199,10 +186,10 @@ def add_layer_controls(server: Any, page: ScenePage, on_change: Callable[[], Non
                 on_change()
 
             box.on_update(toggle)
-        dark = server.gui.add_checkbox("Dark", initial_value=False)
+        dark = gui.add_checkbox("Dark", initial_value=False)
 
         def darken(_: Any) -> None:
-            server.gui.configure_theme(dark_mode=dark.value, **THEME)
+            gui.configure_theme(dark_mode=dark.value, **THEME)
             page.set_dark(dark.value)
 
         dark.on_update(darken)
@@ -220,7 +207,7 @@ def render_standalone_page(scenes: Mapping[str, Scene], rig: Rig, stills: Random
         for step, k in enumerate(chosen.tolist()):
             if step:
                 serializer.insert_sleep(max(float(times[k] - times[chosen[step - 1]]), 0.0))
-            set_frame(page, scenes, int(index[k]))
+            show_frame(page, scenes, int(index[k]))
             if stills is not None and step % image_step == 0:
                 page.set_images(stills.read_frame_set(int(index[k])))
         return str(serializer.as_html())

@@ -5,6 +5,7 @@ Lengths are divided by the extent of the cameras and centered on the scene, so t
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -61,9 +62,7 @@ def status_color(status: str) -> Rgb:
 
 def escape_markdown(text: str) -> str:
     """Escape text for Markdown, so that it is shown literally."""
-    return "".join(
-        f"\\{c}" if c.isascii() and not c.isalnum() and not c.isspace() else c for c in " ".join(text.split())
-    )
+    return re.sub(r"[!-/:-@[-`{-~]", r"\\\g<0>", " ".join(text.split()))
 
 
 @dataclass(eq=False)
@@ -318,10 +317,8 @@ class ScenePage:
     def _depth_behind_objects(self, c: int) -> float:
         """Return a depth behind all objects in a camera's view."""
         pose = self._scene.world_from_camera[c]
-        depths = [
-            (nodes.positions - self._to_page(pose[:3, 3])) @ pose[:3, 2] + 2 * nodes.size
-            for nodes in self._objects.values()
-        ]
+        center, ahead = self._to_page(pose[:3, 3]), pose[:3, 2]
+        depths = [(nodes.positions - center) @ ahead + 2 * nodes.size for nodes in self._objects.values()]
         return float(np.nanmax(np.concatenate([[1.0], *depths])))
 
 

@@ -132,13 +132,10 @@ def _read_motion(path: Path) -> _Motion:
         motion = _Motion(*read_tum(path), "")
     else:
         trajectory = read_result(path)
-        found = [
-            (f.time, f.world_from_object.as_matrix())
-            for f in trajectory
-            if f.is_measured and f.world_from_object is not None
-        ]
-        matrices = np.array([matrix for _, matrix in found]).reshape(-1, 4, 4)
-        motion = _Motion(np.array([time for time, _ in found]), RigidTransform.from_matrix(matrices), trajectory.unit)
+        frames = [frame for frame in trajectory if frame.is_measured]
+        matrices = [f.world_from_object.as_matrix() for f in frames if f.world_from_object is not None]
+        poses = RigidTransform.from_matrix(np.array(matrices).reshape(-1, 4, 4))
+        motion = _Motion(np.array([frame.time for frame in frames]), poses, trajectory.unit)
     if not len(motion.times):
         raise ValueError(f"{path}: contains no pose")
     return motion

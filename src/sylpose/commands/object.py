@@ -13,7 +13,6 @@ from sylpose.commands.options import PlotFormat
 from sylpose.units import INITIAL_DISTANCES, METERS
 
 if TYPE_CHECKING:
-    from sylpose.geometry.arrays import FloatArray
     from sylpose.tracking.known_object import KnownObject
 
 __all__ = ["ApplyOptions", "FrameOptions", "ScaleOptions", "ShowOptions", "apply", "frame", "scale", "show"]
@@ -50,11 +49,11 @@ def show(options: ShowOptions) -> None:
     import numpy as np
 
     from sylpose.io.object_files import load_object
-    from sylpose.runs import console_output
+    from sylpose.runs import console_output, object_frames
     from sylpose.runs.point_selection import MAX_DEPTH_SD_RATIO
 
     known, console = load_object(options.file), console_output.make_console()
-    console_output.print_facts(console, _describe_object(known))
+    console_output.print_facts(console, object_frames.describe_object(known))
     rows = []
     for name, memory in known._cameras.items():
         sd = memory.landmarks.depth_sd
@@ -63,52 +62,6 @@ def show(options: ShowOptions) -> None:
         median_sd = console_output.format_length(float(np.median(precise)), known.unit) if len(precise) else "-"
         rows.append([name, str(len(sd)), str(len(precise)), median_sd, str(views)])
     console_output.print_table(console, ["camera", "landmarks", "precise", "their median sd", "in keyframes"], rows)
-
-
-def _describe_object(known: KnownObject) -> list[tuple[str, str]]:
-    """Return the labeled facts that are printed about an object."""
-    import numpy as np
-    from scipy.spatial.transform import Rotation
-
-    from sylpose.display import format_length
-    from sylpose.runs.point_selection import MAX_DEPTH_SD_RATIO, precise_landmarks
-
-    precise, unit, object_frame = precise_landmarks(known), known.unit, known.frame
-    bound = format_length(MAX_DEPTH_SD_RATIO * known.radius, unit)
-    rotations = Rotation.concatenate([k.world_from_object.rotation for k in known._keyframes])
-    angle = np.degrees((rotations * rotations[0].inv()).magnitude().max())
-    counts = f"{len(known.positions)} landmarks, {len(precise)} of them with a depth sd below {bound}"
-    facts = [
-        ("Object", f"{known.fingerprint}, {counts}"),
-        ("Keyframes", f"{len(known._keyframes)}, rotated by up to {angle:.0f}°"),
-        ("Radius", format_length(known.radius, unit)),
-    ]
-    if len(precise):
-        sizes = " x ".join(format_length(float(s), unit) for s in np.ptp(precise, axis=0))
-        facts.append(("Extent", f"{sizes} along its axes"))
-    if unit == INITIAL_DISTANCES:
-        text = "the first distance from the only camera of its run; set another with sylpose object scale"
-    else:
-        text = unit or "that of the calibration, which does not state it"
-        text += f", all lengths to {100 * known.scale_sd:.2g} %" if known.scale_sd else ""
-    facts += [("Unit", text), ("Frame", object_frame.description or "that of the recording of its run")]
-    if object_frame.sd.any():
-        facts.append(("", _format_frame_sd(object_frame.sd, unit)))
-    offset, rotation = object_frame.from_learned.translation, object_frame.from_learned.rotation.magnitude()
-    if offset.any() or rotation:
-        distance = format_length(float(np.linalg.norm(offset)), unit)
-        facts.append(("", f"origin {distance} from that of its run, axes rotated by {np.degrees(rotation):.1f}°"))
-    return facts
-
-
-def _format_frame_sd(sd: FloatArray, unit: str) -> str:
-    """Format the standard deviations of a frame for printing."""
-    import numpy as np
-
-    from sylpose.display import format_length
-
-    axes = ", ".join(f"{np.degrees(s):.2f}°" for s in sd[:3])
-    return f"origin to {format_length(float(np.linalg.norm(sd[3:])), unit)}, axes to {axes} about x, y, z (one sd)"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,12 +100,8 @@ class FrameOptions(CommandOptions):
         requested = [name for name, given in definitions.items() if given]
         points = {name for name, given in (("--origin", self.origin), ("--x", self.x)) if given}
         # Points that each definition accepts.
-        allowed = {
-            "--plane": {"--origin", "--x"},
-            "--xy": {"--origin", "--x"},
-            "--turn": {"--origin"},
-            "": {"--origin"},
-        }
+        both = {"--origin", "--x"}
+        allowed = {"": {"--origin"}, "--turn": {"--origin"}, "--plane": both, "--xy": both}
         if not requested and "--origin" not in points:
             raise ValueError(
                 "no frame is given: use --origin alone, --origin with --x and --xy, --plane, --extent, --board or "
@@ -208,10 +157,10 @@ def frame(options: FrameOptions) -> None:
         framed = known.to_frame(*new_frame)
     files = _write_object(framed, options.target)
     console = console_output.make_console()
-    facts = [fact for fact in _describe_object(framed) if fact[0] in ("Frame", "", "Extent")]
+    facts = [fact for fact in object_frames.describe_object(framed) if fact[0] in ("Frame", "", "Extent")]
     console_output.print_facts(console, facts)
     if np.degrees(new_frame.sd[:3].max()) > MAX_AXIS_SD_DEG:
-        warning = f"The axes are uncertain: {_format_frame_sd(new_frame.sd, known.unit)}"
+        warning = f"The axes are uncertain: {object_frames.format_frame_sd(new_frame.sd, known.unit)}"
         console_output.print_warnings(console, [warning])
     console_output.print_files(console, "Files", files)
 

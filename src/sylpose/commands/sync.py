@@ -70,16 +70,10 @@ def sync(options: SyncOptions) -> None:
     console.print(console_output.format_headline(session))
     console_output.print_warnings(console, session.warnings)
     compile_with_progress(console)
+    estimate = partial(sync_session, max_lag=options.max_lag, start=options.start, stop=options.stop, seed=options.seed)
     show = partial(track, console=stderr, transient=True, disable=not stderr.is_terminal)
     try:
-        found = sync_session(
-            session,
-            max_lag=options.max_lag,
-            start=options.start,
-            stop=options.stop,
-            seed=options.seed,
-            show_progress=lambda description, total, frames: show(frames, description, total),
-        )
+        found = estimate(session, show_progress=lambda description, total, frames: show(frames, description, total))
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"interrupted; {path} is unchanged") from None
     console.print()
@@ -87,9 +81,15 @@ def sync(options: SyncOptions) -> None:
     console_output.print_table(console, header, _table_rows(found))
     console.print()
     warnings = [*found.problems]
-    for precision in (OffsetPrecision.COARSE, OffsetPrecision.UNOBSERVABLE):
+    for precision, text in (
+        (
+            OffsetPrecision.COARSE,
+            "estimated from changes of speed, to whole frames; the poses do not constrain the rest.",
+        ),
+        (OffsetPrecision.UNOBSERVABLE, "not observable: the object's speed must change while this camera sees it."),
+    ):
         if names := [name for name, k in zip(found.cameras, found.precision, strict=True) if k is precision]:
-            warnings.append(f"{', '.join(names)}: {precision.text[0].lower()}{precision.text[1:]}")
+            warnings.append(f"{', '.join(names)}: {text}")
     console_output.print_warnings(console, warnings)
     if {*found.precision} == {OffsetPrecision.UNOBSERVABLE}:
         exit_with_failures(["no time offset could be estimated; nothing was written"])

@@ -17,7 +17,7 @@ from sylpose.io.capture import Session
 from sylpose.io.capture.live import LiveSession
 from sylpose.report.rigview import describe_rig, find_axes_intersection
 from sylpose.results import FrameStatus
-from sylpose.rig import Rig
+from sylpose.rig import Camera, Rig
 from sylpose.runs.console_output import select_solved_frames
 from sylpose.runs.run_result import Run
 from sylpose.tracking.region import carve_box_volume
@@ -158,9 +158,8 @@ def _describe_location(rig: Rig, location: ObjectLocation) -> str:
         return "unknown"
     # Round to a thousandth of the distance.
     resolution = 1e-3 * float(np.mean([np.linalg.norm(location.center - c.center) for c in rig]))
-    coordinates = ", ".join(
-        f"{value:.3g}" for value in np.where(np.abs(location.center) < resolution, 0.0, location.center)
-    )
+    center = np.where(np.abs(location.center) < resolution, 0.0, location.center)
+    coordinates = ", ".join(f"{value:.3g}" for value in center)
     text = f"where {location.source} meet, ({coordinates})"
     if location.source == "the optical axes":
         text += f", to within {format_length(max(_max_axis_distance(rig, location.center), resolution), rig.unit)}"
@@ -182,25 +181,21 @@ def list_warnings(session: Session | LiveSession, locations: Mapping[str, Object
         locations: expected location by object name.
         start: first frame to be tracked.
     """
-    by_object = {
-        name: [*check_rig_geometry(session.rig, location), *_check_boxes(session.select_object(name), location, start)]
-        for name, location in locations.items()
-    }
+    by_object = {}
+    for name, location in locations.items():
+        boxes_found = _check_boxes(session.select_object(name), location, start)
+        by_object[name] = [*check_rig_geometry(session.rig, location), *boxes_found]
     # A problem of the rig occurs for every object: report it once.
-    common = [
-        message for message in next(iter(by_object.values())) if all(message in own for own in by_object.values())
-    ]
+    first, *others = by_object.values()
+    common = [message for message in first if all(message in found for found in others)]
     own = [f"{name}: {message}" for name, found in by_object.items() for message in found if message not in common]
     return [*find_session_warnings(session, start), *common, *own]
 
 
 def list_errors(locations: Mapping[str, ObjectLocation]) -> list[str]:
     """Return the errors that prevent objects from being tracked."""
-    return [
-        location.error if len(locations) == 1 else f"{name}: {location.error}"
-        for name, location in locations.items()
-        if location.error
-    ]
+    errors = {name: location.error for name, location in locations.items() if location.error}
+    return list(errors.values()) if len(locations) == 1 else [f"{name}: {error}" for name, error in errors.items()]
 
 
 def check_rig_geometry(rig: Rig, location: ObjectLocation) -> list[str]:
@@ -218,27 +213,15 @@ def check_rig_geometry(rig: Rig, location: ObjectLocation) -> list[str]:
                 message += " With inverted poses they would meet: the calibration probably contains world_from_camera."
             found.append(message)
     else:
-        outside = [
-            row.name
-            for row, camera in zip(rows, rig, strict=True)
-            if not _is_in_image(rig, camera.name, location.center)
-        ]
-        if outside:
-            point = (
-                "the point where the boxes meet" if location.source == "the boxes" else "the point where the axes meet"
-            )
-            rest = "it" if len(outside) == 1 else "they"
-            look = "looks" if len(outside) == 1 else "look"
-            found.append(f"{', '.join(outside)}: {point} is not in the image; {rest} {look} elsewhere.")
+        if outside := [camera.name for camera in rig if not _is_in_image(camera, location.center)]:
+            point = f"the point where the {location.source.split()[-1]} meet"
+            look = "it looks" if len(outside) == 1 else "they look"
+            found.append(f"{', '.join(outside)}: {point} is not in the image; {look} elsewhere.")
     reach = max(max(row.baselines) for row in rows)
     if location.center is not None:
         reach = float(np.median([row.distance for row in rows]))
-    pairs = [
-        f"{row.name} and {other.name}"
-        for i, row in enumerate(rows)
-        for j, other in enumerate(rows[:i])
-        if row.baselines[j] <= MIN_BASELINE_RATIO * reach
-    ]
+    close = np.array([row.baselines for row in rows]) <= MIN_BASELINE_RATIO * reach
+    pairs = [f"{rows[i].name} and {rows[j].name}" for i, j in np.argwhere(np.tril(close, -1))]
     if pairs:
         found.append(
             f"At the same position: {', '.join(pairs[:5])}{', ...' if len(pairs) > 5 else ''}. Without a baseline the "
@@ -275,9 +258,9 @@ def describe_axis_miss(rig: Rig) -> str:
     )
 
 
-def _is_in_image(rig: Rig, name: str, point: FloatArray) -> bool:
-    pixel = rig[name].project(point)[0]
-    return bool(np.isfinite(pixel).all() and (pixel >= 0).all() and (pixel <= np.array(rig[name].size) - 1).all())
+def _is_in_image(camera: Camera, point: FloatArray) -> bool:
+    pixel = camera.project(point)[0]
+    return bool(np.isfinite(pixel).all() and (pixel >= 0).all() and (pixel <= np.array(camera.size) - 1).all())
 
 
 def _check_boxes(session: Session | LiveSession, location: ObjectLocation, start: int) -> list[str]:

@@ -17,7 +17,7 @@ from importlib.metadata import PackageNotFoundError, distributions, requires, ve
 from pathlib import Path
 from types import ModuleType
 
-from packaging.requirements import InvalidRequirement, Requirement
+from packaging.requirements import Requirement
 
 import sylpose
 from sylpose.geometry.cache_folders import CACHE_DIR_VARIABLE, display_folder, is_writable
@@ -91,10 +91,7 @@ def _list_requirements() -> list[tuple[Requirement, str]]:
         return []
     found = []
     for line in lines:
-        try:
-            requirement = Requirement(line)
-        except InvalidRequirement:
-            continue
+        requirement = Requirement(line)
         match = re.search(r"extra == ['\"]([\w-]+)['\"]", str(requirement.marker or ""))
         found.append((requirement, match.group(1) if match else ""))
     return found
@@ -110,11 +107,11 @@ def _import_libraries(found: Diagnosis) -> Iterator[tuple[str, ModuleType]]:
     if not needed:
         found.warnings.append("sylpose is run from its sources, not installed; its requirements are not checked")
     for requirement in needed:
-        name = _module_name(requirement.name)
+        name, needs = _module_name(requirement.name), f"{requirement.name}{requirement.specifier}"
         try:
             module = import_module(name)
         except Exception as error:  # incompatible libraries may raise anything
-            remedy = f"python -m pip install '{requirement.name}{requirement.specifier}'"
+            remedy = f"python -m pip install '{needs}'"
             if name == "cv2" and "libGL" in str(error):
                 remedy = "opencv-python-headless needs no graphics: uninstall the other package and install it"
             found.problems.append(f"{name} cannot be loaded ({type(error).__name__}: {error}); {remedy}")
@@ -122,10 +119,7 @@ def _import_libraries(found: Diagnosis) -> Iterator[tuple[str, ModuleType]]:
         installed = getattr(module, "__version__", None) or _installed_version(requirement.name)
         found.versions[name] = str(installed or "?")
         if installed and not requirement.specifier.contains(str(installed), prereleases=True):
-            found.problems.append(
-                f"{name} is {installed}, sylpose needs {requirement.name}{requirement.specifier}: "
-                f"python -m pip install '{requirement.name}{requirement.specifier}'"
-            )
+            found.problems.append(f"{name} is {installed}, sylpose needs {needs}: python -m pip install '{needs}'")
         yield name, module
 
 

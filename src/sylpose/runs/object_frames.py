@@ -19,16 +19,27 @@ from sylpose.absolute_pose.object_axes import (
     fit_plane,
     fit_plane_to_points,
 )
+from sylpose.display import format_length
 from sylpose.geometry.arrays import FloatArray
 from sylpose.results import FramePose
-from sylpose.runs.point_selection import ObjectRun, PickedPoint, parse_point, precise_landmarks, read_object_run
+from sylpose.runs.point_selection import (
+    MAX_DEPTH_SD_RATIO,
+    ObjectRun,
+    PickedPoint,
+    parse_point,
+    precise_landmarks,
+    read_object_run,
+)
 from sylpose.tracking.known_object import KnownObject
+from sylpose.units import INITIAL_DISTANCES
 
 __all__ = [
     "LARGEST",
     "NewFrame",
     "PointParser",
     "change_object_frame",
+    "describe_object",
+    "format_frame_sd",
     "frame_from_extent",
     "frame_from_plane",
     "frame_from_points",
@@ -203,3 +214,39 @@ def change_object_frame(pose: FramePose, new_from_object: RigidTransform) -> Fra
     lever_sd = np.where(lever > 0.0, lever * np.where(lever > 0.0, pose.sigma[:3], 0.0), 0.0).sum(axis=1)
     sd = np.concatenate([pose.sigma[:3], pose.sigma[3:] + lever_sd])
     return replace(changed, covariance=np.diag(sd**2))
+
+
+def describe_object(known: KnownObject) -> list[tuple[str, str]]:
+    """Return the labeled facts that are printed about an object."""
+    precise, unit, object_frame = precise_landmarks(known), known.unit, known.frame
+    bound = format_length(MAX_DEPTH_SD_RATIO * known.radius, unit)
+    rotations = Rotation.concatenate([k.world_from_object.rotation for k in known._keyframes])
+    angle = np.degrees((rotations * rotations[0].inv()).magnitude().max())
+    counts = f"{len(known.positions)} landmarks, {len(precise)} of them with a depth sd below {bound}"
+    facts = [
+        ("Object", f"{known.fingerprint}, {counts}"),
+        ("Keyframes", f"{len(known._keyframes)}, rotated by up to {angle:.0f}°"),
+        ("Radius", format_length(known.radius, unit)),
+    ]
+    if len(precise):
+        sizes = " x ".join(format_length(float(s), unit) for s in np.ptp(precise, axis=0))
+        facts.append(("Extent", f"{sizes} along its axes"))
+    if unit == INITIAL_DISTANCES:
+        text = "the first distance from the only camera of its run; set another with sylpose object scale"
+    else:
+        text = unit or "that of the calibration, which does not state it"
+        text += f", all lengths to {100 * known.scale_sd:.2g} %" if known.scale_sd else ""
+    facts += [("Unit", text), ("Frame", object_frame.description or "that of the recording of its run")]
+    if object_frame.sd.any():
+        facts.append(("", format_frame_sd(object_frame.sd, unit)))
+    offset, rotation = object_frame.from_learned.translation, object_frame.from_learned.rotation.magnitude()
+    if offset.any() or rotation:
+        distance = format_length(float(np.linalg.norm(offset)), unit)
+        facts.append(("", f"origin {distance} from that of its run, axes rotated by {np.degrees(rotation):.1f}°"))
+    return facts
+
+
+def format_frame_sd(sd: FloatArray, unit: str) -> str:
+    """Format the standard deviations of a frame for printing."""
+    axes = ", ".join(f"{np.degrees(s):.2f}°" for s in sd[:3])
+    return f"origin to {format_length(float(np.linalg.norm(sd[3:])), unit)}, axes to {axes} about x, y, z (one sd)"

@@ -93,13 +93,13 @@ def _convert_to_result(rig: Rig, result: Path) -> Rig:
     candidates, world = [rig], _find_run_file(result, WORLD)
     if world is not None and shared:
         candidates.append(transform_rig(rig, load_world(world, rig)))
-    candidates = [
-        candidate.in_unit(used_rig.unit) if {candidate.unit, used_rig.unit} <= METERS.keys() else candidate
-        for candidate in candidates
-    ]
-    return min(
-        candidates, key=lambda way: sum(np.linalg.norm(way[name].center - used_rig[name].center) for name in shared)
-    )
+    if {rig.unit, used_rig.unit} <= METERS.keys():
+        candidates = [candidate.in_unit(used_rig.unit) for candidate in candidates]
+
+    def distance(candidate: Rig) -> float:
+        return sum(float(np.linalg.norm(candidate[name].center - used_rig[name].center)) for name in shared)
+
+    return min(candidates, key=distance)
 
 
 def _find_run_file(result: Path, name: str) -> Path | None:
@@ -136,9 +136,8 @@ def make_virtual_camera(
             raise ValueError("the trajectory has no poses to look at")
         target = tuple(positions[0])
     y_down_from_z_up = RigidTransform.from_rotation(Rotation.from_euler("x", 90.0 if z_up else 0.0, degrees=True))
-    camera = make_look_at_camera(
-        name, y_down_from_z_up.apply(position), y_down_from_z_up.apply(target), VIRTUAL_FOCAL, VIRTUAL_SIZE
-    )
+    center, at = y_down_from_z_up.apply(position), y_down_from_z_up.apply(target)
+    camera = make_look_at_camera(name, center, at, VIRTUAL_FOCAL, VIRTUAL_SIZE)
     return replace(camera, camera_from_world=camera.camera_from_world * y_down_from_z_up)
 
 

@@ -53,24 +53,15 @@ MAX_PARTS, MIN_PART_FRAMES = 6, 16
 
 
 class OffsetPrecision(Enum):
-    """Precision of a camera's offset; `text` is an explanation."""
+    """Precision of a camera's offset.
+
+    FINE: estimated from the object's poses; COARSE: to whole frames, from changes of speed; UNOBSERVABLE: the object's
+    speed does not change while the camera sees it.
+    """
 
     FINE = "found"
     COARSE = "to about a frame"
     UNOBSERVABLE = "not observable"
-
-    @property
-    def text(self) -> str:
-        """Return one sentence that explains the value."""
-        return _TEXTS[self]
-
-
-_TEXTS = {
-    OffsetPrecision.FINE: "Estimated from the object's poses.",
-    OffsetPrecision.COARSE: "Estimated from changes of speed, to whole frames; the poses do not constrain the fraction.",
-    OffsetPrecision.UNOBSERVABLE: "Not observable from the motion: the object's speed must change "
-    "while this camera sees it.",
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,10 +129,8 @@ def sync_session(
     if len(session.rig) < 2:
         raise ValueError(f"{session.path}: synchronization requires at least two cameras")
     if session.rate is None:
-        raise ValueError(
-            f"{session.path}: time offsets can only be estimated if the frames have times; provide videos or "
-            "timestamps.csv"
-        )
+        message = "time offsets can only be estimated if the frames have times; provide videos or timestamps.csv"
+        raise ValueError(f"{session.path}: {message}")
     rate, problems = session.rate, list[str]()
     speeds = _measure_speeds(session, start, stop, problems.append, show_progress)
     coarse = estimate_coarse_offsets(speeds, rate, max_lag)
@@ -158,22 +147,10 @@ def sync_session(
     offsets = np.where(fine, refined.offsets, whole_frames)
     # Offsets in whole frames are never more precise than a part of a frame.
     coarse_sd = np.where(coarse.is_determined, np.hypot(coarse.sd, 0.3 / rate), np.inf)
-    precision = [
-        OffsetPrecision.FINE if f else OffsetPrecision.COARSE if c else OffsetPrecision.UNOBSERVABLE
-        for f, c in zip(fine, coarse.is_determined, strict=True)
-    ]
-    return TimeOffsets(
-        session.rig.names,
-        rate,
-        offsets - offsets.mean(),
-        np.where(fine, refined.sd, coarse_sd),
-        tuple(precision),
-        coarse,
-        refined.before,
-        refined.after,
-        refined.n_tracked,
-        tuple(problems),
-    )
+    levels = np.array([OffsetPrecision.UNOBSERVABLE, OffsetPrecision.COARSE, OffsetPrecision.FINE])
+    precision = tuple(levels[np.where(fine, 2, coarse.is_determined.astype(int))])
+    estimate = session.rig.names, rate, offsets - offsets.mean(), np.where(fine, refined.sd, coarse_sd), precision
+    return TimeOffsets(*estimate, coarse, refined.before, refined.after, refined.n_tracked, tuple(problems))
 
 
 class _Refined(NamedTuple):
@@ -293,10 +270,8 @@ def write_offsets(offsets: TimeOffsets, path: Path) -> None:
     lines = ["# Delay of each camera's images relative to their timestamps, seconds, estimated by `sylpose sync`."]
     columns = (offsets.cameras, offsets.offsets, offsets.sd, offsets.precision)
     for name, offset, sd, precision in zip(*columns, strict=True):
-        known, unknown = (
-            f"{offset:.6f}  # {precision.value}: +- {sd:.6f} (1 sd)",
-            "0.0  # not observable from the motion",
-        )
+        known = f"{offset:.6f}  # {precision.value}: +- {sd:.6f} (1 sd)"
+        unknown = "0.0  # not observable from the motion"
         lines.append(f"{format_toml_key(name)} = {known if np.isfinite(sd) else unknown}")
     with replace_atomically(path) as part:
         part.write_text("\n".join(lines) + "\n", encoding="utf-8")
