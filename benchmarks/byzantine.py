@@ -25,9 +25,9 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.methods import MODES
 from sylpose.network.fault_injection import FaultKind
 from sylpose.network.simulation import track_by_nodes
+from sylpose.packets import NetworkFaults
 from sylpose.results import FrameStatus
 from sylpose.simulate import make_demo_scene
-from sylpose.sylvester.distributed.simulation import NetworkFaults
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import track
 from tests.clips import SIZE, Clip, compute_pose_errors

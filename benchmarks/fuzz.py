@@ -74,8 +74,6 @@ from sylpose.runs.frame_store import _FRAME, FrameFile
 from sylpose.serialization import serialize
 from sylpose.simulate import ring
 from sylpose.smoothing.trajectory import Track
-from sylpose.sylvester.distributed.fault_decision import decode_moments
-from sylpose.sylvester.distributed.messages import Message, decode, encode
 from sylpose.sync.offsets import load_offsets
 from sylpose.tracking.reports import (
     KnownDepthMatches,
@@ -233,11 +231,10 @@ def make_kinds() -> dict[str, Kind]:
         encode_relay(EXCLUSION, 1, 5, 9, frozenset({2}), frozenset({0}), {0: packed_messages[1], 2: packed_messages[2]})
     )
     x = np.random.default_rng(0).uniform(-0.2, 0.2, (2, 30, 2))
-    values = np.frombuffer(PairMoments.from_matches(*x).to_bytes(), "<f8")
     file_kinds["message"] = Kind("message", tuple(packed_messages), _unpack_message, is_text=False, has_file_name=False)
     file_kinds["word"] = Kind("word", tuple(words), _read_wire_message, is_text=False, has_file_name=False)
-    plain = (encode(1, Message(3, True, False, values)),)
-    file_kinds["moments"] = Kind("moments", plain, _read_moments, is_text=False, has_file_name=False)
+    moments = (PairMoments.from_matches(*x).to_bytes(),)
+    file_kinds["moments"] = Kind("moments", moments, _read_moments, is_text=False, has_file_name=False)
     return file_kinds
 
 
@@ -528,7 +525,7 @@ def _read_wire_message(file: Path) -> object:
 
 
 def _read_moments(file: Path) -> object:
-    return decode_moments(decode(file.read_bytes(), 1, (45,)).values, True)
+    return PairMoments.from_bytes(file.read_bytes())
 
 
 CAMERA = b"""size = [64, 48]

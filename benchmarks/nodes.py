@@ -28,7 +28,7 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.methods import MODES
 from sylpose.network.simulation import SimulationResult, track_by_nodes
 from sylpose.network.wire_format import HEADER
-from sylpose.sylvester.distributed.simulation import NetworkFaults
+from sylpose.packets import NetworkFaults
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import track
 

@@ -161,7 +161,7 @@ def calls() -> dict[str, Call]:
         ),
         "solve_depth_plane": Call(sylpose.solve_depth_plane, {**of_rig, "noise": np.full(3, 1e-3)}, 50),
         "solve_exchange": Call(
-            sylpose.solve_exchange, {**of_rig, "rounds": 1, "network_faults": sylpose.NetworkFaults()}, 30
+            sylpose.solve_exchange, {**of_rig, "max_rounds": 30, "network_faults": sylpose.NetworkFaults()}, 30
         ),
         "solve_refine": Call(
             sylpose.solve_refine, {**of_rig, "max_rounds": 60, "network_faults": sylpose.NetworkFaults()}, 10
@@ -180,7 +180,6 @@ def calls() -> dict[str, Call]:
                 "joins": {1: 2},
                 "returns": {0: 5},
                 "partition": (0, 0, frozenset()),
-                "packet_faults": {0: "nan"},
                 "seed": 0,
             },
             message_pattern="cameras .* must be after the failure",

@@ -41,7 +41,9 @@ ALLOWED: dict[str, set[str]] = {
     "geometry": set(),
     **dict.fromkeys(NOUNS - {"geometry", "input_limits"}, NOUNS),
     "input_limits": set(),
+    "packets": {"geometry"},
     **dict.fromkeys(PARTS, NOUNS),
+    "sylvester": NOUNS | {"packets"},
     "relative_pose": NOUNS | {"sylvester"},
     "landmarks": NOUNS | {"features"},
     "boards": NOUNS | {"absolute_pose"},
@@ -54,8 +56,8 @@ ALLOWED: dict[str, set[str]] = {
     "io": {""} | NOUNS | FILES | {"boards", "report", "tracking", "landmarks", "features"},
     "simulate": NOUNS | FILES | {"io"},
     "sync": NOUNS | FILES | {"io", "tracking", "smoothing"},
-    "experiments": NOUNS | {"sylvester", "simulate", "report"},
-    "network": NOUNS | PARTS | FILES | {"relative_pose", "landmarks", "tracking", "smoothing"},
+    "experiments": NOUNS | {"packets", "sylvester", "simulate", "report"},
+    "network": NOUNS | PARTS | FILES | {"packets", "relative_pose", "landmarks", "tracking", "smoothing"},
     # Its results contain the version that made them.
     "archive": {""} | NOUNS | FILES | {"io", "sync", "report", "simulate", "runs"},
 }

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from sylpose.io.object_files import load_object, save_object
     from sylpose.matches import Matches
     from sylpose.moments import PairMoments
+    from sylpose.packets import NetworkFaults
     from sylpose.relative_pose.motion import estimate_motion, estimate_motions
     from sylpose.results import (
         FramePose,
@@ -55,9 +56,8 @@ if TYPE_CHECKING:
         solve_centralized_batch,
     )
     from sylpose.sylvester.depth_plane import DepthPlaneSolution, solve_depth_plane
-    from sylpose.sylvester.distributed.simulation import (
+    from sylpose.sylvester.distributed.solvers import (
         DistributedSolution,
-        NetworkFaults,
         solve_exchange,
         solve_gossip,
         solve_refine,
@@ -164,6 +164,7 @@ _HOMES = {
     "sylpose.absolute_pose.pose": ("estimate_pose",),
     "sylpose.matches": ("Matches",),
     "sylpose.moments": ("PairMoments",),
+    "sylpose.packets": ("NetworkFaults",),
     "sylpose.sylvester.camera_faults": ("Diagnosis", "Fault", "RobustSolution", "solve_robust"),
     "sylpose.sylvester.centralized": (
         "CentralizedBatch",
@@ -172,9 +173,8 @@ _HOMES = {
         "solve_centralized_batch",
     ),
     "sylpose.sylvester.depth_plane": ("DepthPlaneSolution", "solve_depth_plane"),
-    "sylpose.sylvester.distributed.simulation": (
+    "sylpose.sylvester.distributed.solvers": (
         "DistributedSolution",
-        "NetworkFaults",
         "solve_exchange",
         "solve_gossip",
         "solve_refine",

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.commands.main import main
 from sylpose.experiments import STUDIES, Study, Table, distributed
-from sylpose.experiments.accuracy import ALL_CAMERAS, CONSTRAINT_ESTIMATORS, DEPTH_PLANE, run_constraint
+from sylpose.experiments.accuracy import ALL_CAMERAS, CONSTRAINT, CONSTRAINT_ESTIMATORS, DEPTH_PLANE
 from sylpose.experiments.distributed import DISTRIBUTED
 from sylpose.experiments.estimators import Estimate, angle_deg, error_deg
 from sylpose.experiments.robustness import FAULT_KINDS, SENSORS
@@ -192,7 +192,7 @@ def test_depth_plane_improves_perspective() -> None:
 
 
 def test_constraint_is_better_than_projection() -> None:
-    table = run_constraint(4, 10)
+    table = CONSTRAINT.run(4, 10)
     for kind in ("one camera", "all cameras"):
         both = [method for method in CONSTRAINT_ESTIMATORS if method.startswith(kind)]
         adjusted, constrained = (medians(table, "noise_px", scene=STRETCHED.name, method=method) for method in both)

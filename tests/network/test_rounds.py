@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from sylpose.network.rounds import DEFAULT_TIMEOUTS, RoundState, begin_next_round, start_rounds, step_round
 from sylpose.network.wire_format import DATA, DISPUTE, EXCLUSION, HEADER, RELAY, encode_cameras, message_kind
-from sylpose.sylvester.distributed.messages import Packet
+from sylpose.packets import Packet
 
 ROUNDS = 12
 

@@ -21,11 +21,10 @@ from sylpose.network.rounds import DEFAULT_TIMEOUTS
 from sylpose.network.simulation import SimulationResult, track_by_nodes
 from sylpose.network.smoothing import _unpack_observations
 from sylpose.network.wire_format import HEADER, Hello, encode_hello
+from sylpose.packets import Inbox, NetworkFaults, Packet
 from sylpose.results import FrameStatus, Status
 from sylpose.simulate import make_demo_scene
 from sylpose.smoothing.trajectory import Track, smooth
-from sylpose.sylvester.distributed.messages import Inbox, Packet
-from sylpose.sylvester.distributed.simulation import NetworkFaults
 from sylpose.tracking.reports import CameraObservations
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import track
@@ -351,11 +350,6 @@ def test_node_with_corrupted_bytes_is_harmless(four: Clip, seed: int) -> None:
     assert len(found) >= 6
     assert sum(f.pose.is_measured for f in found) >= 4
     assert np.nanmax(compute_pose_errors(found[:6], four.truth)[:, 0]) < 1.0
-
-
-def test_unsupported_disturbances_are_rejected(clip: Clip) -> None:
-    with pytest.raises(ValueError, match="use `faults`"):
-        track_by_nodes(clip.frames(), clip.rig, network_faults=NetworkFaults(packet_faults={1: "two-faced"}))
 
 
 def test_node_error_is_raised_in_caller(clip: Clip) -> None:

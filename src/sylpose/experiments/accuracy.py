@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 
 from sylpose.experiments.estimators import (
@@ -13,7 +11,7 @@ from sylpose.experiments.estimators import (
     estimate_one_unconstrained,
     estimate_unconstrained,
 )
-from sylpose.experiments.figures import IDENTITY_ERROR, draw_lines
+from sylpose.experiments.figures import IDENTITY_ERROR
 from sylpose.experiments.scenes import (
     BALANCED,
     BODIES,
@@ -27,7 +25,7 @@ from sylpose.experiments.scenes import (
     right_angle_rig,
     simulate,
 )
-from sylpose.experiments.study import Study, run_comparison
+from sylpose.experiments.study import Levels, Study, compare
 from sylpose.experiments.table import Cell, Table
 from sylpose.simulate import dome
 
@@ -37,7 +35,7 @@ ONE_CAMERA, ALL_CAMERAS, DEPTH_PLANE = "one camera, better mirror image", "all c
 ESTIMATORS = {ONE_CAMERA: estimate_one_camera, ALL_CAMERAS: estimate_centralized, DEPTH_PLANE: estimate_depth_plane}
 
 
-def median_error(table: Table, scene: Scene, method: str, **level: Cell) -> float:
+def median_error(table: Table, scene: Scene, method: str = ALL_CAMERAS, **level: Cell) -> float:
     """Return the median error at a level, degrees."""
     return table.value("median_deg", scene=scene.name, method=method, **level)
 
@@ -45,59 +43,47 @@ def median_error(table: Table, scene: Scene, method: str, **level: Cell) -> floa
 # --- Image noise ------------------------------------------------------------------------------------------------------
 
 
-def run_noise(seed: int, trials: int) -> Table:
-    def make(scene: Scene, noise: float, rng: np.random.Generator) -> Problem:
-        return simulate(scene, rng, around_rig(4), noise_px=noise)
-
-    levels = (0.0, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
-    return run_comparison(
-        "noise_px", {s.name: partial(make, s) for s in (BALANCED, SURFACE, PRACTICE)}, levels, ESTIMATORS, seed, trials
-    )
+def simulate_noise(scene: Scene, noise: float, rng: np.random.Generator) -> Problem:
+    return simulate(scene, rng, around_rig(4), noise_px=noise)
 
 
 def summarize_noise(table: Table) -> list[str]:
-    exact, rough, worst = (median_error(table, BALANCED, ALL_CAMERAS, noise_px=n) for n in (0.0, 0.5, 5.0))
+    exact, rough, worst = (median_error(table, BALANCED, noise_px=n) for n in (0.0, 0.5, 5.0))
     real, plane = (median_error(table, PRACTICE, method, noise_px=0.5) for method in (ALL_CAMERAS, DEPTH_PLANE))
     return [
         f"All cameras, depth exactly uncorrelated: {exact:.1g}° without noise, {rough:.2g}° at 0.5 px, "
         f"{worst:.2g}° at 5 px.",
-        "In perspective, on the visible surface: "
-        f"{median_error(table, PRACTICE, ALL_CAMERAS, noise_px=0.0):.2g}° even without noise, "
-        f"{real:.2g}° at 0.5 px; with a depth plane {plane:.2g}°.",
+        f"In perspective, on the visible surface: {median_error(table, PRACTICE, noise_px=0.0):.2g}° even without "
+        f"noise, {real:.2g}° at 0.5 px; with a depth plane {plane:.2g}°.",
     ]
 
 
 NOISE = Study(
-    name="noise",
-    question="How does the error grow with the noise of the image points?",
-    run=run_noise,
-    draw=partial(
-        draw_lines, title="Image noise: 4 cameras, 60 matches each, rotation by 5°", x="noise_px", x_label="noise (px)"
+    "noise",
+    "How does the error grow with the noise of the image points?",
+    *compare(
+        Levels("noise_px", "noise (px)", (0.0, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0), simulate_noise),
+        (BALANCED, SURFACE, PRACTICE),
+        ESTIMATORS,
+        "Image noise: 4 cameras, 60 matches each, rotation by 5°",
     ),
-    summarize=summarize_noise,
-    trials=40,
-    quick_trials=4,
+    summarize_noise,
 )
 
-# --- Rotation angle ---------------------------------------------------------------------------------------------------
+# --- Rotation angle, and depth plane ----------------------------------------------------------------------------------
 
 
-def run_rotation(seed: int, trials: int) -> Table:
-    def make(scene: Scene, turn: float, rng: np.random.Generator) -> Problem:
-        return simulate(scene, rng, around_rig(4), angle_deg=turn)
+def simulate_rotation(scene: Scene, turn: float, rng: np.random.Generator) -> Problem:
+    return simulate(scene, rng, around_rig(4), angle_deg=turn)
 
-    levels = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0)
-    return run_comparison(
-        "turn_deg", {s.name: partial(make, s) for s in (BALANCED, SURFACE, PRACTICE)}, levels, ESTIMATORS, seed, trials
-    )
+
+TURN_LABEL = "rotation angle (degrees)"
 
 
 def summarize_rotation(table: Table) -> list[str]:
     sentences = []
     for scene in (BALANCED, PRACTICE):
-        errors = ", ".join(
-            f"{median_error(table, scene, ALL_CAMERAS, turn_deg=t):.2g}° at {t:g}°" for t in (0.5, 5.0, 40.0)
-        )
+        errors = ", ".join(f"{median_error(table, scene, turn_deg=t):.2g}° at {t:g}°" for t in (0.5, 5.0, 40.0))
         sentences.append(f"All cameras, {scene.name}: {errors} of rotation.")
     single = median_error(table, BALANCED, ONE_CAMERA, turn_deg=0.5)
     return [
@@ -107,77 +93,81 @@ def summarize_rotation(table: Table) -> list[str]:
 
 
 ROTATION = Study(
-    name="turn",
-    question="How does the error depend on the rotation angle?",
-    run=run_rotation,
-    draw=partial(
-        draw_lines,
-        title="Rotation angle: 4 cameras, 60 matches each, noise of 0.5 px",
-        x="turn_deg",
-        x_label="rotation angle (degrees)",
-        reference=IDENTITY_ERROR,
+    "turn",
+    "How does the error depend on the rotation angle?",
+    *compare(
+        Levels("turn_deg", TURN_LABEL, (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0), simulate_rotation),
+        (BALANCED, SURFACE, PRACTICE),
+        ESTIMATORS,
+        "Rotation angle: 4 cameras, 60 matches each, noise of 0.5 px",
+        IDENTITY_ERROR,
     ),
-    summarize=summarize_rotation,
-    trials=40,
-    quick_trials=4,
+    summarize_rotation,
+)
+
+
+def summarize_depth(table: Table) -> list[str]:
+    return [
+        f"{scene.name.capitalize()}, rotation by 5°: {median_error(table, scene, turn_deg=5.0):.2g}° without and "
+        f"{median_error(table, scene, DEPTH_PLANE, turn_deg=5.0):.2g}° with a depth plane per camera."
+        for scene in BODIES
+    ]
+
+
+DEPTH = Study(
+    "depth_plane",
+    "How much does a local depth plane per camera improve the result, in perspective?",
+    *compare(
+        Levels("turn_deg", TURN_LABEL, (0.5, 1.0, 2.0, 5.0, 10.0, 15.0, 20.0), simulate_rotation),
+        BODIES,
+        ESTIMATORS,
+        "With and without a depth plane: perspective, 4 cameras, 60 matches each, noise of 0.5 px",
+        IDENTITY_ERROR,
+    ),
+    summarize_depth,
 )
 
 # --- Number of points -------------------------------------------------------------------------------------------------
 
 
-def run_points(seed: int, trials: int) -> Table:
-    def make(scene: Scene, n: float, rng: np.random.Generator) -> Problem:
-        return simulate(scene, rng, around_rig(4), matches=round(n))
-
-    levels = (6, 10, 20, 40, 80, 160, 320)
-    return run_comparison(
-        "matches", {s.name: partial(make, s) for s in (BALANCED, CLOUD, PRACTICE)}, levels, ESTIMATORS, seed, trials
-    )
+def simulate_points(scene: Scene, n: float, rng: np.random.Generator) -> Problem:
+    return simulate(scene, rng, around_rig(4), matches=round(n))
 
 
 def summarize_points(table: Table) -> list[str]:
     return [
-        f"All cameras, {scene.name}: {median_error(table, scene, ALL_CAMERAS, matches=10):.2g}° with 10 matches per camera, "
-        f"{median_error(table, scene, ALL_CAMERAS, matches=320):.2g}° with 320."
+        f"All cameras, {scene.name}: {median_error(table, scene, matches=10):.2g}° with 10 matches per camera, "
+        f"{median_error(table, scene, matches=320):.2g}° with 320."
         for scene in (BALANCED, CLOUD, PRACTICE)
     ]
 
 
 POINTS = Study(
-    name="points",
-    question="How does the error fall with the number of points?",
-    run=run_points,
-    draw=partial(
-        draw_lines,
-        title="Number of points: 4 cameras, noise of 0.5 px, rotation by 5°",
-        x="matches",
-        x_label="matches per camera",
+    "points",
+    "How does the error fall with the number of points?",
+    *compare(
+        Levels("matches", "matches per camera", (6, 10, 20, 40, 80, 160, 320), simulate_points),
+        (BALANCED, CLOUD, PRACTICE),
+        ESTIMATORS,
+        "Number of points: 4 cameras, noise of 0.5 px, rotation by 5°",
     ),
-    summarize=summarize_points,
-    trials=40,
-    quick_trials=4,
+    summarize_points,
 )
 
 # --- Number of cameras ------------------------------------------------------------------------------------------------
 
 
-def run_cameras(seed: int, trials: int) -> Table:
-    def make(scene: Scene, n: float, rng: np.random.Generator) -> Problem:
-        return simulate(scene, rng, dome(round(n)))
-
-    levels = (2, 3, 4, 6, 8, 16, 32)
-    return run_comparison(
-        "cameras", {s.name: partial(make, s) for s in (BALANCED, CLOUD, PRACTICE)}, levels, ESTIMATORS, seed, trials
-    )
+def simulate_cameras(scene: Scene, n: float, rng: np.random.Generator) -> Problem:
+    return simulate(scene, rng, dome(round(n)))
 
 
 def summarize_cameras(table: Table) -> list[str]:
-    sentences = [
-        f"All cameras, {scene.name}: {median_error(table, scene, ALL_CAMERAS, cameras=2):.2g}° with 2 cameras, "
-        f"{median_error(table, scene, ALL_CAMERAS, cameras=4):.2g}° with 4, "
-        f"{median_error(table, scene, ALL_CAMERAS, cameras=32):.2g}° with 32."
-        for scene in (BALANCED, PRACTICE)
-    ]
+    sentences = []
+    for scene in (BALANCED, PRACTICE):
+        two, four, many = (median_error(table, scene, cameras=n) for n in (2, 4, 32))
+        sentences.append(
+            f"All cameras, {scene.name}: {two:.2g}° with 2 cameras, {four:.2g}° with 4, {many:.2g}° with 32."
+        )
     certified = ", ".join(
         f"{100 * table.value('certified', scene=PRACTICE.name, method=ALL_CAMERAS, cameras=n):.0f} % with {n}"
         for n in (2, 3, 4)
@@ -186,54 +176,15 @@ def summarize_cameras(table: Table) -> list[str]:
 
 
 CAMERAS = Study(
-    name="cameras",
-    question="How much does each additional camera improve the result?",
-    run=run_cameras,
-    draw=partial(
-        draw_lines,
-        title="Number of cameras, on a dome: 60 matches each, noise of 0.5 px, rotation by 5°",
-        x="cameras",
-        x_label="cameras",
+    "cameras",
+    "How much does each additional camera improve the result?",
+    *compare(
+        Levels("cameras", "cameras", (2, 3, 4, 6, 8, 16, 32), simulate_cameras),
+        (BALANCED, CLOUD, PRACTICE),
+        ESTIMATORS,
+        "Number of cameras, on a dome: 60 matches each, noise of 0.5 px, rotation by 5°",
     ),
-    summarize=summarize_cameras,
-    trials=40,
-    quick_trials=4,
-)
-
-# --- Depth plane ------------------------------------------------------------------------------------------------------
-
-
-def run_depth(seed: int, trials: int) -> Table:
-    def make(scene: Scene, turn: float, rng: np.random.Generator) -> Problem:
-        return simulate(scene, rng, around_rig(4), angle_deg=turn)
-
-    levels = (0.5, 1.0, 2.0, 5.0, 10.0, 15.0, 20.0)
-    return run_comparison("turn_deg", {s.name: partial(make, s) for s in BODIES}, levels, ESTIMATORS, seed, trials)
-
-
-def summarize_depth(table: Table) -> list[str]:
-    return [
-        f"{scene.name.capitalize()}, rotation by 5°: "
-        f"{median_error(table, scene, ALL_CAMERAS, turn_deg=5.0):.2g}° without and "
-        f"{median_error(table, scene, DEPTH_PLANE, turn_deg=5.0):.2g}° with a depth plane per camera."
-        for scene in BODIES
-    ]
-
-
-DEPTH = Study(
-    name="depth_plane",
-    question="How much does a local depth plane per camera improve the result, in perspective?",
-    run=run_depth,
-    draw=partial(
-        draw_lines,
-        title="With and without a depth plane: perspective, 4 cameras, 60 matches each, noise of 0.5 px",
-        x="turn_deg",
-        x_label="rotation angle (degrees)",
-        reference=IDENTITY_ERROR,
-    ),
-    summarize=summarize_depth,
-    trials=40,
-    quick_trials=4,
+    summarize_cameras,
 )
 
 # --- Constraint -------------------------------------------------------------------------------------------------------
@@ -248,13 +199,9 @@ CONSTRAINT_ESTIMATORS = {
 CONSTRAINT_ANGLE_DEG = 20.0
 
 
-def run_constraint(seed: int, trials: int) -> Table:
-    def make(scene: Scene, noise: float, rng: np.random.Generator) -> Problem:
-        rig = right_angle_rig()
-        return simulate(scene, rng, rig, angle_deg=CONSTRAINT_ANGLE_DEG, noise_px=noise, matches=20, aligned=True)
-
-    scenes = {s.name: partial(make, s) for s in (BALANCED, STRETCHED, PRACTICE)}
-    return run_comparison("noise_px", scenes, (0.1, 0.2, 0.5, 1.0, 2.0, 5.0), CONSTRAINT_ESTIMATORS, seed, trials)
+def simulate_constraint(scene: Scene, noise: float, rng: np.random.Generator) -> Problem:
+    rig = right_angle_rig()
+    return simulate(scene, rng, rig, angle_deg=CONSTRAINT_ANGLE_DEG, noise_px=noise, matches=20, aligned=True)
 
 
 def summarize_constraint(table: Table) -> list[str]:
@@ -271,16 +218,15 @@ def summarize_constraint(table: Table) -> list[str]:
 
 
 CONSTRAINT = Study(
-    name="constraint",
-    question="Is the constrained estimate better than a projection afterwards?",
-    run=run_constraint,
-    draw=partial(
-        draw_lines,
-        title=f"Constrained or projected: 3 orthogonal cameras, 20 matches each, rotation by {CONSTRAINT_ANGLE_DEG:g}°",
-        x="noise_px",
-        x_label="noise (px)",
+    "constraint",
+    "Is the constrained estimate better than a projection afterwards?",
+    *compare(
+        Levels("noise_px", "noise (px)", (0.1, 0.2, 0.5, 1.0, 2.0, 5.0), simulate_constraint),
+        (BALANCED, STRETCHED, PRACTICE),
+        CONSTRAINT_ESTIMATORS,
+        f"Constrained or projected: 3 orthogonal cameras, 20 matches each, rotation by {CONSTRAINT_ANGLE_DEG:g}°",
     ),
-    summarize=summarize_constraint,
+    summarize_constraint,
     trials=100,
     quick_trials=10,
 )

@@ -16,23 +16,16 @@ from sylpose.experiments.estimators import (
     estimate_one_camera,
     estimate_other_mirror,
 )
-from sylpose.experiments.figures import draw_bars, draw_lines
+from sylpose.experiments.figures import Lines, draw_bars
 from sylpose.experiments.scenes import BALANCED, PRACTICE, Problem, around_rig, simulate
-from sylpose.experiments.study import Study, score_estimator
+from sylpose.experiments.study import Study, score_estimator, simulate_trials
 from sylpose.experiments.table import ERROR_COLUMNS, Cell, Table, compute_error_cells, compute_quartiles
 from sylpose.geometry.arrays import FloatArray
+from sylpose.packets import Inbox, NetworkFaults, Packet, run_network
 from sylpose.rig import Rig
 from sylpose.simulate import arc
-from sylpose.sylvester.distributed.messages import Inbox, Packet
 from sylpose.sylvester.distributed.refine import RefineState, start_refine, step_refine
-from sylpose.sylvester.distributed.simulation import (
-    DistributedSolution,
-    NetworkFaults,
-    run_network,
-    solve_exchange,
-    solve_gossip,
-    solve_refine,
-)
+from sylpose.sylvester.distributed.solvers import DistributedSolution, solve_exchange, solve_gossip, solve_refine
 
 __all__ = ["STUDIES"]
 
@@ -60,24 +53,26 @@ CAMERAS = 6
 def run_schemes(seed: int, trials: int) -> Table:
     rows: list[tuple[Cell, ...]] = []
     for scene in (BALANCED, PRACTICE):
-        problems = [simulate(scene, np.random.default_rng([seed, k]), around_rig(CAMERAS)) for k in range(trials)]
+        problems = simulate_trials(partial(simulate, scene, rig=around_rig(CAMERAS)), seed, trials)
         for method, estimate in (SINGLE_CAMERA | CENTRALIZED).items():
             rows.append((scene.name, method, *score_estimator(estimate, problems), None, None, None))
         for method, solve in DISTRIBUTED.items():
             solutions = [solve(p.rotations, p.moments, aim=p.aim) for p in problems]
             # The error of a trial is that of the camera farthest from the truth.
-            errors = [max(angle_deg(R, p.truth) for R in s.rotations) for s, p in zip(solutions, problems, strict=True)]
-            max_distance = max(
-                angle_deg(R, estimate_centralized(p).rotations[0])
-                for s, p in zip(solutions, problems, strict=True)
-                for R in s.rotations
-            )
+            errors = [_max_angle_deg(s.rotations, p.truth) for s, p in zip(solutions, problems, strict=True)]
+            reference = [estimate_centralized(p).rotations[0] for p in problems]
+            max_distance = max(_max_angle_deg(s.rotations, R) for s, R in zip(solutions, reference, strict=True))
             rounds = float(np.median([s.rounds for s in solutions]))
             sent = float(np.median([s.sent.sum() for s in solutions])) / CAMERAS
             cells = compute_error_cells(errors, [None] * trials)
             rows.append((scene.name, method, *cells, float(np.deg2rad(max_distance)), rounds, sent))
     extra = ("from_centralized_rad", "rounds", "bytes_per_camera")
     return Table(("scene", "method", *ERROR_COLUMNS, *extra), tuple(rows))
+
+
+def _max_angle_deg(rotations: FloatArray, reference: FloatArray) -> float:
+    """Return the largest angle of rotations (C, 3, 3) to a reference (3, 3), degrees."""
+    return max(angle_deg(R, reference) for R in rotations)
 
 
 def summarize_schemes(table: Table) -> list[str]:
@@ -100,15 +95,12 @@ def summarize_schemes(table: Table) -> list[str]:
 
 
 SCHEMES_STUDY = Study(
-    name="schemes",
-    question="Are all cameras together better than one, and is the distributed result equal to the centralized one?",
-    run=run_schemes,
-    draw=partial(
-        draw_bars, title=f"Single, centralized, distributed: {CAMERAS} cameras, rotation by 5°, noise of 0.5 px"
-    ),
-    summarize=summarize_schemes,
+    "schemes",
+    "Are all cameras together better than one, and is the distributed result equal to the centralized one?",
+    run_schemes,
+    partial(draw_bars, title=f"Single, centralized, distributed: {CAMERAS} cameras, rotation by 5°, noise of 0.5 px"),
+    summarize_schemes,
     trials=60,
-    quick_trials=4,
 )
 
 # --- Rounds -----------------------------------------------------------------------------------------------------------
@@ -141,14 +133,12 @@ def distances_per_round(problem: Problem, loss: float) -> FloatArray:
     def step(state: RefineState, inbox: Inbox) -> tuple[RefineState, list[Packet]]:
         state, packets = step_refine(state, inbox)
         # Valid from this round on; later rounds overwrite it.
-        degrees = 180.0 if state.rotation is None else angle_deg(state.rotation, reference)
+        degrees = angle_deg(state.rotation, reference) if np.isfinite(state.rotation).all() else 180.0
         out[state.round - 1 :, state.camera] = np.deg2rad(degrees)
         return state, packets
 
-    starts = [
-        partial(start_refine, c, cameras, problem.rotations[c], problem.moments[c], aim=problem.aim) for c in cameras
-    ]
-    run_network(starts, step, NetworkFaults(loss=loss), SHOWN_ROUNDS + 1)
+    starts = [partial(start_refine, c, problem.rotations, problem.moments[c], aim=problem.aim) for c in cameras]
+    run_network(starts, step, NetworkFaults(loss=loss), SHOWN_ROUNDS)
     return np.asarray(np.maximum(out.max(axis=1), 1e-16))  # a logarithmic axis cannot show 0
 
 
@@ -156,19 +146,11 @@ def run_rounds(seed: int, trials: int) -> Table:
     rows: list[tuple[Cell, ...]] = []
     for name, (rig_of, loss) in RIGS.items():
         for n in CAMERA_COUNTS:
-            problems = [simulate(PRACTICE, np.random.default_rng([seed, k]), rig_of(n)) for k in range(trials)]
+            problems = simulate_trials(partial(simulate, PRACTICE, rig=rig_of(n)), seed, trials)
             traces = np.array([distances_per_round(problem, loss) for problem in problems])
-            rows += [
-                (
-                    name,
-                    f"{n} cameras",
-                    r + 1,
-                    trials,
-                    float((round_distances < CONVERGED_DISTANCE).mean()),
-                    *compute_quartiles(round_distances),
-                )
-                for r, round_distances in enumerate(traces.T)
-            ]
+            for r, distances in enumerate(traces.T):
+                converged = float((distances < CONVERGED_DISTANCE).mean())
+                rows.append((name, f"{n} cameras", r + 1, trials, converged, *compute_quartiles(distances)))
     columns = ("scene", "method", "round", "trials", "converged", "q25_rad", "median_rad", "q75_rad")
     return Table(columns, tuple(rows))
 
@@ -187,20 +169,20 @@ def summarize_rounds(table: Table) -> list[str]:
     return sentences
 
 
+ROUNDS_FIGURE = Lines(
+    "Distributed refinement: perspective, rotation by 5°, noise of 0.5 px; 72 bytes per camera and round",
+    "round",
+    "round",
+    "rad",
+    "largest distance from the\ncentralized result (rad)",
+    log_x=False,
+)
 ROUNDS_STUDY = Study(
-    name="rounds",
-    question="After how many rounds does the distributed refinement reach the centralized result?",
-    run=run_rounds,
-    draw=partial(
-        draw_lines,
-        title="Distributed refinement: perspective, rotation by 5°, noise of 0.5 px; 72 bytes per camera and round",
-        x="round",
-        x_label="round",
-        y="rad",
-        y_label="largest distance from the\ncentralized result (rad)",
-        log_x=False,
-    ),
-    summarize=summarize_rounds,
+    "rounds",
+    "After how many rounds does the distributed refinement reach the centralized result?",
+    run_rounds,
+    ROUNDS_FIGURE.draw,
+    summarize_rounds,
     trials=8,
     quick_trials=1,
 )

@@ -12,11 +12,11 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-from sylpose.experiments.table import Table
+from sylpose.experiments.table import Cell, Table
 from sylpose.geometry.arrays import FloatArray
 from sylpose.report.plots import INK, create_figure, save_figure, style_panel
 
-__all__ = ["IDENTITY_ERROR", "ReferenceCurve", "draw_bars", "draw_lines"]
+__all__ = ["IDENTITY_ERROR", "Lines", "ReferenceCurve", "draw_bars"]
 
 
 # Okabe & Ito's colors for up to four methods, with distinct dashes and markers for printing in gray.
@@ -42,67 +42,59 @@ class ReferenceCurve(NamedTuple):
 IDENTITY_ERROR = ReferenceCurve("identity: error equals the angle", lambda turn: turn)
 
 
-def draw_lines(
-    table: Table,
-    path: Path,
-    *,
-    title: str,
-    x: str,
-    x_label: str,
-    y: str = "deg",
-    y_label: str = ERROR_LABEL,
-    log_x: bool = True,
-    reference: ReferenceCurve | None = None,
-) -> None:
-    """Draw one panel per scene and one line per method over a column, with a logarithmic y axis.
+class Lines(NamedTuple):
+    """Figure with one panel per scene and one line per method over a column, with a logarithmic y axis.
 
-    Args:
-        table: with columns scene, method, `x`, q25_`y`, median_`y` and q75_`y`.
-        path: output file.
+    Attributes:
         title, x_label, y_label: texts of the figure.
         x, y: column of the x axis, and suffix of the quartile columns.
         log_x: use a logarithmic x axis too; levels of zero are omitted.
         reference: curve for comparison.
     """
-    figure, panels = _create_panels(table, title, x_label, y_label)
-    for scene, panel in panels.items():
-        for k, method in enumerate(table.distinct("method")):
-            rows = table.filter_rows(scene=scene, method=method)
-            is_shown = rows.column_values(x) > 0 if log_x else np.full(len(rows.rows), True)
-            x_values = rows.column_values(x)[is_shown]
-            low, median, high = (rows.column_values(f"{q}_{y}")[is_shown] for q in ("q25", "median", "q75"))
-            color, dash, marker = STYLES[k]
-            every = 1 + len(x_values) // MAX_MARKERS
-            panel.plot(
-                x_values, median, color=color, linestyle=dash, marker=marker, markevery=(k % every, every), label=method
-            )
-            panel.fill_between(x_values, low, high, color=color, alpha=0.15, linewidth=0)
-        levels = np.unique(table.column_values(x))
-        if reference is not None:
-            x_values = levels[levels > 0] if log_x else levels
-            panel.plot(
-                x_values,
-                reference.evaluate(x_values),
-                color="#888888",
-                linewidth=1.2,
-                linestyle=":",
-                label=reference.label,
-            )
-        panel.set_yscale("log")
-        _set_log_ticks(panel.yaxis)
-        if log_x:
-            panel.set_xscale("log")
-            _set_log_ticks(panel.xaxis)
-        elif len(levels) <= MAX_MARKERS:
-            panel.set_xticks(levels)
-        style_panel(panel)
-    handles, labels = next(iter(panels.values())).get_legend_handles_labels()
-    if len(handles) > 1:
-        # One row if it fits, by the typical width of letters in inches; else two.
-        wide = sum(0.7 + 0.075 * len(label) for label in labels) > figure.get_figwidth()
-        columns = -(-len(handles) // 2) if wide else len(handles)
-        figure.legend(handles, labels, loc="outside lower left", ncols=columns, frameon=False, labelcolor=INK)
-    save_figure(figure, path)
+
+    title: str
+    x: str
+    x_label: str
+    y: str = "deg"
+    y_label: str = ERROR_LABEL
+    log_x: bool = True
+    reference: ReferenceCurve | None = None
+
+    def draw(self, table: Table, path: Path) -> None:
+        """Write the figure of a table with columns scene, method, `x`, q25_`y`, median_`y` and q75_`y`."""
+        figure, panels = _create_panels(table, self.title, self.x_label, self.y_label)
+        levels = np.unique(table.column_values(self.x))
+        for scene, panel in panels.items():
+            for k, method in enumerate(table.distinct("method")):
+                self._plot_method(panel, table.filter_rows(scene=scene, method=method), method, k)
+            if self.reference is not None:
+                x, (label, evaluate) = levels[levels > 0] if self.log_x else levels, self.reference
+                panel.plot(x, evaluate(x), color="#888888", linewidth=1.2, linestyle=":", label=label)
+            panel.set_yscale("log")
+            _set_log_ticks(panel.yaxis)
+            if self.log_x:
+                panel.set_xscale("log")
+                _set_log_ticks(panel.xaxis)
+            elif len(levels) <= MAX_MARKERS:
+                panel.set_xticks(levels)
+            style_panel(panel)
+        handles, labels = next(iter(panels.values())).get_legend_handles_labels()
+        if len(handles) > 1:
+            # One row if it fits, by the typical width of letters in inches; else two.
+            wide = sum(0.7 + 0.075 * len(label) for label in labels) > figure.get_figwidth()
+            columns = -(-len(handles) // 2) if wide else len(handles)
+            figure.legend(handles, labels, loc="outside lower left", ncols=columns, frameon=False, labelcolor=INK)
+        save_figure(figure, path)
+
+    def _plot_method(self, panel: Axes, rows: Table, method: Cell, k: int) -> None:
+        """Plot the rows of the k-th method."""
+        x = rows.column_values(self.x)
+        is_shown = x > 0 if self.log_x else np.full(len(x), True)
+        low, median, high = (rows.column_values(f"{q}_{self.y}")[is_shown] for q in ("q25", "median", "q75"))
+        (color, dash, marker), x = STYLES[k], x[is_shown]
+        every = 1 + len(x) // MAX_MARKERS
+        panel.plot(x, median, color=color, linestyle=dash, marker=marker, markevery=(k % every, every), label=method)
+        panel.fill_between(x, low, high, color=color, alpha=0.15, linewidth=0)
 
 
 def draw_bars(table: Table, path: Path, *, title: str) -> None:

@@ -17,9 +17,9 @@ from sylpose.experiments.estimators import (
     estimate_robust,
     estimate_without_faulty,
 )
-from sylpose.experiments.figures import draw_bars, draw_lines
+from sylpose.experiments.figures import Lines, draw_bars
 from sylpose.experiments.scenes import BALANCED, CLOUD, PRACTICE, Problem, Scene, around_rig, simulate
-from sylpose.experiments.study import Study, run_comparison, score_estimator
+from sylpose.experiments.study import Levels, Study, compare, score_estimator, simulate_trials
 from sylpose.experiments.table import ERROR_COLUMNS, Cell, Table
 from sylpose.simulate import arc, dome, ring
 
@@ -38,35 +38,27 @@ LAYOUTS = {
     "2, 90° apart": (arc(2, 90), None),
     "2, 15° apart": (arc(2, 15), None),
 }
-BALANCED_PANEL, PLAIN_PANEL, PLANE_PANEL = (
-    "Orthographic, depth exactly uncorrelated",
-    "Perspective, visible surface",
-    "Perspective, visible surface, depth plane",
-)
+PANELS: dict[str, tuple[Scene, Estimator]] = {
+    "Orthographic, depth exactly uncorrelated": (BALANCED, estimate_centralized),
+    "Perspective, visible surface": (PRACTICE, estimate_centralized),
+    "Perspective, visible surface, depth plane": (PRACTICE, estimate_depth_plane),
+}
 
 
 def run_layout(seed: int, trials: int) -> Table:
-    panels: dict[str, tuple[Scene, Estimator]] = {
-        BALANCED_PANEL: (BALANCED, estimate_centralized),
-        PLAIN_PANEL: (PRACTICE, estimate_centralized),
-        PLANE_PANEL: (PRACTICE, estimate_depth_plane),
-    }
     rows: list[tuple[Cell, ...]] = []
     for name, (rig, axis) in LAYOUTS.items():
-        problems = {
-            scene: [simulate(scene, np.random.default_rng([seed, k]), rig, axis=axis) for k in range(trials)]
-            for scene in (BALANCED, PRACTICE)
-        }
-        rows += [
-            (panel, name, *score_estimator(estimate, problems[scene])) for panel, (scene, estimate) in panels.items()
-        ]
+        for panel, (scene, estimate) in PANELS.items():
+            problems = simulate_trials(partial(simulate, scene, rig=rig, axis=axis), seed, trials)
+            rows.append((panel, name, *score_estimator(estimate, problems)))
     return Table(("scene", "method", *ERROR_COLUMNS), tuple(rows))
 
 
 def summarize_layout(table: Table) -> list[str]:
     good, flat = (list(LAYOUTS)[k] for k in (0, 3))
     sentences = []
-    for panel in (BALANCED_PANEL, PLANE_PANEL):
+    balanced, _, plane = PANELS
+    for panel in (balanced, plane):
         around_error, planar_error = (table.value("median_deg", scene=panel, method=name) for name in (good, flat))
         sentences.append(
             f"{panel}, rotation by 5°: {around_error:.2g}° with 4 cameras above and below; {planar_error:.2g}° with 4 "
@@ -76,12 +68,11 @@ def summarize_layout(table: Table) -> list[str]:
 
 
 LAYOUT = Study(
-    name="layout",
-    question="How does the error depend on the camera layout?",
-    run=run_layout,
-    draw=partial(draw_bars, title="Camera layout: rotation by 5°, noise of 0.5 px, 60 matches each"),
-    summarize=summarize_layout,
-    trials=40,
+    "layout",
+    "How does the error depend on the camera layout?",
+    run_layout,
+    partial(draw_bars, title="Camera layout: rotation by 5°, noise of 0.5 px, 60 matches each"),
+    summarize_layout,
     quick_trials=3,
 )
 
@@ -97,15 +88,10 @@ OCCLUSION = {
 }
 
 
-def run_occlusion(seed: int, trials: int) -> Table:
-    def make(scene: Scene, percent: float, rng: np.random.Generator) -> Problem:
-        again = deepcopy(rng)
-        rig = around_rig(CAMERAS)
-        clear, hidden = simulate(scene, rng, rig), simulate(scene, again, rig, occlusion=percent / 100)
-        return clear.with_faulty(range(OCCLUDED), hidden)
-
-    scenes = {s.name: partial(make, s) for s in (CLOUD, PRACTICE)}
-    return run_comparison("hidden_percent", scenes, (0, 25, 50, 75, 90, 100), OCCLUSION, seed, trials)
+def simulate_occlusion(scene: Scene, percent: float, rng: np.random.Generator) -> Problem:
+    again, rig = deepcopy(rng), around_rig(CAMERAS)
+    clear, hidden = simulate(scene, rng, rig), simulate(scene, again, rig, occlusion=percent / 100)
+    return clear.with_faulty(range(OCCLUDED), hidden)
 
 
 def summarize_occlusion(table: Table) -> list[str]:
@@ -119,20 +105,17 @@ def summarize_occlusion(table: Table) -> list[str]:
     return sentences
 
 
+HIDDEN_LABEL = "share of occluded features (%)"
 OCCLUSION_STUDY = Study(
-    name="occlusion",
-    question="What is the effect of occlusion in some cameras, up to all features?",
-    run=run_occlusion,
-    draw=partial(
-        draw_lines,
-        title="Occlusion in 4 of 8 cameras: rotation by 5°, noise of 0.5 px",
-        x="hidden_percent",
-        x_label="share of occluded features (%)",
-        log_x=False,
+    "occlusion",
+    "What is the effect of occlusion in some cameras, up to all features?",
+    *compare(
+        Levels("hidden_percent", HIDDEN_LABEL, (0, 25, 50, 75, 90, 100), simulate_occlusion, is_log=False),
+        (CLOUD, PRACTICE),
+        OCCLUSION,
+        "Occlusion in 4 of 8 cameras: rotation by 5°, noise of 0.5 px",
     ),
-    summarize=summarize_occlusion,
-    trials=40,
-    quick_trials=4,
+    summarize_occlusion,
 )
 
 # --- Faulty cameras ---------------------------------------------------------------------------------------------------
@@ -156,14 +139,8 @@ def simulate_faulty(kind: str, n: float, rng: np.random.Generator) -> Problem:
         axes = rng.standard_normal((CAMERAS, 3))
         wrong = Rotation.from_rotvec(np.deg2rad(20) * axes / np.linalg.norm(axes, axis=1, keepdims=True))
         return good.with_faulty(bad, good._replace(rotations=wrong.as_matrix() @ good.rotations))
-    other = simulate(
-        PRACTICE,
-        same_rng,
-        rig,
-        angle_deg=SENSOR_ANGLE_DEG,
-        static=kind == "frozen",
-        junk=bad if kind == FAULT_KINDS[0] else (),
-    )
+    junk = bad if kind == FAULT_KINDS[0] else ()
+    other = simulate(PRACTICE, same_rng, rig, angle_deg=SENSOR_ANGLE_DEG, static=kind == "frozen", junk=junk)
     return good.with_faulty(bad, other)
 
 
@@ -171,19 +148,14 @@ def run_sensors(seed: int, trials: int) -> Table:
     rows: list[tuple[Cell, ...]] = []
     for kind in FAULT_KINDS:
         for n in (0, 1, 2, 3):
-            problems = [simulate_faulty(kind, n, np.random.default_rng([seed, k])) for k in range(trials)]
+            problems = simulate_trials(partial(simulate_faulty, kind, n), seed, trials)
             detected = [detected_faults(problem) for problem in problems]
-            share = (
-                np.mean([len(names & set(p.faulty)) for names, p in zip(detected, problems, strict=True)]) / n
-                if n
-                else None
-            )
-            false = np.mean([len(names - set(p.faulty)) for names, p in zip(detected, problems, strict=True)]) / (
-                CAMERAS - n
-            )
+            right = [len(names & set(p.faulty)) for names, p in zip(detected, problems, strict=True)]
+            wrong = [len(names - set(p.faulty)) for names, p in zip(detected, problems, strict=True)]
+            rates = float(np.mean(right)) / n if n else None, float(np.mean(wrong)) / (CAMERAS - n)
             for method, estimate in SENSORS.items():
-                detection_rates = (share, float(false)) if estimate is estimate_robust else (None, None)
-                rows.append((kind, method, n, *score_estimator(estimate, problems), *detection_rates))
+                named = rates if estimate is estimate_robust else (None, None)
+                rows.append((kind, method, n, *score_estimator(estimate, problems), *named))
     return Table(("scene", "method", "bad", *ERROR_COLUMNS, "bad_named", "good_named"), tuple(rows))
 
 
@@ -200,20 +172,13 @@ def summarize_sensors(table: Table) -> list[str]:
     return [*sentences, f"Good cameras reported as bad: {100 * false.mean():.1f} %."]
 
 
+SENSORS_TITLE = f"Faulty cameras among 8: perspective, rotation by {SENSOR_ANGLE_DEG:g}°, noise of 0.5 px"
 SENSORS_STUDY = Study(
-    name="sensors",
-    question="What is the effect of faulty cameras?",
-    run=run_sensors,
-    draw=partial(
-        draw_lines,
-        title=f"Faulty cameras among 8: perspective, rotation by {SENSOR_ANGLE_DEG:g}°, noise of 0.5 px",
-        x="bad",
-        x_label="bad cameras of 8",
-        log_x=False,
-    ),
-    summarize=summarize_sensors,
-    trials=40,
-    quick_trials=4,
+    "sensors",
+    "What is the effect of faulty cameras?",
+    run_sensors,
+    Lines(SENSORS_TITLE, "bad", "bad cameras of 8", log_x=False).draw,
+    summarize_sensors,
 )
 
 STUDIES = (LAYOUT, OCCLUSION_STUDY, SENSORS_STUDY)

@@ -1,18 +1,20 @@
-"""Definition of a study, and the Monte Carlo comparison that most studies use."""
+"""Definition of a study, and the Monte Carlo comparison over levels that most studies use."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from sylpose.experiments.estimators import Estimator, error_deg
-from sylpose.experiments.scenes import Problem
+from sylpose.experiments.figures import Lines, ReferenceCurve
+from sylpose.experiments.scenes import Problem, Scene
 from sylpose.experiments.table import ERROR_COLUMNS, Cell, Table, compute_error_cells
 
-__all__ = ["Study", "run_comparison", "score_estimator"]
+__all__ = ["Levels", "Study", "compare", "score_estimator", "simulate_trials"]
 
 
 class Study(NamedTuple):
@@ -32,40 +34,54 @@ class Study(NamedTuple):
     run: Callable[[int, int], Table]
     draw: Callable[[Table, Path], None]
     summarize: Callable[[Table], list[str]]
-    trials: int
-    quick_trials: int
+    trials: int = 40
+    quick_trials: int = 4
 
 
-def run_comparison(
-    level_name: str,
-    problems: Mapping[str, Callable[[float, np.random.Generator], Problem]],
-    levels: Sequence[float],
-    estimators: Mapping[str, Estimator],
-    seed: int,
-    trials: int,
-) -> Table:
-    """Run a Monte Carlo study: all estimators on the same problems, with the same motions at every level.
+class Levels(NamedTuple):
+    """Quantity that a comparison varies.
 
-    Args:
-        level_name: name of the column with the varied quantity.
-        problems: per scene, builds a problem from a level and a random generator.
-        levels: values of the varied quantity.
-        estimators: by name.
-        seed: seed of the random generators.
-        trials: number of trials per scene and level.
-
-    Returns:
-        A table with columns scene, method, `level_name` and `ERROR_COLUMNS`.
+    Attributes:
+        name: its column in the table.
+        label: its label in the figure.
+        values: its levels.
+        simulate: builds a problem from a scene, a level and a random generator.
+        is_log: draw it on a logarithmic axis.
     """
-    rows = []
-    for scene, make in problems.items():
-        for level in levels:
-            trial_problems = [make(level, np.random.default_rng([seed, trial])) for trial in range(trials)]
-            rows += [
-                (scene, method, level, *score_estimator(estimate, trial_problems))
-                for method, estimate in estimators.items()
-            ]
-    return Table(("scene", "method", level_name, *ERROR_COLUMNS), tuple(rows))
+
+    name: str
+    label: str
+    values: Sequence[float]
+    simulate: Callable[[Scene, float, np.random.Generator], Problem]
+    is_log: bool = True
+
+
+def compare(
+    levels: Levels,
+    scenes: Sequence[Scene],
+    estimators: Mapping[str, Estimator],
+    title: str,
+    reference: ReferenceCurve | None = None,
+) -> tuple[Callable[[int, int], Table], Callable[[Table, Path], None]]:
+    """Return `run` and `draw` of a study: all estimators on the same problems, with the same motions at every level.
+
+    The table has the columns scene, method, `levels.name` and `ERROR_COLUMNS`.
+    """
+
+    def run(seed: int, trials: int) -> Table:
+        rows = []
+        for scene in scenes:
+            for level in levels.values:
+                problems = simulate_trials(partial(levels.simulate, scene, level), seed, trials)
+                rows += [(scene.name, name, level, *score_estimator(of, problems)) for name, of in estimators.items()]
+        return Table(("scene", "method", levels.name, *ERROR_COLUMNS), tuple(rows))
+
+    return run, Lines(title, levels.name, levels.label, log_x=levels.is_log, reference=reference).draw
+
+
+def simulate_trials(simulate: Callable[[np.random.Generator], Problem], seed: int, trials: int) -> list[Problem]:
+    """Return the problems of all trials."""
+    return [simulate(np.random.default_rng([seed, trial])) for trial in range(trials)]
 
 
 def score_estimator(estimate: Estimator, problems: Iterable[Problem]) -> tuple[Cell, ...]:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from sylpose.experiments.figures import ReferenceCurve, draw_lines
+from sylpose.experiments.figures import Lines, ReferenceCurve
 from sylpose.experiments.study import Study
 from sylpose.experiments.table import Table, compute_quartiles
 from sylpose.geometry.arrays import FloatArray
@@ -23,6 +23,7 @@ __all__ = ["STUDIES", "LineFit", "fit_line"]
 
 
 TIME_COLUMNS = ("repeats", "q25_ms", "median_ms", "q75_ms")
+TIME_AXIS = ("ms", "milliseconds")
 # Number of cameras from which the first dual is usually sufficient; fewer also need a search and the certificate by all
 # multipliers (measured: docs/history/benchmarks.md#the-certificate).
 MIN_CAMERAS_DUAL = 3
@@ -67,6 +68,17 @@ def _measure_milliseconds(action: Callable[[], object], repeats: int) -> tuple[i
     return repeats, *compute_quartiles(times)
 
 
+def _draw_with_fit(figure: Lines, fit_table: Callable[[Table], LineFit], unit: str) -> Callable[[Table, Path], None]:
+    """Return a function that draws a table of times with the line fitted to it."""
+
+    def draw(table: Table, path: Path) -> None:
+        fit = fit_table(table)
+        label = f"{fit.intercept:.2g} ms + {1000 * fit.slope:.2g} µs per {unit}"
+        figure._replace(reference=ReferenceCurve(label, fit.evaluate)).draw(table, path)
+
+    return draw
+
+
 def _random_matches(rng: np.random.Generator, cameras: int, n: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return random Q (C, 3, 3) and orthographic points x, y (C, n, 2) per camera of a body rotated by 5°."""
     Q = Rotation.random(cameras, rng=rng).as_matrix()
@@ -106,26 +118,16 @@ def summarize_cameras(table: Table) -> list[str]:
     ]
 
 
-def draw_cameras(table: Table, path: Path) -> None:
-    fit = fit_cameras(table)
-    draw_lines(
-        table,
-        path,
-        title="Run time of the centralized estimate, from moments",
-        x="cameras",
-        x_label="cameras",
-        y="ms",
-        y_label="milliseconds",
-        reference=ReferenceCurve(f"{fit.intercept:.2g} ms + {1000 * fit.slope:.2g} µs per camera", fit.evaluate),
-    )
-
-
 TIME_CAMERAS = Study(
-    name="time_cameras",
-    question="Does the time grow linearly with the number of cameras?",
-    run=run_cameras,
-    draw=draw_cameras,
-    summarize=summarize_cameras,
+    "time_cameras",
+    "Does the time grow linearly with the number of cameras?",
+    run_cameras,
+    _draw_with_fit(
+        Lines("Run time of the centralized estimate, from moments", "cameras", "cameras", *TIME_AXIS),
+        fit_cameras,
+        "camera",
+    ),
+    summarize_cameras,
     trials=21,
     quick_trials=5,
 )
@@ -160,26 +162,12 @@ def summarize_matches(table: Table) -> list[str]:
     ]
 
 
-def draw_matches(table: Table, path: Path) -> None:
-    fit = fit_forming(table)
-    draw_lines(
-        table,
-        path,
-        title="Run time for 4 cameras",
-        x="matches",
-        x_label="matches per camera",
-        y="ms",
-        y_label="milliseconds",
-        reference=ReferenceCurve(f"{fit.intercept:.2g} ms + {1000 * fit.slope:.2g} µs per match", fit.evaluate),
-    )
-
-
 TIME_MATCHES = Study(
-    name="time_matches",
-    question="Does the time depend on the number of matches?",
-    run=run_matches,
-    draw=draw_matches,
-    summarize=summarize_matches,
+    "time_matches",
+    "Does the time depend on the number of matches?",
+    run_matches,
+    _draw_with_fit(Lines("Run time for 4 cameras", "matches", "matches per camera", *TIME_AXIS), fit_forming, "match"),
+    summarize_matches,
     trials=41,
     quick_trials=9,
 )

@@ -30,7 +30,7 @@ from sylpose.network.wire_format import (
     encode_message,
     message_kind,
 )
-from sylpose.sylvester.distributed.messages import Inbox, Packet
+from sylpose.packets import Inbox, Packet
 
 __all__ = [
     "ExchangeRequest",

@@ -48,7 +48,7 @@ from sylpose.network.wire_format import (
     encode_relay,
     encode_welcome,
 )
-from sylpose.sylvester.distributed.messages import Inbox, Packet
+from sylpose.packets import Inbox, Packet
 
 __all__ = ["DEFAULT_TIMEOUTS", "RoundState", "Timeouts", "begin_next_round", "start_rounds", "step_round"]
 

@@ -10,7 +10,7 @@ from queue import Empty, SimpleQueue
 
 from sylpose.network.membership import Membership, add_inactivity, step_membership, submit_request, take_response
 from sylpose.network.worker_thread import Work, WorkerThread
-from sylpose.sylvester.distributed.messages import Packet
+from sylpose.packets import Packet
 
 __all__ = ["TICK_SECONDS", "NodeRunner"]
 

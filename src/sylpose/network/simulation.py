@@ -27,10 +27,9 @@ from sylpose.network.rounds import DEFAULT_TIMEOUTS
 from sylpose.network.smoothing import smooth_by_node
 from sylpose.network.wire_format import Welcome
 from sylpose.network.worker_thread import WorkerThread
+from sylpose.packets import NO_FAULTS, Inbox, NetworkFaults, Packet, run_network
 from sylpose.rig import Rig
 from sylpose.smoothing.trajectory import SmoothedTrajectory
-from sylpose.sylvester.distributed.messages import Inbox, Packet
-from sylpose.sylvester.distributed.simulation import NO_FAULTS, NetworkFaults, run_network
 from sylpose.tracking.tracked_frame import TrackedFrame
 
 __all__ = ["SimulationResult", "track_by_nodes"]
@@ -162,10 +161,8 @@ def track_by_nodes(
         options: as of `track`.
 
     Raises:
-        ValueError: as `track`; faults that are not simulated.
+        ValueError: as `track`.
     """
-    if network_faults.packet_faults:
-        raise ValueError("network_faults: packet faults are not simulated here; use `faults`")
     n = len(rig)
     faults = faults or {}
     message_faults = {

@@ -21,8 +21,8 @@ import numpy as np
 
 from sylpose.network.keys import OBSERVER, build_access_rules, build_tls_settings
 from sylpose.network.wire_format import HELLO, MAX_MESSAGE_BYTES, WELCOME, message_kind
+from sylpose.packets import Packet
 from sylpose.rig import Rig
-from sylpose.sylvester.distributed.messages import Packet
 
 __all__ = [
     "LOOPBACK",

@@ -6,7 +6,7 @@ import pickle
 from collections.abc import Callable, Sequence
 from dataclasses import fields, is_dataclass
 from functools import partial
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,25 +19,14 @@ from sylpose.features.sift import detect_features, match_features
 from sylpose.geometry.arrays import FloatArray
 from sylpose.matches import Matches
 from sylpose.moments import PairMoments
+from sylpose.packets import NO_FAULTS, Inbox, NetworkFaults, Packet, run_network
 from sylpose.results import Status
 from sylpose.rig import Rig
-from sylpose.simulate import arc, dome, ellipsoid, random_motion, ring, simulate_matches
+from sylpose.simulate import Body, arc, box, dome, ellipsoid, random_motion, ring, simulate_matches
 from sylpose.sylvester.camera_faults import solve_robust
 from sylpose.sylvester.centralized import CentralizedSolution, solve_centralized
-from sylpose.sylvester.distributed.evidence_exchange import find_contradictions
-from sylpose.sylvester.distributed.exchange import start_exchange
-from sylpose.sylvester.distributed.fault_injection import PacketFault
-from sylpose.sylvester.distributed.gossip import start_gossip, step_gossip
-from sylpose.sylvester.distributed.messages import HEADER, Inbox, Packet
 from sylpose.sylvester.distributed.refine import RefineState, start_refine, step_refine
-from sylpose.sylvester.distributed.simulation import (
-    DistributedSolution,
-    NetworkFaults,
-    run_network,
-    solve_exchange,
-    solve_gossip,
-    solve_refine,
-)
+from sylpose.sylvester.distributed.solvers import DistributedSolution, solve_exchange, solve_gossip, solve_refine
 from tests.paths import DATA
 from tests.scenes import BODY, compute_angle, draw_rotations, make_zigzag_rig
 from tests.sylvester.test_centralized import general_cameras, noisy_problem, pair_moments, seeds, simulate_orthographic
@@ -45,19 +34,14 @@ from tests.sylvester.test_centralized import general_cameras, noisy_problem, pai
 Problem = tuple[FloatArray, list[PairMoments]]
 Solve = Callable[..., DistributedSolution]
 
-# Lost messages are repeated.
-SCHEMES: dict[str, Solve] = {
-    "exchange": partial(solve_exchange, rounds=16),
-    "refine": solve_refine,
-    "gossip": solve_gossip,
-}
+SCHEMES: dict[str, Solve] = {"exchange": solve_exchange, "refine": solve_refine, "gossip": solve_gossip}
 schemes = pytest.mark.parametrize("solve", SCHEMES.values(), ids=list(SCHEMES))
 
 
-def simulate_problem(rig: Rig, seed: int = 0, turn: float = 5.0) -> Problem:
+def simulate_problem(rig: Rig, seed: int = 0, turn: float = 5.0, body: Body = BODY) -> Problem:
     """Simulate a rotating body in perspective, with noise."""
     rng = np.random.default_rng(seed)
-    pair = simulate_matches(rig, BODY, random_motion(turn, 0.02, rng), rng=rng)
+    pair = simulate_matches(rig, body, random_motion(turn, 0.02, rng), rng=rng)
     return np.array([c.rotation for c in rig]), [PairMoments.from_matches(m.x, m.y) for m in pair.matches]
 
 
@@ -141,53 +125,59 @@ def test_independent_of_the_unit_of_orthographic_points(solve: Solve, unit: floa
     check_agreement(solve(cameras, moments, aim=False), solve_centralized(cameras, moments, aim=False), range(4))
 
 
-def test_exchange_of_implausible_moments_is_reported() -> None:
-    cameras, matches, _ = noisy_problem(1, 4)
-    found = solve_exchange(cameras, pair_moments([(1e4 * x, 1e4 * y) for x, y in matches]))
-    assert found.status is Status.NOT_CONVERGED
-    assert "89 degrees" in found.refused[0]
-
-
-def test_exchange_is_bit_identical_to_centralized_in_one_round() -> None:
+@pytest.mark.parametrize("solve", [solve_exchange, solve_gossip])
+def test_exchange_is_bit_identical_to_centralized(solve: Solve) -> None:
     problem = simulate_problem(dome(5))
-    found, reference = solve_exchange(*problem), centralized_result(problem, range(5))
-    assert found.rounds == 1
-    assert (found.sent == 368).all()
-    assert (found.received == 4 * 368).all()
+    found, reference = solve(*problem), centralized_result(problem, range(5))
     np.testing.assert_array_equal(found.rotations, np.broadcast_to(reference.rotation, (5, 3, 3)))
     np.testing.assert_array_equal(found.information, reference.information)
 
 
-@pytest.mark.parametrize(("rig", "votes"), [(make_zigzag_rig(16), 4), (dome(16), 4), (ring(16), 39)])
-def test_sixteen_cameras_refine_in_at_most_a_hundred_rounds_of_72_bytes(rig: Rig, votes: int) -> None:
+def test_exchange_sends_moments_once() -> None:
+    """Two more headers confirm that all moments have arrived."""
+    found = solve_exchange(*simulate_problem(dome(5)))
+    assert found.rounds == 2
+    assert (found.sent == 368 + 8 + 8).all()
+    assert (found.received == 4 * (368 + 8)).all()
+
+
+@pytest.mark.parametrize("rig", [make_zigzag_rig(16), dome(16), ring(16)])
+def test_sixteen_cameras_refine_in_at_most_a_hundred_rounds_of_72_bytes(rig: Rig) -> None:
     problem = simulate_problem(rig)
     found = solve_refine(*problem)
     check_agreement(found, centralized_result(problem, range(16)), range(16))
     assert found.rounds <= 100
-    # 8 bytes of header per round; reports after convergence: 104 more bytes, one of them with surface sums: 640 more. A
-    # restart costs twice those 104 and 40. A vote is 88: usually few, but up to 13 from each start for coplanar cameras
-    # whose common rotation is far from the consistent one.
-    leap, surface_bytes, vote = 2 * 104 + 40, 640, 88
-    more = found.sent - 80 * (found.rounds + 1) - surface_bytes
-    without = [{m - vote * v for v in range(2, votes + 1)} for m in more.tolist()]
-    assert all(any(104 * k in left or 104 * k + leap in left for k in range(5)) for left in without)
+    # 8 bytes of header per round. After convergence a report, 88 more bytes, then surface sums, 640 more. A restart from
+    # a saddle costs another report and 40. If surfaces bias the rotation, moments follow instead: 368, and two headers.
+    more = found.sent - 80 * (found.rounds + 1)
+    assert {int(m) for m in more} <= {88 + 640, 2 * 88 + 40 + 640, 88 + 368 - 2 * 72 - 80}
 
 
-@pytest.mark.parametrize(
-    "turn", [1.0, pytest.param(3.0, marks=pytest.mark.slow), 5.0, pytest.param(10.0, marks=pytest.mark.slow), 20.0]
-)
-def test_good_cameras_do_not_send_moments(turn: float) -> None:
-    """No evidence is requested because of the bias by an oblique surface."""
-    calls = []
-    for seed in range(8):
-        cameras, moments = simulate_problem((make_zigzag_rig(4), make_zigzag_rig(8), dome(5))[seed % 3], seed, turn)
-        n = len(moments)
-        starts = [partial(start_refine, c, range(n), cameras[c], moments[c]) for c in range(n)]
-        states = run_network(starts, step_refine, NetworkFaults(), 200).states
-        assert all(state is not None and state.estimate.converged for state in states)
-        calls += [any(state is not None and state.received_evidence for state in states)]
-        assert (solve_robust(cameras, moments).weights == 1).all()
-    assert sum(calls) <= 1
+def is_exchanging(problem: Problem, aim: bool = True) -> bool:
+    """Return whether the nodes of `refine` send their moments."""
+    cameras, moments = problem
+    starts = [partial(start_refine, c, cameras, moments[c], aim=aim) for c in range(len(moments))]
+    states = run_network(starts, step_refine, NO_FAULTS, 200).states
+    assert all(state is not None and state.estimate is not None for state in states)
+    return any(state is not None and state.is_exchanging for state in states)
+
+
+def test_refine_sends_no_moments_where_the_model_holds() -> None:
+    """Small rotations; or orthographic views of points whose depth is uncorrelated with the image."""
+    for seed in range(4):
+        assert not is_exchanging(simulate_problem((make_zigzag_rig(4), dome(5))[seed % 2], seed, turn=1.0))
+        cameras, matches, _ = noisy_problem(seed, 4)
+        assert not is_exchanging((cameras, pair_moments(matches)), aim=False)
+
+
+def test_refine_sends_moments_where_a_surface_biases_it() -> None:
+    """The result is that of all cameras nevertheless: none is at fault."""
+    problem = simulate_problem(make_zigzag_rig(4), turn=10.0, body=box())
+    assert is_exchanging(problem)
+    found = solve_refine(*problem)
+    assert found.used == (0, 1, 2, 3)
+    assert not found.faults
+    np.testing.assert_array_equal(found.rotation, solve_robust(*problem).rotation)
 
 
 @given(seeds)
@@ -304,7 +294,7 @@ def test_gossip_on_any_graph(graph: list[tuple[int, int]], loss: float) -> None:
     problem = simulate_problem(dome(9))
     found = solve_gossip(*problem, graph=graph, network_faults=NetworkFaults(loss=loss))
     check_agreement(found, centralized_result(problem, range(9)), range(9))
-    assert found.rounds < 300
+    assert found.rounds < 100
 
 
 # --- With faults -----------------------------------------------------------------------------------------------------
@@ -320,14 +310,6 @@ def test_loss_and_delay_cost_rounds_only(solve: Solve, network_faults: NetworkFa
     found = solve(*problem, network_faults=network_faults)
     check_agreement(found, centralized_result(problem, range(5)), range(5))
     assert found.rounds >= without.rounds
-    assert not found.refused
-
-
-def test_missed_message_of_a_one_round_exchange_is_reported() -> None:
-    problem = simulate_problem(dome(5))
-    found = solve_exchange(*problem, network_faults=NetworkFaults(loss=0.5, seed=1))
-    assert found.status is Status.NOT_CONVERGED
-    assert found.spread > 1e-4
 
 
 @schemes
@@ -344,31 +326,58 @@ def test_camera_that_fails_before_its_first_message_is_left_out(solve: Solve) ->
     assert found.sent[3] == 0
 
 
-def test_camera_that_fails_midway_is_left_out() -> None:
+def test_camera_that_fails_while_refining_is_left_out() -> None:
     problem, rest = simulate_problem(make_zigzag_rig(5)), [0, 1, 2, 4]
     for died in (1, 3, 10):
-        check_agreement(
-            solve_refine(*problem, network_faults=NetworkFaults(dies={3: died})),
-            centralized_result(problem, rest),
-            rest,
-        )
-        found = solve_gossip(*problem, graph=GRAPHS["complete"][:10], network_faults=NetworkFaults(dies={3: died}))
+        found = solve_refine(*problem, network_faults=NetworkFaults(dies={3: died}))
         check_agreement(found, centralized_result(problem, rest), rest)
 
 
-def test_camera_that_fails_after_its_exchange_is_used() -> None:
+@pytest.mark.parametrize("solve", [solve_exchange, solve_gossip])
+def test_camera_that_fails_after_it_has_sent_its_moments_is_used(solve: Solve) -> None:
     problem, rest = simulate_problem(make_zigzag_rig(5)), [0, 1, 2, 4]
-    check_agreement(
-        solve_exchange(*problem, network_faults=NetworkFaults(dies={3: 1})), centralized_result(problem, range(5)), rest
-    )
+    found = solve(*problem, network_faults=NetworkFaults(dies={3: 1}))
+    check_agreement(found, centralized_result(problem, range(5)), rest)
 
 
 def test_partitioned_network_does_not_converge() -> None:
     found = solve_gossip(
-        *simulate_problem(make_zigzag_rig(5)), graph=GRAPHS["line"][:4], network_faults=NetworkFaults(dies={2: 4})
+        *simulate_problem(make_zigzag_rig(5)), graph=GRAPHS["line"][:4], network_faults=NetworkFaults(dies={2: 1})
     )
     assert found.status is Status.NOT_CONVERGED
     assert found.spread > 1e-4
+
+
+@given(st.data())
+@settings(max_examples=25, deadline=None)
+@schemes
+def test_every_live_camera_has_the_centralized_result_with_any_faults(solve: Solve, data: st.DataObject) -> None:
+    """Cameras that see nothing, start late, lose and delay messages, or die in the middle."""
+    n = data.draw(st.integers(3, 6))
+    cameras, moments = simulate_problem(make_zigzag_rig(n), data.draw(st.integers(0, 50)), turn=3.0)
+    blind, late, dead = data.draw(st.permutations(range(n)))[:3]
+    if data.draw(st.booleans()):
+        moments[blind] = PairMoments.zero()
+    network_faults = NetworkFaults(
+        loss=data.draw(st.sampled_from([0.0, 0.1, 0.3])),
+        delay=data.draw(st.integers(0, 3)),
+        joins=data.draw(st.sampled_from([{}, {late: 3}, {late: 9}])),
+        dies={dead: data.draw(st.integers(0, 40))} if n > 3 and data.draw(st.booleans()) else {},
+        seed=data.draw(st.integers(0, 100)),
+    )
+    graph = {"graph": [(a, b) for a in range(n) for b in range(a)]} if solve is solve_gossip else {}
+    found = solve(cameras, moments, network_faults=network_faults, **graph)
+    live, used = [c for c in range(n) if c not in network_faults.dies], list(found.used)
+    assert set(live) <= set(used)
+    reference = solve_robust(cameras[used], [moments[c] for c in used])
+    assume((reference.weights == 1).all())
+    centralized = centralized_result((cameras, moments), used)
+    assert found.status is centralized.status
+    assert not found.faults
+    assert found.converged[live].all()
+    for c in live:
+        assert compute_angle(found.rotations[c], centralized.rotation) < 1e-9
+    np.testing.assert_allclose(found.information, centralized.information, rtol=1e-5, atol=1e-5)
 
 
 @schemes
@@ -387,66 +396,6 @@ def test_late_camera_with_high_loss() -> None:
     moments = pair_moments(matches)
     found = solve_refine(cameras, moments, aim=False, network_faults=NetworkFaults(loss=0.35, joins={0: 13}, seed=28))
     check_agreement(found, solve_centralized(cameras, moments, aim=False), range(5))
-    assert not found.refused
-
-
-@schemes
-@pytest.mark.parametrize("kind", ["nan", "huge", "long", "truncated"])
-def test_sender_of_malformed_messages_is_rejected(solve: Solve, kind: PacketFault) -> None:
-    problem, rest = simulate_problem(make_zigzag_rig(6)), [0, 1, 2, 3, 5]
-    graph = {"graph": [(a, b) for a in range(6) for b in range(a)]} if solve is solve_gossip else {}
-    found = solve(*problem, network_faults=NetworkFaults(packet_faults={4: kind}), **graph)
-    check_agreement(found, centralized_result(problem, rest), rest)
-    assert list(found.refused) == [4]
-    assert found.used == tuple(rest)
-
-
-BYZANTINE_KINDS = ("false", "stubborn", "two-faced", "ahead", "jitter", "heavy")
-
-
-def test_every_kind_of_packet_fault_is_tested() -> None:
-    assert {*BYZANTINE_KINDS, "nan", "huge", "long", "truncated"} == set(get_args(PacketFault))
-
-
-@pytest.mark.parametrize("kind", BYZANTINE_KINDS)
-@pytest.mark.parametrize(
-    ("n", "byzantine"), [(4, [1]), (5, [0]), pytest.param(8, [6], marks=pytest.mark.slow), (8, [2, 5])]
-)
-def test_byzantine_cameras_are_detected_by_refine(kind: PacketFault, n: int, byzantine: list[int]) -> None:
-    """All other cameras have the result of the correct ones."""
-    problem, rest = simulate_problem(make_zigzag_rig(n), seed=n, turn=3.0), [c for c in range(n) if c not in byzantine]
-    found = solve_refine(*problem, network_faults=NetworkFaults(packet_faults=dict.fromkeys(byzantine, kind), seed=n))
-    assert {*found.refused, *found.faults} == set(byzantine)
-    assert found.used == tuple(rest)
-    assert found.converged[rest].all()
-    reference = centralized_result(problem, rest)
-    assert found.certified is reference.certified
-    assert found.status is (Status.OK if reference.certified else Status.NOT_CERTIFIED)
-    for c in rest:
-        assert compute_angle(found.rotations[c], reference.rotation) < 1e-9
-
-
-@pytest.mark.parametrize("kind", BYZANTINE_KINDS)
-def test_too_many_byzantine_cameras_do_not_split_the_result(kind: PacketFault) -> None:
-    """Two of four, one of two: all correct cameras that report convergence have the same result."""
-    for n, byzantine in ((4, [1, 2]), (3, [0, 2]), (2, [1])):
-        problem = simulate_problem(make_zigzag_rig(n), seed=n, turn=3.0)
-        found = solve_refine(*problem, network_faults=NetworkFaults(packet_faults=dict.fromkeys(byzantine, kind)))
-        sure = [found.rotations[c] for c in range(n) if c not in byzantine and found.converged[c]]
-        assert all(compute_angle(R, sure[0]) < 1e-7 for R in sure)
-        assert found.status is not Status.OK or not set(byzantine) & set(found.used)
-
-
-def test_two_faced_camera_is_found_by_contradictions() -> None:
-    honest: dict[int, dict[int, float]] = {a: dict.fromkeys(range(4), 1.0) for a in range(4)}
-    assert find_contradictions(honest) == {}
-    two_faced = {a: {**row, 2: float(a)} for a, row in honest.items()}
-    assert list(find_contradictions(two_faced)) == [2]
-    accuser = {**honest, 3: {0: 5.0, 1: 5.0, 2: 1.0, 3: 1.0}}
-    assert list(find_contradictions(accuser)) == [3]
-    tie = find_contradictions({**honest, 3: {0: 5.0, 1: 1.0, 2: 1.0, 3: 1.0}})
-    assert sorted(tie) == [0, 3]
-    assert all("undecidable" in why for why in tie.values())
 
 
 # --- Faulty cameras --------------------------------------------------------------------------------------------------
@@ -498,7 +447,7 @@ def test_two_cameras_that_disagree_are_not_called_consistent(solve: Solve) -> No
 
 @pytest.mark.parametrize("loss", [0.0, 0.3])
 @pytest.mark.parametrize("graph", ["line", "star", "complete"])
-def test_evidence_is_flooded_on_any_graph(graph: str, loss: float) -> None:
+def test_gossip_detects_a_faulty_camera_on_any_graph(graph: str, loss: float) -> None:
     problem = add_fault(simulate_problem(dome(9), 0, turn=10.0), 4, "junk", 0)
     found = solve_gossip(*problem, graph=GRAPHS[graph], network_faults=NetworkFaults(loss=loss, seed=1))
     check_agreement(found, centralized_result(problem, [c for c in range(9) if c != 4]), range(9))
@@ -508,7 +457,7 @@ def test_evidence_is_flooded_on_any_graph(graph: str, loss: float) -> None:
 @pytest.mark.parametrize(
     "network_faults", [NetworkFaults(loss=0.3), NetworkFaults(delay=3), NetworkFaults(dies={2: 4})]
 )
-def test_evidence_exchange_with_loss_delay_and_failure(network_faults: NetworkFaults) -> None:
+def test_faulty_camera_is_detected_with_loss_delay_and_failure(network_faults: NetworkFaults) -> None:
     problem = add_fault(simulate_problem(make_zigzag_rig(7), 0, turn=10.0), 5, "junk", 0)
     found = solve_refine(*problem, network_faults=network_faults)
     rest = [c for c in range(7) if c != 5 and c not in network_faults.dies]
@@ -518,18 +467,21 @@ def test_evidence_exchange_with_loss_delay_and_failure(network_faults: NetworkFa
     assert used == rest
 
 
-def test_camera_that_forwards_false_evidence_does_not_converge() -> None:
-    found = solve_gossip(
-        *simulate_problem(make_zigzag_rig(5)), max_rounds=100, network_faults=NetworkFaults(packet_faults={4: "false"})
-    )
-    assert found.status is Status.NOT_CONVERGED
+@schemes
+def test_all_junk_is_not_consistent(solve: Solve) -> None:
+    rng = np.random.default_rng(0)
+    cameras, _ = simulate_problem(make_zigzag_rig(4))
+    moments = [PairMoments.from_matches(*(0.1 * rng.normal(size=(2, 60, 2)))) for _ in range(4)]
+    expected, found = solve_robust(cameras, moments), solve(cameras, moments)
+    assert found.status is expected.status
+    assert set(found.faults) == {c for c, fault in enumerate(expected.faults) if fault is not None}
 
 
-@pytest.mark.parametrize("solve", [solve_refine, solve_gossip])
-def test_too_few_rounds_do_not_converge(solve: Solve) -> None:
-    found = solve(*simulate_problem(make_zigzag_rig(4)), max_rounds=8)
+@pytest.mark.parametrize(("solve", "rounds"), [(solve_gossip, 1), (solve_refine, 8)])
+def test_too_few_rounds_do_not_converge(solve: Solve, rounds: int) -> None:
+    found = solve(*simulate_problem(make_zigzag_rig(6)), max_rounds=rounds)
     assert found.status is Status.NOT_CONVERGED
-    assert found.rounds == 8
+    assert found.rounds == rounds
     assert np.isnan(found.rotation).all()
     assert not found.information.any()
 
@@ -548,20 +500,14 @@ def arrays(value: Any) -> list[FloatArray]:
     return [a for v in value for a in arrays(v)] if isinstance(value, tuple | list) else []
 
 
-def starts(problem: Problem) -> dict[str, list[Callable[[], tuple[Any, list[Packet]]]]]:
+def refine_starts(problem: Problem) -> list[Callable[[], tuple[RefineState, list[Packet]]]]:
     cameras, moments = problem
-    n = len(cameras)
-    ring_graph = [(c, (c + 1) % n) for c in range(n)]
-    return {
-        "exchange": [partial(start_exchange, c, cameras, moments[c]) for c in range(n)],
-        "refine": [partial(start_refine, c, range(n), cameras[c], moments[c]) for c in range(n)],
-        "gossip": [partial(start_gossip, c, n, ring_graph, cameras[c], moments[c]) for c in range(n)],
-    }
+    return [partial(start_refine, c, cameras, moments[c]) for c in range(len(cameras))]
 
 
 def test_states_can_be_pickled() -> None:
     """Every state is pickled and unpickled between rounds, as if sent to another machine."""
-    begin = starts(simulate_problem(make_zigzag_rig(4)))["refine"]
+    begin = refine_starts(simulate_problem(make_zigzag_rig(4)))
 
     def packed_step(state: RefineState, inbox: Inbox) -> tuple[RefineState, list[Packet]]:
         moved: RefineState = pickle.loads(pickle.dumps(state))
@@ -577,7 +523,7 @@ def test_states_can_be_pickled() -> None:
 
 
 def test_states_of_different_cameras_share_no_memory() -> None:
-    begin = starts(simulate_problem(make_zigzag_rig(3)))["refine"]
+    begin = refine_starts(simulate_problem(make_zigzag_rig(3)))
     states = run_network(begin, step_refine, NetworkFaults(loss=0.1), 300).states
     for a in range(3):
         for b in range(a):
@@ -590,13 +536,6 @@ def test_the_same_seed_gives_the_same_run() -> None:
     np.testing.assert_array_equal(a.rotations, b.rotations)
     np.testing.assert_array_equal(a.received, b.received)
     assert (a.received != c.received).any()
-
-
-def test_what_is_sent_is_received_or_lost() -> None:
-    problem = simulate_problem(make_zigzag_rig(4))
-    found = solve_exchange(*problem, rounds=50, network_faults=NetworkFaults(loss=0.25, seed=7))
-    assert (found.sent == 50 * 368).all()
-    assert found.received.sum() / (3 * found.sent.sum()) == pytest.approx(0.75, abs=0.05)
 
 
 # --- Bad input --------------------------------------------------------------------------------------------------------
@@ -613,15 +552,6 @@ def test_invalid_input_raises(solve: Solve) -> None:
         solve(cameras, [PairMoments.zero()] * 3)
     with pytest.raises(ValueError, match=r"network_faults: no cameras \[3\]; there are cameras 0 to 2"):
         solve(cameras, moments, network_faults=NetworkFaults(dies={3: 1}))
-
-
-def test_invalid_network_faults_raise() -> None:
-    with pytest.raises(ValueError, match=r"loss must be in \[0, 1\)"):
-        NetworkFaults(loss=1.0)
-    with pytest.raises(ValueError, match="delay: -1 is not a whole number"):
-        NetworkFaults(delay=-1)
-    with pytest.raises(ValueError, match="packet_faults: 'noise' is not one of nan, huge"):
-        NetworkFaults(packet_faults={0: "noise"})  # type: ignore[dict-item]
 
 
 def test_disconnected_graph_raises() -> None:
@@ -645,22 +575,3 @@ def test_exact_without_noise(solve: Solve) -> None:
     found = solve(cameras, pair_moments(simulate_orthographic(rng, cameras, turn)), aim=False)
     assert found.status is Status.OK
     assert compute_angle(found.rotation, turn) < 1e-8
-
-
-@pytest.mark.parametrize("lie", [-1e6, 1e12, -1e20])
-def test_finite_false_values_are_handled(lie: float) -> None:
-    """Evidence with a constant so large that additions have no effect left gossip without candidates."""
-    rotations, moments = simulate_problem(make_zigzag_rig(4))
-    n = len(moments)
-    pairs = [(c, (c + 1) % n) for c in range(n)]
-    starts = [lambda c=c: start_gossip(c, n, pairs, rotations[c], moments[c], max_rounds=60) for c in range(n)]
-
-    def falsify(data: bytes, _: int) -> bytes:
-        values = np.frombuffer(data[HEADER.size :], "<f8").copy()
-        values[54] *= lie
-        return data[: HEADER.size] + values.tobytes()
-
-    outcome = run_network(starts, step_gossip, NetworkFaults(), 61, {1: falsify})
-    for state in outcome.states:
-        assert state is not None
-        assert state.estimate.rotation is None or np.isfinite(state.estimate.rotation).all()
