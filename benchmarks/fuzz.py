@@ -2,11 +2,11 @@
 
     python benchmarks/fuzz.py [--cases N] [--seed S] [--only KIND ...]
 
-Files of every kind (calibrations, settings, tables, images; tracks and checkpoints, with valid checksums so that their
-content is reached) and node messages are mutated at random, seeded. Bytes, lines and numbers are replaced, cut, repeated,
-nested, or joined with those of another file. A reader may return a result or raise a `ValueError` or `OSError`. The error
-must be one printable line of at most `MAX_SENTENCE_CHARS` characters with the file's name (except for messages). Both
-must stay within `MAX_SECONDS` and `MAX_MEGABYTES`.
+Files of every kind (calibrations, settings, tables, images, object models; tracks, checkpoints and the arrays of object
+models with valid checksums, so that their content is reached) and node messages are mutated at random, seeded. Bytes,
+lines and numbers are replaced, cut, repeated, nested, or joined with those of another file. A reader may return a result
+or raise a `ValueError` or `OSError`. The error must be one printable line of at most `MAX_SENTENCE_CHARS` characters with
+the file's name (except for messages). Both must stay within `MAX_SECONDS` and `MAX_MEGABYTES`.
 
 Batches run in separate processes. If a signal ends one, its case counts as a crash and the batch continues after it. Prints
 a row for each kind, and the cases that fail.
@@ -15,14 +15,16 @@ a row for each kind, and the cases that fail.
 from __future__ import annotations
 
 import argparse
+import io
 import json
 import subprocess
 import sys
 import tempfile
 import time
+import zipfile
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import cache, partial
 from hashlib import blake2b
@@ -36,6 +38,7 @@ from scipy.spatial.transform import RigidTransform
 from benchmarks.fuzz_calibrations import SAMPLES, Sample
 from sylpose import __version__
 from sylpose.archive.recordings import TrackingOptions, find_recordings
+from sylpose.features.sift import Features
 from sylpose.frames import Box, FrameSet
 from sylpose.input_limits import MAX_MESSAGE_LENGTH
 from sylpose.io import calibration
@@ -43,13 +46,15 @@ from sylpose.io.capture.boxes import load_boxes
 from sylpose.io.capture.images import read_image, read_image_size
 from sylpose.io.capture.live import open_live
 from sylpose.io.capture.timeline import load_timestamps
+from sylpose.io.object_files import load_object, save_object
 from sylpose.io.pixel_files import load_image_points
 from sylpose.io.point_files import load_points
 from sylpose.landmarks.alignment import LandmarkMatches
+from sylpose.landmarks.landmark_filter import Landmarks
 from sylpose.landmarks.messages import EvaluationMessage, TermsMessage
 from sylpose.moments import PairMoments
 from sylpose.network import codec
-from sylpose.network.frame_announcement import FrameAnnouncement
+from sylpose.network.codec import FrameAnnouncement
 from sylpose.network.plausibility import find_implausibility
 from sylpose.network.wire_format import (
     DATA,
@@ -68,13 +73,13 @@ from sylpose.relative_pose.terms import TermData
 from sylpose.report.files import TrajectoryWriter, read_trajectory, read_tum
 from sylpose.results import FramePose, FrameStatus
 from sylpose.rig import Rig
-from sylpose.runs.checkpoint import CHECKPOINT, FORMAT, load_checkpoint
-from sylpose.runs.checkpoint_schema import FUNCTIONS, RECORD_TYPES, OutputState, RunState
-from sylpose.runs.frame_store import _FRAME, FrameFile
-from sylpose.serialization import serialize
+from sylpose.runs.checkpoint import _FRAME, CHECKPOINT, FORMAT, FrameFile, load_checkpoint
+from sylpose.runs.checkpoint_schema import SERIALIZER, OutputState, RunState
 from sylpose.simulate import ring
 from sylpose.smoothing.trajectory import Track
 from sylpose.sync.offsets import load_offsets
+from sylpose.tracking.frame import SolvedFrame
+from sylpose.tracking.known_object import CameraLandmarks, KnownObject
 from sylpose.tracking.reports import (
     KnownDepthMatches,
     MovingMatches,
@@ -218,8 +223,13 @@ def make_kinds() -> dict[str, Kind]:
         whole = tuple(bytes(cv2.imencode(suffix, picture)[1]) for picture in pictures)
         file_kinds[suffix[1:]] = Kind(f"0000{suffix}", whole, _read_image, is_text=False)
     track, state = _track_two_frames()
-    file_kinds["tracks.bin"] = Kind("content.bin", (_serialize(track, {}),), _tracks, is_text=False)
-    file_kinds["checkpoint"] = Kind("content.bin", (_serialize(state, FUNCTIONS),), _load_checkpoint, is_text=False)
+    whole_object = _save_object()
+    file_kinds["object.npz"] = Kind("object.npz", (whole_object,), load_object, is_text=False)
+    with zipfile.ZipFile(io.BytesIO(whole_object)) as archive:
+        members = tuple(name.encode() + b"\0" + archive.read(name) for name in archive.namelist())
+    file_kinds["object, arrays"] = Kind("object.npz", members, _load_object_with_array, is_text=False)
+    file_kinds["tracks.bin"] = Kind("content.bin", (b"".join(SERIALIZER.dump(track)),), _tracks, is_text=False)
+    file_kinds["checkpoint"] = Kind("content.bin", (b"".join(SERIALIZER.dump(state)),), _load_checkpoint, is_text=False)
     packed_messages = [codec.encode(one) for one in MESSAGES]
     number = Hello(2, 7), Welcome(5, 9, frozenset({0, 1}), packed_messages[0])
     words = [
@@ -464,12 +474,6 @@ def _find_recordings(file: Path) -> object:
     return find_recordings([str(file)], TrackingOptions())
 
 
-def _serialize(value: object, functions: Mapping[str, Callable[..., object]]) -> bytes:
-    """Serialize a value as in a file of tracks or a checkpoint, after the length of its table."""
-    table, *blocks = serialize(value, RECORD_TYPES, functions)
-    return len(table).to_bytes(8, "little") + b"".join([table, *blocks])
-
-
 def _track_two_frames() -> tuple[Track, RunState]:
     """Track two small frames; return the track and the state of the run."""
     rig, rng = ring(2, size=(96, 72), focal=90.0), np.random.default_rng(0)
@@ -483,12 +487,51 @@ def _track_two_frames() -> tuple[Track, RunState]:
     return Track.from_tracked(decided[0]), state
 
 
+def _save_object() -> bytes:
+    """Return the file of a small object model."""
+    rng, n = np.random.default_rng(0), 4
+    empty = {"time_offsets": np.empty(0), "viewpoints": np.empty((0, 3)), "is_visible": np.empty(0, bool)}
+    keyframes = tuple(
+        SolvedFrame(
+            number=k,
+            time=0.5 * k,
+            world_from_object=RigidTransform.from_translation([0.1 * k, 0.0, 1.0]),
+            covariance=0.01 * np.eye(6),
+            landmark_age=3.0,
+            is_fixed=True,
+            **empty,
+        )
+        for k in range(2)
+    )
+    features = Features(rng.uniform(0, 40, (n, 2)), rng.normal(size=(n, 2)), np.full((n, 128), 0.088, np.float32))
+    information, many = np.tile(np.eye(3), (n, 1, 1)), np.full(n, 5)
+    landmarks = Landmarks(
+        rng.normal(size=(n, 3)), information, many, np.ones(n, bool), rng.normal(size=(n, 2)), np.arange(n)
+    )
+    memory = CameraLandmarks(landmarks, (features, features), (np.arange(n), np.arange(n)))
+    known = KnownObject(RIG, 0.3, "0a1b", rng.normal(size=(n, 3)), keyframes, dict.fromkeys(RIG.names, memory))
+    with tempfile.TemporaryDirectory() as folder:
+        save_object(known, Path(folder, "object.npz"))
+        return Path(folder, "object.npz").read_bytes()
+
+
+def _load_object_with_array(file: Path) -> object:
+    """Load an object model of which one array is mutated, with a valid checksum."""
+    mutated, _, content = file.read_bytes().partition(b"\0")
+    with zipfile.ZipFile(io.BytesIO(make_kinds()["object.npz"].samples[0])) as archive:
+        contents = {name: archive.read(name) for name in archive.namelist()}
+    contents[mutated.decode("latin-1") or "unnamed"] = content
+    with zipfile.ZipFile(file, "w") as archive:
+        for name, data in contents.items():
+            archive.writestr(name, data)
+    return load_object(file)
+
+
 def _tracks(file: Path) -> object:
     """Read tracks with a valid checksum."""
-    data = file.read_bytes()
-    content = data[8:]
+    content = file.read_bytes()
     tracks = file.parent / "tracks.bin"
-    tracks.write_bytes(_FRAME.pack(int.from_bytes(data[:8], "little"), len(content), zlib.crc32(content)) + content)
+    tracks.write_bytes(_FRAME.pack(len(content), zlib.crc32(content)) + content)
     found = FrameFile(tracks, Track, tracks.stat().st_size)
     try:
         return list(found.read())

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from sylpose.runs.checkpoint_schema import FUNCTIONS, RECORD_TYPES
-from sylpose.serialization import deserialize, serialize
+from sylpose.runs.checkpoint_schema import SERIALIZER
 from sylpose.tracking.tracker import Tracker, TrackerSnapshot
 
 __all__ = ["dump_state", "restore_state"]
 
 
-def dump_state(tracker: Tracker) -> tuple[bytes, int]:
-    """Return the data, and the length of its table."""
-    table, *blocks = serialize(tracker.snapshot, RECORD_TYPES, FUNCTIONS)
-    return b"".join([table, *blocks]), len(table)
+def dump_state(tracker: Tracker) -> bytes:
+    """Return the state as data."""
+    return b"".join(SERIALIZER.dump(tracker.snapshot))
 
 
-def restore_state(tracker: Tracker, data: tuple[bytes, int]) -> None:
+def restore_state(tracker: Tracker, data: bytes) -> None:
     """Restore a tracker's stored state."""
-    memory: TrackerSnapshot = deserialize(memoryview(data[0]), data[1], TrackerSnapshot, RECORD_TYPES, FUNCTIONS)
+    memory: TrackerSnapshot = SERIALIZER.load(memoryview(data), TrackerSnapshot)
     tracker.restore(memory)

@@ -53,11 +53,11 @@ ALLOWED: dict[str, set[str]] = {
     "atomic_io": set(),
     "serialization": {"geometry"},
     "report": NOUNS | FILES,
-    "io": {""} | NOUNS | FILES | {"boards", "report", "tracking", "landmarks", "features"},
+    "io": {""} | NOUNS | FILES | {"serialization", "boards", "report", "tracking", "landmarks", "features"},
     "simulate": NOUNS | FILES | {"io"},
     "sync": NOUNS | FILES | {"io", "tracking", "smoothing"},
     "experiments": NOUNS | {"packets", "sylvester", "simulate", "report"},
-    "network": NOUNS | PARTS | FILES | {"packets", "relative_pose", "landmarks", "tracking", "smoothing"},
+    "network": NOUNS | PARTS | FILES | {"packets", "serialization"} | (ESTIMATORS - {"bundle_adjustment"}),
     # Its results contain the version that made them.
     "archive": {""} | NOUNS | FILES | {"io", "sync", "report", "simulate", "runs"},
 }

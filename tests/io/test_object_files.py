@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import re
+import tracemalloc
 import zipfile
 from collections.abc import Callable
 from dataclasses import replace
@@ -14,6 +16,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from benchmarks.fuzz import make_kinds
 from sylpose.commands.main import main
 from sylpose.io import calibration
 from sylpose.io.capture import open_session
@@ -328,6 +331,7 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize(
     ("name", "change"),
     [
+        ("points", lambda a: np.asfortranarray(a)),
         ("points", lambda a: a.T),
         ("points", lambda a: a.astype("f4")),
         ("points", lambda a: np.full_like(a, np.nan)),
@@ -388,3 +392,97 @@ def test_damaged_object_files(first: Path, tmp_path: Path, at: int, byte: int, c
     assert not cut or message
     assert not message or message.startswith(f"{tmp_path / 'bad.npz'}: ")
     assert "\n" not in message
+
+
+def _describe_error(file: Path, data: bytes) -> str:
+    """Return the message about a file with this content, which must be one line; "" if it is read."""
+    file.write_bytes(data)
+    message = ""
+    try:
+        load_object(file)
+    except ValueError as error:
+        message = str(error)
+    assert not message or message.startswith(f"{file}: ")
+    assert message.isprintable()
+    return message
+
+
+@pytest.fixture(scope="module")
+def small() -> bytes:
+    """Return the file of a small object model."""
+    return make_kinds()["object.npz"].samples[0]
+
+
+def _replace_array(data: bytes, name: str, content: bytes) -> bytes:
+    """Return an archive with another content of an array, and its checksum."""
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        contents = {other: archive.read(other) for other in archive.namelist()}
+    whole = io.BytesIO()
+    with zipfile.ZipFile(whole, "w") as archive:
+        for other, of in {**contents, f"{name}.npy": content}.items():
+            archive.writestr(other, of)
+    return whole.getvalue()
+
+
+@pytest.mark.parametrize("how", ["flip", "cut", "replace"])
+def test_each_region_of_the_file_is_damaged(small: bytes, tmp_path: Path, how: str) -> None:
+    """Damage the file every few bytes: local headers, contents, directory and end of the archive."""
+    rng, n_refused, positions = np.random.default_rng(0), 0, range(0, len(small), 7)
+    for at in positions:
+        data = bytearray(small)
+        if how == "flip":
+            data[at] ^= 1 << int(rng.integers(8))
+        elif how == "cut":
+            del data[at:]
+        else:
+            data[at : at + 16] = rng.bytes(len(data[at : at + 16]))
+        n_refused += bool(_describe_error(tmp_path / "bad.npz", bytes(data)))
+    # Dates, versions and comments may change.
+    assert n_refused > {"flip": 0.7, "cut": 0.99, "replace": 0.95}[how] * len(positions)
+
+
+@pytest.mark.parametrize("name", ["header", "points", "keyframe_stays", "feature_descriptor"])
+def test_damaged_array_headers_are_refused(small: bytes, tmp_path: Path, name: str) -> None:
+    """Flip each bit of an array's header, with a valid checksum of the archive: type, shape and size must agree."""
+    with zipfile.ZipFile(io.BytesIO(small)) as archive:
+        content = archive.read(f"{name}.npy")
+    assert content.startswith(b"\x93NUMPY")
+    assert _describe_error(tmp_path / "bad.npz", _replace_array(small, name, content)) == ""
+    used = content.index(b"}") + 1
+    for bit in range(8 * used):
+        at = bit // 8
+        damaged = bytearray(content)
+        damaged[at] ^= 1 << bit % 8
+        message = _describe_error(tmp_path / "bad.npz", _replace_array(small, name, bytes(damaged)))
+        assert message or 8 <= at < 10  # the length of the header, which ends with its line
+
+
+def test_damaged_object_ends_a_command_with_one_line(
+    first: Path, small: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with zipfile.ZipFile(io.BytesIO(small)) as archive:
+        content = archive.read("points.npy")
+    file = tmp_path / "bad.npz"
+    for damaged in (content.replace(b"'<f8'", b"'<f8"), content.replace(b"(4, 3)", b"(4, 3"), b"\x92" + content[1:]):
+        file.write_bytes(_replace_array(small, "points", damaged))
+        assert main(["track", str(first), "--out", str(tmp_path / "out"), "--object", str(file)]) == 2
+        err = capsys.readouterr().err
+        assert err.startswith(f"sylpose: {file}: not a sylpose object file, or damaged (an array with")
+        assert err.count("\n") == 1
+
+
+def test_small_files_do_not_unpack_to_much(small: bytes, tmp_path: Path) -> None:
+    """Announce fewer bytes than the archive unpacks to, and more elements than it has."""
+    bomb = _replace_array(small, "points", bytes(1000))
+    with zipfile.ZipFile(tmp_path / "bomb.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("points.npy", bytes(100_000_000))
+    data = bytearray((tmp_path / "bomb.npz").read_bytes())
+    sizes = [at for at in range(len(data) - 3) if data[at : at + 4] == (100_000_000).to_bytes(4, "little")]
+    for at in sizes:
+        data[at : at + 4] = (1000).to_bytes(4, "little")
+    tracemalloc.start()
+    assert "damaged" in _describe_error(tmp_path / "bomb.npz", bytes(data))
+    huge = b"\x93NUMPY\x01\x00v\x00{'descr': '<f8', 'fortran_order': False, 'shape': (9999999999, 3), }   \n"
+    assert "disagree" in _describe_error(tmp_path / "bomb.npz", _replace_array(bomb, "points", huge))
+    assert tracemalloc.get_traced_memory()[1] < 20_000_000
+    tracemalloc.stop()

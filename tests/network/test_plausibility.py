@@ -11,8 +11,11 @@ from sylpose.landmarks.messages import EvaluationMessage, TermsMessage
 from sylpose.network.plausibility import find_implausibility
 from sylpose.tracking.reports import (
     CameraMotionReport,
+    CameraTerms,
+    InitialMatches,
     KnownDepthMatches,
     LandmarkAges,
+    MovingMatches,
     PoseAgreement,
     RelocalizationMatches,
     TrackingReport,
@@ -82,7 +85,10 @@ def test_implausible_payloads_are_rejected(told: object, why: str) -> None:
 
 
 def test_matches_must_be_of_sending_camera() -> None:
-    assert find_implausibility([TERM], TERM.camera) is None
-    assert find_implausibility([TERM], TERM.camera + 1) == NO_MATCHES
-    assert find_implausibility([replace(TERM, rotation=2 * np.eye(3))], TERM.camera) == NO_MATCHES
-    assert find_implausibility([replace(TERM, focal=0.0)], TERM.camera) == NO_MATCHES
+    moving = MovingMatches(TERM, np.ones(len(TERM.x)), 0.5, 0)
+    for payload in (CameraTerms((TERM,)), InitialMatches((moving,)), moving, (TERM,)):
+        assert find_implausibility(payload, TERM.camera) is None
+        assert find_implausibility(payload, TERM.camera + 1) == NO_MATCHES
+    for wrong in (replace(TERM, rotation=2 * np.eye(3)), replace(TERM, focal=0.0)):
+        assert find_implausibility(CameraTerms((wrong,)), TERM.camera) == NO_MATCHES
+        assert find_implausibility(InitialMatches((replace(moving, term=wrong),)), TERM.camera) == NO_MATCHES

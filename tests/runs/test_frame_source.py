@@ -11,7 +11,7 @@ import pytest
 
 from sylpose.io.capture.frame_assembly import Grab
 from sylpose.io.capture.sources import open_source
-from sylpose.network.frame_announcement import (
+from sylpose.network.codec import (
     FRAME_PENDING,
     NO_FRAME,
     FrameAnnouncement,

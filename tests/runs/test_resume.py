@@ -26,9 +26,10 @@ from sylpose.results import FramePose
 from sylpose.rig import Rig
 from sylpose.runs import checkpoint as checkpoints
 from sylpose.runs.checkpoint import CHECKPOINT
-from sylpose.runs.checkpoint_schema import RECORD_TYPES, RunState
+from sylpose.runs.checkpoint_schema import SERIALIZER, RunState
 from sylpose.runs.options import RunOptions
 from sylpose.runs.run import track_session
+from sylpose.tracking.joint_state import JointState
 from sylpose.tracking.tracked_frame import TrackedFrame
 
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -243,7 +244,7 @@ def test_other_options_or_another_session(session: Path, capsys: pytest.CaptureF
         (lambda data: data[: len(data) // 2] + b"x" + data[len(data) // 2 + 1 :], "damaged"),
         (lambda _: b"", "damaged"),
         (lambda _: pickle.dumps("something else"), "not a sylpose checkpoint"),
-        (lambda data: data.replace(b"checkpoint 2", b"checkpoint 1", 1), "written by another version of sylpose"),
+        (lambda data: data.replace(b"checkpoint 3", b"checkpoint 2", 1), "written by another version of sylpose"),
     ],
     ids=["cut", "changed", "empty", "foreign", "of another version"],
 )
@@ -268,7 +269,7 @@ def test_checkpoint_of_another_version_or_code(
     assert "written by sylpose 0.0.9, this is" in refused(capsys, *args)
     interrupted(recording, tmp_path, 1, stop=2)
     with monkeypatch.context() as patch:
-        patch.delitem(RECORD_TYPES, "JointState")
+        patch.delitem(SERIALIZER.records, JointState)
         with pytest.raises(ValueError, match="a modified sylpose"):
             checkpoints.load_checkpoint(tmp_path / CHECKPOINT, *header(tmp_path / CHECKPOINT))
 
@@ -296,7 +297,7 @@ def test_unwritable_checkpoint_is_reported(recording: Path, tmp_path: Path, monk
             raise OSError(f"cannot write {path}: no space left on device")
         save(path, *state)
 
-    monkeypatch.setattr("sylpose.runs.checkpoint_schedule.save_checkpoint", full)
+    monkeypatch.setattr("sylpose.runs.checkpoint.save_checkpoint", full)
     run = track_session(open_session(recording), tmp_path, RunOptions(stop=3, overlay=False, checkpoint_seconds=0))
     assert len(run.trajectory) == 3
     (message,) = run.problems

@@ -24,8 +24,7 @@ from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import FloatArray, Image
 from sylpose.results import FramePose, FrameStatus
 from sylpose.rig import Camera
-from sylpose.runs.checkpoint_schema import RECORD_TYPES
-from sylpose.serialization import deserialize, serialize
+from sylpose.runs.checkpoint_schema import SERIALIZER
 from sylpose.simulate import make_demo_scene
 from sylpose.simulate.textures import make_room_image
 from sylpose.tracking.camera_motion_correction import add_nudge_faults
@@ -145,10 +144,7 @@ def test_nudge_is_confirmed_in_second_frame(camera: Camera) -> None:
     assert watch.stabilizer is not None
     assert rotation_error(watch.stabilizer.rotation, 2.5) < 0.05
     # The original image is unchanged, to the bit.
-    table, *blocks = serialize(watch, RECORD_TYPES, {})
-    again: CameraMotionDetector = deserialize(
-        memoryview(b"".join([table, *blocks])), len(table), CameraMotionDetector, RECORD_TYPES, {}
-    )
+    again: CameraMotionDetector = SERIALIZER.load(memoryview(b"".join(SERIALIZER.dump(watch))), CameraMotionDetector)
     np.testing.assert_array_equal(again.stabilize(moved, None)[0], watch.stabilize(moved, None)[0])
 
 

@@ -27,6 +27,7 @@ __all__ = [
     "check_real",
     "check_rows",
     "check_sequence",
+    "check_shape",
     "check_type",
     "format_value",
 ]
@@ -78,14 +79,38 @@ def check_finite(
     Raises:
         ValueError: naming the argument: another shape, values that are not real, not finite or beyond `maximum`.
     """
-    expected = f"({', '.join(map(str, shape))}{',' if len(shape) == 1 else ''})"
-    array = check_real(values, expected, name)
-    if array.ndim != len(shape) or any(
-        isinstance(n, int) and n != size for n, size in zip(shape, array.shape, strict=True)
-    ):
-        raise ValueError(f"{name} must be {expected}, got shape {array.shape}")
+    array = check_real(values, _format_shape(shape, {}), name)
+    check_shape(array.shape, shape, name)
     _check_range(array, name, maximum)
     return array
+
+
+def check_shape(
+    shape: Sequence[int], expected: Sequence[int | str], name: str, lengths: dict[str, int] | None = None
+) -> None:
+    """Check the shape of an array.
+
+    Args:
+        shape: the shape.
+        expected: the expected shape, in which a letter is any length.
+        name: of the array.
+        lengths: lengths by letter, shared by the arrays of a record and extended.
+
+    Raises:
+        ValueError: naming the array.
+    """
+    lengths = {} if lengths is None else lengths
+    before = dict(lengths)
+    if len(shape) != len(expected) or any(
+        n != (lengths.setdefault(size, n) if isinstance(size, str) else size)
+        for n, size in zip(shape, expected, strict=True)
+    ):
+        raise ValueError(f"{name} must be {_format_shape(expected, before)}, got shape {shape}")
+
+
+def _format_shape(shape: Sequence[int | str], lengths: Mapping[str, int]) -> str:
+    sizes = [str(lengths.get(size, size) if isinstance(size, str) else size) for size in shape]
+    return f"({', '.join(sizes)}{',' if len(sizes) == 1 else ''})"
 
 
 def check_number(

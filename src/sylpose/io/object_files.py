@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 import zipfile
-import zlib
 from collections.abc import Mapping, Sequence
+from math import prod
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, BinaryIO, Literal, TypeAlias
 
 import msgspec
 import numpy as np
@@ -19,9 +20,11 @@ from sylpose import __version__
 from sylpose.atomic_io import replace_atomically
 from sylpose.features.sift import Features
 from sylpose.geometry.arrays import FloatArray
-from sylpose.input_limits import input_errors
+from sylpose.geometry.validation import check_shape
+from sylpose.input_limits import input_errors, open_regular_file
 from sylpose.landmarks.landmark_filter import Landmarks
 from sylpose.rig import Camera, Rig
+from sylpose.serialization import make_transforms
 from sylpose.tracking.frame import SolvedFrame
 from sylpose.tracking.known_object import MIN_KEYFRAMES, CameraLandmarks, KnownObject, ObjectFrame
 from sylpose.tracking.object_transfer import check_unit
@@ -49,54 +52,73 @@ COLORS = np.array(
 )
 _NAME = Annotated[str, msgspec.Meta(pattern=r"^[^\x00-\x1f\x7f]+$", max_length=200)]
 _TEXT = Annotated[str, msgspec.Meta(pattern=r"^[^\x00-\x1f\x7f]*$", max_length=200)]
-# A matrix's rows.
-_POSE = Annotated[
-    list[Annotated[list[float], msgspec.Meta(min_length=3, max_length=4)]], msgspec.Meta(min_length=3, max_length=4)
-]
+_NUMBER = Annotated[float, msgspec.Meta(ge=-MAX_LENGTH, le=MAX_LENGTH)]
+_SD = Annotated[float, msgspec.Meta(ge=0, lt=MAX_LENGTH)]
+# Rows of matrices (3, 3) and (4, 4).
+_Row3: TypeAlias = tuple[_NUMBER, _NUMBER, _NUMBER]
+_Row4: TypeAlias = tuple[_NUMBER, _NUMBER, _NUMBER, _NUMBER]
+_Pose: TypeAlias = tuple[_Row4, _Row4, _Row4, _Row4]
 # Names, types and shapes of the arrays: K keyframes, L landmarks, F features, P points.
 _ARRAYS: Mapping[str, tuple[str, tuple[str | int, ...]]] = {
-    "points": ("f8", ("P", 3)),
-    "keyframe_time": ("f8", ("K",)),
-    "keyframe_age": ("f8", ("K",)),
-    "keyframe_stays": ("i8", ("K",)),
-    "keyframe_world_from_object": ("f8", ("K", 4, 4)),
-    "keyframe_covariance": ("f8", ("K", 6, 6)),
-    "landmark_camera": ("i8", ("L",)),
-    "landmark_id": ("i8", ("L",)),
-    "landmark_place": ("f8", ("L", 3)),
-    "landmark_information": ("f8", ("L", 3, 3)),
-    "landmark_seen": ("i8", ("L",)),
-    "landmark_origin": ("f8", ("L", 2)),
-    "feature_camera": ("i8", ("F",)),
-    "feature_keyframe": ("i8", ("F",)),
-    "feature_landmark": ("i8", ("F",)),
-    "feature_pixels": ("f8", ("F", 2)),
-    "feature_normalized": ("f8", ("F", 2)),
-    "feature_descriptor": ("f2", ("F", 128)),
+    "points": ("<f8", ("P", 3)),
+    "keyframe_time": ("<f8", ("K",)),
+    "keyframe_age": ("<f8", ("K",)),
+    "keyframe_stays": ("<i8", ("K",)),
+    "keyframe_world_from_object": ("<f8", ("K", 4, 4)),
+    "keyframe_covariance": ("<f8", ("K", 6, 6)),
+    "landmark_camera": ("<i8", ("L",)),
+    "landmark_id": ("<i8", ("L",)),
+    "landmark_place": ("<f8", ("L", 3)),
+    "landmark_information": ("<f8", ("L", 3, 3)),
+    "landmark_seen": ("<i8", ("L",)),
+    "landmark_origin": ("<f8", ("L", 2)),
+    "feature_camera": ("<i8", ("F",)),
+    "feature_keyframe": ("<i8", ("F",)),
+    "feature_landmark": ("<i8", ("F",)),
+    "feature_pixels": ("<f8", ("F", 2)),
+    "feature_normalized": ("<f8", ("F", 2)),
+    "feature_descriptor": ("<f2", ("F", 128)),
 }
+# Arrays by the attributes of `Landmarks` and `Features` that they contain.
+_LANDMARKS = {
+    "id": "landmark_id",
+    "mean": "landmark_place",
+    "information": "landmark_information",
+    "n_observations": "landmark_seen",
+    "origin": "landmark_origin",
+}
+_FEATURES = {"pixels": "feature_pixels", "normalized": "feature_normalized", "descriptors": "feature_descriptor"}
+# A file of numbers or text in an archive, as NumPy writes it: type and shape, then the content.
+_N = rb"(?:0|[1-9]\d{0,9})"
+_NPY = re.compile(
+    rb"\x93NUMPY\x01\x00..\{'descr': '(\|[biu]1|<[iuf][248]|<U[1-9]\d{0,6})', 'fortran_order': False, "
+    rb"'shape': \(((?:%b,)?|(?:%b, )+%b)\), \} *\n" % (_N, _N, _N),
+    re.DOTALL,
+)
 
 
 class _Camera(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     name: _NAME
     size: tuple[int, int]
-    matrix: _POSE
+    matrix: tuple[_Row3, _Row3, _Row3]
     distortion: Annotated[list[float], msgspec.Meta(max_length=14)]
-    camera_from_world: _POSE
+    camera_from_world: _Pose
     lens: Literal["opencv", "fisheye"]
     error_px: float | None
 
 
-class _Header(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class _Format(msgspec.Struct, frozen=True):
     format: str
+
+
+class _Header(_Format, frozen=True, forbid_unknown_fields=True):
     version: Annotated[str, msgspec.Meta(pattern=r"^[\w.+-]{1,40}$")]
     mark: Annotated[str, msgspec.Meta(pattern=r"^[0-9a-f]{1,64}$")]
     unit: _TEXT
     radius: Annotated[float, msgspec.Meta(gt=0, lt=MAX_LENGTH)]
     scale_sd: Annotated[float, msgspec.Meta(ge=0, le=1)]
-    object_from_learned: _POSE
-    frame_sd: Annotated[
-        list[Annotated[float, msgspec.Meta(ge=0, lt=MAX_LENGTH)]], msgspec.Meta(min_length=6, max_length=6)
-    ]
+    object_from_learned: _Pose
+    frame_sd: tuple[_SD, _SD, _SD, _SD, _SD, _SD]
     frame_description: _TEXT
     cameras: Annotated[list[_Camera], msgspec.Meta(min_length=1, max_length=10_000)]
 
@@ -111,70 +133,55 @@ def save_object(known: KnownObject, path: Path | str) -> None:
     Raises:
         OSError: the file cannot be written; the message names it.
     """
-    parts = dict[str, list[NDArray[Any]]]()
-    arrays: dict[str, NDArray[Any]] = {
+    keyframes, frame = known._keyframes, known.frame
+    landmarks = [memory.landmarks for memory in known._cameras.values()]
+    views = [
+        (c, k, features, ids)
+        for c, memory in enumerate(known._cameras.values())
+        for k, (features, ids) in enumerate(zip(memory.features, memory.landmark_ids, strict=True))
+    ]
+    cameras, numbers, features, ids = zip(*views, strict=True)
+    arrays: dict[str, ArrayLike] = {
         "points": known._points,
-        "keyframe_time": np.array([k.time for k in known._keyframes]),
-        "keyframe_age": np.array([k.landmark_age for k in known._keyframes]),
-        "keyframe_stays": np.array([k.is_fixed for k in known._keyframes]),
-        "keyframe_world_from_object": np.array([k.world_from_object.as_matrix() for k in known._keyframes]),
-        "keyframe_covariance": np.array([k.covariance for k in known._keyframes]),
+        "keyframe_time": [k.time for k in keyframes],
+        "keyframe_age": [k.landmark_age for k in keyframes],
+        "keyframe_stays": [k.is_fixed for k in keyframes],
+        "keyframe_world_from_object": [k.world_from_object.as_matrix() for k in keyframes],
+        "keyframe_covariance": [k.covariance for k in keyframes],
+        "landmark_camera": np.repeat(np.arange(len(landmarks)), [len(of) for of in landmarks]),
+        "feature_camera": np.repeat(cameras, [len(of) for of in features]),
+        "feature_keyframe": np.repeat(numbers, [len(of) for of in features]),
+        "feature_landmark": np.concatenate(ids),
     }
-    for c, memory in enumerate(known._cameras.values()):
-        landmarks = memory.landmarks
-        _append_rows(
-            parts,
-            "landmark",
-            camera=np.full(len(landmarks), c),
-            id=landmarks.id,
-            place=landmarks.mean,
-            information=landmarks.information,
-        )
-        _append_rows(parts, "landmark", seen=landmarks.n_observations, origin=landmarks.origin)
-        for k, (features, numbers) in enumerate(zip(memory.features, memory.landmark_ids, strict=True)):
-            n = len(features)
-            _append_rows(parts, "feature", camera=np.full(n, c), keyframe=np.full(n, k), landmark=numbers)
-            _append_rows(
-                parts,
-                "feature",
-                pixels=features.pixels,
-                normalized=features.normalized,
-                descriptor=features.descriptors,
-            )
-    arrays |= {name: np.concatenate(rows) for name, rows in parts.items()}
-    frame = known.frame
-    header = _Header(
-        FORMAT,
-        __version__,
-        known.fingerprint,
-        known.unit,
-        known.radius,
-        known.scale_sd,
-        frame.from_learned.as_matrix().tolist(),
-        frame.sd.tolist(),
-        frame.description,
-        [_encode_camera(known.rig[name]) for name in known._cameras],
-    )
-    typed = {name: arrays[name].astype(f"<{kind}") for name, (kind, _) in _ARRAYS.items()}
+    for names, records in ((_LANDMARKS, landmarks), (_FEATURES, features)):
+        arrays |= {name: np.concatenate([getattr(of, field) for of in records]) for field, name in names.items()}
+    header = {
+        "format": FORMAT,
+        "version": __version__,
+        "mark": known.fingerprint,
+        "unit": known.unit,
+        "radius": known.radius,
+        "scale_sd": known.scale_sd,
+        "frame_sd": frame.sd.tolist(),
+        "object_from_learned": frame.from_learned.as_matrix().tolist(),
+        "frame_description": frame.description,
+        "cameras": [_encode_camera(known.rig[name]) for name in known._cameras],
+    }
+    typed = {name: np.asarray(arrays[name]).astype(kind) for name, (kind, _) in _ARRAYS.items()}
     with replace_atomically(path) as part, part.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, header=np.array(msgspec.json.encode(header).decode()), **typed)
 
 
-def _encode_camera(camera: Camera) -> _Camera:
-    return _Camera(
-        camera.name,
-        camera.size,
-        camera.matrix.tolist(),
-        camera.distortion.tolist(),
-        camera.camera_from_world.as_matrix().tolist(),
-        camera.lens,
-        camera.error_px,
-    )
-
-
-def _append_rows(parts: dict[str, list[NDArray[Any]]], prefix: str, **rows: NDArray[Any]) -> None:
-    for name, values in rows.items():
-        parts.setdefault(f"{prefix}_{name}", []).append(values)
+def _encode_camera(camera: Camera) -> dict[str, Any]:
+    return {
+        "name": camera.name,
+        "size": camera.size,
+        "lens": camera.lens,
+        "error_px": camera.error_px,
+        "matrix": camera.matrix.tolist(),
+        "distortion": camera.distortion.tolist(),
+        "camera_from_world": camera.camera_from_world.as_matrix().tolist(),
+    }
 
 
 def load_object(path: Path | str) -> KnownObject:
@@ -191,47 +198,60 @@ def load_object(path: Path | str) -> KnownObject:
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file; expected the object.npz of an earlier run")
     with input_errors(path):
-        try:
-            header, arrays = _read(path)
-        except (
-            zipfile.BadZipFile,
-            zlib.error,
-            EOFError,
-            KeyError,
-            RuntimeError,
-            SyntaxError,
-            OSError,
-            ValueError,
-        ) as error:
-            raise ValueError(f"not a sylpose object file, or damaged ({error})") from None
+        with open_regular_file(path, MAX_BYTES) as file:
+            arrays = read_npz(file)
+        header = _decode_header(arrays.pop("header", np.empty(0)))
+        if arrays.keys() != _ARRAYS.keys():
+            raise ValueError("its arrays are not those of a sylpose object")
+        lengths = dict[str, int]()
+        for name, (kind, shape) in _ARRAYS.items():
+            values = arrays[name]
+            if values.dtype != np.dtype(kind):
+                raise ValueError(f"{name} has the type {values.dtype}")
+            check_shape(values.shape, shape, name, lengths)
+            if kind != "<i8" and not (np.abs(values.astype(float)) <= MAX_LENGTH**2).all():
+                raise ValueError(f"{name} has numbers that are not finite or too large")
         return _decode_object(header, arrays)
 
 
-def _read(path: Path) -> tuple[_Header, dict[str, NDArray[Any]]]:
-    with zipfile.ZipFile(path) as archive:
-        infos = archive.infolist()
-        if sorted(info.filename for info in infos) != sorted(f"{name}.npy" for name in (*_ARRAYS, "header")):
-            raise ValueError("its arrays are not those of a sylpose object")
-        if sum(info.file_size for info in infos) > MAX_BYTES:
-            raise ValueError(f"more than {MAX_BYTES >> 20} MB")
-    arrays, sizes = dict[str, NDArray[Any]](), dict[str, int]()
-    with np.load(path, allow_pickle=False) as file:
-        header_text = file["header"]
-        if header_text.dtype.kind != "U" or header_text.shape:
-            raise ValueError("its header is not a string")
-        header = msgspec.json.decode(str(header_text), type=_Header)
-        if header.format != FORMAT:
-            raise ValueError(f"the format is {header.format!r}; this version of sylpose reads {FORMAT!r}")
-        for name, (kind, shape) in _ARRAYS.items():
-            values = file[name]
-            rows = len(values) if values.ndim else 0
-            expected = tuple(n if isinstance(n, int) else sizes.setdefault(n, rows) for n in shape)
-            if values.dtype != np.dtype(f"<{kind}") or values.shape != expected:
-                raise ValueError(f"{name} has the type {values.dtype} and the shape {values.shape}")
-            if kind != "i8" and not (np.abs(values.astype(float)) <= MAX_LENGTH**2).all():
-                raise ValueError(f"{name} has numbers that are not finite or too large")
-            arrays[name] = values
-    return header, arrays
+def read_npz(file: BinaryIO) -> dict[str, NDArray[Any]]:
+    """Read an archive of arrays of numbers and text, as `numpy.savez` writes them; anything else is refused.
+
+    NumPy's own reader evaluates the arrays' headers before their checksums, and raises many kinds of errors.
+
+    Raises:
+        ValueError: damaged, not such an archive, or of more than `MAX_BYTES`. To be converted by `input_errors`.
+    """
+    try:
+        with zipfile.ZipFile(file) as archive:
+            infos = archive.infolist()
+            if sum(info.file_size for info in infos) > MAX_BYTES:
+                raise ValueError(f"more than {MAX_BYTES >> 20} MB")
+            # Reading so many bytes, and no more, unpacks no others, and verifies the checksum.
+            contents = {info.filename: archive.open(info).read(info.file_size) for info in infos}
+        return {name.removesuffix(".npy"): _decode_array(content) for name, content in contents.items()}
+    except Exception as error:
+        # A damaged archive can raise anything.
+        raise ValueError(f"not a sylpose object file, or damaged ({str(error) or type(error).__name__})") from None
+
+
+def _decode_array(data: bytes) -> NDArray[Any]:
+    head = _NPY.match(data)
+    if head is None:
+        raise ValueError("an array with elements that are not numbers")
+    kind, shape = np.dtype(head[1].decode()), [int(n) for n in head[2].split(b",") if n.strip()]
+    if prod(shape) * kind.itemsize != len(data) - head.end():
+        raise ValueError("an array whose shape and size disagree")
+    return np.frombuffer(data, kind, offset=head.end()).reshape(shape).copy()
+
+
+def _decode_header(text: NDArray[Any]) -> _Header:
+    if text.dtype.kind != "U" or text.shape:
+        raise ValueError("not a sylpose object file, or damaged (its header is not a string)")
+    found = msgspec.json.decode(str(text), type=_Format).format
+    if found != FORMAT:
+        raise ValueError(f"the format is {found!r}; this version of sylpose reads {FORMAT!r}")
+    return msgspec.json.decode(str(text), type=_Header)
 
 
 def _decode_object(header: _Header, a: Mapping[str, NDArray[Any]]) -> KnownObject:
@@ -239,7 +259,7 @@ def _decode_object(header: _Header, a: Mapping[str, NDArray[Any]]) -> KnownObjec
     k, c = len(a["keyframe_time"]), len(header.cameras)
     if k < MIN_KEYFRAMES or (np.diff(a["keyframe_time"]) <= 0).any():
         raise ValueError("too few keyframes, or out of order")
-    poses = _decode_poses("keyframe_world_from_object", a["keyframe_world_from_object"])
+    poses = _decode_pose("keyframe_world_from_object", a["keyframe_world_from_object"])
     for name in ("keyframe_covariance", "landmark_information"):
         if not _are_covariances(a[name]):
             raise ValueError(f"{name} has matrices that are not positive semidefinite")
@@ -262,47 +282,24 @@ def _decode_object(header: _Header, a: Mapping[str, NDArray[Any]]) -> KnownObjec
         for i in range(k)
     )
     cameras = [_decode_camera(camera) for camera in header.cameras]
-    (from_learned,) = _decode_poses("object_from_learned", [header.object_from_learned])
+    from_learned = _decode_pose("object_from_learned", header.object_from_learned)
     frame = ObjectFrame(from_learned, np.array(header.frame_sd), header.frame_description)
-    return KnownObject(
-        Rig(cameras, header.unit),
-        header.radius,
-        header.mark,
-        a["points"],
-        frames,
-        {camera.name: _decode_camera_landmarks(i, k, a) for i, camera in enumerate(cameras)},
-        frame,
-        header.scale_sd,
-    )
+    memories = {camera.name: _decode_camera_landmarks(i, k, a) for i, camera in enumerate(cameras)}
+    rig = Rig(cameras, header.unit)
+    return KnownObject(rig, header.radius, header.mark, a["points"], frames, memories, frame, header.scale_sd)
 
 
 def _decode_camera(stored: _Camera) -> Camera:
-    (pose,) = _decode_poses(f"camera {stored.name}: camera_from_world", [stored.camera_from_world])
-    matrix = _decode_matrices(f"camera {stored.name}: matrix", [stored.matrix], 3)[0]
-    return Camera(stored.name, stored.size, matrix, np.array(stored.distortion), pose, stored.lens, stored.error_px)
+    pose = _decode_pose(f"camera {stored.name}: camera_from_world", stored.camera_from_world)
+    matrix, distortion = np.array(stored.matrix), np.array(stored.distortion)
+    return Camera(stored.name, stored.size, matrix, distortion, pose, stored.lens, stored.error_px)
 
 
-def _decode_matrices(name: str, values: ArrayLike, n: int) -> FloatArray:
-    """Convert lists of rows, whose lengths are checked, to matrices (k, n, n)."""
-    matrices = np.array(values, dtype=object)
-    if matrices.shape[1:] != (n, n):
-        raise ValueError(f"{name}: expected a {n} x {n} matrix")
-    return matrices.astype(float)
-
-
-def _decode_poses(name: str, values: ArrayLike) -> list[RigidTransform]:
-    """Convert matrices (k, 4, 4) to transforms without changing their values."""
-    matrices = _decode_matrices(name, values, 4)
-    rotations = matrices[:, :3, :3]
-    finite = bool((np.abs(matrices) <= MAX_LENGTH).all())
-    rigid = (
-        finite
-        and np.abs(rotations @ rotations.swapaxes(1, 2) - np.eye(3)).max() < 1e-6
-        and (np.linalg.det(rotations) > 0).all()
-    )
-    if not rigid or not (matrices[:, 3] == [0, 0, 0, 1]).all():
-        raise ValueError(f"{name} has matrices that are not rigid transforms")
-    return [RigidTransform(matrix, normalize=False) for matrix in matrices]
+def _decode_pose(name: str, matrices: ArrayLike) -> RigidTransform:
+    try:
+        return make_transforms(np.asarray(matrices, float))
+    except ValueError:
+        raise ValueError(f"{name} has matrices that are not rigid transforms") from None
 
 
 def _are_covariances(matrices: FloatArray) -> bool:
@@ -314,26 +311,19 @@ def _are_covariances(matrices: FloatArray) -> bool:
 
 def _decode_camera_landmarks(c: int, keyframes: int, a: Mapping[str, NDArray[Any]]) -> CameraLandmarks:
     of_camera = a["landmark_camera"] == c
-    ids = a["landmark_id"][of_camera]
+    landmarks = {field: a[name][of_camera] for field, name in _LANDMARKS.items()}
+    ids = landmarks["id"]
     if (np.diff(ids) <= 0).any():
         raise ValueError("landmark_id: ids are not increasing")
-    landmarks = Landmarks(
-        mean=a["landmark_place"][of_camera],
-        information=a["landmark_information"][of_camera],
-        n_observations=a["landmark_seen"][of_camera],
-        has_moved=np.ones(len(ids), bool),
-        origin=a["landmark_origin"][of_camera],
-        id=ids,
-    )
     features, numbers = [], []
     for k in range(keyframes):
         selected = (a["feature_camera"] == c) & (a["feature_keyframe"] == k)
-        descriptors = a["feature_descriptor"][selected].astype(np.float32)
-        features.append(Features(a["feature_pixels"][selected], a["feature_normalized"][selected], descriptors))
+        found = {field: a[name][selected] for field, name in _FEATURES.items()}
+        features.append(Features(**{**found, "descriptors": found["descriptors"].astype(np.float32)}))
         numbers.append(a["feature_landmark"][selected])
     if not np.isin(np.concatenate(numbers), ids).all():
         raise ValueError("feature_landmark refers to missing landmarks")
-    return CameraLandmarks(landmarks, tuple(features), tuple(numbers))
+    return CameraLandmarks(Landmarks(**landmarks, has_moved=np.ones(len(ids), bool)), tuple(features), tuple(numbers))
 
 
 def load_known_objects(values: Sequence[str] | None, objects: Sequence[str], rig: Rig) -> dict[str, KnownObject]:

@@ -12,13 +12,14 @@ from sylpose.frames import Box, FrameSet
 from sylpose.landmarks.alignment import AlignmentStart, LandmarkMatches
 from sylpose.landmarks.distributed_alignment import DistributedAligner
 from sylpose.methods import FEATURES, METHODS, MODES
-from sylpose.network.codec import decode, encode
-from sylpose.network.frame_announcement import (
+from sylpose.network.codec import (
     ABSENT,
     FRAME_PENDING,
     NO_FRAME,
     FrameAnnouncement,
     choose_frame,
+    decode,
+    encode,
     find_common_newcomers,
 )
 from sylpose.network.membership import ExchangeRequest, ExchangeResult, JoinRequest, Request, Response

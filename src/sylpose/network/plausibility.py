@@ -17,6 +17,8 @@ from sylpose.relative_pose.terms import TermData
 from sylpose.tracking.reports import (
     BoxMotionReport,
     CameraObservations,
+    CameraTerms,
+    InitialMatches,
     InlierStatistics,
     KnownDepthMatches,
     LandmarkAges,
@@ -68,7 +70,7 @@ OPTIONAL_FIELDS = {
 
 def find_implausibility(payload: object, camera: int) -> str | None:
     """Return the reason why a payload of a camera is implausible; None if it is plausible."""
-    parts = payload if isinstance(payload, (tuple, list)) else [payload]
+    parts = payload if isinstance(payload, tuple) else [payload]
     messages = [one for one in parts if isinstance(one, TermsMessage)]
     if messages and not _are_informations(np.array([one.upper for one in messages])):
         return "its pose information matrix is invalid"
@@ -85,6 +87,10 @@ def _is_plausible(one: object, camera: int) -> bool:
         ):
             return False
     match one:
+        case InitialMatches():
+            return all(_is_plausible(report, camera) for report in one.reports)
+        case CameraTerms():
+            return all(_is_plausible(term, camera) for term in one.terms)
         case MovingMatches():
             return _is_plausible(one.term, camera)
         case KnownDepthMatches():

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 from sylpose.frames import Box, FrameSet
 from sylpose.geometry.arrays import IntArray
 from sylpose.methods import MODES
+from sylpose.network.codec import NO_FRAME
 from sylpose.network.fault_injection import FaultKind, make_message_fault, make_payload_fault
-from sylpose.network.frame_announcement import NO_FRAME
 from sylpose.network.membership import (
     ExchangeRequest,
     Membership,

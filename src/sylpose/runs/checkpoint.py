@@ -1,40 +1,56 @@
 """Checkpoints: saved state of an unfinished run, from which `--resume` continues with bit-identical results.
 
-File layout: a format line; a line of JSON with the run's options and its recording's fingerprint; the length of the
-state's table and the state as data (`serialization`, `runs.checkpoint_schema`); a checksum of all this.
+File layout of a checkpoint: a format line; a line of JSON with the run's options and its recording's fingerprint; the
+state as data (`serialization`, `runs.checkpoint_schema`); a checksum of all this. The results of each frame are in a
+file of their own that only grows.
 """
 
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 import struct
-from collections.abc import Mapping
+import tempfile
+import time
+import zlib
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import IO, Annotated, Any, Generic, TypeVar
 
 import msgspec
 import numpy as np
 
 from sylpose import __version__
-from sylpose.atomic_io import replace_atomically
+from sylpose.atomic_io import output_errors, replace_atomically
 from sylpose.io.capture import Session
 from sylpose.rig import Rig
-from sylpose.runs.checkpoint_schema import FUNCTIONS, RECORD_TYPES, RunState
-from sylpose.serialization import deserialize, serialize
+from sylpose.runs.checkpoint_schema import SERIALIZER, RunState
+from sylpose.runs.run_result import StageTimer
 
-__all__ = ["CHECKPOINT", "compute_fingerprint", "load_checkpoint", "save_checkpoint"]
+__all__ = [
+    "CHECKPOINT",
+    "CheckpointWriter",
+    "FrameFile",
+    "compute_fingerprint",
+    "load_checkpoint",
+    "save_checkpoint",
+]
 
 CHECKPOINT = "checkpoint.bin"
-FORMAT = b"sylpose checkpoint 2\n"
+FORMAT = b"sylpose checkpoint 3\n"
 DIGEST_SIZE = hashlib.blake2b().digest_size
 RESTART_HINT = "; omit --resume to start over"
 # Size limits in bytes of a file, including all images of the frames that wait for a first motion, and of its line of
 # options (choice).
 MAX_FILE_SIZE, MAX_HEADER_SIZE = 1 << 31, 1 << 20
-_LENGTH = struct.Struct("<Q")
+# Largest share of the running time spent on checkpoints (choice: an acceptable slowdown).
+MAX_TIME_SHARE = 0.05
+# Header of each record of a `FrameFile`: size and checksum of its content.
+_FRAME = struct.Struct("<QI")
 
-
+T = TypeVar("T")
 # Text that is safe to print in a message.
 _PrintableText = Annotated[str, msgspec.Meta(pattern=r"^[^\x00-\x1f\x7f]*$", max_length=10_000)]
 
@@ -57,11 +73,10 @@ def save_checkpoint(path: Path, options: Mapping[str, str], session: Mapping[str
     Raises:
         OSError: the file cannot be written; the message names it.
     """
-    header = _Header(__version__, dict(options), dict(session))
-    table, *blocks = serialize(state, RECORD_TYPES, FUNCTIONS)
+    header = msgspec.json.encode(_Header(__version__, dict(options), dict(session))) + b"\n"
     with replace_atomically(path) as part, part.open("wb") as file:
         digest = hashlib.blake2b()
-        for piece in (FORMAT, msgspec.json.encode(header) + b"\n", _LENGTH.pack(len(table)), table, *blocks):
+        for piece in (FORMAT, header, *SERIALIZER.dump(state)):
             digest.update(piece)
             file.write(piece)
         file.write(digest.digest())
@@ -85,11 +100,8 @@ def load_checkpoint(path: Path, options: Mapping[str, str], session: Mapping[str
     first = bytes(data[: len(FORMAT)])
     if first != FORMAT and re.fullmatch(rb"sylpose checkpoint \d+\n?", first):
         raise ValueError(f"{path}: written by another version of sylpose; this is {__version__}{RESTART_HINT}")
-    if (
-        first != FORMAT
-        or len(data) > MAX_FILE_SIZE
-        or hashlib.blake2b(data[:-DIGEST_SIZE]).digest() != data[-DIGEST_SIZE:]
-    ):
+    digest = hashlib.blake2b(data[:-DIGEST_SIZE]).digest()
+    if first != FORMAT or len(data) > MAX_FILE_SIZE or digest != data[-DIGEST_SIZE:]:
         raise ValueError(damaged)
     line = bytes(data[len(FORMAT) : len(FORMAT) + MAX_HEADER_SIZE]).partition(b"\n")[0]
     try:
@@ -98,28 +110,156 @@ def load_checkpoint(path: Path, options: Mapping[str, str], session: Mapping[str
         raise ValueError(damaged) from None
     if header.version != __version__:
         raise ValueError(f"{path}: written by sylpose {header.version}, this is {__version__}{RESTART_HINT}")
-    _check_header(path, header, options, session)
-    rest = data[len(FORMAT) + len(line) + 1 : -DIGEST_SIZE]
+    for name in sorted(header.options.keys() | options.keys()):
+        before, now = header.options.get(name, "none"), options.get(name, "none")
+        if before != now:
+            wrong = f"the interrupted run had {name} {before}, not {now}: use the same options to resume"
+            raise ValueError(f"{path}: {wrong}{RESTART_HINT}")
+    for name in sorted(header.session.keys() | session.keys()):
+        if header.session.get(name) != session.get(name):
+            raise ValueError(f"{path}: {name} changed since the interrupted run{RESTART_HINT}")
     try:
-        (length,) = _LENGTH.unpack_from(rest)
-        state: RunState = deserialize(rest[_LENGTH.size :], length, RunState, RECORD_TYPES, FUNCTIONS)
-    except (ValueError, struct.error):
+        state: RunState = SERIALIZER.load(data[len(FORMAT) + len(line) + 1 : -DIGEST_SIZE], RunState)
+    except ValueError:
         # Intact and of this version number: written by modified code of the same version, or forged.
         raise ValueError(f"{path}: written by a modified sylpose {__version__}{RESTART_HINT}") from None
     return state
 
 
-def _check_header(path: Path, header: _Header, options: Mapping[str, str], session: Mapping[str, str]) -> None:
-    for name in sorted(header.options.keys() | options.keys()):
-        before, now = header.options.get(name, "none"), options.get(name, "none")
-        if before != now:
-            raise ValueError(
-                f"{path}: the interrupted run had {name} {before}, not {now}: use the same options to "
-                f"resume{RESTART_HINT}"
-            )
-    for name in sorted(header.session.keys() | session.keys()):
-        if header.session.get(name) != session.get(name):
-            raise ValueError(f"{path}: {name} changed since the interrupted run{RESTART_HINT}")
+@dataclass(eq=False)
+class CheckpointWriter:
+    """Writer of periodic checkpoints.
+
+    A run does not start without its first checkpoint. A failure to write a later one is only reported.
+
+    Attributes:
+        folder: folder of the run's results.
+        options: the run's options by name.
+        recording: the recording that is tracked.
+        seconds: time between two checkpoints.
+        on_message: callback for messages.
+        clock: timer that accounts for the time of "saving".
+    """
+
+    folder: Path
+    options: Mapping[str, object]
+    recording: Session
+    seconds: float
+    on_message: Callable[[str], None]
+    clock: StageTimer
+    _next: float = field(default=0.0, init=False)
+    _failed: bool = field(default=False, init=False)
+
+    def __post_init__(self) -> None:
+        texts = {name: "none" if value is None else str(value) for name, value in self.options.items()}
+        self._of_run = self.folder / CHECKPOINT, texts, compute_fingerprint(self.recording)
+
+    @property
+    def is_due(self) -> bool:
+        return time.monotonic() >= self._next
+
+    def begin(self, state: RunState) -> None:
+        """Write the first checkpoint; raise OSError, which names the file, if that fails."""
+        with self.clock.measure("saving"):
+            save_checkpoint(*self._of_run, state)
+        self._next = time.monotonic() + self.seconds
+
+    def save(self, state: Callable[[], RunState]) -> None:
+        begin = time.monotonic()
+        with self.clock.measure("saving"):
+            try:
+                save_checkpoint(*self._of_run, state())
+            except OSError as error:
+                if not self._failed:
+                    self.on_message(f"{error}; --resume can only continue from an earlier checkpoint.")
+                self._failed = True
+        end = time.monotonic()
+        self._next = end + max(self.seconds, (end - begin) / MAX_TIME_SHARE if self.seconds else 0.0)
+
+    def load(self) -> RunState:
+        """Return the state to resume from.
+
+        Raises:
+            FileNotFoundError: there is no interrupted run.
+            ValueError: the checkpoint is damaged or belongs to another run; the message names the file.
+        """
+        path = self._of_run[0]
+        if not path.exists():
+            raise FileNotFoundError(f"{self.folder}: no interrupted run to resume (there is no {CHECKPOINT})")
+        state = load_checkpoint(*self._of_run)
+        objects, cameras = set(self.recording.objects), len(self.recording.rig)
+        parts = [[part.index for part in memory.camera_trackers] for memory in state.trackers.values()]
+        if {*state.trackers} != objects or {*state.outputs} != objects or parts != [[*range(cameras)]] * len(parts):
+            raise ValueError(f"{path}: objects or cameras changed since the interrupted run{RESTART_HINT}")
+        return state
+
+
+class FrameFile(Generic[T]):
+    """File that grows by one record per frame; a record that was not written completely is not part of it.
+
+    Args:
+        path: the file; or a folder for an unnamed temporary file, which disappears when the process ends.
+        kind: type of the records, one of `runs.checkpoint_schema`.
+        length: number of bytes of an existing file to keep; the rest is overwritten. 0: a new file.
+
+    Raises:
+        OSError: the file cannot be written; the message names it.
+        ValueError: the file is shorter than `length`; the message names it.
+    """
+
+    def __init__(self, path: Path, kind: type[T], length: int = 0) -> None:
+        self.path, self._kind, self._end = path, kind, length
+        if length and (not path.is_file() or path.stat().st_size < length):
+            raise ValueError(f"{path}: has changed since the interrupted run, which therefore cannot be resumed")
+        # Unbuffered: bytes counted as written have been passed to the operating system.
+        self._file: IO[bytes]
+        with output_errors(path):
+            if path.is_dir():
+                self._file = tempfile.TemporaryFile(buffering=0, dir=path)  # noqa: SIM115 (open until `close`)
+            else:
+                self._file = path.open("r+b" if length else "w+b", buffering=0)
+
+    def write(self, record: T) -> None:
+        """Append the record of a frame."""
+        content = b"".join(SERIALIZER.dump(record))
+        data = memoryview(_FRAME.pack(len(content), zlib.crc32(content)) + content)
+        with output_errors(self.path):
+            self._file.seek(self._end)
+            remaining = data
+            while remaining:
+                remaining = remaining[self._file.write(remaining) :]
+        self._end += len(data)
+
+    def length(self) -> int:
+        """Return the length in bytes, after flushing everything to the disk."""
+        with output_errors(self.path):
+            os.fsync(self._file.fileno())
+        return self._end
+
+    def read(self) -> Iterator[T]:
+        """Yield all records in order.
+
+        Raises:
+            ValueError: the file is damaged; the message names it.
+        """
+        offset = 0
+        while offset < self._end:
+            self._file.seek(offset)
+            try:
+                size, checksum = _FRAME.unpack(self._file.read(_FRAME.size))
+                offset += _FRAME.size + size
+                content = self._file.read(size) if offset <= self._end else b""
+                if len(content) != size or zlib.crc32(content) != checksum:
+                    raise ValueError("not the content that was written")
+                record: T = SERIALIZER.load(memoryview(content), self._kind)
+            except (ValueError, struct.error):
+                raise ValueError(f"{self.path}: is damaged; omit --resume to start over") from None
+            yield record
+
+    def close(self) -> None:
+        """Close the file; raise OSError, which names the file, if that fails."""
+        with output_errors(self.path):
+            self._file.close()
 
 
 def compute_fingerprint(session: Session) -> dict[str, str]:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
 
 from sylpose.bundle_adjustment.bundle import Observations
 from sylpose.features.klt import TemplatePatches, Tracks
@@ -14,26 +12,24 @@ from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.landmarks.landmark_filter import Landmarks
 from sylpose.landmarks.landmark_table import LandmarkTable
+from sylpose.network import codec
 from sylpose.report.files import WriterState
 from sylpose.results import FramePose
 from sylpose.rig import Camera, Rig
-from sylpose.serialization import SerializableType
+from sylpose.serialization import RecordType, Serializer
 from sylpose.smoothing.trajectory import Track
 from sylpose.tracking.anchor_preparation import find_new_features
 from sylpose.tracking.camera import CameraTracker
 from sylpose.tracking.camera_motion_detection import CameraMotionDetector, View
-from sylpose.tracking.frame import CameraFrame, Frame, SolvedFrame
-from sylpose.tracking.joint_state import JointState, Nudge, Refinement
-from sylpose.tracking.klt_frontend import Anchor, CameraAnchor, NextAnchor, TrackedFeatures
-from sylpose.tracking.motion_model import VelocityModel
-from sylpose.tracking.object_model import ObjectModel
-from sylpose.tracking.reports import NewObservations
+from sylpose.tracking.frame import CameraFrame, Frame
+from sylpose.tracking.joint_state import Refinement
+from sylpose.tracking.klt_frontend import CameraAnchor, NextAnchor, TrackedFeatures
 from sylpose.tracking.state_machine import BufferedFrame
 from sylpose.tracking.tracked_frame import LandmarkObservations
 from sylpose.tracking.tracker import TrackerSnapshot
 from sylpose.tracking.window import bundle_frames
 
-__all__ = ["FUNCTIONS", "RECORD_TYPES", "OutputState", "RunState"]
+__all__ = ["SERIALIZER", "OutputState", "RunState"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,68 +87,56 @@ _MOTION_DETECTOR_FIELDS = {
     "n_changed": int,
     "pause": int,
 }
-_RECORD_TYPES = (
-    SerializableType(RunState),
-    SerializableType(OutputState, check=_check_output),
-    SerializableType(WriterState, {"quaternion": (4,)}),
-    SerializableType(TrackerSnapshot),
-    SerializableType(JointState, {"refined_covariance": (6, 6)}),
-    SerializableType(ObjectModel, {"center": (3,), "points": ("n", 3)}),
-    SerializableType(
-        SolvedFrame, {"time_offsets": ("c",), "covariance": (6, 6), "viewpoints": ("c", 3), "is_visible": ("c",)}
-    ),
-    SerializableType(Anchor),
-    SerializableType(VelocityModel, {"twist": (6,), "change_variance": (6,)}),
-    SerializableType(Nudge, {"rotation": (3,)}),
-    SerializableType(Refinement, {"landmark_cameras": ("m",)}),
-    SerializableType(
-        NewObservations,
-        {"frame": ("n",), "landmark": ("n",), "image": ("n", 2), "landmark_ids": ("m",), "positions": ("m", 3)},
-    ),
-    SerializableType(Observations, {"frame": ("n",), "camera": ("n",), "landmark": ("n",), "image": ("n", 2)}),
-    SerializableType(BufferedFrame),
-    SerializableType(Frame, {"time_offsets": ("c",)}),
-    SerializableType(FrameSet),
-    SerializableType(CameraFrame, {"background": ("n",), "landmark_ids": ("m",)}),
-    SerializableType(CameraTracker, fields=_CAMERA_TRACKER_FIELDS, sets_attributes=True),
-    SerializableType(CameraAnchor, {"is_alive": ("n",)}),
-    SerializableType(NextAnchor, {"rows": ("n",)}),
-    SerializableType(TrackedFeatures, {"rows": ("m",), "previous_pixels": ("m", 2)}),
-    SerializableType(CameraMotionDetector, {"is_static": ("n",)}, _MOTION_DETECTOR_FIELDS, sets_attributes=True),
-    SerializableType(StaticBackground, {"small_image": ("h", "w"), "pixels": ("n", 2), "patches": ("n", "s")}),
-    SerializableType(CameraRotation, {"rotation": (3, 3)}),
-    SerializableType(RotationRectifier, {"rotation": (3, 3)}, {"camera": Camera, "rotation": FloatArray}),
-    SerializableType(
-        Features, {"pixels": ("n", 2), "normalized": ("n", 2), "descriptors": ("n", 128), "faint": ("n",)}
-    ),
-    SerializableType(TemplatePatches, {"filters": ("n", "s", 8), "contrast": ("n",), "sd": ("n",)}),
-    SerializableType(Tracks, {"pixels": ("n", 2), "warps": ("n", 2, 2), "tracked": ("n",)}),
-    SerializableType(
-        Landmarks,
-        {
-            "mean": ("n", 3),
-            "information": ("n", 3, 3),
-            "n_observations": ("n",),
-            "has_moved": ("n",),
-            "origin": ("n", 2),
-            "id": ("n",),
-        },
-    ),
-    SerializableType(
-        LandmarkTable,
-        fields={"_rows": Landmarks, "_used": int, "_next": int},
-        sets_attributes=True,
-        check=_check_table,
-    ),
-    SerializableType(Camera),
-    SerializableType(Rig),
-    SerializableType(Track, {"time_offsets": ("c",)}),
-    SerializableType(
-        LandmarkObservations,
-        {"landmark_ids": ("n",), "normalized": ("n", 2), "positions": ("n", 3), "has_moved": ("n",)},
-    ),
-    SerializableType(FramePose, {"covariance": (6, 6), "inliers": ("c",), "residuals": ("c",)}),
+_LANDMARKS: dict[str, tuple[int | str, ...]] = {
+    "mean": ("n", 3),
+    "information": ("n", 3, 3),
+    "n_observations": ("n",),
+    "has_moved": ("n",),
+    "origin": ("n", 2),
+    "id": ("n",),
+}
+_FEATURES: dict[str, tuple[int | str, ...]] = {
+    "pixels": ("n", 2),
+    "normalized": ("n", 2),
+    "descriptors": ("n", 128),
+    "faint": ("n",),
+}
+_TABLE_FIELDS = {"_rows": Landmarks, "_used": int, "_next": int}
+_SIGHTINGS: dict[str, tuple[int | str, ...]] = {
+    "landmark_ids": ("n",),
+    "normalized": ("n", 2),
+    "positions": ("n", 3),
+    "has_moved": ("n",),
+}
+RECORDS = (
+    *codec.RECORDS,
+    RecordType(RunState),
+    RecordType(OutputState, check=_check_output),
+    RecordType(WriterState, {"quaternion": (4,)}),
+    RecordType(TrackerSnapshot),
+    RecordType(Refinement, {"landmark_cameras": ("m",)}),
+    RecordType(Observations, {"frame": ("n",), "camera": ("n",), "landmark": ("n",), "image": ("n", 2)}),
+    RecordType(BufferedFrame),
+    RecordType(Frame, {"time_offsets": ("c",)}),
+    RecordType(FrameSet),
+    RecordType(CameraFrame, {"background": ("n",), "landmark_ids": ("m",)}),
+    RecordType(CameraTracker, fields=_CAMERA_TRACKER_FIELDS, sets_attributes=True),
+    RecordType(CameraAnchor, {"is_alive": ("n",)}),
+    RecordType(NextAnchor, {"rows": ("n",)}),
+    RecordType(TrackedFeatures, {"rows": ("m",), "previous_pixels": ("m", 2)}),
+    RecordType(CameraMotionDetector, {"is_static": ("n",)}, _MOTION_DETECTOR_FIELDS, sets_attributes=True),
+    RecordType(StaticBackground, {"small_image": ("h", "w"), "pixels": ("n", 2), "patches": ("n", "s")}),
+    RecordType(CameraRotation, {"rotation": (3, 3)}),
+    RecordType(RotationRectifier, {"rotation": (3, 3)}, {"camera": Camera, "rotation": FloatArray}),
+    RecordType(Features, _FEATURES),
+    RecordType(TemplatePatches, {"filters": ("n", "s", 8), "contrast": ("n",), "sd": ("n",)}),
+    RecordType(Tracks, {"pixels": ("n", 2), "warps": ("n", 2, 2), "tracked": ("n",)}),
+    RecordType(Landmarks, _LANDMARKS),
+    RecordType(LandmarkTable, fields=_TABLE_FIELDS, sets_attributes=True, check=_check_table),
+    RecordType(Camera),
+    RecordType(Rig),
+    RecordType(Track, {"time_offsets": ("c",)}),
+    RecordType(LandmarkObservations, _SIGHTINGS),
+    RecordType(FramePose, {"covariance": (6, 6), "inliers": ("c",), "residuals": ("c",)}),
 )
-# Keys are the type names written in checkpoints.
-RECORD_TYPES = {kind.type.__name__: kind for kind in _RECORD_TYPES}
-FUNCTIONS: dict[str, Callable[..., Any]] = {"bundle_frames": bundle_frames, "find_new_features": find_new_features}
+SERIALIZER = Serializer(RECORDS, [bundle_frames, find_new_features])

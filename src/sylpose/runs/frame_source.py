@@ -18,7 +18,7 @@ from sylpose.io.capture.frame_assembly import StreamClock
 from sylpose.io.capture.frame_readers import CameraReader
 from sylpose.io.capture.sources import Source, open_source
 from sylpose.io.capture.streams import Device, open_device
-from sylpose.network.frame_announcement import FRAME_PENDING, NO_FRAME
+from sylpose.network.codec import FRAME_PENDING, NO_FRAME
 from sylpose.rig import Camera
 
 __all__ = ["LiveSource", "RecordedSource", "open_node_source"]

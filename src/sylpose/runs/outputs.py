@@ -17,8 +17,8 @@ from sylpose.report.formats import PAGE_FILE
 from sylpose.results import FramePose, Status, Trajectory
 from sylpose.rig import Rig
 from sylpose.runs.calibration_refinement import describe_changes, find_moved_cameras, write_refined
+from sylpose.runs.checkpoint import FrameFile
 from sylpose.runs.checkpoint_schema import OutputState
-from sylpose.runs.frame_store import FrameFile
 from sylpose.runs.options import RunOptions
 from sylpose.runs.page import ThumbnailAlbum
 from sylpose.runs.run_result import StageTimer

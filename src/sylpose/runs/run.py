@@ -18,7 +18,7 @@ from sylpose.methods import METHODS
 from sylpose.network.node_tracker import NodesTracker
 from sylpose.rig import Rig
 from sylpose.runs.check import check_session
-from sylpose.runs.checkpoint_schedule import CheckpointWriter
+from sylpose.runs.checkpoint import CheckpointWriter
 from sylpose.runs.checkpoint_schema import OutputState, RunState
 from sylpose.runs.options import RunOptions
 from sylpose.runs.outputs import MAX_SMOOTHED_FRAMES, ObjectOutput, Overlay

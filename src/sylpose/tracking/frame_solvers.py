@@ -34,7 +34,7 @@ from sylpose.tracking.observations import (
     summarize_ages,
     weight_observations,
 )
-from sylpose.tracking.reports import InlierStatistics, KnownDepthMatches, LandmarkAges, expand_ages
+from sylpose.tracking.reports import CameraTerms, InlierStatistics, KnownDepthMatches, LandmarkAges, expand_ages
 
 __all__ = ["SOLVERS", "MatchWeights", "PoseProblem", "PoseSolution", "gather_terms", "scatter_fit"]
 
@@ -143,15 +143,16 @@ def scatter_fit(fit: Fit, terms_by_camera: Sequence[Sequence[TermData]]) -> list
 
 def _gather_terms(
     executor: CameraExecutor, problem: PoseProblem, *, previous_only: bool = False
-) -> list[list[TermData]]:
+) -> list[tuple[TermData, ...]]:
     """Gather all cameras' terms; with `previous_only` only those relative to the last solved frame."""
 
-    def collect_terms(c: int) -> list[TermData]:
+    def collect_terms(c: int) -> CameraTerms:
         camera, previous, known = problem.rig.cameras[c], problem.previous, problem.known_frames
         pairs = [pair for pair in problem.pairs[c] if not previous_only or pair.reference == previous.number]
-        return [pair.to_term(c, camera, compute_reference_motion(pair, previous, known)) for pair in pairs]
+        terms = [pair.to_term(c, camera, compute_reference_motion(pair, previous, known)) for pair in pairs]
+        return CameraTerms(tuple(terms))
 
-    return executor.all_gather(collect_terms, [])
+    return [found.terms for found in executor.all_gather(collect_terms, CameraTerms())]
 
 
 def _create_solution(problem: PoseProblem, fit: Fit, match_weights: Sequence[MatchWeights]) -> PoseSolution:

@@ -20,7 +20,7 @@ from sylpose.tracking.camera import compute_static_px
 from sylpose.tracking.camera_executor import CameraExecutor
 from sylpose.tracking.frame import FrameMatches, find_static, select_inliers
 from sylpose.tracking.frame_solvers import gather_terms, scatter_fit
-from sylpose.tracking.reports import MovingMatches
+from sylpose.tracking.reports import InitialMatches, MovingMatches
 
 __all__ = ["FirstMotion", "estimate_first_motion", "estimate_jitter", "is_ambiguous", "is_continuing_motion"]
 
@@ -139,8 +139,8 @@ def estimate_first_motion(
 
     moving = executor.map_cameras(select_moving)
 
-    def create_reports(c: int) -> list[MovingMatches]:
-        return [
+    def create_reports(c: int) -> InitialMatches:
+        reports = [
             MovingMatches(
                 pair.to_term(c, rig.cameras[c]),
                 np.linalg.norm(pair.pixels_i - pair.pixels_j, axis=1),
@@ -150,8 +150,9 @@ def estimate_first_motion(
             for pair, all_matches, px in zip(moving[c], first_pairs[c], jitter[c], strict=True)
             if len(pair)
         ]
+        return InitialMatches(tuple(reports))
 
-    records: list[list[MovingMatches]] = executor.all_gather(create_reports, [])
+    records = [found.reports for found in executor.all_gather(create_reports, InitialMatches())]
     terms = [[record.term for record in of_camera] for of_camera in records]
     data, undefined_point = gather_terms(terms), np.full(3, np.nan)
     failure_status = FrameStatus.TOO_FEW_MATCHES if matches < MIN_MATCHES else FrameStatus.NO_MOTION

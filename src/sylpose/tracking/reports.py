@@ -19,6 +19,8 @@ __all__ = [
     "BoxMotionReport",
     "CameraMotionReport",
     "CameraObservations",
+    "CameraTerms",
+    "InitialMatches",
     "InlierStatistics",
     "KnownDepthMatches",
     "LandmarkAges",
@@ -79,6 +81,20 @@ class MovingMatches:
     displacement_px: FloatArray
     jitter_px: float
     n_static: int
+
+
+@dataclass(frozen=True, eq=False)
+class CameraTerms:
+    """One camera's matches with each of several earlier frames; none without an image."""
+
+    terms: tuple[TermData, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class InitialMatches:
+    """One camera's moving matches with the first frame; none without its images."""
+
+    reports: tuple[MovingMatches, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
