@@ -81,7 +81,7 @@ def first(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a recording's folder with its results in it; read-only."""
     folder = write_box_recording(tmp_path_factory.mktemp("first") / "take", mapping_path, FIRST)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sylpose.report.plots.plot_trajectory", lambda *_, **__: None)
+        patch.setattr("sylpose.report.plots.save_trajectory_plot", lambda *_, **__: None)
         track_session(open_session(folder), options=RunOptions(overlay=False))
     return folder
 

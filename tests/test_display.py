@@ -24,6 +24,7 @@ from sylpose.display import (
 )
 from sylpose.matches import Matches
 from sylpose.moments import PairMoments
+from sylpose.report.plots import NotebookFigure
 from sylpose.results import FramePose, FrameStatus, Motion, Observability, Trajectory
 from sylpose.rig import Rig
 
@@ -200,11 +201,12 @@ def test_digits_follow_the_uncertainty() -> None:
 
 
 def test_trajectory_plot() -> None:
-    figure = trajectory().plot(note="by hand")
+    figure = sylpose.plot_trajectory(trajectory(), note="by hand")
     assert len(figure.axes) == 4
+    assert isinstance(figure, NotebookFigure)
     assert figure._repr_png_().startswith(b"\x89PNG")
     with pytest.raises(ValueError, match="no frames"):
-        Trajectory([], []).plot()
+        sylpose.plot_trajectory(Trajectory([], []))
 
 
 def test_pose_estimate_prints_position() -> None:

@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from sylpose.moments import PairMoments
     from sylpose.packets import NetworkFaults
     from sylpose.relative_pose.motion import estimate_motion, estimate_motions
+    from sylpose.report.files import to_dataframe
+    from sylpose.report.plots import plot_trajectory
     from sylpose.results import (
         FramePose,
         FrameStatus,
@@ -127,6 +129,7 @@ __all__ = [
     "open_live",
     "open_session",
     "parse_board",
+    "plot_trajectory",
     "save_object",
     "solve_2d3d",
     "solve_3d3d",
@@ -140,6 +143,7 @@ __all__ = [
     "solve_refine",
     "solve_robust",
     "solve_sylvester",
+    "to_dataframe",
     "track",
     "track_session",
     "trajectory_view",
@@ -182,6 +186,8 @@ _HOMES = {
     "sylpose.sylvester.equation": ("SingularSylvesterError", "solve_generalized_sylvester", "solve_sylvester"),
     "sylpose.sylvester.known_depth": ("KnownDepthSolution", "solve_2d3d", "solve_3d3d"),
     "sylpose.sylvester.one_camera": ("OneCameraSolution", "solve_one_camera"),
+    "sylpose.report.files": ("to_dataframe",),
+    "sylpose.report.plots": ("plot_trajectory",),
     "sylpose.results": (
         "FramePose",
         "FrameStatus",

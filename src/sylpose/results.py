@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from importlib import import_module
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -400,28 +399,3 @@ class Trajectory(Printable):
             median_text = ", median {:.0f} inliers, residual {:.2f} px".format(*medians) if used else ""
             cameras.append((name, f"used in {len(used)} frames{median_text}"))
         return Summary(brief, [*rows, *truncate_rows(cameras)])
-
-    def plot(self, *, note: str = "") -> Any:
-        """Plot angles, position, inliers and residuals over time, as in `report.png`.
-
-        Args:
-            note: a line of text below the plots.
-
-        Returns:
-            a `matplotlib.figure.Figure`, which notebooks display.
-
-        Raises:
-            ValueError: the trajectory has no frames.
-        """
-        # Plots and tables are in a higher layer than results, so they are imported only when called.
-        return import_module("sylpose.report.plots").draw_trajectory_figure(self, note=note)
-
-    def to_dataframe(self) -> Any:
-        """Return the columns of trajectory.csv (docs/formats.md) as a `pandas.DataFrame`, not rounded.
-
-        Missing values are NaN.
-
-        Raises:
-            ModuleNotFoundError: pandas is not installed.
-        """
-        return import_module("sylpose.report.tables").to_dataframe(self)

@@ -16,8 +16,7 @@ from sylpose.commands.main import main
 from sylpose.commands.track import open_pose_stream
 from sylpose.io import calibration
 from sylpose.io.capture import open_session
-from sylpose.report.files import read_trajectory
-from sylpose.report.json_lines import format_pose_line
+from sylpose.report.files import format_pose_line, read_trajectory
 from sylpose.results import FramePose, FrameStatus
 from sylpose.runs.options import RunOptions
 from sylpose.runs.run import track_session

@@ -20,7 +20,7 @@ from sylpose.report.camera_consistency import (
     find_noisy_cameras,
 )
 from sylpose.report.files import TrajectoryWriter, read_trajectory
-from sylpose.report.plots import plot_trajectory
+from sylpose.report.plots import save_trajectory_plot
 from sylpose.results import FramePose, FrameStatus, Trajectory
 from sylpose.rig import Rig
 from sylpose.simulate import make_demo_scene, render_frames
@@ -150,7 +150,7 @@ def test_inflation_and_faults_are_in_the_files(tmp_path: Path) -> None:
     np.testing.assert_array_equal(np.array([f.variance_inflation for f in back]), inflation)
     assert [f.faults for f in back] == [f.faults for f in trajectory]
     assert find_disagreements(back) == find_disagreements(trajectory)
-    plot_trajectory(back, tmp_path / "report.png")
+    save_trajectory_plot(back, tmp_path / "report.png")
     assert (tmp_path / "report.png").stat().st_size > 10_000
 
 

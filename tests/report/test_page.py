@@ -19,15 +19,17 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.geometry.euler_angles import PAN_TILT_ROLL
 from sylpose.io import calibration
-from sylpose.report import page_data
+from sylpose.report import page as report_page
 from sylpose.report.files import write_trajectory
-from sylpose.report.page import ASSETS_DIR, PageHeader, render_page
-from sylpose.report.page_data import (
+from sylpose.report.page import (
+    ASSETS_DIR,
     COORDINATE_STEPS,
     MAX_BYTES,
     MISSING_COORDINATE,
+    PageHeader,
     build_page_data,
     build_page_images,
+    render_page,
     select_frames,
 )
 from sylpose.report.scene import IMAGE_GRID, Scene, Thumbnails, build_scene
@@ -160,7 +162,7 @@ def test_short_failures_are_shown() -> None:
 
 def test_page_size_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     one = trajectory(2)
-    many = Trajectory([replace(one[k > 0], index=k, time=k / 30) for k in range(page_data.MAX_FRAMES + 500)], CAMERAS)
+    many = Trajectory([replace(one[k > 0], index=k, time=k / 30) for k in range(report_page.MAX_FRAMES + 500)], CAMERAS)
     noise = np.random.default_rng(1).bytes(60_000)
     index = np.arange(0, 2400, 50)
     pictures = Thumbnails(index, tuple((noise,) * 3 for _ in index))
@@ -171,7 +173,7 @@ def test_page_size_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "1250 of 2500 frames are shown" in page
     assert "reduced images of 12 frames" in page
     # Fewer frames fit with less space.
-    monkeypatch.setattr(page_data, "MAX_VALUES", 4000)
+    monkeypatch.setattr(report_page, "MAX_VALUES", 4000)
     assert build_page_data(many, scene, PAN_TILT_ROLL)["shown"] == 100
 
 

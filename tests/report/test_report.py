@@ -28,7 +28,7 @@ from sylpose.geometry.euler_angles import parse_euler_angles
 from sylpose.report import drawing, overlay, plots
 from sylpose.report.files import TrajectoryWriter, read_trajectory, read_tum, write_trajectory, write_tum
 from sylpose.report.overlay import OverlayObject, OverlayWriter
-from sylpose.report.plots import plot_trajectory, summarize_trajectory
+from sylpose.report.plots import save_trajectory_plot, summarize_trajectory
 from sylpose.report.rigview import compute_view_axes, describe_rig, find_axes_intersection, plot_rig
 from sylpose.results import FramePose, FrameStatus, Observability, Trajectory
 from sylpose.rig import Camera, Rig
@@ -228,7 +228,7 @@ def test_unwritable_output_is_reported(tmp_path: Path) -> None:
     with pytest.raises(OSError, match=r"cannot write .*trajectory\.csv: is a directory"):
         TrajectoryWriter(tmp_path / "taken", NAMES)
     for write in (
-        lambda path: plot_trajectory(make_rotating_trajectory(4, 5), path),
+        lambda path: save_trajectory_plot(make_rotating_trajectory(4, 5), path),
         lambda path: plot_rig(ring(3, 1), path),
         lambda path: OverlayWriter(path, ring(3, 1), 5),
         lambda path: write_tum(path, [0.0], RigidTransform.identity(1)),
@@ -285,7 +285,7 @@ def test_invalid_trajectory_files_are_rejected(tmp_path: Path) -> None:
 def test_equal_reports_are_equal_files(tmp_path: Path, end: str) -> None:
     files = [tmp_path / f"{k}.{end}" for k in range(2)]
     for file in files:
-        plot_trajectory(make_rotating_trajectory(6, 9), file, note="demo")
+        save_trajectory_plot(make_rotating_trajectory(6, 9), file, note="demo")
     assert files[0].read_bytes() == files[1].read_bytes()
     magic = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}
     assert files[0].read_bytes().startswith(magic[end])
@@ -293,7 +293,7 @@ def test_equal_reports_are_equal_files(tmp_path: Path, end: str) -> None:
 
 @pytest.mark.parametrize("n", [1, 3, 6, 120])
 def test_report_of_any_length(tmp_path: Path, n: int) -> None:
-    plot_trajectory(make_rotating_trajectory(n, 9, cameras=3), tmp_path / "report.png")
+    save_trajectory_plot(make_rotating_trajectory(n, 9, cameras=3), tmp_path / "report.png")
     picture = cv2.imread(str(tmp_path / "report.png"))
     assert picture is not None
     assert min(picture.shape[:2]) > 800
@@ -302,13 +302,13 @@ def test_report_of_any_length(tmp_path: Path, n: int) -> None:
 
 def test_report_without_any_pose(tmp_path: Path) -> None:
     lost = Trajectory([frame_pose(i, None, FrameStatus.NO_MOTION) for i in range(4)], NAMES)
-    plot_trajectory(lost, tmp_path / "report.png")
+    save_trajectory_plot(lost, tmp_path / "report.png")
     assert summarize_trajectory(lost) == "0 of 4 frames with a pose"
     reasons = [f"cam_{k} is dark" for k in range(4)] * 2 + [f"frame_{k}" for k in range(6)]
     with_reasons = Trajectory(
         [replace(frame_pose(i, None, FrameStatus.LOST), reason=r) for i, r in enumerate(reasons)], NAMES
     )
-    plot_trajectory(with_reasons, tmp_path / "why.svg", note="cup_$1, méthode <x>")
+    save_trajectory_plot(with_reasons, tmp_path / "why.svg", note="cup_$1, méthode <x>")
     figure_text = " ".join("".join(text.itertext()) for text in ElementTree.parse(tmp_path / "why.svg").iter())
     for words in (
         FrameStatus.LOST.text[:40],
@@ -318,7 +318,7 @@ def test_report_without_any_pose(tmp_path: Path) -> None:
     ):
         assert words in figure_text, words
     with pytest.raises(ValueError, match="no frames"):
-        plot_trajectory(Trajectory([], NAMES), tmp_path / "none.png")
+        save_trajectory_plot(Trajectory([], NAMES), tmp_path / "none.png")
     assert not (tmp_path / "none.png").exists()
 
 
@@ -334,7 +334,7 @@ def test_coasting_is_in_the_summary(tmp_path: Path) -> None:
     frames[5:7] = [replace(frame, status=FrameStatus.COASTING) for frame in frames[4:6]]
     trajectory = Trajectory(frames, NAMES, "m")
     assert "coasting in 2" in summarize_trajectory(trajectory)
-    plot_trajectory(trajectory, tmp_path / "report.png")
+    save_trajectory_plot(trajectory, tmp_path / "report.png")
     assert cv2.imread(str(tmp_path / "report.png")) is not None
 
 
@@ -350,7 +350,7 @@ def test_frames_of_unknown_length_are_shaded(tmp_path: Path) -> None:
     low, high = strip.get_extents().transformed(panel.transData.inverted()).intervalx
     assert (low, high) == (pytest.approx(4.5 / 7), pytest.approx(7.5 / 7))
     assert len(plots._shade_frames([panel], plain)) == 2
-    plot_trajectory(Trajectory(straight, NAMES, "m"), tmp_path / "report.png")
+    save_trajectory_plot(Trajectory(straight, NAMES, "m"), tmp_path / "report.png")
     assert (tmp_path / "report.png").stat().st_size > 10_000
 
 
@@ -371,7 +371,7 @@ def test_plotted_angles_match_csv_and_break_at_wraps(
         draw(panel, x, y, *rest)
 
     monkeypatch.setattr(plots, "_plot_line", noted)
-    plot_trajectory(trajectory, tmp_path / "report.png")
+    save_trajectory_plot(trajectory, tmp_path / "report.png")
     drawn = np.column_stack([y for _, y in lines[:3]])
     np.testing.assert_allclose(drawn[np.isfinite(drawn).all(axis=1)], in_csv, atol=1e-6)
     steps = np.abs(np.diff(drawn, axis=0))
@@ -397,7 +397,7 @@ def test_other_angles_have_columns_and_are_plotted(tmp_path: Path) -> None:
     assert [label for label, _ in plots.angle_labels(parse_euler_angles("XYZ"))] == [
         f"angle{k} (about {c})" for k, c in enumerate("xyz", 1)
     ]
-    plot_trajectory(trajectory, tmp_path / "report.png", angles=about)
+    save_trajectory_plot(trajectory, tmp_path / "report.png", angles=about)
     assert (tmp_path / "report.png").stat().st_size > 10_000
 
 

@@ -354,7 +354,7 @@ def by_one(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a recording of a single camera."""
     folder = write_box_recording(tmp_path_factory.mktemp("one") / "take", mapping_path, 50, rig=RIG.subset(["cam_1"]))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sylpose.report.plots.plot_trajectory", lambda *_, **__: None)
+        patch.setattr("sylpose.report.plots.save_trajectory_plot", lambda *_, **__: None)
         track_session(open_session(folder), options=RunOptions(overlay=False, smooth=False))
     return folder
 

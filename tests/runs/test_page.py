@@ -17,7 +17,7 @@ import pytest
 from sylpose.commands.main import main
 from sylpose.frames import FrameSet
 from sylpose.io.capture import open_session
-from sylpose.report.formats import PAGE_FILE
+from sylpose.report.files import PAGE_FILE
 from sylpose.report.scene import Thumbnails
 from sylpose.runs.options import RunOptions
 from sylpose.runs.page import MIN_THUMBNAILS, ThumbnailAlbum, thumbnail_step, write_report_page

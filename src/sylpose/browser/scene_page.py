@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.display import format_length
 from sylpose.geometry.arrays import FloatArray, Image, IntArray
-from sylpose.report.pictures import build_undistortion_map
+from sylpose.report.drawing import build_undistortion_map
 from sylpose.report.scene import Scene
 from sylpose.results import FrameStatus
 from sylpose.rig import Rig

@@ -31,7 +31,7 @@ def check(options: CheckOptions) -> None:
     """
     from sylpose.atomic_io import make_output_folder
     from sylpose.io.calibration.world import save_world
-    from sylpose.report.preview import draw_regions, draw_world_axes
+    from sylpose.report.drawing import draw_regions, draw_world_axes
     from sylpose.report.rigview import describe_rig, plot_rig
     from sylpose.runs import check as checks
     from sylpose.runs import console_output

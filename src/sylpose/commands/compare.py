@@ -76,7 +76,7 @@ def compare(options: CompareOptions) -> None:
 
     from sylpose.atomic_io import make_output_folder, replace_atomically
     from sylpose.comparison import compare_trajectories, compute_statistics
-    from sylpose.report.comparison import plot_comparison
+    from sylpose.report.plots import plot_comparison
     from sylpose.runs import console_output
 
     a, b, align, step = options.a, options.b, options.align, options.step

@@ -173,7 +173,7 @@ def _evaluate(options: DemoOptions, downtime: tuple[float, float] | None) -> lis
     from sylpose.commands.demo import MAX_ERROR_DEG
     from sylpose.comparison import compare_trajectories
     from sylpose.report.files import read_trajectory, read_tum
-    from sylpose.report.network import NodeResult, plot_nodes
+    from sylpose.report.plots import NodeResult, plot_nodes
     from sylpose.runs import console_output
 
     console, failures, rows, answers = console_output.make_console(), [], [], []

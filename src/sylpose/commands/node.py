@@ -154,8 +154,7 @@ def _run_node(options: NodeOptions, camera: str, source_name: str) -> None:
     from sylpose.network.rounds import Timeouts
     from sylpose.network.runner import TICK_SECONDS, NodeRunner
     from sylpose.network.zenoh_transport import NodeAddress, ZenohTransport, compute_rig_digest
-    from sylpose.report.files import TrajectoryWriter
-    from sylpose.report.json_lines import format_pose_line
+    from sylpose.report.files import TrajectoryWriter, format_pose_line
     from sylpose.runs import console_output
     from sylpose.runs.frame_source import open_node_source
 

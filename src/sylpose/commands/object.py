@@ -287,7 +287,7 @@ def apply(options: ApplyOptions) -> None:
     from sylpose.io import calibration
     from sylpose.io.object_files import CLOUD_FILE, OBJECT_FILE, load_object, save_object
     from sylpose.report.files import write_trajectory
-    from sylpose.report.plots import plot_trajectory
+    from sylpose.report.plots import save_trajectory_plot
     from sylpose.results import Trajectory
     from sylpose.runs import console_output
     from sylpose.runs.object_frames import change_object_frame
@@ -306,7 +306,7 @@ def apply(options: ApplyOptions) -> None:
         (make_output_folder(out) / name).unlink(missing_ok=True)
     files = [*write_trajectory(out, trajectory), out / f"report.{options.plot_format}"]
     calibration.save(run.rig, out / USED_CALIBRATION)
-    plot_trajectory(trajectory, files[-1], note=f"{result.resolve().name}, in the frame of {file.name}")
+    save_trajectory_plot(trajectory, files[-1], note=f"{result.resolve().name}, in the frame of {file.name}")
     save_object(replace(load_object(result / OBJECT_FILE), frame=known.frame), out / OBJECT_FILE)
     files += [out / USED_CALIBRATION, out / OBJECT_FILE]
     console_output.print_files(console_output.make_console(), "Files", files)

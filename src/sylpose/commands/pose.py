@@ -230,13 +230,13 @@ def _write_reports(options: PoseOptions, found: _PoseInput, trajectory: Trajecto
     """Write the plot and the page of the trajectory."""
     from sylpose import __version__
     from sylpose.input_limits import MAX_TABLE_BYTES
-    from sylpose.report.plots import plot_trajectory
+    from sylpose.report.plots import save_trajectory_plot
     from sylpose.report.scene import Thumbnails
     from sylpose.runs.page import write_report_page
 
     plot = options.out / f"report.{options.plot_format}"
     note = f"{found.source.resolve().name}, by {options.model.name}, sylpose {__version__}"
-    plot_trajectory(trajectory, plot, note=note, input_warnings=warnings)
+    save_trajectory_plot(trajectory, plot, note=note, input_warnings=warnings)
     if (options.out / "trajectory.csv").stat().st_size > MAX_TABLE_BYTES:
         return [plot]
     return [plot, write_report_page(options.out, Thumbnails() if found.album is None else found.album.stills())]

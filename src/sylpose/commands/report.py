@@ -50,7 +50,7 @@ def report(options: ReportOptions) -> None:
 
 def _collect_stills(folder: Path) -> tuple[Thumbnails, str]:
     """Return the images of the existing page, or else of the unchanged recording, or else none with the reason."""
-    from sylpose.report.formats import PAGE_FILE
+    from sylpose.report.files import PAGE_FILE
     from sylpose.report.page import read_stills
     from sylpose.report.scene import Thumbnails
     from sylpose.runs.page import ThumbnailAlbum

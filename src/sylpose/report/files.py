@@ -1,9 +1,10 @@
-"""Trajectory files: TUM text, and CSV with uncertainty, status and per-camera counts."""
+"""Trajectories as files: TUM text, CSV with uncertainty and per-camera counts, JSON lines, tables."""
 
 from __future__ import annotations
 
 import csv
 import io
+import json
 import math
 import os
 from collections.abc import Sequence
@@ -11,20 +12,99 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.atomic_io import make_output_folder, output_errors, partial_path, replace_atomically
-from sylpose.geometry.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.geometry.euler_angles import EulerAngles
+from sylpose.geometry.validation import check_type
 from sylpose.input_limits import MAX_TABLE_BYTES, input_errors, read_text
-from sylpose.report.tables import CAMERA_COLUMNS, COLUMNS, POSE_COLUMNS, SD_COLUMNS, align_quaternion_sign
 from sylpose.results import FramePose, FrameStatus, Observability, Trajectory
 
-__all__ = ["TrajectoryWriter", "WriterState", "read_trajectory", "read_tum", "write_trajectory", "write_tum"]
+__all__ = [
+    "CAMERA_COLUMNS",
+    "COLUMNS",
+    "PAGE_FILE",
+    "PICTURE_FORMATS",
+    "POSE_COLUMNS",
+    "SD_COLUMNS",
+    "TrajectoryWriter",
+    "WriterState",
+    "align_quaternion_sign",
+    "build_columns",
+    "format_pose_line",
+    "read_trajectory",
+    "read_tum",
+    "to_dataframe",
+    "write_trajectory",
+    "write_tum",
+]
+
+# By file name suffix.
+PICTURE_FORMATS = ("png", "svg", "pdf")
+PAGE_FILE = "report.html"
+
+
+POSE_COLUMNS = ("tx", "ty", "tz", "qx", "qy", "qz", "qw")
+ANGLE_COLUMNS = ("pan_deg", "tilt_deg", "roll_deg")
+SD_COLUMNS = ("rx_sd_deg", "ry_sd_deg", "rz_sd_deg", "tx_sd", "ty_sd", "tz_sd")
+COLUMNS = ("index", "time", "status", "observability", "unit", *POSE_COLUMNS, *ANGLE_COLUMNS, *SD_COLUMNS)
+# Prefixes of the per-camera columns, followed by the camera's name.
+CAMERA_COLUMNS = ("inliers", "residual_px", "variance_inflation", "matches")
+
+
+def build_columns(trajectory: Trajectory) -> dict[str, list[Any]]:
+    """Build the columns of trajectory.csv (docs/formats.md), not rounded.
+
+    Values are text, integers or floats; NaN where there is no value, infinity for an unbounded standard deviation.
+    """
+    names = trajectory.camera_names
+    per_camera = [f"{what}_{name}" for what in CAMERA_COLUMNS for name in names]
+    quaternion, rows = None, []
+    for f in trajectory:
+        pose, missing = np.full(7, np.nan), np.full(len(names), np.nan)
+        if f.world_from_object is not None:
+            quaternion = align_quaternion_sign(f.world_from_object.rotation.as_quat(), quaternion)
+            pose = np.concatenate([f.position, quaternion])
+        cells: list[Any] = [f.index, f.time, f.status.value, f.observability.value, trajectory.unit]
+        cells += [
+            *pose.tolist(),
+            *np.degrees(f.pan_tilt_roll).tolist(),
+            *np.degrees(f.sigma[:3]).tolist(),
+            *f.sigma[3:].tolist(),
+        ]
+        for values in (f.inliers, f.residuals, f.variance_inflation, f.matches):
+            cells += (values if len(values) else missing).tolist()
+        rows.append([*cells, "; ".join(f.faults), f.reason])
+    columns = [list(column) for column in zip(*rows, strict=True)] or [[] for _ in (*COLUMNS, *per_camera, 0, 0)]
+    return dict(zip((*COLUMNS, *per_camera, "faults", "reason"), columns, strict=True))
+
+
+def to_dataframe(trajectory: Trajectory) -> Any:
+    """Return the columns of trajectory.csv (docs/formats.md) as a `pandas.DataFrame`, not rounded; NaN for no value.
+
+    Args:
+        trajectory: the poses of all frames.
+
+    Raises:
+        ModuleNotFoundError: pandas is not installed.
+    """
+    try:
+        import pandas
+    except ModuleNotFoundError as error:
+        message = "a DataFrame needs pandas: python3 -m pip install 'sylpose[export]'"
+        raise ModuleNotFoundError(message, name=error.name) from None
+    return pandas.DataFrame(build_columns(check_type(trajectory, Trajectory, "trajectory")))
+
+
+def align_quaternion_sign(quaternion: FloatArray, previous: FloatArray | None) -> FloatArray:
+    """Choose the quaternion's sign nearer to the previous frame; for the first frame w >= 0."""
+    reference = np.array([0.0, 0.0, 0.0, 1.0]) if previous is None else previous
+    return -quaternion if quaternion @ reference < 0 else quaternion
 
 
 _SD_TO_RADIANS = np.array([np.pi / 180] * 3 + [1.0] * 3)
@@ -405,3 +485,41 @@ def _format_exact(value: float) -> str:
 def _format_cell(value: float, digits: int) -> str:
     # Adding 0 converts -0 to 0.
     return f"{float(value) + 0.0:.{digits}g}" if math.isfinite(value) else ""
+
+
+def format_pose_line(pose: FramePose, camera_names: Sequence[str], unit: str, **extra_fields: object) -> str:
+    """Format a frame as one line of JSON without line end: see docs/formats.md, "Lines of JSON".
+
+    Args:
+        pose: the frame's pose.
+        camera_names: (C,) in the order of `FramePose.inliers`.
+        unit: unit of lengths, or "".
+        extra_fields: fields that come first.
+    """
+    transform = pose.world_from_object
+    fields = {
+        **extra_fields,
+        "frame": pose.index,
+        "time": pose.time,
+        "status": pose.status.value,
+        "observability": pose.observability.value,
+        "position": None if transform is None else pose.position.tolist(),
+        "quaternion": None if transform is None else transform.rotation.as_quat().tolist(),
+        "sigma_deg": [_number_or_none(np.degrees(s)) for s in pose.sigma[:3]],
+        "sigma_position": [_number_or_none(s) for s in pose.sigma[3:]],
+        "unit": unit,
+        "inliers": _map_by_camera(camera_names, pose.inliers),
+        "matches": _map_by_camera(camera_names, pose.matches),
+        "faults": list(pose.faults),
+        "reason": pose.reason,
+    }
+    return json.dumps(fields)
+
+
+def _map_by_camera(names: Sequence[str], counts: IntArray) -> dict[str, int]:
+    """Map camera names to counts; empty if the counts are unknown."""
+    return {name: int(n) for name, n in zip(names, counts, strict=True)} if len(counts) else {}
+
+
+def _number_or_none(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

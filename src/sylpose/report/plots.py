@@ -1,4 +1,4 @@
-"""Plot of a trajectory: angles, position, inliers and residuals over time."""
+"""Plots: a trajectory over time, a comparison, and the nodes of a network."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import io
 import textwrap
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib import rc_context
@@ -15,10 +16,13 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
+from scipy.spatial.transform import RigidTransform
 
 from sylpose.atomic_io import replace_atomically
+from sylpose.comparison import Comparison
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.euler_angles import PAN_TILT_ROLL, EulerAngles
+from sylpose.geometry.validation import check_type
 from sylpose.report.camera_consistency import describe_camera_problems, find_disagreements
 from sylpose.report.failure_reasons import explain_missing_poses
 from sylpose.results import FrameStatus, Observability, Trajectory
@@ -27,18 +31,21 @@ __all__ = [
     "X_COLOR",
     "Y_COLOR",
     "Z_COLOR",
+    "NodeResult",
     "angle_labels",
     "camera_colors",
     "choose_length_unit",
     "compute_frame_angles",
     "create_figure",
     "draw_trajectory_figure",
+    "plot_comparison",
+    "plot_nodes",
     "plot_trajectory",
     "save_figure",
+    "save_trajectory_plot",
     "style_panel",
     "summarize_trajectory",
 ]
-
 
 # Okabe & Ito's colors, distinguishable for the color-blind. An axis has the same color in both upper panels: tilt
 # rotates about x, pan about y, roll about z.
@@ -93,7 +100,20 @@ def summarize_trajectory(trajectory: Trajectory) -> str:
     return ", ".join(parts)
 
 
-def plot_trajectory(
+def plot_trajectory(trajectory: Trajectory, *, note: str = "") -> Figure:
+    """Plot angles, position, inliers and residuals over time, as in `report.png`; notebooks display the figure.
+
+    Args:
+        trajectory: trajectory of at least one frame.
+        note: a line of text below the plots.
+
+    Raises:
+        ValueError: a trajectory without frames.
+    """
+    return draw_trajectory_figure(check_type(trajectory, Trajectory, "trajectory"), note=check_type(note, str, "note"))
+
+
+def save_trajectory_plot(
     trajectory: Trajectory,
     path: Path | str,
     *,
@@ -380,3 +400,134 @@ def _compute_angle_sigmas(trajectory: Trajectory, angles: EulerAngles) -> FloatA
     """Compute standard deviations (N, 3) of the angles in radians; NaN without a pose."""
     poses = [(f.world_from_object, f.covariance[:3, :3]) for f in trajectory]
     return np.array([np.full(3, np.nan) if p is None else angles.sigma(p.rotation, c) for p, c in poses])
+
+
+COMPARED_COLOR, ABSOLUTE_COLOR, RELATIVE_COLOR = "#888888", "#332288", "#CC6677"
+
+
+def plot_comparison(result: Comparison, path: Path, *, unit: str = "", title: str = "") -> None:
+    """Plot two trajectories and their absolute and relative errors over time.
+
+    The panels show both positions since the first common pose, rotation errors and position errors.
+
+    Args:
+        result: the comparison.
+        path: path of the picture; its suffix sets the format.
+        unit: unit of lengths, or "".
+        title: above the panels.
+
+    Raises:
+        OSError: the file cannot be written; the message names it.
+    """
+    figure = create_figure(11.5, 9.0)
+    position_axes, rotation_axes, error_axes = figure.subplots(
+        3, 1, sharex=True, gridspec_kw={"height_ratios": [3, 2, 2]}
+    )
+    figure.suptitle(title, x=0.01, horizontalalignment="left", fontsize=12, fontweight="bold", color=INK)
+    times, start = result.times, result.reference.translation[0]
+    largest = float(max(np.abs(p.translation - start).max() for p in (result.estimate, result.reference)))
+    for k, (axis, color) in enumerate((("x", X_COLOR), ("y", Y_COLOR), ("z", Z_COLOR))):
+        scale, _ = _choose_length_unit(largest, unit)
+        position_axes.plot(
+            times,
+            scale * (result.reference.translation - start)[:, k],
+            color="#CCCCCC",
+            linewidth=5,
+            solid_capstyle="round",
+            label="reference" if k == 0 else None,
+        )
+        position_axes.plot(
+            times, scale * (result.estimate.translation - start)[:, k], color=color, linewidth=1.4, label=axis
+        )
+    position_axes.set_ylabel(f"position since the start ({_choose_length_unit(largest, unit)[1]})")
+    middle = 0.5 * (times[len(times) - len(result.relative_rotation) :] + times[: len(result.relative_rotation)])
+    scale, length = _choose_length_unit(float(result.position.max()), unit)
+    for panel, absolute, relative, label in (
+        (rotation_axes, np.degrees(result.rotation), np.degrees(result.relative_rotation), "rotation error (degrees)"),
+        (error_axes, scale * result.position, scale * result.relative_position, f"position error ({length})"),
+    ):
+        panel.plot(times, absolute, color=ABSOLUTE_COLOR, linewidth=1.5, label="absolute")
+        panel.plot(middle, relative, color=RELATIVE_COLOR, linewidth=1.0, label="relative")
+        rms = float(np.sqrt(np.mean(absolute**2)))
+        panel.axhline(rms, color=ABSOLUTE_COLOR, linewidth=0.9, linestyle="--", label=f"rms {rms:.3g}")
+        panel.set_ylabel(label)
+        panel.set_ylim(bottom=0)
+    error_axes.set_xlabel("time (s)")
+    for panel in (position_axes, rotation_axes, error_axes):
+        style_panel(panel)
+        panel.legend(loc="upper left", bbox_to_anchor=(1.005, 1.0), frameon=False)
+    figure.align_ylabels([position_axes, rotation_axes, error_axes])
+    save_figure(figure, path)
+
+
+def _choose_length_unit(length: float, unit: str) -> tuple[float, str]:
+    """Choose the scale factor and unit in which to print lengths."""
+    return (1000.0, "mm") if unit == "m" and length < 0.1 else (1.0, unit or "units")
+
+
+# Line widths: each node's line is narrower than the one below it, so that all of them stay visible (choice).
+MAX_LINE_WIDTH, LINE_WIDTH_STEP = 7.0, 1.5
+
+
+class NodeResult(NamedTuple):
+    """Result of one node: its name, trajectory, and pose errors (n,) in degrees at times (n,) in seconds."""
+
+    name: str
+    trajectory: Trajectory
+    times: FloatArray
+    errors: FloatArray
+
+
+def plot_nodes(
+    results: Sequence[NodeResult],
+    times: FloatArray,
+    truth: RigidTransform,
+    offline: tuple[float, float] | None,
+    path: Path,
+) -> None:
+    """Plot the rotation since the first frame (top) and each node's error (bottom).
+
+    Args:
+        results: results of the nodes.
+        times: (n,) seconds.
+        truth: the n true poses.
+        offline: start and end of the time a node was offline, seconds; None for no outage.
+        path: path of the picture.
+
+    Raises:
+        OSError: the file cannot be written; the message names it.
+    """
+    figure = create_figure(9.0, 6.0)
+    rotation_axes, error_axes = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+    true = np.degrees((truth.rotation * truth[0].rotation.inv()).magnitude())
+    rotation_axes.plot(
+        times, true, color="#DDDDDD", linewidth=MAX_LINE_WIDTH + 4, label="truth", solid_capstyle="round"
+    )
+    first = next(p.world_from_object for p in results[0].trajectory if p.world_from_object is not None)
+    colors = dict(zip(dict.fromkeys(a.name.partition(" ")[0] for a in results), camera_colors(9), strict=False))
+    for k, result in enumerate(results):
+        solved = [p for p in result.trajectory if p.world_from_object is not None]
+        color = colors[result.name.partition(" ")[0]]
+        angles = [
+            np.degrees((p.world_from_object.rotation * first.rotation.inv()).magnitude())
+            for p in solved
+            if p.world_from_object is not None
+        ]
+        width = max(MAX_LINE_WIDTH - LINE_WIDTH_STEP * k, 1.2)
+        rotation_axes.plot([p.time for p in solved], angles, color=color, linewidth=width, label=result.name)
+        error_axes.plot(result.times, result.errors, color=color, linewidth=max(0.6 * width, 1.0))
+    for axes in (rotation_axes, error_axes):
+        if offline is not None:
+            axes.axvspan(*offline, color="#F6D9C2", zorder=0, linewidth=0)
+        style_panel(axes)
+    if offline is not None:
+        rotation_axes.annotate(
+            "node offline", (offline[0], 0.02), xycoords=("data", "axes fraction"), color=INK, fontsize=9
+        )
+    rotation_axes.set_ylabel("rotation (degrees)")
+    error_axes.set_ylabel("error (degrees)")
+    error_axes.set_xlabel("time (s)")
+    error_axes.set_ylim(bottom=0)
+    rotation_axes.legend(loc="upper left", frameon=False)
+    rotation_axes.set_title("Estimates of the same motion by each node")
+    save_figure(figure, path)

@@ -12,8 +12,7 @@ from sylpose.bundle_adjustment.calibration_refinement import default_calibration
 from sylpose.geometry.euler_angles import PAN_TILT_ROLL, parse_euler_angles
 from sylpose.input_limits import MAX_TABLE_BYTES
 from sylpose.io.object_files import CLOUD_FILE, OBJECT_FILE, save_object, write_cloud
-from sylpose.report.files import TrajectoryWriter, write_trajectory
-from sylpose.report.formats import PAGE_FILE
+from sylpose.report.files import PAGE_FILE, TrajectoryWriter, write_trajectory
 from sylpose.results import FramePose, Status, Trajectory
 from sylpose.rig import Rig
 from sylpose.runs.calibration_refinement import describe_changes, find_moved_cameras, write_refined
@@ -196,10 +195,10 @@ class ObjectOutput:
             write_trajectory(self.folder, self._final_trajectory, stem=RESULT, angles=self._angles)
         if self.n_frames:
             with self._clock.measure("plots"):
-                from sylpose.report.plots import plot_trajectory
+                from sylpose.report.plots import save_trajectory_plot
 
                 angles = self._angles or PAN_TILT_ROLL
-                plot_trajectory(
+                save_trajectory_plot(
                     self._final_trajectory,
                     self.report_path,
                     note=self._note,

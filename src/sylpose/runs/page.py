@@ -16,9 +16,9 @@ from sylpose.geometry.euler_angles import PAN_TILT_ROLL, parse_euler_angles
 from sylpose.input_limits import input_errors
 from sylpose.io import calibration
 from sylpose.io.object_files import MAX_DRAWN_DEPTH_SD, OBJECT_FILE, load_object
-from sylpose.report.formats import PAGE_FILE
+from sylpose.report.drawing import encode_thumbnail
+from sylpose.report.files import PAGE_FILE
 from sylpose.report.page import PageHeader, write_page
-from sylpose.report.pictures import encode_thumbnail
 from sylpose.report.scene import PointCloud, Scene, Thumbnails, build_scene
 from sylpose.results import Trajectory
 from sylpose.rig import Rig

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from sylpose.io.capture import Session
 from sylpose.io.capture.live import LiveSession
-from sylpose.report.json_lines import format_pose_line
+from sylpose.report.files import format_pose_line
 from sylpose.runs import console_output
 from sylpose.runs.check import boxes_hint, check_session, list_errors, locate_object
 from sylpose.runs.options import RunOptions

@@ -14,7 +14,7 @@ from sylpose.geometry.euler_angles import PAN_TILT_ROLL, EulerAngles
 from sylpose.io import calibration
 from sylpose.io.calibration.world import load_world, transform_rig
 from sylpose.report.files import read_trajectory, write_trajectory
-from sylpose.report.plots import plot_trajectory
+from sylpose.report.plots import save_trajectory_plot
 from sylpose.results import Trajectory
 from sylpose.rig import Camera, Rig, make_look_at_camera
 from sylpose.runs.run_metadata import USED_CALIBRATION, WORLD
@@ -164,5 +164,5 @@ def write_view(
     files = write_trajectory(folder, view, stem=stem, world=name, angles=angles)
     plot_path = folder / f"{stem}.{plot_format}"
     note = f"{folder.resolve().name}, in the frame of {name}, sylpose {__version__}"
-    plot_trajectory(view, plot_path, note=note, angles=angles or PAN_TILT_ROLL)
+    save_trajectory_plot(view, plot_path, note=note, angles=angles or PAN_TILT_ROLL)
     return [*files, plot_path]

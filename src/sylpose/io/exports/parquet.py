@@ -8,7 +8,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from sylpose.atomic_io import replace_atomically
-from sylpose.report.tables import build_columns
+from sylpose.report.files import build_columns
 from sylpose.results import Trajectory
 
 __all__ = ["write_parquet"]

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.atomic_io import replace_atomically
 from sylpose.io.exports.poses import UP_UNKNOWN_NOTE, Poses, find_runs
-from sylpose.report.tables import build_columns
+from sylpose.report.files import build_columns
 from sylpose.results import Trajectory
 
 __all__ = ["write_bvh", "write_csv", "write_trc", "write_tum"]

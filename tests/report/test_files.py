@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.report.files import write_trajectory
-from sylpose.report.tables import build_columns
+from sylpose.report.files import build_columns, to_dataframe, write_trajectory
 from sylpose.results import FramePose, FrameStatus, Observability, Trajectory
 
 
@@ -76,7 +75,7 @@ def test_empty_trajectory_has_columns() -> None:
 
 def test_dataframe() -> None:
     pandas = pytest.importorskip("pandas")
-    found = trajectory().to_dataframe()
+    found = to_dataframe(trajectory())
     assert isinstance(found, pandas.DataFrame)
     assert list(found.columns) == list(build_columns(trajectory()))
     assert found["time"].iloc[2] == trajectory()[2].time
@@ -88,4 +87,4 @@ def test_dataframe() -> None:
 def test_missing_pandas_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(ModuleNotFoundError, match=r"needs pandas: python3 -m pip install 'sylpose\[export\]'"):
-        trajectory().to_dataframe()
+        to_dataframe(trajectory())

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from sylpose.report.pictures import BACKGROUND_COLOR, MAX_TANGENT, build_undistortion_map, encode_jpeg, shrink_image
+from sylpose.report.drawing import BACKGROUND_COLOR, MAX_TANGENT, build_undistortion_map, encode_jpeg, shrink_image
 from sylpose.rig import Camera, make_look_at_camera
 
 BENT = np.array([-0.28, 0.09, 0.001, -0.002, -0.01])
