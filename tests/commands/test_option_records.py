@@ -36,9 +36,15 @@ class ProbeOptions(MethodOptions, RecordingOptions):
             raise ValueError("count must not be 3")
 
 
-@command("Probe.", "sylpose probe recording", group=group, notes="Note.")
+@command("Probe.", group=group, notes="Note.")
 def probe(options: ProbeOptions) -> None:
-    """Receive options."""
+    """Receive options.
+
+    Examples:
+        sylpose probe recording
+            --count 3
+        sylpose probe other
+    """
     received.append(options)
 
 
@@ -120,6 +126,6 @@ def test_help_lists_inherited_options_and_notes(capsys: pytest.CaptureFixture[st
         "[default: 2",
         "--exact Switch, described in the docstring over more than one line, which Click wraps again",
         "Note.",
-        "sylpose probe recording",
+        "Examples: sylpose probe recording --count 3 sylpose probe other",
     ):
         assert words in text

@@ -164,13 +164,14 @@ def _check_range(value: float, minimum: float | None, maximum: float | None, nam
 
 
 def command(
-    summary: str, *lines: str, group: typer.Typer = app, name: str | None = None, notes: str = ""
+    summary: str, *, group: typer.Typer = app, name: str | None = None, notes: str = ""
 ) -> Callable[[Callable[[OptionsT], None]], Callable[[OptionsT], None]]:
     """Register a function of one options record as a command; its fields become the options, in their order.
 
+    The function's docstring is the help; its "Examples" end it. An example continues in lines that are indented more.
+
     Args:
         summary: short help, for the list of commands.
-        lines: example command lines.
         group: the app, or one of its groups (`object`).
         name: the command's name; by default the function's.
         notes: text before the examples.
@@ -195,6 +196,8 @@ def command(
             parameters.append(Parameter(field.name, Parameter.KEYWORD_ONLY, default=default, annotation=hint))
         run.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
         run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+        run.__doc__, _, examples = cleandoc(function.__doc__ or "").partition("\n\nExamples:\n    ")
+        lines = re.sub(r"\n {8,}", " ", examples).split("\n    ")
         epilog = notes + ("\n" if notes else "") + format_examples(*lines)
         group.command(name, cls=GroupedCommand, short_help=summary, epilog=epilog)(run)
         return function

@@ -77,19 +77,19 @@ class BatchOptions(MethodOptions):
             raise ValueError(f"--stop must be greater than --start ({self.start}), got {self.stop}")
 
 
-@command(
-    "Track many recordings.",
-    "sylpose batch archive --out results",
-    "sylpose batch recordings.csv --out results --jobs 8",
-    "sylpose batch s3://lab/recordings --out s3://lab/results --ray auto",
-    "sylpose batch archive --out results --shard 3/100",
-    "sylpose batch --status --out results",
-)
+@command("Track many recordings.")
 def batch(options: BatchOptions) -> None:
     """Track all recordings below folders or object-store URLs, or in manifests, each as with sylpose track.
 
     Repeating the command skips finished recordings; a failed recording does not stop the others. DEST gets one folder
     per recording and summary.csv. Exit code 0: all done; 1: some failed; 2: wrong input.
+
+    Examples:
+        sylpose batch archive --out results
+        sylpose batch recordings.csv --out results --jobs 8
+        sylpose batch s3://lab/recordings --out s3://lab/results --ray auto
+        sylpose batch archive --out results --shard 3/100
+        sylpose batch --status --out results
     """
     from sylpose.archive.batch_command import BatchWorkers, run_batch_command, run_status_command
     from sylpose.archive.contract import RunSettings

@@ -29,16 +29,16 @@ class BoxOptions(PageOptions, RecordingOptions):
     start: Annotated[int, option("--start N", INPUT)] = 0
 
 
-@command(
-    "Draw object boxes on a page in the browser.",
-    "sylpose box recording",
-    "sylpose box recording --start 100 --out at_100.toml",
-)
+@command("Draw object boxes on a page in the browser.")
 def box(options: BoxOptions) -> None:
     """Draw boxes of one or several objects in the first frame of each camera, on a page in the browser.
 
     The page shows where the object of one box can be in the other cameras; from two boxes it suggests the rest.
     Existing boxes are loaded. Only this computer can open the page.
+
+    Examples:
+        sylpose box recording
+        sylpose box recording --start 100 --out at_100.toml
     """
     import shlex
     from contextlib import closing

@@ -46,20 +46,19 @@ class ConvertOptions(WorldOptions):
     size: Annotated[tuple[str, ...], option("--size [CAM=]WIDTHxHEIGHT", INPUT)] = ()
 
 
-@command(
-    "Convert a calibration to another format or unit.",
-    "sylpose calibration convert camera_array.toml calibration.yml",
-    "sylpose calibration convert rig.toml floor.toml --world chessboard:9x6,square=25mm --world-from floor_images",
-    "sylpose calibration convert camchain.yaml calibration.toml --to anipose",
-    "sylpose calibration convert rig.toml stereo.yml --to opencv-stereo --only cam_0 --only cam_2",
-    "sylpose calibration convert colmap/sparse/0 calibration.toml",
-    group=calibration_app,
-)
+@command("Convert a calibration to another format or unit.", group=calibration_app)
 def convert(options: ConvertOptions) -> None:
     """Convert a calibration to another format, length unit or world frame.
 
     Reads the formats of sylpose, Anipose, Caliscope, OpenCV (FileStorage, stereo), Kalibr, COLMAP, ROS, JARVIS,
     Qualisys, Vicon, OptiTrack, EasyMocap, MultiCamSelfCal, Matlab, Metashape, NeRF and DeepLabCut.
+
+    Examples:
+        sylpose calibration convert camera_array.toml calibration.yml
+        sylpose calibration convert rig.toml floor.toml --world chessboard:9x6,square=25mm --world-from floor_images
+        sylpose calibration convert camchain.yaml calibration.toml --to anipose
+        sylpose calibration convert rig.toml stereo.yml --to opencv-stereo --only cam_0 --only cam_2
+        sylpose calibration convert colmap/sparse/0 calibration.toml
     """
     from sylpose.io import calibration
     from sylpose.io.calibration.world import transform_rig

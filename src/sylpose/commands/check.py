@@ -19,15 +19,15 @@ class CheckOptions(WorldOptions, RecordingOptions):
     out: OutFolder = None
 
 
-@command(
-    "Validate a recording and report problems.",
-    "sylpose check recording",
-    "sylpose check recording --calibration rig.toml --out results",
-)
+@command("Validate a recording and report problems.")
 def check(options: CheckOptions) -> None:
     """Validate a recording and report problems.
 
     Plots the rig from above and from the side in OUT/rig.png, and with --world the world axes in OUT/world.png.
+
+    Examples:
+        sylpose check recording
+        sylpose check recording --calibration rig.toml --out results
     """
     from sylpose.atomic_io import make_output_folder
     from sylpose.io.calibration.world import save_world

@@ -58,15 +58,15 @@ class _Motion(NamedTuple):
     unit: str
 
 
-@command(
-    "Compute the errors between two trajectories.",
-    "sylpose compare recording/sylpose truth.tum",
-    "sylpose compare first/sylpose second/sylpose --align none --out compared",
-)
+@command("Compute the errors between two trajectories.")
 def compare(options: CompareOptions) -> None:
     """Compute absolute and relative pose errors of A with respect to B.
 
     Prints a table and writes compare.png and compare.json. Errors are expressed in B's frames.
+
+    Examples:
+        sylpose compare recording/sylpose truth.tum
+        sylpose compare first/sylpose second/sylpose --align none --out compared
     """
     import json
 

@@ -36,16 +36,16 @@ class DemoOptions(CommandOptions):
     seed: Seed = 0
 
 
-@command(
-    "Render and track a recording with ground truth.",
-    "sylpose demo",
-    "sylpose demo --turn 120 --cameras 3 --out block",
-)
+@command("Render and track a recording with ground truth.")
 def demo(options: DemoOptions) -> None:
     """Render a recording with ground truth, track it from its videos and compare.
 
     A textured block rotates and drifts in front of the cameras. Exit code 0 if the rotation error is below 2 degrees in
     all frames.
+
+    Examples:
+        sylpose demo
+        sylpose demo --turn 120 --cameras 3 --out block
     """
     import numpy as np
     from rich.text import Text

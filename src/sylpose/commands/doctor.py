@@ -25,12 +25,17 @@ class DoctorOptions(CommandOptions):
     compile: Annotated[bool, option("--compile")] = False
 
 
-@command("Check the installation.", "sylpose doctor", "sylpose doctor --json", "sylpose doctor --compile")
+@command("Check the installation.")
 def doctor(options: DoctorOptions) -> None:
     """Check the installation and list missing optional packages.
 
     Shows versions, the OpenCV variant, cores and memory, the cache of compiled code, and the extras with their install
     commands. Exits with code 1 and a message for each required package that is missing or broken.
+
+    Examples:
+        sylpose doctor
+        sylpose doctor --json
+        sylpose doctor --compile
     """
     import json
 

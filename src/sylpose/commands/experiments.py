@@ -42,15 +42,15 @@ class ExperimentsOptions(CommandOptions):
             raise ValueError(f"--seed must not be negative, got {self.seed}")
 
 
-@command(
-    "Run the paper's experiments: tables and figures.",
-    "sylpose experiments",
-    "sylpose experiments --only noise --only cameras --out noise --quick",
-)
+@command("Run the paper's experiments: tables and figures.")
 def experiments(options: ExperimentsOptions) -> None:
     """Simulate the paper's estimators: accuracy, robustness and computing time.
 
     Writes paper_STUDY.csv and paper_STUDY.png for each study and paper_index.md into OUT; other files there are kept.
+
+    Examples:
+        sylpose experiments
+        sylpose experiments --only noise --only cameras --out noise --quick
     """
     import time
 

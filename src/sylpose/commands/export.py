@@ -32,18 +32,18 @@ class ExportOptions(CommandOptions):
     stop: StopFrame = None
 
 
-@command(
-    "Export a trajectory to another program's format.",
-    "sylpose export recording/sylpose --out object.c3d",
-    "sylpose export recording/sylpose --to rosbag --out bag",
-    "sylpose export recording/sylpose --out object.bvh --start 10 --stop 200",
-)
+@command("Export a trajectory to another program's format.")
 def export(options: ExportOptions) -> None:
     """Export a finished trajectory to another program's format.
 
     Biomechanics: c3d and trc; animation: bvh, gltf and usd; ROS 2: rosbag; tables: csv and parquet. Poses are
     world_from_object. Frames without a measured pose are gaps: missing points, an invisible object, or no message. c3d,
     rosbag, parquet and usd require extras: pip install 'sylpose[export,usd]'.
+
+    Examples:
+        sylpose export recording/sylpose --out object.c3d
+        sylpose export recording/sylpose --to rosbag --out bag
+        sylpose export recording/sylpose --out object.bvh --start 10 --stop 200
     """
     from sylpose.io.exports.formats import export_trajectory, select_frames
     from sylpose.runs import console_output

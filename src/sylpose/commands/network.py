@@ -43,15 +43,14 @@ class InitOptions(CommandOptions):
     host: Annotated[tuple[str, ...], option("--host NAME")] = ()
 
 
-@command(
-    "Create a certificate authority and camera keys.",
-    "sylpose network init keys --calibration rig.toml --host cam0.lab --host cam1.lab",
-    group=network_app,
-)
+@command("Create a certificate authority and camera keys.", group=network_app)
 def init(options: InitOptions) -> None:
     """Create a certificate authority and a key for each camera.
 
     Copy ca.pem, CAMERA.pem and CAMERA.key to that camera's machine. Keep ca.key here; it signs further keys.
+
+    Examples:
+        sylpose network init keys --calibration rig.toml --host cam0.lab --host cam1.lab
     """
     require_zenoh()
     from sylpose.io import calibration
@@ -80,17 +79,15 @@ class DemoOptions(CommandOptions):
     seed: Seed = 0
 
 
-@command(
-    "Run four nodes on a rendered recording.",
-    "sylpose network demo",
-    "sylpose network demo --frames 120 --out block",
-    group=network_app,
-    name="demo",
-)
+@command("Run four nodes on a rendered recording.", group=network_app, name="demo")
 def network_demo(options: DemoOptions) -> None:
     """Run four nodes, one process each, on a rendered recording; kill and restart one midway.
 
     Plots all four results against the ground truth in OUT/network.png.
+
+    Examples:
+        sylpose network demo
+        sylpose network demo --frames 120 --out block
     """
     require_zenoh()
     from sylpose.commands.demo import render_demo

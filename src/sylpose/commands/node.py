@@ -122,17 +122,17 @@ class NodeOptions(MethodOptions, NetworkOptions):
             raise ValueError("a node requires a camera and its images: give CAMERA and --source (or --view CAMERA)")
 
 
-@command(
-    "Run one camera as a node of a network.",
-    "sylpose node cam_0 --calibration rig.toml --source recording/cam_0.mp4 --boxes recording/boxes.toml",
-    "sylpose node cam_2 --calibration rig.toml --source 0 --rate 30 --listen 192.168.1.12:7447 --keys keys",
-    "sylpose node --view top --calibration virtual.toml",
-)
+@command("Run one camera as a node of a network.")
 def node(options: NodeOptions) -> None:
     """Run one camera of a rig as a node that estimates the pose jointly with the other cameras.
 
     A node reads only its own images. All nodes get the same poses, equal to those of one computer with all images;
     nodes may join late or rejoin. Writes CAMERA.tum and CAMERA.csv into OUT and publishes each pose (docs/network.md).
+
+    Examples:
+        sylpose node cam_0 --calibration rig.toml --source recording/cam_0.mp4 --boxes recording/boxes.toml
+        sylpose node cam_2 --calibration rig.toml --source 0 --rate 30 --listen 192.168.1.12:7447 --keys keys
+        sylpose node --view top --calibration virtual.toml
     """
     if options.view is not None:
         _view_network(options, options.view)
@@ -394,9 +394,14 @@ class NodesOptions(NetworkOptions):
     seconds: Annotated[float, option("--seconds SEC", LIVE, min=0.1)] = 2.5
 
 
-@command("List nodes and their status.", "sylpose nodes", "sylpose nodes --network lab --keys keys")
+@command("List nodes and their status.")
 def nodes(options: NodesOptions) -> None:
-    """List the nodes of a network: status, peers, frames, latency, bytes and rounds per frame, clocks."""
+    """List the nodes of a network: status, peers, frames, latency, bytes and rounds per frame, clocks.
+
+    Examples:
+        sylpose nodes
+        sylpose nodes --network lab --keys keys
+    """
     links, network = options.links(), options.network
     from sylpose.input_limits import to_one_line
     from sylpose.network.wire_format import MAX_CAMERAS

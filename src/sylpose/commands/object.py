@@ -43,9 +43,13 @@ class ShowOptions(CommandOptions):
     file: ObjectFile
 
 
-@command("Show the contents of an object file.", "sylpose object show object.npz", group=object_app)
+@command("Show the contents of an object file.", group=object_app)
 def show(options: ShowOptions) -> None:
-    """Show the contents of an object file: landmarks, keyframes, cameras, unit, size, frame and its uncertainty."""
+    """Show the contents of an object file: landmarks, keyframes, cameras, unit, size, frame and its uncertainty.
+
+    Examples:
+        sylpose object show object.npz
+    """
     import numpy as np
 
     from sylpose.io.object_files import load_object
@@ -117,22 +121,20 @@ class FrameOptions(CommandOptions):
             raise ValueError("--xy requires three points: --origin, --x and --xy")
 
 
-@command(
-    "Set the object frame in which poses are expressed.",
-    'sylpose object frame object.npz tool.npz --origin "@42 cam_0=812,400 cam_2=310,95" --x "@42 cam_0=850,390" '
-    '--xy "@42 cam_0=812,300"',
-    "sylpose object frame object.npz tool.npz --plane largest",
-    "sylpose object frame object.npz tool.npz --extent",
-    "sylpose object frame object.npz tool.npz --board apriltag:36h11,id=3,size=80mm --recording recording",
-    "sylpose object frame object.npz tool.npz --origin 0,0,0.05 --turn 0,0,90",
-    "sylpose track other --object tool.npz",
-    group=object_app,
-    notes=POINTS,
-)
+@command("Set the object frame in which poses are expressed.", group=object_app, notes=POINTS)
 def frame(options: FrameOptions) -> None:
     """Set the origin and axes of an object, for `sylpose track OTHER --object OUT`.
 
     Reports the frame's uncertainty if it results from measurements, and writes a point cloud (.ply) next to OUT.
+
+    Examples:
+        sylpose object frame object.npz tool.npz --origin "@42 cam_0=812,400 cam_2=310,95" --x "@42 cam_0=850,390"
+            --xy "@42 cam_0=812,300"
+        sylpose object frame object.npz tool.npz --plane largest
+        sylpose object frame object.npz tool.npz --extent
+        sylpose object frame object.npz tool.npz --board apriltag:36h11,id=3,size=80mm --recording recording
+        sylpose object frame object.npz tool.npz --origin 0,0,0.05 --turn 0,0,90
+        sylpose track other --object tool.npz
     """
     import numpy as np
 
@@ -212,19 +214,18 @@ class ScaleOptions(CommandOptions):
             raise ValueError(f"--distance: expected a positive length, got {self.distance}")
 
 
-@command(
-    "Set or check the object's size by a known distance.",
-    'sylpose object scale object.npz --between "near 0.1,0,0" "near -0.1,0,0" --distance 0.203',
-    'sylpose object scale object.npz tool.npz --between "@42 cam_0=812,400" "@42 cam_0=610,380" --distance 35 --unit mm',
-    group=object_app,
-    notes=POINTS,
-)
+@command("Set or check the object's size by a known distance.", group=object_app, notes=POINTS)
 def scale(options: ScaleOptions) -> None:
     """Compare a distance on the object with a known length, and scale an object of a single camera to it.
 
     A single camera cannot observe scale: its poses are in units of the first distance. With a known length they are in
     the unit of LENGTH and the object's distance is observable. Lengths from several calibrated cameras are only
     compared.
+
+    Examples:
+        sylpose object scale object.npz --between "near 0.1,0,0" "near -0.1,0,0" --distance 0.203
+        sylpose object scale object.npz tool.npz --between "@42 cam_0=812,400" "@42 cam_0=610,380" --distance 35
+            --unit mm
     """
     from sylpose.display import format_length
     from sylpose.io.object_files import load_object
@@ -271,15 +272,14 @@ class ApplyOptions(CommandOptions):
     plot_format: PlotFormat = "png"
 
 
-@command(
-    "Re-express a result in an object's frame.",
-    "sylpose object apply tool.npz recording/sylpose results_of_tool",
-    group=object_app,
-)
+@command("Re-express a result in an object's frame.", group=object_app)
 def apply(options: ApplyOptions) -> None:
     """Re-express the trajectory of a finished run in the frame of an object file, without tracking again.
 
     The standard deviations of positions are upper bounds: trajectory files contain no correlations.
+
+    Examples:
+        sylpose object apply tool.npz recording/sylpose results_of_tool
     """
     from dataclasses import replace
 

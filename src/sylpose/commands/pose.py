@@ -61,12 +61,7 @@ class PoseOptions(RangeOptions, CameraOptions):
             raise ValueError(f"--max-error must be a number of pixels, got {self.max_error_px}")
 
 
-@command(
-    "Solve poses from known object points or markers.",
-    "sylpose pose cube.toml recording --out cube",
-    "sylpose pose skull.csv pixels.csv --calibration rig.toml --rate 100 --out skull",
-    "sylpose pose skull.csv cam_0DLC.csv cam_1DLC.csv --calibration rig.toml --is-in mm",
-)
+@command("Solve poses from known object points or markers.")
 def pose(options: PoseOptions) -> None:
     """Solve the pose of an object with known points, robustly, in each frame separately (multi-camera PnP).
 
@@ -74,6 +69,11 @@ def pose(options: PoseOptions) -> None:
     tables (manual or network annotation), or markers on the object (AprilTags, ArUco) are detected in a recording.
     Writes trajectory.tum, trajectory.csv (status, uncertainty, inliers and residuals per camera), report.png,
     report.html and the settings of the run (settings.toml).
+
+    Examples:
+        sylpose pose cube.toml recording --out cube
+        sylpose pose skull.csv pixels.csv --calibration rig.toml --rate 100 --out skull
+        sylpose pose skull.csv cam_0DLC.csv cam_1DLC.csv --calibration rig.toml --is-in mm
     """
     from sylpose.runs.console_output import select_solved_frames
 

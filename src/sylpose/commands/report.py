@@ -27,11 +27,14 @@ class ReportOptions(CommandOptions):
     result: Annotated[Path, typer.Argument(metavar="RESULT")]
 
 
-@command("Rebuild the report page of a finished run.", "sylpose report recording/sylpose")
+@command("Rebuild the report page of a finished run.")
 def report(options: ReportOptions) -> None:
     """Rebuild report.html of a finished run, for example after editing its files or after an update of sylpose.
 
     It is built from the files in the folder; images come from the existing page, or else from the recording.
+
+    Examples:
+        sylpose report recording/sylpose
     """
     from sylpose.runs import console_output
     from sylpose.runs.page import write_report_page

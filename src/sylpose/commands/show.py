@@ -33,15 +33,15 @@ class ShowOptions(PageOptions):
     host: Annotated[str, option("--host HOST", LIVE)] = "127.0.0.1"
 
 
-@command(
-    "Show a result in 3D on a page in the browser.",
-    "sylpose show recording/sylpose",
-    "sylpose show recording/sylpose --save scene.html",
-)
+@command("Show a result in 3D on a page in the browser.")
 def show(options: ShowOptions) -> None:
     """Show the cameras with their images, the object and its path in 3D on a page in the browser. Ctrl-C stops it.
 
     Requires the extra `viewer`: pip install 'sylpose[viewer]'.
+
+    Examples:
+        sylpose show recording/sylpose
+        sylpose show recording/sylpose --save scene.html
     """
     import time
     from contextlib import ExitStack, suppress

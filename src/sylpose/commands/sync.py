@@ -37,15 +37,15 @@ class SyncOptions(RangeOptions, RecordingOptions):
             raise ValueError(f"--seed must not be negative, got {self.seed}")
 
 
-@command(
-    "Estimate the time offsets between the cameras.",
-    "sylpose sync recording",
-    "sylpose sync recording --max-lag 10 --start 200 --stop 600",
-)
+@command("Estimate the time offsets between the cameras.")
 def sync(options: SyncOptions) -> None:
     """Estimate the time offsets between the cameras from the recorded motion.
 
     Writes offsets.toml, which sylpose track reads.
+
+    Examples:
+        sylpose sync recording
+        sylpose sync recording --max-lag 10 --start 200 --stop 600
     """
     from functools import partial
 

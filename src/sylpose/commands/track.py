@@ -157,19 +157,18 @@ class TrackOptions(PageOptions, MethodOptions, WorldOptions, RangeOptions, Recor
         return pick(self, RunOptions, offsets=find_offsets(session, self.offsets), known=known)
 
 
-@command(
-    "Track an object in a recording or live cameras.",
-    "sylpose track recording",
-    "sylpose track recording --boxes first_frame.toml --out results",
-    "sylpose track recording --start 100 --stop 400 --every 2 --frame-offset cam_2=5",
-    notes=f"\b\n{format_methods_table()}\n",
-)
+@command("Track an object in a recording or live cameras.", notes=f"\b\n{format_methods_table()}\n")
 def track(options: TrackOptions) -> None:
     """Track the pose of an object in a recording or in live cameras (a folder with live.toml).
 
     Writes trajectory.tum (time tx ty tz qx qy qz qw), trajectory.csv (with angles, uncertainty, status, inliers and
     residuals), report.html, report.png and overlay.mp4 into OUT; several objects get one folder each. Without boxes and
     masks, whatever moves against the static background is tracked.
+
+    Examples:
+        sylpose track recording
+        sylpose track recording --boxes first_frame.toml --out results
+        sylpose track recording --start 100 --stop 400 --every 2 --frame-offset cam_2=5
     """
     from sylpose.runs.check import check_session, describe_axis_miss, explain_failures
     from sylpose.runs.run import has_finished, output_path

@@ -46,16 +46,16 @@ class ViewOptions(CommandOptions):
             raise ValueError("--at requires --from X Y Z, the camera's position")
 
 
-@command(
-    "Express a trajectory in a real or virtual camera's frame.",
-    "sylpose view recording/sylpose cam_2",
-    "sylpose view results top --calibration virtual.toml",
-    "sylpose view results top --from 0 -2 0 --at 0 0 0",
-)
+@command("Express a trajectory in a real or virtual camera's frame.")
 def view(options: ViewOptions) -> None:
     """Express a finished trajectory in the frame of a camera: of the rig, of another calibration, or virtual.
 
     Writes view_CAMERA.tum (camera_from_object), view_CAMERA.csv and view_CAMERA.png.
+
+    Examples:
+        sylpose view recording/sylpose cam_2
+        sylpose view results top --calibration virtual.toml
+        sylpose view results top --from 0 -2 0 --at 0 0 0
     """
     from sylpose.geometry.euler_angles import parse_euler_angles
     from sylpose.runs import console_output
