@@ -25,13 +25,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from benchmarks.translation_only import compute_pose_error, simulate_tracks
 from sylpose import FrameSet, track
-from sylpose.bundle_adjustment.bundle import Observations, bundle_adjust
+from sylpose.bundle_adjustment.bundle import BundleOptions, Observations, bundle_adjust
 from sylpose.bundle_adjustment.calibration_refinement import CalibrationPrior, correct_rig, default_calibration_prior
 from sylpose.frames import Box
 from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Rig
 from sylpose.simulate import arc, box, compute_demo_truth, make_demo_scene, render_frames, ring
-from sylpose.smoothing.trajectory import Track, smooth
+from sylpose.smoothing import Track, smooth
 
 LENS = (-0.11, 0.03, 0.0004, -0.0003, 0)
 RIGS = {
@@ -207,7 +207,9 @@ def main() -> None:
             observations = normalize_by(simulate_tracks(body, true, rig, options.features, 0.3, seed), rig, perturbed)
             prior = make_matched_prior(perturbed, off) if options.matched else default_calibration_prior(perturbed)
             given, refined = (
-                bundle_adjust(perturbed, observations, true, body.radius, calibration_prior=prior, recalibrate=r)
+                bundle_adjust(
+                    perturbed, observations, true, body.radius, BundleOptions(calibration_prior=prior, recalibrate=r)
+                )
                 for r in (False, True)
             )
             assert refined.correction is not None

@@ -38,7 +38,7 @@ from sylpose.frames import Box
 from sylpose.geometry.arrays import FloatArray, Image
 from sylpose.report.camera_consistency import find_disagreements
 from sylpose.simulate import DemoTruth, Scene, compute_demo_truth, make_demo_scene, render_frames
-from sylpose.smoothing.trajectory import SmoothedTrajectory, Track, smooth
+from sylpose.smoothing import SmoothedTrajectory, Track, smooth
 from sylpose.tracking.tracker import track
 
 FRAMES, MOTION_FRAME, TURN_DEG, SIZE = 60, 25, 70.0, (320, 240)

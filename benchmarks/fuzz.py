@@ -76,7 +76,7 @@ from sylpose.rig import Rig
 from sylpose.runs.checkpoint import _FRAME, CHECKPOINT, FORMAT, FrameFile, load_checkpoint
 from sylpose.runs.checkpoint_schema import SERIALIZER, OutputState, RunState
 from sylpose.simulate import ring
-from sylpose.smoothing.trajectory import Track
+from sylpose.smoothing import Track
 from sylpose.sync.offsets import load_offsets
 from sylpose.tracking.frame import SolvedFrame
 from sylpose.tracking.known_object import CameraLandmarks, KnownObject

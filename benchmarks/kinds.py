@@ -36,7 +36,7 @@ from benchmarks.kinds_solvable import find_solvable_frames
 from sylpose import FramePose, FrameStatus, track
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import FloatArray
-from sylpose.smoothing.trajectory import Track, smooth
+from sylpose.smoothing import Track, smooth
 
 GROUPS = {**SCENES, "thorough": FALLBACK_SEARCH, "starving": FEATURE_POOR, "large": LARGE}
 KINDS: dict[str, Kind] = {name: kind for group in GROUPS.values() for name, kind in group.items()}

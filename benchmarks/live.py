@@ -25,7 +25,7 @@ from benchmarks.loops import RenderedSequence, render_demo, render_sequence
 from sylpose import FramePose, open_session, track
 from sylpose.geometry.arrays import FloatArray
 from sylpose.report.files import read_tum
-from sylpose.smoothing.trajectory import Track, smooth
+from sylpose.smoothing import Track, smooth
 from sylpose.tracking.window import refine_window
 
 SCENES = (

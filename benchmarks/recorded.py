@@ -18,7 +18,7 @@ import numpy as np
 from benchmarks.live import compute_error_vector, load_scene
 from sylpose import track
 from sylpose.bundle_adjustment.calibration_refinement import default_calibration_prior
-from sylpose.smoothing.trajectory import Track, smooth
+from sylpose.smoothing import Track, smooth
 
 
 def main() -> None:

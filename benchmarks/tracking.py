@@ -40,7 +40,7 @@ from benchmarks.tracking_scenes import BUILDERS, build_recording, render_recordi
 RUN = """
 import json, pathlib, resource, sys, time
 from sylpose import open_session, track_session
-from sylpose.relative_pose.precompile import warm_up
+from sylpose.relative_pose.solver import warm_up
 session, out, options = sys.argv[1:4]
 warm_up()
 memory, status = [], pathlib.Path("/proc/self/statm")

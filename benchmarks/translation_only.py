@@ -24,7 +24,7 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Rig
 from sylpose.simulate import Actor, Scene, arc, box, chamfered_box, compute_demo_truth, ellipsoid, render_frames, ring
 from sylpose.simulate.bodies import Body
-from sylpose.smoothing.trajectory import Track, smooth
+from sylpose.smoothing import Track, smooth
 
 BODIES = {
     "ellipsoid": ellipsoid((0.15, 0.1, 0.12)),

@@ -20,7 +20,7 @@ from sylpose.absolute_pose.pose import estimate_pose
 from sylpose.geometry.arrays import FloatArray
 from sylpose.matches import Matches
 from sylpose.moments import PairMoments
-from sylpose.relative_pose.precompile import warm_up
+from sylpose.relative_pose.solver import warm_up
 from sylpose.rig import Camera
 from sylpose.runs.precompile import PARTS
 from sylpose.simulate import ring

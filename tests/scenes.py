@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose.geometry.arrays import FloatArray
 from sylpose.matches import Matches
 from sylpose.moments import PairMoments
-from sylpose.relative_pose.moments_cost import MomentSums
+from sylpose.relative_pose.moments_cost import MomentSums, TermView, make_term_view, update_view
 from sylpose.relative_pose.terms import Candidate, Stack, TermData
 from sylpose.results import Motion
 from sylpose.rig import Rig
@@ -64,6 +64,13 @@ def make_candidate(
     depth_models = np.full((len(stack.focal), len(depth_model)), np.nan)
     depth_models[t] = depth_model
     return Candidate(np.ascontiguousarray(rotation), np.asarray(translation, dtype=float), depth_models)
+
+
+def make_view(stack: Stack, t: int, candidate: Candidate) -> TermView:
+    """Return the view of term t's camera."""
+    view = make_term_view()
+    update_view(stack, t, candidate, view)
+    return view
 
 
 def compute_epipolar_px(

@@ -20,7 +20,6 @@ from sylpose.methods import (
     format_methods_table,
     resolve_features,
 )
-from sylpose.relative_pose import motion
 from sylpose.relative_pose.sylvester_methods import ESTIMATORS
 from sylpose.results import FrameStatus
 from sylpose.tracking.frame_solvers import SOLVERS
@@ -33,7 +32,6 @@ def test_code_has_the_methods_of_the_table() -> None:
     assert len(set(METHODS)) == len(TABLE)
     assert tuple(SOLVERS) == METHODS
     assert tuple(ESTIMATORS) == PAPER_METHODS
-    assert motion.METHODS == MOTION_METHODS
     assert set(PAPER_METHODS) < set(MOTION_METHODS) < set(METHODS)
     for function in (sylpose.track, Tracker, sylpose.track_session):
         defaults = {name: p.default for name, p in inspect.signature(function).parameters.items()}

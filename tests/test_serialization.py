@@ -24,7 +24,7 @@ from sylpose.runs.checkpoint import CHECKPOINT, DIGEST_SIZE, FrameFile, load_che
 from sylpose.runs.checkpoint_schema import SERIALIZER, RunState
 from sylpose.runs.options import RunOptions
 from sylpose.runs.run import track_session
-from sylpose.smoothing.trajectory import Track
+from sylpose.smoothing import Track
 from sylpose.tracking.tracked_frame import TrackedFrame
 
 pytestmark = pytest.mark.usefixtures("undrawn")

@@ -71,9 +71,7 @@ class Matches(Printable):
         return len(self.x)
 
     def _summary(self) -> Summary:
-        motion_text = (
-            f", moved by {np.median(np.linalg.norm(self.y - self.x, axis=1)):.3g} of the focal length"
-            if len(self)
-            else ""
-        )
-        return Summary(f"{len(self)} points in two frames{motion_text}" + (" (median)" if motion_text else ""))
+        text = f"{len(self)} points in two frames"
+        if len(self):
+            text += f", moved by {np.median(np.linalg.norm(self.y - self.x, axis=1)):.3g} of the focal length (median)"
+        return Summary(text)

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform, Rotation
 
-import sylpose.bundle_adjustment.optimizer as search_module
+import sylpose.bundle_adjustment.bundle as bundle_module
 import sylpose.bundle_adjustment.reduced_system as bundle_system
-from sylpose.bundle_adjustment.bundle import BundleResult, Observations, bundle_adjust
+from sylpose.bundle_adjustment.bundle import BundleOptions, BundleResult, Observations, bundle_adjust
 from sylpose.bundle_adjustment.camera_parameters import SLOPE_SD, default_depth_prior
 from sylpose.bundle_adjustment.kernels import SortedObservations, Views, compute_derivatives, compute_residuals
 from sylpose.bundle_adjustment.problem import DEPTH_SD_RADII, LATERAL_SD_RADII, Problem, _inverse_left_jacobian
@@ -167,13 +167,13 @@ def test_derivative_of_log(seed: int) -> None:
 
 def test_optimum_matches_scipy(monkeypatch: pytest.MonkeyPatch) -> None:
     # Converged to the last digit, with constant noise: the reported weights are then those of the last iteration.
-    monkeypatch.setattr(search_module, "STEP_TOLERANCE", 1e-14)
+    monkeypatch.setattr(bundle_module, "STEP_TOLERANCE", 1e-14)
     monkeypatch.setattr(Problem, "estimate_weighted_noise", lambda *_: np.array([0.4, 0.5, 0.6, 0.5]))
     poses = path(np.arange(4))
     seen = tracks([poses] * 4, 10, 0.5, 3)
     start = disturb_poses(poses)
     given = bundle_adjust(RIG, seen, start, RADIUS).landmarks
-    found = bundle_adjust(RIG, seen, start, RADIUS, landmarks=given)
+    found = bundle_adjust(RIG, seen, start, RADIUS, BundleOptions(landmarks=given))
     names, landmark = np.unique(seen.landmark, return_inverse=True)
     sigma = found.sigma_px[seen.camera]
     # The same weights: least squares at the end of the re-weighting.
@@ -325,13 +325,13 @@ def test_time_offsets() -> None:
     times = np.arange(40) / rate
     own = [path((times + s) * rate) for s in late]
     truth, seen = path(times * rate), tracks(own, 40, 0.5, 0)
-    found = bundle_adjust(RIG, seen, disturb_poses(truth), RADIUS, times=times, offsets_sd=0.02)
+    found = bundle_adjust(RIG, seen, disturb_poses(truth), RADIUS, BundleOptions(times=times, offsets_sd=0.02))
     assert found.status is Status.OK
     assert abs(found.offsets.sum()) < 1e-12
     assert np.abs(found.offsets - late).max() < 4e-4
     assert found.offsets_sd.max() < 4e-4
     # The same from time stamps.
-    stamped = bundle_adjust(RIG, seen, disturb_poses(truth), RADIUS, times=times[:, None] + late)
+    stamped = bundle_adjust(RIG, seen, disturb_poses(truth), RADIUS, BundleOptions(times=times[:, None] + late))
     assert np.abs(error(found.world_from_object, stamped.world_from_object)).max() < 0.01
     np.testing.assert_allclose(stamped.sigma_px, 0.5, rtol=0.08)
 
@@ -341,7 +341,9 @@ def test_uniform_motion_does_not_constrain_time_offsets() -> None:
     times = np.arange(30) / rate
     own = [path((times + s) * rate, steady=True) for s in late]
     truth = path(times * rate, steady=True)
-    found = bundle_adjust(RIG, tracks(own, 30, 0.5, 0), disturb_poses(truth), RADIUS, times=times, offsets_sd=0.02)
+    found = bundle_adjust(
+        RIG, tracks(own, 30, 0.5, 0), disturb_poses(truth), RADIUS, BundleOptions(times=times, offsets_sd=0.02)
+    )
     assert found.offsets_sd.min() > 0.01
 
 
@@ -350,7 +352,7 @@ def test_prior_holds_poses(short: tuple[RigidTransform, Observations]) -> None:
     start = disturb_poses(poses)
     information = np.zeros((len(poses), 6, 6))
     information[-1] = 1e14 * np.eye(6)
-    found = bundle_adjust(RIG, seen, start, RADIUS, prior_information=information)
+    found = bundle_adjust(RIG, seen, start, RADIUS, BundleOptions(prior_information=information))
     assert np.abs(error(start, found.world_from_object)[-1]).max() < 1e-4  # SciPy differentiates numerically
     assert found.covariance[-1].max() < 2e-14
 
@@ -377,7 +379,7 @@ def test_start_behind_a_camera_recovers(short: tuple[RigidTransform, Observation
     points = good.landmarks.copy()
     stray = seen.landmark[0]
     points[stray] = 10.0 * RIG.cameras[seen.camera[0]].center
-    found = bundle_adjust(RIG, seen, poses, RADIUS, landmarks=points)
+    found = bundle_adjust(RIG, seen, poses, RADIUS, BundleOptions(landmarks=points))
     assert found.weights[seen.landmark == stray].all()
     assert np.abs(found.landmarks[stray] - good.landmarks[stray]).max() < 1e-3
 
@@ -414,7 +416,7 @@ def test_bad_input(short: tuple[RigidTransform, Observations]) -> None:
         ({"offsets_sd": 0.0}, "offsets_sd"),
     ):
         with pytest.raises(ValueError, match=words):
-            bundle_adjust(RIG, seen, poses, RADIUS, **options)
+            bundle_adjust(RIG, seen, poses, RADIUS, BundleOptions(**options))
     with pytest.raises(ValueError, match="radius"):
         bundle_adjust(RIG, seen, poses, -1.0)
 
@@ -452,13 +454,17 @@ def test_known_surface_depths() -> None:
     seen, lengths = tracks([poses] * 4, 40, 0.4, 3), []
     for depth in (0.05, 0.08):
         found = bundle_adjust(
-            RIG, seen, disturb_poses(poses, 0.2, 0.002), RADIUS, depth_prior=(np.full(4, depth), 1e-6 * np.eye(4))
+            RIG,
+            seen,
+            disturb_poses(poses, 0.2, 0.002),
+            RADIUS,
+            BundleOptions(depth_prior=(np.full(4, depth), 1e-6 * np.eye(4))),
         )
         lengths.append(float(np.linalg.norm(found.world_from_object.translation[-1])))
         assert found.scale_sd < 0.005
     # The nearer the surface, the shorter the path: proportional to its distance.
     assert 0.9 < (lengths[0] / lengths[1] - 1.0) / (0.03 / 1.5) < 1.2
     with pytest.raises(ValueError, match="positive definite"):
-        bundle_adjust(RIG, seen, poses, RADIUS, depth_prior=(np.zeros(4), -np.eye(4)))
+        bundle_adjust(RIG, seen, poses, RADIUS, BundleOptions(depth_prior=(np.zeros(4), -np.eye(4))))
     with pytest.raises(ValueError, match="depth_prior: mean: shape"):
-        bundle_adjust(RIG, seen, poses, RADIUS, depth_prior=(np.zeros(3), np.eye(4)))
+        bundle_adjust(RIG, seen, poses, RADIUS, BundleOptions(depth_prior=(np.zeros(3), np.eye(4))))

@@ -18,7 +18,7 @@ from benchmarks.calibration import (
     track_rendered,
 )
 from benchmarks.translation_only import simulate_tracks
-from sylpose.bundle_adjustment.bundle import BundleResult, Observations, bundle_adjust
+from sylpose.bundle_adjustment.bundle import BundleOptions, BundleResult, Observations, bundle_adjust
 from sylpose.bundle_adjustment.calibration_refinement import (
     MovedCamera,
     add_calibration_parameters,
@@ -32,7 +32,7 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.results import Status
 from sylpose.rig import Rig
 from sylpose.simulate import box, ring
-from sylpose.smoothing.trajectory import smooth
+from sylpose.smoothing import smooth
 
 LENS = (-0.2, 0.05, 0.0004, -0.0003, 0)
 RIG = ring(4, 1.5, 1000.0, height=(0.4, -0.1, 0.2, 0.5), distortion=LENS)
@@ -46,8 +46,7 @@ def refine(reported: Rig, seen: Observations, *, recalibrate: bool = True) -> Bu
         seen,
         TRUE,
         BODY.radius,
-        calibration_prior=default_calibration_prior(reported),
-        recalibrate=recalibrate,
+        BundleOptions(calibration_prior=default_calibration_prior(reported), recalibrate=recalibrate),
     )
 
 
@@ -108,7 +107,11 @@ def test_uninformative_groups_add_nothing(recalibrate: bool) -> None:
     rig = Rig(RIG.cameras[:1])
     seen = simulate_tracks(BODY, TRUE, rig, 40, 0.3, 0)
     found = bundle_adjust(
-        rig, seen, TRUE, BODY.radius, calibration_prior=default_calibration_prior(rig), recalibrate=recalibrate
+        rig,
+        seen,
+        TRUE,
+        BODY.radius,
+        BundleOptions(calibration_prior=default_calibration_prior(rig), recalibrate=recalibrate),
     )
     assert np.median(found.variance_inflation) < 1.4
 
@@ -179,7 +182,7 @@ def test_moved_camera() -> None:
     rig, prior = add_moved_cameras(RIG, default_calibration_prior(RIG), [MovedCamera(1, 7)])
     camera = np.where((seen.camera == 1) & (seen.frame >= 7), 4, seen.camera)
     found = bundle_adjust(
-        rig, replace(seen, camera=camera), TRUE, BODY.radius, calibration_prior=prior, recalibrate=True
+        rig, replace(seen, camera=camera), TRUE, BODY.radius, BundleOptions(calibration_prior=prior, recalibrate=True)
     )
     assert found.correction is not None
     assert found.correction.rig.names[4] == "cam_1 from frame 7"

@@ -11,56 +11,54 @@ from sylpose.bundle_adjustment import problem
 from sylpose.bundle_adjustment.bundle import bundle_adjust
 from sylpose.bundle_adjustment.covariance_inflation import add_second_order_terms
 from sylpose.bundle_adjustment.depth_noise import compute_depth_noise, shrink_depth_noise
-from sylpose.bundle_adjustment.kernels import SortedObservations, Views, compute_residuals
+from sylpose.bundle_adjustment.kernels import Linearization, SortedObservations, Views, compute_residuals
 from sylpose.geometry.arrays import FloatArray
 from sylpose.simulate import arc, ellipsoid
 from sylpose.simulate.bodies import Body
 
 RIG = arc(3, 30.0, 1.5, 1000.0, height=(0.2, -0.2, 0.1))
 ROUND = ellipsoid((0.15, 0.1, 0.12))
-ShrinkArguments = tuple[SortedObservations, Views, FloatArray, FloatArray, FloatArray]
 
 
-def capture_arguments(body: Body, degrees: float, seed: int, monkeypatch: pytest.MonkeyPatch) -> ShrinkArguments:
-    """Return the arguments of `shrink_depth_noise` for a body that translates and rotates."""
+def capture_linearization(body: Body, degrees: float, seed: int, monkeypatch: pytest.MonkeyPatch) -> Linearization:
+    """Return the argument of `shrink_depth_noise` for a body that translates and rotates."""
     turned = Rotation.from_rotvec([0.3, -0.2, 0.1])
     body = Body(turned.apply(body.points.copy()), turned.apply(body.normals.copy()))
     s = np.linspace(0.0, 1.0, 8)[:, None]
     poses = RigidTransform.from_components(
         s * np.array([0.0, 0.02, 0.2]), Rotation.from_rotvec(np.deg2rad(degrees) * s * np.array([0.3, 0.9, 0.2]))
     )
-    calls: list[ShrinkArguments] = []
+    calls: list[Linearization] = []
 
-    def spy(*arguments: object) -> FloatArray:
-        calls.append(arguments)  # type: ignore[arg-type]
-        return shrink_depth_noise(*calls[-1])
+    def spy(at: Linearization) -> FloatArray:
+        calls.append(at)
+        return shrink_depth_noise(at)
 
     monkeypatch.setattr(problem, "shrink_depth_noise", spy)
     bundle_adjust(RIG, simulate_tracks(body, poses, RIG, 50, 0.4, seed), poses, 0.15)
     return calls[-1]
 
 
-def make_rough_relief(
-    arguments: ShrinkArguments, scatter: float, seed: int
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def make_rough_relief(at: Linearization, scatter: float, seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return relief (m,) on planes, the same with noise, and the shrunk values."""
-    seen, views, points, weights, pull = arguments
+    seen, points = at.observations, at.points
     noise = np.zeros(len(points))
-    compute_depth_noise(seen, views, points, weights, pull, noise)
+    compute_depth_noise(at, noise)
     rng, sd = np.random.default_rng(seed), np.sqrt(noise)
     above = np.einsum("mi,mi->m", seen.depth_direction, points)
     true = scatter * np.median(sd) * rng.standard_normal(len(points))
     noisy = true + sd * rng.standard_normal(len(points))
     on_planes = np.ascontiguousarray(points + (noisy - above)[:, None] * seen.depth_direction)
-    left = np.einsum("mi,mi->m", seen.depth_direction, shrink_depth_noise(seen, views, on_planes, weights, pull))
+    left = np.einsum("mi,mi->m", seen.depth_direction, shrink_depth_noise(at._replace(points=on_planes)))
     used = noise > 0.0
     return true[used], noisy[used], left[used]
 
 
 def test_noise_matches_each_landmark_system(monkeypatch: pytest.MonkeyPatch) -> None:
-    seen, views, points, weights, pull = capture_arguments(ROUND, 5.0, 0, monkeypatch)
+    at = capture_linearization(ROUND, 5.0, 0, monkeypatch)
+    seen, views, points, weights, pull = at
     noise = np.full(len(points), np.nan)
-    compute_depth_noise(seen, views, points, weights, pull, noise)
+    compute_depth_noise(at, noise)
     # Numerical derivatives, the landmark's covariance by inversion, and its part due to observation noise.
     slopes, h = np.empty((len(seen.frame), 2, 3)), 1e-5
     for j in range(3):
@@ -78,14 +76,14 @@ def test_noise_matches_each_landmark_system(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_noise_is_removed_and_relief_remains(monkeypatch: pytest.MonkeyPatch) -> None:
     """A plane keeps no relief; true relief remains, closer to its noise-free value."""
-    arguments = capture_arguments(ROUND, 5.0, 0, monkeypatch)
+    at = capture_linearization(ROUND, 5.0, 0, monkeypatch)
     for seed in range(4):
-        _, noisy, left = make_rough_relief(arguments, 0.0, seed)
+        _, noisy, left = make_rough_relief(at, 0.0, seed)
         assert np.sum(left**2) < 0.15 * np.sum(noisy**2)
-        true, noisy, left = make_rough_relief(arguments, 1.0, seed)
+        true, noisy, left = make_rough_relief(at, 1.0, seed)
         assert np.sum((left - true) ** 2) < 0.3 * np.sum((noisy - true) ** 2)
         assert 0.3 < np.sum(left**2) / np.sum(true**2) < 2.0
-        true, noisy, left = make_rough_relief(arguments, 10.0, seed)
+        true, noisy, left = make_rough_relief(at, 10.0, seed)
         assert np.sum((left - true) ** 2) < 0.8 * np.sum((noisy - true) ** 2)
         assert 0.8 < np.sum(left**2) / np.sum(true**2) < 1.1
 
@@ -117,7 +115,8 @@ def test_camera_with_few_landmarks() -> None:
         np.zeros((1, 4)),
     )
     points = np.array([[0.1, 0.0, 0.05]])
-    np.testing.assert_array_equal(shrink_depth_noise(seen, views, points, np.ones(2), np.array([1.0, 1e-3])), points)
+    at = Linearization(seen, views, points, np.ones(2), np.array([1.0, 1e-3]))
+    np.testing.assert_array_equal(shrink_depth_noise(at), points)
 
 
 def test_product_of_two_uncertainties() -> None:

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import sylpose.bundle_adjustment.problem as problem_module
-from sylpose.bundle_adjustment.bundle import bundle_adjust
+from sylpose.bundle_adjustment.bundle import BundleOptions, bundle_adjust
 from sylpose.bundle_adjustment.pose_derivatives import (
     compute_velocity_variance,
     differentiate_quadratic,
@@ -81,7 +81,7 @@ def test_time_offsets_are_not_overestimated(monkeypatch: pytest.MonkeyPatch) -> 
     start = disturb_poses(path(1.25 * times * rate))
 
     def scale() -> float:
-        found = bundle_adjust(RIG, seen, start, RADIUS, times=times, offsets_sd=0.02)
+        found = bundle_adjust(RIG, seen, start, RADIUS, BundleOptions(times=times, offsets_sd=0.02))
         return float(found.offsets @ late / (late @ late))
 
     assert scale() == pytest.approx(1.0, abs=0.004)

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from benchmarks.translation_only import DIRECTIONS, RIGS, compute_pose_error, refine_simulated, simulate_poses
-from sylpose.bundle_adjustment.bundle import BundleResult, Observations, bundle_adjust
+from sylpose.bundle_adjustment.bundle import BundleOptions, BundleResult, Observations, bundle_adjust
 from sylpose.bundle_adjustment.scale_prior import bundle_adjust_with_scale, has_lost_frame
 from sylpose.geometry.arrays import FloatArray
 from sylpose.simulate import arc, plane
@@ -53,7 +53,9 @@ def test_frame_that_determines_the_surface_is_kept() -> None:
     squares, wide = [], 0
     for seed in range(24):
         poses, seen, landmarks = make_board_scene(seed)
-        found = bundle_adjust_with_scale(RIG, seen, poses, RADIUS, landmarks=landmarks, max_iterations=12)
+        found = bundle_adjust_with_scale(
+            RIG, seen, poses, RADIUS, BundleOptions(landmarks=landmarks, max_iterations=12)
+        )
         off = (found.world_from_object[-1].rotation * poses[-1].rotation.inv()).as_rotvec()
         squares.append(float(off @ np.linalg.solve(found.covariance[-1, :3, :3], off)))
         assert np.degrees(np.linalg.norm(off)) < 1.0
@@ -78,7 +80,7 @@ def test_slides_of_flat_and_thin_bodies_along_the_view() -> None:
 
 def refined(seed: int) -> tuple[BundleResult, Observations]:
     poses, seen, landmarks = make_board_scene(seed)
-    return bundle_adjust(RIG, seen, poses, RADIUS, landmarks=landmarks), seen
+    return bundle_adjust(RIG, seen, poses, RADIUS, BundleOptions(landmarks=landmarks)), seen
 
 
 def test_has_lost_frame() -> None:

@@ -16,7 +16,7 @@ import pytest
 
 import sylpose
 from sylpose.commands.main import main
-from sylpose.relative_pose.precompile import warm_up
+from sylpose.relative_pose.solver import warm_up
 from sylpose.runs import installation
 from sylpose.runs.installation import Diagnosis, diagnose
 from tests.paths import REPOSITORY

@@ -24,7 +24,7 @@ from sylpose.network.wire_format import HEADER, Hello, encode_hello
 from sylpose.packets import Inbox, NetworkFaults, Packet
 from sylpose.results import FrameStatus, Status
 from sylpose.simulate import make_demo_scene
-from sylpose.smoothing.trajectory import Track, smooth
+from sylpose.smoothing import Track, smooth
 from sylpose.tracking.reports import CameraObservations
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import track

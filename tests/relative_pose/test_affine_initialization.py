@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.relative_pose.affine_initialization import N_AFFINE_TERMS, estimate_affine_rotations
+from sylpose.relative_pose.search import N_AFFINE_TERMS, estimate_affine_rotations
 from sylpose.relative_pose.terms import Stack, TermData, locate_object, stack_terms
 from sylpose.rig import Rig
 from sylpose.simulate import arc, plane, random_motion, ring, simulate_matches

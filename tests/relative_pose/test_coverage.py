@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 
 from benchmarks.robust_pairs import rotate_calibration, simulate_four_cameras
-from sylpose.relative_pose.coverage import compute_ray_miss, is_other_camera_misaligned
-from sylpose.relative_pose.fit import Solution, make_failed_fit
-from sylpose.relative_pose.leave_one_out import solve_without_faulty_cameras
+from sylpose.relative_pose.leave_one_out import (
+    compute_ray_miss,
+    is_other_camera_misaligned,
+    solve_without_faulty_cameras,
+)
 from sylpose.relative_pose.motion import estimate_motion
 from sylpose.relative_pose.solver import fit_terms
-from sylpose.relative_pose.terms import TermData, locate_object
+from sylpose.relative_pose.terms import Solution, TermData, locate_object, make_failed_fit
 from sylpose.results import Status
 from tests.scenes import make_terms
 

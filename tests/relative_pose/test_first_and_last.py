@@ -8,9 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.geometry.arrays import FloatArray
 from sylpose.relative_pose.match_cost import Tolerance, compute_match_errors
-from sylpose.relative_pose.moments_cost import NormalEquations, build_term_equations
+from sylpose.relative_pose.moments_cost import NormalEquations, build_view_equations
 from sylpose.relative_pose.terms import Candidate, TermData, stack_terms
-from tests.scenes import make_moment_sums
+from tests.scenes import make_moment_sums, make_view
 
 # Standard deviation of the noise, as a share of the object's size.
 NOISE = 1e-3
@@ -40,9 +40,8 @@ def build_both_equations(size: float, seed: int) -> tuple[tuple[FloatArray, Floa
     moved = translation + sigma * rng.standard_normal(3)
 
     normal = NormalEquations(np.zeros((1, 9, 9)), np.zeros((1, 9)))
-    build_term_equations(
-        stack, make_moment_sums(stack, sigma), 0, 0.0, Candidate(off, moved, plane[None]), normal, True
-    )
+    view = make_view(stack, 0, Candidate(off, moved, plane[None]))
+    build_view_equations(stack, make_moment_sums(stack, sigma), 0, 0.0, plane, view, normal)
     hessian, gradient = normal.hessian[0], normal.gradient[0]
     hessian[6:, 6:] -= np.diag(stack.plane_sd[0] ** -2)
     gradient[6:] -= (plane - stack.plane_mean[0]) / stack.plane_sd[0] ** 2

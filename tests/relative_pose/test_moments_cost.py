@@ -16,10 +16,12 @@ from sylpose.relative_pose.moments_cost import (
     PRIOR_MATCHES,
     MomentSums,
     NormalEquations,
-    build_term_equations,
+    build_view_equations,
     compute_moments,
-    compute_term_misfit,
-    estimate_along_variance,
+    compute_term_cost,
+    compute_view_misfit,
+    estimate_view_variance,
+    make_term_view,
 )
 from sylpose.relative_pose.terms import Candidate, Stack, TermData, stack_terms
 from sylpose.rig import Rig
@@ -32,6 +34,7 @@ from tests.scenes import (
     make_candidate,
     make_moment_sums,
     make_terms,
+    make_view,
     make_zigzag_rig,
     transform_terms,
 )
@@ -143,13 +146,15 @@ def build_equations(
     *,
     full: bool = True,
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Return Hessian, gradient and cost of `build_term_equations` at noise of SIGMA_PX."""
+    """Return Hessian, gradient and cost of a term at noise of SIGMA_PX."""
     n = len(stack.focal)
     normal = NormalEquations(np.full((n, 9, 9), np.nan), np.full((n, 9), np.nan))
     sums = make_term_sums(stack, t, weights, compute_variance(stack, SIGMA_PX))
-    value = build_term_equations(
-        stack, sums, t, kappa, make_candidate(stack, t, rotation, translation, depth_model), normal, full
-    )
+    candidate = make_candidate(stack, t, rotation, translation, depth_model)
+    if full:
+        value = build_view_equations(stack, sums, t, kappa, depth_model, make_view(stack, t, candidate), normal)
+    else:
+        value = compute_term_cost(stack, sums, t, kappa, candidate, make_term_view())
     return normal.hessian[t], normal.gradient[t], value
 
 
@@ -251,7 +256,8 @@ def test_variance_along_the_line_equals_a_loop_over_matches(seed: int) -> None:
         logs = free * np.log(max(squares / max(free, 1), 2 * variance)) + PRIOR_MATCHES * np.log(prior_variance)
         expected = np.exp(logs / (free + PRIOR_MATCHES))
         sums = make_term_sums(stack, t, weights, np.full(len(data), variance))
-        kappa, v = estimate_along_variance(stack, sums, t, make_candidate(stack, t, rotation, translation, depth_model))
+        view = make_view(stack, t, make_candidate(stack, t, rotation, translation, depth_model))
+        kappa, v = estimate_view_variance(stack, sums, t, view)
         if kappa > 0:
             assert v == pytest.approx(expected, rel=1e-7)
         else:
@@ -271,9 +277,8 @@ def test_epipolar_squares_equal_a_loop_over_matches(seed: int) -> None:
     for t in range(len(data)):
         ones = np.ones(len(data[t]))
         alone = compute_residuals(stack, t, ones, 1.0, 1.0, rotation, translation, stack.plane_mean[t])
-        assert compute_term_misfit(stack, sums, t, Candidate(rotation, translation, stack.plane_mean)) == pytest.approx(
-            alone @ alone, rel=1e-7
-        )
+        view = make_view(stack, t, Candidate(rotation, translation, stack.plane_mean))
+        assert compute_view_misfit(sums, t, view) == pytest.approx(alone @ alone, rel=1e-7)
 
 
 @FEW

@@ -13,14 +13,20 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.relative_pose.levenberg_marquardt import compute_log_likelihood, minimize_from
 from sylpose.relative_pose.moments_cost import (
     MomentSums,
     NormalEquations,
-    build_term_equations,
-    estimate_along_variance,
+    build_view_equations,
+    estimate_view_variance,
 )
-from sylpose.relative_pose.search import find_minima
+from sylpose.relative_pose.search import (
+    INITIAL_DAMPING,
+    compute_log_likelihood,
+    descend,
+    make_descent_workspace,
+    make_minima,
+    search_minima,
+)
 from sylpose.relative_pose.terms import Candidate, Stack, locate_object, stack_initial_motions, stack_terms
 from sylpose.rig import Rig
 from sylpose.simulate import (
@@ -42,6 +48,7 @@ from tests.scenes import (
     get_true_motion,
     make_moment_sums,
     make_terms,
+    make_view,
     make_zigzag_rig,
     transform_terms,
 )
@@ -91,14 +98,27 @@ def find_scene_minima(
     stack: Stack, sigma_px: float, guesses: Sequence[tuple[FloatArray, FloatArray]] = (), max_minima: int = 4
 ) -> list[Minimum]:
     """Return the likeliest minima of all matches, best first."""
-    found, likelihoods, count = find_minima(
-        stack, make_moment_sums(stack, sigma_px), stack_initial_motions(guesses), max_minima
-    )
-    return [Minimum(candidate, float(value), count) for candidate, value in zip(found, likelihoods, strict=True)]
+    minima = make_minima(max_minima, len(stack.focal))
+    count = search_minima(stack, make_moment_sums(stack, sigma_px), stack_initial_motions(guesses), minima)
+    return [
+        Minimum(Candidate(*motion), float(value), count)
+        for *motion, value in zip(*minima, strict=True)
+        if value > -np.inf
+    ]
+
+
+def minimize_from(
+    stack: Stack, sums: MomentSums, start: Candidate, iterations: int = 60, tolerance: float = 1e-12
+) -> tuple[Candidate, int, float, FloatArray]:
+    """Return the minimum, the number of iterations, the predicted decrease of the last step, and the terms' weights."""
+    candidate, workspace = start.copy(), make_descent_workspace(len(stack.focal))
+    count, decrease, _ = descend(stack, sums, False, iterations, tolerance, candidate, INITIAL_DAMPING, workspace)
+    return candidate, count, decrease, workspace.term_weights
 
 
 def compute_likelihood(stack: Stack, sigma_px: float, candidate: Candidate) -> float:
-    return compute_log_likelihood(stack, make_moment_sums(stack, sigma_px), candidate)
+    workspace = make_descent_workspace(len(stack.focal))
+    return compute_log_likelihood(stack, make_moment_sums(stack, sigma_px), candidate, workspace)
 
 
 # --- the right minimum ------------------------------------------------------------------------------------------------
@@ -124,7 +144,7 @@ def test_search_reaches_the_true_motion_without_noise(rig: str, body: str, turn:
 @pytest.mark.parametrize("rig", [arc(2, 30), arc(3, 30), ring(3)], ids=["arc2", "arc3", "ring3"])
 def test_minimum_near_the_true_motion_is_found(rig: Rig, body: str, turn: float) -> None:
     """The minimum reached from the truth is found, or a likelier one: re-weighting decides
-    (`sylpose.relative_pose.fit_robust_motion`)."""
+    (`sylpose.relative_pose.robust_fit.fit_robust_motion`)."""
     missed = []
     for seed in range(12):
         pair = make_scene(seed, rig, BODIES[body], turn)
@@ -202,25 +222,28 @@ def test_number_of_iterations_is_bounded() -> None:
     pair = make_scene(3, make_zigzag_rig(4))
     stack, center = stack_scene(make_zigzag_rig(4), pair)
     sums = make_moment_sums(stack, 0.5)
-    _, count, promise = minimize_from(stack, sums, make_start(stack, np.eye(3), np.zeros(3)), iterations=2)
+    _, count, promise, _ = minimize_from(stack, sums, make_start(stack, np.eye(3), np.zeros(3)), iterations=2)
     assert count == 2
     assert promise > 1e-12
-    _, count, promise = minimize_from(stack, sums, make_start(stack, *get_true_motion(pair, center)))
+    _, count, promise, _ = minimize_from(stack, sums, make_start(stack, *get_true_motion(pair, center)))
     assert count < 60
     assert promise < 1e-12
 
 
-def full_equations(stack: Stack, sums: MomentSums, candidate: Candidate) -> tuple[FloatArray, FloatArray]:
+def full_equations(
+    stack: Stack, sums: MomentSums, candidate: Candidate, weights: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Return the Gauss-Newton Hessian and gradient in all unknowns (w, d, α of all terms), without elimination."""
     n = len(stack.focal)
     hessian, gradient = np.zeros((6 + 3 * n, 6 + 3 * n)), np.zeros(6 + 3 * n)
     normal = NormalEquations(np.empty((n, 9, 9)), np.empty((n, 9)))
     for t in range(n):
-        kappa, _ = estimate_along_variance(stack, sums, t, candidate)
-        build_term_equations(stack, sums, t, kappa, candidate, normal, True)
+        view = make_view(stack, t, candidate)
+        kappa, _ = estimate_view_variance(stack, sums, t, view)
+        build_view_equations(stack, sums, t, kappa, candidate.depth_model[t], view, normal)
         mine = np.r_[:6, 6 + 3 * t : 9 + 3 * t]
-        hessian[np.ix_(mine, mine)] += normal.hessian[t]
-        gradient[mine] += normal.gradient[t]
+        hessian[np.ix_(mine, mine)] += weights[t] * normal.hessian[t]
+        gradient[mine] += weights[t] * normal.gradient[t]
     return hessian, gradient
 
 
@@ -228,8 +251,8 @@ def test_gradient_vanishes_at_the_minimum() -> None:
     pair = make_scene(4, make_zigzag_rig(4))
     stack, center = stack_scene(make_zigzag_rig(4), pair)
     sums = make_moment_sums(stack, 0.5)
-    candidate, *_ = minimize_from(stack, sums, make_start(stack, *get_true_motion(pair, center)))
-    hessian, gradient = full_equations(stack, sums, candidate)
+    candidate, _, _, weights = minimize_from(stack, sums, make_start(stack, *get_true_motion(pair, center)))
+    hessian, gradient = full_equations(stack, sums, candidate, weights)
     assert gradient @ np.linalg.solve(hessian, gradient) < 1e-8
 
 

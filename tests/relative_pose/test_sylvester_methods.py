@@ -8,10 +8,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.methods import METHODS, MOTION_METHODS, PAPER_METHODS
 from sylpose.moments import PairMoments
-from sylpose.relative_pose.fit import Fit
 from sylpose.relative_pose.motion import estimate_motion
 from sylpose.relative_pose.sylvester_methods import ESTIMATORS, apply_paper_method
-from sylpose.relative_pose.terms import TermData
+from sylpose.relative_pose.terms import Fit, TermData
 from sylpose.results import Motion, Status
 from sylpose.rig import Rig
 from sylpose.simulate import Body, SimulatedPair, box, random_motion, ring, simulate_matches

@@ -12,7 +12,7 @@ import pytest
 import sylpose
 from sylpose.geometry import kernel_cache
 from sylpose.relative_pose import robust_fit
-from sylpose.relative_pose.precompile import warm_up
+from sylpose.relative_pose.solver import warm_up
 from sylpose.runs import precompile
 from sylpose.runs.console_output import make_console
 

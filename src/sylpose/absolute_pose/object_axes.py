@@ -13,8 +13,6 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.robust_loss import biquartic_losses, biquartic_weights, robust_sigma
 
-__all__ = ["MIN_POINTS", "axes_from_extent", "axes_from_plane", "axes_from_points", "estimate_axes_sd", "fit_plane"]
-
 # Minimum number of points of a plane or of principal directions (choice).
 MIN_POINTS = 12
 # Distance from a plane of its points, as a fraction of the object's radius (choice: surfaces have some relief), and

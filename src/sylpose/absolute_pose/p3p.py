@@ -7,9 +7,6 @@ import numpy as np
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.numba_linalg import kernel, leaf
 
-__all__ = ["solve_p3p"]
-
-
 # Intervals searched for sign changes, and iterations of a root (choice).
 N_INTERVALS, ROOT_STEPS = 16, 12
 # Three points are collinear if the squared area of their triangle is below this fraction of its sides' (choice).

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.absolute_pose.pose_kernels import compute_information, compute_score
-from sylpose.absolute_pose.pose_noise import CUTOFF
-from sylpose.absolute_pose.pose_scale import estimate_model_scale
-from sylpose.absolute_pose.pose_search import MIN_MATCHES, Pose, is_by_chance, is_contradicted, search_poses
-from sylpose.absolute_pose.pose_views import Views, make_views
+from sylpose.absolute_pose.pose_kernels import CUTOFF, Views, compute_information, compute_score, make_workspace
+from sylpose.absolute_pose.pose_search import (
+    MIN_INLIER_RATIO,
+    MIN_MATCHES,
+    Pose,
+    count_inliers,
+    find_single_camera_poses,
+    is_by_chance,
+    is_contradicted,
+    search_poses,
+)
 from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.geometry.duplicates import find_distinct_rows
 from sylpose.geometry.matrices import invert_information
@@ -27,18 +32,26 @@ from sylpose.geometry.observability import (
 )
 from sylpose.geometry.robust_loss import BIQUARTIC_BOUND
 from sylpose.geometry.validation import check_finite_rows, check_integer, check_number, check_sequence, check_type
-from sylpose.results import Motion, Status
-from sylpose.rig import MAX_FOCAL_PX, MAX_LENGTH, Rig
+from sylpose.results import FramePose, FrameStatus, Motion, Observability, Status
+from sylpose.rig import MAX_FOCAL_PX, MAX_LENGTH, Camera, Rig
 
-__all__ = ["estimate_pose"]
+__all__ = ["estimate_pose", "make_frame_pose"]
 
 MIN_ERROR_PX = 1e-9  # smallest error bound accepted, pixels (choice)
 # Degrees of freedom of the noise prior. Default noise: four matches, which leave two, may agree far better than they
 # were measured. Given noise: known to an eighth of its size (choice).
 DEFAULT_NOISE_FREEDOM, KNOWN_NOISE_FREEDOM = 2.0, 30.0
+# Smaller size ratios are errors of the calibration or the model, not another unit (choice).
+MIN_SIZE_RATIO = 1.2
 # Odds from which the better of two similar poses is accepted (measured: of flat models of 4 to 20 points with one
 # camera and status OK, 1 in 250 is the mirror image; with odds of 3, 1 in 20) (choice).
 CLEAR_ODDS = 20.0
+_STATUS = {
+    Status.OK: FrameStatus.LOCALIZED,
+    Status.SCALE_NOT_OBSERVABLE: FrameStatus.LOCALIZED,
+    Status.TOO_FEW_MATCHES: FrameStatus.TOO_FEW_MATCHES,
+    Status.ROTATION_NOT_OBSERVABLE: FrameStatus.ROTATION_NOT_OBSERVABLE,
+}
 
 
 def estimate_pose(
@@ -99,36 +112,33 @@ def estimate_pose(
     for camera, x, u in zip(rig, models, pixel_arrays, strict=True):
         if len(x) != len(u):
             raise ValueError(f"camera {camera.name}: {len(x)} points but {len(u)} pixels; give one pixel per point")
-    options: dict[str, Any] = {"max_error_px": max_error_px, "noise_px": noise_px, "seed": seed}
     is_used = units.per_px > 0.0
-    if any(len(x) and not use for x, use in zip(models, is_used, strict=True)):
-        used_parts = [
-            [v if use else v[:0] for v, use in zip(vs, is_used, strict=True)] for vs in (models, pixel_arrays)
-        ]
-        result = estimate_pose(rig, *used_parts, **options)
-        masks = zip(result.inliers, models, is_used, strict=True)
-        return replace(result, inliers=tuple(m if use else np.zeros(len(x), bool) for m, x, use in masks))
-    unique_rows = [find_distinct_rows(x, u) for x, u in zip(models, pixel_arrays, strict=True)]
-    if any(unique is not None for unique in unique_rows):
-        unique_parts = [
-            [v if s is None else v[s.rows] for v, s in zip(vs, unique_rows, strict=True)]
-            for vs in (models, pixel_arrays)
-        ]
-        result = estimate_pose(rig, *unique_parts, **options)
-        return replace(
-            result,
-            inliers=tuple(m if s is None else m[s.inverse] for m, s in zip(result.inliers, unique_rows, strict=True)),
-        )
+    used = [[v if use else v[:0] for v, use in zip(vs, is_used, strict=True)] for vs in (models, pixel_arrays)]
+    unique = [find_distinct_rows(x, u) for x, u in zip(*used, strict=True)]
+    parts = [[v if s is None else v[s.rows] for v, s in zip(vs, unique, strict=True)] for vs in used]
+    result = _estimate(rig, parts[0], parts[1], max_error_px, units, seed)
+    masks = [m if s is None else m[s.inverse] for m, s in zip(result.inliers, unique, strict=True)]
+    inliers = (m if use else np.zeros(len(x), bool) for m, x, use in zip(masks, models, is_used, strict=True))
+    return replace(result, inliers=tuple(inliers))
+
+
+def _estimate(
+    rig: Rig,
+    models: Sequence[FloatArray],
+    pixels: Sequence[FloatArray],
+    max_error_px: float,
+    units: NoiseUnits,
+    seed: int,
+) -> Motion:
+    """Run `estimate_pose` on checked matches of used cameras, without copies."""
     counts = np.array([len(x) for x in models])
     model = np.concatenate(models)
     center = model.mean(axis=0) if len(model) else np.full(3, np.nan)
     if not _has_enough_matches(model, np.repeat(np.arange(len(rig)), counts)):
         return _make_result(rig, counts, Status.TOO_FEW_MATCHES, center)
-    used = np.flatnonzero(counts)
-    cameras = [rig.cameras[c] for c in used]
-    origin, views = make_views(
-        cameras, model - center, [pixel_arrays[c] for c in used], units.per_px[used], units.sigma
-    )
+    used = np.flatnonzero(counts).tolist()
+    cameras, used_pixels = [rig.cameras[c] for c in used], [pixels[c] for c in used]
+    origin, views = _make_views(cameras, model - center, used_pixels, units.per_px[used], units.sigma)
     max_square = float(max_error_px * units.per_px.max()) ** 2
     extent, axes = np.linalg.eigh(views.points.T @ views.points / len(model))
     if not extent[1] > 1e-12 * extent[2]:
@@ -144,7 +154,7 @@ def estimate_pose(
         status = Status.NOT_CONSISTENT
     elif not all_inliers and is_contradicted(views, best, max_square, axes[:, 0], seed):
         status = Status.NOT_CONSISTENT
-        if (size := estimate_model_scale(views, max_square, axes[:, 0], seed)) is not None:
+        if (size := _estimate_model_scale(views, max_square, axes[:, 0], seed)) is not None:
             times = np.format_float_positional(size, trim="-")
             faults = (
                 f"the points would fit if they were {times} times as large: are they in another unit than the "
@@ -159,15 +169,12 @@ def estimate_pose(
         weak_directions = _find_unobservable(views, poses, pose_information, limits, units.sigma)
         unobservable = weak_directions * limits
         if len(weak_directions):
-            status = (
-                Status.ROTATION_NOT_OBSERVABLE
-                if has_rotation_direction(weak_directions)
-                else Status.SCALE_NOT_OBSERVABLE
-            )
+            is_rotation = has_rotation_direction(weak_directions)
+            status = Status.ROTATION_NOT_OBSERVABLE if is_rotation else Status.SCALE_NOT_OBSERVABLE
         elif all_inliers and is_by_chance(views, best):
             status = Status.NOT_CONSISTENT
     result = _make_result(rig, counts, status, center, best, origin, pose_information, unobservable)
-    return replace(result, residuals=result.residuals / np.where(is_used, units.per_px, 1.0), faults=faults)
+    return replace(result, residuals=result.residuals / np.where(units.per_px > 0.0, units.per_px, 1.0), faults=faults)
 
 
 def _has_enough_matches(model: FloatArray, camera: IntArray) -> bool:
@@ -194,10 +201,8 @@ def _information_scale(pose: Pose, known_noise: float) -> float:
         known_noise: known noise, pixels, or 0.
     """
     prior_sigma, freedom = _noise_prior(known_noise)
-    measured, total_freedom = (
-        float(np.median(pose.noise.variances)),
-        pose.freedom + (freedom if known_noise > 0.0 else 0.0),
-    )
+    measured = float(np.median(pose.noise.variances))
+    total_freedom = pose.freedom + (freedom if known_noise > 0.0 else 0.0)
     variance_ratio = measured * (pose.freedom + freedom) / (pose.freedom * measured + freedom * prior_sigma**2)
     return max(total_freedom - 2.0, 0.5) / total_freedom * min(variance_ratio, 1.0)
 
@@ -221,7 +226,9 @@ def _find_unobservable(
     if len(directions := find_unobservable_directions(pose_information, limits)):
         return directions
     (noise, freedom), max_square = _noise_prior(known_noise), CUTOFF**2 * float(np.median(best.noise.variances))
-    losses = np.array([compute_score(views, pose.rotation, pose.translation, max_square, np.inf) for pose in poses])
+    workspace = make_workspace()
+    scores = [compute_score(views, p.rotation, p.translation, max_square, np.inf, workspace) for p in poses]
+    losses = np.array(scores)
     squares = BIQUARTIC_BOUND * max_square * losses + freedom * noise**2
     for pose, square in zip(poses[1:], squares[1:], strict=True):
         rotvec = Rotation.from_matrix(pose.rotation @ best.rotation.T).as_rotvec()
@@ -269,3 +276,105 @@ def _make_result(
         camera_names=rig.names,
         unit=rig.unit,
     )
+
+
+def _make_views(
+    cameras: Sequence[Camera], model: FloatArray, pixels: Sequence[FloatArray], per_px: FloatArray, min_sigma: float
+) -> tuple[FloatArray, Views]:
+    """Return the origin (3,) of the views' world frame and the views.
+
+    The origin is the cameras' centroid, so that distant positions lose no digits. Pixels are in units that are per_px
+    (C,) of a pixel; the noise is at least `min_sigma` of them.
+    """
+    poses = np.array([camera.camera_from_world.as_matrix() for camera in cameras])
+    rotations, translations = np.ascontiguousarray(poses[:, :3, :3]), poses[:, :3, 3]
+    origin = -np.einsum("cij,ci->j", rotations, translations) / len(cameras)
+    start = np.concatenate([[0], np.cumsum([len(u) for u in pixels])])
+    images, to_pixels = np.empty((len(model), 2)), np.empty((len(model), 4))
+    for c, (camera, u) in enumerate(zip(cameras, pixels, strict=True)):
+        camera_slice = slice(start[c], start[c + 1])
+        images[camera_slice], jacobian = _undistort(camera, u)
+        to_pixels[camera_slice] = per_px[c] * jacobian
+    # Pixels that the lens cannot produce are put far outside of every image.
+    is_invalid = ~(np.isfinite(images).all(axis=1) & np.isfinite(to_pixels).all(axis=1))
+    images[is_invalid], to_pixels[is_invalid] = 1e9, (1.0, 0.0, 0.0, 1.0)
+    translations = translations + rotations @ origin
+    return origin, Views(model, images, to_pixels, start, rotations, translations, min_sigma * min_sigma)
+
+
+def _undistort(camera: Camera, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return normalized points (n, 2), and (n, 4) or (4,), row-major, derivatives of the recorded pixel by each."""
+    if camera.lens == "opencv" and not camera.distortion.any():
+        # Without distortion: OpenCV's call would be a third of the time for many cameras with few points.
+        focals = np.array([camera.matrix[0, 0], camera.matrix[1, 1]])
+        return (pixels - camera.matrix[:2, 2]) / focals, np.array([focals[0], 0.0, 0.0, focals[1]])
+    images = camera.normalize(pixels)
+    h = 1e-4
+    steps = h * np.array([[[1.0, 0.0]], [[-1.0, 0.0]], [[0.0, 1.0]], [[0.0, -1.0]]])
+    right, left, down, up = camera.denormalize((images + steps).reshape(-1, 2)).reshape(4, -1, 2)
+    d_u, d_v = (right - left) / (2 * h), (down - up) / (2 * h)
+    return images, np.stack([d_u[:, 0], d_v[:, 0], d_u[:, 1], d_v[:, 1]], axis=1)
+
+
+def _estimate_model_scale(views: Views, max_square: float, thin_axis: FloatArray, seed: int) -> float | None:
+    """Estimate the factor by which the model must be scaled for cameras to agree on a pose.
+
+    It is that of most cameras, to two digits.
+
+    None where they do not agree then either, or already do. A single camera fits an object of any size in the same
+    direction: a model that is s times too small is s times too near to each camera, and scaling these positions by s
+    makes them coincide.
+
+    Args:
+        max_square: squared distance beyond which a match is an outlier, pixels.
+        thin_axis: (3,) the direction in which the model extends least.
+    """
+    single_poses = list(find_single_camera_poses(views, max_square, thin_axis, seed))
+    if len(single_poses) < 2:
+        return None
+    cameras = [c for c, _ in single_poses]
+    centers = -np.einsum("cij,ci->cj", views.rotations[cameras], views.translations[cameras])
+    offsets = np.array([pose.translation for _, pose in single_poses]) - centers
+    # The size at which center + size * offset is equal for all, by least squares.
+    centers, offsets = centers - centers.mean(axis=0), offsets - offsets.mean(axis=0)
+    spread = float(np.sum(offsets * offsets))
+    size = -float(np.sum(centers * offsets)) / spread if spread > 0.0 else 0.0
+    if not np.isfinite(size) or size <= 0.0 or 1.0 / MIN_SIZE_RATIO < size < MIN_SIZE_RATIO:
+        return None
+    scaled_views = views._replace(points=size * views.points)
+    poses = search_poses(scaled_views, max_square, thin_axis, np.random.default_rng(seed))
+    if not poses or is_by_chance(scaled_views, poses[0]):
+        return None
+    is_supporting = count_inliers(scaled_views, poses[0].weights) >= MIN_INLIER_RATIO * np.diff(views.start)
+    return float(f"{size:.2g}") if np.count_nonzero(is_supporting[cameras]) > len(cameras) / 2 else None
+
+
+def make_frame_pose(estimate: Motion, index: int, time: float, matches: IntArray) -> FramePose:
+    """Return the pose of one frame, with the covariance about the object's origin.
+
+    Args:
+        estimate: result of `estimate_pose`.
+        index: of the frame.
+        time: seconds.
+        matches: (C,) number of points that each camera observes.
+    """
+    status = _STATUS.get(estimate.status, FrameStatus.NO_CONSISTENT_POSE)
+    has_pose = estimate.motion is not None and status.has_pose
+    center = RigidTransform.from_translation(np.nan_to_num(estimate.center))
+    text = estimate.status.text
+    reason = f"{matches.sum()} points observed; {text[0].lower()}{text[1:]}"
+    pose = FramePose(
+        index,
+        time,
+        status,
+        estimate.motion * center if estimate.motion is not None and has_pose else None,
+        estimate.covariance if has_pose else np.full((6, 6), np.nan),
+        estimate.n_inliers,
+        estimate.residuals,
+        Observability.NO_SCALE if estimate.status is Status.SCALE_NOT_OBSERVABLE else Observability.ALL,
+        faults=estimate.faults,
+        matches=matches,
+        reason="" if status.has_pose else reason,
+    )
+    # Estimated about the points' centroid.
+    return pose.in_object_frame(center).update_uncertain_status()

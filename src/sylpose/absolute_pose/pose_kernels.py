@@ -1,4 +1,4 @@
-"""Compiled loops of `estimate_pose`: robust scores, the search for a start, and the fit.
+"""Compiled loops of `estimate_pose`: robust scores, the search for a start, the fit, and the noise.
 
 All of them take the same `Views`: n matches sorted by camera. A pose is R (3, 3) and g (3,): a model point X, relative
 to the model's center, is at R X + g.
@@ -11,34 +11,61 @@ from typing import NamedTuple
 import numpy as np
 
 from sylpose.absolute_pose.p3p import solve_p3p
-from sylpose.absolute_pose.pose_noise import (
-    CUTOFF,
-    INFORMATION_GAIN,
-    MEDIAN_SQUARE,
-    Noise,
-    compute_median_square,
-    compute_weights,
-    estimate_noise,
-    set_noise,
-)
-from sylpose.absolute_pose.pose_views import Views
-from sylpose.geometry.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.geometry.numba_linalg import apply_rotvec, cholesky_solve, kernel, leaf
-from sylpose.geometry.robust_loss import BIQUARTIC_BOUND, biquartic, biquartic_loss
+from sylpose.geometry.robust_loss import BIQUARTIC_BOUND, biquartic, biquartic_loss, biquartic_noise_response
 
-__all__ = [
-    "compute_chance",
-    "compute_information",
-    "compute_score",
-    "fit_pose",
-    "minimize",
-    "sample_inlier_ratio",
-    "search_samples",
-]
-
-
+# Cutoff of the biquartic weights: nearly 1 up to two sigma, 0 beyond five (choice).
+CUTOFF = 5.0
+# For Gaussian noise: reduction of the mean weight and of the mean weighted square by these weights, and the factor
+# missing in the information from the weights (derived).
+_NOISE_RESPONSE = biquartic_noise_response(CUTOFF)
+WEIGHT_LOSS, SQUARE_LOSS = 1.0 - _NOISE_RESPONSE.weight, 1.0 - _NOISE_RESPONSE.square
+INFORMATION_GAIN = _NOISE_RESPONSE.gain
+# Median of the squared length of two Gaussian coordinates, in variances of one (derived).
+MEDIAN_SQUARE = 2.0 * np.log(2.0)
+# The cutoff loses an inlier less often than once in exp(LOG_MISS_ODDS) with an uncertain noise level (choice).
+LOG_MISS_ODDS = 8.0
+# Distances due to rounding alone, pixels: a lower limit of the noise (choice).
+ROUNDING_PX = 1e-6
+# A camera has an individual noise level if its variance differs from the others' by so many standard deviations and it
+# has so many degrees of freedom (choice).
+MIN_DEVIATION_SIGMAS, MIN_OWN_FREEDOM = 4.0, 8.0
 # Iterations of re-weighting with the median's noise (choice).
 MEDIAN_ROUNDS = 3
+
+
+class Views(NamedTuple):
+    """Observations of a known model: n matches in C cameras.
+
+    Attributes:
+        points: (n, 3) model points, relative to the model's center.
+        images: (n, 2) their normalized image points.
+        to_pixels: (n, 4) derivative of the recorded pixel by the normalized point, row-major: lens and focal lengths.
+        start: (C + 1,) camera c has the matches start[c] to start[c + 1].
+        rotations, translations: (C, 3, 3) and (C, 3), camera_from_world.
+        min_variance: lower limit of the noise variance, pixels squared.
+    """
+
+    points: FloatArray
+    images: FloatArray
+    to_pixels: FloatArray
+    start: IntArray
+    rotations: FloatArray
+    translations: FloatArray
+    min_variance: float
+
+
+class Noise(NamedTuple):
+    """The noise of each camera.
+
+    Attributes:
+        variances: (C,) of a coordinate, pixels squared.
+        cutoffs: (C,) squared distances, pixels squared, from which on a match is an outlier.
+    """
+
+    variances: FloatArray
+    cutoffs: FloatArray
 
 
 class Workspace(NamedTuple):
@@ -55,44 +82,34 @@ class Workspace(NamedTuple):
 
 
 @kernel
-def _make_workspace() -> Workspace:
+def make_workspace() -> Workspace:
     """Allocate a workspace."""
     return Workspace(np.empty((3, 3)), np.empty(3), np.empty((2, 6)))
 
 
 @leaf
 def _camera_from_model(
-    views: Views,
-    c: int,
-    rotation: FloatArray,
-    translation: FloatArray,
-    camera_rotation: FloatArray,
-    camera_translation: FloatArray,
+    views: Views, c: int, rotation: FloatArray, translation: FloatArray, workspace: Workspace
 ) -> None:
-    """Write the transform from the model to camera c to rotation (3, 3), translation (3,)."""
-    q = views.rotations[c]
+    """Write the transform from the model to camera c to the workspace."""
+    q, t, g = views.rotations[c], views.translations[c], translation
     for i in range(3):
-        camera_translation[i] = (
-            views.translations[c, i] + q[i, 0] * translation[0] + q[i, 1] * translation[1] + q[i, 2] * translation[2]
-        )
+        workspace.camera_translation[i] = t[i] + q[i, 0] * g[0] + q[i, 1] * g[1] + q[i, 2] * g[2]
         for j in range(3):
-            camera_rotation[i, j] = q[i, 0] * rotation[0, j] + q[i, 1] * rotation[1, j] + q[i, 2] * rotation[2, j]
+            workspace.camera_rotation[i, j] = (
+                q[i, 0] * rotation[0, j] + q[i, 1] * rotation[1, j] + q[i, 2] * rotation[2, j]
+            )
 
 
 @leaf
-def _project_match(
-    views: Views, k: int, camera_rotation: FloatArray, camera_translation: FloatArray
-) -> tuple[float, float, float, float, float]:
+def _project_match(views: Views, k: int, workspace: Workspace) -> tuple[float, float, float, float, float]:
     """Project match k: depth, normalized image (2), reprojection error in pixels (2); for positive depths only."""
     x, y, z = views.points[k, 0], views.points[k, 1], views.points[k, 2]
-    depth = camera_rotation[2, 0] * x + camera_rotation[2, 1] * y + camera_rotation[2, 2] * z + camera_translation[2]
+    r, t = workspace.camera_rotation, workspace.camera_translation
+    depth = r[2, 0] * x + r[2, 1] * y + r[2, 2] * z + t[2]
     inverse_depth = 1.0 / depth
-    u = (
-        camera_rotation[0, 0] * x + camera_rotation[0, 1] * y + camera_rotation[0, 2] * z + camera_translation[0]
-    ) * inverse_depth
-    v = (
-        camera_rotation[1, 0] * x + camera_rotation[1, 1] * y + camera_rotation[1, 2] * z + camera_translation[1]
-    ) * inverse_depth
+    u = (r[0, 0] * x + r[0, 1] * y + r[0, 2] * z + t[0]) * inverse_depth
+    v = (r[1, 0] * x + r[1, 1] * y + r[1, 2] * z + t[1]) * inverse_depth
     du, dv = u - views.images[k, 0], v - views.images[k, 1]
     jacobian = views.to_pixels
     return depth, u, v, jacobian[k, 0] * du + jacobian[k, 1] * dv, jacobian[k, 2] * du + jacobian[k, 3] * dv
@@ -103,11 +120,10 @@ def _compute_squares(
     views: Views, rotation: FloatArray, translation: FloatArray, out: FloatArray, workspace: Workspace
 ) -> None:
     """Write squared reprojection errors, pixels, to out (n,); infinite behind a camera."""
-    camera_rotation, camera_translation, _ = workspace
     for c in range(len(views.rotations)):
-        _camera_from_model(views, c, rotation, translation, camera_rotation, camera_translation)
+        _camera_from_model(views, c, rotation, translation, workspace)
         for k in range(views.start[c], views.start[c + 1]):
-            depth, _, _, r0, r1 = _project_match(views, k, camera_rotation, camera_translation)
+            depth, _, _, r0, r1 = _project_match(views, k, workspace)
             out[k] = r0 * r0 + r1 * r1 if depth > 0.0 else np.inf
 
 
@@ -118,7 +134,7 @@ def sample_inlier_ratio(views: Views, rotation: FloatArray, translation: FloatAr
     Samples are those of `search_samples`; inliers are within sqrt(max_square) pixels.
     """
     squares = np.empty(len(views.points))
-    _compute_squares(views, rotation, translation, squares, _make_workspace())
+    _compute_squares(views, rotation, translation, squares, make_workspace())
     n_cameras, n_inliers, camera_ratios = len(views.rotations), 0, 0.0
     for c in range(n_cameras):
         first, end, camera_inliers = views.start[c], views.start[c + 1], 0
@@ -146,36 +162,26 @@ def compute_chance(views: Views, translation: FloatArray, weights: FloatArray, n
         for k in range(views.start[c], views.start[c + 1]):
             camera_inliers += weights[k] > 0.0
         q, jacobian = views.rotations[c, 2], views.to_pixels[views.start[c]]
-        depth = max(
-            q[0] * translation[0] + q[1] * translation[1] + q[2] * translation[2] + views.translations[c, 2], 1e-300
-        )
-        size = np.sqrt(abs(jacobian[0] * jacobian[3] - jacobian[1] * jacobian[2])) * radius / depth
+        depth = q[0] * translation[0] + q[1] * translation[1] + q[2] * translation[2] + views.translations[c, 2]
+        size = np.sqrt(abs(jacobian[0] * jacobian[3] - jacobian[1] * jacobian[2])) * radius / max(depth, 1e-300)
         log_share += camera_inliers * np.log(min(max(CUTOFF**2 * noise.variances[c] / size**2, 1e-12), 1.0))
         n_inliers += camera_inliers
     return n_inliers, log_share
 
 
-@kernel
+@leaf
 def compute_score(
-    views: Views, rotation: FloatArray, translation: FloatArray, max_square: float, bound: float
+    views: Views, rotation: FloatArray, translation: FloatArray, max_square: float, bound: float, workspace: Workspace
 ) -> float:
     """Return the sum of the matches' losses, each between 0 and 1; stop beyond `bound`.
 
     The cutoff is sqrt(max_square) pixels.
     """
-    return _compute_score(views, rotation, translation, max_square, bound, _make_workspace())
-
-
-@leaf
-def _compute_score(
-    views: Views, rotation: FloatArray, translation: FloatArray, max_square: float, bound: float, workspace: Workspace
-) -> float:
-    camera_rotation, camera_translation, _ = workspace
     total = 0.0
     for c in range(len(views.rotations)):
-        _camera_from_model(views, c, rotation, translation, camera_rotation, camera_translation)
+        _camera_from_model(views, c, rotation, translation, workspace)
         for k in range(views.start[c], views.start[c + 1]):
-            depth, _, _, r0, r1 = _project_match(views, k, camera_rotation, camera_translation)
+            depth, _, _, r0, r1 = _project_match(views, k, workspace)
             ratio = (r0 * r0 + r1 * r1) / max_square if depth > 0.0 else 2.0
             total += biquartic_loss(ratio) / BIQUARTIC_BOUND
         if total > bound:
@@ -198,14 +204,13 @@ def _build_normal_equations(
         gradient[i] = 0.0
         for j in range(6):
             hessian[i, j] = 0.0
-    camera_rotation, camera_translation, row = workspace
-    loss = 0.0
+    row, loss = workspace.row, 0.0
     for c in range(len(views.rotations)):
-        _camera_from_model(views, c, rotation, translation, camera_rotation, camera_translation)
+        _camera_from_model(views, c, rotation, translation, workspace)
         q = views.rotations[c]
         variance, cutoff = noise.variances[c], noise.cutoffs[c]
         for k in range(views.start[c], views.start[c + 1]):
-            depth, u, v, r0, r1 = _project_match(views, k, camera_rotation, camera_translation)
+            depth, u, v, r0, r1 = _project_match(views, k, workspace)
             ratio = (r0 * r0 + r1 * r1) / cutoff if depth > 0.0 else 2.0
             loss += 0.5 * cutoff / variance * biquartic_loss(ratio)
             if not ratio < 1.0:
@@ -242,14 +247,13 @@ def _compute_loss(
     views: Views, rotation: FloatArray, translation: FloatArray, noise: Noise, workspace: Workspace
 ) -> float:
     """Return the loss as in `_build_normal_equations`."""
-    camera_rotation, camera_translation, _ = workspace
     loss = 0.0
     for c in range(len(views.rotations)):
-        _camera_from_model(views, c, rotation, translation, camera_rotation, camera_translation)
+        _camera_from_model(views, c, rotation, translation, workspace)
         cutoff = noise.cutoffs[c]
         loss_scale = 0.5 * cutoff / noise.variances[c]
         for k in range(views.start[c], views.start[c + 1]):
-            depth, _, _, r0, r1 = _project_match(views, k, camera_rotation, camera_translation)
+            depth, _, _, r0, r1 = _project_match(views, k, workspace)
             loss += loss_scale * biquartic_loss((r0 * r0 + r1 * r1) / cutoff if depth > 0.0 else 2.0)
     return loss
 
@@ -276,7 +280,7 @@ def minimize(
     hessian, gradient = np.empty((6, 6)), np.empty(6)
     new_hessian, new_gradient = np.empty((6, 6)), np.empty(6)
     new_rotation, new_translation = np.empty((3, 3)), np.empty(3)
-    damped, step, workspace = np.empty((6, 6)), np.empty(6), _make_workspace()
+    damped, step, workspace = np.empty((6, 6)), np.empty(6), make_workspace()
     loss = _build_normal_equations(views, rotation, translation, noise, hessian, gradient, workspace)
     predicted_decrease = np.inf
     for iteration in range(steps):
@@ -338,7 +342,7 @@ def fit_pose(
     Returns:
         iterations used, degrees of freedom, and whether it converged.
     """
-    damping, freedom, predicted_decrease, change, workspace = 1e-4, 1.0, np.inf, np.inf, _make_workspace()
+    damping, freedom, predicted_decrease, change, workspace = 1e-4, 1.0, np.inf, np.inf, make_workspace()
     iteration = 0
     for iteration in range(max_iterations):
         _compute_squares(views, rotation, translation, squares, workspace)
@@ -367,7 +371,7 @@ def compute_information(
     views: Views, rotation: FloatArray, translation: FloatArray, noise: Noise, out: FloatArray
 ) -> None:
     """Write the information on (w, d) to out (6, 6): the inverse of the covariance of the weighted estimate."""
-    _build_normal_equations(views, rotation, translation, noise, out, np.empty(6), _make_workspace())
+    _build_normal_equations(views, rotation, translation, noise, out, np.empty(6), make_workspace())
     for i in range(6):
         for j in range(6):
             out[i, j] *= INFORMATION_GAIN
@@ -394,7 +398,7 @@ def search_samples(
     """
     n, n_cameras, n_kept = len(views.points), len(views.rotations), len(translations)
     origins, rays, model = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    found_rotations, found_translations, workspace = np.empty((8, 3, 3)), np.empty((8, 3)), _make_workspace()
+    found_rotations, found_translations, workspace = np.empty((8, 3, 3)), np.empty((8, 3)), make_workspace()
     noise = Noise(np.full(n_cameras, max_square / (CUTOFF * CUTOFF)), np.full(n_cameras, max_square))
     for s in range(len(draws)):
         for i in range(3):
@@ -405,27 +409,24 @@ def search_samples(
             c = 0
             while k >= views.start[c + 1]:
                 c += 1
-            q, camera_translation = views.rotations[c], views.translations[c]
+            q, t = views.rotations[c], views.translations[c]
             u, v = views.images[k, 0], views.images[k, 1]
             length = np.sqrt(u * u + v * v + 1.0)
             for j in range(3):
-                origins[i, j] = -(
-                    q[0, j] * camera_translation[0] + q[1, j] * camera_translation[1] + q[2, j] * camera_translation[2]
-                )
+                origins[i, j] = -(q[0, j] * t[0] + q[1, j] * t[1] + q[2, j] * t[2])
                 rays[i, j] = (q[0, j] * u + q[1, j] * v + q[2, j]) / length
                 model[i, j] = views.points[k, j]
         best = -1
         for h in range(solve_p3p(origins, rays, model, found_rotations, found_translations)):
-            value = _compute_score(
-                views, found_rotations[h], found_translations[h], max_square, scores[n_kept], workspace
-            )
+            bound = scores[n_kept]
+            value = compute_score(views, found_rotations[h], found_translations[h], max_square, bound, workspace)
             if value < scores[n_kept]:
                 scores[n_kept], best = value, h
         if best < 0:
             continue
         rotation, translation = found_rotations[best], found_translations[best]
         minimize(views, rotation, translation, noise, n_steps, 1e-3)
-        value = _compute_score(views, rotation, translation, max_square, scores[n_kept - 1], workspace)
+        value = compute_score(views, rotation, translation, max_square, scores[n_kept - 1], workspace)
         if not value < scores[n_kept - 1]:
             continue
         position = n_kept - 1
@@ -435,3 +436,99 @@ def search_samples(
             position -= 1
         _copy_pose(rotation, translation, rotations[position], translations[position])
         scores[position] = value
+
+
+@leaf
+def compute_median_square(squares: FloatArray, max_square: float) -> tuple[float, int]:
+    """Return the median of the squares below `max_square`, to a thousandth, and their number.
+
+    Bisection needs no copy and no sorting.
+    """
+    count = 0
+    for s in squares:
+        count += s < max_square
+    low, high = 0.0, max_square
+    # The noise is anywhere between rounding and the cutoff: halve the exponent first.
+    for _ in range(60):
+        if high < 1.001 * low:
+            break
+        middle = np.sqrt(low * high) if low > 0.0 else 0.01 * high
+        below = 0
+        for s in squares:
+            below += s < middle
+        if 2 * below >= count:
+            high = middle
+        else:
+            low = middle
+        if high < ROUNDING_PX * ROUNDING_PX:
+            break
+    return high, count
+
+
+@leaf
+def compute_weights(squares: FloatArray, start: IntArray, noise: Noise, weights: FloatArray) -> None:
+    """Write the weights (n,) of squared distances (n,)."""
+    for c in range(len(start) - 1):
+        for k in range(start[c], start[c + 1]):
+            weights[k] = biquartic(squares[k] / noise.cutoffs[c])
+
+
+@leaf
+def set_noise(noise: Noise, c: int, variance: float, min_variance: float, freedom: float, max_square: float) -> None:
+    """Set camera c's variance, at least `min_variance`, and its cutoff for so many degrees of freedom."""
+    variance = max(variance, min_variance, ROUNDING_PX * ROUNDING_PX)
+    # Few degrees of freedom may underestimate the noise: the cutoff is then Student's, not Gauss's.
+    factor = max(CUTOFF * CUTOFF, freedom * (np.exp(min(2.0 * LOG_MISS_ODDS / freedom, 50.0)) - 1.0))
+    noise.variances[c] = variance
+    noise.cutoffs[c] = min(factor * variance, max_square)
+
+
+@kernel
+def estimate_noise(
+    squares: FloatArray, start: IntArray, weights: FloatArray, min_variance: float, max_square: float, noise: Noise
+) -> float:
+    """Estimate the noise from the weighted squares: one level for all cameras except significantly different ones.
+
+    Args:
+        min_variance: lower limit of the variances.
+
+    Returns:
+        degrees of freedom.
+    """
+    n_cameras = len(start) - 1
+    sums, counts = np.zeros(n_cameras), np.zeros(n_cameras)
+    total = 0.0
+    for c in range(n_cameras):
+        n_inliers = 0
+        for k in range(start[c], start[c + 1]):
+            if weights[k] > 0.0:
+                sums[c] += weights[k] * squares[k]
+                counts[c] += weights[k]
+                n_inliers += 1
+        # The reduction by the weights of Gaussian noise goes with the fourth power of the cutoff.
+        loss_factor = (CUTOFF * CUTOFF * noise.variances[c] / noise.cutoffs[c]) ** 2
+        sums[c] /= 1.0 - min(loss_factor * SQUARE_LOSS, 0.5)
+        counts[c] = 2.0 * min(counts[c] / (1.0 - min(loss_factor * WEIGHT_LOSS, 0.5)), float(n_inliers))
+        total += counts[c]
+    freedom = max(total - 6.0, 1.0)
+    freedom_ratio = freedom / max(total, 1.0)
+    has_own_noise = np.zeros(n_cameras, np.bool_)
+    common = 1.0
+    for _ in range(3):
+        squared, free = 0.0, 0.0
+        for c in range(n_cameras):
+            if not has_own_noise[c]:
+                squared, free = squared + sums[c], free + freedom_ratio * counts[c]
+        if free <= 0.0:
+            break
+        common = max(squared / free, ROUNDING_PX * ROUNDING_PX)
+        for c in range(n_cameras):
+            own_freedom = freedom_ratio * counts[c]
+            # A camera with mostly inconsistent matches has outliers, not noise.
+            if own_freedom >= MIN_OWN_FREEDOM and counts[c] >= start[c + 1] - start[c]:
+                ratio = np.log(max(sums[c] / own_freedom, ROUNDING_PX * ROUNDING_PX) / common)
+                has_own_noise[c] = abs(ratio) > MIN_DEVIATION_SIGMAS * np.sqrt(2.0 / own_freedom + 2.0 / free)
+    for c in range(n_cameras):
+        variance = sums[c] / (freedom_ratio * counts[c]) if has_own_noise[c] else common
+        set_noise(noise, c, variance, min_variance, freedom, max_square)
+    return freedom

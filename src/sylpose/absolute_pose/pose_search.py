@@ -12,26 +12,18 @@ from math import lgamma
 import numpy as np
 
 from sylpose.absolute_pose.pose_kernels import (
+    CUTOFF,
+    Noise,
+    Views,
     compute_chance,
     compute_score,
     fit_pose,
+    make_workspace,
     minimize,
     sample_inlier_ratio,
     search_samples,
 )
-from sylpose.absolute_pose.pose_noise import CUTOFF, Noise
-from sylpose.absolute_pose.pose_views import Views, count_inliers, select_matches
-from sylpose.geometry.arrays import FloatArray
-
-__all__ = [
-    "MIN_INLIER_RATIO",
-    "MIN_MATCHES",
-    "Pose",
-    "find_single_camera_poses",
-    "is_by_chance",
-    "is_contradicted",
-    "search_poses",
-]
+from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 
 # Three matches have several exact poses; the fourth decides (derived).
 MIN_MATCHES = 4
@@ -79,19 +71,19 @@ def search_poses(views: Views, max_square: float, thin_axis: FloatArray, rng: np
         draws = rng.random((min(n_samples - n_done, 200), 6))
         search_samples(subset, draws, max_square, SEARCH_STEPS, rotations, translations, scores)
         n_done += len(draws)
-        n_samples = (
-            _required_samples(subset, rotations[0], translations[0], max_square) if scores[0] < np.inf else MAX_SAMPLES
-        )
+        n_samples = MAX_SAMPLES
+        if scores[0] < np.inf:
+            n_samples = _required_samples(subset, rotations[0], translations[0], max_square)
     starts = [(rotations[k], translations[k]) for k in range(N_KEPT) if scores[k] < np.inf]
     if not starts:
         return []
     mirrored = _mirror_pose(*starts[0], thin_axis)
     minimize(subset, *mirrored, _max_noise(views, max_square), 10, 1e-3)
     poses: list[Pose] = []
+    workspace, max_score = make_workspace(), MAX_SCORE_RATIO * scores[0] + MAX_SCORE_EXCESS
     for rotation, translation in [*starts, mirrored]:
-        if compute_score(subset, rotation, translation, max_square, np.inf) > MAX_SCORE_RATIO * scores[
-            0
-        ] + MAX_SCORE_EXCESS or _is_known(poses, rotation):
+        score = compute_score(subset, rotation, translation, max_square, np.inf, workspace)
+        if score > max_score or _is_known(poses, rotation):
             continue
         pose = _fit_pose(subset, rotation, translation, max_square)
         if pose is not None and not _is_known(poses, pose.rotation):
@@ -101,6 +93,23 @@ def search_poses(views: Views, max_square: float, thin_axis: FloatArray, rng: np
         fitted = [_fit_pose(views, pose.rotation, pose.translation, max_square) for pose in poses[:2]]
         poses = _sort_by_false_alarms(views, [pose for pose in fitted if pose is not None])
     return poses
+
+
+def count_inliers(views: Views, weights: FloatArray) -> IntArray:
+    """Return (C,) number of each camera's matches with a positive weight (n,)."""
+    return np.asarray(np.add.reduceat(weights > 0.0, views.start[:-1], dtype=np.int64))
+
+
+def select_matches(views: Views, mask: BoolArray) -> tuple[Views, BoolArray]:
+    """Select some of the matches (n,), at least one, and return the mask of the cameras (C,) that have any of them."""
+    start = np.concatenate([[0], np.cumsum(mask)])[views.start]
+    has_matches = np.diff(start) > 0
+    points, images, to_pixels = views.points[mask], views.images[mask], views.to_pixels[mask]
+    starts, cameras = (
+        np.append(start[:-1][has_matches], start[-1]),
+        (views.rotations[has_matches], views.translations[has_matches]),
+    )
+    return Views(points, images, to_pixels, starts, *cameras, views.min_variance), has_matches
 
 
 def _sort_by_false_alarms(views: Views, poses: list[Pose]) -> list[Pose]:
@@ -125,9 +134,8 @@ def _select_subset(views: Views, rng: np.random.Generator) -> Views:
     ]
     start = np.concatenate([[0], np.cumsum([len(p) for p in picked])])
     indices = np.concatenate(picked)
-    return views._replace(
-        points=views.points[indices], images=views.images[indices], to_pixels=views.to_pixels[indices], start=start
-    )
+    points, images, to_pixels = views.points[indices], views.images[indices], views.to_pixels[indices]
+    return views._replace(points=points, images=images, to_pixels=to_pixels, start=start)
 
 
 def _required_samples(views: Views, rotation: FloatArray, translation: FloatArray, max_square: float) -> int:
@@ -162,12 +170,9 @@ def _fit_pose(views: Views, rotation: FloatArray, translation: FloatArray, max_s
     """Fit a pose robustly from a start; None if fewer than `MIN_MATCHES` inliers remain."""
     rotation, translation = rotation.copy(), translation.copy()
     squares, weights, noise = np.empty(len(views.points)), np.zeros(len(views.points)), _max_noise(views, max_square)
-    iterations, freedom, converged = fit_pose(
-        views, rotation, translation, max_square, MAX_ITERATIONS, 1, squares, weights, noise
-    )
-    if np.count_nonzero(weights) < MIN_MATCHES:
-        return None
-    return Pose(rotation, translation, squares, weights, noise, iterations, freedom, converged)
+    convergence = fit_pose(views, rotation, translation, max_square, MAX_ITERATIONS, 1, squares, weights, noise)
+    has_enough_inliers = np.count_nonzero(weights) >= MIN_MATCHES
+    return Pose(rotation, translation, squares, weights, noise, *convergence) if has_enough_inliers else None
 
 
 def _log_false_alarms(views: Views, pose: Pose) -> float:
@@ -208,11 +213,8 @@ def find_single_camera_poses(
     for c in np.flatnonzero(counts >= MIN_MATCHES):
         camera_views, _ = select_matches(views, np.repeat(np.arange(len(counts)) == c, counts))
         poses = search_poses(camera_views, max_square, thin_axis, np.random.default_rng(seed))
-        if (
-            poses
-            and np.count_nonzero(poses[0].weights) > max(MIN_MATCHES, MIN_INLIER_RATIO * counts[c])
-            and not is_by_chance(camera_views, poses[0])
-        ):
+        min_inliers = max(MIN_MATCHES, MIN_INLIER_RATIO * counts[c])
+        if poses and np.count_nonzero(poses[0].weights) > min_inliers and not is_by_chance(camera_views, poses[0]):
             yield int(c), poses[0]
 
 

@@ -7,16 +7,20 @@ Robust least squares on reprojection errors with static, calibrated cameras: a l
 camera c in frame k at project(Q_c (R_k X + t_k - o_c)). Levenberg-Marquardt with re-weighting; the landmarks are
 eliminated (Schur complement), which leaves six unknowns per frame and a border of shared parameters.
 
-Source: B. Triggs, P. McLauchlan, R. Hartley, A. Fitzgibbon, "Bundle adjustment - a modern synthesis", 2000.
+Source: B. Triggs, P. McLauchlan, R. Hartley, A. Fitzgibbon, "Bundle adjustment - a modern synthesis", 2000;
+K. Levenberg, "A method for the solution of certain non-linear problems in least squares", 1944; D. Marquardt, 1963.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.sparse import block_array, coo_array, csr_array, eye_array, tril
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.bundle_adjustment.calibration_refinement import (
@@ -24,25 +28,42 @@ from sylpose.bundle_adjustment.calibration_refinement import (
     CalibrationCorrection,
     CalibrationPrior,
     add_calibration_errors,
+    free_calibration,
     make_correction,
+    relinearize_lenses,
     rescale_calibration_prior,
 )
 from sylpose.bundle_adjustment.camera_parameters import compute_depth_basis, default_depth_prior, make_camera_parameters
-from sylpose.bundle_adjustment.covisibility import build_covisibility_pattern, find_connected_frames
-from sylpose.bundle_adjustment.kernels import TIME_OFFSET, SortedObservations
-from sylpose.bundle_adjustment.optimizer import minimize, refine_with_calibration
-from sylpose.bundle_adjustment.problem import Fit, Problem, State
-from sylpose.bundle_adjustment.scale_observability import is_scale_from_noise
+from sylpose.bundle_adjustment.kernels import DEPTH, TIME_OFFSET, SortedObservations
+from sylpose.bundle_adjustment.problem import LATERAL_SD_RADII, Fit, FitSummary, Problem, State
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.results import Status
 from sylpose.rig import Rig
 
-__all__ = ["BundleResult", "Observations", "bundle_adjust", "resolve_fixed_frames"]
-
-
 # Weak prior of every pose: half a revolution and several radii around its start, which keeps unconstrained poses there
 # (choice).
 WEAK_ROTATION_SD, WEAK_TRANSLATION_RADII = np.pi, 10.0
+# The noise is re-estimated until it changes by less than this, or for so many iterations; then it is fixed (choice).
+SIGMA_TOLERANCE, MAX_SIGMA_ITERATIONS = 0.05, 8
+# Weights are updated until the step's square, in standard deviations and per frame, is less than this, or for so many
+# iterations; then they are fixed: each weight that still changes moves the rest slightly, in ever more iterations
+# (choice).
+WEIGHTS_TOLERANCE, MAX_WEIGHT_ITERATIONS = 0.02, 10
+# Converged when the step of all frames together is a tenth of a standard deviation: the remaining error is much smaller
+# (choice).
+STEP_TOLERANCE = 0.1**2
+# Attempts per iteration to find a step that reduces the cost (choice).
+MAX_TRIES = 8
+# Number of lens linearizations (choice: each leaves a hundredth of the error).
+LENS_LINEARIZATIONS = 3
+# Surface depths are fixed at their prior if more than this fraction of the apparent information on them is noise
+# (measured: docs/history/benchmarks.md, "Slides").
+MAX_NOISE_RATIO = 0.3
+# Rotations with an rms of so many times their noise dominate it, so the information from noise is not computed (choice:
+# in squares this leaves it a fraction of 1e-4).
+CLEAR_ROTATION_RATIO = 100.0
+# Minimum number of random draws; recordings with fewer frames are drawn repeatedly (choice).
+MIN_DRAWS = 24
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,33 +135,11 @@ class BundleResult:
     surface_covariance: FloatArray
 
 
-def bundle_adjust(
-    rig: Rig,
-    observations: Observations,
-    world_from_object: RigidTransform,
-    radius: float,
-    *,
-    landmarks: ArrayLike | None = None,
-    fixed: ArrayLike | None = None,
-    prior_information: ArrayLike | None = None,
-    times: ArrayLike | None = None,
-    offsets_sd: float | None = None,
-    depth_prior: tuple[ArrayLike, ArrayLike] | None = None,
-    fix_depths: bool = False,
-    calibration_prior: CalibrationPrior | None = None,
-    recalibrate: bool = False,
-    max_iterations: int = 30,
-    coarse: bool = False,
-    on_iteration: Callable[[int], None] | None = None,
-) -> BundleResult:
-    """Refine poses and landmarks jointly by minimizing the reprojection error.
+@dataclass(frozen=True, eq=False)
+class BundleOptions:
+    """Options of `bundle_adjust` for N poses and C cameras.
 
-    Args:
-        rig: C cameras.
-        observations: n observations; landmarks shared by cameras or observed again later constrain more, but are not
-            required.
-        world_from_object: N initial poses.
-        radius: of the object.
+    Attributes:
         landmarks: (M, 3) initial positions, object's frame; None: triangulated.
         fixed: (N,) mask of the frames with fixed poses, at least one; None: the first.
         prior_information: (N, 6, 6) of (w, d), prior information on the poses: they were measured as given.
@@ -162,6 +161,62 @@ def bundle_adjust(
         coarse: stop a seventh of a standard deviation per frame before the optimum, after half of the iterations; not
             for `recalibrate`.
         on_iteration: called with the number of each iteration as it begins.
+    """
+
+    landmarks: ArrayLike | None = None
+    fixed: ArrayLike | None = None
+    prior_information: ArrayLike | None = None
+    times: ArrayLike | None = None
+    offsets_sd: float | None = None
+    depth_prior: tuple[ArrayLike, ArrayLike] | None = None
+    fix_depths: bool = False
+    calibration_prior: CalibrationPrior | None = None
+    recalibrate: bool = False
+    max_iterations: int = 30
+    coarse: bool = False
+    on_iteration: Callable[[int], None] | None = None
+
+
+DEFAULT_OPTIONS = BundleOptions()
+
+
+class _Setup(NamedTuple):
+    """Problem to solve, and how it relates to the arguments of `bundle_adjust`.
+
+    Attributes:
+        problem, state: without calibration errors.
+        order: (n,) order of the observations in the problem.
+        indices: of the observed landmarks.
+        landmarks: (M, 3) all landmarks, initially.
+        connected: (N,) frames connected to a fixed one.
+        is_solvable: whether one of them is free.
+    """
+
+    problem: Problem
+    state: State
+    order: IntArray
+    indices: IntArray
+    landmarks: FloatArray
+    connected: BoolArray
+    is_solvable: bool
+
+
+def bundle_adjust(
+    rig: Rig,
+    observations: Observations,
+    world_from_object: RigidTransform,
+    radius: float,
+    options: BundleOptions = DEFAULT_OPTIONS,
+) -> BundleResult:
+    """Refine poses and landmarks jointly by minimizing the reprojection error.
+
+    Args:
+        rig: C cameras.
+        observations: n observations; landmarks shared by cameras or observed again later constrain more, but are not
+            required.
+        world_from_object: N initial poses.
+        radius: of the object.
+        options: priors, fixed frames, and what else is estimated.
 
     Returns:
         the refined trajectory.
@@ -170,44 +225,74 @@ def bundle_adjust(
         ValueError: inconsistent shapes or indices, values that are not finite, no fixed frame, times that do not
             increase.
     """
+    setup, prior = _prepare(rig, observations, world_from_object, radius, options), options.calibration_prior
+    problem, state, connected = setup.problem, setup.state, setup.connected
+    has_moved_cameras = prior is not None and bool((prior.predecessor >= 0).any())
+    if prior is not None and has_moved_cameras:
+        # The poses of moved cameras must be free from the first iteration: otherwise all poses would diverge.
+        added = add_calibration_errors(problem, state, rig, prior)
+        problem, state = rescale_calibration_prior(*added, NEAR_EXACT_SCALES)
+    if options.fix_depths:
+        problem = problem.fix_depths()
+    if setup.is_solvable:
+        fit = minimize(problem, state, options)
+    else:
+        unknown, e = np.zeros(len(observations)), problem.compute_residuals(state)
+        sigma = problem.estimate_noise(e, unknown)
+        fit = Fit(state, Status.TOO_FEW_MATCHES, 0, problem.compute_weights(e, sigma), sigma, unknown)
+    summary = problem.summarize(fit, connected)
+    if not options.fix_depths and setup.is_solvable and is_scale_from_noise(problem, fit, summary, connected):
+        problem = problem.fix_depths()
+        state = replace(fit.state, z=np.where(problem.camera_parameters.depth_mask, 0.0, fit.state.z))
+        fit = minimize(problem, state, options)
+        summary = problem.summarize(fit, connected)
+    if prior is not None:
+        if has_moved_cameras:
+            problem, state = rescale_calibration_prior(problem, fit.state, np.ones(4))
+        else:
+            problem, state = add_calibration_errors(problem, fit.state, rig, prior)
+        fit = replace(fit, state=state)
+        if options.recalibrate and setup.is_solvable:
+            image = setup.problem.observations.image
+            problem, fit, summary = refine_with_calibration(problem, fit, rig, image, connected, options)
+        else:
+            summary = problem.summarize(fit, connected)
+    return _make_result(rig, observations, setup, problem, fit, summary, options)
+
+
+def _prepare(
+    rig: Rig, observations: Observations, world_from_object: RigidTransform, radius: float, options: BundleOptions
+) -> _Setup:
+    """Check the arguments of `bundle_adjust` and make the problem and its initial state."""
     n_frames, n_cameras = (1 if world_from_object.single else len(world_from_object)), len(rig)
     if not (np.isfinite(radius) and radius > 0):
         raise ValueError(f"radius: {radius} is not a positive length")
-    if offsets_sd is not None and not (np.isfinite(offsets_sd) and offsets_sd > 0):
-        raise ValueError(f"offsets_sd: {offsets_sd} is not a positive time")
-    fixed_mask = resolve_fixed_frames(fixed, n_frames)
-    pose_information = (
-        np.zeros((n_frames, 6, 6))
-        if prior_information is None
-        else _to_finite_array("prior_information", prior_information, (n_frames, 6, 6))
-    )
-    initial_landmarks = None if landmarks is None else _to_finite_array("landmarks", landmarks, (-1, 3))
-    n_landmarks = (
-        int(np.max(observations.landmark, initial=-1)) + 1 if initial_landmarks is None else len(initial_landmarks)
-    )
-    _check_observations(observations, n_frames, n_cameras, n_landmarks)
-    camera_times = np.arange(n_frames) if times is None else np.asarray(times, float)
-    camera_times = _to_finite_array(
-        "times", camera_times, (n_frames, n_cameras) if camera_times.ndim == 2 else (n_frames,)
-    )
-    camera_times = camera_times if camera_times.ndim == 2 else np.repeat(camera_times[:, None], n_cameras, axis=1)
+    if options.offsets_sd is not None and not (np.isfinite(options.offsets_sd) and options.offsets_sd > 0):
+        raise ValueError(f"offsets_sd: {options.offsets_sd} is not a positive time")
+    fixed_mask, pose_information = resolve_fixed_frames(options.fixed, n_frames), np.zeros((n_frames, 6, 6))
+    if options.prior_information is not None:
+        pose_information = _to_finite_array("prior_information", options.prior_information, (n_frames, 6, 6))
+    if options.landmarks is None:
+        landmarks = np.zeros((int(np.max(observations.landmark, initial=-1)) + 1, 3))
+    else:
+        landmarks = _to_finite_array("landmarks", options.landmarks, (-1, 3)).copy()
+    _check_observations(observations, n_frames, n_cameras, len(landmarks))
+    times = np.arange(n_frames) if options.times is None else np.asarray(options.times, float)
+    times = _to_finite_array("times", times, (n_frames, n_cameras) if times.ndim == 2 else (n_frames,))
+    camera_times = times if times.ndim == 2 else np.repeat(times[:, None], n_cameras, axis=1)
     frame_times = camera_times.mean(axis=1)
     if (np.diff(frame_times) <= 0).any():
         raise ValueError("times: must increase from frame to frame")
-
     rotations, translations = np.atleast_3d(world_from_object.rotation.as_matrix()), world_from_object.translation
     rotations, translations = rotations.reshape(-1, 3, 3), translations.reshape(-1, 3)
-    order, landmark_indices, sorted_observations = _sort_observations(observations, fixed_mask)
+    order, indices, sorted_observations = _sort_observations(observations, fixed_mask)
     repeated = np.diff(sorted_observations.start) >= 2
     connected = find_connected_frames(sorted_observations, repeated, fixed_mask | pose_information.any(axis=(1, 2)))
-    depth, depth_covariance = default_depth_prior(radius, n_cameras) if depth_prior is None else depth_prior
-    camera_parameters = make_camera_parameters(
-        n_cameras,
-        offsets_sd,
-        np.unique(sorted_observations.camera),
-        _to_finite_array("depth_prior: mean", depth, (n_cameras,)),
-        _to_finite_array("depth_prior: covariance", depth_covariance, (n_cameras, n_cameras)),
-    )
+    depth, covariance = options.depth_prior or default_depth_prior(radius, n_cameras)
+    depth = _to_finite_array("depth_prior: mean", depth, (n_cameras,))
+    covariance = _to_finite_array("depth_prior: covariance", covariance, (n_cameras, n_cameras))
+    used = np.unique(sorted_observations.camera)
+    camera_parameters = make_camera_parameters(n_cameras, options.offsets_sd, used, depth, covariance)
     weak_information = np.repeat([WEAK_ROTATION_SD**-2, (WEAK_TRANSLATION_RADII * radius) ** -2], 3)
     time_shifts = camera_times - frame_times[:, None]
     problem = Problem(
@@ -226,91 +311,54 @@ def bundle_adjust(
         centers=np.array([camera.center for camera in rig]),
         focals=np.array([camera.focal for camera in rig]),
     )
-    state = State(
-        rotations,
-        translations,
-        np.zeros((len(landmark_indices), 3)),
-        np.zeros(camera_parameters.basis.shape[2]),
-        np.zeros((n_frames, 2, 6)),
-    )
-    state = problem.update_derivatives(state)
-    state = replace(
-        state, points=problem.triangulate(state) if initial_landmarks is None else initial_landmarks[landmark_indices]
-    )
-    problem = _add_depth_basis(problem, state)
-    has_moved_cameras = calibration_prior is not None and bool((calibration_prior.predecessor >= 0).any())
-    if calibration_prior is not None and has_moved_cameras:
-        # The poses of moved cameras must be free from the first iteration: otherwise all poses would diverge.
-        problem, state = rescale_calibration_prior(
-            *add_calibration_errors(problem, state, rig, calibration_prior), NEAR_EXACT_SCALES
-        )
-    if fix_depths:
-        problem = problem.fix_depths()
-    if (connected & ~fixed_mask).any():
-        fit = minimize(problem, state, max_iterations, on_iteration, coarse=coarse)
-    else:
-        unknown, e = np.zeros(len(observations)), problem.compute_residuals(state)
-        sigma = problem.estimate_noise(e, unknown)
-        fit = Fit(state, Status.TOO_FEW_MATCHES, 0, problem.compute_weights(e, sigma), sigma, unknown)
-    summary = problem.summarize(fit, connected)
-    if not fix_depths and (connected & ~fixed_mask).any() and is_scale_from_noise(problem, fit, summary, connected):
-        problem = problem.fix_depths()
-        state = replace(fit.state, z=np.where(problem.camera_parameters.depth_mask, 0.0, fit.state.z))
-        fit = minimize(problem, state, max_iterations, on_iteration, coarse=coarse)
-        summary = problem.summarize(fit, connected)
-    if calibration_prior is not None:
-        problem, state = (
-            rescale_calibration_prior(problem, fit.state, np.ones(4))
-            if has_moved_cameras
-            else add_calibration_errors(problem, fit.state, rig, calibration_prior)
-        )
-        fit = replace(fit, state=state)
-        if recalibrate and (connected & ~fixed_mask).any():
-            problem, fit, summary = refine_with_calibration(
-                problem, fit, rig, sorted_observations.image, connected, max_iterations, on_iteration
-            )
-        else:
-            summary = problem.summarize(fit, connected)
-    state, camera_parameters = fit.state, problem.camera_parameters
-    correction = (
-        make_correction(camera_parameters, rig, calibration_prior.predecessor, state.z, summary.parameter_covariance)
-        if calibration_prior is not None
-        else None
-    )
+    z, derivatives = np.zeros(camera_parameters.basis.shape[2]), np.zeros((n_frames, 2, 6))
+    state = problem.update_derivatives(State(rotations, translations, landmarks[indices], z, derivatives))
+    if options.landmarks is None:
+        state = replace(state, points=problem.triangulate(state))
+    problem, is_solvable = _add_depth_basis(problem, state), bool((connected & ~fixed_mask).any())
+    return _Setup(problem, state, order, indices, landmarks, connected, is_solvable)
 
-    points = np.zeros((n_landmarks, 3)) if initial_landmarks is None else initial_landmarks.copy()
-    points[landmark_indices] = state.points
+
+def _make_result(
+    rig: Rig,
+    observations: Observations,
+    setup: _Setup,
+    problem: Problem,
+    fit: Fit,
+    summary: FitSummary,
+    options: BundleOptions,
+) -> BundleResult:
+    """Make the result from the fit and its uncertainty."""
+    state, parameters, prior, correction = fit.state, problem.camera_parameters, options.calibration_prior, None
+    if prior is not None and options.recalibrate:
+        correction = make_correction(parameters, rig, prior.predecessor, state.z, summary.parameter_covariance)
+    points = setup.landmarks.copy()
+    points[setup.indices] = state.points
     weights, distances = np.empty(len(observations)), np.empty(len(observations))
-    weights[order], distances[order] = fit.weights, np.linalg.norm(problem.compute_residuals(state), axis=1)
-    has_time_offsets = offsets_sd is not None
-    unused_cameras = np.setdiff1d(np.arange(n_cameras), observations.camera)
+    weights[setup.order] = fit.weights
+    distances[setup.order] = np.linalg.norm(problem.compute_residuals(state), axis=1)
+    unused_cameras = np.setdiff1d(np.arange(len(rig)), observations.camera)
     summary.sigma[unused_cameras] = np.nan
-    spread = np.sqrt(
-        np.einsum(
-            "ck,kl,cl->c",
-            camera_parameters.basis[:, TIME_OFFSET],
-            summary.parameter_covariance,
-            camera_parameters.basis[:, TIME_OFFSET],
-        )
-    )
-    if has_time_offsets:
-        spread[unused_cameras] = offsets_sd
+    basis = parameters.basis[:, TIME_OFFSET]
+    spread = np.sqrt(np.einsum("ck,kl,cl->c", basis, summary.parameter_covariance, basis))
+    if options.offsets_sd is not None:
+        spread[unused_cameras] = options.offsets_sd
     return BundleResult(
         fit.status,
         RigidTransform.from_components(state.translations, Rotation.from_matrix(state.rotations)),
         points,
         summary.covariance,
-        connected,
+        setup.connected,
         summary.sigma,
         weights,
         distances,
-        camera_parameters.evaluate(state.z)[:, TIME_OFFSET],
+        parameters.evaluate(state.z)[:, TIME_OFFSET],
         spread,
         fit.iterations,
         summary.variance_inflation,
         summary.scale_sd,
         summary.scale_variance_ratio,
-        correction if recalibrate else None,
+        correction,
         summary.calibration_scales,
         summary.surface_covariance,
     )
@@ -319,9 +367,7 @@ def bundle_adjust(
 def _to_finite_array(name: str, values: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
     """Return the values as a finite array of a shape, in which -1 matches any size."""
     array = np.asarray(values, dtype=float)
-    if array.ndim != len(shape) or any(
-        size not in (-1, actual) for size, actual in zip(shape, array.shape, strict=True)
-    ):
+    if array.ndim != len(shape) or any(size not in (-1, n) for size, n in zip(shape, array.shape, strict=True)):
         expected = ", ".join("any" if n < 0 else str(n) for n in shape)
         raise ValueError(f"{name}: shape {array.shape}, expected ({expected})")
     if not np.isfinite(array).all():
@@ -368,12 +414,9 @@ def _sort_observations(
     frame, camera = (np.asarray(index[order], np.int64) for index in (observations.frame, observations.camera))
     start = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
     image, lens = np.ascontiguousarray(observations.image[order], dtype=float), np.zeros((len(order), 3, 0))
-    nothing = np.zeros((len(landmark_indices), 3))
-    return (
-        order,
-        landmark_indices,
-        SortedObservations(start, frame, camera, image, lens, free, camera[start[:-1]], nothing, nothing),
-    )
+    nothing, viewer = np.zeros((len(landmark_indices), 3)), camera[start[:-1]]
+    sorted_observations = SortedObservations(start, frame, camera, image, lens, free, viewer, nothing, nothing)
+    return order, landmark_indices, sorted_observations
 
 
 def _add_depth_basis(problem: Problem, state: State) -> Problem:
@@ -385,3 +428,197 @@ def _add_depth_basis(problem: Problem, state: State) -> Problem:
     axes = np.einsum("mij,mkj->mki", object_from_world, problem.rotations[viewer][:, :2])
     directions, lateral = compute_depth_basis(state.points, centers, axes, problem.radius)
     return replace(problem, observations=observations._replace(depth_direction=directions, depth_basis=lateral))
+
+
+# --- optimizer --------------------------------------------------------------------------------------------------------
+
+
+def minimize(problem: Problem, state: State, options: BundleOptions) -> Fit:
+    """Run Levenberg-Marquardt with re-weighting from a state until it converges.
+
+    With `options.coarse`, stop where the weights would be fixed: the remaining error is a seventh of a standard
+    deviation per frame.
+    """
+    e = problem.compute_residuals(state)
+    sigma = np.full(len(problem.focals), np.inf)
+    leverage = np.full(len(e), min(1.0, 3.0 * len(state.points) / max(len(e), 1)))
+    n_frames, damping, is_sigma_fixed, fixed_weights = len(state.rotations), 0.0, False, None
+    max_size = WEIGHTS_TOLERANCE * n_frames if options.coarse else STEP_TOLERANCE
+    for iteration in range(1, options.max_iterations + 1):
+        if options.on_iteration is not None:
+            options.on_iteration(iteration)
+        if not is_sigma_fixed:
+            previous_sigma, sigma = sigma, problem.estimate_noise(e, leverage)
+            state = problem.reset_stray_landmarks(state, e, sigma)
+            e = problem.compute_residuals(state)
+            is_stable = bool(np.all(np.abs(sigma - previous_sigma) < SIGMA_TOLERANCE * sigma))
+            is_sigma_fixed = is_stable or iteration >= MAX_SIGMA_ITERATIONS
+        cost = problem.compute_cost(e, sigma, state, fixed_weights)
+        weights = problem.compute_weights(e, sigma) if fixed_weights is None else fixed_weights
+        at = problem.linearize(state, weights / sigma[problem.observations.camera] ** 2)
+        system = problem.build_system(state, at)
+        leverage = system.reduced.leverage
+        for _ in range(MAX_TRIES):
+            step, z, size = system.solve(damping)
+            trial = problem.apply_step(state, at, step, z)
+            e = problem.compute_residuals(trial)
+            new_cost = problem.compute_cost(e, sigma, trial, fixed_weights)
+            if new_cost <= cost * (1.0 + 1e-12) or size < 1e-3 * STEP_TOLERANCE:
+                break
+            damping = max(30.0 * damping, 1e-5)
+        else:
+            return Fit(state, Status.NOT_CONVERGED, iteration, weights, sigma, leverage)
+        damping = damping / 30.0 if damping > 1e-5 else 0.0
+        state = problem.update_derivatives(trial)
+        if problem.has_time_shifts:
+            e = problem.compute_residuals(state)
+        if is_sigma_fixed and size < max_size:
+            return Fit(state, Status.OK, iteration, weights, sigma, leverage)
+        is_settled = size < WEIGHTS_TOLERANCE * n_frames or iteration >= MAX_WEIGHT_ITERATIONS
+        if is_sigma_fixed and fixed_weights is None and is_settled:
+            fixed_weights = problem.compute_weights(e, sigma)
+    return Fit(state, Status.NOT_CONVERGED, options.max_iterations, weights, sigma, leverage)
+
+
+def refine_with_calibration(
+    problem: Problem,
+    fit: Fit,
+    rig: Rig,
+    image: FloatArray,
+    connected: BoolArray,
+    options: BundleOptions,
+) -> tuple[Problem, Fit, FitSummary]:
+    """Refine with the calibration estimated as well.
+
+    The first pass uses the observations as they are and measures the size of the calibration errors and the correlation
+    of errors. Correlated errors resemble calibration errors, and the information of observations is smaller by their
+    variance inflation. So the calibration prior is narrowed correspondingly for the last pass.
+
+    Args:
+        image: (n, 2) points as normalized by the rig.
+    """
+    problem, options = free_calibration(problem), replace(options, coarse=False)
+    for _ in range(LENS_LINEARIZATIONS):
+        fit = minimize(problem, fit.state, options)
+        scales = problem.summarize(fit, connected).calibration_scales
+        problem, state = rescale_calibration_prior(problem, fit.state, scales)
+        problem, fit = relinearize_lenses(problem, image, rig, state.z), replace(fit, state=state)
+    fit = minimize(problem, fit.state, options)
+    summary, scales = problem.summarize(fit, connected), problem.camera_parameters.scales
+    # The noise floor of the search already inflates the variance in part.
+    inflation = np.median(summary.variance_inflation[problem.observations.free_index >= 0])
+    inflation = inflation * np.mean((summary.sigma / fit.sigma) ** 2)
+    scale_factors = np.where(np.arange(4) > 0, max(inflation, 1.0) ** -0.5, 1.0)
+    fit = minimize(*rescale_calibration_prior(problem, fit.state, scales * scale_factors), options)
+    state = replace(fit.state, z=fit.state.z * scale_factors[problem.camera_parameters.kind])
+    return problem, replace(fit, state=state), summary
+
+
+# --- observability of the scale ---------------------------------------------------------------------------------------
+
+
+def is_scale_from_noise(problem: Problem, fit: Fit, summary: FitSummary, connected: BoolArray) -> bool:
+    """Return whether the information on the surfaces' depths is due to noise, or absent."""
+    rotations = fit.state.rotations @ fit.state.rotations[problem.first_fixed_frame].T
+    mean_square = float((Rotation.from_matrix(rotations[connected]).magnitude() ** 2).mean())
+    noise = float(np.trace(summary.covariance[connected, :3, :3], axis1=1, axis2=2).mean())
+    if mean_square > CLEAR_ROTATION_RATIO**2 * noise:
+        return False
+    try:
+        return estimate_noise_ratio(problem, fit, summary, connected) > MAX_NOISE_RATIO
+    except np.linalg.LinAlgError:
+        return True
+
+
+def estimate_noise_ratio(problem: Problem, fit: Fit, summary: FitSummary, connected: BoolArray) -> float:
+    """Return the fraction of the apparent information on surface depths or path length that is due to noise.
+
+    Depths and path lengths are determined by rotations. Estimated rotations are never zero, and the refinement uses the
+    spurious information in their noise. So the information of the estimate is compared with that of rotations that are
+    only noise. It is compared for the depths, which drift does not affect, and for the path, which cameras with little
+    of the surface do not affect; the better determined one counts. The object may hardly have moved: a path as long as
+    its size is added to its own.
+    """
+    state, observations = fit.state, problem.observations
+    scaled = connected[observations.frame] * fit.weights / summary.sigma[observations.camera] ** 2
+    rng, covariance = np.random.default_rng(0), np.where(connected[:, None, None], summary.covariance, 0.0)
+    roots = np.linalg.cholesky(covariance[:, :3, :3] + 1e-18 * np.eye(3))
+    right = problem.rotations[0, 0]
+    translation = right * np.copysign(problem.radius, right @ (state.translations[-1] - state.translations[0]))
+    shifted = state.translations + np.linspace(0.0, 1.0, len(roots))[:, None] * translation
+    shifted_state = replace(state, translations=shifted)
+    fixed_rotation, draws = state.rotations[problem.first_fixed_frame], max(1, MIN_DRAWS // len(roots))
+    noise = np.zeros(2)
+    for _ in range(draws):
+        noise_rotation = Rotation.from_rotvec(np.einsum("nij,nj->ni", roots, rng.standard_normal((len(roots), 3))))
+        rotations, derivatives = (
+            noise_rotation.as_matrix() @ fixed_rotation,
+            state.pose_derivatives * np.repeat([0.0, 1.0], 3),
+        )
+        noisy_state = replace(shifted_state, rotations=rotations, pose_derivatives=derivatives)
+        noise += _compute_information(problem, noisy_state, scaled, connected)
+    return float((noise / draws / _compute_information(problem, shifted_state, scaled, connected)).min())
+
+
+def _compute_information(problem: Problem, state: State, scaled: FloatArray, connected: BoolArray) -> FloatArray:
+    """Return (2,) the information on the surfaces' depths, and on the path's length."""
+    scale = _scale_information(problem, state, scaled, connected)
+    return np.array([_depth_information(problem, state, scaled), scale])
+
+
+def _scale_information(problem: Problem, state: State, scaled: FloatArray, connected: BoolArray) -> float:
+    """Return the information on the path's relative length, without a prior of the surfaces."""
+    weak_prior, moving = np.full(2, (LATERAL_SD_RADII * problem.radius) ** -2.0), problem.observations.free_index >= 0
+    path = np.where(connected[:, None], state.translations - state.translations[problem.first_fixed_frame], 0.0)[moving]
+    solver = problem.build_system(state, problem.linearize(state, scaled)._replace(prior=weak_prior)).factorize()
+    return float((path**2).sum()) ** 2 / solver.pattern_variance(np.hstack([np.zeros_like(path), path]))
+
+
+def _depth_information(problem: Problem, state: State, scaled: FloatArray) -> float:
+    """Return the information on the surfaces' relative distance, averaged over the landmarks, without a prior of it."""
+    fixed_problem, is_depth = problem.fix_depths(), problem.camera_parameters.depth_mask
+    observations = problem.observations
+    information = fixed_problem.build_system(state, fixed_problem.linearize(state, scaled)).factorize().information
+    cross, other = information[np.ix_(is_depth, ~is_depth)], information[np.ix_(~is_depth, ~is_depth)]
+    absorbed = cross @ np.linalg.solve(other + np.eye(len(other)), cross.T)
+    own = information[np.ix_(is_depth, is_depth)] - absorbed
+    spread = problem.camera_parameters.basis[:, DEPTH][:, is_depth]
+    used = np.add.reduceat(scaled, observations.start[:-1]) > 0
+    landmarks = np.bincount(observations.first_viewer[used], minlength=len(problem.focals))
+    # The landmarks' distance from the surfaces has a small variance, which is removed from that of the surfaces.
+    variance = spread @ np.linalg.pinv(own, hermitian=True) @ spread.T
+    variance -= np.diag(1.0 / (np.maximum(landmarks, 1) * fixed_problem.landmark_prior[0]))
+    mean = landmarks / landmarks.sum() / np.linalg.norm(problem.centers - state.translations[0], axis=1)
+    return 1.0 / float(mean @ variance @ mean)
+
+
+# --- covisibility of frames -------------------------------------------------------------------------------------------
+
+
+def build_covisibility_pattern(observations: SortedObservations, repeated: BoolArray) -> csr_array:
+    """Return (F, F) lower triangle of the covisibility of moving frames."""
+    n = int(observations.free_index.max()) + 1
+    incidence = _incidence(observations, observations.free_index[observations.frame], n, repeated)
+    pattern = csr_array(tril(incidence @ incidence.T + eye_array(n), format="csr"))
+    pattern.sort_indices()
+    return pattern
+
+
+def find_connected_frames(observations: SortedObservations, repeated: BoolArray, fixed: BoolArray) -> BoolArray:
+    """Return (N,) mask of the frames that landmarks connect to a fixed one."""
+    n = len(fixed)
+    incidence = _incidence(observations, observations.frame, n, repeated)
+    _, part = connected_components(block_array([[None, incidence], [incidence.T, None]]), directed=False)
+    return np.asarray(np.isin(part[:n], part[:n][fixed]))
+
+
+def _incidence(observations: SortedObservations, rows: IntArray, n_rows: int, repeated: BoolArray) -> csr_array:
+    """Return (n_rows, m) incidence of rows and landmarks observed at least twice.
+
+    Args:
+        rows: (n,) row of each observation, or -1.
+    """
+    landmark = np.repeat(np.arange(len(repeated)), np.diff(observations.start))
+    used = repeated[landmark] & (rows >= 0)
+    entries = (np.ones(int(used.sum())), (rows[used], landmark[used]))
+    return coo_array(entries, shape=(n_rows, len(repeated))).tocsr()

@@ -18,25 +18,6 @@ from sylpose.bundle_adjustment.problem import Problem, State
 from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.rig import Camera, Rig
 
-__all__ = [
-    "MOVED_TRANSLATION_RATIO",
-    "NEAR_EXACT_SCALES",
-    "N_LENS_PARAMETERS",
-    "CalibrationCorrection",
-    "CalibrationPrior",
-    "MovedCamera",
-    "add_calibration_errors",
-    "add_calibration_parameters",
-    "add_moved_cameras",
-    "compute_mean_camera_distance",
-    "correct_rig",
-    "default_calibration_prior",
-    "free_calibration",
-    "linearize_lenses",
-    "make_correction",
-]
-
-
 # Lens parameters of a camera: relative focal length; principal point, pixels; first radial coefficient (derived).
 N_LENS_PARAMETERS = 4
 # Typical calibration errors, one standard deviation: degrees; fraction of the cameras' distance from each other;
@@ -133,11 +114,8 @@ def default_calibration_prior(rig: Rig) -> CalibrationPrior:
 
 def add_moved_cameras(rig: Rig, prior: CalibrationPrior, moved: Sequence[MovedCamera]) -> tuple[Rig, CalibrationPrior]:
     """Add a camera for each change of pose, in order of time: a copy with an uncertain pose."""
-    translation_sd, current, predecessors = (
-        MOVED_TRANSLATION_RATIO * compute_mean_camera_distance(rig),
-        np.arange(len(rig)),
-        [],
-    )
+    translation_sd, current = MOVED_TRANSLATION_RATIO * compute_mean_camera_distance(rig), np.arange(len(rig))
+    predecessors = []
     for i, m in enumerate(moved):
         predecessors.append(current[m.camera])
         current[m.camera] = len(rig) + i
@@ -162,9 +140,8 @@ def add_calibration_parameters(parameters: CameraParameters, rig: Rig, prior: Ca
         own[c, ROTATION:TRANSLATION, 6 * c : 6 * c + 3] = prior.rotation_sd[c] * np.eye(3)
         own[c, TRANSLATION:LENS, 6 * c + 3 : 6 * c + 6] = prior.translation_sd[c] * np.eye(3)
     pose_columns = (6 * first[:, None] + np.arange(6)).ravel()
-    own[:, :, pose_columns] = own[:, :, pose_columns] @ _common_motion_projector(
-        [rig.cameras[c] for c in first], prior, first
-    )
+    projector = _common_motion_projector([rig.cameras[c] for c in first], prior, first)
+    own[:, :, pose_columns] = own[:, :, pose_columns] @ projector
     for i, c in enumerate(first.tolist()):
         lens = 6 * n + N_LENS_PARAMETERS * i
         own[c, LENS:, lens : lens + N_LENS_PARAMETERS] = np.diag(prior.lens[c])
@@ -262,38 +239,29 @@ def linearize_lenses(
 
 def _pixel_jacobian(camera: Camera, x: FloatArray) -> FloatArray:
     """Return (n, 2, 2) derivatives of pixels by normalized points (n, 2)."""
-    return np.stack(
-        [
-            (camera.denormalize(x + POINT_STEP * u) - camera.denormalize(x - POINT_STEP * u)) / (2 * POINT_STEP)
-            for u in np.eye(2)
-        ],
-        axis=2,
-    )
+    h, axes = POINT_STEP, np.eye(2)
+    return np.stack([(camera.denormalize(x + h * u) - camera.denormalize(x - h * u)) / (2 * h) for u in axes], axis=2)
 
 
 def add_calibration_errors(problem: Problem, state: State, rig: Rig, prior: CalibrationPrior) -> tuple[Problem, State]:
     """Add calibration errors to a problem and its state; they are zero and fixed."""
     parameters = add_calibration_parameters(problem.camera_parameters, rig, prior)
     z = np.concatenate([state.z, np.zeros(parameters.basis.shape[2] - len(state.z))])
-    return relinearize_lenses(
-        replace(problem, camera_parameters=parameters), problem.observations.image, rig, z
-    ), replace(state, z=z)
+    problem = replace(problem, camera_parameters=parameters)
+    return relinearize_lenses(problem, problem.observations.image, rig, z), replace(state, z=z)
 
 
 def free_calibration(problem: Problem) -> Problem:
     """Return the problem with calibration errors estimated."""
-    return replace(
-        problem,
-        camera_parameters=replace(
-            problem.camera_parameters, fixed=problem.camera_parameters.fixed & (problem.camera_parameters.kind == 0)
-        ),
-    )
+    parameters = problem.camera_parameters
+    return replace(problem, camera_parameters=replace(parameters, fixed=parameters.fixed & (parameters.kind == 0)))
 
 
 def rescale_calibration_prior(problem: Problem, state: State, scales: FloatArray) -> tuple[Problem, State]:
     """Scale the prior of each kind of parameters (4,), relative to the initial one, without changing the state."""
-    factors = (scales / problem.camera_parameters.scales)[problem.camera_parameters.kind]
-    parameters = replace(problem.camera_parameters, basis=problem.camera_parameters.basis * factors, scales=scales)
+    parameters = problem.camera_parameters
+    factors = (scales / parameters.scales)[parameters.kind]
+    parameters = replace(parameters, basis=parameters.basis * factors, scales=scales)
     return replace(problem, camera_parameters=parameters), replace(state, z=state.z / factors)
 
 
@@ -314,10 +282,8 @@ def make_correction(
         z: (k,) the shared parameters.
         covariance: (k, k) of z.
     """
-    spread = (
-        parameters.basis[:, ROTATION:] - (predecessor >= 0)[:, None, None] * parameters.basis[predecessor, ROTATION:]
-    )
+    basis = parameters.basis[:, ROTATION:]
+    spread = basis - (predecessor >= 0)[:, None, None] * basis[predecessor]
     sd = np.sqrt(np.maximum(np.einsum("cik,kl,cil->ci", spread, covariance, spread), 0.0))
-    return CalibrationCorrection(
-        correct_rig(rig, parameters.evaluate(z)), spread @ z, sd, np.linalg.norm(spread, axis=2)
-    )
+    corrected = correct_rig(rig, parameters.evaluate(z))
+    return CalibrationCorrection(corrected, spread @ z, sd, np.linalg.norm(spread, axis=2))

@@ -16,16 +16,6 @@ from scipy.linalg import helmert
 from sylpose.bundle_adjustment.kernels import DEPTH, ROTATION, TIME_OFFSET
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 
-__all__ = [
-    "MEAN_DEPTH_RADII",
-    "SLOPE_SD",
-    "CameraParameters",
-    "compute_depth_basis",
-    "default_depth_prior",
-    "make_camera_parameters",
-]
-
-
 # Depth of the visible surface of an ordinary body in front of its center; its standard deviation common to all cameras
 # (the center and the shape are unknown) and per camera; in radii (measured: docs/history/benchmarks.md, "Slides").
 MEAN_DEPTH_RADII, COMMON_DEPTH_SD_RADII, OWN_DEPTH_SD_RADII = 0.5, 0.4, 0.3

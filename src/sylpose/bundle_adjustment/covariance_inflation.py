@@ -12,16 +12,20 @@ S. L. Zeger, "Longitudinal data analysis using generalized linear models", 1986.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.ndimage import median_filter
 
-from sylpose.bundle_adjustment.group_scores import accumulate_group_scores
-from sylpose.bundle_adjustment.kernels import SortedObservations, Views
+from sylpose.bundle_adjustment.kernels import (
+    Linearization,
+    eliminate_landmark,
+    make_landmark_system,
+)
 from sylpose.bundle_adjustment.reduced_system import Solver, System
-from sylpose.geometry.arrays import FloatArray
-
-__all__ = ["add_second_order_terms", "compute_variance_inflation"]
-
+from sylpose.bundle_adjustment.schur import whiten
+from sylpose.geometry.arrays import FloatArray, IntArray
+from sylpose.geometry.numba_linalg import kernel
 
 # Frames of the running median (choice).
 MEDIAN_FRAMES = 11
@@ -33,16 +37,20 @@ CALIBRATED_SCATTER_RATIO = 0.67
 MIN_DEGREES_OF_FREEDOM = 1.0
 
 
-def compute_variance_inflation(
-    observations: SortedObservations,
-    views: Views,
-    points: FloatArray,
-    weights: FloatArray,
-    landmark_prior: FloatArray,
-    system: System,
-    solver: Solver,
-    covariance: FloatArray,
-) -> FloatArray:
+class _GroupSums(NamedTuple):
+    """Contributions of G groups of observations to the reduced system.
+
+    Attributes:
+        pose_gradients, shared_gradients: (F, G, 6), (G, C, K) gradients.
+        information: (F, G, 6, 6) information of each group on each frame.
+    """
+
+    pose_gradients: FloatArray
+    shared_gradients: FloatArray
+    information: FloatArray
+
+
+def compute_variance_inflation(at: Linearization, system: System, solver: Solver, covariance: FloatArray) -> FloatArray:
     """Return (F,) inflation of each frame's variance relative to the system of equations, at least 1.
 
     It increases with the distance from the fixed frames: correlated errors of neighboring frames add up.
@@ -52,17 +60,17 @@ def compute_variance_inflation(
     excesses are added, which is conservative.
 
     Args:
-        observations, views, points, weights, landmark_prior: as of the system at the optimum.
+        at: the optimum.
         system: the reduced system.
         solver: of the system, undamped.
         covariance: (F, 6, 6) of its frames.
     """
+    observations, points, frames = at.observations, at.points, len(covariance)
     moving = system.free[observations.frame] >= 0
-    if not (moving & (weights > 0)).any():
-        return np.ones(len(covariance))
+    if not (moving & (at.weights > 0)).any():
+        return np.ones(frames)
     landmark = np.repeat(np.arange(len(points)), np.diff(observations.start))
     octant = (points > np.median(points, axis=0)) @ np.array([1, 2, 4])
-    frames = len(covariance)
     excess, is_calibrated = np.zeros(frames), (system.parameters.kind > 0) & ~system.parameters.fixed
     noise_ratio = CALIBRATED_SCATTER_RATIO if is_calibrated.any() else 1.0
     # All observations of a landmark are in one group, because they share its position; this includes those of a camera
@@ -70,43 +78,64 @@ def compute_variance_inflation(
     camera = observations.first_viewer[landmark]
     for group in (8 * camera + octant[landmark], camera):
         group_names, group = np.unique(group, return_inverse=True)
-        pose_gradients, shared_gradients = (
-            np.zeros((frames, len(group_names), 6)),
-            np.zeros((len(group_names), *views.parameters.shape)),
-        )
-        information = np.zeros((frames, len(group_names), 6, 6))
-        accumulate_group_scores(
-            observations, views, points, weights, landmark_prior, group, pose_gradients, shared_gradients, information
-        )
-        ratio = _scatter_ratio(pose_gradients, shared_gradients, information, system, solver, covariance, noise_ratio)
+        n, shared_shape = len(group_names), at.views.parameters.shape
+        shapes = (frames, n, 6), (n, *shared_shape), (frames, n, 6, 6)
+        sums = _GroupSums(np.zeros(shapes[0]), np.zeros(shapes[1]), np.zeros(shapes[2]))
+        _accumulate_group_scores(at, group, sums)
+        ratio = _scatter_ratio(sums, system, solver, covariance, noise_ratio)
         excess += np.maximum(median_filter(ratio, MEDIAN_FRAMES, mode="nearest") - 1.0, 0.0)
     return 1.0 + excess
 
 
 def _scatter_ratio(
-    pose_gradients: FloatArray,
-    shared_gradients: FloatArray,
-    information: FloatArray,
-    system: System,
-    solver: Solver,
-    covariance: FloatArray,
-    noise_ratio: float,
+    sums: _GroupSums, system: System, solver: Solver, covariance: FloatArray, noise_ratio: float
 ) -> FloatArray:
-    """Return (F,) scatter of the groups' parts relative to independent noise.
-
-    Args:
-        pose_gradients, shared_gradients, information: as of `accumulate_group_scores`.
-    """
-    frames, groups, _ = pose_gradients.shape
-    right = np.ascontiguousarray(pose_gradients.transpose(0, 2, 1)).reshape(6 * frames, groups)
-    slope = system.parameters.flat_basis.T @ shared_gradients.reshape(groups, -1).T
+    """Return (F,) scatter of the groups' parts relative to independent noise."""
+    frames, groups, _ = sums.pose_gradients.shape
+    right = np.ascontiguousarray(sums.pose_gradients.transpose(0, 2, 1)).reshape(6 * frames, groups)
+    slope = system.parameters.flat_basis.T @ sums.shared_gradients.reshape(groups, -1).T
     parts = solver.solve(right, slope)[0].reshape(frames, 6, groups)
     scatter = np.einsum("kig,kig->k", parts, np.linalg.solve(covariance, parts))
-    relative_information = np.linalg.solve(system.frame_blocks()[:, None], information)
+    relative_information = np.linalg.solve(system.frame_blocks()[:, None], sums.information)
     expected = 6.0 - np.einsum("kgij,kgji->k", relative_information, relative_information)
     ratio = np.ones(frames)
     np.divide(scatter, noise_ratio * expected, out=ratio, where=expected > MIN_DEGREES_OF_FREEDOM)
     return ratio
+
+
+@kernel
+def _accumulate_group_scores(at: Linearization, group: IntArray, sums: _GroupSums) -> None:
+    """Add the contributions of groups of observations to sums that start at zero; group (n,) of each observation."""
+    system, observations, rows, poses = make_landmark_system(at), at.observations, np.empty((3, 2)), np.empty((3, 6))
+    e, pose_jacobian, shared_jacobian, point_jacobian, root, slope = system
+    for i in range(at.points.shape[0]):
+        if not eliminate_landmark(at, i, system):
+            continue
+        first = observations.start[i]
+        for n in range(first, observations.start[i + 1]):
+            w = at.weights[n]
+            if w <= 0.0:
+                continue
+            o, k, c, g = n - first, observations.free_index[observations.frame[n]], observations.camera[n], group[n]
+            poses[:] = 0.0
+            whiten(point_jacobian[o], root, rows)
+            for a in range(2):
+                r = w * (e[o, a] - rows[0, a] * slope[0] - rows[1, a] * slope[1] - rows[2, a] * slope[2])
+                for p in range(shared_jacobian.shape[2]):
+                    sums.shared_gradients[g, c, p] += shared_jacobian[o, a, p] * r
+                if k < 0:
+                    continue
+                for p in range(6):
+                    sums.pose_gradients[k, g, p] += pose_jacobian[o, a, p] * r
+                    for j in range(3):
+                        poses[j, p] += w * pose_jacobian[o, a, p] * rows[j, a]
+            if k < 0:
+                continue
+            j0, j1 = pose_jacobian[o, 0], pose_jacobian[o, 1]
+            for p in range(6):
+                for q in range(6):
+                    used = poses[0, p] * poses[0, q] + poses[1, p] * poses[1, q] + poses[2, p] * poses[2, q]
+                    sums.information[k, g, p, q] += w * (j0[p] * j0[q] + j1[p] * j1[q]) - used
 
 
 def add_second_order_terms(covariance: FloatArray, surface_covariance: FloatArray) -> FloatArray:
@@ -119,8 +148,6 @@ def add_second_order_terms(covariance: FloatArray, surface_covariance: FloatArra
         surface_covariance: (N, 3, 3) covariance of p.
     """
     cross = np.cross(np.eye(3)[:, None], np.eye(3)).transpose(2, 0, 1)
-    out = covariance.copy()
-    out[:, 3:, 3:] += np.einsum(
-        "abc,def,kbe,kcf->kad", cross, cross, covariance[:, :3, :3], surface_covariance, optimize=True
-    )
+    out, parts = covariance.copy(), (cross, cross, covariance[:, :3, :3], surface_covariance)
+    out[:, 3:, 3:] += np.einsum("abc,def,kbe,kcf->kad", *parts, optimize=True)
     return out

@@ -14,11 +14,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from sylpose.bundle_adjustment.kernels import SortedObservations, Views, eliminate_landmark, find_longest_track
+from sylpose.bundle_adjustment.kernels import (
+    Linearization,
+    eliminate_landmark,
+    make_landmark_system,
+)
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.numba_linalg import kernel
-
-__all__ = ["shrink_depth_noise"]
 
 # Minimum number of landmarks for a plane fit: three would be exactly on it (choice).
 MIN_LANDMARKS = 6
@@ -26,16 +28,10 @@ MIN_LANDMARKS = 6
 MAX_ITERATIONS = 20
 
 
-def shrink_depth_noise(
-    observations: SortedObservations, views: Views, points: FloatArray, weights: FloatArray, landmark_prior: FloatArray
-) -> FloatArray:
-    """Return landmarks (m, 3) with their relief shrunk by its noise.
-
-    Args:
-        observations, views, points, weights, landmark_prior: as of `eliminate_landmarks`, at the optimum.
-    """
-    noise = np.full(len(points), np.nan)
-    compute_depth_noise(observations, views, points, weights, landmark_prior, noise)
+def shrink_depth_noise(at: Linearization) -> FloatArray:
+    """Return the landmarks (m, 3) at the optimum with their relief shrunk by its noise."""
+    observations, points, noise = at.observations, at.points, np.full(len(at.points), np.nan)
+    compute_depth_noise(at, noise)
     depths = np.einsum("mi,mi->m", observations.depth_direction, points)
     change = np.zeros(len(points))
     for c in np.unique(observations.first_viewer):
@@ -62,39 +58,16 @@ def _estimate_residual_depth_variance(squares: FloatArray, noise: FloatArray) ->
 
 
 @kernel
-def compute_depth_noise(
-    observations: SortedObservations,
-    views: Views,
-    points: FloatArray,
-    weights: FloatArray,
-    landmark_prior: FloatArray,
-    out: FloatArray,
-) -> None:
+def compute_depth_noise(at: Linearization, out: FloatArray) -> None:
     """Write the noise variance of each landmark's depth, in its viewer's direction at known poses, to out (m,).
 
     Landmarks without a weighted observation are left unchanged.
     """
-    longest, n_shared = find_longest_track(observations.start), views.parameters.shape[1]
-    e, pose_jacobian, point_jacobian = np.empty((longest, 2)), np.empty((longest, 2, 6)), np.empty((longest, 2, 3))
-    shared_jacobian = np.zeros((longest, 2, n_shared))
-    root, slope, v = np.zeros((3, 3)), np.empty(3), np.empty(3)
-    for i in range(points.shape[0]):
-        if not eliminate_landmark(
-            observations,
-            views,
-            points[i],
-            i,
-            weights,
-            landmark_prior,
-            e,
-            pose_jacobian,
-            shared_jacobian,
-            point_jacobian,
-            root,
-            slope,
-        ):
+    system, v = make_landmark_system(at), np.empty(3)
+    for i in range(at.points.shape[0]):
+        if not eliminate_landmark(at, i, system):
             continue
-        u = observations.depth_direction[i]
+        root, u = system.root, at.observations.depth_direction[i]
         # Change of the landmark per unit of gradient along u: V u, V = root' root.
         for j in range(3):
             v[j] = root[j, 0] * u[0] + root[j, 1] * u[1] + root[j, 2] * u[2]
@@ -104,4 +77,4 @@ def compute_depth_noise(
             moved = root[0, j] * v[0] + root[1, j] * v[1] + root[2, j] * v[2]
             size += moved * moved
         # V without the contribution of the prior, V (V^-1 - P) V with P the prior's information, along u.
-        out[i] = max(whole - landmark_prior[0] * whole * whole - landmark_prior[1] * size, 0.0)
+        out[i] = max(whole - at.prior[0] * whole * whole - at.prior[1] * size, 0.0)

@@ -1,4 +1,4 @@
-"""Compiled loops of the bundle adjustment: residuals, derivatives, and each landmark's 3x3 system.
+"""Compiled loops of the bundle adjustment: residuals, derivatives, triangulation, and each landmark's 3x3 system.
 
 Observations are sorted by landmark, then by frame. A landmark X of the object is observed by camera c in frame k at p =
 M (R X) + b, M = Q E and b = Q (t + u - o), where E and u move frame k's pose to the camera's timestamp.
@@ -15,25 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sylpose.geometry.arrays import FloatArray, IntArray
-from sylpose.geometry.numba_linalg import kernel
-
-__all__ = [
-    "BEHIND_PX",
-    "DEPTH",
-    "LENS",
-    "ROTATION",
-    "TIME_OFFSET",
-    "TRANSLATION",
-    "SortedObservations",
-    "Views",
-    "compute_depth_residual",
-    "compute_derivatives",
-    "compute_pixel_scale",
-    "compute_residuals",
-    "eliminate_landmark",
-    "find_longest_track",
-]
-
+from sylpose.geometry.numba_linalg import cholesky_solve, kernel
 
 # Residual of a landmark behind a camera, pixels: an outlier at any noise (choice).
 BEHIND_PX = 1e6
@@ -93,6 +75,42 @@ class Views(NamedTuple):
     rotvec_jacobians: FloatArray
     focals: FloatArray
     parameters: FloatArray
+
+
+class Linearization(NamedTuple):
+    """Weighted observations of landmarks, linearized at poses and points.
+
+    Attributes:
+        observations, views: n observations of m landmarks, and the frames as observed.
+        points: (m, 3) landmarks.
+        weights: (n,) of the squared residuals, 1/pixels²; 0 for points behind their camera.
+        prior: (2,) prior information, 1/length², on a landmark's depth at the surface, and on its position at the
+            origin.
+    """
+
+    observations: SortedObservations
+    views: Views
+    points: FloatArray
+    weights: FloatArray
+    prior: FloatArray
+
+
+class LandmarkSystem(NamedTuple):
+    """Terms of one landmark with k observations; filled by `eliminate_landmark`.
+
+    Attributes:
+        e: (k, 2) residuals.
+        pose_jacobian, shared_jacobian, point_jacobian: (k, 2, 6), (k, 2, K), (k, 2, 3) as of `compute_derivatives`.
+        root: (3, 3) inverse of the Cholesky factor of the landmark's information.
+        slope: (3,) root times its gradient.
+    """
+
+    e: FloatArray
+    pose_jacobian: FloatArray
+    shared_jacobian: FloatArray
+    point_jacobian: FloatArray
+    root: FloatArray
+    slope: FloatArray
 
 
 @kernel
@@ -185,9 +203,8 @@ def compute_derivatives(
             t2 = p0 * y - p1 * x
             for j in range(3):
                 rotvec_jacobian = views.rotvec_jacobians[c]
-                shared_jacobian[a, ROTATION + j] = (
-                    t0 * rotvec_jacobian[0, j] + t1 * rotvec_jacobian[1, j] + t2 * rotvec_jacobian[2, j]
-                )
+                turn = t0 * rotvec_jacobian[0, j] + t1 * rotvec_jacobian[1, j] + t2 * rotvec_jacobian[2, j]
+                shared_jacobian[a, ROTATION + j] = turn
                 shared_jacobian[a, TRANSLATION + j] = -pose_jacobian[a, 3 + j]
             for j in range(observations.lens.shape[2]):
                 observed += observations.lens[n, a, j] * views.parameters[c, LENS + j]
@@ -198,44 +215,39 @@ def compute_derivatives(
 
 
 @kernel
-def eliminate_landmark(
-    observations: SortedObservations,
-    views: Views,
-    point: FloatArray,
-    i: int,
-    weights: FloatArray,
-    landmark_prior: FloatArray,
-    e: FloatArray,
-    pose_jacobian: FloatArray,
-    shared_jacobian: FloatArray,
-    point_jacobian: FloatArray,
-    root: FloatArray,
-    slope: FloatArray,
-) -> bool:
+def make_landmark_system(at: Linearization) -> LandmarkSystem:
+    """Allocate the terms of a landmark."""
+    longest, start = 0, at.observations.start
+    for i in range(start.shape[0] - 1):
+        longest = max(longest, start[i + 1] - start[i])
+    e, pose_jacobian, point_jacobian = np.empty((longest, 2)), np.empty((longest, 2, 6)), np.empty((longest, 2, 3))
+    shared_jacobian = np.zeros((longest, 2, at.views.parameters.shape[1]))
+    return LandmarkSystem(e, pose_jacobian, shared_jacobian, point_jacobian, np.zeros((3, 3)), np.empty(3))
+
+
+@kernel
+def eliminate_landmark(at: Linearization, i: int, system: LandmarkSystem) -> bool:
     """Compute all terms of landmark i: its observations' residuals and derivatives, and its 3x3 system.
-
-    root (3, 3) becomes the inverse of the Cholesky factor of its information, slope (3,) root times its gradient.
-
-    Args:
-        landmark_prior: (2,) prior information, 1/length², on its depth at the surface, and on its position at the
-            origin.
 
     Returns:
         False if no observation has weight: the landmark is then not moved.
     """
-    first, last = observations.start[i], observations.start[i + 1]
-    u, r = observations.depth_direction[i], landmark_prior[0] * compute_depth_residual(observations, views, point, i)
-    v00, v11, v22 = (
-        landmark_prior[1] + landmark_prior[0] * u[0] * u[0],
-        landmark_prior[1] + landmark_prior[0] * u[1] * u[1],
-        landmark_prior[1] + landmark_prior[0] * u[2] * u[2],
+    observations, views, weights, depth_prior, lateral_prior = (
+        at.observations,
+        at.views,
+        at.weights,
+        at.prior[0],
+        at.prior[1],
     )
-    v10, v20, v21 = landmark_prior[0] * u[1] * u[0], landmark_prior[0] * u[2] * u[0], landmark_prior[0] * u[2] * u[1]
-    g0, g1, g2 = (
-        landmark_prior[1] * point[0] + r * u[0],
-        landmark_prior[1] * point[1] + r * u[1],
-        landmark_prior[1] * point[2] + r * u[2],
-    )
+    e, pose_jacobian, shared_jacobian, point_jacobian, root, slope = system
+    point, first, last = at.points[i], observations.start[i], observations.start[i + 1]
+    u, r = observations.depth_direction[i], depth_prior * compute_depth_residual(at, i)
+    v00, v10 = lateral_prior + depth_prior * u[0] * u[0], depth_prior * u[1] * u[0]
+    v11, v20 = lateral_prior + depth_prior * u[1] * u[1], depth_prior * u[2] * u[0]
+    v22, v21 = lateral_prior + depth_prior * u[2] * u[2], depth_prior * u[2] * u[1]
+    g0 = lateral_prior * point[0] + r * u[0]
+    g1 = lateral_prior * point[1] + r * u[1]
+    g2 = lateral_prior * point[2] + r * u[2]
     has_weight = False
     for n in range(first, last):
         w = weights[n]
@@ -243,11 +255,10 @@ def eliminate_landmark(
             continue
         has_weight = True
         o = n - first
-        compute_derivatives(
-            observations, views, point, n, e[o], pose_jacobian[o], shared_jacobian[o], point_jacobian[o]
-        )
+        by_pose, by_point = pose_jacobian[o], point_jacobian[o]
+        compute_derivatives(observations, views, point, n, e[o], by_pose, shared_jacobian[o], by_point)
         for a in range(2):
-            x, y, z = point_jacobian[o, a]
+            x, y, z = by_point[a]
             r = w * e[o, a]
             v00 += w * x * x
             v10 += w * y * x
@@ -274,9 +285,10 @@ def eliminate_landmark(
 
 
 @kernel
-def compute_depth_residual(observations: SortedObservations, views: Views, point: FloatArray, i: int) -> float:
-    """Return how much nearer to its viewer a landmark is than its viewer's surface."""
-    u, parameters = observations.depth_direction[i], views.parameters[observations.first_viewer[i]]
+def compute_depth_residual(at: Linearization, i: int) -> float:
+    """Return how much nearer to its viewer landmark i is than its viewer's surface."""
+    observations, point = at.observations, at.points[i]
+    u, parameters = observations.depth_direction[i], at.views.parameters[observations.first_viewer[i]]
     out: float = u[0] * point[0] + u[1] * point[1] + u[2] * point[2]
     for j in range(3):
         out -= observations.depth_basis[i, j] * parameters[DEPTH + j]
@@ -284,8 +296,33 @@ def compute_depth_residual(observations: SortedObservations, views: Views, point
 
 
 @kernel
-def find_longest_track(start: IntArray) -> int:
-    longest = 0
-    for i in range(start.shape[0] - 1):
-        longest = max(longest, start[i + 1] - start[i])
-    return longest
+def triangulate_rays(observations: SortedObservations, views: Views, prior: float, out: FloatArray) -> None:
+    """Write the points nearest to their rays and, weakly, to the origin to out (m, 3).
+
+    Rays are weighted by the inverse squared size of a pixel at the object.
+    """
+    ray, center, a = np.empty(3), np.empty(3), np.empty((3, 3))
+    for i in range(out.shape[0]):
+        for p in range(3):
+            a[p], out[i, p] = 0.0, 0.0
+            a[p, p] = prior
+        for n in range(observations.start[i], observations.start[i + 1]):
+            k, c = observations.frame[n], observations.camera[n]
+            r, m, b = views.object_rotations[k], views.camera_from_object[k, c], views.translations[k, c]
+            x, y = observations.image[n, 0], observations.image[n, 1]
+            # M R rotates the object's axes into the camera's.
+            for p in range(3):
+                ray[p], center[p] = 0.0, 0.0
+                for q in range(3):
+                    direction = m[0, q] * x + m[1, q] * y + m[2, q]
+                    ray[p] += r[q, p] * direction
+                    center[p] -= r[q, p] * (m[0, q] * b[0] + m[1, q] * b[1] + m[2, q] * b[2])
+            square = x * x + y * y + 1.0
+            weight = views.focals[c] ** 2 / (b[0] ** 2 + b[1] ** 2 + b[2] ** 2)
+            along = (ray[0] * center[0] + ray[1] * center[1] + ray[2] * center[2]) / square
+            for p in range(3):
+                a[p, p] += weight
+                out[i, p] += weight * (center[p] - along * ray[p])
+                for q in range(3):
+                    a[p, q] -= weight * ray[p] * ray[q] / square
+        cholesky_solve(a, out[i])

@@ -16,8 +16,6 @@ from sylpose.geometry.arrays import BoolArray, IntArray
 from sylpose.results import Status
 from sylpose.rig import Rig
 
-__all__ = ["count_frame_inliers", "find_lost_frames", "find_repeated_observations", "relocalize_lost_frames"]
-
 # A frame is lost if at most this fraction of its observations are inliers and it has at least so many (choice).
 MAX_INLIER_RATIO, MIN_OBSERVATIONS = 0.5, 12
 
@@ -54,12 +52,8 @@ def relocalize_lost_frames(
     """
     lost = find_lost_frames(result, observations)
     # Landmarks supported by observations in other frames.
-    supported = (
-        np.bincount(
-            observations.landmark, (result.weights > 0) & ~lost[observations.frame], minlength=len(result.landmarks)
-        )
-        > 1
-    )
+    is_support = (result.weights > 0) & ~lost[observations.frame]
+    supported = np.bincount(observations.landmark, is_support, minlength=len(result.landmarks)) > 1
     poses, has_new_pose = list(result.world_from_object), False
     for k in np.flatnonzero(lost & ~fixed_mask).tolist():
         camera_indices = [

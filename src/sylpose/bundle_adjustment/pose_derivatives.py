@@ -7,8 +7,6 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.geometry.arrays import FloatArray
 
-__all__ = ["compute_velocity_variance", "differentiate_quadratic", "differentiate_quartic"]
-
 # Poses that determine a polynomial of the fourth degree (derived).
 STENCIL_SIZE = 5
 

@@ -17,9 +17,11 @@ from sylpose.bundle_adjustment.kernels import (
     ROTATION,
     TIME_OFFSET,
     TRANSLATION,
+    Linearization,
     SortedObservations,
     Views,
     compute_residuals,
+    triangulate_rays,
 )
 from sylpose.bundle_adjustment.pose_derivatives import (
     compute_velocity_variance,
@@ -28,13 +30,9 @@ from sylpose.bundle_adjustment.pose_derivatives import (
 )
 from sylpose.bundle_adjustment.reduced_system import Solver, System, estimate_calibration_scales
 from sylpose.bundle_adjustment.schur import ReducedSystem, back_substitute, eliminate_landmarks
-from sylpose.bundle_adjustment.triangulation import triangulate_rays
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.robust_loss import biquartic_losses, biquartic_noise_response, biquartic_weights, robust_sigma
 from sylpose.results import Status
-
-__all__ = ["LATERAL_SD_RADII", "Fit", "FitSummary", "Problem", "State"]
-
 
 # Cutoff of the biquartic weights: nearly 1 up to two sigma, 0 beyond five (choice).
 CUTOFF_SIGMAS = 5.0
@@ -148,10 +146,8 @@ class Problem:
     def landmark_prior(self) -> FloatArray:
         """(2,) prior information, 1/length², on a landmark's depth and on its lateral position."""
         depths_fixed = bool(self.camera_parameters.fixed[self.camera_parameters.depth_mask].any())
-        return (
-            np.array([FIXED_DEPTH_SD_RADII if depths_fixed else DEPTH_SD_RADII, LATERAL_SD_RADII]) ** -2.0
-            / self.radius**2
-        )
+        sd_radii = np.array([FIXED_DEPTH_SD_RADII if depths_fixed else DEPTH_SD_RADII, LATERAL_SD_RADII])
+        return sd_radii**-2.0 / self.radius**2
 
     def view_frames(self, state: State) -> Views:
         """Return the frames as observed by each camera at its own timestamp."""
@@ -175,18 +171,12 @@ class Problem:
         translations, angular_velocity, linear_velocity = (
             np.einsum("cij,ncj->nci", rotations, v) for v in (translations, velocity[..., :3], velocity[..., 3:])
         )
-        camera_rotations = np.ascontiguousarray(camera_rotations)
-        return Views(
-            state.rotations,
-            camera_rotations,
-            translations,
-            angular_velocity,
-            linear_velocity,
-            rotations,
-            rotvec_jacobians,
-            self.focals,
-            shared,
-        )
+        frames = state.rotations, np.ascontiguousarray(camera_rotations), translations
+        return Views(*frames, angular_velocity, linear_velocity, rotations, rotvec_jacobians, self.focals, shared)
+
+    def linearize(self, state: State, weights: FloatArray) -> Linearization:
+        """Return the observations linearized at a state; weights (n,) are in 1/pixels²."""
+        return Linearization(self.observations, self.view_frames(state), state.points, weights, self.landmark_prior)
 
     def compute_residuals(self, state: State) -> FloatArray:
         """Return (n, 2) residuals, pixels."""
@@ -233,9 +223,8 @@ class Problem:
         # Landmarks whose observations have no weight are not moved and contribute no cost.
         weighted = self.repeat_mask * (q < 1.0) if fixed_weights is None else fixed_weights
         used = np.add.reduceat(weighted, observations.start[:-1]) > 0 if len(weighted) else np.zeros(0, bool)
-        depths = np.einsum("mi,mi->m", observations.depth_direction, state.points) - np.einsum(
-            "mi,mi->m", observations.depth_basis, heights[observations.first_viewer]
-        )
+        depths = np.einsum("mi,mi->m", observations.depth_direction, state.points)
+        depths = depths - np.einsum("mi,mi->m", observations.depth_basis, heights[observations.first_viewer])
         total += 0.5 * float(self.landmark_prior @ [(depths[used] ** 2).sum(), (state.points[used] ** 2).sum()])
         return total + 0.5 * float(state.z @ state.z)
 
@@ -250,10 +239,9 @@ class Problem:
         freedom = 2.0 - leverage - min(n_pose_unknowns / max(float(self.repeat_mask.sum()), 1.0), 0.5)
         coordinates = e / np.sqrt(np.maximum(freedom, 0.2) / 2.0)[:, None]
         pooled = robust_sigma(_subsample(coordinates[used]), MIN_SIGMA_PX)
-        of_camera = [coordinates[used & (camera == c)] for c in range(n)]
         camera_sigmas = [
             robust_sigma(_subsample(x), MIN_SIGMA_PX) if len(x) > PRIOR_DEGREES_OF_FREEDOM else pooled
-            for x in of_camera
+            for x in (coordinates[used & (camera == c)] for c in range(n))
         ]
         return self.estimate_weighted_noise(e, self.compute_weights(e, np.array(camera_sigmas)), leverage)
 
@@ -274,25 +262,21 @@ class Problem:
         """Compute the uncertainty of the solution; `connected` (N,) are the frames connected to a fixed one."""
         state, e = fit.state, self.compute_residuals(fit.state)
         sigma = self.estimate_weighted_noise(e, fit.weights, fit.leverage, MIN_REPORTED_SIGMA_PX)
-        views, moving = self.view_frames(state), self.observations.free_index >= 0
-        scaled = fit.weights / sigma[self.observations.camera] ** 2
+        scaled, moving = fit.weights / sigma[self.observations.camera] ** 2, self.observations.free_index >= 0
+        at = self.linearize(state, scaled)
         # Noise in the landmarks' depths would otherwise appear as information on rotations.
-        points = shrink_depth_noise(self.observations, views, state.points, scaled, self.landmark_prior)
-        system = self.build_system(replace(state, points=points), views, scaled)
+        system = self.build_system(state, at._replace(points=shrink_depth_noise(at)))
         solver = system.factorize()
         frame_covariance = solver.frames.inverse_blocks()
         # Disagreement of groups due to calibration errors is excluded: it is modeled as calibration uncertainty.
         pose_solver = solver.with_fixed(solver.fixed & (self.camera_parameters.kind == 0))
         rows = solver.gain.reshape(len(frame_covariance), 6, -1)
-        noise = frame_covariance + rows @ pose_solver.parameter_covariance(include_fixed=False) @ rows.transpose(
-            0, 2, 1
-        )
+        pose_covariance = pose_solver.parameter_covariance(include_fixed=False)
+        noise = frame_covariance + rows @ pose_covariance @ rows.transpose(0, 2, 1)
         excess = np.ones(len(moving))
-        excess[moving] = compute_variance_inflation(
-            self.observations, views, state.points, scaled, self.landmark_prior, system, pose_solver, noise
-        )
+        excess[moving] = compute_variance_inflation(at, system, pose_solver, noise)
         median_excess = float(np.median(excess[moving]))
-        scales = self._estimate_calibration_scales(state, views, scaled, median_excess)
+        scales = self._estimate_calibration_scales(state, at, median_excess)
         if self.camera_parameters.fixed[self.camera_parameters.kind > 0].any():
             solver = solver.rescale(scales[self.camera_parameters.kind])
             rows = solver.gain.reshape(rows.shape)
@@ -301,10 +285,8 @@ class Problem:
         frame_covariance = np.asarray(
             np.linalg.inv(information / excess[moving, None, None] + self.prior[moving]), float
         )
-        covariance = np.zeros((len(moving), 6, 6))
-        covariance[moving] = frame_covariance + rows @ solver.parameter_covariance(median_excess) @ rows.transpose(
-            0, 2, 1
-        )
+        covariance, shared_covariance = np.zeros((len(moving), 6, 6)), solver.parameter_covariance(median_excess)
+        covariance[moving] = frame_covariance + rows @ shared_covariance @ rows.transpose(0, 2, 1)
         covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
         shared = self._parameter_covariance(solver, median_excess)
         surface_covariance = self._surface_covariance(state, scaled, shared)
@@ -321,43 +303,33 @@ class Problem:
         """
         camera_weights = np.bincount(self.observations.camera, weights, minlength=len(self.focals))
         directions = self.centers - state.translations[:, None]
-        directions *= (camera_weights / max(camera_weights.sum(), 1e-300))[:, None] / np.linalg.norm(
-            directions, axis=2, keepdims=True
-        )
+        lengths = np.linalg.norm(directions, axis=2, keepdims=True)
+        directions *= (camera_weights / max(camera_weights.sum(), 1e-300))[:, None] / lengths
         spread = self.camera_parameters.basis[:, DEPTH]
-        return np.asarray(
-            np.einsum("kci,cd,kdj->kij", directions, spread @ shared @ spread.T, directions, optimize=True)
-        )
+        depths = spread @ shared @ spread.T
+        return np.asarray(np.einsum("kci,cd,kdj->kij", directions, depths, directions, optimize=True))
 
-    def _estimate_calibration_scales(
-        self, state: State, views: Views, weights: FloatArray, excess: float
-    ) -> FloatArray:
+    def _estimate_calibration_scales(self, state: State, at: Linearization, excess: float) -> FloatArray:
         """Return `estimate_calibration_scales` for the landmarks at the minimum of the cost."""
         if not self.camera_parameters.kind.any():
             return np.ones(4)
-        system = self.build_system(state, views, weights)
+        system = self.build_system(state, at)
         solver = system.factorize()
-        return estimate_calibration_scales(
-            solver.with_fixed(solver.fixed & (self.camera_parameters.kind == 0)), system, excess
-        )
+        solver = solver.with_fixed(solver.fixed & (self.camera_parameters.kind == 0))
+        return estimate_calibration_scales(solver, system, excess)
 
     def fix_depths(self) -> Problem:
         """Return the problem with the surfaces' depths fixed at their prior mean."""
-        return replace(
-            self,
-            camera_parameters=replace(
-                self.camera_parameters, fixed=self.camera_parameters.fixed | self.camera_parameters.depth_mask
-            ),
-        )
+        parameters = self.camera_parameters
+        return replace(self, camera_parameters=replace(parameters, fixed=parameters.fixed | parameters.depth_mask))
 
     def _scale_uncertainty(
         self, state: State, solver: Solver, excess: float, covariance: FloatArray, connected: BoolArray
     ) -> tuple[float, float]:
         """Return the path length's relative standard deviation and its fraction of the translations' variance."""
         moving = self.observations.free_index >= 0
-        path = np.where(connected[:, None], state.translations - state.translations[self.first_fixed_frame], 0.0)[
-            moving
-        ]
+        displacements = state.translations - state.translations[self.first_fixed_frame]
+        path = np.where(connected[:, None], displacements, 0.0)[moving]
         square = float((path**2).sum())
         if not square > 0.0:
             return np.inf, 0.0
@@ -386,22 +358,13 @@ class Problem:
             out[:n, :n] = offset_covariance
         return out
 
-    def build_system(
-        self, state: State, views: Views, weights: FloatArray, landmark_prior: FloatArray | None = None
-    ) -> System:
-        """Return the reduced system at a state; weights are in 1/pixels²."""
-        f, (c, s) = self.pattern.shape[0], views.parameters.shape
+    def build_system(self, state: State, at: Linearization) -> System:
+        """Return the reduced system at a state."""
+        f, (c, s) = self.pattern.shape[0], at.views.parameters.shape
         shapes = ((self.pattern.nnz, 6, 6), (f, 6), (f, 6, c, s), (c, s, c, s), (c, s), (len(self.observations.frame),))
         indptr, columns = (a.astype(np.int64) for a in (self.pattern.indptr, self.pattern.indices))
         out = ReducedSystem(indptr, columns, *(np.zeros(shape) for shape in shapes))
-        eliminate_landmarks(
-            self.observations,
-            views,
-            state.points,
-            weights,
-            self.landmark_prior if landmark_prior is None else landmark_prior,
-            out,
-        )
+        eliminate_landmarks(at, out)
         moving = self.observations.free_index >= 0
         change = self._pose_change(state)[moving]
         slope = np.zeros((f, 6, 6))
@@ -411,19 +374,10 @@ class Problem:
         out.gradient[:] += np.einsum("nij,nj->ni", weighted_slope, change)
         return System(out, self.observations.free_index, self.camera_parameters, state.z)
 
-    def apply_step(self, state: State, views: Views, weights: FloatArray, step: FloatArray, z: FloatArray) -> State:
+    def apply_step(self, state: State, at: Linearization, step: FloatArray, z: FloatArray) -> State:
         """Return the state after a step of the frames and of z, with the corresponding step of the landmarks."""
         points = np.empty_like(state.points)
-        back_substitute(
-            self.observations,
-            views,
-            state.points,
-            weights,
-            self.landmark_prior,
-            step,
-            self.camera_parameters.basis @ z,
-            points,
-        )
+        back_substitute(at, step, self.camera_parameters.basis @ z, points)
         rotations = Rotation.from_rotvec(step[:, :3]).as_matrix() @ state.rotations
         return State(rotations, state.translations + step[:, 3:], points, state.z + z, state.pose_derivatives)
 

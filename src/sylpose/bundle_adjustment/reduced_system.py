@@ -14,9 +14,6 @@ from sylpose.bundle_adjustment.schur import ReducedSystem, find_column
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.numba_linalg import kernel
 
-__all__ = ["Factor", "Solver", "System", "estimate_calibration_scales", "invert_diagonal_blocks"]
-
-
 # Systems of at most so many frames, or with this fill ratio, are solved as dense ones (choice).
 DENSE_FRAMES, DENSE_FILL_RATIO = 100, 0.25
 # Range of the scale of calibration errors relative to typical ones (choice), and the standard deviation of its

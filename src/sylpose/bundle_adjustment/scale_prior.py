@@ -9,12 +9,18 @@ covariance.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.bundle_adjustment.bundle import BundleResult, Observations, bundle_adjust, resolve_fixed_frames
+from sylpose.bundle_adjustment.bundle import (
+    DEFAULT_OPTIONS,
+    BundleOptions,
+    BundleResult,
+    Observations,
+    bundle_adjust,
+    resolve_fixed_frames,
+)
 from sylpose.bundle_adjustment.camera_parameters import MEAN_DEPTH_RADII, compute_depth_basis
 from sylpose.bundle_adjustment.covariance_inflation import add_second_order_terms
 from sylpose.bundle_adjustment.lost_frames import (
@@ -27,8 +33,6 @@ from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.robust_loss import biquartic_losses
 from sylpose.landmarks.support_size import compute_extent, estimate_size
 from sylpose.rig import Rig
-
-__all__ = ["SMALL_ROTATION", "bundle_adjust_with_scale", "has_lost_frame", "is_scale_unobservable"]
 
 # A relative standard deviation of the length below this is sufficient (choice).
 MAX_SCALE_SD = 0.005
@@ -54,46 +58,41 @@ def bundle_adjust_with_scale(
     observations: Observations,
     world_from_object: RigidTransform,
     radius: float,
+    options: BundleOptions = DEFAULT_OPTIONS,
     *,
     alternative_start: RigidTransform | None = None,
-    **options: Any,
 ) -> BundleResult:
     """Run `bundle_adjust`, with a scale prior if the path's length is not observable.
 
     The prior is on the depths: all cameras observe one body.
 
     Args:
-        rig, observations, world_from_object, radius: as of `bundle_adjust`.
+        rig, observations, world_from_object, radius, options: as of `bundle_adjust`.
         alternative_start: another initial path, which may be more likely.
-        **options: further options of `bundle_adjust`.
     """
-    result, alternative_covariance = _bundle_from_two_starts(rig, observations, world_from_object, radius, **options)
+    result, alternative_covariance = _bundle_from_two_starts(rig, observations, world_from_object, radius, options)
     if alternative_start is not None:
-        alternative = bundle_adjust(rig, observations, alternative_start, radius, **{**options, "landmarks": None})
+        alternative = bundle_adjust(rig, observations, alternative_start, radius, replace(options, landmarks=None))
         if _is_better(alternative, result, observations):
             result, alternative_covariance = alternative, np.zeros_like(alternative_covariance)
-    start = relocalize_lost_frames(
-        rig, observations, result, resolve_fixed_frames(options.get("fixed"), len(alternative_covariance))
-    )
+    fixed_mask = resolve_fixed_frames(options.fixed, len(alternative_covariance))
+    start = relocalize_lost_frames(rig, observations, result, fixed_mask)
     if start is not None:
-        alternative = bundle_adjust(rig, observations, start, radius, **{**options, "landmarks": result.landmarks})
+        alternative = bundle_adjust(rig, observations, start, radius, replace(options, landmarks=result.landmarks))
         if _is_better(alternative, result, observations):
             result = alternative
-    depth_prior = (
-        _estimate_depth_prior(rig, observations, result, radius)
-        if len(rig) > 1 and is_scale_unobservable(result)
-        else None
-    )
+    depth_prior = None
+    if len(rig) > 1 and is_scale_unobservable(result):
+        depth_prior = _estimate_depth_prior(rig, observations, result, radius)
     if depth_prior is not None:
-        new_options = {**options, "landmarks": result.landmarks, "depth_prior": depth_prior}
-        result = bundle_adjust(rig, observations, result.world_from_object, radius, **new_options)
-    return replace(
-        result, covariance=result.covariance + add_second_order_terms(alternative_covariance, result.surface_covariance)
-    )
+        new_options = replace(options, landmarks=result.landmarks, depth_prior=depth_prior)
+        result = bundle_adjust(rig, observations, result.world_from_object, radius, new_options)
+    difference = add_second_order_terms(alternative_covariance, result.surface_covariance)
+    return replace(result, covariance=result.covariance + difference)
 
 
 def _bundle_from_two_starts(
-    rig: Rig, observations: Observations, world_from_object: RigidTransform, radius: float, **options: Any
+    rig: Rig, observations: Observations, world_from_object: RigidTransform, radius: float, options: BundleOptions
 ) -> tuple[BundleResult, FloatArray]:
     """Run `bundle_adjust` from the given poses and, if they rotate little, without rotation.
 
@@ -103,22 +102,21 @@ def _bundle_from_two_starts(
         the solution of lower cost, and the squared difference (N, 6, 6) of (w, d) from the other, where it is nearly as
         good.
     """
-    result = bundle_adjust(rig, observations, world_from_object, radius, **options)
+    result = bundle_adjust(rig, observations, world_from_object, radius, options)
     first, no_difference = world_from_object.rotation[0], np.zeros_like(result.covariance)
     if (world_from_object.rotation * first.inv()).magnitude().max() > SMALL_ROTATION:
         return result, no_difference
     static_start = RigidTransform.from_components(world_from_object.translation, first)
-    static_result = bundle_adjust(
-        rig, observations, static_start, radius, **{**options, "landmarks": None, "fix_depths": True}
-    )
+    static_options = replace(options, landmarks=None, fix_depths=True)
+    static_result = bundle_adjust(rig, observations, static_start, radius, static_options)
     repeated = find_repeated_observations(observations)
     if has_lost_frame(static_result, result, observations, repeated):
         return result, no_difference
     costs = _compute_costs(result, static_result, observations, repeated)
     best, second = result, static_result
     if costs[1] < costs[0]:
-        new_options = {**options, "landmarks": static_result.landmarks}
-        best, second = bundle_adjust(rig, observations, static_result.world_from_object, radius, **new_options), result
+        new_options, second = replace(options, landmarks=static_result.landmarks), result
+        best = bundle_adjust(rig, observations, static_result.world_from_object, radius, new_options)
         if has_lost_frame(best, result, observations, repeated):
             return result, no_difference
     if max(costs) > CLEAR_COST_RATIO * min(costs):
@@ -163,9 +161,8 @@ def _estimate_depth_prior(
     camera[observations.landmark] = observations.camera
     centers = first.inv().apply(np.array([c.center for c in rig])).reshape(-1, 3)
     of_cameras = [result.landmarks[(camera == c) & (counts >= 2)] for c in range(len(rig))]
-    relative_size, sd = estimate_size(
-        [compute_extent(landmarks, o) for landmarks, o in zip(of_cameras, centers, strict=True)], radius
-    )
+    extents = [compute_extent(landmarks, o) for landmarks, o in zip(of_cameras, centers, strict=True)]
+    relative_size, sd = estimate_size(extents, radius)
     if not np.isfinite(sd):
         return None
     axes = [c.rotation[:2] @ first.rotation.as_matrix() for c in rig]

@@ -92,8 +92,7 @@ def solve_poses(options: PoseOptions) -> Run:
     """
     import numpy as np
 
-    from sylpose.absolute_pose.pose import estimate_pose
-    from sylpose.absolute_pose.pose_frame import make_frame_pose
+    from sylpose.absolute_pose.pose import estimate_pose, make_frame_pose
     from sylpose.io.point_files import load_points
     from sylpose.report.files import TrajectoryWriter
     from sylpose.results import FramePose, Trajectory

@@ -17,6 +17,7 @@ IJCV 2004 (inverse compositional, with gain and bias projected out, part 3).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -24,8 +25,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from sylpose.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 from sylpose.geometry.numba_linalg import kernel
-
-__all__ = ["TemplatePatches", "Tracks", "flatten_illumination", "start_tracks", "to_gray", "track_features"]
 
 Filters = NDArray[np.float32]
 
@@ -44,8 +43,9 @@ MAX_CORRECTION_PX = 2.0
 MIN_CORRELATION = 0.85
 # Frame-to-frame Lucas-Kanade: window, pixels, pyramid levels above the image, and termination criteria. A smaller
 # window mistakes less change of shape for motion.
-KLT_WINDOW, KLT_LEVELS = (9, 9), 2
 KLT_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)
+KLT_OPTIONS: dict[str, Any] = {"winSize": (9, 9), "maxLevel": 2, "criteria": KLT_CRITERIA}
+KLT_OPTIONS["flags"] = cv2.OPTFLOW_USE_INITIAL_FLOW
 # Width of the square over which illumination is flattened, pixels. A smaller one would reduce the capture range.
 FLATTEN_WINDOW_PX = 51
 # Margin of the processed area around the features, pixels: the coarsest level's window plus the motion.
@@ -98,18 +98,10 @@ class Tracks:
 
     def concatenate(self, others: Tracks) -> Tracks:
         """Return these rows followed by those of `others`."""
-        a, b = self.patches, others.patches
-        patches = TemplatePatches(
-            np.concatenate([a.filters, b.filters]),
-            np.concatenate([a.contrast, b.contrast]),
-            np.concatenate([a.sd, b.sd]),
-        )
-        return Tracks(
-            patches,
-            np.concatenate([self.pixels, others.pixels]),
-            np.concatenate([self.warps, others.warps]),
-            np.concatenate([self.tracked, others.tracked]),
-        )
+        a, b, join = self.patches, others.patches, np.concatenate
+        patches = TemplatePatches(join([a.filters, b.filters]), join([a.contrast, b.contrast]), join([a.sd, b.sd]))
+        pixels, warps = join([self.pixels, others.pixels]), join([self.warps, others.warps])
+        return Tracks(patches, pixels, warps, join([self.tracked, others.tracked]))
 
     def keep(self, mask: BoolArray) -> Tracks:
         """Mark features outside the mask (n,) as lost, such as outliers of a motion."""
@@ -201,16 +193,12 @@ def track_features(tracks: Tracks, previous: Image, current: Image, guess: Array
     start[active] = _track_pyramidal(previous, current, tracks.pixels[active], start[active])
     candidates = np.flatnonzero(np.isfinite(start).all(axis=1))
     positions, warps, correlation = start[candidates], tracks.warps[candidates], np.zeros(len(candidates))
-    _register_patches(
-        current, tracks.patches.filters, tracks.patches.contrast, candidates, positions, warps, correlation
-    )
+    templates = tracks.patches
+    _register_patches(current, templates.filters, templates.contrast, candidates, positions, warps, correlation)
     found = correlation > MIN_CORRELATION
     pixels, all_warps, tracked = np.full_like(start, np.nan), tracks.warps.copy(), np.zeros(len(tracks), bool)
-    pixels[candidates[found]], all_warps[candidates[found]], tracked[candidates[found]] = (
-        positions[found],
-        warps[found],
-        True,
-    )
+    rows = candidates[found]
+    pixels[rows], all_warps[rows], tracked[rows] = positions[found], warps[found], True
     return Tracks(tracks.patches, pixels, all_warps, tracked)
 
 
@@ -234,9 +222,8 @@ def _build_templates(patches: Filters) -> TemplatePatches:
     n, samples = len(patches), (2 * PATCH_RADIUS + 1) ** 2
     along_u = (0.5 * (patches[:, 1:-1, 2:] - patches[:, 1:-1, :-2])).reshape(n, samples)
     along_v = (0.5 * (patches[:, 2:, 1:-1] - patches[:, :-2, 1:-1])).reshape(n, samples)
-    v, u = (
-        np.mgrid[-PATCH_RADIUS : PATCH_RADIUS + 1, -PATCH_RADIUS : PATCH_RADIUS + 1].reshape(2, -1) / PATCH_RADIUS
-    ).astype(np.float32)
+    offsets = slice(-PATCH_RADIUS, PATCH_RADIUS + 1)
+    v, u = (np.mgrid[offsets, offsets].reshape(2, -1) / PATCH_RADIUS).astype(np.float32)
     # Derivatives with respect to translation and to the warp, the latter in pixels at the patch border.
     slopes = np.stack([along_u, along_v, along_u * u, along_u * v, along_v * u, along_v * v], axis=1)
     texture = patches[:, 1:-1, 1:-1].reshape(n, samples)
@@ -271,16 +258,9 @@ def _track_pyramidal(previous: Image, current: Image, pixels: FloatArray, start:
     right, bottom = both.max(axis=0).astype(np.int64) + MARGIN_PX + 1
     window = slice(top, bottom), slice(left, right)
     corner = np.array([left, top], dtype=float)
-    positions, status, _ = cv2.calcOpticalFlowPyrLK(
-        flatten_illumination(previous[window]),
-        flatten_illumination(current[window]),
-        (pixels[is_inside] - corner).astype(np.float32),
-        (start[is_inside] - corner).astype(np.float32),
-        winSize=KLT_WINDOW,
-        maxLevel=KLT_LEVELS,
-        criteria=KLT_CRITERIA,
-        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
-    )
+    images = flatten_illumination(previous[window]), flatten_illumination(current[window])
+    points = ((p[is_inside] - corner).astype(np.float32) for p in (pixels, start))
+    positions, status, _ = cv2.calcOpticalFlowPyrLK(*images, *points, **KLT_OPTIONS)
     tracked_pixels[is_inside] = np.where(status.reshape(-1, 1) > 0, positions.reshape(-1, 2) + corner, np.nan)
     return tracked_pixels
 
@@ -295,10 +275,8 @@ def flatten_illumination(image: Image) -> Image:
 def _sample_patch(image: Image, x: float, y: float, warp: FloatArray, out: Filters) -> bool:
     """Sample the patch under a warp (2, 2) around (x, y), bilinear, in row order; False outside the image."""
     height, width = image.shape
-    reach_u, reach_v = (
-        PATCH_RADIUS * (abs(warp[0, 0]) + abs(warp[0, 1])),
-        PATCH_RADIUS * (abs(warp[1, 0]) + abs(warp[1, 1])),
-    )
+    reach_u = PATCH_RADIUS * (abs(warp[0, 0]) + abs(warp[0, 1]))
+    reach_v = PATCH_RADIUS * (abs(warp[1, 0]) + abs(warp[1, 1]))
     # NaN must count as outside.
     if not (x - reach_u >= 0.0 and y - reach_v >= 0.0 and x + reach_u < width - 1.01 and y + reach_v < height - 1.01):
         return False
@@ -306,10 +284,8 @@ def _sample_patch(image: Image, x: float, y: float, warp: FloatArray, out: Filte
     right, down, one = np.float32(warp[0, 0]), np.float32(warp[1, 0]), np.uint32(1)
     i = 0
     for v in range(-PATCH_RADIUS, PATCH_RADIUS + 1):
-        u0, v0 = (
-            np.float32(x + warp[0, 1] * v - warp[0, 0] * PATCH_RADIUS),
-            np.float32(y + warp[1, 1] * v - warp[1, 0] * PATCH_RADIUS),
-        )
+        u0 = np.float32(x + warp[0, 1] * v - warp[0, 0] * PATCH_RADIUS)
+        v0 = np.float32(y + warp[1, 1] * v - warp[1, 0] * PATCH_RADIUS)
         for k in range(2 * PATCH_RADIUS + 1):
             at_u, at_v = u0 + right * np.float32(k), v0 + down * np.float32(k)
             column, row = np.uint32(at_u), np.uint32(at_v)

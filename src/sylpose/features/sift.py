@@ -16,17 +16,6 @@ from sylpose.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 from sylpose.matches import STATIC_PX
 from sylpose.rig import Camera
 
-__all__ = [
-    "MAX_FAINT_FEATURES",
-    "MAX_FEATURES",
-    "Features",
-    "detect_features",
-    "find_static_features",
-    "match_features",
-    "match_guided",
-]
-
-
 # Padding of a crop, pixels: the object region has a margin already, and SIFT's time is proportional to the area.
 CROP_MARGIN_PX = 8
 MAX_FEATURES = 1000
@@ -137,11 +126,8 @@ def detect_features(
         gray, step = _cv2.resize(gray, smaller.tolist(), interpolation=cv2.INTER_AREA), size / smaller
         if crop_mask is not None:
             crop_mask = _cv2.resize(crop_mask, smaller.tolist(), interpolation=cv2.INTER_NEAREST)
-    limits = (
-        {"contrastThreshold": FAINT_CONTRAST, "edgeThreshold": FAINT_EDGE}
-        if faint
-        else {"contrastThreshold": MIN_CONTRAST}
-    )
+    faint_limits = {"contrastThreshold": FAINT_CONTRAST, "edgeThreshold": FAINT_EDGE}
+    limits = faint_limits if faint else {"contrastThreshold": MIN_CONTRAST}
     sift = _cv2.SIFT_create(nfeatures=max_features, **limits)
     keypoints, descriptors = sift.detectAndCompute(gray, crop_mask)
     if descriptors is None or len(keypoints) == 0:
@@ -150,10 +136,8 @@ def detect_features(
     pixels = step * _cv2.KeyPoint_convert(keypoints).astype(float).reshape(-1, 2) + np.array([left, top])
     pixels += 0.5 * (step - 1.0) - step * SIFT_BIAS_PX
     root = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-12))
-    responses = np.array([keypoint.response for keypoint in keypoints])
-    return Features(
-        pixels, camera.normalize_to_grid(pixels), root.astype(np.float32), RESPONSE_SCALE * responses < MIN_CONTRAST
-    )
+    is_faint = RESPONSE_SCALE * np.array([keypoint.response for keypoint in keypoints]) < MIN_CONTRAST
+    return Features(pixels, camera.normalize_to_grid(pixels), root.astype(np.float32), is_faint)
 
 
 def match_features(a: Features, b: Features, ratio: float = 0.8, max_displacement_px: float = np.inf) -> IntArray:

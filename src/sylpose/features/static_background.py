@@ -25,16 +25,6 @@ from sylpose.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 from sylpose.geometry.numba_linalg import kernel
 from sylpose.rig import Camera
 
-__all__ = [
-    "MIN_CORNERS",
-    "CameraRotation",
-    "RotationRectifier",
-    "StaticBackground",
-    "detect_corners",
-    "estimate_camera_rotation",
-    "find_unchanged_corners",
-]
-
 # Images are downscaled by an integer factor until their longer side is at most this, pixels.
 MAX_SIDE_PX = 480
 # Largest number of corners, least distance between them as a share of the longer side, and least strength as a share of
@@ -118,9 +108,8 @@ def detect_corners(image: Image, area: BoolArray | None = None) -> StaticBackgro
     mask = None if area is None else np.ascontiguousarray(area[::step, ::step], dtype=np.uint8)
     if mask is not None:
         mask = mask[: small.shape[0], : small.shape[1]]
-    corners: Any = cv2.goodFeaturesToTrack(
-        small, MAX_CORNERS, MIN_CORNER_QUALITY, MIN_CORNER_DISTANCE * max(small.shape), mask=mask
-    )
+    distance = MIN_CORNER_DISTANCE * max(small.shape)
+    corners: Any = cv2.goodFeaturesToTrack(small, MAX_CORNERS, MIN_CORNER_QUALITY, distance, mask=mask)
     positions = np.empty((0, 2)) if corners is None else np.asarray(corners, dtype=float).reshape(-1, 2)
     pixels = np.round(_to_image_pixels(positions, step))
     reach = step * PATCH_RADIUS
@@ -161,9 +150,8 @@ def estimate_camera_rotation(
     start = positions
     for iteration in range(3):
         moved = _track_corners(background.small_image, small, positions, start)
-        rotation, is_inlier = _fit_rotation_ransac(
-            before, _compute_small_directions(camera, moved, background.step), limit
-        )
+        now = _compute_small_directions(camera, moved, background.step)
+        rotation, is_inlier = _fit_rotation_ransac(before, now, limit)
         if best is None or is_inlier.sum() > best[0]:
             best = int(is_inlier.sum()), rotation, moved, is_inlier
         if iteration == 0 and is_inlier.sum() < MIN_INLIER_RATIO * len(positions):
@@ -181,20 +169,12 @@ def estimate_camera_rotation(
     noise = max(float(np.sqrt(np.mean(residuals**2))), MIN_NOISE_PX * background.step)
     outer_products = np.einsum("ni,nj->ij", before[is_inlier], before[is_inlier])
     information = (count * np.eye(3) - outer_products) * (camera.focal / noise) ** 2
-    return CameraRotation(
-        rotation,
-        float(1.0 / np.sqrt(max(np.linalg.eigvalsh(information)[0], 1e-300))),
-        int((inside | is_inlier).sum()),
-        count,
-        int(
-            (
-                ~is_inlier
-                & (find_unchanged_corners(background, image)[is_used] | (displacements < STATIC_PX * background.step))
-            ).sum()
-        ),
-        float(np.sqrt(max(np.linalg.eigvalsh(np.cov(pixels[is_inlier].T))[0], 0.0))) / float(size.min()),
-        float(np.median(displacements[is_inlier])),
-    )
+    is_static = find_unchanged_corners(background, image)[is_used] | (displacements < STATIC_PX * background.step)
+    sd = float(1.0 / np.sqrt(max(np.linalg.eigvalsh(information)[0], 1e-300)))
+    spread = float(np.sqrt(max(np.linalg.eigvalsh(np.cov(pixels[is_inlier].T))[0], 0.0))) / float(size.min())
+    evaluated, static = int((inside | is_inlier).sum()), int((~is_inlier & is_static).sum())
+    displacement = float(np.median(displacements[is_inlier]))
+    return CameraRotation(rotation, sd, evaluated, count, static, spread, displacement)
 
 
 class RotationRectifier:
@@ -214,22 +194,15 @@ class RotationRectifier:
 
     def rectify_image(self, image: Image) -> Image:
         """Rectify an image (h, w, 3) or (h, w); only pixels in `valid` (h, w) are usable."""
-        return np.asarray(
-            cv2.remap(image, self._maps[0], self._maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE),
-            np.uint8,
-        )
+        u, v = self._maps
+        return np.asarray(cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8)
 
     def rectify_mask(self, mask: BoolArray | None) -> BoolArray:
         """Rectify the object mask (h, w) and restrict it to the valid pixels; None: everywhere."""
         if mask is None:
             return self.valid
-        rectified = cv2.remap(
-            mask.astype(np.uint8),
-            self._maps[0],
-            self._maps[1],
-            cv2.INTER_NEAREST,
-            borderMode=cv2.BORDER_CONSTANT,
-        )
+        u, v = self._maps
+        rectified = cv2.remap(mask.astype(np.uint8), u, v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT)
         return np.asarray(rectified, dtype=bool) & self.valid
 
 
@@ -238,9 +211,8 @@ def _downscale_and_normalize(image: Image, step: int) -> Image:
     gray = to_gray(image)
     if step > 1:
         size = gray.shape[1] // step, gray.shape[0] // step
-        gray = np.asarray(
-            cv2.resize(gray[: step * size[1], : step * size[0]], size, interpolation=cv2.INTER_AREA), np.uint8
-        )
+        cropped = gray[: step * size[1], : step * size[0]]
+        gray = np.asarray(cv2.resize(cropped, size, interpolation=cv2.INTER_AREA), np.uint8)
     flattened = flatten_illumination(gray)
     gain = TARGET_CONTRAST / max(float(flattened.std()), MIN_CONTRAST)
     return np.asarray(cv2.convertScaleAbs(flattened, alpha=gain, beta=128.0 * (1.0 - gain)), np.uint8)
@@ -294,12 +266,9 @@ def _fill_patches(image: Image, pixels: IntArray, step: int, patches: FloatArray
 def _estimate_by_sift(background: StaticBackground, small: Image, camera: Camera, limit: float) -> FloatArray:
     """Estimate the rotation (3, 3) from SIFT matches between the two images, for any displacement."""
     a, b = detect_features(background.small_image, camera), detect_features(small, camera)
-    pairs = match_features(a, b)
-    directions = [
-        _compute_small_directions(camera, f.pixels[index], background.step)
-        for f, index in zip((a, b), pairs.T, strict=True)
-    ]
-    return _fit_rotation_ransac(directions[0], directions[1], limit)[0]
+    i, j = match_features(a, b).T
+    before, now = (_compute_small_directions(camera, p, background.step) for p in (a.pixels[i], b.pixels[j]))
+    return _fit_rotation_ransac(before, now, limit)[0]
 
 
 def _compute_small_directions(camera: Camera, positions: FloatArray, step: int) -> FloatArray:
@@ -316,14 +285,10 @@ def _track_corners(small: Image, other: Image, positions: FloatArray, start: Flo
     points, start = positions.astype(np.float32), start.astype(np.float32)
     forward, forward_status, _ = cv2.calcOpticalFlowPyrLK(small, other, points, start.copy(), **options)
     # Starting at the original position would make the backward check too easy.
-    backward, backward_status, _ = cv2.calcOpticalFlowPyrLK(
-        other, small, forward, forward - (start - points), **options
-    )
-    good = (
-        (forward_status.ravel() > 0)
-        & (backward_status.ravel() > 0)
-        & (np.linalg.norm(backward - points, axis=1) < MAX_ROUND_TRIP_PX)
-    )
+    returned = forward - (start - points)
+    backward, backward_status, _ = cv2.calcOpticalFlowPyrLK(other, small, forward, returned, **options)
+    is_tracked = (forward_status.ravel() > 0) & (backward_status.ravel() > 0)
+    good = is_tracked & (np.linalg.norm(backward - points, axis=1) < MAX_ROUND_TRIP_PX)
     inside = ((forward >= 0) & (forward <= np.array(other.shape[::-1]) - 1)).all(axis=1)
     return np.where((good & inside)[:, None], forward.astype(float), np.nan)
 

@@ -29,7 +29,7 @@ from sylpose.network.wire_format import Welcome
 from sylpose.network.worker_thread import WorkerThread
 from sylpose.packets import NO_FAULTS, Inbox, NetworkFaults, Packet, run_network
 from sylpose.rig import Rig
-from sylpose.smoothing.trajectory import SmoothedTrajectory
+from sylpose.smoothing import SmoothedTrajectory
 from sylpose.tracking.tracked_frame import TrackedFrame
 
 __all__ = ["SimulationResult", "track_by_nodes"]

@@ -5,11 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.numba_linalg import cholesky_solve, compute_median, kernel
+from sylpose.geometry.numba_linalg import cholesky_solve, compute_median, kernel, leaf
 from sylpose.geometry.robust_loss import SIGMA_OF_MEDIAN, bisquare
-
-__all__ = ["find_hyperplane_inliers"]
-
 
 # Maximum number of matches to score hypotheses on: enough to rank them at a bounded cost (choice).
 MAX_SCORED = 256
@@ -70,19 +67,7 @@ def find_hyperplane_inliers(
             for a in range(4):
                 edge[k, a] = joint[qk, a] - joint[q0, a]
         drawn += 1
-        length = 0.0
-        for a in range(4):
-            # The normal of three vectors in 4D: the cofactors of the 3x4 matrix.
-            b, c, d = (a + 1) % 4, (a + 2) % 4, (a + 3) % 4
-            normal[a] = (
-                edge[0, b] * (edge[1, c] * edge[2, d] - edge[1, d] * edge[2, c])
-                - edge[0, c] * (edge[1, b] * edge[2, d] - edge[1, d] * edge[2, b])
-                + edge[0, d] * (edge[1, b] * edge[2, c] - edge[1, c] * edge[2, b])
-            )
-            if a % 2 == 1:
-                normal[a] = -normal[a]
-            length += normal[a] ** 2
-        length = np.sqrt(length)
+        length = _compute_normal(edge, normal)
         if not length > 1e-12 * scale**3:
             continue
         offset = 0.0
@@ -125,6 +110,21 @@ def find_hyperplane_inliers(
         rms = _fit_hyperplane(joint, weights, best)
     _drop_outliers_along_line(joint, weights, best)
     return float(rms)
+
+
+@leaf
+def _compute_normal(edge: FloatArray, normal: FloatArray) -> float:
+    """Set the normal (4,) of three vectors in 4D, the rows of edge (3, 4): its cofactors; return its length."""
+    length = 0.0
+    for a in range(4):
+        b, c, d = (a + 1) % 4, (a + 2) % 4, (a + 3) % 4
+        first = edge[0, b] * (edge[1, c] * edge[2, d] - edge[1, d] * edge[2, c])
+        second = edge[0, c] * (edge[1, b] * edge[2, d] - edge[1, d] * edge[2, b])
+        normal[a] = first - second + edge[0, d] * (edge[1, b] * edge[2, c] - edge[1, c] * edge[2, b])
+        if a % 2 == 1:
+            normal[a] = -normal[a]
+        length += normal[a] ** 2
+    return float(np.sqrt(length))
 
 
 @kernel

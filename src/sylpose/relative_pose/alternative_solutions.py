@@ -23,16 +23,6 @@ from sylpose.relative_pose.irls import IrlsFit
 from sylpose.relative_pose.robust_fit import RefinedMinima
 from sylpose.relative_pose.terms import Candidate, Stack
 
-__all__ = [
-    "MAX_LIKELIHOOD_LOSS",
-    "AlternativeMotion",
-    "compute_second_planes",
-    "find_likeliest_alternative",
-    "has_likely_alternative",
-    "is_narrow_baseline",
-    "merge_minima",
-]
-
 # An object is flat if residual depth and curvature displace points by less than this, in standard deviations of their
 # noise (choice).
 MAX_FLAT_SIGMAS = 3.0
@@ -140,12 +130,6 @@ def _transfer_plane(stack: Stack, t: int, normal: FloatArray) -> FloatArray:
     return out
 
 
-@kernel
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return a x b of two (3,): NumPy's version takes twenty times as long."""
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
-
-
 def _compute_second_plane(
     H: FloatArray, normal: FloatArray, anchor: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
@@ -162,8 +146,8 @@ def _compute_second_plane(
     solutions = []
     for sign in (1.0, -1.0):
         u = (np.sqrt(deficit) * rows[0] + sign * np.sqrt(excess) * rows[2]) / np.sqrt(excess + deficit)
-        n, mapped = _cross(middle, u), np.stack([H @ middle, H @ u])
-        R = np.column_stack([*mapped, _cross(mapped[0], mapped[1])]) @ np.stack([middle, u, n])
+        n, mapped = np.cross(middle, u), np.stack([H @ middle, H @ u])
+        R = np.column_stack([*mapped, np.cross(mapped[0], mapped[1])]) @ np.stack([middle, u, n])
         solutions.append((abs(float(n @ normal)), R, n))
     _, R, n = min(solutions, key=lambda solution: solution[0])
     if not abs(n @ anchor) > 1e-3:
@@ -177,22 +161,6 @@ def merge_minima(first: RefinedMinima, second: RefinedMinima) -> RefinedMinima:
     return RefinedMinima(*(np.concatenate(parts) for parts in zip(first, second, strict=True)))
 
 
-@kernel
-def has_likely_alternative(costs: FloatArray, inliers: FloatArray) -> bool:
-    """Return whether another of the minima (K,) is nearly as likely as the best."""
-    best, likely_count = 0, 0
-    for k in range(len(costs)):
-        if costs[k] < costs[best]:
-            best = k
-    for k in range(len(costs)):
-        excess_inliers = max(inliers[best] - inliers[k], 0.0)
-        likely_count += (
-            np.isfinite(costs[k])
-            and costs[k] < costs[best] + MAX_LIKELIHOOD_LOSS + LOSS_PER_EXCESS_INLIER * excess_inliers
-        )
-    return likely_count > 1
-
-
 def find_likeliest_alternative(
     fit: IrlsFit, minima: RefinedMinima, information: FloatArray, radius: float
 ) -> AlternativeMotion | None:
@@ -202,18 +170,17 @@ def find_likeliest_alternative(
         information: (6, 6) of the fit.
         radius: of the object.
     """
-    if not has_likely_alternative(minima.costs, minima.inliers):
+    best_one = int(np.argmin(minima.costs))
+    excess_inliers = np.maximum(minima.inliers[best_one] - minima.inliers, 0.0)
+    max_costs = minima.costs[best_one] + MAX_LIKELIHOOD_LOSS + LOSS_PER_EXCESS_INLIER * excess_inliers
+    is_likely = np.isfinite(minima.costs) & (minima.costs < max_costs)
+    if is_likely.sum() < 2:
         return None
     R, d, _ = fit.candidate
     rotvec = np.empty(3)
     so3_log(R, rotvec)
     size = np.hypot(radius * np.linalg.norm(rotvec), np.linalg.norm(d))
     best: AlternativeMotion | None = None
-    best_one = int(np.argmin(minima.costs))
-    excess_inliers = np.maximum(minima.inliers[best_one] - minima.inliers, 0.0)
-    is_likely = np.isfinite(minima.costs) & (
-        minima.costs < minima.costs[best_one] + MAX_LIKELIHOOD_LOSS + LOSS_PER_EXCESS_INLIER * excess_inliers
-    )
     for k in np.argsort(minima.costs, kind="stable").tolist():
         if not is_likely[k]:
             continue
@@ -221,9 +188,8 @@ def find_likeliest_alternative(
         so3_log(minima.rotations[k] @ R.T, rotvec)
         step[:3] = rotvec
         if step @ information @ step > MIN_SEPARATION_SQUARE:
-            is_distant = bool(
-                np.hypot(radius * np.linalg.norm(rotvec), np.linalg.norm(step[3:])) > UNOBSERVABLE_RATIO * size
-            )
+            distance = np.hypot(radius * np.linalg.norm(rotvec), np.linalg.norm(step[3:]))
+            is_distant = bool(distance > UNOBSERVABLE_RATIO * size)
             if best is None or (is_distant and not best.is_distant):
                 best = AlternativeMotion(minima.rotations[k], minima.translations[k], step, is_distant)
     return best

@@ -23,31 +23,22 @@ from sylpose.geometry.numba_linalg import apply_rotvec, cholesky, cholesky_solve
 from sylpose.relative_pose.irls import (
     CONSTRAINT_WEIGHT,
     CUTOFF,
-    INDEPENDENT_MATCHES,
     SIGMA_FLOOR_PX,
     IrlsFit,
-    make_empty_irls_fit,
+    make_irls_start,
+    make_joint_equations,
+    make_schur_workspace,
+    make_tolerance,
+    reduce_term,
     run_constrained_irls,
 )
 from sylpose.relative_pose.match_cost import (
     InlierPrior,
-    MatchErrors,
-    Tolerance,
     build_match_equations,
     make_match_equations,
+    make_match_errors,
 )
-from sylpose.relative_pose.schur import compute_depth_prior, make_schur_workspace, reduce_term
 from sylpose.relative_pose.terms import COINCIDENCE_TOLERANCE, DEPTH_MODEL_SIZE, Candidate, Stack, apply_step, copy_into
-
-__all__ = [
-    "compute_curvature_covariance",
-    "compute_size_if_curved",
-    "has_weak_direction",
-    "inflate",
-    "inflate_covariance",
-    "minimize_across_valley",
-    "refit_along_weak_direction",
-]
 
 # A direction is weak if its variance, over the size of the motion and the least standard deviation, exceeds this: the
 # curvature of a valley whose direction changes by as much as the motion does (choice).
@@ -88,27 +79,22 @@ def compute_curvature_covariance(stack: Stack, usable: InlierPrior, fit: IrlsFit
         fit: the result of `run_irls`.
         radius: of the object: a rotation moves its surface by radius times angle.
     """
-    scale = np.array([1.0 / radius] * 3 + [1.0] * 3)
-    size, sd, vectors = _find_weak_directions(stack, fit, radius, scale)
+    size, sd, vectors, scale = _find_weak_directions(stack, fit, radius)
     columns: list[FloatArray] = []
     for k in range(min(len(sd), MAX_WEAK_DIRECTIONS)):
         length = min(float(sd[k]), MAX_DISPLACEMENT_SHARE * size)
         along, deviations = scale * vectors[:, k], np.empty((2, 6))
         restoring = 0.0
         for side in range(2):
-            force = minimize_across_valley(
-                stack, usable, fit, (1 - 2 * side) * length * along, vectors[:, k] / scale, deviations[side]
-            )
+            start, constraint = (1 - 2 * side) * length * along, vectors[:, k] / scale
+            force = minimize_across_valley(stack, usable, fit, start, constraint, deviations[side])
             if not np.isfinite(force):
                 return np.column_stack([*columns, sd[k] * along])
             # The deviation is small relative to the displacement; otherwise another minimum was reached.
             deviation = float(np.linalg.norm(deviations[side] / scale))
             deviations[side] *= min(1.0, MAX_DEVIATION_RATIO * length / max(deviation, 1e-300))
             restoring += 0.5 * max(force * float(sd[k]) ** 2 / length, 0.0)
-        columns += [
-            np.sqrt(0.5 * NORMAL_FOURTH_MOMENT) * deviations[0],
-            np.sqrt(0.5 * NORMAL_FOURTH_MOMENT) * deviations[1],
-        ]
+        columns += [np.sqrt(0.5 * NORMAL_FOURTH_MOMENT) * row for row in deviations]
         if restoring < 1.0:
             columns.append(sd[k] * np.sqrt(1.0 / max(restoring, MIN_CURVATURE_SHARE) - 1.0) * along)
     return np.column_stack(columns) if columns else np.empty((6, 0))
@@ -116,7 +102,7 @@ def compute_curvature_covariance(stack: Stack, usable: InlierPrior, fit: IrlsFit
 
 def has_weak_direction(stack: Stack, fit: IrlsFit, radius: float) -> bool:
     """Return whether some direction of the motion is weakly observed."""
-    size, sd, _ = _find_weak_directions(stack, fit, radius, np.array([1.0 / radius] * 3 + [1.0] * 3))
+    size, sd, *_ = _find_weak_directions(stack, fit, radius)
     return bool(len(sd) > 0 and sd[0] > WEAKLY_OBSERVED_SHARE * size)
 
 
@@ -132,22 +118,16 @@ def refit_along_weak_direction(
     Returns:
         for each side, the step (w, d) from the fit to the result, and the increase of the negative log-likelihood.
     """
-    scale = np.array([1.0 / radius] * 3 + [1.0] * 3)
-    size, sd, vectors = _find_weak_directions(stack, fit, radius, scale)
+    size, sd, vectors, scale = _find_weak_directions(stack, fit, radius)
     if len(sd) == 0:
         return []
     along, constraint = scale * vectors[:, 0], vectors[:, 0] / scale
     constraint /= np.linalg.norm(constraint)
-    out = []
-    for length in (
-        -min(FAR_SIGMAS * float(sd[0]), MAX_DISPLACEMENT_SHARE * size),
-        min(FAR_SIGMAS * float(sd[0]), MAX_DISPLACEMENT_SHARE * size),
-    ):
-        refit = make_empty_irls_fit(stack)
-        copy_into(refit.candidate, fit.candidate)
-        apply_rotvec(length * along[:3], fit.candidate.rotation, refit.candidate.rotation)
-        refit.candidate.translation[:] += length * along[3:]
-        refit.sigma_px[:] = fit.sigma_px
+    out, length = [], min(FAR_SIGMAS * float(sd[0]), MAX_DISPLACEMENT_SHARE * size)
+    for step_length in (-length, length):
+        refit = make_irls_start(stack, fit.candidate, fit.sigma_px)
+        apply_rotvec(step_length * along[:3], fit.candidate.rotation, refit.candidate.rotation)
+        refit.candidate.translation[:] += step_length * along[3:]
         _, _, new_cost = run_constrained_irls(stack, usable, refit, SIGMA_FLOOR_PX, constraint)
         if np.isfinite(new_cost):
             step = np.append(np.empty(3), refit.candidate.translation - fit.candidate.translation)
@@ -165,25 +145,22 @@ def inflate_covariance(information: FloatArray, step: FloatArray, likelihood_los
         likelihood_loss: decrease of the log-likelihood at that motion.
     """
     square, target_square = float(step @ information @ step), max(2.0 * likelihood_loss, MAX_INCLUDED_SIGMAS**2)
-    return (
-        step[:, None] * np.sqrt(1.0 / target_square - 1.0 / square)
-        if square > MIN_VARIANCE_DEFICIT * target_square
-        else np.empty((6, 0))
-    )
+    if not square > MIN_VARIANCE_DEFICIT * target_square:
+        return np.empty((6, 0))
+    return np.asarray(step[:, None] * np.sqrt(1.0 / target_square - 1.0 / square))
 
 
 def _find_weak_directions(
-    stack: Stack, fit: IrlsFit, radius: float, scale: FloatArray
-) -> tuple[float, FloatArray, FloatArray]:
+    stack: Stack, fit: IrlsFit, radius: float
+) -> tuple[float, FloatArray, FloatArray, FloatArray]:
     """Find the weakly observed directions.
 
-    Args:
-        scale: (6,) units of (w, d).
-
     Returns:
-        the size of the motion; (k,) standard deviations, largest first; (6, 6) the directions, as columns.
+        the size of the motion; (k,) standard deviations, largest first; (6, 6) the directions, as columns; (6,) the
+        units of (w, d).
     """
-    size, no_directions = compute_size_if_curved(fit, radius), (0.0, np.empty(0), np.empty((6, 6)))
+    scale = np.array([1.0 / radius] * 3 + [1.0] * 3)
+    size, no_directions = compute_size_if_curved(fit, radius), (0.0, np.empty(0), np.empty((6, 6)), scale)
     if not size > 0:
         return no_directions
     values, vectors = np.linalg.eigh(fit.information * np.outer(scale, scale))
@@ -192,7 +169,7 @@ def _find_weak_directions(
     if not (values[-1] > 0 and has_baseline):
         return no_directions
     sd = 1.0 / np.sqrt(np.maximum(values, 1e-12 * values[-1]))
-    return size, sd[(sd**2 > MIN_CURVED_RATIO * size * sd[-1]) & (sd > MIN_WEAK_SHARE * size)], vectors
+    return size, sd[(sd**2 > MIN_CURVED_RATIO * size * sd[-1]) & (sd > MIN_WEAK_SHARE * size)], vectors, scale
 
 
 @kernel
@@ -248,21 +225,16 @@ def minimize_across_valley(
     Returns:
         the restoring force, the derivative of the cost along the displacement; infinite without convergence.
     """
-    n, n_matches = stack.focal.shape[0], stack.x.shape[0]
-    candidate, distance_offset = (
-        Candidate(np.empty((3, 3)), np.empty(3), np.empty((n, DEPTH_MODEL_SIZE))),
-        fit.distance_offset.copy(),
-    )
+    n, distance_offset = stack.focal.shape[0], fit.distance_offset.copy()
+    candidate = Candidate(np.empty((3, 3)), np.empty(3), np.empty((n, DEPTH_MODEL_SIZE)))
     copy_into(candidate, fit.candidate)
-    matches = MatchErrors(
-        np.empty(n_matches), np.empty(n_matches), np.empty(n_matches), np.empty(n_matches), np.empty(n_matches)
-    )
-    equations, gains, prior = (
+    matches, equations, joint = (
+        make_match_errors(len(stack.x)),
         make_match_equations(False, False),
-        np.zeros((n, DEPTH_MODEL_SIZE, 8)),
-        np.empty((DEPTH_MODEL_SIZE, DEPTH_MODEL_SIZE)),
+        make_joint_equations(),
     )
-    total, right, step, workspace = np.empty((7, 7)), np.empty(7), np.zeros(7), make_schur_workspace()
+    gains, step, workspace = np.zeros((n, DEPTH_MODEL_SIZE, 8)), np.zeros(7), make_schur_workspace()
+    total, right = joint.total, joint.right
     step[:6] = start
     # The depth models follow in the first step.
     apply_step(candidate, distance_offset, step, gains, 1.0)
@@ -277,25 +249,9 @@ def minimize_across_valley(
             gains[t] = 0.0
             if not mass > 0.0:
                 continue
-            residual_depth = fit.residual_depth[t]
-            shared_residual_depth = residual_depth * np.sqrt(max(1.0, mass / INDEPENDENT_MATCHES))
-            tolerance = Tolerance(
-                (fit.sigma_px[t] / stack.focal[t]) ** 2, residual_depth, shared_residual_depth, CUTOFF
-            )
+            tolerance = make_tolerance(stack, t, fit, mass, CUTOFF)
             build_match_equations(stack, t, usable, candidate, tolerance, matches, equations)
-            compute_depth_prior(stack, t, candidate.depth_model[t], distance_offset[0], prior)
-            if not reduce_term(
-                stack,
-                t,
-                candidate.depth_model[t],
-                distance_offset[0],
-                prior,
-                equations,
-                total,
-                right,
-                gains[t],
-                workspace,
-            ):
+            if not reduce_term(stack, t, candidate, distance_offset, equations, 1.0, joint, gains[t], workspace):
                 return np.inf
         if converged or count == MAX_STEPS:
             break

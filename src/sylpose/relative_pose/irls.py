@@ -17,32 +17,18 @@ from typing import NamedTuple
 import numpy as np
 
 from sylpose.geometry.arrays import BoolArray, FloatArray
-from sylpose.geometry.normal_equations import add_rotated
+from sylpose.geometry.normal_equations import add_rotated, eliminate_block, rotate_rows
 from sylpose.geometry.numba_linalg import cholesky_solve, compute_sum, kernel, leaf
 from sylpose.geometry.robust_loss import bisquare_noise_response
 from sylpose.relative_pose.match_cost import (
     InlierPrior,
+    MatchEquations,
     MatchErrors,
     Tolerance,
     build_match_equations,
     make_match_equations,
 )
-from sylpose.relative_pose.schur import compute_depth_prior, make_schur_workspace, reduce_term
-from sylpose.relative_pose.terms import DEPTH_MODEL_SIZE, Candidate, Stack, apply_step
-
-__all__ = [
-    "CONVERGED_DECREASE",
-    "CUTOFF",
-    "INDEPENDENT_MATCHES",
-    "MAX_SIGMA_GROWTH",
-    "SIGMA_FLOOR_PX",
-    "IrlsFit",
-    "has_uniform_residuals",
-    "make_empty_irls_fit",
-    "run_constrained_irls",
-    "run_irls",
-]
-
+from sylpose.relative_pose.terms import DEPTH_MODEL_SIZE, Candidate, Stack, apply_step, copy_into
 
 # Cutoff of d: 94 % efficient with Gaussian noise in both directions, where d² is chi-squared with two degrees of
 # freedom (choice); the resulting deficits of the weighted mean square and of the information (derived).
@@ -68,6 +54,13 @@ MAX_ROTATION_STEP = 0.3
 MAX_DEPTH_CHANGE = 0.5
 # Added to the diagonal of a step's equations, relative to their trace (choice).
 RIDGE = 1e-9
+# Fitting α to noise makes the parallax, and so the motion, look larger than it is. Integrating α out of the likelihood
+# removes this bias if surfaces are as curved as the prior, and overcorrects if they are flatter. This share of the
+# correction is a compromise, hardly worse than either at its best (measured: docs/history/benchmarks.md#two-frames).
+MARGINALIZED_SHARE = 0.5
+# The prior of the slopes is a two-dimensional Cauchy distribution, Student's with one degree of freedom: 1 + 2
+# (derived).
+STUDENT_EXPONENT = 3.0
 # Weight of the constraint, relative to the largest diagonal element of the information (choice).
 CONSTRAINT_WEIGHT = 1e6
 # Converged if the predicted decrease of the cost is below this: a thirtieth of a standard deviation (choice).
@@ -127,6 +120,35 @@ class IrlsFit(NamedTuple):
     distance_offset: FloatArray
 
 
+class JointEquations(NamedTuple):
+    """Normal equations of all terms in (w, d) and the distance offset: `total` (7, 7), `right` (7,)."""
+
+    total: FloatArray
+    right: FloatArray
+
+
+class SchurWorkspace(NamedTuple):
+    """Work arrays of `reduce_term`, allocated once: `block`, `inverse`, `prior` (6, 6), `reduced` (7, 8)."""
+
+    block: FloatArray
+    inverse: FloatArray
+    reduced: FloatArray
+    prior: FloatArray
+
+
+@kernel
+def make_joint_equations() -> JointEquations:
+    """Allocate zero equations."""
+    return JointEquations(np.zeros((7, 7)), np.zeros(7))
+
+
+@kernel
+def make_schur_workspace() -> SchurWorkspace:
+    """Allocate the work arrays."""
+    size = (DEPTH_MODEL_SIZE, DEPTH_MODEL_SIZE)
+    return SchurWorkspace(np.empty(size), np.empty(size), np.empty((7, 8)), np.empty(size))
+
+
 @kernel
 def make_empty_irls_fit(stack: Stack) -> IrlsFit:
     """Return an identity motion without inliers."""
@@ -144,10 +166,65 @@ def make_empty_irls_fit(stack: Stack) -> IrlsFit:
     )
 
 
+def make_irls_start(stack: Stack, candidate: Candidate, sigma_px: FloatArray) -> IrlsFit:
+    """Return a fit that starts from a candidate and a noise (T,)."""
+    fit = make_empty_irls_fit(stack)
+    copy_into(fit.candidate, candidate)
+    fit.sigma_px[:] = sigma_px
+    return fit
+
+
 @kernel
 def run_irls(stack: Stack, usable: InlierPrior, fit: IrlsFit, min_sigma_px: float) -> tuple[int, float, float]:
     """Run re-weighted least squares from one motion, in place: `run_constrained_irls` without a constraint."""
     return run_constrained_irls(stack, usable, fit, min_sigma_px, np.zeros(6))
+
+
+class _Workspace(NamedTuple):
+    """Work arrays of a fit of T terms and N matches.
+
+    Attributes:
+        matches: the errors of all matches; `across` and `weights` are the fit's own.
+        equations, final_equations: of one term, the latter with the noise part.
+        joint, joint_without_depth: of all terms, with the prior on the depth models and with hardly any.
+        gains: (T, 6, 8) the responses of the depth models (`reduce_term`).
+        step: (7,).
+        mass, active: (T,) the sums of the weights, and whether the term is used.
+        sums: (2, N) terms of sums.
+        schur: of `reduce_term`.
+    """
+
+    matches: MatchErrors
+    equations: MatchEquations
+    final_equations: MatchEquations
+    joint: JointEquations
+    joint_without_depth: JointEquations
+    gains: FloatArray
+    step: FloatArray
+    mass: FloatArray
+    active: BoolArray
+    sums: FloatArray
+    schur: SchurWorkspace
+
+
+@kernel
+def _make_workspace(fit: IrlsFit) -> _Workspace:
+    """Allocate the work arrays for a fit."""
+    n, n_matches = fit.sigma_px.shape[0], fit.weights.shape[0]
+    distance, along, parallax = np.empty(n_matches), np.empty(n_matches), np.empty(n_matches)
+    return _Workspace(
+        MatchErrors(distance, fit.residuals_px, along, parallax, fit.weights),
+        make_match_equations(False, False),
+        make_match_equations(True, False),
+        make_joint_equations(),
+        make_joint_equations(),
+        np.empty((n, DEPTH_MODEL_SIZE, 8)),
+        np.empty(7),
+        np.zeros(n),
+        np.ones(n, np.bool_),
+        np.empty((2, n_matches)),
+        make_schur_workspace(),
+    )
 
 
 @kernel
@@ -167,100 +244,21 @@ def run_constrained_irls(
         number of rounds; the predicted decrease of the last step, infinite if no match agreed; the negative
         log-likelihood of all usable matches, to compare hypotheses.
     """
-    min_sigma_px = max(min_sigma_px, stack.min_sigma_px)
-    candidate, sigma_px, weights, across, information, without_depth, noise, residual_depth, distance_offset = fit
-    depth_model = candidate.depth_model
-    n, n_matches = sigma_px.shape[0], weights.shape[0]
-    distance, along, parallax = np.empty(n_matches), np.empty(n_matches), np.empty(n_matches)
-    terms = np.empty((2, n_matches))
-    matches = MatchErrors(distance, across, along, parallax, weights)
-    step_equations, final_equations, gains = (
-        make_match_equations(False, False),
-        make_match_equations(True, False),
-        np.empty((n, DEPTH_MODEL_SIZE, 8)),
-    )
-    total, right, step, prior = (
-        np.empty((7, 7)),
-        np.empty(7),
-        np.empty(7),
-        np.empty((DEPTH_MODEL_SIZE, DEPTH_MODEL_SIZE)),
-    )
-    weak_prior, total_without_depth = np.empty((DEPTH_MODEL_SIZE, DEPTH_MODEL_SIZE)), np.empty((7, 7))
-    unused, mass, workspace = np.empty(7), np.zeros(n), make_schur_workspace()
-    residual_depth[:], distance_offset[:] = stack.residual_depth, 0.0
-    active = np.ones(n, np.bool_)
+    min_sigma_px, sigma_px, depth_model = max(min_sigma_px, stack.min_sigma_px), fit.sigma_px, fit.candidate.depth_model
+    n, work = sigma_px.shape[0], _make_workspace(fit)
+    step, right, gains = work.step, work.joint.right, work.gains
+    fit.residual_depth[:], fit.distance_offset[:] = stack.residual_depth, 0.0
     bound = max(MAX_SIGMA_GROWTH * sigma_px.max(), min_sigma_px)
     decrease, length, count, converged = np.inf, 1.0, 0, False
     for count in range(1, MAX_ROUNDS + 2):
         cutoff = CUTOFF * (EARLY_CUTOFF_FACTORS[count - 1] if count <= len(EARLY_CUTOFF_FACTORS) else 1.0)
-        total[:] = 0.0
-        total_without_depth[:] = 0.0
-        noise[:] = 0.0
-        right[:] = 0.0
-        # Prior of the distance offset: standard deviation 1.
-        total[6, 6], right[6] = 1.0, -distance_offset[0]
-        for t in range(n):
-            equations = final_equations if converged else step_equations
-            shared_residual_depth = residual_depth[t] * np.sqrt(max(1.0, mass[t] / INDEPENDENT_MATCHES))
-            tolerance = Tolerance((sigma_px[t] / stack.focal[t]) ** 2, residual_depth[t], shared_residual_depth, cutoff)
-            build_match_equations(stack, t, usable, candidate, tolerance, matches, equations)
-            compute_depth_prior(stack, t, depth_model[t], distance_offset[0], prior)
-            if converged and active[t]:
-                # The last round only evaluates the information.
-                for k in range(DEPTH_MODEL_SIZE):
-                    for j in range(DEPTH_MODEL_SIZE):
-                        weak_prior[k, j] = WEAK_PRIOR_SCALE * prior[k, j]
-                reduce_term(
-                    stack,
-                    t,
-                    depth_model[t],
-                    distance_offset[0],
-                    weak_prior,
-                    equations,
-                    total_without_depth,
-                    unused,
-                    gains[t],
-                    workspace,
-                )
-                add_rotated(equations.noise_information, stack.qy[t], noise)
-            if not active[t]:
-                gains[t] = 0.0
-            elif not reduce_term(
-                stack, t, depth_model[t], distance_offset[0], prior, equations, total, right, gains[t], workspace
-            ):
-                return count, np.inf, np.inf
-        without_depth[:] = total_without_depth[:6, :6]
-        for i in range(6):
-            for j in range(6):
-                information[i, j] = total[i, j] - total[i, 6] * total[6, j] / total[6, 6]
+        if not _sum_terms(stack, usable, fit, cutoff, converged, work):
+            return count, np.inf, np.inf
         if converged:
-            # A rotation that is determined by noise alone never converges: discount the information that noise causes.
-            step[:] = right
-            if decrease >= CONVERGED_DECREASE and cholesky_solve(total, step):
-                decrease = 0.5 * step[6] * right[6]
-                for i in range(6):
-                    decrease += 0.5 * step[i] * right[i]
-                    for j in range(6):
-                        decrease -= 0.5 * step[i] * noise[i, j] * step[j]
-                decrease = max(decrease, 0.0)
+            if decrease >= CONVERGED_DECREASE:
+                decrease = _discount_noise(fit.noise_information, decrease, work)
             break
-        # Rotations and translations have different units: each block is regularized by its own trace, which fixes
-        # unobservable directions.
-        rotation_trace, translation_trace = (
-            total[0, 0] + total[1, 1] + total[2, 2],
-            total[3, 3] + total[4, 4] + total[5, 5],
-        )
-        for i in range(3):
-            total[i, i] += RIDGE * rotation_trace
-            total[3 + i, 3 + i] += RIDGE * translation_trace
-        largest = 0.0
-        for i in range(6):
-            largest = max(largest, total[i, i])
-        for i in range(6):
-            for j in range(6):
-                total[i, j] += CONSTRAINT_WEIGHT * largest * constraint[i] * constraint[j]
-        step[:] = right
-        if not cholesky_solve(total, step):
+        if not _solve_step(constraint, work):
             return count, np.inf, np.inf
         last_decrease, decrease = decrease, 0.0
         for i in range(7):
@@ -278,56 +276,144 @@ def run_constrained_irls(
             for j in range(7):
                 depth_change -= gains[t, 0, j] * step[j]
             length_now = min(length_now, MAX_DEPTH_CHANGE * abs(depth_model[t, 0]) / max(abs(depth_change), 1e-300))
-        apply_step(candidate, distance_offset, step, gains, length_now)
+        apply_step(fit.candidate, fit.distance_offset, step, gains, length_now)
         for t in range(n):
-            mass[t] = compute_sum(weights[stack.offsets[t] : stack.offsets[t + 1]])
+            work.mass[t] = compute_sum(fit.weights[stack.offsets[t] : stack.offsets[t + 1]])
         if count >= FIRST_SCALE_ROUND:
-            _exclude_terms(stack, usable, weights, active)
-            _update_sigma(stack, weights, across, active, sigma_px, mass, terms[0])
+            _exclude_terms(stack, usable, fit.weights, work.active)
+            _update_sigma(stack, fit, work)
             sigma_px[:] = np.minimum(np.maximum(sigma_px, min_sigma_px), bound)
-            _update_residual_depth(stack, weights, along, parallax, sigma_px, residual_depth, terms)
+            _update_residual_depth(stack, fit, work)
         converged = (count >= MIN_ROUNDS and decrease < CONVERGED_DECREASE) or count == MAX_ROUNDS
-    cost, density = 0.5 * distance_offset[0] ** 2, 0.0
-    for t in range(n):
-        cost += compute_depth_prior(stack, t, depth_model[t], distance_offset[0], prior)
-        f, variance = stack.focal[t], (sigma_px[t] / stack.focal[t]) ** 2
-        mismatch_density = np.log((MISMATCH_RANGE * stack.spread[t]) ** 2 / (2.0 * np.pi))
-        for i in range(stack.offsets[t], stack.offsets[t + 1]):
-            if usable[i]:
-                density = 0.5 * np.log(variance * (variance + (residual_depth[t] * parallax[i]) ** 2))
-                near = min(0.5 * distance[i], 0.5 * distance[i] / COARSE_SIGMA_FACTOR**2 + COARSE_KEYPOINT_COST)
-                cost += usable[i] * (min(near + density, max(mismatch_density, density)) - mismatch_density)
-            across[i] *= f
-            if not active[t]:
-                weights[i] = 0.0
-    for i in range(6):
-        for j in range(6):
-            information[i, j] *= GAIN
-            without_depth[i, j] *= GAIN
-            noise[i, j] *= GAIN
-    return count, decrease, cost
+    return count, decrease, _finish(stack, usable, fit, work)
 
 
 @leaf
-def _update_residual_depth(
-    stack: Stack,
-    weights: FloatArray,
-    along: FloatArray,
-    parallax: FloatArray,
-    sigma_px: FloatArray,
-    residual_depth: FloatArray,
-    work: FloatArray,
-) -> None:
+def make_tolerance(stack: Stack, t: int, fit: IrlsFit, mass: float, cutoff: float) -> Tolerance:
+    """Return the noise model of term t's matches, whose weights add up to `mass`."""
+    shared_residual_depth = fit.residual_depth[t] * np.sqrt(max(1.0, mass / INDEPENDENT_MATCHES))
+    return Tolerance((fit.sigma_px[t] / stack.focal[t]) ** 2, fit.residual_depth[t], shared_residual_depth, cutoff)
+
+
+@kernel
+def _sum_terms(
+    stack: Stack, usable: InlierPrior, fit: IrlsFit, cutoff: float, converged: bool, work: _Workspace
+) -> bool:
+    """Compute all errors, the joint equations and the information; return whether the depth models are determined.
+
+    The last round, after convergence, only evaluates the information.
+    """
+    joint, without_depth, noise = work.joint, work.joint_without_depth, fit.noise_information
+    for equations in (joint, without_depth):
+        equations.total[:] = 0.0
+    joint.right[:] = 0.0
+    noise[:] = 0.0
+    # Prior of the distance offset: standard deviation 1.
+    joint.total[6, 6], joint.right[6] = 1.0, -fit.distance_offset[0]
+    for t in range(stack.focal.shape[0]):
+        equations_t, gain = work.final_equations if converged else work.equations, work.gains[t]
+        tolerance = make_tolerance(stack, t, fit, work.mass[t], cutoff)
+        build_match_equations(stack, t, usable, fit.candidate, tolerance, work.matches, equations_t)
+        if not work.active[t]:
+            gain[:] = 0.0
+            continue
+        offset, schur = fit.distance_offset, work.schur
+        if converged:
+            reduce_term(stack, t, fit.candidate, offset, equations_t, WEAK_PRIOR_SCALE, without_depth, gain, schur)
+            add_rotated(equations_t.noise_information, stack.qy[t], noise)
+        if not reduce_term(stack, t, fit.candidate, offset, equations_t, 1.0, joint, gain, schur):
+            return False
+    fit.information_without_depth[:] = without_depth.total[:6, :6]
+    for i in range(6):
+        for j in range(6):
+            fit.information[i, j] = joint.total[i, j] - joint.total[i, 6] * joint.total[6, j] / joint.total[6, 6]
+    return True
+
+
+@leaf
+def _solve_step(constraint: FloatArray, work: _Workspace) -> bool:
+    """Compute the step under the constraint; return False if it is undetermined."""
+    total, step = work.joint.total, work.step
+    # Rotations and translations have different units: each block is regularized by its own trace, which fixes
+    # unobservable directions.
+    rotation_trace = total[0, 0] + total[1, 1] + total[2, 2]
+    translation_trace = total[3, 3] + total[4, 4] + total[5, 5]
+    for i in range(3):
+        total[i, i] += RIDGE * rotation_trace
+        total[3 + i, 3 + i] += RIDGE * translation_trace
+    largest = 0.0
+    for i in range(6):
+        largest = max(largest, total[i, i])
+    for i in range(6):
+        for j in range(6):
+            total[i, j] += CONSTRAINT_WEIGHT * largest * constraint[i] * constraint[j]
+    for i in range(7):
+        step[i] = work.joint.right[i]
+    return cholesky_solve(total, step)
+
+
+@leaf
+def _discount_noise(noise: FloatArray, decrease: float, work: _Workspace) -> float:
+    """Return the predicted decrease without the information that noise causes.
+
+    A rotation that is determined by noise alone never converges.
+    """
+    step, right = work.step, work.joint.right
+    for i in range(7):
+        step[i] = right[i]
+    if not cholesky_solve(work.joint.total, step):
+        return decrease
+    decrease = 0.5 * step[6] * right[6]
+    for i in range(6):
+        decrease += 0.5 * step[i] * right[i]
+        for j in range(6):
+            decrease -= 0.5 * step[i] * noise[i, j] * step[j]
+    return float(max(decrease, 0.0))
+
+
+@leaf
+def _finish(stack: Stack, usable: InlierPrior, fit: IrlsFit, work: _Workspace) -> float:
+    """Scale residuals and information; return the negative log-likelihood of all usable matches."""
+    cost, density = 0.5 * fit.distance_offset[0] ** 2, 0.0
+    distance, parallax = work.matches.distance, work.matches.parallax
+    for t in range(stack.focal.shape[0]):
+        cost += compute_depth_prior(stack, t, fit.candidate.depth_model[t], fit.distance_offset[0], work.schur.prior)
+        f, variance = stack.focal[t], (fit.sigma_px[t] / stack.focal[t]) ** 2
+        mismatch_density = np.log((MISMATCH_RANGE * stack.spread[t]) ** 2 / (2.0 * np.pi))
+        for i in range(stack.offsets[t], stack.offsets[t + 1]):
+            if usable[i]:
+                density = 0.5 * np.log(variance * (variance + (fit.residual_depth[t] * parallax[i]) ** 2))
+                near = min(0.5 * distance[i], 0.5 * distance[i] / COARSE_SIGMA_FACTOR**2 + COARSE_KEYPOINT_COST)
+                cost += usable[i] * (min(near + density, max(mismatch_density, density)) - mismatch_density)
+            fit.residuals_px[i] *= f
+            if not work.active[t]:
+                fit.weights[i] = 0.0
+    for i in range(6):
+        for j in range(6):
+            fit.information[i, j] *= GAIN
+            fit.information_without_depth[i, j] *= GAIN
+            fit.noise_information[i, j] *= GAIN
+    return float(cost)
+
+
+@leaf
+def _update_residual_depth(stack: Stack, fit: IrlsFit, work: _Workspace) -> None:
     """Update `residual_depth` (T,): ζ by the method of moments, shrunk towards its prior.
 
     It is the excess of the squares along the epipolar lines over the noise. The prior dominates if the parallax is too
-    small. The work array `work` (2, N) is overwritten.
+    small.
     """
+    weights, along, parallax, residual_depth = (
+        fit.weights,
+        work.matches.along,
+        work.matches.parallax,
+        fit.residual_depth,
+    )
     for t in range(residual_depth.shape[0]):
-        variance = (sigma_px[t] / stack.focal[t]) ** 2
+        variance = (fit.sigma_px[t] / stack.focal[t]) ** 2
         prior_variance, square = stack.residual_depth[t] ** 2, residual_depth[t] ** 2
         first, last = stack.offsets[t], stack.offsets[t + 1]
-        w, p, residual, terms = weights[first:last], parallax[first:last], along[first:last], work[:, first:last]
+        w, p, residual, terms = weights[first:last], parallax[first:last], along[first:last], work.sums[:, first:last]
         for i in range(last - first):
             # The variance of a squared normal variable is twice the square of its variance.
             p2, is_inlier = p[i] * p[i], w[i] > 0.0
@@ -342,30 +428,20 @@ def _update_residual_depth(
 
 
 @kernel
-def _update_sigma(
-    stack: Stack,
-    weights: FloatArray,
-    across: FloatArray,
-    active: BoolArray,
-    sigma_px: FloatArray,
-    mass: FloatArray,
-    work: FloatArray,
-) -> None:
-    """Update `sigma_px` (T,) from the weighted residuals.
-
-    mass (T,) are the sums of the weights. The work array `work` (N,) is overwritten.
-    """
+def _update_sigma(stack: Stack, fit: IrlsFit, work: _Workspace) -> None:
+    """Update `sigma_px` (T,) from the weighted residuals."""
+    weights, across, sigma_px, mass = fit.weights, fit.residuals_px, fit.sigma_px, work.mass
     n = sigma_px.shape[0]
     squares, inliers, rig, rig_mass = np.zeros(n), 0, 0.0, 0.0
     for t in range(n):
         first, last = stack.offsets[t], stack.offsets[t + 1]
-        w, residual, terms, count = weights[first:last], across[first:last], work[first:last], 0
+        w, residual, terms, count = weights[first:last], across[first:last], work.sums[0, first:last], 0
         for i in range(last - first):
             inside = w[i] > 0.0
             terms[i] = w[i] * residual[i] * residual[i] if inside else 0.0
             count += inside
         squares[t] = compute_sum(terms) * stack.focal[t] ** 2 / SHRINKAGE
-        if active[t]:
+        if work.active[t]:
             inliers += count
             rig += squares[t]
             rig_mass += mass[t]
@@ -407,3 +483,102 @@ def has_uniform_residuals(weights: FloatArray) -> bool:
         inliers += w > 0.0
         mass += w
     return bool(mass < MAX_UNIFORM_WEIGHT * inliers)
+
+
+@leaf
+def reduce_term(
+    stack: Stack,
+    t: int,
+    candidate: Candidate,
+    distance_offset: FloatArray,
+    equations: MatchEquations,
+    prior_scale: float,
+    joint: JointEquations,
+    gain: FloatArray,
+    workspace: SchurWorkspace,
+) -> bool:
+    """Add term t's equations, with the scaled prior of its depth model, which is eliminated, to the joint equations.
+
+    The unknowns are (w, d) and the distance offset z, which adds `stack.distance_gain[t]` z to the first mean of α.
+    They are in world axes. gain (6, 8) receives the response of the depth model: α changes by
+    gain[:, 7] - gain[:, :7] (w, d, z).
+
+    Returns:
+        whether the elimination succeeded.
+    """
+    block, inverse, reduced, prior = workspace
+    depth_model, offset = candidate.depth_model[t], distance_offset[0]
+    compute_depth_prior(stack, t, depth_model, offset, prior)
+    for k in range(DEPTH_MODEL_SIZE):
+        for j in range(DEPTH_MODEL_SIZE):
+            prior[k, j] *= prior_scale
+    for i in range(7):
+        for j in range(8):
+            reduced[i, j] = 0.0
+    q, distance_gain = stack.qy[t], stack.distance_gain[t]
+    rotate_rows(equations.matrix[DEPTH_MODEL_SIZE:], q, gain)
+    add_rotated(equations.matrix, q, reduced)
+    reduced[6, 6] = distance_gain * distance_gain * prior[0, 0]
+    for k in range(DEPTH_MODEL_SIZE):
+        gain[k, 6] = -distance_gain * prior[k, 0]
+        gain[k, 7] = equations.right[6 + k]
+        for j in range(DEPTH_MODEL_SIZE):
+            deviation = depth_model[j] - stack.depth_model_mean[t, j] - (distance_gain * offset if j == 0 else 0.0)
+            gain[k, 7] -= prior[k, j] * deviation
+            if k == 0:
+                reduced[6, 7] += distance_gain * prior[0, j] * deviation
+            block[k, j] = equations.matrix[6 + k, 6 + j] + prior[k, j]
+    if not eliminate_block(block, gain, reduced):
+        return False
+    # Number of unknowns in α that the data determine: trace of block^-1 (block - prior).
+    unknowns = float(DEPTH_MODEL_SIZE)
+    for c in range(DEPTH_MODEL_SIZE):
+        # Column c of the factor's inverse, times its own products.
+        for i in range(c, DEPTH_MODEL_SIZE):
+            s = 1.0 if i == c else 0.0
+            for k in range(c, i):
+                s -= block[i, k] * inverse[k, c]
+            inverse[i, c] = s / block[i, i]
+    for i in range(DEPTH_MODEL_SIZE):
+        for j in range(i + 1):
+            s = 0.0
+            for k in range(i, DEPTH_MODEL_SIZE):
+                s += inverse[k, i] * inverse[k, j]
+            unknowns -= (1.0 if i == j else 2.0) * s * prior[i, j]
+    # The derivative of log det(block) / 2, from the likelihood with α integrated out.
+    correction = MARGINALIZED_SHARE * unknowns / max(equations.parallax_squares[0], 1e-300)
+    for i in range(6):
+        h, j = i // 3, i % 3
+        for a in range(3):
+            joint.right[i] += q[a, j] * (
+                equations.right[3 * h + a] - correction * equations.parallax_gradient[3 * h + a]
+            )
+    for i in range(7):
+        joint.right[i] += reduced[i, 7]
+        for j in range(7):
+            joint.total[i, j] += reduced[i, j]
+    return True
+
+
+@leaf
+def compute_depth_prior(
+    stack: Stack, t: int, depth_model: FloatArray, distance_offset: float, prior: FloatArray
+) -> float:
+    """Set prior (6, 6), the prior information of α, and return the prior cost.
+
+    Slopes have heavy tails (a Cauchy distribution in two dimensions): a plane may be seen at a grazing angle.
+    """
+    slope_square, cost, mean, information = 0.0, 0.0, stack.depth_model_mean[t], stack.depth_model_information[t]
+    mean_offset = stack.distance_gain[t] * distance_offset
+    for k in range(DEPTH_MODEL_SIZE):
+        part, deviation = 0.0, depth_model[k] - mean[k] - (mean_offset if k == 0 else 0.0)
+        for j in range(DEPTH_MODEL_SIZE):
+            prior[k, j] = information[k, j]
+            part += prior[k, j] * (depth_model[j] - mean[j] - (mean_offset if j == 0 else 0.0))
+        if k == 1 or k == 2:
+            slope_square += part * deviation
+        else:
+            cost += 0.5 * part * deviation
+    for k in range(1, 3):
+        prior[k, k] *= STUDENT_EXPONENT / (1.0 + slope_square)
+    return float(cost + 0.5 * STUDENT_EXPONENT * np.log(1.0 + slope_square))

@@ -33,31 +33,10 @@ import numpy as np
 
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.numba_linalg import kernel, leaf
-from sylpose.relative_pose.plane_projection import (
-    TermView,
-    build_epipolar_rows,
-    compute_epipolar_line,
-    compute_essential,
-    compute_homography,
-    make_term_view,
-    update_view,
-)
-from sylpose.relative_pose.terms import Candidate, Stack
+from sylpose.relative_pose.terms import Candidate, Stack, transform_to_camera
 
-__all__ = [
-    "MomentSums",
-    "NormalEquations",
-    "build_term_equations",
-    "build_view_equations",
-    "compute_moments",
-    "compute_term_cost",
-    "compute_term_misfit",
-    "compute_view_misfit",
-    "estimate_along_variance",
-    "estimate_view_variance",
-]
-
-
+# Sampson's denominator, in squared length units, below which an epipolar geometry is pure rounding (choice).
+MIN_DENOMINATOR = 1e-28
 # Weight of the prior in the estimate of the residual depth, as a number of matches (choice).
 PRIOR_MATCHES = 3.0
 # An excess below this many standard deviations of the noise variance is not residual depth (choice).
@@ -81,6 +60,99 @@ class NormalEquations(NamedTuple):
 
     hessian: FloatArray
     gradient: FloatArray
+
+
+class TermView(NamedTuple):
+    """View of one term's camera: work arrays that are allocated once for all steps of a search.
+
+    Attributes:
+        rc, tc, rotated_center: the motion in the camera's axes (`transform_to_camera`).
+        plane: (3,) the inverse depth is plane·(u, v, 1).
+        h, e: (10, 3, 3), (7, 3, 3) the homography and the essential matrix, followed by their derivatives.
+        rows, image: (10, 9), (9,).
+    """
+
+    rc: FloatArray
+    tc: FloatArray
+    rotated_center: FloatArray
+    plane: FloatArray
+    h: FloatArray
+    e: FloatArray
+    rows: FloatArray
+    image: FloatArray
+
+
+@kernel
+def make_term_view() -> TermView:
+    """Allocate a view."""
+    return TermView(
+        np.empty((3, 3)),
+        np.empty(3),
+        np.empty(3),
+        np.empty(3),
+        np.zeros((10, 3, 3)),
+        np.zeros((7, 3, 3)),
+        np.empty((10, 9)),
+        np.empty(9),
+    )
+
+
+@leaf
+def update_view(stack: Stack, t: int, candidate: Candidate, view: TermView) -> None:
+    """Set the view of term t's camera, motion and plane, for functions of a `TermView`."""
+    transform_to_camera(stack, t, candidate, view.rc, view.tc, view.rotated_center)
+    unit, anchor, spread, plane = stack.inverse_depth[t], stack.anchor[t], stack.spread[t], view.plane
+    plane[0] = unit * candidate.depth_model[t, 1] / spread
+    plane[1] = unit * candidate.depth_model[t, 2] / spread
+    plane[2] = unit * candidate.depth_model[t, 0] - plane[0] * anchor[0] - plane[1] * anchor[1]
+
+
+@leaf
+def compute_homography(view: TermView, x0: float, x1: float) -> float:
+    """Compute the homography R + τ plane'; return the depth of (x0, x1)."""
+    for i in range(3):
+        for j in range(3):
+            view.h[0, i, j] = view.rc[i, j] + view.tc[i] * view.plane[j]
+    return float(view.h[0, 2, 0] * x0 + view.h[0, 2, 1] * x1 + view.h[0, 2, 2])
+
+
+@leaf
+def compute_essential(view: TermView) -> None:
+    """Compute the essential matrix."""
+    rc, tc, e = view.rc, view.tc, view.e
+    for j in range(3):
+        e[0, 0, j] = tc[1] * rc[2, j] - tc[2] * rc[1, j]
+        e[0, 1, j] = tc[2] * rc[0, j] - tc[0] * rc[2, j]
+        e[0, 2, j] = tc[0] * rc[1, j] - tc[1] * rc[0, j]
+
+
+@leaf
+def build_epipolar_rows(e: FloatArray, n: int, x0: float, x1: float, y0: float, y1: float, rows: FloatArray) -> float:
+    """Compute vec(E) / √g and its derivatives as rows (n, 9); return g, Sampson's denominator at the mean rays."""
+    p0 = e[0, 0, 0] * x0 + e[0, 0, 1] * x1 + e[0, 0, 2]
+    p1 = e[0, 1, 0] * x0 + e[0, 1, 1] * x1 + e[0, 1, 2]
+    o0 = e[0, 0, 0] * y0 + e[0, 1, 0] * y1 + e[0, 2, 0]
+    o1 = e[0, 0, 1] * y0 + e[0, 1, 1] * y1 + e[0, 2, 1]
+    g = p0 * p0 + p1 * p1 + o0 * o0 + o1 * o1
+    if not g > MIN_DENOMINATOR:
+        return 0.0
+    root = np.sqrt(g)
+    for k in range(n):
+        by = 0.0
+        if k > 0:
+            d = e[k]
+            by = (
+                p0 * (d[0, 0] * x0 + d[0, 1] * x1 + d[0, 2])
+                + p1 * (d[1, 0] * x0 + d[1, 1] * x1 + d[1, 2])
+                + o0 * (d[0, 0] * y0 + d[1, 0] * y1 + d[2, 0])
+                + o1 * (d[0, 1] * y0 + d[1, 1] * y1 + d[2, 1])
+            ) / g
+        for i in range(3):
+            for j in range(3):
+                rows[k, 3 * i + j] = e[k, i, j] / root
+                if k > 0:
+                    rows[k, 3 * i + j] -= by * rows[0, 3 * i + j]
+    return float(g)
 
 
 @leaf
@@ -112,16 +184,6 @@ def _apply_plane_moments(m: FloatArray, v: FloatArray, out: FloatArray) -> None:
 
 
 @leaf
-def _apply_moments(m: FloatArray, v: FloatArray, out: FloatArray) -> None:
-    """Set out (9,) = m v."""
-    for i in range(9):
-        s = 0.0
-        for j in range(9):
-            s += m[i, j] * v[j]
-        out[i] = s
-
-
-@leaf
 def _add_products(
     k: int, rows: FloatArray, image: FloatArray, weight: float, hessian: FloatArray, gradient: FloatArray
 ) -> float:
@@ -145,37 +207,11 @@ def _add_products(
     return 0.0
 
 
-@kernel
-def build_term_equations(
-    stack: Stack,
-    sums: MomentSums,
-    t: int,
-    kappa: float,
-    candidate: Candidate,
-    normal: NormalEquations,
-    full: bool,
-) -> float:
-    """Return one term's cost and, if `full`, fill its normal equations in (w, d, α).
-
-    Args:
-        candidate: with planar depth models.
-        normal: of all terms; the part of term t is filled.
-
-    Returns:
-        half the weighted sum of squares, prior of α included.
-    """
-    view = make_term_view()
-    if not full:
-        return compute_term_cost(stack, sums, t, kappa, candidate, view)
-    update_view(stack, t, candidate, view)
-    return build_view_equations(stack, sums, t, kappa, candidate.depth_model[t], view, normal)
-
-
 @leaf
 def compute_term_cost(
     stack: Stack, sums: MomentSums, t: int, kappa: float, candidate: Candidate, view: TermView
 ) -> float:
-    """Return one term's cost, as `build_term_equations` does."""
+    """Set the view and return one term's cost, as `build_view_equations` does."""
     update_view(stack, t, candidate, view)
     m, variance = sums.moments[t], sums.variance[t]
     cost = _compute_prior_cost(stack, t, candidate.depth_model[t])
@@ -215,7 +251,15 @@ def build_view_equations(
     view: TermView,
     normal: NormalEquations,
 ) -> float:
-    """Evaluate `build_term_equations` for a view set by `update_view`."""
+    """Fill term t's normal equations in (w, d, α) for a view set by `update_view`.
+
+    Args:
+        depth_model: (3,) planar.
+        normal: of all terms; the part of term t is filled.
+
+    Returns:
+        the cost: half the weighted sum of squares, prior of α included.
+    """
     m, variance = sums.moments[t], sums.variance[t]
     hessian, gradient = normal.hessian[t], normal.gradient[t]
     rc, tc, rotated_center, plane, h, e, rows, image = view
@@ -227,11 +271,9 @@ def build_view_equations(
     # Derivatives with respect to w, d and α.
     for k in range(3):
         q0, q1, q2 = qy[0, k], qy[1, k], qy[2, k]
-        d0, d1, d2 = (
-            q1 * rotated_center[2] - q2 * rotated_center[1],
-            q2 * rotated_center[0] - q0 * rotated_center[2],
-            q0 * rotated_center[1] - q1 * rotated_center[0],
-        )
+        d0 = q1 * rotated_center[2] - q2 * rotated_center[1]
+        d1 = q2 * rotated_center[0] - q0 * rotated_center[2]
+        d2 = q0 * rotated_center[1] - q1 * rotated_center[0]
         for j in range(3):
             r0, r1, r2 = rc[0, j], rc[1, j], rc[2, j]
             u0, u1, u2 = q1 * r2 - q2 * r1, q2 * r0 - q0 * r2, q0 * r1 - q1 * r0
@@ -260,7 +302,11 @@ def build_view_equations(
             cost += _add_products(k, rows, image, 0.5 * (1.0 - kappa) / variance, hessian, gradient)
     if kappa > 0.0 and build_epipolar_rows(e, 7, x0, x1, y0, y1, rows) > 0.0:
         for k in range(7):
-            _apply_moments(m, rows[k], image)
+            for i in range(9):
+                s = 0.0
+                for j in range(9):
+                    s += m[i, j] * rows[k, j]
+                image[i] = s
             cost += _add_products(k, rows, image, kappa / variance, hessian, gradient)
     for j in range(3):
         sd = stack.plane_sd[t, j]
@@ -269,22 +315,23 @@ def build_view_equations(
     return cost
 
 
-@kernel
-def estimate_along_variance(stack: Stack, sums: MomentSums, t: int, candidate: Candidate) -> tuple[float, float]:
-    """Return κ, and v: the variance of the residuals along the epipolar line, normalized units."""
-    view = make_term_view()
-    update_view(stack, t, candidate, view)
-    return estimate_view_variance(stack, sums, t, view)
-
-
 @leaf
 def estimate_view_variance(stack: Stack, sums: MomentSums, t: int, view: TermView) -> tuple[float, float]:
-    """Evaluate `estimate_along_variance` for a view set by `update_view`."""
+    """Return κ, and v: the variance along the epipolar line, normalized units, for a view set by `update_view`."""
     m, variance, rc, tc, plane, row = sums.moments[t], sums.variance[t], view.rc, view.tc, view.plane, view.rows[0]
     count = m[8, 8]
     x0, x1 = m[8, 6] / count, m[8, 7] / count
-    length, b0, b1 = compute_epipolar_line(rc, tc, plane, x0, x1)
-    depth = 0.0
+    # The image displacement of the mean per unit of inverse depth: its length and direction.
+    rho = plane[0] * x0 + plane[1] * x1 + plane[2]
+    p0 = rc[0, 0] * x0 + rc[0, 1] * x1 + rc[0, 2] + rho * tc[0]
+    p1 = rc[1, 0] * x0 + rc[1, 1] * x1 + rc[1, 2] + rho * tc[1]
+    p2 = rc[2, 0] * x0 + rc[2, 1] * x1 + rc[2, 2] + rho * tc[2]
+    b0, b1 = (tc[0] - p0 / p2 * tc[2]) / p2, (tc[1] - p1 / p2 * tc[2]) / p2
+    length, depth = np.sqrt(b0 * b0 + b1 * b1), 0.0
+    if length > 0.0:
+        b0, b1 = b0 / length, b1 / length
+    else:
+        length, b0, b1 = 0.0, 1.0, 0.0
     for j in range(3):
         h2 = rc[2, j] + tc[2] * plane[j]
         depth += h2 * (x0 if j == 0 else (x1 if j == 1 else 1.0))
@@ -296,9 +343,8 @@ def estimate_view_variance(stack: Stack, sums: MomentSums, t: int, view: TermVie
     freedom = max(count - 3.0, 0.0)
     measured_variance = max(squares / max(freedom, 1.0), 2.0 * variance)
     # Average logarithms: the prior residual depth of other objects must not make a flat one unlikely.
-    v = np.exp(
-        (freedom * np.log(measured_variance) + PRIOR_MATCHES * np.log(prior_variance)) / (freedom + PRIOR_MATCHES)
-    )
+    logarithms = freedom * np.log(measured_variance) + PRIOR_MATCHES * np.log(prior_variance)
+    v = np.exp(logarithms / (freedom + PRIOR_MATCHES))
     # Noise alone makes v vary.
     noise = 2.0 * variance * (1.0 + NOISE_SIGMAS * np.sqrt(2.0 / (count + PRIOR_MATCHES)))
     if v > noise:
@@ -306,17 +352,9 @@ def estimate_view_variance(stack: Stack, sums: MomentSums, t: int, view: TermVie
     return 0.0, 2.0 * variance
 
 
-@kernel
-def compute_term_misfit(stack: Stack, sums: MomentSums, t: int, candidate: Candidate) -> float:
-    """Return Σ w r²: the epipolar squares alone, normalized units."""
-    view = make_term_view()
-    update_view(stack, t, candidate, view)
-    return compute_view_misfit(sums, t, view)
-
-
 @leaf
 def compute_view_misfit(sums: MomentSums, t: int, view: TermView) -> float:
-    """Evaluate `compute_term_misfit` for a view set by `update_view`."""
+    """Return Σ w r²: the epipolar squares alone, normalized units, for a view set by `update_view`."""
     m = sums.moments[t]
     count = m[8, 8]
     compute_essential(view)

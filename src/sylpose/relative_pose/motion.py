@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,24 +25,23 @@ from sylpose.geometry.validation import (
     check_type,
 )
 from sylpose.matches import Matches
-from sylpose.methods import MOTION_METHODS as METHODS
-from sylpose.relative_pose.fit import MIN_MATCHES, Fit, Solution, make_failed_fit
+from sylpose.methods import MOTION_METHODS
 from sylpose.relative_pose.leave_one_out import solve_without_faulty_cameras
 from sylpose.relative_pose.observability import classify_observability
-from sylpose.relative_pose.robust_fit import SeededRandom
 from sylpose.relative_pose.second_motion import select_larger_body
 from sylpose.relative_pose.solver import fit_terms
 from sylpose.relative_pose.sylvester_methods import ESTIMATORS, apply_paper_method
-from sylpose.relative_pose.terms import TermData, concatenate_terms, locate_object
+from sylpose.relative_pose.terms import (
+    MIN_MATCHES,
+    Solution,
+    TermData,
+    locate_object,
+    make_failed_fit,
+)
 from sylpose.results import Motion, Status
 from sylpose.rig import Rig, check_single_pose
 
-__all__ = [
-    "METHODS",
-    "estimate_motion",
-    "estimate_motions",
-    "make_motion_about",
-]
+__all__ = ["estimate_motion", "estimate_motions", "make_motion_about"]
 
 
 def estimate_motion(
@@ -91,7 +89,7 @@ def estimate_motion(
     Source: Chen & Schonfeld 2010 for the paper's estimators; docs/method/3-pose.md for the rest.
     """
     matches = check_list(matches, Matches, "matches", len(check_type(rig, Rig, "rig")))
-    check_choice(method, METHODS, "method")
+    check_choice(method, MOTION_METHODS, "method")
     seed = check_integer(seed, "seed")
     if radius is not None:
         radius = check_number(radius, "radius", above=0.0)
@@ -101,47 +99,54 @@ def estimate_motion(
         center = check_finite(center, (3,), "center")
     units = NoiseUnits(np.ones(len(rig)), 0.0) if noise_px is None else make_noise_units(noise_px, rig.names)
     duplicates = [find_distinct_rows(m.x, m.y) for m in matches]
-    if any(single is not None for single in duplicates):
-        unique_matches = [
-            m if s is None else Matches(m.x[s.rows], m.y[s.rows]) for m, s in zip(matches, duplicates, strict=True)
-        ]
-        options: dict[str, Any] = {"initial": initial, "center": center, "radius": radius, "noise_px": noise_px}
-        result = estimate_motion(rig, unique_matches, method=method, seed=seed, **options)
-        masks = zip(result.inliers, duplicates, strict=True)
-        return replace(result, inliers=tuple(mask if s is None else mask[s.inverse] for mask, s in masks))
+    unique = [m if s is None else Matches(m.x[s.rows], m.y[s.rows]) for m, s in zip(matches, duplicates, strict=True)]
+    result = _estimate(rig, unique, method, initial, center, radius, units, seed)
+    if all(single is None for single in duplicates):
+        return result
+    masks = zip(result.inliers, duplicates, strict=True)
+    return replace(result, inliers=tuple(mask if s is None else mask[s.inverse] for mask, s in masks))
+
+
+def _estimate(
+    rig: Rig,
+    matches: Sequence[Matches],
+    method: str,
+    initial: RigidTransform | None,
+    center: FloatArray | None,
+    radius: float | None,
+    units: NoiseUnits,
+    seed: int,
+) -> Motion:
+    """Run `estimate_motion` with checked arguments, on matches without duplicates."""
     data = [
         TermData(c, m.x, m.y, camera.rotation, camera.center, camera.focal * per_px)
         for c, (camera, m, per_px) in enumerate(zip(rig, matches, units.per_px.tolist(), strict=True))
         if len(m) and per_px > 0.0
     ]
     if sum(len(term) for term in data) < MIN_MATCHES:
-        nan_center = np.full(3, np.nan)
-        return _build_motion(
-            rig, matches, data, make_failed_fit(data, Status.TOO_FEW_MATCHES), nan_center, method, 1.0, units.per_px
-        )
-    given_center = None if center is None else _check_center(np.asarray(center), rig, data)
-    rng = SeededRandom(seed)
+        failed = Solution(make_failed_fit(data, Status.TOO_FEW_MATCHES), np.full(3, np.nan), 1.0)
+        return _build_motion(rig, matches, data, failed, method, units.per_px)
+    if center is not None:
+        _check_center(center, rig, data)
+    rng = np.random.default_rng(seed)
 
     def solve(terms: Sequence[TermData], start: Solution | None = None) -> Solution:
-        joined = concatenate_terms(terms)
-        found_center, found_radius = locate_object(terms, joined)
-        g = found_center if given_center is None else given_center
+        found_center, found_radius = locate_object(terms)
+        g, size = found_center if center is None else center, found_radius if radius is None else radius
         guess = [] if initial is None else [(initial.rotation.as_matrix(), initial.apply(g) - g)]
         if start is not None:
             rotation = start.fit.rotation
             guess.append((rotation, start.fit.translation + (rotation - np.eye(3)) @ (g - start.center)))
-        size = found_radius if radius is None else radius
-        return Solution(fit_terms(terms, g, size, guess, rng, joined, units.sigma), g, size)
+        return Solution(fit_terms(terms, g, size, guess, rng, units.sigma), g, size)
 
     solution, second_body_ratio = select_larger_body(data, solve(data), solve, units.sigma)
     if second_body_ratio == 0.0 and solution.fit.status is not Status.TOO_FEW_MATCHES:
         solution = solve_without_faulty_cameras(data, solution, rig.names, solve)
-    fit, g, size = solution
-    if method in ESTIMATORS and fit.status is Status.OK:
-        fit = apply_paper_method(method, data, fit, g, rig.names)
+    if method in ESTIMATORS and solution.fit.status is Status.OK:
+        solution = solution._replace(fit=apply_paper_method(method, data, solution.fit, solution.center, rig.names))
     # One camera alone does not determine the object's distance; only a given center does.
-    unit = rig.unit if given_center is not None or len(data) > 1 else ""
-    return _build_motion(rig, matches, data, fit, g, method, size, units.per_px, second_body_ratio, unit)
+    unit = rig.unit if center is not None or len(data) > 1 else ""
+    return _build_motion(rig, matches, data, solution, method, units.per_px, second_body_ratio, unit)
 
 
 def estimate_motions(
@@ -194,15 +199,14 @@ def _build_motion(
     rig: Rig,
     matches: Sequence[Matches],
     data: Sequence[TermData],
-    fit: Fit,
-    center: FloatArray,
+    solution: Solution,
     method: str,
-    radius: float,
     per_px: FloatArray,
     second_body_ratio: float = 0.0,
     unit: str = "",
 ) -> Motion:
     """Convert a fit into the public result and flag unobservable directions."""
+    fit, center, radius = solution
     inliers = [np.zeros(len(m), bool) for m in matches]
     residuals = np.full(len(rig), np.nan)
     for term, w, r in zip(data, fit.weights, fit.residuals, strict=True):
@@ -216,6 +220,7 @@ def _build_motion(
         for row in unobservable:
             # The linearized information contains a prior on a length that is not observable: remove it.
             information = remove_direction(information, row)
+    alternative = fit.alternative if fit.status is Status.AMBIGUOUS else None
     return Motion(
         status=fit.status,
         motion=make_motion_about(center, fit.rotation, fit.translation) if has_motion else None,
@@ -228,9 +233,7 @@ def _build_motion(
         method=method,
         iterations=fit.iterations,
         faults=fit.faults,
-        alternative=make_motion_about(center, *fit.alternative)
-        if fit.status is Status.AMBIGUOUS and fit.alternative is not None
-        else None,
+        alternative=None if alternative is None else make_motion_about(center, *alternative),
         second_body_ratio=second_body_ratio,
         static_ratio=fit.static_ratio,
         camera_names=rig.names,
@@ -250,9 +253,8 @@ def _compute_rms(weights: FloatArray, residuals: FloatArray, inliers: BoolArray)
     return float(np.sqrt(squares / count)) if count > 0 else np.nan
 
 
-def _check_center(g: FloatArray, rig: Rig, data: Sequence[TermData]) -> FloatArray:
-    """Return the given center (3,); raise ValueError if it is behind a camera with matches."""
+def _check_center(g: FloatArray, rig: Rig, data: Sequence[TermData]) -> None:
+    """Raise ValueError if the given center (3,) is behind a camera with matches."""
     for term in data:
         if term.rotation[2] @ (g - term.center) <= 0:
             raise ValueError(f"center: {g.tolist()} is behind camera {rig.names[term.camera]}, which has matches")
-    return g

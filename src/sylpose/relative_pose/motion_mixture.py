@@ -8,7 +8,8 @@ If both motions are known, many matches of one are near the epipolar lines of th
 one of them with a probability (`fit_motion_mixture`).
 
 Source: contiguity, Moran, Biometrika 37, 1950; mixtures by expectation maximization, McLachlan & Krishnan, "The EM
-Algorithm and Extensions", chapters 2 and 4.
+Algorithm and Extensions", chapters 2 and 4; missing information, Louis, Journal of the Royal
+Statistical Society B 44, 1982, equation 3.1.
 """
 
 from __future__ import annotations
@@ -20,17 +21,29 @@ import numpy as np
 
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.numba_linalg import kernel
-from sylpose.relative_pose.irls import SIGMA_FLOOR_PX, IrlsFit, make_empty_irls_fit, run_irls
-from sylpose.relative_pose.match_likelihood import (
-    MISMATCH_PROBABILITY,
-    compute_cost,
-    compute_mismatch_density,
-    compute_motion_density,
+from sylpose.relative_pose.irls import (
+    CUTOFF,
+    GAIN,
+    SIGMA_FLOOR_PX,
+    IrlsFit,
+    make_empty_irls_fit,
+    make_joint_equations,
+    make_schur_workspace,
+    make_tolerance,
+    reduce_term,
+    run_irls,
 )
-from sylpose.relative_pose.terms import Stack
+from sylpose.relative_pose.match_cost import (
+    Tolerance,
+    build_match_equations,
+    compute_distances,
+    make_match_equations,
+    make_match_errors,
+)
+from sylpose.relative_pose.terms import DEPTH_MODEL_SIZE, Stack
 
-__all__ = ["MotionMixture", "correlate_neighbors", "fit_motion_mixture", "is_mixed"]
-
+# With this probability a match is anywhere in a square of so many spreads (choice).
+MISMATCH_RANGE, MISMATCH_PROBABILITY = 4.0, 0.05
 # Number of image neighbors that a match's residual is compared with, and maximum number of matches per camera (choice).
 N_NEIGHBORS, MAX_COMPARED = 3, 120
 # Least weight for the comparison; matches below may belong to another motion (choice).
@@ -118,6 +131,58 @@ def is_mixed(correlation: float, deviations: float, covariance: float, is_uncert
     return bool(significant and correlation > MIN_CORRELATION and covariance > MIN_SHARED_ERROR_PX**2)
 
 
+@kernel
+def compute_motion_density(stack: Stack, fit: IrlsFit) -> FloatArray:
+    """Return (N,) densities of the matches under the motion, per square pixel."""
+    n_matches = len(stack.x)
+    out, all_usable, matches = np.empty(n_matches), np.ones(n_matches), make_match_errors(n_matches)
+    for t in range(len(stack.focal)):
+        variance, residual_depth = (fit.sigma_px[t] / stack.focal[t]) ** 2, fit.residual_depth[t]
+        compute_distances(
+            stack, t, all_usable, fit.candidate, Tolerance(variance, residual_depth, residual_depth, CUTOFF), matches
+        )
+        peak_density = 1.0 / (4.0 * np.pi * fit.sigma_px[t] ** 2)
+        for i in range(stack.offsets[t], stack.offsets[t + 1]):
+            spread = np.sqrt(1.0 + (residual_depth * matches.parallax[i]) ** 2 / variance)
+            out[i] = peak_density * np.exp(-0.5 * min(matches.distance[i], 1e3)) / spread
+    return out
+
+
+def compute_mismatch_density(stack: Stack) -> FloatArray:
+    """Return (N,) densities of the matches as mismatches, per square pixel."""
+    return np.repeat(1.0 / (MISMATCH_RANGE * stack.spread * stack.focal) ** 2, np.diff(stack.offsets))
+
+
+@kernel
+def compute_cost(stack: Stack, usable: BoolArray, density: FloatArray) -> float:
+    """Return the negative log-likelihood of densities (N,) per square pixel, comparable to the cost of `run_irls`."""
+    cost = 0.0
+    for t in range(len(stack.focal)):
+        least = 0.5 / (MISMATCH_RANGE * stack.spread[t] * stack.focal[t]) ** 2
+        for i in range(stack.offsets[t], stack.offsets[t + 1]):
+            if usable[i] and density[i] > least:
+                cost -= np.log(density[i] / least)
+    return cost
+
+
+def compute_missing_information(stack: Stack, fit: IrlsFit, probabilities: FloatArray) -> FloatArray:
+    """Return (6, 6) Louis's missing information about (w, d); the depth models follow the motion as in the fit."""
+    out, gain, rotation_blocks = np.zeros((6, 6)), np.zeros((DEPTH_MODEL_SIZE, 8)), np.zeros((6, 6))
+    matches, equations = make_match_errors(len(stack.x)), make_match_equations(False, True)
+    joint, workspace = make_joint_equations(), make_schur_workspace()
+    for t in range(len(stack.focal)):
+        mass = fit.weights[stack.offsets[t] : stack.offsets[t + 1]].sum()
+        tolerance = make_tolerance(stack, t, fit, float(mass), CUTOFF)
+        build_match_equations(stack, t, probabilities, fit.candidate, tolerance, matches, equations)
+        if not reduce_term(stack, t, fit.candidate, fit.distance_offset, equations, 1.0, joint, gain, workspace):
+            continue
+        # Derivative of motion and depth model, (12,), with respect to the motion in world axes.
+        rotation_blocks[:3, :3] = rotation_blocks[3:, 3:] = stack.qy[t]
+        jacobian = np.vstack([rotation_blocks, -gain[:, :6]])
+        out += GAIN * (jacobian.T @ equations.missing_information @ jacobian)
+    return out
+
+
 class MotionMixture(NamedTuple):
     """Mixture of two motions.
 
@@ -150,22 +215,12 @@ def fit_motion_mixture(
     for k, ((rotation, translation), own_inliers) in enumerate(zip(starts, inliers, strict=True)):
         fits[k].candidate.rotation[:], fits[k].candidate.translation[:] = rotation, translation
         iterations += run_irls(stack, (own_inliers & ~inliers[1 - k]).astype(float), fits[k], SIGMA_FLOOR_PX)[0]
-    shares, mismatch_density, all_usable = (
-        np.full(2, 0.5),
-        compute_mismatch_density(stack),
-        np.ones(len(stack.x), dtype=bool),
-    )
+    shares, all_usable = np.full(2, 0.5), np.ones(len(stack.x), dtype=bool)
+    mismatch_density = MISMATCH_PROBABILITY * compute_mismatch_density(stack)
     for _ in range(MAX_ROUNDS):
-        joint_densities = np.stack(
-            [
-                share * (1.0 - MISMATCH_PROBABILITY) * compute_motion_density(stack, f)
-                for share, f in zip(shares, fits, strict=True)
-            ]
-        )
-        previous, probabilities = (
-            probabilities,
-            joint_densities / (joint_densities.sum(axis=0) + MISMATCH_PROBABILITY * mismatch_density),
-        )
+        densities = [compute_motion_density(stack, f) for f in fits]
+        joint = np.stack([s * (1.0 - MISMATCH_PROBABILITY) * d for s, d in zip(shares, densities, strict=True)])
+        previous, probabilities = probabilities, joint / (joint.sum(axis=0) + mismatch_density)
         shares = probabilities.sum(axis=1) / max(float(probabilities.sum()), 1e-300)
         for k in range(2):
             # Bound the noise ratio: otherwise a few accidental matches with little noise would form a body.

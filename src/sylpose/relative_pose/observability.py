@@ -8,29 +8,13 @@ import numpy as np
 
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.matrices import invert_information
-from sylpose.geometry.normal_equations import eliminate_block
-from sylpose.geometry.numba_linalg import kernel, so3_log, symmetric_eigen
+from sylpose.geometry.numba_linalg import kernel, so3_log
 from sylpose.geometry.observability import UNOBSERVABLE_RATIO, find_unobservable_directions, has_rotation_direction
 from sylpose.geometry.robust_loss import chi_squared_bound
-from sylpose.relative_pose.fit import Fit
 from sylpose.relative_pose.irls import CUTOFF, IrlsFit
 from sylpose.relative_pose.match_cost import Tolerance, compute_match_errors
-from sylpose.relative_pose.terms import Stack
+from sylpose.relative_pose.terms import Fit, Stack
 from sylpose.results import Status
-
-__all__ = [
-    "MIN_CERTAIN_SHARE",
-    "classify_observability",
-    "find_rod_axis",
-    "find_unobservable_motions",
-    "is_collinear",
-    "is_consistent",
-    "is_fully_observable",
-    "is_more_than_chance",
-    "is_static",
-    "set_observability_status",
-]
-
 
 # Least increase of the cost without any motion (six unknowns) or without rotation (three); below it the motion or
 # rotation may be zero (chi-squared, once in a thousand times).
@@ -49,64 +33,28 @@ SELECTED_PER_UNKNOWN, CHANCE_FACTOR = 2, 4.0
 MAX_PERMUTATIONS, PERMUTED_MATCHES = 8, 1000
 
 
-def set_observability_status(fit: Fit, radius: float) -> Fit:
-    """Return the fit with its status set by its observability: OK, or an unobservable scale or rotation."""
-    return classify_observability(fit, radius)[0]
-
-
 def classify_observability(fit: Fit, radius: float) -> tuple[Fit, FloatArray]:
-    """Return the fit as `set_observability_status` does, and the unobservable directions (k, 6) behind its status."""
+    """Return the fit with its status set by its observability: OK, or an unobservable scale or rotation.
+
+    Returns:
+        the fit; the unobservable directions (k, 6) behind its status.
+    """
     if fit.status not in (Status.OK, Status.NOT_CERTIFIED):
         return fit, np.empty((0, 6))
-    if is_fully_observable(fit.information, fit.information_without_depth, fit.rotation, fit.translation, radius):
-        return fit, np.empty((0, 6))
-    directions = find_unobservable_motions(fit, radius)
+    directions = find_unobservable_motions(
+        fit.rotation, fit.translation, fit.information, fit.information_without_depth, radius
+    )
     if len(directions) == 0:
         return fit, directions
     is_rotation = has_rotation_direction(directions * ([radius] * 3 + [1.0] * 3))
-    return replace(
-        fit, status=Status.ROTATION_NOT_OBSERVABLE if is_rotation else Status.SCALE_NOT_OBSERVABLE
-    ), directions
+    status = Status.ROTATION_NOT_OBSERVABLE if is_rotation else Status.SCALE_NOT_OBSERVABLE
+    return replace(fit, status=status), directions
 
 
-@kernel
-def is_fully_observable(
-    information: FloatArray, without_depth: FloatArray, rotation: FloatArray, translation: FloatArray, radius: float
-) -> bool:
-    """Return whether all directions are clearly observable: a fast sufficient test for `find_unobservable_motions`.
-
-    If it returns False, `find_unobservable_motions` must be evaluated.
-    """
-    rotvec, scaled, values, vectors = np.empty(3), np.empty((6, 6)), np.empty(6), np.empty((6, 6))
-    so3_log(rotation, rotvec)
-    angle = np.sqrt(rotvec[0] ** 2 + rotvec[1] ** 2 + rotvec[2] ** 2)
-    length = np.sqrt(translation[0] ** 2 + translation[1] ** 2 + translation[2] ** 2)
-    limit = UNOBSERVABLE_RATIO * np.hypot(radius * angle, length)
-    for i in range(6):
-        for j in range(6):
-            scaled[i, j] = without_depth[i, j] * limit * limit
-            scaled[i, j] /= (radius if i < 3 else 1.0) * (radius if j < 3 else 1.0)
-    symmetric_eigen(scaled, values, vectors)
-    if not values[0] > 1.0 + 1e-9:
-        return False
-    if not length > radius * angle:
-        return True
-    # Information about the rotation, marginalized over the translation.
-    block, coupled, kept = np.empty((3, 3)), np.zeros((3, 4)), np.zeros((3, 4))
-    for i in range(3):
-        for j in range(3):
-            block[i, j], coupled[i, j], kept[i, j] = information[3 + i, 3 + j], information[3 + i, j], information[i, j]
-    if not eliminate_block(block, coupled, kept):
-        return False
-    known = 0.0
-    for i in range(3):
-        for j in range(3):
-            known += rotvec[i] * kept[i, j] * rotvec[j]
-    return known > MIN_ROTATION_SQUARE * (1.0 + 1e-6)
-
-
-def find_unobservable_motions(fit: Fit, radius: float) -> FloatArray:
-    """Find the directions (k, 6) of (w, d) that the matches do not determine.
+def find_unobservable_motions(
+    rotation: FloatArray, translation: FloatArray, information: FloatArray, without_depth: FloatArray, radius: float
+) -> FloatArray:
+    """Find the directions (k, 6) of (w, d) that the matches do not determine, from the information of a `Fit`.
 
     The prior on the object's distance is not used.
     A rotation moves the object's surface by radius times angle, a translation by its length. In this metric the rows
@@ -115,14 +63,14 @@ def find_unobservable_motions(fit: Fit, radius: float) -> FloatArray:
     observable length; a rotation within its noise must not suggest one.
     """
     scale = np.array([1.0 / radius] * 3 + [1.0] * 3)
-    rotvec, length = np.empty(3), float(np.linalg.norm(fit.translation))
-    so3_log(fit.rotation, rotvec)
+    rotvec, length = np.empty(3), float(np.linalg.norm(translation))
+    so3_log(rotation, rotvec)
     size = np.hypot(radius * np.linalg.norm(rotvec), length)
-    directions = find_unobservable_directions(fit.information_without_depth, UNOBSERVABLE_RATIO * size * scale)
+    directions = find_unobservable_directions(without_depth, UNOBSERVABLE_RATIO * size * scale)
     if len(directions) == 0 and length > radius * np.linalg.norm(rotvec):
-        rotation_information = np.linalg.inv(invert_information(fit.information)[:3, :3])
+        rotation_information = np.linalg.inv(invert_information(information)[:3, :3])
         if rotvec @ rotation_information @ rotvec < MIN_ROTATION_SQUARE:
-            directions = np.concatenate([np.zeros(3), fit.translation / length])[None]
+            directions = np.concatenate([np.zeros(3), translation / length])[None]
     return np.asarray(directions * scale)
 
 

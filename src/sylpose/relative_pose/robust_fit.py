@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.numba_linalg import kernel
-from sylpose.relative_pose.affine_initialization import N_AFFINE_TERMS
 from sylpose.relative_pose.affine_ransac import find_hyperplane_inliers
-from sylpose.relative_pose.fit import MIN_MATCHES
 from sylpose.relative_pose.irls import (
     CONVERGED_DECREASE,
     MAX_SIGMA_GROWTH,
@@ -22,11 +19,8 @@ from sylpose.relative_pose.irls import (
     run_irls,
 )
 from sylpose.relative_pose.moments_cost import MomentSums, compute_moments
-from sylpose.relative_pose.search import Minima, make_minima, search_minima
-from sylpose.relative_pose.terms import InitialMotions, Stack, copy_into
-
-__all__ = ["MAX_MINIMA", "RandomSource", "RefinedMinima", "SeededRandom", "draw_and_fit", "fit_robust_motion"]
-
+from sylpose.relative_pose.search import N_AFFINE_TERMS, make_minima, search_minima
+from sylpose.relative_pose.terms import MIN_MATCHES, InitialMotions, Stack, copy_into
 
 # Maximum number of quadruples to select a term's seeds (choice).
 MAX_QUADRUPLES = 300
@@ -52,39 +46,6 @@ MAX_REFINED = MAX_PASSES * MAX_MINIMA
 MAX_NOISE_DOUBLINGS, BOUND_REACHED_SHARE = 4, 0.99
 
 
-class RandomSource(Protocol):
-    """Source of uniform random numbers in [0, 1)."""
-
-    def random(self, size: tuple[int, int]) -> FloatArray: ...
-
-
-class SeededRandom:
-    """Random source identical to `np.random.default_rng(seed)`, with the first draw cached.
-
-    Usually only the first draw is needed; creating a generator takes as long as preparing all matches.
-    """
-
-    def __init__(self, seed: int) -> None:
-        self._seed, self._drawn = seed, 0
-        self._rng: np.random.Generator | None = None
-
-    def random(self, size: tuple[int, int]) -> FloatArray:
-        """Return the next numbers, (h, 4); do not modify them."""
-        self._drawn += 1
-        if self._drawn == 1:
-            return _draw_first(self._seed, size)
-        if self._rng is None:
-            self._rng = np.random.default_rng(self._seed)
-            self._rng.random(size)
-        return self._rng.random(size)
-
-
-@lru_cache(maxsize=8)
-def _draw_first(seed: int, size: tuple[int, int]) -> FloatArray:
-    """Return the first numbers of a generator with this seed."""
-    return np.random.default_rng(seed).random(size)
-
-
 class RefinedMinima(NamedTuple):
     """Refined minima, at most K: the candidates for alternative motions.
 
@@ -101,20 +62,30 @@ class RefinedMinima(NamedTuple):
     inliers: FloatArray
 
 
+class RobustFit(NamedTuple):
+    """Likeliest motion of a search.
+
+    Attributes:
+        fit: without inliers if none was found.
+        minima: all refined minima.
+        iterations: of the solver.
+        decrease: the predicted decrease of its last step (`run_irls`), infinite without a fit.
+    """
+
+    fit: IrlsFit
+    minima: RefinedMinima
+    iterations: int
+    decrease: float
+
+
 @kernel
-def fit_robust_motion(
-    stack: Stack, usable: FloatArray, picks: FloatArray, guesses: InitialMotions
-) -> tuple[IrlsFit, RefinedMinima, int, float]:
+def fit_robust_motion(stack: Stack, usable: FloatArray, picks: FloatArray, guesses: InitialMotions) -> RobustFit:
     """Fit one robust motion: seeds per term, minima of all seeds together, re-weighting of the best.
 
     Args:
         usable: (N,) 1 for matches that may be inliers, else 0.
         picks: (h, 4) in [0, 1): random numbers that select the seeds' quadruples.
         guesses: initial motions in addition to the built-in ones.
-
-    Returns:
-        the fit, without inliers if none was found; all minima; iterations of the solver; the predicted decrease of its
-        last step (`run_irls`), infinite without a fit.
     """
     fit = make_empty_irls_fit(stack)
     refined = RefinedMinima(
@@ -146,7 +117,11 @@ def fit_robust_motion(
             k = MAX_MINIMA * pass_index + m
             if pass_index > 0 and _is_refined(minima.rotations[m], refined, k):
                 continue
-            _initialize_at_minimum(stack, minima, m, first_sigma, trial)
+            # Start at the minimum, with everything else at its prior.
+            trial.sigma_px[:], trial.weights[:] = first_sigma, 0.0
+            trial.candidate.rotation[:], trial.candidate.translation[:] = minima.rotations[m], minima.translations[m]
+            trial.candidate.depth_model[:] = stack.depth_model_mean
+            trial.candidate.depth_model[:, 1:3] = minima.depth_models[m, :, 1:3]
             done, new_decrease, cost = run_irls(stack, usable, trial, SIGMA_FLOOR_PX)
             iterations += done
             refined.rotations[k], refined.translations[k] = trial.candidate.rotation, trial.candidate.translation
@@ -160,16 +135,15 @@ def fit_robust_motion(
             seeds[i] = 1.0 if fit.weights[i] > 0.0 else 0.0
         sigma_px[:] = fit.sigma_px
     if best < np.inf:
-        done, new_decrease, cost = _refit_with_more_noise(
-            stack, usable, fit, MAX_SIGMA_GROWTH * first_sigma.max(), best, trial
-        )
+        max_sigma = MAX_SIGMA_GROWTH * first_sigma.max()
+        done, new_decrease, cost = _refit_with_more_noise(stack, usable, fit, max_sigma, best, trial)
         iterations += done
         if cost < best:
             decrease, k = new_decrease, int(np.argmin(refined.costs))
             _copy_fit(fit, trial)
             refined.rotations[k], refined.translations[k] = fit.candidate.rotation, fit.candidate.translation
             refined.costs[k], refined.inliers[k] = cost, (fit.weights > 0.0).sum()
-    return fit, refined, iterations, decrease
+    return RobustFit(fit, refined, iterations, decrease)
 
 
 @kernel
@@ -204,31 +178,14 @@ def _copy_fit(target: IrlsFit, source: IrlsFit) -> None:
     copy_into(target.candidate, source.candidate)
     target.sigma_px[:], target.weights[:], target.residuals_px[:] = source.sigma_px, source.weights, source.residuals_px
     target.information[:], target.information_without_depth[:] = source.information, source.information_without_depth
-    target.noise_information[:], target.residual_depth[:], target.distance_offset[:] = (
-        source.noise_information,
-        source.residual_depth,
-        source.distance_offset,
-    )
+    target.noise_information[:], target.residual_depth[:] = source.noise_information, source.residual_depth
+    target.distance_offset[:] = source.distance_offset
 
 
-def draw_and_fit(
-    stack: Stack, usable: BoolArray, guesses: InitialMotions, rng: RandomSource
-) -> tuple[IrlsFit, RefinedMinima, int, float]:
+def draw_and_fit(stack: Stack, usable: BoolArray, guesses: InitialMotions, rng: np.random.Generator) -> RobustFit:
     """Run `fit_robust_motion` with quadruples drawn from rng."""
     # Pass probabilities, as for a mixture: a single compiled version is sufficient.
     return fit_robust_motion(stack, usable.astype(np.float64), rng.random((MAX_QUADRUPLES, 4)), guesses)
-
-
-@kernel
-def _initialize_at_minimum(stack: Stack, minima: Minima, m: int, sigma_px: FloatArray, trial: IrlsFit) -> None:
-    """Initialize trial at one of the minima, with noise sigma_px (T,) and all other quantities at their priors."""
-    trial.sigma_px[:] = sigma_px
-    trial.weights[:] = 0.0
-    trial.candidate.rotation[:], trial.candidate.translation[:] = minima.rotations[m], minima.translations[m]
-    trial.candidate.depth_model[:] = stack.depth_model_mean
-    for t in range(len(sigma_px)):
-        for j in range(1, 3):
-            trial.candidate.depth_model[t, j] = minima.depth_models[m, t, j]
 
 
 @kernel
@@ -266,16 +223,16 @@ def _select_seeds(
                 y[count, 0], y[count, 1] = stack.y[i, 0], stack.y[i, 1]
                 index[count] = i
                 count += 1
-        rms = find_hyperplane_inliers(x[:count], y[:count], SEED_THRESHOLD_PX / stack.focal[t], picks, inliers[:count])
+        threshold = SEED_THRESHOLD_PX / stack.focal[t]
+        rms = find_hyperplane_inliers(x[:count], y[:count], threshold, picks, inliers[:count])
         kept = 0
         for k in range(count):
             kept += inliers[k] > 0.0
         bound = upper
         if count >= MIN_WIDE_SEED_MATCHES and kept < MIN_SEED_SHARE * count:
             # A wider band distinguishes outliers from noise.
-            wide_rms = find_hyperplane_inliers(
-                x[:count], y[:count], WIDE_SEED_FACTOR * SEED_THRESHOLD_PX / stack.focal[t], picks, wide[:count]
-            )
+            threshold = WIDE_SEED_FACTOR * SEED_THRESHOLD_PX / stack.focal[t]
+            wide_rms = find_hyperplane_inliers(x[:count], y[:count], threshold, picks, wide[:count])
             wide_kept = 0
             for k in range(count):
                 wide_kept += wide[k] > 0.0

@@ -1,9 +1,24 @@
-"""Multi-start search for the minima of `moments_cost`.
+"""Multi-start search for the minima of `moments_cost`: Levenberg-Marquardt, depth models eliminated term by term.
 
 The planar part of the cost has no local minimum near the identity, so the search starts there. Few cameras, small
 rotations and transparent bodies cause mirrored minima. Each camera alone always has one: the rotation component across
 its axis reversed, near and far exchanged. Mirror images of the first minimum are therefore tried as well, and the
 likeliest wins.
+
+Two cameras add initial rotations from the affine image motion of a flat object.
+
+To first order, a plane that rotates by w and whose depth has the relative slopes s across the image is mapped by
+
+    A = (1 + σ) 1 + ω J + r s',      r = (w_y, -w_x),  ω = w_z in the camera's axes,  J a quarter turn,
+
+with σ from its approach. A without σ and ω has determinant zero: a quadratic equation with two solutions, that of the
+plane and that of the second plane. Neither determines the length of r, so each gives a line of rotations. The lines of
+the cameras meet in the rotation. With two cameras, other pairs of lines may pass each other nearly as closely, so the
+midpoints of all pairs are tried.
+
+Source: first-order structure from motion of planes, Longuet-Higgins, "The reconstruction of a plane surface from two
+perspective projections", 1984; the bas-relief ambiguity, Belhumeur, Kriegman, Yuille 1999; the intersection of the
+lines is ours.
 """
 
 from __future__ import annotations
@@ -13,19 +28,20 @@ from typing import NamedTuple
 import numpy as np
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.numba_linalg import kernel, leaf, so3_exp, so3_log
-from sylpose.relative_pose.affine_initialization import N_AFFINE_TERMS, estimate_affine_rotations
-from sylpose.relative_pose.levenberg_marquardt import (
-    INITIAL_DAMPING,
-    descend,
-    evaluate_log_likelihood,
-    make_descent_workspace,
+from sylpose.geometry.normal_equations import eliminate_block
+from sylpose.geometry.numba_linalg import apply_rotvec, cholesky_solve, kernel, leaf, so3_exp, so3_log
+from sylpose.relative_pose.moments_cost import (
+    MomentSums,
+    NormalEquations,
+    TermView,
+    build_view_equations,
+    compute_term_cost,
+    compute_view_misfit,
+    estimate_view_variance,
+    make_term_view,
+    update_view,
 )
-from sylpose.relative_pose.moments_cost import MomentSums
-from sylpose.relative_pose.terms import Candidate, InitialMotions, Stack
-
-__all__ = ["Minima", "find_minima", "make_minima", "search_minima"]
-
+from sylpose.relative_pose.terms import COINCIDENCE_TOLERANCE, Candidate, InitialMotions, Stack, copy_into
 
 # Iterations after which a start is checked, and how far its log-likelihood may then be behind the best. Earlier checks
 # lose true motions (measured: creeps in benchmarks/kinds.py, 48 degrees off) (choice).
@@ -43,6 +59,345 @@ SAME_AXIS_COSINE = 0.97
 # Two minima are the same if the squared distance of their rotation matrices, and that of their translations relative to
 # the squared length, are below these: a few thousandths of a radian, some hundredths of the translation (choice).
 SAME_ROTATION, SAME_TRANSLATION = 2e-5, 1e-3
+# A term whose mean square exceeds the median of the terms by this factor, or this value, is down-weighted in the search
+# (choice).
+MAX_COST_RATIO = 4.0
+# Number of trial steps, each with more damping, before a start counts as converged; and the largest rotation of a step,
+# radians: the range in which the derivatives are valid (choice).
+MAX_TRIES, MAX_ROTATION_STEP = 8, 0.5
+# Damping at first, and again after a rejected step (choice).
+INITIAL_DAMPING = 1e-4
+# Number of terms (matches of one camera with one frame) whose lines are combined: more terms hardly leave an ambiguity
+# (choice).
+N_AFFINE_TERMS = 2
+# Minimum number of matches for a camera's affine map, and the smallest ratio of width to length of the area that they
+# cover (choice).
+MIN_AFFINE_MATCHES, MIN_WIDTH_RATIO = 6.0, 0.05
+# Regularization that rejects nearly parallel lines: the added share of the identity (choice).
+PARALLEL_RIDGE = 1e-3
+# Largest rotation that is tried, radians (choice).
+MAX_ROTATION = 1.0
+
+
+class DescentWorkspace(NamedTuple):
+    """Work arrays of a search over T terms, allocated once.
+
+    Attributes:
+        normal, gain: normal equations, and the responses of the depth models (T, 3, 7): α changes by
+            -(gain[:, 6] + gain[:, :6] (w, d)).
+        kappa, costs, term_weights, squares: (T,) κ, costs, weights of the terms and their mean squares.
+        total, right, step: (6, 6), (6,), (6,) the joint equations and a step.
+        block, reduced: (3, 3), (6, 7) for the elimination of a depth model.
+        trial, term_view: a candidate, and the view of one term.
+    """
+
+    normal: NormalEquations
+    gain: FloatArray
+    kappa: FloatArray
+    costs: FloatArray
+    term_weights: FloatArray
+    squares: FloatArray
+    total: FloatArray
+    right: FloatArray
+    step: FloatArray
+    block: FloatArray
+    reduced: FloatArray
+    trial: Candidate
+    term_view: TermView
+
+
+@kernel
+def make_descent_workspace(n: int) -> DescentWorkspace:
+    """Allocate the work arrays for n terms."""
+    return DescentWorkspace(
+        NormalEquations(np.empty((n, 9, 9)), np.empty((n, 9))),
+        np.empty((n, 3, 7)),
+        np.empty(n),
+        np.empty(n),
+        np.empty(n),
+        np.empty(n),
+        np.empty((6, 6)),
+        np.empty(6),
+        np.empty(6),
+        np.empty((3, 3)),
+        np.empty((6, 7)),
+        Candidate(np.empty((3, 3)), np.empty(3), np.empty((n, 3))),
+        make_term_view(),
+    )
+
+
+@leaf
+def _lower_median(values: FloatArray) -> float:
+    """Return the lower median of values (n,), which are sorted in place."""
+    n = values.shape[0]
+    for i in range(1, n):
+        value, k = values[i], i
+        while k > 0 and values[k - 1] > value:
+            values[k] = values[k - 1]
+            k -= 1
+        values[k] = value
+    return float(values[(n - 1) // 2])
+
+
+@leaf
+def _update_term_weights(costs: FloatArray, moments: FloatArray, term_weights: FloatArray, squares: FloatArray) -> None:
+    """Set the weight of each term: small if its mean square is far above the median."""
+    n = costs.shape[0]
+    for t in range(n):
+        squares[t] = term_weights[t] = 2.0 * costs[t] / max(moments[t, 8, 8], 1.0)
+    median = _lower_median(squares)
+    for t in range(n):
+        term_weights[t] = 1.0 / (1.0 + (term_weights[t] / (MAX_COST_RATIO * (median + 1.0))) ** 2)
+
+
+@leaf
+def _solve_step(damping: float, workspace: DescentWorkspace) -> bool:
+    """Compute a damped step, the depth models eliminated term by term; return False if it is undetermined."""
+    normal, total, right, step = workspace.normal, workspace.total, workspace.right, workspace.step
+    block, reduced = workspace.block, workspace.reduced
+    total[:] = 0.0
+    right[:] = 0.0
+    for t in range(workspace.gain.shape[0]):
+        hessian, gradient, gain, weight = (
+            normal.hessian[t],
+            normal.gradient[t],
+            workspace.gain[t],
+            workspace.term_weights[t],
+        )
+        for k in range(3):
+            for j in range(6):
+                gain[k, j] = hessian[6 + k, j]
+            for j in range(3):
+                block[k, j] = hessian[6 + k, 6 + j]
+            block[k, k] *= 1.0 + damping
+            gain[k, 6] = gradient[6 + k]
+        for i in range(6):
+            for j in range(6):
+                reduced[i, j] = hessian[i, j]
+            reduced[i, 6] = gradient[i]
+        if not eliminate_block(block, gain, reduced):
+            return False
+        for i in range(6):
+            right[i] -= weight * reduced[i, 6]
+            for j in range(6):
+                total[i, j] += weight * reduced[i, j]
+    # Rotations and translations have different units: each block is damped by its own trace.
+    rotation_trace = total[0, 0] + total[1, 1] + total[2, 2]
+    translation_trace = total[3, 3] + total[4, 4] + total[5, 5]
+    for i in range(3):
+        total[i, i] += (damping + 1e-12) * rotation_trace
+        total[3 + i, 3 + i] += (damping + 1e-12) * translation_trace
+    for i in range(6):
+        step[i] = right[i]
+    return cholesky_solve(total, step)
+
+
+@leaf
+def descend(
+    stack: Stack,
+    sums: MomentSums,
+    plane_only: bool,
+    iterations: int,
+    tolerance: float,
+    candidate: Candidate,
+    damping: float,
+    workspace: DescentWorkspace,
+) -> tuple[int, float, float]:
+    """Run Levenberg-Marquardt from one start, which becomes the minimum in place.
+
+    Terms that fit much worse than the others are down-weighted.
+
+    Args:
+        plane_only: omit the epipolar part (κ = 0), as is necessary near the identity while the parallax is not yet
+            explained.
+        iterations: maximum number of iterations.
+        tolerance: converged if the predicted decrease of the cost is below this: half the squared length of the step,
+            in standard deviations of the motion.
+        candidate: the start; receives the minimum.
+        damping: of the first step.
+        workspace: work arrays.
+
+    Returns:
+        number of iterations; the predicted decrease of the last step, below `tolerance` if converged; the current
+        damping.
+    """
+    n, decrease = stack.focal.shape[0], np.inf
+    normal, gain, kappa, costs, term_weights, squares, _, right, step, _, _, trial, view = workspace
+    kappa[:] = 0.0
+    term_weights[:] = 1.0
+    for count in range(1, iterations + 1):
+        cost = 0.0
+        for t in range(n):
+            update_view(stack, t, candidate, view)
+            if not plane_only:
+                kappa[t], _ = estimate_view_variance(stack, sums, t, view)
+            costs[t] = build_view_equations(stack, sums, t, kappa[t], candidate.depth_model[t], view, normal)
+        if n > 2:
+            _update_term_weights(costs, sums.moments, term_weights, squares)
+        for t in range(n):
+            cost += term_weights[t] * costs[t]
+        accepted = False
+        for _ in range(MAX_TRIES):
+            if _solve_step(damping, workspace):
+                length = np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
+                if length > MAX_ROTATION_STEP:
+                    for i in range(6):
+                        step[i] *= MAX_ROTATION_STEP / length
+                apply_rotvec(step[:3], candidate.rotation, trial.rotation)
+                decrease = 0.0
+                for i in range(3):
+                    trial.translation[i] = candidate.translation[i] + step[3 + i]
+                for i in range(6):
+                    decrease += 0.5 * step[i] * right[i]
+                new = 0.0
+                for t in range(n):
+                    for i in range(3):
+                        trial.depth_model[t, i] = candidate.depth_model[t, i] - gain[t, i, 6]
+                        decrease += 0.5 * term_weights[t] * gain[t, i, 6] * normal.gradient[t, 6 + i]
+                        for k in range(6):
+                            trial.depth_model[t, i] -= gain[t, i, k] * step[k]
+                    new += term_weights[t] * compute_term_cost(stack, sums, t, kappa[t], trial, view)
+                if new <= cost * (1.0 + 1e-12):
+                    accepted = True
+                    break
+            damping = max(10.0 * damping, INITIAL_DAMPING)
+        if not accepted:
+            return count, decrease, damping
+        copy_into(candidate, trial)
+        damping = max(0.1 * damping, 1e-9)
+        if decrease < tolerance:
+            return count, decrease, damping
+    return iterations, decrease, damping
+
+
+@leaf
+def compute_log_likelihood(stack: Stack, sums: MomentSums, candidate: Candidate, workspace: DescentWorkspace) -> float:
+    """Return the log-likelihood of a minimum up to a constant, to compare minima."""
+    total, n = 0.0, stack.focal.shape[0]
+    means, squares, view = workspace.costs, workspace.squares, workspace.term_view
+    for t in range(n):
+        variance, count = sums.variance[t], sums.moments[t, 8, 8]
+        update_view(stack, t, candidate, view)
+        _, v = estimate_view_variance(stack, sums, t, view)
+        square = compute_view_misfit(sums, t, view) / variance
+        square += count * np.log(v / (2.0 * variance))
+        for j in range(3):
+            square += ((candidate.depth_model[t, j] - stack.plane_mean[t, j]) / stack.plane_sd[t, j]) ** 2
+        # Bound the cost of a faulty camera by a multiple of the median per match, so that it does not decide.
+        means[t] = squares[t] = square / count
+    median = _lower_median(squares)
+    for t in range(n):
+        bound = MAX_COST_RATIO * (max(median, 0.0) + 1.0) if n > 2 else np.inf
+        total += min(means[t], bound) * sums.moments[t, 8, 8]
+    return -0.5 * total
+
+
+@kernel
+def estimate_affine_rotations(stack: Stack, sums: MomentSums, rotvecs: FloatArray) -> int:
+    """Set `rotvecs` to rotation vectors that fit the affine maps of the matches.
+
+    Args:
+        rotvecs: (`2**N_AFFINE_TERMS`, 3), filled.
+
+    Returns:
+        number of rotation vectors.
+    """
+    n = stack.focal.shape[0]
+    if n != N_AFFINE_TERMS:
+        return 0
+    points, along = np.empty((N_AFFINE_TERMS, 2, 3)), np.empty((N_AFFINE_TERMS, 2, 3))
+    translation = _estimate_translation(stack, sums)
+    for t in range(n):
+        if not _compute_rotation_lines(stack, sums, t, translation, points[t], along[t]):
+            return 0
+    for k in range(2**N_AFFINE_TERMS):
+        left, right = np.zeros((3, 3)), np.zeros(3)
+        for t in range(n):
+            line = (k >> t) & 1
+            u, p = along[t, line], points[t, line]
+            along_line = p[0] * u[0] + p[1] * u[1] + p[2] * u[2]
+            for i in range(3):
+                right[i] += p[i] - along_line * u[i]
+                for j in range(3):
+                    left[i, j] -= u[i] * u[j]
+                left[i, i] += 1.0 + PARALLEL_RIDGE
+        rotvecs[k] = right
+        if not cholesky_solve(left, rotvecs[k]):
+            return 0
+        size = np.sqrt(rotvecs[k, 0] ** 2 + rotvecs[k, 1] ** 2 + rotvecs[k, 2] ** 2)
+        if size > MAX_ROTATION:
+            rotvecs[k] *= MAX_ROTATION / size
+    return int(2**N_AFFINE_TERMS)
+
+
+@kernel
+def _estimate_translation(stack: Stack, sums: MomentSums) -> FloatArray:
+    """Estimate the translation (3,) of the object's center from the mean displacements."""
+    left, right = np.zeros((3, 3)), np.zeros(3)
+    for t in range(stack.focal.shape[0]):
+        m, q = sums.moments[t], stack.qy[t]
+        count = m[8, 8]
+        for f in range(2):
+            x, y = m[8, 6 + f] / count, m[8, 3 * f + 2] / count
+            for i in range(3):
+                row_i = (q[f, i] - x * q[2, i]) * stack.inverse_depth[t]
+                right[i] += row_i * (y - x)
+                for j in range(3):
+                    left[i, j] += row_i * (q[f, j] - x * q[2, j]) * stack.inverse_depth[t]
+    trace = left[0, 0] + left[1, 1] + left[2, 2]
+    for i in range(3):
+        left[i, i] += 1e-6 * trace
+    if not cholesky_solve(left, right):
+        right[:] = 0.0
+    return right
+
+
+@kernel
+def _compute_rotation_lines(
+    stack: Stack, sums: MomentSums, t: int, translation: FloatArray, points: FloatArray, along: FloatArray
+) -> bool:
+    """Compute a camera's two lines of rotations: points (2, 3) and directions (2, 3), world.
+
+    Returns:
+        whether the lines exist.
+    """
+    m, q = sums.moments[t], stack.qy[t]
+    count = m[8, 8]
+    if not count >= MIN_AFFINE_MATCHES:
+        return False
+    for i in range(3):
+        for j in range(3):
+            if abs(q[i, j] - stack.qx[t, i, j]) > COINCIDENCE_TOLERANCE:
+                return False
+    # The least-squares affine map.
+    x0, x1 = m[8, 6] / count, m[8, 7] / count
+    c00, c01, c11 = m[6, 6] / count - x0 * x0, m[6, 7] / count - x0 * x1, m[7, 7] / count - x1 * x1
+    det = c00 * c11 - c01 * c01
+    if not det > (MIN_WIDTH_RATIO * (c00 + c11)) ** 2:
+        return False
+    approach = (q[2, 0] * translation[0] + q[2, 1] * translation[1] + q[2, 2] * translation[2]) * stack.inverse_depth[t]
+    a = np.empty((2, 2))
+    for f in range(2):
+        y = m[8, 3 * f + 2] / count
+        b0, b1 = m[8, 3 * f] / count - y * x0, m[8, 3 * f + 1] / count - y * x1
+        a[f, 0], a[f, 1] = (c11 * b0 - c01 * b1) / det, (c00 * b1 - c01 * b0) / det
+        a[f, f] += approach - 1.0
+    # det (a - ω J) = ω² + (a01 - a10) ω + det a = 0
+    half = 0.5 * (a[1, 0] - a[0, 1])
+    root = np.sqrt(max(half * half - (a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]), 0.0))
+    for k in range(2):
+        omega = half + (root if k == 0 else -root)
+        b00, b01, b10, b11 = a[0, 0], a[0, 1] + omega, a[1, 0] - omega, a[1, 1]
+        # r is the image of b = r s', its longer column.
+        first = b00 * b00 + b10 * b10 > b01 * b01 + b11 * b11
+        r0, r1 = (b00, b10) if first else (b01, b11)
+        length = np.sqrt(r0 * r0 + r1 * r1)
+        if not length > 0.0:
+            return False
+        for i in range(3):
+            points[k, i] = omega * q[2, i]
+            along[k, i] = (-r1 * q[0, i] + r0 * q[1, i]) / length
+    return True
 
 
 class Minima(NamedTuple):
@@ -89,21 +444,14 @@ def search_minima(stack: Stack, sums: MomentSums, guesses: InitialMotions, minim
     n_mirrors = _find_mirror_axes(stack, axes)
     affine_rotvecs = np.zeros((2**N_AFFINE_TERMS, 3))
     n_affine = estimate_affine_rotations(stack, sums, affine_rotvecs)
-    rotvec, mirrored_rotvec, first_translation, first_depth_model = (
-        np.zeros(3),
-        np.empty(3),
-        np.zeros(3),
-        np.zeros((n, 3)),
-    )
-    count = 0
+    rotvec, mirrored_rotvec = np.zeros(3), np.empty(3)
+    first_translation, first_depth_model, count = np.zeros(3), np.zeros((n, 3)), 0
     # Try each mirror image twice: with near and far exchanged, and after steps with the planar part alone.
     for start in range(1 + 2 * n_mirrors + n_guesses + n_affine):
         mirror, guess = (start - 1) // 2, start - 1 - 2 * n_mirrors
         candidate.depth_model[:] = stack.plane_mean
         if start == 0:
-            done, _, _ = descend(
-                stack, sums, True, True, PLANE_STEPS, PLANE_TOLERANCE, candidate, INITIAL_DAMPING, workspace
-            )
+            done, _, _ = descend(stack, sums, True, PLANE_STEPS, PLANE_TOLERANCE, candidate, INITIAL_DAMPING, workspace)
             count += done
         elif guess < 0:
             axis = axes[mirror]
@@ -116,33 +464,29 @@ def search_minima(stack: Stack, sums: MomentSums, guesses: InitialMotions, minim
                 for t in range(n):
                     for j in range(1, 3):
                         candidate.depth_model[t, j] = -first_depth_model[t, j]
-            else:
-                done, _, _ = descend(
-                    stack, sums, True, True, MIRROR_STEPS, PLANE_TOLERANCE, candidate, INITIAL_DAMPING, workspace
-                )
-                count += done
         elif guess < n_guesses:
             candidate.rotation[:], candidate.translation[:] = guesses.rotations[guess], guesses.translations[guess]
         else:
             so3_exp(affine_rotvecs[guess - n_guesses], candidate.rotation)
             candidate.translation[:] = first_translation
+        if (0 < start <= 2 * n_mirrors and start % 2 == 0) or guess >= n_guesses:
             done, _, _ = descend(
-                stack, sums, True, True, MIRROR_STEPS, PLANE_TOLERANCE, candidate, INITIAL_DAMPING, workspace
+                stack, sums, True, MIRROR_STEPS, PLANE_TOLERANCE, candidate, INITIAL_DAMPING, workspace
             )
             count += done
         decrease, damping, value = np.inf, INITIAL_DAMPING, -np.inf
         nearest = _find_same_minimum(candidate, minima)
         dropped = (
             nearest >= 0
-            and evaluate_log_likelihood(stack, sums, candidate, workspace)
+            and compute_log_likelihood(stack, sums, candidate, workspace)
             > minima.likelihoods[nearest] - SAME_MINIMUM_GAP
         )
         for k in range(CHECK_ITERATIONS):
             if dropped or decrease < TOLERANCE:
                 break
-            done, decrease, damping = descend(stack, sums, True, False, 1, TOLERANCE, candidate, damping, workspace)
+            done, decrease, damping = descend(stack, sums, False, 1, TOLERANCE, candidate, damping, workspace)
             count += done
-            value = evaluate_log_likelihood(stack, sums, candidate, workspace)
+            value = compute_log_likelihood(stack, sums, candidate, workspace)
             # Stop a start that approaches a known minimum or is far behind the best.
             nearest = _find_same_minimum(candidate, minima)
             dropped = k == CHECK_ITERATIONS - 1 and value < minima.likelihoods[0] - MAX_LIKELIHOOD_GAP
@@ -150,9 +494,9 @@ def search_minima(stack: Stack, sums: MomentSums, guesses: InitialMotions, minim
         if dropped:
             continue
         if decrease >= TOLERANCE:
-            done, _, _ = descend(stack, sums, True, False, MAX_STEPS, TOLERANCE, candidate, damping, workspace)
+            done, _, _ = descend(stack, sums, False, MAX_STEPS, TOLERANCE, candidate, damping, workspace)
             count += done
-            value = evaluate_log_likelihood(stack, sums, candidate, workspace)
+            value = compute_log_likelihood(stack, sums, candidate, workspace)
         if start == 0:
             so3_log(candidate.rotation, rotvec)
             first_translation[:] = candidate.translation
@@ -160,23 +504,6 @@ def search_minima(stack: Stack, sums: MomentSums, guesses: InitialMotions, minim
         if np.isfinite(value):
             _insert_minimum(candidate, value, minima)
     return count
-
-
-def find_minima(
-    stack: Stack, sums: MomentSums, guesses: InitialMotions, max_minima: int
-) -> tuple[list[Candidate], FloatArray, int]:
-    """Run `search_minima` with newly allocated arrays.
-
-    Returns:
-        the minima, at most `max_minima`, best first; their log-likelihoods; number of iterations.
-    """
-    minima = make_minima(max_minima, len(stack.focal))
-    count = search_minima(stack, sums, guesses, minima)
-    candidates = [
-        Candidate(*parts) for parts in zip(minima.rotations, minima.translations, minima.depth_models, strict=True)
-    ]
-    n = int(np.count_nonzero(minima.likelihoods > -np.inf))
-    return candidates[:n], minima.likelihoods[:n], count
 
 
 @kernel

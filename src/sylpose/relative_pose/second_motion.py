@@ -10,20 +10,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.numba_linalg import compute_median, kernel
 from sylpose.matches import STATIC_PX
-from sylpose.relative_pose.fit import MIN_MATCHES, Solution, TermSolver
 from sylpose.relative_pose.leave_one_out import solve_subset
 from sylpose.relative_pose.solver import fit_two_motions
-from sylpose.relative_pose.terms import TermData
+from sylpose.relative_pose.terms import MIN_MATCHES, Solution, TermData, TermSolver
 from sylpose.results import Status
-
-__all__ = ["LargerBody", "select_larger_body"]
 
 # Outliers are examined if they are more than this share of the inliers, in at least two cameras; a second body has more
 # than the second share (choice).
@@ -41,21 +37,9 @@ MIN_SHARED_RATIO = 0.1
 AMBIGUOUS_RATIO = 0.8
 
 
-class LargerBody(NamedTuple):
-    """Motion of the larger of two bodies.
-
-    Attributes:
-        solution: its solution.
-        second_body_ratio: the other's inliers over its own; 0 without another body.
-    """
-
-    solution: Solution
-    second_body_ratio: float
-
-
 def select_larger_body(
     data: Sequence[TermData], solution: Solution, solve: TermSolver, min_sigma_px: float = 0.0
-) -> LargerBody:
+) -> tuple[Solution, float]:
     """Return the solution, or that of a larger body among its outliers.
 
     Args:
@@ -63,10 +47,21 @@ def select_larger_body(
         solution: the solution.
         solve: solver for a subset of the terms.
         min_sigma_px: lower bound of the noise, pixels.
+
+    Returns:
+        the solution of the larger body; the other's inliers over its own, 0 without another body.
     """
+    found = _find_second_body(data, solution, solve, min_sigma_px)
+    return found if found is not None else (solution, 0.0)
+
+
+def _find_second_body(
+    data: Sequence[TermData], solution: Solution, solve: TermSolver, min_sigma_px: float
+) -> tuple[Solution, float] | None:
+    """Return the result of `select_larger_body` if there are two bodies."""
     inliers = [w > 0 for w in solution.fit.weights]
     if sum(len(t) for t in data) < (1.0 + MIN_OUTLIER_RATIO) * _count_true(inliers):
-        return LargerBody(solution, 0.0)
+        return None
     outliers = [
         _find_moving_outliers(t.x, t.y, STATIC_PX / t.focal, w) for t, w in zip(data, solution.fit.weights, strict=True)
     ]
@@ -74,26 +69,20 @@ def select_larger_body(
     for mask, inlier in zip(outliers, inliers, strict=True):
         if inlier.sum() < MIN_MATCHES or mask.sum() < MIN_MATCHES:
             mask[:] = False
-    if sum(bool(m.any()) for m in outliers) < min(2, len(data)) or _count_true(
-        outliers
-    ) < MIN_OUTLIER_RATIO * _count_true(inliers):
-        return LargerBody(solution, 0.0)
-    if not _is_coherent(data, outliers):
-        return LargerBody(solution, 0.0)
-    second = solve_subset(data, outliers, solve)
-    if not _is_body(second, solution):
-        return LargerBody(solution, 0.0)
-    assert second is not None
+    min_cameras, min_count = min(2, len(data)), MIN_OUTLIER_RATIO * _count_true(inliers)
+    if sum(bool(m.any()) for m in outliers) < min_cameras or _count_true(outliers) < min_count:
+        return None
+    second = _solve_motion(data, outliers, solve) if _is_coherent(data, outliers) else None
+    if second is None or not _count_true([w > 0 for w in second.fit.weights]) > min_count:
+        return None
     # Reassign matches that are inliers of the other fit by mistake.
-    first = solve_subset(data, [~(w > 0) for w in second.fit.weights], solve)
-    if first is None or first.fit.status is Status.NO_MOTION:
-        return LargerBody(solution, 0.0)
+    first = _solve_motion(data, [~(w > 0) for w in second.fit.weights], solve)
+    if first is None:
+        return None
     first_inliers = [w > 0 for w in first.fit.weights]
-    if _count_true([a != b for a, b in zip(first_inliers, inliers, strict=True)]) > SAME_INLIERS_SHARE * _count_true(
-        inliers
-    ):
-        refit = solve_subset(data, [~m for m in first_inliers], solve)
-        second = refit if refit is not None and refit.fit.status is not Status.NO_MOTION else second
+    changed = _count_true([a != b for a, b in zip(first_inliers, inliers, strict=True)])
+    if changed > SAME_INLIERS_SHARE * _count_true(inliers):
+        second = _solve_motion(data, [~m for m in first_inliers], solve) or second
     counts = [_count_true([w > 0 for w in s.fit.weights]) for s in (first, second)]
     larger, smaller = (first, second) if counts[0] >= counts[1] else (second, first)
     # Both were solved about their own centers: express them about the same one.
@@ -105,24 +94,21 @@ def select_larger_body(
         larger, probabilities = larger._replace(fit=mixture[0]), mixture[1]
         share = float(probabilities[1].sum() / probabilities[0].sum())
         # A faulty camera has most of its matches on one side; a second body must share those of at least two cameras.
-        has_second_body = int((probabilities.min(axis=0) > MIN_SHARED_RATIO * probabilities.sum(axis=0)).sum()) >= min(
-            2, len(data)
-        )
+        is_shared = probabilities.min(axis=0) > MIN_SHARED_RATIO * probabilities.sum(axis=0)
+        has_second_body = int(is_shared.sum()) >= min_cameras
     else:
         has_second_body = _count_true(outliers) > MIN_BODY_RATIO * _count_true(inliers)
     if not has_second_body or share < MIN_BODY_RATIO:
-        return LargerBody(solution, 0.0)
+        return None
     if share > AMBIGUOUS_RATIO:
         larger = larger._replace(fit=replace(larger.fit, alternative=(smaller.fit.rotation, translation)))
-    return LargerBody(larger, share)
+    return larger, share
 
 
-def _is_body(second: Solution | None, first: Solution) -> bool:
-    """Return whether the second solution has a motion and enough matches relative to the first."""
-    if second is None or second.fit.status is Status.NO_MOTION:
-        return False
-    counts = [_count_true([w > 0 for w in s.fit.weights]) for s in (first, second)]
-    return counts[1] > MIN_OUTLIER_RATIO * counts[0]
+def _solve_motion(data: Sequence[TermData], masks: Sequence[BoolArray], solve: TermSolver) -> Solution | None:
+    """Solve with the masked matches; None without a motion."""
+    solution = solve_subset(data, masks, solve)
+    return solution if solution is not None and solution.fit.status is not Status.NO_MOTION else None
 
 
 def _is_coherent(data: Sequence[TermData], outliers: Sequence[BoolArray]) -> bool:

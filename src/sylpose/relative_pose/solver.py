@@ -1,15 +1,20 @@
-"""Robust fit of one motion to all terms: the Python layer above the compiled solver."""
+"""Robust fit of one motion to all terms: the Python layer above the compiled solver, and its compilation.
+
+The solver is compiled as a whole (`warm_up`) or in parts that processes can compile in parallel (`warm_up_search`,
+`warm_up_irls`, `warm_up_diagnostics`).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
+from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.matrices import remove_direction
 from sylpose.geometry.numba_linalg import compute_median, kernel
 from sylpose.matches import STATIC_PX
@@ -24,15 +29,22 @@ from sylpose.relative_pose.curvature_correction import (
     has_weak_direction,
     inflate,
     inflate_covariance,
+    minimize_across_valley,
     refit_along_weak_direction,
 )
 from sylpose.relative_pose.diagnostics import FitDiagnostics, diagnose_fit, subtract_information
-from sylpose.relative_pose.fit import MIN_MATCHES, Fit, make_failed_fit
-from sylpose.relative_pose.irls import SIGMA_FLOOR_PX, IrlsFit, make_empty_irls_fit, run_irls
-from sylpose.relative_pose.match_likelihood import compute_missing_information
-from sylpose.relative_pose.motion_mixture import fit_motion_mixture
-from sylpose.relative_pose.observability import find_rod_axis, is_consistent, is_fully_observable, is_static
-from sylpose.relative_pose.robust_fit import RandomSource, RefinedMinima, draw_and_fit
+from sylpose.relative_pose.irls import SIGMA_FLOOR_PX, IrlsFit, make_empty_irls_fit, make_irls_start, run_irls
+from sylpose.relative_pose.moments_cost import MomentSums, compute_moments
+from sylpose.relative_pose.motion_mixture import compute_missing_information, correlate_neighbors, fit_motion_mixture
+from sylpose.relative_pose.observability import (
+    classify_observability,
+    find_rod_axis,
+    find_unobservable_motions,
+    is_consistent,
+    is_static,
+)
+from sylpose.relative_pose.robust_fit import RefinedMinima, RobustFit, draw_and_fit
+from sylpose.relative_pose.search import make_minima, search_minima
 from sylpose.relative_pose.static_background import (
     MIN_LIKELIHOOD_GAIN,
     MOTION_FACTORS,
@@ -40,12 +52,23 @@ from sylpose.relative_pose.static_background import (
     has_moving_matches,
     split_background,
 )
-from sylpose.relative_pose.terms import Stack, TermArrays, TermData, copy_into, stack_initial_motions, stack_terms
+from sylpose.relative_pose.terms import (
+    MIN_MATCHES,
+    Fit,
+    Stack,
+    TermData,
+    locate_object,
+    make_failed_fit,
+    stack_initial_motions,
+    stack_terms,
+)
 from sylpose.results import Status
 
-__all__ = ["FAR_MOTION_PX", "fit_terms", "fit_two_motions"]
+__all__ = ["fit_terms", "fit_two_motions", "warm_up", "warm_up_diagnostics", "warm_up_irls", "warm_up_search"]
 
 Hypothesis = tuple[FloatArray, FloatArray]
+# The information of a fit, and the same without the prior on the depth models: (6, 6) each.
+Information = tuple[FloatArray, FloatArray]
 
 # If the moving matches of a camera are displaced by more than this, pixels, its static matches are background (choice).
 FAR_MOTION_PX = 6.0
@@ -62,13 +85,39 @@ FEW_INLIERS = 50
 FEW_CAMERAS = 3
 
 
+class _Problem(NamedTuple):
+    """Terms of one motion.
+
+    Attributes:
+        data, stack: the terms, with at least one match each.
+        radius: of the object.
+        usable: (N,) matches that may be inliers.
+    """
+
+    data: Sequence[TermData]
+    stack: Stack
+    radius: float
+    usable: BoolArray
+
+    def diagnose(self, fit: IrlsFit, probabilities: FloatArray) -> FitDiagnostics:
+        """Compute the diagnostics of a fit."""
+        return diagnose_fit(self.stack, self.usable, fit, probabilities, self.radius)
+
+    def fail(self, status: Status) -> Fit:
+        """Return a fit without a pose."""
+        return make_failed_fit(self.data, status)
+
+    def split_by_term(self, values: FloatArray) -> tuple[FloatArray, ...]:
+        """Split values (N,) by term."""
+        return tuple(values[first:last] for first, last in pairwise(self.stack.offsets.tolist()))
+
+
 def fit_terms(
     data: Sequence[TermData],
     center: FloatArray,
     radius: float,
     guesses: Sequence[Hypothesis],
-    rng: RandomSource,
-    arrays: TermArrays | None = None,
+    rng: np.random.Generator,
     min_sigma_px: float = 0.0,
 ) -> Fit:
     """Fit one robust motion to all terms: per-term RANSAC, minima from several starts, re-weighting.
@@ -78,8 +127,7 @@ def fit_terms(
         center: (3,) g, the object's center at the motion's start.
         radius: of the object.
         guesses: (R, d) initial motions in addition to the built-in ones.
-        rng: seeded random source.
-        arrays: the concatenated terms, if already available.
+        rng: random source.
         min_sigma_px: lower bound of the noise, pixels.
 
     Returns:
@@ -88,55 +136,48 @@ def fit_terms(
     """
     if sum(len(term) for term in data) < MIN_MATCHES:
         return make_failed_fit(data, Status.TOO_FEW_MATCHES)
-    stack = stack_terms(data, center, radius, arrays, min_sigma_px)
+    stack = stack_terms(data, center, radius, min_sigma_px)
     usable = np.ones(len(stack.x), dtype=bool)
     _exclude_background(stack, usable)
-    irls_fit, minima, iterations, decrease = draw_and_fit(stack, usable, stack_initial_motions(guesses), rng)
-    all_usable = usable.astype(float)
-    checks = diagnose_fit(stack, usable, irls_fit, all_usable, radius, minima.costs, minima.inliers)
-    planes = compute_second_planes(stack, irls_fit) if checks.is_narrow_baseline else []
+    problem, starts, all_usable = (
+        _Problem(data, stack, radius, usable),
+        stack_initial_motions(guesses),
+        usable.astype(float),
+    )
+    result = draw_and_fit(stack, usable, starts, rng)
+    checks = problem.diagnose(result.fit, all_usable)
+    planes = compute_second_planes(stack, result.fit) if checks.is_narrow_baseline else []
     if planes:
         refit = draw_and_fit(stack, usable, stack_initial_motions([*guesses, *((R, d) for R, d, _ in planes)]), rng)
-        iterations += refit[2]
-        minima, is_better = merge_minima(minima, refit[1]), refit[1].costs.min() < minima.costs.min()
-        irls_fit, decrease = (refit[0], refit[3]) if is_better else (irls_fit, decrease)
-        checks = diagnose_fit(stack, usable, irls_fit, all_usable, radius, minima.costs, minima.inliers)
+        better = refit if refit.minima.costs.min() < result.minima.costs.min() else result
+        iterations, minima = result.iterations + refit.iterations, merge_minima(result.minima, refit.minima)
+        result = better._replace(minima=minima, iterations=iterations)
+        checks = problem.diagnose(result.fit, all_usable)
     # If the search diverged, replace its result by the identity.
-    single = irls_fit if checks.is_finite else make_empty_irls_fit(stack)
-    motion_factor, likelihood_gain = (
-        bound_hidden_motion(stack, usable, single) if checks.has_static_candidates else (1.0, -np.inf)
-    )
-    split = None
+    single = result.fit if checks.is_finite else make_empty_irls_fit(stack)
+    motion_factor, likelihood_gain, split = 1.0, -np.inf, None
+    if checks.has_static_candidates:
+        motion_factor, likelihood_gain = bound_hidden_motion(stack, usable, single)
     if likelihood_gain > -np.inf and not _is_all_static(stack, usable, single):
-        split = split_background(stack, usable, single, likelihood_gain, stack_initial_motions(guesses), rng)
+        split = split_background(stack, usable, single, likelihood_gain, starts, rng)
     # A mixture that does not converge is no evidence against a single motion.
-    split = split if split is not None and split.predicted_decrease < MAX_PREDICTED_DECREASE else None
-    if split is not None and not split.likelihood_gain > MIN_LIKELIHOOD_GAIN:
-        minima, split = merge_minima(minima, split.rebase_minima(float(minima.costs.min()))), None
-        checks = checks._replace(has_alternative=True)
+    split = split if split is not None and split.result.decrease < MAX_PREDICTED_DECREASE else None
+    if split is not None and split.likelihood_gain > MIN_LIKELIHOOD_GAIN:
+        fit = _build_fit(problem, split.result, split.moving_probability)
+        static_ratio = float(1.0 - split.moving_probability.mean()) if fit.status.has_pose else 0.0
+        return replace(fit, iterations=int(result.iterations + split.result.iterations), static_ratio=static_ratio)
     if split is not None:
-        static_ratio = float(1.0 - split.moving_probability.mean())
-        fit = _build_fit(
-            data, stack, radius, split.fit, split.minima, split.predicted_decrease, split.moving_probability, usable
-        )
-        return replace(
-            fit,
-            iterations=int(iterations + split.iterations),
-            static_ratio=static_ratio if fit.status.has_pose else 0.0,
-        )
-    if checks.has_uniform_residuals or not (checks.has_certain_inliers or is_consistent(stack, usable, irls_fit)):
-        return make_failed_fit(data, Status.NOT_CONSISTENT)
-    fit = _build_fit(data, stack, radius, irls_fit, minima, decrease, all_usable, usable, motion_factor, checks)
-    return replace(fit, iterations=int(iterations))
+        minima = merge_minima(result.minima, split.rebase_minima(float(result.minima.costs.min())))
+        result = result._replace(minima=minima)
+    if checks.has_uniform_residuals or not (checks.has_certain_inliers or is_consistent(stack, usable, result.fit)):
+        return problem.fail(Status.NOT_CONSISTENT)
+    return replace(_build_fit(problem, result, all_usable, motion_factor, checks), iterations=int(result.iterations))
 
 
 def _is_all_static(stack: Stack, usable: BoolArray, single: IrlsFit) -> bool:
     """Return whether the motion may be zero and no match has moved."""
-    return (
-        bool(single.weights.any())
-        and is_static(stack, single, single.information)
-        and not has_moving_matches(stack, usable, single)
-    )
+    may_be_static = bool(single.weights.any()) and is_static(stack, single, single.information)
+    return may_be_static and not has_moving_matches(stack, usable, single)
 
 
 def fit_two_motions(
@@ -151,174 +192,157 @@ def fit_two_motions(
     Returns:
         the fit of the first motion; (2, T) how many matches of each term each motion has. None without convergence.
     """
-    stack = stack_terms(data, center, radius, min_sigma_px=min_sigma_px)
-    fits = (first, second)
-    mixture = fit_motion_mixture(
-        stack, [(f.rotation, f.translation) for f in fits], [np.concatenate(f.weights) > 0 for f in fits]
-    )
-    counts = mixture.probabilities.sum(axis=1)
+    stack, fits = stack_terms(data, center, radius, min_sigma_px), (first, second)
+    inliers = [np.concatenate(f.weights) > 0 for f in fits]
+    mixture = fit_motion_mixture(stack, [(f.rotation, f.translation) for f in fits], inliers)
+    probabilities = mixture.probabilities
+    counts = probabilities.sum(axis=1)
     if not (mixture.predicted_decrease < MAX_PREDICTED_DECREASE and counts.min() > MIN_MATCHES):
         return None
-    first_fit = mixture.fits[0]
-    minima = RefinedMinima(
-        first_fit.candidate.rotation[None], first_fit.candidate.translation[None], np.array([mixture.cost]), counts[:1]
-    )
-    usable = np.ones(len(stack.x), dtype=bool)
-    fit = _build_fit(
-        data, stack, radius, first_fit, minima, mixture.predicted_decrease, mixture.probabilities[0], usable
-    )
-    return replace(fit, iterations=mixture.iterations), np.add.reduceat(
-        mixture.probabilities, stack.offsets[:-1], axis=1
-    )
+    rotation, translation, _ = mixture.fits[0].candidate
+    minima = RefinedMinima(rotation[None], translation[None], np.array([mixture.cost]), counts[:1])
+    result = RobustFit(mixture.fits[0], minima, mixture.iterations, mixture.predicted_decrease)
+    fit = _build_fit(_Problem(data, stack, radius, np.ones(len(stack.x), dtype=bool)), result, probabilities[0])
+    return replace(fit, iterations=mixture.iterations), np.add.reduceat(probabilities, stack.offsets[:-1], axis=1)
 
 
 def _build_fit(
-    data: Sequence[TermData],
-    stack: Stack,
-    radius: float,
-    irls_fit: IrlsFit,
-    minima: RefinedMinima,
-    decrease: float,
+    problem: _Problem,
+    result: RobustFit,
     probabilities: FloatArray,
-    usable: BoolArray,
     motion_factor: float = 1.0,
     checks: FitDiagnostics | None = None,
 ) -> Fit:
     """Build the fit of a motion: its covariance, its status and its alternatives.
 
     Args:
-        irls_fit, minima, decrease: as returned by `draw_and_fit`, or of a mixture.
+        result: of `draw_and_fit`, or of a mixture.
         probabilities: (N,) the probability of each match to belong to the motion, given that it is no mismatch.
-        usable: (N,) matches that may be inliers.
         motion_factor: factor by which the motion may be larger (`bound_hidden_motion`).
         checks: diagnostics of the fit, if already computed.
     """
-    if checks is None:
-        checks = diagnose_fit(stack, usable, irls_fit, probabilities, radius, minima.costs, minima.inliers)
-    status = Status.OK if checks.inliers >= MIN_MATCHES else Status.NOT_CONSISTENT
-    rod_direction = find_rod_axis(stack, irls_fit) if checks.is_collinear else None
-    if status is Status.OK and rod_direction is not None:
-        refit = _remove_rod_rotation(stack, probabilities, irls_fit, rod_direction, float(minima.costs.min()))
+    _, stack, radius, usable = problem
+    checks = checks or problem.diagnose(result.fit, probabilities)
+    if checks.inliers < MIN_MATCHES:
+        return problem.fail(Status.NOT_CONSISTENT)
+    rod_direction = find_rod_axis(stack, result.fit) if checks.is_collinear else None
+    if rod_direction is not None:
+        refit = _remove_rod_rotation(stack, probabilities, result, rod_direction)
         if refit is not None:
-            irls_fit, decrease = refit
-            checks = diagnose_fit(stack, usable, irls_fit, probabilities, radius, minima.costs, minima.inliers)
-    (rotation, translation, _), _, weights, residuals_px, information, *_ = irls_fit
+            result, checks = refit, problem.diagnose(refit.fit, probabilities)
+    irls_fit, minima = result.fit, result.minima
+    (rotation, translation, _), status, alternative = irls_fit.candidate, Status.OK, None
     # The unobservable rotation about a rod keeps the solver from converging: that is no failure.
-    if status is Status.OK and not (
-        (decrease < MAX_PREDICTED_DECREASE or rod_direction is not None) and np.isfinite(information).all()
-    ):
-        status = Status.NOT_CONVERGED
-    if status is not Status.OK:
-        return make_failed_fit(data, status)
-    information, without_depth, may_be_static = (
-        checks.information,
-        checks.information_without_depth,
-        checks.may_be_static,
-    )
+    has_converged = result.decrease < MAX_PREDICTED_DECREASE or rod_direction is not None
+    if not (has_converged and np.isfinite(irls_fit.information).all()):
+        return problem.fail(Status.NOT_CONVERGED)
+    information, may_be_static = (checks.information, checks.information_without_depth), checks.may_be_static
     if checks.may_be_curved or checks.has_soft_assignment:
-        curvature = compute_curvature_covariance(stack, probabilities, irls_fit, radius)
-        if checks.has_soft_assignment:
-            missing_information = checks.information_factor * compute_missing_information(
-                stack, irls_fit, probabilities
-            )
-            information, without_depth = (
-                subtract_information(information, missing_information, 1.0),
-                subtract_information(without_depth, missing_information, 1.0),
-            )
-        information, without_depth = inflate(information, curvature), inflate(without_depth, curvature)
-        may_be_static = is_static(stack, irls_fit, information)
-    alternative = None
+        information = _correct_information(problem, irls_fit, probabilities, checks)
+        may_be_static = is_static(stack, irls_fit, information[0])
     if may_be_static:
-        if (
-            has_moving_matches(stack, usable, irls_fit)
-            or find_likeliest_alternative(irls_fit, minima, information, radius) is not None
-        ):
-            return make_failed_fit(data, Status.MOSTLY_STATIC)
+        likeliest = find_likeliest_alternative(irls_fit, minima, information[0], radius)
+        if likeliest is not None or has_moving_matches(stack, usable, irls_fit):
+            return problem.fail(Status.MOSTLY_STATIC)
         status, rotation, translation, motion_factor = Status.NO_MOTION, np.eye(3), np.zeros(3), MOTION_FACTORS[-1]
     elif motion_factor >= MAX_MOTION_FACTOR:
-        return make_failed_fit(data, Status.MOSTLY_STATIC)
+        return problem.fail(Status.MOSTLY_STATIC)
     elif rod_direction is None:
-        # Unobservable or ambiguously assigned motions need no further checks.
-        needs_alternatives = not (checks.has_soft_assignment or checks.is_mixed) and is_fully_observable(
-            information, without_depth, rotation, translation, radius
-        )
-        weakly_observed, cost = (
-            needs_alternatives and checks.may_be_curved and has_weak_direction(stack, irls_fit, radius),
-            float(minima.costs.min()),
-        )
-        if needs_alternatives:
-            refined_minima = _refine_from_alternatives(
-                stack, probabilities, irls_fit, cost, weakly_observed or checks.inliers < FEW_INLIERS
-            )
-            if refined_minima is None:
-                return make_failed_fit(data, Status.NOT_CONVERGED)
-            minima = merge_minima(minima, refined_minima)
-        likeliest = find_likeliest_alternative(irls_fit, minima, information, radius)
-        if likeliest is not None and likeliest.is_distant:
-            alternative = (likeliest.rotation, likeliest.translation)
-        elif likeliest is not None:
-            column = ALTERNATIVE_SD_RATIO * likeliest.step[:, None]
-            information, without_depth = inflate(information, column), inflate(without_depth, column)
-        for step, likelihood_loss in (
-            refit_along_weak_direction(stack, probabilities, irls_fit, radius, cost)
-            if weakly_observed and alternative is None
-            else []
-        ):
-            column = inflate_covariance(information, step, likelihood_loss)
-            information, without_depth = inflate(information, column), inflate(without_depth, column)
+        considered = _consider_alternatives(problem, result, probabilities, checks, information)
+        if considered is None:
+            return problem.fail(Status.NOT_CONVERGED)
+        minima, alternative, information = considered
     if motion_factor > 1.0:
         # Any part of the matches may be background: the motion has any size up to this factor, and fewer matches
         # measure it.
-        column = (
-            (motion_factor - 1.0)
-            / np.sqrt(3.0)
-            * np.append(Rotation.from_matrix(rotation).as_rotvec(), translation)[:, None]
-        )
-        information, without_depth = (inflate(part / motion_factor**2, column) for part in (information, without_depth))
+        motion = np.append(Rotation.from_matrix(rotation).as_rotvec(), translation)
+        column = (motion_factor - 1.0) / np.sqrt(3.0) * motion[:, None]
+        first, second = (part / motion_factor**2 for part in information)
+        information = _inflate_both((first, second), column)
     if rod_direction is not None:
-        information, without_depth = (
-            remove_direction(information, rod_direction),
-            remove_direction(without_depth, rod_direction),
-        )
+        information = remove_direction(information[0], rod_direction), remove_direction(information[1], rod_direction)
+    weights, is_soft = irls_fit.weights, checks.has_soft_assignment
     return Fit(
         status,
         rotation,
         translation,
-        _split_by_term(weights * (probabilities > 0.5) if checks.has_soft_assignment else weights, stack.offsets),
-        _split_by_term(residuals_px, stack.offsets),
-        information,
-        without_depth,
+        problem.split_by_term(weights * (probabilities > 0.5) if is_soft else weights),
+        problem.split_by_term(irls_fit.residuals_px),
+        *information,
         0,
         alternative=alternative,
         is_mixed=checks.is_mixed,
         cost=float(minima.costs.min()),
-        cameras_consistent=checks.cameras_consistent and not checks.has_soft_assignment,
+        cameras_consistent=checks.cameras_consistent and not is_soft,
     )
 
 
-def _split_by_term(values: FloatArray, offsets: IntArray) -> tuple[FloatArray, ...]:
-    """Split values (N,) by term."""
-    ends = offsets.tolist()
-    return tuple(values[first:last] for first, last in pairwise(ends))
+def _inflate_both(information: Information, columns: FloatArray) -> Information:
+    """Inflate both covariances by F F', F (6, m)."""
+    return inflate(information[0], columns), inflate(information[1], columns)
+
+
+def _correct_information(
+    problem: _Problem, irls_fit: IrlsFit, probabilities: FloatArray, checks: FitDiagnostics
+) -> Information:
+    """Return the information without what a curved valley and uncertain assignments lose."""
+    stack, both = problem.stack, (checks.information, checks.information_without_depth)
+    curvature = compute_curvature_covariance(stack, probabilities, irls_fit, problem.radius)
+    if checks.has_soft_assignment:
+        missing = checks.information_factor * compute_missing_information(stack, irls_fit, probabilities)
+        both = subtract_information(both[0], missing, 1.0), subtract_information(both[1], missing, 1.0)
+    return _inflate_both(both, curvature)
+
+
+def _consider_alternatives(
+    problem: _Problem, result: RobustFit, probabilities: FloatArray, checks: FitDiagnostics, information: Information
+) -> tuple[RefinedMinima, Hypothesis | None, Information] | None:
+    """Find alternative motions; a near one inflates the covariance.
+
+    Returns:
+        all minima, a distant alternative or None, and the information; None if the fit does not converge to itself.
+    """
+    stack, radius, irls_fit, minima = problem.stack, problem.radius, result.fit, result.minima
+    R, d, _ = irls_fit.candidate
+    # Unobservable or ambiguously assigned motions need no further checks.
+    needs_alternatives = not (checks.has_soft_assignment or checks.is_mixed) and not len(
+        find_unobservable_motions(R, d, *information, radius)
+    )
+    weakly_observed = needs_alternatives and checks.may_be_curved and has_weak_direction(stack, irls_fit, radius)
+    cost = float(minima.costs.min())
+    if needs_alternatives:
+        include_self = weakly_observed or checks.inliers < FEW_INLIERS
+        refined_minima = _refine_from_alternatives(stack, probabilities, irls_fit, cost, include_self)
+        if refined_minima is None:
+            return None
+        minima = merge_minima(minima, refined_minima)
+    likeliest = find_likeliest_alternative(irls_fit, minima, information[0], radius)
+    if likeliest is not None and likeliest.is_distant:
+        return minima, (likeliest.rotation, likeliest.translation), information
+    if likeliest is not None:
+        information = _inflate_both(information, ALTERNATIVE_SD_RATIO * likeliest.step[:, None])
+    steps = refit_along_weak_direction(stack, probabilities, irls_fit, radius, cost) if weakly_observed else []
+    for step, likelihood_loss in steps:
+        information = _inflate_both(information, inflate_covariance(information[0], step, likelihood_loss))
+    return minima, None, information
 
 
 def _remove_rod_rotation(
-    stack: Stack, usable: FloatArray, irls_fit: IrlsFit, rod_direction: FloatArray, cost: float
-) -> tuple[IrlsFit, float] | None:
+    stack: Stack, usable: FloatArray, result: RobustFit, rod_direction: FloatArray
+) -> RobustFit | None:
     """Remove the arbitrary rotation of a rod about itself and fit again.
 
     Returns:
-        the fit and the predicted decrease of its last step; None if it is less likely than the fit with this cost.
+        the result with this fit; None if it is less likely than the present one.
     """
-    refit = make_empty_irls_fit(stack)
-    copy_into(refit.candidate, irls_fit.candidate)
-    refit.sigma_px[:] = irls_fit.sigma_px
-    rotation = Rotation.from_matrix(irls_fit.candidate.rotation)
+    refit = make_irls_start(stack, result.fit.candidate, result.fit.sigma_px)
+    rotation = Rotation.from_matrix(result.fit.candidate.rotation)
     x, y, z, w = rotation.as_quat()
     rod_rotation = Rotation.from_rotvec(2.0 * np.arctan2(np.dot((x, y, z), rod_direction[:3]), w) * rod_direction[:3])
     refit.candidate.rotation[:] = (rod_rotation.inv() * rotation).as_matrix()
     _, decrease, new_cost = run_irls(stack, usable, refit, SIGMA_FLOOR_PX)
-    return (refit, float(decrease)) if new_cost < cost + MAX_LIKELIHOOD_LOSS else None
+    is_likely = new_cost < float(result.minima.costs.min()) + MAX_LIKELIHOOD_LOSS
+    return result._replace(fit=refit, decrease=float(decrease)) if is_likely else None
 
 
 def _refine_from_alternatives(
@@ -342,9 +366,7 @@ def _refine_from_alternatives(
     rotations, translations = np.empty((len(starts), 3, 3)), np.empty((len(starts), 3))
     costs, inliers = np.empty(len(starts)), np.empty(len(starts))
     for k, start in enumerate(starts):
-        refit = make_empty_irls_fit(stack)
-        copy_into(refit.candidate, start)
-        refit.sigma_px[:] = irls_fit.sigma_px
+        refit = make_irls_start(stack, start, irls_fit.sigma_px)
         _, _, costs[k] = run_irls(stack, probabilities, refit, SIGMA_FLOOR_PX)
         rotations[k], translations[k] = refit.candidate.rotation, refit.candidate.translation
         inliers[k] = (refit.weights > 0.0).sum()
@@ -371,3 +393,47 @@ def _exclude_background(stack: Stack, usable: BoolArray) -> None:
                 count += 1
         if count == 0 or compute_median(moving[:count]) <= FAR_MOTION_PX:
             usable[first:last] = True
+
+
+# --- compilation -------------------------------------------------------------------------------------------------------
+
+
+def warm_up() -> None:
+    """Compile what `fit_terms` runs, or load it from the cache: a minute or two at first, then a third of a second."""
+    fit_terms(_make_terms(), np.zeros(3), 0.1, [], np.random.default_rng(0))
+    warm_up_diagnostics()
+
+
+def warm_up_search() -> None:
+    """Compile the search for minima only."""
+    stack = _make_stack()
+    sums = MomentSums(np.empty((2, 9, 9)), np.full(2, 1e-6))
+    for t in range(2):
+        compute_moments(stack.x[t * 12 : t * 12 + 12], stack.y[t * 12 : t * 12 + 12], np.ones(12), sums.moments[t])
+    search_minima(stack, sums, stack_initial_motions([]), make_minima(2, 2))
+
+
+def warm_up_irls() -> None:
+    """Compile the re-weighted fit only."""
+    stack = _make_stack()
+    run_irls(stack, np.ones(len(stack.x)), make_empty_irls_fit(stack), SIGMA_FLOOR_PX)
+
+
+def warm_up_diagnostics() -> None:
+    """Compile the diagnostics of a fit only."""
+    classify_observability(make_failed_fit(_make_terms(), Status.OK), 0.1)
+    locate_object(_make_terms())
+    stack = _make_stack()
+    fit, usable = make_empty_irls_fit(stack), np.ones(len(stack.x))
+    correlate_neighbors(stack, fit)
+    compute_missing_information(stack, fit, 0.5 * usable)
+    minimize_across_valley(stack, usable, fit, np.zeros(6), np.zeros(6), np.zeros(6))
+
+
+def _make_terms() -> list[TermData]:
+    x = np.random.default_rng(0).uniform(-0.1, 0.1, (12, 2))
+    return [TermData(k, x, x + 0.01 * k, np.eye(3), np.array([k - 0.5, 0.0, -1.0]), 1000.0) for k in range(2)]
+
+
+def _make_stack() -> Stack:
+    return stack_terms(_make_terms(), np.zeros(3), 0.1)

@@ -16,27 +16,16 @@ import numpy as np
 
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.numba_linalg import kernel, so3_exp, so3_log
-from sylpose.relative_pose.fit import MIN_MATCHES
-from sylpose.relative_pose.irls import IrlsFit, make_empty_irls_fit, run_irls
-from sylpose.relative_pose.match_likelihood import (
+from sylpose.relative_pose.irls import IrlsFit, make_irls_start, run_irls
+from sylpose.relative_pose.motion_mixture import (
     MISMATCH_PROBABILITY,
     compute_cost,
     compute_mismatch_density,
     compute_motion_density,
 )
 from sylpose.relative_pose.observability import is_consistent
-from sylpose.relative_pose.robust_fit import RandomSource, RefinedMinima, draw_and_fit
-from sylpose.relative_pose.terms import Candidate, InitialMotions, Stack, copy_into
-
-__all__ = [
-    "MIN_LIKELIHOOD_GAIN",
-    "MOTION_FACTORS",
-    "BackgroundSplit",
-    "bound_hidden_motion",
-    "has_moving_matches",
-    "has_static_candidates",
-    "split_background",
-]
+from sylpose.relative_pose.robust_fit import RefinedMinima, RobustFit, draw_and_fit
+from sylpose.relative_pose.terms import MIN_MATCHES, Candidate, InitialMotions, Stack, copy_into
 
 # Of the displacements between these squares, in units of noise, at most this share and this number are due to chance
 # (chi-squared of two degrees of freedom: 1 %, and three times it; choice).
@@ -74,23 +63,20 @@ class BackgroundSplit(NamedTuple):
     """Motion separated from its static background.
 
     Attributes:
-        fit: fit of the moving matches; its weights include the probabilities.
-        minima: results of the mixtures from several starts; iterations: of all.
-        predicted_decrease: predicted decrease of the last step (`run_irls`).
+        result: fit of the moving matches; its weights include the probabilities. Its minima and iterations are those of
+            the mixtures from several starts.
         moving_probability: (N,) the probabilities of the matches to move.
         likelihood_gain: log-likelihood gain over a single motion of all matches.
     """
 
-    fit: IrlsFit
-    minima: RefinedMinima
-    iterations: int
-    predicted_decrease: float
+    result: RobustFit
     moving_probability: FloatArray
     likelihood_gain: float
 
     def rebase_minima(self, cost: float) -> RefinedMinima:
         """Return the minima with costs relative to a single motion of this cost."""
-        return self.minima._replace(costs=self.minima.costs - self.minima.costs.min() + cost - self.likelihood_gain)
+        minima = self.result.minima
+        return minima._replace(costs=minima.costs - minima.costs.min() + cost - self.likelihood_gain)
 
 
 class _Mixture(NamedTuple):
@@ -130,7 +116,7 @@ def split_background(
     single: IrlsFit,
     likelihood_gain: float,
     guesses: InitialMotions,
-    rng: RandomSource,
+    rng: np.random.Generator,
 ) -> BackgroundSplit | None:
     """Fit a motion to some of the matches and a static background to the others.
 
@@ -144,16 +130,13 @@ def split_background(
     """
     squared_px = _compute_squared_px(stack)
     sigma, static_probability = _split_displacements(squared_px, usable)
-    if not static_probability[usable].sum() >= _min_background(squared_px):
+    if not static_probability[usable].sum() >= max(MIN_MATCHES, MIN_BACKGROUND_SHARE * len(squared_px)):
         return None
     # If even the smallest displacements exceed the noise, nothing is static.
-    if (
-        single.weights.any()
-        and not likelihood_gain > 0.0
-        and sigma > MAX_STATIC_SIGMA_RATIO * float(np.median(single.sigma_px))
-    ):
+    has_single, max_sigma = single.weights.any(), MAX_STATIC_SIGMA_RATIO * float(np.median(single.sigma_px))
+    if has_single and not likelihood_gain > 0.0 and sigma > max_sigma:
         return None
-    starts, iterations = [single] if single.weights.any() else [], 0
+    starts, iterations = [single] if has_single else [], 0
     moves = usable & (static_probability < 0.5)
     if moves.sum() >= MIN_MOVING_MATCHES:
         fit, _, iterations, _ = draw_and_fit(stack, moves, guesses, rng)
@@ -174,13 +157,10 @@ def split_background(
         np.full(len(mixtures), float(usable.sum())),
     )
     iterations += sum(mixture.iterations for mixture in mixtures)
-    alone = (
-        compute_motion_density(stack, single)
-        if single.weights.any()
-        else _compute_static_density(squared_px, best.sigma)
-    )
+    alone = compute_motion_density(stack, single) if has_single else _compute_static_density(squared_px, best.sigma)
     gain = compute_cost(stack, usable, alone) - best.cost
-    return BackgroundSplit(best.fit, minima, iterations, best.predicted_decrease, best.moving_probability, gain)
+    result = RobustFit(best.fit, minima, iterations, best.predicted_decrease)
+    return BackgroundSplit(result, best.moving_probability, gain)
 
 
 def bound_hidden_motion(stack: Stack, usable: BoolArray, single: IrlsFit) -> tuple[float, float]:
@@ -194,11 +174,10 @@ def bound_hidden_motion(stack: Stack, usable: BoolArray, single: IrlsFit) -> tup
         one.
     """
     squared_px = _compute_squared_px(stack)
-    scaled = make_empty_irls_fit(stack)
-    scaled.sigma_px[:], scaled.residual_depth[:] = single.sigma_px, single.residual_depth
-    return _bound_motion_factor(
-        stack, usable, single.candidate, scaled, _compute_static_density(squared_px, float(np.median(single.sigma_px)))
-    )
+    scaled = make_irls_start(stack, single.candidate, single.sigma_px)
+    scaled.residual_depth[:] = single.residual_depth
+    static_density = _compute_static_density(squared_px, float(np.median(single.sigma_px)))
+    return _bound_motion_factor(stack, usable, single.candidate, scaled, static_density)
 
 
 @kernel
@@ -282,11 +261,6 @@ def has_static_candidates(stack: Stack, usable: BoolArray) -> bool:
     return count >= max(MIN_MATCHES, MIN_BACKGROUND_SHARE * len(stack.x))
 
 
-def _min_background(squared_px: FloatArray) -> float:
-    """Return the minimum number of matches of a background."""
-    return max(MIN_MATCHES, MIN_BACKGROUND_SHARE * len(squared_px))
-
-
 def _split_displacements(squared_px: FloatArray, usable: BoolArray) -> tuple[float, FloatArray]:
     """Split squared displacements (N,) into two kinds of noise; large ones belong to neither.
 
@@ -298,14 +272,10 @@ def _split_displacements(squared_px: FloatArray, usable: BoolArray) -> tuple[flo
     sorted_px = np.sort(squared_px[usable & near])
     # A square of two coordinates is exponential; its mean is four times the variance of one keypoint coordinate.
     small_mean, large_mean = (max(float(part.mean()), 1e-12) for part in np.array_split(sorted_px, 2))
-    # A regular subset is sufficient.
-    share, small_mean, large_mean = _fit_exponentials(
-        sorted_px[:: 1 + len(sorted_px) // MAX_COMPARED], small_mean, large_mean
-    )
-    odds = (1.0 - share) / share * small_mean / large_mean
-    static_probability = 1.0 / (
-        1.0 + odds * np.exp(np.minimum(squared_px * (1.0 / small_mean - 1.0 / large_mean), 700.0))
-    )
+    samples = sorted_px[:: 1 + len(sorted_px) // MAX_COMPARED]  # a regular subset is sufficient
+    share, small_mean, large_mean = _fit_exponentials(samples, small_mean, large_mean)
+    odds, rate = (1.0 - share) / share * small_mean / large_mean, 1.0 / small_mean - 1.0 / large_mean
+    static_probability = 1.0 / (1.0 + odds * np.exp(np.minimum(squared_px * rate, 700.0)))
     return float(np.sqrt(small_mean / 4.0)), np.where(near, static_probability, 0.0)
 
 
@@ -342,33 +312,20 @@ def _fit_mixture(
     static_probability: FloatArray,
 ) -> _Mixture:
     """Run expectation maximization from one motion, the noise of static matches, and their probabilities (N,)."""
-    fit = make_empty_irls_fit(stack)
-    copy_into(fit.candidate, start.candidate)
-    fit.sigma_px[:], fit.residual_depth[:] = start.sigma_px, start.residual_depth
-    share, moving_probability, decrease, iterations = (
-        float(np.clip(static_probability[usable].mean(), *SHARE_RANGE)),
-        np.zeros(len(squared_px)),
-        np.inf,
-        0,
-    )
+    fit = make_irls_start(stack, start.candidate, start.sigma_px)
+    fit.residual_depth[:] = start.residual_depth
+    share = float(np.clip(static_probability[usable].mean(), *SHARE_RANGE))
+    moving_probability, decrease, iterations = np.zeros(len(squared_px)), np.inf, 0
     probabilities, mismatch_density = np.zeros((3, len(squared_px))), compute_mismatch_density(stack)
     for _ in range(MAX_ROUNDS):
-        probabilities = np.stack(
-            [
-                share * _compute_static_density(squared_px, sigma),
-                (1 - MISMATCH_PROBABILITY - share) * compute_motion_density(stack, fit),
-                MISMATCH_PROBABILITY * mismatch_density,
-            ]
-        )
+        static = share * _compute_static_density(squared_px, sigma)
+        moving = (1 - MISMATCH_PROBABILITY - share) * compute_motion_density(stack, fit)
+        probabilities = np.stack([static, moving, MISMATCH_PROBABILITY * mismatch_density])
         probabilities = np.where(usable, probabilities / probabilities.sum(axis=0), 0.0)
         share = float(np.clip(probabilities[0].sum() / usable.sum(), *SHARE_RANGE))
         # Static matches have at most the noise of moving ones: the noise of the motion includes its model error.
-        sigma = float(
-            np.clip(
-                np.sqrt((probabilities[0] * squared_px).sum() / max(4.0 * probabilities[0].sum(), 1e-300)),
-                *SIGMA_RANGE_PX,
-            )
-        )
+        variance = (probabilities[0] * squared_px).sum() / max(4.0 * probabilities[0].sum(), 1e-300)
+        sigma = float(np.clip(np.sqrt(variance), *SIGMA_RANGE_PX))
         change = float(np.abs(probabilities[1] - moving_probability).max())
         moving_probability = probabilities[1]
         # Otherwise a few accidental matches, nearly without noise, would become the motion.
@@ -377,11 +334,8 @@ def _fit_mixture(
         if change < CONVERGED_CHANGE or not decrease < np.inf:
             break
     share /= 1.0 - MISMATCH_PROBABILITY
-    cost = compute_cost(
-        stack,
-        usable,
-        share * _compute_static_density(squared_px, sigma) + (1.0 - share) * compute_motion_density(stack, fit),
-    )
+    density = share * _compute_static_density(squared_px, sigma) + (1.0 - share) * compute_motion_density(stack, fit)
+    cost = compute_cost(stack, usable, density)
     return _Mixture(fit, moving_probability, probabilities[0], sigma, cost, decrease, iterations)
 
 

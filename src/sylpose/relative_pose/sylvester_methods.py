@@ -16,16 +16,13 @@ import numpy as np
 
 from sylpose.geometry.arrays import FloatArray
 from sylpose.moments import PairMoments
-from sylpose.relative_pose.fit import Fit
-from sylpose.relative_pose.terms import TermData
+from sylpose.relative_pose.terms import Fit, TermData
 from sylpose.results import RotationEstimate, Status
 from sylpose.sylvester.camera_faults import diagnose_cameras
 from sylpose.sylvester.centralized import solve_centralized
 from sylpose.sylvester.depth_plane import solve_depth_plane
 from sylpose.sylvester.one_camera import solve_one_camera
 from sylpose.sylvester.translation import refine_translation, solve_translation_from_means
-
-__all__ = ["ESTIMATORS", "UNBIASED_METHODS", "apply_paper_method"]
 
 Moments = Sequence[PairMoments]
 
@@ -94,7 +91,7 @@ def apply_paper_method(
         return replace(robust, status=Status.ROTATION_NOT_OBSERVABLE, faults=faults)
     return replace(
         robust,
-        # `set_observability_status` reports unobservable rotations: the information about them is small or zero.
+        # `classify_observability` reports unobservable rotations: the information about them is small or zero.
         status=Status.OK if estimate.status is Status.ROTATION_NOT_OBSERVABLE else estimate.status,
         rotation=estimate.rotation,
         translation=translation,

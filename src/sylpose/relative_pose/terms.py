@@ -1,4 +1,4 @@
-"""Terms of a two-frame motion problem: the matches of each camera and the priors on depth.
+"""Terms of a two-frame motion problem: the matches of each camera, the priors on depth, the fit of a motion.
 
 A **term** is the matches of one camera between a reference frame and the current frame. All terms share one pair of
 unknowns, the motion X_j = R (X_i - g) + g + d about the object's center g. With a1 = (camera center at frame i) - g and
@@ -19,32 +19,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
-from sylpose.geometry.numba_linalg import apply_rotvec, kernel, leaf
-from sylpose.relative_pose.ray_intersection import COINCIDENCE_TOLERANCE, compute_distance_sd, locate_from_rays
+from sylpose.geometry.numba_linalg import apply_rotvec, compute_median, kernel, leaf, symmetric_eigen
+from sylpose.results import Status
 
-__all__ = [
-    "COINCIDENCE_TOLERANCE",
-    "DEPTH_MODEL_SIZE",
-    "Candidate",
-    "InitialMotions",
-    "Stack",
-    "TermArrays",
-    "TermData",
-    "apply_step",
-    "concatenate_terms",
-    "copy_into",
-    "locate_object",
-    "stack_initial_motions",
-    "stack_terms",
-]
-
-
+# Eight matches over all cameras leave two more equations than unknowns; fewer give no redundancy (choice).
+MIN_MATCHES = 8
 # Coefficients of a term's depth model. The inverse depth, in units of that of g, is α·(1, p, q, p², pq, q²) with (p, q)
 # the image position relative to the anchor, in units of the spread (derived).
 DEPTH_MODEL_SIZE = 6
@@ -68,6 +53,21 @@ MAX_INVERSE_DEPTH_SD = 0.3
 _PRIOR_MEAN = np.array([OFFSET_PER_BULGE, 0.0, 0.0, -1.0, 0.0, -1.0]) * BULGE
 _PRIOR_SCATTER = np.array([OFFSET_SD, 1.0, 1.0, CURVATURE_SD, CURVATURE_SD, CURVATURE_SD])
 _PRIOR_INFORMATION = np.linalg.inv(np.outer(_PRIOR_MEAN, _PRIOR_MEAN) + np.diag(_PRIOR_SCATTER**2))
+
+# Location of the object, where the cameras' rays meet: the least sum of squared distances to lines is that of
+# `rig.intersect_rays`; the rest is ours (docs/method/3-pose.md).
+# Centers whose distance is below this share of their coordinates coincide (derived: rounding).
+COINCIDENCE_TOLERANCE = 1e-9
+# Below this smallest eigenvalue of the normal equations of the intersection point, cameras nearly in one place do not
+# determine it (choice).
+MIN_EIGENVALUE = 1e-5
+# Rays converge if their inverse distance is so many standard deviations above zero (choice).
+MIN_CONVERGENCE_SIGMAS = 5.0
+# Rays also converge if their mean is shorter than this, a cone of some 36 degrees (choice).
+MIN_PARALLEL_MEAN = 0.95
+# Below this ratio of the least to the largest eigenvalue of their normal equations, nearly parallel lines leave the
+# point undetermined along them: 3 degrees (choice, that of `rig.intersect_rays`).
+MIN_EIGENVALUE_RATIO = 1e-3
 
 # Related priors elsewhere describe the visible side of a body in their own unknowns:
 # - `sylvester.depth_plane_kernels`: a plane without an offset, which moments about the mean do not have; all normals
@@ -197,6 +197,30 @@ def copy_into(target: Candidate, source: Candidate) -> None:
             target.depth_model[t, k] = source.depth_model[t, k]
 
 
+@leaf
+def transform_to_camera(
+    stack: Stack,
+    t: int,
+    candidate: Candidate,
+    rc: FloatArray,
+    tc: FloatArray,
+    rotated_center: FloatArray,
+) -> None:
+    """Transform the motion into term t's camera: `rc` = Qy R Qx', `tc` = Qy τ, `rotated_center` = Qy R a1."""
+    rotation, translation = candidate.rotation, candidate.translation
+    qx, qy, a1, a2 = stack.qx[t], stack.qy[t], stack.a1[t], stack.a2[t]
+    for i in range(3):
+        r0 = qy[i, 0] * rotation[0, 0] + qy[i, 1] * rotation[1, 0] + qy[i, 2] * rotation[2, 0]
+        r1 = qy[i, 0] * rotation[0, 1] + qy[i, 1] * rotation[1, 1] + qy[i, 2] * rotation[2, 1]
+        r2 = qy[i, 0] * rotation[0, 2] + qy[i, 1] * rotation[1, 2] + qy[i, 2] * rotation[2, 2]
+        for j in range(3):
+            rc[i, j] = r0 * qx[j, 0] + r1 * qx[j, 1] + r2 * qx[j, 2]
+        rotated_center[i] = r0 * a1[0] + r1 * a1[1] + r2 * a1[2]
+        tc[i] = rotated_center[i]
+        for j in range(3):
+            tc[i] += qy[i, j] * (translation[j] - a2[j])
+
+
 @kernel
 def apply_step(
     candidate: Candidate, distance_offset: FloatArray, step: FloatArray, gains: FloatArray, length: float
@@ -234,85 +258,30 @@ def stack_initial_motions(motions: Sequence[tuple[FloatArray, FloatArray]]) -> I
     )
 
 
-class TermArrays(NamedTuple):
-    """Concatenated arrays of all terms, before they are expressed relative to the object's center (`Stack`).
-
-    Attributes:
-        x, y, offsets, qx, qy, focal: as in `Stack`.
-        cx, cy: (T, 3) camera centers in the reference frame and in the current frame.
-    """
-
-    x: FloatArray
-    y: FloatArray
-    offsets: IntArray
-    qx: FloatArray
-    qy: FloatArray
-    cx: FloatArray
-    cy: FloatArray
-    focal: FloatArray
+def _concatenate(data: Sequence[TermData], name: str) -> FloatArray:
+    return np.concatenate([getattr(term, name) for term in data])
 
 
-def concatenate_terms(data: Sequence[TermData]) -> TermArrays:
-    """Concatenate terms, each with at least one match."""
-    x, y = np.concatenate([term.x for term in data]), np.concatenate([term.y for term in data])
-    qy, cy = np.concatenate([term.rotation for term in data]), np.concatenate([term.center for term in data])
-    qx, cx = qy, cy
-    if any(term.start_from_reference is not None for term in data):
-        qx, cx = np.concatenate([term.rotation_x for term in data]), np.concatenate([term.center_x for term in data])
-    offsets = np.array([0, *accumulate(len(term) for term in data)])
-    rotations, focal = (
-        (qx.reshape(-1, 3, 3), qy.reshape(-1, 3, 3)),
-        np.array([term.focal for term in data], dtype=float),
-    )
-    return TermArrays(x, y, offsets, *rotations, cx.reshape(-1, 3), cy.reshape(-1, 3), focal)
+def _compute_offsets(data: Sequence[TermData]) -> IntArray:
+    return np.array([0, *accumulate(len(term) for term in data)])
 
 
-def stack_terms(
-    data: Sequence[TermData],
-    center: FloatArray,
-    radius: float,
-    arrays: TermArrays | None = None,
-    min_sigma_px: float = 0.0,
-) -> Stack:
+def stack_terms(data: Sequence[TermData], center: FloatArray, radius: float, min_sigma_px: float = 0.0) -> Stack:
     """Stack terms, each with at least one match, and set the priors of their depth models.
 
     Args:
         center: (3,) g.
         radius: of the object, length units.
-        arrays: the concatenated terms, if already available.
         min_sigma_px: lower bound of the noise, pixels.
     """
-    return _build_stack(
-        concatenate_terms(data) if arrays is None else arrays, center, float(radius), float(min_sigma_px)
-    )
-
-
-@kernel
-def _build_stack(arrays: TermArrays, center: FloatArray, radius: float, min_sigma_px: float) -> Stack:
-    """Express the terms relative to g and set the depth priors."""
-    n = len(arrays.focal)
-    stack = Stack(
-        arrays.x,
-        arrays.y,
-        arrays.offsets,
-        arrays.qx,
-        arrays.qy,
-        arrays.cx - center,
-        arrays.cy - center,
-        np.empty((n, 2)),
-        np.empty(n),
-        np.empty(n),
-        np.empty((n, DEPTH_MODEL_SIZE)),
-        np.empty((n, DEPTH_MODEL_SIZE, DEPTH_MODEL_SIZE)),
-        np.empty(n),
-        np.empty(n),
-        np.empty((n, 3)),
-        np.empty((n, 3)),
-        np.empty(n),
-        arrays.focal,
-        min_sigma_px,
-    )
-    _set_depth_priors(stack, radius)
+    n, k = len(data), DEPTH_MODEL_SIZE
+    qx, qy = (_concatenate(data, name).reshape(-1, 3, 3) for name in ("rotation_x", "rotation"))
+    a1, a2 = (_concatenate(data, name).reshape(-1, 3) - center for name in ("center_x", "center"))
+    shapes: Sequence[Any] = ((n, 2), n, n, (n, k), (n, k, k), n, n, (n, 3), (n, 3), n)
+    x, y, focal = _concatenate(data, "x"), _concatenate(data, "y"), np.array([float(term.focal) for term in data])
+    views = x, y, _compute_offsets(data), qx, qy, a1, a2
+    stack = Stack._make([*views, *map(np.empty, shapes), focal, float(min_sigma_px)])
+    _set_depth_priors(stack, float(radius))
     return stack
 
 
@@ -320,7 +289,7 @@ def _build_stack(arrays: TermArrays, center: FloatArray, radius: float, min_sigm
 def _set_depth_priors(stack: Stack, radius: float) -> None:
     """Set the depth priors of all terms."""
     distance_sd = stack.distance_gain
-    compute_distance_sd(stack.a1, stack.qx, OFFSET_SD, distance_sd)
+    _compute_distance_sd(stack.a1, stack.qx, distance_sd)
     scale = np.empty(DEPTH_MODEL_SIZE)
     for t in range(len(distance_sd)):
         q, a = stack.qx[t], stack.a1[t]
@@ -350,17 +319,215 @@ def _set_depth_priors(stack: Stack, radius: float) -> None:
         distance_sd[t] *= share
 
 
-def locate_object(data: Sequence[TermData], arrays: TermArrays | None = None) -> tuple[FloatArray, float]:
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Robust fit of one motion to terms, shared by `estimate_motion` and the tracker.
+
+    Attributes:
+        status: see `Status`.
+        rotation: (3, 3) R, of X_j = R (X_i - g) + g + d; meaningless without `status.has_pose`.
+        translation: (3,) d, likewise.
+        weights: per term (n,), 0 for outliers.
+        residuals: per term (n,) signed epipolar distances, pixels.
+        information: (6, 6) of (w, d).
+        information_without_depth: (6, 6) the same without the prior on the depth models (distance and curvature).
+        iterations: of the solver, all rounds.
+        faults: one sentence for each camera identified as faulty.
+        alternative: (R, d) of a distant alternative motion that explains the matches about as well; None without.
+        is_mixed: whether neighboring residuals are correlated: two bodies fitted as one, or a wrongly calibrated
+            camera. The motion then belongs to neither, and its covariance is meaningless.
+        cost: negative log-likelihood of the matches, to compare fits of the same matches.
+        static_ratio: share of the matches assigned to a static background while the object moves by little.
+        cameras_consistent: whether no camera is inconsistent or rejected (`is_consistent_per_camera`); False where this
+            was not checked.
+    """
+
+    status: Status
+    rotation: FloatArray
+    translation: FloatArray
+    weights: tuple[FloatArray, ...]
+    residuals: tuple[FloatArray, ...]
+    information: FloatArray
+    information_without_depth: FloatArray
+    iterations: int
+    faults: tuple[str, ...] = ()
+    alternative: tuple[FloatArray, FloatArray] | None = None
+    is_mixed: bool = False
+    cost: float = np.inf
+    static_ratio: float = 0.0
+    cameras_consistent: bool = False
+
+    def with_matches(self, weights: Sequence[FloatArray], residuals: Sequence[FloatArray]) -> Fit:
+        """Return the same fit with the weights and residuals of other terms."""
+        return replace(self, weights=tuple(weights), residuals=tuple(residuals), cameras_consistent=False)
+
+
+class Solution(NamedTuple):
+    """Fit, and the object center and radius that it assumes."""
+
+    fit: Fit
+    center: FloatArray
+    radius: float
+
+
+class TermSolver(Protocol):
+    """Solver of terms; `start` is tried as an initial motion."""
+
+    def __call__(self, terms: Sequence[TermData], start: Solution | None = None) -> Solution: ...
+
+
+def make_failed_fit(data: Sequence[TermData], status: Status) -> Fit:
+    """Return a fit without a pose, with this status."""
+    weights = tuple(np.zeros(len(term)) for term in data)
+    nothing = np.zeros((6, 6))
+    return Fit(status, np.eye(3), np.zeros(3), weights, weights, nothing, nothing, 0)
+
+
+def locate_object(data: Sequence[TermData]) -> tuple[FloatArray, float]:
     """Estimate where the object is and how large, from the matched points of the reference frame.
 
     Args:
         data: terms, each with at least one match.
-        arrays: the concatenated terms, if already available.
 
     Returns:
         center (3,), the point nearest to the rays through each camera's median point (at distance 1 with one camera);
         radius, length units: twice the median distance of the points from it.
     """
-    x, _, offsets, rotations, _, centers, _, _ = concatenate_terms(data) if arrays is None else arrays
+    rotations, centers = _concatenate(data, "rotation_x").reshape(-1, 3, 3), _concatenate(data, "center_x")
     center = np.empty(3)
-    return center, float(locate_from_rays(x, offsets, rotations, centers, OFFSET_SD, center))
+    x, offsets = _concatenate(data, "x"), _compute_offsets(data)
+    return center, float(_locate_from_rays(x, offsets, rotations, centers.reshape(-1, 3), center))
+
+
+@kernel
+def _locate_from_rays(
+    x: FloatArray, offsets: IntArray, rotations: FloatArray, centers: FloatArray, center: FloatArray
+) -> float:
+    """Set center (3,) to the location of the object; return its radius.
+
+    Args:
+        x: (N, 2) normalized points of all terms, split by offsets (T + 1,).
+        rotations, centers: (T, 3, 3), (T, 3) of the cameras that see them.
+    """
+    n = len(centers)
+    rays, spread, anchor = np.empty((n, 3)), np.empty(n), np.empty(2)
+    for t in range(n):
+        points = x[offsets[t] : offsets[t + 1]]
+        distances = np.empty(len(points))
+        for a in range(2):
+            distances[:] = points[:, a]
+            anchor[a] = compute_median(distances)
+        for i in range(len(points)):
+            distances[i] = np.sqrt((points[i, 0] - anchor[0]) ** 2 + (points[i, 1] - anchor[1]) ** 2)
+        spread[t] = compute_median(distances)
+        length = np.sqrt(anchor[0] ** 2 + anchor[1] ** 2 + 1.0)
+        for i in range(3):
+            rays[t, i] = (rotations[t, 0, i] * anchor[0] + rotations[t, 1, i] * anchor[1] + rotations[t, 2, i]) / length
+    _intersect_rays(centers, rays, spread, center)
+    radius, depths = 0.0, 0.0
+    for t in range(n):
+        depth = 0.0
+        for i in range(3):
+            depth += rotations[t, 2, i] * (center[i] - centers[t, i])
+        depths += abs(depth) / n
+        radius += 2.0 * (offsets[t + 1] - offsets[t]) * spread[t] * abs(depth) / offsets[n]
+    return max(radius, 1e-6 * depths)
+
+
+@kernel
+def _intersect_rays(centers: FloatArray, rays: FloatArray, spread: FloatArray, out: FloatArray) -> None:
+    """Intersect rays (T, 3) from centers (T, 3), each of which misses the object's center.
+
+    If the centers are close together, the errors of the rays, a part `OFFSET_SD` of the object's radius of 2 spread,
+    outweigh their convergence: they may meet at any distance, or behind the cameras. The object is then placed no
+    farther away than one standard deviation of its inverse distance allows.
+    """
+    n = len(centers)
+    middle, along, slope, max_coordinate = np.zeros(3), np.zeros(3), np.zeros(3), 0.0
+    for t in range(n):
+        for i in range(3):
+            middle[i] += centers[t, i] / n
+            along[i] += rays[t, i] / n
+            max_coordinate = max(max_coordinate, abs(centers[t, i]))
+    length = np.sqrt(along[0] ** 2 + along[1] ** 2 + along[2] ** 2)
+    if not length > MIN_PARALLEL_MEAN:
+        _find_nearest_point(centers, rays, middle, along, out)
+        return
+    squares, convergence = 0.0, 0.0
+    for t in range(n):
+        across, forward = 0.0, 0.0
+        for i in range(3):
+            across += (centers[t, i] - middle[i]) * along[i] / length
+            forward += rays[t, i] * along[i] / length
+        # In the transverse plane, a ray from position b has the slope (c - b) / depth for an object at c.
+        for i in range(3):
+            lateral = centers[t, i] - middle[i] - across * along[i] / length
+            squares += lateral**2
+            convergence -= rays[t, i] / forward * lateral
+            slope[i] += rays[t, i] / forward / n
+    near = squares > (COINCIDENCE_TOLERANCE * max_coordinate) ** 2
+    sd = OFFSET_SD * 2.0 * spread.sum() / n / np.sqrt(squares) if near else np.inf
+    inverse = convergence / squares if near else 0.0
+    if inverse > MIN_CONVERGENCE_SIGMAS * sd or not np.isfinite(sd):
+        _find_nearest_point(centers, rays, middle, along, out)
+        return
+    for i in range(3):
+        out[i] = middle[i] + slope[i] / (0.5 * (inverse + np.hypot(inverse, 2.0 * sd)))
+
+
+@kernel
+def _find_nearest_point(
+    centers: FloatArray, rays: FloatArray, middle: FloatArray, along: FloatArray, out: FloatArray
+) -> None:
+    """Find the point with the least sum of squared distances to rays, as `rig.intersect_rays` does.
+
+    middle and along are the means of the centers and of the rays.
+    """
+    near, right, total = np.empty(3), np.zeros(3), np.zeros((3, 3))
+    length = np.sqrt(along[0] ** 2 + along[1] ** 2 + along[2] ** 2)
+    for i in range(3):
+        near[i] = middle[i] + (along[i] / length if length > 0.5 else 0.0)
+    for t in range(len(centers)):
+        along_ray = 0.0
+        for i in range(3):
+            along_ray += rays[t, i] * (centers[t, i] - near[i])
+        for i in range(3):
+            right[i] += centers[t, i] - near[i] - along_ray * rays[t, i]
+            total[i, i] += 1.0
+            for j in range(3):
+                total[i, j] -= rays[t, i] * rays[t, j]
+    values, vectors = np.empty(3), np.empty((3, 3))
+    symmetric_eigen(total, values, vectors)
+    out[:] = near
+    for k in range(3):
+        if values[k] > MIN_EIGENVALUE_RATIO * values[2]:
+            part = (vectors[0, k] * right[0] + vectors[1, k] * right[1] + vectors[2, k] * right[2]) / values[k]
+            for i in range(3):
+                out[i] += part * vectors[i, k]
+
+
+@kernel
+def _compute_distance_sd(a1: FloatArray, qx: FloatArray, out: FloatArray) -> None:
+    """Set out (T,) to the additional standard deviation of each term's inverse depth of g, in radii of the object.
+
+    It is signed, since all terms share one unknown. g is the intersection of the terms' median rays, each of which
+    misses the object's center by about `OFFSET_SD` radii. Cameras close together as seen from the object, or on
+    opposite sides of it, magnify that error along their viewing direction. Cameras in one place do not determine the
+    distance, and nothing is added.
+    """
+    n = len(a1)
+    total, values, vectors = np.zeros((3, 3)), np.empty(3), np.empty((3, 3))
+    for t in range(n):
+        length = max(np.sqrt(a1[t, 0] ** 2 + a1[t, 1] ** 2 + a1[t, 2] ** 2), 1e-300)
+        for i in range(3):
+            total[i, i] += 1.0
+            for j in range(3):
+                total[i, j] -= a1[t, i] * a1[t, j] / (length * length)
+    # The sum of the eigenvalues is twice the number of rays, and none exceeds that number: at most one is below 1.
+    symmetric_eigen(total, values, vectors)
+    if not values[0] > MIN_EIGENVALUE:
+        out[:] = 0.0
+        return
+    excess_sd = OFFSET_SD * np.sqrt(max(1.0 / values[0] - 1.0, 0.0))
+    for t in range(n):
+        out[t] = -excess_sd * (qx[t, 2, 0] * vectors[0, 0] + qx[t, 2, 1] * vectors[1, 0] + qx[t, 2, 2] * vectors[2, 0])

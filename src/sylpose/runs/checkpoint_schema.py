@@ -17,7 +17,7 @@ from sylpose.report.files import WriterState
 from sylpose.results import FramePose
 from sylpose.rig import Camera, Rig
 from sylpose.serialization import RecordType, Serializer
-from sylpose.smoothing.trajectory import Track
+from sylpose.smoothing import Track
 from sylpose.tracking.anchor_preparation import find_new_features
 from sylpose.tracking.camera import CameraTracker
 from sylpose.tracking.camera_motion_detection import CameraMotionDetector, View

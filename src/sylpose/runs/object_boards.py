@@ -8,7 +8,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.absolute_pose.pose_frame import make_frame_pose
+from sylpose.absolute_pose.pose import make_frame_pose
 from sylpose.boards.board_pose import BoardObservation, find_board
 from sylpose.boards.specification import parse_board
 from sylpose.geometry.arrays import FloatArray

@@ -21,8 +21,7 @@ from sylpose.runs.checkpoint_schema import OutputState
 from sylpose.runs.options import RunOptions
 from sylpose.runs.page import ThumbnailAlbum
 from sylpose.runs.run_result import StageTimer
-from sylpose.smoothing.known import make_keyframe_tracks
-from sylpose.smoothing.trajectory import Track, smooth
+from sylpose.smoothing import Track, make_keyframe_tracks, smooth
 from sylpose.tracking.known_object import KnownObject
 from sylpose.tracking.object_transfer import TransferredObject
 from sylpose.tracking.tracked_frame import TrackedFrame

@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.bundle_adjustment.bundle import Observations, bundle_adjust
+from sylpose.bundle_adjustment.bundle import BundleOptions, Observations, bundle_adjust
 from sylpose.features import klt, static_background
 from sylpose.features.sift import Features
 from sylpose.geometry.cache_folders import CACHE_DIR_VARIABLE, display_folder
@@ -28,7 +28,7 @@ from sylpose.geometry.matrices import invert_information
 from sylpose.landmarks.alignment import LandmarkMatches, align
 from sylpose.landmarks.landmark_filter import add_observations, initialize_landmarks
 from sylpose.relative_pose import robust_fit
-from sylpose.relative_pose.precompile import warm_up, warm_up_diagnostics, warm_up_irls, warm_up_search
+from sylpose.relative_pose.solver import warm_up, warm_up_diagnostics, warm_up_irls, warm_up_search
 from sylpose.runs.console_output import make_console
 from sylpose.runs.system_resources import available_cores
 from sylpose.simulate import ring
@@ -77,7 +77,7 @@ def compile_bundle_adjustment() -> None:
     frame, camera, landmark = (index.ravel() for index in np.indices(images.shape[:3]))
     poses = RigidTransform.from_components(np.zeros((len(rotations), 3)), Rotation.concatenate(rotations))
     observations = Observations(frame, camera, landmark + len(points) * camera, images.reshape(-1, 2))
-    bundle_adjust(rig, observations, poses, 0.1, offsets_sd=0.1)
+    bundle_adjust(rig, observations, poses, 0.1, BundleOptions(offsets_sd=0.1))
 
 
 # Processor seconds of each part (measured: docs/history/benchmarks.md, "The first start"), longest first: with enough cores

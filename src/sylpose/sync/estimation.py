@@ -17,7 +17,7 @@ from sylpose.geometry.arrays import FloatArray, Image
 from sylpose.io.capture import Session
 from sylpose.results import Status
 from sylpose.rig import Rig
-from sylpose.smoothing.trajectory import Track, smooth
+from sylpose.smoothing import Track, smooth
 from sylpose.sync.offsets import apply_offsets
 from sylpose.sync.speed_correlation import (
     OffsetEstimate,

@@ -2,7 +2,7 @@
 
 The image speed rises and falls with the object's speed in all cameras simultaneously. The lag at which one camera's
 speed signal correlates best with another's is their time offset. This requires neither tracking nor calibration. The
-result is good to a frame or better; `smoothing.trajectory.smooth` then refines it from the object poses.
+result is good to a frame or better; `smoothing.smooth` then refines it from the object poses.
 """
 
 from __future__ import annotations

@@ -13,11 +13,10 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.rigid import rotvec
 from sylpose.landmarks.alignment import FIRST_PX, LandmarkMatches
 from sylpose.landmarks.hypothesis_selection import select_hypothesis, subtract_uncertainty
-from sylpose.relative_pose.fit import MIN_MATCHES, Fit, make_failed_fit
 from sylpose.relative_pose.observability import is_more_than_chance
 from sylpose.relative_pose.solver import fit_terms
 from sylpose.relative_pose.sylvester_methods import ESTIMATORS, UNBIASED_METHODS, apply_paper_method
-from sylpose.relative_pose.terms import TermData
+from sylpose.relative_pose.terms import MIN_MATCHES, Fit, TermData, make_failed_fit
 from sylpose.results import Status
 from sylpose.rig import Rig
 from sylpose.sylvester.known_depth import solve_2d3d

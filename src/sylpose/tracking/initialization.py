@@ -9,11 +9,10 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.geometry.arrays import BoolArray, FloatArray
-from sylpose.relative_pose.fit import MIN_MATCHES, Fit, make_failed_fit
 from sylpose.relative_pose.motion import make_motion_about
-from sylpose.relative_pose.observability import set_observability_status
+from sylpose.relative_pose.observability import classify_observability
 from sylpose.relative_pose.solver import fit_terms
-from sylpose.relative_pose.terms import TermData, locate_object
+from sylpose.relative_pose.terms import MIN_MATCHES, Fit, TermData, locate_object, make_failed_fit
 from sylpose.results import FrameStatus, Status
 from sylpose.rig import Rig
 from sylpose.tracking.camera import compute_static_px
@@ -201,7 +200,7 @@ def estimate_first_motion(
         float(np.median(displacement)) if len(displacement) else np.nan,
         n_cameras,
         is_likelier and n_cameras >= min(2, len(rig)),
-        fit.status is Status.OK and set_observability_status(fit, size).status is Status.OK,
+        fit.status is Status.OK and classify_observability(fit, size)[0].status is Status.OK,
         failure_status,
         executor.map_cameras(
             lambda c: select_inliers([pair for pair in moving[c] if len(pair)], [w for w, _ in match_weights[c]])

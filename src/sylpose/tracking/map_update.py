@@ -12,8 +12,8 @@ from sylpose.features.sift import Features
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.matches import STATIC_PX
-from sylpose.relative_pose.fit import MIN_MATCHES
-from sylpose.relative_pose.observability import set_observability_status
+from sylpose.relative_pose.observability import classify_observability
+from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.results import FramePose, FrameStatus, Observability, Status
 from sylpose.tracking.context import Region, TrackerContext
 from sylpose.tracking.frame import (
@@ -440,7 +440,7 @@ def _update_depth(
 
     executor.map_cameras(mark_background)
     accepted_statuses = (Status.OK,) if len(context.rig) > 1 else (Status.OK, Status.SCALE_NOT_OBSERVABLE)
-    if set_observability_status(initial_motion.fit, state.object.radius).status not in accepted_statuses:
+    if classify_observability(initial_motion.fit, state.object.radius)[0].status not in accepted_statuses:
         return state, None
     # With two cameras a planar object has a second solution, which differs in each frame.
     if initial_motion.n_cameras == 2 and not is_continuing_motion(state.first_motion, initial_motion.motion):

@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.features.sift import MAX_FEATURES, Features
 from sylpose.frames import FrameSet
-from sylpose.relative_pose.fit import MIN_MATCHES
+from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.results import FrameStatus
 from sylpose.tracking import anchor_preparation
 from sylpose.tracking.box_motion import count_center_features, is_box_center_static, select_static_matches

@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.features.sift import Features
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
-from sylpose.relative_pose.fit import MIN_MATCHES
+from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.results import FramePose, FrameStatus
 from sylpose.tracking.context import TrackerContext
 from sylpose.tracking.frame import CameraFrame, DetectedFeatures, FrameMatches, collect_detected_features

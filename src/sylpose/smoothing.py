@@ -14,7 +14,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import RigidTransform, RotationSpline
 
-from sylpose.bundle_adjustment.bundle import BundleResult, Observations
+from sylpose.bundle_adjustment.bundle import BundleOptions, BundleResult, Observations
 from sylpose.bundle_adjustment.calibration_refinement import (
     MOVED_TRANSLATION_RATIO,
     CalibrationCorrection,
@@ -27,16 +27,16 @@ from sylpose.bundle_adjustment.lost_frames import find_lost_frames
 from sylpose.bundle_adjustment.scale_prior import bundle_adjust_with_scale, is_scale_unobservable
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.validation import check_bool, check_integer, check_list, check_number, check_type, format_value
-from sylpose.results import FramePose, Observability, Status
+from sylpose.results import FramePose, FrameStatus, Observability, Status
 from sylpose.rig import Rig
 from sylpose.tracking.joint_state import Nudge
 from sylpose.tracking.keyframes import inherit_covariance
+from sylpose.tracking.object_transfer import TransferredObject
 from sylpose.tracking.reports import quantize_positions
 from sylpose.tracking.tracked_frame import LandmarkObservations, TrackedFrame
 from sylpose.tracking.wide_baseline_init import find_alternative_path
 
-__all__ = ["SmoothedTrajectory", "Track", "smooth"]
-
+__all__ = ["SmoothedTrajectory", "Track", "make_keyframe_tracks", "smooth"]
 
 # Landmarks with fewer observations contain little information on the motion, and biased: features that slide along an
 # edge or were mismatched are soon lost. They are used, the longer tracks first, by frames with fewer than so many
@@ -136,19 +136,81 @@ def smooth(
     Raises:
         ValueError, TypeError: naming the argument; `recalibrate` or `moved_cameras` without a calibration prior.
     """
+    arguments = offsets_sd, calibration_prior, recalibrate, on_iteration
+    frames, moved_cameras = _check_arguments(frames, rig, moved_cameras, *arguments)
+    n, poses, zeros = len(rig), [frame.pose for frame in frames], np.zeros(len(rig))
+    # A frame without observations (before the object was seen to move) would only bend the path between its neighbors.
+    used = [k for k, f in enumerate(frames) if f.pose.is_observed and any(len(s.landmark_ids) for s in f.observations)]
+    tracks = [frames[k] for k in used]
+    if len(used) < 2 or all(track.is_fixed for track in tracks):
+        return SmoothedTrajectory(tuple(poses), Status.TOO_FEW_MATCHES, zeros, zeros, np.full(n, np.nan), 0)
+    observations, landmarks = _collect_observations(tracks)
+    landmarks = quantize_positions(landmarks, tracks[-1].radius)  # the precision that nodes exchange
+    time_offsets, extended_rig, camera = np.array([track.time_offsets for track in tracks]), rig, observations.camera
+    all_moved: tuple[MovedCamera, ...] = ()
+    if calibration_prior is not None:
+        moved_by_frame = {(m.camera, m.frame): m for m in (*moved_cameras, *_detected_moved_cameras(tracks[-1], rig))}
+        all_moved = tuple(sorted(moved_by_frame.values(), key=lambda m: m.frame))
+        extended_rig, calibration_prior = add_moved_cameras(rig, calibration_prior, all_moved)
+        index = np.array([track.pose.index for track in tracks])[observations.frame]
+        for i, m in enumerate(all_moved):
+            camera = np.where((observations.camera == m.camera) & (index >= m.frame), n + i, camera)
+        time_offsets = np.hstack([time_offsets, time_offsets[:, [m.camera for m in all_moved]]])
+    start, radius, is_fixed = (
+        _stack_poses([t.pose for t in tracks]),
+        tracks[-1].radius,
+        np.array([t.is_fixed for t in tracks]),
+    )
+    options = BundleOptions(
+        fixed=is_fixed if is_fixed.any() else None,
+        landmarks=landmarks,
+        times=np.array([track.pose.time for track in tracks])[:, None] + time_offsets,
+        offsets_sd=offsets_sd,
+        calibration_prior=calibration_prior,
+        recalibrate=recalibrate,
+        on_iteration=on_iteration,
+    )
+    extended = replace(observations, camera=camera)
+    # Fixed frames belong to no path and determine the surface.
+    alternative = None if is_fixed.any() else find_alternative_path(extended_rig, extended, start, radius)
+    result = bundle_adjust_with_scale(extended_rig, extended, start, radius, options, alternative_start=alternative)
+    if result.status is not Status.TOO_FEW_MATCHES:
+        poses = _apply_result(frames, used, observations, result, n)
+    return SmoothedTrajectory(
+        tuple(poses),
+        result.status,
+        result.offsets[:n],
+        result.offsets_sd[:n],
+        result.sigma_px[:n],
+        result.iterations,
+        result.scale_sd,
+        result.scale_variance_ratio,
+        result.correction,
+        all_moved,
+    )
+
+
+def _check_arguments(
+    frames: Sequence[Track],
+    rig: Rig,
+    moved_cameras: Sequence[MovedCamera],
+    offsets_sd: float | None,
+    calibration_prior: CalibrationPrior | None,
+    recalibrate: bool,
+    on_iteration: Callable[[int], None] | None,
+) -> tuple[list[Track], list[MovedCamera]]:
+    """Check the arguments of `smooth`; return its frames and moved cameras as lists."""
     n = len(check_type(rig, Rig, "rig"))
     frames, moved_cameras = check_list(frames, Track, "frames"), check_list(moved_cameras, MovedCamera, "moved_cameras")
     for k, frame in enumerate(frames):
-        (
-            check_type(frame.pose, FramePose, f"frames[{k}]: pose"),
-            check_list(frame.observations, LandmarkObservations, f"frames[{k}]: observations"),
-        )
+        check_type(frame.pose, FramePose, f"frames[{k}]: pose")
+        check_list(frame.observations, LandmarkObservations, f"frames[{k}]: observations")
     if offsets_sd is not None:
         check_number(offsets_sd, "offsets_sd", above=0.0)
-    if calibration_prior is not None and np.shape(
-        check_type(calibration_prior, CalibrationPrior, "calibration_prior").rotation_sd
-    ) != (n,):
-        raise ValueError(f"calibration_prior: not for the rig's {n} cameras")
+    if calibration_prior is not None:
+        check_type(calibration_prior, CalibrationPrior, "calibration_prior")
+        if np.shape(calibration_prior.rotation_sd) != (n,):
+            raise ValueError(f"calibration_prior: not for the rig's {n} cameras")
     if check_bool(recalibrate, "recalibrate") and calibration_prior is None:
         raise ValueError("recalibrate: requires a calibration_prior")
     for m in moved_cameras:
@@ -157,86 +219,40 @@ def smooth(
         raise TypeError(f"on_iteration must be a function, got {format_value(on_iteration)}")
     if moved_cameras and calibration_prior is None:
         raise ValueError("moved_cameras: requires a calibration_prior")
-    zeros = np.zeros(len(rig))
-    # A frame without observations (before the object was seen to move) would only bend the path between its neighbors.
-    used = [
-        k
-        for k, f in enumerate(frames)
-        if f.pose.is_observed and any(len(observations.landmark_ids) for observations in f.observations)
-    ]
+    return frames, moved_cameras
+
+
+def _apply_result(
+    frames: Sequence[Track], used: Sequence[int], observations: Observations, result: BundleResult, cameras: int
+) -> list[FramePose]:
+    """Return the poses of all frames, with those of the used ones refined.
+
+    Args:
+        observations: of the rig's cameras, before those that were moved became two.
+    """
     poses = [frame.pose for frame in frames]
-    if len(used) < 2 or all(frames[k].is_fixed for k in used):
-        return SmoothedTrajectory(tuple(poses), Status.TOO_FEW_MATCHES, zeros, zeros, np.full(len(rig), np.nan), 0)
-    observations, landmarks = _collect_observations([frames[k] for k in used])
-    landmarks = quantize_positions(landmarks, frames[used[-1]].radius)  # the precision that nodes exchange
-    time_offsets, extended_rig, camera = np.array([frames[k].time_offsets for k in used]), rig, observations.camera
-    all_moved: tuple[MovedCamera, ...] = ()
-    if calibration_prior is not None:
-        detected = _detected_moved_cameras(frames[used[-1]], rig)
-        moved_by_frame = {(m.camera, m.frame): m for m in (*moved_cameras, *detected)}
-        all_moved = tuple(sorted(moved_by_frame.values(), key=lambda m: m.frame))
-        extended_rig, calibration_prior = add_moved_cameras(rig, calibration_prior, all_moved)
-        index = np.array([frames[k].pose.index for k in used])[observations.frame]
-        for i, m in enumerate(all_moved):
-            camera = np.where((observations.camera == m.camera) & (index >= m.frame), len(rig) + i, camera)
-        time_offsets = np.hstack([time_offsets, time_offsets[:, [m.camera for m in all_moved]]])
-    extended_observations, poses_used, radius = (
-        replace(observations, camera=camera),
-        _stack_poses([frames[k].pose for k in used]),
-        frames[used[-1]].radius,
-    )
-    is_fixed = np.array([frames[k].is_fixed for k in used])
-    result = bundle_adjust_with_scale(
-        extended_rig,
-        extended_observations,
-        poses_used,
-        radius,
-        # Fixed frames belong to no path and determine the surface.
-        alternative_start=None
-        if is_fixed.any()
-        else find_alternative_path(extended_rig, extended_observations, poses_used, radius),
-        fixed=is_fixed if is_fixed.any() else None,
-        landmarks=landmarks,
-        times=np.array([frames[k].pose.time for k in used])[:, None] + time_offsets,
-        offsets_sd=offsets_sd,
-        calibration_prior=calibration_prior,
-        recalibrate=recalibrate,
-        on_iteration=on_iteration,
-    )
-    if result.status is not Status.TOO_FEW_MATCHES:
-        scale_unobservable = is_scale_unobservable(result)
-        counts, residuals = _count_camera_inliers(result, observations, len(used), len(rig))
-        is_lost = find_lost_frames(result, observations)
-        is_lost[is_fixed] = is_lost[0] = False
-        covariance = result.covariance
-        if is_fixed.any():
-            tracked_covariance = np.array([frames[k].pose.covariance for k in used])
-            covariance = covariance + inherit_covariance(result.world_from_object, tracked_covariance, is_fixed)
-        is_refined, is_lost_frame = np.zeros((2, len(frames)), bool)
-        is_refined[used], is_lost_frame[used] = result.connected & ~is_lost, result.connected & is_lost
-        for i, k in enumerate(used[1:], start=1):
-            if is_refined[k]:
-                poses[k] = replace(
-                    poses[k],
-                    world_from_object=result.world_from_object[i],
-                    covariance=covariance[i],
-                    observability=_frame_observability(poses[k].observability, scale_unobservable),
-                    inliers=counts[i],
-                    residuals=residuals[i],
-                ).update_uncertain_status()
-        poses = _fill_gaps(poses, [frame.pose for frame in frames], is_refined, is_lost_frame)
-    return SmoothedTrajectory(
-        tuple(poses),
-        result.status,
-        result.offsets[: len(rig)],
-        result.offsets_sd[: len(rig)],
-        result.sigma_px[: len(rig)],
-        result.iterations,
-        result.scale_sd,
-        result.scale_variance_ratio,
-        result.correction,
-        all_moved,
-    )
+    counts, residuals = _count_camera_inliers(result, observations, len(used), cameras)
+    is_fixed, is_lost = np.array([frames[k].is_fixed for k in used]), find_lost_frames(result, observations)
+    is_lost[is_fixed] = is_lost[0] = False
+    covariance = result.covariance
+    if is_fixed.any():
+        tracked_covariance = np.array([frames[k].pose.covariance for k in used])
+        covariance = covariance + inherit_covariance(result.world_from_object, tracked_covariance, is_fixed)
+    is_refined, is_lost_frame = np.zeros((2, len(frames)), bool)
+    is_refined[used], is_lost_frame[used] = result.connected & ~is_lost, result.connected & is_lost
+    scale = Observability.NO_TRANSLATION_SCALE if is_scale_unobservable(result) else Observability.ALL
+    for i, k in enumerate(used[1:], start=1):
+        if is_refined[k]:
+            has_scale = poses[k].observability is not Observability.NO_SCALE
+            poses[k] = replace(
+                poses[k],
+                world_from_object=result.world_from_object[i],
+                covariance=covariance[i],
+                observability=scale if has_scale else Observability.NO_SCALE,
+                inliers=counts[i],
+                residuals=residuals[i],
+            ).update_uncertain_status()
+    return _fill_gaps(poses, [frame.pose for frame in frames], is_refined, is_lost_frame)
 
 
 def _detected_moved_cameras(last: Track, rig: Rig) -> list[MovedCamera]:
@@ -254,12 +270,6 @@ def _detected_moved_cameras(last: Track, rig: Rig) -> list[MovedCamera]:
     ]
 
 
-def _frame_observability(previous: Observability, scale_unobservable: bool) -> Observability:
-    if previous is Observability.NO_SCALE:
-        return previous
-    return Observability.NO_TRANSLATION_SCALE if scale_unobservable else Observability.ALL
-
-
 def _stack_poses(poses: Sequence[FramePose]) -> RigidTransform:
     return RigidTransform.concatenate([p.world_from_object for p in poses if p.world_from_object is not None])
 
@@ -273,9 +283,8 @@ def _collect_observations(frames: Sequence[Track]) -> tuple[Observations, FloatA
     # Landmark numbers are per camera.
     number = np.concatenate([s.landmark_ids for s in all_observations])
     _, landmark = np.unique(cameras * (number.max(initial=0) + 1) + number, return_inverse=True)
-    used = _select_observations(
-        frame, landmark, np.bincount(landmark, np.concatenate([s.has_moved for s in all_observations])) > 0
-    )
+    has_moved = np.bincount(landmark, np.concatenate([s.has_moved for s in all_observations])) > 0
+    used = _select_observations(frame, landmark, has_moved)
     _, indices = np.unique(landmark[used], return_inverse=True)
     landmarks = np.zeros((int(indices.max(initial=-1)) + 1, 3))
     landmarks[indices] = np.concatenate([s.positions for s in all_observations])[used]  # the last one wins
@@ -327,9 +336,8 @@ def _fill_gaps(
         coasting = not any(tracked[g].is_observed for g in gap)
         if coasting and end < len(tracked) and is_measured[k] and is_measured[end] and 0 < len(gap) == end - k - 1:
             neighbors = [m for m in observed[max(0, i + 1 - N_NEIGHBORS) : i + 1 + N_NEIGHBORS] if is_measured[m]]
-            for g, pose in zip(
-                gap, _interpolate_poses([poses[m] for m in neighbors], [tracked[g].time for g in gap]), strict=True
-            ):
+            interpolated = _interpolate_poses([poses[m] for m in neighbors], [tracked[g].time for g in gap])
+            for g, pose in zip(gap, interpolated, strict=True):
                 near, far = (k, g - k) if g - k <= end - g else (end, end - g)
                 # The covariance of the nearer end plus that of as many frames of coasting.
                 covariance = poses[near].covariance + tracked[k + far].covariance
@@ -348,3 +356,33 @@ def _interpolate_poses(poses: Sequence[FramePose], times: Sequence[float]) -> Ri
     stacked, known_times = _stack_poses(poses), np.array([pose.time for pose in poses])
     translations = CubicSpline(known_times, stacked.translation)(times)
     return RigidTransform.from_components(translations, RotationSpline(known_times, stacked.rotation)(times))
+
+
+def make_keyframe_tracks(transferred: TransferredObject, rig: Rig, time: float) -> list[Track]:
+    """Return the model's keyframes as tracks to prepend to those of a recording.
+
+    The recording was tracked with the model from its beginning (`Tracker`).
+
+    Args:
+        transferred: the model as transferred to this rig.
+        rig: the tracker's.
+        time: time of the recording's first frame.
+    """
+    tracks, n = [], len(transferred.keyframes)
+    for k, frame in enumerate(transferred.keyframes):
+        observations = []
+        for name in rig.names:
+            landmarks = transferred.landmarks.get(name)
+            if landmarks is None:
+                values = np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 3)), np.empty(0, bool)
+            else:
+                observed, normalized = landmarks.select_keyframe(k), landmarks.features[k].normalized
+                values = landmarks.landmark_ids[k], normalized, observed.mean, observed.has_moved
+            observations.append(LandmarkObservations(*values))
+        counts = np.array([len(s.landmark_ids) for s in observations])
+        status = FrameStatus.TRACKED if k else FrameStatus.FIRST
+        residuals = np.full(len(rig), np.nan)
+        pose = FramePose(k - n, time + k - n, status, frame.world_from_object, frame.covariance, counts, residuals)
+        offsets, radius = np.zeros(len(rig)), transferred.known_object.radius
+        tracks.append(Track(pose, tuple(observations), offsets, radius, is_fixed=frame.is_fixed))
+    return tracks

@@ -15,7 +15,7 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.results import FramePose, FrameStatus, Status
 from sylpose.rig import Rig
 from sylpose.simulate import ellipsoid, ring
-from sylpose.smoothing.trajectory import SmoothedTrajectory, Track, _select_observations, smooth
+from sylpose.smoothing import SmoothedTrajectory, Track, _select_observations, smooth
 from sylpose.tracking.joint_state import Nudge
 from sylpose.tracking.tracked_frame import LandmarkObservations, TrackedFrame
 
