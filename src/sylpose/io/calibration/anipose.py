@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 
 from sylpose.atomic_io import format_toml_string
-from sylpose.io.calibration.camera_builder import CameraEntry, convert_table, make_camera, make_pose, make_rig
+from sylpose.io.calibration.camera_builder import CameraEntry, make_rig
 from sylpose.rig import Camera, LensModel, Rig
 
 __all__ = ["is_anipose", "is_caliscope", "read", "read_caliscope", "to_text"]
@@ -54,7 +54,7 @@ def read(data: dict[str, Any], path: Path) -> Rig:
         if key == "metadata":
             continue
         table_with_error = {"error": common_error} | table if isinstance(table, dict) else table
-        camera = convert_table(table_with_error, _NamedTable, CameraEntry(path, key))
+        camera = CameraEntry(path, key).convert_table(table_with_error, _NamedTable)
         cameras.append(_make_table_camera(CameraEntry(path, camera.name or key), camera))
     return make_rig(path, cameras)
 
@@ -78,17 +78,16 @@ def read_caliscope(data: dict[str, Any], path: Path) -> Rig:
     for number, table in data["cameras"].items():
         entry = CameraEntry(path, f"cam_{number}")
         if not isinstance(table, dict):
-            raise ValueError(f"{entry}: expected a table [cameras.{number}]")
+            raise entry.error(f"expected a table [cameras.{number}]")
         # Older versions write "null" where there is no value.
         table = {key: value for key, value in table.items() if value != "null"}
         if table.get("ignore") is True:
             continue
         if not {"rotation", "translation"} <= table.keys():
-            raise ValueError(
-                f"{entry}: no rotation and translation: calibrate its pose in Caliscope, or write ignore = true to "
-                "leave it out"
+            raise entry.error(
+                "no rotation and translation: calibrate its pose in Caliscope, or write ignore = true to leave it out"
             )
-        cameras.append(_make_table_camera(entry, convert_table(table, _CameraTable, entry)))
+        cameras.append(_make_table_camera(entry, entry.convert_table(table, _CameraTable)))
     if not cameras:
         raise ValueError(f"{path}: no camera in this Caliscope file: [cameras.0], ... without ignore = true are needed")
     return make_rig(path, cameras)
@@ -115,6 +114,6 @@ fisheye = {str(camera.lens == "fisheye").lower()}
 
 
 def _make_table_camera(entry: CameraEntry, table: _CameraTable) -> Camera:
-    pose = make_pose(entry, table.rotation, table.translation)
+    pose = entry.make_pose(table.rotation, table.translation)
     lens: LensModel = "fisheye" if table.fisheye else "opencv"
-    return make_camera(entry, table.size, table.matrix, table.distortions, pose, lens, table.error)
+    return entry.make_camera(table.size, table.matrix, table.distortions, pose, lens, table.error)

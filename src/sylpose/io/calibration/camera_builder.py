@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 from xml.etree.ElementTree import Element
 
 import msgspec
@@ -17,25 +18,8 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Camera, LensModel, Rig
 
 __all__ = [
-    "LENS_MODELS",
-    "OPENCV_FROM_OPENGL",
-    "CameraEntry",
-    "SizeLookup",
-    "convert_table",
-    "intrinsic_matrix",
-    "lens_model_by_name",
-    "lookup_sizes",
-    "make_camera",
-    "make_pose",
-    "make_rig",
-    "parse_attribute",
-    "parse_attributes",
-    "parse_matrix",
-    "parse_numbers",
-    "parse_pose_matrix",
-    "parse_quaternion",
-    "standard_lens_terms",
-    "to_plain",
+    *("OPENCV_FROM_OPENGL", "CameraEntry", "Entry", "SizeLookup"),
+    *("intrinsic_matrix", "lookup_sizes", "make_rig", "standard_lens_terms"),
 ]
 
 T = TypeVar("T", bound=msgspec.Struct)
@@ -66,197 +50,215 @@ ROTATION_TOLERANCE = 1e-3
 ROUNDING_TOLERANCE = 1e-12
 
 
-def convert_table(table: Any, kind: type[T], where: CameraEntry | str) -> T:
-    """Convert a decoded table to a typed struct.
+@dataclass(frozen=True)
+class Entry:
+    """Place in a file, whose text begins the messages about the numbers there.
 
-    Raises:
-        ValueError: beginning with `where`, and naming the key that is missing or of the wrong type.
+    Attributes:
+        path: the file.
+        place: the place in it; "" for the file as a whole.
     """
-    try:
-        return msgspec.convert(table, kind)
-    except msgspec.ValidationError as error:
-        # "Object missing required field `size`" or "Expected `array`, got `str` - at `$.matrix[0]`"
-        what, _, at = str(error).partition(" - at ")
-        if missing := re.search("missing required field `(.+)`", what):
-            raise ValueError(f"{where}: missing key {missing[1]!r}") from None
-        key = at.strip("`").removeprefix("$.")
-        raise ValueError(f"{where}: {key + ': ' if key else ''}{what[0].lower()}{what[1:]}") from None
-
-
-class CameraEntry(NamedTuple):
-    """Camera in a file; its text, the file and the name, begins messages."""
 
     path: Path
-    name: str
+    place: str = ""
 
     def __str__(self) -> str:
-        return f"{self.path}: camera {self.name}"
+        return f"{self.path}: {self.place}" if self.place else str(self.path)
+
+    def error(self, problem: str) -> ValueError:
+        """Return an error that names the place."""
+        return ValueError(f"{self}: {problem}")
+
+    def convert_table(self, table: Any, kind: type[T]) -> T:
+        """Convert a decoded table to a typed struct.
+
+        Raises:
+            ValueError: naming the key that is missing or of the wrong type.
+        """
+        try:
+            return msgspec.convert(table, kind)
+        except msgspec.ValidationError as error:
+            # "Object missing required field `size`" or "Expected `array`, got `str` - at `$.matrix[0]`"
+            what, _, at = str(error).partition(" - at ")
+            if missing := re.search("missing required field `(.+)`", what):
+                raise self.error(f"missing key {missing[1]!r}") from None
+            key = at.strip("`").removeprefix("$.")
+            raise self.error(f"{key + ': ' if key else ''}{what[0].lower()}{what[1:]}") from None
+
+    def parse_numbers(self, value: Any, n: int | tuple[int, ...], what: str) -> FloatArray:
+        """Parse (n,) numbers from a list of any shape, or from text separated by blanks or commas.
+
+        Args:
+            value: list or text.
+            n: the required count, or the allowed counts.
+            what: description of the value, for the messages.
+
+        Raises:
+            ValueError: naming `what`, for a wrong count, a value that is not a number, or one that is not finite.
+        """
+        words = re.split(r"[\s,]+", value.strip()) if isinstance(value, str) else value
+        array = self._to_array(words, what).ravel()
+        counts = (n,) if isinstance(n, int) else n
+        if array.size not in counts:
+            raise self.error(f"{what} must be {' or '.join(map(str, counts))} numbers, got {array.size}")
+        return array
+
+    def parse_number(self, value: Any, what: str) -> float:
+        """Parse a single number, as `parse_numbers`."""
+        return float(self.parse_numbers(value if isinstance(value, str) else [value], 1, what)[0])
+
+    def parse_matrix(self, value: Any, what: str, columns: int = 3) -> FloatArray:
+        """Parse a matrix (3, columns) as `parse_numbers`; OpenCV's and ROS' nodes are accepted."""
+        return self.parse_numbers(self.to_plain(value, what), 3 * columns, what).reshape(3, columns)
+
+    def to_plain(self, value: Any, what: str) -> Any:
+        """Convert matrices of OpenCV and ROS to lists of rows; return other values unchanged.
+
+        Raises:
+            ValueError: naming `what`, for a matrix without rows, cols and matching data.
+        """
+        if not isinstance(value, dict):
+            return value
+        try:
+            return np.reshape(value["data"], (int(value["rows"]), int(value["cols"]))).tolist()
+        except (KeyError, TypeError, ValueError, OverflowError):
+            raise self.error(f"{what} must be a matrix with rows, cols and matching data") from None
+
+    def parse_attributes(self, element: Element | None, *names: str) -> FloatArray:
+        """Parse one number from each of these attributes of an XML element.
+
+        Raises:
+            ValueError: naming the attribute, if it or the element is missing or it is no number.
+        """
+        return np.array([self.parse_attribute(element, name)[0] for name in names])
+
+    def parse_attribute(self, element: Element | None, name: str, n: int = 1) -> FloatArray:
+        """Parse the (n,) numbers in an attribute of an XML element, as `parse_attributes`."""
+        if element is None or (value := element.get(name)) is None:
+            raise self.error(f"missing {name!r}")
+        return self.parse_numbers(value, n, name)
+
+    def parse_lens_model(self, name: Any, what: str) -> LensModel:
+        """Return OpenCV's lens model by the name in a file under its key `what`.
+
+        Raises:
+            ValueError: a model that OpenCV does not have.
+        """
+        if str(name).lower() not in LENS_MODELS:
+            raise self.error(f"{what} {name!r} is not known; known are {', '.join(LENS_MODELS)}")
+        return LENS_MODELS[str(name).lower()]
+
+    def parse_quaternion(self, value: Any, problem: str) -> Rotation:
+        """Parse a rotation given as a quaternion x, y, z, w.
+
+        Raises:
+            ValueError: with `problem`, unless its length is 1.
+        """
+        quaternion = np.asarray(value, dtype=float)
+        if not abs(np.linalg.norm(quaternion) - 1.0) < 1e-3:
+            raise self.error(problem)
+        return Rotation.from_quat(quaternion)
+
+    def make_pose(self, rotation: Any, translation: Any) -> RigidTransform:
+        """Build the pose X_b = R X_a + t from the numbers in a file.
+
+        Args:
+            rotation: (3, 3) matrix, replaced by the nearest rotation, or a rotation vector of 3 (OpenCV's `rvec`,
+                radians).
+            translation: 3 numbers.
+
+        Raises:
+            ValueError: a wrong shape, a value that is not finite, or a matrix that is not a rotation to 1e-3.
+        """
+        r, t = self._to_array(rotation, "the rotation"), self._to_array(translation, "the translation")
+        if t.size != 3:
+            raise self.error(f"the translation must be 3 numbers, got {t.size}")
+        if r.size == 3:
+            return RigidTransform.from_components(t.ravel(), Rotation.from_rotvec(r.ravel()))
+        if r.shape != (3, 3):
+            raise self.error(f"the rotation must be 3x3 or a rotation vector of 3, got shape {r.shape}")
+        gap = float(np.abs(r.T @ r - np.eye(3)).max())
+        if gap > ROTATION_TOLERANCE:
+            raise self.error(
+                f"the rotation is not a rotation matrix: R'R is {gap:.2g} from the identity, "
+                f"at most {ROTATION_TOLERANCE:g} is allowed"
+            )
+        if np.linalg.det(r) < 0:
+            raise self.error("the rotation is not a rotation matrix but a reflection: its determinant is -1")
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = r, t.ravel()
+        # SciPy's normalization changes the last bit of half of all rotations; without it, saved files load exactly.
+        return RigidTransform(pose, normalize=gap > ROUNDING_TOLERANCE)
+
+    def parse_pose_matrix(self, value: Any, what: str) -> RigidTransform:
+        """Parse the pose of a 3x4 or 4x4 matrix [R t], by rows or as 12 or 16 numbers.
+
+        Args:
+            value: the matrix.
+            what: the matrix's name in the file.
+
+        Raises:
+            ValueError: another shape or last row, and as `make_pose`.
+        """
+        matrix = self._to_array(value, what)
+        if matrix.size in (12, 16):
+            matrix = matrix.reshape(-1, 4)
+        if matrix.shape not in ((3, 4), (4, 4)) or (len(matrix) == 4 and not np.array_equal(matrix[3], [0, 0, 0, 1])):
+            raise self.error(f"{what} must be a 3x4 or 4x4 matrix [R t], a 4x4 one with last row (0, 0, 0, 1)")
+        return self.make_pose(matrix[:3, :3], matrix[:3, 3])
+
+    def _to_array(self, value: Any, what: str) -> FloatArray:
+        try:
+            array = np.array(value, dtype=float)
+        except (TypeError, ValueError, OverflowError):
+            raise self.error(f"{what} must be numbers, in rows of equal length") from None
+        if not np.isfinite(array).all():
+            raise self.error(f"{what} has values that are not finite")
+        if (np.abs(array) > MAX_NUMBER).any():
+            raise self.error(f"{what} has values beyond {MAX_NUMBER:g}, which are implausible")
+        return array
 
 
-def make_camera(
-    entry: CameraEntry,
-    size: Any,
-    matrix: Any,
-    distortion: Any,
-    camera_from_world: RigidTransform,
-    lens: LensModel = "opencv",
-    error_px: float | None = None,
-) -> Camera:
-    """Build a `Camera` from the numbers in a file.
+@dataclass(frozen=True)
+class CameraEntry(Entry):
+    """Camera of the name `place` in a file."""
 
-    Args:
-        entry: file and name.
-        size: (width, height).
-        matrix: (3, 3).
-        distortion: OpenCV's coefficients in any shape.
-        camera_from_world, lens, error_px: as in `Camera`.
+    def __str__(self) -> str:
+        return f"{self.path}: camera {self.place}"
 
-    Raises:
-        ValueError: naming file and camera, for anything that `Camera` rejects.
-    """
-    width_height = _to_array(size, f"{entry}: the size")
-    if width_height.shape != (2,) or (width_height != width_height.round()).any():
-        raise ValueError(f"{entry}: the size must be two whole numbers (width, height), got {size}")
-    width, height = map(int, width_height)
-    arrays = _to_array(matrix, f"{entry}: the matrix"), _to_array(distortion, f"{entry}: the distortion")
-    try:
-        return Camera(entry.name, (width, height), *arrays, camera_from_world, lens, error_px)
-    except ValueError as error:
-        raise ValueError(f"{entry.path}: {error}") from None
+    def make_camera(
+        self,
+        size: Any,
+        matrix: Any,
+        distortion: Any,
+        camera_from_world: RigidTransform,
+        lens: LensModel = "opencv",
+        error_px: float | None = None,
+    ) -> Camera:
+        """Build the `Camera` from the numbers in a file.
 
+        Args:
+            size: (width, height).
+            matrix: (3, 3).
+            distortion: OpenCV's coefficients in any shape.
+            camera_from_world, lens, error_px: as in `Camera`.
 
-def make_pose(where: CameraEntry | str, rotation: Any, translation: Any) -> RigidTransform:
-    """Build the pose X_b = R X_a + t from the numbers in a file.
-
-    Args:
-        where: begins the messages.
-        rotation: (3, 3) matrix, replaced by the nearest rotation, or a rotation vector of 3 (OpenCV's `rvec`, radians).
-        translation: 3 numbers.
-
-    Raises:
-        ValueError: beginning with `where`, for a wrong shape, a value that is not finite, or a matrix that is not a
-            rotation to 1e-3.
-    """
-    r = _to_array(rotation, f"{where}: the rotation")
-    t = _to_array(translation, f"{where}: the translation")
-    if t.size != 3:
-        raise ValueError(f"{where}: the translation must be 3 numbers, got {t.size}")
-    if r.size == 3:
-        return RigidTransform.from_components(t.ravel(), Rotation.from_rotvec(r.ravel()))
-    if r.shape != (3, 3):
-        raise ValueError(f"{where}: the rotation must be 3x3 or a rotation vector of 3, got shape {r.shape}")
-    gap = float(np.abs(r.T @ r - np.eye(3)).max())
-    if gap > ROTATION_TOLERANCE:
-        raise ValueError(
-            f"{where}: the rotation is not a rotation matrix: R'R is {gap:.2g} from the identity, "
-            f"at most {ROTATION_TOLERANCE:g} is allowed"
-        )
-    if np.linalg.det(r) < 0:
-        raise ValueError(f"{where}: the rotation is not a rotation matrix but a reflection: its determinant is -1")
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = r, t.ravel()
-    # SciPy's normalization changes the last bit of half of all rotations; without it, saved files load exactly.
-    return RigidTransform(pose, normalize=gap > ROUNDING_TOLERANCE)
-
-
-def parse_pose_matrix(where: CameraEntry | str, what: str, value: Any) -> RigidTransform:
-    """Parse the pose of a 3x4 or 4x4 matrix [R t], by rows or as 12 or 16 numbers.
-
-    Args:
-        where: begins the messages.
-        what: the matrix's name in the file.
-        value: the matrix.
-
-    Raises:
-        ValueError: beginning with `where`, for another shape or last row, and as `make_pose`.
-    """
-    matrix = _to_array(value, f"{where}: {what}")
-    if matrix.size in (12, 16):
-        matrix = matrix.reshape(-1, 4)
-    if matrix.shape not in ((3, 4), (4, 4)) or (len(matrix) == 4 and not np.array_equal(matrix[3], [0, 0, 0, 1])):
-        raise ValueError(f"{where}: {what} must be a 3x4 or 4x4 matrix [R t], a 4x4 one with last row (0, 0, 0, 1)")
-    return make_pose(where, matrix[:3, :3], matrix[:3, 3])
-
-
-def parse_quaternion(value: Any, problem: str) -> Rotation:
-    """Parse a rotation given as a quaternion x, y, z, w.
-
-    Raises:
-        ValueError: `problem`, unless its length is 1.
-    """
-    quaternion = np.asarray(value, dtype=float)
-    if not abs(np.linalg.norm(quaternion) - 1.0) < 1e-3:
-        raise ValueError(problem)
-    return Rotation.from_quat(quaternion)
+        Raises:
+            ValueError: anything that `Camera` rejects.
+        """
+        sides = self._to_array(size, "the size")
+        if sides.shape != (2,) or (sides != sides.round()).any():
+            raise self.error(f"the size must be two whole numbers (width, height), got {size}")
+        arrays = self._to_array(matrix, "the matrix"), self._to_array(distortion, "the distortion")
+        try:
+            return Camera(self.place, (int(sides[0]), int(sides[1])), *arrays, camera_from_world, lens, error_px)
+        except ValueError as error:
+            raise ValueError(f"{self.path}: {error}") from None
 
 
 def intrinsic_matrix(fx: float, fy: float, cx: float, cy: float) -> FloatArray:
     """Return the intrinsic matrix (3, 3)."""
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-
-
-def lens_model_by_name(lens_name: Any, where: CameraEntry | str, what: str) -> LensModel:
-    """Look up OpenCV's lens model by the name in a file under its key `what`.
-
-    Raises:
-        ValueError: a model that OpenCV does not have.
-    """
-    if str(lens_name).lower() not in LENS_MODELS:
-        raise ValueError(f"{where}: {what} {lens_name!r} is not known; known are {', '.join(LENS_MODELS)}")
-    return LENS_MODELS[str(lens_name).lower()]
-
-
-def parse_numbers(value: Any, n: int | tuple[int, ...], what: str) -> FloatArray:
-    """Parse (n,) numbers from a list of any shape, or from text separated by blanks or commas.
-
-    Args:
-        value: list or text.
-        n: the required count, or the allowed counts.
-        what: description of the value, for the messages.
-
-    Raises:
-        ValueError: naming `what`, for a wrong count, a value that is not a number, or one that is not finite.
-    """
-    array = _to_array(re.split(r"[\s,]+", value.strip()) if isinstance(value, str) else value, what).ravel()
-    counts = (n,) if isinstance(n, int) else n
-    if array.size not in counts:
-        raise ValueError(f"{what} must be {' or '.join(map(str, counts))} numbers, got {array.size}")
-    return array
-
-
-def parse_matrix(value: Any, what: str, columns: int = 3) -> FloatArray:
-    """Parse a matrix (3, columns) as `parse_numbers`; OpenCV's and ROS' nodes are accepted."""
-    return parse_numbers(to_plain(value, what), 3 * columns, what).reshape(3, columns)
-
-
-def to_plain(value: Any, what: str) -> Any:
-    """Convert matrices of OpenCV and ROS to lists of rows; return other values unchanged.
-
-    Raises:
-        ValueError: naming `what`, for a matrix without rows, cols and matching data.
-    """
-    if not isinstance(value, dict):
-        return value
-    try:
-        return np.reshape(value["data"], (int(value["rows"]), int(value["cols"]))).tolist()
-    except (KeyError, TypeError, ValueError, OverflowError):
-        raise ValueError(f"{what} must be a matrix with rows, cols and matching data") from None
-
-
-def parse_attribute(element: Element | None, name: str, where: CameraEntry | str, n: int = 1) -> FloatArray:
-    """Parse the (n,) numbers in an attribute of an XML element.
-
-    Raises:
-        ValueError: naming the attribute, if it or the element is missing or it does not have n numbers.
-    """
-    if element is None or (value := element.get(name)) is None:
-        raise ValueError(f"{where}: missing {name!r}")
-    return parse_numbers(value, n, f"{where}: {name}")
-
-
-def parse_attributes(element: Element | None, where: CameraEntry | str, *names: str) -> FloatArray:
-    """Parse one number from each of these attributes of an XML element, as `parse_attribute`."""
-    return np.array([parse_attribute(element, name, where)[0] for name in names])
 
 
 def standard_lens_terms(camera: Camera, n: int, model: str) -> FloatArray:
@@ -303,15 +305,3 @@ def make_rig(path: Path, cameras: list[Camera], unit: str = "") -> Rig:
         return Rig(cameras, unit)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
-
-
-def _to_array(value: Any, what: str) -> FloatArray:
-    try:
-        array = np.array(value, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"{what} must be numbers, in rows of equal length") from None
-    if not np.isfinite(array).all():
-        raise ValueError(f"{what} has values that are not finite")
-    if (np.abs(array) > MAX_NUMBER).any():
-        raise ValueError(f"{what} has values beyond {MAX_NUMBER:g}, which are implausible")
-    return array

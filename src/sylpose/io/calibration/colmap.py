@@ -23,11 +23,7 @@ from sylpose.io.calibration.camera_builder import (
     SizeLookup,
     intrinsic_matrix,
     lookup_sizes,
-    make_camera,
-    make_pose,
     make_rig,
-    parse_numbers,
-    parse_quaternion,
     standard_lens_terms,
 )
 from sylpose.io.calibration.photogrammetry import (
@@ -107,7 +103,7 @@ def read(_: object, path: Path) -> Rig:
     for static_camera in find_static_cameras(model.images, path):
         lens, entry = model.lenses.get(static_camera.lens), CameraEntry(path, static_camera.name)
         if lens is None:
-            raise ValueError(f"{entry}: its images have a lens, {static_camera.lens}, that is not in COLMAP's cameras")
+            raise entry.error(f"its images have a lens, {static_camera.lens}, that is not in COLMAP's cameras")
         cameras.append(_parse_camera(entry, lens, static_camera.camera_from_world))
     return make_rig(path, cameras)
 
@@ -115,14 +111,14 @@ def read(_: object, path: Path) -> Rig:
 def _parse_camera(entry: CameraEntry, lens: _Lens, pose: RigidTransform) -> Camera:
     """Build the camera of a lens, with the top-left pixel's center at (0, 0)."""
     if lens.model not in _MODELS:
-        raise ValueError(f"{entry}: COLMAP's model {lens.model} is not supported; OpenCV's are: {', '.join(_MODELS)}")
+        raise entry.error(f"COLMAP's model {lens.model} is not supported; OpenCV's are: {', '.join(_MODELS)}")
     n_focal, terms, kind = _MODELS[lens.model]
-    values = parse_numbers(lens.params, n_focal + 2 + len(terms), f"{entry}: the parameters of {lens.model}")
+    values = entry.parse_numbers(lens.params, n_focal + 2 + len(terms), f"the parameters of {lens.model}")
     cx, cy = values[n_focal : n_focal + 2] - PIXEL_CENTER
     distortion = np.zeros(4 if kind == "fisheye" or len(terms) <= 4 else 8)
     distortion[list(terms)] = values[n_focal + 2 :]
     matrix = intrinsic_matrix(values[0], values[n_focal - 1], cx, cy)
-    return make_camera(entry, lens.size, matrix, distortion, pose, kind)
+    return entry.make_camera(lens.size, matrix, distortion, pose, kind)
 
 
 def is_rig_config(data: Any) -> bool:
@@ -148,19 +144,17 @@ def read_rig_config(data: list[Any], path: Path, sizes: SizeLookup | None = None
     for name, node in zip(names, nodes, strict=True):
         entry = CameraEntry(path, name)
         if "camera_params" not in node or "camera_model_name" not in node:
-            raise ValueError(
-                f"{entry}: this is a COLMAP rig_config without its camera_model_name and camera_params; the folder of "
+            raise entry.error(
+                "this is a COLMAP rig_config without its camera_model_name and camera_params; the folder of "
                 "the reconstruction, with cameras.txt and images.txt (or .bin), has them"
             )
         pose = RigidTransform.identity()
         if not node.get("ref_sensor"):
             if not {"cam_from_rig_rotation", "cam_from_rig_translation"} <= node.keys():
-                raise ValueError(
-                    f"{entry}: this is a COLMAP rig_config without its cam_from_rig_rotation and _translation"
-                )
-            quaternion = parse_numbers(node["cam_from_rig_rotation"], 4, f"{entry}: cam_from_rig_rotation")
-            rotation = parse_quaternion(np.roll(quaternion, -1), f"{entry}: {quaternion} is not a unit quaternion")
-            pose = make_pose(entry, rotation.as_matrix(), node["cam_from_rig_translation"])
+                raise entry.error("this is a COLMAP rig_config without its cam_from_rig_rotation and _translation")
+            quaternion = entry.parse_numbers(node["cam_from_rig_rotation"], 4, "cam_from_rig_rotation")
+            rotation = entry.parse_quaternion(np.roll(quaternion, -1), f"{quaternion} is not a unit quaternion")
+            pose = entry.make_pose(rotation.as_matrix(), node["cam_from_rig_translation"])
         poses.append(pose)
     known_sizes = lookup_sizes(path, names, sizes)
     cameras = []

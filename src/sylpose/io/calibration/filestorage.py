@@ -26,14 +26,10 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.geometry.arrays import FloatArray
 from sylpose.io.calibration.camera_builder import (
     CameraEntry,
+    Entry,
     SizeLookup,
-    lens_model_by_name,
     lookup_sizes,
-    make_camera,
-    make_pose,
     make_rig,
-    parse_pose_matrix,
-    to_plain,
 )
 from sylpose.io.calibration.incomplete_files import describe_incomplete
 from sylpose.rig import Camera, LensModel, Rig
@@ -114,7 +110,7 @@ def read(data: dict[str, Any], path: Path, sizes: SizeLookup | None = None) -> R
     unit = data.get("unit", "")
     if not isinstance(unit, str):
         raise ValueError(f"{path}: unit must be a string, got {unit!r}")
-    common_error = parse_error_px(data, str(path))
+    common_error = parse_error_px(data, Entry(path))
     known_sizes = {} if sizes is None else _lookup_missing_sizes(nodes, path, sizes)
     cameras = [
         _parse_camera(CameraEntry(path, name), node, common_error, known_sizes.get(name)) for name, node in nodes
@@ -159,7 +155,7 @@ def _find_camera_nodes(data: dict[str, Any], path: Path) -> list[tuple[str, dict
     if isinstance(cameras, list):
         nodes = []
         for i, node in enumerate(cameras):
-            name = get_value(node, "name", f"{path}: cameras[{i}]") if isinstance(node, dict) else None
+            name = get_value(node, "name", Entry(path, f"cameras[{i}]")) if isinstance(node, dict) else None
             if not isinstance(name, str):
                 raise ValueError(f"{path}: cameras[{i}] must be a map with a key 'name'")
             nodes.append((name, node))
@@ -198,8 +194,7 @@ def _parse_camera(entry: CameraEntry, node: dict[str, Any], common_error: float 
     size = get_value(node, "size", entry) if known_size is None else known_size
     if size is None:
         size = [_require_value(node, "width", entry), _require_value(node, "height", entry)]
-    return make_camera(
-        entry,
+    return entry.make_camera(
         np.ravel(size) if isinstance(size, list) else size,
         _require_value(node, "matrix", entry),
         _require_value(node, "distortion", entry),
@@ -209,49 +204,49 @@ def _parse_camera(entry: CameraEntry, node: dict[str, Any], common_error: float 
     )
 
 
-def parse_error_px(node: dict[str, Any], where: CameraEntry | str) -> float | None:
+def parse_error_px(node: dict[str, Any], where: Entry) -> float | None:
     """Return the reprojection error of a camera, or of all, in pixels; None if missing."""
     value = get_value(node, "error", where)
     if value is None or (isinstance(value, (int, float)) and not isinstance(value, bool)):
         return value
-    raise ValueError(f"{where}: the reprojection error must be a number of pixels, got {value!r}")
+    raise where.error(f"the reprojection error must be a number of pixels, got {value!r}")
 
 
 def _parse_pose(node: dict[str, Any], entry: CameraEntry) -> RigidTransform:
     given = {key: value for key in ("camera_from_world", "world_from_camera") if (value := get_value(node, key, entry))}
     if not given:
-        return make_pose(entry, _require_value(node, "rotation", entry), _require_value(node, "translation", entry))
+        return entry.make_pose(_require_value(node, "rotation", entry), _require_value(node, "translation", entry))
     if len(given) == 2 or get_value(node, "rotation", entry) is not None:
-        raise ValueError(f"{entry}: its pose is given twice; keep one")
+        raise entry.error("its pose is given twice; keep one")
     key, value = given.popitem()
-    pose = parse_pose_matrix(entry, key, value)
+    pose = entry.parse_pose_matrix(value, key)
     return pose if key == "camera_from_world" else pose.inv()
 
 
-def parse_lens_model(node: dict[str, Any], where: CameraEntry | str) -> LensModel:
+def parse_lens_model(node: dict[str, Any], where: Entry) -> LensModel:
     """Return the lens model given by a camera's keys; OpenCV's standard model by default."""
     found: set[LensModel] = set()
     for key in _LENS_KEYS:
         if (value := node.get(key)) is None:
             continue
-        model = lens_model_by_name(value, where, key)
+        model = where.parse_lens_model(value, key)
         # In Kalibr, a "pinhole" camera with an "equidistant" lens is a fisheye.
         if str(value).lower() != "pinhole":
             found.add(model)
     if (fisheye := node.get("fisheye")) is not None:
         # A boolean true is 1.0 after OpenCV's YAML parsing, and "true" after XML.
         if str(fisheye).lower() not in _FLAGS:
-            raise ValueError(f"{where}: fisheye must be true or false, got {fisheye!r}")
+            raise where.error(f"fisheye must be true or false, got {fisheye!r}")
         found.add(_FLAGS[str(fisheye).lower()])
     if len(found) > 1:
-        raise ValueError(f"{where}: the lens is declared both fisheye and not fisheye")
+        raise where.error("the lens is declared both fisheye and not fisheye")
     return found.pop() if found else "opencv"
 
 
-def _require_value(node: dict[str, Any], key: str, where: CameraEntry | str) -> Any:
+def _require_value(node: dict[str, Any], key: str, where: Entry) -> Any:
     value = get_value(node, key, where)
     if value is None:
-        raise ValueError(f"{where}: missing key {_NAMES[key][0]!r} (or {', '.join(_NAMES[key][1:])})")
+        raise where.error(f"missing key {_NAMES[key][0]!r} (or {', '.join(_NAMES[key][1:])})")
     return value
 
 
@@ -260,9 +255,9 @@ def has_values(node: dict[str, Any], *keys: str) -> bool:
     return all(any(node.get(name) is not None for name in _NAMES[key]) for key in keys)
 
 
-def get_value(node: dict[str, Any], key: str, where: CameraEntry | str) -> Any:
+def get_value(node: dict[str, Any], key: str, where: Entry) -> Any:
     """Return the value of a key under any of its names, as plain numbers; None if missing."""
     names = [name for name in _NAMES[key] if node.get(name) is not None]
     if len(names) > 1:
-        raise ValueError(f"{where}: {' and '.join(names)} are synonyms; keep one")
-    return to_plain(node[names[0]], f"{where}: {names[0]}") if names else None
+        raise where.error(f"{' and '.join(names)} are synonyms; keep one")
+    return where.to_plain(node[names[0]], names[0]) if names else None

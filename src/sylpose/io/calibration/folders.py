@@ -23,15 +23,11 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.input_limits import input_errors, read_bytes, read_text
 from sylpose.io.calibration.camera_builder import (
     CameraEntry,
+    Entry,
     SizeLookup,
     intrinsic_matrix,
     lookup_sizes,
-    make_camera,
-    make_pose,
     make_rig,
-    parse_matrix,
-    parse_numbers,
-    to_plain,
 )
 from sylpose.io.calibration.lens_conversion import MAX_LENS_ERROR_PX, FittedLens, fit_lens, sample_image_grid
 from sylpose.io.calibration.markup import find_sibling_file, read_folder_documents, read_plain
@@ -39,14 +35,8 @@ from sylpose.io.calibration.safe_pickle import load_safely
 from sylpose.rig import Rig
 
 __all__ = [
-    "is_easymocap",
-    "is_jarvis",
-    "is_multicamselfcal",
-    "is_pickle",
-    "read_deeplabcut",
-    "read_easymocap",
-    "read_jarvis",
-    "read_multicamselfcal",
+    *("is_easymocap", "is_jarvis", "is_multicamselfcal", "is_pickle"),
+    *("read_deeplabcut", "read_easymocap", "read_jarvis", "read_multicamselfcal"),
 ]
 
 
@@ -71,11 +61,9 @@ def read_jarvis(_: Any, path: Path, sizes: SizeLookup | None = None) -> Rig:
     cameras = []
     for file, data in found.items():
         entry = CameraEntry(file, file.stem)
-        matrix, rotation = (parse_matrix(data[key], f"{entry}: {key}").T for key in ("intrinsicMatrix", "R"))
-        lens, translation = (to_plain(data[key], f"{entry}: {key}") for key in ("distortionCoefficients", "T"))
-        cameras.append(
-            make_camera(entry, known_sizes[file.stem], matrix, lens, make_pose(entry, rotation, translation))
-        )
+        matrix, rotation = (entry.parse_matrix(data[key], key).T for key in ("intrinsicMatrix", "R"))
+        lens, translation = (entry.to_plain(data[key], key) for key in ("distortionCoefficients", "T"))
+        cameras.append(entry.make_camera(known_sizes[file.stem], matrix, lens, entry.make_pose(rotation, translation)))
     return make_rig(path.parent, cameras)
 
 
@@ -112,9 +100,9 @@ def read_easymocap(data: dict[str, Any], path: Path, sizes: SizeLookup | None = 
         entry = CameraEntry(path, name)
         keys = f"K_{name}", f"dist_{name}", f"Rot_{name}" if f"Rot_{name}" in data else f"R_{name}", f"T_{name}"
         if missing := [key for key in keys[1:] if data.get(key) is None]:
-            raise ValueError(f"{entry}: missing {', '.join(missing)}")
-        matrix, lens, rotation, translation = (to_plain(data[key], f"{path}: {key}") for key in keys)
-        cameras.append(make_camera(entry, known_sizes[name], matrix, lens, make_pose(entry, rotation, translation)))
+            raise entry.error(f"missing {', '.join(missing)}")
+        matrix, lens, rotation, translation = (Entry(path).to_plain(data[key], key) for key in keys)
+        cameras.append(entry.make_camera(known_sizes[name], matrix, lens, entry.make_pose(rotation, translation)))
     return make_rig(path, cameras)
 
 
@@ -152,10 +140,10 @@ def read_multicamselfcal(_: object, path: Path, sizes: SizeLookup | None = None)
     cameras = []
     for name, (i, file) in zip(names, matrices.items(), strict=True):
         with input_errors(file):
-            projection = parse_matrix(read_text(file), f"{file}: the projection matrix", columns=4)
+            projection = Entry(file).parse_matrix(read_text(file), "the projection matrix", columns=4)
             matrix, pose = _decompose(projection, f"{file}: camera {i}")
         lens = _fit_lens(lenses.get(i), matrix, known_sizes[name], f"{lenses.get(i, file)}: camera {name}")
-        cameras.append(make_camera(CameraEntry(file, name), known_sizes[name], lens.matrix, lens.distortion, pose))
+        cameras.append(CameraEntry(file, name).make_camera(known_sizes[name], lens.matrix, lens.distortion, pose))
     return make_rig(folder, cameras)
 
 
@@ -170,7 +158,9 @@ def _read_sizes(folder: Path, names: list[str], sizes: SizeLookup | None) -> dic
     if not file.is_file():
         return lookup_sizes(folder, names, sizes)
     with input_errors(file):
-        rows = parse_numbers(read_text(file), 2 * len(names), "width and height of each camera").reshape(-1, 2)
+        rows = (
+            Entry(file).parse_numbers(read_text(file), 2 * len(names), "width and height of each camera").reshape(-1, 2)
+        )
         if (rows != rows.round()).any() or (rows < 1).any() or (rows > 2**16).any():
             raise ValueError("widths and heights must be whole numbers of pixels")
     return {name: (int(row[0]), int(row[1])) for name, row in zip(names, rows, strict=True)}
@@ -202,7 +192,7 @@ def _fit_lens(file: Path | None, intrinsics: FloatArray, size: tuple[int, int], 
         value = _read_lens_values(file)
         if missing := [key for key in _LENS_KEYS if key not in value]:
             raise ValueError(f"{file}: missing {', '.join(missing)}")
-        numbers = parse_numbers([value[key] for key in _LENS_KEYS], len(_LENS_KEYS), f"{file}: K and kc")
+        numbers = Entry(file).parse_numbers([value[key] for key in _LENS_KEYS], len(_LENS_KEYS), "K and kc")
         fx, skew, cx, fy, cy, *kc = numbers
         if not fx > 0 or not fy > 0 or skew:
             raise ValueError(f"{file}: K must have positive focal lengths and no skew")
@@ -270,17 +260,17 @@ def read_deeplabcut(_: Any, path: Path, sizes: SizeLookup | None = None) -> Rig:
     shape, given_sizes = pair.get("image_shape"), {}
     if isinstance(shape, (list, tuple)) and len(shape) == 2:
         given_sizes = {
-            name: parse_numbers(size, 2, f"{path}: image_shape") for name, size in zip(names, shape, strict=True)
+            name: Entry(path).parse_numbers(size, 2, "image_shape") for name, size in zip(names, shape, strict=True)
         }
     known_sizes = lookup_sizes(path, names, sizes, given_sizes)
     first, second = (CameraEntry(path, name) for name in names)
     first_matrix, first_lens, second_matrix, second_lens, rotation, translation = values
-    pose = make_pose(second, rotation, translation)
+    pose = second.make_pose(rotation, translation)
     return make_rig(
         path,
         [
-            make_camera(first, known_sizes[first.name], first_matrix, first_lens, RigidTransform.identity()),
-            make_camera(second, known_sizes[second.name], second_matrix, second_lens, pose),
+            first.make_camera(known_sizes[first.place], first_matrix, first_lens, RigidTransform.identity()),
+            second.make_camera(known_sizes[second.place], second_matrix, second_lens, pose),
         ],
     )
 

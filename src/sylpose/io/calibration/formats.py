@@ -25,15 +25,7 @@ from sylpose.io.calibration.incomplete_files import describe_incomplete
 from sylpose.io.calibration.markup import read_content
 from sylpose.rig import Rig
 
-__all__ = [
-    "FORMATS_BY_KIND",
-    "OUTPUT_FORMATS",
-    "Format",
-    "OutputFormat",
-    "choose_output_format",
-    "detect_format",
-    "find_folder_file",
-]
+__all__ = ["FORMATS_BY_KIND", "OUTPUT_FORMATS", "choose_output_format", "detect_format", "find_folder_file"]
 
 
 class Format(NamedTuple):
@@ -180,21 +172,13 @@ class OutputFormat(NamedTuple):
 
     Attributes:
         suffixes: suffixes of its file; empty for a folder.
-        to_texts: returns the texts of its files, by their paths.
+        to_texts: returns the texts of its files by their paths, given the file or folder.
         list_differences: returns sentences on differences between the files and the rig.
     """
 
     suffixes: tuple[str, ...]
     to_texts: Callable[[Rig, Path], dict[Path, str]]
     list_differences: Callable[[Rig], list[str]] = lambda _: []
-
-
-def _make_single_file(to_text: Callable[[Rig], str]) -> Callable[[Rig, Path], dict[Path, str]]:
-    return lambda rig, path: {path: to_text(rig)}
-
-
-def _format_colmap(rig: Rig, folder: Path) -> dict[Path, str]:
-    return {folder / name: text for name, text in colmap.to_texts(rig).items()}
 
 
 def _note_unit(rig: Rig) -> list[str]:
@@ -205,6 +189,11 @@ def _note_world(rig: Rig) -> list[str]:
     return [f"its world is the frame of camera {rig.cameras[0].name}"]
 
 
+def _note_stereo(rig: Rig) -> list[str]:
+    names = f"its cameras are called 1 and 2, which are {' and '.join(rig.names)}"
+    return [*_note_world(rig), names, *_note_unit(rig)]
+
+
 def _note_kalibr(rig: Rig) -> list[str]:
     renamed = ", ".join(f"cam{i} is {name}" for i, name in enumerate(rig.names) if name != f"cam{i}")
     unit_note = ["lengths are in m"] if rig.unit not in ("", "m") else []
@@ -212,20 +201,16 @@ def _note_kalibr(rig: Rig) -> list[str]:
 
 
 OUTPUT_FORMATS: dict[str, OutputFormat] = {
-    "sylpose": OutputFormat((".toml",), _make_single_file(native.to_text)),
+    "sylpose": OutputFormat((".toml",), lambda rig, path: {path: native.to_text(rig)}),
     "opencv": OutputFormat(_STORAGE, lambda rig, path: {path: filestorage.to_text(rig, path.suffix.lower())}),
     "opencv-stereo": OutputFormat(
-        _STORAGE,
-        lambda rig, path: {path: stereo.to_text(rig, path.suffix.lower())},
-        lambda rig: [
-            *_note_world(rig),
-            f"its cameras are called 1 and 2, which are {' and '.join(rig.names)}",
-            *_note_unit(rig),
-        ],
+        _STORAGE, lambda rig, path: {path: stereo.to_text(rig, path.suffix.lower())}, _note_stereo
     ),
-    "anipose": OutputFormat((".toml",), _make_single_file(anipose.to_text), _note_unit),
-    "kalibr": OutputFormat((".yaml", ".yml"), _make_single_file(kalibr.to_text), _note_kalibr),
-    "colmap": OutputFormat((), _format_colmap, _note_unit),
+    "anipose": OutputFormat((".toml",), lambda rig, path: {path: anipose.to_text(rig)}, _note_unit),
+    "kalibr": OutputFormat((".yaml", ".yml"), lambda rig, path: {path: kalibr.to_text(rig)}, _note_kalibr),
+    "colmap": OutputFormat(
+        (), lambda rig, folder: {folder / name: text for name, text in colmap.to_texts(rig).items()}, _note_unit
+    ),
 }
 
 

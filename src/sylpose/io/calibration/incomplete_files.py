@@ -6,7 +6,7 @@ These weaker checks run only on files that no reader accepts, so they cannot aff
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 from sylpose.io.calibration.native import FORMAT_NAME
@@ -19,7 +19,7 @@ _STEREO = re.compile(
     re.IGNORECASE,
 )
 _ANIPOSE = {"size", "matrix", "distortions", "rotation", "translation"}
-_NERF = {"camera_angle_x", "fl_x", "frames", "aabb_scale"}
+_NERF = ("camera_angle_x", "fl_x", "frames", "aabb_scale")
 _MATLAB = {"CameraParameters1", "CameraParameters2", "PoseCamera2", "RotationOfCamera2", "RadialDistortion"}
 _ROS = {"transforms", "child_frame_id", "distortion_model", "rectification_matrix", "projection_matrix"}
 
@@ -28,7 +28,7 @@ def describe_incomplete(kind: str, data: Any) -> str | None:
     """Describe the format that a file seems to have and what is missing; None if unrecognized.
 
     Args:
-        kind, data: as in `sniffing.Content`.
+        kind, data: as in `markup.Content`.
     """
     return next(
         (f"{name}, without {missing}" for name, missing, matches in _INCOMPLETE_FORMATS.get(kind, ()) if matches(data)),
@@ -40,24 +40,21 @@ def _get_keys(data: Any) -> set[str]:
     return {str(key) for key in data} if isinstance(data, dict) else set()
 
 
-def _iterate_maps(data: Any) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Iterate over the maps in a map, with their names."""
-    return ((str(k), v) for k, v in data.items() if isinstance(v, dict)) if isinstance(data, dict) else iter(())
+def _has_any_key(*names: str) -> Callable[[Any], bool]:
+    return lambda data: not _get_keys(data).isdisjoint(names)
 
 
 def _has_key_prefix(*prefixes: str) -> Callable[[Any], bool]:
     return lambda data: any(key.startswith(prefixes) for key in _get_keys(data))
 
 
-def _has_any_key(names: set[str]) -> Callable[[Any], bool]:
-    return lambda data: bool(names & _get_keys(data))
+def _has_camera_table(data: Any) -> bool:
+    return any(isinstance(table, dict) and _ANIPOSE & table.keys() for table in data.values())
 
 
 def _is_chain(data: Any) -> bool:
-    return any(_CHAIN_CAMERA.fullmatch(name) for name in _get_keys(data)) or {
-        "camera_model",
-        "intrinsics",
-    } <= _get_keys(data)
+    keys = _get_keys(data)
+    return any(_CHAIN_CAMERA.fullmatch(name) for name in keys) or {"camera_model", "intrinsics"} <= keys
 
 
 def _is_rig_config(data: Any) -> bool:
@@ -75,29 +72,33 @@ _INCOMPLETE_FORMATS: dict[str, tuple[tuple[str, str, Callable[[Any], bool]], ...
         (
             "Anipose TOML",
             "a table for each camera with size, matrix, distortions, rotation and translation",
-            lambda data: "metadata" in data or any(_ANIPOSE & table.keys() for _, table in _iterate_maps(data)),
+            lambda data: "metadata" in data or _has_camera_table(data),
         ),
     ),
     "plain": (
         ("COLMAP rig_config", "a camera with an image_prefix", _is_rig_config),
-        ("NeRF transforms", "frames with a transform_matrix each", _has_any_key(_NERF)),
+        (
+            "NeRF transforms",
+            "frames with a transform_matrix each",
+            _has_any_key(*_NERF),
+        ),
         (
             "Matlab stereoParameters",
             "CameraParameters1 and CameraParameters2 (with IntrinsicMatrix or K, and RadialDistortion)",
-            _has_any_key(_MATLAB),
+            _has_any_key(*_MATLAB),
         ),
         (
             "JARVIS",
             "both of intrinsicMatrix and distortionCoefficients",
-            _has_any_key({"intrinsicMatrix", "distortionCoefficients"}),
+            _has_any_key("intrinsicMatrix", "distortionCoefficients"),
         ),
         (
             "EasyMocap",
             "names together with K_ and dist_, or R_ and T_, of each",
             _has_key_prefix("K_", "Rot_", "dist_"),
         ),
-        ("EasyMocap", "K_ and dist_, or R_ and T_, of the cameras in names", _has_any_key({"names"})),
-        ("ROS", "a transform, or all of a camera_info: K, P, distortion_model, width and height", _has_any_key(_ROS)),
+        ("EasyMocap", "K_ and dist_, or R_ and T_, of the cameras in names", _has_any_key("names")),
+        ("ROS", "a transform, or all of a camera_info: K, P, distortion_model, width and height", _has_any_key(*_ROS)),
         ("Kalibr camchain", "camera_model and a row of intrinsics for each camera", _is_chain),
         ("OpenCV stereo", "M1 D1 and M2 D2, the lenses of two cameras, and R and T between them", _is_stereo),
     ),

@@ -13,15 +13,7 @@ from typing import Any
 
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.io.calibration.camera_builder import (
-    CameraEntry,
-    intrinsic_matrix,
-    make_camera,
-    make_rig,
-    parse_numbers,
-    parse_pose_matrix,
-    standard_lens_terms,
-)
+from sylpose.io.calibration.camera_builder import CameraEntry, intrinsic_matrix, make_rig, standard_lens_terms
 from sylpose.rig import Camera, LensModel, Rig
 from sylpose.units import METERS
 
@@ -95,7 +87,7 @@ def _compute_poses(nodes: dict[str, dict[str, Any]], path: Path) -> dict[str, Ri
     if missing := [name for name in rest if "T_cn_cnm1" not in nodes[name]]:
         if all("T_cam_imu" in node for node in nodes.values()):
             return {
-                name: parse_pose_matrix(CameraEntry(path, name), "T_cam_imu", node["T_cam_imu"])
+                name: CameraEntry(path, name).parse_pose_matrix(node["T_cam_imu"], "T_cam_imu")
                 for name, node in nodes.items()
             }
         raise ValueError(
@@ -105,7 +97,7 @@ def _compute_poses(nodes: dict[str, dict[str, Any]], path: Path) -> dict[str, Ri
     poses = {first: RigidTransform.identity()}
     previous = poses[first]
     for name in rest:
-        pose = parse_pose_matrix(CameraEntry(path, name), "T_cn_cnm1", nodes[name]["T_cn_cnm1"])
+        pose = CameraEntry(path, name).parse_pose_matrix(nodes[name]["T_cn_cnm1"], "T_cn_cnm1")
         poses[name] = previous = pose * previous
     return poses
 
@@ -115,13 +107,13 @@ def _parse_camera(entry: CameraEntry, node: dict[str, Any], pose: RigidTransform
     for key, value, supported in (("camera_model", model, ("pinhole",)), ("distortion_model", lens, tuple(_LENSES))):
         if value not in supported:
             full_name = f" ({_UNSUPPORTED_MODELS[value]})" if value in _UNSUPPORTED_MODELS else ""
-            raise ValueError(
-                f"{entry}: {key} {value!r}{full_name} is not supported; of Kalibr's models, pinhole with radtan, "
+            raise entry.error(
+                f"{key} {value!r}{full_name} is not supported; of Kalibr's models, pinhole with radtan, "
                 "equidistant or none is"
             )
     for key in ("resolution",) if lens == "none" else ("distortion_coeffs", "resolution"):
         if node.get(key) is None:
-            raise ValueError(f"{entry}: missing key {key!r}")
-    terms: Any = [] if lens == "none" else parse_numbers(node["distortion_coeffs"], 4, f"{entry}: distortion_coeffs")
-    matrix = intrinsic_matrix(*parse_numbers(node["intrinsics"], 4, f"{entry}: intrinsics"))
-    return make_camera(entry, node["resolution"], matrix, terms, pose, _LENSES[lens])
+            raise entry.error(f"missing key {key!r}")
+    terms: Any = [] if lens == "none" else entry.parse_numbers(node["distortion_coeffs"], 4, "distortion_coeffs")
+    matrix = intrinsic_matrix(*entry.parse_numbers(node["intrinsics"], 4, "intrinsics"))
+    return entry.make_camera(node["resolution"], matrix, terms, pose, _LENSES[lens])

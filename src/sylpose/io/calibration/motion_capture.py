@@ -21,18 +21,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.io.calibration.camera_builder import (
-    OPENCV_FROM_OPENGL,
-    CameraEntry,
-    intrinsic_matrix,
-    make_camera,
-    make_pose,
-    make_rig,
-    parse_attribute,
-    parse_attributes,
-    parse_numbers,
-    parse_quaternion,
-)
+from sylpose.io.calibration.camera_builder import OPENCV_FROM_OPENGL, CameraEntry, intrinsic_matrix, make_rig
 from sylpose.io.calibration.lens_conversion import FittedLens, fit_lens, sample_image_grid
 from sylpose.rig import Camera, Rig
 
@@ -65,21 +54,21 @@ def read_qualisys(root: Element, path: Path) -> Rig:
 def _parse_qualisys(node: Element, path: Path) -> Camera:
     entry = CameraEntry(path, node.get("serial", ""))
     if node.get("viewrotation", "0") not in ("0", ""):
-        raise ValueError(
-            f"{entry}: viewrotation is {node.get('viewrotation')}: its video is exported rotated, its calibration is "
+        raise entry.error(
+            f"viewrotation is {node.get('viewrotation')}: its video is exported rotated, its calibration is "
             'not; export it unrotated, and write viewrotation="0"'
         )
     lens, transform, view = node.find("intrinsic"), node.find("transform"), node.find("fov_video")
-    left, top, right, bottom = parse_attributes(view, entry, "left", "top", "right", "bottom")
-    intrinsics = parse_attributes(lens, entry, "focalLengthU", "focalLengthV", "centerPointU", "centerPointV", "skew")
+    left, top, right, bottom = entry.parse_attributes(view, "left", "top", "right", "bottom")
+    intrinsics = entry.parse_attributes(lens, "focalLengthU", "focalLengthV", "centerPointU", "centerPointV", "skew")
     fx, fy, cx, cy, skew = intrinsics / SUBPIXELS
-    k1, k2, k3 = parse_attributes(lens, entry, *(f"radialDistortion{i}" for i in (1, 2, 3)))
-    p1, p2 = parse_attributes(lens, entry, *(f"tangentalDistortion{i}" for i in (1, 2)))
-    rotation = parse_attributes(transform, entry, *(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3))).reshape(3, 3)
-    center = parse_attributes(transform, entry, *"xyz")
-    pose = OPENCV_FROM_OPENGL * (make_pose(entry, rotation, np.zeros(3)) * RigidTransform.from_translation(-center))
+    k1, k2, k3 = entry.parse_attributes(lens, *(f"radialDistortion{i}" for i in (1, 2, 3)))
+    p1, p2 = entry.parse_attributes(lens, *(f"tangentalDistortion{i}" for i in (1, 2)))
+    rotation = entry.parse_attributes(transform, *(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3))).reshape(3, 3)
+    center = entry.parse_attributes(transform, *"xyz")
+    pose = OPENCV_FROM_OPENGL * (entry.make_pose(rotation, np.zeros(3)) * RigidTransform.from_translation(-center))
     matrix = [[fx, skew, cx - left], [0, fy, cy - top], [0, 0, 1]]
-    return make_camera(entry, (right - left + 1, bottom - top + 1), matrix, [k1, k2, p1, p2, k3], pose)
+    return entry.make_camera((right - left + 1, bottom - top + 1), matrix, [k1, k2, p1, p2, k3], pose)
 
 
 def is_vicon(root: Element) -> bool:
@@ -104,24 +93,24 @@ def _parse_vicon(node: Element, path: Path) -> Camera:
     entry = CameraEntry(path, node.get("DEVICEID") or node.get("NAME") or "")
     frames = node.findall("KeyFrames/KeyFrame")
     if len({(frame.get("POSITION"), frame.get("ORIENTATION")) for frame in frames}) > 1:
-        raise ValueError(f"{entry}: it moves: it has {len(frames)} KeyFrames; sylpose requires static cameras")
+        raise entry.error(f"it moves: it has {len(frames)} KeyFrames; sylpose requires static cameras")
     frame = frames[0]
-    size = parse_attribute(node, "SENSOR_SIZE", entry, 2)
-    aspect = parse_attribute(node, "PIXEL_ASPECT_RATIO", entry)[0] if node.get("PIXEL_ASPECT_RATIO") else 1.0
-    skew = parse_attribute(node, "SKEW", entry)[0] if node.get("SKEW") else 0.0
+    size = entry.parse_attribute(node, "SENSOR_SIZE", 2)
+    aspect = entry.parse_attribute(node, "PIXEL_ASPECT_RATIO")[0] if node.get("PIXEL_ASPECT_RATIO") else 1.0
+    skew = entry.parse_attribute(node, "SKEW")[0] if node.get("SKEW") else 0.0
     focal, (cx, cy) = (
-        parse_attribute(frame, "FOCAL_LENGTH", entry)[0],
-        parse_attribute(frame, "PRINCIPAL_POINT", entry, 2),
+        entry.parse_attribute(frame, "FOCAL_LENGTH")[0],
+        entry.parse_attribute(frame, "PRINCIPAL_POINT", 2),
     )
     if not aspect > 0 or not focal > 0:
-        raise ValueError(f"{entry}: FOCAL_LENGTH and PIXEL_ASPECT_RATIO must be positive")
+        raise entry.error("FOCAL_LENGTH and PIXEL_ASPECT_RATIO must be positive")
     matrix = np.array([[focal, skew, cx], [0.0, focal / aspect, cy], [0.0, 0.0, 1.0]])
-    quaternion, center = parse_attribute(frame, "ORIENTATION", entry, 4), parse_attribute(frame, "POSITION", entry, 3)
-    rotation = parse_quaternion(quaternion, f"{entry}: ORIENTATION must be a quaternion x y z w of length 1")
+    quaternion, center = entry.parse_attribute(frame, "ORIENTATION", 4), entry.parse_attribute(frame, "POSITION", 3)
+    rotation = entry.parse_quaternion(quaternion, "ORIENTATION must be a quaternion x y z w of length 1")
     lens = _fit_vicon_lens(frame, matrix, size, aspect, entry)
-    error = parse_attribute(frame, "IMAGE_ERROR", entry)[0] if frame.get("IMAGE_ERROR") else 0.0
+    error = entry.parse_attribute(frame, "IMAGE_ERROR")[0] if frame.get("IMAGE_ERROR") else 0.0
     pose = RigidTransform.from_components(-rotation.apply(center), rotation)
-    return make_camera(entry, size, lens.matrix, lens.distortion, pose, "opencv", error if error > 0 else None)
+    return entry.make_camera(size, lens.matrix, lens.distortion, pose, "opencv", error if error > 0 else None)
 
 
 def _fit_vicon_lens(
@@ -130,18 +119,16 @@ def _fit_vicon_lens(
     """Fit OpenCV's lens to the undistortion VICON_RADIAL2, or VICON_RADIAL: k1 k2 about the principal point."""
     distortion_center, terms = matrix[:2, 2], np.zeros(3)
     if words := (frame.get("VICON_RADIAL2") or "").split()[1:]:
-        values = parse_numbers(words, 5, f"{entry}: VICON_RADIAL2 after its first word")
+        values = entry.parse_numbers(words, 5, "VICON_RADIAL2 after its first word")
         distortion_center, terms = values[:2], values[2:]
     elif frame.get("VICON_RADIAL"):
-        terms[:2] = parse_attribute(frame, "VICON_RADIAL", entry, 2)
+        terms[:2] = entry.parse_attribute(frame, "VICON_RADIAL", 2)
     if not terms.any():
         return FittedLens(matrix, np.zeros(5))
     if aspect != 1.0:
-        raise ValueError(
-            f"{entry}: lens distortion with non-square pixels is not supported (PIXEL_ASPECT_RATIO {aspect:g})"
-        )
+        raise entry.error(f"lens distortion with non-square pixels is not supported (PIXEL_ASPECT_RATIO {aspect:g})")
     if not (size > 0).all() or not (size <= 2**16).all():
-        raise ValueError(f"{entry}: SENSOR_SIZE must be two numbers of pixels")
+        raise entry.error("SENSOR_SIZE must be two numbers of pixels")
     pixels = sample_image_grid((int(size[0]), int(size[1])))
     from_middle = pixels - distortion_center
     r2 = np.sum(from_middle**2, axis=1, keepdims=True)
@@ -173,15 +160,15 @@ def _parse_optitrack(node: Element, path: Path) -> Camera:
     entry = CameraEntry(path, node.get("Serial", ""))
     lens, extrinsic, imager = (node.find(part) for part in ("IntrinsicStandardCameraModel", "Extrinsic", "Attributes"))
     if lens is None:
-        raise ValueError(
-            f"{entry}: no IntrinsicStandardCameraModel: its lens has only OptiTrack's own model, which is not "
+        raise entry.error(
+            "no IntrinsicStandardCameraModel: its lens has only OptiTrack's own model, which is not "
             "supported; newer versions of Motive export both"
         )
-    size = parse_attributes(imager, entry, "ImagerPixelWidth", "ImagerPixelHeight")
-    fx, fy, cx, cy = parse_attributes(
-        lens, entry, "HorizontalFocalLength", "VerticalFocalLength", "LensCenterX", "LensCenterY"
+    size = entry.parse_attributes(imager, "ImagerPixelWidth", "ImagerPixelHeight")
+    fx, fy, cx, cy = entry.parse_attributes(
+        lens, "HorizontalFocalLength", "VerticalFocalLength", "LensCenterX", "LensCenterY"
     )
-    terms = parse_attributes(lens, entry, "k1", "k2", "TangentialX", "TangentialY", "k3")
-    rotation = parse_attributes(extrinsic, entry, *(f"OrientMatrix{i}" for i in range(9))).reshape(3, 3)
-    pose = OPENCV_FROM_OPENGL * make_pose(entry, rotation, parse_attributes(extrinsic, entry, *"XYZ")).inv()
-    return make_camera(entry, size, intrinsic_matrix(fx, fy, cx, cy), terms, pose)
+    terms = entry.parse_attributes(lens, "k1", "k2", "TangentialX", "TangentialY", "k3")
+    rotation = entry.parse_attributes(extrinsic, *(f"OrientMatrix{i}" for i in range(9))).reshape(3, 3)
+    pose = OPENCV_FROM_OPENGL * entry.make_pose(rotation, entry.parse_attributes(extrinsic, *"XYZ")).inv()
+    return entry.make_camera(size, intrinsic_matrix(fx, fy, cx, cy), terms, pose)

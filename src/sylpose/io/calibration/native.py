@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 
 from sylpose.atomic_io import format_toml_key, format_toml_string
-from sylpose.io.calibration.camera_builder import CameraEntry, convert_table, make_camera, make_pose, make_rig
+from sylpose.io.calibration.camera_builder import CameraEntry, Entry, make_rig
 from sylpose.rig import Camera, LensModel, Rig
 
 __all__ = ["FORMAT_NAME", "read", "to_text"]
@@ -53,14 +53,14 @@ def read(data: dict[str, Any], path: Path) -> Rig:
     """
     if data["format"] != FORMAT_NAME:
         raise ValueError(f"{path}: the format is {data['format']!r}; this version of sylpose reads {FORMAT_NAME!r}")
-    file = convert_table(data, _File, str(path))
+    file = Entry(path).convert_table(data, _File)
     cameras = []
     for name, table in file.cameras.items():
         entry = CameraEntry(path, name)
-        camera = convert_table(table, _Camera, entry)
-        pose = make_pose(entry, camera.camera_from_world.rotation, camera.camera_from_world.translation)
+        camera = entry.convert_table(table, _Camera)
+        pose = entry.make_pose(camera.camera_from_world.rotation, camera.camera_from_world.translation)
         cameras.append(
-            make_camera(entry, camera.size, camera.matrix, camera.distortion, pose, camera.lens, camera.error_px)
+            entry.make_camera(camera.size, camera.matrix, camera.distortion, pose, camera.lens, camera.error_px)
         )
     return make_rig(path, cameras, file.unit)
 

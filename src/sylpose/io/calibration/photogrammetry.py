@@ -28,29 +28,17 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.io.calibration.camera_builder import (
     OPENCV_FROM_OPENGL,
     CameraEntry,
+    Entry,
     SizeLookup,
     intrinsic_matrix,
     lookup_sizes,
-    make_camera,
-    make_pose,
     make_rig,
-    parse_attributes,
-    parse_matrix,
-    parse_numbers,
-    parse_pose_matrix,
 )
 from sylpose.rig import Camera, LensModel, Rig
 
 __all__ = [
-    "PIXEL_CENTER",
-    "PosedImage",
-    "find_static_cameras",
-    "image_path",
-    "is_metashape",
-    "is_nerf",
-    "make_unique_names",
-    "read_metashape",
-    "read_nerf",
+    *("PIXEL_CENTER", "PosedImage", "find_static_cameras", "image_path", "is_metashape"),
+    *("is_nerf", "make_unique_names", "read_metashape", "read_nerf"),
 ]
 
 # Center of the top-left pixel.
@@ -197,65 +185,58 @@ def read_metashape(root: Element, path: Path) -> Rig:
         entry = CameraEntry(path, static_camera.name)
         sensor = sensors.get(static_camera.lens)
         if sensor is None:
-            raise ValueError(f"{entry}: its sensor {static_camera.lens} is not in this file of Metashape")
+            raise entry.error(f"its sensor {static_camera.lens} is not in this file of Metashape")
         cameras.append(_parse_metashape_camera(sensor, static_camera.camera_from_world, entry))
     return make_rig(path, cameras)
 
 
 def _find_metashape_images(chunk: Element, path: Path) -> Iterator[PosedImage]:
     """Yield the aligned images with their poses in the world."""
-    where = f"{path}: the chunk's transform"
+    where = Entry(path, "the chunk's transform")
     given = {node.tag: node.text or "" for node in chunk.findall("transform/*")[::-1]}
-    rotation = parse_matrix(given["rotation"], f"{where}: rotation") if "rotation" in given else np.eye(3)
-    translation = parse_numbers(given.get("translation", "0 0 0"), 3, f"{where}: translation")
-    scale = float(parse_numbers(given.get("scale", "1"), 1, f"{where}: scale")[0])
+    rotation = where.parse_matrix(given["rotation"], "rotation") if "rotation" in given else np.eye(3)
+    translation = where.parse_numbers(given.get("translation", "0 0 0"), 3, "translation")
+    scale = where.parse_number(given.get("scale", "1"), "scale")
     if not scale > 0:
-        raise ValueError(f"{where}: scale must be positive, got {scale:g}")
-    world_from_chunk = make_pose(CameraEntry(path, "of the chunk"), rotation, translation)
+        raise where.error(f"scale must be positive, got {scale:g}")
+    world_from_chunk = CameraEntry(path, "of the chunk").make_pose(rotation, translation)
     for camera in chunk.iter("camera"):
         entry = CameraEntry(path, camera.get("label") or camera.get("id") or "")
         if camera.get("master_id") is not None:
-            raise ValueError(f"{entry}: multi-camera systems of Metashape are not supported; align it separately")
+            raise entry.error("multi-camera systems of Metashape are not supported; align it separately")
         if (node := camera.find("transform")) is None:
             continue
-        matrix = parse_numbers(node.text or "", 16, f"{entry}: transform")
-        chunk_from_camera = parse_pose_matrix(entry, "transform", matrix)
+        chunk_from_camera = entry.parse_pose_matrix(entry.parse_numbers(node.text or "", 16, "transform"), "transform")
         scaled = RigidTransform.from_components(scale * chunk_from_camera.translation, chunk_from_camera.rotation)
         pose = (world_from_chunk * scaled).inv()
         lens = camera.get("sensor_id") or ""
-        yield PosedImage(image_path(entry.name), lens, pose.rotation.as_quat(), pose.translation)
+        yield PosedImage(image_path(entry.place), lens, pose.rotation.as_quat(), pose.translation)
 
 
 def _parse_metashape_camera(sensor: Element, pose: RigidTransform, entry: CameraEntry) -> Camera:
     found = sensor.findall("calibration")
     calibration = next((c for c in found if c.get("class") == "adjusted"), found[0] if found else None)
     if calibration is None:
-        raise ValueError(f"{entry}: its sensor {sensor.get('id')} has no calibration in this file of Metashape")
+        raise entry.error(f"its sensor {sensor.get('id')} has no calibration in this file of Metashape")
     kind = calibration.get("type") or sensor.get("type") or "frame"
     if kind not in ("frame", "fisheye"):
-        raise ValueError(f"{entry}: Metashape's {kind!r} camera model is not supported; frame and fisheye are")
+        raise entry.error(f"Metashape's {kind!r} camera model is not supported; frame and fisheye are")
     if calibration.find("fx") is not None:
-        raise ValueError(
-            f"{entry}: its calibration has the format of an old PhotoScan (fx, fy); export it from Metashape"
-        )
+        raise entry.error("its calibration has the format of an old PhotoScan (fx, fy); export it from Metashape")
     value = {
-        node.tag: parse_numbers(node.text or "", 1, f"{entry}: {node.tag}")[0]
-        for node in calibration
-        if node.tag in _METASHAPE_TERMS
+        node.tag: entry.parse_number(node.text or "", node.tag) for node in calibration if node.tag in _METASHAPE_TERMS
     }
     if "f" not in value:
-        raise ValueError(f"{entry}: missing 'f' in Metashape's calibration of its sensor")
+        raise entry.error("missing 'f' in Metashape's calibration of its sensor")
     f, cx, cy, b1, b2, k1, k2, k3, k4, p1, p2, p3, p4 = (float(value.get(name, 0.0)) for name in _METASHAPE_TERMS)
     unsupported = {"b2": b2, "p3": p3, "p4": p4} | ({"p1": p1, "p2": p2} if kind == "fisheye" else {"k4": k4})
     if nonzero := [name for name, term in unsupported.items() if term]:
-        raise ValueError(
-            f"{entry}: {', '.join(nonzero)} of Metashape's {kind} model is not in OpenCV's; calibrate without it"
-        )
-    size = parse_attributes(calibration.find("resolution"), entry, "width", "height")
+        raise entry.error(f"{', '.join(nonzero)} of Metashape's {kind} model is not in OpenCV's; calibrate without it")
+    size = entry.parse_attributes(calibration.find("resolution"), "width", "height")
     matrix = intrinsic_matrix(f + b1, f, size[0] / 2 + cx - PIXEL_CENTER, size[1] / 2 + cy - PIXEL_CENTER)
     if kind == "fisheye":
-        return make_camera(entry, size, matrix, [k1, k2, k3, k4], pose, "fisheye")
-    return make_camera(entry, size, matrix, [k1, k2, p2, p1, k3], pose)
+        return entry.make_camera(size, matrix, [k1, k2, k3, k4], pose, "fisheye")
+    return entry.make_camera(size, matrix, [k1, k2, p2, p1, k3], pose)
 
 
 # NeRF
@@ -298,8 +279,8 @@ def read_nerf(data: dict[str, Any], path: Path, sizes: SizeLookup | None = None)
         # Keys are numbered in order of appearance.
         key = keys.setdefault(json.dumps(lens, sort_keys=True), str(len(keys)))
         lenses[key] = lens
-        world_from_camera = parse_pose_matrix(
-            CameraEntry(path, str(image_file)), "transform_matrix", frame.get("transform_matrix")
+        world_from_camera = CameraEntry(path, str(image_file)).parse_pose_matrix(
+            frame.get("transform_matrix"), "transform_matrix"
         )
         pose = (world_from_camera * OPENCV_FROM_OPENGL.inv()).inv()
         images.append(PosedImage(image_file, key, pose.rotation.as_quat(), pose.translation))
@@ -333,9 +314,9 @@ def _remove_common_folder(paths: Sequence[PurePosixPath]) -> list[PurePosixPath]
 
 def _parse_nerf_camera(lens: dict[str, Any], size: Any, pose: RigidTransform, path: Path, name: str) -> Camera:
     entry = CameraEntry(path, name)
-    width, height = parse_numbers(size, 2, f"{entry}: w and h")
+    width, height = entry.parse_numbers(size, 2, "w and h")
     number = {
-        key: float(parse_numbers([lens[key]], 1, f"{entry}: {key}")[0])
+        key: entry.parse_number(lens[key], key)
         for key in ("fl_x", "fl_y", "cx", "cy", "camera_angle_x", "camera_angle_y", *_NERF_TERMS)
         if key in lens
     }
@@ -344,19 +325,17 @@ def _parse_nerf_camera(lens: dict[str, Any], size: Any, pose: RigidTransform, pa
             number[key] = 0.5 * side / np.tan(0.5 * number[angle])
     focal = number.get("fl_x", number.get("fl_y"))
     if focal is None:
-        raise ValueError(f"{entry}: transforms.json has neither fl_x nor camera_angle_x")
+        raise entry.error("transforms.json has neither fl_x nor camera_angle_x")
     cx, cy = number.get("cx", width / 2) - PIXEL_CENTER, number.get("cy", height / 2) - PIXEL_CENTER
     matrix = intrinsic_matrix(focal, number.get("fl_y", focal), cx, cy)
     model_name = str(lens.get("camera_model", "OPENCV")).upper()
     if model_name not in _NERF_MODELS:
-        raise ValueError(
-            f"{entry}: camera_model {model_name!r} is not supported; OpenCV's are: {', '.join(_NERF_MODELS)}"
-        )
+        raise entry.error(f"camera_model {model_name!r} is not supported; OpenCV's are: {', '.join(_NERF_MODELS)}")
     k1, k2, k3, k4, p1, p2 = (number.get(key, 0.0) for key in _NERF_TERMS)
     if _NERF_MODELS[model_name] == "fisheye":
-        return make_camera(entry, (width, height), matrix, [k1, k2, k3, k4], pose, "fisheye")
+        return entry.make_camera((width, height), matrix, [k1, k2, k3, k4], pose, "fisheye")
     if lens.get("is_fisheye"):
-        raise ValueError(f"{entry}: is_fisheye is only supported with camera_model OPENCV_FISHEYE")
+        raise entry.error("is_fisheye is only supported with camera_model OPENCV_FISHEYE")
     if k4:
-        raise ValueError(f"{entry}: k4 is not in OpenCV's lens model; camera_model OPENCV_FISHEYE has one")
-    return make_camera(entry, (width, height), matrix, [k1, k2, p1, p2, k3], pose)
+        raise entry.error("k4 is not in OpenCV's lens model; camera_model OPENCV_FISHEYE has one")
+    return entry.make_camera((width, height), matrix, [k1, k2, p1, p2, k3], pose)

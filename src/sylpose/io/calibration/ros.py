@@ -16,17 +16,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.io.calibration.camera_builder import (
-    CameraEntry,
-    lens_model_by_name,
-    make_camera,
-    make_pose,
-    make_rig,
-    parse_matrix,
-    parse_numbers,
-    parse_quaternion,
-    to_plain,
-)
+from sylpose.io.calibration.camera_builder import CameraEntry, Entry, make_rig
 from sylpose.io.calibration.markup import read_folder_documents
 from sylpose.rig import Camera, Rig
 
@@ -124,23 +114,23 @@ def _build_tree(transforms: list[tuple[Path, dict[str, Any]]]) -> dict[str, tupl
     tree: dict[str, tuple[str, RigidTransform]] = {}
     for file, transform in transforms:
         child, parent = str(transform["child_frame_id"]).strip("/"), _get_frame_id(transform)
-        where = f"{file}: the transform of {child}"
+        where = Entry(file, f"the transform of {child}")
         if not parent or not child:
-            raise ValueError(f"{where}: header.frame_id and child_frame_id must name frames")
+            raise where.error("header.frame_id and child_frame_id must name frames")
         translation, quaternion = (
             [_parse_component(transform["transform"], part, axis, where) for axis in axes]
             for part, axes in (("translation", "xyz"), ("rotation", "xyzw"))
         )
-        rotation = parse_quaternion(quaternion, f"{where}: its rotation must be a quaternion x, y, z, w of length 1")
-        tree[child] = parent, make_pose(CameraEntry(file, child), rotation.as_matrix(), translation)
+        rotation = where.parse_quaternion(quaternion, "its rotation must be a quaternion x, y, z, w of length 1")
+        tree[child] = parent, CameraEntry(file, child).make_pose(rotation.as_matrix(), translation)
     return tree
 
 
-def _parse_component(transform: dict[str, Any], part: str, axis: str, where: str) -> float:
+def _parse_component(transform: dict[str, Any], part: str, axis: str, where: Entry) -> float:
     values = transform.get(part)
     if not isinstance(values, dict) or values.get(axis) is None:
-        raise ValueError(f"{where}: missing {part}.{axis}")
-    return float(parse_numbers([values[axis]], 1, f"{where}: {part}.{axis}")[0])
+        raise where.error(f"missing {part}.{axis}")
+    return where.parse_number(values[axis], f"{part}.{axis}")
 
 
 def _find_camera_from_root(
@@ -150,12 +140,10 @@ def _find_camera_from_root(
     frames = {*tree, *(parent for parent, _ in tree.values())}
     camera_frame = _get_frame_id(data)
     if camera_frame not in frames:
-        candidates = sorted(frame for frame in frames if _is_optical_frame(frame, entry.name))
+        candidates = sorted(frame for frame in frames if _is_optical_frame(frame, entry.place))
         if len(candidates) != 1:
             own = f"{camera_frame!r} or " if camera_frame else ""
-            raise ValueError(
-                f"{entry}: no frame in the ROS transforms next to it is {own}the optical one of {entry.name}"
-            )
+            raise entry.error(f"no frame in the ROS transforms next to it is {own}the optical one of {entry.place}")
         camera_frame = candidates[0]
     root_from_camera, frame = RigidTransform.identity(), camera_frame
     for _ in range(MAX_TREE_DEPTH):
@@ -163,7 +151,7 @@ def _find_camera_from_root(
             return frame, root_from_camera.inv()
         frame, pose = tree[frame]
         root_from_camera = pose * root_from_camera
-    raise ValueError(f"{entry}: the frame {camera_frame} is its own ancestor")
+    raise entry.error(f"the frame {camera_frame} is its own ancestor")
 
 
 def _is_optical_frame(frame: str, name: str) -> bool:
@@ -181,7 +169,7 @@ def _poses_from_rectification(cameras: dict[CameraEntry, dict[str, Any]], path: 
     poses = []
     for entry, data in cameras.items():
         projection = _parse_info_matrix(data, "P", entry, columns=4)
-        rotation = make_pose(entry, _parse_info_matrix(data, "R", entry), [0] * 3)
+        rotation = entry.make_pose(_parse_info_matrix(data, "R", entry), [0] * 3)
         focal = projection[[0, 1], [0, 1]]
         translation = np.append(projection[:2, 3] / np.where(focal > 0, focal, 1.0), 0.0)
         poses.append(rotation.inv() * RigidTransform.from_translation(translation))
@@ -194,21 +182,20 @@ def _poses_from_rectification(cameras: dict[CameraEntry, dict[str, Any]], path: 
 
 
 def _parse_info_matrix(data: dict[str, Any], key: str, entry: CameraEntry, columns: int = 3) -> FloatArray:
-    return parse_matrix(_require_value(data, key, entry), f"{entry}: {key}", columns)
+    return entry.parse_matrix(_require_value(data, key, entry), key, columns)
 
 
 def _require_value(data: dict[str, Any], key: str, entry: CameraEntry) -> Any:
     if (value := _get_value(data, key)) is None:
-        raise ValueError(f"{entry}: missing {_KEYS[key][0]!r}")
-    return to_plain(value, f"{entry}: {key}")
+        raise entry.error(f"missing {_KEYS[key][0]!r}")
+    return entry.to_plain(value, key)
 
 
 def _parse_camera(entry: CameraEntry, data: dict[str, Any], pose: RigidTransform) -> Camera:
-    return make_camera(
-        entry,
+    return entry.make_camera(
         [_get_value(data, "width"), _get_value(data, "height")],
         _parse_info_matrix(data, "K", entry),
         _require_value(data, "D", entry),
         pose,
-        lens_model_by_name(data["distortion_model"], entry, "distortion_model"),
+        entry.parse_lens_model(data["distortion_model"], "distortion_model"),
     )

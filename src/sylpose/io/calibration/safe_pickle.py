@@ -20,37 +20,12 @@ __all__ = ["load_safely"]
 
 # Numeric dtypes, as NumPy spells them: f8, <i4, ...
 _TYPE = re.compile("[<>=|]?([fiub][1248])")
-# Opcodes that build, store and fetch values; none calls anything other than the names in `_Unpickler`.
-_OPCODES = frozenset(
-    (
-        *("PROTO", "FRAME", "STOP", "MARK", "POP", "POP_MARK", "DUP", "NONE", "NEWTRUE", "NEWFALSE", "INT", "BININT"),
-        *(
-            "BININT1",
-            "BININT2",
-            "LONG",
-            "LONG1",
-            "LONG4",
-            "FLOAT",
-            "BINFLOAT",
-            "STRING",
-            "BINSTRING",
-            "SHORT_BINSTRING",
-        ),
-        *(
-            "BINBYTES",
-            "SHORT_BINBYTES",
-            "BINBYTES8",
-            "BYTEARRAY8",
-            "UNICODE",
-            "SHORT_BINUNICODE",
-            "BINUNICODE",
-            "BINUNICODE8",
-        ),
-        *("EMPTY_LIST", "APPEND", "APPENDS", "LIST", "EMPTY_TUPLE", "TUPLE", "TUPLE1", "TUPLE2", "TUPLE3"),
-        *("EMPTY_DICT", "DICT", "SETITEM", "SETITEMS", "GET", "BINGET", "LONG_BINGET", "PUT", "BINPUT", "LONG_BINPUT"),
-        *("MEMOIZE", "GLOBAL", "STACK_GLOBAL", "REDUCE", "BUILD"),
-    )
-)
+# Opcodes of protocols up to 5 that build, store and fetch values; none calls anything other than the names in
+# `_Unpickler`. Left out are those for persistent objects, extensions, buffers, sets and instances of classes.
+_OPCODES = {opcode.name for opcode in pickletools.opcodes if opcode.proto <= 5} - {
+    *("PERSID", "BINPERSID", "EXT1", "EXT2", "EXT4", "NEXT_BUFFER", "READONLY_BUFFER", "EMPTY_SET", "ADDITEMS"),
+    *("FROZENSET", "INST", "OBJ", "NEWOBJ", "NEWOBJ_EX"),
+}
 
 
 def load_safely(data: bytes) -> Any:

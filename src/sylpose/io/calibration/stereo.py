@@ -16,17 +16,7 @@ from typing import Any
 import cv2
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.io.calibration.camera_builder import (
-    CameraEntry,
-    SizeLookup,
-    lookup_sizes,
-    make_camera,
-    make_pose,
-    make_rig,
-    parse_matrix,
-    parse_numbers,
-    to_plain,
-)
+from sylpose.io.calibration.camera_builder import CameraEntry, Entry, SizeLookup, lookup_sizes, make_rig
 from sylpose.io.calibration.filestorage import (
     get_value,
     has_values,
@@ -80,7 +70,7 @@ def read(data: dict[str, Any], path: Path, sizes: SizeLookup | None = None) -> R
         if _collect_numbered(given_data, _ROTATION):
             what += " (R1 and R2 only rectify images)"
         data = data | _read_other_file(path, "intri", "extri", "R and T, the second camera's pose", what)
-    where = str(path)
+    where = Entry(path)
     size = get_value(data, "size", where)
     if size is None and has_values(data, "width", "height"):
         size = [get_value(data, "width", where), get_value(data, "height", where)]
@@ -90,15 +80,15 @@ def read(data: dict[str, Any], path: Path, sizes: SizeLookup | None = None) -> R
             raise ValueError(f"{path}: {len(matrices)} camera matrices and one R and T: each camera needs its R and T")
         first, second = matrices
         rotation, translation = get_value(data, "rotation", where), get_value(data, "translation", where)
-        poses = {first: RigidTransform.identity(), second: make_pose(CameraEntry(path, second), rotation, translation)}
+        poses = {first: RigidTransform.identity(), second: CameraEntry(path, second).make_pose(rotation, translation)}
     lens_model, error_px = parse_lens_model(data, where), parse_error_px(data, where)
     cameras = []
     for name, (key, matrix) in matrices.items():
         entry = CameraEntry(path, name)
         if name not in lenses:
-            raise ValueError(f"{entry}: no distortion next to {key!r}, such as D{name}")
-        arrays = to_plain(matrix, f"{path}: {key}"), to_plain(lenses[name][1], f"{path}: {lenses[name][0]}")
-        cameras.append(make_camera(entry, known_sizes[name], *arrays, poses[name], lens_model, error_px))
+            raise entry.error(f"no distortion next to {key!r}, such as D{name}")
+        arrays = where.to_plain(matrix, key), where.to_plain(lenses[name][1], lenses[name][0])
+        cameras.append(entry.make_camera(known_sizes[name], *arrays, poses[name], lens_model, error_px))
     return make_rig(path, cameras)
 
 
@@ -146,13 +136,13 @@ def _read_own_poses(data: dict[str, Any], names: list[str], path: Path) -> dict[
     rotations, translations = _collect_numbered(data, _ROTATION), _collect_numbered(data, _TRANSLATION)
     if any(name not in rotations or name not in translations for name in names):
         return None
-    return {
-        name: make_pose(
-            CameraEntry(path, name),
-            *(to_plain(value, f"{path}: {key}") for key, value in (rotations[name], translations[name])),
+    poses = {}
+    for name in names:
+        rotation, translation = (
+            Entry(path).to_plain(value, key) for key, value in (rotations[name], translations[name])
         )
-        for name in names
-    }
+        poses[name] = CameraEntry(path, name).make_pose(rotation, translation)
+    return poses
 
 
 def _read_other_file(path: Path, part: str, other: str, what: str, present: str) -> dict[str, Any]:
@@ -204,7 +194,7 @@ def read_matlab(data: dict[str, Any], path: Path, sizes: SizeLookup | None = Non
     lenses = {name: _find_matlab_lens(node, entries[name]) for name, node in nodes.items()}
     # ImageSize is (rows, columns).
     given_sizes = {
-        name: parse_numbers(node["ImageSize"], 2, f"{entries[name]}: ImageSize")[::-1]
+        name: entries[name].parse_numbers(node["ImageSize"], 2, "ImageSize")[::-1]
         for name, node in lenses.items()
         if node.get("ImageSize")
     }
@@ -226,31 +216,31 @@ def _find_matlab_lens(node: Any, entry: CameraEntry) -> dict[str, Any]:
         if isinstance(lens, dict) and _is_matlab_lens(lens):
             return lens
     if any(isinstance(lens, dict) and "MappingCoefficients" in lens for lens in (node, inner)):
-        raise ValueError(f"{entry}: Matlab's fisheye model (Scaramuzza's) is not supported")
-    raise ValueError(f"{entry}: missing RadialDistortion and K, or IntrinsicMatrix, of Matlab's cameraParameters")
+        raise entry.error("Matlab's fisheye model (Scaramuzza's) is not supported")
+    raise entry.error("missing RadialDistortion and K, or IntrinsicMatrix, of Matlab's cameraParameters")
 
 
 def _parse_matlab_pose(data: dict[str, Any], entry: CameraEntry) -> RigidTransform:
     struct = data.get("PoseCamera2")
     if isinstance(struct, dict) and "A" in struct:
-        pose = parse_numbers(struct["A"], 16, f"{entry.path}: PoseCamera2.A").reshape(4, 4)
-        return make_pose(entry, pose[:3, :3], pose[:3, 3])
+        pose = Entry(entry.path).parse_numbers(struct["A"], 16, "PoseCamera2.A").reshape(4, 4)
+        return entry.make_pose(pose[:3, :3], pose[:3, 3])
     if isinstance(struct, dict) and {"R", "Translation"} <= struct.keys():
-        return make_pose(entry, struct["R"], struct["Translation"])
+        return entry.make_pose(struct["R"], struct["Translation"])
     if not {"RotationOfCamera2", "TranslationOfCamera2"} <= data.keys():
         raise ValueError(
             f"{entry.path}: these are Matlab's stereoParameters without PoseCamera2, or RotationOfCamera2 and "
             "TranslationOfCamera2"
         )
-    rotation = parse_matrix(data["RotationOfCamera2"], f"{entry.path}: RotationOfCamera2").T
-    return make_pose(entry, rotation, data["TranslationOfCamera2"])
+    rotation = Entry(entry.path).parse_matrix(data["RotationOfCamera2"], "RotationOfCamera2").T
+    return entry.make_pose(rotation, data["TranslationOfCamera2"])
 
 
 def _parse_matlab_camera(entry: CameraEntry, node: dict[str, Any], size: Any, pose: RigidTransform) -> Camera:
     key = "K" if node.get("K") is not None else "IntrinsicMatrix"
-    matrix = parse_matrix(node[key], f"{entry}: {key}")
+    matrix = entry.parse_matrix(node[key], key)
     matrix = (matrix if key == "K" else matrix.T).copy()
     matrix[:2, 2] -= 1.0
-    k = parse_numbers(node["RadialDistortion"], (2, 3), f"{entry}: RadialDistortion")
-    p = parse_numbers(node.get("TangentialDistortion") or [0, 0], 2, f"{entry}: TangentialDistortion")
-    return make_camera(entry, size, matrix, [k[0], k[1], p[0], p[1], *k[2:]], pose)
+    k = entry.parse_numbers(node["RadialDistortion"], (2, 3), "RadialDistortion")
+    p = entry.parse_numbers(node.get("TangentialDistortion") or [0, 0], 2, "TangentialDistortion")
+    return entry.make_camera(size, matrix, [k[0], k[1], p[0], p[1], *k[2:]], pose)

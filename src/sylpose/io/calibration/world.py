@@ -18,7 +18,7 @@ from sylpose.atomic_io import format_toml_string, replace_atomically
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.validation import check_finite, check_number, check_type, format_value
 from sylpose.input_limits import input_errors, parse_toml, read_text, to_one_line
-from sylpose.io.calibration.camera_builder import convert_table, make_pose, parse_pose_matrix, parse_quaternion
+from sylpose.io.calibration.camera_builder import Entry
 from sylpose.rig import MAX_FOCAL_PX, MAX_LENGTH, Rig, check_single_pose, intersect_rays
 from sylpose.units import METERS, parse_length_with_unit
 
@@ -206,7 +206,7 @@ def _parse_world(data: dict[str, Any], path: Path) -> World:
     data = {"format": FORMAT, **data}
     if data["format"] != FORMAT:
         raise ValueError(f"the format is {data['format']!r}; this version of sylpose reads {FORMAT!r}")
-    file = convert_table(data, _File, str(path))
+    file = Entry(path).convert_table(data, _File)
     pose_table = file.world_from_calibration
     rotation_keys = [name for name in ("matrix", "rotation", "quaternion") if getattr(pose_table, name) is not None]
     if len(rotation_keys) != 1 or (rotation_keys == ["matrix"]) == (pose_table.translation is not None):
@@ -214,15 +214,15 @@ def _parse_world(data: dict[str, Any], path: Path) -> World:
             "world_from_calibration must have a matrix (3x4 or 4x4), or a translation and a rotation (3x3) or "
             "quaternion (x, y, z, w)"
         )
-    where = f"{path}: world_from_calibration"
+    where = Entry(path, "world_from_calibration")
     if pose_table.matrix is not None:
-        pose = parse_pose_matrix(where, "the matrix", pose_table.matrix)
+        pose = where.parse_pose_matrix(pose_table.matrix, "the matrix")
     else:
         rotation: Any = pose_table.rotation
         if pose_table.quaternion is not None:
             quaternion = check_finite(pose_table.quaternion, (4,), f"{where}: the quaternion")
-            rotation = parse_quaternion(quaternion, f"{where}: the quaternion must have length 1").as_matrix()
-        pose = make_pose(where, rotation, pose_table.translation)
+            rotation = where.parse_quaternion(quaternion, "the quaternion must have length 1").as_matrix()
+        pose = where.make_pose(rotation, pose_table.translation)
     world_unit = file.unit if file.world_unit is None else file.world_unit
     return World(pose, file.description, file.unit, file.scale, world_unit)
 
