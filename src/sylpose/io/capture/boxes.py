@@ -21,13 +21,8 @@ from sylpose.io.capture.sources import Source
 from sylpose.rig import Rig
 
 __all__ = [
-    "DEFAULT_OBJECT_NAME",
-    "Masks",
-    "check_first_masks",
-    "find_masks",
-    "load_boxes",
-    "merge_object_names",
-    "parse_boxes",
+    *("DEFAULT_OBJECT_NAME", "Masks", "check_first_masks", "find_masks", "load_boxes"),
+    *("merge_object_names", "parse_boxes"),
 ]
 
 # Name of a single unnamed object.
@@ -91,28 +86,22 @@ def parse_boxes(text: str, rig: Rig, path: Path) -> dict[str, dict[str, Box]]:
         ValueError: as `load_boxes`.
     """
     with input_errors(path):
-        return _parse_boxes(text, rig, path)
-
-
-def _parse_boxes(text: str, rig: Rig, path: Path) -> dict[str, dict[str, Box]]:
-    try:
-        raw = parse_toml(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"cannot be read as TOML ({error})") from None
-    tables = [name for name, value in raw.items() if isinstance(value, dict)]
-    if not tables:
-        return {DEFAULT_OBJECT_NAME: _convert_boxes(raw, rig, str(path))} if raw else {}
-    outside = [name for name, value in raw.items() if not isinstance(value, dict)]
-    if outside:
-        raise ValueError(
-            f"{path}: {', '.join(outside)} is outside the tables of {', '.join(tables)}: either one object without "
-            "tables or one table per object is expected"
-        )
-    _check_object_names(tables, rig, path)
-    for name in tables:
-        if not raw[name]:
-            raise ValueError(f"{path}: [{name}] has no box in any camera")
-    return {name: _convert_boxes(raw[name], rig, f"{path}: [{name}]") for name in tables}
+        try:
+            raw = parse_toml(text)
+        except tomllib.TOMLDecodeError as error:
+            raise ValueError(f"cannot be read as TOML ({error})") from None
+        tables = [name for name, value in raw.items() if isinstance(value, dict)]
+        if not tables:
+            return {DEFAULT_OBJECT_NAME: _convert_boxes(raw, rig, str(path))} if raw else {}
+        if outside := [name for name in raw if name not in tables]:
+            raise ValueError(
+                f"{path}: {', '.join(outside)} is outside the tables of {', '.join(tables)}: either one object without "
+                "tables or one table per object is expected"
+            )
+        _check_object_names(tables, rig, path)
+        if empty := [name for name in tables if not raw[name]]:
+            raise ValueError(f"{path}: [{empty[0]}] has no box in any camera")
+        return {name: _convert_boxes(raw[name], rig, f"{path}: [{name}]") for name in tables}
 
 
 def find_masks(folder: Path, rig: Rig, sources: tuple[Source, ...]) -> tuple[dict[str, tuple[Masks, ...]], list[str]]:
@@ -140,12 +129,8 @@ def find_masks(folder: Path, rig: Rig, sources: tuple[Source, ...]) -> tuple[dic
     _check_object_names([f.name for f in objects], rig, folder)
     for object_folder in objects:
         # Frame numbers would match camera names: `cam_8/0000.png` is not a mask of cam_0 for an object cam_8.
-        frames = [
-            f.name
-            for f in _list_mask_entries(object_folder)
-            if f.is_file() and f.stem.isdigit() and f.stem not in rig.names
-        ]
-        if frames:
+        images = [f for f in _list_mask_entries(object_folder) if f.is_file()]
+        if frames := [f.name for f in images if f.stem.isdigit() and f.stem not in rig.names]:
             raise ValueError(
                 f"{object_folder}: neither a camera of the calibration ({', '.join(rig.names)}) nor an object, whose "
                 f"masks would be named like cameras, not {frames[0]}"
@@ -243,11 +228,8 @@ def _find_object_folders(folder: Path, rig: Rig) -> list[Path]:
     entries = _list_mask_entries(folder)
     matched = _match_cameras(entries, rig, folder)
     others = [f for f in entries if _entry_name(f) not in matched]
-    for f in entries:
-        camera_like = (
-            [g.name for g in _list_mask_entries(f) if _is_camera(g, rig)] if f.is_dir() and f not in others else []
-        )
-        if camera_like:
+    for f in (f for f in entries if f.is_dir() and f not in others):
+        if camera_like := [g.name for g in _list_mask_entries(f) if _is_camera(g, rig)]:
             raise ValueError(
                 f"{f}: named like camera {matched[f.name]}, but contains {', '.join(camera_like)} like an "
                 "object folder: choose a name that no camera has"
@@ -276,19 +258,19 @@ def _find_object_masks(folder: Path, rig: Rig, sources: tuple[Source, ...], warn
             raise ValueError(f"{folder}: {by_camera[camera].name} and {entry.name} are both for camera {camera}")
         by_camera[camera] = entry
 
-    masks: list[Masks] = []
-    for source in sources:
-        mask_path = by_camera.get(source.camera)
-        if mask_path is None:
-            masks.append(Masks())
-        elif mask_path.is_dir():
-            masks.append(Masks(files=_masks_by_frame_number(mask_path, source, warnings)))
-        else:
-            static = read_mask(mask_path, source.size)
-            if not static.any():
-                raise ValueError(f"{mask_path}: the mask is empty; the object must be white")
-            masks.append(Masks(static))
-    return tuple(masks)
+    return tuple(_read_masks(by_camera.get(source.camera), source, warnings) for source in sources)
+
+
+def _read_masks(path: Path | None, source: Source, warnings: list[str]) -> Masks:
+    """Return the masks of a camera: in an image, in a folder, or none."""
+    if path is None:
+        return Masks()
+    if path.is_dir():
+        return Masks(files=_masks_by_frame_number(path, source, warnings))
+    static = read_mask(path, source.size)
+    if not static.any():
+        raise ValueError(f"{path}: the mask is empty; the object must be white")
+    return Masks(static)
 
 
 def _masks_by_frame_number(folder: Path, source: Source, warnings: list[str]) -> dict[int, Path]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Generator, Mapping
 from contextlib import closing
 from dataclasses import dataclass
-from typing import Protocol
 
 import av.error
 import numpy as np
@@ -34,13 +33,24 @@ class FrameReading:
     ended: bool
 
 
-class _FrameReader(Protocol):
-    problems: list[str]
-    ended: bool
+class _FrameReader:
+    """Reader of one camera's frames, by increasing numbers."""
 
-    def read(self, k: int) -> Image | None: ...
+    def __init__(self, source: Source) -> None:
+        self._source = source
+        self.problems: list[str] = []
+        self.ended = False
 
-    def close(self) -> None: ...
+    def read(self, k: int) -> Image | None:
+        """Read image k of a folder; None if it is unreadable."""
+        try:
+            return read_image(self._source.files[k], self._source.size)
+        except (ValueError, OSError) as error:
+            self.problems.append(f"{self._source.camera}: {error}; this frame is missing.")
+            return None
+
+    def close(self) -> None:
+        """Close the video; image files are not kept open."""
 
 
 def check_readable(source: Source) -> None:
@@ -61,7 +71,7 @@ class CameraReader:
 
     def __init__(self, source: Source, masks: Mapping[str, Masks]) -> None:
         self._source, self._masks = source, masks
-        self._reader: _FrameReader = _VideoReader(source) if source.kind == "video" else _ImageReader(source)
+        self._reader = _VideoReader(source) if source.kind == "video" else _FrameReader(source)
 
     def read(self, k: int) -> FrameReading:
         """Read frame k and its masks; nothing for a negative k."""
@@ -84,28 +94,9 @@ class CameraReader:
             return None
 
 
-class _ImageReader:
+class _VideoReader(_FrameReader):
     def __init__(self, source: Source) -> None:
-        self._source = source
-        self.problems: list[str] = []
-        self.ended = False
-
-    def read(self, k: int) -> Image | None:
-        try:
-            return read_image(self._source.files[k], self._source.size)
-        except (ValueError, OSError) as error:
-            self.problems.append(f"{self._source.camera}: {error}; this frame is missing.")
-            return None
-
-    def close(self) -> None:
-        pass
-
-
-class _VideoReader:
-    def __init__(self, source: Source) -> None:
-        self._source = source
-        self.problems: list[str] = []
-        self.ended = False
+        super().__init__(source)
         self._container, self._stream = open_video(source.path)
         self._reformatter = VideoReformatter()
         self._frames = self._decode()
@@ -155,12 +146,9 @@ class _VideoReader:
             self._report_once("damaged", f"{where} is damaged; damaged frames are skipped.")
             return None
         if (frame.width, frame.height) != self._source.size:
-            size = self._source.size
-            self._report_once(
-                "size",
-                f"{where} is {frame.width}x{frame.height}, not {size[0]}x{size[1]}; "
-                "frames of another size are skipped.",
-            )
+            size = "{}x{}".format(*self._source.size)
+            problem = f"is {frame.width}x{frame.height}, not {size}; frames of another size are skipped."
+            self._report_once("size", f"{where} {problem}")
             return None
         return np.asarray(self._reformatter.reformat(frame, format="bgr24").to_ndarray(), dtype=np.uint8)
 

@@ -24,7 +24,7 @@ from sylpose.io.capture.names import IMAGE_SUFFIXES, image_files, image_numbers,
 from sylpose.io.capture.sources import NON_CAMERA_NAMES
 from sylpose.rig import Camera, Rig
 
-__all__ = ["DONE_FILE", "FollowSettings", "check_folders", "follow_folders"]
+__all__ = ["DONE_FILE", "GrowingFolder"]
 
 # A file of this name in a growing folder marks the end of the recording.
 DONE_FILE = "DONE"
@@ -37,21 +37,83 @@ MIN_LIST_INTERVAL, MAX_LIST_TIME_RATIO = 0.1, 0.05
 N_PROBES = 64
 
 
-@dataclass(frozen=True)
-class FollowSettings:
-    """Waiting policy for a growing folder.
+@dataclass(frozen=True, eq=False)
+class GrowingFolder:
+    """Folder of a recording that is still being written, with one image folder per camera.
 
     Attributes:
+        path: the growing folder.
+        rig: the calibrated cameras.
+        masks: a folder that is not a camera's, or None.
         max_delay: longest wait of an image for other cameras or for the caller, seconds.
         idle: seconds without a new file after which the recording counts as ended.
         lossless: yield every frame set in order, however far the recorder is ahead.
         rate: frames per second, if known; it converts times to seconds.
     """
 
+    path: Path
+    rig: Rig
+    masks: Path | None
     max_delay: float
     idle: float
     lossless: bool
     rate: float | None
+
+    def check(self) -> tuple[str, ...]:
+        """Return warnings about the folder.
+
+        Raises:
+            ValueError: two folders for one camera.
+        """
+        found = self.find_camera_folders()
+        missing = [name for name in self.rig.names if name not in found]
+        warnings = [f"No folder yet for camera {', '.join(missing)}; waiting for it."] if missing else []
+        if (self.path / DONE_FILE).exists():
+            warnings.append(f"The folder contains a file {DONE_FILE}: only existing images are read.")
+        if (self.path / "timestamps.csv").is_file():
+            warnings.append("timestamps.csv is not used while the recording grows.")
+        return tuple(warnings)
+
+    def follow(
+        self, counter: DropCounter, indices: range, on_problem: Callable[[str], None], stopped: threading.Event
+    ) -> Generator[FrameSet, None, None]:
+        """Yield the frame sets, without masks, each as soon as it is complete, or else after `max_delay`.
+
+        Frame sets whose number is not in `indices` are skipped. Iteration ends at a file DONE, or after `idle` seconds
+        without a new image.
+
+        Args:
+            counter: counts dropped and missed frames.
+            indices: numbers of the frame sets to yield.
+            on_problem: called with messages.
+            stopped: ends the iteration when set.
+
+        Raises:
+            ValueError: images without numbers in their names, or two folders for one camera.
+            OSError: no image arrived in any camera's folder.
+        """
+        return _FolderFollower(self, counter).frames(indices, on_problem, stopped)
+
+    def find_camera_folders(self) -> dict[str, Path]:
+        """Return the existing image folders by camera."""
+        found = {
+            entry.name: entry
+            for entry in sorted(self.path.iterdir())
+            if entry.is_dir()
+            and entry.name[0] != "."
+            and (entry.name in self.rig.names or entry.name.lower() not in NON_CAMERA_NAMES)
+            and (self.masks is None or resolve_path(entry) != resolve_path(self.masks))
+        }
+        try:
+            matched = match_names(found, self.rig.names)
+        except ValueError as error:
+            raise ValueError(f"{self.path}: {error}") from None
+        by_camera: dict[str, Path] = {}
+        for name, camera in matched.items():
+            if camera in by_camera:
+                raise ValueError(f"{self.path}: {by_camera[camera].name} and {name} are both for camera {camera}")
+            by_camera[camera] = found[name]
+        return by_camera
 
 
 class _CameraFolder:
@@ -182,11 +244,9 @@ class _PendingSet:
 class _FolderFollower:
     """Yields the frame sets of a growing folder in order, each when complete or after its maximum delay."""
 
-    def __init__(
-        self, path: Path, rig: Rig, masks: Path | None, settings: FollowSettings, counter: DropCounter
-    ) -> None:
-        self._path, self._rig, self._masks, self._settings, self._counter = path, rig, masks, settings, counter
-        self._folders = [_CameraFolder(camera) for camera in rig]
+    def __init__(self, recording: GrowingFolder, counter: DropCounter) -> None:
+        self._recording, self._counter = recording, counter
+        self._folders = [_CameraFolder(camera) for camera in recording.rig]
         self._numbers: deque[int] = deque()
         self._last_number, self._index = -1, -1
         self._last_activity = time.monotonic()  # time of the latest new image
@@ -201,7 +261,7 @@ class _FolderFollower:
         has_started = done = False
         with ThreadPoolExecutor(len(self._folders), thread_name_prefix="sylpose-follow") as pool:
             while not stopped.is_set() and self._index + 1 < indices.stop:
-                was_done, done = done, (self._path / DONE_FILE).exists()  # first: finds all images before it
+                was_done, done = done, (self._recording.path / DONE_FILE).exists()  # first: finds all images before it
                 self._find_new(done > was_done or (not self._numbers and (done or self._is_idle())))
                 if not self._numbers:
                     if done or self._is_idle():
@@ -232,14 +292,14 @@ class _FolderFollower:
                     if pending.images:
                         yield self._frame_set(pending)
         if self._index < 0 and not stopped.is_set():
-            raise OSError(f"{self._path}: no camera's folder got any image within {self._settings.idle:g} s")
+            raise OSError(f"{self._recording.path}: no camera's folder got any image within {self._recording.idle:g} s")
 
     def _is_idle(self) -> bool:
-        return time.monotonic() - self._last_activity > self._settings.idle
+        return time.monotonic() - self._last_activity > self._recording.idle
 
     def _find_new(self, final: bool) -> None:
         if any(f.path is None for f in self._folders) and (final or time.monotonic() >= self._next_search):
-            found = _find_folders(self._path, self._rig, self._masks)
+            found = self._recording.find_camera_folders()
             for folder in self._folders:
                 folder.path = folder.path or found.get(folder.camera.name)
             self._next_search = time.monotonic() + MIN_LIST_INTERVAL
@@ -262,16 +322,16 @@ class _FolderFollower:
         ahead = self._newest_time() - max(
             f.write_times[pending.number] for f in self._folders if pending.number in f.write_times
         )
-        return is_ended or max(time.monotonic() - pending.waiting_since, ahead) > self._settings.max_delay
+        return is_ended or max(time.monotonic() - pending.waiting_since, ahead) > self._recording.max_delay
 
     def _is_backlogged(self) -> bool:
         """Return whether the next frame set but one has waited for too long, by the file times."""
-        if self._settings.lossless or len(self._numbers) < 2:
+        if self._recording.lossless or len(self._numbers) < 2:
             return False
         n = self._numbers[1]
         return (
             self._newest_time() - max(f.write_times[n] for f in self._folders if n in f.write_times)
-            > self._settings.max_delay
+            > self._recording.max_delay
         )
 
     def _newest_time(self) -> float:
@@ -295,75 +355,7 @@ class _FolderFollower:
     def _frame_set(self, pending: _PendingSet) -> FrameSet:
         n = len(self._folders)
         images = tuple(pending.images.get(folder.camera.name) for folder in self._folders)
-        return FrameSet(self._index, self._index / (self._settings.rate or 1.0), (None,) * n, images, (None,) * n)
-
-
-def follow_folders(
-    path: Path,
-    rig: Rig,
-    masks: Path | None,
-    settings: FollowSettings,
-    counter: DropCounter,
-    indices: range,
-    on_problem: Callable[[str], None],
-    stopped: threading.Event,
-) -> Generator[FrameSet, None, None]:
-    """Yield the frame sets, without masks, of a growing folder with one image folder per camera.
-
-    Each frame set is yielded as soon as it is complete, an incomplete one after `settings.max_delay`. Frame sets whose
-    number is not in `indices` are skipped. Iteration ends at a file DONE, or after `settings.idle` seconds without a
-    new image.
-
-    Args:
-        path: the growing folder.
-        rig: the calibrated cameras.
-        masks: a folder that is not a camera's, or None.
-        settings: the waiting policy.
-        counter: counts dropped and missed frames.
-        indices: numbers of the frame sets to yield.
-        on_problem: called with messages.
-        stopped: ends the iteration when set.
-
-    Raises:
-        ValueError: images without numbers in their names, or two folders for one camera.
-        OSError: no image arrived in any camera's folder.
-    """
-    return _FolderFollower(path, rig, masks, settings, counter).frames(indices, on_problem, stopped)
-
-
-def _find_folders(path: Path, rig: Rig, masks: Path | None) -> dict[str, Path]:
-    """Return the existing image folders by camera."""
-    others = {resolve_path(folder) for folder in ([] if masks is None else [masks])}
-    found = {
-        entry.name: entry
-        for entry in sorted(path.iterdir())
-        if entry.is_dir()
-        and entry.name[0] != "."
-        and (entry.name in rig.names or entry.name.lower() not in NON_CAMERA_NAMES)
-        and resolve_path(entry) not in others
-    }
-    try:
-        matched = match_names(found, rig.names)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
-    by_camera: dict[str, Path] = {}
-    for name, camera in matched.items():
-        if camera in by_camera:
-            raise ValueError(f"{path}: {by_camera[camera].name} and {name} are both for camera {camera}")
-        by_camera[camera] = found[name]
-    return by_camera
-
-
-def check_folders(path: Path, rig: Rig, masks: Path | None) -> tuple[str, ...]:
-    """Return warnings about a growing folder."""
-    found = _find_folders(path, rig, masks)
-    missing = [name for name in rig.names if name not in found]
-    warnings = [f"No folder yet for camera {', '.join(missing)}; waiting for it."] if missing else []
-    if (path / DONE_FILE).exists():
-        warnings.append(f"The folder contains a file {DONE_FILE}: only existing images are read.")
-    if (path / "timestamps.csv").is_file():
-        warnings.append("timestamps.csv is not used while the recording grows.")
-    return tuple(warnings)
+        return FrameSet(self._index, self._index / (self._recording.rate or 1.0), (None,) * n, images, (None,) * n)
 
 
 def _file_state(file: Path) -> tuple[int, int]:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 import tomllib
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
@@ -19,9 +18,16 @@ from sylpose.input_limits import input_errors, parse_toml, read_text
 from sylpose.io import calibration as calibrations
 from sylpose.io.capture.boxes import Masks, find_masks, load_boxes, merge_object_names
 from sylpose.io.capture.frame_assembly import DropCounter, FrameAssembler
-from sylpose.io.capture.growing import FollowSettings, check_folders, follow_folders
+from sylpose.io.capture.growing import GrowingFolder
 from sylpose.io.capture.names import match_all_names, match_names
-from sylpose.io.capture.session import SessionBase, issue_warning, merge_masks
+from sylpose.io.capture.session import (
+    SessionBase,
+    add_masks,
+    check_frame_range,
+    find_boxes_file,
+    find_mask_folder,
+    issue_warning,
+)
 from sylpose.io.capture.sources import Source
 from sylpose.io.capture.streams import RETRY_DELAYS, Device, open_device, read_streams
 from sylpose.rig import Rig
@@ -100,12 +106,8 @@ class LiveSession(SessionBase):
         """
         if start < 0:
             raise ValueError(f"start must be at least 0, got {start}")
-        if stop is not None and stop <= start:
-            raise ValueError(f"stop must be greater than start ({start}), got {stop}")
-        if every < 1:
-            raise ValueError(f"every must be at least 1, got {every}")
+        indices = check_frame_range(start, stop, every)
         self._stopped.clear()
-        indices = range(start, sys.maxsize if stop is None else stop, every)
         return self._read(indices, on_problem or issue_warning)
 
     def _read(self, indices: range, on_problem: Callable[[str], None]) -> Generator[FrameSet, None, None]:
@@ -115,16 +117,14 @@ class LiveSession(SessionBase):
                 for frames in sets:
                     if report := self._counter.report_if_due():
                         on_problem(report)
-                    by_object = {
-                        name: tuple(
-                            None if image is None else m.static for image, m in zip(frames.images, masks, strict=True)
-                        )
-                        for name, masks in self._masks.items()
-                    }
-                    yield replace(
+                    yield add_masks(
                         frames,
-                        masks=tuple(merge_masks([m[c] for m in by_object.values()]) for c in range(len(self.rig))),
-                        object_masks=by_object if len(by_object) > 1 else {},
+                        {
+                            name: [
+                                None if image is None else m.static for image, m in zip(frames.images, its, strict=True)
+                            ]
+                            for name, its in self._masks.items()
+                        },
                     )
         finally:
             if final_report := self._counter.final_report():
@@ -170,73 +170,56 @@ def open_live(
     """
     path = Path(path)
     with input_errors(path):
-        return _open_live(path, calibration, boxes, masks, follow, lossless, idle, max_delay, rate, opener)
-
-
-def _open_live(
-    path: Path,
-    calibration: Path | None,
-    boxes: Path | None,
-    masks: Path | None,
-    follow: bool,
-    lossless: bool,
-    idle: float,
-    max_delay: float | None,
-    rate: float | None,
-    opener: OpenDevice,
-) -> LiveSession:
-    if not path.exists():
-        raise FileNotFoundError(f"{path}: no such file or folder")
-    if follow and not path.is_dir():
-        raise ValueError(f"{path}: a folder with one folder of images per camera is expected, not a file")
-    if lossless and not follow:
-        raise ValueError("lossless: cameras and streams cannot wait; only a growing folder (follow) can be lossless")
-    file = path / LIVE_FILE if path.is_dir() else path
-    folder = path if path.is_dir() else path.parent
-    settings = _LiveFile({}) if follow else _load_live_file(file)
-    if calibration is None and settings.calibration is not None:
-        calibration = folder / settings.calibration
-    calibration = calibrations.find(folder) if calibration is None else Path(calibration)
-    rig = calibrations.load(calibration)
-    if boxes is None and settings.boxes is not None:
-        boxes = folder / settings.boxes
-    if boxes is None and (folder / "boxes.toml").is_file():
-        boxes = folder / "boxes.toml"
-    if masks is None and (folder / "masks").is_dir():
-        masks = folder / "masks"
-    max_delay = settings.max_delay if max_delay is None else max_delay
-    rate = settings.rate if rate is None else rate
-    numbers = {"max_delay": max_delay, "idle": idle, "tolerance": settings.tolerance, "rate": rate}
-    for name, value in numbers.items():
-        if value is not None and not 0 < value < np.inf:
-            raise ValueError(f"{folder if follow else file}: {name} must be a positive number, got {value}")
-
-    object_boxes = {} if boxes is None else load_boxes(Path(boxes), rig)
-    object_masks = {} if masks is None else _load_static_masks(Path(masks), rig)
-    counter = DropCounter(dict.fromkeys(rig.names, 0), dict.fromkeys(rig.names, 0))
-    warnings: tuple[str, ...] = ()
-    reader: ReadFrames
-    if follow:
-        warnings = check_folders(folder, rig, masks)
-        reader = partial(follow_folders, folder, rig, masks, FollowSettings(max_delay, idle, lossless, rate), counter)
-    else:
-        sources = _match_sources(settings, rig, file)
-        reader = partial(_read_cameras, rig, sources, opener, (max_delay, settings.tolerance, rate), counter)
-    return LiveSession(
-        path=folder,
-        rig=rig,
-        calibration=calibration,
-        objects=merge_object_names(object_boxes, object_masks, boxes, masks),
-        masks=masks,
-        rate=rate,
-        warnings=warnings,
-        dropped=counter.dropped,
-        missed=counter.missed,
-        _boxes=object_boxes,
-        _masks=object_masks,
-        _reader=reader,
-        _counter=counter,
-    )
+        if not path.exists():
+            raise FileNotFoundError(f"{path}: no such file or folder")
+        if follow and not path.is_dir():
+            raise ValueError(f"{path}: a folder with one folder of images per camera is expected, not a file")
+        if lossless and not follow:
+            raise ValueError(
+                "lossless: cameras and streams cannot wait; only a growing folder (follow) can be lossless"
+            )
+        folder, file = (path, path / LIVE_FILE) if path.is_dir() else (path.parent, path)
+        settings = _LiveFile({}) if follow else _load_live_file(file)
+        max_delay = settings.max_delay if max_delay is None else max_delay
+        rate = settings.rate if rate is None else rate
+        numbers = {"max_delay": max_delay, "idle": idle, "tolerance": settings.tolerance, "rate": rate}
+        for name, value in numbers.items():
+            if value is not None and not 0 < value < np.inf:
+                raise ValueError(f"{folder if follow else file}: {name} must be a positive number, got {value}")
+        if calibration is None and settings.calibration is not None:
+            calibration = folder / settings.calibration
+        if boxes is None and settings.boxes is not None:
+            boxes = folder / settings.boxes
+        calibration = calibrations.find(folder) if calibration is None else Path(calibration)
+        rig = calibrations.load(calibration)
+        boxes, masks = find_boxes_file(folder, boxes), find_mask_folder(folder, masks)
+        object_boxes = {} if boxes is None else load_boxes(boxes, rig)
+        object_masks = {} if masks is None else _load_static_masks(masks, rig)
+        counter = DropCounter(dict.fromkeys(rig.names, 0), dict.fromkeys(rig.names, 0))
+        warnings: tuple[str, ...] = ()
+        reader: ReadFrames
+        if follow:
+            growing = GrowingFolder(folder, rig, masks, max_delay, idle, lossless, rate)
+            warnings, reader = growing.check(), partial(growing.follow, counter)
+        else:
+            sources = _match_sources(settings, rig, file)
+            openers = [partial(opener, sources[camera.name], camera.size, rate) for camera in rig]
+            reader = partial(_read_cameras, rig, openers, (max_delay, settings.tolerance, rate), counter)
+        return LiveSession(
+            path=folder,
+            rig=rig,
+            calibration=calibration,
+            objects=merge_object_names(object_boxes, object_masks, boxes, masks),
+            masks=masks,
+            rate=rate,
+            warnings=warnings,
+            dropped=counter.dropped,
+            missed=counter.missed,
+            _boxes=object_boxes,
+            _masks=object_masks,
+            _reader=reader,
+            _counter=counter,
+        )
 
 
 def _load_live_file(file: Path) -> _LiveFile:
@@ -277,13 +260,11 @@ def _load_static_masks(folder: Path, rig: Rig) -> dict[str, tuple[Masks, ...]]:
 
 def _read_cameras(
     rig: Rig,
-    sources: Mapping[str, int | str],
-    opener: OpenDevice,
+    openers: Sequence[Callable[[], Device]],
     limits: tuple[float, float | None, float | None],
     counter: DropCounter,
     indices: range,
     on_problem: Callable[[str], None],
     stopped: threading.Event,
 ) -> Generator[FrameSet, None, None]:
-    openers = [partial(opener, sources[camera.name], camera.size, limits[2]) for camera in rig]
     return read_streams(rig, openers, FrameAssembler(counter, *limits), indices, on_problem, stopped, RETRY_DELAYS)

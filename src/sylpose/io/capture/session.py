@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import warnings as python_warnings
 from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -9,7 +10,7 @@ from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
 from itertools import zip_longest
 from pathlib import Path
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -21,11 +22,14 @@ from sylpose.io import calibration as calibrations
 from sylpose.io.calibration.world import World, transform_rig
 from sylpose.io.capture.boxes import Masks, check_first_masks, find_masks, load_boxes, merge_object_names
 from sylpose.io.capture.frame_readers import CameraReader, FrameReading, check_readable
-from sylpose.io.capture.sources import Source, find_sources, read_image_sizes
+from sylpose.io.capture.sources import RecordingFolder, Source
 from sylpose.io.capture.timeline import Timeline, build_timeline, load_timestamps
 from sylpose.rig import Rig
 
-__all__ = ["Session", "SessionBase", "issue_warning", "merge_masks", "open_session"]
+__all__ = [
+    *("Session", "SessionBase", "add_masks", "check_frame_range", "find_boxes_file", "find_mask_folder"),
+    *("issue_warning", "open_session", "reopen_session"),
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,12 +155,8 @@ class Session(SessionBase):
         """
         if not 0 <= start < self.n_frames:
             raise ValueError(f"start must be in 0 ... {self.n_frames - 1} (the session's frames), got {start}")
-        if stop is not None and stop <= start:
-            raise ValueError(f"stop must be greater than start ({start}), got {stop}")
-        if every < 1:
-            raise ValueError(f"every must be at least 1, got {every}")
-        indices = range(start, self.n_frames if stop is None else min(stop, self.n_frames), every)
-        return self._read(indices, on_problem or issue_warning)
+        indices = check_frame_range(start, stop, every)
+        return self._read(range(start, min(indices.stop, self.n_frames), every), on_problem or issue_warning)
 
     def _read(self, indices: range, on_problem: Callable[[str], None]) -> Generator[FrameSet, None, None]:
         with ExitStack() as stack:
@@ -185,15 +185,10 @@ class Session(SessionBase):
                 yield self._frame_set(i, readings)
 
     def _frame_set(self, i: int, readings: list[FrameReading]) -> FrameSet:
+        times = (None if np.isnan(stamp) else float(stamp) for stamp in self.timeline.stamps[i])
+        images, no_masks = tuple(reading.image for reading in readings), (None,) * len(readings)
         masks = {name: tuple(reading.masks[name] for reading in readings) for name in self._masks}
-        return FrameSet(
-            i,
-            float(self.timeline.times[i]),
-            tuple(None if np.isnan(stamp) else float(stamp) for stamp in self.timeline.stamps[i]),
-            tuple(reading.image for reading in readings),
-            tuple(merge_masks([m[c] for m in masks.values()]) for c in range(len(readings))),
-            masks if len(masks) > 1 else {},
-        )
+        return add_masks(FrameSet(i, float(self.timeline.times[i]), tuple(times), images, no_masks), masks)
 
 
 def open_session(
@@ -231,9 +226,8 @@ def open_session(
         FileNotFoundError: no such folder or file.
         ValueError: the message names the file or camera and the expected content.
     """
-    path = Path(path)
-    with input_errors(path):
-        return _open_session(path, calibration, boxes, masks, offsets, cameras, rate, without)
+    files = _InputFiles(calibration, boxes, masks, offsets or {}, cameras or {}, rate, without)
+    return _open_session(Path(path), files)
 
 
 def reopen_session(
@@ -249,66 +243,74 @@ def reopen_session(
     Raises:
         FileNotFoundError, ValueError: as `open_session`.
     """
+    files = _InputFiles(calibration, None, None, offsets, cameras, rate, without)
+    return _open_session(path, files, is_reopened=bool(without))
+
+
+class _InputFiles(NamedTuple):
+    """Arguments of `open_session`."""
+
+    calibration: Path | None
+    boxes: Path | None
+    masks: Path | None
+    offsets: Mapping[str, int]
+    cameras: Mapping[str, Path | str]
+    rate: float | None
+    without: Sequence[str]
+
+
+def _open_session(path: Path, given: _InputFiles, is_reopened: bool = False) -> Session:
     with input_errors(path):
-        return _open_session(path, calibration, None, None, offsets, cameras, rate, without, is_reopened=bool(without))
+        if not path.exists():
+            raise FileNotFoundError(f"{path}: no such folder")
+        if not path.is_dir():
+            raise ValueError(f"{path}: a folder with one video or image folder per camera is expected, not a file")
+        calibration = calibrations.find(path) if given.calibration is None else Path(given.calibration)
+        boxes = find_boxes_file(path, given.boxes, search=not is_reopened)
+        masks = find_mask_folder(path, given.masks, search=not is_reopened)
+        recording = RecordingFolder(path, calibration, [masks] if masks else [], given.cameras, given.without)
+        full_rig = calibrations.load(calibration, recording.read_image_sizes)
+        rig = full_rig if is_reopened else _exclude_cameras(full_rig, given.without, calibration)
+        sources, warnings = recording.find_sources(rig)
+        for source in sources:
+            check_readable(source)
+        stamps_file = path / "timestamps.csv"
+        stamps = load_timestamps(stamps_file, rig.names, given.without) if stamps_file.is_file() else None
+        timeline, timeline_warnings = build_timeline(sources, stamps, given.offsets, given.rate)
+        by_object, mask_warnings = ({}, []) if masks is None else find_masks(masks, full_rig, sources)
+        for camera_masks in by_object.values():
+            check_first_masks(camera_masks, sources, timeline.frames)
+        object_boxes = {
+            name: {camera: box for camera, box in by_camera.items() if camera in rig.names}
+            for name, by_camera in ({} if boxes is None else load_boxes(boxes, full_rig)).items()
+        }
+        return Session(
+            path=path,
+            rig=rig,
+            calibration=calibration,
+            sources=sources,
+            objects=merge_object_names(object_boxes, by_object, boxes, masks),
+            masks=masks,
+            timeline=timeline,
+            warnings=(*warnings, *timeline_warnings, *mask_warnings),
+            without=tuple(given.without),
+            _boxes=object_boxes,
+            _masks=by_object,
+        )
 
 
-def _open_session(
-    path: Path,
-    calibration: Path | None,
-    boxes: Path | None,
-    masks: Path | None,
-    offsets: Mapping[str, int] | None,
-    cameras: Mapping[str, Path | str] | None,
-    rate: float | None,
-    without: Sequence[str],
-    is_reopened: bool = False,
-) -> Session:
-    if not path.exists():
-        raise FileNotFoundError(f"{path}: no such folder")
-    if not path.is_dir():
-        raise ValueError(f"{path}: a folder with one video or image folder per camera is expected, not a file")
-    calibration = calibrations.find(path) if calibration is None else Path(calibration)
-    boxes = None if boxes is None else Path(boxes)
-    masks = None if masks is None else Path(masks)
-    if boxes is None and not is_reopened and (path / "boxes.toml").is_file():
-        boxes = path / "boxes.toml"
-    if masks is None and not is_reopened and (path / "masks").is_dir():
-        masks = path / "masks"
+def find_boxes_file(path: Path, given: Path | None, search: bool = True) -> Path | None:
+    """Return the given file of boxes, or boxes.toml in the folder; None if there is none."""
+    if given is not None:
+        return Path(given)
+    return path / "boxes.toml" if search and (path / "boxes.toml").is_file() else None
 
-    others = [] if masks is None else [masks]
-    rig = calibrations.load(
-        calibration, lambda names: read_image_sizes(path, names, calibration, others, cameras, without)
-    )
-    full_rig, rig = rig, rig if is_reopened else _exclude_cameras(rig, without, calibration)
-    sources, warnings = find_sources(
-        path, rig, calibration, other_folders=others, source_by_camera=cameras, without=without
-    )
-    for source in sources:
-        check_readable(source)
-    stamps_file = path / "timestamps.csv"
-    stamps = load_timestamps(stamps_file, rig.names, without) if stamps_file.is_file() else None
-    timeline, timeline_warnings = build_timeline(sources, stamps, offsets, rate)
-    by_object, mask_warnings = ({}, []) if masks is None else find_masks(masks, full_rig, sources)
-    for camera_masks in by_object.values():
-        check_first_masks(camera_masks, sources, timeline.frames)
-    object_boxes = {} if boxes is None else load_boxes(boxes, full_rig)
-    object_boxes = {
-        name: {c: box for c, box in by_camera.items() if c in rig.names} for name, by_camera in object_boxes.items()
-    }
-    return Session(
-        path=path,
-        rig=rig,
-        calibration=calibration,
-        sources=sources,
-        objects=merge_object_names(object_boxes, by_object, boxes, masks),
-        masks=masks,
-        timeline=timeline,
-        warnings=(*warnings, *timeline_warnings, *mask_warnings),
-        without=tuple(without),
-        _boxes=object_boxes,
-        _masks=by_object,
-    )
+
+def find_mask_folder(path: Path, given: Path | None, search: bool = True) -> Path | None:
+    """Return the given folder of masks, or masks/ in the folder; None if there is none."""
+    if given is not None:
+        return Path(given)
+    return path / "masks" if search and (path / "masks").is_dir() else None
 
 
 def _exclude_cameras(rig: Rig, without: Sequence[str], calibration: Path) -> Rig:
@@ -326,12 +328,31 @@ def _exclude_cameras(rig: Rig, without: Sequence[str], calibration: Path) -> Rig
     return rig.subset(kept) if without else rig
 
 
-def merge_masks(masks: Sequence[BoolArray | None]) -> BoolArray | None:
-    """Return the union of the objects' masks (h, w); None unless all are known. A single mask is returned as it is."""
-    known = [mask for mask in masks if mask is not None]
-    if not known or len(known) < len(masks):
-        return None
-    return known[0] if len(known) == 1 else np.logical_or.reduce(known)
+def add_masks(frames: FrameSet, by_object: Mapping[str, Sequence[BoolArray | None]]) -> FrameSet:
+    """Return a frame set with the masks (h, w) of each object by camera, and the union of the objects' masks.
+
+    The union is None unless all are known.
+    """
+    union: list[BoolArray | None] = []
+    for c in range(len(frames.images)):
+        known = [mask for masks in by_object.values() if (mask := masks[c]) is not None]
+        is_complete = 0 < len(known) == len(by_object)
+        union.append((known[0] if len(known) == 1 else np.logical_or.reduce(known)) if is_complete else None)
+    object_masks = {name: tuple(masks) for name, masks in by_object.items()} if len(by_object) > 1 else {}
+    return replace(frames, masks=tuple(union), object_masks=object_masks)
+
+
+def check_frame_range(start: int, stop: int | None, every: int) -> range:
+    """Return the numbers start, start + every, ... below stop, which may be None for no end.
+
+    Raises:
+        ValueError: stop <= start, or every < 1.
+    """
+    if stop is not None and stop <= start:
+        raise ValueError(f"stop must be greater than start ({start}), got {stop}")
+    if every < 1:
+        raise ValueError(f"every must be at least 1, got {every}")
+    return range(start, sys.maxsize if stop is None else stop, every)
 
 
 def issue_warning(problem: str) -> None:

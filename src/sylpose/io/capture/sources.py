@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -17,15 +17,7 @@ from sylpose.io.capture.images import read_image, read_image_size
 from sylpose.io.capture.names import find_repeated_recordings, image_files, image_numbers, match_names
 from sylpose.rig import Camera, Rig
 
-__all__ = [
-    "NON_CAMERA_NAMES",
-    "VIDEO_SUFFIXES",
-    "Source",
-    "find_sources",
-    "open_source",
-    "open_video",
-    "read_image_sizes",
-]
+__all__ = ["NON_CAMERA_NAMES", "VIDEO_SUFFIXES", "RecordingFolder", "Source", "open_source", "open_video"]
 
 VIDEO_SUFFIXES = frozenset(
     {".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v", ".mpg", ".mpeg", ".ts", ".mts", ".m2ts", ".wmv", ".flv", ".ogv"}
@@ -72,139 +64,120 @@ class Source:
         return k if self.numbers is None else self.numbers[k]
 
 
-def find_sources(
-    path: Path,
-    rig: Rig,
-    calibration: Path,
-    other_folders: Iterable[Path] = (),
-    source_by_camera: Mapping[str, Path | str] | None = None,
-    without: Sequence[str] = (),
-) -> tuple[tuple[Source, ...], list[str]]:
-    """Find the image source of each camera in a session folder.
+@dataclass(frozen=True)
+class RecordingFolder:
+    """Folder of a recording.
 
-    Args:
-        path: the session folder.
-        rig: the calibrated cameras.
+    Attributes:
+        path: the folder.
         calibration: the calibration file, named in messages.
         other_folders: folders with other content, such as masks.
         source_by_camera: video or image folder by camera, if the names do not identify it; the others are found by
             name.
         without: excluded cameras that are not in the rig; their sources are optional.
-
-    Returns:
-        The sources in the rig's order, and warnings.
-
-    Raises:
-        FileNotFoundError: a file given in `source_by_camera` does not exist.
-        ValueError: cameras without source and sources without camera (all listed), an unreadable video, or an image
-            size that differs from the calibration's.
     """
-    by_camera = _match_entries(path, rig.names, calibration, other_folders, source_by_camera, without)
-    warnings: list[str] = []
-    sources = []
-    for camera in rig:
-        entry = by_camera[camera.name]
-        sources.append(_probe_images(entry, camera) if entry.is_dir() else _probe_video(entry, camera, warnings))
-    return tuple(sources), warnings
 
+    path: Path
+    calibration: Path
+    other_folders: Sequence[Path] = ()
+    source_by_camera: Mapping[str, Path | str] = field(default_factory=dict)
+    without: Sequence[str] = ()
 
-def read_image_sizes(
-    path: Path,
-    cameras: Sequence[str],
-    calibration: Path,
-    other_folders: Iterable[Path] = (),
-    source_by_camera: Mapping[str, Path | str] | None = None,
-    without: Sequence[str] = (),
-) -> dict[str, tuple[int, int]]:
-    """Read the image sizes of cameras whose calibration does not contain them.
+    def find_sources(self, rig: Rig) -> tuple[tuple[Source, ...], list[str]]:
+        """Find the image source of each camera.
 
-    Returns:
-        (width, height) by camera.
+        Returns:
+            The sources in the rig's order, and warnings.
 
-    Raises:
-        FileNotFoundError, ValueError: as `find_sources`.
-    """
-    sizes = {}
-    kept = [name for name in cameras if name not in without]
-    for name, entry in _match_entries(path, kept, calibration, other_folders, source_by_camera, without).items():
-        if entry.is_dir():
-            sizes[name] = read_image_size(image_files(entry)[0])
-            continue
-        container, stream = open_video(entry)
-        with container:
-            sizes[name] = (stream.width, stream.height)
-    return sizes
+        Raises:
+            FileNotFoundError: a file given in `source_by_camera` does not exist.
+            ValueError: cameras without source and sources without camera (all listed), an unreadable video, or an image
+                size that differs from the calibration's.
+        """
+        by_camera = self._match_entries(rig.names)
+        warnings: list[str] = []
+        return tuple(_probe(by_camera[camera.name], camera, warnings) for camera in rig), warnings
 
+    def read_image_sizes(self, cameras: Sequence[str]) -> dict[str, tuple[int, int]]:
+        """Read the image sizes of cameras whose calibration does not contain them.
 
-def _match_entries(
-    path: Path,
-    cameras: Sequence[str],
-    calibration: Path,
-    other_folders: Iterable[Path],
-    source_by_camera: Mapping[str, Path | str] | None,
-    without: Sequence[str],
-) -> dict[str, Path]:
-    """Return the video or image folder of each camera, without those of excluded cameras."""
-    by_camera = _resolve_sources(path, cameras, calibration, source_by_camera or {})
-    unassigned = [name for name in cameras if name not in by_camera]
-    others = {resolve_path(folder) for folder in (*other_folders, *by_camera.values())}
-    known = (*cameras, *without)
-    found = [
-        entry for entry in sorted(path.iterdir()) if _is_source(entry, known) and resolve_path(entry) not in others
-    ]
-    if not found and unassigned:
-        raise ValueError(f"{path}: no videos and no folders of images, one per camera, in this folder")
-    names = {entry: entry.name if entry.is_dir() else entry.stem for entry in found}
-    try:
-        matched = match_names(dict.fromkeys(names.values()), [*unassigned, *without])
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}; select it with --video NAME=FILE") from None
-    for entry in found:
-        name = matched.get(names[entry])
-        if name in by_camera:
-            raise ValueError(f"{path}: {by_camera[name].name} and {entry.name} are both for camera {name}")
-        if name is not None:
-            by_camera[name] = entry
-    for name in without:
-        by_camera.pop(name, None)
-    missing = [name for name in cameras if name not in by_camera]
-    # If sources were named explicitly, the folder may contain others.
-    extra = [entry.name for entry in found if names[entry] not in matched] if not source_by_camera else []
-    if missing and (first := find_repeated_recordings(list(names.values()), unassigned)):
-        several = ", ".join(entry.name for entry in found if names[entry] in first)
-        raise ValueError(
-            f"{path}: several recordings in one folder ({several} are all of camera {unassigned[0]}); select one with "
-            "--video NAME=FILE for each camera"
-        )
-    if missing or extra:
-        problems = []
-        if missing:
-            problems.append(f"no video or image folder for camera {', '.join(missing)} of {calibration.name}")
-        if extra:
-            problems.append(f"no camera in {calibration.name} ({', '.join(cameras)}) for {', '.join(extra)}")
-        hint = f", or exclude a camera with --exclude-camera {missing[0]}" if 0 < len(missing) < len(cameras) else ""
-        found_text = "" if len(extra) == len(found) else f"; found {', '.join(entry.name for entry in found)}"
-        raise ValueError(f"{path}: {'; '.join(problems)}{found_text}; assign them with --video NAME=FILE{hint}")
-    return by_camera
+        Returns:
+            (width, height) by camera.
 
+        Raises:
+            FileNotFoundError, ValueError: as `find_sources`.
+        """
+        sizes = {}
+        for name, entry in self._match_entries([name for name in cameras if name not in self.without]).items():
+            if entry.is_dir():
+                sizes[name] = read_image_size(image_files(entry)[0])
+                continue
+            container, stream = open_video(entry)
+            with container:
+                sizes[name] = (stream.width, stream.height)
+        return sizes
 
-def _resolve_sources(
-    path: Path, cameras: Sequence[str], calibration: Path, source_by_camera: Mapping[str, Path | str]
-) -> dict[str, Path]:
-    entries: dict[str, Path] = {}
-    for name, file in source_by_camera.items():
-        if name not in cameras:
-            raise ValueError(f"cameras: {name!r} is not a camera of {calibration.name} ({', '.join(cameras)})")
-        entry = path / file
-        if not entry.exists():
-            raise FileNotFoundError(f"{entry}: no such video or image folder, for camera {name}")
-        if entry.is_dir() and not image_files(entry):
-            raise ValueError(f"{entry}: no images in this folder, for camera {name}")
-        same = [other for other, other_entry in entries.items() if resolve_path(other_entry) == resolve_path(entry)]
-        if same:
-            raise ValueError(f"{entry}: assigned to both camera {same[0]} and camera {name}")
-        entries[name] = entry
-    return entries
+    def _match_entries(self, cameras: Sequence[str]) -> dict[str, Path]:
+        """Return the video or image folder of each camera, without those of excluded cameras."""
+        path, by_camera = self.path, self._resolve_given(cameras)
+        unassigned = [name for name in cameras if name not in by_camera]
+        others = {resolve_path(folder) for folder in (*self.other_folders, *by_camera.values())}
+        known = (*cameras, *self.without)
+        found = [
+            entry for entry in sorted(path.iterdir()) if _is_source(entry, known) and resolve_path(entry) not in others
+        ]
+        if not found and unassigned:
+            raise ValueError(f"{path}: no videos and no folders of images, one per camera, in this folder")
+        names = {entry: entry.name if entry.is_dir() else entry.stem for entry in found}
+        try:
+            matched = match_names(dict.fromkeys(names.values()), [*unassigned, *self.without])
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}; select it with --video NAME=FILE") from None
+        for entry in found:
+            name = matched.get(names[entry])
+            if name in by_camera:
+                raise ValueError(f"{path}: {by_camera[name].name} and {entry.name} are both for camera {name}")
+            if name is not None:
+                by_camera[name] = entry
+        for name in self.without:
+            by_camera.pop(name, None)
+        missing = [name for name in cameras if name not in by_camera]
+        # If sources were named explicitly, the folder may contain others.
+        extra = [entry.name for entry in found if names[entry] not in matched and not self.source_by_camera]
+        if missing and (first := find_repeated_recordings(list(names.values()), unassigned)):
+            several = ", ".join(entry.name for entry in found if names[entry] in first)
+            raise ValueError(
+                f"{path}: several recordings in one folder ({several} are all of camera {unassigned[0]}); select one "
+                "with --video NAME=FILE for each camera"
+            )
+        if missing or extra:
+            calibration = self.calibration.name
+            problems = [f"no video or image folder for camera {', '.join(missing)} of {calibration}"] if missing else []
+            if extra:
+                problems.append(f"no camera in {calibration} ({', '.join(cameras)}) for {', '.join(extra)}")
+            found_text = "" if len(extra) == len(found) else f"; found {', '.join(entry.name for entry in found)}"
+            hint = (
+                f", or exclude a camera with --exclude-camera {missing[0]}" if 0 < len(missing) < len(cameras) else ""
+            )
+            raise ValueError(f"{path}: {'; '.join(problems)}{found_text}; assign them with --video NAME=FILE{hint}")
+        return by_camera
+
+    def _resolve_given(self, cameras: Sequence[str]) -> dict[str, Path]:
+        """Return the sources that are given by camera."""
+        entries: dict[str, Path] = {}
+        for name, file in self.source_by_camera.items():
+            if name not in cameras:
+                raise ValueError(f"cameras: {name!r} is not a camera of {self.calibration.name} ({', '.join(cameras)})")
+            entry = self.path / file
+            if not entry.exists():
+                raise FileNotFoundError(f"{entry}: no such video or image folder, for camera {name}")
+            if entry.is_dir() and not image_files(entry):
+                raise ValueError(f"{entry}: no images in this folder, for camera {name}")
+            for other, other_entry in entries.items():
+                if resolve_path(other_entry) == resolve_path(entry):
+                    raise ValueError(f"{entry}: assigned to both camera {other} and camera {name}")
+            entries[name] = entry
+        return entries
 
 
 def open_video(path: Path) -> tuple[InputContainer, VideoStream]:
@@ -242,30 +215,28 @@ def _is_source(entry: Path, cameras: Sequence[str]) -> bool:
     return entry.suffix.lower() in VIDEO_SUFFIXES
 
 
+def _probe(path: Path, camera: Camera, warnings: list[str]) -> Source:
+    """Return the source in a video or image folder, after checking its size."""
+    if path.is_dir():
+        files = image_files(path)
+        _check_size(files[0], camera, read_image_size(files[0]))
+        read_image(files[0], camera.size)
+        return Source(camera.name, path, "images", camera.size, len(files), None, tuple(files), image_numbers(files))
+    container, stream = open_video(path)
+    with container:
+        _check_size(path, camera, (stream.width, stream.height))
+        rate = stream.average_rate or stream.guessed_rate
+        rate_s = float(rate) if rate else None
+        n_frames = _count_declared_frames(path, stream)
+    return Source(camera.name, path, "video", camera.size, n_frames or _count_frames(path, rate_s, warnings), rate_s)
+
+
 def _check_size(path: Path, camera: Camera, size: tuple[int, int]) -> None:
     if size != camera.size:
         raise ValueError(
             f"{path}: images of {size[0]}x{size[1]}, but camera {camera.name} "
             f"is calibrated at {camera.size[0]}x{camera.size[1]}"
         )
-
-
-def _probe_images(folder: Path, camera: Camera) -> Source:
-    files = image_files(folder)
-    _check_size(files[0], camera, read_image_size(files[0]))
-    read_image(files[0], camera.size)
-    return Source(camera.name, folder, "images", camera.size, len(files), None, tuple(files), image_numbers(files))
-
-
-def _probe_video(path: Path, camera: Camera, warnings: list[str]) -> Source:
-    container, stream = open_video(path)
-    with container:
-        size = (stream.width, stream.height)
-        _check_size(path, camera, size)
-        rate = stream.average_rate or stream.guessed_rate
-        rate_s = float(rate) if rate else None
-        n_frames = _count_declared_frames(path, stream)
-    return Source(camera.name, path, "video", size, n_frames or _count_frames(path, rate_s, warnings), rate_s)
 
 
 def _count_declared_frames(path: Path, stream: VideoStream) -> int:
@@ -310,8 +281,6 @@ def open_source(path: Path, camera: Camera) -> Source:
     """
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file or folder")
-    if not path.is_dir():
-        return _probe_video(path, camera, [])
-    if not image_files(path):
+    if path.is_dir() and not image_files(path):
         raise ValueError(f"{path}: no images in this folder")
-    return _probe_images(path, camera)
+    return _probe(path, camera, [])

@@ -39,7 +39,6 @@ FFMPEG_OPTIONS = {
     "fflags": "nobuffer+discardcorrupt",
     "flags": "low_delay",
     "analyzeduration": "500000",
-    "rtsp_transport": "tcp",
 }
 # Consecutive undecodable packets after which a stream counts as broken.
 MAX_UNDECODABLE = 250
@@ -60,11 +59,7 @@ class _NetworkStream:
     """Network stream decoded by FFmpeg. Every frame is decoded, since most codecs cannot skip frames."""
 
     def __init__(self, url: str) -> None:
-        options = (
-            FFMPEG_OPTIONS
-            if url.startswith("rtsp")
-            else {k: v for k, v in FFMPEG_OPTIONS.items() if k != "rtsp_transport"}
-        )
+        options = FFMPEG_OPTIONS | ({"rtsp_transport": "tcp"} if url.startswith("rtsp") else {})
         try:
             self._container = av.open(url, options=options, timeout=(TIMEOUT, TIMEOUT), **METADATA_OPTIONS)
         except av.error.FFmpegError as error:
@@ -249,6 +244,50 @@ class _StreamHub:
             return messages
 
 
+class _SetReader:
+    """Reader of frame sets from camera threads, which forwards their messages while it waits."""
+
+    def __init__(self, hub: _StreamHub, threads: Sequence[_CameraThread], on_problem: Callable[[str], None]) -> None:
+        self._hub, self._threads, self._on_problem = hub, threads, on_problem
+        self.has_started = False
+        self.final_messages: list[str] = []  # before the first set: without one they go into the error only
+
+    def wait_for_cameras(self) -> None:
+        """Wait until every camera has delivered a frame or failed, at most TIMEOUT seconds."""
+        deadline = time.monotonic() + TIMEOUT
+        while time.monotonic() < deadline and not self._hub.stopped.is_set():
+            self.forward_messages()
+            with self._hub.changed:
+                if all(self._hub.assembler.has_pending(c) or t.has_tried for c, t in enumerate(self._threads)):
+                    break
+                self._hub.changed.wait(POLL_INTERVAL)
+        with self._hub.changed:
+            self._hub.assembler.discard_backlog()
+
+    def wait_for_set(self) -> list[TimedFrame | None] | None:
+        """Wait for the next set; None when all cameras have ended or the reader is stopped."""
+        while not self._hub.stopped.is_set():
+            self.forward_messages()
+            with self._hub.changed:
+                has_ended = all(thread.has_ended for thread in self._threads)
+                shots = self._hub.assembler.next_set(time.monotonic())
+                if shots is not None or has_ended:
+                    return shots
+                self._hub.changed.wait(POLL_INTERVAL)
+        return None
+
+    def forward_messages(self) -> None:
+        for problem, is_last in self._hub.take_messages():
+            if is_last and not self.has_started:
+                self.final_messages.append(problem)
+            else:
+                self._on_problem(problem)
+
+    def check_rejections(self) -> None:
+        if rejections := [thread.rejection for thread in self._threads if thread.rejection]:
+            raise ValueError("; ".join(rejections))
+
+
 def read_streams(
     cameras: Iterable[Camera],
     openers: Sequence[Opener],
@@ -278,31 +317,24 @@ def read_streams(
     """
     cameras = list(cameras)
     hub = _StreamHub(assembler, [camera.name for camera in cameras], stopped)
-    feeds = [_CameraThread(camera, opener, hub, retry_delays) for camera, opener in zip(cameras, openers, strict=True)]
-    index, start_time = -1, 0.0
-    final_messages: list[str] = []  # before the first set: without one they go into the error only
-
-    def forward_messages() -> None:
-        for problem, last in hub.take_messages():
-            if last and index < 0:
-                final_messages.append(problem)
-            else:
-                on_problem(problem)
-
+    threads = [
+        _CameraThread(camera, opener, hub, retry_delays) for camera, opener in zip(cameras, openers, strict=True)
+    ]
+    reader, start_time = _SetReader(hub, threads, on_problem), 0.0
     try:
-        _wait_for_first(hub, feeds, forward_messages)
-        while index + 1 < indices.stop:
-            shots = _wait_for_set(hub, feeds, forward_messages)
-            if index < 0:
-                _check_rejections(feeds)
-            forward_messages()
+        reader.wait_for_cameras()
+        for index in range(indices.stop):
+            shots = reader.wait_for_set()
+            if not reader.has_started:
+                reader.check_rejections()
+            reader.forward_messages()
             if shots is None:
-                if index < 0 and not stopped.is_set():
-                    raise OSError(f"no camera delivers any frame: {' '.join(final_messages)}")
+                if not reader.has_started and not stopped.is_set():
+                    raise OSError(f"no camera delivers any frame: {' '.join(reader.final_messages)}")
                 return
-            while final_messages:
-                on_problem(final_messages.pop(0))
-            index += 1
+            while reader.final_messages:
+                on_problem(reader.final_messages.pop(0))
+            reader.has_started = True
             times = [None if shot is None else shot.time for shot in shots]
             mean = fmean(t for t in times if t is not None)
             start_time = mean if index == 0 else start_time
@@ -316,41 +348,5 @@ def read_streams(
                 )
     finally:
         stopped.set()
-        for feed in feeds:
-            feed.join()
-
-
-def _wait_for_first(hub: _StreamHub, feeds: Sequence[_CameraThread], forward_messages: Callable[[], None]) -> None:
-    deadline = time.monotonic() + TIMEOUT
-    while time.monotonic() < deadline and not hub.stopped.is_set():
-        forward_messages()
-        with hub.changed:
-            if all(hub.assembler.has_pending(c) or feed.has_tried for c, feed in enumerate(feeds)):
-                break
-            hub.changed.wait(POLL_INTERVAL)
-    with hub.changed:
-        hub.assembler.discard_backlog()
-
-
-def _wait_for_set(
-    hub: _StreamHub, feeds: Sequence[_CameraThread], forward_messages: Callable[[], None]
-) -> list[TimedFrame | None] | None:
-    """Wait for the next set; None when all cameras have ended or the reader is stopped.
-
-    Messages are forwarded while waiting.
-    """
-    while not hub.stopped.is_set():
-        forward_messages()
-        with hub.changed:
-            ended = all(feed.has_ended for feed in feeds)
-            shots = hub.assembler.next_set(time.monotonic())
-            if shots is not None or ended:
-                return shots
-            hub.changed.wait(POLL_INTERVAL)
-    return None
-
-
-def _check_rejections(feeds: Iterable[_CameraThread]) -> None:
-    rejections = [feed.rejection for feed in feeds if feed.rejection]
-    if rejections:
-        raise ValueError("; ".join(rejections))
+        for thread in threads:
+            thread.join()
