@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -95,11 +95,9 @@ def load_image_points(
         FileNotFoundError: a file is missing; the message names it.
         ValueError: naming the file and the line: another format, an unknown camera, a duplicate point.
     """
-    collected, camera_by_file = (
-        _Accumulator(min_likelihood),
-        {Path(file): camera for camera, file in (file_by_camera or {}).items()},
-    )
-    if unknown := [camera for camera in (file_by_camera or {}) if camera not in cameras]:
+    collected = _Accumulator(min_likelihood)
+    camera_by_file = {Path(file): camera for camera, file in (file_by_camera or {}).items()}
+    if unknown := [camera for camera in camera_by_file.values() if camera not in cameras]:
         raise ValueError(f"--video: no camera {', '.join(unknown)} in the calibration ({', '.join(cameras)})")
     file_of_camera = dict[str, Path]()
     for path in [*files, *camera_by_file]:
@@ -131,7 +129,7 @@ def _match_camera(path: Path, cameras: Sequence[str]) -> str:
     return camera
 
 
-def _read_deeplabcut(rows: Iterator[Sequence[str]], camera: str, collected: _Accumulator) -> None:
+def _read_deeplabcut(rows: Iterator[list[str]], camera: str, collected: _Accumulator) -> None:
     """Read the rest of a DeepLabCut table: `bodyparts`, `coords`, then one row per frame."""
     parts, coords = ([cell.strip() for cell in next(rows, [])] for _ in range(2))
     if parts[:1] == ["individuals"]:
@@ -143,80 +141,71 @@ def _read_deeplabcut(rows: Iterator[Sequence[str]], camera: str, collected: _Acc
         if coordinate in columns.setdefault(part, {}):
             raise ValueError(f"line 3: {to_one_line(coordinate, 40)} of {to_one_line(part, 40)} occurs twice")
         columns[part][coordinate] = k
-    for part, coordinate_columns in columns.items():
-        if not {"x", "y"} <= coordinate_columns.keys() <= {"x", "y", "likelihood"}:
+    for part, its in columns.items():
+        if not {"x", "y"} <= its.keys() <= {"x", "y", "likelihood"}:
             raise ValueError(f"line 3: expected x, y and likelihood of {to_one_line(part, 60)}")
-    for number, row in enumerate(rows, start=4):
-        if not any(cell.strip() for cell in row):
-            continue
-        try:
-            if len(row) != len(parts):
-                raise ValueError(f"expected {len(parts)} cells, got {len(row)}")
-            frame = _parse_frame(row[0])
-            for part, coordinate_columns in columns.items():
-                likelihood = (
-                    _parse_number(row[coordinate_columns["likelihood"]], np.nan)
-                    if "likelihood" in coordinate_columns
-                    else np.inf
-                )
-                collected.add(
-                    frame,
-                    camera,
-                    part,
-                    _parse_number(row[coordinate_columns["x"]]),
-                    _parse_number(row[coordinate_columns["y"]]),
-                    likelihood,
-                )
-        except ValueError as error:
-            raise ValueError(f"line {number}: {error}") from None
+
+    def read_row(row: list[str]) -> None:
+        frame = _parse_frame(row[0])
+        for part, its in columns.items():
+            u, v = _parse_number(row[its["x"]]), _parse_number(row[its["y"]])
+            collected.add(frame, camera, part, u, v, _parse_likelihood(row, its))
+
+    _read_rows(rows, len(parts), 4, read_row)
 
 
 def _read_table(
-    rows: Iterator[Sequence[str]], header: Sequence[str], cameras: Sequence[str], collected: _Accumulator
+    rows: Iterator[list[str]], header: Sequence[str], cameras: Sequence[str], collected: _Accumulator
 ) -> None:
-    column_index = dict[str, int]()
+    columns = dict[str, int]()
     for k, cell in enumerate(header):
         column = next((name for name, words in _COLUMN_NAMES.items() if cell.lower() in words), None)
-        if column is None or column in column_index:
+        if column is None or column in columns:
             raise ValueError(f"line 1: the column {to_one_line(cell, 40)!r} is unknown or occurs twice")
-        column_index[column] = k
-    if missing := [name for name in _REQUIRED_COLUMNS if name not in column_index]:
+        columns[column] = k
+    if missing := [name for name in _REQUIRED_COLUMNS if name not in columns]:
         raise ValueError(f"line 1: expected the columns {','.join(_REQUIRED_COLUMNS)}; {', '.join(missing)} missing")
     matched = dict[str, str]()
-    for number, row in enumerate(rows, start=2):
+
+    def read_row(row: list[str]) -> None:
+        camera_text, name = row[columns["camera"]].strip(), row[columns["name"]].strip()
+        if camera_text not in matched:
+            camera = match_names([camera_text], cameras).get(camera_text)
+            if camera is None:
+                raise ValueError(
+                    f"no camera {to_one_line(camera_text, 60)!r} in the calibration ({', '.join(cameras)})"
+                )
+            matched[camera_text] = camera
+        if not name:
+            raise ValueError("a point without a name")
+        frame = _parse_frame(row[columns["frame"]])
+        likelihood = _parse_likelihood(row, columns)
+        if "time" in columns:
+            time = _parse_number(row[columns["time"]])
+            if not np.isfinite(time) or collected.times.setdefault(frame, time) != time:
+                raise ValueError(f"frame {frame} has no time, or two")
+        u, v = _parse_number(row[columns["u"]]), _parse_number(row[columns["v"]])
+        collected.add(frame, matched[camera_text], name, u, v, likelihood)
+
+    _read_rows(rows, len(header), 2, read_row)
+
+
+def _read_rows(rows: Iterator[list[str]], n_cells: int, first_line: int, read_row: Callable[[list[str]], None]) -> None:
+    """Read the rows that are not blank; errors name the line."""
+    for number, row in enumerate(rows, start=first_line):
         if not any(cell.strip() for cell in row):
             continue
         try:
-            if len(row) != len(header):
-                raise ValueError(f"expected {len(header)} cells, got {len(row)}")
-            camera_text, name = row[column_index["camera"]].strip(), row[column_index["name"]].strip()
-            if camera_text not in matched:
-                camera = match_names([camera_text], cameras).get(camera_text)
-                if camera is None:
-                    raise ValueError(
-                        f"no camera {to_one_line(camera_text, 60)!r} in the calibration ({', '.join(cameras)})"
-                    )
-                matched[camera_text] = camera
-            if not name:
-                raise ValueError("a point without a name")
-            frame = _parse_frame(row[column_index["frame"]])
-            likelihood = (
-                _parse_number(row[column_index["likelihood"]], np.nan) if "likelihood" in column_index else np.inf
-            )
-            if "time" in column_index:
-                time = _parse_number(row[column_index["time"]])
-                if not np.isfinite(time) or collected.times.setdefault(frame, time) != time:
-                    raise ValueError(f"frame {frame} has no time, or two")
-            collected.add(
-                frame,
-                matched[camera_text],
-                name,
-                _parse_number(row[column_index["u"]]),
-                _parse_number(row[column_index["v"]]),
-                likelihood,
-            )
+            if len(row) != n_cells:
+                raise ValueError(f"expected {n_cells} cells, got {len(row)}")
+            read_row(row)
         except ValueError as error:
             raise ValueError(f"line {number}: {error}") from None
+
+
+def _parse_likelihood(row: Sequence[str], columns: Mapping[str, int]) -> float:
+    """Return the likelihood in a row: NaN for an empty cell, infinite without the column."""
+    return _parse_number(row[columns["likelihood"]]) if "likelihood" in columns else np.inf
 
 
 def _parse_frame(cell: str) -> int:
@@ -226,8 +215,8 @@ def _parse_frame(cell: str) -> int:
     return int(number)
 
 
-def _parse_number(cell: str, empty: float = np.nan) -> float:
+def _parse_number(cell: str) -> float:
     try:
-        return float(cell) if cell.strip() else empty
+        return float(cell) if cell.strip() else np.nan
     except ValueError:
         raise ValueError(f"{to_one_line(cell, 40)!r} is not a number") from None

@@ -55,11 +55,8 @@ class MarkerLayout:
         right, up = corners[:, 1] - corners[:, 0], corners[:, 0] - corners[:, 3]
         outward = np.einsum("ni,ni->n", np.cross(right, up), centers - centers.mean(axis=0))
         sides = np.linalg.norm(right, axis=1)
-        return tuple(
-            name
-            for name, distance in zip(self.corners, outward / sides**3, strict=True)
-            if distance < -MIN_INWARD_RATIO
-        )
+        is_inward = outward / sides**3 < -MIN_INWARD_RATIO
+        return tuple(name for name, inward in zip(self.corners, is_inward, strict=True) if inward)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,9 +95,7 @@ class PointModel:
             )
         scale, markers = METERS[source_unit] / METERS[unit], self.markers
         if markers is not None:
-            markers = replace(
-                markers, corners={name: scale * source_unit for name, source_unit in markers.corners.items()}
-            )
+            markers = replace(markers, corners={name: scale * corners for name, corners in markers.corners.items()})
         return PointModel(unit, {name: scale * place for name, place in self.points.items()}, markers)
 
 
@@ -191,11 +186,7 @@ def _parse_layout(markers: Mapping[str, Any], family: Any, size: Any, unit: str)
     """Parse the tables of markers by id, each with `corners`, or `center`, `x` and `y`."""
     if not isinstance(family, str):
         raise ValueError("family: expected that of the markers, such as apriltag:36h11 or aruco:4X4_50")
-    side = None
-    if size is not None:
-        side = parse_length(
-            str(size) if isinstance(size, int | float) and not isinstance(size, bool) else f"{size}", "size", unit
-        )
+    side = None if size is None else parse_length(str(size), "size", unit)
     corners = dict[int, FloatArray]()
     for number, table in markers.items():
         if not number.isascii() or not number.isdecimal() or len(number) > 5 or not isinstance(table, dict):
@@ -224,14 +215,9 @@ def _parse_corners(table: Mapping[str, Any], name: str, side: float | None) -> F
         places = np.array([_parse_position(place, f"{name}.corners") for place in values])
         sides = np.roll(places, -1, axis=0) - places
         length = float(np.linalg.norm(sides, axis=1).mean())
-        deviation = max(
-            float(np.linalg.norm(sides[0] + sides[2])), abs(float(sides[0] @ sides[1])) / max(length, 1e-300)
-        )
-        if (
-            not length > 0
-            or deviation > SQUARE_TOLERANCE * length
-            or np.ptp(np.linalg.norm(sides, axis=1)) > SQUARE_TOLERANCE * length
-        ):
+        skew = abs(float(sides[0] @ sides[1])) / max(length, 1e-300)
+        deviations = np.linalg.norm(sides[0] + sides[2]), skew, np.ptp(np.linalg.norm(sides, axis=1))
+        if not length > 0 or max(deviations) > SQUARE_TOLERANCE * length:
             raise ValueError(f"{name}.corners: they do not form a square")
         if side is not None and abs(side - length) > SQUARE_TOLERANCE * length:
             raise ValueError(f"{name}.corners: its sides are {length:.6g} long, but size is {side:.6g}")
