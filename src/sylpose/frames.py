@@ -75,16 +75,19 @@ def check_frame_set(frames: Any, cameras: Iterable[Camera]) -> None:
     """Check that a frame set fits these cameras.
 
     Raises:
-        TypeError, ValueError: naming the error: not a frame set, or a wrong number, size or type of images or masks.
+        TypeError, ValueError: naming the error: not a frame set, or a wrong number, size or type of times, images or masks.
     """
     check_type(frames, FrameSet, "frames")
     check_number(frames.time, "frames: time", maximum=np.inf)
     camera_list = list(cameras)
-    for name, arrays in (("images", frames.images), ("masks", frames.masks)):
-        if len(check_type(arrays, (tuple, list), f"frames: {name}")) != len(camera_list):
+    for name, parts in (("times", frames.times), ("images", frames.images), ("masks", frames.masks)):
+        if len(check_type(parts, (tuple, list), f"frames: {name}")) != len(camera_list):
             raise ValueError(
-                f"frames: {len(arrays)} {name} for {len(camera_list)} cameras; give one for each, in the rig's order"
+                f"frames: {len(parts)} {name} for {len(camera_list)} cameras; give one for each, in the rig's order"
             )
+    for camera, time in zip(camera_list, frames.times, strict=True):
+        if time is not None:
+            check_number(time, f"frames: camera {camera.name}: time", maximum=np.inf)
     for camera, image, mask in zip(camera_list, frames.images, frames.masks, strict=True):
         size = camera.size[::-1]
         for noun, array, dtype in (("image", image, np.uint8), ("mask", mask, np.bool_)):
