@@ -31,7 +31,8 @@ from sylpose.rig import Rig
 from sylpose.simulate import Body, arc, box, ellipsoid, plane, random_motion, ring, simulate_matches
 from sylpose.sylvester.centralized import solve_centralized
 from sylpose.sylvester.depth_plane import DepthPlaneSolution, solve_depth_plane
-from sylpose.tracking.region import carve_box_volume, project_outline, rasterize_outline
+from sylpose.tracking.camera_side.region import project_outline, rasterize_outline
+from sylpose.tracking.joint_side.object_model import carve_box_volume
 
 BODIES = {
     "sphere": ellipsoid((0.15, 0.15, 0.15)),

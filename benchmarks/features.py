@@ -4,7 +4,7 @@
                                   [--xfeat WEIGHTS]
 
 The first frame's features, at their true positions on the object, are the landmarks. The second frame's features are matched
-with them by descriptor, and the pose is estimated as after a loss of the object (`tracking/relocalization.py`). The object
+with them by descriptor, and the pose is estimated as after a loss of the object (`tracking/pose_search.py`). The object
 is localized if the pose is within 3 degrees and a tenth of the object's radius. *Guided* features are matched near their
 predicted positions; the prediction has errors of 2 degrees and a fiftieth of the radius. The table gives for each texture
 and rotation: scenes not localized; true matches of all cameras (within 2 pixels; median and least); the share of true
@@ -35,7 +35,7 @@ from sylpose.geometry.arrays import FloatArray, Image, IntArray
 from sylpose.results import Status
 from sylpose.rig import Camera
 from sylpose.simulate import TexturedBody
-from sylpose.tracking.relocalization import LOOSE_DESCRIPTOR_RATIO, MAX_ERROR_PX, MIN_INLIERS
+from sylpose.tracking.pose_search import LOOSE_DESCRIPTOR_RATIO, MAX_ERROR_PX, MIN_INLIERS
 
 # Largest error of a true match, pixels.
 MAX_TRUE_ERROR_PX = 2.0

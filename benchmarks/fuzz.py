@@ -78,7 +78,7 @@ from sylpose.runs.checkpoint_schema import SERIALIZER, OutputState, RunState
 from sylpose.simulate import ring
 from sylpose.smoothing import Track
 from sylpose.sync.offsets import load_offsets
-from sylpose.tracking.frame import SolvedFrame
+from sylpose.tracking.joint_side.keyframes import SolvedFrame
 from sylpose.tracking.known_object import CameraLandmarks, KnownObject
 from sylpose.tracking.reports import (
     KnownDepthMatches,

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from sylpose.runs.checkpoint_schema import SERIALIZER
-from sylpose.tracking.tracker import Tracker, TrackerSnapshot
+from sylpose.tracking.state_transfer import TrackerSnapshot
+from sylpose.tracking.tracker import Tracker
 
 __all__ = ["dump_state", "restore_state"]
 

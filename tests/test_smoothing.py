@@ -16,8 +16,9 @@ from sylpose.results import FramePose, FrameStatus, Status
 from sylpose.rig import Rig
 from sylpose.simulate import ellipsoid, ring
 from sylpose.smoothing import SmoothedTrajectory, Track, _select_observations, smooth
-from sylpose.tracking.joint_state import Nudge
-from sylpose.tracking.tracked_frame import LandmarkObservations, TrackedFrame
+from sylpose.tracking.camera_side.observations import LandmarkObservations
+from sylpose.tracking.joint_side.joint_state import Nudge
+from sylpose.tracking.tracked_frame import TrackedFrame
 
 RIG = ring(3, 1.5, 1000.0, height=(0.4, -0.1, 0.3))
 RADIUS = 0.15

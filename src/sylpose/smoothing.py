@@ -29,12 +29,13 @@ from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.validation import check_bool, check_integer, check_list, check_number, check_type, format_value
 from sylpose.results import FramePose, FrameStatus, Observability, Status
 from sylpose.rig import Rig
-from sylpose.tracking.joint_state import Nudge
-from sylpose.tracking.keyframes import inherit_covariance
+from sylpose.tracking.camera_side.observations import LandmarkObservations
+from sylpose.tracking.joint_side.joint_state import Nudge
+from sylpose.tracking.joint_side.keyframes import inherit_covariance
 from sylpose.tracking.object_transfer import TransferredObject
 from sylpose.tracking.reports import quantize_positions
-from sylpose.tracking.tracked_frame import LandmarkObservations, TrackedFrame
-from sylpose.tracking.wide_baseline_init import find_alternative_path
+from sylpose.tracking.tracked_frame import TrackedFrame
+from sylpose.tracking.window import find_alternative_path
 
 __all__ = ["SmoothedTrajectory", "Track", "make_keyframe_tracks", "smooth"]
 

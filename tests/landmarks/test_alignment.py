@@ -16,8 +16,16 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from sylpose.geometry.arrays import FloatArray, IntArray
-from sylpose.landmarks.alignment import FIRST_PX, AlignmentResult, AlignmentStart, LandmarkMatches, align, stack_matches
-from sylpose.landmarks.camera_terms import CUTOFF, MAX_INDEPENDENT_MATCHES, compute_camera_terms, make_camera_state
+from sylpose.landmarks.alignment import (
+    FIRST_PX,
+    AlignmentResult,
+    AlignmentStart,
+    LandmarkMatches,
+    align,
+    make_camera_state,
+    stack_matches,
+)
+from sylpose.landmarks.camera_terms import CUTOFF, MAX_INDEPENDENT_MATCHES, compute_camera_terms
 from sylpose.landmarks.distributed_alignment import DistributedAligner
 from sylpose.landmarks.joint_step import compute_disagreement, inflate_variances
 from sylpose.landmarks.messages import TermsMessage

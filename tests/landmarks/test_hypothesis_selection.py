@@ -9,8 +9,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.landmarks.alignment import AlignmentResult, align
-from sylpose.landmarks.hypothesis_selection import MAX_COST_DIFFERENCE, select_hypothesis, subtract_uncertainty
+from sylpose.landmarks.alignment import (
+    MAX_COST_DIFFERENCE,
+    AlignmentResult,
+    align,
+    select_hypothesis,
+    subtract_uncertainty,
+)
 from sylpose.rig import Rig
 from sylpose.simulate import ring
 from tests.landmarks.test_alignment import IDENTITY, make_all_matches, motion

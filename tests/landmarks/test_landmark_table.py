@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sylpose.geometry.arrays import IntArray
-from sylpose.landmarks.landmark_filter import Landmarks
-from sylpose.landmarks.landmark_table import INITIAL_CAPACITY, LandmarkTable
+from sylpose.landmarks.landmark_filter import INITIAL_CAPACITY, Landmarks, LandmarkTable
 
 
 def make_landmarks(values: list[float], numbers: list[int] | IntArray | None = None) -> Landmarks:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import fields, is_dataclass
 from typing import Any
 
 import msgspec
@@ -19,11 +19,10 @@ from sylpose.network.codec import MAX_PAYLOAD_BYTES, RECORDS, FrameAnnouncement,
 from sylpose.network.wire_format import HEADER
 from sylpose.relative_pose.terms import TermData
 from sylpose.serialization import decode_array, encode_array
-from sylpose.tracking.frame import SolvedFrame
-from sylpose.tracking.joint_state import JointState, Nudge
-from sylpose.tracking.klt_frontend import Anchor
-from sylpose.tracking.motion_model import VelocityModel
-from sylpose.tracking.object_model import ObjectModel
+from sylpose.tracking.joint_side.joint_state import JointState, Nudge, ObjectMotion, Refinement
+from sylpose.tracking.joint_side.keyframes import Anchor, KnownFrames, SolvedFrame
+from sylpose.tracking.joint_side.motion_model import VelocityModel
+from sylpose.tracking.joint_side.object_model import ObjectModel
 from sylpose.tracking.reports import (
     BoxMotionReport,
     CameraMotionReport,
@@ -72,9 +71,12 @@ SOLVED = SolvedFrame(
 VELOCITY = VelocityModel(random_array(6), random_array(6), 4, 0.03)
 NUDGE = Nudge(1, 5, random_array(3), 0.01)
 JOINT = JointState(
-    MODEL, SOLVED, (SOLVED, SOLVED), Anchor(SOLVED, 3, True), (SOLVED,), VELOCITY, nudges=(NUDGE,), next_anchor_number=6
+    MODEL,
+    KnownFrames(SOLVED, (SOLVED, SOLVED), (SOLVED,), Anchor(SOLVED, 3, True), 6),
+    ObjectMotion(VELOCITY, True, POSE, 2, 1, False, True),
+    Refinement(random_array(6, 6), SOLVED, path_scale_sd=0.1),
+    (NUDGE,),
 )
-JOINT = replace(JOINT, last_refined=SOLVED)
 WAITED = BufferedRecord(3, 0.1, np.array([0.1, np.nan, 0.1]), 2, random_array(3), POSE)
 SAMPLES = [
     TermsMessage(random_array(27), 3.5, np.nan),
@@ -110,6 +112,9 @@ SAMPLES = [
     VELOCITY,
     NUDGE,
     FrameAnnouncement(12, np.nan, (1, 3), False, True),
+    JOINT.frames,
+    JOINT.motion,
+    JOINT.refinement,
 ]
 
 
@@ -208,7 +213,7 @@ def test_random_bytes_are_rejected(wire: bytes) -> None:
         ),
         (
             encode(RelocalizationMatches(random_array(3, 3), random_array(4, 2))),
-            RelocalizationMatches.empty(),
+            RelocalizationMatches(),
             r"RelocalizationMatches.pixels must be \(3, 2\), got shape \(4, 2\)",
         ),
     ],
@@ -221,7 +226,7 @@ def test_invalid_messages_are_rejected(wire: bytes, nothing: Any, why: str) -> N
 def test_nested_records_are_validated() -> None:
     wire = msgspec.msgpack.encode([[1.0, 2.0, 3, 4, 5.0], encode_array(random_array(2))])
     with pytest.raises(ValueError, match=r"KnownDepthMatches\.observations: not a LandmarkMatches: 8 fields"):
-        decode(wire, KnownDepthMatches.empty())
+        decode(wire, KnownDepthMatches())
 
 
 @pytest.mark.parametrize("wire", [msgspec.msgpack.Ext(0, bytes(4)), ["<f8", [3], None, True], 1, b""])

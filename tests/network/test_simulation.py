@@ -278,7 +278,7 @@ def test_node_ignores_invalid_payload_and_names_sender() -> None:
         return ExchangeResult({0: ask.payload, 1: b"\xc1 nonsense"}, frozenset(), False)
 
     node = Node(0, 3, ask)
-    assert node.all_gather(lambda c: 5 + c, 0) == [5, 0, 0]
+    assert node.gather([5], 0) == [5, 0, 0]
     assert list(node.refused) == [1]
     assert node.refused[1].startswith("not a message")
 

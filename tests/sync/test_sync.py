@@ -31,7 +31,7 @@ from sylpose.sync.speed_correlation import (
     split_offsets,
     to_small_gray,
 )
-from sylpose.tracking.tracked_frame import LandmarkObservations
+from sylpose.tracking.camera_side.observations import LandmarkObservations
 from sylpose.tracking.tracker import track
 
 RATE = 30.0

@@ -12,11 +12,11 @@ import pytest
 
 from sylpose.frames import FrameSet
 from sylpose.geometry.future import BackgroundResult
-from sylpose.tracking.anchor_preparation import JOIN_DELAY
-from sylpose.tracking.joint_state import JointState
+from sylpose.tracking.joint_side.joint_state import RESULT_DELAY as REFINED_LATER
+from sylpose.tracking.joint_side.joint_state import JointState
+from sylpose.tracking.joint_side.keyframes import JOIN_DELAY
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import Tracker
-from sylpose.tracking.window import RESULT_DELAY as REFINED_LATER
 from tests.clips import Clip, compute_pose_errors, frame_sets, make_rotated_pose, moving_scene
 from tests.stored import dump_state, restore_state
 
@@ -49,23 +49,26 @@ def tracked_and_states(clip: Clip) -> tuple[list[TrackedFrame], list[JointState]
 def test_next_anchor_joins_after_fixed_delay(tracked_and_states: tuple[list[TrackedFrame], list[JointState]]) -> None:
     joints, joined = tracked_and_states[1], 0
     for before, after in pairwise(joints):
-        if before.next_anchor_number is not None and after.next_anchor_number != before.next_anchor_number:
-            assert after.anchor is not None
-            assert after.anchor.frame.number == before.next_anchor_number
-            assert after.last_frame.number == before.next_anchor_number + JOIN_DELAY
-            assert after.anchor.age == JOIN_DELAY
+        if (
+            before.frames.next_anchor_number is not None
+            and after.frames.next_anchor_number != before.frames.next_anchor_number
+        ):
+            assert after.frames.anchor is not None
+            assert after.frames.anchor.frame.number == before.frames.next_anchor_number
+            assert after.last.number == before.frames.next_anchor_number + JOIN_DELAY
+            assert after.frames.anchor.age == JOIN_DELAY
             joined += 1
     assert joined >= 2
     # From then on no detection in the foreground is needed while the object is visible: no frame is its own anchor.
-    first = next(k for k, joint in enumerate(joints) if joint.next_anchor_number is not None)
-    assert all(j.anchor is not None and j.anchor.frame.number < j.last_frame.number for j in joints[first:])
+    first = next(k for k, joint in enumerate(joints) if joint.frames.next_anchor_number is not None)
+    assert all(j.frames.anchor is not None and j.frames.anchor.frame.number < j.last.number for j in joints[first:])
 
 
 def test_joint_refinement_runs_in_background(tracked_and_states: tuple[list[TrackedFrame], list[JointState]]) -> None:
     joints, finished = tracked_and_states[1], 0
     for before, after in pairwise(joints):
-        if before.pending_refinement is not None and after.pending_refinement is not before.pending_refinement:
-            assert after.last_frame.number == before.pending_refinement.number + REFINED_LATER
+        if before.refinement.pending is not None and after.refinement.pending is not before.refinement.pending:
+            assert after.last.number == before.refinement.pending.number + REFINED_LATER
             finished += 1
     assert finished >= 1
 
@@ -84,7 +87,7 @@ def test_landmarks_keep_their_numbers(clip: Clip) -> None:
     images = clip.images[:28]
     with Tracker(clip.rig, clip.boxes) as tracker:
         decided, joints = track_states(tracker, frame_sets([*images, *images[::-1]]))
-    assert any(joint.next_anchor_number is not None for joint in joints)
+    assert any(joint.frames.next_anchor_number is not None for joint in joints)
     first, last = decided[0].pose.world_from_object, decided[-1].pose.world_from_object
     assert first is not None
     assert last is not None
@@ -98,7 +101,7 @@ def test_camera_without_image_recovers(clip: Clip) -> None:
         hidden: list[int] = []
         for frame in clip.frames()[8:]:
             images = frame.images
-            if joints[-1].next_anchor_number is None and not hidden:
+            if joints[-1].frames.next_anchor_number is None and not hidden:
                 images = (None, *images[1:])  # until the next anchor's preparation starts, and in its frame
             elif not hidden:
                 hidden.append(frame.index)
@@ -114,8 +117,8 @@ def test_checkpoint_and_restore_give_equal_results(
 ) -> None:
     plain, joints = tracked_and_states
     frames = clip.frames()
-    at = next(k for k, joint in enumerate(joints) if joint.next_anchor_number is not None) + 2
-    pending = next((k for k, joint in enumerate(joints) if joint.pending_refinement is not None), at) + 1
+    at = next(k for k, joint in enumerate(joints) if joint.frames.next_anchor_number is not None) + 2
+    pending = next((k for k, joint in enumerate(joints) if joint.refinement.pending is not None), at) + 1
     stops, found = {at, pending}, []
     tracker = Tracker(clip.rig, clip.boxes)
     for k, frame in enumerate(frames):

@@ -11,18 +11,17 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.features.sift import Features
 from sylpose.geometry.arrays import Image
-from sylpose.landmarks.landmark_filter import initialize_landmarks
-from sylpose.landmarks.landmark_table import LandmarkTable
+from sylpose.landmarks.landmark_filter import LandmarkTable, initialize_landmarks
 from sylpose.results import FrameStatus
 from sylpose.rig import Camera
 from sylpose.simulate import Actor, arc, make_demo_scene, render_frames
-from sylpose.tracking.camera_executor import LocalExecutor
-from sylpose.tracking.frame import CameraFrame, FrameMatches
-from sylpose.tracking.initialization import FirstMotion, estimate_first_motion, estimate_jitter, is_continuing_motion
-from sylpose.tracking.joint_state import MIN_MOVED_FEATURES, JointState
-from sylpose.tracking.reobserved import MAX_UNEXPLAINED_RATIO, ReobservedFeatures
-from sylpose.tracking.reports import LandmarkAges, PoseAgreement
-from sylpose.tracking.state_machine import MAX_BUFFERED_FRAMES
+from sylpose.tracking.camera_side.frame import CameraFrame, FrameMatches
+from sylpose.tracking.camera_side.observations import MAX_UNEXPLAINED_RATIO, ReobservedFeatures, count_ages
+from sylpose.tracking.context import LocalExecutor
+from sylpose.tracking.first_motion import FirstMotion, estimate_first_motion, estimate_jitter, is_continuing_motion
+from sylpose.tracking.initialization import MAX_BUFFERED_FRAMES
+from sylpose.tracking.joint_side.joint_state import MIN_MOVED_FEATURES, JointState, ObjectMotion
+from sylpose.tracking.reports import PoseAgreement
 from sylpose.tracking.tracker import track
 from tests.clips import HALF_DEGREE, SIZE, Clip, compute_pose_errors, frame_sets, prepend_rest, statuses
 
@@ -110,7 +109,7 @@ def make_agreement(features: int, moved: int) -> PoseAgreement:
         features,
         (0,),
         (1.0,),
-        LandmarkAges.from_frame_counts(np.ones(features)),
+        count_ages(np.ones(features)),
         features,
         moved,
         moved,
@@ -120,7 +119,7 @@ def make_agreement(features: int, moved: int) -> PoseAgreement:
 
 
 def test_static_features_support_no_pose_after_motion() -> None:
-    before, after = JointState(), replace(JointState(), has_moved=True)
+    before, after = JointState(), JointState(motion=ObjectMotion(has_moved=True))
     only_wall, board = (
         [make_agreement(900, 3), make_agreement(700, 0)],
         [make_agreement(80, 60), make_agreement(70, 50)],

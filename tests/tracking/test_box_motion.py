@@ -7,20 +7,19 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.features.sift import Features
+from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import FloatArray
-from sylpose.landmarks.landmark_filter import Landmarks
-from sylpose.landmarks.landmark_table import LandmarkTable
+from sylpose.landmarks.landmark_filter import Landmarks, LandmarkTable
 from sylpose.results import FrameStatus
 from sylpose.rig import Rig
 from sylpose.simulate import Actor, ring
-from sylpose.tracking.box_motion import is_box_center_static, select_static_matches
-from sylpose.tracking.camera import CameraTracker
-from sylpose.tracking.camera_executor import LocalExecutor
-from sylpose.tracking.context import TrackerContext
-from sylpose.tracking.frame import CameraFrame, Frame, FrameMatches, SolvedFrame
-from sylpose.tracking.frame_solvers import SOLVERS
-from sylpose.tracking.joint_state import JointState
-from sylpose.tracking.object_model import ObjectModel
+from sylpose.tracking.camera_side.camera import CameraTracker
+from sylpose.tracking.camera_side.frame import CameraFrame, FrameMatches
+from sylpose.tracking.context import Frame, LocalExecutor, TrackerContext
+from sylpose.tracking.first_motion import is_box_center_static, select_static_matches
+from sylpose.tracking.joint_side.joint_state import JointState
+from sylpose.tracking.joint_side.keyframes import KnownFrames, SolvedFrame
+from sylpose.tracking.joint_side.object_model import ObjectModel
 from sylpose.tracking.tracker import track
 from tests.clips import Clip, compute_pose_errors, make_rotated_pose, make_slab, moving_scene, statuses
 
@@ -39,9 +38,8 @@ def simulate_box_motion(shifts: list[tuple[float, float]], rig: Rig = RIG) -> tu
     cloud = rng.uniform(-RADIUS, RADIUS, (200, 3))
     n = len(rig)
     first = SolvedFrame(0, 0.0, np.zeros(n), start, np.zeros((6, 6)), np.zeros((n, 3)), np.ones(n, bool))
-    state = JointState(ObjectModel(np.zeros(3), RADIUS, cloud, is_bounded=True, is_depth_guessed=True)).set_first_frame(
-        first
-    )
+    model = ObjectModel(np.zeros(3), RADIUS, cloud, is_bounded=True, is_depth_guessed=True)
+    state = JointState(model, KnownFrames(first, (first,)))
     pairs, cameras = [], []
     for camera, moves in zip(rig, shifts, strict=True):
         outline = camera.project(cloud)
@@ -54,10 +52,11 @@ def simulate_box_motion(shifts: list[tuple[float, float]], rig: Rig = RIG) -> tu
         cameras.append(
             CameraFrame(make_features(after), np.zeros(len(after), bool), LandmarkTable(), np.full(len(after), -1))
         )
-    frame = Frame(1, 1.0, np.zeros(len(rig)), cameras)
+    images = FrameSet(1, 1.0, (None,) * n, (None,) * n, (None,) * n)
+    frame = Frame(1, images, np.zeros(n), cameras=cameras)
     camera_trackers = [CameraTracker(c, camera) for c, camera in enumerate(rig)]
-    context = TrackerContext(rig, camera_trackers, executor, SOLVERS["landmarks"], False, np.zeros(len(rig)), 0)
-    rest = select_static_matches(context, frame, pairs)
+    context = TrackerContext(rig, camera_trackers, executor, "landmarks", False, np.zeros(n), 0)
+    rest = select_static_matches(frame, pairs)
     return is_box_center_static(context, state, frame, pairs), [sum(map(len, of)) for of in rest]
 
 

@@ -28,9 +28,9 @@ from sylpose.runs.checkpoint_schema import SERIALIZER
 from sylpose.simulate import make_demo_scene
 from sylpose.simulate.textures import make_room_image
 from sylpose.tracking.camera_motion_correction import add_nudge_faults
-from sylpose.tracking.camera_motion_detection import MAX_CHANGED_FRAMES, PAUSE_FRAMES, CameraMotionDetector
+from sylpose.tracking.camera_side.camera_motion import MAX_CHANGED_FRAMES, PAUSE_FRAMES, CameraMotionDetector
 from sylpose.tracking.context import TrackerContext
-from sylpose.tracking.joint_state import JointState, Nudge
+from sylpose.tracking.joint_side.joint_state import JointState, Nudge
 from sylpose.tracking.reports import CameraMotionReport
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import Tracker, track
@@ -120,7 +120,7 @@ def detect_motion(
     camera: Camera, images: Sequence[Image | None]
 ) -> tuple[CameraMotionDetector, list[CameraMotionReport]]:
     watch = CameraMotionDetector(camera)
-    return watch, [watch.detect(image, lambda: None, k) for k, image in enumerate(images)]
+    return watch, [watch.detect(image, None, k) for k, image in enumerate(images)]
 
 
 def test_nudge_is_confirmed_in_second_frame(camera: Camera) -> None:
@@ -134,10 +134,10 @@ def test_nudge_is_confirmed_in_second_frame(camera: Camera) -> None:
     watch.apply_correction()
     # The camera is static again, and a second nudge adds to the first.
     more, _ = watch.stabilize(add_noise(moved, 7), None)
-    assert not watch.detect(more, lambda: None, 7).has_changed
+    assert not watch.detect(more, None, 7).has_changed
     for k in (8, 9):
         more, _ = watch.stabilize(add_noise(apply_nudge(render_wall(), camera, 2.5), k), None)
-        stance = watch.detect(more, lambda: None, k)
+        stance = watch.detect(more, None, k)
     assert stance.is_confirmed
     assert np.degrees(stance.angle) == pytest.approx(1.5, abs=0.05)
     watch.apply_correction()
@@ -178,17 +178,19 @@ def test_other_changes_are_not_nudges(camera: Camera, view: Callable[[int], Imag
     assert not any(stance.angle for stance in reported)
 
 
-def test_slow_camera_motion_is_confirmed_at_rest(camera: Camera) -> None:
+def test_slow_camera_motion_is_confirmed_at_rest(camera: Camera, monkeypatch: pytest.MonkeyPatch) -> None:
     """Corners on the object are ignored from the first frame on; its predicted position grows less certain."""
     watch, arguments = CameraMotionDetector(camera), []
 
-    def region() -> FloatArray:
+    def project(*_: object) -> FloatArray:
         arguments.append(1)
         return np.array([[100.0, 60], [220, 60], [220, 180], [100, 180]])
 
+    monkeypatch.setattr("sylpose.tracking.camera_side.camera_motion.project_outline", project)
+    points = np.zeros((1, 3))
     course = [0.0, 0.0, 0.4, 1.6, 2.2, 1.5, 1.5]
     reported = [
-        watch.detect(add_noise(apply_nudge(render_wall(), camera, d), k), region, k) for k, d in enumerate(course)
+        watch.detect(add_noise(apply_nudge(render_wall(), camera, d), k), points, k) for k, d in enumerate(course)
     ]
     assert [stance.is_confirmed for stance in reported] == [False] * 6 + [True]
     assert reported[-1].first_frame == 2

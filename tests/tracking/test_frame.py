@@ -12,14 +12,12 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.features.sift import Features
 from sylpose.geometry.arrays import FloatArray
-from sylpose.landmarks.landmark_table import LandmarkTable
+from sylpose.landmarks.landmark_filter import LandmarkTable
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import ellipsoid, ring
-from sylpose.tracking.frame import (
+from sylpose.tracking.camera_side.frame import (
     CameraFrame,
     FrameMatches,
-    SolvedFrame,
-    compute_reference_motion,
     find_background,
     find_static,
     mark_background,
@@ -27,7 +25,8 @@ from sylpose.tracking.frame import (
     select_inliers,
     triangulate,
 )
-from sylpose.tracking.keyframes import compute_viewpoints
+from sylpose.tracking.frame_solvers import compute_reference_motion
+from sylpose.tracking.joint_side.keyframes import SolvedFrame, compute_viewpoints
 from tests.scenes import compute_epipolar_px
 
 RADIUS = 0.15

@@ -14,14 +14,14 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from benchmarks.kinds import KINDS
 from sylpose.features.sift import Features
 from sylpose.geometry.arrays import FloatArray
-from sylpose.landmarks.landmark_table import LandmarkTable
+from sylpose.landmarks.landmark_filter import LandmarkTable
 from sylpose.matches import STATIC_PX
 from sylpose.results import FrameStatus, Status
 from sylpose.rig import Rig
 from sylpose.simulate import arc, ellipsoid
-from sylpose.tracking.camera_executor import LocalExecutor
-from sylpose.tracking.frame import CameraFrame, FrameMatches
-from sylpose.tracking.initialization import AMBIGUITY_RATIO, FirstMotion, estimate_first_motion, is_ambiguous
+from sylpose.tracking.camera_side.frame import CameraFrame, FrameMatches
+from sylpose.tracking.context import LocalExecutor
+from sylpose.tracking.first_motion import AMBIGUITY_RATIO, FirstMotion, estimate_first_motion, is_ambiguous
 from sylpose.tracking.tracker import track
 from tests.clips import statuses
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import FrozenInstanceError, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,8 +11,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.geometry.arrays import FloatArray
 from sylpose.simulate import ring
-from sylpose.tracking.frame import SolvedFrame
-from sylpose.tracking.joint_state import (
+from sylpose.tracking.camera_side.observations import count_ages, expand_ages
+from sylpose.tracking.joint_side.joint_state import (
     MAX_COASTING_FRAMES,
     MAX_COASTING_POSITION_SD,
     MAX_COASTING_ROTATION_SD,
@@ -19,11 +20,10 @@ from sylpose.tracking.joint_state import (
     JointState,
     add_reference_covariance,
 )
-from sylpose.tracking.keyframes import compute_viewpoints
-from sylpose.tracking.klt_frontend import Anchor
-from sylpose.tracking.motion_model import VelocityModel
-from sylpose.tracking.object_model import ObjectModel
-from sylpose.tracking.reports import LandmarkAges, PoseAgreement, expand_ages
+from sylpose.tracking.joint_side.keyframes import Anchor, KnownFrames, SolvedFrame, compute_viewpoints
+from sylpose.tracking.joint_side.motion_model import VelocityModel
+from sylpose.tracking.joint_side.object_model import ObjectModel
+from sylpose.tracking.reports import PoseAgreement
 
 RIG = ring(3, 1.5, 1000.0, height=(0.4, -0.1, 0.2))
 DT = 1 / 30
@@ -47,12 +47,22 @@ def make_solved(number: int, pose: RigidTransform | None = None, covariance: Flo
 
 
 def make_first_state() -> JointState:
-    return JointState(ObjectModel(np.zeros(3), RADIUS)).set_first_frame(make_solved(0))
+    return JointState(ObjectModel(np.zeros(3), RADIUS), KnownFrames(make_solved(0), (make_solved(0),)))
+
+
+def with_motion(state: JointState, **changes: Any) -> JointState:
+    """Return the state with some fields of its motion replaced."""
+    return replace(state, motion=replace(state.motion, **changes))
+
+
+def with_frames(state: JointState, **changes: Any) -> JointState:
+    """Return the state with some of its known frames replaced."""
+    return replace(state, frames=replace(state.frames, **changes))
 
 
 def make_state_after(frames: int) -> JointState:
     """Return the state after frames at constant velocity, all solved from tracked features."""
-    state = replace(make_first_state(), anchor=Anchor(make_solved(0)))
+    state = with_frames(make_first_state(), anchor=Anchor(make_solved(0)))
     for k in range(1, frames + 1):
         state = state.add_solved_frame(make_solved(k), STEP, has_new_features=False)
     return state
@@ -63,9 +73,9 @@ def make_state_after(frames: int) -> JointState:
 
 def test_first_frame_is_only_keyframe() -> None:
     state = make_first_state()
-    assert state.last_frame.number == 0
-    assert [k.number for k in state.keyframes] == [0]
-    assert list(state.known_frames) == [0]
+    assert state.last.number == 0
+    assert [k.number for k in state.frames.keyframes] == [0]
+    assert list(state.frames.by_number) == [0]
     np.testing.assert_array_equal(state.predict_pose(5.0).as_matrix(), START.as_matrix())
 
 
@@ -76,7 +86,7 @@ def test_constant_velocity_prediction_is_exact(ahead: float) -> None:
         state.predict_pose((1 + ahead) * DT).as_matrix(), pose_at(1 + ahead).as_matrix(), atol=1e-12
     )
     # ... while a lost object is predicted at its last pose.
-    lost = replace(state, is_lost=True)
+    lost = with_motion(state, is_lost=True)
     np.testing.assert_array_equal(lost.predict_pose((1 + ahead) * DT).as_matrix(), pose_at(1).as_matrix())
 
 
@@ -93,19 +103,19 @@ def test_changing_rotation_about_center_is_no_translation() -> None:
         motion = RigidTransform.from_components(START.translation - turn.apply(START.translation), turn)
         pose = motion * pose
         state = state.add_solved_frame(make_solved(k, pose), motion, has_new_features=False)
-    assert state.velocity.change_variance[3:].max() < 1e-20
-    assert state.velocity.change_variance[2] > 1
+    assert state.motion.velocity.change_variance[3:].max() < 1e-20
+    assert state.motion.velocity.change_variance[2] > 1
 
 
 def test_accepted_frame_does_not_modify_old_state() -> None:
     old = make_state_after(3)
-    keyframes, anchor, twist = old.keyframes, old.anchor, old.velocity.twist.copy()
+    keyframes, anchor, twist = old.frames.keyframes, old.frames.anchor, old.motion.velocity.twist.copy()
     far = RigidTransform.from_rotation(Rotation.from_rotvec([0, 1.0, 0]))
     new = old.add_solved_frame(make_solved(4, far * pose_at(3)), far, has_new_features=True)
-    assert (old.last_frame.number, old.keyframes, old.anchor) == (3, keyframes, anchor)
-    np.testing.assert_array_equal(old.velocity.twist, twist)
-    assert new.last_frame.number == 4
-    for change in ("missed", "lost", "last"):
+    assert (old.last.number, old.frames.keyframes, old.frames.anchor) == (3, keyframes, anchor)
+    np.testing.assert_array_equal(old.motion.velocity.twist, twist)
+    assert new.last.number == 4
+    for change in ("motion", "frames", "object"):
         with pytest.raises(FrozenInstanceError):
             setattr(old, change, None)
 
@@ -114,12 +124,12 @@ def test_accepted_frame_does_not_modify_old_state() -> None:
 def test_keyframes_need_new_features_and_new_views(anew: bool, turn: float, kept: bool) -> None:
     motion = RigidTransform.from_rotation(Rotation.from_rotvec([0, turn, 0]))
     state = make_first_state().add_solved_frame(make_solved(1, motion * START), motion, has_new_features=anew)
-    assert [k.number for k in state.keyframes] == ([0, 1] if kept else [0])
-    assert state.last_frame.number == 1
+    assert [k.number for k in state.frames.keyframes] == ([0, 1] if kept else [0])
+    assert state.last.number == 1
 
 
 def make_agreement(features: int, strong: int) -> PoseAgreement:
-    return replace(PoseAgreement.empty(), n_inlier_features=features, n_moved=features, n_strong=strong)
+    return replace(PoseAgreement(), n_inlier_features=features, n_moved=features, n_strong=strong)
 
 
 @pytest.mark.parametrize(
@@ -134,7 +144,7 @@ def make_agreement(features: int, strong: int) -> PoseAgreement:
 )
 def test_state_is_feature_poor_with_few_strong_inliers(seen: list[tuple[int, int]], starves: bool) -> None:
     agreements = [make_agreement(*one) for one in seen]
-    proven = replace(make_first_state(), has_moved=True)
+    proven = with_motion(make_first_state(), has_moved=True)
     assert (
         proven.add_solved_frame(make_solved(1), STEP, has_new_features=True, agreements=agreements).is_feature_poor
         == starves
@@ -159,24 +169,24 @@ def test_state_is_feature_poor_with_few_strong_inliers(seen: list[tuple[int, int
 
 def test_anchor_ages_until_new_features_are_detected() -> None:
     state = make_state_after(4)
-    assert state.anchor is not None
-    assert state.anchor.age == 4
-    assert state.anchor.frame.number == 0
-    assert state.add_solved_frame(make_solved(5), STEP, has_new_features=True).anchor is None
-    assert make_first_state().add_solved_frame(make_solved(1), STEP, has_new_features=False).anchor is None
+    assert state.frames.anchor is not None
+    assert state.frames.anchor.age == 4
+    assert state.frames.anchor.frame.number == 0
+    assert state.add_solved_frame(make_solved(5), STEP, has_new_features=True).frames.anchor is None
+    assert make_first_state().add_solved_frame(make_solved(1), STEP, has_new_features=False).frames.anchor is None
 
 
 def test_known_frames_are_keyframes_anchor_and_recent() -> None:
-    state = replace(
+    state = with_frames(
         make_state_after(3),
         anchor=Anchor(make_solved(2)),
         keyframes=(make_solved(0), make_solved(1)),
         recent=(make_solved(3),),
     )
-    assert sorted(state.known_frames) == [0, 1, 2, 3]
-    assert all(frame.number == number for number, frame in state.known_frames.items())
-    assert state.known_frames[3] is state.last_frame
-    assert sorted(replace(state, anchor=None).known_frames) == [0, 1, 3]
+    assert sorted(state.frames.by_number) == [0, 1, 2, 3]
+    assert all(frame.number == number for number, frame in state.frames.by_number.items())
+    assert state.frames.by_number[3] is state.last
+    assert sorted(with_frames(state, anchor=None).frames.by_number) == [0, 1, 3]
 
 
 # --- missing object
@@ -185,8 +195,8 @@ def test_known_frames_are_keyframes_anchor_and_recent() -> None:
 def set_velocity_change(state: JointState, turn: float, translation: float) -> JointState:
     """Set the velocity change such that the prediction after one frame has these standard deviations."""
     unsteady = (np.array([0, turn, 0, 0, 0, translation]) / DT) ** 2
-    base = replace(state.last_frame, covariance=np.zeros((6, 6)))
-    return replace(state, last=base, velocity=replace(state.velocity, change_variance=unsteady))
+    base = replace(state.last, covariance=np.zeros((6, 6)))
+    return with_motion(with_frames(state, last=base), velocity=replace(state.motion.velocity, change_variance=unsteady))
 
 
 def test_missed_frames_are_counted_and_extrapolated() -> None:
@@ -194,18 +204,18 @@ def test_missed_frames_are_counted_and_extrapolated() -> None:
     for missed in range(1, 4):
         before = state
         state, covariance = state.coast((3 + missed) * DT)
-        assert (before.n_missed, state.n_missed, state.is_lost) == (missed - 1, missed, False)
-        np.testing.assert_allclose(covariance, state.velocity.predict_covariance(missed * DT, missed))
+        assert (before.motion.n_missed, state.motion.n_missed, state.motion.is_lost) == (missed - 1, missed, False)
+        np.testing.assert_allclose(covariance, state.motion.velocity.predict_covariance(missed * DT, missed))
         # The prediction still starts at the last solved frame.
-        assert state.last_frame is before.last_frame
+        assert state.last is before.last
     np.testing.assert_allclose(state.predict_pose(6 * DT).as_matrix(), pose_at(6).as_matrix(), atol=1e-12)
 
 
 def test_prediction_includes_last_covariance() -> None:
     state = make_state_after(3)
     known = np.diag([1, 2, 3, 4, 5, 6.0]) * 1e-6
-    state = replace(state, last=replace(state.last_frame, covariance=known))
-    state = replace(state, velocity=replace(state.velocity, change_variance=np.full(6, 0.01)))
+    state = with_frames(state, last=replace(state.last, covariance=known))
+    state = with_motion(state, velocity=replace(state.motion.velocity, change_variance=np.full(6, 0.01)))
     _, covariance = state.coast(4 * DT)
     np.testing.assert_allclose(covariance, known + 0.01 * DT**2 * np.eye(6))
 
@@ -214,9 +224,9 @@ def test_too_many_missed_frames_mean_lost() -> None:
     state = set_velocity_change(make_state_after(3), 1e-9, 1e-9)
     for _ in range(MAX_COASTING_FRAMES):
         state, _ = state.coast(4 * DT)
-        assert not state.is_lost
+        assert not state.motion.is_lost
     state, _ = state.coast(4 * DT)
-    assert state.is_lost
+    assert state.motion.is_lost
 
 
 @pytest.mark.parametrize(
@@ -227,20 +237,20 @@ def test_uncertain_rotation_or_position_means_lost(turn: float, shift: float, lo
     state, _ = set_velocity_change(
         make_state_after(3), turn * MAX_COASTING_ROTATION_SD, shift * MAX_COASTING_POSITION_SD * RADIUS
     ).coast(4 * DT)
-    assert state.is_lost == lost
+    assert state.motion.is_lost == lost
 
 
 def test_unknown_velocity_means_lost() -> None:
     state, covariance = make_first_state().coast(DT)
-    assert state.is_lost
+    assert state.motion.is_lost
     assert np.isposinf(np.diag(covariance)).all()
 
 
 def test_lost_object_stays_lost_until_found() -> None:
-    state, _ = replace(set_velocity_change(make_state_after(3), 1e-9, 1e-9), is_lost=True).coast(4 * DT)
-    assert state.is_lost
-    found = replace(state, n_reobserved=2).add_solved_frame(make_solved(5), STEP * STEP, has_new_features=True)
-    assert (found.is_lost, found.n_missed, found.n_reobserved) == (False, 0, 0)
+    state, _ = with_motion(set_velocity_change(make_state_after(3), 1e-9, 1e-9), is_lost=True).coast(4 * DT)
+    assert state.motion.is_lost
+    found = with_motion(state, n_reobserved=2).add_solved_frame(make_solved(5), STEP * STEP, has_new_features=True)
+    assert (found.motion.is_lost, found.motion.n_missed, found.motion.n_reobserved) == (False, 0, 0)
 
 
 def test_velocity_after_missed_and_lost_frames() -> None:
@@ -248,32 +258,32 @@ def test_velocity_after_missed_and_lost_frames() -> None:
     state = make_state_after(6)
     missed, _ = set_velocity_change(state, 1e-6, 1e-6).coast(7 * DT)
     found = missed.add_solved_frame(make_solved(8), STEP * STEP, has_new_features=True)
-    assert found.velocity.n_frames == 1
-    np.testing.assert_allclose(found.velocity.twist, TWIST, atol=1e-10)
-    np.testing.assert_array_equal(found.velocity.change_variance, missed.velocity.change_variance)
-    again = replace(missed, is_lost=True).add_solved_frame(make_solved(8), STEP * STEP, has_new_features=True)
-    assert again.velocity.n_frames == 0
-    assert not again.velocity.twist.any()
+    assert found.motion.velocity.n_frames == 1
+    np.testing.assert_allclose(found.motion.velocity.twist, TWIST, atol=1e-10)
+    np.testing.assert_array_equal(found.motion.velocity.change_variance, missed.motion.velocity.change_variance)
+    again = with_motion(missed, is_lost=True).add_solved_frame(make_solved(8), STEP * STEP, has_new_features=True)
+    assert again.motion.velocity.n_frames == 0
+    assert not again.motion.velocity.twist.any()
     # Without missed frames the velocity is kept.
     assert (
-        state.add_solved_frame(make_solved(7), STEP, has_new_features=True).velocity.n_frames
-        == state.velocity.n_frames + 1
+        state.add_solved_frame(make_solved(7), STEP, has_new_features=True).motion.velocity.n_frames
+        == state.motion.velocity.n_frames + 1
     )
 
 
 def test_known_size_resets_state() -> None:
-    state = replace(
+    state = with_frames(
         make_state_after(3), keyframes=(make_solved(0), make_solved(2)), recent=(make_solved(1), make_solved(2))
     )
     state = replace(state, object=replace(state.object, is_depth_guessed=True))
-    assert sorted(state.known_frames) == [0, 1, 2, 3]
+    assert sorted(state.frames.by_number) == [0, 1, 2, 3]
     young = state.reset_to_first_frame(0.05)
-    assert list(young.known_frames) == [0]
+    assert list(young.frames.by_number) == [0]
     assert (young.object.radius, young.object.is_depth_guessed) == (0.05, False)
     # Only the first frame's pose does not depend on depths from boxes.
-    assert [(k.number, k.landmark_age) for k in young.keyframes] == [(0, 1.0)]
-    assert young.keyframes[0] is young.last_frame
-    assert state.last_frame.landmark_age == state.keyframes[0].landmark_age == 3.0
+    assert [(k.number, k.landmark_age) for k in young.frames.keyframes] == [(0, 1.0)]
+    assert young.frames.keyframes[0] is young.last
+    assert state.last.landmark_age == state.frames.keyframes[0].landmark_age == 3.0
     assert (state.object.radius, state.object.is_depth_guessed) == (RADIUS, True)
 
 
@@ -283,9 +293,7 @@ def test_known_size_resets_state() -> None:
 def make_inliers(**weights: float) -> PoseAgreement:
     """One camera's inliers per reference: `_3` is the frame 3."""
     numbers = tuple(int(name[1:]) for name in weights)
-    return PoseAgreement(
-        50, 60, numbers, tuple(weights.values()), LandmarkAges.from_frame_counts(np.ones(50)), 50, 50, 50, 0.3, True
-    )
+    return PoseAgreement(50, 60, numbers, tuple(weights.values()), count_ages(np.ones(50)), 50, 50, 50, 0.3, True)
 
 
 def random_covariance(rng: np.random.Generator) -> FloatArray:
@@ -373,9 +381,7 @@ def test_correlated_reference_errors_are_not_averaged_away() -> None:
     rng = np.random.default_rng(3)
     C = random_covariance(rng)
     many = {k: make_solved(k, pose_at(5), C) for k in range(10)}
-    ten = PoseAgreement(
-        50, 60, tuple(range(10)), (5.0,) * 10, LandmarkAges.from_frame_counts(np.ones(50)), 50, 50, 50, 0.3, True
-    )
+    ten = PoseAgreement(50, 60, tuple(range(10)), (5.0,) * 10, count_ages(np.ones(50)), 50, 50, 50, 0.3, True)
     found = add_reference_covariance(INFORMATION, pose_at(5), [ten], many, RADIUS) - inverse_bounded(INFORMATION)
     np.testing.assert_allclose(found, C, rtol=1e-9, atol=1e-18)
     for share in (0.1, 0.5, 0.8):
@@ -416,7 +422,7 @@ def test_no_reference_adds_no_covariance() -> None:
 def test_landmark_ages_of_all_cameras() -> None:
     rng = np.random.default_rng(4)
     seen = [rng.integers(1, 9, n).astype(float) for n in (30, 0, 7)]
-    records = [LandmarkAges.from_frame_counts(s) for s in seen]
+    records = [count_ages(s) for s in seen]
     np.testing.assert_array_equal(expand_ages(records), np.sort(np.concatenate(seen)))
     # They are encoded in fewer numbers.
     assert len(records[0].values) == len(records[0].counts) <= 8
@@ -426,8 +432,8 @@ def test_landmark_ages_of_all_cameras() -> None:
 
 def test_default_state_is_empty() -> None:
     state = JointState()
-    assert state.last is None
-    assert not state.keyframes
-    assert isinstance(state.velocity, VelocityModel)
-    assert state.velocity.n_frames == 0
-    assert (state.n_missed, state.n_reobserved, state.is_lost) == (0, 0, False)
+    assert state.frames.last is None
+    assert not state.frames.keyframes
+    assert isinstance(state.motion.velocity, VelocityModel)
+    assert state.motion.velocity.n_frames == 0
+    assert (state.motion.n_missed, state.motion.n_reobserved, state.motion.is_lost) == (0, 0, False)

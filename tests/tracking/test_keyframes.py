@@ -13,12 +13,12 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Rig
 from sylpose.simulate import ring
-from sylpose.tracking.frame import SolvedFrame
-from sylpose.tracking.keyframes import (
+from sylpose.tracking.joint_side.keyframes import (
     MAX_KEYFRAMES,
     MIN_NEW_ROTATION,
     MIN_NEW_SCALE,
     RING_ANGLES,
+    SolvedFrame,
     add_keyframe,
     compute_viewpoints,
     find_nearest_views,
@@ -209,7 +209,7 @@ def test_cameras_without_features_give_no_warning(rig: Rig) -> None:
 
 
 def test_most_redundant_keyframe_is_removed(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sylpose.tracking.keyframes.MAX_KEYFRAMES", 4)
+    monkeypatch.setattr("sylpose.tracking.joint_side.keyframes.MAX_KEYFRAMES", 4)
     kept = make_frames(rig, 0, 40, 80, 93)
     assert try_keyframe(kept, make_frame(rig, 4, make_rotated(120.0)))
     assert indices(kept) == [0, 1, 2, 4]  # 80 and 93 were most similar
@@ -247,7 +247,7 @@ def test_every_view_stays_covered(steps: list[tuple[float, int]], most: int) -> 
     kept: list[SolvedFrame] = []
     pose, met = START, []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sylpose.tracking.keyframes.MAX_KEYFRAMES", most)
+        patch.setattr("sylpose.tracking.joint_side.keyframes.MAX_KEYFRAMES", most)
         for k, (degrees, axis) in enumerate(steps):
             turn = Rotation.from_rotvec(np.radians(degrees) * np.eye(3)[axis])
             pose = RigidTransform.from_components(pose.translation, turn * pose.rotation)

@@ -13,29 +13,31 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose.features.klt import start_tracks
 from sylpose.features.sift import Features
 from sylpose.geometry.arrays import BoolArray, FloatArray, Image
-from sylpose.landmarks.landmark_filter import initialize_landmarks
-from sylpose.landmarks.landmark_table import LandmarkTable
+from sylpose.landmarks.landmark_filter import LandmarkTable, initialize_landmarks
 from sylpose.rig import Camera
-from sylpose.tracking.frame import CameraFrame, SolvedFrame
-from sylpose.tracking.klt_frontend import (
+from sylpose.tracking.camera_side.frame import CameraFrame
+from sylpose.tracking.camera_side.klt_frontend import (
     DUPLICATE_PX,
-    MAX_ANCHOR_ROTATION,
     MAX_DEPTH_SD_RATIO,
     MAX_TRACKED,
-    MIN_CAMERA_RATIO,
     MIN_NEW_FEATURES,
-    MIN_TRACKED,
-    MIN_TRACKED_RATIO,
     N_ANCHOR_FEATURES,
-    RETRY_FRAMES,
-    Anchor,
     CameraAnchor,
     TrackedFeatures,
     advance_anchor,
     append_new_features,
     create_anchor,
-    has_enough_tracks,
     track_anchor,
+)
+from sylpose.tracking.joint_side.keyframes import (
+    MAX_ANCHOR_ROTATION,
+    MIN_CAMERA_RATIO,
+    MIN_TRACKED,
+    MIN_TRACKED_RATIO,
+    RETRY_FRAMES,
+    Anchor,
+    SolvedFrame,
+    has_enough_tracks,
 )
 from sylpose.tracking.reports import TrackingReport
 

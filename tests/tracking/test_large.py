@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from sylpose.features.sift import MAX_FEATURES, Features, detect_features
+from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import Image
 from sylpose.results import FrameStatus
 from sylpose.rig import Camera
 from sylpose.simulate import render_frames
-from sylpose.tracking import camera as camera_module
-from sylpose.tracking.camera import CameraTracker
+from sylpose.tracking.camera_side import camera as camera_module
+from sylpose.tracking.camera_side.camera import CameraTracker
 from sylpose.tracking.tracker import track
 from tests.clips import (
     HALF_DEGREE,
@@ -98,13 +99,14 @@ def test_static_features_are_not_foreground() -> None:
     image, camera = render_picture()
     camera_tracker = CameraTracker(0, camera)
     assert camera_tracker.is_large
-    search = camera_tracker.detect(image, None, None, MAX_FEATURES, reduced=True)
+    search = camera_tracker.detect((image, None), None, MAX_FEATURES, reduced=True)
     outline = np.array([[60.0, 40.0], [260.0, 40.0], [260.0, 200.0], [60.0, 200.0]])
+    images = FrameSet(0, 0.0, (None,), (image,), (None,))
     nothing, everything = np.zeros(len(search), bool), np.ones(len(search), bool)
-    mine, others = camera_tracker.split_foreground(image, None, search, outline, nothing)
+    mine, others = camera_tracker.split_foreground(search, outline, nothing, images)
     assert camera_tracker.find_inside(mine, outline).all()
     assert len(mine) > np.count_nonzero(camera_tracker.find_inside(search, outline))
-    some, rest = camera_tracker.split_foreground(image, None, search, outline, everything)
+    some, rest = camera_tracker.split_foreground(search, outline, everything, images)
     assert len(some) < len(mine)
     assert len(rest) > len(others)
     assert camera_tracker.find_inside(some, outline).all()

@@ -53,7 +53,7 @@ def test_all_cameras_covered_for_a_few_frames(features: str, back: int, most_deg
 
 
 def test_all_cameras_covered_for_long(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sylpose.tracking.joint_state.MAX_COASTING_FRAMES", 5)
+    monkeypatch.setattr("sylpose.tracking.joint_side.joint_state.MAX_COASTING_FRAMES", 5)
     first, last = 6, 12
     rig = moving_scene(make_drifting_pose, 1).rig
 

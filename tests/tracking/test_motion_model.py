@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Rig
 from sylpose.simulate import ellipsoid, ring
-from sylpose.tracking.motion_model import (
+from sylpose.tracking.joint_side.motion_model import (
     AVERAGING_FRAMES,
     MAX_PREDICTION_ERROR,
     MIN_INTERVAL_RATIO,

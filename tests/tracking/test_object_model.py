@@ -11,7 +11,7 @@ from sylpose.frames import Box
 from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Rig
 from sylpose.simulate import ellipsoid, ring
-from sylpose.tracking.object_model import MAX_CLOUD_POINTS, ObjectModel
+from sylpose.tracking.joint_side.object_model import MAX_CLOUD_POINTS, ObjectModel
 
 AT = np.array([0.05, -0.03, 0.04])
 

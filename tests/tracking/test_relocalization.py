@@ -13,13 +13,12 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.features.sift import MAX_FAINT_FEATURES, MAX_FEATURES, Features, detect_features
 from sylpose.geometry.arrays import Image
-from sylpose.landmarks.landmark_filter import Landmarks, initialize_landmarks
-from sylpose.landmarks.landmark_table import LandmarkTable
+from sylpose.landmarks.landmark_filter import Landmarks, LandmarkTable, initialize_landmarks
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import Actor, chamfered_box, make_demo_scene
-from sylpose.tracking.frame import CameraFrame, SolvedFrame
-from sylpose.tracking.keyframes import compute_viewpoints
-from sylpose.tracking.relocalization import (
+from sylpose.tracking.camera_side.frame import CameraFrame
+from sylpose.tracking.joint_side.keyframes import SolvedFrame, compute_viewpoints
+from sylpose.tracking.pose_search import (
     DESCRIPTOR_RATIO,
     LOOSE_DESCRIPTOR_RATIO,
     N_NEAREST_KEYFRAMES,

@@ -18,9 +18,9 @@ from sylpose.methods import METHODS
 from sylpose.results import FrameStatus, Observability
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import arc, make_demo_scene
-from sylpose.tracking.frame import CameraFrame
-from sylpose.tracking.joint_state import N_RECENT_FRAMES
-from sylpose.tracking.region import project_outline, rasterize_outline
+from sylpose.tracking.camera_side.frame import CameraFrame
+from sylpose.tracking.camera_side.region import project_outline, rasterize_outline
+from sylpose.tracking.joint_side.keyframes import N_RECENT_FRAMES
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import Tracker, track
 from tests.clips import (
@@ -180,7 +180,7 @@ def test_initially_static_object(n_cameras: int) -> None:
 
 
 def test_long_static_object(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sylpose.tracking.state_machine.MAX_BUFFERED_FRAMES", 3)
+    monkeypatch.setattr("sylpose.tracking.initialization.MAX_BUFFERED_FRAMES", 3)
     images = [clip.images[0]] * 6 + clip.images[1:4]
     with Tracker(clip.rig) as tracker:
         given = [tracker.step(frame) for frame in frame_sets(images)]
@@ -396,9 +396,9 @@ def test_fewer_cameras_are_less_certain(clip: Clip, tracked: Sequence[TrackedFra
 
 
 def test_images_are_released_and_references_bounded(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sylpose.tracking.keyframes.MAX_KEYFRAMES", 3)
+    monkeypatch.setattr("sylpose.tracking.joint_side.keyframes.MAX_KEYFRAMES", 3)
     monkeypatch.setattr(
-        "sylpose.tracking.keyframes.MIN_NEW_ROTATION", np.radians(1.0)
+        "sylpose.tracking.joint_side.keyframes.MIN_NEW_ROTATION", np.radians(1.0)
     )  # nearly every frame is a keyframe
     alive: list[list[weakref.ref[Any]]] = []
     references = []
@@ -424,7 +424,7 @@ def test_images_are_released_and_references_bounded(clip: Clip, monkeypatch: pyt
 
 
 def test_number_of_buffered_frames_is_bounded(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sylpose.tracking.state_machine.MAX_BUFFERED_FRAMES", 2)
+    monkeypatch.setattr("sylpose.tracking.initialization.MAX_BUFFERED_FRAMES", 2)
     refs: list[weakref.ref[Any]] = []
     with Tracker(clip.rig) as tracker:
         for k in range(6):

@@ -12,7 +12,7 @@ from sylpose.frames import Box
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.report.drawing import project_points
 from sylpose.rig import Camera, Rig
-from sylpose.tracking.region import carve_box_volume
+from sylpose.tracking.joint_side.object_model import carve_box_volume
 
 __all__ = ["BoxHints", "EpipolarBand", "compute_box_hints", "compute_epipolar_band"]
 

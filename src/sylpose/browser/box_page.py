@@ -20,7 +20,7 @@ from sylpose.input_limits import to_one_line
 from sylpose.io.capture import Session
 from sylpose.io.capture.boxes import DEFAULT_OBJECT_NAME, parse_boxes
 from sylpose.report.drawing import encode_jpeg, shrink_image
-from sylpose.tracking.region import carve_box_volume
+from sylpose.tracking.joint_side.object_model import carve_box_volume
 
 __all__ = ["BoxEditor"]
 

@@ -31,20 +31,19 @@ import numpy as np
 
 from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.geometry.numba_linalg import kernel
+from sylpose.geometry.rigid import rotvec
 from sylpose.landmarks.camera_terms import (
     CameraState,
     StackedMatches,
     compute_camera_terms,
     estimate_camera_noise,
     evaluate_pose,
-    make_camera_state,
     update_depth_model,
 )
 from sylpose.landmarks.joint_step import (
     MAX_ITERATIONS,
     AlignmentState,
     is_noise_estimated,
-    make_initial_state,
     take_joint_step,
 )
 from sylpose.landmarks.messages import EvaluationMessage
@@ -58,9 +57,13 @@ __all__ = [
     "align",
     "align_from_starts",
     "evaluate_camera",
+    "make_camera_state",
     "make_first_job",
+    "make_initial_state",
     "make_result",
+    "select_hypothesis",
     "stack_matches",
+    "subtract_uncertainty",
 ]
 
 # A rotation (3, 3), a translation (3,), and the noise assumed in the first iteration, pixels: the pose should be
@@ -81,6 +84,10 @@ MIN_MATCHES = 3
 LEFT_OUT_INFLATION = 1e4
 # Upper limits of the noise that defines inliers, pixels and relative to the rig's, however bad the camera (choice).
 MAX_INLIER_NOISE_PX, MAX_INLIER_NOISE_RATIO = 1.0, 3.0
+# Poses whose mean robust costs differ by less explain the matches equally well (choice).
+MAX_COST_DIFFERENCE = 0.01
+# Squared distance, in standard deviations, below which poses are the same: the first is used (choice).
+SAME_POSE_DISTANCE = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,6 +201,37 @@ class AlignmentJob(NamedTuple):
     left_out: int = -1
 
 
+def make_camera_state(stacked: StackedMatches) -> CameraState:
+    """Return the initial state of the local cameras, with a zero depth model."""
+    n, cameras = len(stacked.prior_weight), len(stacked.focal)
+    return CameraState(
+        depth_model=np.zeros((cameras, 3)),
+        gains=np.zeros((cameras, 3, 7)),
+        weights=np.zeros(n),
+        projections=np.empty((n, 13)),
+        distance=np.zeros(n),
+        cross_residual=np.zeros(n),
+        equations=np.empty((9, 10)),
+        feature_weights=np.empty((int(stacked.feature.max(initial=-1)) + 1, 2)),
+        buffer=np.empty(n),
+    )
+
+
+def make_initial_state(job: AlignmentJob) -> AlignmentState:
+    """Return the shared state at a job's start."""
+    n = len(job.variance_inflation)
+    return AlignmentState(
+        job.rotation.copy(),
+        job.translation.copy(),
+        np.full(n, job.schedule[0]),
+        np.array([job.schedule[0]]),
+        job.variance_inflation.copy(),
+        np.zeros((6, 6)),
+        np.zeros(6),
+        np.zeros(6),
+    )
+
+
 class _CameraGroup(Protocol):
     """All cameras, local or remote, with their number."""
 
@@ -305,10 +343,7 @@ class _LocalCameras:
         return [self._solve_job(job) for job in jobs]
 
     def _solve_job(self, job: AlignmentJob) -> AlignmentResult:
-        camera_state, state = (
-            make_camera_state(self.stacked),
-            make_initial_state(job.rotation, job.translation, job.variance_inflation, job.schedule[0]),
-        )
+        camera_state, state = make_camera_state(self.stacked), make_initial_state(job)
         iterations, converged = _run_iterations(
             self.stacked, np.array(job.schedule, float), job.left_out, state, camera_state
         )
@@ -405,3 +440,62 @@ def _depth_basis(image: FloatArray) -> FloatArray:
         return np.empty((0, 3))
     spread = max(float(np.linalg.norm(image.std(axis=0))), 1e-12)
     return np.column_stack([np.ones(len(image)), (image - np.median(image, axis=0)) / spread])
+
+
+# --- selection among several starts -------------------------------------------------------------------------------------
+
+
+def select_hypothesis(
+    hypotheses: Sequence[AlignmentResult], rotation: FloatArray, translation: FloatArray
+) -> tuple[int, FloatArray]:
+    """Select the alignment that explains the matches best.
+
+    Of equally good distinct ones, the one nearest to a prediction is selected.
+
+    Args:
+        hypotheses: of the same matches, from different starts.
+        rotation, translation: (3, 3) and (3,), the predicted pose.
+
+    Returns:
+        its index; (6,) (w, d) from it to the farthest equally good one: an uncertainty in addition to its covariance.
+    """
+    lowest = min(range(len(hypotheses)), key=lambda k: hypotheses[k].reference_cost)
+    equivalent = [
+        k
+        for k, one in enumerate(hypotheses)
+        if one.reference_cost < hypotheses[lowest].reference_cost + MAX_COST_DIFFERENCE and one.converged
+    ]
+    # Distances use one common information matrix, so that an uncertain pose does not appear nearer.
+    scale = hypotheses[lowest].information
+    best = equivalent[0] if equivalent else lowest
+    for k in equivalent:
+        distance = _squared_distance(
+            _pose_difference(hypotheses[best], hypotheses[k].rotation, hypotheses[k].translation), scale
+        )
+        is_nearer = _squared_distance(
+            _pose_difference(hypotheses[k], rotation, translation), scale
+        ) < _squared_distance(_pose_difference(hypotheses[best], rotation, translation), scale)
+        best = k if is_nearer and distance > SAME_POSE_DISTANCE else best
+    differences = [
+        _pose_difference(hypotheses[best], hypotheses[k].rotation, hypotheses[k].translation) for k in equivalent
+    ]
+    difference = max(differences, key=lambda difference: _squared_distance(difference, scale), default=np.zeros(6))
+    return best, difference if _squared_distance(difference, scale) > SAME_POSE_DISTANCE else np.zeros(6)
+
+
+def subtract_uncertainty(information: FloatArray, difference: FloatArray) -> FloatArray:
+    """Return (6, 6) information of (w, d) reduced by a possible difference (6,).
+
+    It is the inverse of the covariance plus difference difference'.
+    """
+    projection = information @ difference
+    return np.asarray(information - np.outer(projection, projection) / (1.0 + difference @ projection))
+
+
+def _pose_difference(hypothesis: AlignmentResult, rotation: FloatArray, translation: FloatArray) -> FloatArray:
+    """Return the (6,) difference (w, d) from an alignment to a pose."""
+    return np.concatenate([rotvec(rotation @ hypothesis.rotation.T), translation - hypothesis.translation])
+
+
+def _squared_distance(difference: FloatArray, information: FloatArray) -> float:
+    return float(difference @ information @ difference)

@@ -23,7 +23,6 @@ __all__ = [
     "estimate_camera_noise",
     "evaluate_pose",
     "linearize_matches",
-    "make_camera_state",
     "update_depth_model",
 ]
 
@@ -84,22 +83,6 @@ class CameraState(NamedTuple):
     equations: FloatArray
     feature_weights: FloatArray
     buffer: FloatArray
-
-
-def make_camera_state(stacked: StackedMatches) -> CameraState:
-    """Return the initial state, with a zero depth model."""
-    n, cameras = len(stacked.prior_weight), len(stacked.focal)
-    return CameraState(
-        depth_model=np.zeros((cameras, 3)),
-        gains=np.zeros((cameras, 3, 7)),
-        weights=np.zeros(n),
-        projections=np.empty((n, 13)),
-        distance=np.zeros(n),
-        cross_residual=np.zeros(n),
-        equations=np.empty((9, 10)),
-        feature_weights=np.empty((int(stacked.feature.max(initial=-1)) + 1, 2)),
-        buffer=np.empty(n),
-    )
 
 
 @kernel

@@ -28,7 +28,9 @@ from sylpose.landmarks.alignment import (
     LandmarkMatches,
     align_from_starts,
     evaluate_camera,
+    make_camera_state,
     make_first_job,
+    make_initial_state,
     make_result,
     stack_matches,
 )
@@ -36,7 +38,6 @@ from sylpose.landmarks.camera_terms import (
     CameraState,
     compute_camera_terms,
     estimate_camera_noise,
-    make_camera_state,
     update_depth_model,
 )
 from sylpose.landmarks.joint_step import (
@@ -45,7 +46,6 @@ from sylpose.landmarks.joint_step import (
     STEP_TOLERANCE,
     AlignmentState,
     is_noise_estimated,
-    make_initial_state,
     take_joint_step,
 )
 from sylpose.landmarks.messages import EvaluationMessage, Exchange, TermsMessage
@@ -110,7 +110,7 @@ class DistributedAligner:
         """Solve the jobs, see `alignment._CameraGroup`."""
         runs = [
             _JobState(
-                make_initial_state(job.rotation, job.translation, job.variance_inflation, job.schedule[0]),
+                make_initial_state(job),
                 make_camera_state(self._matches),
                 np.array(job.schedule, float),
                 is_used=self._index != job.left_out,
@@ -223,16 +223,10 @@ class DistributedAligner:
         stacked, schedule = self._matches, np.array(job.schedule, float)
         camera_state, state = (
             make_camera_state(stacked),
-            make_initial_state(job.rotation, job.translation, np.ones(1), job.schedule[0]),
+            make_initial_state(job._replace(variance_inflation=np.ones(1))),
         )
-        reduced, with_prior, difference, weight_sum, iteration, is_last = (
-            np.empty((1, 6, 7)),
-            np.empty((1, 6, 7)),
-            np.zeros(6),
-            0.0,
-            0,
-            False,
-        )
+        reduced, with_prior, difference = np.empty((1, 6, 7)), np.empty((1, 6, 7)), np.zeros(6)
+        weight_sum, iteration, is_last = 0.0, 0, False
         prior = _prior_information(stacked.points)
         for iteration in range(1, MAX_ITERATIONS + 2):
             pose, sigma_px = (state.rotation, state.translation), float(state.sigma_px[0])
@@ -248,12 +242,8 @@ class DistributedAligner:
             is_last = converged or iteration == MAX_ITERATIONS
             update_depth_model(0, state.step, camera_state)
         reduced[0, :, 6] -= reduced[0, :, :6] @ difference
-        run = _JobState(
-            make_initial_state(job.rotation, job.translation, job.variance_inflation, job.schedule[-1]),
-            camera_state,
-            schedule[-1:],
-            iteration=1,
-        )
+        start = make_initial_state(job._replace(schedule=job.schedule[-1:]))
+        run = _JobState(start, camera_state, schedule[-1:], iteration=1)
         # Its depth model is that of its own solution, from which steps are taken.
         for k in range(3):
             camera_state.gains[0, k, 6] -= camera_state.gains[0, k, :6] @ difference

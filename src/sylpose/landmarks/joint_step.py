@@ -12,7 +12,7 @@ import numpy as np
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.numba_linalg import apply_rotvec, cholesky, cholesky_solve, kernel, solve_factored
 
-__all__ = ["MAX_ITERATIONS", "AlignmentState", "is_noise_estimated", "make_initial_state", "take_joint_step"]
+__all__ = ["MAX_ITERATIONS", "AlignmentState", "is_noise_estimated", "take_joint_step"]
 
 # Iterations in which noise and variance inflation are updated; then they are constant, and the rest converges (choice).
 SETTLING_ITERATIONS = 5
@@ -53,22 +53,6 @@ class AlignmentState(NamedTuple):
     information: FloatArray
     step: FloatArray
     previous_step: FloatArray
-
-
-def make_initial_state(
-    rotation: FloatArray, translation: FloatArray, variance_inflation: FloatArray, first_px: float
-) -> AlignmentState:
-    """Return the initial state: a pose (3, 3), (3,), variance inflation (C,), and the assumed noise, pixels."""
-    return AlignmentState(
-        rotation.copy(),
-        translation.copy(),
-        np.full(len(variance_inflation), first_px),
-        np.array([first_px]),
-        variance_inflation.copy(),
-        np.zeros((6, 6)),
-        np.zeros(6),
-        np.zeros(6),
-    )
 
 
 @kernel

@@ -16,11 +16,10 @@ from sylpose.landmarks.alignment import LandmarkMatches
 from sylpose.landmarks.messages import EvaluationMessage, TermsMessage
 from sylpose.relative_pose.terms import TermData
 from sylpose.serialization import RecordType, Serializer
-from sylpose.tracking.frame import SolvedFrame
-from sylpose.tracking.joint_state import JointState, Nudge
-from sylpose.tracking.klt_frontend import Anchor
-from sylpose.tracking.motion_model import VelocityModel
-from sylpose.tracking.object_model import ObjectModel
+from sylpose.tracking.joint_side.joint_state import JointState, Nudge, ObjectMotion, Refinement
+from sylpose.tracking.joint_side.keyframes import Anchor, KnownFrames, SolvedFrame
+from sylpose.tracking.joint_side.motion_model import VelocityModel
+from sylpose.tracking.joint_side.object_model import ObjectModel
 from sylpose.tracking.reports import (
     BoxMotionReport,
     CameraMotionReport,
@@ -120,7 +119,7 @@ RECORDS = (
     RecordType(CameraObservations, {**_OBSERVATIONS, "has_moved": ("m",)}),
     RecordType(Handover),
     RecordType(BufferedRecord, {"times": ("n",), "time_offsets": ("n",)}),
-    RecordType(JointState, {"refined_covariance": (6, 6)}),
+    RecordType(JointState),
     RecordType(ObjectModel, {"center": (3,), "points": ("n", 3)}),
     RecordType(
         SolvedFrame, {"time_offsets": ("n",), "covariance": (6, 6), "viewpoints": ("n", 3), "is_visible": ("n",)}
@@ -129,6 +128,9 @@ RECORDS = (
     RecordType(VelocityModel, {"twist": (6,), "change_variance": (6,)}),
     RecordType(Nudge, {"rotation": (3,)}),
     RecordType(FrameAnnouncement),
+    RecordType(KnownFrames),
+    RecordType(ObjectMotion),
+    RecordType(Refinement, {"covariance": (6, 6)}),
 )
 _SERIALIZER = Serializer(RECORDS)
 # Encode a record, a number, an array, or a list or tuple of these; raise TypeError for an unsupported type.

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Protocol, TypeVar, cast
+from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -25,10 +25,10 @@ from sylpose.network.codec import (
 from sylpose.network.membership import ExchangeRequest, ExchangeResult, JoinRequest, Request, Response
 from sylpose.network.plausibility import find_implausibility
 from sylpose.rig import Rig
-from sylpose.tracking.camera import CameraTracker
-from sylpose.tracking.camera_executor import Alignment
-from sylpose.tracking.frame import SolvedFrame
-from sylpose.tracking.joint_state import JointState
+from sylpose.tracking.camera_side.camera import CameraTracker
+from sylpose.tracking.context import Alignment
+from sylpose.tracking.joint_side.joint_state import JointState
+from sylpose.tracking.joint_side.keyframes import SolvedFrame
 from sylpose.tracking.state_transfer import Handover, check_handover
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import TrackerBase
@@ -77,7 +77,7 @@ class CameraFrames(Protocol):
 
 
 class Node:
-    """Executor (`tracking.camera_executor.CameraExecutor`) with one local camera; the others are remote nodes.
+    """Executor (`tracking.context.CameraExecutor`) with one local camera; the others are remote nodes.
 
     Args:
         camera: number of the local camera.
@@ -108,26 +108,24 @@ class Node:
 
     # --- executor interface -------------------------------------------------------------------------------------------
 
-    def map_cameras(self, function: Callable[[int], T], *, is_slow: bool = False) -> list[T]:  # noqa: ARG002
+    @property
+    def local(self) -> Sequence[int]:
         """See `CameraExecutor`."""
-        own_result = function(self.camera)
-        return [own_result if c == self.camera else cast(T, None) for c in range(self.cameras)]
+        return (self.camera,)
 
-    def all_gather(self, function: Callable[[int], T], default: T) -> list[T]:
+    def run(self, function: Callable[..., T], *arguments: Iterable[object]) -> list[T]:
         """See `CameraExecutor`."""
-        return self._exchange(function(self.camera), default)
+        return list(map(function, *arguments))
+
+    def gather(self, reports: Sequence[T], default: T) -> list[T]:
+        """See `CameraExecutor`."""
+        return self._exchange(reports[0], default)
 
     def align(self, observations: Sequence[LandmarkMatches], starts: Sequence[AlignmentStart]) -> list[Alignment]:
         """See `CameraExecutor`."""
         compact = self._mode == "compact"
-        own_alignment = DistributedAligner(
-            observations[self.camera], self.camera, self.cameras, self._exchange, compact=compact
-        )
-        alignments: list[Alignment] = []
-        for one in own_alignment.align(starts):
-            own_result = one.weights[0], one.residuals[0]
-            alignments.append((one, self.map_cameras(lambda _, own_result=own_result: own_result)))  # type: ignore[misc]
-        return alignments
+        aligner = DistributedAligner(observations[0], self.camera, self.cameras, self._exchange, compact=compact)
+        return [(one, [(one.weights[0], one.residuals[0])]) for one in aligner.align(starts)]
 
     def _exchange(self, own_value: T, nothing: T, /) -> list[T]:
         payloads = self._run_round(encode(own_value))
@@ -229,8 +227,8 @@ def track_by_node(
     Raises:
         ValueError: as `track`.
     """
-    parts = [cast(CameraTracker, CameraTracker(c, own) if c == node.camera else None) for c, own in enumerate(rig)]
-    tracking = TrackerBase(rig, parts, node, boxes, method=method, features=features, offsets=offsets, seed=seed)
+    cameras = [CameraTracker(node.camera, rig.cameras[node.camera])]
+    tracking = TrackerBase(rig, cameras, node, boxes, method=method, features=features, offsets=offsets, seed=seed)
     wanted, admitted_at, found = 0, -1, list[TrackedFrame]()
     defining: SolvedFrame | None = None
     while True:
@@ -314,7 +312,7 @@ def _collect_timestamps(
     by_camera = {c: announcement.time for c, announcement in zip(node.members, announcements, strict=True)}
     if any(announcement.newest >= 0 and announcement.newest != number for announcement in announcements):
         own = frame_source.time_of(number)
-        timestamps = node.all_gather(lambda _: np.nan if own is None else own, np.nan)
+        timestamps = node.gather([np.nan if own is None else own], np.nan)
         by_camera = {c: timestamps[c] for c in node.members}
     blind = {c for c, announcement in zip(node.members, announcements, strict=True) if announcement.newest < 0}
     times = {c: time for c, time in by_camera.items() if np.isfinite(time) and c not in blind}

@@ -16,8 +16,9 @@ import numpy as np
 from sylpose.network.node import Node, Rollback
 from sylpose.rig import Rig
 from sylpose.smoothing import SmoothedTrajectory, Track, smooth
+from sylpose.tracking.camera_side.observations import LandmarkObservations
 from sylpose.tracking.reports import CameraObservations, quantize_positions
-from sylpose.tracking.tracked_frame import LandmarkObservations, TrackedFrame
+from sylpose.tracking.tracked_frame import TrackedFrame
 
 __all__ = ["smooth_by_node"]
 

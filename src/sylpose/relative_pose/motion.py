@@ -15,6 +15,7 @@ from sylpose.geometry.duplicates import find_distinct_rows
 from sylpose.geometry.matrices import invert_information, remove_direction
 from sylpose.geometry.noise import NoisePx, NoiseUnits, make_noise_units
 from sylpose.geometry.numba_linalg import kernel
+from sylpose.geometry.rigid import make_motion_about
 from sylpose.geometry.validation import (
     check_choice,
     check_finite,
@@ -41,7 +42,7 @@ from sylpose.relative_pose.terms import (
 from sylpose.results import Motion, Status
 from sylpose.rig import Rig, check_single_pose
 
-__all__ = ["estimate_motion", "estimate_motions", "make_motion_about"]
+__all__ = ["estimate_motion", "estimate_motions"]
 
 
 def estimate_motion(
@@ -185,14 +186,6 @@ def estimate_motions(
         return [estimate_pair(matches) for matches in match_sets]
     with ThreadPoolExecutor(threads) as pool:
         return list(pool.map(estimate_pair, match_sets))
-
-
-def make_motion_about(center: FloatArray, rotation: FloatArray, translation: FloatArray) -> RigidTransform:
-    """Return X -> R (X - g) + g + d as a transform; g (3,), R (3, 3), d (3,)."""
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = rotation, center + translation - rotation @ center
-    # Solvers keep R orthonormal to rounding; normalizing again would take twice as long as the rest of this function.
-    return RigidTransform(matrix, normalize=False)
 
 
 def _build_motion(

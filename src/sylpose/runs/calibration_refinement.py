@@ -15,7 +15,7 @@ from sylpose.io.calibration import save
 from sylpose.report.camera_consistency import find_disagreements
 from sylpose.results import Trajectory
 from sylpose.rig import Camera, Rig
-from sylpose.tracking.joint_state import Nudge
+from sylpose.tracking.joint_side.joint_state import Nudge
 
 __all__ = ["REFINED", "REFINED_END", "compute_final_rig", "describe_changes", "find_moved_cameras", "write_refined"]
 

@@ -20,7 +20,7 @@ from sylpose.results import FrameStatus
 from sylpose.rig import Camera, Rig
 from sylpose.runs.console_output import select_solved_frames
 from sylpose.runs.run_result import Run
-from sylpose.tracking.region import carve_box_volume
+from sylpose.tracking.joint_side.object_model import carve_box_volume
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import Tracker
 

@@ -10,8 +10,7 @@ from sylpose.features.sift import Features
 from sylpose.features.static_background import CameraRotation, RotationRectifier, StaticBackground
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import BoolArray, FloatArray
-from sylpose.landmarks.landmark_filter import Landmarks
-from sylpose.landmarks.landmark_table import LandmarkTable
+from sylpose.landmarks.landmark_filter import Landmarks, LandmarkTable
 from sylpose.network import codec
 from sylpose.report.files import WriterState
 from sylpose.results import FramePose
@@ -19,14 +18,15 @@ from sylpose.rig import Camera, Rig
 from sylpose.serialization import RecordType, Serializer
 from sylpose.smoothing import Track
 from sylpose.tracking.anchor_preparation import find_new_features
-from sylpose.tracking.camera import CameraTracker
-from sylpose.tracking.camera_motion_detection import CameraMotionDetector, View
-from sylpose.tracking.frame import CameraFrame, Frame
-from sylpose.tracking.joint_state import Refinement
-from sylpose.tracking.klt_frontend import CameraAnchor, NextAnchor, TrackedFeatures
-from sylpose.tracking.state_machine import BufferedFrame
-from sylpose.tracking.tracked_frame import LandmarkObservations
-from sylpose.tracking.tracker import TrackerSnapshot
+from sylpose.tracking.camera_side.camera import CameraTracker
+from sylpose.tracking.camera_side.camera_motion import CameraMotionDetector, View
+from sylpose.tracking.camera_side.frame import CameraFrame
+from sylpose.tracking.camera_side.klt_frontend import CameraAnchor, NextAnchor, TrackedFeatures
+from sylpose.tracking.camera_side.observations import LandmarkObservations
+from sylpose.tracking.context import Frame
+from sylpose.tracking.initialization import BufferedFrame
+from sylpose.tracking.joint_side.joint_state import PendingRefinement
+from sylpose.tracking.state_transfer import TrackerSnapshot
 from sylpose.tracking.window import bundle_frames
 
 __all__ = ["SERIALIZER", "OutputState", "RunState"]
@@ -114,7 +114,7 @@ RECORDS = (
     RecordType(OutputState, check=_check_output),
     RecordType(WriterState, {"quaternion": (4,)}),
     RecordType(TrackerSnapshot),
-    RecordType(Refinement, {"landmark_cameras": ("m",)}),
+    RecordType(PendingRefinement, {"landmark_cameras": ("m",)}),
     RecordType(Observations, {"frame": ("n",), "camera": ("n",), "landmark": ("n",), "image": ("n", 2)}),
     RecordType(BufferedFrame),
     RecordType(Frame, {"time_offsets": ("c",)}),

@@ -9,25 +9,21 @@ timing depends on frame numbers only, never on computing time.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from sylpose.features.klt import start_tracks, track_features
 from sylpose.features.sift import MAX_FAINT_FEATURES, Features, detect_features, find_static_features, match_features
-from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import BoolArray, Image, IntArray
 from sylpose.geometry.future import BackgroundResult
-from sylpose.landmarks.alignment import stack_matches
-from sylpose.landmarks.camera_terms import compute_camera_terms, make_camera_state
+from sylpose.landmarks.alignment import make_camera_state, stack_matches
+from sylpose.landmarks.camera_terms import compute_camera_terms
 from sylpose.rig import Camera
-from sylpose.tracking.camera import CameraTracker
-from sylpose.tracking.context import Region, TrackerContext
-from sylpose.tracking.frame import CameraFrame, FrameMatches, SolvedFrame, drop_background, match_frames
-from sylpose.tracking.joint_state import JointState
-from sylpose.tracking.keyframes import add_keyframe, select_references
-from sylpose.tracking.klt_frontend import (
+from sylpose.tracking.camera_side.camera import CameraTracker
+from sylpose.tracking.camera_side.frame import CameraFrame, FrameMatches, drop_background, match_frames, omit_empty
+from sylpose.tracking.camera_side.klt_frontend import (
     N_ANCHOR_FEATURES,
-    Anchor,
     CameraAnchor,
     NextAnchor,
     TrackedFeatures,
@@ -35,67 +31,49 @@ from sylpose.tracking.klt_frontend import (
     create_anchor,
     select_tracked,
 )
-from sylpose.tracking.observations import build_observations, split_by_pair
+from sylpose.tracking.camera_side.observations import ReobservedFeatures, build_observations, split_by_pair
+from sylpose.tracking.context import TrackerContext
+from sylpose.tracking.joint_side.joint_state import JointState
+from sylpose.tracking.joint_side.keyframes import Anchor, SolvedFrame, add_keyframe, select_references
 from sylpose.tracking.pose_search import MAX_KLT_FEATURES, PoseCandidate
-from sylpose.tracking.region import rasterize_outline
-from sylpose.tracking.reobserved import ReobservedFeatures
 
 __all__ = ["begin_preparation", "can_prepare", "find_new_features", "join_anchor"]
 
-# Delay in frames until the new features are added: at 30 frames per second the time needed on a busy processor
-# (choice).
-JOIN_DELAY = 7
 # Minimum noise by which a match is judged, pixels (choice).
 MIN_NOISE_PX = 1.0
 
 
 def can_prepare(state: JointState) -> bool:
     """Return whether the last frame may become the next anchor."""
-    return state.next_anchor_number is None and state.has_moved and not state.object.is_depth_guessed
+    is_idle = state.frames.next_anchor_number is None
+    return is_idle and state.motion.has_moved and not state.object.is_depth_guessed
 
 
-def begin_preparation(
-    context: TrackerContext, state: JointState, frames: FrameSet, candidate: PoseCandidate
-) -> JointState:
+def begin_preparation(context: TrackerContext, state: JointState, candidate: PoseCandidate) -> JointState:
     """Start detecting new features in the last solved frame."""
-    assert candidate.tracked is not None
-    last, tracked = state.last_frame, candidate.tracked
-
-    def begin_in_camera(c: int) -> None:
-        camera_tracker, tracked_features = context.camera_trackers[c], tracked[c]
-        camera_tracker.next_anchor = None
-        if tracked_features.image is None:
-            return
-        keyframes = select_references(state.keyframes, c, last.viewpoints[c], last)
-        references = {k.number: camera_tracker.frames[k.number].features for k in keyframes}
-        area = _search_area(candidate.regions[c], frames.masks[c], camera_tracker.camera)
+    frame, last = candidate.frame, state.last
+    assert frame.tracked is not None
+    assert frame.regions is not None
+    for camera, tracked, region in zip(context.cameras, frame.tracked, frame.regions, strict=True):
+        camera.next_anchor = None
+        if tracked.image is None:
+            continue
+        keyframes = select_references(state.frames.keyframes, camera.index, last.viewpoints[camera.index], last)
+        area, mask = camera.rasterize(region), frame.images.masks[camera.index]
         detection = BackgroundResult(
             find_new_features,
-            tracked_features.image,
-            camera_tracker.camera,
-            area,
+            tracked.image,
+            camera.camera,
+            area if mask is None else area & mask,
             state.is_feature_poor,
-            tracked_features,
-            camera_tracker.background_features,
-            camera_tracker.static_px,
-            references,
+            tracked,
+            camera.background_features,
+            camera.static_px,
+            {k.number: camera.frames[k.number].features for k in keyframes},
         )
-        camera_tracker.next_anchor = NextAnchor(
-            last.number,
-            tracked_features.image,
-            candidate.rig.cameras[c],
-            len(tracked_features),
-            tracked_features.rows,
-            detection,
-        )
-
-    context.executor.map_cameras(begin_in_camera)
-    return replace(state, next_anchor_number=last.number)
-
-
-def _search_area(region: Region, mask: BoolArray | None, camera: Camera) -> BoolArray:
-    area = rasterize_outline(region, camera.size)
-    return area if mask is None else area & mask
+        frame_camera = candidate.rig.cameras[camera.index]
+        camera.next_anchor = NextAnchor(last.number, tracked.image, frame_camera, len(tracked), tracked.rows, detection)
+    return replace(state, frames=replace(state.frames, next_anchor_number=last.number))
 
 
 def find_new_features(
@@ -127,33 +105,20 @@ def find_new_features(
     return new, {number: match_features(features, new) for number, features in references.items()}
 
 
-def join_anchor(context: TrackerContext, state: JointState, number: int) -> JointState:
-    """Switch to the next anchor once it is due in the frame with this number."""
-    if (
-        state.next_anchor_number is None
-        or number < state.next_anchor_number + JOIN_DELAY
-        or state.next_anchor_number not in state.known_frames
-    ):
-        return state
-    frame = state.known_frames[state.next_anchor_number]
-    context.executor.map_cameras(lambda c: _join_camera(context.camera_trackers[c], state, frame), is_slow=True)
-    keyframes = tuple(sorted(add_keyframe(state.keyframes, frame), key=lambda k: k.number))
-    return replace(
-        state,
-        anchor=Anchor(frame, state.last_frame.number - frame.number),
-        keyframes=keyframes,
-        next_anchor_number=None,
-    )
+def join_anchor(context: TrackerContext, state: JointState) -> JointState:
+    """Switch to the next anchor, which is due (`KnownFrames.is_next_anchor_due`)."""
+    assert state.frames.next_anchor_number is not None
+    frame = state.frames.by_number[state.frames.next_anchor_number]
+    context.executor.run(partial(_join_camera, state=state, frame=frame), context.cameras)
+    keyframes = tuple(sorted(add_keyframe(state.frames.keyframes, frame), key=lambda k: k.number))
+    anchor = Anchor(frame, state.last.number - frame.number)
+    return replace(state, frames=replace(state.frames, anchor=anchor, keyframes=keyframes, next_anchor_number=None))
 
 
-def _join_camera(camera_tracker: CameraTracker, state: JointState, frame: SolvedFrame) -> None:
+def _join_camera(camera: CameraTracker, state: JointState, frame: SolvedFrame) -> None:
     """Add the new features to one camera's frame and track them from now on."""
-    next_anchor, old, previous_anchor = (
-        camera_tracker.next_anchor,
-        camera_tracker.frames[frame.number],
-        camera_tracker.anchor,
-    )
-    camera_tracker.next_anchor = None
+    next_anchor, old, previous_anchor = camera.next_anchor, camera.frames[frame.number], camera.anchor
+    camera.next_anchor = None
     if (
         next_anchor is None
         or previous_anchor is None
@@ -161,29 +126,28 @@ def _join_camera(camera_tracker: CameraTracker, state: JointState, frame: Solved
         or next_anchor.n_tracked != len(old.features)
     ):
         # The camera had no image of the frame, or was rejected.
-        camera_tracker.anchor = create_anchor(frame.number, old, None, None)
+        camera.anchor = create_anchor(frame.number, old, None, None)
         return
     features, matches = next_anchor.result.value()
-    new_frame, pose, radius = camera_tracker.create_frame(features), frame.world_from_object, state.object.radius
-    pairs = []
+    new_frame, pose, radius = camera.create_frame(features), frame.world_from_object, state.object.radius
+    known_frames = state.frames.by_number
+    pairs = list[FrameMatches]()
     for number, indices in matches.items():
-        if number in camera_tracker.frames and number in state.known_frames:
-            pair = match_frames(number, camera_tracker.frames[number], new_frame, indices)
-            reference_pose = state.known_frames[number].world_from_object
+        if number in camera.frames and number in known_frames:
+            pair = match_frames(number, camera.frames[number], new_frame, indices)
+            reference_pose = known_frames[number].world_from_object
             pairs.append(drop_background(pair, new_frame, next_anchor.camera, reference_pose, pose, radius))
-    reobserved = _select_agreeing(next_anchor.camera, [pair for pair in pairs if len(pair)], new_frame, frame, radius)
-    camera_tracker.update_landmarks(new_frame, next_anchor.camera, pose, reobserved, state.object.points, radius)
+    reobserved = _select_agreeing(next_anchor.camera, omit_empty(pairs), new_frame, frame, radius)
+    camera.update_landmarks(new_frame, next_anchor.camera, pose, reobserved, state.object)
     merged = CameraFrame(
         Features.concatenate([old.features, features]),
         np.concatenate([old.background, new_frame.background]),
-        camera_tracker.table,
+        camera.table,
         np.concatenate([old.landmark_ids, new_frame.landmark_ids]),
-        camera_tracker.static_px,
+        camera.static_px,
     )
-    camera_tracker.frames[frame.number] = merged
-    camera_tracker.anchor = _track_to_last_image(
-        next_anchor, new_frame, merged, frame, state.last_frame, previous_anchor
-    )
+    camera.frames[frame.number] = merged
+    camera.anchor = _track_to_last_image(next_anchor, new_frame, merged, frame, state.last, previous_anchor)
 
 
 def _select_agreeing(
@@ -219,15 +183,11 @@ def _track_to_last_image(
         frame, last: the anchor's frame; the last solved frame.
         previous_anchor: the anchor until now.
     """
-    tracks, new_tracks = (
-        previous_anchor.tracks.subset(next_anchor.rows),
-        start_tracks(next_anchor.image, new_features.features.pixels),
-    )
-    alive = select_tracked(
-        np.concatenate([previous_anchor.is_alive[next_anchor.rows], new_tracks.tracked & ~new_features.background]),
-        next_anchor.n_tracked,
-    )
-    alive[: next_anchor.n_tracked] = previous_anchor.is_alive[next_anchor.rows]
+    tracks, was_alive = previous_anchor.tracks.subset(next_anchor.rows), previous_anchor.is_alive[next_anchor.rows]
+    new_tracks = start_tracks(next_anchor.image, new_features.features.pixels)
+    is_tracked = np.concatenate([was_alive, new_tracks.tracked & ~new_features.background])
+    alive = select_tracked(is_tracked, next_anchor.n_tracked)
+    alive[: next_anchor.n_tracked] = was_alive
     if previous_anchor.image is not None:
         means = new_features.landmarks.mean
         start_pixels, end_pixels = (

@@ -1,6 +1,6 @@
 """Correction of camera motion: detected rotations are reported and images rotated back.
 
-A camera whose background shows a rotation (`camera_motion_detection`) is ignored until two consecutive frames give the
+A camera whose background shows a rotation (`camera_side.camera_motion`) is ignored until two consecutive frames give the
 same rotation. From then on its images are rotated back before any processing: its calibration and all landmarks stay
 valid.
 """
@@ -13,12 +13,9 @@ from dataclasses import replace
 import numpy as np
 
 from sylpose.frames import FrameSet
-from sylpose.geometry.arrays import FloatArray
-from sylpose.tracking.camera_executor import CameraExecutor
-from sylpose.tracking.camera_motion_detection import PAUSE_FRAMES, View
-from sylpose.tracking.context import REGION_MARGIN, TrackerContext
-from sylpose.tracking.joint_state import JointState, Nudge
-from sylpose.tracking.region import project_outline
+from sylpose.tracking.camera_side.camera_motion import PAUSE_FRAMES
+from sylpose.tracking.context import TrackerContext
+from sylpose.tracking.joint_side.joint_state import JointState, Nudge
 from sylpose.tracking.reports import CameraMotionReport
 from sylpose.tracking.tracked_frame import TrackedFrame
 
@@ -26,7 +23,7 @@ __all__ = ["add_nudge_faults", "compensate_camera_motion"]
 
 
 def compensate_camera_motion(
-    context: TrackerContext, state: JointState, frames: FrameSet
+    context: TrackerContext, state: JointState, images: FrameSet
 ) -> tuple[JointState, FrameSet]:
     """Compensate camera rotations in the images and record newly confirmed ones.
 
@@ -35,43 +32,38 @@ def compensate_camera_motion(
     Returns:
         the state; the images.
     """
-    executor, n = context.executor, len(context.rig)
-    stabilized = executor.map_cameras(
-        lambda c: context.camera_trackers[c].motion_detector.stabilize(frames.images[c], frames.masks[c])
-    )
+    views = {camera.index: camera.motion_detector.stabilize(*camera.view_of(images)) for camera in context.cameras}
     center, points = state.object.center, state.object.points
     if center is not None:
-        points = points + center if state.last is None else state.predict_pose(frames.time).apply(points)
-
-    def detect_motion(c: int) -> CameraMotionReport:
-        def project_region() -> FloatArray | None:
-            return project_outline(context.rig.cameras[c], points, REGION_MARGIN) if center is not None else None
-
-        return context.camera_trackers[c].motion_detector.detect(stabilized[c][0], project_region, frames.index)
-
-    reports = executor.all_gather(detect_motion, CameraMotionReport())
-    rotated = [c for c, report in enumerate(reports) if report.angle > 0]
-    if not rotated:
-        return state, _replace_images(executor, frames, stabilized)
+        points = points + center if state.frames.last is None else state.predict_pose(images.time).apply(points)
+    own_reports = [
+        camera.motion_detector.detect(views[camera.index][0], None if center is None else points, images.index)
+        for camera in context.cameras
+    ]
+    reports = context.executor.gather(own_reports, CameraMotionReport())
+    rotated = [c for c, report in enumerate(reports) if np.linalg.norm(report.rotation) > 0]
+    moving = [camera for camera in context.cameras if camera.index in rotated]
     # Motion in most cameras at once is that of the object, or of all cameras. With one camera the two cannot be
     # distinguished until the object's position is known.
-    if sum(report.has_changed for report in reports) > max(n // 2, 1) or (n == 1 and center is None):
-        executor.map_cameras(
-            lambda c: context.camera_trackers[c].motion_detector.restart(PAUSE_FRAMES) if c in rotated else None
-        )
-        return state, _replace_images(executor, frames, stabilized)
-    confirmed = [c for c in rotated if reports[c].is_confirmed]
-
-    def correct_view(c: int) -> View:
-        if c in confirmed:
-            context.camera_trackers[c].motion_detector.apply_correction()
-            return context.camera_trackers[c].motion_detector.stabilize(frames.images[c], frames.masks[c])
-        return (None, None) if c in rotated else stabilized[c]
-
-    nudges = tuple(Nudge(c, reports[c].first_frame, reports[c].rotation, reports[c].sd) for c in confirmed)
-    return replace(state, nudges=(*state.nudges, *nudges)), _replace_images(
-        executor, frames, executor.map_cameras(correct_view)
+    n_changed, n = sum(report.has_changed for report in reports), len(context.rig)
+    if rotated and (n_changed > max(n // 2, 1) or (n == 1 and center is None)):
+        for camera in moving:
+            camera.motion_detector.restart(PAUSE_FRAMES)
+        rotated, moving = [], []
+    for camera in moving:
+        if reports[camera.index].is_confirmed:
+            camera.motion_detector.apply_correction()
+            views[camera.index] = camera.motion_detector.stabilize(*camera.view_of(images))
+        else:
+            views[camera.index] = (None, None)
+    confirmed = [(c, reports[c]) for c in rotated if reports[c].is_confirmed]
+    nudges = tuple(Nudge(c, report.first_frame, report.rotation, report.sd) for c, report in confirmed)
+    corrected = replace(
+        images,
+        images=context.spread(image for image, _ in views.values()),
+        masks=context.spread(mask for _, mask in views.values()),
     )
+    return replace(state, nudges=(*state.nudges, *nudges)) if nudges else state, corrected
 
 
 def add_nudge_faults(context: TrackerContext, state: JointState, decided: Sequence[TrackedFrame]) -> list[TrackedFrame]:
@@ -93,8 +85,3 @@ def add_nudge_faults(context: TrackerContext, state: JointState, decided: Sequen
             pose = replace(pose, covariance=covariance, faults=(*pose.faults, fault))
         out.append(replace(tracked, pose=pose, nudges=tuple(before)) if before else tracked)
     return out
-
-
-def _replace_images(executor: CameraExecutor, frames: FrameSet, views: Sequence[View]) -> FrameSet:
-    images, masks = executor.map_cameras(lambda c: views[c][0]), executor.map_cameras(lambda c: views[c][1])
-    return replace(frames, images=tuple(images), masks=tuple(masks))

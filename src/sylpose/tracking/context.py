@@ -1,9 +1,17 @@
-"""Shared tracking context: rig, per-camera trackers, executor and pose solver."""
+"""What all steps of tracking share: the rig, this process's cameras, their exchange of reports, and the current frame.
+
+A list that is "per camera, local" has one entry for each camera of this process: all of the rig, or in a distributed
+run one. A step is a loop over these cameras. What they have to share is gathered: then it has an entry for each camera
+of the rig, and is identical on all of them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Protocol, TypeVar, cast
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -11,132 +19,178 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.features.sift import MAX_FEATURES, Features
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import FloatArray
+from sylpose.landmarks.alignment import AlignmentResult, AlignmentStart, LandmarkMatches, align
+from sylpose.methods import METHODS
 from sylpose.rig import Rig
-from sylpose.tracking.camera import CameraTracker, is_large
-from sylpose.tracking.camera_executor import CameraExecutor
-from sylpose.tracking.frame import CameraFrame, Frame
-from sylpose.tracking.frame_solvers import Solver
-from sylpose.tracking.joint_state import JointState
-from sylpose.tracking.klt_frontend import TrackedFeatures
-from sylpose.tracking.region import project_outline, rasterize_outline
+from sylpose.tracking.camera_side.camera import CameraTracker
+from sylpose.tracking.camera_side.frame import CameraFrame, FrameMatches
+from sylpose.tracking.camera_side.klt_frontend import TrackedFeatures
+from sylpose.tracking.camera_side.region import REGION_MARGIN, Region, project_outline
+from sylpose.tracking.joint_side.joint_state import JointState
 
 __all__ = [
-    "MAX_REGION_MARGIN",
-    "REGION_MARGIN",
-    "Region",
+    "Alignment",
+    "CameraExecutor",
+    "Frame",
+    "LocalExecutor",
     "TrackerContext",
-    "collect_features",
+    "create_frame",
+    "detect",
+    "detect_everywhere",
+    "drop_static_matches",
+    "object_radius_px",
     "project_regions",
-    "split_by_region",
 ]
 
-Region = FloatArray | None
+T = TypeVar("T")
 
-# Margin of the object's search region, as a share of its size in the image. It grows while the object is lost, up to a
-# maximum (choice).
-REGION_MARGIN, MAX_REGION_MARGIN = 0.15, 1.0
+# A pose and, per camera, local: (weights, residuals) of its observations.
+Alignment = tuple[AlignmentResult, list[tuple[FloatArray, FloatArray]]]
+
+
+class CameraExecutor(Protocol):
+    """Interface between the local cameras and all others.
+
+    Every participating camera runs the same program and calls these methods in the same order. So only results are
+    sent, never requests.
+    """
+
+    @property
+    def local(self) -> Sequence[int]:
+        """Indices in the rig of the local cameras."""
+
+    def run(self, function: Callable[..., T], *arguments: Iterable[object]) -> list[T]:
+        """Run a function that takes milliseconds for each local camera, as `map`; cameras in one process in parallel.
+
+        Args:
+            function: uses and changes only that camera's data.
+            arguments: each per camera, local.
+        """
+
+    def gather(self, reports: Sequence[T], default: T) -> list[T]:
+        """Share the local cameras' reports with all cameras.
+
+        Args:
+            reports: per camera, local: `reports`, numbers or arrays.
+            default: report of a camera without an image, also used in place of an excluded camera's.
+
+        Returns:
+            per camera, in the rig's order: the reports, identical on all cameras.
+        """
+
+    def align(self, observations: Sequence[LandmarkMatches], starts: Sequence[AlignmentStart]) -> list[Alignment]:
+        """Estimate the pose that best fits all cameras' observations, from each start (`landmarks.alignment`).
+
+        Args:
+            observations: per camera, local: observations of landmarks.
+            starts: initial poses.
+        """
+
+
+class LocalExecutor:
+    """Executor for all cameras in one process, with worker threads."""
+
+    def __init__(self, cameras: int, workers: int) -> None:
+        self.local: Sequence[int] = range(cameras)
+        self._pool = ThreadPoolExecutor(workers, "camera")
+
+    def close(self) -> None:
+        """Shut down the worker threads."""
+        self._pool.shutdown()
+
+    def run(self, function: Callable[..., T], *arguments: Iterable[object]) -> list[T]:
+        """See `CameraExecutor`."""
+        return list(self._pool.map(function, *arguments))
+
+    def gather(self, reports: Sequence[T], default: T) -> list[T]:  # noqa: ARG002
+        """See `CameraExecutor`."""
+        return list(reports)
+
+    def align(self, observations: Sequence[LandmarkMatches], starts: Sequence[AlignmentStart]) -> list[Alignment]:
+        """See `CameraExecutor`."""
+        aligned = [align(observations, *start) for start in starts]
+        return [(one, list(zip(one.weights, one.residuals, strict=True))) for one in aligned]
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A frame whose pose is searched for.
+
+    Attributes:
+        number: frames are numbered consecutively.
+        images: the images and masks.
+        time_offsets: (C,) seconds after `time` at which each camera took its image.
+        regions: per camera, local: search region; None: the whole images.
+        cameras: per camera, local: its data; empty until features are detected.
+        tracked: per camera, local: its tracked features, which come first; None without KLT.
+        has_new_features: whether it has newly detected features, to be matched by descriptors.
+    """
+
+    number: int
+    images: FrameSet
+    time_offsets: FloatArray
+    regions: Sequence[Region] | None = None
+    cameras: Sequence[CameraFrame] = ()
+    tracked: Sequence[TrackedFeatures] | None = None
+    has_new_features: bool = True
+
+    @property
+    def time(self) -> float:
+        """Seconds."""
+        return self.images.time
+
+    @property
+    def features(self) -> list[Features]:
+        """Features; per camera, local."""
+        return [own.features for own in self.cameras]
 
 
 @dataclass(frozen=True, eq=False)
 class TrackerContext:
     """Fixed settings and components of one tracking run.
 
-    Lists marked "per camera, local" have one entry per camera of the rig. In a distributed run only the entry of the
-    process's own camera is meaningful (`camera_executor`).
-
     Attributes:
         rig: C cameras.
-        camera_trackers: per camera, local: its state and feature detection.
-        executor: executes functions for all cameras.
-        solver: pose solver of the chosen method (`frame_solvers`).
+        cameras: per camera, local: its state and feature detection.
+        executor: connects the cameras.
+        method: of `frame_solvers`.
         uses_klt: whether features are tracked by KLT between anchor frames.
         time_offsets: (C,) seconds by which each camera's images are later than its time stamps.
         seed: random seed of outlier rejection.
-        refines_window: whether recent frames are refined jointly during tracking (`window`).
     """
 
     rig: Rig
-    camera_trackers: Sequence[CameraTracker]
+    cameras: Sequence[CameraTracker]
     executor: CameraExecutor
-    solver: Solver
+    method: str
     uses_klt: bool
     time_offsets: FloatArray
     seed: int
-    refines_window: bool = False
+
+    @property
+    def refines_window(self) -> bool:
+        """Whether recent frames are refined jointly during tracking (`window`)."""
+        return self.method == METHODS[0]
 
     def create_rng(self) -> np.random.Generator:
         """Create a random generator that gives each frame the same sequence."""
         return np.random.default_rng(self.seed)
 
-    def detect(
-        self,
-        frames: FrameSet,
-        regions: Sequence[Region] | None,
-        max_features: int = MAX_FEATURES,
-        *,
-        faint: bool = False,
-        reduced: bool = False,
-    ) -> list[Features]:
-        """Detect features in the object's regions.
+    def spread(self, values: Iterable[T]) -> tuple[T, ...]:
+        """Return per camera of the rig the local cameras' values; None stands for those of the others."""
+        by_index = dict(zip(self.executor.local, values, strict=True))
+        return tuple(cast(T, by_index.get(c)) for c in range(len(self.rig)))
 
-        Args:
-            frames: images and masks of one frame.
-            regions: per camera, local: (k, 2) outline in pixels; None for the whole image.
-            max_features: maximum number of features per camera.
-            faint: whether to keep low-contrast features and ignore `max_features`.
-            reduced: whether to downscale large images.
+    def with_features(self, frame: Frame, features: Sequence[Features]) -> Frame:
+        """Return a frame with each local camera's features."""
+        own = [camera.create_frame(found) for camera, found in zip(self.cameras, features, strict=True)]
+        return replace(frame, cameras=own)
 
-        Returns:
-            per camera, local: features.
-        """
 
-        def detect_in_camera(c: int) -> Features:
-            area = None if regions is None else rasterize_outline(regions[c], self.rig.cameras[c].size)
-            return self.camera_trackers[c].detect(
-                frames.images[c], frames.masks[c], area, max_features, faint=faint, reduced=reduced
-            )
-
-        return self.executor.map_cameras(detect_in_camera, is_slow=True)
-
-    def detect_surroundings(self, frames: FrameSet, regions: Sequence[Region], *, faint: bool) -> list[Features]:
-        """Detect features outside the object's regions; per camera, local."""
-        return self.executor.map_cameras(
-            lambda c: self.camera_trackers[c].detect_surroundings(
-                frames.images[c], frames.masks[c], regions[c], faint=faint
-            ),
-            is_slow=True,
-        )
-
-    def detect_at_full_res(
-        self, frames: FrameSet, features: Sequence[Features], regions: Sequence[Region], *, faint: bool = False
-    ) -> list[Features]:
-        """Detect features in the regions at full resolution; per camera, local.
-
-        See `CameraTracker.detect_at_full_res`.
-        """
-        return self.executor.map_cameras(
-            lambda c: self.camera_trackers[c].detect_at_full_res(
-                frames.images[c], frames.masks[c], features[c], regions[c], faint=faint
-            ),
-            is_slow=any(map(is_large, self.rig)),
-        )
-
-    def object_radius_px(self, state: JointState, c: int, world_from_object: RigidTransform) -> float:
-        """Return the object's radius in a camera's image at a pose, pixels."""
-        camera = self.rig.cameras[c]
-        depth = max(float(camera.camera_from_world.apply(world_from_object.translation)[2]), 1e-12)
-        return state.object.radius / depth * camera.focal
-
-    def create_frame(self, number: int, frames: FrameSet, features: Sequence[Features]) -> Frame:
-        """Create an unsolved frame from each camera's features."""
-        times = [frames.time if time is None else time for time in frames.times]
-        time_offsets = np.array(times) - frames.time + self.time_offsets
-        return Frame(
-            number,
-            frames.time,
-            time_offsets,
-            self.executor.map_cameras(lambda c: self.camera_trackers[c].create_frame(features[c])),
-        )
+def create_frame(context: TrackerContext, number: int, images: FrameSet) -> Frame:
+    """Create a frame from its images, without features."""
+    times = [images.time if time is None else time for time in images.times]
+    return Frame(number, images, np.array(times) - images.time + context.time_offsets)
 
 
 def project_regions(
@@ -148,25 +202,49 @@ def project_regions(
         growth: margin as a share of the object's size in the image.
 
     Returns:
-        per camera, local: (k, 2) outline with margin, pixels; None if out of view.
+        per camera, local: its region; None if out of view.
     """
     points = world_from_object.apply(state.object.points)
-    return context.executor.map_cameras(lambda c: project_outline(context.rig.cameras[c], points, growth))
+    return [project_outline(camera.camera, points, growth) for camera in context.cameras]
 
 
-def collect_features(
-    context: TrackerContext, frames: Sequence[CameraFrame] | Sequence[TrackedFeatures]
+def object_radius_px(context: TrackerContext, state: JointState, world_from_object: RigidTransform) -> list[float]:
+    """Return per camera of the rig the object's radius in its image at a pose, pixels."""
+    center = world_from_object.translation
+    depths = [max(float(camera.camera_from_world.apply(center)[2]), 1e-12) for camera in context.rig]
+    return [state.object.radius / depth * camera.focal for camera, depth in zip(context.rig, depths, strict=True)]
+
+
+def detect(context: TrackerContext, frame: Frame, max_features: int = MAX_FEATURES, *, faint: bool) -> list[Features]:
+    """Detect features in a frame's regions; per camera, local. See `CameraTracker.detect`."""
+    assert frame.regions is not None
+    detect_in = partial(CameraTracker.detect_in, images=frame.images, max_features=max_features, faint=faint)
+    return context.executor.run(detect_in, context.cameras, frame.regions)
+
+
+def detect_everywhere(
+    context: TrackerContext, images: FrameSet, max_features: int, *, faint: bool = False, reduced: bool
 ) -> list[Features]:
-    """Return the features of each camera's frame or tracks; per camera, local."""
-    return context.executor.map_cameras(lambda c: frames[c].features)
+    """Detect features in the whole images; per camera, local. See `CameraTracker.detect`."""
+    views = [camera.view_of(images) for camera in context.cameras]
+    detect_all = partial(CameraTracker.detect, area=None, max_features=max_features, faint=faint, reduced=reduced)
+    return context.executor.run(detect_all, context.cameras, views)
 
 
-def split_by_region(
-    context: TrackerContext, features: Sequence[Features], regions: Sequence[Region]
-) -> tuple[list[Features], list[Features]]:
-    """Split features into those inside and those outside the regions; per camera, local."""
-    inside = context.executor.map_cameras(lambda c: context.camera_trackers[c].find_inside(features[c], regions[c]))
-    return (
-        context.executor.map_cameras(lambda c: features[c].subset(inside[c])),
-        context.executor.map_cameras(lambda c: features[c].subset(~inside[c])),
-    )
+def drop_static_matches(
+    context: TrackerContext,
+    state: JointState,
+    frame: Frame,
+    pairs: Sequence[Sequence[FrameMatches]],
+    predicted_pose: RigidTransform,
+) -> list[list[FrameMatches]]:
+    """Remove matches that are background according to the predicted motion; per camera, local.
+
+    Args:
+        predicted_pose: predicted world_from_object.
+    """
+    poses = {number: solved.world_from_object for number, solved in state.frames.by_number.items()}
+    return [
+        camera.drop_background(own, current, poses, predicted_pose, state.object.radius)
+        for camera, own, current in zip(context.cameras, pairs, frame.cameras, strict=True)
+    ]

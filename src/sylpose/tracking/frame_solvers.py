@@ -8,38 +8,39 @@ from functools import partial
 
 import numpy as np
 from scipy.linalg import block_diag
+from scipy.spatial.transform import RigidTransform
 
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.rigid import rotvec
-from sylpose.landmarks.alignment import FIRST_PX, LandmarkMatches
-from sylpose.landmarks.hypothesis_selection import select_hypothesis, subtract_uncertainty
+from sylpose.landmarks.alignment import FIRST_PX, LandmarkMatches, select_hypothesis, subtract_uncertainty
 from sylpose.relative_pose.observability import is_more_than_chance
 from sylpose.relative_pose.solver import fit_terms
 from sylpose.relative_pose.sylvester_methods import ESTIMATORS, UNBIASED_METHODS, apply_paper_method
-from sylpose.relative_pose.terms import MIN_MATCHES, Fit, TermData, make_failed_fit
+from sylpose.relative_pose.terms import MIN_MATCHES, Fit, TermData
 from sylpose.results import Status
 from sylpose.rig import Rig
 from sylpose.sylvester.known_depth import solve_2d3d
-from sylpose.tracking.camera_executor import CameraExecutor
-from sylpose.tracking.frame import CameraFrame, FrameMatches, SolvedFrame, compute_reference_motion
-from sylpose.tracking.observations import (
+from sylpose.tracking.camera_side.frame import CameraFrame, FrameMatches
+from sylpose.tracking.camera_side.observations import (
     STATIC_WEIGHT,
+    MatchWeights,
     build_observations,
     compute_depth_smear,
     compute_full_weight_age,
     compute_inlier_statistics,
     compute_support,
+    expand_ages,
     split_by_pair,
     summarize_ages,
     weight_observations,
 )
-from sylpose.tracking.reports import CameraTerms, InlierStatistics, KnownDepthMatches, LandmarkAges, expand_ages
+from sylpose.tracking.context import Alignment, CameraExecutor
+from sylpose.tracking.joint_side.keyframes import SolvedFrame
+from sylpose.tracking.reports import CameraTerms, InlierStatistics, KnownDepthMatches, LandmarkAges
 
-__all__ = ["SOLVERS", "MatchWeights", "PoseProblem", "PoseSolution", "gather_terms", "scatter_fit"]
+__all__ = ["SOLVERS", "PoseProblem", "PoseSolution", "compute_reference_motion", "gather_terms", "scatter_fit"]
 
 Hypothesis = tuple[FloatArray, FloatArray]
-# For one camera: (weights, residuals in pixels) of each of its pairs.
-MatchWeights = list[tuple[FloatArray, FloatArray]]
 
 # Above this mean robust cost most landmarks contradict the pose from this start, and other starts are tried (choice).
 MAX_GOOD_COST = 0.6
@@ -104,29 +105,31 @@ class PoseSolution:
     """A frame's motion since the last solved one.
 
     Attributes:
-        status: see `Status`.
-        rotation: (3, 3) R; undefined without `status.has_pose`.
-        translation: (3,) d, likewise.
+        rotation: (3, 3) R.
+        translation: (3,) d.
         information: (6, 6) of (w, d).
-        iterations: of the solver.
         match_weights: per camera, local: weights and residuals of its matches.
         variance_inflation: (C,) variance inflation factor per camera, see `AlignmentResult`.
         faults: a sentence for each camera identified as faulty.
+        is_static: whether the object did not move measurably.
         is_biased: whether the object's surface biases the motion, so that errors accumulate with rotation.
     """
 
-    status: Status
     rotation: FloatArray
     translation: FloatArray
     information: FloatArray
-    iterations: int
     match_weights: Sequence[MatchWeights]
     variance_inflation: FloatArray
     faults: tuple[str, ...] = ()
+    is_static: bool = False
     is_biased: bool = False
 
 
-Solver = Callable[[CameraExecutor, PoseProblem], PoseSolution]
+# Returns None without a pose.
+Solver = Callable[[CameraExecutor, PoseProblem], PoseSolution | None]
+
+
+# --- epipolar geometry, and the paper's estimators --------------------------------------------------------------------
 
 
 def gather_terms(terms_by_camera: Sequence[Sequence[TermData]]) -> list[TermData]:
@@ -134,110 +137,105 @@ def gather_terms(terms_by_camera: Sequence[Sequence[TermData]]) -> list[TermData
     return [term for terms in terms_by_camera for term in terms]
 
 
-def scatter_fit(fit: Fit, terms_by_camera: Sequence[Sequence[TermData]]) -> list[MatchWeights]:
-    """Scatter the result of a fit to `gather_terms` terms back to the cameras."""
+def scatter_fit(
+    executor: CameraExecutor, fit: Fit, terms_by_camera: Sequence[Sequence[TermData]]
+) -> list[MatchWeights]:
+    """Scatter the result of a fit to `gather_terms` terms back to the cameras; per camera, local."""
     results = iter(zip(fit.weights, fit.residuals, strict=True))
-    return [[next(results) for _ in terms] for terms in terms_by_camera]
+    by_camera = [[next(results) for _ in terms] for terms in terms_by_camera]
+    return [by_camera[c] for c in executor.local]
 
 
-def _gather_terms(
+def compute_reference_motion(
+    pair: FrameMatches, previous: SolvedFrame, known_frames: Mapping[int, SolvedFrame]
+) -> RigidTransform | None:
+    """Return the object's motion from a pair's reference frame to the last solved one.
+
+    Returns:
+        argument `previous_from_reference` of `FrameMatches.to_term`; None if both are the same frame.
+    """
+    if pair.reference == previous.number:
+        return None
+    return previous.world_from_object * known_frames[pair.reference].world_from_object.inv()
+
+
+def _exchange_terms(
     executor: CameraExecutor, problem: PoseProblem, *, previous_only: bool = False
 ) -> list[tuple[TermData, ...]]:
-    """Gather all cameras' terms; with `previous_only` only those relative to the last solved frame."""
-
-    def collect_terms(c: int) -> CameraTerms:
-        camera, previous, known = problem.rig.cameras[c], problem.previous, problem.known_frames
-        pairs = [pair for pair in problem.pairs[c] if not previous_only or pair.reference == previous.number]
-        terms = [pair.to_term(c, camera, compute_reference_motion(pair, previous, known)) for pair in pairs]
-        return CameraTerms(tuple(terms))
-
-    return [found.terms for found in executor.all_gather(collect_terms, CameraTerms())]
-
-
-def _create_solution(problem: PoseProblem, fit: Fit, match_weights: Sequence[MatchWeights]) -> PoseSolution:
-    no_inflation = np.ones(len(problem.rig))
-    return PoseSolution(
-        fit.status,
-        fit.rotation,
-        fit.translation,
-        fit.information,
-        fit.iterations,
-        match_weights,
-        no_inflation,
-        fit.faults,
-    )
+    """Exchange all cameras' terms; with `previous_only` only those relative to the last solved frame."""
+    previous, known_frames = problem.previous, problem.known_frames
+    own_terms = [
+        CameraTerms(
+            tuple(
+                pair.to_term(c, problem.rig.cameras[c], compute_reference_motion(pair, previous, known_frames))
+                for pair in pairs
+                if not previous_only or pair.reference == previous.number
+            )
+        )
+        for c, pairs in zip(executor.local, problem.pairs, strict=True)
+    ]
+    return [found.terms for found in executor.gather(own_terms, CameraTerms())]
 
 
-def _create_failure(executor: CameraExecutor, problem: PoseProblem, status: Status) -> PoseSolution:
-    """Create a solution without a pose."""
-
-    def create_zero_weights(c: int) -> MatchWeights:
-        return [(np.zeros(len(pair)), np.zeros(len(pair))) for pair in problem.pairs[c]]
-
-    return _create_solution(problem, make_failed_fit([], status), executor.map_cameras(create_zero_weights))
+def _fit_epipolar(problem: PoseProblem, data: Sequence[TermData]) -> Fit:
+    return fit_terms(data, problem.center, problem.radius, [problem.guess], problem.create_rng())
 
 
-def solve_epipolar(executor: CameraExecutor, problem: PoseProblem) -> PoseSolution:
+def _create_solution(problem: PoseProblem, fit: Fit, match_weights: Sequence[MatchWeights]) -> PoseSolution | None:
+    if not fit.status.has_pose:
+        return None
+    estimate, no_inflation = (fit.rotation, fit.translation, fit.information), np.ones(len(problem.rig))
+    return PoseSolution(*estimate, match_weights, no_inflation, fit.faults, fit.status is Status.NO_MOTION)
+
+
+def solve_epipolar(executor: CameraExecutor, problem: PoseProblem) -> PoseSolution | None:
     """Solve by epipolar geometry against all references at once, without using landmark depths."""
-    terms = _gather_terms(executor, problem)
-    fit = fit_terms(gather_terms(terms), problem.center, problem.radius, [problem.guess], problem.create_rng())
-    return _create_solution(problem, fit, scatter_fit(fit, terms))
+    terms = _exchange_terms(executor, problem)
+    fit = _fit_epipolar(problem, gather_terms(terms))
+    return _create_solution(problem, fit, scatter_fit(executor, fit, terms))
 
 
-def solve_paper(method: str, executor: CameraExecutor, problem: PoseProblem) -> PoseSolution:
+def solve_paper(method: str, executor: CameraExecutor, problem: PoseProblem) -> PoseSolution | None:
     """Solve by one of the paper's estimators, against the last solved frame alone."""
-    terms = _gather_terms(executor, problem, previous_only=True)
+    terms = _exchange_terms(executor, problem, previous_only=True)
     data = gather_terms(terms)
-    fit = fit_terms(data, problem.center, problem.radius, [problem.guess], problem.create_rng())
+    fit = _fit_epipolar(problem, data)
     if fit.status is Status.OK:
         fit = apply_paper_method(method, data, fit, problem.center, problem.rig.names)
-    scattered = scatter_fit(fit, terms)
-
-    def assign_weights(c: int) -> MatchWeights:
-        mine = iter(scattered[c])
-        nothing = [(np.zeros(len(pair)), np.zeros(len(pair))) for pair in problem.pairs[c]]
-        previous = problem.previous.number
-        return [
-            next(mine) if pair.reference == previous else no for pair, no in zip(problem.pairs[c], nothing, strict=True)
-        ]
-
-    return replace(
-        _create_solution(problem, fit, executor.map_cameras(assign_weights)), is_biased=method not in UNBIASED_METHODS
-    )
+    match_weights = []
+    for pairs, scattered in zip(problem.pairs, scatter_fit(executor, fit, terms), strict=True):
+        own = iter(scattered)
+        zeros = [(np.zeros(len(pair)), np.zeros(len(pair))) for pair in pairs]
+        is_used = [pair.reference == problem.previous.number for pair in pairs]
+        match_weights.append([next(own) if used else none for used, none in zip(is_used, zeros, strict=True)])
+    solution = _create_solution(problem, fit, match_weights)
+    return None if solution is None else replace(solution, is_biased=method not in UNBIASED_METHODS)
 
 
-def solve_landmarks(executor: CameraExecutor, problem: PoseProblem) -> PoseSolution:
+# --- alignment with landmarks -----------------------------------------------------------------------------------------
+
+
+def solve_landmarks(executor: CameraExecutor, problem: PoseProblem) -> PoseSolution | None:
     """Solve by alignment with the landmarks of all references.
 
     Other starts are tried if the guess fits badly.
     """
-    return _align_landmarks(executor, problem)[0]
+    solved = _align_landmarks(executor, problem)
+    return None if solved is None else solved[0]
 
 
 def _align_landmarks(
     executor: CameraExecutor, problem: PoseProblem
-) -> tuple[PoseSolution, list[LandmarkMatches], FloatArray]:
+) -> tuple[PoseSolution, list[LandmarkMatches], FloatArray] | None:
     """Align with landmarks; also return the observations and the solution's possible offset.
 
     Returns:
         the solution of `solve_landmarks`; per camera, local: the observations used; (6,) (w, d) possible offset
-        (`select_hypothesis`).
+        (`select_hypothesis`); None without a solution.
     """
-    frames, pairs, cameras = problem.frames, problem.pairs, problem.rig.cameras
-    unweighted = executor.map_cameras(lambda c: build_observations(cameras[c], pairs[c], frames[c], problem.previous))
-    ages = executor.all_gather(
-        lambda c: summarize_ages(*unweighted[c], pairs[c]), LandmarkAges.from_frame_counts(np.empty(0))
-    )
-    all_ages = expand_ages(ages)
-    # If all old landmarks vanish at once, something else is in view: the typical age in the last frame counts too.
-    full_weight_age = max(compute_full_weight_age(all_ages), problem.previous.landmark_age)
-    # Static landmarks that never moved get almost no weight once others move: undetected background is consistent with
-    # itself, as the object is, and often larger.
-    has_motion = _has_enough_motion(ages)
-    static_weight = STATIC_WEIGHT if has_motion else 1.0
-    observations = executor.map_cameras(lambda c: weight_observations(*unweighted[c], full_weight_age, static_weight))
-    if len(all_ages) < MIN_MATCHES:
-        return _create_failure(executor, problem, Status.TOO_FEW_MATCHES), observations, np.zeros(6)
+    observations, ages = _exchange_observations(executor, problem)
+    if not sum(a.counts.sum() for a in ages) >= MIN_MATCHES:
+        return None
     is_depth_guessed = (
         max(a.oldest for a in ages) <= MAX_YOUNG_AGE or _median_depth_sd(ages) > GUESSED_DEPTH_RATIO * problem.radius
     )
@@ -250,47 +248,68 @@ def _align_landmarks(
     # few cameras and small rotations). Epipolar geometry provides an independent start.
     is_large_rotation = max(_rotation_angle(problem.guess[0]), _rotation_angle(pose.rotation)) > LARGE_ROTATION
     if is_depth_guessed or pose.cost > MAX_GOOD_COST or is_large_rotation:
-        data = gather_terms(_gather_terms(executor, problem))
-        epipolar_fit = fit_terms(data, problem.center, problem.radius, [problem.guess], problem.create_rng())
-        starts = [
-            (epipolar_fit.rotation, epipolar_fit.translation, px)
-            for px in ALTERNATIVE_START_PX
-            if epipolar_fit.status is Status.OK
-        ]
+        starts = _create_epipolar_starts(executor, problem)
         starts += [(*problem.guess, px) for px in NARROW_START_PX if px not in start_px] if is_large_rotation else []
         tried = executor.align(observations, starts) + (alignments[1:] if is_large_rotation else [])
         # Support uses epipolar distances alone, independent of guessed depths.
-        support, *others = _compute_support(
-            executor, observations, [found, *(candidate_weights for _, candidate_weights in tried)]
-        )
-        for (candidate_pose, candidate_weights), candidate_support in zip(tried, others, strict=True):
-            if candidate_support > support:
-                pose, found, support, offset = candidate_pose, candidate_weights, candidate_support, np.zeros(6)
-    chances = executor.all_gather(
-        lambda c: compute_inlier_statistics(observations[c], *found[c], pose.rotation, pose.translation, frames[c]),
-        InlierStatistics(0, 0, 0, 0.0, 0),
+        support, *others = _sum_support(executor, observations, [(pose, found), *tried])
+        for (other, weights), other_support in zip(tried, others, strict=True):
+            if other_support > support:
+                pose, found, support, offset = other, weights, other_support, np.zeros(6)
+    if not pose.converged:
+        return None
+    statistics = executor.gather(
+        [
+            compute_inlier_statistics(own, *weights, pose.rotation, pose.translation, frame)
+            for own, weights, frame in zip(observations, found, problem.frames, strict=True)
+        ],
+        InlierStatistics(),
     )
-    status = Status.OK if pose.converged else Status.NOT_CONVERGED
-    if sum(chance.n_inlier_matches for chance in chances) < MIN_MATCHES or (
-        status.has_pose and _is_explained_by_chance(chances)
-    ):
-        return _create_failure(executor, problem, Status.NOT_CONSISTENT), observations, offset
-    match_weights = executor.map_cameras(lambda c: split_by_pair(*found[c], pairs[c]))
+    if sum(one.n_inlier_matches for one in statistics) < MIN_MATCHES or _is_explained_by_chance(statistics):
+        return None
+    match_weights = [split_by_pair(*weights, pairs) for weights, pairs in zip(found, problem.pairs, strict=True)]
     information = subtract_uncertainty(pose.information, offset)
-    solution = PoseSolution(
-        status, pose.rotation, pose.translation, information, pose.iterations, match_weights, pose.variance_inflation
-    )
+    solution = PoseSolution(pose.rotation, pose.translation, information, match_weights, pose.variance_inflation)
     return solution, observations, offset
 
 
-def _compute_support(
-    executor: CameraExecutor,
-    observations: Sequence[LandmarkMatches],
-    alignments: Sequence[Sequence[tuple[FloatArray, FloatArray]]],
+def _exchange_observations(
+    executor: CameraExecutor, problem: PoseProblem
+) -> tuple[list[LandmarkMatches], list[LandmarkAges]]:
+    """Build the cameras' observations, weighted by all cameras' landmark ages.
+
+    Returns:
+        per camera, local: observations; per camera of the rig: ages.
+    """
+    unweighted = [
+        build_observations(problem.rig.cameras[c], pairs, frame, problem.previous)
+        for c, pairs, frame in zip(executor.local, problem.pairs, problem.frames, strict=True)
+    ]
+    ages = executor.gather(
+        [summarize_ages(*own, pairs) for own, pairs in zip(unweighted, problem.pairs, strict=True)], LandmarkAges()
+    )
+    # If all old landmarks vanish at once, something else is in view: the typical age in the last frame counts too.
+    full_weight_age = max(compute_full_weight_age(expand_ages(ages)), problem.previous.landmark_age)
+    # Static landmarks that never moved get almost no weight once others move: undetected background is consistent with
+    # itself, as the object is, and often larger.
+    static_weight = STATIC_WEIGHT if _has_enough_motion(ages) else 1.0
+    return [weight_observations(*own, full_weight_age, static_weight) for own in unweighted], ages
+
+
+def _create_epipolar_starts(
+    executor: CameraExecutor, problem: PoseProblem
+) -> list[tuple[FloatArray, FloatArray, float]]:
+    """Create starts of the alignment from epipolar geometry; none if it fails."""
+    fit = _fit_epipolar(problem, gather_terms(_exchange_terms(executor, problem)))
+    return [(fit.rotation, fit.translation, px) for px in ALTERNATIVE_START_PX if fit.status is Status.OK]
+
+
+def _sum_support(
+    executor: CameraExecutor, observations: Sequence[LandmarkMatches], alignments: Sequence[Alignment]
 ) -> list[float]:
     """Sum `compute_support` over all cameras, for several alignments."""
-    supports = executor.all_gather(
-        lambda c: tuple(compute_support(observations[c], *alignment[c]) for alignment in alignments),
+    supports = executor.gather(
+        [tuple(compute_support(own, *weights[k]) for _, weights in alignments) for k, own in enumerate(observations)],
         (0.0,) * len(alignments),
     )
     return [sum(camera_supports) for camera_supports in zip(*supports, strict=True)]
@@ -318,22 +337,23 @@ def _has_enough_motion(ages: Sequence[LandmarkAges]) -> bool:
     return sum(seeing) >= max(MIN_MATCHES, MIN_MOVING_RATIO * sum(total)) and cameras >= min(2, len(seeing))
 
 
-def _is_explained_by_chance(chances: Sequence[InlierStatistics]) -> bool:
+def _is_explained_by_chance(statistics: Sequence[InlierStatistics]) -> bool:
     """Return whether random matches would agree with a pose about as often.
 
     The pose has six unknowns, plus those of each camera's depth model.
     """
-    inliers, tried = sum(chance.n_inlier_features for chance in chances), sum(chance.n_features for chance in chances)
-    n_unknowns, expected_by_chance = (
-        6 + sum(chance.n_unknowns for chance in chances),
-        sum(chance.expected_by_chance for chance in chances),
-    )
+    inliers, tried = sum(one.n_inlier_features for one in statistics), sum(one.n_features for one in statistics)
+    n_unknowns = 6 + sum(one.n_unknowns for one in statistics)
+    expected_by_chance = sum(one.expected_by_chance for one in statistics)
     return inliers < MIN_CERTAIN_INLIER_RATIO * tried and not is_more_than_chance(
         inliers, expected_by_chance, n_unknowns
     )
 
 
-def solve_known_depth(executor: CameraExecutor, problem: PoseProblem) -> PoseSolution:
+# --- landmarks of known depth -----------------------------------------------------------------------------------------
+
+
+def solve_known_depth(executor: CameraExecutor, problem: PoseProblem) -> PoseSolution | None:
     """Solve Sylvester's equation for landmarks of known depth (2D-3D).
 
     The inliers are those of `solve_landmarks`, whose solution is kept if they are too few or give a mirrored result.
@@ -341,27 +361,26 @@ def solve_known_depth(executor: CameraExecutor, problem: PoseProblem) -> PoseSol
     The equation assumes orthographic views: each image point is scaled by its landmark's depth under the current
     motion, and the two are alternated (POSIT: D. DeMenthon, L. Davis, 1995).
     """
-    solution, observations, offset = _align_landmarks(executor, problem)
-    if solution.status is not Status.OK:
-        return solution
-
-    def select_known_depth(c: int) -> KnownDepthMatches:
-        weights = np.concatenate([np.empty(0), *(w for w, _ in solution.match_weights[c])])
-        smear_px = observations[c].focal * compute_depth_smear(observations[c], solution.rotation, solution.translation)
-        return KnownDepthMatches(observations[c], np.where(smear_px < MAX_DEPTH_SMEAR_PX, weights, 0.0))
-
-    records = executor.all_gather(select_known_depth, KnownDepthMatches.empty())
+    solved = _align_landmarks(executor, problem)
+    if solved is None:
+        return None
+    solution, observations, offset = solved
+    records = executor.gather(
+        [
+            _select_known_depth(own, weights, solution)
+            for own, weights in zip(observations, solution.match_weights, strict=True)
+        ],
+        KnownDepthMatches(),
+    )
     cameras, weights = [record.observations for record in records], [record.weights for record in records]
     if sum(int((w > 0).sum()) for w in weights) < MIN_KNOWN_LANDMARKS:
         return solution
     rotations, centers = np.array([s.rotation for s in cameras]), np.array([s.center for s in cameras])
     points = [s.points for s in cameras]
     R, translation = problem.guess
-    rounds = 0
     for _ in range(POSIT_ROUNDS):
         images = [s.image * ((s.points @ R.T + translation - s.center) @ s.rotation[2])[:, None] for s in cameras]
         s = solve_2d3d(rotations, points, images, centers=centers, weights=weights)
-        rounds += s.iterations
         if s.status is not Status.OK:
             return solution
         change = np.abs(s.rotation - R).max()
@@ -371,12 +390,17 @@ def solve_known_depth(executor: CameraExecutor, problem: PoseProblem) -> PoseSol
     # Convert from the translation of the points' mean to that of the object's center, here the origin.
     center_from_mean = np.eye(6)
     center_from_mean[3:, :3] = -np.cross(np.eye(3), R @ s.center)
-    information = subtract_uncertainty(
-        center_from_mean.T @ block_diag(s.information, s.center_translation_information) @ center_from_mean, offset
-    )
-    return replace(
-        solution, rotation=R, translation=translation, information=information, iterations=solution.iterations + rounds
-    )
+    information = center_from_mean.T @ block_diag(s.information, s.center_translation_information) @ center_from_mean
+    return replace(solution, rotation=R, translation=translation, information=subtract_uncertainty(information, offset))
+
+
+def _select_known_depth(
+    observations: LandmarkMatches, match_weights: MatchWeights, solution: PoseSolution
+) -> KnownDepthMatches:
+    """Select one camera's landmarks of known depth."""
+    weights = np.concatenate([np.empty(0), *(w for w, _ in match_weights)])
+    smear_px = observations.focal * compute_depth_smear(observations, solution.rotation, solution.translation)
+    return KnownDepthMatches(observations, np.where(smear_px < MAX_DEPTH_SMEAR_PX, weights, 0.0))
 
 
 SOLVERS: dict[str, Solver] = {

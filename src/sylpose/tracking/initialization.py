@@ -1,286 +1,302 @@
-"""Initialization without boxes: what moves against the static background is the object."""
+"""The first frames: with boxes, the object is what is visible in them; without, it is what moves.
+
+Without boxes frames are buffered until the object has moved, and then solved together.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.geometry.arrays import BoolArray, FloatArray
-from sylpose.relative_pose.motion import make_motion_about
-from sylpose.relative_pose.observability import classify_observability
-from sylpose.relative_pose.solver import fit_terms
-from sylpose.relative_pose.terms import MIN_MATCHES, Fit, TermData, locate_object, make_failed_fit
-from sylpose.results import FrameStatus, Status
-from sylpose.rig import Rig
-from sylpose.tracking.camera import compute_static_px
-from sylpose.tracking.camera_executor import CameraExecutor
-from sylpose.tracking.frame import FrameMatches, find_static, select_inliers
-from sylpose.tracking.frame_solvers import gather_terms, scatter_fit
-from sylpose.tracking.reports import InitialMatches, MovingMatches
+from sylpose.features.sift import MAX_FEATURES, Features
+from sylpose.geometry.arrays import FloatArray
+from sylpose.relative_pose.terms import MIN_MATCHES
+from sylpose.results import FrameStatus
+from sylpose.tracking.camera_side.camera import CameraTracker
+from sylpose.tracking.camera_side.frame import (
+    CameraFrame,
+    FrameMatches,
+    collect_detected_features,
+    find_background,
+    match_frames,
+    omit_empty,
+)
+from sylpose.tracking.context import Frame, TrackerContext, detect, detect_everywhere, project_regions
+from sylpose.tracking.first_motion import (
+    FirstMotion,
+    count_center_features,
+    estimate_first_motion,
+    estimate_first_points,
+    estimate_jitter,
+    is_ambiguous,
+    is_continuing_motion,
+)
+from sylpose.tracking.joint_side.joint_state import JointState
+from sylpose.tracking.joint_side.keyframes import Anchor
+from sylpose.tracking.joint_side.motion_model import VelocityModel
+from sylpose.tracking.joint_side.object_model import ObjectModel
+from sylpose.tracking.map_update import accept_first_frame, accept_frame, handle_missing_object
+from sylpose.tracking.pose_search import find_pose
+from sylpose.tracking.reports import quantize_positions
+from sylpose.tracking.tracked_frame import TrackedFrame, create_unsolved_frame
 
-__all__ = ["FirstMotion", "estimate_first_motion", "estimate_jitter", "is_ambiguous", "is_continuing_motion"]
+__all__ = ["BufferedFrame", "finish_initialization", "initialize_tracking"]
 
-# Another motion with this share of the object's inliers may be the object as well (choice).
-AMBIGUITY_RATIO = 0.5
-# Keypoints displaced by less than this, pixels, may be static. They define the noise if more than this share of them is
-# displaced by less than half of it (choice).
-MAX_STATIC_PX, MIN_STATIC_RATIO = 4.0, 0.65
-# Median of the Rayleigh distribution in standard deviations (derived).
-RAYLEIGH_MEDIAN = float(np.sqrt(2.0 * np.log(2.0)))
-# A camera detects a motion with at least so many inliers, whose median displacement exceeds this, pixels, and so many
-# times the noise of static keypoints (choice).
-MIN_SIGNIFICANT_MATCHES, MIN_DISPLACEMENT_PX, MIN_DISPLACEMENT_SIGMAS = 6, 3.5, 7.0
-# A rigid motion must exceed the log-likelihood of displacements in random directions by this much per unknown (choice:
-# Akaike's criterion requires 1, Bayes' half the logarithm of the number of matches).
-MIN_LOG_GAIN_PER_UNKNOWN = 5.0
-# Unknowns of a motion, and of each camera's surface (derived).
-MOTION_UNKNOWNS, SURFACE_UNKNOWNS = 6, 6
-# Between consecutive frames, the rotation since the first frame changes by at most this share, or this angle, radians
-# (choice).
-MAX_ROTATION_CHANGE_RATIO, MAX_ROTATION_CHANGE = 0.6, np.radians(0.75)
-# This share of all matches is wrong without any motion (choice).
-OUTLIER_RATIO = 0.05
-# Largest rms residual of moving matches as a share of their displacement (choice).
-MAX_RESIDUAL_RATIO = 0.35
-# Minimum keypoint noise, pixels (choice).
-MIN_NOISE_PX = 0.15
-
-
-@dataclass(frozen=True, eq=False)
-class FirstMotion:
-    """Motion since a frame, of the only object that moves.
-
-    Attributes:
-        fit: of the moving matches.
-        center: (3,) point that the motion is about.
-        inlier_center: (3,) center of its inliers.
-        radius: of its inliers about `inlier_center`; NaN without any.
-        n_inliers: number of inliers.
-        displacement_px: median displacement of the inliers; NaN without any.
-        n_cameras: number of cameras that detect it, with enough inliers displaced far enough.
-        is_significant: whether it exceeds the noise of static keypoints.
-        is_observable: whether it is fully observable, including rotation angle and length of translation.
-        failure_status: status to report if this is not the object's motion: too few matches, no motion, or no rigid
-            motion.
-        inliers: per camera, local.
-    """
-
-    fit: Fit
-    center: FloatArray
-    inlier_center: FloatArray
-    radius: float
-    n_inliers: int
-    displacement_px: float
-    n_cameras: int
-    is_significant: bool
-    is_observable: bool
-    failure_status: FrameStatus
-    inliers: Sequence[Sequence[FrameMatches]]
-
-    @property
-    def motion(self) -> RigidTransform:
-        """Motion of the object since the frame."""
-        return make_motion_about(self.center, self.fit.rotation, self.fit.translation)
+# Without boxes the object is unknown until it moves: up to so many frames are buffered with their features (choice),
+MAX_BUFFERED_FRAMES = 60
+# and with their images up to so many bytes (choice).
+MAX_BUFFERED_BYTES = 1 << 29
+# A motion that is not fully observable (length of a translation, small rotation) is replaced by a later one with this
+# median displacement, pixels, if possible (choice).
+MIN_FIRST_MOTION_PX = 8.0
+AMBIGUITY_NOTE = (
+    "Without boxes, the largest moving object is tracked, but another moved nearly as much. Provide a box or a mask "
+    "to select the object."
+)
+# Low-contrast features are detected too where boxes have fewer features in their center than this, averaged over
+# cameras: near the border most may be background (choice).
+MIN_CENTER_FEATURES = 40
+# Maximum number of features per camera while the object may be anywhere in the image (choice).
+MAX_START_FEATURES = 4000
 
 
-def is_continuing_motion(earlier: RigidTransform | None, later: RigidTransform | None) -> bool:
-    """Return whether two frames' motions since the same frame may belong to one continuing body.
+class BufferedFrame(NamedTuple):
+    """A buffered frame before the first pose; its motion since the first buffered frame, if any."""
 
-    With few cameras and a planar object a second motion fits as well; that one differs in each frame.
+    frame: Frame
+    motion: RigidTransform | None = None
+
+
+def initialize_tracking(
+    context: TrackerContext, state: JointState, buffered: Sequence[BufferedFrame], frame: Frame
+) -> tuple[JointState, list[BufferedFrame], list[TrackedFrame]]:
+    """Process a frame before the first pose.
 
     Args:
-        earlier, later: motions, in order of time.
-    """
-    if earlier is None or later is None:
-        return False
-    angle = max(earlier.rotation.magnitude(), later.rotation.magnitude())
-    return bool(
-        (later.rotation * earlier.rotation.inv()).magnitude()
-        <= max(MAX_ROTATION_CHANGE_RATIO * angle, MAX_ROTATION_CHANGE)
-    )
-
-
-def estimate_jitter(pair: FrameMatches) -> float:
-    """Estimate the scatter of static keypoints in each direction, pixels; a minimum if almost none is static."""
-    displacement = np.linalg.norm(pair.pixels_i - pair.pixels_j, axis=1)
-    near = displacement[displacement < MAX_STATIC_PX]
-    # A slowly moving object shows all these displacements equally often.
-    is_slow = np.count_nonzero(near < MAX_STATIC_PX / 2) <= MIN_STATIC_RATIO * len(near)
-    return MIN_NOISE_PX if is_slow else max(float(np.median(near)) / RAYLEIGH_MEDIAN, MIN_NOISE_PX)
-
-
-def estimate_first_motion(
-    executor: CameraExecutor,
-    rig: Rig,
-    pairs: Sequence[Sequence[FrameMatches]],
-    first_number: int,
-    rng: np.random.Generator,
-) -> FirstMotion:
-    """Estimate the motion since the frame with the number `first_number`, from its moving matches.
-
-    Args:
-        pairs: per camera, local: matches.
-    """
-    matches = sum(
-        executor.all_gather(lambda c: sum(len(pair) for pair in pairs[c] if pair.reference == first_number), 0)
-    )
-    first_pairs = executor.map_cameras(lambda c: [pair for pair in pairs[c] if pair.reference == first_number])
-    jitter = executor.map_cameras(lambda c: [estimate_jitter(pair) for pair in first_pairs[c]])
-
-    def select_moving(c: int) -> list[FrameMatches]:
-        return [
-            pair.subset(~find_static(pair, compute_static_px(px)))
-            for pair, px in zip(first_pairs[c], jitter[c], strict=True)
-        ]
-
-    moving = executor.map_cameras(select_moving)
-
-    def create_reports(c: int) -> InitialMatches:
-        reports = [
-            MovingMatches(
-                pair.to_term(c, rig.cameras[c]),
-                np.linalg.norm(pair.pixels_i - pair.pixels_j, axis=1),
-                px,
-                len(all_matches) - len(pair),
-            )
-            for pair, all_matches, px in zip(moving[c], first_pairs[c], jitter[c], strict=True)
-            if len(pair)
-        ]
-        return InitialMatches(tuple(reports))
-
-    records = [found.reports for found in executor.all_gather(create_reports, InitialMatches())]
-    terms = [[record.term for record in of_camera] for of_camera in records]
-    data, undefined_point = gather_terms(terms), np.full(3, np.nan)
-    failure_status = FrameStatus.TOO_FEW_MATCHES if matches < MIN_MATCHES else FrameStatus.NO_MOTION
-    if sum(map(len, data)) > max(MIN_MATCHES, OUTLIER_RATIO * matches):
-        failure_status = FrameStatus.NOT_CONSISTENT
-    if not data:
-        fit = make_failed_fit(data, Status.TOO_FEW_MATCHES)
-        return FirstMotion(
-            fit,
-            undefined_point,
-            undefined_point,
-            np.nan,
-            0,
-            np.nan,
-            0,
-            False,
-            False,
-            failure_status,
-            executor.map_cameras(lambda _: []),
-        )
-    center, radius = locate_object(data)
-    fit = fit_terms(data, center, radius, [], rng)
-    flat_reports = [record for of_camera in records for record in of_camera]
-    is_consistent = ~_find_poor_terms(fit, flat_reports)
-    if 2 <= is_consistent.sum() < len(is_consistent):
-        # In the other cameras, inliers are static keypoints with the largest jitter.
-        consistent_terms = [term for term, consistent in zip(data, is_consistent, strict=True) if consistent]
-        center, radius = locate_object(consistent_terms)
-        fit = _expand_fit(fit_terms(consistent_terms, center, radius, [], rng), data, is_consistent)
-    detects_motion, is_likelier = _test_significance(fit, flat_reports)
-    match_weights = scatter_fit(fit, terms)
-    inliers = [
-        (term.subset(w > 0), record.displacement_px[w > 0])
-        for term, record, w in zip(data, flat_reports, fit.weights, strict=True)
-    ]
-    inliers = [(term, shift) for term, shift in inliers if len(term)]
-    inlier_center, size = locate_object([term for term, _ in inliers]) if inliers else (undefined_point, np.nan)
-    displacement = np.concatenate([np.empty(0), *(shift for _, shift in inliers)])
-    n_cameras = int(detects_motion.sum())
-    return FirstMotion(
-        fit,
-        center,
-        inlier_center,
-        size,
-        len(displacement),
-        float(np.median(displacement)) if len(displacement) else np.nan,
-        n_cameras,
-        is_likelier and n_cameras >= min(2, len(rig)),
-        fit.status is Status.OK and classify_observability(fit, size)[0].status is Status.OK,
-        failure_status,
-        executor.map_cameras(
-            lambda c: select_inliers([pair for pair in moving[c] if len(pair)], [w for w, _ in match_weights[c]])
-        ),
-    )
-
-
-def _find_poor_terms(fit: Fit, reports: Sequence[MovingMatches]) -> BoolArray:
-    """Return the cameras (T,) in which a fit leaves much of its inliers' displacement unexplained."""
-    is_poor = np.zeros(len(reports), bool)
-    for t, (record, w, across) in enumerate(zip(reports, fit.weights, fit.residuals, strict=True)):
-        good = w > 0
-        if good.any():
-            rms = float(np.sqrt(np.mean(across[good] ** 2)))
-            is_poor[t] = rms > MAX_RESIDUAL_RATIO * float(np.median(record.displacement_px[good]))
-    return is_poor
-
-
-def _expand_fit(fit: Fit, data: Sequence[TermData], is_chosen: BoolArray) -> Fit:
-    """Extend a fit to the chosen terms (T,) to all terms; the others get no inliers."""
-    weights, residuals = iter(fit.weights), iter(fit.residuals)
-    zero_arrays = [np.zeros(len(term)) for term in data]
-    return fit.with_matches(
-        [next(weights) if chosen else zeros for zeros, chosen in zip(zero_arrays, is_chosen, strict=True)],
-        [next(residuals) if chosen else zeros for zeros, chosen in zip(zero_arrays, is_chosen, strict=True)],
-    )
-
-
-def _test_significance(fit: Fit, reports: Sequence[MovingMatches]) -> tuple[BoolArray, bool]:
-    """Test whether a fit is significant against keypoint noise and random displacements.
-
-    A displacement of length d in a random direction has the density 1 / (π √(d² - r²)) of a component r. A rigid
-    motion, which predicts the match's epipolar line, has a Gaussian density of the residual r.
+        frame: without features.
 
     Returns:
-        (T,) cameras that detect a motion beyond the noise of static keypoints; whether a rigid motion is likelier than
-        independent displacements of the matches.
+        the state; the buffered frames; the decided frames.
     """
-    log_gain, detects_motion = 0.0, np.zeros(len(reports), bool)
-    for t, (record, w, across) in enumerate(zip(reports, fit.weights, fit.residuals, strict=True)):
-        good = w > 0
-        if not good.any():
-            continue
-        r, translation = np.abs(across[good]), record.displacement_px[good]
-        sigma = max(MIN_NOISE_PX, record.jitter_px, float(np.sqrt(np.mean(r**2))))
-        by_chance = 1.0 / (np.pi * np.sqrt(np.maximum(translation**2 - r**2, sigma**2)))
-        motion = np.exp(-0.5 * (r / sigma) ** 2) / (np.sqrt(2.0 * np.pi) * sigma)
-        gain = float(np.log(motion / by_chance).sum()) - MIN_LOG_GAIN_PER_UNKNOWN * SURFACE_UNKNOWNS
-        is_displaced = float(np.median(translation)) > max(
-            MIN_DISPLACEMENT_PX, MIN_DISPLACEMENT_SIGMAS * record.jitter_px
-        )
-        detects_motion[t] = good.sum() >= MIN_SIGNIFICANT_MATCHES and is_displaced and gain > 0
-        log_gain += gain
-    return detects_motion, log_gain > MIN_LOG_GAIN_PER_UNKNOWN * MOTION_UNKNOWNS
+    if state.object.center is not None:
+        state, tracked = _initialize_from_boxes(context, state, frame, state.object.center)
+        return state, [], [tracked]
+    features = detect_everywhere(context, frame.images, MAX_START_FEATURES, reduced=True)
+    if not buffered and _count_features(context, features) < MIN_MATCHES:
+        # Later frames need one to be compared with.
+        return state, [], [_create_unmatched_frame(context, frame, FrameStatus.TOO_FEW_MATCHES, features)]
+    buffered = [*buffered, BufferedFrame(context.with_features(frame, features))]
+    status = FrameStatus.NO_MOTION
+    if len(buffered) > 1:
+        pairs, first_motion = _match_first_motion(context, buffered)
+        if first_motion.is_significant:
+            buffered[-1] = buffered[-1]._replace(motion=first_motion.motion)
+            is_clear = (
+                first_motion.is_observable or first_motion.displacement_px > MIN_FIRST_MOTION_PX
+            ) and is_continuing_motion(buffered[-2].motion, first_motion.motion)
+            is_full = len(buffered) > MAX_BUFFERED_FRAMES
+            if (is_clear or is_full) and (started := _initialize_from_motion(context, buffered, pairs, first_motion)):
+                return replace(started[0], nudges=state.nudges), [], started[1]
+        status = first_motion.failure_status
+    if len(buffered) <= MAX_BUFFERED_FRAMES:
+        return state, _limit_memory(buffered), []
+    # Motions since the dropped frame are no longer defined.
+    remaining = [buffered_frame._replace(motion=None) for buffered_frame in buffered[1:]]
+    dropped = buffered[0].frame
+    return state, remaining, [_create_unmatched_frame(context, dropped, status, dropped.features)]
 
 
-def is_ambiguous(
-    executor: CameraExecutor,
-    rig: Rig,
+def finish_initialization(context: TrackerContext, buffered: Sequence[BufferedFrame]) -> list[TrackedFrame]:
+    """Decide the frames buffered at the recording's end; a smaller motion is accepted now."""
+    status = FrameStatus.NO_MOTION
+    if len(buffered) > 1:
+        pairs, first_motion = _match_first_motion(context, buffered)
+        if first_motion.is_significant and (started := _initialize_from_motion(context, buffered, pairs, first_motion)):
+            return started[1]
+        status = first_motion.failure_status
+    return [_create_unmatched_frame(context, frame, status, frame.features) for frame, _ in buffered]
+
+
+def _count_features(context: TrackerContext, features: Sequence[Features]) -> int:
+    """Count the features of all cameras."""
+    return sum(context.executor.gather([len(own) for own in features], 0))
+
+
+def _create_unmatched_frame(
+    context: TrackerContext, frame: Frame, status: FrameStatus, features: Sequence[Features], radius: float = np.nan
+) -> TrackedFrame:
+    """Create the result of a frame whose features are not matched."""
+    return create_unsolved_frame(context, frame, status, [collect_detected_features(own) for own in features], radius)
+
+
+# --- with boxes -------------------------------------------------------------------------------------------------------
+
+
+def _initialize_from_boxes(
+    context: TrackerContext, state: JointState, frame: Frame, center: FloatArray
+) -> tuple[JointState, TrackedFrame]:
+    """Accept the first frame with enough features in the boxes; center (3,) of the object, world."""
+    regions = project_regions(context, state, RigidTransform.from_translation(center))
+    frame = replace(frame, regions=regions)
+    features = detect(context, frame, MAX_FEATURES, faint=False)
+    own_counts = [count_center_features(*own) for own in zip(context.cameras, features, regions, strict=True)]
+    n_center = sum(context.executor.gather(own_counts, 0))
+    state = replace(state, is_feature_poor=n_center < MIN_CENTER_FEATURES * len(context.rig))
+    if state.is_feature_poor:
+        features = detect(context, frame, faint=True)
+    if _count_features(context, features) < MIN_MATCHES:
+        status = FrameStatus.TOO_FEW_MATCHES
+        return state, _create_unmatched_frame(context, frame, status, features, state.object.radius)
+    detect_around = partial(CameraTracker.detect_surroundings, images=frame.images, faint=state.is_feature_poor)
+    around = context.executor.run(detect_around, context.cameras, regions)
+    return accept_first_frame(context, state, context.with_features(frame, features), around, center)
+
+
+# --- without boxes ----------------------------------------------------------------------------------------------------
+
+
+def _limit_memory(buffered: Sequence[BufferedFrame]) -> list[BufferedFrame]:
+    """Drop images of buffered frames, oldest but the first, above the memory limit."""
+    sizes = [sum(image.nbytes for image in frame.images.images if image is not None) for frame, _ in buffered]
+    total, limited = sum(sizes), list(buffered)
+    for k in range(1, len(buffered)):
+        if total <= MAX_BUFFERED_BYTES:
+            break
+        frame = buffered[k].frame
+        no_images = replace(frame.images, images=(None,) * len(frame.images.images))
+        limited[k] = buffered[k]._replace(frame=replace(frame, images=no_images))
+        total -= sizes[k]
+    return limited
+
+
+def _match_first_motion(
+    context: TrackerContext, buffered: Sequence[BufferedFrame]
+) -> tuple[list[list[FrameMatches]], FirstMotion]:
+    """Match the last buffered frame with the first and estimate the motion."""
+    first, current = buffered[0].frame, buffered[-1].frame
+    matches = context.executor.run(partial(match_frames, first.number), first.cameras, current.cameras)
+    pairs = [omit_empty([pair]) for pair in matches]
+    return pairs, estimate_first_motion(context.executor, context.rig, pairs, first.number, context.create_rng())
+
+
+def _initialize_from_motion(
+    context: TrackerContext,
+    buffered: Sequence[BufferedFrame],
     pairs: Sequence[Sequence[FrameMatches]],
-    first_number: int,
-    initial_motion: FirstMotion,
-    rng: np.random.Generator,
-) -> bool:
-    """Return whether something else moved as a rigid body, with nearly as many inliers.
+    first_motion: FirstMotion,
+) -> tuple[JointState, list[TrackedFrame]] | None:
+    """Initialize the object from the first motion and solve all buffered frames.
+
+    The last frame is solved first; with the landmarks it provides, those between are solved in order.
 
     Args:
-        pairs: per camera, local: all matches since the frame with the number `first_number`.
-        initial_motion: the motion accepted as the object's.
+        pairs: per camera, local: matches of the last frame with the first.
+        first_motion: the motion between them.
+
+    Returns:
+        the state and the results; None if what moved was not a rigid body.
     """
+    first, *between, end_frame = (buffered_frame.frame for buffered_frame in buffered)
+    first_pose = RigidTransform.from_translation(first_motion.inlier_center)
+    end_pose = first_motion.motion * first_pose
+    state = JointState(_create_model(context, first_motion, first_pose, end_pose))
+    frame = replace(first, regions=project_regions(context, state, first_pose))
+    sides = [
+        _split_foreground(camera, current, region, own, frame, first_motion, (first_pose, end_pose))
+        for camera, current, region, own in zip(context.cameras, first.cameras, frame.regions or (), pairs, strict=True)
+    ]
+    frame = context.with_features(frame, [inside for inside, _ in sides])
+    around = [outside for _, outside in sides]
+    state, tracked = accept_first_frame(context, state, frame, around, first_motion.inlier_center)
+    decided, start = [tracked], state.last
+    state, last_tracked = _solve_buffered_frame(context, state, end_frame, end_pose)
+    if not (state.motion.has_moved and last_tracked.pose.is_observed):
+        # No rigid motion that lasted: wait for another one.
+        for camera in context.cameras:
+            camera.reset()
+        return None
+    end = state.last
+    # The velocity is unknown for the frames between.
+    frames = replace(state.frames, last=start, keyframes=(start, end), anchor=None)
+    state = replace(state, frames=frames, motion=replace(state.motion, velocity=VelocityModel()))
+    for buffered_frame in between:
+        pose = state.predict_pose(buffered_frame.time)
+        state, tracked = _solve_buffered_frame(context, state, buffered_frame, pose)
+        decided.append(tracked)
+    if end.number in state.frames.by_number:
+        motion = end.world_from_object * state.last.world_from_object.inv()
+        state = state.add_solved_frame(end, motion, has_new_features=False)
+        if context.uses_klt:
+            for camera in context.cameras:
+                camera.set_anchor(end.number, end_frame.images, None)
+        keyframes = tuple(sorted(state.frames.keyframes, key=lambda k: k.number))
+        anchor = Anchor(end) if context.uses_klt else state.frames.anchor
+        state = replace(state, frames=replace(state.frames, keyframes=keyframes, anchor=anchor))
+    else:  # one of them determined the depth: the end frame, based on guessed depth, was discarded
+        state, last_tracked = _solve_buffered_frame(context, state, end_frame, state.predict_pose(end_frame.time))
+    if is_ambiguous(context.executor, context.rig, pairs, first.number, first_motion, context.create_rng()):
+        decided[0] = replace(decided[0], note=AMBIGUITY_NOTE)
+    return state, [*decided, last_tracked]
 
-    def select_others(c: int) -> list[FrameMatches]:
-        object_indices = np.concatenate(
-            [np.empty(0, np.int64), *(pair.indices[:, 0] for pair in initial_motion.inliers[c])]
-        )
-        return [pair.subset(~np.isin(pair.indices[:, 0], object_indices)) for pair in pairs[c]]
 
-    other = estimate_first_motion(executor, rig, executor.map_cameras(select_others), first_number, rng)
-    return (
-        other.fit.status is Status.OK
-        and other.is_significant
-        and other.n_inliers > AMBIGUITY_RATIO * initial_motion.n_inliers
-    )
+def _create_model(
+    context: TrackerContext, first_motion: FirstMotion, first_pose: RigidTransform, end_pose: RigidTransform
+) -> ObjectModel:
+    """Create the object's model from its first motion."""
+    radius = first_motion.radius
+    # If a second motion fits as well, depth depends on which one is true.
+    is_guessed = first_motion.fit.alternative is not None
+    model = ObjectModel(first_motion.inlier_center, radius, is_depth_guessed=is_guessed)
+    points = [
+        quantize_positions(estimate_first_points(camera.camera, inliers, first_pose, end_pose), radius)
+        for camera, inliers in zip(context.cameras, first_motion.inliers, strict=True)
+    ]
+    return model.add_points(np.concatenate(context.executor.gather(points, np.empty((0, 3)))), context.seed)
+
+
+def _split_foreground(
+    camera: CameraTracker,
+    current: CameraFrame,
+    region: FloatArray | None,
+    pairs: Sequence[FrameMatches],
+    frame: Frame,
+    first_motion: FirstMotion,
+    poses: tuple[RigidTransform, RigidTransform],
+) -> tuple[Features, Features]:
+    """Split the first frame's features into object candidates and static or surrounding ones.
+
+    Args:
+        current: the camera's data of the first frame.
+        pairs: its matches of the last frame with the first.
+        frame: the first frame.
+        poses: world_from_object of the first and of the last frame.
+    """
+    for pair in pairs:
+        camera.update_noise(estimate_jitter(pair))
+    is_static, empty = np.zeros(len(current.features), bool), camera.create_empty_frame()
+    for pair in pairs:
+        still = find_background(pair, empty, camera.camera, *poses, first_motion.radius)
+        is_static[pair.indices[still, 0]] = True
+    return camera.split_foreground(current.features, region, is_static, frame.images)
+
+
+def _solve_buffered_frame(
+    context: TrackerContext, state: JointState, frame: Frame, pose: RigidTransform
+) -> tuple[JointState, TrackedFrame]:
+    """Solve a buffered frame from a guess of its pose (world_from_object).
+
+    Its features cover the whole image: static surroundings would seem to belong to an object at rest.
+    """
+    regions = project_regions(context, state, pose)
+    detect_inside = partial(CameraTracker.detect_at_full_res, images=frame.images, faint=False)
+    inside = context.executor.run(detect_inside, context.cameras, frame.features, regions)
+    frame = context.with_features(replace(frame, regions=regions), inside)
+    state, candidate = find_pose(context, state, frame, pose)
+    if candidate is None:
+        return handle_missing_object(context, state, frame, pose)
+    return accept_frame(context, state, candidate)

@@ -19,9 +19,9 @@ from sylpose.geometry.validation import check_finite, check_number, check_type
 from sylpose.input_limits import to_one_line
 from sylpose.landmarks.landmark_filter import Landmarks
 from sylpose.rig import MAX_LENGTH, Rig, check_single_pose
-from sylpose.tracking.camera import CameraTracker
-from sylpose.tracking.frame import SolvedFrame
-from sylpose.tracking.joint_state import JointState
+from sylpose.tracking.camera_side.camera import CameraTracker
+from sylpose.tracking.joint_side.joint_state import JointState
+from sylpose.tracking.joint_side.keyframes import SolvedFrame
 from sylpose.units import INITIAL_DISTANCES
 
 __all__ = ["MIN_KEYFRAMES", "CameraLandmarks", "KnownObject", "ObjectFrame", "build_known_object"]
@@ -208,16 +208,16 @@ def build_known_object(
         initial: object model that the recording started with.
     """
     if (
-        state.last is None
-        or not state.has_moved
-        or len(state.keyframes) < MIN_KEYFRAMES
+        state.frames.last is None
+        or not state.motion.has_moved
+        or len(state.frames.keyframes) < MIN_KEYFRAMES
         or state.object.is_depth_guessed
     ):
         return None
-    cameras = {}
+    cameras, keyframes = {}, state.frames.keyframes
     for camera_tracker in camera_trackers:
         features, numbers = list[Features](), list[IntArray]()
-        for keyframe in state.keyframes:
+        for keyframe in keyframes:
             frame = camera_tracker.frames[keyframe.number]
             known = frame.landmarks
             good = known.has_moved & ~frame.background & np.isfinite(known.mean).all(axis=1)
@@ -233,12 +233,12 @@ def build_known_object(
             rig=new_rig,
             radius=model.radius,
             _points=model.points,
-            _keyframes=state.keyframes,
+            _keyframes=keyframes,
             _cameras=cameras,
         )
     new_rig = rig if len(rig) > 1 else Rig(rig.cameras, INITIAL_DISTANCES)
     return KnownObject(
-        new_rig, model.radius, _compute_fingerprint(state.keyframes, cameras), model.points, state.keyframes, cameras
+        new_rig, model.radius, _compute_fingerprint(keyframes, cameras), model.points, keyframes, cameras
     )
 
 

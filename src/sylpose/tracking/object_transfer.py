@@ -1,34 +1,63 @@
-"""Transfer of a known object to another recording's cameras, and of poses to the object's frame."""
+"""Transfer of a known object to another recording's cameras, and of poses to the object's frame.
+
+Cameras that observed the object, in the same arrangement, keep their landmarks. For others its keyframes are
+transferred: if an object has the same pose relative to two cameras, both have the same view of it. So each keyframe of
+each learning camera becomes a keyframe of each new camera, at the pose that gives the same view. It belongs to that
+camera alone, since the others have different views there. These poses contain the arrangement of the learning cameras
+and therefore stay fixed in joint refinement.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.geometry.arrays import FloatArray
-from sylpose.landmarks.landmark_table import LandmarkTable
+from sylpose.features.sift import Features
+from sylpose.geometry.arrays import FloatArray, IntArray
+from sylpose.geometry.rigid import rotation_matrix_of
+from sylpose.landmarks.landmark_filter import Landmarks, LandmarkTable
 from sylpose.results import FramePose, Observability
 from sylpose.rig import Rig
-from sylpose.tracking.camera import CameraTracker
-from sylpose.tracking.cross_rig_transfer import estimate_calibration_sd, transfer_keyframes, transform_frame
-from sylpose.tracking.frame import CameraFrame, SolvedFrame
-from sylpose.tracking.joint_state import JointState
-from sylpose.tracking.keyframes import compute_viewpoints
+from sylpose.tracking.camera_side.camera import CameraTracker
+from sylpose.tracking.camera_side.frame import CameraFrame
+from sylpose.tracking.joint_side.joint_state import JointState, ObjectMotion
+from sylpose.tracking.joint_side.keyframes import (
+    MAX_KEYFRAMES,
+    MIN_NEW_ROTATION,
+    KnownFrames,
+    SolvedFrame,
+    compute_viewpoints,
+)
+from sylpose.tracking.joint_side.motion_model import VelocityModel
+from sylpose.tracking.joint_side.object_model import ObjectModel
 from sylpose.tracking.known_object import CameraLandmarks, KnownObject
-from sylpose.tracking.motion_model import VelocityModel
-from sylpose.tracking.object_model import ObjectModel
 from sylpose.tracking.pose_search import MAX_WAIT_FRAMES
 from sylpose.units import INITIAL_DISTANCES
 
-__all__ = ["PoseConverter", "TransferredObject", "check_unit", "initialize_from_object", "transfer_object"]
+__all__ = [
+    "PoseConverter",
+    "TransferredObject",
+    "check_unit",
+    "initialize_from_object",
+    "transfer_object",
+]
 
 # A camera is unchanged if the median reprojection error of its landmarks is at most this, pixels: after a new
 # calibration it is one or two, after moving a camera by hand tens (choice).
 SAME_RIG_PX = 5.0
+# Keyframes with fewer landmarks of a camera are not transferred (choice).
+MIN_LANDMARKS = 8
+# Number of keyframes reserved for the new recording (choice).
+N_RESERVED_KEYFRAMES = 30
+# Factor by which the spacing of views grows while there are too many (choice).
+SPACING_FACTOR = 1.3
+# Assumed systematic image error of each of two calibrations, pixels, as no data determines it (choice).
+CALIBRATION_ERROR_PX = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,7 +253,7 @@ def _estimate_position_sd(rig: Rig, keyframes: Sequence[SolvedFrame], errors_px:
 
 
 def initialize_from_object(
-    transferred: TransferredObject, rig: Rig, camera_trackers: Sequence[CameraTracker], time: float
+    transferred: TransferredObject, rig: Rig, cameras: Sequence[CameraTracker], time: float
 ) -> JointState:
     """Create the state of a tracker that lost a known object.
 
@@ -234,7 +263,7 @@ def initialize_from_object(
         time: of the first frame to come.
     """
     is_visible = np.zeros((len(transferred.keyframes), len(rig)), bool)
-    for c, camera_tracker in enumerate(camera_trackers):
+    for camera_tracker in cameras:
         own = transferred.landmarks.get(camera_tracker.camera.name)
         if own is None:
             camera_tracker.frames = {k: camera_tracker.create_empty_frame() for k in range(len(is_visible))}
@@ -244,7 +273,7 @@ def initialize_from_object(
             camera_tracker.frames[k] = CameraFrame(
                 features, np.zeros(len(features), bool), camera_tracker.table, numbers.copy()
             )
-            is_visible[k, c] = len(features) > 0
+            is_visible[k, camera_tracker.index] = len(features) > 0
     keyframes = tuple(
         replace(
             frame,
@@ -256,13 +285,113 @@ def initialize_from_object(
         )
         for k, frame in enumerate(transferred.keyframes)
     )
-    return JointState(
-        ObjectModel(None, transferred.known_object.radius, transferred.known_object._points),
-        last=keyframes[-1],
-        keyframes=keyframes,
-        velocity=VelocityModel(n_frames=1, interval=1.0),
+    motion = ObjectMotion(
+        VelocityModel(n_frames=1, interval=1.0),
+        has_moved=True,
         n_missed=1,
         n_reobserved=MAX_WAIT_FRAMES,  # poses are required from the first frame on, even if little is visible
         is_lost=True,
-        has_moved=True,
     )
+    model = ObjectModel(None, transferred.known_object.radius, transferred.known_object._points)
+    return JointState(model, KnownFrames(keyframes[-1], keyframes), motion)
+
+
+# --- other cameras ------------------------------------------------------------------------------------------------------
+
+
+class _View(NamedTuple):
+    """One camera's view in a keyframe: camera name, keyframe, direction (3,) and number of landmarks."""
+
+    camera: str
+    keyframe: int
+    direction: FloatArray
+    landmarks: int
+
+
+def transfer_keyframes(known: KnownObject, rig: Rig) -> tuple[tuple[SolvedFrame, ...], dict[str, CameraLandmarks]]:
+    """Transfer the keyframes to another rig.
+
+    Returns:
+        keyframes, each of one camera of the rig; by camera name, its landmarks in them.
+    """
+    views = _select_views(known, max((MAX_KEYFRAMES - N_RESERVED_KEYFRAMES) // len(rig), MIN_LANDMARKS))
+    all_landmarks, first_ids = _merge_landmarks(known)
+    keyframes = list[SolvedFrame]()
+    features: dict[str, list[Features]] = {name: [] for name in rig.names}
+    numbers: dict[str, list[IntArray]] = {name: [] for name in rig.names}
+    for camera in rig:
+        for view in views:
+            own_landmarks = known._cameras[view.camera]
+            keyframe_features, new_from_old = own_landmarks.features[view.keyframe], camera.camera_from_world.inv()
+            new_from_old = new_from_old * known.rig[view.camera].camera_from_world
+            keyframes.append(replace(transform_frame(known._keyframes[view.keyframe], new_from_old), is_fixed=True))
+            for name in rig.names:
+                is_own = name == camera.name
+                seen = Features(
+                    camera.denormalize(keyframe_features.normalized),
+                    keyframe_features.normalized,
+                    keyframe_features.descriptors,
+                )
+                features[name].append(seen if is_own else Features.empty())
+                own = own_landmarks.landmark_ids[view.keyframe] + first_ids[view.camera]
+                numbers[name].append(own if is_own else np.empty(0, np.int64))
+    landmarks_by_camera = {}
+    for name in rig.names:
+        used = np.unique(np.concatenate(numbers[name]))
+        landmarks = all_landmarks.subset(np.searchsorted(all_landmarks.id, used))
+        landmarks_by_camera[name] = CameraLandmarks(landmarks, tuple(features[name]), tuple(numbers[name]))
+    return tuple(keyframes), landmarks_by_camera
+
+
+def _select_views(known: KnownObject, max_views: int) -> list[_View]:
+    """Select the views to transfer: from all sides, those with most landmarks first."""
+    candidates = list[_View]()
+    for name, memory in known._cameras.items():
+        for k, (frame, features) in enumerate(zip(known._keyframes, memory.features, strict=True)):
+            if len(features) >= MIN_LANDMARKS:
+                eye = frame.world_from_object.inv().apply(known.rig[name].center)
+                candidates.append(_View(name, k, eye / np.linalg.norm(eye), len(features)))
+    candidates.sort(key=lambda view: -view.landmarks)
+    min_angle = MIN_NEW_ROTATION
+    while True:
+        chosen = list[_View]()
+        for view in candidates:
+            if all(view.direction @ other.direction < np.cos(min_angle) for other in chosen):
+                chosen.append(view)
+        if len(chosen) <= max_views:
+            return chosen
+        min_angle *= SPACING_FACTOR
+
+
+def _merge_landmarks(known: KnownObject) -> tuple[Landmarks, dict[str, int]]:
+    """Merge all cameras' landmarks; also return each camera's first number."""
+    camera_trackers, first, number = list[Landmarks](), dict[str, int](), 0
+    for name, memory in known._cameras.items():
+        first[name] = number
+        camera_trackers.append(replace(memory.landmarks, id=memory.landmarks.id + number))
+        number += int(memory.landmarks.id.max(initial=-1)) + 1
+    return Landmarks.concatenate(camera_trackers), first
+
+
+def transform_frame(frame: SolvedFrame, new_from_world: RigidTransform) -> SolvedFrame:
+    """Transform a keyframe to another world frame."""
+    if (new_from_world.as_matrix() == np.eye(4)).all():
+        return frame
+    rotation = block_diag(*[rotation_matrix_of(new_from_world)] * 2)
+    pose = new_from_world * frame.world_from_object
+    return replace(frame, world_from_object=pose, covariance=rotation @ frame.covariance @ rotation.T)
+
+
+def estimate_calibration_sd(known: KnownObject, rig: Rig) -> float:
+    """Return the standard deviation of an object's position between two rigs.
+
+    Both calibrations are assumed to have the usual accuracy. The result is in length units.
+    """
+    positions = np.array([keyframe.world_from_object.translation for keyframe in known._keyframes])
+    distance = float(np.median([np.linalg.norm(positions - camera.center, axis=1) for camera in known.rig]))
+    # Mean over cameras with independent errors.
+    variances = [
+        sum((CALIBRATION_ERROR_PX * distance / camera.focal) ** 2 for camera in cameras) / len(cameras) ** 2
+        for cameras in (known.rig, rig)
+    ]
+    return float(np.sqrt(sum(variances)))

@@ -11,54 +11,45 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.features.sift import MAX_FEATURES, Features
-from sylpose.frames import FrameSet
-from sylpose.geometry.arrays import FloatArray, IntArray
+from sylpose.absolute_pose.pose import estimate_pose
+from sylpose.features.sift import MAX_FEATURES, match_features
+from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.matrices import invert_information
-from sylpose.geometry.rigid import relative_rotvec, rotation_matrix_of
-from sylpose.geometry.robust_loss import SIGMA_OF_MEDIAN
-from sylpose.landmarks.landmark_filter import Landmarks
-from sylpose.landmarks.landmark_table import LandmarkTable
-from sylpose.relative_pose.motion import make_motion_about
+from sylpose.geometry.rigid import make_motion_about, relative_rotvec, rotation_matrix_of
+from sylpose.landmarks.landmark_filter import Landmarks, LandmarkTable
 from sylpose.results import Status
 from sylpose.rig import Rig
-from sylpose.tracking.camera_executor import CameraExecutor
-from sylpose.tracking.context import Region, TrackerContext
-from sylpose.tracking.frame import (
-    CameraFrame,
-    DetectedFeatures,
-    Frame,
-    FrameMatches,
-    collect_detected_features,
-    drop_background,
-    find_static,
-    select_inliers,
+from sylpose.tracking.camera_side.camera import CameraSolution, CameraTracker
+from sylpose.tracking.camera_side.frame import CameraFrame, DetectedFeatures, FrameMatches
+from sylpose.tracking.camera_side.klt_frontend import N_ANCHOR_FEATURES, append_new_features
+from sylpose.tracking.camera_side.observations import measure_agreement
+from sylpose.tracking.context import Frame, TrackerContext, detect, drop_static_matches, object_radius_px
+from sylpose.tracking.first_motion import is_box_center_static, select_static_matches, update_from_matches
+from sylpose.tracking.frame_solvers import SOLVERS, PoseProblem, PoseSolution
+from sylpose.tracking.joint_side.joint_state import JointState
+from sylpose.tracking.joint_side.keyframes import (
+    PREPARATION_MARGIN,
+    SolvedFrame,
+    compute_viewpoints,
+    find_nearest_views,
+    has_enough_tracks,
+    select_references,
 )
-from sylpose.tracking.frame_solvers import MatchWeights, PoseProblem, PoseSolution
-from sylpose.tracking.joint_state import JointState
-from sylpose.tracking.keyframes import compute_viewpoints, select_references
-from sylpose.tracking.klt_frontend import N_ANCHOR_FEATURES as ANCHOR_FEATURES
-from sylpose.tracking.klt_frontend import PREPARATION_MARGIN, TrackedFeatures, append_new_features, has_enough_tracks
-from sylpose.tracking.relocalization import (
-    DESCRIPTOR_RATIO,
-    LOOSE_DESCRIPTOR_RATIO,
-    estimate_relocalized_pose,
-    match_keyframes,
-    select_keyframes,
-)
-from sylpose.tracking.reobserved import find_moved
-from sylpose.tracking.reports import LandmarkAges, PoseAgreement, RelocalizationMatches, TrackingReport
+from sylpose.tracking.reports import PoseAgreement, RelocalizationMatches, TrackingReport
 
 __all__ = [
+    "MAX_KLT_FEATURES",
     "MAX_WAIT_FRAMES",
+    "MIN_CAMERA_FEATURES",
+    "SOLVED_RADIUS",
     "PoseCandidate",
+    "compute_noise_weights",
     "detect_in_regions",
-    "drop_static_matches",
-    "estimate_noise",
+    "find_pose",
     "is_fast",
     "is_near_start",
     "is_partly_visible",
-    "match_references",
+    "is_weakly_supported",
     "relocalize",
     "solve_pose",
     "track_from_anchor",
@@ -83,6 +74,28 @@ MAX_NOISE_RATIO, MAX_NOISE_PX = 0.03, 3.0
 # Number of solutions of a frame whose cameras have different time stamps, each with the velocity of the previous one
 # (choice).
 VELOCITY_ROUNDS = 2
+# Search radius around a landmark's projection at a solved pose, as a share of the object's radius in the image; minimum,
+# pixels (choice).
+SOLVED_RADIUS, MIN_RADIUS_PX = 0.03, 3.0
+# Noise at which inliers of a pose count nothing, as a share of the object's radius in the image, and minimum pixels.
+# Features near a wrong pose are spread evenly over the search radius: their rms distance is six tenths of it (derived).
+ZERO_WEIGHT_NOISE_RATIO, ZERO_WEIGHT_NOISE_PX = 0.4 * SOLVED_RADIUS, 0.58 * MIN_RADIUS_PX
+# With a lower score another pose may be equally good: a different body of the same outline scores about twenty
+# (measured: tests/tracking/test_relocalization.py). Minimum weight of a camera's features, and minimum number of
+# features for a camera to count (choice).
+MIN_SCORE, MIN_GOOD_WEIGHT, MIN_CAMERA_FEATURES = 20.0, 0.5, 15
+# Number of keyframes compared per camera for relocalization: those nearest to its last viewpoint, and others from all
+# sides in rotation (choice).
+N_NEAREST_KEYFRAMES, N_OTHER_KEYFRAMES = 6, 6
+# Largest depth standard deviation of a relocalized landmark, as a share of the object's radius (choice).
+MAX_DEPTH_SD_RATIO = 0.3
+# Minimum number of inliers of a relocalized pose: a body of the same outline in the same place, or an unknown side of
+# the object, gives about twenty, the object itself hundreds (measured: tests/tracking/test_relocalization.py) (choice).
+MIN_INLIERS = 24
+MAX_ERROR_PX = 8.0
+# Largest ratio of the descriptor distances to the best and the second-best match: as elsewhere, and where that failed.
+# The robust pose solver tolerates half of the matches being wrong (measured: benchmarks/features.py) (choice).
+DESCRIPTOR_RATIO, LOOSE_DESCRIPTOR_RATIO = 0.8, 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,69 +105,92 @@ class PoseCandidate:
     Attributes:
         frame: not solved yet.
         rig: the cameras with their poses at this frame.
-        pairs: per camera, local: the matches.
         solution: of the pose solver.
         motion: of the object since the last solved frame.
+        pose: world_from_object.
         agreements: per camera, how its matches agree with the pose.
-        regions: search regions.
-        tracked: per camera, local: its tracked features, which come first; None without KLT.
-        has_new_features: whether it has newly detected features, to be matched by descriptors.
-        first_landmarks: per camera, local: landmarks of the first frame, where this frame improves them.
+        cameras: per camera, local: its part.
     """
 
     frame: Frame
     rig: Rig
-    pairs: Sequence[Sequence[FrameMatches]]
     solution: PoseSolution
     motion: RigidTransform
+    pose: RigidTransform
     agreements: Sequence[PoseAgreement]
-    regions: Sequence[Region]
-    tracked: Sequence[TrackedFeatures] | None
-    has_new_features: bool
-    first_landmarks: Sequence[Landmarks] | None = None
+    cameras: Sequence[CameraSolution]
 
-    def as_static(self) -> PoseCandidate:
+    def as_static(self, last_pose: RigidTransform) -> PoseCandidate:
         """Return the candidate with its motion set to zero."""
-        solution = replace(self.solution, status=Status.NO_MOTION)
-        return replace(self, solution=solution, motion=RigidTransform.identity(), first_landmarks=None)
+        motion = RigidTransform.identity()
+        return replace(
+            self,
+            solution=replace(self.solution, is_static=True),
+            motion=motion,
+            pose=motion * last_pose,
+            cameras=[replace(own, first_landmarks=None) for own in self.cameras],
+        )
 
-    @property
-    def n_matches(self) -> int:
-        """Number of inlier matches."""
-        return sum(a.n_inlier_matches for a in self.agreements)
+
+def find_pose(
+    context: TrackerContext, state: JointState, frame: Frame, guess: RigidTransform
+) -> tuple[JointState, PoseCandidate | None]:
+    """Search for the frame's pose near a guess (world_from_object)."""
+    pairs: Sequence[Sequence[FrameMatches]] = _match_references(context, state, frame, guess)
+    is_open = state.object.is_bounded and not state.motion.has_moved
+    if is_open and is_box_center_static(context, state, frame, pairs):
+        # Something other than the object moves in the boxes.
+        last_pose = state.last.world_from_object
+        candidate = solve_pose(context, state, frame, select_static_matches(frame, pairs), last_pose)
+        return state, None if candidate is None else candidate.as_static(last_pose)
+    if state.needs_first_motion:
+        state, pose, pairs = update_from_matches(context, state, frame, pairs)
+        guess = guess if pose is None else pose
+    candidate = solve_pose(context, state, frame, pairs, guess)
+    if candidate is None:
+        return state, None
+    if state.may_be_background(candidate.agreements):
+        return replace(state, motion=replace(state.motion, is_background_only=True)), None
+    is_static = state.is_static(candidate.agreements)
+    return state, candidate.as_static(state.last.world_from_object) if is_static else candidate
+
+
+# --- features and matches ---------------------------------------------------------------------------------------------
 
 
 def track_from_anchor(
-    context: TrackerContext,
-    state: JointState,
-    frames: FrameSet,
-    predicted_pose: RigidTransform,
-    regions: Sequence[Region],
-) -> tuple[list[TrackedFeatures], int, bool, bool]:
+    context: TrackerContext, state: JointState, frame: Frame, predicted_pose: RigidTransform
+) -> tuple[Frame, int, bool, bool]:
     """Track the anchor's features in the next images.
 
     Args:
         predicted_pose: predicted world_from_object.
 
     Returns:
-        per camera, local: the tracked features; their total number; whether they suffice without new features; whether
-        new ones will be needed soon.
+        the frame with the tracked features; their total number; whether they suffice without new features; whether new
+        ones will be needed soon.
     """
-    assert state.anchor is not None
-    last, radius = state.last_frame.world_from_object, state.object.radius
-    tracked = context.executor.map_cameras(
-        lambda c: context.camera_trackers[c].track_anchor(
-            last, predicted_pose, frames.images[c], frames.masks[c], radius
-        ),
-        is_slow=True,
+    anchor, last = state.frames.anchor, state.last
+    assert anchor is not None
+    assert frame.regions is not None
+    n = len(context.cameras)
+    tracked = context.executor.run(
+        CameraTracker.track_anchor,
+        context.cameras,
+        [frame.images] * n,
+        [last.world_from_object] * n,
+        [predicted_pose] * n,
+        [state.object.radius] * n,
     )
-    reports = context.executor.all_gather(lambda c: tracked[c].create_report(regions[c]), TrackingReport.empty())
+    own_reports = [own.create_report(region) for own, region in zip(tracked, frame.regions, strict=True)]
+    reports = context.executor.gather(own_reports, TrackingReport())
     # While the next anchor is prepared, less is enough.
-    min_margin = 1.0 if state.next_anchor_number is None else 1.0 / PREPARATION_MARGIN
+    min_margin = 1.0 if state.frames.next_anchor_number is None else 1.0 / PREPARATION_MARGIN
     is_enough, is_enough_for_long = (
-        has_enough_tracks(reports, state.anchor, predicted_pose, margin) for margin in (min_margin, PREPARATION_MARGIN)
+        has_enough_tracks(reports, anchor, predicted_pose, margin) for margin in (min_margin, PREPARATION_MARGIN)
     )
-    return tracked, sum(report.n_tracked for report in reports), is_enough, not is_enough_for_long
+    n_tracked = sum(report.n_tracked for report in reports)
+    return replace(frame, tracked=tracked), n_tracked, is_enough, not is_enough_for_long
 
 
 def is_fast(state: JointState, predicted_pose: RigidTransform) -> bool:
@@ -165,53 +201,40 @@ def is_fast(state: JointState, predicted_pose: RigidTransform) -> bool:
     Args:
         predicted_pose: predicted world_from_object.
     """
-    angle = np.linalg.norm(relative_rotvec(state.last_frame.world_from_object, predicted_pose))
-    return bool(not state.velocity.n_frames or state.n_missed > 0 or angle > FAST_ROTATION)
+    angle = np.linalg.norm(relative_rotvec(state.last.world_from_object, predicted_pose))
+    return bool(not state.motion.velocity.n_frames or state.motion.n_missed > 0 or angle > FAST_ROTATION)
 
 
 def detect_in_regions(
-    context: TrackerContext,
-    state: JointState,
-    frames: FrameSet,
-    predicted_pose: RigidTransform,
-    regions: Sequence[Region],
-    tracked: Sequence[TrackedFeatures] | None,
-) -> list[Features]:
+    context: TrackerContext, state: JointState, frame: Frame, predicted_pose: RigidTransform
+) -> Frame:
     """Detect features in the object's regions and append them to the tracked ones.
 
     Low-contrast features are included where the others are barely enough.
 
     Args:
         predicted_pose: predicted world_from_object.
-        tracked: per camera, local: tracked features; None without KLT.
 
     Returns:
-        per camera, local: tracked features first, then new ones.
+        the frame with the tracked features first, then new ones.
     """
     # Where features disappear quickly, KLT tracking helps little, and every frame needs enough detected features.
-    max_features = (
-        (MAX_KLT_FEATURES, ANCHOR_FEATURES)
+    n_detected, n_total = (
+        (MAX_KLT_FEATURES, N_ANCHOR_FEATURES)
         if context.uses_klt and not is_fast(state, predicted_pose)
         else (MAX_FEATURES, MAX_FEATURES)
     )
-    detected = context.detect(frames, regions, max_features[0], faint=state.is_feature_poor)
-    if tracked is None:
-        return detected
-    return context.executor.map_cameras(
-        lambda c: append_new_features(
-            tracked[c], detected[c], context.camera_trackers[c].find_known_background(detected[c]), max_features[1]
-        )
-    )
+    features = detect(context, frame, n_detected, faint=state.is_feature_poor)
+    if frame.tracked is not None:
+        features = [
+            append_new_features(tracked, detected, camera.find_known_background(detected), n_total)
+            for camera, tracked, detected in zip(context.cameras, frame.tracked, features, strict=True)
+        ]
+    return context.with_features(frame, features)
 
 
-def match_references(
-    context: TrackerContext,
-    state: JointState,
-    frame: Frame,
-    guess: RigidTransform,
-    tracked: Sequence[TrackedFeatures] | None = None,
-    *,
-    has_new_features: bool = True,
+def _match_references(
+    context: TrackerContext, state: JointState, frame: Frame, guess: RigidTransform
 ) -> list[list[FrameMatches]]:
     """Match a frame's features with the anchor, the last frame and keyframes.
 
@@ -219,57 +242,32 @@ def match_references(
 
     Args:
         guess: world_from_object.
-        has_new_features: whether there are new features.
 
     Returns:
         per camera, local: matches.
     """
-    viewpoints_now, last = compute_viewpoints(context.rig, guess), state.last_frame if tracked is None else None
-
-    def match_camera(c: int) -> list[FrameMatches]:
-        pairs = [tracked[c].match_with_anchor()] if tracked is not None and len(tracked[c]) else []
-        if has_new_features:
-            references = [
-                *([] if last is None else [last]),
-                *select_references(state.keyframes, c, viewpoints_now[c], last),
+    tracked = [None] * len(context.cameras) if frame.tracked is None else frame.tracked
+    if frame.has_new_features:
+        viewpoints, last = compute_viewpoints(context.rig, guess), state.last if frame.tracked is None else None
+        references = [
+            [
+                *([] if last is None else [last.number]),
+                *(k.number for k in select_references(state.frames.keyframes, c, viewpoints[c], last)),
             ]
-            pairs += context.camera_trackers[c].match(frame.cameras[c], [reference.number for reference in references])
-        context.camera_trackers[c].detections = collect_detected_features(frame.cameras[c].features, pairs)
-        return pairs
-
-    pairs = context.executor.map_cameras(match_camera, is_slow=has_new_features)
-    return (
-        drop_static_matches(context, state, frame, pairs, guess)
-        if state.velocity.n_frames >= MIN_VELOCITY_FRAMES
-        else pairs
-    )
-
-
-def drop_static_matches(
-    context: TrackerContext,
-    state: JointState,
-    frame: Frame,
-    pairs: Sequence[Sequence[FrameMatches]],
-    predicted_pose: RigidTransform,
-) -> list[list[FrameMatches]]:
-    """Remove matches that are background according to the predicted motion; per camera, local.
-
-    Args:
-        predicted_pose: predicted world_from_object.
-    """
-    poses, radius = (
-        {number: solved.world_from_object for number, solved in state.known_frames.items()},
-        state.object.radius,
-    )
-
-    def drop_in_camera(c: int) -> list[FrameMatches]:
-        frame_and_camera = frame.cameras[c], context.rig.cameras[c]
-        kept = [
-            drop_background(pair, *frame_and_camera, poses[pair.reference], predicted_pose, radius) for pair in pairs[c]
+            for c in context.executor.local
         ]
-        return [pair for pair in kept if len(pair)]
+        pairs = context.executor.run(CameraTracker.match_all, context.cameras, frame.cameras, tracked, references)
+    else:
+        pairs = [
+            camera.match_all(current, own, [])
+            for camera, current, own in zip(context.cameras, frame.cameras, tracked, strict=True)
+        ]
+    if state.motion.velocity.n_frames < MIN_VELOCITY_FRAMES:
+        return pairs
+    return drop_static_matches(context, state, frame, pairs, guess)
 
-    return context.executor.map_cameras(drop_in_camera)
+
+# --- solution ---------------------------------------------------------------------------------------------------------
 
 
 def solve_pose(
@@ -278,10 +276,6 @@ def solve_pose(
     frame: Frame,
     pairs: Sequence[Sequence[FrameMatches]],
     guess: RigidTransform,
-    regions: Sequence[Region],
-    tracked: Sequence[TrackedFeatures] | None = None,
-    *,
-    has_new_features: bool = True,
 ) -> PoseCandidate | None:
     """Solve a frame's pose from its matches, starting at a guess.
 
@@ -292,143 +286,122 @@ def solve_pose(
     Returns:
         the pose candidate, or None if the solver fails.
     """
-    last_frame, velocity, executor = state.last_frame, state.velocity, context.executor
-    center, elapsed = last_frame.world_from_object.translation, frame.time - last_frame.time
-    motion_over_interval, first_landmarks = velocity.predict_motion(elapsed), None
+    last, velocity = state.last, state.motion.velocity
+    center, elapsed = last.world_from_object.translation, frame.time - last.time
+    known_frames, seed, radius = state.frames.by_number, context.seed, state.object.radius
+    motion = velocity.predict_motion(elapsed)
+    none = [None] * len(context.cameras)
+    first_landmarks: list[Landmarks] | None = None
     for _ in range(VELOCITY_ROUNDS):
-        rig = velocity.synchronize_rig(context.rig, frame.time_offsets, center, motion_over_interval, elapsed)
-        motion = guess * last_frame.world_from_object.inv()
-        hypothesis = (rotation_matrix_of(motion), motion.apply(center) - center)
-        radius = state.object.radius
-        problem = PoseProblem(
-            rig, last_frame, state.known_frames, radius, hypothesis, context.seed, frame.cameras, pairs
-        )
-        solution = context.solver(executor, problem)
-        if not solution.status.has_pose or (solution.status is Status.NO_MOTION and state.n_missed):
+        rig = velocity.synchronize_rig(context.rig, frame.time_offsets, center, motion, elapsed)
+        guessed = guess * last.world_from_object.inv()
+        hypothesis = (rotation_matrix_of(guessed), guessed.apply(center) - center)
+        problem = PoseProblem(rig, last, known_frames, radius, hypothesis, seed, frame.cameras, pairs)
+        solution = SOLVERS[context.method](context.executor, problem)
+        if solution is None or (solution.is_static and state.motion.n_missed):
             return None
-        if not state.is_lost and solution.status is not Status.NO_MOTION:
+        if not state.motion.is_lost and not solution.is_static:
             prior_free = solution.rotation, solution.translation, solution.information
             rotation, translation, information = velocity.fuse(*prior_free, center, elapsed)
             solution = replace(solution, rotation=rotation, translation=translation, information=information)
-        motion_over_interval = motion = make_motion_about(center, solution.rotation, solution.translation)
-        guess = motion * last_frame.world_from_object
+        motion = make_motion_about(center, solution.rotation, solution.translation)
+        guess = motion * last.world_from_object
         if not frame.time_offsets.any():
             break
         # Time offsets were corrected with the previous frame's velocity. Now this frame's is known, and after the first
         # motion also the first frame's.
-        if last_frame.number == state.keyframes[0].number and len(state.keyframes) == 1:
-            first_landmarks = _reinitialize_first_landmarks(
-                context,
-                state,
-                velocity.synchronize_rig(context.rig, last_frame.time_offsets, center, motion_over_interval, elapsed),
-            )
-            pairs = _replace_first_landmarks(executor, pairs, last_frame.number, first_landmarks)
-    agreement = solution.match_weights
-    agreements = executor.all_gather(
-        lambda c: _measure_agreement(pairs[c], agreement[c], frame.cameras[c]), PoseAgreement.empty()
-    )
-    is_noise = solution.status is not Status.NO_MOTION and _is_noise(context, state, guess, agreements)
-    return (
-        None
-        if is_noise
-        else PoseCandidate(
-            frame, rig, pairs, solution, motion, agreements, regions, tracked, has_new_features, first_landmarks
-        )
-    )
+        if last.number == state.frames.first.number and len(state.frames.keyframes) == 1:
+            first_rig = velocity.synchronize_rig(context.rig, last.time_offsets, center, motion, elapsed)
+            first_landmarks = [
+                camera.reinitialize_landmarks(last, first_rig.cameras[camera.index], state.object)
+                for camera in context.cameras
+            ]
+            pairs = _replace_first_landmarks(pairs, last.number, first_landmarks)
+    assert solution is not None
+    own = (frame.cameras, pairs, solution.match_weights, frame.tracked or none, first_landmarks or none)
+    cameras = [CameraSolution(*parts) for parts in zip(*own, strict=True)]
+    own_agreements = [measure_agreement(own.pairs, own.weights, own.current) for own in cameras]
+    agreements = context.executor.gather(own_agreements, PoseAgreement())
+    if not solution.is_static and _is_noise(context, state, guess, agreements):
+        return None
+    return PoseCandidate(frame, rig, solution, motion, guess, agreements, cameras)
 
 
 def _is_noise(
     context: TrackerContext, state: JointState, pose: RigidTransform, agreements: Sequence[PoseAgreement]
 ) -> bool:
     """Return whether in no camera the matches fit a pose (world_from_object) better than any other pose."""
-    limit = [
-        max(MAX_NOISE_RATIO * context.object_radius_px(state, c, pose), MAX_NOISE_PX) for c in range(len(context.rig))
-    ]
+    limits = [max(MAX_NOISE_RATIO * radius, MAX_NOISE_PX) for radius in object_radius_px(context, state, pose)]
     residuals_px = np.array([a.residual_px for a in agreements])
-    return bool((np.isnan(residuals_px) | (residuals_px > limit)).all())
-
-
-def _reinitialize_first_landmarks(context: TrackerContext, state: JointState, rig: Rig) -> list[Landmarks]:
-    """Recompute the landmarks of the first frame with time-corrected camera poses; per camera, local."""
-    first, cloud, radius = state.last_frame, state.object.points, state.object.radius
-    return context.executor.map_cameras(
-        lambda c: context.camera_trackers[c].reinitialize_landmarks(
-            first.number, rig.cameras[c], first.world_from_object, cloud, radius
-        )
-    )
+    return bool((np.isnan(residuals_px) | (residuals_px > limits)).all())
 
 
 def _replace_first_landmarks(
-    executor: CameraExecutor, pairs: Sequence[Sequence[FrameMatches]], number: int, landmarks: Sequence[Landmarks]
+    pairs: Sequence[Sequence[FrameMatches]], number: int, landmarks: Sequence[Landmarks]
 ) -> list[list[FrameMatches]]:
     """Return the pairs with the first frame's landmarks replaced."""
-
-    tables = executor.map_cameras(lambda c: LandmarkTable.from_landmarks(landmarks[c]))
-
-    def replace_landmarks(c: int) -> list[FrameMatches]:
-        return [
-            replace(pair, earlier=replace(pair.earlier, table=tables[c])) if pair.reference == number else pair
-            for pair in pairs[c]
+    tables = [LandmarkTable.from_landmarks(own) for own in landmarks]
+    return [
+        [
+            replace(pair, earlier=replace(pair.earlier, table=table)) if pair.reference == number else pair
+            for pair in own
         ]
-
-    return executor.map_cameras(replace_landmarks)
-
-
-def _measure_agreement(
-    pairs: Sequence[FrameMatches], match_weights: MatchWeights, current: CameraFrame
-) -> PoseAgreement:
-    """Summarize one camera's agreement with a solution."""
-    inliers = select_inliers(pairs, [w for w, _ in match_weights])
-    squares = np.concatenate([np.empty(0), *(r[w > 0] ** 2 for w, r in match_weights)])
-    indices = _concatenate_features([pair.indices for pair in inliers])
-    tried, landmarks = _concatenate_features([pair.indices for pair in pairs]), [pair.landmarks for pair in pairs]
-    is_inlier = np.concatenate([np.empty(0, bool), *(w > 0 for w, _ in match_weights)])
-    all_landmarks = Landmarks.concatenate(landmarks)
-    inlier_landmarks = all_landmarks.subset(is_inlier)
-    is_moving = np.concatenate([np.empty(0, bool), *(~find_static(pair) for pair in inliers)])
-    return PoseAgreement(
-        n_inlier_matches=len(indices),
-        n_matches=len(tried),
-        references=tuple(pair.reference for pair in pairs),
-        weights=tuple(float(w.sum()) for w, _ in match_weights),
-        ages=LandmarkAges.from_frame_counts(inlier_landmarks.n_observations.astype(float)),
-        n_inlier_features=_count_unique(indices),
-        n_moved=_count_unique(indices[find_moved(inliers, inlier_landmarks, match_weights, current.static_px)]),
-        n_known_moved=_count_unique(tried[all_landmarks.has_moved]),
-        residual_px=float(np.sqrt(squares.mean())) if len(squares) else np.nan,
-        has_features=len(current.features) > 0,
-        n_strong=_count_unique(indices[~current.features.faint[indices]]),
-        noise_px=estimate_noise(np.sqrt(squares)),
-        n_moving=_count_unique(indices[is_moving]),
-        n_features=_count_unique(tried),
-    )
+        for own, table in zip(pairs, tables, strict=True)
+    ]
 
 
-def _concatenate_features(indices: Sequence[IntArray]) -> IntArray:
-    """Concatenate the current frame's feature indices (n,) of several sets of matches (m, 2)."""
-    return np.concatenate([np.empty(0, np.int64), *(index[:, 1] for index in indices)])
+# --- acceptance -------------------------------------------------------------------------------------------------------
 
 
-def _count_unique(features: IntArray) -> int:
-    """Count unique features."""
-    return int(np.count_nonzero(np.bincount(features)))
+def compute_noise_weights(context: TrackerContext, state: JointState, candidate: PoseCandidate) -> FloatArray:
+    """Return the weight (C,) of each camera's inlier features by noise, from 1 to 0.
 
-
-def estimate_noise(residuals: FloatArray) -> float:
-    """Estimate the standard deviation of inlier residuals (n,); NaN without any.
-
-    It is the rms, or the median-based estimate if smaller, since a few of many low-contrast features may be far off.
+    The noise limit is the same for all poses.
     """
-    return (
-        float(min(np.sqrt(np.mean(residuals**2)), SIGMA_OF_MEDIAN * np.median(np.abs(residuals))))
-        if len(residuals)
-        else np.nan
-    )
+    cutoff = [
+        max(ZERO_WEIGHT_NOISE_RATIO * radius, ZERO_WEIGHT_NOISE_PX)
+        for radius in object_radius_px(context, state, candidate.pose)
+    ]
+    noise = np.nan_to_num(np.array([a.noise_px for a in candidate.agreements]), nan=np.inf)
+    return np.asarray(np.maximum(1.0 - (np.minimum(noise, 1e6) / cutoff) ** 2, 0.0) ** 2)
 
 
-def relocalize(
-    context: TrackerContext, state: JointState, frame: Frame, *, faint: bool = False
-) -> RigidTransform | None:
+def is_weakly_supported(context: TrackerContext, state: JointState, candidate: PoseCandidate) -> bool:
+    """Return whether a pose has too little support or too much noise to be certain.
+
+    Cameras that mostly see other things do not count if two others agree; nor cameras with almost no features. While
+    the motion is unknown static features do not count: the background agrees with itself.
+    """
+    is_motion_known = state.motion.velocity.n_frames > 0 or candidate.solution.is_static
+    features = np.array([a.n_inlier_features if is_motion_known else a.n_moving for a in candidate.agreements])
+    noise_weights = compute_noise_weights(context, state, candidate)
+    is_good, is_enough = noise_weights > MIN_GOOD_WEIGHT, features >= MIN_CAMERA_FEATURES
+    n_agreeing, n_seeing = int((is_enough & is_good).sum()), int(is_enough.sum())
+    return bool((features * noise_weights)[is_good].sum() < MIN_SCORE or n_agreeing < min(2, n_seeing))
+
+
+def is_near_start(state: JointState, candidate: PoseCandidate, pose: RigidTransform) -> bool:
+    """Return whether a solved pose is close to the pose it started from, e.g. by relocalization."""
+    difference = candidate.pose * pose.inv()
+    distance = np.linalg.norm(difference.apply(pose.translation) - pose.translation)
+    is_far = distance > MAX_START_TRANSLATION * state.object.radius
+    return bool(not is_far and difference.rotation.magnitude() <= MAX_START_ROTATION)
+
+
+def is_partly_visible(state: JointState, candidate: PoseCandidate) -> bool:
+    """Return whether too little of a missing object is visible to accept its pose yet.
+
+    Landmarks learned from an uncertain pose would remain wrong.
+    """
+    covariance = invert_information(candidate.solution.information)
+    is_uncertain = bool(np.sqrt(np.diag(covariance)[:3].max()) > MAX_RELOCALIZED_SD)
+    return state.motion.n_missed > 0 and is_uncertain and state.motion.n_reobserved < MAX_WAIT_FRAMES
+
+
+# --- relocalization ---------------------------------------------------------------------------------------------------
+
+
+def relocalize(context: TrackerContext, state: JointState, frame: Frame, *, faint: bool) -> RigidTransform | None:
     """Relocalize the object anywhere in the images, from the keyframes' landmarks alone.
 
     Args:
@@ -438,40 +411,71 @@ def relocalize(
     Returns:
         world_from_object; None if not found.
     """
+    keyframes = [
+        select_keyframes(state.frames.keyframes, c, state.last, state.motion.n_missed) for c in context.executor.local
+    ]
+    n = len(context.cameras)
     ratio = LOOSE_DESCRIPTOR_RATIO if faint else DESCRIPTOR_RATIO
-
-    def match_camera(c: int) -> RelocalizationMatches:
-        camera_tracker = context.camera_trackers[c]
-        tried = select_keyframes(state.keyframes, c, state.last_frame, state.n_missed)
-        own = match_keyframes(
-            [camera_tracker.frames[k.number] for k in tried], frame.cameras[c], state.object.radius, ratio
-        )
-        if not len(camera_tracker.detections.rejected):
-            camera_tracker.detections = DetectedFeatures(frame.cameras[c].features.pixels, own.pixels)
-        return own
-
-    matches = context.executor.map_cameras(match_camera, is_slow=True)
-    return estimate_relocalized_pose(
-        context.rig, context.executor.all_gather(lambda c: matches[c], RelocalizationMatches.empty())
-    )
+    radii = [state.object.radius] * n
+    matches = context.executor.run(_match_keyframes_of, context.cameras, keyframes, frame.cameras, radii, [ratio] * n)
+    return estimate_relocalized_pose(context.rig, context.executor.gather(matches, RelocalizationMatches()))
 
 
-def is_near_start(state: JointState, candidate: PoseCandidate, pose: RigidTransform) -> bool:
-    """Return whether a solved pose is close to the pose it started from, e.g. by relocalization."""
-    difference = candidate.motion * state.last_frame.world_from_object * pose.inv()
-    is_far = (
-        np.linalg.norm(difference.apply(pose.translation) - pose.translation)
-        > MAX_START_TRANSLATION * state.object.radius
-    )
-    return bool(not is_far and difference.rotation.magnitude() <= MAX_START_ROTATION)
+def _match_keyframes_of(
+    camera: CameraTracker, keyframes: Sequence[SolvedFrame], current: CameraFrame, radius: float, ratio: float
+) -> RelocalizationMatches:
+    """Match a camera's features with its keyframes; record what was detected."""
+    found = match_keyframes([camera.frames[k.number] for k in keyframes], current, radius, ratio)
+    if not len(camera.detections.rejected):
+        camera.detections = DetectedFeatures(current.features.pixels, found.pixels)
+    return found
 
 
-def is_partly_visible(state: JointState, candidate: PoseCandidate) -> bool:
-    """Return whether too little of a missing object is visible to accept its pose yet.
+def match_keyframes(
+    keyframes: Sequence[CameraFrame], current: CameraFrame, radius: float, ratio: float = DESCRIPTOR_RATIO
+) -> RelocalizationMatches:
+    """Match a camera's features with the landmarks of its keyframes.
 
-    Landmarks learned from an uncertain pose would remain wrong.
+    Args:
+        current: with the features of the whole image.
+        radius: of the object.
+        ratio: see `match_features`.
     """
-    is_uncertain = bool(
-        np.sqrt(np.diag(invert_information(candidate.solution.information))[:3].max()) > MAX_RELOCALIZED_SD
-    )
-    return state.n_missed > 0 and is_uncertain and state.n_reobserved < MAX_WAIT_FRAMES
+    points, pixels = [np.empty((0, 3))], [np.empty((0, 2))]
+    for keyframe in keyframes:
+        features, landmarks = keyframe.features, keyframe.landmarks
+        is_usable = (landmarks.depth_sd < MAX_DEPTH_SD_RATIO * radius) & ~keyframe.background
+        index = match_features(features.subset(is_usable), current.features, ratio)
+        points.append(landmarks.mean[is_usable][index[:, 0]])
+        pixels.append(current.features.pixels[index[:, 1]])
+    # A feature matched in several keyframes counts once.
+    _, first = np.unique(np.round(np.concatenate(pixels), 1), axis=0, return_index=True)
+    return RelocalizationMatches(np.concatenate(points)[first], np.concatenate(pixels)[first])
+
+
+def estimate_relocalized_pose(rig: Rig, records: Sequence[RelocalizationMatches]) -> RigidTransform | None:
+    """Estimate world_from_object from all cameras' matches; None with too few inliers."""
+    points, pixels = [record.points for record in records], [record.pixels for record in records]
+    pose = estimate_pose(rig, points, pixels, max_error_px=MAX_ERROR_PX)
+    usable = (Status.OK, Status.NOT_CONVERGED) if len(rig) > 1 else (Status.OK, Status.SCALE_NOT_OBSERVABLE)
+    if pose.status not in usable or pose.motion is None or pose.n_inliers.sum() < MIN_INLIERS:
+        return None
+    return pose.motion
+
+
+def select_keyframes(
+    keyframes: Sequence[SolvedFrame], camera: int, last: SolvedFrame, n_missed: int
+) -> list[SolvedFrame]:
+    """Select the keyframes to compare a camera's image with.
+
+    Args:
+        keyframes: in order of time.
+        last: the last solved frame.
+        n_missed: number of frames since the object was lost; each uses other keyframes.
+    """
+    nearest = find_nearest_views(keyframes, camera, last.viewpoints[camera], N_NEAREST_KEYFRAMES)
+    tried = {k.number for k in nearest}
+    others = [k for k in keyframes if k.is_visible[camera] and k.number not in tried]
+    # Each frame uses other keyframes, so that all are covered after a few.
+    stride = max(len(others) // N_OTHER_KEYFRAMES, 1)
+    return nearest + others[n_missed % stride :: stride]

@@ -1,5 +1,7 @@
 """Reports that cameras exchange: small frozen records of numbers, without images or features.
 
+The report of a camera without an image has the default values.
+
 A frame's decisions depend on these records alone (`joint_state`, `state_machine`), so all cameras that receive the same
 records make the same decisions (docs/map.md, "Two halves").
 """
@@ -7,7 +9,8 @@ records make the same decisions (docs/map.md, "Two halves").
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -29,13 +32,19 @@ __all__ = [
     "PoseAgreement",
     "RelocalizationMatches",
     "TrackingReport",
-    "expand_ages",
     "quantize_positions",
 ]
 
 
 # Positions that need little precision are rounded to this share of the object's radius, or finer (choice).
 POSITION_GRID_RATIO = 1.0 / 256.0
+# Default arrays.
+_no_numbers, _zero_vector = partial(np.zeros, 0), partial(np.zeros, 3)
+_no_pixels, _no_points = partial(np.zeros, (0, 2)), partial(np.zeros, (0, 3))
+
+
+def _no_indices() -> IntArray:
+    return np.zeros(0, np.int64)
 
 
 def quantize_positions(points: FloatArray, radius: float) -> FloatArray:
@@ -55,15 +64,10 @@ class TrackingReport:
         has_previous_image: whether it had a previous image to track from.
     """
 
-    n_tracked: int
-    n_alive: int
-    expects_object: bool
-    has_previous_image: bool
-
-    @classmethod
-    def empty(cls) -> TrackingReport:
-        """Return the report of a camera without an image."""
-        return cls(0, 0, False, False)
+    n_tracked: int = 0
+    n_alive: int = 0
+    expects_object: bool = False
+    has_previous_image: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,16 +113,11 @@ class BoxMotionReport:
         moving_displacement_px: their median displacement.
     """
 
-    n_center: int
-    center_displacement_px: float
-    is_center_static: bool
-    n_moving: int
-    moving_displacement_px: float
-
-    @classmethod
-    def empty(cls) -> BoxMotionReport:
-        """Return the report of a camera without an image."""
-        return cls(0, np.nan, False, 0, np.nan)
+    n_center: int = 0
+    center_displacement_px: float = np.nan
+    is_center_static: bool = False
+    n_moving: int = 0
+    moving_displacement_px: float = np.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,26 +132,11 @@ class LandmarkAges:
         depth_sd: median standard deviation of their depth, length units; NaN without any.
     """
 
-    values: FloatArray
-    counts: FloatArray
+    values: FloatArray = field(default_factory=_no_numbers)
+    counts: FloatArray = field(default_factory=_no_numbers)
     n_moving: int = 0
     oldest: int = 0
     depth_sd: float = np.nan
-
-    @classmethod
-    def from_frame_counts(
-        cls, frame_counts: FloatArray, n_moving: int = 0, oldest: int = 0, depth_sd: float = np.nan
-    ) -> LandmarkAges:
-        """Build the histogram from each landmark's number of frames (n,)."""
-        counts = np.bincount(frame_counts.astype(np.int64))
-        values = np.flatnonzero(counts)
-        return cls(values.astype(float), counts[values].astype(float), n_moving, oldest, depth_sd)
-
-
-def expand_ages(ages_by_camera: list[LandmarkAges]) -> FloatArray:
-    """Return the sorted ages (n,) of all cameras' landmarks, in frames."""
-    values = np.concatenate([ages.values for ages in ages_by_camera])
-    return np.sort(np.repeat(values, np.concatenate([ages.counts for ages in ages_by_camera]).astype(np.int64)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,11 +150,11 @@ class InlierStatistics:
         n_unknowns: number of unknowns added by the camera's depth model.
     """
 
-    n_inlier_matches: int
-    n_inlier_features: int
-    n_features: int
-    expected_by_chance: float
-    n_unknowns: int
+    n_inlier_matches: int = 0
+    n_inlier_features: int = 0
+    n_features: int = 0
+    expected_by_chance: float = 0.0
+    n_unknowns: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,13 +166,8 @@ class KnownDepthMatches:
         weights: (n,) 0 for matches that are not used.
     """
 
-    observations: LandmarkMatches
-    weights: FloatArray
-
-    @classmethod
-    def empty(cls) -> KnownDepthMatches:
-        """Return the report of a camera without an image."""
-        return cls(LandmarkMatches.empty(), np.empty(0))
+    observations: LandmarkMatches = field(default_factory=LandmarkMatches.empty)
+    weights: FloatArray = field(default_factory=_no_numbers)
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,25 +191,20 @@ class PoseAgreement:
         n_features: number of features that have matches, inliers or not.
     """
 
-    n_inlier_matches: int
-    n_matches: int
-    references: tuple[int, ...]
-    weights: tuple[float, ...]
-    ages: LandmarkAges
-    n_inlier_features: int
-    n_moved: int
-    n_known_moved: int
-    residual_px: float
-    has_features: bool
+    n_inlier_matches: int = 0
+    n_matches: int = 0
+    references: tuple[int, ...] = ()
+    weights: tuple[float, ...] = ()
+    ages: LandmarkAges = field(default_factory=LandmarkAges)
+    n_inlier_features: int = 0
+    n_moved: int = 0
+    n_known_moved: int = 0
+    residual_px: float = np.nan
+    has_features: bool = False
     n_moving: int = 0
     n_strong: int = 0
     noise_px: float = np.nan
     n_features: int = 0
-
-    @classmethod
-    def empty(cls) -> PoseAgreement:
-        """Return the report of a camera without an image."""
-        return cls(0, 0, (), (), LandmarkAges.from_frame_counts(np.empty(0)), 0, 0, 0, np.nan, False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,13 +216,8 @@ class RelocalizationMatches:
         pixels: (n, 2) the features.
     """
 
-    points: FloatArray
-    pixels: FloatArray
-
-    @classmethod
-    def empty(cls) -> RelocalizationMatches:
-        """Return the report of a camera without an image."""
-        return cls(np.empty((0, 3)), np.empty((0, 2)))
+    points: FloatArray = field(default_factory=_no_points)
+    pixels: FloatArray = field(default_factory=_no_pixels)
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,35 +234,23 @@ class NewObservations:
         positions: (m, 3) their approximate positions on the object.
     """
 
-    frame: IntArray
-    landmark: IntArray
-    image: FloatArray
-    landmark_ids: IntArray
-    positions: FloatArray
-
-    @classmethod
-    def empty(cls) -> NewObservations:
-        """Return the report of a camera without an image."""
-        no = np.empty(0, np.int64)
-        return cls(no, no, np.empty((0, 2)), no, np.empty((0, 3)))
+    frame: IntArray = field(default_factory=_no_indices)
+    landmark: IntArray = field(default_factory=_no_indices)
+    image: FloatArray = field(default_factory=_no_pixels)
+    landmark_ids: IntArray = field(default_factory=_no_indices)
+    positions: FloatArray = field(default_factory=_no_points)
 
     def select(self, frames: Sequence[int], landmarks: IntArray | None = None) -> NewObservations:
         """Select the observations in some frames, and of some landmarks if given."""
         is_selected = np.isin(self.frame, frames)
         is_selected &= True if landmarks is None else np.isin(self.landmark, landmarks)
-        return replace(
-            NewObservations.empty(),
-            frame=self.frame[is_selected],
-            landmark=self.landmark[is_selected],
-            image=self.image[is_selected],
-        )
+        return NewObservations(self.frame[is_selected], self.landmark[is_selected], self.image[is_selected])
 
     def merge(self, newer: NewObservations) -> NewObservations:
         """Merge with newer observations, sorted by frame and landmark."""
         frame, landmark = np.concatenate([self.frame, newer.frame]), np.concatenate([self.landmark, newer.landmark])
         order = np.lexsort([landmark, frame])
-        image = np.concatenate([self.image, newer.image])[order]
-        return replace(NewObservations.empty(), frame=frame[order], landmark=landmark[order], image=image)
+        return NewObservations(frame[order], landmark[order], np.concatenate([self.image, newer.image])[order])
 
 
 @dataclass(frozen=True, eq=False)
@@ -309,18 +266,12 @@ class CameraObservations:
         has_moved: (m,) 1 for landmarks known to have moved with it, else 0.
     """
 
-    frame: IntArray
-    landmark: IntArray
-    image: FloatArray
-    landmark_ids: IntArray
-    positions: FloatArray
-    has_moved: IntArray
-
-    @classmethod
-    def empty(cls) -> CameraObservations:
-        """Return the report of a camera without an image."""
-        no = np.empty(0, np.int64)
-        return cls(no, no, np.empty((0, 2)), no, np.empty((0, 3)), no)
+    frame: IntArray = field(default_factory=_no_indices)
+    landmark: IntArray = field(default_factory=_no_indices)
+    image: FloatArray = field(default_factory=_no_pixels)
+    landmark_ids: IntArray = field(default_factory=_no_indices)
+    positions: FloatArray = field(default_factory=_no_points)
+    has_moved: IntArray = field(default_factory=_no_indices)
 
 
 @dataclass(frozen=True, eq=False)
@@ -337,7 +288,7 @@ class CameraMotionReport:
     """
 
     has_changed: bool = False
-    rotation: FloatArray = field(default_factory=lambda: np.zeros(3))
+    rotation: FloatArray = field(default_factory=_zero_vector)
     sd: float = 0.0
     first_frame: int = 0
     is_confirmed: bool = False

@@ -4,20 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import FloatArray
-from sylpose.tracking.camera import CameraTracker
-from sylpose.tracking.camera_executor import CameraExecutor
-from sylpose.tracking.frame import Frame
-from sylpose.tracking.joint_state import JointState
-from sylpose.tracking.klt_frontend import create_anchor
-from sylpose.tracking.state_machine import BufferedFrame
+from sylpose.tracking.camera_side.camera import CameraTracker
+from sylpose.tracking.camera_side.klt_frontend import create_anchor
+from sylpose.tracking.context import Frame, TrackerContext
+from sylpose.tracking.initialization import BufferedFrame
+from sylpose.tracking.joint_side.joint_state import JointState
 
-__all__ = ["BufferedRecord", "Handover", "build_handover", "check_handover", "restore_handover"]
+__all__ = ["BufferedRecord", "Handover", "TrackerSnapshot", "build_handover", "check_handover", "restore_handover"]
+
+
+class TrackerSnapshot(NamedTuple):
+    """Complete tracker state between two frames: shared state and that of each local camera."""
+
+    state: JointState
+    buffered: Sequence[BufferedFrame]
+    next_number: int
+    camera_trackers: Sequence[CameraTracker]
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,19 +62,23 @@ class Handover:
     number: int
 
 
-def build_handover(state: JointState, buffered: Sequence[BufferedFrame], number: int) -> Handover:
+def build_handover(snapshot: TrackerSnapshot) -> Handover:
     """Create a handover between two frames."""
-
-    def create_record(w: BufferedFrame) -> BufferedRecord:
-        times = np.array([np.nan if t is None else t for t in w.frames.times])
-        return BufferedRecord(w.frames.index, w.frames.time, times, w.frame.number, w.frame.time_offsets, w.motion)
-
+    state = snapshot.state
     # Observations are shared again, and pending background work is restarted.
-    return Handover(
-        replace(state, shared_observations=(), next_anchor_number=None, pending_refinement=None),
-        tuple(create_record(w) for w in buffered),
-        number,
+    state = replace(
+        state,
+        frames=replace(state.frames, next_anchor_number=None),
+        refinement=replace(state.refinement, shared=(), pending=None),
     )
+    buffered = tuple(_create_record(frame, motion) for frame, motion in snapshot.buffered)
+    return Handover(state, buffered, snapshot.next_number)
+
+
+def _create_record(frame: Frame, motion: RigidTransform | None) -> BufferedRecord:
+    images = frame.images
+    times = np.array([np.nan if time is None else time for time in images.times])
+    return BufferedRecord(images.index, images.time, times, frame.number, frame.time_offsets, motion)
 
 
 def check_handover(handover: Handover, cameras: int) -> None:
@@ -75,23 +88,21 @@ def check_handover(handover: Handover, cameras: int) -> None:
         ValueError: it is not.
     """
     state, n = handover.state, cameras
-    anchor = () if state.anchor is None else (state.anchor.frame,)
-    frames = (*state.keyframes, *state.recent, *anchor, *(f for f in (state.last, state.last_refined) if f is not None))
+    last, keyframes, anchor = state.frames.last, state.frames.keyframes, state.frames.anchor
+    optional = (last, state.refinement.last, None if anchor is None else anchor.frame)
+    frames = [frame for frame in (*keyframes, *state.frames.recent, *optional) if frame is not None]
     is_consistent = all(
         len(f.time_offsets) == len(f.viewpoints) == len(f.is_visible) == n and f.number >= 0 for f in frames
     )
     is_consistent &= all(len(w.times) == len(w.time_offsets) == n for w in handover.buffered) and handover.number >= 0
-    is_consistent &= bool(state.keyframes) == (state.last is not None) and not (frames and state.last is None)
+    is_consistent &= bool(keyframes) == (last is not None) and not (frames and last is None)
     is_consistent &= all(0 <= nudge.camera < n for nudge in state.nudges)
     if not is_consistent:
         raise ValueError(f"the shared state is not that of {n} cameras")
 
 
 def restore_handover(
-    handover: Handover,
-    executor: CameraExecutor,
-    camera_trackers: Sequence[CameraTracker],
-    local_frames: Sequence[BufferedFrame] | None,
+    handover: Handover, context: TrackerContext, local_frames: Sequence[BufferedFrame] | None
 ) -> tuple[JointState, list[BufferedFrame], int]:
     """Restore state, buffered frames and next frame number from a handover.
 
@@ -103,26 +114,18 @@ def restore_handover(
     if local_frames is not None:
         # The transmitted motion is rounded: all cameras continue with the same value.
         return state, [w._replace(motion=t.motion) for w, t in zip(local_frames, records, strict=True)], handover.number
-    no_images = (None,) * len(camera_trackers)
-
-    def restore_camera(c: int) -> None:
-        camera_tracker = camera_trackers[c]
-        camera_tracker.reset()
-        camera_tracker.frames = (
-            {number: camera_tracker.create_empty_frame() for number in state.known_frames}
-            if state.last is not None
-            else {}
-        )
-        if state.anchor is not None:
-            number = state.anchor.frame.number
-            camera_tracker.anchor = create_anchor(number, camera_tracker.frames[number], None, None)
-
-    def create_buffered_frame(w: BufferedRecord) -> BufferedFrame:
-        times = tuple(None if np.isnan(t) else float(t) for t in w.times)
-        frame = Frame(
-            w.number, w.time, w.time_offsets, executor.map_cameras(lambda c: camera_trackers[c].create_empty_frame())
-        )
-        return BufferedFrame(frame, FrameSet(w.index, w.time, times, no_images, no_images), w.motion)
-
-    executor.map_cameras(restore_camera)
-    return state, [create_buffered_frame(w) for w in records], handover.number
+    for camera in context.cameras:
+        camera.reset()
+        if state.frames.last is not None:
+            camera.frames = {number: camera.create_empty_frame() for number in state.frames.by_number}
+        if state.frames.anchor is not None:
+            number = state.frames.anchor.frame.number
+            camera.anchor = create_anchor(number, camera.frames[number], None, None)
+    no_images = (None,) * len(context.rig)
+    buffered = list[BufferedFrame]()
+    for record in records:
+        times = tuple(None if np.isnan(time) else float(time) for time in record.times)
+        images = FrameSet(record.index, record.time, times, no_images, no_images)
+        empty = [camera.create_empty_frame() for camera in context.cameras]
+        buffered.append(BufferedFrame(Frame(record.number, images, record.time_offsets, cameras=empty), record.motion))
+    return state, buffered, handover.number

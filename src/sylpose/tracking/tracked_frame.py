@@ -8,41 +8,16 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.features.sift import Features
 from sylpose.frames import FrameSet
-from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
+from sylpose.geometry.arrays import FloatArray
 from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.results import FramePose, FrameStatus
-from sylpose.tracking.context import TrackerContext
-from sylpose.tracking.frame import CameraFrame, DetectedFeatures, FrameMatches, collect_detected_features
-from sylpose.tracking.joint_state import Nudge
+from sylpose.tracking.camera_side.frame import DetectedFeatures
+from sylpose.tracking.camera_side.observations import LandmarkObservations
+from sylpose.tracking.context import Frame, TrackerContext
+from sylpose.tracking.joint_side.joint_state import Nudge
 
-__all__ = [
-    "LandmarkObservations",
-    "TrackedFrame",
-    "create_unsolved_frame",
-    "explain_missing_pose",
-    "record_observations",
-    "select_shown_matches",
-    "wrap_unmatched_features",
-]
-
-
-@dataclass(frozen=True, eq=False)
-class LandmarkObservations:
-    """One camera's landmark observations in one frame, input to the joint refinement of all poses.
-
-    Attributes:
-        landmark_ids: (n,) landmark numbers, unique per camera and object feature.
-        normalized: (n, 2) undistorted normalized image points.
-        positions: (n, 3) estimated landmark positions, object's frame.
-        has_moved: (n,) whether the landmark is known to have moved with the object; otherwise it may be background.
-    """
-
-    landmark_ids: IntArray
-    normalized: FloatArray
-    positions: FloatArray
-    has_moved: BoolArray
+__all__ = ["TrackedFrame", "create_unsolved_frame", "explain_missing_pose"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,47 +53,11 @@ class TrackedFrame:
     learned_pose: FramePose | None = None
 
 
-def select_shown_matches(
-    inliers: Sequence[FrameMatches], current: CameraFrame, previous: int, previous_pixels: FloatArray | None
-) -> tuple[FloatArray, FloatArray] | None:
-    """Return one camera's inliers against the last solved frame, for `TrackedFrame.matches`.
-
-    Args:
-        inliers: matches with earlier frames that agree with the pose.
-        current: the camera's current frame.
-        previous: the last solved frame's number.
-        previous_pixels: (m, 2) pixels of the first m features in that frame, if they were tracked by KLT.
-    """
-    if previous_pixels is not None:
-        index = np.unique(np.concatenate([np.empty(0, np.int64), *(pair.indices[:, 1] for pair in inliers)]))
-        index = index[index < len(previous_pixels)]
-        index = index[np.isfinite(previous_pixels[index]).all(axis=1)]
-        return previous_pixels[index], current.features.pixels[index]
-    with_previous = [pair for pair in inliers if pair.reference == previous]
-    return (with_previous[0].pixels_i, with_previous[0].pixels_j) if with_previous else None
-
-
-def record_observations(inliers: Sequence[FrameMatches], current: CameraFrame) -> LandmarkObservations:
-    """Collect one camera's observations: inlier features and newly observed ones."""
-    used = np.concatenate([np.empty(0, np.int64), *(pair.indices[:, 1] for pair in inliers)])
-    landmarks = current.landmarks
-    index = np.union1d(used, np.flatnonzero(landmarks.n_observations == 1))
-    return LandmarkObservations(
-        landmarks.id[index], current.features.normalized[index], landmarks.mean[index], landmarks.has_moved[index]
-    )
-
-
-def wrap_unmatched_features(context: TrackerContext, features: Sequence[Features]) -> list[DetectedFeatures]:
-    """Wrap features without matches as `DetectedFeatures`; per camera, local."""
-    return context.executor.map_cameras(lambda c: collect_detected_features(features[c]))
-
-
 def create_unsolved_frame(
     context: TrackerContext,
-    frames: FrameSet,
+    frame: Frame,
     status: FrameStatus,
     detections: Sequence[DetectedFeatures],
-    regions: Sequence[FloatArray | None] | None = None,
     radius: float = np.nan,
     world_from_object: RigidTransform | None = None,
     covariance: FloatArray | None = None,
@@ -130,25 +69,22 @@ def create_unsolved_frame(
         world_from_object: predicted pose, if any.
         covariance: (6, 6) of (w, d), its uncertainty.
     """
-    n = len(frames.images)
-    covariance = np.full((6, 6), np.nan) if covariance is None else covariance
-    no_inliers = np.zeros(n, np.int64), np.full(n, np.nan)
-    counts = context.executor.all_gather(
-        lambda c: np.array([len(detections[c].features), len(detections[c].rejected)]), np.zeros(2, np.int64)
-    )
-    features, matches = np.array(counts).T
+    n, images = len(context.rig), frame.images
+    own_counts = [np.array([len(own.features), len(own.rejected)]) for own in detections]
+    features, matches = np.array(context.executor.gather(own_counts, np.zeros(2, np.int64))).T
     pose = FramePose(
-        frames.index,
-        frames.time,
+        images.index,
+        images.time,
         status,
         world_from_object,
-        covariance,
-        *no_inliers,
+        np.full((6, 6), np.nan) if covariance is None else covariance,
+        np.zeros(n, np.int64),
+        np.full(n, np.nan),
         matches=matches,
         reason=explain_missing_pose(status, int(features.sum()), int(matches.sum())),
     )
-    none = (None,) * n
-    return TrackedFrame(pose, frames, none, tuple(regions or none), radius, detections=tuple(detections))
+    regions = (None,) * n if frame.regions is None else context.spread(frame.regions)
+    return TrackedFrame(pose, images, (None,) * n, regions, radius, detections=context.spread(detections))
 
 
 def explain_missing_pose(status: FrameStatus, features: int, matches: int) -> str:

@@ -6,7 +6,7 @@ import copy
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -15,23 +15,22 @@ from sylpose.geometry.validation import check_integer, check_number, check_type,
 from sylpose.input_limits import to_one_line
 from sylpose.methods import FEATURES, METHODS, resolve_features
 from sylpose.rig import Rig
-from sylpose.tracking.camera import CameraTracker
-from sylpose.tracking.camera_executor import CameraExecutor, LocalExecutor
 from sylpose.tracking.camera_motion_correction import add_nudge_faults
-from sylpose.tracking.context import TrackerContext
-from sylpose.tracking.frame import SolvedFrame
-from sylpose.tracking.frame_solvers import SOLVERS
-from sylpose.tracking.joint_state import JointState
+from sylpose.tracking.camera_side.camera import CameraTracker
+from sylpose.tracking.context import CameraExecutor, LocalExecutor, TrackerContext
+from sylpose.tracking.initialization import BufferedFrame, finish_initialization
+from sylpose.tracking.joint_side.joint_state import JointState
+from sylpose.tracking.joint_side.keyframes import SolvedFrame
+from sylpose.tracking.joint_side.object_model import ObjectModel
 from sylpose.tracking.known_object import KnownObject, build_known_object
-from sylpose.tracking.object_model import ObjectModel
 from sylpose.tracking.object_transfer import TransferredObject, initialize_from_object, transfer_object
-from sylpose.tracking.state_machine import BufferedFrame, finish_initialization, process_frame
-from sylpose.tracking.state_transfer import Handover, build_handover, restore_handover
+from sylpose.tracking.state_machine import process_frame
+from sylpose.tracking.state_transfer import Handover, TrackerSnapshot, build_handover, restore_handover
 from sylpose.tracking.tracked_frame import TrackedFrame
 
 MAX_TIME_OFFSET = 1e6  # seconds: cameras of one recording start within days of each other (choice)
 
-__all__ = ["Tracker", "TrackerBase", "TrackerSnapshot", "track"]
+__all__ = ["Tracker", "TrackerBase", "track"]
 
 
 def track(
@@ -95,21 +94,12 @@ def _check_frame_sequence(frames: Iterable[FrameSet]) -> Iterable[FrameSet]:
     return frames
 
 
-class TrackerSnapshot(NamedTuple):
-    """Complete tracker state between two frames: shared state and that of each local camera."""
-
-    state: JointState
-    buffered: Sequence[BufferedFrame]
-    next_number: int
-    camera_trackers: Sequence[CameraTracker]
-
-
 class TrackerBase:
-    """Tracker core, independent of how the cameras are executed.
+    """Tracker core, independent of how the cameras are connected.
 
     Args:
-        camera_trackers: per camera, local: its tracker.
-        executor: executes functions for all cameras.
+        cameras: per camera, local: its tracker.
+        executor: connects the cameras.
         rig, boxes, method, features, offsets, seed, known_object: see `track`.
 
     Raises:
@@ -119,7 +109,7 @@ class TrackerBase:
     def __init__(
         self,
         rig: Rig,
-        camera_trackers: Sequence[CameraTracker],
+        cameras: Sequence[CameraTracker],
         executor: CameraExecutor,
         boxes: Mapping[str, Box] | None,
         *,
@@ -140,9 +130,7 @@ class TrackerBase:
         for name, box in check_type({} if boxes is None else boxes, Mapping, "boxes").items():
             check_type(box, Box, f"boxes: {format_value(name)}")
         time_offsets = np.array([(offsets or {}).get(name, 0.0) for name in rig.names])
-        self._context = TrackerContext(
-            rig, camera_trackers, executor, SOLVERS[method], uses_klt, time_offsets, seed, method == METHODS[0]
-        )
+        self._context = TrackerContext(rig, cameras, executor, method, uses_klt, time_offsets, seed)
         self._rig = rig
         self._state = JointState(ObjectModel.from_boxes(rig, boxes) if boxes else ObjectModel())
         if known_object is not None:
@@ -169,7 +157,7 @@ class TrackerBase:
         transferred, note = self.transferred_object, ""
         if transferred is not None and not self.next_number:
             note = transferred.note
-            self._state = initialize_from_object(transferred, self._rig, self._local_trackers(), frames.time)
+            self._state = initialize_from_object(transferred, self._rig, self._context.cameras, frames.time)
             self.next_number = len(transferred.keyframes)
         index, self.next_number = self.next_number, self.next_number + 1
         self._state, self._buffered, decided = process_frame(self._context, self._state, self._buffered, index, frames)
@@ -188,40 +176,36 @@ class TrackerBase:
     @property
     def snapshot(self) -> TrackerSnapshot:
         """The current state, including local cameras; `step` modifies parts of it in place."""
-        return TrackerSnapshot(self._state, self._buffered, self.next_number, self._local_trackers())
+        return TrackerSnapshot(self._state, self._buffered, self.next_number, self._context.cameras)
 
     def copy_snapshot(self) -> TrackerSnapshot:
         """Copy the current state, so that it outlives the next `step`."""
         # Immutable objects need not be copied: images, descriptors, calibrations.
-        constants: list[object] = [buffered.frames for buffered in self._buffered]
-        constants += [own for part in self._local_trackers() for own in part.list_immutable()]
-        constants += [own.features for buffered in self._buffered for own in buffered.frame.cameras if own is not None]
-        mutable = self._local_trackers(), list(self._buffered)
+        constants: list[object] = [frame.images for frame, _ in self._buffered]
+        constants += [own for camera in self._context.cameras for own in camera.list_immutable()]
+        constants += [features for frame, _ in self._buffered for features in frame.features]
+        mutable = self._context.cameras, list(self._buffered)
         camera_trackers, buffered = copy.deepcopy(mutable, {id(constant): constant for constant in constants})
         return TrackerSnapshot(self._state, buffered, self.next_number, camera_trackers)
 
     def restore(self, snapshot: TrackerSnapshot) -> None:
         """Restore an earlier state; each `TrackerSnapshot` may be restored once."""
         self._state, self._buffered, self.next_number, camera_trackers = snapshot
-        for camera_tracker, its in zip(self._local_trackers(), camera_trackers, strict=True):
+        for camera_tracker, its in zip(self._context.cameras, camera_trackers, strict=True):
             vars(camera_tracker).update(vars(its))
-
-    def _local_trackers(self) -> list[CameraTracker]:
-        """Return the trackers of the cameras in this process."""
-        return [part for part in self._context.camera_trackers if part is not None]
 
     def build_known_object(self) -> KnownObject | None:
         """Build a known object for another recording; None while too little is known."""
         return build_known_object(
             self._rig,
             self._state,
-            self._local_trackers(),
+            self._context.cameras,
             None if self.transferred_object is None else self.transferred_object.known_object,
         )
 
     def create_handover(self) -> Handover:
         """Create the handover for a camera that joins at the next frame."""
-        return build_handover(self._state, self._buffered, self.next_number)
+        return build_handover(self.snapshot)
 
     def apply_handover(self, handover: Handover, *, is_new: bool) -> None:
         """Continue from a handover.
@@ -230,29 +214,27 @@ class TrackerBase:
             handover: the shared state.
             is_new: whether the local cameras join now, without any observations so far.
         """
-        context, local_frames = self._context, None if is_new else self._buffered
-        self._state, self._buffered, self.next_number = restore_handover(
-            handover, context.executor, context.camera_trackers, local_frames
-        )
+        local_frames = None if is_new else self._buffered
+        self._state, self._buffered, self.next_number = restore_handover(handover, self._context, local_frames)
 
     @property
     def has_observations(self) -> bool:
         """Whether a local camera has observations by which it could recognize the object."""
-        return any(part.has_observations for part in self._local_trackers())
+        return any(camera.has_observations for camera in self._context.cameras)
 
     @property
     def first_frame(self) -> SolvedFrame | None:
         """The frame whose pose defines the object's frame; None before the first pose."""
-        return self._state.keyframes[0] if self._state.keyframes else None
+        return self._state.frames.first if self._state.frames.keyframes else None
 
     def restart(self) -> None:
         """Restart if a pose exists of an object that no camera could recognize.
 
         The next moving object is then tracked, and its first pose defines the object's frame.
         """
-        if self._state.last is not None:
+        if self._state.frames.last is not None:
             self._state = JointState(nudges=self._state.nudges)
-            for camera_tracker in self._local_trackers():
+            for camera_tracker in self._context.cameras:
                 camera_tracker.reset()
 
     def flush(self) -> list[TrackedFrame]:
@@ -287,9 +269,9 @@ class Tracker(TrackerBase):
         if workers is not None:
             check_integer(workers, "workers", minimum=0)
         self._executor = LocalExecutor(len(rig), workers or min(len(rig), os.cpu_count() or 1))
-        camera_trackers = [CameraTracker(c, camera) for c, camera in enumerate(rig)]
+        cameras = [CameraTracker(c, camera) for c, camera in enumerate(rig)]
         options: dict[str, Any] = {"method": method, "features": features, "offsets": offsets, "seed": seed}
-        super().__init__(rig, camera_trackers, self._executor, boxes, **options, known_object=known_object)
+        super().__init__(rig, cameras, self._executor, boxes, **options, known_object=known_object)
 
     def __enter__(self) -> Tracker:
         return self

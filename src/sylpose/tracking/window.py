@@ -4,31 +4,51 @@ A frame's pose inherits the errors of the frames it is matched with. At interval
 are refined jointly with the landmarks that several of them observe (`bundle_adjustment.bundle`). This corrects initial
 errors, a scale that only a later rotation determines, and the drift up to a revisited side; later frames build on the
 result.
+
+An alternative initial path from wide-baseline motions checks the sequential poses. If the object rotates slowly, is
+nearly planar or is visible in few cameras, its first small rotation barely separates motion from depth. A wrong depth
+then makes each next pose consistent with the previous ones, and joint refinement ends in the nearest local minimum with
+false certainty. Two distant frames are free of this: the landmarks observed in both are matches, which one large motion
+explains or not, with depth unknown (`estimate_motion`). If that motion contradicts the path, the path is bent to agree
+with it, as another start of the refinement, and the likelier result is used.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.bundle_adjustment.bundle import BundleOptions, BundleResult, Observations
 from sylpose.bundle_adjustment.scale_prior import SMALL_ROTATION, bundle_adjust_with_scale, is_scale_unobservable
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.future import BackgroundResult
-from sylpose.geometry.rigid import relative_rotvec
+from sylpose.geometry.robust_loss import chi_squared_bound
+from sylpose.matches import Matches
+from sylpose.relative_pose.motion import estimate_motion
 from sylpose.results import MAX_ROTATION_SD, Status
 from sylpose.rig import Rig
+from sylpose.tracking.camera_side.camera import CameraTracker
 from sylpose.tracking.context import TrackerContext
-from sylpose.tracking.frame import SolvedFrame
-from sylpose.tracking.joint_state import JointState, Refinement
-from sylpose.tracking.keyframes import compute_viewpoints, find_nearest_views, inherit_covariance
+from sylpose.tracking.joint_side.joint_state import (
+    MIN_FRAMES_TO_APPLY,
+    JointState,
+    PendingRefinement,
+    compute_pose_change,
+    enlarge_covariance,
+)
+from sylpose.tracking.joint_side.keyframes import (
+    SolvedFrame,
+    compute_viewpoints,
+    find_nearest_views,
+    inherit_covariance,
+)
 from sylpose.tracking.reports import NewObservations, quantize_positions
-from sylpose.tracking.wide_baseline_init import find_alternative_path
 
-__all__ = ["bundle_frames", "collect_refinement", "enlarge_covariance", "is_refinement_due", "refine_window"]
+__all__ = ["apply_refinement", "bundle_frames", "find_alternative_path", "refine_window"]
 
 # Maximum number of frames refined jointly, the first one and the last included (choice).
 MAX_FRAMES = 32
@@ -36,16 +56,10 @@ MAX_FRAMES = 32
 MAX_LANDMARKS = 150
 # With at least so many moved landmarks, those that never moved are omitted (choice).
 MIN_MOVED_LANDMARKS = 20
-# After the first frames, a refinement is due once the object has rotated by this since the last one (radians) or moved
-# by this share of its radius, as less motion shows little new; at the earliest after `MIN_INTERVAL` frames, at the
-# latest after `MAX_INTERVAL` (choice).
-MIN_NEW_ROTATION, MIN_NEW_TRANSLATION, MIN_INTERVAL, MAX_INTERVAL = np.radians(10.0), 0.3, 4, 12
-# Minimum number of frames for a refinement; and for one that changes poses, as fewer frames do not determine depths
-# well enough (choice).
-MIN_FRAMES, MIN_FRAMES_TO_APPLY = 2, 9
-# If the last refinement is at least so many frames ago, the next one runs in the background and is applied so many
-# frames later (choice).
-BACKGROUND_INTERVAL, RESULT_DELAY = 8, 5
+# Minimum number of frames for a refinement (choice).
+MIN_FRAMES = 2
+# If the last refinement is at least so many frames ago, the next one runs in the background (choice).
+BACKGROUND_INTERVAL = 8
 # A refinement is valid if it changes the last pose by less than this rotation (radians) and share of the object's
 # radius (choice).
 MAX_ROTATION_CHANGE, MAX_TRANSLATION_CHANGE = 0.1, 0.3
@@ -53,24 +67,17 @@ MAX_ROTATION_CHANGE, MAX_TRANSLATION_CHANGE = 0.1, 0.3
 MAX_ROUNDS = 12
 # Upper limit of landmark numbers (derived).
 MAX_LANDMARK_ID = 2**32
-
-
-def is_refinement_due(state: JointState) -> bool:
-    """Return whether the last solved frame is to be refined with others.
-
-    The first frames always are; later ones are after enough new motion.
-    """
-    last, before = state.last_frame, state.last_refined
-    if state.pending_refinement is not None:
-        return False
-    if before is None or last.number - state.keyframes[0].number <= MIN_FRAMES_TO_APPLY:
-        return True
-    change, since = _compute_pose_change(before, last.world_from_object), last.number - before.number
-    is_new = (
-        np.linalg.norm(change[:3]) > MIN_NEW_ROTATION
-        or np.linalg.norm(change[3:]) > MIN_NEW_TRANSLATION * state.object.radius
-    )
-    return since >= MAX_INTERVAL or (since >= MIN_INTERVAL and bool(is_new))
+# Shorter paths are not checked: the next frames may contradict what few frames agree on (choice).
+MIN_PATH_FRAMES = 16
+# Two frames are compared if so many landmarks are observed in both, by at least two cameras; the motion is valid if
+# this share of them are inliers (choice).
+MIN_SHARED_LANDMARKS, MIN_CAMERAS, MIN_INLIER_RATIO = 60, 2, 0.75
+# A motion contradicts a path if it excludes the path's (chi-squared, once in a thousand times) and differs by more than
+# this rotation, radians, or share of the object's radius. Smaller differences are left to the refinement (choice).
+MAX_CHI_SQUARED = chi_squared_bound(6)
+MIN_ROTATION, MIN_TRANSLATION = np.deg2rad(0.5), 0.03
+# Approximate number of links of a path that are checked; links over so many frames are split in halves (choice).
+MAX_LINKS, LONG_LINK_FRAMES = 6, 8
 
 
 def refine_window(context: TrackerContext, state: JointState) -> JointState:
@@ -79,65 +86,48 @@ def refine_window(context: TrackerContext, state: JointState) -> JointState:
     With few frames, or if the refinement diverges, it only updates the uncertainty of the path's scale and of the last
     frame's pose.
 
-    Where the object shows little that is new, the refinement runs in the background and `collect_refinement` applies it
-    some frames later.
+    Where the object shows little that is new, the refinement runs in the background and is applied some frames later
+    (`JointState.is_refinement_ready`).
     """
-    frames = _select_frames(state)
+    frames, last, before = _select_frames(state), state.last, state.refinement.last
     if len(frames) < MIN_FRAMES:
         return state
     numbers = [frame.number for frame in frames]
-    is_urgent = state.last_refined is None or state.last_frame.number - state.last_refined.number < BACKGROUND_INTERVAL
-    earlier = state.shared_observations or (NewObservations.empty(),) * len(context.rig)
-    new = context.executor.all_gather(
-        lambda c: _collect_new_observations(context, state, c, numbers, earlier[c]), NewObservations.empty()
-    )
-    shared = [
-        shared_by_camera.merge(new_by_camera) for shared_by_camera, new_by_camera in zip(earlier, new, strict=True)
+    is_urgent = before is None or last.number - before.number < BACKGROUND_INTERVAL
+    earlier = state.refinement.shared or (NewObservations(),) * len(context.rig)
+    own_new = [
+        _collect_new_observations(camera, numbers, earlier[camera.index], state.object.radius)
+        for camera in context.cameras
     ]
-    state = replace(
-        state,
-        shared_observations=tuple(shared_by_camera.select(sorted(state.known_frames)) for shared_by_camera in shared),
-        last_refined=state.last_frame,
-    )
-    used = [
-        shared_by_camera.select(numbers, new_by_camera.landmark_ids)
-        for shared_by_camera, new_by_camera in zip(shared, new, strict=True)
-    ]
-    landmark_cameras = np.repeat(np.arange(len(new)), [len(shared_by_camera.landmark_ids) for shared_by_camera in new])
+    new = context.executor.gather(own_new, NewObservations())
+    shared = [old.merge(added) for old, added in zip(earlier, new, strict=True)]
+    known = sorted(state.frames.by_number)
+    refinement = replace(state.refinement, shared=tuple(seen.select(known) for seen in shared), last=last)
+    landmark_cameras = np.repeat(np.arange(len(new)), [len(added.landmark_ids) for added in new])
     if not len(landmark_cameras):
-        return state
+        return replace(state, refinement=refinement)
+    used = [seen.select(numbers, added.landmark_ids) for seen, added in zip(shared, new, strict=True)]
     found = BackgroundResult(bundle_frames, *_build_bundle_input(context, frames, used, new), state.object.radius)
-    pending = Refinement(
-        state.last_frame.number,
-        tuple(frames),
-        landmark_cameras,
-        tuple(shared_by_camera.landmark_ids for shared_by_camera in new),
-        found,
+    pending = PendingRefinement(
+        last.number, tuple(frames), landmark_cameras, tuple(added.landmark_ids for added in new), found
     )
-    state = replace(state, pending_refinement=pending)
-    return _apply_refinement(context, state, pending) if is_urgent else state
+    state = replace(state, refinement=replace(refinement, pending=pending))
+    return apply_refinement(context, state) if is_urgent else state
 
 
-def collect_refinement(context: TrackerContext, state: JointState, number: int) -> JointState:
-    """Apply a background refinement once it is due in the frame with this number."""
-    pending = state.pending_refinement
-    return (
-        state
-        if pending is None or number < pending.number + RESULT_DELAY
-        else _apply_refinement(context, state, pending)
-    )
-
-
-def _apply_refinement(context: TrackerContext, state: JointState, pending: Refinement) -> JointState:
-    """Apply a refinement; frames solved since then follow the correction of its last frame."""
-    state, frames = replace(state, pending_refinement=None), pending.frames
-    bundled = _add_fixed_covariance(pending.result.value(), frames)
+def apply_refinement(context: TrackerContext, state: JointState) -> JointState:
+    """Apply the pending refinement; frames solved since it began follow the correction of its last frame."""
+    pending = state.refinement.pending
+    assert pending is not None
+    refinement, frames = replace(state.refinement, pending=None), pending.frames
+    state, bundled = replace(state, refinement=refinement), _add_fixed_covariance(pending.result.value(), frames)
     if bundled.status is Status.TOO_FEW_MATCHES:
         return state
-    state = replace(state, path_scale_sd=bundled.scale_sd if is_scale_unobservable(bundled) else 0.0)
+    refinement = replace(refinement, path_scale_sd=bundled.scale_sd if is_scale_unobservable(bundled) else 0.0)
+    state = replace(state, refinement=refinement)
     at = [frame.number for frame in frames].index(pending.number)  # for buffered frames it is not the last one
     last, refined_to = frames[at], bundled.world_from_object[at]
-    change = _compute_pose_change(last, refined_to)
+    change = compute_pose_change(last, refined_to)
     is_near = (
         np.linalg.norm(change[:3]) < MAX_ROTATION_CHANGE
         and np.linalg.norm(change[3:]) < MAX_TRANSLATION_CHANGE * state.object.radius
@@ -145,27 +135,36 @@ def _apply_refinement(context: TrackerContext, state: JointState, pending: Refin
     is_settled = len(frames) >= MIN_FRAMES_TO_APPLY and bundled.status is Status.OK and is_near
     if is_settled and _has_known_depth(bundled, pending.landmark_cameras):
         state = replace(state, object=replace(state.object, is_depth_guessed=False))
-    known_frames = state.known_frames
     # In boxes the solution may be the mirrored rotation, and converge there too.
-    if not is_settled or state.object.is_depth_guessed:
-        is_uncertain = np.sqrt(np.diag(bundled.covariance[at])[:3].max()) > MAX_ROTATION_SD
-        if not bundled.connected[at] or is_uncertain:  # the frame is unconstrained
-            return state
-        # The covariance includes the difference between the two estimates, which use the same matches.
-        inflated = enlarge_covariance(last.covariance, bundled.covariance[at]) + np.outer(change, change)
-        known = (
-            {last.number: replace(known_frames[last.number], covariance=inflated)}
-            if last.number in known_frames
-            else {}
-        )
-        return replace(state.replace_frames(known), refined_covariance=inflated)
+    if is_settled and not state.object.is_depth_guessed:
+        return _move_frames(context, state, pending, bundled, at)
+    is_uncertain = np.sqrt(np.diag(bundled.covariance[at])[:3].max()) > MAX_ROTATION_SD
+    if not bundled.connected[at] or is_uncertain:  # the frame is unconstrained
+        return state
+    # The covariance includes the difference between the two estimates, which use the same matches.
+    inflated, known = enlarge_covariance(last.covariance, bundled.covariance[at]) + np.outer(change, change), {}
+    if (present := state.frames.by_number.get(last.number)) is not None:
+        known = {last.number: replace(present, covariance=inflated)}
+    refinement = replace(refinement, covariance=inflated)
+    return replace(state, frames=state.frames.replace_frames(known), refinement=refinement)
+
+
+def _move_frames(
+    context: TrackerContext, state: JointState, pending: PendingRefinement, bundled: BundleResult, at: int
+) -> JointState:
+    """Move the known frames to their refined poses, and the landmarks with them.
+
+    Args:
+        at: index of the last refined frame.
+    """
+    frames, known_frames = pending.frames, state.frames.by_number
     poses = {
         frame.number: (bundled.world_from_object[k], bundled.covariance[k])
         for k, frame in enumerate(frames)
         if bundled.connected[k] and frame.number in known_frames and not frame.is_fixed
     }
     if bundled.connected[at]:
-        correction = refined_to * last.world_from_object.inv()
+        correction = bundled.world_from_object[at] * frames[at].world_from_object.inv()
         poses |= {
             k: (correction * f.world_from_object, f.covariance)
             for k, f in known_frames.items()
@@ -180,16 +179,12 @@ def _apply_refinement(context: TrackerContext, state: JointState, pending: Refin
         )
         for k, (pose, covariance) in poses.items()
     }
-
-    def update_camera(c: int) -> None:
-        is_local = pending.landmark_cameras == c
-        if is_local.any():
-            context.camera_trackers[c].table.move(pending.landmark_ids[c], bundled.landmarks[is_local])
-
-    context.executor.map_cameras(update_camera, is_slow=True)
-    return replace(
-        state.replace_frames(moved), refined_covariance=bundled.covariance[at] if bundled.connected[at] else None
-    )
+    for camera in context.cameras:
+        is_own = pending.landmark_cameras == camera.index
+        if is_own.any():
+            camera.table.move(pending.landmark_ids[camera.index], bundled.landmarks[is_own])
+    refinement = replace(state.refinement, covariance=bundled.covariance[at] if bundled.connected[at] else None)
+    return replace(state, frames=state.frames.replace_frames(moved), refinement=refinement)
 
 
 def _add_fixed_covariance(bundled: BundleResult, frames: Sequence[SolvedFrame]) -> BundleResult:
@@ -221,39 +216,18 @@ def _has_known_depth(bundled: BundleResult, landmark_cameras: IntArray) -> bool:
     )
 
 
-def _compute_pose_change(last: SolvedFrame, refined_pose: RigidTransform) -> FloatArray:
-    """Return the change (6,) (w, d) of a frame's pose by the refinement."""
-    before = last.world_from_object
-    return np.concatenate([relative_rotvec(before, refined_pose), refined_pose.translation - before.translation])
-
-
-def enlarge_covariance(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return a covariance (6, 6) not smaller than either input in any direction.
-
-    Args:
-        a: positive definite; enlarged wherever it is smaller than b.
-        b: lower bound.
-    """
-    root = np.linalg.cholesky(a)
-    inverse = np.linalg.inv(root)
-    values, vectors = np.linalg.eigh(inverse @ b @ inverse.T)
-    out = root @ vectors @ np.diag(np.maximum(values, 1.0)) @ vectors.T @ root.T
-    return np.asarray(0.5 * (out + out.T))
-
-
 def _select_frames(state: JointState) -> list[SolvedFrame]:
     """Select the frames to refine, in order of time.
 
     These are the first keyframe, the last frame, the recent ones and evenly spaced others; of fixed keyframes those
     with the nearest viewpoints.
     """
-    fixed = [frame for frame in state.keyframes if frame.is_fixed]
-    moving = {
-        frame.number: frame for frame in (*state.keyframes, *state.recent, state.last_frame) if not frame.is_fixed
-    }
+    keyframes, last = state.frames.keyframes, state.last
+    fixed = [frame for frame in keyframes if frame.is_fixed]
+    moving = {frame.number: frame for frame in (*keyframes, *state.frames.recent, last) if not frame.is_fixed}
     frames = [moving[number] for number in sorted(moving)]
     if fixed:
-        views = state.last_frame.viewpoints
+        views = last.viewpoints
         near = [find_nearest_views(fixed, c, view, MAX_FRAMES // (2 * len(views)) + 1) for c, view in enumerate(views)]
         nearest_frames = {frame.number: frame for its in near for frame in its}
         return [*(nearest_frames[number] for number in sorted(nearest_frames)), *frames[-MAX_FRAMES // 2 :]]
@@ -262,16 +236,15 @@ def _select_frames(state: JointState) -> list[SolvedFrame]:
     recent = frames[-MAX_FRAMES // 2 :]
     older = frames[: -MAX_FRAMES // 2]
     spread = np.unique(np.linspace(0, len(older) - 1, MAX_FRAMES - len(recent)).astype(int))
-    chosen = {frame.number: frame for frame in (*(older[k] for k in spread), *recent, state.last_frame)}
+    chosen = {frame.number: frame for frame in (*(older[k] for k in spread), *recent, last)}
     return [chosen[number] for number in sorted(chosen)]
 
 
 def _collect_new_observations(
-    context: TrackerContext, state: JointState, c: int, numbers: Sequence[int], shared: NewObservations
+    camera: CameraTracker, numbers: Sequence[int], shared: NewObservations, radius: float
 ) -> NewObservations:
     """Select a camera's landmarks and its observations not shared before, in given frames."""
-    camera_tracker = context.camera_trackers[c]
-    frames = [camera_tracker.frames[number] for number in numbers]
+    frames = [camera.frames[number] for number in numbers]
     frame = np.repeat(np.asarray(numbers, np.int64), [len(frame.landmark_ids) for frame in frames])
     landmark = np.concatenate([np.empty(0, np.int64), *(frame.landmark_ids for frame in frames)])
     image = np.concatenate([np.empty((0, 2)), *(frame.features.normalized for frame in frames)])
@@ -281,7 +254,7 @@ def _collect_new_observations(
     known, inverse, counts = np.unique(landmark[first], return_inverse=True, return_counts=True)
     # Once the object has moved, landmarks that never did may be background, which a path with less rotation explains as
     # well.
-    moved = camera_tracker.table.get(known).has_moved
+    moved = camera.table.get(known).has_moved
     is_usable = moved if np.count_nonzero(moved) >= MIN_MOVED_LANDMARKS else np.ones(len(known), bool)
     # Observations of landmarks merged with others since are partly invalid.
     shared_here = shared.select(numbers)
@@ -290,7 +263,7 @@ def _collect_new_observations(
     good = np.sort(good[np.argsort(-counts[good], kind="stable")[:MAX_LANDMARKS]])
     is_new = first[np.isin(inverse, good) & ~np.isin(keys, _compute_keys(shared_here.frame, shared_here.landmark))]
     # Initial positions need little precision.
-    positions = quantize_positions(camera_tracker.table.get(known[good]).mean, state.object.radius)
+    positions = quantize_positions(camera.table.get(known[good]).mean, radius)
     return NewObservations(frame[is_new], landmark[is_new], image[is_new], known[good], positions)
 
 
@@ -347,3 +320,107 @@ def bundle_frames(
     # Fixed frames form no path, and determine the depth.
     alternative = find_alternative_path(rig, observations, poses, radius) if is_fixed is None else None
     return bundle_adjust_with_scale(rig, observations, poses, radius, options, alternative_start=alternative)
+
+
+# --- alternative path ---------------------------------------------------------------------------------------------------
+
+
+def find_alternative_path(
+    rig: Rig, observations: Observations, path: RigidTransform, radius: float
+) -> RigidTransform | None:
+    """Return the path bent to agree with motions between distant frames, or None.
+
+    From the last frame backward, each link leads to the earliest frame that shares enough landmarks; the frame halfway
+    is checked as well. None means that these motions do not contradict the path.
+
+    Args:
+        observations: landmark observations of all frames.
+        path: N poses.
+        radius: of the object.
+    """
+    if len(path) < MIN_PATH_FRAMES:
+        return None
+    nodes = [len(path) - 1]
+    while nodes[-1] > 0 and len(nodes) <= MAX_LINKS:
+        earlier = _find_earliest(observations, nodes[-1])
+        if earlier is None:
+            break
+        if nodes[-1] - earlier >= LONG_LINK_FRAMES:
+            nodes.append((earlier + nodes[-1]) // 2)
+        nodes.append(earlier)
+    pairs = list(pairwise(reversed(nodes)))
+    deviations = [_compute_deviation(rig, observations, path, *pair, radius) for pair in pairs]
+    if all(deviation is None for deviation in deviations):
+        return None
+    poses = list(path)
+    # Poses before the first link stay.
+    for (earlier, later), deviation in zip(pairs, deviations, strict=True):
+        poses[earlier + 1 :] = _bend_path(path, poses[earlier], earlier, later, deviation)
+    return RigidTransform.concatenate(poses)
+
+
+def _find_shared(observations: Observations, first: int, second: int) -> list[tuple[IntArray, IntArray]]:
+    """Return per camera the observations of common landmarks in two frames."""
+    out = []
+    for camera in range(int(observations.camera.max(initial=-1)) + 1):
+        indices = [np.flatnonzero((observations.frame == k) & (observations.camera == camera)) for k in (first, second)]
+        _, a, b = np.intersect1d(
+            observations.landmark[indices[0]], observations.landmark[indices[1]], return_indices=True
+        )
+        out.append((indices[0][a], indices[1][b]))
+    return out
+
+
+def _find_earliest(observations: Observations, later: int) -> int | None:
+    """Return the earliest frame that shares enough landmarks with a later one."""
+    is_later = observations.frame == later
+    is_shared = (observations.frame < later) & np.isin(observations.landmark, observations.landmark[is_later])
+    counts = np.bincount(observations.frame[is_shared], minlength=later)
+    for k in np.flatnonzero(counts >= MIN_SHARED_LANDMARKS).tolist():
+        if len(np.unique(observations.camera[is_shared & (observations.frame == k)])) >= MIN_CAMERAS:
+            return int(k)
+    return None
+
+
+def _compute_deviation(
+    rig: Rig, observations: Observations, path: RigidTransform, earlier: int, later: int, radius: float
+) -> FloatArray | None:
+    """Compare the later pose with the motion between two frames.
+
+    Returns:
+        (6,) (w, d) from the later pose to the one by that motion, about the object's center; None if the motion is
+        unknown or does not contradict the path.
+    """
+    pairs = _find_shared(observations, earlier, later)
+    matches = [Matches(observations.image[a], observations.image[b]) for a, b in pairs]
+    matches += [Matches.empty()] * (len(rig) - len(matches))
+    found = estimate_motion(rig, matches, center=path[earlier].translation, radius=radius)
+    if found.status is not Status.OK or found.motion is None or found.faults or found.second_body_ratio > 0.0:
+        return None
+    if found.n_inliers.sum() < MIN_INLIER_RATIO * sum(len(m) for m in matches):
+        return None
+    corrected = found.motion * path[earlier]
+    rotation = (corrected.rotation * path[later].rotation.inv()).as_rotvec()
+    deviation = np.concatenate([rotation, corrected.translation - path[later].translation])
+    is_relevant = np.linalg.norm(rotation) > MIN_ROTATION or np.linalg.norm(deviation[3:]) > MIN_TRANSLATION * radius
+    return deviation if is_relevant and deviation @ found.information @ deviation > MAX_CHI_SQUARED else None
+
+
+def _bend_path(
+    path: RigidTransform, start: RigidTransform, earlier: int, later: int, deviation: FloatArray | None
+) -> list[RigidTransform]:
+    """Bend the poses after the earlier frame, which gets a new pose.
+
+    Up to the later frame an increasing share of its correction is applied, in proportion to the rotation.
+    """
+    correction = start * path[earlier].inv()
+    angles = (path.rotation * path[earlier].rotation.inv()).magnitude()
+    total_angle, out = max(float(angles[later]), 1e-9), []
+    for k in range(earlier + 1, len(path)):
+        pose = correction * path[k]
+        if deviation is not None:
+            share = min(float(angles[k]) / total_angle, 1.0) if k < later else 1.0
+            rotation = Rotation.from_rotvec(share * deviation[:3])
+            pose = RigidTransform.from_components(pose.translation + share * deviation[3:], rotation * pose.rotation)
+        out.append(pose)
+    return out

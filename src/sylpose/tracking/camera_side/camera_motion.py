@@ -7,8 +7,6 @@ about the camera's center, outside the object's region, the camera was nudged. T
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -23,7 +21,7 @@ from sylpose.features.static_background import (
 )
 from sylpose.geometry.arrays import BoolArray, FloatArray, Image
 from sylpose.rig import Camera
-from sylpose.tracking.region import rasterize_outline
+from sylpose.tracking.camera_side.region import REGION_MARGIN, project_outline, rasterize_outline
 from sylpose.tracking.reports import CameraMotionReport
 
 __all__ = ["PAUSE_FRAMES", "CameraMotionDetector", "View"]
@@ -75,12 +73,12 @@ class CameraMotionDetector:
             return image, mask
         return self.stabilizer.rectify_image(image), self.stabilizer.rectify_mask(mask)
 
-    def detect(self, image: Image | None, region: Callable[[], FloatArray | None], index: int) -> CameraMotionReport:
+    def detect(self, image: Image | None, points: FloatArray | None, index: int) -> CameraMotionReport:
         """Check whether the camera has moved.
 
         Args:
             image: corrected; None without one.
-            region: returns the object's outline in it, (k, 2); None while unknown.
+            points: (n, 3) points on the object, world; None while unknown.
             index: the recording's number of the frame.
         """
         if image is None:
@@ -98,7 +96,7 @@ class CameraMotionDetector:
             return CameraMotionReport()
         if not self.n_changed:
             # The object's position may become less certain in the next frames, without this camera.
-            self.is_static = self.is_static & ~self._is_on_object(region())
+            self.is_static = self.is_static & ~self._is_on_object(points)
         is_enough = self.is_static.sum() >= MIN_AGREEING
         rotation = estimate_camera_rotation(self.background, image, self.camera, self.is_static) if is_enough else None
         self.n_changed += 1
@@ -136,9 +134,10 @@ class CameraMotionDetector:
         if len(self.background) < MIN_CORNERS:
             self.restart(PAUSE_FRAMES)
 
-    def _is_on_object(self, region: FloatArray | None) -> BoolArray:
+    def _is_on_object(self, points: FloatArray | None) -> BoolArray:
         """Return which corners (n,) are on the object."""
         assert self.background is not None
+        region = None if points is None else project_outline(self.camera, points, REGION_MARGIN)
         columns, rows = self.background.pixels.astype(np.int64).T
         return np.asarray(rasterize_outline(region, self.camera.size)[rows, columns])
 

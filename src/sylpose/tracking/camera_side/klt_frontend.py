@@ -18,19 +18,16 @@ from sylpose.features.klt import Tracks, start_tracks, to_gray, track_features
 from sylpose.features.sift import Features
 from sylpose.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 from sylpose.geometry.future import BackgroundResult
-from sylpose.geometry.rigid import relative_rotvec
 from sylpose.rig import Camera
-from sylpose.tracking.frame import CameraFrame, FrameMatches, SolvedFrame
+from sylpose.tracking.camera_side.frame import CameraFrame, FrameMatches
 from sylpose.tracking.reports import TrackingReport
 
 __all__ = [
-    "Anchor",
     "CameraAnchor",
     "NextAnchor",
     "TrackedFeatures",
     "append_new_features",
     "create_anchor",
-    "has_enough_tracks",
     "select_tracked",
     "track_anchor",
 ]
@@ -43,32 +40,6 @@ N_ANCHOR_FEATURES, MAX_TRACKED, MIN_NEW_FEATURES = 350, 170, 40
 DUPLICATE_PX = 4.0
 # Lost features are searched again where their depth is known to this share of the object's radius (choice).
 MAX_DEPTH_SD_RATIO = 0.1
-# An anchor is used while these shares of its features are still tracked, overall and per camera, at least so many in
-# total, and the object has rotated by less than this (radians) since (choice).
-MIN_TRACKED_RATIO, MIN_CAMERA_RATIO, MIN_TRACKED, MAX_ANCHOR_ROTATION = 0.4, 0.25, 60, np.radians(30.0)
-# Preparation of the next anchor starts when the tracked shares fall below these times this factor, or the rotation
-# exceeds that divided by it (choice).
-PREPARATION_MARGIN = 1.5
-# Number of frames after which a camera without tracks is searched again (choice).
-RETRY_FRAMES = 8
-# Number of frames for which a sparse anchor is used: by then it is clear which features move with the object (choice).
-MAX_SPARSE_AGE = 2
-
-
-@dataclass(frozen=True, eq=False)
-class Anchor:
-    """Frame whose features are tracked by KLT; shared by all cameras.
-
-    Attributes:
-        frame: its landmarks are updated by the tracked features.
-        age: number of frames solved by its features alone.
-        is_sparse: whether it was created right after the first frame in boxes, when new features in them might be
-            background.
-    """
-
-    frame: SolvedFrame
-    age: int = 0
-    is_sparse: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,28 +118,6 @@ class NextAnchor:
     n_tracked: int
     rows: IntArray
     result: BackgroundResult[tuple[Features, dict[int, IntArray]]]
-
-
-def has_enough_tracks(
-    reports: Sequence[TrackingReport], anchor: Anchor, predicted_pose: RigidTransform, margin: float = 1.0
-) -> bool:
-    """Return whether an anchor's tracked features suffice without new ones.
-
-    Args:
-        reports: of all cameras.
-        predicted_pose: predicted world_from_object.
-        margin: safety factor on the required numbers.
-    """
-    angle = np.linalg.norm(relative_rotvec(anchor.frame.world_from_object, predicted_pose))
-    found, alive = np.array([r.n_tracked for r in reports]), np.array([r.n_alive for r in reports])
-    shares = margin * np.array([MIN_TRACKED_RATIO, MIN_CAMERA_RATIO])
-    is_enough = found.sum() >= max(shares[0] * alive.sum(), MIN_TRACKED) and (found >= shares[1] * alive).all()
-    for r in reports:
-        # A camera that delivers images again is searched at once; one without tracks is searched again after a while.
-        is_enough &= not (r.expects_object and not r.has_previous_image)
-        is_enough &= not (r.expects_object and r.n_alive == 0 and anchor.age >= RETRY_FRAMES)
-    is_lasting = not (anchor.is_sparse and anchor.age >= MAX_SPARSE_AGE)
-    return bool(is_enough and is_lasting and angle < MAX_ANCHOR_ROTATION / margin)
 
 
 def create_anchor(

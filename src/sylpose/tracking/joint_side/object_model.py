@@ -1,24 +1,61 @@
-"""Object region in each image: the projection of a point cloud that fills the object."""
+"""Model of the object: center, size and a point cloud, at first from the boxes that contain it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
-import cv2
 import numpy as np
 
 from sylpose.frames import Box
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.rig import Camera, Rig, intersect_rays
 
-__all__ = ["carve_box_volume", "project_outline", "rasterize_outline"]
+__all__ = ["ObjectModel", "carve_box_volume"]
 
-
+# Maximum number of object points that define the search region (choice).
+MAX_CLOUD_POINTS = 600
 # Points per axis of the grids carved by the boxes; number of grids, each fitted to what the previous one has left
 # (choice).
 GRID_POINTS, N_GRIDS = 15, 3
-# Directions in which an outline is dilated (choice).
-DILATION_DIRECTIONS = np.array([[np.cos(angle), np.sin(angle)] for angle in np.linspace(0, 2 * np.pi, 9)[:-1]])
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectModel:
+    """Size and point cloud of the object; points are added unless boxes bound it.
+
+    Attributes:
+        center: (3,) in the first frame, world; None while unknown.
+        radius: length units; NaN while unknown.
+        points: (n, 3) point cloud in the object's frame; its projection is the search region.
+        is_bounded: whether boxes bound the object.
+        is_depth_guessed: whether its depth is known from boxes only.
+    """
+
+    center: FloatArray | None = None
+    radius: float = np.nan
+    points: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    is_bounded: bool = False
+    is_depth_guessed: bool = False
+
+    @classmethod
+    def from_boxes(cls, rig: Rig, boxes: Mapping[str, Box]) -> ObjectModel:
+        """Create the model from boxes.
+
+        Raises:
+            ValueError: boxes of cameras that are not in the rig, or that do not intersect in space.
+        """
+        center, points = carve_box_volume(rig, boxes)
+        points = points - center
+        radius = float(np.quantile(np.linalg.norm(points, axis=1), 0.95))
+        return cls(center, radius, points, is_bounded=True, is_depth_guessed=True)
+
+    def add_points(self, points: FloatArray, seed: int) -> ObjectModel:
+        """Add points (n, 3) on the object to the cloud; keep a random subset if there are too many."""
+        points = np.concatenate([self.points, points[np.linalg.norm(points, axis=1) < 2.0 * self.radius]])
+        if len(points) > MAX_CLOUD_POINTS:
+            points = points[np.random.default_rng(seed).choice(len(points), MAX_CLOUD_POINTS, replace=False)]
+        return replace(self, points=points)
 
 
 def carve_box_volume(rig: Rig, boxes: Mapping[str, Box]) -> tuple[FloatArray, FloatArray]:
@@ -73,35 +110,3 @@ def _is_inside_boxes(cameras: Sequence[Camera], boxes: Mapping[str, Box], points
         pixels = camera.project(points)
         inside &= ((pixels >= low) & (pixels <= high)).all(axis=1)
     return inside
-
-
-def project_outline(camera: Camera, points: FloatArray, margin_ratio: float) -> FloatArray | None:
-    """Return the dilated outline of world points in a camera's image.
-
-    Args:
-        points: (n, 3) world.
-        margin_ratio: margin on every side, as a share of the outline's longer side; at least 12 pixels.
-
-    Returns:
-        (k, 2) pixels, convex; None if the points are out of view.
-    """
-    pixels = camera.project(points)
-    size = np.array(camera.size)
-    # Lens models fold back far outside the image: projections there are invalid.
-    pixels = pixels[((pixels > -size) & (pixels < 2 * size)).all(axis=1)]
-    if len(pixels) < 3:
-        return None
-    margin = max(12.0, margin_ratio * float(np.ptp(pixels, axis=0).max()))
-    if (pixels.max(axis=0) + margin < 0).any() or (pixels.min(axis=0) - margin > size - 1).any():
-        return None
-    hull = cv2.convexHull(pixels.astype(np.float32)).reshape(-1, 2)
-    widened = (hull[:, None] + margin * DILATION_DIRECTIONS).reshape(-1, 2).astype(np.float32)
-    return np.asarray(cv2.convexHull(widened).reshape(-1, 2), dtype=float)
-
-
-def rasterize_outline(outline: FloatArray | None, size: tuple[int, int]) -> BoolArray:
-    """Return a mask (h, w), True inside the outline (k, 2); all False without one."""
-    mask = np.zeros((size[1], size[0]), np.uint8)
-    if outline is not None:
-        cv2.fillConvexPoly(mask, np.round(outline).astype(np.int32), 1)
-    return mask.astype(bool)

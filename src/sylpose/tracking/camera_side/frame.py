@@ -1,8 +1,8 @@
-"""Frames, solved and unsolved, and one camera's matches between two frames."""
+"""One camera's data of a frame, and its matches between two frames."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -10,8 +10,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.features.sift import Features, match_features, match_guided
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
-from sylpose.landmarks.landmark_filter import Landmarks
-from sylpose.landmarks.landmark_table import LandmarkTable
+from sylpose.landmarks.landmark_filter import Landmarks, LandmarkTable
 from sylpose.matches import STATIC_PX
 from sylpose.relative_pose.terms import TermData
 from sylpose.rig import Camera
@@ -19,16 +18,16 @@ from sylpose.rig import Camera
 __all__ = [
     "CameraFrame",
     "DetectedFeatures",
-    "Frame",
     "FrameMatches",
-    "SolvedFrame",
     "collect_detected_features",
+    "collect_features",
     "drop_background",
     "find_static",
     "mark_background",
     "match_frames",
     "match_near_pose",
     "measure_displacement",
+    "omit_empty",
     "select_inliers",
     "triangulate",
 ]
@@ -66,48 +65,6 @@ class CameraFrame:
     def landmarks(self) -> Landmarks:
         """(n) landmarks of the features, as estimated so far."""
         return self.table.get(self.landmark_ids)
-
-
-@dataclass(frozen=True, eq=False)
-class Frame:
-    """An unsolved frame, without a pose.
-
-    Attributes:
-        number: frames are numbered consecutively.
-        time: seconds.
-        time_offsets: (C,) seconds after `time` at which each camera took its image.
-        cameras: per camera, local: its data.
-    """
-
-    number: int
-    time: float
-    time_offsets: FloatArray
-    cameras: Sequence[CameraFrame]
-
-
-@dataclass(frozen=True, eq=False)
-class SolvedFrame:
-    """A frame with its pose, shared by all cameras.
-
-    Attributes:
-        number, time, time_offsets: as in `Frame`; each camera stores its own data under the number.
-        world_from_object: the pose.
-        covariance: (6, 6) of (w, d), docs/conventions.md.
-        viewpoints: (C, 3) camera centers in the object's frame.
-        is_visible: (C,) which cameras have features in it.
-        landmark_age: typical number of frames in which the landmarks used for its pose were observed.
-        is_fixed: whether joint refinement keeps its pose fixed, as for keyframes transferred from another rig.
-    """
-
-    number: int
-    time: float
-    time_offsets: FloatArray
-    world_from_object: RigidTransform
-    covariance: FloatArray
-    viewpoints: FloatArray
-    is_visible: BoolArray
-    landmark_age: float = 1.0
-    is_fixed: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,19 +160,6 @@ def collect_detected_features(
     return DetectedFeatures(features.pixels, features.pixels[is_matched & ~is_inlier])
 
 
-def compute_reference_motion(
-    pair: FrameMatches, previous: SolvedFrame, known_frames: Mapping[int, SolvedFrame]
-) -> RigidTransform | None:
-    """Return the object's motion from a pair's reference frame to the last solved one.
-
-    Returns:
-        argument `previous_from_reference` of `FrameMatches.to_term`; None if both are the same frame.
-    """
-    if pair.reference == previous.number:
-        return None
-    return previous.world_from_object * known_frames[pair.reference].world_from_object.inv()
-
-
 def match_frames(
     reference: int, earlier: CameraFrame, current: CameraFrame, indices: IntArray | None = None
 ) -> FrameMatches:
@@ -260,10 +204,19 @@ def match_near_pose(
     return FrameMatches.from_indices(reference, earlier, current.features, indices[~current.background[indices[:, 1]]])
 
 
+def collect_features(pairs: Sequence[FrameMatches]) -> IntArray:
+    """Return the current frame's feature (n,) of each match."""
+    return np.concatenate([np.empty(0, np.int64), *(pair.indices[:, 1] for pair in pairs)])
+
+
+def omit_empty(pairs: Iterable[FrameMatches]) -> list[FrameMatches]:
+    """Return the pairs that have matches."""
+    return [pair for pair in pairs if len(pair)]
+
+
 def select_inliers(pairs: Sequence[FrameMatches], weights: Sequence[FloatArray]) -> list[FrameMatches]:
     """Select each pair's inliers, given its weights; omit pairs without any."""
-    kept = [pair.subset(w > 0) for pair, w in zip(pairs, weights, strict=True)]
-    return [pair for pair in kept if len(pair)]
+    return omit_empty(pair.subset(w > 0) for pair, w in zip(pairs, weights, strict=True))
 
 
 def find_static(pair: FrameMatches, static_px: float = STATIC_PX) -> BoolArray:
@@ -332,8 +285,7 @@ def mark_background(pair: FrameMatches, current: CameraFrame, is_background: Boo
 
 def mark_others_as_background(pairs: Sequence[FrameMatches], current: CameraFrame) -> None:
     """Mark all features of a frame except those of the given matches as background."""
-    kept = np.concatenate([np.empty(0, np.int64), *(pair.indices[:, 1] for pair in pairs)])
-    current.background[np.setdiff1d(np.arange(len(current.features)), kept)] = True
+    current.background[np.setdiff1d(np.arange(len(current.features)), collect_features(pairs))] = True
 
 
 def _min_motion_px(

@@ -1,0 +1,1 @@
+"""What one camera does with its own images: it sends the other cameras numbers only (`tracking.reports`)."""

@@ -1,0 +1,537 @@
+"""Tracker of one camera: feature detection in its own images and its memory of the object.
+
+Its inputs are shared by all cameras (a pose, the object's radius, frame numbers). It has no access to other cameras'
+data and sends them only `reports`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import RigidTransform
+
+from sylpose.features.sift import MAX_FAINT_FEATURES, MAX_FEATURES, Features, detect_features, find_static_features
+from sylpose.frames import FrameSet
+from sylpose.geometry.arrays import BoolArray, FloatArray
+from sylpose.landmarks.landmark_filter import Landmarks, LandmarkTable, update_landmarks
+from sylpose.matches import STATIC_PX
+from sylpose.rig import Camera, Rig
+from sylpose.tracking.camera_side.camera_motion import CameraMotionDetector, View
+from sylpose.tracking.camera_side.frame import (
+    CameraFrame,
+    DetectedFeatures,
+    FrameMatches,
+    collect_detected_features,
+    collect_features,
+    drop_background,
+    find_background,
+    mark_background,
+    match_frames,
+    match_near_pose,
+    omit_empty,
+)
+from sylpose.tracking.camera_side.klt_frontend import (
+    CameraAnchor,
+    NextAnchor,
+    TrackedFeatures,
+    advance_anchor,
+    create_anchor,
+    track_anchor,
+)
+from sylpose.tracking.camera_side.observations import (
+    SURFACE_DEPTH_SD_RATIO,
+    LandmarkObservations,
+    MatchWeights,
+    ReobservedFeatures,
+    record_observations,
+    select_shown_matches,
+)
+from sylpose.tracking.camera_side.region import Region, rasterize_outline
+from sylpose.tracking.joint_side.keyframes import SolvedFrame
+from sylpose.tracking.joint_side.object_model import ObjectModel
+from sylpose.tracking.reports import PoseAgreement
+
+__all__ = ["AcceptedPose", "CameraRecord", "CameraSolution", "CameraTracker", "compute_static_px", "is_large"]
+
+# With so many landmarks of known depth they describe the surface better than the volume inside the boxes (choice).
+MIN_SURFACE_LANDMARKS = 20
+# A feature has moved if displaced by so many standard deviations of the camera's keypoint noise, which is limited to
+# this maximum, pixels (choice).
+STATIC_SIGMAS, MAX_STATIC_PX = 5.0, 6.0
+# Maximum number of remembered background features (choice).
+MAX_BACKGROUND_FEATURES = 8000
+# The noise is averaged over about so many frames (choice).
+NOISE_AVERAGING_FRAMES = 5
+# Offsets at which matches occur by chance only, in search radii from the expected place (choice).
+CHANCE_OFFSETS = ((6.0, 0.0), (0.0, 6.0), (-6.0, 0.0), (0.0, -6.0))
+# Larger images than Full HD are downscaled where the whole image is searched; detection is repeated at full resolution
+# where something was found (choice).
+MAX_SEARCH_PIXELS = 1920 * 1080
+# The surroundings of the object's outline are searched up to so many times its size (choice).
+SURROUNDINGS_SCALE = 2.0
+# Features closer than this, pixels, are the same (choice).
+DUPLICATE_PX = 1.5
+
+
+def compute_static_px(noise_px: float) -> float:
+    """Return the displacement, pixels, below which keypoints of this noise are static."""
+    return float(np.clip(STATIC_SIGMAS * noise_px, STATIC_PX, MAX_STATIC_PX))
+
+
+def is_large(camera: Camera) -> bool:
+    """Return whether a camera's images are downscaled for searching."""
+    width, height = camera.size
+    return width * height > MAX_SEARCH_PIXELS
+
+
+@dataclass(frozen=True, eq=False)
+class CameraSolution:
+    """One camera's part of a candidate pose.
+
+    Attributes:
+        current: its data of the frame.
+        pairs: its matches with earlier frames.
+        weights: weights and residuals of the matches.
+        tracked: its tracked features, which come first in the frame; None without KLT.
+        first_landmarks: landmarks of the first frame, where this frame improves them.
+    """
+
+    current: CameraFrame
+    pairs: Sequence[FrameMatches]
+    weights: MatchWeights
+    tracked: TrackedFeatures | None
+    first_landmarks: Landmarks | None
+
+
+@dataclass(frozen=True, eq=False)
+class AcceptedPose:
+    """An accepted pose, with which every camera updates its memory of the object.
+
+    Attributes:
+        solved: the frame.
+        images: its images.
+        rig: the cameras with their poses at this frame.
+        known_frames: solved frames before it, by number.
+        last_number: number of the last solved frame before it.
+        radius: of the object.
+        agreements: per camera of the rig, how its matches agree with the pose.
+        is_muted: (C,) cameras whose landmarks are not updated.
+        has_moved: whether the object has been observed to move.
+        has_new_features: whether the frame has newly detected features.
+    """
+
+    solved: SolvedFrame
+    images: FrameSet
+    rig: Rig
+    known_frames: Mapping[int, SolvedFrame]
+    last_number: int
+    radius: float
+    agreements: Sequence[PoseAgreement]
+    is_muted: BoolArray
+    has_moved: bool
+    has_new_features: bool
+
+
+class CameraRecord(NamedTuple):
+    """One camera's part of a frame's result, see `TrackedFrame`."""
+
+    matches: tuple[FloatArray, FloatArray] | None
+    observations: LandmarkObservations
+    detections: DetectedFeatures
+
+
+class CameraTracker:
+    """Tracker state of one camera.
+
+    Attributes:
+        index: in the rig.
+        camera: its calibration.
+        table: its landmarks.
+        frames: its data of solved frames, by number: the keyframes, the last frame and the anchor.
+        anchor: its tracks of the anchor frame, if any.
+        next_anchor: those of the next anchor, while it is prepared.
+        background_features: those outside the object's region in the first frame, and those found later. Features
+            observed later at the same place are background.
+        noise_px: running estimate of keypoint noise.
+        view: image and mask of the last solved frame, until all features have been detected in it.
+        motion_detector: detects motion of the camera itself.
+        detections: features detected in the current frame.
+    """
+
+    def __init__(self, index: int, camera: Camera) -> None:
+        self.index, self.camera = index, camera
+        self.motion_detector = CameraMotionDetector(camera)
+        self.detections = DetectedFeatures()
+        self.reset()
+
+    def reset(self) -> None:
+        """Discard everything known of the object."""
+        self.frames: dict[int, CameraFrame] = {}
+        self.anchor: CameraAnchor | None = None
+        self.next_anchor: NextAnchor | None = None
+        self.background_features = Features.empty()
+        self.table = LandmarkTable()
+        self.noise_px = 0.0
+        self.view: View = (None, None)
+
+    @property
+    def static_px(self) -> float:
+        """Displacements below this are within the camera's keypoint noise, pixels."""
+        return compute_static_px(self.noise_px)
+
+    @property
+    def is_large(self) -> bool:
+        """Whether the camera's images are downscaled for searching."""
+        return is_large(self.camera)
+
+    @property
+    def has_observations(self) -> bool:
+        """Whether it has observations by which it could recognize the object."""
+        return any(len(frame.features) for frame in self.frames.values())
+
+    def list_immutable(self) -> list[object]:
+        """List the objects of its state that are never modified."""
+        anchor, watch = self.anchor, self.motion_detector
+        of_anchor = () if anchor is None else (anchor.tracks, anchor.image, anchor.frame.features)
+        features = (self.background_features, *(frame.features for frame in self.frames.values()))
+        return [self.camera, self.view, self.next_anchor, watch.background, watch.stabilizer, *of_anchor, *features]
+
+    # --- detection: state is not changed ------------------------------------------------------------------------------
+
+    def view_of(self, images: FrameSet) -> View:
+        """Return its image and mask of a frame."""
+        return images.images[self.index], images.masks[self.index]
+
+    def detect(
+        self,
+        view: View,
+        area: BoolArray | None,
+        max_features: int = MAX_FEATURES,
+        *,
+        faint: bool = False,
+        reduced: bool = False,
+    ) -> Features:
+        """Detect features inside an area and the object's mask.
+
+        Args:
+            view: image and mask.
+            area: (h, w) area; None: the whole image.
+            max_features: maximum number of features, the strongest.
+            faint: whether to keep low-contrast features and ignore `max_features`.
+            reduced: whether to downscale a large area.
+        """
+        image, mask = view
+        if image is None:
+            return Features.empty()
+        if area is None:
+            area = np.ones(self.camera.size[::-1], bool)
+        area = area if mask is None else area & mask
+        max_features = MAX_FAINT_FEATURES if faint else max_features
+        max_pixels = MAX_SEARCH_PIXELS if reduced else None
+        return detect_features(image, self.camera, area, max_features, faint=faint, max_pixels=max_pixels)
+
+    def detect_in(self, region: Region, images: FrameSet, max_features: int, *, faint: bool) -> Features:
+        """Detect features inside a region. See `detect`."""
+        return self.detect(self.view_of(images), self.rasterize(region), max_features, faint=faint)
+
+    def detect_at_full_res(self, features: Features, region: Region, images: FrameSet, *, faint: bool) -> Features:
+        """Return the features inside a region, detected at full resolution.
+
+        Args:
+            features: of the whole image; used as they are unless the image was searched downscaled.
+        """
+        if images.images[self.index] is None or not self.is_large:
+            return features.subset(self.find_inside(features, region))
+        return self.detect(self.view_of(images), self.rasterize(region), faint=faint)
+
+    def split_foreground(
+        self, features: Features, region: Region, is_static: BoolArray, images: FrameSet
+    ) -> tuple[Features, Features]:
+        """Split a whole image's features into possible object features and background.
+
+        Args:
+            region: of the object.
+            is_static: (n,) which features are known to be static.
+
+        Returns:
+            features inside the region that may be the object's; all others.
+        """
+        is_foreground = self.find_inside(features, region) & ~is_static
+        if images.images[self.index] is None or not self.is_large:
+            return features.subset(is_foreground), features.subset(~is_foreground)
+        detected = self.detect_at_full_res(features, region, images, faint=False)
+        is_background = find_static_features(detected, features.subset(is_static), self.static_px)
+        around = [features.subset(~is_foreground), detected.subset(is_background)]
+        return detected.subset(~is_background), Features.concatenate(around)
+
+    def detect_surroundings(self, region: Region, images: FrameSet, *, faint: bool) -> Features:
+        """Detect features outside a region; in large images at full resolution near it."""
+        area, view = ~self.rasterize(region), self.view_of(images)
+        detected = self.detect(view, area, faint=faint, reduced=True)
+        if region is None or not self.is_large:
+            return detected
+        middle = region.mean(axis=0)
+        near_area = area & self.rasterize(middle + SURROUNDINGS_SCALE * (region - middle))
+        return Features.concatenate([detected, self.detect(view, near_area, faint=faint, reduced=True)])
+
+    def rasterize(self, region: Region) -> BoolArray:
+        """Return a region's area (h, w)."""
+        return rasterize_outline(region, self.camera.size)
+
+    def find_inside(self, features: Features, region: Region) -> BoolArray:
+        """Return which features (n,) are inside a region."""
+        row, column = np.round(features.pixels).astype(np.int64).T[::-1]
+        return np.asarray(self.rasterize(region)[row, column])
+
+    def create_frame(self, features: Features) -> CameraFrame:
+        """Create a frame to be solved; features at the place of known background are marked."""
+        return CameraFrame(features, self.find_known_background(features), self.table, static_px=self.static_px)
+
+    def create_empty_frame(self) -> CameraFrame:
+        """Create a frame without features."""
+        return self.create_frame(Features.empty())
+
+    def find_known_background(self, features: Features) -> BoolArray:
+        """Return which features (n,) coincide with known background."""
+        return find_static_features(features, self.background_features, self.static_px)
+
+    # --- matching -----------------------------------------------------------------------------------------------------
+
+    def begin_frame(self) -> None:
+        """Clear the detected features at the start of a frame."""
+        self.detections = DetectedFeatures()
+
+    def track_anchor(
+        self, images: FrameSet, last_pose: RigidTransform, predicted_pose: RigidTransform, radius: float
+    ) -> TrackedFeatures:
+        """Track the anchor's features in the next image. See `klt_frontend.track_anchor`."""
+        assert self.anchor is not None
+        return track_anchor(self.anchor, self.camera, last_pose, predicted_pose, *self.view_of(images), radius)
+
+    def match(self, current: CameraFrame, references: Sequence[int]) -> list[FrameMatches]:
+        """Match by descriptors with earlier frames, in the given order.
+
+        Each pair passes its known background on to the frame, and so to the next pair.
+        """
+        return omit_empty([match_frames(number, self.frames[number], current) for number in references])
+
+    def match_all(
+        self, current: CameraFrame, tracked: TrackedFeatures | None, references: Sequence[int]
+    ) -> list[FrameMatches]:
+        """Match tracked features with the anchor and others with earlier frames; record what was detected."""
+        pairs = [tracked.match_with_anchor()] if tracked is not None and len(tracked) else []
+        pairs += self.match(current, references)
+        self.detections = collect_detected_features(current.features, pairs)
+        return pairs
+
+    def match_near(
+        self,
+        current: CameraFrame,
+        references: Sequence[int],
+        pose: RigidTransform,
+        radius_px: float,
+        offset_px: tuple[float, float] = (0.0, 0.0),
+    ) -> list[FrameMatches]:
+        """Match with landmarks of earlier frames near their projections. See `match_near_pose`."""
+        return omit_empty(
+            match_near_pose(number, self.frames[number], current, self.camera, pose, radius_px, offset_px)
+            for number in references
+        )
+
+    def count_supporting_features(
+        self, current: CameraFrame, references: Sequence[int], radius_px: float, pose: RigidTransform
+    ) -> tuple[int, float]:
+        """Count features that match landmarks near their projections, and those that match by chance.
+
+        Args:
+            radius_px: search radius, pixels.
+            pose: world_from_object.
+
+        Returns:
+            number of features near the projections; mean number at offset places.
+        """
+        near, *by_chance = (
+            len(np.unique(collect_features(self.match_near(current, references, pose, radius_px, offset_px))))
+            for offset_px in ((0.0, 0.0), *((dx * radius_px, dy * radius_px) for dx, dy in CHANCE_OFFSETS))
+        )
+        return near, float(np.mean(by_chance))
+
+    def drop_background(
+        self,
+        pairs: Sequence[FrameMatches],
+        current: CameraFrame,
+        poses: Mapping[int, RigidTransform],
+        predicted_pose: RigidTransform,
+        radius: float,
+    ) -> list[FrameMatches]:
+        """Remove matches that are background according to the predicted motion. See `frame.drop_background`.
+
+        Args:
+            poses: world_from_object of the earlier frames.
+        """
+        return omit_empty(
+            drop_background(pair, current, self.camera, poses[pair.reference], predicted_pose, radius) for pair in pairs
+        )
+
+    # --- update after a frame is accepted -----------------------------------------------------------------------------
+
+    def initialize(self, first: SolvedFrame, current: CameraFrame, background: Features, images: FrameSet) -> None:
+        """Start with the first solved frame and the background features around the object."""
+        self.frames, self.anchor, self.view = {first.number: current}, None, self.view_of(images)
+        self.background_features = background
+
+    def collect_reobserved(self, solution: CameraSolution, accepted: AcceptedPose) -> ReobservedFeatures:
+        """Collect the features that were observed before, and learn background and noise."""
+        if solution.first_landmarks is not None:
+            self.table.update(solution.first_landmarks)
+        if accepted.is_muted[self.index]:
+            return ReobservedFeatures.empty()
+        current, pose = solution.current, accepted.solved.world_from_object
+        if accepted.has_new_features:
+            self.learn_background(solution.pairs, current, pose, accepted.known_frames, accepted.radius)
+        self.update_noise(accepted.agreements[self.index].residual_px)
+        return ReobservedFeatures.from_matches(solution.pairs, solution.weights, current.static_px, accepted.radius)
+
+    def update_map(
+        self,
+        solution: CameraSolution,
+        reobserved: ReobservedFeatures,
+        accepted: AcceptedPose,
+        model: ObjectModel,
+        kept: set[int],
+        *,
+        begins_anchor: bool,
+    ) -> CameraRecord:
+        """Update landmarks, frames and anchor with an accepted pose.
+
+        Args:
+            reobserved: of `collect_reobserved`.
+            model: of the object.
+            kept: numbers of the frames to keep.
+            begins_anchor: whether the frame becomes the anchor.
+        """
+        number, is_muted = accepted.solved.number, accepted.is_muted[self.index]
+        current, tracked = self.create_empty_frame() if is_muted else solution.current, solution.tracked
+        pose, weights = accepted.solved.world_from_object, [w for w, _ in solution.weights]
+        self.update_landmarks(current, accepted.rig.cameras[self.index], pose, reobserved, model)
+        if tracked is not None and not accepted.has_new_features:
+            # Until the object has moved, disagreeing features may be the object's and the others background.
+            is_judged = accepted.has_moved and not is_muted
+            self.anchor = advance_anchor(tracked, solution.pairs if is_judged else [], weights if is_judged else [])
+        self._store_frame(number, current, kept, self.view_of(accepted.images))
+        if begins_anchor:
+            self.set_anchor(number, accepted.images, None if is_muted else tracked)
+        before = None if tracked is None else tracked.previous_pixels
+        detected = collect_detected_features(solution.current.features, solution.pairs, weights)
+        return CameraRecord(
+            select_shown_matches(reobserved.inliers, current, accepted.last_number, before),
+            record_observations(reobserved.inliers, current),
+            detected,
+        )
+
+    def learn_background(
+        self,
+        pairs: Sequence[FrameMatches],
+        current: CameraFrame,
+        pose_j: RigidTransform,
+        known_frames: Mapping[int, SolvedFrame],
+        radius: float,
+    ) -> None:
+        """Mark features as background that were static while the object moved.
+
+        Args:
+            pose_j: the current world_from_object.
+        """
+        before = current.background.copy()
+        for pair in pairs:
+            pose_i = known_frames[pair.reference].world_from_object
+            mark_background(pair, current, find_background(pair, current, self.camera, pose_i, pose_j, radius))
+        background = current.features.subset(current.background & ~before)
+        if len(self.background_features) < MAX_BACKGROUND_FEATURES:
+            self.background_features = Features.concatenate([self.background_features, background])
+
+    def update_noise(self, noise_px: float) -> None:
+        """Update the keypoint noise with another frame's; NaN: unchanged."""
+        if np.isfinite(noise_px):
+            self.noise_px += (noise_px - self.noise_px) / (NOISE_AVERAGING_FRAMES if self.noise_px else 1)
+
+    def update_landmarks(
+        self,
+        current: CameraFrame,
+        frame_camera: Camera,
+        world_from_object: RigidTransform,
+        reobserved: ReobservedFeatures,
+        model: ObjectModel,
+        bulge: float = 0.0,
+    ) -> None:
+        """Update the landmarks with a solved frame.
+
+        Args:
+            frame_camera: the camera, with its pose at this frame.
+            reobserved: features that were observed before.
+            model: of the object; its points are used while too few landmarks describe the surface.
+            bulge: see `predict_depths`.
+        """
+        surface = reobserved.surface_points
+        surface = surface if len(surface) >= MIN_SURFACE_LANDMARKS else model.points
+        known = reobserved.landmarks, reobserved.index
+        current.landmark_ids = self.table.update(
+            update_landmarks(current.features, frame_camera, world_from_object, *known, surface, model.radius, bulge)
+        )
+        # Landmarks that earlier frames kept apart are merged.
+        for pair in reobserved.inliers:
+            pair.earlier.landmark_ids[pair.indices[:, 0]] = current.landmark_ids[pair.indices[:, 1]]
+
+    def reinitialize_landmarks(self, frame: SolvedFrame, frame_camera: Camera, model: ObjectModel) -> Landmarks:
+        """Compute a frame's landmarks as if they were observed in this frame only. See `update_landmarks`."""
+        own, none = self.frames[frame.number], ReobservedFeatures.empty()
+        new = update_landmarks(
+            own.features,
+            frame_camera,
+            frame.world_from_object,
+            none.landmarks,
+            none.index,
+            model.points,
+            model.radius,
+        )
+        return replace(new, id=own.landmark_ids)
+
+    def add_remaining_features(self, region: Region, last: SolvedFrame, model: ObjectModel) -> None:
+        """Add all remaining features in the last solved frame's image to that frame, once.
+
+        Args:
+            region: of the object in it.
+            model: of the object; its points are used while too few landmarks describe the surface.
+        """
+        view, self.view = self.view, (None, None)
+        old = self.frames[last.number]
+        detected = self.detect(view, self.rasterize(region), faint=True)
+        if len(detected) and len(old.features):
+            detected = detected.subset(cKDTree(old.features.pixels).query(detected.pixels)[0] > DUPLICATE_PX)
+        if not len(detected):
+            return
+        known, none, pose = old.landmarks, ReobservedFeatures.empty(), last.world_from_object
+        surface = known.mean[known.depth_sd < SURFACE_DEPTH_SD_RATIO * model.radius]
+        cloud = surface if len(surface) >= MIN_SURFACE_LANDMARKS else model.points
+        new = update_landmarks(detected, self.camera, pose, none.landmarks, none.index, cloud, model.radius)
+        self.frames[last.number] = CameraFrame(
+            Features.concatenate([old.features, detected]),
+            np.concatenate([old.background, self.find_known_background(detected)]),
+            self.table,
+            np.concatenate([old.landmark_ids, self.table.update(new)]),
+        )
+
+    def _store_frame(self, number: int, current: CameraFrame, kept: set[int], view: View) -> None:
+        """Store a solved frame and its image; discard frames whose numbers are not listed."""
+        self.frames[number], self.view = current, view
+        self.frames = {k: frame for k, frame in self.frames.items() if k in kept}
+        self.table.prune(np.concatenate([frame.landmark_ids for frame in self.frames.values()]))
+
+    def set_anchor(self, number: int, images: FrameSet, tracked: TrackedFeatures | None) -> None:
+        """Make a solved frame the anchor. See `klt_frontend.create_anchor`."""
+        image = images.images[self.index]
+        self.anchor, self.next_anchor = create_anchor(number, self.frames[number], image, tracked), None

@@ -1,0 +1,499 @@
+"""First motion of the object: what moves against the static background, without boxes or within them.
+
+Until the object has moved, its surface is a guess. The first motion separates it from the background and determines the
+depths. A box contains more than the object: a person passing behind it, or a wall, is visible near the box's edges. The
+object is at the center, so motion at the center is the object's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from sylpose.features.sift import Features
+from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
+from sylpose.geometry.rigid import make_motion_about
+from sylpose.landmarks.landmark_filter import Landmarks
+from sylpose.relative_pose.observability import classify_observability
+from sylpose.relative_pose.solver import fit_terms
+from sylpose.relative_pose.terms import MIN_MATCHES, Fit, TermData, locate_object, make_failed_fit
+from sylpose.results import FrameStatus, Status
+from sylpose.rig import Camera, Rig
+from sylpose.tracking.camera_side.camera import CameraTracker, compute_static_px
+from sylpose.tracking.camera_side.frame import (
+    CameraFrame,
+    FrameMatches,
+    collect_features,
+    find_static,
+    mark_others_as_background,
+    measure_displacement,
+    omit_empty,
+    select_inliers,
+    triangulate,
+)
+from sylpose.tracking.camera_side.region import Region
+from sylpose.tracking.context import CameraExecutor, Frame, TrackerContext, drop_static_matches
+from sylpose.tracking.frame_solvers import scatter_fit
+from sylpose.tracking.joint_side.joint_state import MIN_MOVED_FEATURES, JointState
+from sylpose.tracking.reports import BoxMotionReport, InitialMatches, MovingMatches, quantize_positions
+
+__all__ = [
+    "FirstMotion",
+    "count_center_features",
+    "estimate_first_motion",
+    "estimate_first_points",
+    "estimate_jitter",
+    "is_ambiguous",
+    "is_box_center_static",
+    "is_continuing_motion",
+    "select_static_matches",
+    "update_from_matches",
+]
+
+# Another motion with this share of the object's inliers may be the object as well (choice).
+AMBIGUITY_RATIO = 0.5
+# Keypoints displaced by less than this, pixels, may be static. They define the noise if more than this share of them is
+# displaced by less than half of it (choice).
+MAX_STATIC_PX, MIN_STATIC_RATIO = 4.0, 0.65
+# Median of the Rayleigh distribution in standard deviations (derived).
+RAYLEIGH_MEDIAN = float(np.sqrt(2.0 * np.log(2.0)))
+# A camera detects a motion with at least so many inliers, whose median displacement exceeds this, pixels, and so many
+# times the noise of static keypoints (choice).
+MIN_SIGNIFICANT_MATCHES, MIN_DISPLACEMENT_PX, MIN_DISPLACEMENT_SIGMAS = 6, 3.5, 7.0
+# A rigid motion must exceed the log-likelihood of displacements in random directions by this much per unknown (choice:
+# Akaike's criterion requires 1, Bayes' half the logarithm of the number of matches).
+MIN_LOG_GAIN_PER_UNKNOWN = 5.0
+# Unknowns of a motion, and of each camera's surface (derived).
+MOTION_UNKNOWNS, SURFACE_UNKNOWNS = 6, 6
+# Between consecutive frames, the rotation since the first frame changes by at most this share, or this angle, radians
+# (choice).
+MAX_ROTATION_CHANGE_RATIO, MAX_ROTATION_CHANGE = 0.6, np.radians(0.75)
+# This share of all matches is wrong without any motion (choice).
+OUTLIER_RATIO = 0.05
+# Largest rms residual of moving matches as a share of their displacement (choice).
+MAX_RESIDUAL_RATIO = 0.35
+# Minimum keypoint noise, pixels (choice).
+MIN_NOISE_PX = 0.15
+# Minimum number of points that describe an object's surface (choice).
+MIN_SURFACE_POINTS = 20
+# The center of a box is this share of its width and height (choice).
+CENTER_RATIO = 0.5
+# The center is static if its displacement is within the noise and below this share of that of moving features, both
+# medians (choice: a body rotating about itself moves its center by about a third).
+MAX_CENTER_MOTION_RATIO = 0.15
+
+
+@dataclass(frozen=True, eq=False)
+class FirstMotion:
+    """Motion since a frame, of the only object that moves.
+
+    Attributes:
+        fit: of the moving matches.
+        center: (3,) point that the motion is about.
+        inlier_center: (3,) center of its inliers.
+        radius: of its inliers about `inlier_center`; NaN without any.
+        n_inliers: number of inliers.
+        displacement_px: median displacement of the inliers; NaN without any.
+        n_cameras: number of cameras that detect it, with enough inliers displaced far enough.
+        is_significant: whether it exceeds the noise of static keypoints.
+        is_observable: whether it is fully observable, including rotation angle and length of translation.
+        failure_status: status to report if this is not the object's motion: too few matches, no motion, or no rigid
+            motion.
+        inliers: per camera, local.
+    """
+
+    fit: Fit
+    center: FloatArray
+    inlier_center: FloatArray
+    radius: float
+    n_inliers: int
+    displacement_px: float
+    n_cameras: int
+    is_significant: bool
+    is_observable: bool
+    failure_status: FrameStatus
+    inliers: Sequence[Sequence[FrameMatches]]
+
+    @property
+    def motion(self) -> RigidTransform:
+        """Motion of the object since the frame."""
+        return make_motion_about(self.center, self.fit.rotation, self.fit.translation)
+
+
+def is_continuing_motion(earlier: RigidTransform | None, later: RigidTransform | None) -> bool:
+    """Return whether two frames' motions since the same frame may belong to one continuing body.
+
+    With few cameras and a planar object a second motion fits as well; that one differs in each frame.
+
+    Args:
+        earlier, later: motions, in order of time.
+    """
+    if earlier is None or later is None:
+        return False
+    angle = max(earlier.rotation.magnitude(), later.rotation.magnitude())
+    return bool(
+        (later.rotation * earlier.rotation.inv()).magnitude()
+        <= max(MAX_ROTATION_CHANGE_RATIO * angle, MAX_ROTATION_CHANGE)
+    )
+
+
+def estimate_jitter(pair: FrameMatches) -> float:
+    """Estimate the scatter of static keypoints in each direction, pixels; a minimum if almost none is static."""
+    displacement = np.linalg.norm(pair.pixels_i - pair.pixels_j, axis=1)
+    near = displacement[displacement < MAX_STATIC_PX]
+    # A slowly moving object shows all these displacements equally often.
+    is_slow = np.count_nonzero(near < MAX_STATIC_PX / 2) <= MIN_STATIC_RATIO * len(near)
+    return MIN_NOISE_PX if is_slow else max(float(np.median(near)) / RAYLEIGH_MEDIAN, MIN_NOISE_PX)
+
+
+# --- estimation -------------------------------------------------------------------------------------------------------
+
+
+def estimate_first_motion(
+    executor: CameraExecutor,
+    rig: Rig,
+    pairs: Sequence[Sequence[FrameMatches]],
+    first_number: int,
+    rng: np.random.Generator,
+) -> FirstMotion:
+    """Estimate the motion since the frame with the number `first_number`, from its moving matches.
+
+    Args:
+        pairs: per camera, local: matches.
+    """
+    first_pairs = [[pair for pair in own if pair.reference == first_number] for own in pairs]
+    n_matches = sum(executor.gather([sum(map(len, own)) for own in first_pairs], 0))
+    # Per camera, local: moving matches of each pair, and what the others need of them.
+    moving, own_reports = list[list[FrameMatches]](), list[InitialMatches]()
+    for c, own in zip(executor.local, first_pairs, strict=True):
+        jitter = [estimate_jitter(pair) for pair in own]
+        selected = [
+            pair.subset(~find_static(pair, compute_static_px(px))) for pair, px in zip(own, jitter, strict=True)
+        ]
+        moving.append(omit_empty(selected))
+        reports = [
+            _report_moving(part, pair, px, c, rig.cameras[c])
+            for part, pair, px in zip(selected, own, jitter, strict=True)
+            if len(part)
+        ]
+        own_reports.append(InitialMatches(tuple(reports)))
+    by_camera = [found.reports for found in executor.gather(own_reports, InitialMatches())]
+    reports = [report for of_camera in by_camera for report in of_camera]
+    failure_status = FrameStatus.TOO_FEW_MATCHES if n_matches < MIN_MATCHES else FrameStatus.NO_MOTION
+    if sum(len(report.term) for report in reports) > max(MIN_MATCHES, OUTLIER_RATIO * n_matches):
+        failure_status = FrameStatus.NOT_CONSISTENT
+    if not reports:
+        undefined, fit = np.full(3, np.nan), make_failed_fit([], Status.TOO_FEW_MATCHES)
+        nothing = [list[FrameMatches]() for _ in executor.local]
+        return FirstMotion(fit, undefined, undefined, np.nan, 0, np.nan, 0, False, False, failure_status, nothing)
+    fit, center = _fit_consistent(reports, rng)
+    detects_motion, is_likelier = _test_significance(fit, reports)
+    weights = scatter_fit(executor, fit, [[report.term for report in of_camera] for of_camera in by_camera])
+    inliers = [
+        (report.term.subset(w > 0), report.displacement_px[w > 0])
+        for report, w in zip(reports, fit.weights, strict=True)
+    ]
+    inliers = [(term, shift) for term, shift in inliers if len(term)]
+    inlier_center, radius = locate_object([term for term, _ in inliers]) if inliers else (np.full(3, np.nan), np.nan)
+    displacement = np.concatenate([np.empty(0), *(shift for _, shift in inliers)])
+    n_cameras = int(detects_motion.sum())
+    return FirstMotion(
+        fit=fit,
+        center=center,
+        inlier_center=inlier_center,
+        radius=radius,
+        n_inliers=len(displacement),
+        displacement_px=float(np.median(displacement)) if len(displacement) else np.nan,
+        n_cameras=n_cameras,
+        is_significant=is_likelier and n_cameras >= min(2, len(rig)),
+        is_observable=fit.status is Status.OK and classify_observability(fit, radius)[0].status is Status.OK,
+        failure_status=failure_status,
+        inliers=[select_inliers(own, [w for w, _ in ws]) for own, ws in zip(moving, weights, strict=True)],
+    )
+
+
+def _report_moving(part: FrameMatches, pair: FrameMatches, jitter_px: float, c: int, camera: Camera) -> MovingMatches:
+    """Report the moving matches of a pair."""
+    displacement_px = np.linalg.norm(part.pixels_i - part.pixels_j, axis=1)
+    return MovingMatches(part.to_term(c, camera), displacement_px, jitter_px, len(pair) - len(part))
+
+
+def _fit_consistent(reports: Sequence[MovingMatches], rng: np.random.Generator) -> tuple[Fit, FloatArray]:
+    """Fit a motion to the cameras that show one; return the fit and the center (3,) that the motion is about."""
+    data = [report.term for report in reports]
+    center, radius = locate_object(data)
+    fit = fit_terms(data, center, radius, [], rng)
+    is_consistent = ~_find_poor_terms(fit, reports)
+    if 2 <= is_consistent.sum() < len(is_consistent):
+        # In the other cameras, inliers are static keypoints with the largest jitter.
+        consistent_terms = [term for term, consistent in zip(data, is_consistent, strict=True) if consistent]
+        center, radius = locate_object(consistent_terms)
+        fit = _expand_fit(fit_terms(consistent_terms, center, radius, [], rng), data, is_consistent)
+    return fit, center
+
+
+def _find_poor_terms(fit: Fit, reports: Sequence[MovingMatches]) -> BoolArray:
+    """Return the cameras (T,) in which a fit leaves much of its inliers' displacement unexplained."""
+    is_poor = np.zeros(len(reports), bool)
+    for t, (record, w, across) in enumerate(zip(reports, fit.weights, fit.residuals, strict=True)):
+        good = w > 0
+        if good.any():
+            rms = float(np.sqrt(np.mean(across[good] ** 2)))
+            is_poor[t] = rms > MAX_RESIDUAL_RATIO * float(np.median(record.displacement_px[good]))
+    return is_poor
+
+
+def _expand_fit(fit: Fit, data: Sequence[TermData], is_chosen: BoolArray) -> Fit:
+    """Extend a fit to the chosen terms (T,) to all terms; the others get no inliers."""
+    weights, residuals = iter(fit.weights), iter(fit.residuals)
+    zero_arrays = [np.zeros(len(term)) for term in data]
+    return fit.with_matches(
+        [next(weights) if chosen else zeros for zeros, chosen in zip(zero_arrays, is_chosen, strict=True)],
+        [next(residuals) if chosen else zeros for zeros, chosen in zip(zero_arrays, is_chosen, strict=True)],
+    )
+
+
+def _test_significance(fit: Fit, reports: Sequence[MovingMatches]) -> tuple[BoolArray, bool]:
+    """Test whether a fit is significant against keypoint noise and random displacements.
+
+    A displacement of length d in a random direction has the density 1 / (π √(d² - r²)) of a component r. A rigid
+    motion, which predicts the match's epipolar line, has a Gaussian density of the residual r.
+
+    Returns:
+        (T,) cameras that detect a motion beyond the noise of static keypoints; whether a rigid motion is likelier than
+        independent displacements of the matches.
+    """
+    log_gain, detects_motion = 0.0, np.zeros(len(reports), bool)
+    for t, (record, w, across) in enumerate(zip(reports, fit.weights, fit.residuals, strict=True)):
+        good = w > 0
+        if not good.any():
+            continue
+        r, translation = np.abs(across[good]), record.displacement_px[good]
+        sigma = max(MIN_NOISE_PX, record.jitter_px, float(np.sqrt(np.mean(r**2))))
+        by_chance = 1.0 / (np.pi * np.sqrt(np.maximum(translation**2 - r**2, sigma**2)))
+        motion = np.exp(-0.5 * (r / sigma) ** 2) / (np.sqrt(2.0 * np.pi) * sigma)
+        gain = float(np.log(motion / by_chance).sum()) - MIN_LOG_GAIN_PER_UNKNOWN * SURFACE_UNKNOWNS
+        is_displaced = float(np.median(translation)) > max(
+            MIN_DISPLACEMENT_PX, MIN_DISPLACEMENT_SIGMAS * record.jitter_px
+        )
+        detects_motion[t] = good.sum() >= MIN_SIGNIFICANT_MATCHES and is_displaced and gain > 0
+        log_gain += gain
+    return detects_motion, log_gain > MIN_LOG_GAIN_PER_UNKNOWN * MOTION_UNKNOWNS
+
+
+def is_ambiguous(
+    executor: CameraExecutor,
+    rig: Rig,
+    pairs: Sequence[Sequence[FrameMatches]],
+    first_number: int,
+    initial_motion: FirstMotion,
+    rng: np.random.Generator,
+) -> bool:
+    """Return whether something else moved as a rigid body, with nearly as many inliers.
+
+    Args:
+        pairs: per camera, local: all matches since the frame with the number `first_number`.
+        initial_motion: the motion accepted as the object's.
+    """
+
+    others = [
+        [pair.subset(~np.isin(pair.indices[:, 0], _first_features(inliers))) for pair in own]
+        for own, inliers in zip(pairs, initial_motion.inliers, strict=True)
+    ]
+    other = estimate_first_motion(executor, rig, others, first_number, rng)
+    return (
+        other.fit.status is Status.OK
+        and other.is_significant
+        and other.n_inliers > AMBIGUITY_RATIO * initial_motion.n_inliers
+    )
+
+
+def _first_features(pairs: Sequence[FrameMatches]) -> IntArray:
+    """Return the earlier frame's feature (n,) of each match."""
+    return np.concatenate([np.empty(0, np.int64), *(pair.indices[:, 0] for pair in pairs)])
+
+
+# --- depth and background from the first motion -----------------------------------------------------------------------
+
+
+def update_from_matches(
+    context: TrackerContext, state: JointState, frame: Frame, pairs: Sequence[Sequence[FrameMatches]]
+) -> tuple[JointState, RigidTransform | None, Sequence[Sequence[FrameMatches]]]:
+    """Update depth and motion from a frame's matches (`JointState.needs_first_motion`).
+
+    Args:
+        frame: not solved yet.
+        pairs: per camera, local: its matches.
+
+    Returns:
+        the state; the pose estimated from the matches, or None; per camera, local: the remaining matches, with frames
+        that are still known and without background.
+    """
+    was_guessed = state.object.is_depth_guessed
+    state, initial_motion = _update_depth(context, state, frame, pairs)
+    known_frames = state.frames.by_number
+    remaining = [
+        [pair.subset(~current.background[pair.indices[:, 1]]) for pair in own if pair.reference in known_frames]
+        for current, own in zip(frame.cameras, pairs, strict=True)
+    ]
+    if initial_motion is None:
+        return state, None, remaining
+    pose = initial_motion.motion * state.frames.first.world_from_object
+    is_depth_new = was_guessed and not state.object.is_depth_guessed
+    if state.motion.velocity.n_frames and not is_depth_new:
+        return state, pose, remaining
+    # The first motion that determines depth also separates the background: whatever does not take part, however much of
+    # the boxes it fills. Static features near points where the object barely moves may agree with it, so only moving
+    # features are kept. Other methods need every match.
+    if not context.refines_window:
+        return state, pose, drop_static_matches(context, state, frame, remaining, pose)
+    if state.object.is_bounded:
+        # New features in the boxes may be background: the next frames decide.
+        for inliers, current in zip(initial_motion.inliers, frame.cameras, strict=True):
+            mark_others_as_background(inliers, current)
+    return state, pose, initial_motion.inliers
+
+
+def _update_depth(
+    context: TrackerContext, state: JointState, frame: Frame, pairs: Sequence[Sequence[FrameMatches]]
+) -> tuple[JointState, FirstMotion | None]:
+    """Replace depths guessed from boxes by those of a motion since the first frame.
+
+    Boxes allow far more depth than the object has. Epipolar geometry needs no depth: its motion determines the surface,
+    and the landmarks are reinitialized with it.
+
+    Args:
+        frame: not solved yet; background is marked in it.
+        pairs: per camera, local: its matches.
+
+    Returns:
+        the state; the motion, or None. If depth is already known, only the motion is estimated.
+    """
+    first = state.frames.first
+    initial_motion = estimate_first_motion(context.executor, context.rig, pairs, first.number, context.create_rng())
+    # Something may pass by behind the object.
+    is_far = np.linalg.norm(initial_motion.inlier_center - first.world_from_object.translation) > state.object.radius
+    is_unclear = initial_motion.fit.is_mixed or initial_motion.fit.alternative is not None
+    if not initial_motion.is_significant or is_unclear or is_far:
+        return state, None
+    radius, current_pose = initial_motion.radius, initial_motion.motion * first.world_from_object
+    for camera, current, own in zip(context.cameras, frame.cameras, pairs, strict=True):
+        # Boxes may contain more background than object.
+        with_first = [pair for pair in own if pair.reference == first.number]
+        camera.learn_background(with_first, current, current_pose, {first.number: first}, radius)
+    accepted_statuses = (Status.OK,) if len(context.rig) > 1 else (Status.OK, Status.SCALE_NOT_OBSERVABLE)
+    if classify_observability(initial_motion.fit, state.object.radius)[0].status not in accepted_statuses:
+        return state, None
+    # With two cameras a planar object has a second solution, which differs in each frame.
+    if initial_motion.n_cameras == 2 and not is_continuing_motion(state.motion.first_motion, initial_motion.motion):
+        return replace(state, motion=replace(state.motion, first_motion=initial_motion.motion)), None
+    if not state.object.is_depth_guessed:
+        return state, initial_motion
+    points = [
+        quantize_positions(triangulate_inliers(camera.camera, inliers, first.world_from_object, current_pose), radius)
+        for camera, inliers in zip(context.cameras, initial_motion.inliers, strict=True)
+    ]
+    surface = np.concatenate(context.executor.gather(points, np.empty((0, 3))))
+    if len(surface) < MIN_SURFACE_POINTS:
+        return state, initial_motion
+    state = state.reset_to_first_frame(radius)
+    for camera in context.cameras:
+        model = replace(state.object, points=surface)
+        camera.table.update(camera.reinitialize_landmarks(state.frames.first, camera.camera, model))
+    return state, initial_motion
+
+
+def estimate_first_points(
+    camera: Camera, inliers: Sequence[FrameMatches], first_pose: RigidTransform, current_pose: RigidTransform
+) -> FloatArray:
+    """Estimate positions (m, 3) of a camera's inliers on the object.
+
+    If the motion determines too few depths, all are placed at the depth of the object's center.
+    """
+    points = triangulate_inliers(camera, inliers, first_pose, current_pose)
+    count = sum(map(len, inliers))
+    if 2 * len(points) > count or not count:
+        return points
+    depth = camera.camera_from_world.apply(first_pose.translation)[2]
+    rays = np.concatenate([np.column_stack([pair.normalized_i, np.ones(len(pair))]) for pair in inliers])
+    return np.asarray(first_pose.inv().apply(camera.camera_from_world.inv().apply(depth * rays)))
+
+
+def triangulate_inliers(
+    camera: Camera, inliers: Sequence[FrameMatches], first_pose: RigidTransform, current_pose: RigidTransform
+) -> FloatArray:
+    """Triangulate a camera's inliers on the object, (m, 3). See `frame.triangulate`."""
+    points = [triangulate(pair, camera, first_pose, current_pose) for pair in inliers]
+    return np.concatenate([np.empty((0, 3)), *points])
+
+
+# --- motion in boxes --------------------------------------------------------------------------------------------------
+
+
+def is_box_center_static(
+    context: TrackerContext, state: JointState, frame: Frame, pairs: Sequence[Sequence[FrameMatches]]
+) -> bool:
+    """Return whether something moves in the boxes but not at their centers, in most cameras.
+
+    Args:
+        pairs: per camera, local: the frame's matches.
+    """
+    points = state.frames.first.world_from_object.apply(state.object.points)
+    own_reports = [
+        _report_box_motion(camera.camera, points, own, current.static_px)
+        for camera, own, current in zip(context.cameras, pairs, frame.cameras, strict=True)
+    ]
+    reports = context.executor.gather(own_reports, BoxMotionReport())
+    displacements = [report.moving_displacement_px for report in reports if report.n_moving >= MIN_MOVED_FEATURES]
+    usable = [report for report in reports if report.n_center >= MIN_MOVED_FEATURES]
+    max_displacement = MAX_CENTER_MOTION_RATIO * float(np.median(displacements)) if displacements else 0.0
+    return 2 * sum(
+        report.is_center_static and report.center_displacement_px < max_displacement for report in usable
+    ) > len(usable)
+
+
+def _report_box_motion(
+    camera: Camera, points: FloatArray, pairs: Sequence[FrameMatches], static_px: float
+) -> BoxMotionReport:
+    """Report the motion in one camera's box.
+
+    Args:
+        points: (n, 3) points on the object, world.
+        static_px: smaller displacements are within the noise, pixels.
+    """
+    outline = camera.project(points)
+    outline = outline[np.isfinite(outline).all(axis=1)]
+    if not len(outline) or not pairs:
+        return BoxMotionReport()
+    low, high = outline.min(axis=0), outline.max(axis=0)
+    landmarks = Landmarks.concatenate([pair.landmarks for pair in pairs])
+    displacement = measure_displacement(landmarks, np.concatenate([pair.pixels_j for pair in pairs]))
+    offset = np.abs(landmarks.origin - 0.5 * (low + high)) / np.maximum(0.5 * (high - low), 1e-9)
+    is_center, is_moving = (offset < CENTER_RATIO).all(axis=1), displacement > static_px
+    feature = collect_features(pairs)
+    counts = [len(np.unique(feature[some])) for some in (is_center, is_moving)]
+    pixels = [float(np.median(displacement[some])) if some.any() else np.nan for some in (is_center, is_moving)]
+    return BoxMotionReport(counts[0], pixels[0], pixels[0] <= static_px, counts[1], pixels[1])
+
+
+def count_center_features(camera: CameraTracker, features: Features, region: Region) -> int:
+    """Count a camera's features in the center of the object's region."""
+    if region is None:
+        return 0
+    middle = region.mean(axis=0)
+    return int(camera.find_inside(features, middle + CENTER_RATIO * (region - middle)).sum())
+
+
+def select_static_matches(frame: Frame, pairs: Sequence[Sequence[FrameMatches]]) -> list[list[FrameMatches]]:
+    """Select matches of features that have not moved since they were first observed; per camera, local."""
+    return [
+        omit_empty(pair.subset(_is_static(pair, current)) for pair in own)
+        for own, current in zip(pairs, frame.cameras, strict=True)
+    ]
+
+
+def _is_static(pair: FrameMatches, current: CameraFrame) -> BoolArray:
+    return np.asarray(measure_displacement(pair.landmarks, pair.pixels_j) <= current.static_px)
