@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from sylpose.tracking.sylpose.tracking import initialization, state_machine
 
 from benchmarks.kinds import KINDS
 from sylpose.features.sift import Features, detect_features
@@ -18,6 +17,7 @@ from sylpose.landmarks.landmark_filter import LandmarkTable, initialize_landmark
 from sylpose.results import FrameStatus
 from sylpose.rig import Camera
 from sylpose.simulate import Actor, Scene, TexturedBody
+from sylpose.tracking import initialization, state_machine
 from sylpose.tracking.camera_side import camera as camera_module
 from sylpose.tracking.camera_side.frame import CameraFrame, FrameMatches, drop_background
 from sylpose.tracking.context import Frame, TrackerContext
