@@ -8,7 +8,6 @@ each pair of unknowns, growing with every round and with the square of the frame
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -47,15 +46,12 @@ def smooth_by_node(node: Node, rig: Rig, frames: Sequence[TrackedFrame], **optio
 
 def _smooth_common_frames(node: Node, rig: Rig, frames: Sequence[TrackedFrame], **options: Any) -> SmoothedTrajectory:
     last = max((frame.pose.index for frame in frames), default=0)
-    first_common = max(
-        first_common for first_common in node.all_gather(lambda _: node.first_index, 0) if first_common <= last
-    )
+    first_common = max(first_common for first_common in node.gather([node.first_index], 0) if first_common <= last)
     tracks = [Track.from_tracked(frame) for frame in frames if frame.pose.index >= first_common]
     radius = next((track.radius for track in reversed(tracks) if track.observations), 1.0)
     for start in range(0, len(tracks), FRAMES_PER_MESSAGE):
         block = tracks[start : start + FRAMES_PER_MESSAGE]
-        pack = partial(_pack_observations, block, radius=radius)
-        observations = node.all_gather(pack, CameraObservations.empty())
+        observations = node.gather([_pack_observations(block, node.camera, radius)], CameraObservations())
         by_camera = [_unpack_observations(sighted, len(block)) for sighted in observations]
         for k, track in enumerate(block):
             sightings = tuple(of[k] for of in by_camera) if track.observations else ()
@@ -68,7 +64,7 @@ def _pack_observations(block: Sequence[Track], c: int, radius: float) -> CameraO
     """Collect a camera's observations in a block of frames."""
     own_sightings = [(k, track.observations[c]) for k, track in enumerate(block) if track.observations]
     if not own_sightings:
-        return CameraObservations.empty()
+        return CameraObservations()
     frame = np.repeat([k for k, _ in own_sightings], [len(s.landmark_ids) for _, s in own_sightings])
     known, landmark = np.unique(np.concatenate([s.landmark_ids for _, s in own_sightings]), return_inverse=True)
     place, moved = np.zeros((len(known), 3)), np.zeros(len(known), np.int64)
@@ -90,7 +86,7 @@ def _unpack_observations(observations: CameraObservations, frames: int) -> list[
         & (observations.landmark < m)
     )
     if not is_valid.all():
-        return _unpack_observations(CameraObservations.empty(), frames)
+        return _unpack_observations(CameraObservations(), frames)
     of_frames = [observations.frame == k for k in range(frames)]
     numbers, places, moved = (
         observations.landmark_ids[observations.landmark],
