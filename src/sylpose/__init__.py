@@ -13,7 +13,7 @@ frames in perspective, with six unknowns and outliers. `absolute_pose` estimates
 points. `features` detects and tracks image points. `landmarks` estimates their positions on the object from frame to
 frame. `tracking` combines these frame by frame; `smoothing` refines all frames together afterwards. None of these reads
 or writes files: `calibration`, `capture` and `report` do. `simulate` makes scenes with ground truth, `experiments`
-repeats the paper's, `app` and `cli` implement the commands. docs/map.md has the whole tree.
+repeats the paper's, `commands` has one file for each command. docs/map.md has the whole tree.
 
 The names below are imported on first use, so that `import sylpose` itself is fast.
 """

@@ -17,10 +17,9 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from sylpose.browser.live_page import LivePage, ObjectPath
-from sylpose.browser.result_player import ResultPlayer, collect_frames
 from sylpose.browser.scene_page import MAX_PATH_SEGMENTS, TRACKED_COLOR, escape_markdown, split_path, status_color
 from sylpose.browser.server import HOST, VISER_MISSING, serve_viewer
+from sylpose.browser.viewer import LivePage, ObjectPath, ResultPlayer, collect_frames
 from sylpose.commands.main import main
 from sylpose.io import calibration
 from sylpose.io.capture import open_session

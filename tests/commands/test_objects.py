@@ -112,8 +112,10 @@ def test_missing_object_is_named(two: Path, tmp_path: Path, capsys: pytest.Captu
             cv2.imwrite(str(session / "masks" / name / f"{camera}.png"), mask)
     assert main(["track", str(session)]) == 0
     _, err = capsys.readouterr()
-    assert err.startswith("sylpose: mug: no frame could be solved.")
-    assert "tray" not in err
+    # A slow machine also reports its progress.
+    (line,) = (line for line in err.splitlines() if not line.startswith("sylpose: tracked "))
+    assert line.startswith("sylpose: mug: no frame could be solved.")
+    assert "tray" not in line
     # Both objects become final in all frames, but at different times: the overlay waits for both.
     with av.open(str(session / "sylpose" / "overlay.mp4")) as video:
         assert sum(1 for _ in video.decode(video=0)) == FRAMES

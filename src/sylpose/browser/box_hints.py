@@ -133,10 +133,8 @@ def compute_epipolar_band(other: Camera, box: Box, camera: Camera) -> EpipolarBa
 def _sample_outline(box: Box) -> FloatArray:
     """Sample (4 `POINTS_PER_SIDE`, 2) pixels around a box in order, on the outer edges of its pixels."""
     share = np.arange(POINTS_PER_SIDE)[:, None] / POINTS_PER_SIDE
-    low = np.array([box.x, box.y]) - 0.5
-    right, down = np.array([box.width, 0.0]), np.array([0.0, box.height])
-    corners = [low, low + right, low + right + down, low + down]
-    return np.concatenate([a + share * (b - a) for a, b in zip(corners, [*corners[1:], low], strict=True)])
+    corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * [box.width, box.height] + [box.x - 0.5, box.y - 0.5]
+    return np.concatenate([a + share * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)])
 
 
 def _project_ray(camera: Camera, baseline: FloatArray, ray: FloatArray) -> FloatArray:

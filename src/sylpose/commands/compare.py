@@ -70,12 +70,11 @@ def compare(options: CompareOptions) -> None:
     """
     import json
 
-    import numpy as np
     from rich.text import Text
     from scipy.spatial.transform import RigidTransform
 
     from sylpose.atomic_io import make_output_folder, replace_atomically
-    from sylpose.comparison import compare_trajectories, compute_statistics
+    from sylpose.comparison import compare_trajectories
     from sylpose.report.plots import plot_comparison
     from sylpose.runs import console_output
 
@@ -94,14 +93,12 @@ def compare(options: CompareOptions) -> None:
     console.print(Text.assemble((f"{a} against {b}", "bold"), summary), soft_wrap=True)
     if align == "sim3":
         console.print(f"Scale: {result.scale:.6g}")
-    rows = []
-    errors = {
-        "absolute": (result.rotation, result.position),
-        "pose-to-pose" if step == 1 else f"{step}-pose": (result.relative_rotation, result.relative_position),
-    }
-    for label, (degrees, lengths) in errors.items():
-        both = compute_statistics(np.degrees(degrees)), compute_statistics(lengths)
-        values = ([statistics[name] for name in PRINTED_STATISTICS] for statistics in both)
+    content, rows = _build_json_content(result, step, unit), []
+    for label, errors in (
+        ("absolute", content["absolute"]),
+        ("pose-to-pose" if step == 1 else f"{step}-pose", content["relative"]),
+    ):
+        values = ([errors[key][name] for name in PRINTED_STATISTICS] for key in ("rotation_deg", "position"))
         rotation, position = ([v if v > ROUNDING_ERROR else 0.0 for v in row] for row in values)
         rows.append([f"{label} rotation", *(f"{value:.3g}°" for value in rotation)])
         rows.append([f"{label} position", *(console_output.format_length(value, unit) for value in position)])
@@ -110,7 +107,7 @@ def compare(options: CompareOptions) -> None:
     folder = make_output_folder(options.out)
     files = [folder / "compare.json", folder / f"compare.{options.plot_format}"]
     with replace_atomically(files[0]) as part:
-        part.write_text(json.dumps(_build_json_content(result, step, unit), indent=1) + "\n", encoding="utf-8")
+        part.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     plot_comparison(result, files[1], unit=unit, title=f"{a} against {b}")
     console_output.print_files(console, "Files", files)
 
@@ -172,13 +169,8 @@ def _build_json_content(result: Comparison, step: int, unit: str) -> dict[str, A
 
     from sylpose.comparison import compute_statistics
 
-    content: dict[str, Any] = {
-        "align": result.align,
-        "step": step,
-        "poses": len(result.times),
-        "of": result.n_reference,
-    }
-    content |= {"unit": unit, "scale": result.scale}
+    content: dict[str, Any] = {"align": result.align, "step": step, "poses": len(result.times)}
+    content |= {"of": result.n_reference, "unit": unit, "scale": result.scale}
     for name, rotation, position in (
         ("absolute", result.rotation, result.position),
         ("relative", result.relative_rotation, result.relative_position),

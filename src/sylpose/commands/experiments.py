@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from sylpose.commands.app import CommandOptions, command, option
 from sylpose.commands.options import Seed
-
-if TYPE_CHECKING:
-    from sylpose.experiments import Study
 
 __all__ = ["ExperimentsOptions", "experiments"]
 
@@ -87,16 +83,11 @@ def experiments(options: ExperimentsOptions) -> None:
         findings = study.summarize(table)
         files += [csv, png]
         # The index lists the studies of this run; each study's files are complete when the next one starts.
-        index.append(_format_entry(study, trials, findings))
+        lines, question = "\n".join(f"- {sentence}" for sentence in findings), study.question
+        head = f"## {study.name}\n\n{question} [Table]({csv.name}), {trials} trials."
+        index.append(f"{head}\n\n{lines}\n\n![{question}]({png.name})\n")
         write_text(folder / INDEX, "\n".join(index))
         console.print(f"{study.name}: {study.question} [{time.perf_counter() - start:.0f} s]")
         for sentence in findings:
             console.print(f"  {sentence}", soft_wrap=True)
     console_output.print_files(console, "Files", [*files, folder / INDEX])
-
-
-def _format_entry(study: Study, trials: int, findings: Sequence[str]) -> str:
-    name = f"{PREFIX}{study.name}"
-    lines = "\n".join(f"- {sentence}" for sentence in findings)
-    head = f"## {study.name}\n\n{study.question} [Table]({name}.csv), {trials} trials."
-    return f"{head}\n\n{lines}\n\n![{study.question}]({name}.png)\n"

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -192,10 +194,8 @@ def _run_node(options: NodeOptions, camera: str, source_name: str) -> None:
     status = _NodeStatus(camera, rig, wire, runner)
     folder = options.out if options.out is not None else Path(f"sylpose_{camera}")
     try:
-        with (
-            TrajectoryWriter(folder, rig.names, rig.unit, stem=camera) as writer,
-            _catch_interrupts() as stopped,
-        ):
+        writing = TrajectoryWriter(folder, rig.names, rig.unit, stem=camera)
+        with writing as writer, _catch_interrupts() as stopped:
             status.console.print(_describe_address(options, camera, digest), soft_wrap=True)
             runner.run(status.report, stopped)
     finally:
@@ -232,8 +232,6 @@ def _describe_address(options: NodeOptions, camera: str, digest: str) -> str:
 @contextmanager
 def _catch_interrupts() -> Iterator[Callable[[], bool]]:
     """Let SIGINT and SIGTERM end a node between two steps; yield a function that returns whether one arrived."""
-    import signal
-
     signals: list[int] = []
     handlers = {s: signal.signal(s, lambda number, _: signals.append(number)) for s in (signal.SIGINT, signal.SIGTERM)}
     try:
@@ -277,10 +275,9 @@ class _NodeStatus:
             return
         self._next_report = now + REPORT_INTERVAL
         refused = self.describe_refusals()
-        for name, reason in refused.items():
-            if self._reported.get(name) != reason:
-                self._reported[name] = reason
-                print_to_stderr(f"{self._camera}: {name} is refused: {reason}")
+        for name, reason in sorted(refused.items() - self._reported.items()):
+            print_to_stderr(f"{self._camera}: {name} is refused: {reason}")
+        self._reported |= refused
         members = [self._rig.names[c] for c in present.members]
         state = self._build_state(present.frames, members, now)
         self._wire.publish_state(json.dumps({**state, "refused": refused}))
@@ -288,14 +285,15 @@ class _NodeStatus:
         if members:
             text = f"{self._camera}: with {', '.join(members)}; no frame yet"
         if members and pose is not None:
-            timing = f"{state['rate']:.1f} per second, {state['latency_ms']:.0f} ms"
-            where = self._format_position(pose)
+            where, timing = "", f"{state['rate']:.1f} per second, {state['latency_ms']:.0f} ms"
+            if pose.world_from_object is not None:
+                x, y, z = pose.position
+                rotation_sd, position_sd = math.degrees(pose.sigma[:3].max()), pose.sigma[3:].max()
+                where = f" at {x:.4g} {y:.4g} {z:.4g} {self._rig.unit}, ±{position_sd:.2g}, ±{rotation_sd:.2g}°"
             text = f"{self._camera}: frame {pose.index} {pose.status.value}{where}; with {', '.join(members)}; {timing}"
         self.console.print(text, soft_wrap=True)
 
     def _build_state(self, number: int, members: list[str], now: float) -> dict[str, Any]:
-        import os
-
         frames, sent, rounds, since = self._previous
         n_done, elapsed = self._frames - frames, max(now - since, 1e-9)
         self._previous = (self._frames, self._runner.bytes_sent, self._runner.rounds, now)
@@ -312,13 +310,6 @@ class _NodeStatus:
             "rounds_per_frame": (self._runner.rounds - rounds) / n_done if n_done else 0.0,
             "status": "" if self._last is None else self._last.status.value,
         }
-
-    def _format_position(self, pose: FramePose) -> str:
-        if pose.world_from_object is None:
-            return ""
-        x, y, z = pose.position
-        rotation_sd, position_sd = math.degrees(pose.sigma[:3].max()), pose.sigma[3:].max()
-        return f" at {x:.4g} {y:.4g} {z:.4g} {self._rig.unit}, ±{position_sd:.2g}, ±{rotation_sd:.2g}°"
 
 
 def _view_network(options: NodeOptions, name: str) -> None:
@@ -437,9 +428,8 @@ def nodes(options: NodesOptions) -> None:
         exit_with_failures([f"network {network} has no nodes"])
     console_output.print_table(console_output.make_console(), _HEADER, rows)
     if len(rigs) > 1:
-        console_output.print_to_stderr(
-            f"{len(rigs)} different calibrations or options in network {network}: such nodes do not communicate"
-        )
+        differences = f"{len(rigs)} different calibrations or options in network {network}"
+        console_output.print_to_stderr(f"{differences}: such nodes do not communicate")
 
 
 def require_zenoh() -> None:

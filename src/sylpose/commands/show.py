@@ -48,7 +48,7 @@ def show(options: ShowOptions) -> None:
 
     from sylpose.atomic_io import replace_atomically
     from sylpose.browser import server
-    from sylpose.browser.result_player import ResultPlayer, render_standalone_page
+    from sylpose.browser.viewer import ResultPlayer, render_standalone_page
     from sylpose.io import calibration
     from sylpose.io.capture.random_access import RandomAccessReader
     from sylpose.runs import console_output

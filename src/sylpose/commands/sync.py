@@ -15,6 +15,12 @@ if TYPE_CHECKING:
 
 __all__ = ["SyncOptions", "sync"]
 
+# Warnings about cameras whose offset has this precision (`OffsetPrecision`).
+_EXPLANATIONS = {
+    "COARSE": "estimated from changes of speed, to whole frames; the poses do not constrain the fraction.",
+    "UNOBSERVABLE": "not observable from the motion: the object's speed must change while this camera sees it.",
+}
+
 
 @dataclass(frozen=True, kw_only=True)
 class SyncOptions(RangeOptions, RecordingOptions):
@@ -81,14 +87,8 @@ def sync(options: SyncOptions) -> None:
     console_output.print_table(console, header, _table_rows(found))
     console.print()
     warnings = [*found.problems]
-    for precision, text in (
-        (
-            OffsetPrecision.COARSE,
-            "estimated from changes of speed, to whole frames; the poses do not constrain the rest.",
-        ),
-        (OffsetPrecision.UNOBSERVABLE, "not observable: the object's speed must change while this camera sees it."),
-    ):
-        if names := [name for name, k in zip(found.cameras, found.precision, strict=True) if k is precision]:
+    for precision, text in _EXPLANATIONS.items():
+        if names := [name for name, k in zip(found.cameras, found.precision, strict=True) if k.name == precision]:
             warnings.append(f"{', '.join(names)}: {text}")
     console_output.print_warnings(console, warnings)
     if {*found.precision} == {OffsetPrecision.UNOBSERVABLE}:

@@ -43,7 +43,7 @@ from sylpose.commands.options import (
 from sylpose.methods import MODES, format_methods_table
 
 if TYPE_CHECKING:
-    from sylpose.browser.live_page import LivePage
+    from sylpose.browser.viewer import LivePage
     from sylpose.io.capture import Session
     from sylpose.io.capture.live import LiveSession
     from sylpose.runs.options import RunOptions
@@ -249,8 +249,8 @@ def _serve_live_page(
     session: Session | LiveSession, options: TrackOptions, run_options: RunOptions
 ) -> Iterator[LivePage]:
     """Serve a page that shows the run while it is tracked."""
-    from sylpose.browser.live_page import LivePage
     from sylpose.browser.server import open_browser, serve_viewer
+    from sylpose.browser.viewer import LivePage
     from sylpose.rig import Rig
     from sylpose.runs import console_output
     from sylpose.runs.run import name_known_objects, output_path, result_units

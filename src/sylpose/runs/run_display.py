@@ -22,7 +22,7 @@ from sylpose.runs.run_result import Run
 from sylpose.tracking.tracked_frame import TrackedFrame
 
 if TYPE_CHECKING:
-    from sylpose.browser.live_page import LivePage
+    from sylpose.browser.viewer import LivePage
 
 __all__ = ["RunDisplay", "defer_interrupts"]
 
