@@ -26,7 +26,7 @@ from sylpose.runs.system_resources import available_cores, available_memory
 __all__ = ["Diagnosis", "diagnose"]
 
 # Module names of distributions whose module is named differently.
-MODULE_NAMES = {"opencv-python-headless": "cv2", "pyyaml": "yaml", "eclipse-zenoh": "zenoh"}
+MODULE_NAMES = {"opencv-python-headless": "cv2", "pillow": "PIL", "pyyaml": "yaml", "eclipse-zenoh": "zenoh"}
 # All of these install the module cv2 into the same folder.
 OPENCV_PACKAGES = {f"opencv{contrib}-python{end}" for contrib in ("", "-contrib") for end in ("", "-headless")}
 # Extras for developers of sylpose.
