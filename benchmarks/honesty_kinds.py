@@ -228,8 +228,7 @@ def make_problem(name: str, seed: int) -> Problem:
         per_camera=int(rng.integers(kind.matches[0], kind.matches[1] + 1)),
         noise_px=kind.noise_factor * EXPECTED_PX if name in MOTIONS else 0.0,
         outliers=float(rng.uniform(*kind.outliers)) if name in MOTIONS else 0.0,
-        outlier_kind=kind.outlier_kind,
-        other_motion=other,
+        outlier_kind=other if kind.outlier_kind == "second_motion" else kind.outlier_kind,
         junk=rig.names[faulty_camera : faulty_camera + 1] if kind.has_junk_camera else (),
         start=start,
     )

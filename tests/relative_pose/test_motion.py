@@ -67,7 +67,7 @@ def test_exact_without_noise(seed: int, cameras: int, turn: float) -> None:
         (4, {"outliers": 0.5, "outlier_kind": "static"}, 0.45, 2.5),
         (4, {"outliers": 0.3, "outlier_kind": "second_motion"}, 0.45, 2.5),
         (4, {"junk": ("cam_1",)}, 0.4, 2.5),
-        (4, {"without_matches": ("cam_2",)}, 0.4, 2.5),
+        (4, {"per_camera": {"cam_2": 0}}, 0.4, 2.5),
     ],
 )
 def test_median_error(cameras: int, options: dict[str, Any], degrees: float, mm: float) -> None:

@@ -7,7 +7,6 @@ import shutil
 import tomllib
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 
 import av
@@ -16,7 +15,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -28,7 +26,7 @@ from sylpose.geometry.euler_angles import parse_euler_angles
 from sylpose.report import drawing, overlay, plots
 from sylpose.report.files import TrajectoryWriter, read_trajectory, read_tum, write_trajectory, write_tum
 from sylpose.report.overlay import OverlayObject, OverlayWriter
-from sylpose.report.plots import save_trajectory_plot, summarize_trajectory
+from sylpose.report.plots import draw_trajectory_figure, save_trajectory_plot, summarize_trajectory
 from sylpose.report.rigview import compute_view_axes, describe_rig, find_axes_intersection, plot_rig
 from sylpose.results import FramePose, FrameStatus, Observability, Trajectory
 from sylpose.rig import Camera, Rig
@@ -355,24 +353,14 @@ def test_frames_of_unknown_length_are_shaded(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("axis", "column"), [("y", 0), ("x", 1), ("z", 2)])
-def test_plotted_angles_match_csv_and_break_at_wraps(
-    axis: str, column: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_plotted_angles_match_csv_and_break_at_wraps(axis: str, column: int, tmp_path: Path) -> None:
     trajectory = make_rotating_trajectory(90, 7.3, axis)
     write_trajectory(tmp_path, trajectory)
     with (tmp_path / "trajectory.csv").open(newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["pan_deg"]]
     in_csv = np.array([[float(row[f"{name}_deg"]) for name in ("pan", "tilt", "roll")] for row in rows])
-    lines: list[tuple[FloatArray, FloatArray]] = []
-    draw = plots._plot_line
-
-    def noted(panel: Axes, x: FloatArray, y: FloatArray, *rest: Any) -> None:
-        lines.append((x, y))
-        draw(panel, x, y, *rest)
-
-    monkeypatch.setattr(plots, "_plot_line", noted)
-    save_trajectory_plot(trajectory, tmp_path / "report.png")
-    drawn = np.column_stack([y for _, y in lines[:3]])
+    figure = draw_trajectory_figure(trajectory)
+    drawn = np.column_stack([line.get_ydata() for line in figure.axes[0].get_lines()[:3]]).astype(float)
     np.testing.assert_allclose(drawn[np.isfinite(drawn).all(axis=1)], in_csv, atol=1e-6)
     steps = np.abs(np.diff(drawn, axis=0))
     assert np.nanmax(steps) < plots.JUMP_DEG

@@ -193,13 +193,13 @@ def test_outlier_share_and_kind(kind: OutlierKind) -> None:
 
 def test_second_motion_is_one_rigid_motion_in_all_cameras() -> None:
     rig, other = simulate.ring(4), simulate.random_motion(5, 0.02, np.random.default_rng(3))
-    made = make_pair(rig, noise_px=0, outliers=0.5, outlier_kind="second_motion", other_motion=other)
+    made = make_pair(rig, noise_px=0, outliers=0.5, outlier_kind=other)
     for camera, matches, wrong in zip(rig, made.matches, made.is_outlier, strict=True):
         assert np.abs(epipolar_distances(camera, other, matches.x[wrong], matches.y[wrong])).max() < 1e-12
 
 
 def test_dead_and_junk_cameras() -> None:
-    made = make_pair(simulate.ring(3), without_matches=["cam_0"], junk=["cam_2"])
+    made = make_pair(simulate.ring(3), per_camera={"cam_0": 0}, junk=["cam_2"])
     assert [len(m) for m in made.matches] == [0, 60, 60]
     assert [int(w.sum()) for w in made.is_outlier] == [0, 0, 60]
 
@@ -230,7 +230,8 @@ def test_matches_are_deterministic_per_camera() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"without_matches": ["cam_9"]}, "cam_9"),
+        ({"per_camera": {"cam_9": 0}}, "cam_9"),
+        ({"per_camera": {"cam_1": -1}}, "per_camera"),
         ({"junk": ["side"]}, "side"),
         ({"outliers": 1.2}, "outliers"),
         ({"occlusion": 1.0}, "occlusion"),

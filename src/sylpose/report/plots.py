@@ -158,65 +158,22 @@ def draw_trajectory_figure(
         return _draw_failure_figure(trajectory, title, note, input_warnings)
     is_unmeasured = np.array([f.status in (FrameStatus.COASTING, FrameStatus.UNCERTAIN) for f in trajectory])
     times = trajectory.times
-    marker = "." if len(trajectory) <= MAX_MARKED_FRAMES else ""
     figure = create_figure(11.5, 11.5)
     panels: list[Axes] = list(figure.subplots(4, 1, sharex=True, gridspec_kw={"height_ratios": [3, 3, 2, 2]}))
-    camera_problems = describe_camera_problems(trajectory)
-    if camera_problems:
-        title += (
-            "\n"
-            + camera_problems[0]
-            + (f" And {len(camera_problems) - 1} more: see trajectory.csv." if len(camera_problems) > 1 else "")
-        )
-    figure.suptitle(title, x=0.01, horizontalalignment="left", fontsize=12, fontweight="bold", color=INK)
-
     turns, position, inliers, residuals = panels
-    values, sigmas = (
-        np.degrees(compute_frame_angles(trajectory, angles)),
-        np.degrees(_compute_angle_sigmas(trajectory, angles)),
-    )
-    # Lines break where angles wrap around: (180, 0, 180) and (0, 180, 0) are one rotation, and the CSV has either.
-    jumps = 1 + np.flatnonzero((np.abs(np.diff(values, axis=0)) > JUMP_DEG).any(axis=1))
-    broken_times = np.insert(times, jumps, times[jumps])
-    values, sigmas = np.insert(values, jumps, np.nan, axis=0), np.insert(sigmas, jumps, np.nan, axis=0)
-    is_unmeasured_broken = np.insert(is_unmeasured, jumps, False)
-    for k, (label, color) in enumerate(angle_labels(angles)):
-        _plot_line(turns, broken_times, values[:, k], sigmas[:, k], is_unmeasured_broken, color, label, marker)
-    turn = np.where(solved, np.degrees(trajectory.rotation_angles), np.nan)
-    turns.plot(times, turn, color=INK, linewidth=1.2, linestyle="--", label="total rotation (0 to 180°)")
-    turns.set_ylabel("angle (degrees)")
-
+    if problems := describe_camera_problems(trajectory):
+        more = f" And {len(problems) - 1} more: see trajectory.csv." if len(problems) > 1 else ""
+        title += f"\n{problems[0]}{more}"
+    figure.suptitle(title, x=0.01, horizontalalignment="left", fontsize=12, fontweight="bold", color=INK)
+    _plot_angles(turns, trajectory, angles, is_unmeasured)
     start = trajectory.positions[solved][0] if solved.any() else np.full(3, np.nan)
     moved = trajectory.positions - start
     scale, unit = choose_length_unit(float(np.abs(moved[solved]).max(initial=0)), trajectory.unit)
     sigmas = np.array([f.sigma[3:] for f in trajectory])
-    for k, label, color in ((0, "x", X_COLOR), (1, "y", Y_COLOR), (2, "z", Z_COLOR)):
-        _plot_line(position, times, scale * moved[:, k], scale * sigmas[:, k], is_unmeasured, color, label, marker)
+    labels = (("x", X_COLOR), ("y", Y_COLOR), ("z", Z_COLOR))
+    _plot_lines(position, times, scale * moved, scale * sigmas, is_unmeasured, labels)
     position.set_ylabel(f"position since the start ({unit})")
-
-    colors = camera_colors(len(trajectory.camera_names))
-    counts = np.array([f.inliers for f in trajectory], dtype=float)
-    errors = np.array([f.residuals for f in trajectory], dtype=float)
-    # The first frame has no match partner and coasting frames have no matches: their zeros are no measurement.
-    unmatched = np.array([f.status in (FrameStatus.FIRST, FrameStatus.COASTING) for f in trajectory])
-    counts[unmatched], errors[unmatched] = np.nan, np.nan
-    for k, name in enumerate(trajectory.camera_names):
-        dash = DASHES[k // len(CAMERA_COLORS) % len(DASHES)]
-        for panel, values in ((inliers, counts), (residuals, errors)):
-            panel.plot(times, values[:, k], dash, marker=marker, label=name, color=colors[k], linewidth=1.3)
-    inliers.set_ylabel("inliers")
-    residuals.set_ylabel("residual, rms (px)")
-    residuals.set_xlabel("time (s)")
-    if np.array_equal(times, [f.index for f in trajectory]):
-        residuals.set_xlabel("frame")
-        residuals.xaxis.set_major_locator(MaxNLocator(integer=True))
-
-    for disagreement in find_disagreements(trajectory):
-        first_row = [f.index for f in trajectory].index(disagreement.first)
-        last_row = len(times) - 1 if disagreement.is_ongoing else [f.index for f in trajectory].index(disagreement.last)
-        color = colors[trajectory.camera_names.index(disagreement.camera)]
-        for panel in (inliers, residuals):
-            panel.axvspan(times[first_row], times[last_row], color=color, alpha=0.15, linewidth=0, zorder=0)
+    _plot_cameras(inliers, residuals, trajectory)
     shading = _shade_frames(panels, trajectory)
     for panel in panels:
         style_panel(panel)
@@ -232,6 +189,49 @@ def draw_trajectory_figure(
     figure.align_ylabels(panels)
     _add_note(figure, note)
     return figure
+
+
+def _plot_angles(panel: Axes, trajectory: Trajectory, angles: EulerAngles, is_unmeasured: BoolArray) -> None:
+    """Plot three angles and the total rotation."""
+    times = trajectory.times
+    values = np.degrees(compute_frame_angles(trajectory, angles))
+    sigmas = np.degrees(_compute_angle_sigmas(trajectory, angles))
+    # Lines break where angles wrap around: (180, 0, 180) and (0, 180, 0) are one rotation, and the CSV has either.
+    jumps = 1 + np.flatnonzero((np.abs(np.diff(values, axis=0)) > JUMP_DEG).any(axis=1))
+    values, sigmas = np.insert(values, jumps, np.nan, axis=0), np.insert(sigmas, jumps, np.nan, axis=0)
+    broken_times, is_unmeasured = np.insert(times, jumps, times[jumps]), np.insert(is_unmeasured, jumps, False)
+    _plot_lines(panel, broken_times, values, sigmas, is_unmeasured, angle_labels(angles), len(trajectory))
+    turn = np.where(trajectory.measured_mask, np.degrees(trajectory.rotation_angles), np.nan)
+    panel.plot(times, turn, color=INK, linewidth=1.2, linestyle="--", label="total rotation (0 to 180°)")
+    panel.set_ylabel("angle (degrees)")
+
+
+def _plot_cameras(inliers: Axes, residuals: Axes, trajectory: Trajectory) -> None:
+    """Plot the inliers and residuals of each camera, shaded in its color while it disagrees with the others."""
+    times, colors = trajectory.times, camera_colors(len(trajectory.camera_names))
+    counts = np.array([f.inliers for f in trajectory], dtype=float)
+    errors = np.array([f.residuals for f in trajectory], dtype=float)
+    # The first frame has no match partner and coasting frames have no matches: their zeros are no measurement.
+    unmatched = np.array([f.status in (FrameStatus.FIRST, FrameStatus.COASTING) for f in trajectory])
+    counts[unmatched], errors[unmatched] = np.nan, np.nan
+    marker = "." if len(trajectory) <= MAX_MARKED_FRAMES else ""
+    for k, name in enumerate(trajectory.camera_names):
+        dash = DASHES[k // len(CAMERA_COLORS) % len(DASHES)]
+        for panel, values in ((inliers, counts), (residuals, errors)):
+            panel.plot(times, values[:, k], dash, marker=marker, label=name, color=colors[k], linewidth=1.3)
+    inliers.set_ylabel("inliers")
+    residuals.set_ylabel("residual, rms (px)")
+    residuals.set_xlabel("time (s)")
+    indices = [f.index for f in trajectory]
+    if np.array_equal(times, indices):
+        residuals.set_xlabel("frame")
+        residuals.xaxis.set_major_locator(MaxNLocator(integer=True))
+    for disagreement in find_disagreements(trajectory):
+        first_row = indices.index(disagreement.first)
+        last_row = len(times) - 1 if disagreement.is_ongoing else indices.index(disagreement.last)
+        color = colors[trajectory.camera_names.index(disagreement.camera)]
+        for panel in (inliers, residuals):
+            panel.axvspan(times[first_row], times[last_row], color=color, alpha=0.15, linewidth=0, zorder=0)
 
 
 def _add_note(figure: Figure, note: str) -> None:
@@ -303,22 +303,23 @@ def choose_length_unit(length: float, unit: str) -> tuple[float, str]:
     return 1.0, unit or "units"
 
 
-def _plot_line(
+def _plot_lines(
     panel: Axes,
     x: FloatArray,
-    y: FloatArray,
-    sigma: FloatArray,
+    values: FloatArray,
+    sigmas: FloatArray,
     is_unmeasured: BoolArray,
-    color: str,
-    label: str,
-    marker: str,
+    labels: Sequence[tuple[str, str]],
+    frames: int | None = None,
 ) -> None:
-    """Plot measured values as a line, and predicted or uncertain ones as separate pale dots."""
-    panel.plot(x, np.where(is_unmeasured, np.nan, y), color=color, label=label, linewidth=1.6, marker=marker)
-    if is_unmeasured.any():
-        panel.plot(x, np.where(is_unmeasured, y, np.nan), ".", color=color, alpha=0.4, markersize=3, label="_pale")
-    sigma = np.where(np.isfinite(sigma), sigma, np.nan)
-    panel.fill_between(x, y - 2 * sigma, y + 2 * sigma, color=color, alpha=0.18, linewidth=0)
+    """Plot columns of measured values as lines, and predicted or uncertain ones as separate pale dots."""
+    marker = "." if (frames or len(x)) <= MAX_MARKED_FRAMES else ""
+    for y, sigma, (label, color) in zip(values.T, sigmas.T, labels, strict=True):
+        panel.plot(x, np.where(is_unmeasured, np.nan, y), color=color, label=label, linewidth=1.6, marker=marker)
+        if is_unmeasured.any():
+            panel.plot(x, np.where(is_unmeasured, y, np.nan), ".", color=color, alpha=0.4, markersize=3, label="_pale")
+        sigma = np.where(np.isfinite(sigma), sigma, np.nan)
+        panel.fill_between(x, y - 2 * sigma, y + 2 * sigma, color=color, alpha=0.18, linewidth=0)
 
 
 def style_panel(panel: Axes) -> None:

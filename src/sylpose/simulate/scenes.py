@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,6 +30,9 @@ from sylpose.simulate.bodies import Body
 __all__ = ["OutlierKind", "SimulatedPair", "random_motion", "simulate_matches"]
 
 OutlierKind = Literal["uniform", "static", "second_motion"]
+T = TypeVar("T")
+
+PER_CAMERA = 60  # default number of matches (choice)
 
 # A surface viewed more obliquely than this is not matched (cosine of the angle to its normal; choice).
 MIN_FACING_COSINE = 0.1
@@ -96,13 +99,11 @@ def simulate_matches(
     motion: RigidTransform,
     *,
     rng: np.random.Generator,
-    per_camera: int = 60,
+    per_camera: int | Mapping[str, int] = PER_CAMERA,
     noise_px: float = 0.5,
     outliers: float = 0.0,
-    outlier_kind: OutlierKind = "uniform",
-    other_motion: RigidTransform | None = None,
+    outlier_kind: OutlierKind | RigidTransform = "uniform",
     occlusion: float = 0.0,
-    without_matches: Sequence[str] = (),
     junk: Sequence[str] = (),
     start: RigidTransform | None = None,
     orthographic: bool = False,
@@ -119,16 +120,15 @@ def simulate_matches(
         body: the body, with its center at the origin.
         motion: motion of the body in the world, from frame i to j.
         rng: random generator.
-        per_camera: matches per camera, outliers included; fewer if fewer points are visible.
+        per_camera: matches per camera, outliers included; fewer if fewer points are visible. By camera name: those of
+            these cameras, and 60 of the others.
         noise_px: standard deviation per coordinate, pixels, in each frame.
         outliers: share of each camera's matches that are wrong.
         outlier_kind: "uniform": points of the body matched to random positions in its image region at j; "static":
             points in its region that do not move; "second_motion": points of a copy of the body, next to it, that moves
-            by `other_motion`.
-        other_motion: None draws one with the same angle about another axis through the copy.
+            by the same angle about another axis through the copy; a transform: points of the copy, moved by it.
         occlusion: share of the visible points that are occluded: in each camera those on one side of a line across its
             image.
-        without_matches: names of cameras without any match.
         junk: names of cameras with wrong matches only, random in both frames.
         start: world_from_body at frame i; None is the identity.
         orthographic: scale points by the depth of the body's origin at frame i instead of their own, in both frames
@@ -141,70 +141,72 @@ def simulate_matches(
         ValueError: a camera is not in the rig, a share is outside [0, 1], the kind is unknown, or a number is negative.
     """
     check_type(rig, Rig, "rig"), check_type(body, Body, "body"), check_type(rng, np.random.Generator, "rng")
-    for argument, names in (("without_matches", without_matches), ("junk", junk)):
-        for name in check_list(names, str, argument):
-            if name not in rig.names:
-                raise ValueError(
-                    f"{argument}: no camera {format_value(name)} in the rig ({to_one_line(', '.join(rig.names), 200)})"
-                )
-    for argument, pose in (("motion", motion), ("other_motion", other_motion), ("start", start)):
-        if pose is not None or argument == "motion":
-            check_single_pose(pose, argument)
-    (
-        check_number(outliers, "outliers", minimum=0.0, maximum=1.0),
-        check_number(noise_px, "noise_px", minimum=0.0, maximum=MAX_FOCAL_PX),
-    )
+    check_single_pose(motion, "motion")
+    start = RigidTransform.identity() if start is None else check_single_pose(start, "start")
+    counts = per_camera if isinstance(per_camera, Mapping) else dict.fromkeys(rig.names, per_camera)
+    counts = {name: check_integer(n, "per_camera") for name, n in _check_names(counts, rig, "per_camera").items()}
+    _check_names(dict.fromkeys(check_list(junk, str, "junk")), rig, "junk")
+    check_number(outliers, "outliers", minimum=0.0, maximum=1.0)
+    check_number(noise_px, "noise_px", minimum=0.0, maximum=MAX_FOCAL_PX)
+    check_bool(orthographic, "orthographic")
     if not check_number(occlusion, "occlusion", minimum=0.0, maximum=1.0) < 1:
         raise ValueError(f"occlusion must be in [0, 1), got {occlusion}")
-    check_choice(outlier_kind, get_args(OutlierKind), "outlier_kind")
-    check_integer(per_camera, "per_camera"), check_bool(orthographic, "orthographic")
-
-    start = RigidTransform.identity() if start is None else start
+    if isinstance(outlier_kind, RigidTransform):
+        check_single_pose(outlier_kind, "outlier_kind")
+    else:
+        check_choice(outlier_kind, get_args(OutlierKind), "outlier_kind")
     key = int(rng.integers(2**63))
-    # The copy's position and motion come from the pair's own random stream: they are the same for all cameras.
-    pair_rng = np.random.default_rng([key])
-    copy_direction = pair_rng.standard_normal(3)
-    copy_start = RigidTransform.from_translation(body.radius * copy_direction / np.linalg.norm(copy_direction)) * start
-    angle = np.rad2deg(motion.rotation.magnitude())
-    random_other = random_motion(angle, body.radius / 10, pair_rng, center=copy_start.translation)
-    other = random_other if other_motion is None else other_motion
-
+    copy_start, copy_motion = _place_copy(body, start, motion, outlier_kind, key)
     matches, masks, depths = [], [], []
     for camera in rig:
         stream = np.random.default_rng([key, zlib.crc32(camera.name.encode())])
         view = _CameraProjection(camera, start.translation, orthographic)
         points_i, points_j, depth = view.visible_points(body, start, motion, stream, occlusion)
-        count = 0 if camera.name in without_matches else min(per_camera, len(points_i))
-        region_i, region_j = _bounding_box(points_i), _bounding_box(points_j)
-        points_i, points_j, depth = points_i[:count].copy(), points_j[:count].copy(), depth[:count].copy()
-        noise_i, noise_j = noise_px * stream.standard_normal((2, count, 2))
-
-        wrong = np.zeros(count, dtype=bool)
+        count = min(counts.get(camera.name, PER_CAMERA), len(depth))
+        regions = _bounding_box(points_i), _bounding_box(points_j)
+        points, depth = np.stack([points_i[:count], points_j[:count]]), depth[:count].copy()
+        noise = noise_px * stream.standard_normal((2, count, 2))
+        wrong, kept = np.full(count, camera.name in junk), np.arange(count)
         if camera.name in junk:
-            wrong[:] = True
-            points_i = stream.uniform(*region_i, (count, 2))
-            points_j = stream.uniform(*region_j, (count, 2))
+            points = np.stack([stream.uniform(*region, (count, 2)) for region in regions])
         else:
             wrong[stream.permutation(count)[: round(outliers * count)]] = True
             if outlier_kind == "uniform":
-                points_j[wrong] = stream.uniform(*region_j, (wrong.sum(), 2))
+                points[1, wrong] = stream.uniform(*regions[1], (wrong.sum(), 2))
             elif outlier_kind == "static":
-                points_i[wrong] = points_j[wrong] = stream.uniform(*region_i, (wrong.sum(), 2))
+                points[:, wrong] = stream.uniform(*regions[0], (wrong.sum(), 2))
             else:
-                copy_i, copy_j, _ = view.visible_points(body, copy_start, other, stream, occlusion)
-                wrong_indices = np.flatnonzero(wrong)
-                replaced = wrong_indices[: len(copy_i)]
-                points_i[replaced], points_j[replaced] = copy_i[: len(replaced)], copy_j[: len(replaced)]
-                kept = np.setdiff1d(
-                    np.arange(count), wrong_indices[len(copy_i) :]
-                )  # fewer matches if the copy is not visible
-                points_i, points_j, depth, wrong = points_i[kept], points_j[kept], depth[kept], wrong[kept]
-                noise_i, noise_j = noise_i[kept], noise_j[kept]
+                copies = np.stack(view.visible_points(body, copy_start, copy_motion, stream, occlusion)[:2])
+                replaced, dropped = np.split(np.flatnonzero(wrong), [copies.shape[1]])
+                points[:, replaced] = copies[:, : len(replaced)]
+                kept = np.delete(kept, dropped)  # fewer matches if the copy is not visible
         depth[wrong] = np.nan
-        matches.append(Matches.from_pixels(camera, points_i + noise_i, points_j + noise_j))
-        masks.append(wrong)
-        depths.append(depth)
+        matches.append(Matches.from_pixels(camera, *(points + noise)[:, kept]))
+        masks.append(wrong[kept])
+        depths.append(depth[kept])
     return SimulatedPair(tuple(matches), tuple(masks), tuple(depths), motion, np.asarray(start.translation))
+
+
+def _check_names(names: Mapping[str, T], rig: Rig, argument: str) -> Mapping[str, T]:
+    """Check that the keys are names of the rig's cameras."""
+    for name in names:
+        if name not in rig.names:
+            known = to_one_line(", ".join(rig.names), 200)
+            raise ValueError(f"{argument}: no camera {format_value(name)} in the rig ({known})")
+    return names
+
+
+def _place_copy(
+    body: Body, start: RigidTransform, motion: RigidTransform, kind: str | RigidTransform, key: int
+) -> tuple[RigidTransform, RigidTransform]:
+    """Return where a copy of the body starts and how it moves, the same for all cameras."""
+    pair_rng = np.random.default_rng([key])
+    direction = pair_rng.standard_normal(3)
+    copy_start = RigidTransform.from_translation(body.radius * direction / np.linalg.norm(direction)) * start
+    if isinstance(kind, RigidTransform):
+        return copy_start, kind
+    angle = np.rad2deg(motion.rotation.magnitude())
+    return copy_start, random_motion(angle, body.radius / 10, pair_rng, center=copy_start.translation)
 
 
 @dataclass(frozen=True)
