@@ -23,8 +23,7 @@ from sylpose.bundle_adjustment.calibration_refinement import (
     add_moved_cameras,
     compute_mean_camera_distance,
 )
-from sylpose.bundle_adjustment.lost_frames import find_lost_frames
-from sylpose.bundle_adjustment.scale_prior import bundle_adjust_with_scale, is_scale_unobservable
+from sylpose.bundle_adjustment.scale_prior import bundle_adjust_with_scale, find_lost_frames, is_scale_unobservable
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.validation import check_bool, check_integer, check_list, check_number, check_type, format_value
 from sylpose.results import FramePose, FrameStatus, Observability, Status
@@ -157,11 +156,8 @@ def smooth(
         for i, m in enumerate(all_moved):
             camera = np.where((observations.camera == m.camera) & (index >= m.frame), n + i, camera)
         time_offsets = np.hstack([time_offsets, time_offsets[:, [m.camera for m in all_moved]]])
-    start, radius, is_fixed = (
-        _stack_poses([t.pose for t in tracks]),
-        tracks[-1].radius,
-        np.array([t.is_fixed for t in tracks]),
-    )
+    start, radius = _stack_poses([track.pose for track in tracks]), tracks[-1].radius
+    is_fixed = np.array([track.is_fixed for track in tracks])
     options = BundleOptions(
         fixed=is_fixed if is_fixed.any() else None,
         landmarks=landmarks,

@@ -9,8 +9,12 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.bundle_adjustment.bundle import Observations, bundle_adjust
-from sylpose.bundle_adjustment.lost_frames import find_lost_frames, find_repeated_observations, relocalize_lost_frames
-from sylpose.bundle_adjustment.scale_prior import bundle_adjust_with_scale
+from sylpose.bundle_adjustment.scale_prior import (
+    bundle_adjust_with_scale,
+    find_lost_frames,
+    find_repeated_observations,
+    relocalize_lost_frames,
+)
 from sylpose.geometry.arrays import BoolArray
 from tests.bundle_adjustment.test_bundle import RADIUS, RIG, disturb_poses, error, path, tracks
 

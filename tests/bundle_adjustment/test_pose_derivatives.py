@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 import sylpose.bundle_adjustment.problem as problem_module
 from sylpose.bundle_adjustment.bundle import BundleOptions, bundle_adjust
-from sylpose.bundle_adjustment.pose_derivatives import (
+from sylpose.bundle_adjustment.problem import (
     compute_velocity_variance,
     differentiate_quadratic,
     differentiate_quartic,

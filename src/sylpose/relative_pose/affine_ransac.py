@@ -56,7 +56,6 @@ def find_hyperplane_inliers(
             scale = max(scale, abs(joint[i, a]))
     if not scale > 0.0:
         return 0.0
-    stride = max(1, n // MAX_SCORED)
     normal, best = np.zeros(4), np.zeros(5)
     best_score, needed, drawn = np.inf, float(picks.shape[0]), 0
     edge = np.empty((3, 4))
@@ -74,25 +73,12 @@ def find_hyperplane_inliers(
         for a in range(4):
             normal[a] /= length
             offset += normal[a] * joint[q0, a]
-        score, inside, scored = 0.0, 0, 0
-        for i in range(0, n, stride):
-            distance = -offset
-            for a in range(4):
-                distance += normal[a] * joint[i, a]
-            ratio = (distance / threshold) ** 2
-            scored += 1
-            if ratio < 1.0:
-                inside += 1
-                score += ratio
-            else:
-                score += 1.0
-            if score >= best_score:
-                break
+        score, share = _score_hyperplane(joint, normal, offset, threshold, best_score)
         if score < best_score:
             best_score = score
             best[:4] = normal
             best[4] = offset
-            share = min(max(inside / scored, 1e-2), 0.999)
+            share = min(max(share, 1e-2), 0.999)
             needed = min(needed, max(10.0, np.log(MISS_PROBABILITY) / np.log(1.0 - share**4)))
     if not best_score < np.inf:
         return 0.0
@@ -125,6 +111,28 @@ def _compute_normal(edge: FloatArray, normal: FloatArray) -> float:
             normal[a] = -normal[a]
         length += normal[a] ** 2
     return float(np.sqrt(length))
+
+
+@leaf
+def _score_hyperplane(
+    joint: FloatArray, normal: FloatArray, offset: float, threshold: float, best_score: float
+) -> tuple[float, float]:
+    """Return the truncated squares of some points, the sum up to the best score, and the share of inliers."""
+    score, inside, scored, n = 0.0, 0, 0, joint.shape[0]
+    for i in range(0, n, max(1, n // MAX_SCORED)):
+        distance = -offset
+        for a in range(4):
+            distance += normal[a] * joint[i, a]
+        ratio = (distance / threshold) ** 2
+        scored += 1
+        if ratio < 1.0:
+            inside += 1
+            score += ratio
+        else:
+            score += 1.0
+        if score >= best_score:
+            break
+    return score, inside / scored
 
 
 @kernel

@@ -403,12 +403,8 @@ def _update_residual_depth(stack: Stack, fit: IrlsFit, work: _Workspace) -> None
     It is the excess of the squares along the epipolar lines over the noise. The prior dominates if the parallax is too
     small.
     """
-    weights, along, parallax, residual_depth = (
-        fit.weights,
-        work.matches.along,
-        work.matches.parallax,
-        fit.residual_depth,
-    )
+    weights, residual_depth = fit.weights, fit.residual_depth
+    along, parallax = work.matches.along, work.matches.parallax
     for t in range(residual_depth.shape[0]):
         variance = (fit.sigma_px[t] / stack.focal[t]) ** 2
         prior_variance, square = stack.residual_depth[t] ** 2, residual_depth[t] ** 2

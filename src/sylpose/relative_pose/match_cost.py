@@ -266,8 +266,7 @@ def _compute_errors(term: Term, lanes: FloatArray) -> None:
     r00, r01, r02 = rc[0, 0], rc[0, 1], rc[0, 2]
     r10, r11, r12 = rc[1, 0], rc[1, 1], rc[1, 2]
     r20, r21, r22 = rc[2, 0], rc[2, 1], rc[2, 2]
-    t0, t1, t2 = tc[0], tc[1], tc[2]
-    g0, g1, g2 = rotated_center[0], rotated_center[1], rotated_center[2]
+    t0, t1, t2, g0, g1, g2 = tc[0], tc[1], tc[2], rotated_center[0], rotated_center[1], rotated_center[2]
     per_cutoff, per_variance = 1.0 / (cutoff * cutoff), 1.0 / variance
     for k in range(LANES):
         x0, x1 = lanes[k], lanes[1 * LANES + k]

@@ -158,12 +158,8 @@ def _solve_step(damping: float, workspace: DescentWorkspace) -> bool:
     total[:] = 0.0
     right[:] = 0.0
     for t in range(workspace.gain.shape[0]):
-        hessian, gradient, gain, weight = (
-            normal.hessian[t],
-            normal.gradient[t],
-            workspace.gain[t],
-            workspace.term_weights[t],
-        )
+        hessian, gradient = normal.hessian[t], normal.gradient[t]
+        gain, weight = workspace.gain[t], workspace.term_weights[t]
         for k in range(3):
             for j in range(6):
                 gain[k, j] = hessian[6 + k, j]
