@@ -79,56 +79,57 @@ class Camera(Printable):
 
     def __post_init__(self) -> None:
         check_camera_name(self.name)
-        matrix = _to_finite_array(self, "matrix", self.matrix)
-        distortion = _to_finite_array(self, "distortion", self.distortion).ravel()
+        matrix, size = self._to_finite_array("matrix"), self._to_finite_array("size")
+        distortion = self._to_finite_array("distortion").ravel()
         if matrix.shape != (3, 3):
-            raise ValueError(f"camera {self.name}: the matrix must be 3x3, got shape {matrix.shape}")
+            raise self._error(f"the matrix must be 3x3, got shape {matrix.shape}")
         focal, middle = matrix[[0, 1], [0, 1]], matrix[:2, 2]
         if (focal <= 0).any() or not np.allclose(matrix[2], [0, 0, 1]):
-            raise ValueError(
-                f"camera {self.name}: the matrix must have positive focal lengths and (0, 0, 1) as last row"
-            )
+            raise self._error("the matrix must have positive focal lengths and (0, 0, 1) as last row")
         if matrix[0, 1] != 0 or matrix[1, 0] != 0:
-            raise ValueError(f"camera {self.name}: the matrix has skew, which OpenCV's lens models do not support")
+            raise self._error("the matrix has skew, which OpenCV's lens models do not support")
         if (focal < 1 / MAX_FOCAL_PX).any() or max(focal.max(), np.abs(middle).max()) > MAX_FOCAL_PX:
-            raise ValueError(
-                f"camera {self.name}: the matrix has an implausible focal length or principal point: "
-                f"{focal} and {middle} pixels"
+            raise self._error(
+                f"the matrix has an implausible focal length or principal point: {focal} and {middle} pixels"
             )
-        size = _to_finite_array(self, "size", self.size)
         if size.shape != (2,) or (size < 1).any() or (size != size.round()).any():
-            raise ValueError(
-                f"camera {self.name}: the size must be (width, height) in pixels, got {format_value(self.size)}"
-            )
+            raise self._error(f"the size must be (width, height) in pixels, got {format_value(self.size)}")
         if size.max() > MAX_IMAGE_SIDE or size.prod() > MAX_PIXELS:
-            raise ValueError(
-                f"camera {self.name}: the size {size[0]:g} x {size[1]:g} is more than {MAX_IMAGE_SIDE} pixels a side "
-                f"or {MAX_PIXELS} in all"
-            )
+            limits = f"{MAX_IMAGE_SIDE} pixels a side or {MAX_PIXELS} in all"
+            raise self._error(f"the size {size[0]:g} x {size[1]:g} is more than {limits}")
         if not isinstance(self.lens, str) or self.lens not in ("opencv", "fisheye"):
-            raise ValueError(f"camera {self.name}: lens must be 'opencv' or 'fisheye', got {format_value(self.lens)}")
+            raise self._error(f"lens must be 'opencv' or 'fisheye', got {format_value(self.lens)}")
         allowed = OPENCV_TERMS if self.lens == "opencv" else (4,)
         if distortion.size == 0:
             distortion = np.zeros(5 if self.lens == "opencv" else 4)
         if distortion.size not in allowed:
-            raise ValueError(
-                f"camera {self.name}: {distortion.size} distortion terms; the {self.lens} model takes {allowed}"
-            )
+            raise self._error(f"{distortion.size} distortion terms; the {self.lens} model takes {allowed}")
         if np.abs(distortion).max() > MAX_DISTORTION:
-            raise ValueError(f"camera {self.name}: a distortion term is beyond {MAX_DISTORTION:g}")
+            raise self._error(f"a distortion term is beyond {MAX_DISTORTION:g}")
         if self.error_px is not None:
             check_number(self.error_px, f"camera {self.name}: error_px", minimum=0.0)
         if not isinstance(self.camera_from_world, RigidTransform) or not self.camera_from_world.single:
-            raise ValueError(f"camera {self.name}: camera_from_world must be a single transform")
+            raise self._error("camera_from_world must be a single transform")
         if not np.abs(self.camera_from_world.as_matrix()).max() <= MAX_LENGTH:  # also rejects NaN
-            raise ValueError(
-                f"camera {self.name}: camera_from_world has values that are not finite or lengths beyond {MAX_LENGTH:g}"
-            )
+            raise self._error(f"camera_from_world has values that are not finite or lengths beyond {MAX_LENGTH:g}")
         matrix.setflags(write=False)
         distortion.setflags(write=False)
         object.__setattr__(self, "matrix", matrix)
         object.__setattr__(self, "distortion", distortion)
         object.__setattr__(self, "size", (int(size[0]), int(size[1])))
+
+    def _error(self, problem: str) -> ValueError:
+        return ValueError(f"camera {self.name}: {problem}")
+
+    def _to_finite_array(self, field_name: str) -> FloatArray:
+        try:
+            array = np.array(getattr(self, field_name))
+            array = np.array(array, dtype=float) if array.dtype.kind in "biufO" else np.array(None, dtype=float)
+        except (TypeError, ValueError, OverflowError):
+            array = np.array(np.nan)
+        if not np.isfinite(array).all():
+            raise self._error(f"the {field_name} has values that are not finite numbers")
+        return array
 
     @cached_property
     def focal(self) -> float:
@@ -375,17 +376,6 @@ def check_single_pose(pose: Any, name: str) -> RigidTransform:
     if not pose.single or not np.abs(pose.as_matrix()).max() <= MAX_LENGTH:
         raise ValueError(f"{name} must be a single transform of finite values, of lengths of at most {MAX_LENGTH:g}")
     return pose
-
-
-def _to_finite_array(camera: Camera, field_name: str, values: ArrayLike) -> FloatArray:
-    try:
-        array = np.array(values)
-        array = np.array(array, dtype=float) if array.dtype.kind in "biufO" else np.array(None, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        array = np.array(np.nan)
-    if not np.isfinite(array).all():
-        raise ValueError(f"camera {camera.name}: the {field_name} has values that are not finite numbers")
-    return array
 
 
 def _read_only(array: FloatArray) -> FloatArray:

@@ -78,7 +78,7 @@ def test_chessboard_symmetries(text: str, turns: int) -> None:
         ("apriltag:36h12,id=1,size=1", "a dictionary of markers is expected"),
         ("apriltag:36h11,size=1", "id is missing"),
         ("apriltag:36h11,id=-1,size=1", "id must be a whole number from 0 to 10000, got '-1'"),
-        ("apriltag:36h11,id=1,size=1,border=0", "border must be at least 1 bit"),
+        ("apriltag:36h11,id=1,size=1,border=0", "border must be a whole number from 1 to 4, got '0'"),
         ("aprilgrid:6x6,size=1", "gap must be the space between two tags by a tag's size"),
         ("aprilgrid:6x6,size=1,gap=x", "gap must be the space between two tags by a tag's size"),
         ("chessboard:9x6,square=\x1b[31m", "square must be a positive length"),

@@ -79,9 +79,8 @@ def find_board(rig: Rig, images: Sequence[Image | None], board: Board, *, seed: 
     missing = (None,) * n
     check_frame_set(FrameSet(0, 0.0, missing, tuple(images), missing), rig)
     board = check_type(board, Board, "board")
-    no_detection = Detection(np.empty(0, np.int64), np.empty((0, 2)))
     detections = [
-        no_detection if image is None else detect(image, camera, board)
+        Detection() if image is None else detect(image, camera, board)
         for camera, image in zip(rig, images, strict=True)
     ]
     return combine_detections(rig, detections, board, seed=seed)
@@ -100,16 +99,13 @@ def combine_detections(rig: Rig, detections: Sequence[Detection], board: Board, 
         seed: seed of the random search.
     """
     symmetries: dict[int, IntArray] = {}
-    order = sorted(
-        (c for c, detection in enumerate(detections) if len(detection.indices)),
-        key=lambda c: -_compute_extent(detections[c]),
-    )
+    seen = [c for c, detection in enumerate(detections) if len(detection.indices)]
+    order = sorted(seen, key=lambda c: -float(np.linalg.norm(np.ptp(detections[c].pixels, axis=0))))
     if len(board.symmetries) > 1:
         for c in order:
             candidates = board.symmetries if symmetries else board.symmetries[:1]
-            misfits = [
-                _compute_misfit(_fit_pose(rig, detections, board, {**symmetries, c: way}, seed)) for way in candidates
-            ]
+            ways = [_collect_matches(detections, board, {**symmetries, c: way}) for way in candidates]
+            misfits = [_compute_misfit(estimate_pose(rig, *matches, seed=seed)) for matches in ways]
             symmetries[c] = candidates[misfits.index(min(misfits))]
         symmetries = _choose_orientation(detections, board, symmetries)
     else:
@@ -139,12 +135,6 @@ def _collect_matches(
     return tuple(points), tuple(pixels)
 
 
-def _fit_pose(
-    rig: Rig, detections: Sequence[Detection], board: Board, symmetries: Mapping[int, IntArray], seed: int
-) -> Motion:
-    return estimate_pose(rig, *_collect_matches(detections, board, symmetries), seed=seed)
-
-
 def _compute_misfit(motion: Motion) -> tuple[float, float]:
     """Return the misfit of a pose for comparison: number of outliers, then the residual."""
     n_outliers = sum(int(np.count_nonzero(~its)) for its in motion.inliers)
@@ -169,11 +159,6 @@ def _compute_center_offsets(
     return np.asarray(
         (areas[..., None] * (offsets + next_offsets)).sum(axis=1) / (3 * areas.sum(axis=1, keepdims=True))
     )
-
-
-def _compute_extent(detection: Detection) -> float:
-    """Return the size of a detection in the image, pixels."""
-    return float(np.linalg.norm(np.ptp(detection.pixels, axis=0)))
 
 
 def _choose_orientation(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import cv2
@@ -37,8 +37,8 @@ class Detection:
         problem: a sentence about rejected detections, or "".
     """
 
-    indices: IntArray
-    pixels: FloatArray
+    indices: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    pixels: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
     problem: str = ""
 
 
@@ -61,9 +61,7 @@ def detect(image: Image, camera: Camera, board: Board) -> Detection:
         return _detect_chessboard(board, gray)
     if board.kind in ("circles", "acircles"):
         return _detect_circles(board, gray)
-    if board.kind == "charuco":
-        return _detect_charuco(board, gray, camera)
-    return _detect_board_markers(board, gray, camera)
+    return (_detect_charuco if board.kind == "charuco" else _detect_board_markers)(board, gray, camera)
 
 
 def detect_markers(
@@ -85,21 +83,11 @@ def detect_markers(
         ValueError: as `detect`.
     """
     gray = image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
-    first = min(ids, default=0)
-    detected_ids, corners, problem = _detect_tags(
-        replace(marker, first_id=first), gray, camera, max(ids, default=0) - first + 1
-    )
-    detected_ids = detected_ids + first
-    is_requested = np.isin(detected_ids, list(ids))
-    return (
-        detected_ids[is_requested],
-        np.roll(corners, 2, axis=1)[is_requested] if marker.is_upside_down else corners[is_requested],
-        problem,
-    )
-
-
-def _empty_detection(problem: str = "") -> Detection:
-    return Detection(np.empty(0, np.int64), np.empty((0, 2)), problem)
+    first, n = min(ids, default=0), max(ids, default=0) - min(ids, default=0) + 1
+    indices, corners, problem = _detect_tags(replace(marker, first_id=first), gray, camera, n)
+    is_requested = np.isin(indices + first, list(ids))
+    corners = np.roll(corners, 2, axis=1) if marker.is_upside_down else corners
+    return indices[is_requested] + first, corners[is_requested], problem
 
 
 def _detect_chessboard(board: Board, gray: Image) -> Detection:
@@ -107,14 +95,14 @@ def _detect_chessboard(board: Board, gray: Image) -> Detection:
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
     found, corners = cv2.findChessboardCornersSB(gray, board.size, flags=flags)
     if not found or corners is None or len(corners) != columns * rows:
-        return _empty_detection()
+        return Detection()
     # The sector-based detector finds boards reliably, but corners only to a tenth of a pixel.
     grid = np.asarray(corners, dtype=float).reshape(rows, columns, 2)
     min_distance = min(float(np.linalg.norm(np.diff(grid, axis=axis), axis=2).min()) for axis in (0, 1))
     grid = _orient_to_front(_refine_corners(gray, grid.reshape(-1, 2), WINDOW_RATIO * min_distance).reshape(grid.shape))
     dark = _is_first_square_dark(gray, grid)
     if dark is None:
-        return _empty_detection("the detected corners have no black and white squares between them")
+        return Detection(problem="the detected corners have no black and white squares between them")
     # The square at the origin is dark, if a rotation achieves this.
     if not dark and (columns + rows) % 2:
         grid = np.rot90(grid, 2)
@@ -131,7 +119,7 @@ def _detect_circles(board: Board, gray: Image) -> Detection:
         if found and centers is not None and len(centers) == columns * rows:
             break
     else:
-        return _empty_detection()
+        return Detection()
     grid = np.asarray(centers, dtype=float).reshape(rows, columns, 2)
     grid = _orient_to_front(grid)
     # Rows of asymmetric grids are counted down the page.
@@ -160,7 +148,7 @@ def _detect_charuco(board: Board, gray: Image, camera: Camera) -> Detection:
     distances = np.linalg.norm(board.points[:, None, :2] - centers, axis=2)
     between = np.flatnonzero((distances < 0.9 * square).sum(axis=1) == 2)
     if not len(between):
-        return _empty_detection(problem)
+        return Detection(problem=problem)
     projected = np.column_stack([board.points[between, :2], np.ones(len(between))]) @ plane.image_from_board.T
     start = camera.denormalize(projected[:, :2] / projected[:, 2:])
     # The window must not reach the markers' corners.
@@ -239,14 +227,11 @@ def _match_grid_tags(
     # Counterclockwise in the image.
     orientations = [np.roll(corners[:, ::-1], turn, axis=1) for turn in range(4)]
     planes = [_fit_plane(flat, way, camera) for way in orientations]
-    counts = [np.count_nonzero(plane.is_inlier) for plane in planes]
-    best = int(np.argmax(counts))
+    best = int(np.argmax([np.count_nonzero(plane.is_inlier) for plane in planes]))
     is_inlier = planes[best].is_inlier
-    return (
-        (indices[is_inlier], orientations[best][is_inlier], "")
-        if counts[best] > 1
-        else (*no_tags, "its tags are not in one plane")
-    )
+    if np.count_nonzero(is_inlier) < 2:
+        return *no_tags, "its tags are not in one plane"
+    return indices[is_inlier], orientations[best][is_inlier], ""
 
 
 def _refine_corners(gray: Image, corners: FloatArray, window: float) -> FloatArray:
@@ -260,14 +245,11 @@ def _refine_corners(gray: Image, corners: FloatArray, window: float) -> FloatArr
 
 def _orient_to_front(grid: FloatArray) -> FloatArray:
     """Order points (rows, columns, 2) so that x points right if y points up, as on the front of a board."""
-    return grid if _signed_area(grid) < 0 else grid[::-1]
-
-
-def _signed_area(grid: FloatArray) -> float:
-    """Return twice the signed area, pixels, of a grid's outline along its first row; pixel y points down."""
     around = np.array([grid[0, 0], grid[0, -1], grid[-1, -1], grid[-1, 0]])
     after = np.roll(around, -1, axis=0)
-    return float((around[:, 0] * after[:, 1] - around[:, 1] * after[:, 0]).sum())
+    # Twice the signed area of the outline along the first row; pixel y points down.
+    signed_area = float((around[:, 0] * after[:, 1] - around[:, 1] * after[:, 0]).sum())
+    return grid if signed_area < 0 else grid[::-1]
 
 
 def _is_first_square_dark(gray: Image, grid: FloatArray) -> bool | None:

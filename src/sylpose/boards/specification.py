@@ -182,13 +182,14 @@ class _Settings:
             raise ValueError(f"{key} is missing")
         return parse_length(value, key, self._unit)
 
-    def integer(self, key: str, default: int | None, maximum: int) -> int:
+    def integer(self, key: str, default: int | None, maximum: int, minimum: int = 0) -> int:
         value = self.text(key)
         if value is None and default is not None:
             return default
-        if value is None or not re.fullmatch(r"[0-9]{1,9}", value) or int(value) > maximum:
-            got = "is missing" if value is None else f"must be a whole number from 0 to {maximum}, got {_quote(value)}"
-            raise ValueError(f"{key} {got}")
+        if value is None:
+            raise ValueError(f"{key} is missing")
+        if not re.fullmatch(r"[0-9]{1,9}", value) or not minimum <= int(value) <= maximum:
+            raise ValueError(f"{key} must be a whole number from {minimum} to {maximum}, got {_quote(value)}")
         return int(value)
 
     def reject_unknown(self) -> None:
@@ -246,19 +247,11 @@ def _parse_diameter(settings: _Settings, center_distance: float) -> float:
     return diameter
 
 
-def _build_apriltag(family: str, text: str, settings: _Settings) -> Board:
-    # OpenCV draws and reads AprilTags upside down: docs/conventions.md follows the original AprilTag images.
-    return _build_marker(_parse_dictionary(_parse_family(family)), text, settings, is_upside_down=True)
-
-
-def _build_aruco(dictionary: str, text: str, settings: _Settings) -> Board:
-    return _build_marker(_parse_dictionary(dictionary), text, settings, is_upside_down=False)
-
-
-def _build_marker(dictionary: str, text: str, settings: _Settings, *, is_upside_down: bool) -> Board:
+def _build_marker(name: str, text: str, settings: _Settings, is_upside_down: bool) -> Board:
+    dictionary = _parse_dictionary(name)
     half = settings.length("size") / 2
     points = _make_planar_points(np.array([-half, half, half, -half]), np.array([half, half, -half, -half]))
-    number, border = settings.integer("id", None, MAX_TAGS), _parse_border(settings, 1)
+    number, border = settings.integer("id", None, MAX_TAGS), settings.integer("border", 1, MAX_BORDER, minimum=1)
     return Board(
         "marker", text, (1, 1), points, _identity_symmetry(points), dictionary, number, 1.0, border, is_upside_down
     )
@@ -281,7 +274,7 @@ def _build_aprilgrid(layout: str, text: str, settings: _Settings) -> Board:
     places = np.asarray(step * np.column_stack([column, row])[:, None] + corners, dtype=float).reshape(-1, 2)
     points = _make_planar_points(places[:, 0], places[:, 1])
     dictionary = _parse_dictionary(_parse_family(settings.text("family") or "36h11"))
-    first, border = settings.integer("start", 0, MAX_TAGS), _parse_border(settings, 2)
+    first, border = settings.integer("start", 0, MAX_TAGS), settings.integer("border", 2, MAX_BORDER, minimum=1)
     return Board("aprilgrid", text, (columns, rows), points, _identity_symmetry(points), dictionary, first, 1.0, border)
 
 
@@ -290,8 +283,9 @@ _KINDS: Mapping[str, Callable[[str, str, _Settings], Board]] = {
     "chessboard": _build_chessboard,
     "circles": _build_circles,
     "acircles": _build_acircles,
-    "apriltag": _build_apriltag,
-    "aruco": _build_aruco,
+    # OpenCV draws and reads AprilTags upside down: docs/conventions.md follows the original AprilTag images.
+    "apriltag": lambda family, text, settings: _build_marker(_parse_family(family), text, settings, True),
+    "aruco": lambda dictionary, text, settings: _build_marker(dictionary, text, settings, False),
     "aprilgrid": _build_aprilgrid,
 }
 
@@ -321,13 +315,6 @@ def _parse_family(name: str) -> str:
     """Return the dictionary name of an AprilTag family, 36h11 or tag36h11."""
     bare = name.upper().removeprefix("DICT_").removeprefix("APRILTAG_").removeprefix("TAG")
     return f"APRILTAG_{bare}" if f"APRILTAG_{bare}" in DICTIONARIES else name
-
-
-def _parse_border(settings: _Settings, default: int) -> int:
-    border = settings.integer("border", default, MAX_BORDER)
-    if border < 1:
-        raise ValueError("border must be at least 1 bit")
-    return border
 
 
 def _make_grid(columns: int, rows: int, step: float) -> FloatArray:
