@@ -140,16 +140,19 @@ def print_by_penalty(seeds: int) -> None:
     choices = [(0.05, 1.0), (0.1, 1.0), (0.2, 1.0), (0.05, 1.6), (0.1, 1.6), (0.2, 1.6)]
     print("| rig | acceleration, escape | " + " | ".join(f"ρ {p}, α {a}" for p, a in choices) + " |")
     print("|---|---|" + "---|" * len(choices))
-    defaults = consensus.PENALTY, consensus.RELAXATION, consensus.MAX_HISTORY, consensus.MAX_RESTARTS
+    names = "PENALTY", "RELAXATION", "MAX_HISTORY", "MAX_RESTARTS", "MAX_EXPECTED_STEPS"
+    defaults = [getattr(consensus, name) for name in names]
     for name, make in RIGS.items():
-        for memory in (0, defaults[2]):
+        for is_accelerated in (False, True):
             cells = []
             for penalty, relaxation in choices:
-                consensus.PENALTY, consensus.RELAXATION, consensus.MAX_HISTORY = penalty, relaxation, memory
-                consensus.MAX_RESTARTS = defaults[3] if memory else 0
+                settings = penalty, relaxation, *(defaults[2:4] if is_accelerated else (0, 0)), 2000
+                for key, value in zip(names, settings, strict=True):
+                    setattr(consensus, key, value)
                 cells.append(format_spread([count_rounds(p) for p in simulate_problems(make(4), min(seeds, 2))]))
-            print(f"| {name} | {'yes' if memory else 'no'} | " + " | ".join(cells) + " |")
-    consensus.PENALTY, consensus.RELAXATION, consensus.MAX_HISTORY, consensus.MAX_RESTARTS = defaults
+            print(f"| {name} | {'yes' if is_accelerated else 'no'} | " + " | ".join(cells) + " |")
+    for key, value in zip(names, defaults, strict=True):
+        setattr(consensus, key, value)
 
 
 def print_by_loss(seeds: int) -> None:

@@ -22,6 +22,7 @@ from sylpose.methods import (
 )
 from sylpose.relative_pose.sylvester_methods import ESTIMATORS
 from sylpose.results import FrameStatus
+from sylpose.runs.options import RunOptions
 from sylpose.tracking.frame_solvers import SOLVERS
 from sylpose.tracking.tracker import Tracker
 from tests.conftest import FRAMES
@@ -33,7 +34,7 @@ def test_code_has_the_methods_of_the_table() -> None:
     assert tuple(SOLVERS) == METHODS
     assert tuple(ESTIMATORS) == PAPER_METHODS
     assert set(PAPER_METHODS) < set(MOTION_METHODS) < set(METHODS)
-    for function in (sylpose.track, Tracker, sylpose.track_session):
+    for function in (sylpose.track, Tracker, RunOptions):
         defaults = {name: p.default for name, p in inspect.signature(function).parameters.items()}
         assert (defaults["method"], defaults["features"]) == (METHODS[0], FEATURES[0])
     assert inspect.signature(sylpose.estimate_motion).parameters["method"].default == MOTION_METHODS[0]

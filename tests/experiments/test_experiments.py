@@ -12,10 +12,16 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.commands.main import main
 from sylpose.experiments import STUDIES, Study, Table, distributed
-from sylpose.experiments.accuracy import ALL_CAMERAS, CONSTRAINT, CONSTRAINT_ESTIMATORS, DEPTH_PLANE
+from sylpose.experiments.accuracy import (
+    ALL_CAMERAS,
+    CONSTRAINT,
+    CONSTRAINT_ESTIMATORS,
+    DEPTH_PLANE,
+    FAULT_KINDS,
+    SENSORS,
+)
 from sylpose.experiments.distributed import DISTRIBUTED
 from sylpose.experiments.estimators import Estimate, angle_deg, error_deg
-from sylpose.experiments.robustness import FAULT_KINDS, SENSORS
 from sylpose.experiments.scenes import (
     BALANCED,
     BODIES,

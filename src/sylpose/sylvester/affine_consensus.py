@@ -37,8 +37,6 @@ __all__ = [
     "FAULT_SCORE",
     "AffineFits",
     "Scores",
-    "apply_step",
-    "build_normal_equations",
     "compute_scores",
     "find_consensus_rotation",
     "fit_affine_maps",
@@ -201,30 +199,17 @@ def _refine(
     """
     information = np.empty((0, 3, 3))
     for _ in range(max_iterations):
-        information, gradient = build_normal_equations(fits, rotations, masks)
-        rotations, length = apply_step(rotations, information, gradient)
-        information += np.eye(3)
+        s = compute_scores(fits, rotations)
+        weighted = transpose(s.jacobian) @ s.precision * masks[..., None, None]
+        information = np.eye(3) + (weighted @ s.jacobian).sum(axis=1)
+        gradient = (weighted @ s.residuals[..., None]).sum(axis=1)
+        step = np.linalg.solve(information, gradient)[..., 0]
+        length = np.linalg.norm(step, axis=1)
+        step /= np.maximum(length / MAX_STEP, 1.0)[:, None]
+        rotations = Rotation.from_rotvec(step).as_matrix() @ rotations
         if length.max() < STEP_TOLERANCE:
             break
     return rotations, information
-
-
-def build_normal_equations(fits: AffineFits, rotations: FloatArray, masks: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Return information (K, 3, 3) and gradient (K, 3) of w, R = exp(w) R, for K rotations and masks (K, n)."""
-    s = compute_scores(fits, rotations)
-    weighted = transpose(s.jacobian) @ s.precision * masks[..., None, None]
-    return (weighted @ s.jacobian).sum(axis=1), (weighted @ s.residuals[..., None]).sum(axis=1)[..., 0]
-
-
-def apply_step(rotations: FloatArray, information: FloatArray, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Apply one damped step of `build_normal_equations`, with a prior standard deviation of one radian.
-
-    Returns the K rotations and the undamped step lengths (K,), radians.
-    """
-    step = np.linalg.solve(np.eye(3) + information, gradient[..., None])[..., 0]
-    length = np.linalg.norm(step, axis=1)
-    step /= np.maximum(length / MAX_STEP, 1.0)[:, None]
-    return Rotation.from_rotvec(step).as_matrix() @ rotations, length
 
 
 def find_consensus_rotation(fits: AffineFits, initial: FloatArray) -> tuple[FloatArray, bool]:

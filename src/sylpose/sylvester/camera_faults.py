@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -195,13 +195,11 @@ def diagnose_cameras(
         ValueError: as `compute_views`, or the number of names is not C.
     """
     moments = check_list(moments, PairMoments, "moments")
-    labels = _camera_labels(names, len(moments))
-    fits = fit_affine_maps(compute_views(rotations, moments, aim=aim))
-    static, junk = find_static_views(moments, fits), _junk_scores(fits)
-    kinds = _fault_kinds(static, junk > JUNK_SCORE)
+    cameras = _fit_cameras(rotations, moments, names, aim)
+    fits, static, junk = cameras.fits, cameras.static, cameras.junk
     voters = np.flatnonzero(junk <= FAULT_SCORE)
     if len(voters) == 0:
-        return _build_diagnosis(labels, fits, kinds, np.eye(3), junk, True)
+        return _build_diagnosis(cameras, np.eye(3), junk, True)
     # A static object cannot appear to move: if two or more cameras observe motion, those without motion do not vote.
     moving = voters[~static[voters]]
     voting = moving if len(moving) > 1 else voters
@@ -212,7 +210,7 @@ def diagnose_cameras(
     R, voting_scores = refine_consensus(fits.subset(voting), R)
     scores = np.maximum(compute_scores(fits, R[None]).scores[0], junk)
     scores[voting] = voting_scores
-    return _build_diagnosis(labels, fits, kinds, R, scores, certain)
+    return _build_diagnosis(cameras, R, scores, certain)
 
 
 def find_faulty_cameras(
@@ -244,12 +242,10 @@ def find_faulty_cameras(
         check_integer(c, f"at_fault[{k}]", maximum=len(moments) - 1)
         for k, c in enumerate(check_sequence(at_fault, "at_fault"))
     ]
-    labels = _camera_labels(names, len(moments))
-    fits = fit_affine_maps(compute_views(rotations, moments, aim=aim))
-    static, junk = find_static_views(moments, fits), _junk_scores(fits)
-    scores = np.maximum(compute_scores(fits, R[None]).scores[0], junk)
-    scores[np.isin(fits.camera, np.array(faulty, dtype=np.int64))] = np.inf
-    return _build_diagnosis(labels, fits, _fault_kinds(static, junk > JUNK_SCORE), R, scores, True)
+    cameras = _fit_cameras(rotations, moments, names, aim)
+    scores = np.maximum(compute_scores(cameras.fits, R[None]).scores[0], cameras.junk)
+    scores[np.isin(cameras.fits.camera, np.array(faulty, dtype=np.int64))] = np.inf
+    return _build_diagnosis(cameras, R, scores, True)
 
 
 def max_fault_score(fits: AffineFits, rotation: FloatArray | None = None) -> float:
@@ -261,6 +257,30 @@ def max_fault_score(fits: AffineFits, rotation: FloatArray | None = None) -> flo
     if rotation is not None:
         scores = np.maximum(compute_scores(fits, rotation[None]).scores[0], scores)
     return float(scores.max(initial=0.0))
+
+
+class _CameraFits(NamedTuple):
+    """Names of all cameras, and fits, static matches and junk scores (n,) of those that can be scored."""
+
+    labels: list[str]
+    fits: AffineFits
+    static: BoolArray
+    junk: FloatArray
+
+    @property
+    def kinds(self) -> list[FaultKind]:
+        """(n,) kind of the fault of each camera, if it is at fault."""
+        is_junk = self.junk > JUNK_SCORE
+        return ["junk" if j else "frozen" if s else "calibration" for s, j in zip(self.static, is_junk, strict=True)]
+
+
+def _fit_cameras(
+    rotations: ArrayLike, moments: Sequence[PairMoments], names: Sequence[str] | None, aim: bool
+) -> _CameraFits:
+    n = len(moments)
+    labels = [str(c) for c in range(n)] if names is None else check_list(names, str, "names", n)
+    fits = fit_affine_maps(compute_views(rotations, moments, aim=aim))
+    return _CameraFits(labels, fits, find_static_views(moments, fits), _junk_scores(fits))
 
 
 def _junk_scores(fits: AffineFits) -> FloatArray:
@@ -295,22 +315,13 @@ def find_static_views(moments: Sequence[PairMoments], fits: AffineFits) -> BoolA
     )
 
 
-def _build_diagnosis(
-    labels: Sequence[str],
-    fits: AffineFits,
-    kinds: Sequence[FaultKind],
-    R: FloatArray,
-    camera_scores: FloatArray,
-    certain: bool,
-) -> Diagnosis:
+def _build_diagnosis(cameras: _CameraFits, R: FloatArray, camera_scores: FloatArray, certain: bool) -> Diagnosis:
     """Build the diagnosis from the scores (n,); `certain`: whether the set of faulty cameras is certain."""
+    labels, fits, kinds = cameras.labels, cameras.fits, cameras.kinds
     at_fault = camera_scores > FAULT_SCORE
-    is_junk = np.array([kind == "junk" for kind in kinds], dtype=bool) & at_fault
+    is_junk = (cameras.junk > JUNK_SCORE) & at_fault
     disagreeing = at_fault & ~is_junk
-    agree, against = (
-        int((~at_fault).sum()),
-        sum(kinds[k] == "calibration" for k in np.flatnonzero(disagreeing).tolist()),
-    )
+    agree, against = int((~at_fault).sum()), int((disagreeing & ~cameras.static).sum())
     # One camera against one other is no majority.
     majority = agree > against and (agree > 1 or not disagreeing.any())
     consistent = len(camera_scores) == 0 or (majority and (certain or not disagreeing.any()))
@@ -328,11 +339,3 @@ def _build_diagnosis(
         sentences.append(f"the cameras disagree, and it is not certain which one is wrong (the likeliest: {likeliest})")
     text = "; ".join(sentences) or "no camera is at fault"
     return Diagnosis(consistent, f"{text[0].upper()}{text[1:]}.", R, scores, weights, tuple(faults))
-
-
-def _fault_kinds(static: BoolArray, junk: BoolArray) -> list[FaultKind]:
-    return ["junk" if j else "frozen" if s else "calibration" for s, j in zip(static, junk, strict=True)]
-
-
-def _camera_labels(names: Sequence[str] | None, n: int) -> list[str]:
-    return [str(c) for c in range(n)] if names is None else check_list(names, str, "names", n)

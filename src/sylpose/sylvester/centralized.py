@@ -175,23 +175,13 @@ class CentralizedBatch(Printable):
 
     def __getitem__(self, n: int) -> CentralizedSolution:
         k, certified, converged = self.counts[n], bool(self.certified[n]), bool(self.converged[n])
-        rotation = self.candidates[n, 0]
+        rotation, minima = self.candidates[n, 0], (self.candidates[n, :k], self.costs[n, :k], certified, converged)
         views = Views(*(a[n] for a in self.views))
         information = information_with_depth_bias(views, rotation)
         unobservable = find_unobservable_rotations(information, rotation, int((views.weights > 0).sum()))
-        return CentralizedSolution(
-            status=rotation_status(converged, certified, unobservable),
-            rotation=rotation,
-            information=information,
-            unobservable=unobservable,
-            iterations=int(self.iterations[n]),
-            candidates=self.candidates[n, :k],
-            costs=self.costs[n, :k],
-            certified=certified,
-            converged=converged,
-            multiplier=self.multiplier[n],
-            noise_information=self.noise_information[n],
-        )
+        status, iterations = rotation_status(converged, certified, unobservable), int(self.iterations[n])
+        at_minimum = self.multiplier[n], self.noise_information[n]
+        return CentralizedSolution(status, rotation, information, unobservable, iterations, *minima, *at_minimum)
 
 
 def solve_centralized(rotations: ArrayLike, moments: Sequence[PairMoments], *, aim: bool = True) -> CentralizedSolution:
@@ -235,14 +225,9 @@ def solve_centralized_batch(rotations: ArrayLike, moments: ArrayLike, *, aim: bo
     minima = minimize_batch(q.H, q.h)
     best = q.evaluate(minima.candidates[:, 0])
     costs = evaluate_cost(q.H[:, None], q.h[:, None], minima.candidates) + q.constant[:, None]
+    certified = minima.certified & q.is_better_than_zero(minima.candidates[:, 0])
+    at_minimum = best.stationary, best.multiplier / q.scale[:, None, None], best.information
+    scaled = costs / q.scale[:, None]
     return CentralizedBatch(
-        candidates=minima.candidates,
-        counts=minima.counts,
-        costs=costs / q.scale[:, None],
-        certified=minima.certified & q.is_better_than_zero(minima.candidates[:, 0]),
-        converged=best.stationary,
-        multiplier=best.multiplier / q.scale[:, None, None],
-        noise_information=best.information,
-        iterations=minima.iterations,
-        views=tuple(views),
+        minima.candidates, minima.counts, scaled, certified, *at_minimum, minima.iterations, tuple(views)
     )

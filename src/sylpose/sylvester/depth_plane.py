@@ -193,19 +193,8 @@ def solve_depth_plane(
         if used.sum() < 2 and len(unobservable) == 0:
             unobservable = np.linalg.eigh(information)[1][:, :1].T
         status = _classify(result, best, information, unobservable)
-    return DepthPlaneSolution(
-        status=status,
-        rotation=R,
-        planes=own[:, :2],
-        scales=np.exp(own[:, 2]),
-        residual_depth=np.exp(own[:, 5]),
-        sigma=np.exp(own[:, 6]),
-        cost=cost,
-        information=information,
-        unobservable=unobservable,
-        converged=converged,
-        iterations=iterations,
-    )
+    cameras = own[:, :2], np.exp(own[:, 2]), np.exp(own[:, 5]), np.exp(own[:, 6])
+    return DepthPlaneSolution(status, R, information, unobservable, iterations, *cameras, cost, converged)
 
 
 def build_problem(
@@ -259,13 +248,8 @@ def _search_all_starts(problem: DepthPlaneProblem) -> SearchResult:
     axes = np.linalg.eigh(directions.T @ directions)[1].T
     mirrored = Rotation.from_rotvec(((axes @ rotation_vector) * _SIGNS) @ axes).as_matrix()
     more = search_minima(free_noise, np.concatenate([mirrored, mirrored]), start[1:])
-    result = SearchResult(
-        np.concatenate([first.R, more.R]),
-        np.concatenate([first.own, more.own]),
-        np.concatenate([first.cost, more.cost]),
-        np.concatenate([first.converged, more.converged]),
-        first.iterations + more.iterations,
-    )
+    both = (np.concatenate(pair) for pair in zip(first[:4], more[:4], strict=True))
+    result = SearchResult._make([*both, first.iterations + more.iterations])
     if problem.noise is None:
         return result
     result.own[..., 6] = np.log(problem.noise)
@@ -346,7 +330,7 @@ def _information(problem: DepthPlaneProblem, R: FloatArray, own: FloatArray) -> 
 def compute_costs(problem: DepthPlaneProblem, R: FloatArray, own: FloatArray) -> FloatArray:
     """Return the negative log posterior (S,)."""
     out = np.empty(len(R))
-    evaluate_costs(*_kernel_arguments(problem), R, own, out)
+    evaluate_costs(*problem[:5], problem.perspective, problem.noise is not None, R, own, out)
     return out
 
 
@@ -355,13 +339,6 @@ def compute_derivatives(
 ) -> tuple[FloatArray, FloatArray]:
     """Return gradient (S, C, 10) and Fisher information (S, C, 10, 10) of each camera's cost."""
     gradient, information = np.empty((*own.shape[:2], _N)), np.empty((*own.shape[:2], _N, _N))
-    evaluate_derivatives(*_kernel_arguments(problem), R, own, searching, gradient, information)
+    data = *problem[:5], problem.perspective, problem.noise is not None
+    evaluate_derivatives(*data, R, own, searching, gradient, information)
     return gradient, information
-
-
-def _kernel_arguments(
-    problem: DepthPlaneProblem,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, bool, bool]:
-    """Return the problem as the arguments of the kernels."""
-    Qx, Qy, M, n, spread, noise, perspective = problem
-    return Qx, Qy, M, n, spread, perspective, noise is not None

@@ -142,9 +142,10 @@ def solve_2d3d(
     R = np.asarray(candidates[0])
     best = q.evaluate(R)
     converged, H, L = bool(best.stationary), q.H / scale, best.multiplier / scale
+    views = PQ[[s.weight > 0 for s in sets]]
     certified = converged and (
-        _is_certified_full(H, L)
-        or _is_certified_by_rows(PQ[[s.weight > 0 for s in sets]], H, L)
+        _is_positive(H + np.kron(L, np.eye(3)))
+        or _is_certified_by_rows(np.einsum("cki,ckj->ij", views, views), H, L)
         or _is_certified_by_columns(np.sum([s.s_xx for s in sets], axis=0), H, R.T @ L @ R)
     )
     if certified:
@@ -194,19 +195,14 @@ def solve_3d3d(x: ArrayLike, y: ArrayLike, weights: ArrayLike | None = None) -> 
     variance = max(cost, MIN_RELATIVE_VARIANCE * squares) * scale / s.weight * 2 / 3
     information = hessian * scale / variance
     unobservable = find_unobservable_directions(information, UNOBSERVABLE_ROTATION_SD, min_ratio=ZERO_CURVATURE)
+    status, L, d_information = (
+        rotation_status(True, True, unobservable),
+        K - R @ S @ R.T,
+        s.weight / variance * np.eye(3),
+    )
+    costs = np.array([cost])
     return KnownDepthSolution(
-        status=rotation_status(True, True, unobservable),
-        rotation=R,
-        candidates=R[None],
-        costs=np.array([cost]),
-        certified=True,
-        multiplier=K - R @ S @ R.T,
-        information=information,
-        unobservable=unobservable,
-        center=s.mean_x,
-        center_translation=d,
-        center_translation_information=s.weight / variance * np.eye(3),
-        iterations=0,
+        status, R, information, unobservable, 0, R[None], costs, True, L, s.mean_x, d, d_information
     )
 
 
@@ -247,27 +243,24 @@ def _compute_moments(
     return _Moments(weight, mean_x, mean_y, (dx.T * w) @ dx, (dy.T * w) @ dx, float(w @ (dy**2).sum(axis=1)) / 2, total)
 
 
-def _is_certified_full(H: FloatArray, L: FloatArray) -> bool:
+def _is_positive(K: FloatArray) -> bool:
     """Return whether K certifies the optimum.
 
     The certificate by all multipliers (`so3_sos_certificate`) is stronger, but would also certify the better one of two
     mirrored rotations that differ by less than noise; for known points these are reported as not certified.
     """
-    return bool(np.linalg.eigvalsh(H + np.kron(L, np.eye(3)))[0] > CERTIFICATE)
+    return bool(np.linalg.eigvalsh(K)[0] > CERTIFICATE)
 
 
-def _is_certified_by_rows(PQ: FloatArray, H: FloatArray, L: FloatArray) -> bool:
+def _is_certified_by_rows(views: FloatArray, H: FloatArray, L: FloatArray) -> bool:
     """Return whether K certifies the optimum of cameras with parallel axes (in particular one camera).
 
     Their cost does not depend on the row of R along their axis, so K = H + L ⊗ I is never positive definite. But that
-    row follows from the other two: K positive definite on those two certifies the optimum.
+    row follows from the other two: K positive definite on those two certifies the optimum. `views` is Σ Q'P'PQ.
     """
-    values, axes = np.linalg.eigh(np.einsum("cki,ckj->ij", PQ, PQ))
-    if values[0] > ROUNDING * values[2]:
-        return False
+    values, axes = np.linalg.eigh(views)
     across = np.kron(axes[:, 1:].T, np.eye(3))
-    K = H + np.kron(L, np.eye(3))
-    return bool(np.linalg.eigvalsh(across @ K @ across.T)[0] > CERTIFICATE)
+    return bool(values[0] <= ROUNDING * values[2]) and _is_positive(across @ (H + np.kron(L, np.eye(3))) @ across.T)
 
 
 def _is_certified_by_columns(s_xx: FloatArray, H: FloatArray, M: FloatArray) -> bool:
@@ -277,11 +270,8 @@ def _is_certified_by_columns(s_xx: FloatArray, H: FloatArray, M: FloatArray) -> 
     columns of R determine the third.
     """
     values, axes = np.linalg.eigh(s_xx)
-    if values[0] > ROUNDING * values[2]:
-        return False
     across = np.kron(np.eye(3), axes[:, 1:].T)
-    K = H + np.kron(np.eye(3), M)
-    return bool(np.linalg.eigvalsh(across @ K @ across.T)[0] > CERTIFICATE)
+    return bool(values[0] <= ROUNDING * values[2]) and _is_positive(across @ (H + np.kron(np.eye(3), M)) @ across.T)
 
 
 def _solve_translation(
@@ -314,17 +304,8 @@ def _smallest_rotation(R: FloatArray, axis: FloatArray) -> FloatArray:
 
 def _no_spread_solution(center: FloatArray, center_translation: FloatArray) -> KnownDepthSolution:
     """Return the solution for coincident points, whose rotation is not observable."""
+    status, nan, zero = Status.ROTATION_NOT_OBSERVABLE, np.full((3, 3), np.nan), np.zeros((3, 3))
+    d = center_translation
     return KnownDepthSolution(
-        status=Status.ROTATION_NOT_OBSERVABLE,
-        rotation=np.full((3, 3), np.nan),
-        candidates=np.full((1, 3, 3), np.nan),
-        costs=np.zeros(1),
-        certified=False,
-        multiplier=np.zeros((3, 3)),
-        information=np.zeros((3, 3)),
-        unobservable=np.eye(3),
-        center=center,
-        center_translation=center_translation,
-        center_translation_information=np.zeros((3, 3)),
-        iterations=0,
+        status, nan, zero, np.eye(3), 0, nan[None], np.zeros(1), False, zero.copy(), center, d, zero.copy()
     )

@@ -319,18 +319,9 @@ def _make_solution(views: Views, axes: FloatArray, block: _BlockSolution) -> One
     at = q.evaluate(rotations)
     information = np.array([information_with_depth_bias(views, R) for R in rotations])
     unobservable = find_unobservable_rotations(information, rotations[0], 1)
-    return OneCameraSolution(
-        status=rotation_status(True, block.certified, unobservable[0]),
-        rotations=rotations,
-        N=N,
-        m=m,
-        multiplier=4.5 * block.multiplier,
-        cost=float(at.cost[0] / q.scale),
-        information=information,
-        unobservable=unobservable,
-        iterations=block.iterations,
-        noise_information=at.information,
-    )
+    status, cost = rotation_status(True, block.certified, unobservable[0]), float(at.cost[0] / q.scale)
+    fit = N, m, 4.5 * block.multiplier, cost
+    return OneCameraSolution(status, rotations, *fit, information, unobservable, block.iterations, at.information)
 
 
 def _complete_rotation(N: FloatArray, m: FloatArray) -> FloatArray:
@@ -339,16 +330,6 @@ def _complete_rotation(N: FloatArray, m: FloatArray) -> FloatArray:
 
 
 def _no_spread_solution() -> OneCameraSolution:
-    nan = np.full((2, 3, 3), np.nan)
-    return OneCameraSolution(
-        status=Status.ROTATION_NOT_OBSERVABLE,
-        rotations=nan,
-        N=nan[0, :2, :2],
-        m=nan[0, 0, :2],
-        multiplier=np.zeros((2, 2)),
-        cost=0.0,
-        information=np.zeros((2, 3, 3)),
-        unobservable=np.array([np.eye(3)] * 2),
-        iterations=0,
-        noise_information=np.zeros((2, 3, 3)),
-    )
+    nan, zero = np.full((2, 3, 3), np.nan), np.zeros((2, 3, 3))
+    fit = nan[0, :2, :2], nan[0, 0, :2], np.zeros((2, 2)), 0.0
+    return OneCameraSolution(Status.ROTATION_NOT_OBSERVABLE, nan, *fit, zero, np.array([np.eye(3)] * 2), 0, zero.copy())

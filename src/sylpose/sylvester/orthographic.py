@@ -24,8 +24,6 @@ from sylpose.sylvester.so3 import QuadraticCost
 
 __all__ = ["SylvesterTerms", "Views", "build_cost", "build_costs", "compute_terms", "compute_views", "moment_matrices"]
 
-_ViewArrays = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
-
 # Spread up to this share of the squares about the origin is a rounding error of centering: some tens of roundings
 # (derived).
 ROUNDING_SHARE = 1e-14
@@ -54,15 +52,7 @@ class Views(NamedTuple):
     def subset(self, cameras: ArrayLike) -> Views:
         """Return the views of the cameras selected by a mask or an index array."""
         i = np.asarray(cameras)
-        return Views(
-            self.rotation_x[i],
-            self.rotation_y[i],
-            self.s_xx[i],
-            self.s_yx[i],
-            self.s_yy[i],
-            self.weights[i],
-            self.total,
-        )
+        return Views._make([*(array[i] for array in self[:6]), self.total])
 
 
 class SylvesterTerms(NamedTuple):
@@ -94,7 +84,7 @@ def compute_views(rotations: ArrayLike, moments: Sequence[PairMoments], *, aim: 
     """
     aim, M = check_bool(aim, "aim"), moment_matrices(moments)
     Q = check_rotations(rotations, len(M))
-    return Views(*_second_moments(Q, M, aim), _sum_of_squares(M))
+    return _compute_views(Q, M, aim)
 
 
 def moment_matrices(moments: Sequence[PairMoments]) -> FloatArray:
@@ -124,7 +114,10 @@ def compute_terms(views: Views) -> SylvesterTerms:
 
     A_c = Q'P'PQ,   B_c = Q'P' S_xx P Q,   C_c = Q'P' S_yx P Q,   P = [1 0 0; 0 1 0].
     """
-    return _sylvester_terms(*views[:6])
+    PQx, PQy = views.rotation_x[..., :2, :], views.rotation_y[..., :2, :]
+    A, B = transpose(PQy) @ PQy, transpose(PQx) @ views.s_xx @ PQx
+    half_yy = np.trace(views.s_yy, axis1=-2, axis2=-1) / 2
+    return SylvesterTerms(A, B, transpose(PQy) @ views.s_yx @ PQx, half_yy, views.weights)
 
 
 def build_costs(rotations: ArrayLike, moments: ArrayLike, *, aim: bool = True) -> tuple[QuadraticCost, Views]:
@@ -140,10 +133,8 @@ def build_costs(rotations: ArrayLike, moments: ArrayLike, *, aim: bool = True) -
             camera of a problem has matches with any spread.
     """
     aim = check_bool(aim, "aim")
-    M, Q = (
-        check_finite(moments, ("N", "C", 9, 9), "moments", maximum=MAX_MOMENT),
-        check_real(rotations, "(C, 3, 3)", "rotations"),
-    )
+    M = check_finite(moments, ("N", "C", 9, 9), "moments", maximum=MAX_MOMENT)
+    Q = check_real(rotations, "(C, 3, 3)", "rotations")
     if np.abs(M - transpose(M)).max(initial=0.0) > 1e-12 + 2e-9 * np.abs(M).max(initial=0.0):  # as PairMoments at most
         raise ValueError("moments must be symmetric")
     if (M.diagonal(axis1=-2, axis2=-1) < 0).any():
@@ -156,8 +147,8 @@ def build_costs(rotations: ArrayLike, moments: ArrayLike, *, aim: bool = True) -
         Q = check_rotations(Q.reshape(-1, *Q.shape[2:]), n * c).reshape(n, c, 3, 3)
     else:
         Q = check_rotations(Q, c)
-    views = Views(*_second_moments(Q, M, aim), _sum_of_squares(M))
-    q = QuadraticCost.from_terms(*_sylvester_terms(*views[:6]))
+    views = _compute_views(Q, M, aim)
+    q = QuadraticCost.from_terms(*compute_terms(views))
     _check_spread(q.scale, views.total)
     return q, views
 
@@ -165,9 +156,9 @@ def build_costs(rotations: ArrayLike, moments: ArrayLike, *, aim: bool = True) -
 # The moments of all cameras are centered at once, for speed with thousands of problems. Leading axes are problems.
 
 
-def _second_moments(Q: FloatArray, M: FloatArray, aim: bool) -> _ViewArrays:
-    """Return the arrays of `Views` from rotations (..., C, 3, 3) and matrices (..., C, 9, 9) of pair moments."""
-    count = M[..., 8, 8]
+def _compute_views(Q: FloatArray, M: FloatArray, aim: bool) -> Views:
+    """Return the views of rotations (..., C, 3, 3) and matrices (..., C, 9, 9) of pair moments."""
+    count, total = M[..., 8, 8], np.asarray(M[..., [2, 5, 6, 7], [2, 5, 6, 7]].sum(axis=(-2, -1)))
     per_count = 1 / np.where(count > 0, count, 1)[..., None]
     Ex, Ey = M[..., 8, 6:8] * per_count, M[..., 8, 2:6:3] * per_count
     n = count[..., None, None]
@@ -176,20 +167,13 @@ def _second_moments(Q: FloatArray, M: FloatArray, aim: bool) -> _ViewArrays:
     Syy = M[..., 2:6:3, 2:6:3] - n * Ey[..., :, None] * Ey[..., None, :]
     if not aim:
         Q = np.array(np.broadcast_to(Q, (*count.shape, 3, 3)))
-        return Q, Q, Sxx, Syx, Syy, count
+        return Views(Q, Q, Sxx, Syx, Syy, count, total)
     # A point at image offset δ from the mean ray is, after rotation by T onto that ray, at exactly P T Q X / Z = (P T
     # P') δ.
     Tx, Ty = rotation_to_z_axis(np.stack([Ex, Ey]))
     Jx, Jy = Tx[..., :2, :2], Ty[..., :2, :2]
-    return Tx @ Q, Ty @ Q, Jx @ Sxx @ transpose(Jx), Jy @ Syx @ transpose(Jx), Jy @ Syy @ transpose(Jy), count
-
-
-def _sylvester_terms(
-    Qx: FloatArray, Qy: FloatArray, Sxx: FloatArray, Syx: FloatArray, Syy: FloatArray, weights: FloatArray
-) -> SylvesterTerms:
-    PQx, PQy = Qx[..., :2, :], Qy[..., :2, :]
-    A, B = transpose(PQy) @ PQy, transpose(PQx) @ Sxx @ PQx
-    return SylvesterTerms(A, B, transpose(PQy) @ Syx @ PQx, np.trace(Syy, axis1=-2, axis2=-1) / 2, weights)
+    Sxx, Syx, Syy = Jx @ Sxx @ transpose(Jx), Jy @ Syx @ transpose(Jx), Jy @ Syy @ transpose(Jy)
+    return Views(Tx @ Q, Ty @ Q, Sxx, Syx, Syy, count, total)
 
 
 def _check_spread(scale: FloatArray, total: FloatArray) -> None:
@@ -198,8 +182,3 @@ def _check_spread(scale: FloatArray, total: FloatArray) -> None:
     if flat.any():
         which = f"problem {int(np.argmax(flat))}: " if len(scale) > 1 else ""
         raise ValueError(f"{which}no camera has matches that are spread over its image: the rotation is undetermined")
-
-
-def _sum_of_squares(M: FloatArray) -> FloatArray:
-    """Return `Views.total` (...) of matrices of pair moments (..., C, 9, 9)."""
-    return np.asarray(M[..., [2, 5, 6, 7], [2, 5, 6, 7]].sum(axis=(-2, -1)))

@@ -8,8 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
-from sylpose.geometry.numba_linalg import apply_rotvec, cholesky, cholesky_solve, kernel
-from sylpose.sylvester.so3_dual import build_system, solve_dual
+from sylpose.geometry.numba_linalg import apply_rotvec, cholesky, cholesky_solve, kernel, solve_factored
 from sylpose.sylvester.so3_sos_certificate import CERTIFICATE, COST_TOLERANCE, certify_minimum
 
 __all__ = ["GRADIENT_TOLERANCE", "MERGE_ANGLE", "ZERO_CURVATURE", "certify_each", "derivatives_each", "minimize_each"]
@@ -28,6 +27,10 @@ MERGE_ANGLE = 1e-3
 N_FIRST_STARTS = 4
 # A bound on Newton's steps (choice).
 MAX_NEWTON_STEPS = 100
+# A bound on Newton's steps; certified problems take three or four (choice).
+MAX_DUAL_STEPS = 40
+# Indices (a, b) of the orthonormal basis (e_a e_b' + e_b e_a') / norm of the symmetric 3x3 matrices.
+_ROWS, _COLUMNS = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
 
 
 @kernel
@@ -54,7 +57,7 @@ def minimize_each(
     for n in range(H.shape[0]):
         _rescale(H[n], h[n], scaled_H, scaled_h)
         counts[n] = 1
-        is_solved, iterations[n] = solve_dual(scaled_H, scaled_h, candidates[n, 0])
+        is_solved, iterations[n] = _solve_dual(scaled_H, scaled_h, candidates[n, 0])
         certified[n] = is_solved and _is_certified(scaled_H, scaled_h, candidates[n, 0])
         if not certified[n]:
             certified[n], counts[n], steps = _search_minima(scaled_H, scaled_h, starts, candidates[n])
@@ -75,7 +78,7 @@ def certify_each(H: FloatArray, h: FloatArray, rotations: FloatArray, certified:
         _derivatives(scaled_H, scaled_h, rotations[n], gradient, hessian)
         certified[n] = False
         if _max_abs(gradient) < GRADIENT_TOLERANCE:
-            _copy(rotations[n], R)
+            R[:] = rotations[n]
             certified[n] = _is_certified(scaled_H, scaled_h, R)
             if not certified[n]:
                 _descend(scaled_H, scaled_h, R, gradient, hessian)
@@ -180,7 +183,7 @@ def _is_certified(H: FloatArray, h: FloatArray, R: FloatArray) -> bool:
         for c in range(3):
             L[i // 3, c] += 0.5 * s * R[c, i % 3]
             L[c, i // 3] += 0.5 * s * R[c, i % 3]
-    build_system(H, L, L, 0.0, K)
+    _build_system(H, L, L, 0.0, K)
     for i in range(9):
         K[i, i] -= CERTIFICATE
     return cholesky(K)
@@ -204,7 +207,7 @@ def _search_minima(H: FloatArray, h: FloatArray, starts: FloatArray, minima: Flo
     best, max_steps, certificate_steps, tried = order[0], 0, 0, -1
     for done in range(n):
         s = order[done]
-        _copy(starts[s], ends[s])
+        ends[s] = starts[s]
         costs[s], steps = _descend(H, h, ends[s], gradient, hessian)
         max_steps = max(max_steps, steps)
         for i in range(3):
@@ -225,7 +228,7 @@ def _search_minima(H: FloatArray, h: FloatArray, starts: FloatArray, minima: Flo
                 proved, steps = certify_minimum(H, h, ends[best])
                 certificate_steps += steps
                 if proved:
-                    _copy(ends[best], minima[0])
+                    minima[0] = ends[best]
                     return True, 1, max_steps + certificate_steps
             tried = best
     remaining[best] = True
@@ -236,7 +239,7 @@ def _search_minima(H: FloatArray, h: FloatArray, starts: FloatArray, minima: Flo
         for k in range(count):
             new = new and _squared_distance(ends[best], minima[k]) > 2.0 * MERGE_ANGLE**2
         if new:
-            _copy(ends[best], minima[count])
+            minima[count] = ends[best]
             count += 1
         for s in range(n):
             if remaining[s] and (costs[s] < costs[best] or not remaining[best]):
@@ -280,7 +283,7 @@ def _descend(
     for iteration in range(MAX_NEWTON_STEPS):
         if _max_abs(gradient) < 1e-12:
             return cost, iteration
-        _copy(hessian, factor)
+        factor[:] = hessian
         for i in range(3):
             factor[i, i] += damping + 1e-9
             step[i] = -gradient[i]
@@ -298,16 +301,129 @@ def _descend(
             damping = max(4.0 * damping, 0.01)
             continue
         cost, damping = new_cost, 0.25 * damping if damping > 1e-3 else 0.0
-        _copy(new, R)
-        _copy(new_hessian, hessian)
-        for i in range(3):
-            gradient[i] = new_gradient[i]
+        R[:], hessian[:], gradient[:] = new, new_hessian, new_gradient
     return cost, MAX_NEWTON_STEPS
 
 
+# --- The dual, with the multiplier of RR' = I alone; with many cameras it usually suffices ----------------------------
+
+
 @kernel
-def _copy(source: FloatArray, target: FloatArray) -> None:
-    """Copy a (3, 3) matrix."""
+def _build_system(H: FloatArray, L: FloatArray, step: FloatArray, length: float, K: FloatArray) -> None:
+    """Write H + (L + length step) ⊗ I to K (9, 9)."""
+    K[:] = H
+    for a in range(3):
+        for c in range(3):
+            for b in range(3):
+                K[3 * a + b, 3 * c + b] += L[a, c] + length * step[a, c]
+
+
+@kernel
+def _solve_dual(H: FloatArray, h: FloatArray, R: FloatArray) -> tuple[bool, int]:
+    """Maximize the concave dual d(L) = -1/2 h'K⁻¹h - 1/2 tr L over positive definite K = H + L ⊗ I.
+
+    Its gradient is 1/2 (RR' - I), r = K⁻¹h. H is positive semidefinite, so any positive multiple of the identity is a
+    feasible start. The rotation is written to R (3, 3).
+
+    Returns:
+        Whether there is a rotation (not if the maximum is on the boundary or R is a reflection), and the number of
+        steps.
+    """
+    multiplier, step, gradient = np.zeros((3, 3)), np.zeros((3, 3)), np.empty(6)
+    factor, factor_ahead, r = np.empty((9, 9)), np.empty((9, 9)), np.empty(9)
+    curvature, direction = np.empty((6, 6)), np.empty(6)
+    for i in range(3):
+        multiplier[i, i] = 0.01
+    value, slope, length = -np.inf, 0.0, 1.0
+    for iteration in range(MAX_DUAL_STEPS):
+        # A step must stay in the interior, at most 0.7 of the way to the boundary.
+        _build_system(H, multiplier, step, length, factor)
+        _build_system(H, multiplier, step, length / 0.7, factor_ahead)
+        inside = cholesky(factor) and cholesky(factor_ahead)
+        new_value = 0.0
+        if inside:
+            r[:] = h
+            solve_factored(factor, r)
+            for i in range(9):
+                new_value -= 0.5 * r[i] * h[i]
+            for i in range(3):
+                new_value -= 0.5 * (multiplier[i, i] + length * step[i, i])
+        if not inside or new_value < value + 1e-4 * length * slope - 1e-13 * abs(value):
+            length *= 0.5
+            continue
+        value, min_pivot, max_deviation = new_value, np.inf, 0.0
+        for i in range(9):
+            min_pivot = min(min_pivot, factor[i, i] ** 2)
+        for i in range(3):
+            for j in range(3):
+                multiplier[i, j] += length * step[i, j]
+                s = -1.0 if i == j else 0.0
+                for k in range(3):
+                    s += r[3 * i + k] * r[3 * j + k]
+                max_deviation = max(max_deviation, abs(s))
+        if min_pivot < CERTIFICATE:
+            return False, iteration
+        if max_deviation < 1e-11:
+            return _orthogonalize(r, R), iteration
+        _dual_derivatives(factor, r, gradient, curvature)
+        direction[:] = gradient
+        # The curvature is singular if R is (one camera): the step is then long and ends near the boundary.
+        if not cholesky_solve(curvature, direction):
+            return False, iteration
+        slope, length = 0.0, 1.0
+        for k in range(6):
+            slope += gradient[k] * direction[k]
+            a, b = _ROWS[k], _COLUMNS[k]
+            step[a, b] = step[b, a] = direction[k] if a == b else np.sqrt(0.5) * direction[k]
+    return False, MAX_DUAL_STEPS
+
+
+@kernel
+def _dual_derivatives(factor: FloatArray, r: FloatArray, gradient: FloatArray, curvature: FloatArray) -> None:
+    """Write gradient (6,) and negative curvature (6, 6) of the dual, given K's Cholesky factor.
+
+    They are 1/2 <S_k, RR' - I> and r'(S_k ⊗ I) K⁻¹ (S_l ⊗ I) r with S_k the basis of the symmetric matrices. The
+    curvature is regularized by 1e-13 of its trace.
+    """
+    half, trace = np.zeros((6, 9)), 0.0
+    for k in range(6):
+        a, b = _ROWS[k], _COLUMNS[k]
+        norm = 1.0 if a == b else np.sqrt(0.5)
+        s = -1.0 if a == b else 0.0
+        for j in range(3):
+            half[k, 3 * a + j] = norm * r[3 * b + j]
+            half[k, 3 * b + j] = norm * r[3 * a + j]
+            s += r[3 * a + j] * r[3 * b + j]
+        gradient[k] = 0.5 * s / norm
+        for i in range(9):
+            for j in range(i):
+                half[k, i] -= factor[i, j] * half[k, j]
+            half[k, i] /= factor[i, i]
+        for l in range(k + 1):
+            s = 0.0
+            for i in range(9):
+                s += half[k, i] * half[l, i]
+            curvature[k, l] = curvature[l, k] = s
+        trace += curvature[k, k]
+    for k in range(6):
+        curvature[k, k] += 1e-13 * (trace + 1.0)
+
+
+@kernel
+def _orthogonalize(r: FloatArray, R: FloatArray) -> bool:
+    """Write r (9,), orthogonal to 1e-11, to R (3, 3) after one Newton-Schulz step, which squares the deviation.
+
+    Returns:
+        Whether it is a rotation, not a reflection.
+    """
     for i in range(3):
         for j in range(3):
-            target[i, j] = source[i, j]
+            R[i, j] = 1.5 * r[3 * i + j]
+            for k in range(3):
+                product = r[3 * i] * r[3 * k] + r[3 * i + 1] * r[3 * k + 1] + r[3 * i + 2] * r[3 * k + 2]
+                R[i, j] -= 0.5 * product * r[3 * k + j]
+    determinant = 0.0
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        determinant += R[0, i] * (R[1, j] * R[2, k] - R[1, k] * R[2, j])
+    return determinant > 0.0

@@ -96,14 +96,9 @@ def certify_minimum(H: FloatArray, h: FloatArray, R: FloatArray) -> tuple[bool, 
     margin = max(CERTIFICATE * size, squared / (4.0 * COST_TOLERANCE))
     factor, work, inverse = np.empty((9, 9)), np.empty((9, 9)), np.empty((9, 9))
     multipliers, step, slope = np.zeros(N_MULTIPLIERS), np.zeros(N_MULTIPLIERS + 1), np.empty(N_MULTIPLIERS + 1)
-    curvature, curvature_factor = (
-        np.empty((N_MULTIPLIERS + 1, N_MULTIPLIERS + 1)),
-        np.empty((N_MULTIPLIERS + 1, N_MULTIPLIERS + 1)),
-    )
-    first_block = np.empty((3, 3))
+    curvature = np.empty((N_MULTIPLIERS + 1, N_MULTIPLIERS + 1))
+    curvature_factor, first_block = np.empty_like(curvature), G[:3, :3].copy()
     for i in range(3):
-        for j in range(3):
-            first_block[i, j] = G[i, j]
         first_block[i, i] -= margin
     if not cholesky(first_block):
         return False, 0
@@ -127,9 +122,7 @@ def certify_minimum(H: FloatArray, h: FloatArray, R: FloatArray) -> tuple[bool, 
                 return True, iteration
         _invert_factored(factor, work, inverse)
         _barrier_derivatives(inverse, work, slope, curvature)
-        for i in range(N_MULTIPLIERS + 1):
-            for j in range(i + 1):
-                curvature_factor[i, j] = curvature[i, j]
+        curvature_factor[:] = curvature
         if not cholesky(curvature_factor):
             return False, iteration
         while True:
@@ -155,8 +148,7 @@ def certify_minimum(H: FloatArray, h: FloatArray, R: FloatArray) -> tuple[bool, 
         for k in range(N_MULTIPLIERS):
             multipliers[k] += length * step[k]
         t += length * step[N_MULTIPLIERS]
-        for k in range(N_MULTIPLIERS + 1):
-            step[k] = 0.0
+        step[:] = 0.0
     return False, MAX_STEPS
 
 
@@ -226,9 +218,7 @@ def _build_matrix(
     G: FloatArray, multipliers: FloatArray, t: float, step: FloatArray, length: float, out: FloatArray
 ) -> None:
     """Write G + Σ μ_k N_k - t D to the lower triangle of out (9, 9), with (μ, t) moved by length times step."""
-    for i in range(9):
-        for j in range(i + 1):
-            out[i, j] = G[i, j]
+    out[:] = G
     for k in range(N_MULTIPLIERS):
         mu = multipliers[k] + length * step[k]
         for c in range(2):

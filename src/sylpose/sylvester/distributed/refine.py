@@ -171,8 +171,12 @@ class RefineState:
         return tuple(c for c in nodes if c != self.camera and (c, self.sent.number) not in self.waiting)
 
     def is_gone(self, c: int) -> bool:
-        """Return whether a node counts as gone."""
-        return self.missed_rounds.get(c, 0) > MAX_MISSED_ROUNDS
+        """Return whether a node counts as gone.
+
+        A node with a result waits twice as long: another one may lack it, because a node has failed, and ask for
+        moments.
+        """
+        return self.missed_rounds.get(c, 0) > MAX_MISSED_ROUNDS * (1 if self.estimate is None else 2)
 
 
 def start_refine(

@@ -23,7 +23,7 @@ from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.matrices import check_rotations
 from sylpose.geometry.validation import check_integer, check_list, check_sequence, check_type
 from sylpose.moments import PairMoments
-from sylpose.packets import MAX_ROUNDS, NO_FAULTS, Inbox, NetworkFaults, NetworkRun, Packet, run_network
+from sylpose.packets import MAX_ROUNDS, NO_FAULTS, Inbox, NetworkFaults, NetworkRun, NodeState, Packet, run_network
 from sylpose.results import RotationEstimate, Status
 from sylpose.sylvester.centralized import find_unobservable_rotations, rotation_status
 from sylpose.sylvester.distributed.exchange import NodeEstimate, start_exchange, step_exchange
@@ -36,11 +36,9 @@ __all__ = ["DistributedSolution", "solve_exchange", "solve_gossip", "solve_refin
 AGREEMENT_ANGLE = 1e-7  # radians between the results of nodes that agree: ten times each node's tolerance (choice)
 
 
-class SolverState(Protocol):
+class SolverState(NodeState, Protocol):
     """Interface of a node's state, common to all solvers."""
 
-    @property
-    def done(self) -> bool: ...
     @property
     def estimate(self) -> NodeEstimate | None: ...
 
@@ -222,21 +220,11 @@ def _combine_results(
     n_used = sum(moments[c].count > 0 for c in used)
     unobservable = find_unobservable_rotations(first.information, first.rotation, n_used)
     agreed = len(good) == len(live) > 0 and spread < AGREEMENT_ANGLE
-    is_consistent = all(v.is_consistent for v in good)
-    return DistributedSolution(
-        status=rotation_status(agreed, certified, unobservable)
-        if not agreed or is_consistent
-        else Status.NOT_CONSISTENT,
-        rotation=first.rotation,
-        information=first.information,
-        unobservable=unobservable,
-        iterations=outcome.rounds,
-        certified=certified,
-        rotations=np.array([nothing if v is None else v.rotation for v in estimates]),
-        converged=np.array([v is not None for v in estimates]),
-        spread=spread,
-        used=used,
-        faults=dict(sorted((c, text) for v in good for c, text in v.faults.items())),
-        sent=outcome.sent,
-        received=outcome.received,
-    )
+    is_consistent = not agreed or all(v.is_consistent for v in good)
+    status = rotation_status(agreed, certified, unobservable) if is_consistent else Status.NOT_CONSISTENT
+    common = status, first.rotation, first.information, unobservable, outcome.rounds
+    rotations = np.array([nothing if v is None else v.rotation for v in estimates])
+    converged = np.array([v is not None for v in estimates])
+    faults = dict(sorted((c, text) for v in good for c, text in v.faults.items()))
+    nodes = rotations, converged, spread, used, faults
+    return DistributedSolution(*common, certified, *nodes, outcome.sent, outcome.received)
