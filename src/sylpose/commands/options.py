@@ -11,7 +11,7 @@ import typer
 
 from sylpose.commands.app import ADVANCED, INPUT, LIVE, OBJECT, OUTPUT, CommandOptions, make_choice_check, option
 from sylpose.methods import FEATURES, METHODS, resolve_features
-from sylpose.report.files import PICTURE_FORMATS
+from sylpose.report import PICTURE_FORMATS
 from sylpose.units import METERS
 
 if TYPE_CHECKING:

@@ -29,7 +29,6 @@ __all__ = [
     "CAMERA_COLUMNS",
     "COLUMNS",
     "PAGE_FILE",
-    "PICTURE_FORMATS",
     "POSE_COLUMNS",
     "SD_COLUMNS",
     "TrajectoryWriter",
@@ -44,8 +43,6 @@ __all__ = [
     "write_tum",
 ]
 
-# By file name suffix.
-PICTURE_FORMATS = ("png", "svg", "pdf")
 PAGE_FILE = "report.html"
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from sylpose.geometry.euler_angles import parse_euler_angles
 from sylpose.geometry.validation import check_choice
 from sylpose.methods import FEATURES, METHODS, MODES, resolve_features
-from sylpose.report.files import PICTURE_FORMATS
+from sylpose.report import PICTURE_FORMATS
 from sylpose.tracking.known_object import KnownObject
 
 __all__ = ["CHECKPOINT_SECONDS", "RunOptions"]
