@@ -74,7 +74,7 @@ def solve(setting: Setting, seed: int) -> tuple[Motion, RigidTransform]:
         per_camera=setting.n_matches,
         noise_px=setting.noise_px,
         outliers=setting.outlier_ratio,
-        outlier_kind=setting.outlier_kind,  # type: ignore[arg-type]
+        outlier_kind=setting.outlier_kind,
         start=start,
     )
     if not setting.has_known_points:

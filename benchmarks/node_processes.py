@@ -16,7 +16,7 @@ from sylpose.commands.network import build_node_command
 from sylpose.methods import MODES
 from sylpose.network.zenoh_transport import LOOPBACK, LinkSettings, watch_network
 from sylpose.simulate import make_demo_scene, render_frames
-from sylpose.simulate.recording_files import create_session_folder, write_videos
+from sylpose.simulate.recordings import create_session_folder, write_videos
 
 __all__ = [
     "RATE",

@@ -168,7 +168,7 @@ def simulate_scene(setting: Setting, seed: int) -> tuple[SimulatedPair, Rig]:
         per_camera=setting.matches,
         noise_px=setting.noise_px,
         outliers=setting.outliers,
-        outlier_kind=setting.outlier_kind,  # type: ignore[arg-type]
+        outlier_kind=setting.outlier_kind,
         start=start,
     )
     return pair, setting.rig

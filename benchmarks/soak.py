@@ -29,8 +29,7 @@ from sylpose.geometry.arrays import Image
 from sylpose.report.files import read_trajectory
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import Scene, render_frames
-from sylpose.simulate.demo import compute_demo_truth
-from sylpose.simulate.recording_files import create_session_folder, write_boxes
+from sylpose.simulate.recordings import compute_demo_truth, create_session_folder, write_boxes
 
 __all__ = ["main"]
 

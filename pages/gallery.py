@@ -32,7 +32,7 @@ from sylpose.rig import Rig
 from sylpose.runs.options import RunOptions
 from sylpose.runs.run import track_session
 from sylpose.simulate import Actor, Recording, Scene, arc, chamfered_box, make_demo_scene, write_recording
-from sylpose.simulate.recording_files import object_suffixes
+from sylpose.simulate.recordings import object_suffixes
 
 __all__ = ["SCENES", "Shown", "page", "results"]
 

@@ -36,7 +36,7 @@ from sylpose.network.zenoh_transport import (
 from sylpose.packets import Packet
 from sylpose.report.files import read_trajectory
 from sylpose.simulate import render_sequence
-from sylpose.simulate.demo import DemoTruth
+from sylpose.simulate.recordings import DemoTruth
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import track
 from tests.clips import SIZE, Clip, compute_pose_errors

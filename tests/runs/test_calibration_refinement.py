@@ -17,7 +17,7 @@ from sylpose.io import calibration
 from sylpose.rig import Rig
 from sylpose.runs.calibration_refinement import REFINED, REFINED_END, compute_final_rig, describe_changes, write_refined
 from sylpose.simulate import compute_demo_truth, make_demo_scene, render_sequence, ring
-from sylpose.simulate.recording_files import create_session_folder, write_boxes, write_videos
+from sylpose.simulate.recordings import create_session_folder, write_boxes, write_videos
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 

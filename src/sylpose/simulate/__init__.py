@@ -2,11 +2,19 @@
 
 from sylpose.rig import make_look_at_camera
 from sylpose.simulate.bodies import Body, box, cloud, ellipsoid, plane
-from sylpose.simulate.demo import DemoTruth, compute_demo_truth, make_demo_scene, render_sequence, write_sequence
+from sylpose.simulate.recordings import (
+    DemoTruth,
+    Recording,
+    compute_demo_truth,
+    compute_visible_shares,
+    make_demo_scene,
+    render_sequence,
+    write_recording,
+    write_sequence,
+)
 from sylpose.simulate.render import Actor, Scene, TexturedBody, chamfered_box, render_frames
 from sylpose.simulate.rigs import arc, dome, ring
 from sylpose.simulate.scenes import OutlierKind, SimulatedPair, random_motion, simulate_matches
-from sylpose.simulate.sequences import Recording, compute_visible_shares, write_recording
 
 __all__ = [
     "Actor",

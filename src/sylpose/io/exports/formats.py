@@ -103,22 +103,11 @@ def select_frames(trajectory: Trajectory, start: int | None, stop: int | None) -
 
 
 def _load_writer(to: str) -> Callable[[Any, Path], list[str]]:
-    """Import the writer of a format, with the package that it requires."""
-    from sylpose.io.exports import text
+    """Import the writer of a format."""
+    from sylpose.io.exports.gltf import write_gltf
+    from sylpose.io.exports.libraries import write_c3d, write_parquet, write_rosbag, write_usd
+    from sylpose.io.exports.text import write_bvh, write_csv, write_trc, write_tum
 
-    write: Callable[[Any, Path], list[str]]
-    texts: dict[str, Callable[[Any, Path], list[str]]]
-    texts = {"csv": text.write_csv, "tum": text.write_tum, "trc": text.write_trc, "bvh": text.write_bvh}
-    if to == "c3d":
-        from sylpose.io.exports.c3d import write_c3d as write
-    elif to == "gltf":
-        from sylpose.io.exports.gltf import write_gltf as write
-    elif to == "parquet":
-        from sylpose.io.exports.parquet import write_parquet as write
-    elif to == "rosbag":
-        from sylpose.io.exports.rosbag import write_rosbag as write
-    elif to == "usd":
-        from sylpose.io.exports.usd import write_usd as write
-    else:
-        write = texts[to]
-    return write
+    writers: tuple[Callable[[Any, Path], list[str]], ...] = (write_csv, write_tum, write_trc, write_bvh, write_gltf)
+    writers += (write_c3d, write_parquet, write_rosbag, write_usd)
+    return next(write for write in writers if write.__name__ == f"write_{to}")

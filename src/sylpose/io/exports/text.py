@@ -21,7 +21,7 @@ __all__ = ["write_bvh", "write_csv", "write_trc", "write_tum"]
 
 
 def write_csv(trajectory: Trajectory, path: Path) -> list[str]:
-    """Write all frames and columns (`report.tables`); cells are empty for missing values."""
+    """Write all frames and columns (`report.files`); cells are empty for missing values."""
     columns = build_columns(trajectory)
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
