@@ -13,7 +13,7 @@ import pytest
 
 from sylpose import __version__
 from sylpose.commands.main import main
-from sylpose.commands.track import open_pose_stream
+from sylpose.commands.track_display import open_pose_stream
 from sylpose.io import calibration
 from sylpose.io.capture import open_session
 from sylpose.report.files import format_pose_line, read_trajectory

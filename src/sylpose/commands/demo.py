@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 from sylpose.commands.app import CommandOptions, command, exit_with_failures, option
-from sylpose.commands.options import Seed
-from sylpose.commands.track import TrackOptions, track_in_terminal
+from sylpose.commands.options import DisplayOptions, Seed
 
 __all__ = ["MAX_ERROR_DEG", "DemoOptions", "demo", "render_demo"]
 
@@ -50,11 +49,13 @@ def demo(options: DemoOptions) -> None:
     import numpy as np
     from rich.text import Text
 
+    from sylpose.commands.track_display import track_in_terminal
     from sylpose.comparison import compare_trajectories
     from sylpose.io.capture import open_session
     from sylpose.report.files import read_tum
     from sylpose.runs import console_output
     from sylpose.runs.check import explain_failures
+    from sylpose.runs.options import RunOptions
 
     console, out = console_output.make_console(), options.out
     rendering = f"Rendering {options.frames} frames of {options.cameras} cameras ..."
@@ -63,7 +64,7 @@ def demo(options: DemoOptions) -> None:
     with console.status(rendering):
         render_demo(out, frames=options.frames, turn_deg=options.turn, n_cameras=options.cameras, seed=options.seed)
     session = open_session(out)
-    run = track_in_terminal(session, TrackOptions(session=out, seed=options.seed))
+    run = track_in_terminal(session, None, RunOptions(seed=options.seed), DisplayOptions())
     if problems := explain_failures(session, run):
         exit_with_failures(problems)
     errors = compare_trajectories(*read_tum(run.files[0]), *read_tum(out / "groundtruth.tum"))

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 __all__ = [
     "BoxesFile",
     "CameraOptions",
+    "DisplayOptions",
     "EulerAxes",
     "FrameOffset",
     "MethodOptions",
@@ -245,6 +246,29 @@ class PageOptions(CommandOptions):
 
     port: Annotated[int, option("--port N", LIVE, min=0, max=65535)] = 0
     browser: Annotated[bool, option("--browser/--no-browser", LIVE)] = True
+
+
+@dataclass(frozen=True, kw_only=True)
+class DisplayOptions(PageOptions):
+    """Display of a run.
+
+    Attributes:
+        quiet: Print only warnings, on stderr.
+        verbose: Print one line per frame.
+        stream: Stream poses as JSON lines to stdout (-) or udp://HOST:PORT.
+        show: Show the run in 3D on a page in the browser; see sylpose show.
+    """
+
+    quiet: Annotated[bool, option("--quiet -q", OUTPUT)] = False
+    verbose: Annotated[bool, option("--verbose -v", OUTPUT)] = False
+    stream: Annotated[str | None, option("--stream TO", LIVE)] = None
+    show: Annotated[bool, option("--show", LIVE)] = False
+
+    def __post_init__(self) -> None:
+        """Check the options that exclude each other."""
+        super().__post_init__()
+        if self.quiet and self.verbose:
+            raise ValueError("--quiet and --verbose exclude each other")
 
 
 def parse_video_option(values: Sequence[str]) -> dict[str, str] | None:
