@@ -141,12 +141,11 @@ def frame(options: FrameOptions) -> None:
     from sylpose.input_limits import input_errors
     from sylpose.io.object_files import load_object
     from sylpose.runs import console_output, object_frames
-    from sylpose.runs.object_boards import estimate_board_frame
 
     known, origin, x = load_object(options.source), options.origin, options.x
     points = object_frames.PointParser(known, options.source, options.result)
     if options.board is not None and options.recording is not None:
-        new_frame = estimate_board_frame(points.result, options.recording, options.board)
+        new_frame = object_frames.estimate_board_frame(points.result, options.recording, options.board)
     elif options.plane:
         new_frame = object_frames.frame_from_plane(points, options.plane, origin, x)
     elif options.extent:

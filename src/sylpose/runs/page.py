@@ -31,10 +31,7 @@ from sylpose.tracking.known_object import KnownObject
 __all__ = [
     "MIN_THUMBNAILS",
     "ThumbnailAlbum",
-    "find_used_calibration",
-    "load_rig",
     "make_cloud",
-    "read_cloud",
     "read_scene",
     "read_scenes",
     "thumbnail_step",
@@ -61,9 +58,8 @@ def write_report_page(folder: Path, stills: Thumbnails) -> Path:
         ValueError: a trajectory without frames; invalid files.
         OSError: the file cannot be written; the message names it.
     """
-    trajectory, settings = read_result(folder), read_settings(folder)
-    rig = load_rig(trajectory, find_used_calibration(folder))
-    scene = build_scene(trajectory, rig, read_cloud(folder / OBJECT_FILE, rig.names), stills)
+    (trajectory, rig, cloud), settings = _read_run(folder), read_settings(folder)
+    scene = build_scene(trajectory, rig, cloud, stills)
     axes = settings.get("options", {}).get("angles")
     with input_errors(find_run_folder(folder) / SETTINGS):
         angles = PAN_TILT_ROLL if axes is None else parse_euler_angles(str(axes))
@@ -137,10 +133,7 @@ def read_scene(result: Path, calibration_file: Path | None = None, stills: Thumb
         FileNotFoundError: no trajectory.
         ValueError: invalid files, or files of other cameras.
     """
-    trajectory = read_result(result)
-    folder = result if result.is_dir() else result.parent
-    rig = load_rig(trajectory, find_used_calibration(folder) if calibration_file is None else calibration_file)
-    return build_scene(trajectory, rig, read_cloud(folder / OBJECT_FILE, rig.names), stills)
+    return build_scene(*_read_run(result, calibration_file), stills)
 
 
 def read_scenes(result: Path, calibration_file: Path | None = None) -> dict[str, Scene]:
@@ -166,42 +159,29 @@ def read_scenes(result: Path, calibration_file: Path | None = None) -> dict[str,
     return scenes
 
 
-def find_used_calibration(folder: Path) -> Path:
-    """Return the calibration file of the poses in a run's folder: the refined one, or else the one used.
+def _read_run(result: Path, calibration_file: Path | None = None) -> tuple[Trajectory, Rig, PointCloud | None]:
+    """Read the trajectory of a run, its cameras and the object's landmarks, if there are any.
+
+    The calibration is the given one, or the refined one, or the one used. The rig has the trajectory's unit, which with
+    one camera differs from the calibration's.
 
     Raises:
-        ValueError: no calibration.
+        FileNotFoundError: no trajectory.
+        ValueError: no calibration; a calibration or an object of other cameras, or another file than an object.
     """
-    refined = folder / REFINED
-    return refined if refined.is_file() else find_calibration(folder, None)
-
-
-def load_rig(trajectory: Trajectory, file: Path) -> Rig:
-    """Load the rig of a calibration with the trajectory's unit, which with one camera differs from the calibration's.
-
-    Raises:
-        ValueError: a calibration of other cameras.
-    """
-    rig = calibration.load(file)
-    if rig.names != trajectory.camera_names:
-        raise ValueError(
-            f"{file}: it has the cameras {', '.join(rig.names)}, the trajectory {', '.join(trajectory.camera_names)}"
-        )
-    return Rig(rig.cameras, trajectory.unit)
-
-
-def read_cloud(file: Path, names: tuple[str, ...]) -> PointCloud | None:
-    """Read the point cloud of object.npz for cameras with these names; return None if the file does not exist.
-
-    Raises:
-        ValueError: naming the file: not an object, or of other cameras.
-    """
-    if not file.is_file():
-        return None
-    known = load_object(file)
-    if unknown := {*known.camera_names} - {*names}:
-        raise ValueError(f"{file}: it has the cameras {', '.join(sorted(unknown))}, which the calibration lacks")
-    return make_cloud(known, names)
+    trajectory, folder = read_result(result), result if result.is_dir() else result.parent
+    refined, object_file, cloud = folder / REFINED, folder / OBJECT_FILE, None
+    file = calibration_file or (refined if refined.is_file() else find_calibration(folder, None))
+    rig, names = calibration.load(file), trajectory.camera_names
+    if rig.names != names:
+        raise ValueError(f"{file}: it has the cameras {', '.join(rig.names)}, the trajectory {', '.join(names)}")
+    if object_file.is_file():
+        known = load_object(object_file)
+        if unknown := {*known.camera_names} - {*names}:
+            cameras = ", ".join(sorted(unknown))
+            raise ValueError(f"{object_file}: it has the cameras {cameras}, which the calibration lacks")
+        cloud = make_cloud(known, names)
+    return trajectory, Rig(rig.cameras, trajectory.unit), cloud
 
 
 def make_cloud(known: KnownObject, names: tuple[str, ...]) -> PointCloud:
@@ -232,7 +212,7 @@ class ThumbnailAlbum:
     def put(self, frames: FrameSet) -> None:
         """Add the next frame of the run."""
         if self._position % self._step == 0:
-            self._kept.append((frames.index, tuple(encode_thumbnail(image, self._cameras) for image in frames.images)))
+            self._keep(frames)
         self._position += 1
         if len(self._kept) == 2 * MIN_THUMBNAILS:
             self._kept, self._step = self._kept[::2], 2 * self._step
@@ -246,8 +226,11 @@ class ThumbnailAlbum:
         """
         self._step = thumbnail_step(position)
         for frames in frames_kept:
-            self._kept.append((frames.index, tuple(encode_thumbnail(image, self._cameras) for image in frames.images)))
+            self._keep(frames)
         self._position = position
+
+    def _keep(self, frames: FrameSet) -> None:
+        self._kept.append((frames.index, tuple(encode_thumbnail(image, self._cameras) for image in frames.images)))
 
     def stills(self) -> Thumbnails:
         """Return the thumbnails kept so far."""
