@@ -140,8 +140,8 @@ class _RunDisplay:
     @contextmanager
     def serve_live_page(self) -> Iterator[LivePage]:
         """Serve a page that shows the run while it is tracked."""
-        from sylpose.browser.viewer import LivePage
         from sylpose.browser.server import open_browser, serve_viewer
+        from sylpose.browser.viewer import LivePage
 
         session, console = self._session, console_output.make_console(stderr=self._to_stderr)
         rig = Rig(session.rig.cameras, next(iter(self._units.values())))
