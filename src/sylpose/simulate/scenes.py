@@ -151,10 +151,6 @@ def simulate_matches(
     check_bool(orthographic, "orthographic")
     if not check_number(occlusion, "occlusion", minimum=0.0, maximum=1.0) < 1:
         raise ValueError(f"occlusion must be in [0, 1), got {occlusion}")
-    if isinstance(outlier_kind, RigidTransform):
-        check_single_pose(outlier_kind, "outlier_kind")
-    else:
-        check_choice(outlier_kind, get_args(OutlierKind), "outlier_kind")
     key = int(rng.integers(2**63))
     copy_start, copy_motion = _place_copy(body, start, motion, outlier_kind, key)
     matches, masks, depths = [], [], []
@@ -204,7 +200,8 @@ def _place_copy(
     direction = pair_rng.standard_normal(3)
     copy_start = RigidTransform.from_translation(body.radius * direction / np.linalg.norm(direction)) * start
     if isinstance(kind, RigidTransform):
-        return copy_start, kind
+        return copy_start, check_single_pose(kind, "outlier_kind")
+    check_choice(kind, get_args(OutlierKind), "outlier_kind")
     angle = np.rad2deg(motion.rotation.magnitude())
     return copy_start, random_motion(angle, body.radius / 10, pair_rng, center=copy_start.translation)
 
