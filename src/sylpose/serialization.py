@@ -28,7 +28,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.geometry.future import BackgroundResult
-from sylpose.geometry.validation import check_shape
+from sylpose.geometry.validation import MAX_MAGNITUDE, ORTHOGONALITY_TOLERANCE, are_rotations, check_shape
 
 __all__ = ["RecordType", "Serializer", "decode_array", "encode_array", "make_transforms"]
 
@@ -39,10 +39,6 @@ _DTYPE = re.compile(r"[|<][biuf][1248]")
 # Largest total memory of strided arrays, bytes: unlike contiguous ones, they are not bounded by the file's length
 # (choice).
 MAX_STRIDED_BYTES = 1 << 30
-# Largest deviation of a rotation from an orthogonal matrix, from rounding (choice).
-ORTHOGONALITY_TOLERANCE = 1e-6
-# Upper bound of the numbers in a pose (choice).
-MAX_POSE_NUMBER = 1e30
 _NUMBERS: dict[type[Any], type[Any]] = {float: np.floating, int: np.integer, bool: np.bool_, str: np.void}
 _CONTAINERS = (tuple, list, Sequence, dict, Mapping)
 # Kinds of numbers that are accepted for another one.
@@ -364,12 +360,10 @@ def make_transforms(matrices: FloatArray) -> RigidTransform:
     Raises:
         ValueError: they are not rigid transforms.
     """
-    if matrices.ndim not in (2, 3) or matrices.shape[-2:] != (4, 4) or not (np.abs(matrices) < MAX_POSE_NUMBER).all():
-        raise ValueError("not a rigid transform")
-    rotation = matrices[..., :3, :3]
-    deviation = np.abs(rotation @ np.swapaxes(rotation, -1, -2) - np.eye(3)).max(initial=0.0)
-    is_rigid = deviation < ORTHOGONALITY_TOLERANCE and (np.linalg.det(rotation) > 0).all()
-    if not is_rigid or not (matrices[..., 3, :] == [0, 0, 0, 1]).all():
+    is_rigid = matrices.ndim in (2, 3) and matrices.shape[-2:] == (4, 4) and (np.abs(matrices) < MAX_MAGNITUDE).all()
+    if not is_rigid or not (
+        np.all(are_rotations(matrices[..., :3, :3])) and (matrices[..., 3, :] == [0, 0, 0, 1]).all()
+    ):
         raise ValueError("not a rigid transform")
     return RigidTransform(matrices, normalize=False)
 
@@ -377,7 +371,7 @@ def make_transforms(matrices: FloatArray) -> RigidTransform:
 def _decode_pose(data: Any) -> RigidTransform:
     numbers = np.frombuffer(data, "<f8") if isinstance(data, bytes) and len(data) == 56 else np.full(7, np.nan)
     # The largest component of a unit quaternion is at least one half.
-    if not (np.abs(numbers) < MAX_POSE_NUMBER).all() or not 0.4 < np.abs(numbers[:4]).max() < 1.1:
+    if not (np.abs(numbers) < MAX_MAGNITUDE).all() or not 0.4 < np.abs(numbers[:4]).max() < 1.1:
         raise ValueError("not a pose")
     return RigidTransform.from_components(numbers[4:], Rotation.from_quat(numbers[:4]))
 

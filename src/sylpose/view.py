@@ -21,8 +21,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.display import Printable, Summary, format_rotation, format_with_sd
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.matrices import check_rotation, invert_information, propagate_covariance
-from sylpose.geometry.validation import check_finite, check_real, check_type, format_value
+from sylpose.geometry.matrices import invert_information, propagate_covariance
+from sylpose.geometry.validation import check_finite, check_real, check_rotation, check_type, format_value
 from sylpose.input_limits import to_one_line
 from sylpose.results import FramePose, Motion, RotationEstimate, Status, Trajectory, pan_tilt_roll
 from sylpose.rig import Camera, Rig, check_single_pose

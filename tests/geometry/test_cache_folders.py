@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from sylpose.geometry import cache_folders
-from sylpose.geometry.cache_folders import display_folder, find_cache_folders
+from sylpose.geometry import kernel_cache
+from sylpose.geometry.kernel_cache import display_folder, find_cache_folders
 
 PERMISSIONS = pytest.mark.skipif(not hasattr(os, "getuid"), reason="Windows: folders below the user's are the user's")
 
@@ -19,11 +19,11 @@ PERMISSIONS = pytest.mark.skipif(not hasattr(os, "getuid"), reason="Windows: fol
 def source(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return a source file with a writable folder, a user's cache and a temporary folder; clear the function caches."""
     for name in ("_find_cache_folders", "_is_private", "is_writable"):
-        getattr(cache_folders, name).cache_clear()
+        getattr(kernel_cache, name).cache_clear()
     for name in ("package", "caches", "temporary"):
         (tmp_path / name).mkdir()
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
-    monkeypatch.setattr(cache_folders, "_user_cache_folder", lambda: tmp_path / "caches")
+    monkeypatch.setattr(kernel_cache, "_user_cache_folder", lambda: tmp_path / "caches")
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
     (tmp_path / "package" / "kernels.py").touch()
     return tmp_path / "package" / "kernels.py"
@@ -37,7 +37,7 @@ def unwritable(folder: Path) -> None:
 def test_folder_next_to_sources_is_first(source: Path) -> None:
     beside = source.parent / "__pycache__"
     assert find_cache_folders(source) == ((beside,), beside)
-    assert display_folder(beside) == Path(cache_folders.__file__).parents[1]
+    assert display_folder(beside) == Path(kernel_cache.__file__).parents[1]
     assert not list((source.parents[1] / "caches").iterdir()), "what is not needed is not made"
 
 
@@ -71,7 +71,7 @@ def test_temporary_folder_then_none(source: Path, tmp_path: Path) -> None:
     if hasattr(os, "getuid"):
         assert kept_in.parent.stat().st_mode & 0o777 == 0o700
     for name in ("_find_cache_folders", "_is_private", "is_writable"):
-        getattr(cache_folders, name).cache_clear()
+        getattr(kernel_cache, name).cache_clear()
     for folder in (kept_in, kept_in.parent):
         folder.rmdir()
     unwritable(kept_in.parent)
@@ -134,11 +134,11 @@ def test_missing_home_does_not_create_tilde_folder(
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
     monkeypatch.setattr(os.path, "expanduser", lambda path: path)  # as without HOME and without such a user
     monkeypatch.chdir(tmp_path)
-    assert cache_folders._user_cache_folder() is None
+    assert kernel_cache._user_cache_folder() is None
     unwritable(source.parent / "__pycache__")
     find_cache_folders(source)
     assert not (tmp_path / "~").exists()
     monkeypatch.setenv("XDG_CACHE_HOME", "/somewhere")
-    assert cache_folders._user_cache_folder() == Path("/somewhere")
+    assert kernel_cache._user_cache_folder() == Path("/somewhere")
     monkeypatch.setenv("XDG_CACHE_HOME", "relative")
-    assert cache_folders._user_cache_folder() is None
+    assert kernel_cache._user_cache_folder() is None

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sylpose.geometry.duplicates import find_distinct_rows
+from sylpose.geometry.numba_linalg import find_distinct_rows
 
 
 @given(st.integers(0, 10**6), st.integers(0, 60), st.integers(1, 4))

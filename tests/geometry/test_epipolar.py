@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.epipolar import essential_matrix, sampson_scale
+from sylpose.geometry.matrices import essential_matrix, sampson_scale
 
 
 def pair(seed: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:

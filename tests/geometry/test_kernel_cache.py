@@ -26,9 +26,9 @@ def times(x: float) -> float:
 """
 RUN_CODE = "from apart.caller import answer; print(answer(2.0), len(answer.stats.cache_hits))"
 # Prefixes of a process's code: the folder next to the sources is read-only, even for root; no folder is writable.
-READ_ONLY = "from sylpose.geometry import cache_folders as c; able = c.is_writable; \
+READ_ONLY = "from sylpose.geometry import kernel_cache as c; able = c.is_writable; \
 c.is_writable = lambda folder: folder.name != '__pycache__' and able(folder); "
-NOWHERE = "from sylpose.geometry import cache_folders as c; c.is_writable = lambda folder: False; "
+NOWHERE = "from sylpose.geometry import kernel_cache as c; c.is_writable = lambda folder: False; "
 FULL = (
     "import numba.core.caching as n; n.IndexDataCacheFile._open_for_write = lambda *_: open('/no/such/folder', 'wb'); "
 )

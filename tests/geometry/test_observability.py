@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.observability import find_unobservable_directions, has_rotation_direction
+from sylpose.geometry.normal_equations import find_unobservable_directions, has_rotation_direction
 from tests.scenes import draw_rotations
 
 seeds = st.integers(0, 10**6)

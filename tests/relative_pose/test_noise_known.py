@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.noise import DEFAULT_NOISE_PX, make_noise_units
+from sylpose.geometry.robust_loss import DEFAULT_NOISE_PX, make_noise_units
 from sylpose.matches import Matches
 from sylpose.relative_pose.motion import estimate_motion, estimate_motions
 from sylpose.results import Status

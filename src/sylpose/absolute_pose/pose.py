@@ -28,16 +28,15 @@ from sylpose.absolute_pose.pose_kernels import (
     search_samples,
 )
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
-from sylpose.geometry.duplicates import find_distinct_rows
 from sylpose.geometry.matrices import invert_information
-from sylpose.geometry.noise import DEFAULT_NOISE_PX, NoisePx, NoiseUnits, make_noise_units
-from sylpose.geometry.observability import (
+from sylpose.geometry.normal_equations import (
     UNOBSERVABLE_RATIO,
     UNOBSERVABLE_ROTATION_SD,
     find_unobservable_directions,
     has_rotation_direction,
 )
-from sylpose.geometry.robust_loss import BIQUARTIC_BOUND
+from sylpose.geometry.numba_linalg import find_distinct_rows
+from sylpose.geometry.robust_loss import BIQUARTIC_BOUND, DEFAULT_NOISE_PX, NoisePx, NoiseUnits, make_noise_units
 from sylpose.geometry.validation import check_finite_rows, check_integer, check_number, check_sequence, check_type
 from sylpose.results import FramePose, FrameStatus, Motion, Observability, Status
 from sylpose.rig import MAX_FOCAL_PX, MAX_LENGTH, Camera, Rig

@@ -1,28 +1,34 @@
-"""Small matrices: stacked products, rotations, and conversion between information and covariance."""
+"""Small matrices: stacked products, rotations, epipolar geometry, and covariance from information."""
 
 from __future__ import annotations
 
 from math import isqrt
 
 import numpy as np
-from numpy.typing import ArrayLike
+from scipy.spatial.transform import RigidTransform
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.numba_linalg import kernel, symmetric_eigen
-from sylpose.geometry.validation import check_finite, check_real
+from sylpose.geometry.numba_linalg import kernel, so3_log, symmetric_eigen
 
 __all__ = [
-    "check_rotation",
-    "check_rotations",
+    "essential_matrix",
     "invert_information",
     "kron",
+    "make_motion_about",
     "pack_upper",
     "propagate_covariance",
+    "relative_rotvec",
     "remove_direction",
+    "rotation_matrix_of",
     "rotation_to_z_axis",
+    "rotvec",
+    "sampson_scale",
     "transpose",
     "unpack_symmetric",
 ]
+
+# Squared gradient of a residual y'Ex by its points below which there is no epipolar geometry (choice).
+MIN_SQUARED_GRADIENT = 1e-24
 
 
 def kron(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -49,36 +55,6 @@ def propagate_covariance(covariance: FloatArray, jacobian: FloatArray) -> FloatA
     out[is_unbounded] = out[:, is_unbounded] = 0.0
     out[is_unbounded, is_unbounded] = np.inf
     return np.asarray(out)
-
-
-def check_rotations(rotations: ArrayLike, n: int, name: str = "rotations") -> FloatArray:
-    """Return (n, 3, 3) rotation matrices, checked.
-
-    Raises:
-        ValueError: naming the first matrix that is not a rotation.
-    """
-    out = check_real(rotations, "(C, 3, 3)", name)
-    if out.ndim != 3 or out.shape[1:] != (3, 3) or len(out) != n or n == 0:
-        raise ValueError(f"{name} must be (C, 3, 3) for C = {n} moments, C >= 1; got shape {out.shape}")
-    # Entries of a rotation are at most 1 in magnitude.
-    bounded = np.where((np.abs(out) < 2.0).all(axis=(1, 2), keepdims=True), out, 0)
-    off = np.abs(bounded @ transpose(bounded) - np.eye(3)).max(axis=(1, 2)) > 1e-6
-    wrong = off | (np.linalg.det(np.where(off[:, None, None], np.eye(3), bounded)) < 0)
-    if wrong.any():
-        raise ValueError(f"{name}[{int(np.argmax(wrong))}] is not a rotation matrix")
-    return out
-
-
-def check_rotation(rotation: ArrayLike, name: str = "rotation") -> FloatArray:
-    """Return a (3, 3) rotation matrix, checked.
-
-    Raises:
-        ValueError: naming the argument.
-    """
-    out = check_finite(rotation, (3, 3), name)
-    if np.abs(out).max() > 2.0 or np.abs(out @ out.T - np.eye(3)).max() > 1e-6 or np.linalg.det(out) < 0:
-        raise ValueError(f"{name} is not a rotation matrix")
-    return out
 
 
 def pack_upper(matrix: FloatArray) -> FloatArray:
@@ -151,3 +127,49 @@ def _invert_information(information: FloatArray, covariance: FloatArray) -> None
         if unknown:
             covariance[i, :], covariance[:, i] = 0.0, 0.0
             covariance[i, i] = np.inf
+
+
+def rotation_matrix_of(pose: RigidTransform) -> FloatArray:
+    """Return the (3, 3) rotation matrix of a single pose, in a tenth of the time of SciPy's checked functions."""
+    return np.asarray(pose.as_matrix()[:3, :3])
+
+
+def rotvec(rotation: FloatArray) -> FloatArray:
+    """Return the (3,) rotation vector of a rotation matrix (3, 3)."""
+    out = np.empty(3)
+    so3_log(rotation, out)
+    return out
+
+
+def relative_rotvec(first: RigidTransform, second: RigidTransform) -> FloatArray:
+    """Return the (3,) rotation vector w with R of `second` = exp(w) R of `first`."""
+    return rotvec(rotation_matrix_of(second) @ rotation_matrix_of(first).T)
+
+
+def make_motion_about(center: FloatArray, rotation: FloatArray, translation: FloatArray) -> RigidTransform:
+    """Return X -> R (X - g) + g + d as a transform; g (3,), R (3, 3), d (3,)."""
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = rotation, center + translation - rotation @ center
+    # Solvers keep R orthonormal to rounding; normalizing again would take twice as long as the rest of this function.
+    return RigidTransform(matrix, normalize=False)
+
+
+def essential_matrix(rotation: FloatArray, translation: FloatArray) -> FloatArray:
+    """Return (..., 3, 3) E = [t]x R of the motion X -> R X + t in the camera's axes: y'E x = 0."""
+    return np.asarray(np.cross(np.eye(3), translation[..., None, :]) @ rotation)
+
+
+def sampson_scale(E: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
+    """Return (...,) √g, the divisor that turns a residual y'E x into a Sampson distance, with noise in both frames.
+
+    Without any motion the residual vanishes and √g is 1e-12.
+
+    Args:
+        E: (..., 3, 3), or one for all.
+        x, y: (..., 3) points in the two frames, with a third coordinate of 1.
+
+    Source: Hartley & Zisserman, "Multiple View Geometry", section 11.4.3.
+    """
+    gradient_y, gradient_x = np.einsum("...ij,...j->...i", E, x), np.einsum("...ji,...j->...i", E, y)
+    squared_gradient = (gradient_y[..., :2] ** 2).sum(axis=-1) + (gradient_x[..., :2] ** 2).sum(axis=-1)
+    return np.asarray(np.sqrt(np.maximum(squared_gradient, MIN_SQUARED_GRADIENT)))

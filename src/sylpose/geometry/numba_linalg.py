@@ -1,4 +1,4 @@
-"""Compiled loops: Numba's decorators, typed, and small linear algebra for them.
+"""Compiled loops: Numba's decorators, typed, small linear algebra for them, and duplicate rows.
 
 Compiled code is cached on disk, so only the first call after an installation or an update compiles; later processes
 load it in a fraction of a second. Kernels read and write plain float64 arrays, allocate little and call no LAPACK: six
@@ -8,21 +8,23 @@ unknowns do not need it, and each LAPACK call would add a second of compilation.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar, cast
 
 import numba
 import numpy as np
 from numba.core.options import DefaultOptions
 
-from sylpose.geometry.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.geometry.kernel_cache import enable_cache
 
 __all__ = [
+    "DistinctRows",
     "apply_rotvec",
     "cholesky",
     "cholesky_solve",
     "compute_median",
     "compute_sum",
+    "find_distinct_rows",
     "kernel",
     "leaf",
     "so3_exp",
@@ -36,6 +38,9 @@ MAX_SWEEPS = 30
 
 # Numba's option to omit reference counting; versions without it count (choice).
 NO_REFCOUNT: Any = {"_nrt": False} if hasattr(DefaultOptions, "_nrt") else {}
+
+# Knuth's 64 bit multiplier, and the shift of the product, whose upper bits depend on all bits of the number (choice).
+HASH_MULTIPLIER, HASH_SHIFT = 6364136223846793005, 29
 
 F = TypeVar("F", bound=Callable[..., object])
 
@@ -279,3 +284,60 @@ def so3_log(rotation: FloatArray, out: FloatArray) -> None:
     length = np.sqrt(length) if sign >= 0.0 else -np.sqrt(length)
     for i in range(3):
         out[i] = angle * axis[i] / length
+
+
+class DistinctRows(NamedTuple):
+    """The distinct ones of n rows.
+
+    Attributes:
+        rows: (k,) index of the first occurrence of each, in order.
+        inverse: (n,) position in `rows` of each row's first occurrence.
+    """
+
+    rows: IntArray
+    inverse: IntArray
+
+
+def find_distinct_rows(a: FloatArray, b: FloatArray) -> DistinctRows | None:
+    """Find the distinct rows of a (n, i) and b (n, j), side by side; None if all are distinct.
+
+    Rows are compared bit by bit, because noise does not make exact copies. Copies are, for example, one keypoint with
+    several orientations, or a file read twice. They are no independent measurements: counting them makes an estimator
+    overconfident, and a match that agrees only with its copies looks like a majority.
+    """
+    count, rows, inverse = _find_distinct_rows(a, b)
+    return None if count == len(a) else DistinctRows(rows[:count], inverse)
+
+
+@kernel
+def _find_distinct_rows(a: FloatArray, b: FloatArray) -> tuple[int, IntArray, IntArray]:
+    """Return the number of distinct rows, their indices (the first elements), and each row's position in them (n,)."""
+    n, size, count = len(a), 4, 0
+    while size < 2 * n:
+        size *= 2
+    # Hash table of rows with linear probing.
+    table = np.full(size, -1, np.int64)
+    rows, inverse = np.empty(n, np.int64), np.empty(n, np.int64)
+    a_bits, b_bits = a.view(np.int64), b.view(np.int64)
+    for i in range(n):
+        hash_value = 0
+        for part in (a_bits, b_bits):
+            for k in range(part.shape[1]):
+                hash_value = (hash_value ^ part[i, k]) * HASH_MULTIPLIER
+                hash_value ^= hash_value >> HASH_SHIFT
+        slot = hash_value & (size - 1)
+        while table[slot] >= 0:
+            same, first = True, rows[table[slot]]
+            for k in range(a.shape[1]):
+                same = same and a_bits[i, k] == a_bits[first, k]
+            for k in range(b.shape[1]):
+                same = same and b_bits[i, k] == b_bits[first, k]
+            if same:
+                break
+            slot = (slot + 1) & (size - 1)
+        if table[slot] < 0:
+            table[slot] = count
+            rows[count] = i
+            count += 1
+        inverse[i] = table[slot]
+    return count, rows, inverse

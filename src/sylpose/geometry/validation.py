@@ -13,10 +13,11 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sylpose.geometry.arrays import FloatArray
+from sylpose.geometry.arrays import BoolArray, FloatArray
 
 __all__ = [
     "MAX_MAGNITUDE",
+    "are_rotations",
     "check_bool",
     "check_choice",
     "check_finite",
@@ -25,6 +26,8 @@ __all__ = [
     "check_list",
     "check_number",
     "check_real",
+    "check_rotation",
+    "check_rotations",
     "check_rows",
     "check_sequence",
     "check_shape",
@@ -36,6 +39,8 @@ T = TypeVar("T")
 
 # Largest coordinate: its fourth power, and sums of very many, are in range (choice).
 MAX_MAGNITUDE = 1e30
+# Largest deviation of a rotation from an orthogonal matrix, from rounding (choice).
+ORTHOGONALITY_TOLERANCE = 1e-6
 _INFINITY = float("inf")
 # Characters of a value in a message (choice).
 MAX_VALUE_LENGTH = 60
@@ -111,6 +116,41 @@ def check_shape(
 def _format_shape(shape: Sequence[int | str], lengths: Mapping[str, int]) -> str:
     sizes = [str(lengths.get(size, size) if isinstance(size, str) else size) for size in shape]
     return f"({', '.join(sizes)}{',' if len(sizes) == 1 else ''})"
+
+
+def are_rotations(matrices: FloatArray) -> bool | BoolArray:
+    """Return whether matrices (..., 3, 3) are rotations, up to rounding."""
+    # Entries of a rotation are at most 1 in magnitude; others are not multiplied, which could overflow.
+    bounded = np.where((np.abs(matrices) < 2.0).all(axis=(-2, -1), keepdims=True), matrices, 0.0)
+    off = np.abs(bounded @ bounded.swapaxes(-2, -1) - np.eye(3)).max(axis=(-2, -1))
+    is_rotation: bool | BoolArray = (off <= ORTHOGONALITY_TOLERANCE) & (np.linalg.det(bounded) > 0)
+    return is_rotation
+
+
+def check_rotations(rotations: ArrayLike, n: int, name: str = "rotations") -> FloatArray:
+    """Return (n, 3, 3) rotation matrices, checked.
+
+    Raises:
+        ValueError: naming the first matrix that is not a rotation.
+    """
+    out = check_real(rotations, "(C, 3, 3)", name)
+    if out.ndim != 3 or out.shape[1:] != (3, 3) or len(out) != n or n == 0:
+        raise ValueError(f"{name} must be (C, 3, 3) for C = {n} moments, C >= 1; got shape {out.shape}")
+    if not np.all(good := are_rotations(out)):
+        raise ValueError(f"{name}[{int(np.argmin(good))}] is not a rotation matrix")
+    return out
+
+
+def check_rotation(rotation: ArrayLike, name: str = "rotation") -> FloatArray:
+    """Return a (3, 3) rotation matrix, checked.
+
+    Raises:
+        ValueError: naming the argument.
+    """
+    out = check_finite(rotation, (3, 3), name)
+    if not are_rotations(out):
+        raise ValueError(f"{name} is not a rotation matrix")
+    return out
 
 
 def check_number(

@@ -30,8 +30,8 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from sylpose.geometry.arrays import FloatArray, IntArray
+from sylpose.geometry.matrices import rotvec
 from sylpose.geometry.numba_linalg import kernel
-from sylpose.geometry.rigid import rotvec
 from sylpose.landmarks.camera_terms import (
     CameraState,
     StackedMatches,

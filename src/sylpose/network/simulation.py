@@ -24,9 +24,9 @@ from sylpose.network.membership import (
 )
 from sylpose.network.node import Node, track_by_node
 from sylpose.network.rounds import DEFAULT_TIMEOUTS
+from sylpose.network.runner import WorkerThread
 from sylpose.network.smoothing import smooth_by_node
 from sylpose.network.wire_format import Welcome
-from sylpose.network.worker_thread import WorkerThread
 from sylpose.packets import NO_FAULTS, Inbox, NetworkFaults, Packet, run_network
 from sylpose.rig import Rig
 from sylpose.smoothing import SmoothedTrajectory

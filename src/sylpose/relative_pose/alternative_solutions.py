@@ -16,8 +16,8 @@ from typing import NamedTuple
 import numpy as np
 
 from sylpose.geometry.arrays import FloatArray
+from sylpose.geometry.normal_equations import UNOBSERVABLE_RATIO
 from sylpose.geometry.numba_linalg import kernel, so3_log
-from sylpose.geometry.observability import UNOBSERVABLE_RATIO
 from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.relative_pose.irls import IrlsFit
 from sylpose.relative_pose.robust_fit import RefinedMinima

@@ -24,7 +24,7 @@ from dataclasses import replace
 import numpy as np
 
 from sylpose.geometry.arrays import BoolArray, FloatArray
-from sylpose.geometry.epipolar import essential_matrix, sampson_scale
+from sylpose.geometry.matrices import essential_matrix, sampson_scale
 from sylpose.matches import STATIC_PX
 from sylpose.moments import PairMoments
 from sylpose.relative_pose.diagnostics import (

@@ -11,11 +11,9 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.geometry.arrays import BoolArray, FloatArray
-from sylpose.geometry.duplicates import find_distinct_rows
-from sylpose.geometry.matrices import invert_information, remove_direction
-from sylpose.geometry.noise import NoisePx, NoiseUnits, make_noise_units
-from sylpose.geometry.numba_linalg import kernel
-from sylpose.geometry.rigid import make_motion_about
+from sylpose.geometry.matrices import invert_information, make_motion_about, remove_direction
+from sylpose.geometry.numba_linalg import find_distinct_rows, kernel
+from sylpose.geometry.robust_loss import NoisePx, NoiseUnits, make_noise_units
 from sylpose.geometry.validation import (
     check_choice,
     check_finite,

@@ -8,8 +8,8 @@ import numpy as np
 
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.matrices import invert_information
+from sylpose.geometry.normal_equations import UNOBSERVABLE_RATIO, find_unobservable_directions, has_rotation_direction
 from sylpose.geometry.numba_linalg import kernel, so3_log
-from sylpose.geometry.observability import UNOBSERVABLE_RATIO, find_unobservable_directions, has_rotation_direction
 from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.relative_pose.irls import CUTOFF, IrlsFit
 from sylpose.relative_pose.match_cost import Tolerance, compute_match_errors

@@ -20,7 +20,7 @@ from types import ModuleType
 from packaging.requirements import Requirement
 
 import sylpose
-from sylpose.geometry.cache_folders import CACHE_DIR_VARIABLE, display_folder, is_writable
+from sylpose.geometry.kernel_cache import CACHE_DIR_VARIABLE, display_folder, is_writable
 from sylpose.runs.system_resources import available_cores, available_memory
 
 __all__ = ["Diagnosis", "diagnose"]

@@ -22,8 +22,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose.bundle_adjustment.bundle import BundleOptions, Observations, bundle_adjust
 from sylpose.features import klt, static_background
 from sylpose.features.sift import Features
-from sylpose.geometry.cache_folders import CACHE_DIR_VARIABLE, display_folder
-from sylpose.geometry.kernel_cache import cache_folder, is_cached, mark_announced
+from sylpose.geometry.kernel_cache import CACHE_DIR_VARIABLE, cache_folder, display_folder, is_cached, mark_announced
 from sylpose.geometry.matrices import invert_information
 from sylpose.landmarks.alignment import LandmarkMatches, align
 from sylpose.landmarks.landmark_filter import add_observations, initialize_landmarks

@@ -20,8 +20,8 @@ from scipy.special import fdtri
 
 from sylpose.display import Printable, Summary
 from sylpose.geometry.arrays import BoolArray, FloatArray
-from sylpose.geometry.matrices import check_rotation, transpose
-from sylpose.geometry.validation import check_integer, check_list, check_sequence
+from sylpose.geometry.matrices import transpose
+from sylpose.geometry.validation import check_integer, check_list, check_rotation, check_sequence
 from sylpose.moments import PairMoments
 from sylpose.results import RotationEstimate, Status
 from sylpose.sylvester.affine_consensus import (

@@ -30,13 +30,13 @@ from numpy.typing import ArrayLike
 
 from sylpose.display import Printable, Summary, format_optimality
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
-from sylpose.geometry.matrices import check_rotations
-from sylpose.geometry.observability import (
+from sylpose.geometry.normal_equations import (
     OBSERVABLE_ROTATION_SD,
     UNOBSERVABLE_RATIO,
     UNOBSERVABLE_ROTATION_SD,
     find_unobservable_directions,
 )
+from sylpose.geometry.validation import check_rotations
 from sylpose.moments import PairMoments
 from sylpose.results import RotationEstimate, Status
 from sylpose.sylvester.depth_bias import information_with_depth_bias

@@ -38,7 +38,7 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.matrices import kron, transpose
-from sylpose.geometry.observability import OBSERVABLE_ROTATION_SD, UNOBSERVABLE_RATIO, find_unobservable_directions
+from sylpose.geometry.normal_equations import OBSERVABLE_ROTATION_SD, UNOBSERVABLE_RATIO, find_unobservable_directions
 from sylpose.geometry.validation import MAX_MAGNITUDE, check_list, check_real, format_value
 from sylpose.moments import PairMoments
 from sylpose.results import RotationEstimate, Status

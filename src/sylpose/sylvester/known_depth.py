@@ -23,9 +23,9 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.display import format_optimality, format_vector
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.matrices import check_rotations, transpose
-from sylpose.geometry.observability import UNOBSERVABLE_ROTATION_SD, find_unobservable_directions
-from sylpose.geometry.validation import check_finite, check_sequence
+from sylpose.geometry.matrices import transpose
+from sylpose.geometry.normal_equations import UNOBSERVABLE_ROTATION_SD, find_unobservable_directions
+from sylpose.geometry.validation import check_finite, check_rotations, check_sequence
 from sylpose.results import RotationEstimate, Status
 from sylpose.sylvester.centralized import rotation_status
 from sylpose.sylvester.so3 import CERTIFICATE, MIN_RELATIVE_VARIANCE, ZERO_CURVATURE, QuadraticCost, minimize

@@ -44,8 +44,8 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.display import Printable, Summary, format_rotation
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.matrices import check_rotation, invert_information, transpose
-from sylpose.geometry.validation import check_type
+from sylpose.geometry.matrices import invert_information, transpose
+from sylpose.geometry.validation import check_rotation, check_type
 from sylpose.moments import PairMoments
 from sylpose.results import RotationEstimate, Status
 from sylpose.sylvester.centralized import find_unobservable_rotations, rotation_status

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.matrices import check_rotations, rotation_to_z_axis, transpose
-from sylpose.geometry.validation import check_bool, check_finite, check_list, check_real
+from sylpose.geometry.matrices import rotation_to_z_axis, transpose
+from sylpose.geometry.validation import check_bool, check_finite, check_list, check_real, check_rotations
 from sylpose.moments import MAX_MOMENT, MIN_COUNT, PairMoments
 from sylpose.sylvester.so3 import QuadraticCost
 

@@ -14,9 +14,8 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.epipolar import essential_matrix, sampson_scale
-from sylpose.geometry.matrices import check_rotation, check_rotations
-from sylpose.geometry.validation import check_finite, check_list, check_number
+from sylpose.geometry.matrices import essential_matrix, sampson_scale
+from sylpose.geometry.validation import check_finite, check_list, check_number, check_rotation, check_rotations
 from sylpose.moments import MIN_COUNT, PairMoments
 from sylpose.sylvester.orthographic import build_cost, compute_views
 

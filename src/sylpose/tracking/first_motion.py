@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.features.sift import Features
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
-from sylpose.geometry.rigid import make_motion_about
+from sylpose.geometry.matrices import make_motion_about
 from sylpose.landmarks.landmark_filter import Landmarks
 from sylpose.relative_pose.observability import classify_observability
 from sylpose.relative_pose.solver import fit_terms

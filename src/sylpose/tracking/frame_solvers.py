@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.rigid import rotvec
+from sylpose.geometry.matrices import rotvec
 from sylpose.landmarks.alignment import FIRST_PX, LandmarkMatches, select_hypothesis, subtract_uncertainty
 from sylpose.relative_pose.observability import is_more_than_chance
 from sylpose.relative_pose.solver import fit_terms

@@ -19,7 +19,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.features.sift import Features
 from sylpose.geometry.arrays import FloatArray, IntArray
-from sylpose.geometry.rigid import rotation_matrix_of
+from sylpose.geometry.matrices import rotation_matrix_of
 from sylpose.landmarks.landmark_filter import Landmarks, LandmarkTable
 from sylpose.results import FramePose, Observability
 from sylpose.rig import Rig

@@ -14,8 +14,7 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.absolute_pose.pose import estimate_pose
 from sylpose.features.sift import MAX_FEATURES, match_features
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.matrices import invert_information
-from sylpose.geometry.rigid import make_motion_about, relative_rotvec, rotation_matrix_of
+from sylpose.geometry.matrices import invert_information, make_motion_about, relative_rotvec, rotation_matrix_of
 from sylpose.landmarks.landmark_filter import Landmarks, LandmarkTable
 from sylpose.results import Status
 from sylpose.rig import Rig

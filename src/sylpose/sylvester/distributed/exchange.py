@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 from scipy.sparse.csgraph import connected_components
 
 from sylpose.geometry.arrays import BoolArray, FloatArray
-from sylpose.geometry.matrices import check_rotations
+from sylpose.geometry.validation import check_rotations
 from sylpose.moments import PairMoments
 from sylpose.packets import Inbox, Packet
 from sylpose.sylvester.camera_faults import solve_robust

@@ -20,8 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.display import format_optimality
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
-from sylpose.geometry.matrices import check_rotations
-from sylpose.geometry.validation import check_integer, check_list, check_sequence, check_type
+from sylpose.geometry.validation import check_integer, check_list, check_rotations, check_sequence, check_type
 from sylpose.moments import PairMoments
 from sylpose.packets import MAX_ROUNDS, NO_FAULTS, Inbox, NetworkFaults, NetworkRun, NodeState, Packet, run_network
 from sylpose.results import RotationEstimate, Status

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
-from sylpose.geometry.rigid import rotation_matrix_of
+from sylpose.geometry.matrices import rotation_matrix_of
 from sylpose.geometry.robust_loss import SIGMA_OF_MEDIAN
 from sylpose.landmarks.alignment import LandmarkMatches
 from sylpose.landmarks.camera_terms import CUTOFF, REFERENCE_NOISE_PX

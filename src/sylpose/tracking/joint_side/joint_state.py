@@ -14,8 +14,7 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.bundle_adjustment.bundle import BundleResult
 from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.geometry.future import BackgroundResult
-from sylpose.geometry.matrices import invert_information
-from sylpose.geometry.rigid import relative_rotvec, rotation_matrix_of
+from sylpose.geometry.matrices import invert_information, relative_rotvec, rotation_matrix_of
 from sylpose.results import MAX_ROTATION_SD
 from sylpose.tracking.joint_side.keyframes import Anchor, KnownFrames, SolvedFrame
 from sylpose.tracking.joint_side.motion_model import VelocityModel

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.geometry.arrays import BoolArray, FloatArray
-from sylpose.geometry.rigid import relative_rotvec
+from sylpose.geometry.matrices import relative_rotvec
 from sylpose.rig import Rig
 from sylpose.tracking.reports import TrackingReport
 

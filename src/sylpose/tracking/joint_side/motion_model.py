@@ -8,8 +8,8 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.geometry.arrays import FloatArray
+from sylpose.geometry.matrices import rotation_matrix_of, rotvec
 from sylpose.geometry.numba_linalg import apply_rotvec
-from sylpose.geometry.rigid import rotation_matrix_of, rotvec
 from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.rig import Rig
 
