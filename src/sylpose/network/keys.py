@@ -43,64 +43,39 @@ def make_keys(folder: Path, names: Sequence[str], hosts: Sequence[str] = ()) -> 
     for name in {OBSERVER, "ca", "sylpose"} & set(names):
         raise ValueError(f"camera {name!r}: this name is reserved for another key")
     make_output_folder(folder)
-    now, written = datetime.now(UTC), []
-
-    def make_name(name: str) -> x509.Name:
-        return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
-
-    def write_file(path: Path, data: bytes, *, secret: bool) -> None:
-        with replace_atomically(path, mode=0o600 if secret else 0o644) as part:
-            part.write_bytes(data)
-        written.append(path)
-
-    def encode_private_key(key: ec.EllipticCurvePrivateKey) -> bytes:
-        return key.private_bytes(
-            serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
-        )
-
-    def make_builder(name: str, public: ec.EllipticCurvePublicKey, issuer: x509.Name) -> x509.CertificateBuilder:
-        return (
-            x509.CertificateBuilder()
-            .subject_name(make_name(name))
-            .issuer_name(issuer)
-            .public_key(public)
-            .serial_number(x509.random_serial_number())
-            .not_valid_before(now - timedelta(days=1))
-            .not_valid_after(now + timedelta(days=VALIDITY_DAYS))
-        )
-
+    now, written = datetime.now(UTC), list[Path]()
     ca_file, ca_key_file = folder / "ca.pem", folder / "ca.key"
-    if ca_file.exists() and not ca_key_file.exists():
-        raise ValueError(f"{ca_key_file}: missing, so {ca_file.name} cannot issue keys")
-    if ca_file.exists():
-        loaded = serialization.load_pem_private_key(ca_key_file.read_bytes(), None)
-        assert isinstance(loaded, ec.EllipticCurvePrivateKey)
-        ca_key, authority = loaded, x509.load_pem_x509_certificate(ca_file.read_bytes()).subject
-    else:
-        ca_key, authority = ec.generate_private_key(ec.SECP256R1()), make_name("sylpose")
-        ca = (
-            make_builder("sylpose", ca_key.public_key(), authority)
-            .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
-            .sign(ca_key, hashes.SHA256())
-        )
-        write_file(ca_key_file, encode_private_key(ca_key), secret=True)
-        write_file(ca_file, ca.public_bytes(serialization.Encoding.PEM), secret=False)
-    alternatives = [_parse_host(host) for host in ("localhost", "127.0.0.1", *hosts)]
-    for name in (*names, OBSERVER):
-        if (folder / f"{name}.pem").exists():
-            continue
+
+    def issue(stem: str, issuer: tuple[ec.EllipticCurvePrivateKey, x509.Name] | None, *extensions: Any) -> None:
+        """Write a new key and its certificate; without issuer, those of the authority."""
         key = ec.generate_private_key(ec.SECP256R1())
-        signed = (
-            make_builder(name, key.public_key(), authority)
-            .add_extension(x509.SubjectAlternativeName(alternatives), critical=False)
-            .add_extension(
-                x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]),
-                critical=False,
-            )
-            .sign(ca_key, hashes.SHA256())
-        )
-        write_file(folder / f"{name}.key", encode_private_key(key), secret=True)
-        write_file(folder / f"{name}.pem", signed.public_bytes(serialization.Encoding.PEM), secret=False)
+        subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, stem if issuer else "sylpose")])
+        signer, authority = issuer or (key, subject)
+        builder = x509.CertificateBuilder().subject_name(subject).issuer_name(authority).public_key(key.public_key())
+        builder = builder.serial_number(x509.random_serial_number()).not_valid_before(now - timedelta(days=1))
+        builder = builder.not_valid_after(now + timedelta(days=VALIDITY_DAYS))
+        for extension in extensions:
+            builder = builder.add_extension(extension, critical=issuer is None)
+        no_password = serialization.NoEncryption()
+        secret = key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, no_password)
+        public = builder.sign(signer, hashes.SHA256()).public_bytes(serialization.Encoding.PEM)
+        for suffix, data, mode in ((".key", secret, 0o600), (".pem", public, 0o644)):
+            with replace_atomically(folder / f"{stem}{suffix}", mode=mode) as part:
+                part.write_bytes(data)
+            written.append(folder / f"{stem}{suffix}")
+
+    if not ca_file.exists():
+        issue("ca", None, x509.BasicConstraints(ca=True, path_length=0))
+    elif not ca_key_file.exists():
+        raise ValueError(f"{ca_key_file}: missing, so {ca_file.name} cannot issue keys")
+    ca_key = serialization.load_pem_private_key(ca_key_file.read_bytes(), None)
+    assert isinstance(ca_key, ec.EllipticCurvePrivateKey)
+    issuer = ca_key, x509.load_pem_x509_certificate(ca_file.read_bytes()).subject
+    alternatives = x509.SubjectAlternativeName([_parse_host(host) for host in ("localhost", "127.0.0.1", *hosts)])
+    usage = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH])
+    for name in (*names, OBSERVER):
+        if not (folder / f"{name}.pem").exists():
+            issue(name, issuer, alternatives, usage)
     return written
 
 
@@ -143,31 +118,15 @@ def build_access_rules(names: Sequence[str]) -> dict[str, Any]:
     Args:
         names: names of the cameras.
     """
-    everything = "sylpose/**"
-    subscribe_rule = {
-        "id": "listens",
-        "permission": "allow",
-        "flows": ["ingress", "egress"],
-        "messages": ["declare_subscriber", "declare_liveliness_subscriber", "liveliness_query", "query", "reply"],
-        "key_exprs": [everything],
-    }
-    receive_rule = {
-        "id": "receives",
-        "permission": "allow",
-        "flows": ["egress"],
-        "messages": ["put", "delete", "liveliness_token"],
-        "key_exprs": [everything],
-    }
-    publish_rules = [
-        {
-            "id": f"speaks-{name}",
-            "permission": "allow",
-            "flows": ["ingress"],
-            "messages": ["put", "delete", "liveliness_token"],
-            "key_exprs": [f"sylpose/*/*/*/{name}/**"],
-        }
-        for name in names
-    ]
+
+    def make_rule(name: str, flows: list[str], messages: list[str], key: str) -> dict[str, Any]:
+        return {"id": name, "permission": "allow", "flows": flows, "messages": messages, "key_exprs": [key]}
+
+    declarations = ["declare_subscriber", "declare_liveliness_subscriber", "liveliness_query", "query", "reply"]
+    sent = ["put", "delete", "liveliness_token"]
+    subscribe_rule = make_rule("listens", ["ingress", "egress"], declarations, "sylpose/**")
+    receive_rule = make_rule("receives", ["egress"], sent, "sylpose/**")
+    publish_rules = [make_rule(f"speaks-{name}", ["ingress"], sent, f"sylpose/*/*/*/{name}/**") for name in names]
     return {
         "enabled": True,
         "default_permission": "deny",

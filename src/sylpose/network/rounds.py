@@ -27,7 +27,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from sylpose.network.byzantine import NO_EVIDENCE, FaultEvidence, encode_claim, judge_claims
 from sylpose.network.wire_format import (
@@ -71,13 +71,18 @@ class Timeouts(NamedTuple):
 
 
 DEFAULT_TIMEOUTS = Timeouts(30, 120)  # (choice)
+# Fields that `step_round` copies before it modifies them.
+MODIFIED_FIELDS = (
+    *("received", "early", "conflicting_messages", "claims", "relays"),
+    *("inactive_ticks", "exclusion_messages", "end_messages", "refused"),
+)
 # Welcome of a round without newcomers.
 EMPTY_WELCOME = Welcome(0, 0, frozenset(), b"")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class RoundState:
-    """State of one camera in a round.
+    """State of one camera in a round; callers replace it instead of modifying it.
 
     Attributes:
         camera: number of this camera.
@@ -115,29 +120,29 @@ class RoundState:
     round: int
     epoch: int
     payload: bytes
-    received: Mapping[int, bytes]
+    received: dict[int, bytes]
     timeouts: Timeouts = DEFAULT_TIMEOUTS
     welcome: Welcome = EMPTY_WELCOME
     newcomers: frozenset[int] = frozenset()
-    early: Mapping[int, tuple[int, bytes]] = field(default_factory=dict)
+    early: dict[int, tuple[int, bytes]] = field(default_factory=dict)
     previous: Mapping[int, bytes] = field(default_factory=dict)
     previous_leaving: frozenset[int] = frozenset()
     previous_epoch: int = 0
     conflicting: frozenset[int] = frozenset()
-    conflicting_messages: Mapping[int, tuple[int, bytes]] = field(default_factory=dict)
-    claims: Mapping[int, bytes] = field(default_factory=dict)
-    relays: Mapping[int, Mapping[int, bytes]] = field(default_factory=dict)
+    conflicting_messages: dict[int, tuple[int, bytes]] = field(default_factory=dict)
+    claims: dict[int, bytes] = field(default_factory=dict)
+    relays: dict[int, Mapping[int, bytes]] = field(default_factory=dict)
     evidence: FaultEvidence = NO_EVIDENCE
     is_rollback: bool = False
     is_excluded: bool = False
-    inactive_ticks: Mapping[int, int] = field(default_factory=dict)
+    inactive_ticks: dict[int, int] = field(default_factory=dict)
     elapsed_ticks: int = 0
     excluding: frozenset[int] = frozenset()
-    exclusion_messages: Mapping[int, RoundMessage] = field(default_factory=dict)
-    end_messages: Mapping[int, RoundMessage] = field(default_factory=dict)
+    exclusion_messages: dict[int, RoundMessage] = field(default_factory=dict)
+    end_messages: dict[int, RoundMessage] = field(default_factory=dict)
     is_end_adopted: bool = False
     outcome: Mapping[int, bytes] | None = None
-    refused: Mapping[int, str] = field(default_factory=dict)
+    refused: dict[int, str] = field(default_factory=dict)
 
     @property
     def others(self) -> tuple[int, ...]:
@@ -175,11 +180,10 @@ def start_rounds(
         raise ValueError(
             f"camera {camera} of {list(members)}: it must be a member, and numbers must be 0 to {MAX_CAMERAS - 1}"
         )
-    sorted_members, received = tuple(sorted(members)), {camera: payload}
-    s = RoundState(
-        camera, sorted_members, number, epoch, payload, received, timeouts, evidence=evidence, previous_epoch=epoch
-    )
-    return _set_outcome(s), _make_packets(s.others, _encode_payload(s))
+    s = RoundState(camera, tuple(sorted(members)), number, epoch, payload, {camera: payload}, timeouts)
+    s.evidence, s.previous_epoch = evidence, epoch
+    _set_outcome(s)
+    return s, _make_packets(s.others, _encode_payload(s))
 
 
 def begin_next_round(
@@ -204,28 +208,17 @@ def begin_next_round(
         epoch = compute_join_epoch(base_epoch, welcome)
     early = {c: data for c, (of, data) in state.early.items() if c in members and of == epoch}
     conflicting = {c for c, (of, _) in state.early.items() if c in members and of != epoch}
-    s = RoundState(
-        state.camera,
-        members,
-        number,
-        epoch,
-        payload,
-        {state.camera: payload, **early},
-        state.timeouts,
-        Welcome(number, base_epoch, frozenset(members), welcome),
-        newcomers,
-        previous=state.outcome,
-        previous_leaving=state.excluding,
-        previous_epoch=state.epoch,
-        conflicting=frozenset(conflicting),
-        evidence=state.evidence,
-        inactive_ticks={c: n for c, n in state.inactive_ticks.items() if c in members},
-        refused=state.refused,
-    )
+    received = {state.camera: payload, **early}
+    s = RoundState(state.camera, members, number, epoch, payload, received, state.timeouts)
+    s.welcome, s.newcomers = Welcome(number, base_epoch, frozenset(members), welcome), newcomers
+    s.previous, s.previous_leaving, s.previous_epoch = state.outcome, state.excluding, state.epoch
+    s.conflicting, s.evidence, s.refused = frozenset(conflicting), state.evidence, state.refused
+    s.inactive_ticks = {c: n for c, n in state.inactive_ticks.items() if c in members}
     packets = _make_packets(tuple(c for c in s.others if c not in newcomers), _encode_payload(s))
     packets += _make_packets(tuple(sorted(newcomers)), _encode_welcome(s))
-    s, more = _join_dispute(s)
-    return _set_outcome(s), packets + more
+    packets += _join_dispute(s)
+    _set_outcome(s)
+    return s, packets
 
 
 def step_round(state: RoundState, inbox: Inbox, *, tick: bool = True) -> tuple[RoundState, list[Packet]]:
@@ -239,83 +232,62 @@ def step_round(state: RoundState, inbox: Inbox, *, tick: bool = True) -> tuple[R
     Returns:
         The state, and the packets to send.
     """
-    s = state
-    out: list[Packet] = []
+    copies: dict[str, Any] = {name: dict(getattr(state, name)) for name in MODIFIED_FIELDS}
+    s, out = replace(state, **copies), list[Packet]()
     if tick:
-        s = replace(
-            s, inactive_ticks={c: s.inactive_ticks.get(c, 0) + 1 for c in s.others}, elapsed_ticks=s.elapsed_ticks + 1
-        )
-    others, inactive_ticks, received, early = set(s.others), dict(s.inactive_ticks), dict(s.received), dict(s.early)
-    end_messages, exclusion_messages, refused, newcomers = (
-        dict(s.end_messages),
-        dict(s.exclusion_messages),
-        dict(s.refused),
-        set(s.newcomers),
-    )
-    conflicting, conflicting_messages, claims, relays = (
-        set(s.conflicting),
-        dict(s.conflicting_messages),
-        dict(s.claims),
-        dict(s.relays),
-    )
+        s.inactive_ticks = {c: s.inactive_ticks.get(c, 0) + 1 for c in s.others}
+        s.elapsed_ticks += 1
+    others = set(s.others)
     for sender, data in inbox:
-        if sender not in others:
-            continue
-        try:
-            msg = decode_message(sender, data, s.round)
-        except ValueError as error:
-            refused.setdefault(sender, str(error))
-            continue
-        is_ahead = msg.round == s.round + 1 and msg.kind == DATA
-        if msg.round == s.round and sender in s.previous:
-            if msg.kind in (DISPUTE, RELAY) and (s.outcome is None or s.is_rollback):
-                inactive_ticks[sender] = 0
-                if msg.kind == DISPUTE:
-                    claims.setdefault(sender, msg.payloads[sender])
-                else:
-                    relays.setdefault(sender, msg.payloads)
-                if s.is_rollback and msg.epoch:  # it missed this camera's message; an answer needs no reply
-                    out += _dispute_packets(s, (sender,))
-                continue
-            if msg.kind == DATA and msg.epoch != s.epoch:
-                conflicting.add(sender)
-                conflicting_messages[sender] = msg.epoch, msg.payloads[sender]
-        if (msg.epoch not in (s.epoch, s.previous_epoch) and not is_ahead) or msg.round > s.round + 1:
-            # It is in another group, or has continued without this camera, which it excluded: no valid message.
-            continue
-        inactive_ticks[sender] = 0
-        if msg.kind == HEARTBEAT:
-            continue
-        if is_ahead:
-            early[sender] = msg.epoch, msg.payloads[sender]
-        elif msg.round == s.round and msg.epoch == s.epoch:
-            newcomers.discard(sender)
-            if s.outcome is not None:  # it missed a message of this camera or of another one
-                out += _make_packets((sender,), _answer_finished_round(s, msg, s.outcome))
-            elif msg.kind == DATA:
-                received.setdefault(sender, msg.payloads[sender])
+        if sender in others:
+            out += _process_message(s, sender, data)
+    _adopt_end(s)
+    out += _join_dispute(s)
+    _exclude_inactive(s)
+    out += _exclude_faulty(s)
+    _set_outcome(s)
+    return s, out + (_retransmit(s) if tick and not s.is_excluded else [])
+
+
+def _process_message(s: RoundState, sender: int, data: bytes) -> list[Packet]:
+    """Store a message of another camera; return the answers."""
+    try:
+        msg = decode_message(sender, data, s.round)
+    except ValueError as error:
+        s.refused.setdefault(sender, str(error))
+        return []
+    is_ahead = msg.round == s.round + 1 and msg.kind == DATA
+    if msg.round == s.round and sender in s.previous:
+        if msg.kind in (DISPUTE, RELAY) and (s.outcome is None or s.is_rollback):
+            s.inactive_ticks[sender] = 0
+            if msg.kind == DISPUTE:
+                s.claims.setdefault(sender, msg.payloads[sender])
             else:
-                (end_messages if msg.kind == ROUND_END else exclusion_messages)[sender] = msg
-        elif msg.round == s.round - 1 and msg.epoch == s.previous_epoch and s.camera in s.previous:
-            out += _make_packets((sender,), _answer_finished_round(s, msg, s.previous))
-    s = replace(
-        s,
-        inactive_ticks=inactive_ticks,
-        received=received,
-        early=early,
-        end_messages=end_messages,
-        exclusion_messages=exclusion_messages,
-        refused=refused,
-        newcomers=frozenset(newcomers),
-        conflicting=frozenset(conflicting),
-        conflicting_messages=conflicting_messages,
-        claims=claims,
-        relays=relays,
-    )
-    s, more = _join_dispute(_adopt_end(s))
-    s, rollback_packets = _exclude_faulty(_exclude_inactive(s))
-    s = _set_outcome(s)
-    return s, out + more + rollback_packets + (_retransmit(s) if tick and not s.is_excluded else [])
+                s.relays.setdefault(sender, msg.payloads)
+            # It missed this camera's message; an answer needs no reply.
+            return _dispute_packets(s, (sender,)) if s.is_rollback and msg.epoch else []
+        if msg.kind == DATA and msg.epoch != s.epoch:
+            s.conflicting |= {sender}
+            s.conflicting_messages[sender] = msg.epoch, msg.payloads[sender]
+    if (msg.epoch not in (s.epoch, s.previous_epoch) and not is_ahead) or msg.round > s.round + 1:
+        # It is in another group, or has continued without this camera, which it excluded: no valid message.
+        return []
+    s.inactive_ticks[sender] = 0
+    if msg.kind == HEARTBEAT:
+        return []
+    if is_ahead:
+        s.early[sender] = msg.epoch, msg.payloads[sender]
+    elif msg.round == s.round and msg.epoch == s.epoch:
+        s.newcomers -= {sender}
+        if s.outcome is not None:  # it missed a message of this camera or of another one
+            return _make_packets((sender,), _answer_finished_round(s, msg, s.outcome))
+        if msg.kind == DATA:
+            s.received.setdefault(sender, msg.payloads[sender])
+        else:
+            (s.end_messages if msg.kind == ROUND_END else s.exclusion_messages)[sender] = msg
+    elif msg.round == s.round - 1 and msg.epoch == s.previous_epoch and s.camera in s.previous:
+        return _make_packets((sender,), _answer_finished_round(s, msg, s.previous))
+    return []
 
 
 def _retransmit(s: RoundState) -> list[Packet]:
@@ -344,106 +316,84 @@ def _answer_finished_round(s: RoundState, msg: RoundMessage, outcome: Mapping[in
     return encode_relay(ROUND_END, s.camera, msg.round, msg.epoch, leaving, msg.leaving, outcome)
 
 
-def _adopt_end(s: RoundState) -> RoundState:
+def _adopt_end(s: RoundState) -> None:
     """Adopt the end of the round from another camera.
 
     Only if it concerns just the cameras missed here, or if most others report it.
     """
     if s.outcome is not None or s.is_end_adopted:
-        return s
+        return
     missed = {c for c in s.members if c not in s.received} | s.excluding
     for msg in s.end_messages.values():
         n_equal = sum(msg.leaving == other.leaving for other in s.end_messages.values())
         if msg.leaving <= missed or (2 * n_equal > len(s.others) and s.camera not in msg.leaving):
-            payloads = {c: data for c, data in msg.payloads.items() if c in missed}
-            return replace(s, received={**payloads, **s.received}, excluding=msg.leaving, is_end_adopted=True)
-    return s
+            s.received = {**{c: data for c, data in msg.payloads.items() if c in missed}, **s.received}
+            s.excluding, s.is_end_adopted = msg.leaving, True
+            return
 
 
-def _exclude_inactive(s: RoundState) -> RoundState:
+def _exclude_inactive(s: RoundState) -> None:
     """Exclude the awaited cameras that exceed a timeout."""
     if s.outcome is not None or s.is_end_adopted or s.is_excluded:
-        return s
+        return
     missed = {c for c in s.others if c not in s.received or (s.excluding and not _has_same_exclusions(s, c))}
     missed |= {c for c in s.others if s.claims and not s.is_rollback and not (c in s.claims and c in s.relays)}
     inactive, stalled = s.timeouts
     more = {c for c in missed if s.inactive_ticks.get(c, 0) > inactive or s.elapsed_ticks > stalled} - s.excluding
-    # The others have the same time again to agree.
-    return replace(s, excluding=s.excluding | more, elapsed_ticks=0) if more else s
+    if more:  # the others have the same time again to agree
+        s.excluding, s.elapsed_ticks = s.excluding | more, 0
 
 
 def _has_same_exclusions(s: RoundState, camera: int) -> bool:
     return camera in s.exclusion_messages and s.exclusion_messages[camera].leaving == s.excluding
 
 
-def _set_outcome(s: RoundState) -> RoundState:
+def _set_outcome(s: RoundState) -> None:
     """Set the outcome once all remaining cameras have sent their payloads and exclude the same set."""
     if s.is_excluded:  # keeps answering cameras that missed its messages
-        return replace(s, outcome={}, members=(s.camera,)) if s.elapsed_ticks > s.timeouts.inactive else s
+        if s.elapsed_ticks > s.timeouts.inactive:
+            s.outcome, s.members = {}, (s.camera,)
+        return
     is_agreed = s.is_end_adopted or not s.excluding or all(_has_same_exclusions(s, c) for c in s.others)
     if s.outcome is not None or not is_agreed or any(c not in s.received for c in s.others):
-        return s
+        return
     if s.claims and not s.is_rollback and not s.is_end_adopted:  # its claim is needed: wait for the dispute to end
-        return s
+        return
     # Of excluded cameras, any payload received by a member counts; later ones are ignored.
     relayed = [s.exclusion_messages[c].payloads for c in s.others if c in s.exclusion_messages and not s.is_end_adopted]
-    payloads = {c: data for of in relayed for c, data in of.items() if c in s.excluding} | dict(s.received)
-    return replace(s, outcome={c: payloads[c] for c in s.members if c in payloads})
+    payloads = {c: data for of in relayed for c, data in of.items() if c in s.excluding} | s.received
+    s.outcome = {c: payloads[c] for c in s.members if c in payloads}
 
 
-def _join_dispute(s: RoundState) -> tuple[RoundState, list[Packet]]:
+def _join_dispute(s: RoundState) -> list[Packet]:
     """Take part in a dispute, if there is one: send own claims, then the claims received from the others."""
     if s.is_rollback or s.outcome is not None or s.is_end_adopted or not (s.conflicting or s.claims):
-        return s, []
+        return []
     n_known = len(s.claims) + len(s.relays)
     if s.camera not in s.claims:
-        own_claim = encode_claim(s.conflicting, {c: digest(data) for c, data in s.previous.items()})
-        s = replace(s, claims={**s.claims, s.camera: own_claim})
+        s.claims[s.camera] = encode_claim(s.conflicting, {c: digest(data) for c, data in s.previous.items()})
     if s.camera not in s.relays and all(c in s.claims for c in s.others):
-        s = replace(s, relays={**s.relays, s.camera: s.claims})
-    return s, _dispute_packets(s, s.others) if len(s.claims) + len(s.relays) > n_known else []
+        s.relays[s.camera] = dict(s.claims)
+    return _dispute_packets(s, s.others) if len(s.claims) + len(s.relays) > n_known else []
 
 
-def _exclude_faulty(s: RoundState) -> tuple[RoundState, list[Packet]]:
+def _exclude_faulty(s: RoundState) -> list[Packet]:
     """Exclude the faulty cameras once all remaining claims are known; the others roll back one round later."""
-    if (
-        s.is_rollback
-        or s.outcome is not None
-        or s.is_end_adopted
-        or any(c not in s.relays for c in (s.camera, *s.others))
-    ):
-        return s, []
-    excluded, evidence = judge_claims(s.previous.keys(), s.relays, s.evidence)
+    is_settled = s.is_rollback or s.outcome is not None or s.is_end_adopted
+    if is_settled or any(c not in s.relays for c in (s.camera, *s.others)):
+        return []
+    excluded, s.evidence = judge_claims(s.previous.keys(), s.relays, s.evidence)
     # Including cameras that this one has excluded meanwhile: not all members may have done so.
     remaining = tuple(sorted((set(s.members) & s.previous.keys()) - excluded))
-    epoch = compute_next_epoch(s.previous_epoch, s.round, remaining, frozenset(), {})
-    s = replace(
-        s,
-        evidence=evidence,
-        is_rollback=True,
-        is_excluded=s.camera in excluded,
-        conflicting=frozenset(),
-        newcomers=frozenset(),
-    )
+    s.is_rollback, s.is_excluded, s.elapsed_ticks = True, s.camera in excluded, 0
+    s.conflicting = s.newcomers = frozenset()
     if s.is_excluded:
-        return replace(s, elapsed_ticks=0), []
-    s = replace(
-        s,
-        members=remaining,
-        epoch=epoch,
-        payload=b"",
-        received={
-            s.camera: b"",
-            **{c: data for c, (of, data) in s.conflicting_messages.items() if c in remaining and of == epoch},
-        },
-        early={},
-        exclusion_messages={},
-        end_messages={},
-        excluding=frozenset(),
-        inactive_ticks={},
-        elapsed_ticks=0,
-    )
-    return s, _make_packets(s.others, _encode_payload(s))
+        return []
+    s.members, s.epoch = remaining, compute_next_epoch(s.previous_epoch, s.round, remaining, frozenset(), {})
+    of_epoch = {c: data for c, (of, data) in s.conflicting_messages.items() if c in remaining and of == s.epoch}
+    s.payload, s.received, s.excluding = b"", {s.camera: b"", **of_epoch}, frozenset()
+    s.early, s.exclusion_messages, s.end_messages, s.inactive_ticks = {}, {}, {}, {}
+    return _make_packets(s.others, _encode_payload(s))
 
 
 def _dispute_packets(s: RoundState, to: tuple[int, ...]) -> list[Packet]:
