@@ -31,7 +31,7 @@ from sylpose.geometry.matrices import kron
 from sylpose.moments import PairMoments
 from sylpose.rig import Rig
 from sylpose.simulate import Body, arc, plane, random_motion, simulate_matches
-from sylpose.sylvester import so3
+from sylpose.sylvester import so3, so3_sos_certificate
 from sylpose.sylvester.orthographic import build_costs
 
 Costs = tuple[FloatArray, FloatArray]
@@ -123,7 +123,7 @@ def search_min_cost(H: FloatArray, h: FloatArray, starts: int, rng: np.random.Ge
 def certify_by_K(H: FloatArray, h: FloatArray, R: FloatArray) -> BoolArray:
     """Return whether a positive definite K alone certifies each of the rotations (N, 3, 3)."""
     K = H + kron(so3.compute_multiplier(H, h, R), np.eye(3))
-    return np.asarray(np.linalg.eigvalsh(K)[:, 0] > so3.CERTIFICATE)
+    return np.asarray(np.linalg.eigvalsh(K)[:, 0] > so3_sos_certificate.CERTIFICATE)
 
 
 def print_row(name: str, costs: Costs, starts: int, repeat: int, F: FloatArray) -> bool:

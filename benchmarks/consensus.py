@@ -26,9 +26,9 @@ from sylpose import open_session
 from sylpose.geometry.arrays import FloatArray
 from sylpose.moments import PairMoments
 from sylpose.packets import NO_FAULTS, Inbox, NetworkFaults, Packet, run_network
-from sylpose.results import Status
 from sylpose.rig import Rig
 from sylpose.simulate import arc, dome, ellipsoid, random_motion, ring, simulate_matches
+from sylpose.status import Status
 from sylpose.sylvester.camera_faults import solve_robust
 from sylpose.sylvester.centralized import CentralizedSolution, solve_centralized
 from sylpose.sylvester.distributed import refine as consensus

@@ -30,9 +30,9 @@ from benchmarks.live import compute_error_vector, load_scene
 from sylpose import open_session, track
 from sylpose.geometry.arrays import FloatArray
 from sylpose.moments import PairMoments
-from sylpose.results import Status
 from sylpose.rig import Rig
 from sylpose.simulate import arc, dome, ring
+from sylpose.status import Status
 from sylpose.sylvester.centralized import CentralizedSolution, solve_centralized
 from sylpose.sylvester.one_camera import solve_one_camera
 

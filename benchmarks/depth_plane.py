@@ -26,9 +26,9 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.io.capture import Session
 from sylpose.matches import Matches
 from sylpose.moments import PairMoments
-from sylpose.results import Status
 from sylpose.rig import Rig
 from sylpose.simulate import Body, arc, box, ellipsoid, plane, random_motion, ring, simulate_matches
+from sylpose.status import Status
 from sylpose.sylvester.centralized import solve_centralized
 from sylpose.sylvester.depth_plane import DepthPlaneSolution, solve_depth_plane
 from sylpose.tracking.camera_side.region import project_outline, rasterize_outline

@@ -32,9 +32,9 @@ from benchmarks.xfeat import XFeat, match_xfeat
 from sylpose.absolute_pose.pose import estimate_pose
 from sylpose.features.sift import MAX_FAINT_FEATURES, Features, detect_features, match_features, match_guided
 from sylpose.geometry.arrays import FloatArray, Image, IntArray
-from sylpose.results import Status
 from sylpose.rig import Camera
 from sylpose.simulate import TexturedBody
+from sylpose.status import Status
 from sylpose.tracking.pose_search import LOOSE_DESCRIPTOR_RATIO, MAX_ERROR_PX, MIN_INLIERS
 
 # Largest error of a true match, pixels.

@@ -71,12 +71,13 @@ from sylpose.network.wire_format import (
 )
 from sylpose.relative_pose.terms import TermData
 from sylpose.report.files import TrajectoryWriter, read_trajectory, read_tum
-from sylpose.results import FramePose, FrameStatus
+from sylpose.results import FramePose
 from sylpose.rig import Rig
 from sylpose.runs.checkpoint import _FRAME, CHECKPOINT, FORMAT, FrameFile, load_checkpoint
 from sylpose.runs.checkpoint_schema import SERIALIZER, OutputState, RunState
 from sylpose.simulate import ring
 from sylpose.smoothing import Track
+from sylpose.status import FrameStatus
 from sylpose.sync.offsets import load_offsets
 from sylpose.tracking.joint_side.keyframes import SolvedFrame
 from sylpose.tracking.known_object import CameraLandmarks, KnownObject

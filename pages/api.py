@@ -29,7 +29,17 @@ GROUPS: dict[str, tuple[str, ...]] = {
         "load_object",
         "save_object",
     ),
-    "Results": ("Trajectory", "FramePose", "FrameStatus", "Observability", "Motion", "Status", "RotationEstimate"),
+    "Results": (
+        "Trajectory",
+        "FramePose",
+        "FrameStatus",
+        "Observability",
+        "Motion",
+        "Status",
+        "RotationEstimate",
+        "plot_trajectory",
+        "to_dataframe",
+    ),
     "Cameras and what they saw": ("Camera", "Rig", "FrameSet", "Box", "Matches", "PairMoments"),
     "The world's and the object's frame": (
         "World",

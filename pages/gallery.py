@@ -27,12 +27,13 @@ from sylpose.io.capture import open_session
 from sylpose.report.camera_consistency import describe_camera_problems
 from sylpose.report.files import read_tum
 from sylpose.report.plots import INK, JUMP_DEG, X_COLOR, Y_COLOR, Z_COLOR, create_figure, style_panel
-from sylpose.results import FramePose, FrameStatus, Trajectory
+from sylpose.results import FramePose, Trajectory
 from sylpose.rig import Rig
 from sylpose.runs.options import RunOptions
 from sylpose.runs.run import track_session
 from sylpose.simulate import Actor, Recording, Scene, arc, chamfered_box, make_demo_scene, write_recording
 from sylpose.simulate.recordings import object_suffixes
+from sylpose.status import FrameStatus
 
 __all__ = ["SCENES", "Shown", "page", "results"]
 

@@ -13,10 +13,10 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.frames import Box, FrameSet
 from sylpose.geometry.arrays import BoolArray, FloatArray, Image, IntArray
-from sylpose.results import FrameStatus
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import Actor, DemoTruth, Scene, TexturedBody, compute_demo_truth, make_demo_scene, render_frames
 from sylpose.simulate.render import Path
+from sylpose.status import FrameStatus
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import track
 

@@ -12,9 +12,10 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.geometry.arrays import FloatArray
 from sylpose.matches import Matches
 from sylpose.relative_pose.motion import estimate_motion
-from sylpose.results import Motion, Status
+from sylpose.results import Motion
 from sylpose.rig import Rig, make_look_at_camera
 from sylpose.simulate import Body, SimulatedPair, arc, ellipsoid, plane, random_motion, ring, simulate_matches
+from sylpose.status import Status
 from tests.scenes import make_zigzag_rig
 
 OK, SCALE, TURN = Status.OK, Status.SCALE_NOT_OBSERVABLE, Status.ROTATION_NOT_OBSERVABLE

@@ -21,8 +21,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 import sylpose
 from sylpose import results, rig, simulate, view
 from sylpose.bundle_adjustment.calibration_refinement import MovedCamera, default_calibration_prior
-from sylpose.results import FramePose, FrameStatus, RotationEstimate, Status
+from sylpose.results import FramePose, RotationEstimate
 from sylpose.smoothing import Track, smooth
+from sylpose.status import FrameStatus, Status
 from sylpose.sylvester import camera_faults, one_camera, translation
 from sylpose.units import INITIAL_DISTANCES
 from tests.mutations import copy_arrays, is_unchanged, mutations

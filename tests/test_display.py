@@ -25,8 +25,9 @@ from sylpose.display import (
 from sylpose.matches import Matches
 from sylpose.moments import PairMoments
 from sylpose.report.plots import NotebookFigure
-from sylpose.results import FramePose, FrameStatus, Motion, Observability, Trajectory
+from sylpose.results import FramePose, Motion, Trajectory
 from sylpose.rig import Rig
+from sylpose.status import FrameStatus, Observability
 
 RIG = Rig(simulate.dome(4).cameras, "m")
 RNG = np.random.default_rng(1)

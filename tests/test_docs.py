@@ -20,9 +20,10 @@ import pytest
 import typer
 
 import sylpose
-from sylpose.commands.main import app, main
-from sylpose.results import Status
+from sylpose.commands.app import app
+from sylpose.commands.main import main
 from sylpose.simulate import dome, ellipsoid, random_motion, simulate_matches
+from sylpose.status import Status
 from tests.paths import REPOSITORY
 
 PACKAGE = REPOSITORY / "src" / "sylpose"

@@ -16,7 +16,7 @@ from tests.paths import REPOSITORY
 
 SOURCE = REPOSITORY / "src"
 # Lines of code: without docstrings, comments and blank lines.
-MAX_CODE_LINES = 420
+MAX_CODE_LINES = 600
 
 NOUNS = {
     "geometry",

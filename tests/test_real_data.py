@@ -12,7 +12,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.geometry.arrays import FloatArray
 from sylpose.io.capture import open_session
-from sylpose.results import FramePose, FrameStatus
+from sylpose.results import FramePose
+from sylpose.status import FrameStatus
 from sylpose.tracking.tracker import track
 from tests.paths import DATA
 

@@ -18,13 +18,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.geometry.future import BackgroundResult
 from sylpose.io.capture import open_session
-from sylpose.results import FrameStatus
 from sylpose.rig import Camera
 from sylpose.runs.checkpoint import CHECKPOINT, DIGEST_SIZE, FrameFile, load_checkpoint
 from sylpose.runs.checkpoint_schema import SERIALIZER, RunState
 from sylpose.runs.options import RunOptions
 from sylpose.runs.run import track_session
 from sylpose.smoothing import Track
+from sylpose.status import FrameStatus
 from sylpose.tracking.tracked_frame import TrackedFrame
 
 pytestmark = pytest.mark.usefixtures("undrawn")

@@ -12,10 +12,11 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose.bundle_adjustment.calibration_refinement import correct_rig, default_calibration_prior
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import FloatArray
-from sylpose.results import FramePose, FrameStatus, Status
+from sylpose.results import FramePose
 from sylpose.rig import Rig
 from sylpose.simulate import ellipsoid, ring
 from sylpose.smoothing import SmoothedTrajectory, Track, _select_observations, smooth
+from sylpose.status import FrameStatus, Status
 from sylpose.tracking.camera_side.observations import LandmarkObservations
 from sylpose.tracking.joint_side.joint_state import Nudge
 from sylpose.tracking.tracked_frame import TrackedFrame

@@ -16,9 +16,10 @@ from sylpose.geometry.matrices import invert_information
 from sylpose.moments import PairMoments
 from sylpose.relative_pose.motion import estimate_motion
 from sylpose.report.files import TrajectoryWriter, read_trajectory, read_tum
-from sylpose.results import FramePose, FrameStatus, Motion, RotationEstimate, Status, Trajectory
+from sylpose.results import FramePose, Motion, RotationEstimate, Trajectory
 from sylpose.rig import make_look_at_camera
 from sylpose.simulate import ellipsoid, random_motion, ring, simulate_matches
+from sylpose.status import FrameStatus, Status
 from sylpose.sylvester.depth_plane import solve_depth_plane
 from sylpose.view import resolve_viewpoint, trajectory_view, view_of_motion, view_of_pose, view_of_rotation
 

@@ -28,8 +28,9 @@ if TYPE_CHECKING:
     from sylpose.frames import Box, FrameSet
     from sylpose.io.calibration.world import World, load_world, world_with_up
     from sylpose.io.capture import Session, Source, Timeline, open_session
+    from sylpose.io.capture.frame_assembly import Grab
     from sylpose.io.capture.live import LiveSession, open_live
-    from sylpose.io.capture.streams import Device, Grab
+    from sylpose.io.capture.streams import Device
     from sylpose.io.object_files import load_object, save_object
     from sylpose.matches import Matches
     from sylpose.moments import PairMoments
@@ -37,19 +38,12 @@ if TYPE_CHECKING:
     from sylpose.relative_pose.motion import estimate_motion, estimate_motions
     from sylpose.report.files import to_dataframe
     from sylpose.report.plots import plot_trajectory
-    from sylpose.results import (
-        FramePose,
-        FrameStatus,
-        Motion,
-        Observability,
-        RotationEstimate,
-        Status,
-        Trajectory,
-    )
+    from sylpose.results import FramePose, Motion, RotationEstimate, Trajectory
     from sylpose.rig import Camera, Rig
     from sylpose.runs.options import RunOptions
     from sylpose.runs.run import track_session
     from sylpose.runs.run_result import Run
+    from sylpose.status import FrameStatus, Observability, Status
     from sylpose.sylvester.camera_faults import Diagnosis, Fault, RobustSolution, solve_robust
     from sylpose.sylvester.centralized import (
         CentralizedBatch,
@@ -164,7 +158,8 @@ _HOMES = {
     "sylpose.io.calibration.world": ("World", "load_world", "world_with_up"),
     "sylpose.io.capture": ("Session", "Source", "Timeline", "open_session"),
     "sylpose.io.capture.live": ("LiveSession", "open_live"),
-    "sylpose.io.capture.streams": ("Device", "Grab"),
+    "sylpose.io.capture.frame_assembly": ("Grab",),
+    "sylpose.io.capture.streams": ("Device",),
     "sylpose.frames": ("Box", "FrameSet"),
     "sylpose.absolute_pose.pose": ("estimate_pose",),
     "sylpose.matches": ("Matches",),
@@ -189,15 +184,8 @@ _HOMES = {
     "sylpose.sylvester.one_camera": ("OneCameraSolution", "solve_one_camera"),
     "sylpose.report.files": ("to_dataframe",),
     "sylpose.report.plots": ("plot_trajectory",),
-    "sylpose.results": (
-        "FramePose",
-        "FrameStatus",
-        "Motion",
-        "Observability",
-        "RotationEstimate",
-        "Status",
-        "Trajectory",
-    ),
+    "sylpose.results": ("FramePose", "Motion", "RotationEstimate", "Trajectory"),
+    "sylpose.status": ("FrameStatus", "Observability", "Status"),
     "sylpose.rig": ("Camera", "Rig"),
     "sylpose.tracking.joint_side.joint_state": ("Nudge",),
     "sylpose.tracking.known_object": ("KnownObject", "ObjectFrame"),

@@ -11,16 +11,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-__all__ = [
-    "format_boxes_toml",
-    "format_toml_key",
-    "format_toml_string",
-    "make_output_folder",
-    "output_errors",
-    "partial_path",
-    "replace_atomically",
-]
-
 
 @contextmanager
 def output_errors(path: Path | str) -> Iterator[None]:

@@ -14,8 +14,6 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.geometry.arrays import FloatArray, IntArray
 
-__all__ = ["Alignment", "Comparison", "associate_timestamps", "compare_trajectories", "compute_statistics"]
-
 Alignment = Literal["first", "none", "se3", "sim3", "both"]
 # Positions whose second singular value is below this fraction of the first do not determine the rotation about their
 # line; the same holds for rotations about one axis (choice: noise of a thousandth of the path gives about a degree).

@@ -13,20 +13,6 @@ from scipy.spatial.transform import Rotation
 from sylpose.geometry.arrays import FloatArray
 from sylpose.input_limits import MAX_SENTENCE_LENGTH, to_one_line
 
-__all__ = [
-    "Printable",
-    "Summary",
-    "format_inliers",
-    "format_length",
-    "format_lengths",
-    "format_optimality",
-    "format_position",
-    "format_rotation",
-    "format_vector",
-    "format_with_sd",
-    "truncate_rows",
-]
-
 # Significant digits of a value and of a standard deviation (choice).
 VALUE_DIGITS, SD_DIGITS = 3, 2
 # Rows printed at most; the rest is counted (choice).

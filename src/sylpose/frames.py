@@ -12,8 +12,6 @@ from sylpose.geometry.arrays import BoolArray, Image
 from sylpose.geometry.validation import check_number, check_type, format_value
 from sylpose.rig import Camera
 
-__all__ = ["Box", "FrameSet", "check_frame_set"]
-
 
 @dataclass(frozen=True)
 class Box:

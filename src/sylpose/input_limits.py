@@ -18,21 +18,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
 
-__all__ = [
-    "MAX_DEPTH",
-    "MAX_SENTENCE_LENGTH",
-    "MAX_TABLE_BYTES",
-    "MAX_TEXT_BYTES",
-    "UnreadableFileError",
-    "input_errors",
-    "open_regular_file",
-    "parse_toml",
-    "read_bytes",
-    "read_text",
-    "resolve_path",
-    "to_one_line",
-]
-
 # Bytes of calibrations and settings (choice: a rig of some hundred cameras, in XML), of these in TOML, whose parser is
 # slow (choice: as many), and of tables with a line per frame (choice: a day at 60 frames per second).
 MAX_TEXT_BYTES = 2**20

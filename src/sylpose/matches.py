@@ -12,8 +12,6 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.validation import check_finite_rows, check_type
 from sylpose.rig import Camera
 
-__all__ = ["STATIC_PX", "Matches"]
-
 # Largest coordinate of a point: 1e6 times the field of view of a lens (choice).
 MAX_COORDINATE = 1e9
 

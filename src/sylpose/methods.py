@@ -8,18 +8,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-__all__ = [
-    "FEATURES",
-    "METHODS",
-    "MODES",
-    "MOTION_METHODS",
-    "PAPER_METHODS",
-    "TABLE",
-    "Method",
-    "format_methods_table",
-    "resolve_features",
-]
-
 
 class Method(NamedTuple):
     """Method that estimates the object's motion; the tracker accepts all of them.

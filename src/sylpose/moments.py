@@ -21,8 +21,6 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.matrices import pack_upper, unpack_symmetric
 from sylpose.geometry.validation import check_finite, check_finite_rows, check_number, check_type
 
-__all__ = ["MAX_MOMENT", "MIN_COUNT", "PairMoments"]
-
 # Largest moment, point coordinate and weight (choice: products of a few moments stay in range); a smaller count is
 # zero: a negligible part of a match (choice).
 MAX_MOMENT, MAX_COORDINATE, MAX_WEIGHT, MIN_COUNT = 1e100, 1e15, 1e36, 1e-36

@@ -15,8 +15,6 @@ import numpy as np
 from sylpose.geometry.arrays import IntArray
 from sylpose.geometry.validation import check_integer, check_number, check_sequence, check_type
 
-__all__ = ["MAX_ROUNDS", "NO_FAULTS", "Inbox", "NetworkFaults", "NetworkRun", "NodeState", "Packet", "run_network"]
-
 Inbox = Sequence[tuple[int, bytes]]  # (sending camera, received bytes)
 
 MAX_ROUNDS = 10**6  # maximum number of rounds of a simulated network: more would take days (choice)

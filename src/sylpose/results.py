@@ -28,19 +28,6 @@ from sylpose.geometry.validation import check_list, check_type
 from sylpose.rig import check_single_pose
 from sylpose.status import FrameStatus, Observability, Status
 
-__all__ = [
-    "MAX_ROTATION_SD",
-    "FramePose",
-    "FrameStatus",
-    "Motion",
-    "Observability",
-    "RotationEstimate",
-    "Status",
-    "Trajectory",
-    "pan_tilt_roll",
-]
-
-
 # A pose whose rotation has a larger standard deviation about any axis, in radians, is uncertain (choice).
 MAX_ROTATION_SD = 0.35
 

@@ -30,8 +30,6 @@ from sylpose.geometry.validation import (
 from sylpose.input_limits import to_one_line
 from sylpose.units import METERS
 
-__all__ = ["Camera", "Rig", "intersect_rays"]
-
 LensModel = Literal["opencv", "fisheye"]
 
 # Numbers of coefficients of OpenCV's standard model; its fisheye model has exactly 4.

@@ -30,8 +30,6 @@ from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.geometry.future import BackgroundResult
 from sylpose.geometry.validation import MAX_MAGNITUDE, ORTHOGONALITY_TOLERANCE, are_rotations, check_shape
 
-__all__ = ["RecordType", "Serializer", "decode_array", "encode_array", "make_transforms"]
-
 Array = NDArray[Any]
 
 # Permitted types of arrays: little-endian, as on all machines with NumPy wheels.

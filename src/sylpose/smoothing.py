@@ -26,8 +26,9 @@ from sylpose.bundle_adjustment.calibration_refinement import (
 from sylpose.bundle_adjustment.scale_prior import bundle_adjust_with_scale, find_lost_frames, is_scale_unobservable
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.validation import check_bool, check_integer, check_list, check_number, check_type, format_value
-from sylpose.results import FramePose, FrameStatus, Observability, Status
+from sylpose.results import FramePose
 from sylpose.rig import Rig
+from sylpose.status import FrameStatus, Observability, Status
 from sylpose.tracking.camera_side.observations import LandmarkObservations
 from sylpose.tracking.joint_side.joint_state import Nudge
 from sylpose.tracking.joint_side.keyframes import inherit_covariance
@@ -35,8 +36,6 @@ from sylpose.tracking.object_transfer import TransferredObject
 from sylpose.tracking.reports import quantize_positions
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.window import find_alternative_path
-
-__all__ = ["SmoothedTrajectory", "Track", "make_keyframe_tracks", "smooth"]
 
 # Landmarks with fewer observations contain little information on the motion, and biased: features that slide along an
 # edge or were mismatched are soon lost. They are used, the longer tracks first, by frames with fewer than so many

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from enum import Enum
 
-__all__ = ["FrameStatus", "Observability", "Status"]
-
 # Values in result files of earlier versions, and the present ones.
 _LEGACY_VALUES = {
     "turn not observable": "rotation not observable",

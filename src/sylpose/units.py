@@ -6,8 +6,6 @@ import re
 
 from sylpose.input_limits import to_one_line
 
-__all__ = ["INITIAL_DISTANCES", "METERS", "MissingUnitError", "parse_length", "parse_length_with_unit"]
-
 METERS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
 # With one camera lengths are relative to the object's distance in the first frame (docs/conventions.md).
 INITIAL_DISTANCES = "first distances"

@@ -24,20 +24,9 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.matrices import invert_information, propagate_covariance
 from sylpose.geometry.validation import check_finite, check_real, check_rotation, check_type, format_value
 from sylpose.input_limits import to_one_line
-from sylpose.results import FramePose, Motion, RotationEstimate, Status, Trajectory, pan_tilt_roll
+from sylpose.results import FramePose, Motion, RotationEstimate, Trajectory, pan_tilt_roll
 from sylpose.rig import Camera, Rig, check_single_pose
-
-__all__ = [
-    "MotionView",
-    "RotationView",
-    "Viewpoint",
-    "resolve_viewpoint",
-    "trajectory_view",
-    "view_of_motion",
-    "view_of_pose",
-    "view_of_rotation",
-]
-
+from sylpose.status import Status
 
 # A camera (real, or a virtual one made by `rig.make_look_at_camera`), a bare camera_from_world, or a camera's name in a
 # rig.

@@ -8,9 +8,10 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.absolute_pose.pose import estimate_pose
 from sylpose.geometry.arrays import FloatArray
-from sylpose.results import Motion, Status
+from sylpose.results import Motion
 from sylpose.rig import Rig
 from sylpose.simulate import arc, dome
+from sylpose.status import Status
 
 UNEQUAL = np.array([0.2, 0.5, 1.0, 4.0])
 TAG = np.array([[-0.08, -0.08, 0.0], [0.08, -0.08, 0.0], [0.08, 0.08, 0.0], [-0.08, 0.08, 0.0]])

@@ -16,8 +16,9 @@ from sylpose import simulate
 from sylpose.absolute_pose.p3p import solve_p3p
 from sylpose.absolute_pose.pose import estimate_pose
 from sylpose.geometry.arrays import BoolArray, FloatArray
-from sylpose.results import Motion, Status
+from sylpose.results import Motion
 from sylpose.rig import Camera, Rig
+from sylpose.status import Status
 
 BODY = simulate.ellipsoid((0.15, 0.12, 0.10))
 BOARD = simulate.plane((0.3, 0.3))

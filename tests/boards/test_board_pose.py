@@ -14,9 +14,9 @@ from sylpose.boards.board_pose import BoardObservation, combine_detections, find
 from sylpose.boards.detection import Detection, detect
 from sylpose.boards.specification import EXAMPLES, Board, parse_board
 from sylpose.geometry.arrays import FloatArray, Image
-from sylpose.results import Status
 from sylpose.rig import Rig
 from sylpose.simulate import make_demo_scene, render_frames
+from sylpose.status import Status
 from tests.boards.drawing import make_rig_above, render_target
 
 CHARUCO = "charuco:5x6,square=40mm,marker=28mm,dict=4X4_50"

@@ -24,11 +24,11 @@ from sylpose.commands.main import main
 from sylpose.io import calibration
 from sylpose.io.capture import open_session
 from sylpose.io.capture.random_access import RandomAccessReader
-from sylpose.results import FrameStatus
 from sylpose.runs.options import RunOptions
 from sylpose.runs.page import read_scenes
 from sylpose.runs.run import track_session
 from sylpose.runs.run_metadata import open_source_recording
+from sylpose.status import FrameStatus
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import track
 from tests.chromium import OpenedPage, open_page

@@ -19,9 +19,9 @@ from sylpose.bundle_adjustment.camera_parameters import SLOPE_SD, default_depth_
 from sylpose.bundle_adjustment.kernels import SortedObservations, Views, compute_derivatives, compute_residuals
 from sylpose.bundle_adjustment.problem import DEPTH_SD_RADII, LATERAL_SD_RADII, Problem, _inverse_left_jacobian
 from sylpose.geometry.arrays import FloatArray
-from sylpose.results import Status
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import ellipsoid, ring
+from sylpose.status import Status
 
 RADIUS = 0.15
 RIG = ring(4, 1.5, 1000.0, height=(0.4, -0.1, 0.2, 0.5))

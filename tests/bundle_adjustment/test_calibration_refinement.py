@@ -29,10 +29,10 @@ from sylpose.bundle_adjustment.calibration_refinement import (
 )
 from sylpose.bundle_adjustment.camera_parameters import default_depth_prior, make_camera_parameters
 from sylpose.geometry.arrays import FloatArray
-from sylpose.results import Status
 from sylpose.rig import Rig
 from sylpose.simulate import box, ring
 from sylpose.smoothing import smooth
+from sylpose.status import Status
 
 LENS = (-0.2, 0.05, 0.0004, -0.0003, 0)
 RIG = ring(4, 1.5, 1000.0, height=(0.4, -0.1, 0.2, 0.5), distortion=LENS)

@@ -21,13 +21,14 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.commands.main import main
 from sylpose.geometry.arrays import Image
 from sylpose.io.capture import live, open_session
-from sylpose.io.capture.streams import Grab
+from sylpose.io.capture.frame_assembly import Grab
 from sylpose.report.files import read_trajectory
-from sylpose.results import FramePose, FrameStatus, Observability, Trajectory
+from sylpose.results import FramePose, Trajectory
 from sylpose.runs import console_output
 from sylpose.runs.options import RunOptions
 from sylpose.runs.run import track_session
 from sylpose.runs.run_result import Run
+from sylpose.status import FrameStatus, Observability
 from sylpose.sync.offsets import load_offsets
 from tests.conftest import FRAMES
 

@@ -31,12 +31,12 @@ from sylpose.io.capture import Session, open_session
 from sylpose.methods import FEATURES, METHODS
 from sylpose.report.files import read_trajectory, read_tum
 from sylpose.report.rigview import find_axes_intersection
-from sylpose.results import FrameStatus
 from sylpose.rig import Camera, Rig, make_look_at_camera
 from sylpose.runs import check as checks
 from sylpose.runs.check import preview_moving_object
 from sylpose.runs.options import RunOptions
 from sylpose.runs.run import track_session
+from sylpose.status import FrameStatus
 from sylpose.tracking.frame_solvers import SOLVERS
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import Tracker

@@ -11,9 +11,10 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose.commands.main import main
 from sylpose.io import calibration
 from sylpose.report.files import TrajectoryWriter, read_trajectory, read_tum
-from sylpose.results import FramePose, FrameStatus
+from sylpose.results import FramePose
 from sylpose.rig import Rig
 from sylpose.simulate import ring
+from sylpose.status import FrameStatus
 
 
 @pytest.fixture

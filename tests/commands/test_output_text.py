@@ -17,10 +17,11 @@ from sylpose.commands.track_display import open_pose_stream
 from sylpose.io import calibration
 from sylpose.io.capture import open_session
 from sylpose.report.files import format_pose_line, read_trajectory
-from sylpose.results import FramePose, FrameStatus
+from sylpose.results import FramePose
 from sylpose.runs.options import RunOptions
 from sylpose.runs.run import track_session
 from sylpose.runs.run_metadata import SETTINGS, USED_CALIBRATION
+from sylpose.status import FrameStatus
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 

@@ -21,11 +21,12 @@ from sylpose.io.pixel_files import load_image_points
 from sylpose.io.point_files import load_points
 from sylpose.report.files import read_trajectory, read_tum
 from sylpose.report.page import render_page
-from sylpose.results import FrameStatus, Observability, Trajectory
+from sylpose.results import Trajectory
 from sylpose.rig import Rig
 from sylpose.runs.page import read_scenes
 from sylpose.runs.run_metadata import SETTINGS, USED_CALIBRATION, open_source_recording
 from sylpose.simulate import Actor, Recording, Scene, chamfered_box, write_recording
+from sylpose.status import FrameStatus, Observability
 from tests.recordings import BOX, RIG, attach_target, compute_pose_error, moved_path
 
 pytestmark = pytest.mark.usefixtures("undrawn")

@@ -21,11 +21,11 @@ from sylpose.commands.main import main
 from sylpose.io import calibration
 from sylpose.io.capture import open_session
 from sylpose.io.object_files import CLOUD_FILE, OBJECT_FILE, load_known_objects, load_object, save_object, write_cloud
-from sylpose.results import Observability
 from sylpose.rig import Rig
 from sylpose.runs.options import RunOptions
 from sylpose.runs.run import track_session
 from sylpose.simulate import Actor, Recording, Scene, arc, chamfered_box, write_recording
+from sylpose.status import Observability
 from sylpose.tracking.known_object import KnownObject
 from sylpose.tracking.object_transfer import transfer_object
 from sylpose.tracking.tracker import Tracker

@@ -15,9 +15,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sylpose.report.files import read_trajectory
-from sylpose.results import FramePose, FrameStatus
+from sylpose.results import FramePose
 from sylpose.simulate import compute_demo_truth, make_demo_scene, render_frames
 from sylpose.simulate.recordings import create_session_folder, write_videos
+from sylpose.status import FrameStatus
 from tests.clips import SIZE
 
 pytest.importorskip("zenoh")

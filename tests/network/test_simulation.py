@@ -22,9 +22,9 @@ from sylpose.network.simulation import SimulationResult, track_by_nodes
 from sylpose.network.smoothing import _unpack_observations
 from sylpose.network.wire_format import HEADER, Hello, encode_hello
 from sylpose.packets import Inbox, NetworkFaults, Packet
-from sylpose.results import FrameStatus, Status
 from sylpose.simulate import make_demo_scene
 from sylpose.smoothing import Track, smooth
+from sylpose.status import FrameStatus, Status
 from sylpose.tracking.reports import CameraObservations
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import track

@@ -16,7 +16,7 @@ from sylpose.relative_pose.leave_one_out import (
 from sylpose.relative_pose.motion import estimate_motion
 from sylpose.relative_pose.solver import fit_terms
 from sylpose.relative_pose.terms import Solution, TermData, locate_object, make_failed_fit
-from sylpose.results import Status
+from sylpose.status import Status
 from tests.scenes import make_terms
 
 SCENES = 30

@@ -11,7 +11,7 @@ from benchmarks.honesty import evaluate_scenes, solve
 from benchmarks.honesty_kinds import make_problem
 from sylpose.matches import Matches
 from sylpose.relative_pose.motion import estimate_motion
-from sylpose.results import Status
+from sylpose.status import Status
 
 
 def get_statuses(kind: str, scenes: int, wrong: int = 0) -> Sequence[Status]:

@@ -10,9 +10,10 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.matches import Matches
 from sylpose.relative_pose.motion import estimate_motion
-from sylpose.results import Motion, Status
+from sylpose.results import Motion
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import SimulatedPair, arc, box, dome, random_motion, simulate_matches
+from sylpose.status import Status
 from tests.scenes import BODY, compute_motion_error, compute_rotation_degrees, make_zigzag_rig
 
 BAD = "cam_2"

@@ -16,8 +16,9 @@ from sylpose.geometry.matrices import invert_information
 from sylpose.matches import Matches
 from sylpose.moments import PairMoments
 from sylpose.relative_pose.motion import estimate_motion, estimate_motions
-from sylpose.results import Motion, Status
+from sylpose.results import Motion
 from sylpose.rig import Camera, Rig
+from sylpose.status import Status
 from sylpose.sylvester.centralized import solve_centralized
 from tests.scenes import compute_motion_error, compute_nees
 

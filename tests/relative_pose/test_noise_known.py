@@ -11,9 +11,9 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.robust_loss import DEFAULT_NOISE_PX, make_noise_units
 from sylpose.matches import Matches
 from sylpose.relative_pose.motion import estimate_motion, estimate_motions
-from sylpose.results import Status
 from sylpose.rig import Rig
 from sylpose.simulate import SimulatedPair, random_motion, simulate_matches
+from sylpose.status import Status
 from tests.scenes import BODY, compute_motion_error, compute_nees, make_zigzag_rig
 
 RIG = make_zigzag_rig(4)

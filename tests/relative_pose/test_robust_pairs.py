@@ -20,7 +20,7 @@ from benchmarks.robust_pairs import (
 from sylpose.matches import Matches
 from sylpose.relative_pose import static_background
 from sylpose.relative_pose.motion import estimate_motion
-from sylpose.results import Status
+from sylpose.status import Status
 
 
 def run_setting(row: str, scenes: int) -> list[Outcome]:

@@ -11,9 +11,10 @@ from sylpose.moments import PairMoments
 from sylpose.relative_pose.motion import estimate_motion
 from sylpose.relative_pose.sylvester_methods import ESTIMATORS, apply_paper_method
 from sylpose.relative_pose.terms import Fit, TermData
-from sylpose.results import Motion, Status
+from sylpose.results import Motion
 from sylpose.rig import Rig
 from sylpose.simulate import Body, SimulatedPair, box, random_motion, ring, simulate_matches
+from sylpose.status import Status
 from sylpose.sylvester.depth_plane import solve_depth_plane
 from sylpose.sylvester.one_camera import solve_one_camera
 from tests.scenes import BODY, compute_motion_error, compute_rotation_degrees, make_zigzag_rig

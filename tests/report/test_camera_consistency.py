@@ -21,9 +21,10 @@ from sylpose.report.camera_consistency import (
 )
 from sylpose.report.files import TrajectoryWriter, read_trajectory
 from sylpose.report.plots import save_trajectory_plot
-from sylpose.results import FramePose, FrameStatus, Trajectory
+from sylpose.results import FramePose, Trajectory
 from sylpose.rig import Rig
 from sylpose.simulate import make_demo_scene, render_frames
+from sylpose.status import FrameStatus
 from sylpose.tracking.tracker import track
 from tests.clips import SIZE, Clip
 

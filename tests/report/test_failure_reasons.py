@@ -6,7 +6,8 @@ import numpy as np
 
 from sylpose.report.failure_reasons import MAX_REASONS, explain_missing_poses, group_sentences
 from sylpose.report.plots import draw_trajectory_figure
-from sylpose.results import FramePose, FrameStatus, Trajectory
+from sylpose.results import FramePose, Trajectory
+from sylpose.status import FrameStatus
 
 
 def make_lost_trajectory(reasons: list[str]) -> Trajectory:

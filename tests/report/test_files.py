@@ -13,7 +13,8 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.report.files import build_columns, to_dataframe, write_trajectory
-from sylpose.results import FramePose, FrameStatus, Observability, Trajectory
+from sylpose.results import FramePose, Trajectory
+from sylpose.status import FrameStatus, Observability
 
 
 def trajectory() -> Trajectory:

@@ -33,10 +33,11 @@ from sylpose.report.page import (
     select_frames,
 )
 from sylpose.report.scene import IMAGE_GRID, Scene, Thumbnails, build_scene
-from sylpose.results import FramePose, FrameStatus, Trajectory
+from sylpose.results import FramePose, Trajectory
 from sylpose.rig import Rig, make_look_at_camera
 from sylpose.runs.page import write_report_page
 from sylpose.runs.run_metadata import SETTINGS, USED_CALIBRATION
+from sylpose.status import FrameStatus
 from tests.chromium import OpenedPage, open_page
 from tests.paths import REPOSITORY
 

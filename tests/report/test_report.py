@@ -28,8 +28,9 @@ from sylpose.report.files import TrajectoryWriter, read_trajectory, read_tum, wr
 from sylpose.report.overlay import OverlayObject, OverlayWriter
 from sylpose.report.plots import draw_trajectory_figure, save_trajectory_plot, summarize_trajectory
 from sylpose.report.rigview import compute_view_axes, describe_rig, find_axes_intersection, plot_rig
-from sylpose.results import FramePose, FrameStatus, Observability, Trajectory
+from sylpose.results import FramePose, Trajectory
 from sylpose.rig import Camera, Rig
+from sylpose.status import FrameStatus, Observability
 from tests.paths import DATA
 
 TEMPLE = DATA / "temple"

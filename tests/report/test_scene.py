@@ -12,10 +12,11 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose.io import calibration
 from sylpose.report.files import write_trajectory
 from sylpose.report.scene import FRUSTUM_DEPTH_RATIO, IMAGE_GRID, PointCloud, Scene, build_scene
-from sylpose.results import FramePose, FrameStatus, Trajectory
+from sylpose.results import FramePose, Trajectory
 from sylpose.rig import Rig, make_look_at_camera
 from sylpose.runs.page import read_scene
 from sylpose.runs.run_metadata import USED_CALIBRATION
+from sylpose.status import FrameStatus
 
 CAMERAS = ("left", "right", "above")
 

@@ -18,13 +18,14 @@ from sylpose.commands.main import main
 from sylpose.io.capture import open_session
 from sylpose.io.object_files import CLOUD_FILE, OBJECT_FILE, load_object, save_object
 from sylpose.report.files import read_trajectory, write_trajectory
-from sylpose.results import FramePose, FrameStatus, Observability, Trajectory
+from sylpose.results import FramePose, Trajectory
 from sylpose.rig import Rig
 from sylpose.runs.object_frames import change_object_frame
 from sylpose.runs.options import RunOptions
 from sylpose.runs.run import track_session
 from sylpose.runs.run_metadata import USED_CALIBRATION
 from sylpose.simulate import Actor, Recording, Scene, chamfered_box, write_recording
+from sylpose.status import FrameStatus, Observability
 from sylpose.tracking.known_object import KnownObject
 from sylpose.units import INITIAL_DISTANCES
 from tests.recordings import (

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.geometry.arrays import FloatArray
 from sylpose.moments import PairMoments
-from sylpose.results import Status
+from sylpose.status import Status
 from sylpose.sylvester.centralized import (
     CentralizedSolution,
     find_unobservable_rotations,

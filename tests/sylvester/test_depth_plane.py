@@ -10,9 +10,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.geometry.arrays import FloatArray
 from sylpose.moments import PairMoments
-from sylpose.results import Status
 from sylpose.rig import Rig
 from sylpose.simulate import Body, arc, box, ellipsoid, plane, random_motion, ring, simulate_matches
+from sylpose.status import Status
 from sylpose.sylvester import depth_plane
 from sylpose.sylvester.centralized import solve_centralized
 from sylpose.sylvester.depth_plane import (

@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.results import Status
+from sylpose.status import Status
 from sylpose.sylvester import so3
 from sylpose.sylvester.equation import solve_generalized_sylvester, solve_sylvester
 from sylpose.sylvester.known_depth import KnownDepthSolution, solve_2d3d, solve_3d3d

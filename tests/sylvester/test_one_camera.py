@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.geometry.arrays import FloatArray
 from sylpose.moments import PairMoments
-from sylpose.results import Status
+from sylpose.status import Status
 from sylpose.sylvester import so3
 from sylpose.sylvester.equation import solve_sylvester
 from sylpose.sylvester.one_camera import OneCameraSolution, solve_one_camera, solve_unconstrained

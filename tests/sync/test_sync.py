@@ -18,9 +18,10 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose.commands.main import main
 from sylpose.geometry.arrays import FloatArray
 from sylpose.io.capture import Session, open_session
-from sylpose.results import FramePose, FrameStatus, Status
+from sylpose.results import FramePose
 from sylpose.simulate import Actor, Recording, Scene, arc, chamfered_box, write_recording
 from sylpose.smoothing import SmoothedTrajectory, Track
+from sylpose.status import FrameStatus, Status
 from sylpose.sync import estimation
 from sylpose.sync.estimation import OffsetPrecision, TimeOffsets, sync_session, write_offsets
 from sylpose.sync.offsets import apply_offsets, load_offsets

@@ -12,9 +12,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose.features.sift import Features
 from sylpose.geometry.arrays import Image
 from sylpose.landmarks.landmark_filter import LandmarkTable, initialize_landmarks
-from sylpose.results import FrameStatus
 from sylpose.rig import Camera
 from sylpose.simulate import Actor, arc, make_demo_scene, render_frames
+from sylpose.status import FrameStatus
 from sylpose.tracking.camera_side.frame import CameraFrame, FrameMatches
 from sylpose.tracking.camera_side.observations import MAX_UNEXPLAINED_RATIO, ReobservedFeatures, count_ages
 from sylpose.tracking.context import LocalExecutor

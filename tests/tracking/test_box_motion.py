@@ -10,9 +10,9 @@ from sylpose.features.sift import Features
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import FloatArray
 from sylpose.landmarks.landmark_filter import Landmarks, LandmarkTable
-from sylpose.results import FrameStatus
 from sylpose.rig import Rig
 from sylpose.simulate import Actor, ring
+from sylpose.status import FrameStatus
 from sylpose.tracking.camera_side.camera import CameraTracker
 from sylpose.tracking.camera_side.frame import CameraFrame, FrameMatches
 from sylpose.tracking.context import Frame, LocalExecutor, TrackerContext

@@ -22,11 +22,12 @@ from sylpose.features.static_background import (
 )
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import FloatArray, Image
-from sylpose.results import FramePose, FrameStatus
+from sylpose.results import FramePose
 from sylpose.rig import Camera
 from sylpose.runs.checkpoint_schema import SERIALIZER
 from sylpose.simulate import make_demo_scene
 from sylpose.simulate.textures import make_room_image
+from sylpose.status import FrameStatus
 from sylpose.tracking.camera_motion_correction import add_nudge_faults
 from sylpose.tracking.camera_side.camera_motion import MAX_CHANGED_FRAMES, PAUSE_FRAMES, CameraMotionDetector
 from sylpose.tracking.context import TrackerContext

@@ -9,9 +9,9 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.geometry.arrays import Image
-from sylpose.results import FrameStatus
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import Actor, chamfered_box
+from sylpose.status import FrameStatus
 from sylpose.tracking.map_update import find_muted_cameras
 from sylpose.tracking.tracker import track
 from tests.clips import (

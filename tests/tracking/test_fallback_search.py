@@ -14,9 +14,9 @@ from sylpose.features.sift import Features, detect_features
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import FloatArray, Image
 from sylpose.landmarks.landmark_filter import LandmarkTable, initialize_landmarks
-from sylpose.results import FrameStatus
 from sylpose.rig import Camera
 from sylpose.simulate import Actor, Scene, TexturedBody
+from sylpose.status import FrameStatus
 from sylpose.tracking import initialization, state_machine
 from sylpose.tracking.camera_side import camera as camera_module
 from sylpose.tracking.camera_side.frame import CameraFrame, FrameMatches, drop_background

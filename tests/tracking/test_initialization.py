@@ -16,9 +16,9 @@ from sylpose.features.sift import Features
 from sylpose.geometry.arrays import FloatArray
 from sylpose.landmarks.landmark_filter import LandmarkTable
 from sylpose.matches import STATIC_PX
-from sylpose.results import FrameStatus, Status
 from sylpose.rig import Rig
 from sylpose.simulate import arc, ellipsoid
+from sylpose.status import FrameStatus, Status
 from sylpose.tracking.camera_side.frame import CameraFrame, FrameMatches
 from sylpose.tracking.context import LocalExecutor
 from sylpose.tracking.first_motion import AMBIGUITY_RATIO, FirstMotion, estimate_first_motion, is_ambiguous

@@ -11,9 +11,9 @@ import pytest
 from sylpose.features.sift import MAX_FEATURES, Features, detect_features
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import Image
-from sylpose.results import FrameStatus
 from sylpose.rig import Camera
 from sylpose.simulate import render_frames
+from sylpose.status import FrameStatus
 from sylpose.tracking.camera_side import camera as camera_module
 from sylpose.tracking.camera_side.camera import CameraTracker
 from sylpose.tracking.tracker import track

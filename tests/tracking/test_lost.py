@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.results import FrameStatus
+from sylpose.status import FrameStatus
 from sylpose.tracking.tracked_frame import explain_missing_pose
 from sylpose.tracking.tracker import track
 from tests.clips import (

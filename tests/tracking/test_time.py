@@ -11,9 +11,9 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import FloatArray
-from sylpose.results import FrameStatus
 from sylpose.simulate import Actor, Scene, compute_demo_truth, render_frames
 from sylpose.simulate.render import Path
+from sylpose.status import FrameStatus
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import Tracker, track
 from tests.clips import (

@@ -15,9 +15,9 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.frames import Box, FrameSet
 from sylpose.geometry.arrays import BoolArray
 from sylpose.methods import METHODS
-from sylpose.results import FrameStatus, Observability
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import arc, make_demo_scene
+from sylpose.status import FrameStatus, Observability
 from sylpose.tracking.camera_side.frame import CameraFrame
 from sylpose.tracking.camera_side.region import project_outline, rasterize_outline
 from sylpose.tracking.joint_side.keyframes import N_RECENT_FRAMES

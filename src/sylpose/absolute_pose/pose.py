@@ -38,10 +38,9 @@ from sylpose.geometry.normal_equations import (
 from sylpose.geometry.numba_linalg import find_distinct_rows
 from sylpose.geometry.robust_loss import BIQUARTIC_BOUND, DEFAULT_NOISE_PX, NoisePx, NoiseUnits, make_noise_units
 from sylpose.geometry.validation import check_finite_rows, check_integer, check_number, check_sequence, check_type
-from sylpose.results import FramePose, FrameStatus, Motion, Observability, Status
+from sylpose.results import FramePose, Motion
 from sylpose.rig import MAX_FOCAL_PX, MAX_LENGTH, Camera, Rig
-
-__all__ = ["estimate_pose", "make_frame_pose"]
+from sylpose.status import FrameStatus, Observability, Status
 
 MIN_ERROR_PX = 1e-9  # smallest error bound accepted, pixels (choice)
 # Degrees of freedom of the noise prior. Default noise: four matches, which leave two, may agree far better than they

@@ -18,8 +18,6 @@ from sylpose.archive.stores import Store
 from sylpose.archive.summary import collect_summaries, write_summary
 from sylpose.runs import console_output
 
-__all__ = ["BatchWorkers", "run_batch_command", "run_status_command"]
-
 # Largest number of printed rows, those with messages first; summary.csv contains all (choice: a screen).
 MAX_ROWS = 30
 HEADER = ("Recording", "status", "frames", "found", "residual", "time")

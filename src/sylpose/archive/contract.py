@@ -34,21 +34,6 @@ from sylpose import __version__
 from sylpose.archive.recordings import Recording
 from sylpose.archive.stores import Store, is_inside
 
-__all__ = [
-    "DONE_FILE",
-    "FAILED_FILE",
-    "RecordingHeldError",
-    "RunSettings",
-    "Summary",
-    "find_finished",
-    "hold_claim",
-    "is_final",
-    "mark_crashed",
-    "process_recording",
-    "read_owner",
-    "read_record",
-]
-
 DONE_FILE, FAILED_FILE = "done.json", "failed.json"
 # Seconds between renewals, and until a claim expires (choice: eight missed renewals; a recording waits that long after
 # its computer crashed; the clocks of computers must agree better than that).

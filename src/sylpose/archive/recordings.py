@@ -21,8 +21,6 @@ from sylpose.io.capture.sources import NON_CAMERA_NAMES, VIDEO_SUFFIXES
 from sylpose.methods import FEATURES, METHODS, resolve_features
 from sylpose.runs.world import is_world_text
 
-__all__ = ["Recording", "TrackingOptions", "find_recordings"]
-
 SOURCE = PurePosixPath(".")
 FILE_KINDS = ("calibration", "boxes", "masks", "offsets")
 

@@ -20,8 +20,6 @@ from sylpose.archive.contract import RunSettings, Summary, mark_crashed, process
 from sylpose.archive.recordings import Recording
 from sylpose.runs.system_resources import available_cores, available_memory
 
-__all__ = ["ProcessWorkers", "RayWorkers", "Workers", "choose_default_jobs", "process_all", "select_shard"]
-
 # Attempts if workers die or disks and networks fail (choice: a node of a cluster may go away).
 MAX_ATTEMPTS = 3
 # Seconds between checks of recordings held by other workers, and of the own workers; for workers to end (choice).

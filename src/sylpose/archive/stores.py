@@ -14,17 +14,6 @@ from typing import Any, NamedTuple
 
 from sylpose.atomic_io import replace_atomically
 
-__all__ = [
-    "ObjectStore",
-    "Store",
-    "StoredFile",
-    "is_inside",
-    "is_url",
-    "open_store",
-    "resolve_location",
-    "split_location",
-]
-
 
 class StoredFile(NamedTuple):
     """A file below a location.

@@ -12,8 +12,6 @@ from sylpose.archive.contract import DONE_FILE, FAILED_FILE, Summary, read_owner
 from sylpose.archive.recordings import Recording
 from sylpose.archive.stores import Store
 
-__all__ = ["collect_summaries", "write_summary"]
-
 # Number of parallel reads (choice: object stores have high latency).
 N_PARALLEL_READS = 16
 COLUMNS = ("recording", "status", "frames", "coverage", "residual_px", "faults", "seconds", "error")

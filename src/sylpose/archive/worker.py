@@ -24,8 +24,6 @@ from sylpose.runs.run_result import Run
 from sylpose.runs.world import WorldSpec, apply_world_and_unit, is_world_text
 from sylpose.sync.offsets import find_offsets
 
-__all__ = ["compile_kernels_once", "summarize_run", "track_recording"]
-
 # Largest number of messages in a summary (choice: enough to identify the problem).
 MAX_MESSAGES = 20
 

@@ -17,8 +17,6 @@ from sylpose.geometry.validation import check_sequence, check_type
 from sylpose.results import Motion
 from sylpose.rig import Camera, Rig
 
-__all__ = ["BoardObservation", "combine_detections", "find_board"]
-
 # The size ratio is only reported if its relative uncertainty is below this (choice: a printer's scaling is a few
 # percent).
 MAX_SIZE_UNCERTAINTY = 0.0125

@@ -14,8 +14,6 @@ from sylpose.boards.specification import Board
 from sylpose.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 from sylpose.rig import Camera
 
-__all__ = ["Detection", "detect", "detect_markers"]
-
 # Chessboard squares are sampled in this share of their middle (choice); this share of neighbors must differ like black
 # and white (choice: shadows and glare spoil some).
 SAMPLE_RATIO, MIN_CONTRAST_SHARE = 0.25, 0.8

@@ -13,8 +13,6 @@ import numpy as np
 from sylpose.geometry.arrays import FloatArray, Image
 from sylpose.rig import Camera
 
-__all__ = ["refine_marker_corners"]
-
 # Second map of cv2.remap: None, since the first map has both coordinates.
 NO_SECOND_MAP: Any = None
 

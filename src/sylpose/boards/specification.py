@@ -28,8 +28,6 @@ from sylpose.geometry.validation import (
 from sylpose.input_limits import to_one_line
 from sylpose.units import MissingUnitError, parse_length
 
-__all__ = ["EXAMPLES", "Board", "is_board", "parse_board"]
-
 # One example of each kind.
 EXAMPLES = (
     "charuco:5x7,square=40mm,marker=30mm,dict=4X4_50",

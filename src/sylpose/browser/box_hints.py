@@ -14,8 +14,6 @@ from sylpose.report.drawing import project_points
 from sylpose.rig import Camera, Rig
 from sylpose.tracking.joint_side.object_model import carve_box_volume
 
-__all__ = ["BoxHints", "EpipolarBand", "compute_box_hints", "compute_epipolar_band"]
-
 # Samples of a curve to find its visible part, and samples of that part (choice: a step in the image of a wide lens is a
 # few pixels, over which no lens bends a line by a tenth of one).
 N_SEARCH_SAMPLES, N_CURVE_SAMPLES = 361, 128

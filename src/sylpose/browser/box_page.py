@@ -22,8 +22,6 @@ from sylpose.io.capture.boxes import DEFAULT_OBJECT_NAME, parse_boxes
 from sylpose.report.drawing import encode_jpeg, shrink_image
 from sylpose.tracking.joint_side.object_model import carve_box_volume
 
-__all__ = ["BoxEditor"]
-
 # Folder of the page's files.
 PAGE_FOLDER = Path(__file__).parent / "pages"
 MEDIA_TYPES = {"box.html": "text/html; charset=utf-8", "box.css": "text/css", "box.js": "text/javascript"}

@@ -18,10 +18,8 @@ from sylpose.display import format_length
 from sylpose.geometry.arrays import FloatArray, Image, IntArray
 from sylpose.report.drawing import build_undistortion_map
 from sylpose.report.scene import Scene
-from sylpose.results import FrameStatus
 from sylpose.rig import Rig
-
-__all__ = ["LAYERS", "ScenePage", "escape_markdown", "split_path", "status_color"]
+from sylpose.status import FrameStatus
 
 # Longer side of the images, pixels (choice: sharp enough next to the object, 20 kB each).
 IMAGE_SIZE = 480

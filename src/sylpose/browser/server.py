@@ -25,19 +25,6 @@ from urllib.parse import parse_qsl, urlsplit
 
 import msgspec
 
-__all__ = [
-    "HOST",
-    "MAX_BODY",
-    "THEME",
-    "VISER_MISSING",
-    "GetHandler",
-    "Response",
-    "json_response",
-    "open_browser",
-    "serve_page",
-    "serve_viewer",
-]
-
 HOST = "127.0.0.1"
 # Largest request body in bytes (choice: a hundred objects in a hundred cameras).
 MAX_BODY = 2**20

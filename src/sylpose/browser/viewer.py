@@ -17,11 +17,10 @@ from sylpose.browser.server import THEME, serve_viewer
 from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.io.capture.random_access import RandomAccessReader
 from sylpose.report.scene import Scene, build_scene
-from sylpose.results import FrameStatus, Trajectory
+from sylpose.results import Trajectory
 from sylpose.rig import Rig
+from sylpose.status import FrameStatus
 from sylpose.tracking.tracked_frame import TrackedFrame
-
-__all__ = ["LivePage", "ObjectPath", "ResultPlayer", "collect_frames", "render_standalone_page"]
 
 # Frame rate of images without times, and updates per second during playback (choice).
 DEFAULT_FRAME_RATE, UPDATE_RATE = 10.0, 25.0

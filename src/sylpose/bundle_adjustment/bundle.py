@@ -37,8 +37,8 @@ from sylpose.bundle_adjustment.camera_parameters import compute_depth_basis, def
 from sylpose.bundle_adjustment.kernels import DEPTH, TIME_OFFSET, SortedObservations
 from sylpose.bundle_adjustment.problem import LATERAL_SD_RADII, Fit, FitSummary, Problem, State
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
-from sylpose.results import Status
 from sylpose.rig import Rig
+from sylpose.status import Status
 
 # Weak prior of every pose: half a revolution and several radii around its start, which keeps unconstrained poses there
 # (choice).

@@ -27,7 +27,7 @@ from sylpose.bundle_adjustment.reduced_system import Solver, System, estimate_ca
 from sylpose.bundle_adjustment.schur import ReducedSystem, back_substitute, eliminate_landmarks
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.robust_loss import biquartic_losses, biquartic_noise_response, biquartic_weights, robust_sigma
-from sylpose.results import Status
+from sylpose.status import Status
 
 # Cutoff of the biquartic weights: nearly 1 up to two sigma, 0 beyond five (choice).
 CUTOFF_SIGMAS = 5.0

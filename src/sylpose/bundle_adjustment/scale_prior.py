@@ -32,8 +32,8 @@ from sylpose.bundle_adjustment.problem import CUTOFF_SIGMAS
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.robust_loss import biquartic_losses
 from sylpose.landmarks.support_size import compute_extent, estimate_size
-from sylpose.results import Status
 from sylpose.rig import Rig
+from sylpose.status import Status
 
 # A relative standard deviation of the length below this is sufficient (choice).
 MAX_SCALE_SD = 0.005

@@ -24,22 +24,6 @@ from typer.models import OptionInfo
 
 from sylpose.input_limits import MAX_SENTENCE_LENGTH, to_one_line
 
-__all__ = [
-    "ADVANCED",
-    "INPUT",
-    "LIVE",
-    "OBJECT",
-    "OUTPUT",
-    "CommandOptions",
-    "app",
-    "command",
-    "exit_with_failures",
-    "make_choice_check",
-    "option",
-    "pick",
-    "print_message",
-]
-
 T = TypeVar("T")
 OptionsT = TypeVar("OptionsT", bound="CommandOptions")
 

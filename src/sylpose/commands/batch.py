@@ -19,8 +19,6 @@ from sylpose.commands.options import (
     World,
 )
 
-__all__ = ["BatchOptions", "batch"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class BatchOptions(MethodOptions):

@@ -9,8 +9,6 @@ from typing import Annotated
 from sylpose.commands.app import INPUT, OUTPUT, command, option
 from sylpose.commands.options import FrameOffset, PageOptions, RecordingOptions
 
-__all__ = ["BoxOptions", "box"]
-
 # Seconds between two checks whether the boxes are saved (choice).
 POLL_INTERVAL = 0.2
 

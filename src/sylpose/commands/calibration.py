@@ -14,8 +14,6 @@ from sylpose.commands.app import INPUT, OUTPUT, app, command, option, print_mess
 from sylpose.commands.options import WorldOptions
 from sylpose.units import METERS
 
-__all__ = ["ConvertOptions", "convert"]
-
 # Same as in `calibration.formats`, repeated here to avoid importing it.
 OUTPUT_FORMATS = ("sylpose", "opencv", "opencv-stereo", "anipose", "kalibr", "colmap")
 

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from sylpose.commands.app import command
 from sylpose.commands.options import BoxesFile, FrameOffset, OutFolder, RecordingOptions, WorldOptions
 
-__all__ = ["CheckOptions", "check"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class CheckOptions(WorldOptions, RecordingOptions):

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from sylpose.comparison import Alignment, Comparison
     from sylpose.geometry.arrays import FloatArray
 
-__all__ = ["CompareOptions", "compare", "describe_mismatches"]
 
 # Same as in `comparison`, repeated here to avoid importing NumPy.
 ALIGNMENTS = ("first", "none", "se3", "sim3", "both")
@@ -75,6 +74,7 @@ def compare(options: CompareOptions) -> None:
 
     from sylpose.atomic_io import make_output_folder, replace_atomically
     from sylpose.comparison import compare_trajectories
+    from sylpose.display import format_length
     from sylpose.report.plots import plot_comparison
     from sylpose.runs import console_output
 
@@ -101,7 +101,7 @@ def compare(options: CompareOptions) -> None:
         values = ([errors[key][name] for name in PRINTED_STATISTICS] for key in ("rotation_deg", "position"))
         rotation, position = ([v if v > ROUNDING_ERROR else 0.0 for v in row] for row in values)
         rows.append([f"{label} rotation", *(f"{value:.3g}°" for value in rotation)])
-        rows.append([f"{label} position", *(console_output.format_length(value, unit) for value in position)])
+        rows.append([f"{label} position", *(format_length(value, unit) for value in position)])
     console_output.print_table(console, ("Error", *PRINTED_STATISTICS), rows)
     console_output.print_warnings(console, describe_mismatches(a, b, ours.unit, theirs.unit, align))
     folder = make_output_folder(options.out)

@@ -9,8 +9,6 @@ from typing import Annotated
 from sylpose.commands.app import CommandOptions, command, exit_with_failures, option
 from sylpose.commands.options import DisplayOptions, Seed
 
-__all__ = ["MAX_ERROR_DEG", "DemoOptions", "demo", "render_demo"]
-
 # Rotation error beyond which the demo counts as failed (choice: a hundred times the usual error, docs/benchmarks.md).
 MAX_ERROR_DEG = 2.0
 # The demo may replace the contents of a folder with this file.
@@ -51,6 +49,7 @@ def demo(options: DemoOptions) -> None:
 
     from sylpose.commands.track_display import track_in_terminal
     from sylpose.comparison import compare_trajectories
+    from sylpose.display import format_length
     from sylpose.io.capture import open_session
     from sylpose.report.files import read_tum
     from sylpose.runs import console_output
@@ -73,7 +72,7 @@ def demo(options: DemoOptions) -> None:
     console.print(
         Text.assemble(("Against ground truth", "bold"), f", motion since the first of {len(errors.times)} frames")
     )
-    lengths = [console_output.format_length(x, session.rig.unit) for x in (errors.position[-1], errors.position.max())]
+    lengths = [format_length(x, session.rig.unit) for x in (errors.position[-1], errors.position.max())]
     rows = [["rotation", f"{rotation[-1]:.2f}°", f"{rotation.max():.2f}°"], ["position", *lengths]]
     console_output.print_table(console, ("Error", "at the end", "worst"), rows)
     if missing or rotation.max() > MAX_ERROR_DEG:

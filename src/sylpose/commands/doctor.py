@@ -7,8 +7,6 @@ from typing import Annotated
 
 from sylpose.commands.app import CommandOptions, command, exit_with_failures, option
 
-__all__ = ["DoctorOptions", "doctor"]
-
 LABEL_WIDTH = 14
 
 

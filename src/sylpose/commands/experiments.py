@@ -9,8 +9,6 @@ from typing import Annotated
 from sylpose.commands.app import CommandOptions, command, option
 from sylpose.commands.options import Seed
 
-__all__ = ["ExperimentsOptions", "experiments"]
-
 # Prefix of all files written; other files of the folder are not touched.
 PREFIX = "paper_"
 INDEX = f"{PREFIX}index.md"

@@ -10,8 +10,6 @@ from sylpose.commands.app import INPUT, OUTPUT, CommandOptions, command, option
 from sylpose.commands.options import ResultPath, StopFrame
 from sylpose.io.exports.formats import EXPORT_FORMATS
 
-__all__ = ["ExportOptions", "export"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class ExportOptions(CommandOptions):

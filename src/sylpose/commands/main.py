@@ -16,8 +16,6 @@ from sylpose.commands.app import app
 from sylpose.commands import track, batch, check, box, sync, demo, show, view, report, experiments, export  # noqa: F401 # isort: skip
 from sylpose.commands import compare, node, network, pose, doctor, calibration, object  # noqa: F401 # isort: skip
 
-__all__ = ["app", "main"]
-
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code.

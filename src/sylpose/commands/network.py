@@ -14,8 +14,6 @@ from sylpose.commands.node import require_zenoh
 from sylpose.commands.options import Seed
 from sylpose.methods import MODES
 
-__all__ = ["DemoOptions", "InitOptions", "build_node_command", "init", "network_demo"]
-
 # Share of the frames after which a node is killed; seconds until it is restarted; seconds after which the nodes are
 # considered stuck (choice).
 KILL_FRAME_RATIO, DOWN_SECONDS, STALL_TIMEOUT = 0.35, 1.0, 180.0

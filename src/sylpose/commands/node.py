@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from sylpose.results import FramePose
     from sylpose.rig import Rig
 
-__all__ = ["NetworkOptions", "NodeOptions", "NodesOptions", "node", "nodes", "require_zenoh"]
 
 # Seconds between two status lines of a node (choice).
 REPORT_INTERVAL = 1.0

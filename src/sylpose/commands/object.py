@@ -15,7 +15,6 @@ from sylpose.units import INITIAL_DISTANCES, METERS
 if TYPE_CHECKING:
     from sylpose.tracking.known_object import KnownObject
 
-__all__ = ["ApplyOptions", "FrameOptions", "ScaleOptions", "ShowOptions", "apply", "frame", "scale", "show"]
 
 # Axes with a larger standard deviation, degrees, cause a warning (choice).
 MAX_AXIS_SD_DEG = 5.0
@@ -52,6 +51,7 @@ def show(options: ShowOptions) -> None:
     """
     import numpy as np
 
+    from sylpose.display import format_length
     from sylpose.io.object_files import load_object
     from sylpose.runs import console_output, object_frames
     from sylpose.runs.point_selection import MAX_DEPTH_SD_RATIO
@@ -63,7 +63,7 @@ def show(options: ShowOptions) -> None:
         sd = memory.landmarks.depth_sd
         precise = sd[sd < MAX_DEPTH_SD_RATIO * known.radius]
         views = sum(len(features) > 0 for features in memory.features)
-        median_sd = console_output.format_length(float(np.median(precise)), known.unit) if len(precise) else "-"
+        median_sd = format_length(float(np.median(precise)), known.unit) if len(precise) else "-"
         rows.append([name, str(len(sd)), str(len(precise)), median_sd, str(views)])
     console_output.print_table(console, ["camera", "landmarks", "precise", "their median sd", "in keyframes"], rows)
 

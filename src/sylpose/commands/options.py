@@ -19,29 +19,6 @@ if TYPE_CHECKING:
     from sylpose.io.capture.session import SessionBase
     from sylpose.runs.world import WorldSpec
 
-__all__ = [
-    "BoxesFile",
-    "CameraOptions",
-    "DisplayOptions",
-    "EulerAxes",
-    "FrameOffset",
-    "MethodOptions",
-    "OutFolder",
-    "Overlay",
-    "PageOptions",
-    "PlotFormat",
-    "RangeOptions",
-    "RecordingOptions",
-    "RefineCalibration",
-    "ResultPath",
-    "Seed",
-    "Smooth",
-    "StopFrame",
-    "Unit",
-    "World",
-    "WorldOptions",
-    "parse_video_option",
-]
 
 SessionT = TypeVar("SessionT", bound="SessionBase")
 

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from sylpose.runs.page import ThumbnailAlbum
     from sylpose.runs.run_result import Run
 
-__all__ = ["PoseOptions", "pose", "solve_poses"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class PoseOptions(RangeOptions, CameraOptions):

@@ -13,8 +13,6 @@ from sylpose.commands.app import CommandOptions, command
 if TYPE_CHECKING:
     from sylpose.report.scene import Thumbnails
 
-__all__ = ["ReportOptions", "report"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class ReportOptions(CommandOptions):

@@ -11,8 +11,6 @@ import typer
 from sylpose.commands.app import INPUT, LIVE, OUTPUT, command, option
 from sylpose.commands.options import PageOptions
 
-__all__ = ["ShowOptions", "show"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class ShowOptions(PageOptions):

@@ -13,7 +13,6 @@ from sylpose.commands.options import BoxesFile, RangeOptions, RecordingOptions, 
 if TYPE_CHECKING:
     from sylpose.sync.estimation import TimeOffsets
 
-__all__ = ["SyncOptions", "sync"]
 
 # Warnings about cameras whose offset has this precision (`OffsetPrecision`).
 _EXPLANATIONS = {

@@ -40,8 +40,6 @@ if TYPE_CHECKING:
     from sylpose.io.capture.live import LiveSession
     from sylpose.runs.options import RunOptions
 
-__all__ = ["TrackOptions", "track"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class TrackOptions(DisplayOptions, MethodOptions, WorldOptions, RangeOptions, RecordingOptions):

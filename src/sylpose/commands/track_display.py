@@ -31,7 +31,6 @@ from sylpose.tracking.tracked_frame import TrackedFrame
 if TYPE_CHECKING:
     from sylpose.browser.viewer import LivePage
 
-__all__ = ["open_pose_stream", "track_in_terminal"]
 
 STDOUT = "-"
 _UDP = re.compile(r"udp://(\[[0-9a-fA-F:.%\w]+\]|[^\[\]/:]+):(\d{1,5})")

@@ -11,8 +11,6 @@ import typer
 from sylpose.commands.app import INPUT, OUTPUT, CommandOptions, command, option
 from sylpose.commands.options import EulerAxes, PlotFormat, ResultPath
 
-__all__ = ["ViewOptions", "view"]
-
 Point = tuple[float, float, float]
 
 

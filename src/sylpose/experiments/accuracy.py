@@ -37,8 +37,6 @@ from sylpose.experiments.study import Levels, Study, compare, score_estimator, s
 from sylpose.experiments.table import ERROR_COLUMNS, Cell, Table
 from sylpose.simulate import arc, dome, ring
 
-__all__ = ["STUDIES"]
-
 ONE_CAMERA, ALL_CAMERAS, DEPTH_PLANE = "one camera, better mirror image", "all cameras", "all cameras, depth plane"
 ESTIMATORS = {ONE_CAMERA: estimate_one_camera, ALL_CAMERAS: estimate_centralized, DEPTH_PLANE: estimate_depth_plane}
 

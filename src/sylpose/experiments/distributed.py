@@ -27,9 +27,6 @@ from sylpose.simulate import arc
 from sylpose.sylvester.distributed.refine import RefineState, start_refine, step_refine
 from sylpose.sylvester.distributed.solvers import DistributedSolution, solve_exchange, solve_gossip, solve_refine
 
-__all__ = ["STUDIES"]
-
-
 # --- Schemes ----------------------------------------------------------------------------------------------------------
 
 SINGLE_CAMERA: dict[str, Estimator] = {

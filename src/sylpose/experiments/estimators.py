@@ -16,23 +16,6 @@ from sylpose.sylvester.depth_plane import solve_depth_plane
 from sylpose.sylvester.one_camera import OneCameraSolution, solve_one_camera, solve_unconstrained
 from sylpose.sylvester.orthographic import build_cost, compute_views
 
-__all__ = [
-    "Estimate",
-    "Estimator",
-    "angle_deg",
-    "detected_faults",
-    "error_deg",
-    "estimate_centralized",
-    "estimate_depth_plane",
-    "estimate_mean_of_single",
-    "estimate_one_camera",
-    "estimate_one_unconstrained",
-    "estimate_other_mirror",
-    "estimate_robust",
-    "estimate_unconstrained",
-    "estimate_without_faulty",
-]
-
 
 class Estimate(NamedTuple):
     """Result of an estimator.

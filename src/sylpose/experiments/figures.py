@@ -16,9 +16,6 @@ from sylpose.experiments.table import Cell, Table
 from sylpose.geometry.arrays import FloatArray
 from sylpose.report.plots import INK, create_figure, save_figure, style_panel
 
-__all__ = ["IDENTITY_ERROR", "Lines", "ReferenceCurve", "draw_bars"]
-
-
 # Okabe & Ito's colors for up to four methods, with distinct dashes and markers for printing in gray.
 STYLES = (
     ("#0072B2", "-", "o"),

@@ -18,22 +18,6 @@ from sylpose.moments import PairMoments
 from sylpose.rig import Rig, make_look_at_camera
 from sylpose.simulate import Body, box, cloud, ellipsoid, plane, random_motion, ring, simulate_matches
 
-__all__ = [
-    "BALANCED",
-    "BODIES",
-    "CLOUD",
-    "PRACTICE",
-    "STRETCHED",
-    "SURFACE",
-    "Problem",
-    "Scene",
-    "around_rig",
-    "balanced_cloud",
-    "right_angle_rig",
-    "simulate",
-]
-
-
 # Defaults of the studies: pixels, matches per camera, degrees, meters (choice: docs/paper.md).
 NOISE_PX, MATCHES, ANGLE_DEG, TRANSLATION = 0.5, 60, 5.0, 0.02
 # Points on a body's surface; each camera samples from its visible ones (choice).

@@ -14,8 +14,6 @@ from sylpose.experiments.figures import Lines, ReferenceCurve
 from sylpose.experiments.scenes import Problem, Scene
 from sylpose.experiments.table import ERROR_COLUMNS, Cell, Table, compute_error_cells
 
-__all__ = ["Levels", "Study", "compare", "score_estimator", "simulate_trials"]
-
 
 class Study(NamedTuple):
     """One of the paper's experiments.

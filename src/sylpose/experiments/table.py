@@ -12,8 +12,6 @@ from numpy.typing import ArrayLike
 
 from sylpose.geometry.arrays import FloatArray
 
-__all__ = ["ERROR_COLUMNS", "Cell", "Table", "compute_error_cells", "compute_quartiles"]
-
 Cell = str | int | float | None
 
 # Columns computed by `compute_error_cells` from the errors of all trials.

@@ -19,9 +19,6 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.moments import PairMoments
 from sylpose.sylvester.centralized import solve_centralized
 
-__all__ = ["STUDIES", "LineFit", "fit_line"]
-
-
 TIME_COLUMNS = ("repeats", "q25_ms", "median_ms", "q75_ms")
 TIME_AXIS = ("ms", "milliseconds")
 # Number of cameras from which the first dual is usually sufficient; fewer also need a search and the certificate by all

@@ -10,8 +10,6 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.geometry.arrays import FloatArray
 
-__all__ = ["PAN_TILT_ROLL", "EulerAngles", "parse_euler_angles"]
-
 # Cosine of the angle between consecutive axes that count as perpendicular (choice: the accuracy of three decimals).
 MAX_AXES_COSINE = 2e-3
 # Determinant of the axes, the middle angle's cosine or sine, below which the angles are in gimbal lock (choice).

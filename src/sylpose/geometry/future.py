@@ -8,8 +8,6 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache
 from typing import Any, Generic, TypeVar
 
-__all__ = ["BackgroundResult"]
-
 T = TypeVar("T")
 
 

@@ -28,17 +28,6 @@ import numpy as np
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 from numba.core.dispatcher import Dispatcher
 
-__all__ = [
-    "CACHE_DIR_VARIABLE",
-    "cache_folder",
-    "display_folder",
-    "enable_cache",
-    "find_cache_folders",
-    "is_cached",
-    "is_writable",
-    "mark_announced",
-]
-
 # Visible by default: one or two minutes without output would look like a hang.
 _log = logging.getLogger("sylpose")
 

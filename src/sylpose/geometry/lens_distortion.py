@@ -10,8 +10,6 @@ import numpy as np
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.numba_linalg import kernel
 
-__all__ = ["N_TERMS", "distort_point", "project_points"]
-
 # Coefficients, in OpenCV's order: k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4. Tilted sensors, with two more, are left to
 # OpenCV (derived).
 N_TERMS = 12

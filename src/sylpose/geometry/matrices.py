@@ -10,23 +10,6 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.numba_linalg import kernel, so3_log, symmetric_eigen
 
-__all__ = [
-    "essential_matrix",
-    "invert_information",
-    "kron",
-    "make_motion_about",
-    "pack_upper",
-    "propagate_covariance",
-    "relative_rotvec",
-    "remove_direction",
-    "rotation_matrix_of",
-    "rotation_to_z_axis",
-    "rotvec",
-    "sampson_scale",
-    "transpose",
-    "unpack_symmetric",
-]
-
 # Squared gradient of a residual y'Ex by its points below which there is no epipolar geometry (choice).
 MIN_SQUARED_GRADIENT = 1e-24
 

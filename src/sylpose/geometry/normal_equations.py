@@ -14,18 +14,6 @@ import numpy as np
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.numba_linalg import cholesky, leaf
 
-__all__ = [
-    "OBSERVABLE_ROTATION_SD",
-    "UNOBSERVABLE_RATIO",
-    "UNOBSERVABLE_ROTATION_SD",
-    "add_rotated",
-    "compute_image_row",
-    "eliminate_block",
-    "find_unobservable_directions",
-    "has_rotation_direction",
-    "rotate_rows",
-]
-
 # A rotation with a larger standard deviation, radians, is unobservable where there is no reference to compare with
 # (choice).
 UNOBSERVABLE_ROTATION_SD = 0.25

@@ -17,22 +17,6 @@ from numba.core.options import DefaultOptions
 from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.geometry.kernel_cache import enable_cache
 
-__all__ = [
-    "DistinctRows",
-    "apply_rotvec",
-    "cholesky",
-    "cholesky_solve",
-    "compute_median",
-    "compute_sum",
-    "find_distinct_rows",
-    "kernel",
-    "leaf",
-    "so3_exp",
-    "so3_log",
-    "solve_factored",
-    "symmetric_eigen",
-]
-
 # Maximum sweeps of Jacobi's method: five or six are enough (choice).
 MAX_SWEEPS = 30
 

@@ -19,28 +19,6 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.numba_linalg import kernel
 from sylpose.geometry.validation import check_number, check_real
 
-__all__ = [
-    "BIQUARTIC_BOUND",
-    "BISQUARE_BOUND",
-    "DEFAULT_NOISE_PX",
-    "MAX_NOISE_PX",
-    "MIN_NOISE_PX",
-    "SIGMA_OF_MEDIAN",
-    "NoisePx",
-    "NoiseResponse",
-    "NoiseUnits",
-    "biquartic",
-    "biquartic_loss",
-    "biquartic_losses",
-    "biquartic_noise_response",
-    "biquartic_weights",
-    "bisquare",
-    "bisquare_noise_response",
-    "chi_squared_bound",
-    "make_noise_units",
-    "robust_sigma",
-]
-
 # (C,) in the order of cameras, or by their names.
 NoisePx = ArrayLike | Mapping[str, float]
 # Default noise of keypoints, pixels (choice: SIFT has 0.3 to 0.7).

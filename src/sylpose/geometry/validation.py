@@ -15,26 +15,6 @@ from numpy.typing import ArrayLike
 
 from sylpose.geometry.arrays import BoolArray, FloatArray
 
-__all__ = [
-    "MAX_MAGNITUDE",
-    "are_rotations",
-    "check_bool",
-    "check_choice",
-    "check_finite",
-    "check_finite_rows",
-    "check_integer",
-    "check_list",
-    "check_number",
-    "check_real",
-    "check_rotation",
-    "check_rotations",
-    "check_rows",
-    "check_sequence",
-    "check_shape",
-    "check_type",
-    "format_value",
-]
-
 T = TypeVar("T")
 
 # Largest coordinate: its fourth power, and sums of very many, are in range (choice).

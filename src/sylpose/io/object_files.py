@@ -29,17 +29,6 @@ from sylpose.tracking.joint_side.keyframes import SolvedFrame
 from sylpose.tracking.known_object import MIN_KEYFRAMES, CameraLandmarks, KnownObject, ObjectFrame
 from sylpose.tracking.object_transfer import check_unit
 
-__all__ = [
-    "CLOUD_FILE",
-    "MAX_DRAWN_DEPTH_SD",
-    "OBJECT_FILE",
-    "load_known_objects",
-    "load_object",
-    "object_checksum",
-    "save_object",
-    "write_cloud",
-]
-
 OBJECT_FILE, CLOUD_FILE = "object.npz", "object.ply"
 FORMAT = "sylpose object 1"
 # Largest total size of the arrays in bytes, and largest length in the calibration's unit (choice).

@@ -16,8 +16,6 @@ from sylpose.input_limits import MAX_TABLE_BYTES, input_errors, read_text, to_on
 from sylpose.io.capture.names import match_names
 from sylpose.rig import MAX_FOCAL_PX
 
-__all__ = ["MIN_LIKELIHOOD", "ImagePoints", "load_image_points"]
-
 # Points with a lower likelihood are ignored (choice: DeepLabCut's default pcutoff).
 MIN_LIKELIHOOD = 0.6
 # Accepted names of the columns.

@@ -18,8 +18,6 @@ from sylpose.input_limits import input_errors, parse_toml, read_bytes, read_text
 from sylpose.rig import MAX_LENGTH
 from sylpose.units import METERS, parse_length
 
-__all__ = ["MarkerLayout", "PointModel", "load_points"]
-
 # Largest size of a file of points in bytes, and largest number of points, each of which is used in every frame
 # (choice).
 MAX_BYTES, MAX_POINTS = 1 << 26, 1_000_000

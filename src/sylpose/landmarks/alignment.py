@@ -48,24 +48,6 @@ from sylpose.landmarks.joint_step import (
 )
 from sylpose.landmarks.messages import EvaluationMessage
 
-__all__ = [
-    "FIRST_PX",
-    "AlignmentJob",
-    "AlignmentResult",
-    "AlignmentStart",
-    "LandmarkMatches",
-    "align",
-    "align_from_starts",
-    "evaluate_camera",
-    "make_camera_state",
-    "make_first_job",
-    "make_initial_state",
-    "make_result",
-    "select_hypothesis",
-    "stack_matches",
-    "subtract_uncertainty",
-]
-
 # A rotation (3, 3), a translation (3,), and the noise assumed in the first iteration, pixels: the pose should be
 # correct within a few times that.
 AlignmentStart = tuple[FloatArray, FloatArray, float]

@@ -14,18 +14,6 @@ from sylpose.geometry.normal_equations import add_rotated, compute_image_row, el
 from sylpose.geometry.numba_linalg import kernel
 from sylpose.geometry.robust_loss import SIGMA_OF_MEDIAN, bisquare
 
-__all__ = [
-    "CUTOFF",
-    "REFERENCE_NOISE_PX",
-    "CameraState",
-    "StackedMatches",
-    "compute_camera_terms",
-    "estimate_camera_noise",
-    "evaluate_pose",
-    "linearize_matches",
-    "update_depth_model",
-]
-
 # Cutoff of the bisquare weights, in standard deviations: 93 % efficient for Gaussian noise in both coordinates
 # (choice).
 CUTOFF = 4.7

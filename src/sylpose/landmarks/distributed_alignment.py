@@ -50,8 +50,6 @@ from sylpose.landmarks.joint_step import (
 )
 from sylpose.landmarks.messages import EvaluationMessage, Exchange, TermsMessage
 
-__all__ = ["DistributedAligner"]
-
 # Prior standard deviations of the start for a single camera: radians, and a fraction of its landmarks' distance from
 # the object's center (choice).
 PRIOR_ROTATION_SD, PRIOR_TRANSLATION_RATIO = 0.3, 0.3

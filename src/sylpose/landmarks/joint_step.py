@@ -12,8 +12,6 @@ import numpy as np
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.numba_linalg import apply_rotvec, cholesky, cholesky_solve, kernel, solve_factored
 
-__all__ = ["MAX_ITERATIONS", "AlignmentState", "is_noise_estimated", "take_joint_step"]
-
 # Iterations in which noise and variance inflation are updated; then they are constant, and the rest converges (choice).
 SETTLING_ITERATIONS = 5
 MAX_ITERATIONS = 40

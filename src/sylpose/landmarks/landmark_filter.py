@@ -22,15 +22,6 @@ from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.numba_linalg import cholesky_solve, kernel, symmetric_eigen
 from sylpose.rig import Camera
 
-__all__ = [
-    "LandmarkTable",
-    "Landmarks",
-    "add_observations",
-    "initialize_landmarks",
-    "predict_depths",
-    "update_landmarks",
-]
-
 # Image noise of a ray, pixels. It is larger than a keypoint's noise: the poses of the rays have errors as well, which
 # do not average out over the features of one frame (choice).
 RAY_SIGMA_PX = 2.0

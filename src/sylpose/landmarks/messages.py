@@ -11,8 +11,6 @@ import numpy as np
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.matrices import pack_upper, unpack_symmetric
 
-__all__ = ["DIAGONAL", "EvaluationMessage", "Exchange", "TermsMessage"]
-
 # Positions of the hessian's diagonal in its upper triangle, and its relative enlargement in
 # `TermsMessage.to_single_precision`: rounding to 24 bits changes less than a tenth of that (derived).
 DIAGONAL, DIAGONAL_MARGIN = [0, 6, 11, 15, 18, 20], 1e-6

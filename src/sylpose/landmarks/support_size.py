@@ -19,8 +19,6 @@ import numpy as np
 
 from sylpose.geometry.arrays import FloatArray
 
-__all__ = ["DIRECTIONS", "Extent", "compute_extent", "estimate_size"]
-
 # Directions in which extents are measured, uniformly over the sphere (choice).
 N_DIRECTIONS = 200
 # A direction faces a camera if the cosine between them is larger than this: features are rare on surfaces at grazing

@@ -19,8 +19,6 @@ from typing import NamedTuple, TypeAlias
 
 from sylpose.network.wire_format import MASK_BYTES, decode_cameras, encode_cameras
 
-__all__ = ["NO_EVIDENCE", "FaultEvidence", "ReceivedDigests", "encode_claim", "find_faulty_cameras", "judge_claims"]
-
 # Camera -> digest that it reports for each camera.
 ReceivedDigests: TypeAlias = Mapping[int, Mapping[int, bytes]]
 # Least number of receivers of a camera for a single dissenting receiver to be a suspect as well (derived).

@@ -37,19 +37,6 @@ from sylpose.tracking.reports import (
 )
 from sylpose.tracking.state_transfer import BufferedRecord, Handover
 
-__all__ = [
-    "ABSENT",
-    "FRAME_PENDING",
-    "MAX_PAYLOAD_BYTES",
-    "NO_FRAME",
-    "RECORDS",
-    "FrameAnnouncement",
-    "choose_frame",
-    "decode",
-    "encode",
-    "find_common_newcomers",
-]
-
 T = TypeVar("T")
 
 # Longer messages are rejected without decoding, bytes: the matches of an initial motion, 50,000 of them, are the

@@ -13,8 +13,6 @@ from sylpose.landmarks.messages import TermsMessage
 from sylpose.network.codec import decode, encode
 from sylpose.network.wire_format import DATA, HEADER, message_kind
 
-__all__ = ["FaultKind", "MessageFault", "make_message_fault", "make_payload_fault"]
-
 FaultKind = Literal[
     "two-faced", "whispering", "accusing", "stubborn", "false", "heavy", "bent", "nan", "junk", "flipped"
 ]

@@ -13,8 +13,6 @@ from typing import Any
 
 from sylpose.atomic_io import make_output_folder, replace_atomically
 
-__all__ = ["OBSERVER", "build_access_rules", "build_tls_settings", "make_keys"]
-
 # Validity of the keys, days (choice: the life of a rig).
 VALIDITY_DAYS = 3650
 # Name of the key for observers that only receive (choice).

@@ -32,20 +32,6 @@ from sylpose.network.wire_format import (
 )
 from sylpose.packets import Inbox, Packet
 
-__all__ = [
-    "ExchangeRequest",
-    "ExchangeResult",
-    "JoinRequest",
-    "JoinResult",
-    "Membership",
-    "Request",
-    "Response",
-    "add_inactivity",
-    "step_membership",
-    "submit_request",
-    "take_response",
-]
-
 # Ticks between presence messages; and number of missed ones after which a node counts as absent (choice).
 HELLO_INTERVAL, MAX_MISSED_HELLOS = 5, 3
 # Number of presence messages of a member, with no other message in between, after which it is excluded (choice).

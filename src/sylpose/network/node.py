@@ -33,8 +33,6 @@ from sylpose.tracking.state_transfer import Handover, check_handover
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import TrackerBase
 
-__all__ = ["CameraFrames", "Node", "Rollback", "track_by_node"]
-
 T = TypeVar("T")
 
 NO_CAMERAS: frozenset[int] = frozenset()

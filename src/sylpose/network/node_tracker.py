@@ -16,8 +16,6 @@ from sylpose.network.wire_format import HEADER
 from sylpose.rig import Rig
 from sylpose.tracking.tracked_frame import TrackedFrame
 
-__all__ = ["NodesTracker"]
-
 
 class NodesTracker:
     """Tracker with the interface of `tracking.tracker.Tracker` and one node per camera.

@@ -29,8 +29,6 @@ from sylpose.tracking.reports import (
     TrackingReport,
 )
 
-__all__ = ["find_implausibility"]
-
 # A Hessian is that of a sum of squares if it is positive semi-definite up to this share of its diagonal (derived:
 # rounding of 24 bits in the compact mode, after elimination of the depth model).
 RELATIVE_ROUNDING = 1e-5

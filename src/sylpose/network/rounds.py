@@ -50,8 +50,6 @@ from sylpose.network.wire_format import (
 )
 from sylpose.packets import Inbox, Packet
 
-__all__ = ["DEFAULT_TIMEOUTS", "RoundState", "Timeouts", "begin_next_round", "start_rounds", "step_round"]
-
 # Ticks between retransmissions or heartbeats; and number of these intervals between retransmissions of a welcome, which
 # is long (choice).
 RETRANSMIT_INTERVAL, WELCOME_INTERVALS = 2, 5

@@ -20,8 +20,6 @@ from sylpose.network.membership import (
 )
 from sylpose.packets import Packet
 
-__all__ = ["TICK_SECONDS", "NodeRunner", "WorkerThread"]
-
 # Duration of a tick, seconds; timeouts are counted in ticks (choice).
 TICK_SECONDS = 0.02
 # Ticks for which a finished node still answers nodes that missed its last message (choice: as long as they wait).

@@ -32,8 +32,6 @@ from sylpose.rig import Rig
 from sylpose.smoothing import SmoothedTrajectory
 from sylpose.tracking.tracked_frame import TrackedFrame
 
-__all__ = ["SimulationResult", "track_by_nodes"]
-
 # Steps for which a finished node still answers nodes that missed its last message (derived: longer than they wait).
 LINGER_STEPS = 2 * DEFAULT_TIMEOUTS.inactive
 # Frames kept if all nodes are at the same one (derived: that and the next).

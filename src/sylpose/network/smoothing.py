@@ -19,8 +19,6 @@ from sylpose.tracking.camera_side.observations import LandmarkObservations
 from sylpose.tracking.reports import CameraObservations, quantize_positions
 from sylpose.tracking.tracked_frame import TrackedFrame
 
-__all__ = ["smooth_by_node"]
-
 # Frames per message (choice: of 4 MB at most, with 4,000 observations in each).
 FRAMES_PER_MESSAGE = 200
 

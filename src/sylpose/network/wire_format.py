@@ -16,37 +16,6 @@ from typing import NamedTuple
 
 from sylpose.network.codec import MAX_PAYLOAD_BYTES
 
-__all__ = [
-    "DATA",
-    "DISPUTE",
-    "EXCLUSION",
-    "HEADER",
-    "HEARTBEAT",
-    "HELLO",
-    "MASK_BYTES",
-    "MAX_CAMERAS",
-    "MAX_MESSAGE_BYTES",
-    "RELAY",
-    "ROUND_END",
-    "WELCOME",
-    "Hello",
-    "RoundMessage",
-    "Welcome",
-    "compute_join_epoch",
-    "compute_next_epoch",
-    "decode_cameras",
-    "decode_hello",
-    "decode_message",
-    "decode_welcome",
-    "digest",
-    "encode_cameras",
-    "encode_hello",
-    "encode_message",
-    "encode_relay",
-    "encode_welcome",
-    "message_kind",
-]
-
 
 class Header:
     """Message header: kind and sender in two bytes, the low 16 bits of the round number in two, the epoch in eight."""

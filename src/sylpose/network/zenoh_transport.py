@@ -24,16 +24,6 @@ from sylpose.network.wire_format import HELLO, MAX_MESSAGE_BYTES, WELCOME, messa
 from sylpose.packets import Packet
 from sylpose.rig import Rig
 
-__all__ = [
-    "LOOPBACK",
-    "LinkSettings",
-    "NodeAddress",
-    "ZenohTransport",
-    "compute_rig_digest",
-    "decode_line",
-    "watch_network",
-]
-
 # Version of the protocol (choice).
 PROTOCOL_VERSION = 1
 LOOPBACK = "127.0.0.1:0"  # this machine only, at any port (choice)

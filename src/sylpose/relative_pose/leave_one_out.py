@@ -38,7 +38,7 @@ from sylpose.relative_pose.diagnostics import (
 from sylpose.relative_pose.irls import SIGMA_FLOOR_PX
 from sylpose.relative_pose.solver import FAR_MOTION_PX
 from sylpose.relative_pose.terms import Fit, Solution, TermData, TermSolver, locate_object
-from sylpose.results import Status
+from sylpose.status import Status
 from sylpose.sylvester.camera_faults import find_faulty_cameras
 
 # Maximum number of removed cameras, and of cameras tried per round: rejected ones first, then the most inconsistent

@@ -37,10 +37,9 @@ from sylpose.relative_pose.terms import (
     locate_object,
     make_failed_fit,
 )
-from sylpose.results import Motion, Status
+from sylpose.results import Motion
 from sylpose.rig import Rig, check_single_pose
-
-__all__ = ["estimate_motion", "estimate_motions"]
+from sylpose.status import Status
 
 
 def estimate_motion(

@@ -14,7 +14,7 @@ from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.relative_pose.irls import CUTOFF, IrlsFit
 from sylpose.relative_pose.match_cost import Tolerance, compute_match_errors
 from sylpose.relative_pose.terms import Fit, Stack
-from sylpose.results import Status
+from sylpose.status import Status
 
 # Least increase of the cost without any motion (six unknowns) or without rotation (three); below it the motion or
 # rotation may be zero (chi-squared, once in a thousand times).

@@ -19,7 +19,7 @@ from sylpose.matches import STATIC_PX
 from sylpose.relative_pose.leave_one_out import solve_subset
 from sylpose.relative_pose.solver import fit_two_motions
 from sylpose.relative_pose.terms import MIN_MATCHES, Solution, TermData, TermSolver
-from sylpose.results import Status
+from sylpose.status import Status
 
 # Outliers are examined if they are more than this share of the inliers, in at least two cameras; a second body has more
 # than the second share (choice).

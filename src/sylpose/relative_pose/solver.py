@@ -62,9 +62,7 @@ from sylpose.relative_pose.terms import (
     stack_initial_motions,
     stack_terms,
 )
-from sylpose.results import Status
-
-__all__ = ["fit_terms", "fit_two_motions", "warm_up", "warm_up_diagnostics", "warm_up_irls", "warm_up_search"]
+from sylpose.status import Status
 
 Hypothesis = tuple[FloatArray, FloatArray]
 # The information of a fit, and the same without the prior on the depth models: (6, 6) each.

@@ -17,7 +17,8 @@ import numpy as np
 from sylpose.geometry.arrays import FloatArray
 from sylpose.moments import PairMoments
 from sylpose.relative_pose.terms import Fit, TermData
-from sylpose.results import RotationEstimate, Status
+from sylpose.results import RotationEstimate
+from sylpose.status import Status
 from sylpose.sylvester.camera_faults import diagnose_cameras
 from sylpose.sylvester.centralized import solve_centralized
 from sylpose.sylvester.depth_plane import solve_depth_plane

@@ -26,7 +26,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.numba_linalg import apply_rotvec, compute_median, kernel, leaf, symmetric_eigen
-from sylpose.results import Status
+from sylpose.status import Status
 
 # Eight matches over all cameras leave two more equations than unknowns; fewer give no redundancy (choice).
 MIN_MATCHES = 8

@@ -14,14 +14,6 @@ import numpy as np
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.results import Trajectory
 
-__all__ = [
-    "Disagreement",
-    "describe_camera_problems",
-    "find_contradictions",
-    "find_disagreements",
-    "find_noisy_cameras",
-]
-
 # A camera counts as inflated in a frame if its variance inflation exceeds this value and this multiple of the other
 # cameras' median. Of two or three cameras that contradict each other, the faulty one cannot be identified (measured:
 # docs/history/benchmarks.md, "A bumped camera").

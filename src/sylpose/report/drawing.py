@@ -15,29 +15,6 @@ from sylpose.atomic_io import replace_atomically
 from sylpose.geometry.arrays import FloatArray, Image, IntArray
 from sylpose.rig import Camera, Rig
 
-__all__ = [
-    "AXIS_COLORS",
-    "DARK",
-    "GRAY",
-    "WHITE",
-    "UndistortionMap",
-    "build_undistortion_map",
-    "draw_axes",
-    "draw_crosses",
-    "draw_dots",
-    "draw_matches",
-    "draw_polyline",
-    "draw_regions",
-    "draw_text",
-    "draw_world_axes",
-    "encode_jpeg",
-    "encode_thumbnail",
-    "project_points",
-    "shrink_image",
-    "stroke_width",
-    "to_bgr",
-]
-
 Color = tuple[int, int, int]
 Matches = tuple[FloatArray, FloatArray]
 

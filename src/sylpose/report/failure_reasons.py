@@ -8,8 +8,6 @@ from collections.abc import Sequence
 
 from sylpose.results import Trajectory
 
-__all__ = ["explain_missing_poses", "group_sentences"]
-
 # Maximum number of sentences that explain a missing pose.
 MAX_REASONS = 8
 # A standalone number, not part of a name.

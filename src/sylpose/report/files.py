@@ -23,25 +23,8 @@ from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.geometry.euler_angles import EulerAngles
 from sylpose.geometry.validation import check_type
 from sylpose.input_limits import MAX_TABLE_BYTES, input_errors, read_text
-from sylpose.results import FramePose, FrameStatus, Observability, Trajectory
-
-__all__ = [
-    "CAMERA_COLUMNS",
-    "COLUMNS",
-    "PAGE_FILE",
-    "POSE_COLUMNS",
-    "SD_COLUMNS",
-    "TrajectoryWriter",
-    "WriterState",
-    "align_quaternion_sign",
-    "build_columns",
-    "format_pose_line",
-    "read_trajectory",
-    "read_tum",
-    "to_dataframe",
-    "write_trajectory",
-    "write_tum",
-]
+from sylpose.results import FramePose, Trajectory
+from sylpose.status import FrameStatus, Observability
 
 PAGE_FILE = "report.html"
 

@@ -32,10 +32,9 @@ from sylpose.report.drawing import (
     stroke_width,
     to_bgr,
 )
-from sylpose.results import FramePose, FrameStatus, Observability
+from sylpose.results import FramePose
 from sylpose.rig import Camera, Rig
-
-__all__ = ["OverlayObject", "OverlayWriter", "object_color"]
+from sylpose.status import FrameStatus, Observability
 
 Color = tuple[int, int, int]
 Matches = tuple[FloatArray, FloatArray]

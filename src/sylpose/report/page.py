@@ -42,19 +42,9 @@ from sylpose.report.plots import (
     summarize_trajectory,
 )
 from sylpose.report.scene import IMAGE_GRID, Scene, Thumbnails
-from sylpose.results import FramePose, FrameStatus, Observability, Trajectory
+from sylpose.results import FramePose, Trajectory
 from sylpose.rig import Camera, Rig
-
-__all__ = [
-    "MAX_BYTES",
-    "PageHeader",
-    "build_page_data",
-    "build_page_images",
-    "read_stills",
-    "render_page",
-    "select_frames",
-    "write_page",
-]
+from sylpose.status import FrameStatus, Observability
 
 # The page stays below this size, so that it can be mailed (choice). Limits within it: bytes of the encoded images, and
 # number of values of all frames (base64 adds half as many bytes again).

@@ -25,27 +25,8 @@ from sylpose.geometry.euler_angles import PAN_TILT_ROLL, EulerAngles
 from sylpose.geometry.validation import check_type
 from sylpose.report.camera_consistency import describe_camera_problems, find_disagreements
 from sylpose.report.failure_reasons import explain_missing_poses
-from sylpose.results import FrameStatus, Observability, Trajectory
-
-__all__ = [
-    "X_COLOR",
-    "Y_COLOR",
-    "Z_COLOR",
-    "NodeResult",
-    "angle_labels",
-    "camera_colors",
-    "choose_length_unit",
-    "compute_frame_angles",
-    "create_figure",
-    "draw_trajectory_figure",
-    "plot_comparison",
-    "plot_nodes",
-    "plot_trajectory",
-    "save_figure",
-    "save_trajectory_plot",
-    "style_panel",
-    "summarize_trajectory",
-]
+from sylpose.results import Trajectory
+from sylpose.status import FrameStatus, Observability
 
 # Okabe & Ito's colors, distinguishable for the color-blind. An axis has the same color in both upper panels: tilt
 # rotates about x, pan about y, roll about z.

@@ -19,9 +19,6 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.report.plots import INK, camera_colors, create_figure, save_figure
 from sylpose.rig import Camera, Rig, intersect_rays
 
-__all__ = ["CameraView", "compute_view_axes", "describe_rig", "find_axes_intersection", "plot_rig"]
-
-
 # Optical axes closer to parallel than this have no useful intersection (choice).
 MIN_AXIS_ANGLE = np.radians(2)
 OBJECT_COLOR = "#D55E00"

@@ -16,8 +16,6 @@ from sylpose.report.rigview import compute_view_axes, find_axes_intersection
 from sylpose.results import Trajectory
 from sylpose.rig import Camera, Rig
 
-__all__ = ["IMAGE_GRID", "PointCloud", "Scene", "Thumbnails", "build_scene"]
-
 # Frustum depth, and axis length for an object of unknown size, relative to the cameras' distance from the object
 # (choice).
 FRUSTUM_DEPTH_RATIO, DEFAULT_AXIS_RATIO = 0.16, 0.05

@@ -17,8 +17,6 @@ from sylpose.results import Trajectory
 from sylpose.rig import Camera, Rig
 from sylpose.tracking.joint_side.joint_state import Nudge
 
-__all__ = ["REFINED", "REFINED_END", "compute_final_rig", "describe_changes", "find_moved_cameras", "write_refined"]
-
 # Files of the refined calibration: cameras as they stood at the start and at the end of the recording.
 REFINED, REFINED_END = "calibration.refined.toml", "calibration.refined.end.toml"
 # Changes below this many standard deviations are not significant (choice: one in some hundred).

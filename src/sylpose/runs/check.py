@@ -16,30 +16,13 @@ from sylpose.io.calibration import format_name
 from sylpose.io.capture import Session
 from sylpose.io.capture.live import LiveSession
 from sylpose.report.rigview import describe_rig, find_axes_intersection
-from sylpose.results import FrameStatus
 from sylpose.rig import Camera, Rig
 from sylpose.runs.console_output import select_solved_frames
 from sylpose.runs.run_result import Run
+from sylpose.status import FrameStatus
 from sylpose.tracking.joint_side.object_model import carve_box_volume
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import Tracker
-
-__all__ = [
-    "ObjectLocation",
-    "boxes_hint",
-    "check_rig_geometry",
-    "check_session",
-    "collect_facts",
-    "describe_axis_miss",
-    "explain_failures",
-    "find_session_warnings",
-    "find_tracking_target",
-    "list_errors",
-    "list_warnings",
-    "locate_object",
-    "preview_moving_object",
-]
-
 
 # Timestamps of one frame set that deviate more from their mean, frames, cause a warning (choice: cameras without a
 # common trigger reach one frame in either direction).

@@ -29,15 +29,6 @@ from sylpose.rig import Rig
 from sylpose.runs.checkpoint_schema import SERIALIZER, RunState
 from sylpose.runs.run_result import StageTimer
 
-__all__ = [
-    "CHECKPOINT",
-    "CheckpointWriter",
-    "FrameFile",
-    "compute_fingerprint",
-    "load_checkpoint",
-    "save_checkpoint",
-]
-
 CHECKPOINT = "checkpoint.bin"
 FORMAT = b"sylpose checkpoint 3\n"
 DIGEST_SIZE = hashlib.blake2b().digest_size

@@ -29,8 +29,6 @@ from sylpose.tracking.joint_side.joint_state import PendingRefinement
 from sylpose.tracking.state_transfer import TrackerSnapshot
 from sylpose.tracking.window import bundle_frames
 
-__all__ = ["SERIALIZER", "OutputState", "RunState"]
-
 
 @dataclass(frozen=True, eq=False)
 class OutputState:

@@ -18,7 +18,8 @@ from rich.text import Text
 from sylpose.display import format_length
 from sylpose.input_limits import MAX_SENTENCE_LENGTH, to_one_line
 from sylpose.report.camera_consistency import describe_camera_problems
-from sylpose.results import FramePose, FrameStatus, Observability, Trajectory
+from sylpose.results import FramePose, Trajectory
+from sylpose.status import FrameStatus, Observability
 from sylpose.units import INITIAL_DISTANCES
 
 if TYPE_CHECKING:  # loading these takes a second
@@ -27,22 +28,6 @@ if TYPE_CHECKING:  # loading these takes a second
     from sylpose.report.rigview import CameraView
     from sylpose.runs.run_result import Run
 
-__all__ = [
-    "RIG_HEADER",
-    "build_camera_rows",
-    "build_rig_rows",
-    "format_frame_line",
-    "format_headline",
-    "format_length",
-    "make_console",
-    "print_facts",
-    "print_files",
-    "print_summary",
-    "print_table",
-    "print_to_stderr",
-    "print_warnings",
-    "select_solved_frames",
-]
 
 MAX_WARNINGS = 12
 MAX_FAILED_RANGES = 4  # ranges of failed frames whose reason is printed

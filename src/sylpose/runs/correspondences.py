@@ -20,8 +20,6 @@ from sylpose.rig import Camera, Rig
 from sylpose.runs import console_output
 from sylpose.runs.page import ThumbnailAlbum
 
-__all__ = ["FrameCorrespondences", "detect_in_recording", "find_markers", "find_points", "read_tables"]
-
 # Number of unmatched names that a message lists (choice).
 MAX_LISTED_NAMES = 5
 

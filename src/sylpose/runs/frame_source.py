@@ -21,8 +21,6 @@ from sylpose.io.capture.streams import Device, open_device
 from sylpose.network.codec import FRAME_PENDING, NO_FRAME
 from sylpose.rig import Camera
 
-__all__ = ["LiveSource", "RecordedSource", "open_node_source"]
-
 # Frames of a live camera that are kept until all nodes agree on the next one; seconds to wait for a frame (choice).
 MAX_KEPT_FRAMES, MAX_WAIT = 16, 0.3
 # Frames per second of a recording without a frame rate (choice: then its times are frame numbers).

@@ -23,8 +23,6 @@ import sylpose
 from sylpose.geometry.kernel_cache import CACHE_DIR_VARIABLE, display_folder, is_writable
 from sylpose.runs.system_resources import available_cores, available_memory
 
-__all__ = ["Diagnosis", "diagnose"]
-
 # Module names of distributions whose module is named differently.
 MODULE_NAMES = {"opencv-python-headless": "cv2", "pillow": "PIL", "pyyaml": "yaml", "eclipse-zenoh": "zenoh"}
 # All of these install the module cv2 into the same folder.

@@ -27,7 +27,7 @@ from sylpose.display import format_length
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.io.capture import Session, open_session
-from sylpose.results import FramePose, Status
+from sylpose.results import FramePose
 from sylpose.runs.point_selection import (
     MAX_DEPTH_SD_RATIO,
     ObjectRun,
@@ -36,24 +36,10 @@ from sylpose.runs.point_selection import (
     precise_landmarks,
     read_object_run,
 )
+from sylpose.status import Status
 from sylpose.sync.offsets import apply_offsets, find_offsets
 from sylpose.tracking.known_object import KnownObject
 from sylpose.units import INITIAL_DISTANCES
-
-__all__ = [
-    "LARGEST",
-    "NewFrame",
-    "PointParser",
-    "change_object_frame",
-    "describe_object",
-    "estimate_board_frame",
-    "format_frame_sd",
-    "frame_from_extent",
-    "frame_from_plane",
-    "frame_from_points",
-    "measure_distance",
-    "move_frame",
-]
 
 LARGEST = "largest"
 # Landmarks within this share of the object's radius from a picked point belong to its plane (choice).

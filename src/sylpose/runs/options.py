@@ -11,8 +11,6 @@ from sylpose.methods import FEATURES, METHODS, MODES, resolve_features
 from sylpose.report import PICTURE_FORMATS
 from sylpose.tracking.known_object import KnownObject
 
-__all__ = ["CHECKPOINT_SECONDS", "RunOptions"]
-
 # Seconds between two checkpoints (choice: acceptable loss of work).
 CHECKPOINT_SECONDS = 20.0
 

@@ -13,7 +13,7 @@ from sylpose.geometry.euler_angles import PAN_TILT_ROLL, parse_euler_angles
 from sylpose.input_limits import MAX_TABLE_BYTES
 from sylpose.io.object_files import CLOUD_FILE, OBJECT_FILE, save_object, write_cloud
 from sylpose.report.files import PAGE_FILE, TrajectoryWriter, write_trajectory
-from sylpose.results import FramePose, Status, Trajectory
+from sylpose.results import FramePose, Trajectory
 from sylpose.rig import Rig
 from sylpose.runs.calibration_refinement import describe_changes, find_moved_cameras, write_refined
 from sylpose.runs.checkpoint import FrameFile
@@ -22,11 +22,10 @@ from sylpose.runs.options import RunOptions
 from sylpose.runs.page import ThumbnailAlbum
 from sylpose.runs.run_result import StageTimer
 from sylpose.smoothing import Track, make_keyframe_tracks, smooth
+from sylpose.status import Status
 from sylpose.tracking.known_object import KnownObject
 from sylpose.tracking.object_transfer import TransferredObject
 from sylpose.tracking.tracked_frame import TrackedFrame
-
-__all__ = ["MAX_SMOOTHED_FRAMES", "RESULT", "SUFFIXES", "TRACKED", "TRACKS", "ObjectOutput", "Overlay"]
 
 # Largest number of frames that are refined jointly: they take some 30 kB each, all at once in memory.
 MAX_SMOOTHED_FRAMES = 10_000

@@ -28,16 +28,6 @@ from sylpose.runs.run_metadata import SETTINGS, find_run_folder, read_settings, 
 from sylpose.runs.view import find_calibration, read_result
 from sylpose.tracking.known_object import KnownObject
 
-__all__ = [
-    "MIN_THUMBNAILS",
-    "ThumbnailAlbum",
-    "make_cloud",
-    "read_scene",
-    "read_scenes",
-    "thumbnail_step",
-    "write_report_page",
-]
-
 # Packages of settings.toml whose versions the page's header shows.
 _SHOWN_PACKAGES = {"numpy": "NumPy", "opencv": "OpenCV"}
 # Smallest number of frames that are kept, if the run has as many; at most twice as many (choice: one per second or two

@@ -19,8 +19,6 @@ from sylpose.rig import Camera, Rig, intersect_rays
 from sylpose.runs.view import find_calibration, read_result
 from sylpose.tracking.known_object import KnownObject
 
-__all__ = ["MAX_DEPTH_SD_RATIO", "ObjectRun", "PickedPoint", "parse_point", "precise_landmarks", "read_object_run"]
-
 # Landmarks whose depth sd is below this share of the object's radius are precise (choice).
 MAX_DEPTH_SD_RATIO = 0.1
 # Standard deviation of a clicked pixel (choice).

@@ -32,8 +32,6 @@ from sylpose.runs.console_output import make_console
 from sylpose.runs.system_resources import available_cores
 from sylpose.simulate import ring
 
-__all__ = ["PARTS", "TOTAL_SECONDS", "compile_all", "compile_with_progress", "find_kernel_cache", "is_compiled"]
-
 
 def compile_klt() -> None:
     """Compile KLT tracking from image to image."""

@@ -11,11 +11,9 @@ from typing import Any
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
 
-from sylpose.results import FrameStatus
 from sylpose.runs.console_output import make_console, print_to_stderr
+from sylpose.status import FrameStatus
 from sylpose.tracking.tracked_frame import TrackedFrame
-
-__all__ = ["Progress", "ProgressCallback", "TrackingProgress", "show_progress"]
 
 # Called with the number of tracked frames and the total, or None if it is unknown.
 ProgressCallback = Callable[[int, int | None], None]

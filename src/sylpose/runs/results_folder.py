@@ -24,8 +24,6 @@ from sylpose.runs.checkpoint import CHECKPOINT
 from sylpose.runs.outputs import RESULT, SUFFIXES, TRACKED, TRACKS
 from sylpose.runs.run_metadata import SETTINGS, USED_CALIBRATION, WORLD
 
-__all__ = ["EARLIER", "ResultsFolder", "check_output_folder", "lock_folder"]
-
 LOCK_FILE = ".lock"
 # Subfolders with the earlier results: kept, while being moved there or back, and while being removed.
 EARLIER, EARLIER_MOVING, EARLIER_REMOVED = "earlier_results", ".earlier_results.moving", ".earlier_results.removed"

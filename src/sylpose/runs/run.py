@@ -33,8 +33,6 @@ from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import Tracker
 from sylpose.units import INITIAL_DISTANCES
 
-__all__ = ["has_finished", "name_known_objects", "output_path", "result_units", "track_session"]
-
 # Frame rate of the overlay if the recording has none, frames per second.
 DEFAULT_OVERLAY_RATE = 2.0
 

@@ -26,20 +26,6 @@ from sylpose.rig import Rig
 from sylpose.runs.checkpoint import compute_fingerprint, compute_rig_checksum
 from sylpose.sync.offsets import apply_offsets
 
-__all__ = [
-    "SETTINGS",
-    "USED_CALIBRATION",
-    "WORLD",
-    "file_checksum",
-    "find_run_folder",
-    "open_source_recording",
-    "read_settings",
-    "read_world_definition",
-    "settings_table",
-    "write_run_metadata",
-    "write_table_run_metadata",
-]
-
 SETTINGS, USED_CALIBRATION, WORLD = "settings.toml", "calibration.used.toml", "world.toml"
 # Packages whose versions may change results by rounding; OpenCV in any of its variants.
 _OPENCV = ("opencv-python-headless", "opencv-python", "opencv-contrib-python-headless", "opencv-contrib-python")

@@ -11,8 +11,6 @@ from typing import TypeVar
 
 from sylpose.results import Trajectory
 
-__all__ = ["Run", "StageTimer"]
-
 T = TypeVar("T")
 
 

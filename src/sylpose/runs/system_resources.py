@@ -5,8 +5,6 @@ from __future__ import annotations
 import os
 from contextlib import suppress
 
-__all__ = ["available_cores", "available_memory"]
-
 
 def available_cores() -> int:
     """Return the number of cores that this process may use; SLURM and containers may limit them."""

@@ -21,8 +21,6 @@ from sylpose.runs.run_metadata import USED_CALIBRATION, WORLD
 from sylpose.units import METERS
 from sylpose.view import trajectory_view
 
-__all__ = ["find_calibration", "load_camera", "make_virtual_camera", "read_result", "write_view"]
-
 # Intrinsics of virtual cameras; a trajectory in the camera's frame does not depend on them.
 VIRTUAL_FOCAL, VIRTUAL_SIZE = 1000.0, (1280, 960)
 

@@ -23,17 +23,9 @@ from sylpose.io.capture.images import read_image
 from sylpose.io.capture.names import IMAGE_SUFFIXES, match_names
 from sylpose.io.capture.session import SessionBase
 from sylpose.io.capture.sources import NON_CAMERA_NAMES, VIDEO_SUFFIXES, open_source
-from sylpose.results import Status
 from sylpose.rig import Rig
+from sylpose.status import Status
 from sylpose.units import METERS
-
-__all__ = [
-    "WorldSpec",
-    "apply_world_and_unit",
-    "is_world_text",
-    "resolve_session_world",
-    "resolve_world",
-]
 
 # Largest log ratio of a board's measured to its given size (choice: a printer's scaling is less).
 MAX_LOG_SIZE_RATIO = 0.05

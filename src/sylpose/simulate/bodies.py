@@ -13,8 +13,6 @@ from sylpose.geometry.validation import check_bool, check_finite, check_integer
 # Maximum number of points of a body, and its longest and inverse shortest side (choice).
 MAX_POINTS, MAX_SIDE_LENGTH = 10**7, 1e9
 
-__all__ = ["Body", "box", "cloud", "ellipsoid", "plane"]
-
 
 @dataclass(frozen=True, eq=False)
 class Body:

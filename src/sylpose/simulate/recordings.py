@@ -22,23 +22,6 @@ from sylpose.simulate.render import Actor, Scene, chamfered_box, render_frames
 from sylpose.simulate.render import Path as Motion
 from sylpose.simulate.rigs import arc
 
-__all__ = [
-    "FRAME_RATE",
-    "DemoTruth",
-    "Recording",
-    "compute_demo_truth",
-    "compute_visible_shares",
-    "create_session_folder",
-    "make_demo_scene",
-    "object_suffixes",
-    "render_sequence",
-    "write_boxes",
-    "write_ground_truth",
-    "write_recording",
-    "write_sequence",
-    "write_videos",
-]
-
 FRAME_RATE = 30
 
 Box = tuple[int, int, int, int]

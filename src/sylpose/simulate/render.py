@@ -22,8 +22,6 @@ from sylpose.geometry.arrays import FloatArray, FloatImage, Image, IntArray
 from sylpose.rig import Camera, Rig
 from sylpose.simulate.textures import FACE_HUES, make_face_texture, make_room_image
 
-__all__ = ["Actor", "Scene", "TexturedBody", "chamfered_box", "render_frames"]
-
 Path = Callable[[float], RigidTransform]
 
 # Second map argument of `cv2.remap` if the first contains both coordinates.

@@ -14,8 +14,6 @@ from sylpose.rig import MAX_LENGTH, Rig, make_look_at_camera
 
 MAX_CAMERAS = 10_000  # maximum number of cameras of a rig (choice)
 
-__all__ = ["arc", "dome", "ring"]
-
 
 def ring(
     n: int,

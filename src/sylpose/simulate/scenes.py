@@ -27,8 +27,6 @@ from sylpose.matches import Matches
 from sylpose.rig import MAX_FOCAL_PX, MAX_LENGTH, Camera, Rig, check_single_pose
 from sylpose.simulate.bodies import Body
 
-__all__ = ["OutlierKind", "SimulatedPair", "random_motion", "simulate_matches"]
-
 OutlierKind = Literal["uniform", "static", "second_motion"]
 T = TypeVar("T")
 

@@ -9,9 +9,6 @@ import numpy as np
 
 from sylpose.geometry.arrays import FloatArray, FloatImage, Image
 
-__all__ = ["make_face_texture", "make_room_image"]
-
-
 # Hues of OpenCV's HSV (0 to 179): alternately warm and cold colors, so that neighboring faces differ.
 FACE_HUES = (12, 105, 24, 88, 172, 120, 5, 98, 18, 80, 160, 112)
 LETTERS = "ABCDEFGHJKLMNPQRSTUVWXYZ23456789&%#?"

@@ -33,17 +33,6 @@ from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.matrices import transpose
 from sylpose.sylvester.orthographic import ROUNDING_SHARE, Views
 
-__all__ = [
-    "FAULT_SCORE",
-    "AffineFits",
-    "Scores",
-    "compute_scores",
-    "find_consensus_rotation",
-    "fit_affine_maps",
-    "refine_consensus",
-]
-
-
 # Prior standard deviations of a camera's view: slopes of the depth plane (choice), change of scale (choice: an approach
 # by 5 % is fast), and deviations from an affine map, constant and per radian of rotation (measured:
 # docs/history/benchmarks.md#bad-sensors, no good camera named).

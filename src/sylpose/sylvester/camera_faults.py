@@ -23,7 +23,8 @@ from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.matrices import transpose
 from sylpose.geometry.validation import check_integer, check_list, check_rotation, check_sequence
 from sylpose.moments import PairMoments
-from sylpose.results import RotationEstimate, Status
+from sylpose.results import RotationEstimate
+from sylpose.status import Status
 from sylpose.sylvester.affine_consensus import (
     FAULT_SCORE,
     NON_AFFINE_SD,
@@ -36,18 +37,6 @@ from sylpose.sylvester.affine_consensus import (
 )
 from sylpose.sylvester.centralized import CentralizedSolution, solve_centralized
 from sylpose.sylvester.orthographic import compute_views
-
-__all__ = [
-    "Diagnosis",
-    "Fault",
-    "FaultKind",
-    "RobustSolution",
-    "diagnose_cameras",
-    "find_faulty_cameras",
-    "find_static_views",
-    "max_fault_score",
-    "solve_robust",
-]
 
 FaultKind = Literal["calibration", "frozen", "junk"]
 

@@ -38,20 +38,12 @@ from sylpose.geometry.normal_equations import (
 )
 from sylpose.geometry.validation import check_rotations
 from sylpose.moments import PairMoments
-from sylpose.results import RotationEstimate, Status
+from sylpose.results import RotationEstimate
+from sylpose.status import Status
 from sylpose.sylvester.depth_bias import information_with_depth_bias
 from sylpose.sylvester.orthographic import Views, build_costs, moment_matrices
-from sylpose.sylvester.so3 import ZERO_CURVATURE, evaluate_cost, minimize_batch
-
-__all__ = [
-    "CentralizedBatch",
-    "CentralizedSolution",
-    "find_unobservable_rotations",
-    "rotation_status",
-    "solve_centralized",
-    "solve_centralized_batch",
-]
-
+from sylpose.sylvester.so3 import evaluate_cost, minimize_batch
+from sylpose.sylvester.so3_kernels import ZERO_CURVATURE
 
 # Cameras needed: each contributes the four numbers of an affine map and has three unknowns of its own (two slopes and a
 # scale), so three cameras determine the three parameters of the rotation (derived).

@@ -30,9 +30,6 @@ from sylpose.geometry.matrices import transpose
 from sylpose.sylvester.orthographic import Views
 from sylpose.sylvester.so3 import MIN_RELATIVE_VARIANCE
 
-__all__ = ["SurfaceSums", "compute_surface_sums", "information_from_sums", "information_with_depth_bias"]
-
-
 # Standard deviations of the surface slopes (depth per image length), of equal prior probability. 0 is the paper's
 # model, 1 a board seen obliquely (choice).
 SLOPE_GRID = np.array([0.0, 0.25, 0.5, 1.0])

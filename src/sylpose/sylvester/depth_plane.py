@@ -41,21 +41,10 @@ from sylpose.geometry.matrices import kron, transpose
 from sylpose.geometry.normal_equations import OBSERVABLE_ROTATION_SD, UNOBSERVABLE_RATIO, find_unobservable_directions
 from sylpose.geometry.validation import MAX_MAGNITUDE, check_list, check_real, format_value
 from sylpose.moments import PairMoments
-from sylpose.results import RotationEstimate, Status
+from sylpose.results import RotationEstimate
+from sylpose.status import Status
 from sylpose.sylvester.depth_plane_kernels import RESIDUAL_DEPTH, evaluate_costs, evaluate_derivatives
 from sylpose.sylvester.orthographic import ROUNDING_SHARE, compute_views, moment_matrices
-
-__all__ = [
-    "DepthPlaneProblem",
-    "DepthPlaneSolution",
-    "SearchResult",
-    "build_problem",
-    "compute_costs",
-    "compute_derivatives",
-    "search_minima",
-    "solve_depth_plane",
-]
-
 
 # Minimum noise as a share of the spread, so that fits are not dominated by rounding: far below that of any image
 # (choice).

@@ -10,9 +10,6 @@ import numpy as np
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.numba_linalg import kernel
 
-__all__ = ["evaluate_costs", "evaluate_derivatives"]
-
-
 # Priors. A uniform direction of the plane's normal: a density of (1 + |a|²)^-3/2 for its slopes (derived).
 SLOPE_POWER = 1.5
 # Standard deviation of log s: an approach by 5 % is fast (choice).

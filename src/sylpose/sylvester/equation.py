@@ -31,8 +31,6 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.matrices import kron, transpose
 from sylpose.geometry.validation import check_number, check_real, check_sequence, format_value
 
-__all__ = ["Method", "SingularSylvesterError", "solve_generalized_sylvester", "solve_sylvester"]
-
 Array = NDArray[Any]  # real or complex
 Method = Literal["kronecker", "bartels-stewart"]
 

@@ -26,12 +26,12 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.matrices import transpose
 from sylpose.geometry.normal_equations import UNOBSERVABLE_ROTATION_SD, find_unobservable_directions
 from sylpose.geometry.validation import check_finite, check_rotations, check_sequence
-from sylpose.results import RotationEstimate, Status
+from sylpose.results import RotationEstimate
+from sylpose.status import Status
 from sylpose.sylvester.centralized import rotation_status
-from sylpose.sylvester.so3 import CERTIFICATE, MIN_RELATIVE_VARIANCE, ZERO_CURVATURE, QuadraticCost, minimize
-
-__all__ = ["KnownDepthSolution", "solve_2d3d", "solve_3d3d"]
-
+from sylpose.sylvester.so3 import MIN_RELATIVE_VARIANCE, QuadraticCost, minimize
+from sylpose.sylvester.so3_kernels import ZERO_CURVATURE
+from sylpose.sylvester.so3_sos_certificate import CERTIFICATE
 
 # Eigenvalues up to this share of the largest ones count as zero: well above rounding's 1e-16 (choice).
 ROUNDING = 1e-12

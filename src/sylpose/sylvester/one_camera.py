@@ -47,13 +47,11 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.matrices import invert_information, transpose
 from sylpose.geometry.validation import check_rotation, check_type
 from sylpose.moments import PairMoments
-from sylpose.results import RotationEstimate, Status
+from sylpose.results import RotationEstimate
+from sylpose.status import Status
 from sylpose.sylvester.centralized import find_unobservable_rotations, rotation_status
 from sylpose.sylvester.depth_bias import information_with_depth_bias
 from sylpose.sylvester.orthographic import ROUNDING_SHARE, Views, build_cost, compute_views
-
-__all__ = ["OneCameraSolution", "solve_one_camera", "solve_unconstrained"]
-
 
 # Points are collinear where the smaller eigenvalue of S_xx is at most this share of the larger: well above rounding's
 # 1e-16 (choice).

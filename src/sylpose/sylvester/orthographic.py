@@ -22,8 +22,6 @@ from sylpose.geometry.validation import check_bool, check_finite, check_list, ch
 from sylpose.moments import MAX_MOMENT, MIN_COUNT, PairMoments
 from sylpose.sylvester.so3 import QuadraticCost
 
-__all__ = ["SylvesterTerms", "Views", "build_cost", "build_costs", "compute_terms", "compute_views", "moment_matrices"]
-
 # Spread up to this share of the squares about the origin is a rounding error of centering: some tens of roundings
 # (derived).
 ROUNDING_SHARE = 1e-14

@@ -23,28 +23,10 @@ from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.matrices import transpose
 from sylpose.sylvester.so3_kernels import (
     GRADIENT_TOLERANCE,
-    ZERO_CURVATURE,
     certify_each,
     derivatives_each,
     minimize_each,
 )
-from sylpose.sylvester.so3_sos_certificate import CERTIFICATE
-
-__all__ = [
-    "CERTIFICATE",
-    "GRADIENT_TOLERANCE",
-    "ZERO_CURVATURE",
-    "CostEvaluation",
-    "Minima",
-    "QuadraticCost",
-    "compute_derivatives",
-    "compute_multiplier",
-    "evaluate_cost",
-    "is_certified",
-    "minimize",
-    "minimize_batch",
-]
-
 
 # Initial rotations of the search: the 24 rotations of the cube; no rotation is farther than 63 degrees from one
 # (choice).

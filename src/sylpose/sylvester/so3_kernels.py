@@ -11,9 +11,6 @@ from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.numba_linalg import apply_rotvec, cholesky, cholesky_solve, kernel, solve_factored
 from sylpose.sylvester.so3_sos_certificate import CERTIFICATE, COST_TOLERANCE, certify_minimum
 
-__all__ = ["GRADIENT_TOLERANCE", "MERGE_ANGLE", "ZERO_CURVATURE", "certify_each", "derivatives_each", "minimize_each"]
-
-
 # Stationarity tolerance of the largest tangent derivative of the cost, for a mean eigenvalue of H of 1:
 # the root of rounding (derived).
 GRADIENT_TOLERANCE = 1e-8

@@ -26,16 +26,6 @@ import numpy as np
 from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.geometry.numba_linalg import cholesky, kernel, solve_factored
 
-__all__ = [
-    "CERTIFICATE",
-    "COST_TOLERANCE",
-    "N_MULTIPLIERS",
-    "build_gram_matrix",
-    "certify_minimum",
-    "constraint_matrices",
-]
-
-
 # Minimum eigenvalue of a certifying matrix, relative to H's mean eigenvalue of 1: well above rounding
 # (choice).
 CERTIFICATE = 1e-9

@@ -19,9 +19,6 @@ from sylpose.geometry.validation import check_finite, check_list, check_number, 
 from sylpose.moments import MIN_COUNT, PairMoments
 from sylpose.sylvester.orthographic import build_cost, compute_views
 
-__all__ = ["refine_translation", "solve_translation_from_means"]
-
-
 # Step of the numerical derivative by the rotation, radians: near the root of rounding (derived).
 DERIVATIVE_STEP = 1e-6
 # Iterations for the noise variance, against which the prior is weighted (choice).

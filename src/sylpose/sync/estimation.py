@@ -15,9 +15,9 @@ from sylpose.atomic_io import format_toml_key, replace_atomically
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import FloatArray, Image
 from sylpose.io.capture import Session
-from sylpose.results import Status
 from sylpose.rig import Rig
 from sylpose.smoothing import Track, smooth
+from sylpose.status import Status
 from sylpose.sync.offsets import apply_offsets
 from sylpose.sync.speed_correlation import (
     OffsetEstimate,
@@ -28,8 +28,6 @@ from sylpose.sync.speed_correlation import (
     to_small_gray,
 )
 from sylpose.tracking.tracker import track
-
-__all__ = ["MAX_LAG", "OffsetPrecision", "TimeOffsets", "sync_session", "write_offsets"]
 
 # Wraps the frames of a loop to show its progress: description, number of frames, frames.
 ProgressWrapper = Callable[[str, int, Iterable[FrameSet]], Iterable[FrameSet]]

@@ -17,8 +17,6 @@ from sylpose.io.capture.live import LiveSession
 from sylpose.io.capture.names import match_all_names
 from sylpose.sync.speed_correlation import split_offsets
 
-__all__ = ["OFFSETS_FILE", "apply_offsets", "find_offsets", "load_offsets"]
-
 OFFSETS_FILE = "offsets.toml"
 # Largest offset, seconds: manually set clocks are hours apart (choice).
 MAX_OFFSET = 86_400.0

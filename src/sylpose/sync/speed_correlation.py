@@ -21,16 +21,6 @@ from scipy.special import ndtr
 
 from sylpose.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 
-__all__ = [
-    "OffsetEstimate",
-    "SpeedSignal",
-    "compute_image_speed",
-    "estimate_coarse_offsets",
-    "split_offsets",
-    "to_small_gray",
-]
-
-
 # Width to which images are downscaled: speeds matter, not details (choice: time).
 IMAGE_WIDTH = 320
 # Largest number of tracked corners, and least number for a speed (choice).

@@ -37,8 +37,6 @@ from sylpose.tracking.joint_side.joint_state import JointState
 from sylpose.tracking.joint_side.keyframes import Anchor, SolvedFrame, add_keyframe, select_references
 from sylpose.tracking.pose_search import MAX_KLT_FEATURES, PoseCandidate
 
-__all__ = ["begin_preparation", "can_prepare", "find_new_features", "join_anchor"]
-
 # Minimum noise by which a match is judged, pixels (choice).
 MIN_NOISE_PX = 1.0
 

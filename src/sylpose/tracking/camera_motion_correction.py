@@ -19,8 +19,6 @@ from sylpose.tracking.joint_side.joint_state import JointState, Nudge
 from sylpose.tracking.reports import CameraMotionReport
 from sylpose.tracking.tracked_frame import TrackedFrame
 
-__all__ = ["add_nudge_faults", "compensate_camera_motion"]
-
 
 def compensate_camera_motion(
     context: TrackerContext, state: JointState, images: FrameSet

@@ -28,20 +28,6 @@ from sylpose.tracking.camera_side.klt_frontend import TrackedFeatures
 from sylpose.tracking.camera_side.region import REGION_MARGIN, Region, project_outline
 from sylpose.tracking.joint_side.joint_state import JointState
 
-__all__ = [
-    "Alignment",
-    "CameraExecutor",
-    "Frame",
-    "LocalExecutor",
-    "TrackerContext",
-    "create_frame",
-    "detect",
-    "detect_everywhere",
-    "drop_static_matches",
-    "object_radius_px",
-    "project_regions",
-]
-
 T = TypeVar("T")
 
 # A pose and, per camera, local: (weights, residuals) of its observations.

@@ -30,8 +30,6 @@ from sylpose.tracking.pose_search import (
     solve_pose,
 )
 
-__all__ = ["search_with_all_features"]
-
 # Maximum number of keyframes per camera, in addition to the last solved frame, and their maximum angle around the
 # object, radians (choice).
 MAX_REFERENCE_KEYFRAMES, MAX_VIEW_ANGLE = 4, np.radians(50.0)

@@ -20,8 +20,8 @@ from sylpose.landmarks.landmark_filter import Landmarks
 from sylpose.relative_pose.observability import classify_observability
 from sylpose.relative_pose.solver import fit_terms
 from sylpose.relative_pose.terms import MIN_MATCHES, Fit, TermData, locate_object, make_failed_fit
-from sylpose.results import FrameStatus, Status
 from sylpose.rig import Camera, Rig
+from sylpose.status import FrameStatus, Status
 from sylpose.tracking.camera_side.camera import CameraTracker, compute_static_px
 from sylpose.tracking.camera_side.frame import (
     CameraFrame,
@@ -39,19 +39,6 @@ from sylpose.tracking.context import CameraExecutor, Frame, TrackerContext, drop
 from sylpose.tracking.frame_solvers import scatter_fit
 from sylpose.tracking.joint_side.joint_state import MIN_MOVED_FEATURES, JointState
 from sylpose.tracking.reports import BoxMotionReport, InitialMatches, MovingMatches, quantize_positions
-
-__all__ = [
-    "FirstMotion",
-    "count_center_features",
-    "estimate_first_motion",
-    "estimate_first_points",
-    "estimate_jitter",
-    "is_ambiguous",
-    "is_box_center_static",
-    "is_continuing_motion",
-    "select_static_matches",
-    "update_from_matches",
-]
 
 # Another motion with this share of the object's inliers may be the object as well (choice).
 AMBIGUITY_RATIO = 0.5

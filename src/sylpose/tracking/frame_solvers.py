@@ -17,8 +17,8 @@ from sylpose.relative_pose.observability import is_more_than_chance
 from sylpose.relative_pose.solver import fit_terms
 from sylpose.relative_pose.sylvester_methods import ESTIMATORS, UNBIASED_METHODS, apply_paper_method
 from sylpose.relative_pose.terms import MIN_MATCHES, Fit, TermData
-from sylpose.results import Status
 from sylpose.rig import Rig
+from sylpose.status import Status
 from sylpose.sylvester.known_depth import solve_2d3d
 from sylpose.tracking.camera_side.frame import CameraFrame, FrameMatches
 from sylpose.tracking.camera_side.observations import (
@@ -37,8 +37,6 @@ from sylpose.tracking.camera_side.observations import (
 from sylpose.tracking.context import Alignment, CameraExecutor
 from sylpose.tracking.joint_side.keyframes import SolvedFrame
 from sylpose.tracking.reports import CameraTerms, InlierStatistics, KnownDepthMatches, LandmarkAges
-
-__all__ = ["SOLVERS", "PoseProblem", "PoseSolution", "compute_reference_motion", "gather_terms", "scatter_fit"]
 
 Hypothesis = tuple[FloatArray, FloatArray]
 

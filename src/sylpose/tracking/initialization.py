@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.features.sift import MAX_FEATURES, Features
 from sylpose.geometry.arrays import FloatArray
 from sylpose.relative_pose.terms import MIN_MATCHES
-from sylpose.results import FrameStatus
+from sylpose.status import FrameStatus
 from sylpose.tracking.camera_side.camera import CameraTracker
 from sylpose.tracking.camera_side.frame import (
     CameraFrame,
@@ -44,8 +44,6 @@ from sylpose.tracking.map_update import accept_first_frame, accept_frame, handle
 from sylpose.tracking.pose_search import find_pose
 from sylpose.tracking.reports import quantize_positions
 from sylpose.tracking.tracked_frame import TrackedFrame, create_unsolved_frame
-
-__all__ = ["BufferedFrame", "finish_initialization", "initialize_tracking"]
 
 # Without boxes the object is unknown until it moves: up to so many frames are buffered with their features (choice),
 MAX_BUFFERED_FRAMES = 60

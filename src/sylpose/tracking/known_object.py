@@ -24,8 +24,6 @@ from sylpose.tracking.joint_side.joint_state import JointState
 from sylpose.tracking.joint_side.keyframes import SolvedFrame
 from sylpose.units import INITIAL_DISTANCES
 
-__all__ = ["MIN_KEYFRAMES", "CameraLandmarks", "KnownObject", "ObjectFrame", "build_known_object"]
-
 # Minimum number of keyframes of a usable object model (choice).
 MIN_KEYFRAMES = 2
 # Maximum length of a frame's description, characters (choice).

@@ -13,7 +13,8 @@ from sylpose.features.sift import Features
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.matches import STATIC_PX
 from sylpose.relative_pose.terms import MIN_MATCHES
-from sylpose.results import FramePose, FrameStatus, Observability
+from sylpose.results import FramePose
+from sylpose.status import FrameStatus, Observability
 from sylpose.tracking.camera_side.camera import AcceptedPose, CameraRecord, CameraTracker
 from sylpose.tracking.camera_side.observations import (
     ReobservedFeatures,
@@ -32,8 +33,6 @@ from sylpose.tracking.pose_search import PoseCandidate
 from sylpose.tracking.reports import quantize_positions
 from sylpose.tracking.tracked_frame import TrackedFrame, create_unsolved_frame
 from sylpose.tracking.window import refine_window
-
-__all__ = ["accept_first_frame", "accept_frame", "find_muted_cameras", "handle_missing_object"]
 
 # A single camera cannot distinguish a rotation from its mirror image, concave from convex. An object in a box is
 # assumed convex: the middle of its surface is nearer than its center by this share of its radius (choice).

@@ -21,8 +21,9 @@ from sylpose.features.sift import Features
 from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.geometry.matrices import rotation_matrix_of
 from sylpose.landmarks.landmark_filter import Landmarks, LandmarkTable
-from sylpose.results import FramePose, Observability
+from sylpose.results import FramePose
 from sylpose.rig import Rig
+from sylpose.status import Observability
 from sylpose.tracking.camera_side.camera import CameraTracker
 from sylpose.tracking.camera_side.frame import CameraFrame
 from sylpose.tracking.joint_side.joint_state import JointState, ObjectMotion
@@ -38,14 +39,6 @@ from sylpose.tracking.joint_side.object_model import ObjectModel
 from sylpose.tracking.known_object import CameraLandmarks, KnownObject
 from sylpose.tracking.pose_search import MAX_WAIT_FRAMES
 from sylpose.units import INITIAL_DISTANCES
-
-__all__ = [
-    "PoseConverter",
-    "TransferredObject",
-    "check_unit",
-    "initialize_from_object",
-    "transfer_object",
-]
 
 # A camera is unchanged if the median reprojection error of its landmarks is at most this, pixels: after a new
 # calibration it is one or two, after moving a camera by hand tens (choice).

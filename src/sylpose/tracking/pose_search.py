@@ -16,8 +16,8 @@ from sylpose.features.sift import MAX_FEATURES, match_features
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.matrices import invert_information, make_motion_about, relative_rotvec, rotation_matrix_of
 from sylpose.landmarks.landmark_filter import Landmarks, LandmarkTable
-from sylpose.results import Status
 from sylpose.rig import Rig
+from sylpose.status import Status
 from sylpose.tracking.camera_side.camera import CameraSolution, CameraTracker
 from sylpose.tracking.camera_side.frame import CameraFrame, DetectedFeatures, FrameMatches
 from sylpose.tracking.camera_side.klt_frontend import N_ANCHOR_FEATURES, append_new_features
@@ -35,24 +35,6 @@ from sylpose.tracking.joint_side.keyframes import (
     select_references,
 )
 from sylpose.tracking.reports import PoseAgreement, RelocalizationMatches, TrackingReport
-
-__all__ = [
-    "MAX_KLT_FEATURES",
-    "MAX_WAIT_FRAMES",
-    "MIN_CAMERA_FEATURES",
-    "SOLVED_RADIUS",
-    "PoseCandidate",
-    "compute_noise_weights",
-    "detect_in_regions",
-    "find_pose",
-    "is_fast",
-    "is_near_start",
-    "is_partly_visible",
-    "is_weakly_supported",
-    "relocalize",
-    "solve_pose",
-    "track_from_anchor",
-]
 
 # Maximum number of features detected per camera while features are tracked by KLT (choice).
 MAX_KLT_FEATURES = 400

@@ -18,24 +18,6 @@ from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.landmarks.alignment import LandmarkMatches
 from sylpose.relative_pose.terms import TermData
 
-__all__ = [
-    "BoxMotionReport",
-    "CameraMotionReport",
-    "CameraObservations",
-    "CameraTerms",
-    "InitialMatches",
-    "InlierStatistics",
-    "KnownDepthMatches",
-    "LandmarkAges",
-    "MovingMatches",
-    "NewObservations",
-    "PoseAgreement",
-    "RelocalizationMatches",
-    "TrackingReport",
-    "quantize_positions",
-]
-
-
 # Positions that need little precision are rounded to this share of the object's radius, or finer (choice).
 POSITION_GRID_RATIO = 1.0 / 256.0
 # Default arrays.

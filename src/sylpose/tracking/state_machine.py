@@ -46,8 +46,6 @@ from sylpose.tracking.pose_search import (
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.window import apply_refinement
 
-__all__ = ["process_frame", "recover", "track_frame"]
-
 # A first motion with little support is accepted up to this rotation, radians (choice).
 MAX_FIRST_ROTATION = np.radians(3.0)
 # While depth is known from boxes only, the first so many frames are matched with the first one, then every

@@ -17,8 +17,6 @@ from sylpose.tracking.context import Frame, TrackerContext
 from sylpose.tracking.initialization import BufferedFrame
 from sylpose.tracking.joint_side.joint_state import JointState
 
-__all__ = ["BufferedRecord", "Handover", "TrackerSnapshot", "build_handover", "check_handover", "restore_handover"]
-
 
 class TrackerSnapshot(NamedTuple):
     """Complete tracker state between two frames: shared state and that of each local camera."""

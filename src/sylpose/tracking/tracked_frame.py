@@ -11,13 +11,12 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import FloatArray
 from sylpose.relative_pose.terms import MIN_MATCHES
-from sylpose.results import FramePose, FrameStatus
+from sylpose.results import FramePose
+from sylpose.status import FrameStatus
 from sylpose.tracking.camera_side.frame import DetectedFeatures
 from sylpose.tracking.camera_side.observations import LandmarkObservations
 from sylpose.tracking.context import Frame, TrackerContext
 from sylpose.tracking.joint_side.joint_state import Nudge
-
-__all__ = ["TrackedFrame", "create_unsolved_frame", "explain_missing_pose"]
 
 
 @dataclass(frozen=True, eq=False)

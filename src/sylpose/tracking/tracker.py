@@ -30,8 +30,6 @@ from sylpose.tracking.tracked_frame import TrackedFrame
 
 MAX_TIME_OFFSET = 1e6  # seconds: cameras of one recording start within days of each other (choice)
 
-__all__ = ["Tracker", "TrackerBase", "track"]
-
 
 def track(
     frames: Iterable[FrameSet],

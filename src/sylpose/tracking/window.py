@@ -29,8 +29,9 @@ from sylpose.geometry.future import BackgroundResult
 from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.matches import Matches
 from sylpose.relative_pose.motion import estimate_motion
-from sylpose.results import MAX_ROTATION_SD, Status
+from sylpose.results import MAX_ROTATION_SD
 from sylpose.rig import Rig
+from sylpose.status import Status
 from sylpose.tracking.camera_side.camera import CameraTracker
 from sylpose.tracking.context import TrackerContext
 from sylpose.tracking.joint_side.joint_state import (
@@ -47,8 +48,6 @@ from sylpose.tracking.joint_side.keyframes import (
     inherit_covariance,
 )
 from sylpose.tracking.reports import NewObservations, quantize_positions
-
-__all__ = ["apply_refinement", "bundle_frames", "find_alternative_path", "refine_window"]
 
 # Maximum number of frames refined jointly, the first one and the last included (choice).
 MAX_FRAMES = 32

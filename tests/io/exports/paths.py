@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.results import FramePose, FrameStatus, Trajectory
+from sylpose.results import FramePose, Trajectory
+from sylpose.status import FrameStatus
 
 RATE = 25.0
 # Frames 0, 4 and 9 have no pose; 5 is predicted, not measured.

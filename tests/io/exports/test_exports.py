@@ -17,7 +17,8 @@ from sylpose.commands.main import main
 from sylpose.io.exports.formats import EXPORT_FORMATS, export_trajectory
 from sylpose.io.exports.poses import UP_UNKNOWN_NOTE, Poses
 from sylpose.report.files import read_tum, write_trajectory
-from sylpose.results import FramePose, FrameStatus, Trajectory
+from sylpose.results import FramePose, Trajectory
+from sylpose.status import FrameStatus
 from tests.io.exports.paths import COASTING, FOUND, MISSING, RATE, N, make_trajectory, markers_at, pose_at
 
 GAPS = [k for k in range(N) if k not in FOUND]

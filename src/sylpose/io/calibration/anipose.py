@@ -15,8 +15,6 @@ from sylpose.atomic_io import format_toml_string
 from sylpose.io.calibration.camera_builder import CameraEntry, make_rig
 from sylpose.rig import Camera, LensModel, Rig
 
-__all__ = ["is_anipose", "is_caliscope", "read", "read_caliscope", "to_text"]
-
 
 class _CameraTable(msgspec.Struct):
     """Camera table as written by Anipose and Caliscope."""

@@ -17,11 +17,6 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Camera, LensModel, Rig
 
-__all__ = [
-    *("OPENCV_FROM_OPENGL", "CameraEntry", "Entry", "SizeLookup"),
-    *("intrinsic_matrix", "lookup_sizes", "make_rig", "standard_lens_terms"),
-]
-
 T = TypeVar("T", bound=msgspec.Struct)
 
 # Lookup of known image sizes, (width, height) by camera name, for calibrations that do not contain them.

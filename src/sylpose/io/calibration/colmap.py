@@ -35,8 +35,6 @@ from sylpose.io.calibration.photogrammetry import (
 )
 from sylpose.rig import MAX_LENGTH, Camera, LensModel, Rig
 
-__all__ = ["is_model", "is_rig_config", "read", "read_rig_config", "to_texts"]
-
 # Maximum number of lenses and of images of a model (choice: a rig of a hundred cameras, a thousand images of each).
 MAX_IMAGES = 100_000
 # Bytes of a line with an image's pose and name (choice: eight numbers with all digits, and the longest path).

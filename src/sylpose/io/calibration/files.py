@@ -12,8 +12,6 @@ from sylpose.io.calibration.camera_builder import SizeLookup
 from sylpose.io.calibration.formats import choose_output_format, detect_format, find_folder_file
 from sylpose.rig import Rig
 
-__all__ = ["find", "format_name", "is_calibration_name", "load", "save"]
-
 # Calibration file names of other programs.
 _PROGRAM_PATTERNS = (
     r".*camchain.*\.ya?ml",

@@ -34,17 +34,6 @@ from sylpose.io.calibration.camera_builder import (
 from sylpose.io.calibration.incomplete_files import describe_incomplete
 from sylpose.rig import Camera, LensModel, Rig
 
-__all__ = [
-    "get_value",
-    "has_values",
-    "is_calibration",
-    "parse_error_px",
-    "parse_lens_model",
-    "read",
-    "to_text",
-    "write_arrays",
-]
-
 _NAMES = {
     "matrix": ("camera_matrix", "cameraMatrix", "K", "intrinsic_matrix", "intrinsics", "intrinsic", "matrix", "mtx"),
     "distortion": (

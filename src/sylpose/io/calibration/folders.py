@@ -34,11 +34,6 @@ from sylpose.io.calibration.markup import find_sibling_file, read_folder_documen
 from sylpose.io.calibration.safe_pickle import load_safely
 from sylpose.rig import Rig
 
-__all__ = [
-    *("is_easymocap", "is_jarvis", "is_multicamselfcal", "is_pickle"),
-    *("read_deeplabcut", "read_easymocap", "read_jarvis", "read_multicamselfcal"),
-]
-
 
 def is_jarvis(data: Any) -> bool:
     """Return whether a decoded file has a camera with JARVIS' keys."""

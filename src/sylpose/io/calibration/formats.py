@@ -25,8 +25,6 @@ from sylpose.io.calibration.incomplete_files import describe_incomplete
 from sylpose.io.calibration.markup import read_content
 from sylpose.rig import Rig
 
-__all__ = ["FORMATS_BY_KIND", "OUTPUT_FORMATS", "choose_output_format", "detect_format", "find_folder_file"]
-
 
 class Format(NamedTuple):
     """Calibration format.

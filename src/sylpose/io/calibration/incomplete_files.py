@@ -11,8 +11,6 @@ from typing import Any
 
 from sylpose.io.calibration.native import FORMAT_NAME
 
-__all__ = ["describe_incomplete"]
-
 _CHAIN_CAMERA = re.compile(r"cam\d+")
 _STEREO = re.compile(
     r"(?:M|K|A|CM|mtx|camera_?matrix|D|dist|dist_?coeffs?|distortions?|R|T|P)_?(?:\d+|left|right|l|r)|[RTQEF]|rotation|translation",

@@ -17,8 +17,6 @@ from sylpose.io.calibration.camera_builder import CameraEntry, intrinsic_matrix,
 from sylpose.rig import Camera, LensModel, Rig
 from sylpose.units import METERS
 
-__all__ = ["is_kalibr", "read", "to_text"]
-
 _LENSES: dict[str, LensModel] = {"radtan": "opencv", "none": "opencv", "equidistant": "fisheye"}
 _UNSUPPORTED_MODELS = {"omni": "omnidirectional", "ds": "double sphere", "eucm": "extended unified", "fov": "FOV"}
 

@@ -12,8 +12,6 @@ from sylpose.geometry.lens_distortion import N_TERMS as ALL_TERMS
 from sylpose.geometry.lens_distortion import project_points
 from sylpose.io.calibration.camera_builder import intrinsic_matrix
 
-__all__ = ["MAX_LENS_ERROR_PX", "FittedLens", "fit_lens", "sample_image_grid"]
-
 # Largest accepted difference anywhere in the image, pixels: a fifth of the noise of the best features (choice).
 MAX_LENS_ERROR_PX = 0.02
 # Number of fitted distortion terms, k1 k2 p1 p2 k3 k4 k5 k6, in addition to fx fy cx cy; grid points per side for the

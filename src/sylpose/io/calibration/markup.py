@@ -19,8 +19,6 @@ from defusedxml.ElementTree import DefusedXMLParser
 
 from sylpose.input_limits import MAX_DEPTH, MAX_TEXT_BYTES, input_errors, parse_toml, read_text
 
-__all__ = ["Content", "find_sibling_file", "read_content", "read_folder_documents", "read_plain"]
-
 # Maximum bytes of XML that is not OpenCV's (choice: masks and thresholds of a hundred cameras of a motion capture
 # system).
 MAX_XML_BYTES = 2**24

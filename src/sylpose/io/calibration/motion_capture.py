@@ -25,8 +25,6 @@ from sylpose.io.calibration.camera_builder import OPENCV_FROM_OPENGL, CameraEntr
 from sylpose.io.calibration.lens_conversion import FittedLens, fit_lens, sample_image_grid
 from sylpose.rig import Camera, Rig
 
-__all__ = ["is_optitrack", "is_qualisys", "is_vicon", "read_optitrack", "read_qualisys", "read_vicon"]
-
 SUBPIXELS = 64.0
 COLOR_IMAGER = "30"
 

@@ -11,8 +11,6 @@ from sylpose.atomic_io import format_toml_key, format_toml_string
 from sylpose.io.calibration.camera_builder import CameraEntry, Entry, make_rig
 from sylpose.rig import Camera, LensModel, Rig
 
-__all__ = ["FORMAT_NAME", "read", "to_text"]
-
 FORMAT_NAME = "sylpose-calibration-1"
 
 _HEADER = """\

@@ -36,11 +36,6 @@ from sylpose.io.calibration.camera_builder import (
 )
 from sylpose.rig import Camera, LensModel, Rig
 
-__all__ = [
-    *("PIXEL_CENTER", "PosedImage", "find_static_cameras", "image_path", "is_metashape"),
-    *("is_nerf", "make_unique_names", "read_metashape", "read_nerf"),
-]
-
 # Center of the top-left pixel.
 PIXEL_CENTER = 0.5
 # Maximum deviation among a camera's poses: twice that of images with some hundred points (choice), as an angle in

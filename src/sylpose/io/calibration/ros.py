@@ -20,8 +20,6 @@ from sylpose.io.calibration.camera_builder import CameraEntry, Entry, make_rig
 from sylpose.io.calibration.markup import read_folder_documents
 from sylpose.rig import Camera, Rig
 
-__all__ = ["is_ros", "read"]
-
 # Keys of messages, and of camera_calibration's files.
 _KEYS = {
     "K": ("camera_matrix", "k", "K"),

@@ -16,8 +16,6 @@ import numpy as np
 
 from sylpose.input_limits import to_one_line
 
-__all__ = ["load_safely"]
-
 # Numeric dtypes, as NumPy spells them: f8, <i4, ...
 _TYPE = re.compile("[<>=|]?([fiub][1248])")
 # Opcodes of protocols up to 5 that build, store and fetch values; none calls anything other than the names in

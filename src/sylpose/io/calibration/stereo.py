@@ -27,8 +27,6 @@ from sylpose.io.calibration.filestorage import (
 from sylpose.io.calibration.markup import find_sibling_file, read_plain
 from sylpose.rig import Camera, Rig
 
-__all__ = ["is_matlab", "is_stereo", "read", "read_matlab", "to_text"]
-
 _CAMERA_SUFFIX = r"_?(\d+|left|right|l|r)"
 _MATRIX = re.compile(r"(?:M|K|A|CM|mtx|camera_?matrix|intrinsics?(?:_?matrix)?)" + _CAMERA_SUFFIX, re.IGNORECASE)
 _LENS = re.compile(r"(?:D|dist|dist_?coeffs?|distortions?|distortion_?coefficients)" + _CAMERA_SUFFIX, re.IGNORECASE)

@@ -22,8 +22,6 @@ from sylpose.io.calibration.camera_builder import Entry
 from sylpose.rig import MAX_FOCAL_PX, MAX_LENGTH, Rig, check_single_pose, intersect_rays
 from sylpose.units import METERS, parse_length_with_unit
 
-__all__ = ["FORMAT", "World", "load_world", "parse_up_world", "save_world", "transform_rig", "world_with_up"]
-
 FORMAT = "sylpose-world-1"
 # Minimum horizontal component of the axis that defines x in the plane (choice: 3 degrees from vertical).
 MIN_HORIZONTAL = 0.05

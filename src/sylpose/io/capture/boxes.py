@@ -20,11 +20,6 @@ from sylpose.io.capture.names import IMAGE_SUFFIXES, image_files, image_numbers,
 from sylpose.io.capture.sources import Source
 from sylpose.rig import Rig
 
-__all__ = [
-    *("DEFAULT_OBJECT_NAME", "Masks", "check_first_masks", "find_masks", "load_boxes"),
-    *("merge_object_names", "parse_boxes"),
-]
-
 # Name of a single unnamed object.
 DEFAULT_OBJECT_NAME = "object"
 

@@ -12,9 +12,6 @@ import numpy as np
 
 from sylpose.geometry.arrays import Image
 
-__all__ = ["DropCounter", "FrameAssembler", "Grab", "StreamClock", "TimedFrame"]
-
-
 # Largest number of pending frames per camera.
 MAX_PENDING = 64
 # Consecutive frame sets without a camera after which it is not waited for until its next frame (choice).

@@ -16,8 +16,6 @@ from sylpose.io.capture.boxes import Masks
 from sylpose.io.capture.images import read_image, read_mask
 from sylpose.io.capture.sources import Source, open_video
 
-__all__ = ["CameraReader", "FrameReading", "check_readable"]
-
 # Jumps of a video's timestamps by more than this many frames are reported: the recorder or a damaged file lost frames
 # (choice: one or two frames are negligible).
 MAX_CLOCK_JUMP_FRAMES = 3.5

@@ -24,8 +24,6 @@ from sylpose.io.capture.names import IMAGE_SUFFIXES, image_files, image_numbers,
 from sylpose.io.capture.sources import NON_CAMERA_NAMES
 from sylpose.rig import Camera, Rig
 
-__all__ = ["DONE_FILE", "GrowingFolder"]
-
 # A file of this name in a growing folder marks the end of the recording.
 DONE_FILE = "DONE"
 # Polling interval for the next image numbers, seconds.

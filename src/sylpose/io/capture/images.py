@@ -27,8 +27,6 @@ from sylpose.geometry.arrays import BoolArray, Image
 from sylpose.input_limits import MAX_TEXT_BYTES, UnreadableFileError, input_errors, read_bytes
 from sylpose.rig import MAX_PIXELS
 
-__all__ = ["image_size_from_header", "read_image", "read_image_size", "read_mask"]
-
 # Bit depths of cameras; the smallest that contains an image's values is assumed.
 BIT_DEPTHS = (8, 10, 12, 14, 16)
 # Largest tile of a TIFF in pixels; tiles are decoded as a whole, however small the image (choice: 16 times the largest

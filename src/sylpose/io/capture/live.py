@@ -32,8 +32,6 @@ from sylpose.io.capture.sources import Source
 from sylpose.io.capture.streams import RETRY_DELAYS, Device, open_device, read_streams
 from sylpose.rig import Rig
 
-__all__ = ["LIVE_FILE", "LiveSession", "is_live", "open_live"]
-
 LIVE_FILE = "live.toml"
 # Seconds for which a frame set waits for delayed cameras by default (choice: six frames at 30 per second).
 DEFAULT_MAX_DELAY = 0.2

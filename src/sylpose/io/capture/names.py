@@ -7,15 +7,6 @@ from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from pathlib import Path
 
-__all__ = [
-    "IMAGE_SUFFIXES",
-    "find_repeated_recordings",
-    "image_files",
-    "image_numbers",
-    "match_all_names",
-    "match_names",
-]
-
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".pgm", ".ppm", ".jp2"})
 
 

@@ -16,8 +16,6 @@ from sylpose.io.capture.images import read_image
 from sylpose.io.capture.session import Session
 from sylpose.io.capture.sources import Source, open_video
 
-__all__ = ["RandomAccessReader"]
-
 # Up to this many frames ahead are decoded sequentially instead of seeking to a keyframe (choice).
 MAX_SEQUENTIAL_FRAMES = 40
 

@@ -26,11 +26,6 @@ from sylpose.io.capture.sources import RecordingFolder, Source
 from sylpose.io.capture.timeline import Timeline, build_timeline, load_timestamps
 from sylpose.rig import Rig
 
-__all__ = [
-    *("Session", "SessionBase", "add_masks", "check_frame_range", "find_boxes_file", "find_mask_folder"),
-    *("issue_warning", "open_session", "reopen_session"),
-]
-
 
 @dataclass(frozen=True, eq=False)
 class SessionBase:

@@ -17,8 +17,6 @@ from sylpose.io.capture.images import read_image, read_image_size
 from sylpose.io.capture.names import find_repeated_recordings, image_files, image_numbers, match_names
 from sylpose.rig import Camera, Rig
 
-__all__ = ["NON_CAMERA_NAMES", "VIDEO_SUFFIXES", "RecordingFolder", "Source", "open_source", "open_video"]
-
 VIDEO_SUFFIXES = frozenset(
     {".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v", ".mpg", ".mpeg", ".ts", ".mts", ".m2ts", ".wmv", ".flv", ".ogv"}
 )

@@ -24,9 +24,6 @@ from sylpose.io.capture.frame_assembly import POLL_INTERVAL, FrameAssembler, Gra
 from sylpose.io.capture.sources import METADATA_OPTIONS
 from sylpose.rig import Camera
 
-__all__ = ["Device", "Grab", "Opener", "open_device", "read_streams"]
-
-
 # Seconds after which a stream that cannot be opened or delivers nothing counts as dead; also the longest wait for the
 # first frames of all cameras.
 TIMEOUT = 5.0

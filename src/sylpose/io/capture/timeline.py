@@ -15,8 +15,6 @@ from sylpose.input_limits import MAX_TABLE_BYTES, input_errors, read_text
 from sylpose.io.capture.names import match_all_names
 from sylpose.io.capture.sources import Source
 
-__all__ = ["Timeline", "build_timeline", "load_timestamps"]
-
 
 @dataclass(frozen=True, eq=False)
 class Timeline:

@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 if TYPE_CHECKING:
     from sylpose.results import Trajectory
 
-__all__ = ["EXPORT_FORMATS", "ExportFormat", "export_trajectory", "select_frames"]
-
 
 class ExportFormat(NamedTuple):
     """Export format of trajectories.

@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 from sylpose.atomic_io import replace_atomically
 from sylpose.io.exports.poses import UP_UNKNOWN_NOTE, Poses, find_runs
 
-__all__ = ["write_gltf"]
-
 FLOAT, LINES = 5126, 1
 _COLORS = np.eye(3)
 # In glTF, y is up: a world with z up is rotated about x by -90 degrees; x y z w.

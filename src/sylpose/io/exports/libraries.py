@@ -18,7 +18,6 @@ from sylpose.units import METERS
 if TYPE_CHECKING:
     from pxr import Sdf, Usd
 
-__all__ = ["write_c3d", "write_parquet", "write_rosbag", "write_usd"]
 
 WORLD_FRAME = "world"
 # Bag format version (choice: what ROS 2 reads since Iron, and earlier ones too).

@@ -13,8 +13,6 @@ from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.results import Trajectory
 from sylpose.units import METERS
 
-__all__ = ["AXIS_LENGTH_M", "UP_UNKNOWN_NOTE", "Poses", "find_runs"]
-
 # Length of the object's axes where a format draws them, meters, or units if unknown (choice: size of a hand).
 AXIS_LENGTH_M = 0.1
 # Note for formats with a fixed up axis.

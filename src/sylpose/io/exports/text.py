@@ -17,8 +17,6 @@ from sylpose.io.exports.poses import UP_UNKNOWN_NOTE, Poses, find_runs
 from sylpose.report.files import build_columns
 from sylpose.results import Trajectory
 
-__all__ = ["write_bvh", "write_csv", "write_trc", "write_tum"]
-
 
 def write_csv(trajectory: Trajectory, path: Path) -> list[str]:
     """Write all frames and columns (`report.files`); cells are empty for missing values."""

@@ -31,18 +31,6 @@ from sylpose.moments import PairMoments
 from sylpose.packets import Inbox, Packet
 from sylpose.sylvester.camera_faults import solve_robust
 
-__all__ = [
-    "MAX_MISSED_ROUNDS",
-    "ExchangeState",
-    "Kind",
-    "Message",
-    "NodeEstimate",
-    "decode_inbox",
-    "encode",
-    "start_exchange",
-    "step_exchange",
-]
-
 # Kind, whether it is final, camera, number: 8 bytes.
 _HEADER = struct.Struct("<BBHI")
 # Rounds without a message after which a node counts as gone: by chance once in 3e10 at 30 % loss (derived).

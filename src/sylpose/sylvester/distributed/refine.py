@@ -67,9 +67,8 @@ from sylpose.sylvester.distributed.exchange import (
 from sylpose.sylvester.equation import solve_generalized_sylvester
 from sylpose.sylvester.one_camera import solve_one_camera
 from sylpose.sylvester.orthographic import Views, build_cost, compute_terms, compute_views
-from sylpose.sylvester.so3 import MIN_RELATIVE_VARIANCE, ZERO_CURVATURE, QuadraticCost, compute_derivatives
-
-__all__ = ["RefineState", "start_refine", "step_refine"]
+from sylpose.sylvester.so3 import MIN_RELATIVE_VARIANCE, QuadraticCost, compute_derivatives
+from sylpose.sylvester.so3_kernels import ZERO_CURVATURE
 
 # p_c over trace(H_c), and over-relaxation (measured: docs/history/benchmarks.md#distributed, plain and extrapolated).
 PENALTY, RELAXATION = 0.1, 1.6
@@ -173,8 +172,8 @@ class RefineState:
     def is_gone(self, c: int) -> bool:
         """Return whether a node counts as gone.
 
-        A node with a result waits twice as long: another one may lack it, because a node has failed, and ask for
-        moments.
+        A node with a result waits twice as long: another one may lack it, because a node has failed, and
+        request moments.
         """
         return self.missed_rounds.get(c, 0) > MAX_MISSED_ROUNDS * (1 if self.estimate is None else 2)
 

@@ -23,14 +23,13 @@ from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.validation import check_integer, check_list, check_rotations, check_sequence, check_type
 from sylpose.moments import PairMoments
 from sylpose.packets import MAX_ROUNDS, NO_FAULTS, Inbox, NetworkFaults, NetworkRun, NodeState, Packet, run_network
-from sylpose.results import RotationEstimate, Status
+from sylpose.results import RotationEstimate
+from sylpose.status import Status
 from sylpose.sylvester.centralized import find_unobservable_rotations, rotation_status
 from sylpose.sylvester.distributed.exchange import NodeEstimate, start_exchange, step_exchange
 from sylpose.sylvester.distributed.refine import start_refine, step_refine
 from sylpose.sylvester.orthographic import build_cost, compute_views
 from sylpose.sylvester.so3 import is_certified
-
-__all__ = ["DistributedSolution", "solve_exchange", "solve_gossip", "solve_refine"]
 
 AGREEMENT_ANGLE = 1e-7  # radians between the results of nodes that agree: ten times each node's tolerance (choice)
 

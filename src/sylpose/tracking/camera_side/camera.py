@@ -55,8 +55,6 @@ from sylpose.tracking.joint_side.keyframes import SolvedFrame
 from sylpose.tracking.joint_side.object_model import ObjectModel
 from sylpose.tracking.reports import PoseAgreement
 
-__all__ = ["AcceptedPose", "CameraRecord", "CameraSolution", "CameraTracker", "compute_static_px", "is_large"]
-
 # With so many landmarks of known depth they describe the surface better than the volume inside the boxes (choice).
 MIN_SURFACE_LANDMARKS = 20
 # A feature has moved if displaced by so many standard deviations of the camera's keypoint noise, which is limited to

@@ -24,8 +24,6 @@ from sylpose.rig import Camera
 from sylpose.tracking.camera_side.region import REGION_MARGIN, project_outline, rasterize_outline
 from sylpose.tracking.reports import CameraMotionReport
 
-__all__ = ["PAUSE_FRAMES", "CameraMotionDetector", "View"]
-
 # An image, and the object's mask (h, w) in it.
 View = tuple[Image | None, BoolArray | None]
 

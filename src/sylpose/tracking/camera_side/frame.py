@@ -15,23 +15,6 @@ from sylpose.matches import STATIC_PX
 from sylpose.relative_pose.terms import TermData
 from sylpose.rig import Camera
 
-__all__ = [
-    "CameraFrame",
-    "DetectedFeatures",
-    "FrameMatches",
-    "collect_detected_features",
-    "collect_features",
-    "drop_background",
-    "find_static",
-    "mark_background",
-    "match_frames",
-    "match_near_pose",
-    "measure_displacement",
-    "omit_empty",
-    "select_inliers",
-    "triangulate",
-]
-
 # A feature that is static where the object's surface moved by this many pixels is background (choice).
 BACKGROUND_PX = 4.0
 # Low-contrast features are localized less precisely: they are static within this many pixels, if that is at most this

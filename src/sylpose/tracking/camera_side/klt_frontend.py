@@ -22,17 +22,6 @@ from sylpose.rig import Camera
 from sylpose.tracking.camera_side.frame import CameraFrame, FrameMatches
 from sylpose.tracking.reports import TrackingReport
 
-__all__ = [
-    "CameraAnchor",
-    "NextAnchor",
-    "TrackedFeatures",
-    "append_new_features",
-    "create_anchor",
-    "select_tracked",
-    "track_anchor",
-]
-
-
 # Features per camera of an anchor (they are also used for matching, as anchors become keyframes); how many of them are
 # tracked; minimum number of new ones among those (choice).
 N_ANCHOR_FEATURES, MAX_TRACKED, MIN_NEW_FEATURES = 350, 170, 40

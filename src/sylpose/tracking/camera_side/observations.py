@@ -25,29 +25,6 @@ from sylpose.tracking.camera_side.frame import (
 from sylpose.tracking.joint_side.keyframes import SolvedFrame
 from sylpose.tracking.reports import InlierStatistics, LandmarkAges, PoseAgreement
 
-__all__ = [
-    "STATIC_WEIGHT",
-    "SURFACE_DEPTH_SD_RATIO",
-    "LandmarkObservations",
-    "MatchWeights",
-    "ReobservedFeatures",
-    "build_observations",
-    "compute_depth_smear",
-    "compute_full_weight_age",
-    "compute_inlier_statistics",
-    "compute_support",
-    "count_ages",
-    "estimate_noise",
-    "expand_ages",
-    "find_moved",
-    "measure_agreement",
-    "record_observations",
-    "select_shown_matches",
-    "split_by_pair",
-    "summarize_ages",
-    "weight_observations",
-]
-
 # For one camera: (weights, residuals in pixels) of each of its pairs.
 MatchWeights = list[tuple[FloatArray, FloatArray]]
 

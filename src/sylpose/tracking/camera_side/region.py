@@ -8,8 +8,6 @@ import numpy as np
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.rig import Camera
 
-__all__ = ["REGION_MARGIN", "Region", "project_outline", "rasterize_outline"]
-
 # An outline (k, 2) in pixels; None: out of view.
 Region = FloatArray | None
 # Margin of the object's search region, as a share of its size in the image (choice).

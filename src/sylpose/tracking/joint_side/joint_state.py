@@ -21,19 +21,6 @@ from sylpose.tracking.joint_side.motion_model import VelocityModel
 from sylpose.tracking.joint_side.object_model import ObjectModel
 from sylpose.tracking.reports import NewObservations, PoseAgreement
 
-__all__ = [
-    "MIN_FRAMES_TO_APPLY",
-    "MIN_MOVED_FEATURES",
-    "JointState",
-    "Nudge",
-    "ObjectMotion",
-    "PendingRefinement",
-    "Refinement",
-    "add_reference_covariance",
-    "compute_pose_change",
-    "enlarge_covariance",
-]
-
 # The pose of a missing object is extrapolated for at most so many frames, and only while its rotation (radians) and its
 # position (object's radii) are more certain than this (choice).
 MAX_COASTING_FRAMES, MAX_COASTING_ROTATION_SD, MAX_COASTING_POSITION_SD = 15, MAX_ROTATION_SD, 1.0

@@ -19,20 +19,6 @@ from sylpose.geometry.matrices import relative_rotvec
 from sylpose.rig import Rig
 from sylpose.tracking.reports import TrackingReport
 
-__all__ = [
-    "MAX_KEYFRAMES",
-    "Anchor",
-    "KnownFrames",
-    "SolvedFrame",
-    "add_keyframe",
-    "compute_viewpoints",
-    "find_nearest_views",
-    "has_enough_tracks",
-    "inherit_covariance",
-    "select_references",
-]
-
-
 # Maximum number of keyframes: a few for every side of the object (choice).
 MAX_KEYFRAMES = 100
 # A frame becomes a keyframe when the object has rotated by this much relative to the nearest one, or its distance has

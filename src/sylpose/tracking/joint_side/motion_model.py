@@ -13,9 +13,6 @@ from sylpose.geometry.numba_linalg import apply_rotvec
 from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.rig import Rig
 
-__all__ = ["VelocityModel"]
-
-
 # Standard deviation of the constant-velocity prior, in units of the usual change of velocity. The prior is used once so
 # many consecutive frames were solved (choice).
 PREDICTION_SDS, MIN_STEADY_FRAMES = 5.0, 5

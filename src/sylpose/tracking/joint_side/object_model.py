@@ -11,8 +11,6 @@ from sylpose.frames import Box
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.rig import Camera, Rig, intersect_rays
 
-__all__ = ["ObjectModel", "carve_box_volume"]
-
 # Maximum number of object points that define the search region (choice).
 MAX_CLOUD_POINTS = 600
 # Points per axis of the grids carved by the boxes; number of grids, each fitted to what the previous one has left
