@@ -48,7 +48,7 @@ MORE: tuple[Any, ...] = (
 NOT_CALLED = {
     "open_session": "reads files: test_fuzz_readers.py, calibration/, capture/",
     "open_live": "the same",
-    "track_session": "the same; its options: app/",
+    "track_session": "the same; its options: commands/",
     "load_object": "reads a file: commands/test_object_files.py",
     "save_object": "writes it: the same",
     "Session.frames": "the same",
@@ -171,6 +171,24 @@ def calls() -> dict[str, Call]:
             sylpose.solve_gossip,
             {**of_rig, "graph": graph, "max_rounds": 40, "network_faults": sylpose.NetworkFaults()},
             10,
+        ),
+        "RunOptions": Call(
+            sylpose.RunOptions,
+            {
+                "method": "epipolar",
+                "features": "sift",
+                "start": 1,
+                "stop": 9,
+                "every": 2,
+                "overlay": False,
+                "smooth": True,
+                "plot_format": "svg",
+                "angles": "XYZ",
+                "seed": 3,
+                "workers": 2,
+                "resume": True,
+                "checkpoint_seconds": 2.0,
+            },
         ),
         "NetworkFaults": Call(
             sylpose.NetworkFaults,

@@ -122,7 +122,7 @@ def test_result_is_smoothed_by_default(session: Path, tmp_path: Path) -> None:
 def test_notes_of_frames_become_problems_of_the_run(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sylpose.tracking.state_machine.is_ambiguous", lambda *_: True)
+    monkeypatch.setattr("sylpose.tracking.initialization.is_ambiguous", lambda *_: True)
     run = track_session(replace(open_session(recording), _boxes={}), tmp_path, RunOptions(stop=6, overlay=False))
     assert any("another moved nearly as much" in problem for problem in run.problems)
 

@@ -36,6 +36,8 @@ _OPTION_BY_ARGUMENT = {
     "max_time_diff": "--within",
     "offsets": "--frame-offset",
     "up": "--world",
+    "without": "--exclude-camera",
+    "checkpoint_seconds": "--checkpoint",
 }
 
 

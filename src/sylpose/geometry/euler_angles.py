@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from sylpose.geometry.arrays import FloatArray
+from sylpose.geometry.validation import format_value
 
 # Cosine of the angle between consecutive axes that count as perpendicular (choice: the accuracy of three decimals).
 MAX_AXES_COSINE = 2e-3
@@ -86,7 +87,7 @@ def parse_euler_angles(text: str) -> EulerAngles:
         if axes.shape != (3, 3) or not np.isfinite(axes).all() or not (np.abs(axes).max(axis=1) > 0).all():
             raise ValueError(
                 "angles: expected three axes, such as XYZ (intrinsic), xyz (extrinsic) or "
-                f'"0,0,1 1,0,0 0,1,0", got {text!r}'
+                f'"0,0,1 1,0,0 0,1,0", got {format_value(text)}'
             )
         axes = axes / np.abs(axes).max(axis=1, keepdims=True)
         axes = axes / np.linalg.norm(axes, axis=1, keepdims=True)

@@ -103,7 +103,10 @@ def are_rotations(matrices: FloatArray) -> bool | BoolArray:
     # Entries of a rotation are at most 1 in magnitude; others are not multiplied, which could overflow.
     bounded = np.where((np.abs(matrices) < 2.0).all(axis=(-2, -1), keepdims=True), matrices, 0.0)
     off = np.abs(bounded @ bounded.swapaxes(-2, -1) - np.eye(3)).max(axis=(-2, -1))
-    is_rotation: bool | BoolArray = (off <= ORTHOGONALITY_TOLERANCE) & (np.linalg.det(bounded) > 0)
+    is_orthogonal = np.asarray(off <= ORTHOGONALITY_TOLERANCE)
+    # The determinant of others could divide by subnormal pivots.
+    orthogonal = np.where(is_orthogonal[..., None, None], bounded, np.eye(3))
+    is_rotation: bool | BoolArray = is_orthogonal & (np.linalg.det(orthogonal) > 0)
     return is_rotation
 
 

@@ -20,7 +20,6 @@ from types import ModuleType
 from packaging.requirements import Requirement
 
 import sylpose
-from sylpose.geometry.kernel_cache import CACHE_DIR_VARIABLE, display_folder, is_writable
 from sylpose.runs.system_resources import available_cores, available_memory
 
 # Module names of distributions whose module is named differently.
@@ -156,19 +155,19 @@ def _check_folders(found: Diagnosis) -> None:
         found.facts["Temporary"] = tempfile.gettempdir()
     except OSError:
         found.warnings.append("no temporary folder is writable: set TMPDIR=FOLDER; batch and plots need it")
-    chosen = os.environ.get(CACHE_DIR_VARIABLE)
-    if chosen and not is_writable(Path(chosen)):
-        found.warnings.append(f"{CACHE_DIR_VARIABLE}={chosen} cannot be written; compiled code is cached elsewhere")
 
 
 def _check_kernels(found: Diagnosis) -> None:
     """Report where compiled code is cached, and check that compiled code runs."""
     try:
-        from sylpose.geometry.kernel_cache import mark_announced
+        from sylpose.geometry.kernel_cache import CACHE_DIR_VARIABLE, display_folder, is_writable, mark_announced
         from sylpose.runs.precompile import find_kernel_cache, is_compiled
     except Exception as error:
         found.problems.append(f"sylpose itself cannot be loaded ({type(error).__name__}: {error})")
         return
+    chosen = os.environ.get(CACHE_DIR_VARIABLE)
+    if chosen and not is_writable(Path(chosen)):
+        found.warnings.append(f"{CACHE_DIR_VARIABLE}={chosen} cannot be written; compiled code is cached elsewhere")
     mark_announced()  # suppress the notice: the fact below reports the same
     folder, is_ready = find_kernel_cache(), is_compiled()
     where = "nowhere: no folder is writable" if folder is None else f"in {display_folder(folder)}"

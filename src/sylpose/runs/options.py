@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from sylpose.geometry.euler_angles import parse_euler_angles
-from sylpose.geometry.validation import check_choice
+from sylpose.geometry.validation import check_bool, check_choice, check_integer, check_number, check_type
 from sylpose.methods import FEATURES, METHODS, MODES, resolve_features
 from sylpose.report import PICTURE_FORMATS
 from sylpose.tracking.known_object import KnownObject
@@ -62,13 +62,21 @@ class RunOptions:
 
     def __post_init__(self) -> None:
         resolve_features(self.method, self.features)
-        if not self.checkpoint_seconds >= 0:
-            raise ValueError(f"--checkpoint must be a number of seconds, 0 or more, got {self.checkpoint_seconds}")
+        for name in ("overlay", "refine_calibration", "resume"):
+            check_bool(getattr(self, name), name)
+        if self.smooth is not None:
+            check_bool(self.smooth, "smooth")
+        for name, minimum in (("start", 0), ("stop", 1), ("every", 1), ("seed", 0), ("workers", 1)):
+            value = getattr(self, name)
+            if value is not None or name not in ("stop", "workers"):
+                check_integer(value, name, minimum=minimum)
+        check_number(self.checkpoint_seconds, "checkpoint_seconds", minimum=0.0)
         check_choice(self.plot_format, PICTURE_FORMATS, "plot_format")
         if self.angles is not None:
-            parse_euler_angles(self.angles)
-        if self.workers is not None and self.workers < 1:
-            raise ValueError(f"workers must be at least 1, got {self.workers}")
+            parse_euler_angles(check_type(self.angles, str, "angles"))
+        for name, kinds in (("offsets", Mapping), ("known", (KnownObject, Mapping))):
+            if getattr(self, name) is not None:
+                check_type(getattr(self, name), kinds, name)
         if self.distributed is None:
             return
         if self.distributed not in MODES:
