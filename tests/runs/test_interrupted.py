@@ -251,7 +251,7 @@ def test_results_are_not_written_into_the_recording(session: Path, capsys: pytes
             assert len(output) == 1
             assert f"--out {out}: " in output[0]
     assert sorted(session.rglob("*")) == before
-    with pytest.raises(ValueError, match="--checkpoint must be a number of seconds"):
+    with pytest.raises(ValueError, match="checkpoint_seconds must be a number of seconds"):
         track_session(open_session(session), options=RunOptions(checkpoint_seconds=float("nan")))
     assert sorted(session.rglob("*")) == before
     assert main(["sync", str(session), "--out", str(session / "cam_0.mp4")]) == 2

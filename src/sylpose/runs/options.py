@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from sylpose.geometry.euler_angles import parse_euler_angles
-from sylpose.geometry.validation import check_bool, check_choice, check_integer, check_number, check_type
+from sylpose.geometry.validation import check_bool, check_choice, check_integer, check_type, format_value
+from sylpose.io.capture.session import check_frame_range
 from sylpose.methods import FEATURES, METHODS, MODES, resolve_features
 from sylpose.report import PICTURE_FORMATS
 from sylpose.tracking.known_object import KnownObject
@@ -66,11 +67,16 @@ class RunOptions:
             check_bool(getattr(self, name), name)
         if self.smooth is not None:
             check_bool(self.smooth, "smooth")
-        for name, minimum in (("start", 0), ("stop", 1), ("every", 1), ("seed", 0), ("workers", 1)):
-            value = getattr(self, name)
-            if value is not None or name not in ("stop", "workers"):
-                check_integer(value, name, minimum=minimum)
-        check_number(self.checkpoint_seconds, "checkpoint_seconds", minimum=0.0)
+        # `check_frame_range` and the session check the ranges of frames.
+        for name in ("start", "every", *(["stop"] if self.stop is not None else [])):
+            check_integer(getattr(self, name), name, minimum=-(2**62))
+        check_integer(self.seed, "seed")
+        if self.workers is not None:
+            check_integer(self.workers, "workers", minimum=1)
+        check_frame_range(self.start, self.stop, self.every)
+        seconds: object = self.checkpoint_seconds  # callers may ignore its type
+        if isinstance(seconds, bool) or not isinstance(seconds, (int, float)) or not seconds >= 0:
+            raise ValueError(f"checkpoint_seconds must be a number of seconds, 0 or more, got {format_value(seconds)}")
         check_choice(self.plot_format, PICTURE_FORMATS, "plot_format")
         if self.angles is not None:
             parse_euler_angles(check_type(self.angles, str, "angles"))
