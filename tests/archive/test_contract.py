@@ -6,6 +6,7 @@ import itertools
 import os
 import shutil
 import socket
+import subprocess
 import sys
 import threading
 import time
@@ -164,6 +165,40 @@ def test_claim_is_respected_until_it_expires(
     assert files_in(out) == ({"claim-000003"} if held else FILES)
 
 
+HOLD_AND_DIE = """
+import os, sys
+from sylpose.archive.contract import _make_scratch, hold_claim
+from sylpose.archive.stores import open_store
+
+store = open_store(sys.argv[1])
+with hold_claim(store, "b"), _make_scratch(store, sys.argv[2]):
+    os._exit(0)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere claims of dead processes expire")
+def test_claim_of_dead_process_is_superseded_at_once(tmp_path: Path) -> None:
+    """Its computer may be another one, where the same process ID is another process."""
+    (one,) = make_recordings(tmp_path / "in", one="work")
+    out = open_store(tmp_path / "out")
+    subprocess.run([sys.executable, "-c", HOLD_AND_DIE, out.join("one").url, str(tmp_path)], check=True)
+    claim = tmp_path / "out" / "one" / "claim-000000"
+    process = claim.read_bytes()
+    claim.write_bytes(process + b"0")
+    assert process_recording(one, make_settings(out)).status == "held"
+    claim.write_bytes(process)
+    assert read_owner(out.join("one")) == ""
+    assert process_recording(one, make_settings(out)).status == "done"
+    assert files_in(out) == FILES
+
+
+@pytest.mark.parametrize("pid", ["1", str(os.getpid()), "x", "9" * 30, ""])
+def test_claim_of_live_or_unknown_process_is_respected(tmp_path: Path, pid: str) -> None:
+    store = open_store(tmp_path)
+    store.create("claim-000000", f"b\nprocess 1 of here\n{pid} {contract._identify_computer()}".encode())
+    assert read_owner(store) == "process 1 of here"
+
+
 def test_claim_is_renewed_until_superseded(out: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(contract, "RENEW_INTERVAL", 0.02)
     with hold_claim(out, "a") as is_current:
@@ -281,6 +316,19 @@ def test_scratch_of_dead_workers_is_removed(out: Store, tmp_path: Path, monkeypa
     assert len(list(scratch.iterdir())) == 1
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere only the same recording removes it")
+def test_scratch_of_dead_processes_is_removed_with_any_recording(tmp_path: Path) -> None:
+    (one,) = make_recordings(tmp_path / "in", one="work")
+    out, scratch = open_store(tmp_path / "out"), tmp_path / "scratch"
+    subprocess.run([sys.executable, "-c", HOLD_AND_DIE, out.join("two").url, str(scratch)], check=True)
+    (left,) = scratch.iterdir()
+    others = [scratch / left.name.replace("sylpose-scratch-", "sylpose-scratch"), scratch / f"{left.name[:32]}-1-2-x"]
+    for folder in others:
+        folder.mkdir()
+    assert process_recording(one, make_settings(out, scratch=str(scratch))).status == "done"
+    assert sorted(scratch.iterdir()) == sorted(others)
+
+
 def test_abandoned_recording_is_retried_by_next_run(out: Store, tmp_path: Path) -> None:
     (one,) = make_recordings(tmp_path / "in", one="work")
     out.join("one").create("claim-000000", b"a\nthe process that died")
@@ -293,6 +341,18 @@ def test_abandoned_recording_is_retried_by_next_run(out: Store, tmp_path: Path) 
     assert files_in(out) == FILES
 
 
+def test_reason_of_a_crash_is_kept_if_it_cannot_be_written(
+    out: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> bool:
+        raise OSError("cannot write: no space left")
+
+    (one,) = make_recordings(tmp_path / "in", one="work")
+    monkeypatch.setattr(type(out), "create", fail)
+    summary = mark_crashed(one, make_settings(out), "it died")
+    assert (summary.status, summary.error) == ("crashed", "it died; cannot write: no space left")
+
+
 def test_store_errors_are_described(tmp_path: Path) -> None:
     store = open_store("memory://nothing")
     assert isinstance(store, ObjectStore)
@@ -301,6 +361,13 @@ def test_store_errors_are_described(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(OSError, match="cannot write"):
         open_store(tmp_path / "file").write("name", b"")
+
+
+def test_file_removed_while_it_is_listed_is_skipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "claim-000000").touch()
+    assert [file.name for file in open_store(tmp_path).files()] == ["claim-000000"]
+    monkeypatch.setattr(Path, "is_file", lambda path: path.unlink() is None)
+    assert open_store(tmp_path).files() == []
 
 
 def test_object_stores_need_extra(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,9 +4,10 @@
 again. Results appear in the destination only when they are complete, `done.json` last of all.
 
 A claim separates two workers: a file `claim-N` that is created only if it does not exist, which every store
-supports. The claim with the highest number counts. Its worker rewrites it. A claim that was not rewritten for two
-minutes, or that is of the same run, whose driver knows that its worker died, is superseded by creating number N + 1,
-which again only one worker can. A worker that was only suspended detects that it was superseded.
+supports. The claim with the highest number counts. Its worker rewrites it. A claim is superseded by creating number
+N + 1, which again only one worker can: if it was not rewritten for two minutes, if its process has ended on this
+computer, or if it is of the same run, whose driver knows that its worker died. A worker that was only suspended detects
+that it was superseded.
 """
 
 from __future__ import annotations
@@ -146,7 +147,10 @@ def process_recording(recording: Recording, settings: RunSettings) -> Summary:
 
 def mark_crashed(recording: Recording, settings: RunSettings, reason: str) -> Summary:
     """Mark a recording as crashed after its workers died, unless another run works on it or has finished it."""
-    return process_recording(recording, replace(settings, work=lambda *_: Summary(status="crashed", error=reason)))
+    summary = process_recording(recording, replace(settings, work=lambda *_: Summary(status="crashed", error=reason)))
+    if summary.status == "i/o error":
+        return Summary(status="crashed", error=f"{reason}; {summary.error}")
+    return summary
 
 
 def read_record(store: Store) -> Record | None:
@@ -195,7 +199,7 @@ def hold_claim(store: Store, run: str) -> Iterator[Callable[[], bool]]:
         raise RecordingHeldError(f"held by {owner}")
     # By the same listing: if another worker has created this number meanwhile, it holds the recording.
     name = f"claim-{int(max(claims)[6:]) + 1 if claims else 0:06}"
-    content = f"{run}\nprocess {os.getpid()} of {socket.gethostname()}".encode()
+    content = f"{run}\nprocess {os.getpid()} of {socket.gethostname()}\n{os.getpid()} {_identify_computer()}".encode()
     if not store.create(name, content):
         raise RecordingHeldError("held by another worker")
     ended = threading.Event()
@@ -228,11 +232,33 @@ def read_owner(store: Store) -> str:
 
 
 def _read_live_claim(store: Store, claims: dict[str, float]) -> tuple[str, str]:
-    """Return the run and the process of the latest claim; empty if it has expired."""
+    """Return the run and the process of the latest claim; empty if it has expired or its process has ended."""
     if not claims or time.time() - claims[max(claims)] > CLAIM_LIFETIME:
         return "", ""
-    run, _, owner = (store.read(max(claims)) or b"").decode(errors="replace").partition("\n")
-    return run, owner or "another worker"
+    content = (store.read(max(claims)) or b"").decode(errors="replace")
+    run, owner, process = (*content.split("\n"), "", "")[:3]
+    return ("", "") if _has_ended(process) else (run, owner or "another worker")
+
+
+def _identify_computer() -> str:
+    """Return where process IDs are those of this process: its computer and container; empty if unknown."""
+    with suppress(OSError):  # not Linux
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text()
+        return f"{boot.strip().replace('-', '')}{os.stat('/proc/self/ns/pid').st_ino}"
+    return ""
+
+
+def _has_ended(process: str) -> bool:
+    """Return whether a process, "ID computer", has ended; False if it may still be at work."""
+    pid, _, computer = process.partition(" ")
+    if computer and computer == _identify_computer():
+        try:
+            os.kill(int(pid), 0)
+        except ProcessLookupError:
+            return True
+        except (OSError, ValueError, OverflowError):  # of another user, or no process ID
+            pass
+    return False
 
 
 def _list_claims(store: Store) -> dict[str, float]:
@@ -273,12 +299,17 @@ def _publish_results(store: Store, results: Path, recording: Recording, summary:
 
 @contextmanager
 def _make_scratch(store: Store, parent: str | None) -> Iterator[Path]:
-    """Create a temporary folder with `results`, after removing those of killed workers with the same recording."""
+    """Create a temporary folder with `results`, after removing those of killed workers.
+
+    These are of processes that have ended on this computer, and others with the same recording.
+    """
     root = Path(parent or tempfile.gettempdir())
     prefix = f"sylpose-scratch-{hashlib.blake2b(store.url.encode(), digest_size=8).hexdigest()}-"
-    for leftover in root.glob(f"{prefix}*"):
-        shutil.rmtree(leftover, ignore_errors=True)
+    for leftover in root.glob("sylpose-scratch-*"):
+        if leftover.name.startswith(prefix) or _has_ended(" ".join(leftover.name.split("-")[3:5])):
+            shutil.rmtree(leftover, ignore_errors=True)
     root.mkdir(parents=True, exist_ok=True)
+    prefix += f"{os.getpid()}-{_identify_computer()}-"
     with tempfile.TemporaryDirectory(prefix=prefix, dir=root, ignore_cleanup_errors=True) as folder:
         Path(folder, "results").mkdir()
         yield Path(folder)

@@ -81,9 +81,10 @@ class Store:
             visited.add(os.path.realpath(where))
             folders[:] = [name for name in folders if not name.startswith(".")]
             for path in (Path(where, name) for name in names if not name.startswith(".")):
-                if path.is_file():
-                    name, stat = path.relative_to(self.url).as_posix(), path.stat()
-                    found.append(StoredFile(name, stat.st_size, str(stat.st_mtime_ns), stat.st_mtime))
+                with suppress(FileNotFoundError):  # removed meanwhile, such as a claim
+                    if path.is_file():
+                        name, stat = path.relative_to(self.url).as_posix(), path.stat()
+                        found.append(StoredFile(name, stat.st_size, str(stat.st_mtime_ns), stat.st_mtime))
         return sorted(found)
 
 
