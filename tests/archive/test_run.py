@@ -38,7 +38,8 @@ def run_recordings(
     return found
 
 
-def test_dead_worker_loses_only_its_recording(tmp_path: Path) -> None:
+def test_dead_worker_loses_only_its_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(run, "RETRY_INTERVAL", 0.1)
     folder, out = tmp_path / "in", open_store(tmp_path / "out")
     orders = {"a": "io-once", "b": "die", "c": "die-once", "d": "exit", "e": "wrong", "f": "work"}
     found = run_recordings(make_recordings(folder, **orders), make_settings(out, threads=3))
@@ -69,7 +70,7 @@ def test_memory_is_bounded(tmp_path: Path) -> None:
 
 
 def test_recordings_held_by_others_are_awaited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(run, "HELD_CHECK_INTERVAL", 0.1)
+    monkeypatch.setattr(run, "RETRY_INTERVAL", 0.1)
     monkeypatch.setattr(run, "WORKER_CHECK_INTERVAL", 0.05)
     out = open_store(tmp_path / "out")
     (one,) = make_recordings(tmp_path / "in", one="work")
@@ -97,6 +98,33 @@ def test_recordings_held_by_others_are_awaited(tmp_path: Path, monkeypatch: pyte
     thread.join()
     assert [summary.status for summary in found] == ["done"]
     assert (0, 1) in looks
+
+
+def test_failed_disk_is_retried_later(tmp_path: Path) -> None:
+    one, two = make_recordings(tmp_path / "in", one="io-once", two="work")
+    looks, settings = list[tuple[int, int]](), make_settings(open_store(tmp_path / "out"))
+    found: dict[str, Summary] = {}
+
+    def look(running: int, later: int) -> None:
+        looks.append((running, later))
+
+    with ProcessWorkers(settings, 1) as workers:
+        start = time.monotonic()
+        process_all([one, two], settings, workers, lambda r, s: found.update({r.name: s}), look)
+    assert {name: summary.status for name, summary in found.items()} == {"two": "done", "one": "done"}
+    assert list(found) == ["two", "one"]
+    assert (0, 1) in looks
+    assert time.monotonic() - start > run.RETRY_INTERVAL
+
+
+def test_idle_worker_that_died_costs_no_attempt(tmp_path: Path) -> None:
+    one, two = make_recordings(tmp_path / "in", one="work", two="work")
+    with ProcessWorkers(make_settings(open_store(tmp_path / "out")), 1) as workers:
+        assert workers.submit(one).result(60).status == "done"
+        (process,) = workers._processes
+        process.kill()
+        process.join()
+        assert workers.submit(two).result(60).status == "done"
 
 
 def test_interrupt_ends_all_workers_without_files(tmp_path: Path) -> None:
@@ -174,7 +202,7 @@ def test_processes_on_an_object_store(tmp_path: Path, monkeypatch: pytest.Monkey
         settings = {"ENDPOINT": address, "ALLOW_HTTP": "true", "ACCESS_KEY_ID": "a", "SECRET_ACCESS_KEY": "b"}
         for name, value in (settings | {"REGION": "us-east-1"}).items():
             monkeypatch.setenv(f"AWS_{name}", value)
-        monkeypatch.setattr(run, "HELD_CHECK_INTERVAL", 0.1)
+        monkeypatch.setattr(run, "RETRY_INTERVAL", 0.1)
         stores._connect.cache_clear()
         out = open_store("s3://lab/results of may")
         recordings = make_recordings(tmp_path / "in", a="sleep 0.2", b="die-once", c="wrong", d="work")

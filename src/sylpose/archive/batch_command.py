@@ -132,9 +132,9 @@ class _ProgressLine(Progress):
             start = f"{len(self._summaries)}/{self._n} {recording.name}: "
             self.console.print(Text.assemble(start, (summary.status, style), text), soft_wrap=True)
 
-    def show_counts(self, running: int, held: int) -> None:
+    def show_counts(self, running: int, later: int) -> None:
         n_failed = sum(summary.status != "done" for summary in self._summaries.values())
-        texts = [f"{n} {label}" for n, label in ((held, "held by others"), (n_failed, "failed")) if n]
+        texts = [f"{n} {label}" for n, label in ((later, "to retry"), (n_failed, "failed")) if n]
         self.update(self._task, counts=", ".join([f"{running} running", *texts]))
 
 

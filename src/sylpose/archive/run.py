@@ -22,8 +22,9 @@ from sylpose.runs.system_resources import available_cores, available_memory
 
 # Attempts if workers die or disks and networks fail (choice: a node of a cluster may go away).
 MAX_ATTEMPTS = 3
-# Seconds between checks of recordings held by other workers, and of the own workers; for workers to end (choice).
-HELD_CHECK_INTERVAL, WORKER_CHECK_INTERVAL, EXIT_TIMEOUT_S = 5.0, 0.5, 10.0
+# Seconds until recordings that other workers hold, or whose disk or network failed, are tried again; between checks of
+# the own workers; for workers to end (choice).
+RETRY_INTERVAL, WORKER_CHECK_INTERVAL, EXIT_TIMEOUT_S = 5.0, 0.5, 10.0
 # Tasks in flight per available slot, so that the next ones are queued (choice).
 TASKS_PER_SLOT = 2
 # Seconds for tasks to release their claims after an interrupt (choice).
@@ -59,24 +60,24 @@ def process_all(
 ) -> None:
     """Distribute all recordings to workers; one whose worker dies is retried, then abandoned.
 
-    Recordings held by other runs are checked again until these finish them or their claim expires.
+    Recordings held by other runs are tried again until these finish them or their claim expires.
 
     Args:
         recordings: to be processed.
         settings: settings of the run.
         workers: the driver.
         on_outcome: called once with each recording.
-        on_progress: called regularly with the numbers of running recordings and of those held by others.
+        on_progress: called regularly with the numbers of running recordings and of those to be tried again later.
     """
-    waiting, held, attempts = deque(recordings), deque[tuple[float, Recording]](), Counter[str]()
+    waiting, later, attempts = deque(recordings), deque[tuple[float, Recording]](), Counter[str]()
     running: dict[Future[Summary], Recording] = {}
-    while waiting or held or running:
-        while held and held[0][0] <= time.monotonic():
-            waiting.append(held.popleft()[1])
+    while waiting or later or running:
+        while later and later[0][0] <= time.monotonic():
+            waiting.append(later.popleft()[1])
         while waiting and len(running) < workers.capacity():
             recording = waiting.popleft()
             running[workers.submit(recording)] = recording
-        on_progress(len(running), len(held))
+        on_progress(len(running), len(later))
         if not running:
             time.sleep(WORKER_CHECK_INTERVAL)
         for future in wait(running, WORKER_CHECK_INTERVAL, FIRST_COMPLETED).done:
@@ -84,7 +85,10 @@ def process_all(
             if death is not None or future.result().status == "i/o error":
                 attempts[recording.name] += 1
                 if attempts[recording.name] < MAX_ATTEMPTS:
-                    waiting.append(recording)
+                    if death is None:
+                        later.append((time.monotonic() + RETRY_INTERVAL, recording))
+                    else:
+                        waiting.append(recording)
                     continue
             if death is None:
                 summary = future.result()
@@ -92,7 +96,7 @@ def process_all(
                 reason = f"{workers.describe_death(death)}, {attempts[recording.name]} times"
                 summary = mark_crashed(recording, settings, reason)
             if summary.status == "held":
-                held.append((time.monotonic() + HELD_CHECK_INTERVAL, recording))
+                later.append((time.monotonic() + RETRY_INTERVAL, recording))
             else:
                 on_outcome(recording, summary)
 
@@ -163,8 +167,10 @@ class ProcessWorkers:
         return self._jobs
 
     def submit(self, recording: Recording) -> Future[Summary]:
-        if self._idle:
+        while self._idle:
             process, pipe = self._idle.pop()
+            if process.is_alive():
+                break
         else:
             context = multiprocessing.get_context("spawn")
             pipe, other = context.Pipe()
