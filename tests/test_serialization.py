@@ -126,6 +126,15 @@ def test_invalid_tables_are_rejected(hint: Any, root: Any) -> None:
         SERIALIZER.load(packed(root), hint)
 
 
+def test_poses_of_integers_are_rejected() -> None:
+    matrix, quaternion = np.eye(4), np.array([0.0, 0.0, 0.0, 1.0])
+    for hint, values in ((RigidTransform, matrix), (Rotation, quaternion)):
+        assert SERIALIZER.load(packed(["<f8", list(values.shape), None, True], values.tobytes()), hint) is not None
+        integers = values.astype(np.int64).tobytes()
+        with pytest.raises(ValueError, match="not a"):
+            SERIALIZER.load(packed(["<i8", list(values.shape), None, True], integers), hint)
+
+
 def test_arrays_need_all_their_data() -> None:
     assert len(SERIALIZER.load(packed(["<f8", [8], None, True]), ARRAY)) == 8
     for size in (63, 65):

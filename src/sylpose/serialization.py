@@ -3,10 +3,10 @@
 The data are MessagePack without any names: a record is the list of its fields' values. Each value is read as the type
 that its field is annotated with, so the data determine neither types nor functions, except those of a list.
 
-Bit-exact data (`Serializer.dump`) are followed by the contents of all arrays as in memory. Objects that are shared stay
-shared: the second occurrence is the index of the first, so that cycles are impossible. In compact data
-(`Serializer.encode`), integers take as many bits as the range of their column, or of its differences, requires. So do
-numbers that become integers when multiplied by a power of two, such as image points on their grid
+Bit-exact data (`Serializer.dump`) are followed by the contents of all arrays as in memory. Records, arrays and poses
+that are shared stay shared: the second occurrence is the index of the first, so that cycles are impossible. In compact
+data (`Serializer.encode`), integers take as many bits as the range of their column, or of its differences, requires. So
+do numbers that become integers when multiplied by a power of two, such as image points on their grid
 (`Camera.normalize_to_grid`). Other numbers take four bytes each if that is lossless, otherwise eight.
 """
 
@@ -358,9 +358,12 @@ def make_transforms(matrices: FloatArray) -> RigidTransform:
     Raises:
         ValueError: they are not rigid transforms.
     """
-    is_rigid = matrices.ndim in (2, 3) and matrices.shape[-2:] == (4, 4) and (np.abs(matrices) < MAX_MAGNITUDE).all()
-    if not is_rigid or not (
-        np.all(are_rotations(matrices[..., :3, :3])) and (matrices[..., 3, :] == [0, 0, 0, 1]).all()
+    is_matrix = matrices.dtype.kind == "f" and matrices.ndim in (2, 3) and matrices.shape[-2:] == (4, 4)
+    if not (
+        is_matrix
+        and (np.abs(matrices) < MAX_MAGNITUDE).all()
+        and np.all(are_rotations(matrices[..., :3, :3]))
+        and (matrices[..., 3, :] == [0, 0, 0, 1]).all()
     ):
         raise ValueError("not a rigid transform")
     return RigidTransform(matrices, normalize=False)
@@ -375,7 +378,8 @@ def _decode_pose(data: Any) -> RigidTransform:
 
 
 def _make_rotation(quaternions: FloatArray) -> Rotation:
-    if not np.abs(np.linalg.norm(quaternions, axis=-1) - 1.0).max(initial=0.0) < ORTHOGONALITY_TOLERANCE:
+    deviation = np.abs(np.linalg.norm(quaternions, axis=-1) - 1.0).max(initial=0.0)
+    if quaternions.dtype.kind != "f" or not deviation < ORTHOGONALITY_TOLERANCE:
         raise ValueError("not a unit quaternion")
     return Rotation(quaternions, normalize=False)
 
