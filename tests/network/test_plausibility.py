@@ -74,6 +74,7 @@ def test_plausible_payloads_are_accepted(told: object) -> None:
         (replace(PoseAgreement(), noise_px=-1.0), NO_MATCHES),
         (LandmarkAges(np.array([3.0]), np.array([-1.0])), NO_MATCHES),
         (LandmarkAges(np.array([3.0, 4.0]), np.array([9e6, 9e6])), NO_MATCHES),
+        (KnownDepthMatches(weights=np.ones(1)), NO_MATCHES),
         (RelocalizationMatches(np.full((1, 3), np.nan), np.zeros((1, 2))), NO_MATCHES),
         (np.full((1, 3), 1e10), NO_MATCHES),
         (10**9, NO_MATCHES),
@@ -89,6 +90,8 @@ def test_matches_must_be_of_sending_camera() -> None:
     for payload in (CameraTerms((TERM,)), InitialMatches((moving,)), moving, (TERM,)):
         assert find_implausibility(payload, TERM.camera) is None
         assert find_implausibility(payload, TERM.camera + 1) == NO_MATCHES
+    for count in (len(TERM.x) - 1, len(TERM.x) + 1):
+        assert find_implausibility(replace(moving, displacement_px=np.ones(count)), TERM.camera) == NO_MATCHES
     for wrong in (replace(TERM, rotation=2 * np.eye(3)), replace(TERM, focal=0.0)):
         assert find_implausibility(CameraTerms((wrong,)), TERM.camera) == NO_MATCHES
         assert find_implausibility(InitialMatches((replace(moving, term=wrong),)), TERM.camera) == NO_MATCHES

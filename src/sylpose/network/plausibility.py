@@ -90,9 +90,9 @@ def _is_plausible(one: object, camera: int) -> bool:
         case CameraTerms():
             return all(_is_plausible(term, camera) for term in one.terms)
         case MovingMatches():
-            return _is_plausible(one.term, camera)
+            return len(one.displacement_px) == len(one.term) and _is_plausible(one.term, camera)
         case KnownDepthMatches():
-            return _is_plausible(one.observations, camera)
+            return len(one.weights) == len(one.observations.points) and _is_plausible(one.observations, camera)
         case PoseAgreement():
             return (
                 _is_plausible(one.ages, camera)
