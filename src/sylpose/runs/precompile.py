@@ -3,7 +3,7 @@
     python -m sylpose.runs.precompile [PART ...]
 
 compiles all kernels, or the given parts sequentially. Compiled kernels are cached next to the sources, or in another
-writable folder (`geometry/cache_folders.py`), from where later processes load them.
+writable folder (`geometry/kernel_cache.py`), from where later processes load them.
 """
 
 from __future__ import annotations

@@ -285,7 +285,6 @@ def is_ambiguous(
         pairs: per camera, local: all matches since the frame with the number `first_number`.
         initial_motion: the motion accepted as the object's.
     """
-
     others = [
         [pair.subset(~np.isin(pair.indices[:, 0], _first_features(inliers))) for pair in own]
         for own, inliers in zip(pairs, initial_motion.inliers, strict=True)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -154,15 +155,14 @@ def track_from_anchor(
     anchor, last = state.frames.anchor, state.last
     assert anchor is not None
     assert frame.regions is not None
-    n = len(context.cameras)
-    tracked = context.executor.run(
+    track = partial(
         CameraTracker.track_anchor,
-        context.cameras,
-        [frame.images] * n,
-        [last.world_from_object] * n,
-        [predicted_pose] * n,
-        [state.object.radius] * n,
+        images=frame.images,
+        last_pose=last.world_from_object,
+        predicted_pose=predicted_pose,
+        radius=state.object.radius,
     )
+    tracked = context.executor.run(track, context.cameras)
     own_reports = [own.create_report(region) for own, region in zip(tracked, frame.regions, strict=True)]
     reports = context.executor.gather(own_reports, TrackingReport())
     # While the next anchor is prepared, less is enough.
@@ -395,10 +395,9 @@ def relocalize(context: TrackerContext, state: JointState, frame: Frame, *, fain
     keyframes = [
         select_keyframes(state.frames.keyframes, c, state.last, state.motion.n_missed) for c in context.executor.local
     ]
-    n = len(context.cameras)
     ratio = LOOSE_DESCRIPTOR_RATIO if faint else DESCRIPTOR_RATIO
-    radii = [state.object.radius] * n
-    matches = context.executor.run(_match_keyframes_of, context.cameras, keyframes, frame.cameras, radii, [ratio] * n)
+    match = partial(_match_keyframes_of, radius=state.object.radius, ratio=ratio)
+    matches = context.executor.run(match, context.cameras, keyframes, frame.cameras)
     return estimate_relocalized_pose(context.rig, context.executor.gather(matches, RelocalizationMatches()))
 
 

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -178,12 +179,16 @@ def _move_frames(
         )
         for k, (pose, covariance) in poses.items()
     }
-    for camera in context.cameras:
-        is_own = pending.landmark_cameras == camera.index
-        if is_own.any():
-            camera.table.move(pending.landmark_ids[camera.index], bundled.landmarks[is_own])
+    context.executor.run(partial(_move_landmarks, pending=pending, positions=bundled.landmarks), context.cameras)
     refinement = replace(state.refinement, covariance=bundled.covariance[at] if bundled.connected[at] else None)
     return replace(state, frames=state.frames.replace_frames(moved), refinement=refinement)
+
+
+def _move_landmarks(camera: CameraTracker, pending: PendingRefinement, positions: FloatArray) -> None:
+    """Move one camera's landmarks, given the refined positions (m, 3) of all cameras'."""
+    is_own = pending.landmark_cameras == camera.index
+    if is_own.any():
+        camera.table.move(pending.landmark_ids[camera.index], positions[is_own])
 
 
 def _add_fixed_covariance(bundled: BundleResult, frames: Sequence[SolvedFrame]) -> BundleResult:
