@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import struct
 import time
+import tracemalloc
 import zlib
 from io import BytesIO
 from pathlib import Path
@@ -97,6 +98,23 @@ def test_sizes_of_large_images_are_returned_without_warnings(tmp_path: Path) -> 
     file.write_bytes(header + 2 * (16_000).to_bytes(3, "little"))
     with pytest.raises(UnreadableFileError, match=r"a\.png: more than the 134217728 pixels that an image may have"):
         read_image_size(file)
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+@pytest.mark.parametrize("order", "<>")
+def test_overlapping_tags_of_small_images_do_not_take_memory(order: str) -> None:
+    """The value of each tag is the whole file."""
+    n, n_padding = 1000, 20_000
+    n_bytes = 8 + 2 + 12 * (n + 2) + 4 + n_padding
+    sides = [struct.pack(f"{order}HHII", 256 + i, 4, 1, side) for i, side in enumerate(SIZE)]
+    tags = [struct.pack(f"{order}HHII", 1000 + i, 7, n_bytes - i, 0) for i in range(n)]
+    start = struct.pack(f"{order}2sHIH", b"II" if order == "<" else b"MM", 42, 8, n + 2)
+    data = start + b"".join(sides + tags) + bytes(4 + n_padding)
+    tracemalloc.start()
+    assert image_size_from_header(data) == SIZE
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 10 * len(data)
 
 
 def test_broken_header_loses_one_frame(folder: Path) -> None:
