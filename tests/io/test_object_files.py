@@ -337,6 +337,7 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
         ("points", lambda a: np.full_like(a, np.nan)),
         ("keyframe_time", lambda a: a[::-1]),
         ("keyframe_world_from_object", lambda a: 2 * a),
+        ("keyframe_world_from_object", lambda a: a + np.pad([[1e10]], ((0, 3), (3, 0)))),
         ("keyframe_world_from_object", lambda a: a * np.array([1, 1, -1, 1])[:, None]),
         ("keyframe_covariance", lambda a: a - np.eye(6)),
         ("landmark_information", lambda a: -a),

@@ -285,8 +285,11 @@ def _decode_camera(stored: _Camera) -> Camera:
 
 
 def _decode_pose(name: str, matrices: ArrayLike) -> RigidTransform:
+    poses = np.asarray(matrices, float)
     try:
-        return make_transforms(np.asarray(matrices, float))
+        if not (np.abs(poses) <= MAX_LENGTH).all():
+            raise ValueError("too large")
+        return make_transforms(poses)
     except ValueError:
         raise ValueError(f"{name} has matrices that are not rigid transforms") from None
 
