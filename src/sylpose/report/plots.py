@@ -384,7 +384,7 @@ def _compute_angle_sigmas(trajectory: Trajectory, angles: EulerAngles) -> FloatA
     return np.array([np.full(3, np.nan) if p is None else angles.sigma(p.rotation, c) for p, c in poses])
 
 
-COMPARED_COLOR, ABSOLUTE_COLOR, RELATIVE_COLOR = "#888888", "#332288", "#CC6677"
+ABSOLUTE_COLOR, RELATIVE_COLOR = "#332288", "#CC6677"
 
 
 def plot_comparison(result: Comparison, path: Path, *, unit: str = "", title: str = "") -> None:
@@ -408,8 +408,8 @@ def plot_comparison(result: Comparison, path: Path, *, unit: str = "", title: st
     figure.suptitle(title, x=0.01, horizontalalignment="left", fontsize=12, fontweight="bold", color=INK)
     times, start = result.times, result.reference.translation[0]
     largest = float(max(np.abs(p.translation - start).max() for p in (result.estimate, result.reference)))
+    scale, length = choose_length_unit(largest, unit)
     for k, (axis, color) in enumerate((("x", X_COLOR), ("y", Y_COLOR), ("z", Z_COLOR))):
-        scale, _ = _choose_length_unit(largest, unit)
         position_axes.plot(
             times,
             scale * (result.reference.translation - start)[:, k],
@@ -421,9 +421,9 @@ def plot_comparison(result: Comparison, path: Path, *, unit: str = "", title: st
         position_axes.plot(
             times, scale * (result.estimate.translation - start)[:, k], color=color, linewidth=1.4, label=axis
         )
-    position_axes.set_ylabel(f"position since the start ({_choose_length_unit(largest, unit)[1]})")
+    position_axes.set_ylabel(f"position since the start ({length})")
     middle = 0.5 * (times[len(times) - len(result.relative_rotation) :] + times[: len(result.relative_rotation)])
-    scale, length = _choose_length_unit(float(result.position.max()), unit)
+    scale, length = choose_length_unit(float(result.position.max()), unit)
     for panel, absolute, relative, label in (
         (rotation_axes, np.degrees(result.rotation), np.degrees(result.relative_rotation), "rotation error (degrees)"),
         (error_axes, scale * result.position, scale * result.relative_position, f"position error ({length})"),
@@ -440,11 +440,6 @@ def plot_comparison(result: Comparison, path: Path, *, unit: str = "", title: st
         panel.legend(loc="upper left", bbox_to_anchor=(1.005, 1.0), frameon=False)
     figure.align_ylabels([position_axes, rotation_axes, error_axes])
     save_figure(figure, path)
-
-
-def _choose_length_unit(length: float, unit: str) -> tuple[float, str]:
-    """Choose the scale factor and unit in which to print lengths."""
-    return (1000.0, "mm") if unit == "m" and length < 0.1 else (1.0, unit or "units")
 
 
 # Line widths: each node's line is narrower than the one below it, so that all of them stay visible (choice).

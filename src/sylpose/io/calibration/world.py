@@ -160,7 +160,7 @@ def parse_up_world(text: str, unit: str = "") -> World | None:
 
 
 def load_world(path: Path | str, rig: Rig) -> World:
-    """Load a world from a file written by `save_world`, or with three points as in `world_points`.
+    """Load a world from a file written by `save_world`, or with three or more points (`_build_world_from_points`).
 
     Args:
         path: path of the file.
