@@ -300,25 +300,27 @@ def test_view_moves_position_and_target_of_a_client(server: tuple[Any, str], res
 def test_playback_to_the_end(server: tuple[Any, str], result: Path) -> None:
     viser, _ = server
     rig = calibration.load(result / "calibration.used.toml")
-    with ResultPlayer(viser, read_scenes(result), rig, None, "title") as player:
-        assert player.button.label == "Play"
-        player.play(True)
-        assert player.button.label == "Pause"
+    player = ResultPlayer(viser, read_scenes(result), rig, None, "title")
+    # Outside the `with` block, no thread plays: on a busy machine it could end between two lines.
+    assert player.button.label == "Play"
+    player.play(True)
+    assert player.button.label == "Pause"
+    with player:
         until(lambda: player.current == TRACKED - 1)
         until(lambda: player.button.label == "Play")
-        player.play(True)  # once more, from the first frame
-        assert player.current < TRACKED - 1
-        player.play(False)
-        # Layers.
-        player.page.visible["Points"] = False
-        player.page.refresh()
-        nodes = player.page._objects[""]
-        assert not nodes.points.visible
-        assert nodes.axes.visible
-        assert nodes.path[TRACKED_COLOR].visible
-        player.page.visible["Path"] = False
-        player.page.refresh()
-        assert not nodes.path[TRACKED_COLOR].visible
+    player.play(True)  # once more, from the first frame
+    assert player.current < TRACKED - 1
+    player.play(False)
+    # Layers.
+    player.page.visible["Points"] = False
+    player.page.refresh()
+    nodes = player.page._objects[""]
+    assert not nodes.points.visible
+    assert nodes.axes.visible
+    assert nodes.path[TRACKED_COLOR].visible
+    player.page.visible["Path"] = False
+    player.page.refresh()
+    assert not nodes.path[TRACKED_COLOR].visible
 
 
 def test_frame_without_pose(server: tuple[Any, str], result: Path) -> None:
@@ -352,11 +354,14 @@ def test_several_objects_on_one_page(server: tuple[Any, str], result: Path, tmp_
     assert list(scenes) == ["mug", "tray"]
     assert collect_frames(scenes)[0].tolist() == list(range(TRACKED))
     rig = calibration.load(tmp_path / "calibration.used.toml")
+    scenes["tray"] = replace(scenes["tray"], unit="first distances")  # as of an object of one camera
     with ResultPlayer(viser, scenes, rig, None, "two") as player:
         player.show(3)
         assert {name: nodes.axes.visible for name, nodes in player.page._objects.items()} == {"mug": True, "tray": True}
         assert "mug" in player.description.content
         assert "tray" in player.description.content
+        positions = [line for line in player.description.content.splitlines() if line.startswith("at ")]
+        assert ["first distances" in line for line in positions] == [False, True]
     with pytest.raises(FileNotFoundError, match="a folder that sylpose track wrote"):
         read_scenes(tmp_path / "nowhere")
     (tmp_path / "empty").mkdir()
@@ -431,7 +436,7 @@ def test_tracker_does_not_wait_for_page(
         draw(page)
 
     monkeypatch.setattr(LivePage, "_draw", slow)
-    with LivePage(viser, session.rig, ["object"], "title") as page:
+    with LivePage(viser, session.rig, {"object": session.rig.unit}, "title") as page:
         for tracked in frames:  # all of them, before the page has drawn one
             page.update("object", tracked)
         assert len(looks) <= 1

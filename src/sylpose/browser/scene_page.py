@@ -67,6 +67,7 @@ def escape_markdown(text: str) -> str:
 class ObjectNodes:
     """Scene nodes of one object, and their current state."""
 
+    unit: str
     axes: Any
     points: Any
     ellipsoid: Any
@@ -165,8 +166,8 @@ class ScenePage:
         self._recorded_images[c].position = tuple(self._to_page(pose[:3, 3]) + depth * pose[:3, :3] @ middle)
         self._recorded_images[c].scale = depth
 
-    def add(self, name: str) -> None:
-        """Add an object without pose, points or path."""
+    def add(self, name: str, unit: str) -> None:
+        """Add an object without pose, points or path; `unit` is the length unit of its poses."""
         key, blank = f"/object{len(self._objects)}", np.zeros((1, 2, 3), np.float32)
         axes = self._api.add_frame(key, visible=False)
         look = {"point_shape": "circle", "precision": "float32", "visible": False}
@@ -177,7 +178,7 @@ class ScenePage:
             color: self._api.add_line_segments(f"{key}_path{k}", blank, color, **look)
             for k, color in enumerate((TRACKED_COLOR, *_COLORS.values()))
         }
-        self._objects[name] = ObjectNodes(axes, points, ellipsoid, path)
+        self._objects[name] = ObjectNodes(unit, axes, points, ellipsoid, path)
         self.set_size(name, self._scene.axis_length)
 
     def set_size(self, name: str, radius: float, usual_sd: float = np.nan) -> None:
@@ -237,7 +238,7 @@ class ScenePage:
             pose: (4, 4) world_from_object, NaN without a pose.
             covariance: (6, 6) of (w, d).
         """
-        has_pose, unit = bool(np.isfinite(pose).all()), escape_markdown(self._scene.unit)
+        has_pose, unit = bool(np.isfinite(pose).all()), escape_markdown(self._objects[name].unit)
         color = status_color(status.value) if has_pose else NO_POSE_COLOR
         title = f"**{escape_markdown(label)}{': ' if label else ''}{status.value}**"
         lines = [f"<span style='color:rgb{color}'>⬤</span> {title}", escape_markdown(reason or status.text)]

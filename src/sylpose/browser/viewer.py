@@ -137,7 +137,7 @@ def create_static_scene(server: Any, scenes: Mapping[str, Scene], rig: Rig) -> S
         variances = np.diagonal(scene.covariance[:, 3:, 3:], axis1=1, axis2=2)
         sizes = np.sqrt(variances[scene.measured].max(axis=1, initial=0.0))
         sizes = sizes[np.isfinite(sizes) & (sizes > 0)]
-        page.add(name)
+        page.add(name, scene.unit)
         page.set_size(name, scene.axis_length, float(np.quantile(sizes, 0.9)) if len(sizes) else np.nan)
         page.set_points(name, scene.points, scene.point_colors)
         page.set_path(name, scene.world_from_object[:, :3, 3], scene.status)
@@ -253,26 +253,26 @@ class LivePage:
 
     Args:
         server: viser server.
-        rig: the cameras, in the length unit of the poses.
-        objects: names of the objects.
+        rig: the cameras.
+        units: length unit of the poses of each object, by name.
         title: title of the page.
 
     Attributes:
         error: error message if the page stopped before the run ended, else "".
     """
 
-    def __init__(self, server: Any, rig: Rig, objects: Sequence[str], title: str) -> None:
+    def __init__(self, server: Any, rig: Rig, units: Mapping[str, str], title: str) -> None:
         scene = build_scene(Trajectory([], rig.names, rig.unit), rig)
         self.page, self.error, self._server, self._scene = ScenePage(server, scene, rig), "", server, scene
-        self._labels = {name: name if len(objects) > 1 else "" for name in objects}
-        self._paths = {name: ObjectPath() for name in objects}
+        self._labels = {name: name if len(units) > 1 else "" for name in units}
+        self._paths = {name: ObjectPath() for name in units}
         self._latest: dict[str, TrackedFrame] = {}
         self._lock, self._updated, self._ended = threading.Lock(), threading.Event(), threading.Event()
-        for name in objects:
-            self.page.add(name)
+        for name, unit in units.items():
+            self.page.add(name, unit)
         server.gui.add_markdown(f"**{escape_markdown(title)}**")
         self.status_text = server.gui.add_markdown("Nothing is tracked yet.")
-        add_controls(self.page, objects, rig.names, self._updated.set)
+        add_controls(self.page, [*units], rig.names, self._updated.set)
         self._thread = threading.Thread(target=self._run, name="sylpose-show", daemon=True)
 
     def __enter__(self) -> Self:

@@ -17,7 +17,6 @@ from sylpose.commands.options import DisplayOptions
 from sylpose.io.capture import Session
 from sylpose.io.capture.live import LiveSession
 from sylpose.report.files import format_pose_line
-from sylpose.rig import Rig
 from sylpose.runs import console_output
 from sylpose.runs.check import boxes_hint, check_session, list_errors, locate_object
 from sylpose.runs.options import RunOptions
@@ -143,10 +142,9 @@ class _RunDisplay:
         from sylpose.browser.viewer import LivePage
 
         session, console = self._session, console_output.make_console(stderr=self._to_stderr)
-        rig = Rig(session.rig.cameras, next(iter(self._units.values())))
         with (
             serve_viewer(port=self._shown.port) as (server, url),
-            LivePage(server, rig, session.objects, session.path.resolve().name) as page,
+            LivePage(server, session.rig, self._units, session.path.resolve().name) as page,
         ):
             opened = self._shown.browser and open_browser(url)
             console.print(f"{'Opened' if opened else 'Open'} {url} in a browser.", soft_wrap=True)
