@@ -60,6 +60,13 @@ def test_errors_name_the_option(words: str, said: str, session: Path, capsys: py
     assert line.startswith("sylpose: " + said.replace("{}", str(session)))
 
 
+def test_errors_of_live_sessions_name_the_option(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    calibration.save(ring(2, size=(64, 48)), tmp_path / "calibration.toml")
+    (tmp_path / "live.toml").write_text("rate = 10.0\n[cameras]\ncam_0 = 0\ncam_1 = 1\n")
+    assert main(["track", str(tmp_path), "--no-drop"]) == 2
+    assert capsys.readouterr().err.startswith(f"sylpose: {tmp_path}: --no-drop: cameras and streams cannot wait")
+
+
 def test_errors_in_python_name_the_argument(session: Path) -> None:
     with pytest.raises(ValueError, match="cameras: 'x' is not a camera"):
         open_session(session, cameras={"x": "y"})

@@ -33,6 +33,7 @@ INPUT, OBJECT, OUTPUT, LIVE, ADVANCED = _SECTIONS = ("Input", "Object", "Output"
 # Options whose argument in the Python functions has another name than in the command.
 _OPTION_BY_ARGUMENT = {
     "cameras": "--video",
+    "lossless": "--no-drop",
     "max_time_diff": "--within",
     "offsets": "--frame-offset",
     "up": "--world",

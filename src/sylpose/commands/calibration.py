@@ -30,6 +30,8 @@ class ConvertOptions(WorldOptions):
         target: Output: .toml (sylpose), .yml, .json or .xml (OpenCV), camchain.yaml (Kalibr), or a folder (COLMAP).
         to: Set the format of OUT; default: from its name.
         unit: Set the length unit of OUT; default: that of IN.
+        world_frame: Detect the world board in this frame of --world-from; default: the first frame.
+        world_from: Detect the world board in these images or videos.
         is_in: Set the length unit of IN if the file has none.
         only: Write only this camera; repeat for more, in this order. Default: all.
         size: Set the image size of all cameras or of one if IN does not contain it. Repeatable.

@@ -33,7 +33,6 @@ def check(options: CheckOptions) -> None:
     from sylpose.report.rigview import describe_rig, plot_rig
     from sylpose.runs import check as checks
     from sylpose.runs import console_output
-    from sylpose.runs.check import boxes_hint
     from sylpose.runs.results_folder import check_output_folder
     from sylpose.runs.run_metadata import WORLD
 
@@ -68,7 +67,7 @@ def check(options: CheckOptions) -> None:
     problems = [*checks.list_warnings(session, locations), *(target.warnings if target is not None else ())]
     console_output.print_warnings(console, problems)
     if errors:
-        raise ValueError(f"{'; '.join(errors)}; correct the boxes: {boxes_hint(session)}")
+        raise ValueError(f"{'; '.join(errors)}; correct the boxes: {checks.boxes_hint(session)}")
     if problems:
         console.print("Can be tracked; see the warnings above.")
     else:

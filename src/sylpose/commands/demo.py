@@ -72,7 +72,7 @@ def demo(options: DemoOptions) -> None:
     console.print(
         Text.assemble(("Against ground truth", "bold"), f", motion since the first of {len(errors.times)} frames")
     )
-    lengths = [format_length(x, session.rig.unit) for x in (errors.position[-1], errors.position.max())]
+    lengths = [format_length(x, run.trajectory.unit) for x in (errors.position[-1], errors.position.max())]
     rows = [["rotation", f"{rotation[-1]:.2f}°", f"{rotation.max():.2f}°"], ["position", *lengths]]
     console_output.print_table(console, ("Error", "at the end", "worst"), rows)
     if missing or rotation.max() > MAX_ERROR_DEG:

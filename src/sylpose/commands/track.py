@@ -46,6 +46,7 @@ class TrackOptions(DisplayOptions, MethodOptions, WorldOptions, RangeOptions, Re
     """Options of `sylpose track`.
 
     Attributes:
+        method: Select the estimation method; see below.
         known: Express poses in the frame of an object.npz from another recording; for several objects, repeat with
             NAME=FILE.
         offsets: Read the cameras' time offsets in seconds (TOML); default: SESSION/offsets.toml if present.
