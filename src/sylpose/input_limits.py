@@ -11,6 +11,7 @@ import csv
 import os
 import re
 import stat
+import sys
 import tomllib
 import unicodedata
 from collections.abc import Iterator
@@ -76,6 +77,12 @@ def to_one_line(text: str, limit: int = MAX_MESSAGE_LENGTH) -> str:
     )
     head = limit * 2 // 3
     return escaped if len(escaped) <= limit else f"{escaped[:head]} ... {escaped[head + 5 - limit :]}"
+
+
+def print_message(message: str) -> None:
+    """Print a message on stderr as one line that begins with "sylpose: "."""
+    # Names of files may contain line breaks.
+    print(f"sylpose: {to_one_line(message, MAX_SENTENCE_LENGTH)}", file=sys.stderr)
 
 
 def read_bytes(path: Path, limit: int = MAX_TEXT_BYTES) -> bytes:

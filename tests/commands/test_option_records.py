@@ -129,3 +129,10 @@ def test_help_lists_inherited_options_and_notes(capsys: pytest.CaptureFixture[st
         "Examples: sylpose probe recording --count 3 sylpose probe other",
     ):
         assert words in text
+
+
+def test_choices_hold_from_python_and_from_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(ValueError, match="features: 'corners' is not one of auto, "):
+        ProbeOptions(session=Path("a"), features="corners")
+    assert run("a", "--features", "corners") == 2
+    assert capsys.readouterr().err.startswith("sylpose: --features: 'corners' is not one of auto, ")

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import functools
 import re
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import copy
@@ -22,7 +21,7 @@ import typer
 from typer.core import TyperCommand
 from typer.models import OptionInfo
 
-from sylpose.input_limits import MAX_SENTENCE_LENGTH, to_one_line
+from sylpose.input_limits import print_message
 
 T = TypeVar("T")
 OptionsT = TypeVar("OptionsT", bound="CommandOptions")
@@ -100,8 +99,11 @@ class CommandOptions:
         record: Any = type(self)
         for name, hint in _resolve_hints(record).items():
             value, info = getattr(self, name), hint.__metadata__[0]
+            choices = getattr(info, "choices", ())  # arguments have none
             converted = _convert_value(get_args(hint)[0], value, name)
             for item in converted if isinstance(converted, tuple) else (converted,):
+                if choices and item not in choices:
+                    raise ValueError(f"{name}: {item!r} is not one of {', '.join(choices)}")
                 if isinstance(item, (int, float)) and not isinstance(item, bool):
                     _check_range(item, info.min, info.max, name)
             object.__setattr__(self, name, converted)
@@ -248,36 +250,23 @@ def substitute_option_name(message: str, options: Mapping[str, str], arguments: 
     return message
 
 
-def print_message(message: str) -> None:
-    """Print a message on stderr as one line that begins with "sylpose: "."""
-    # Names of files may contain line breaks: reduce the message to one line.
-    print(f"sylpose: {to_one_line(message, MAX_SENTENCE_LENGTH)}", file=sys.stderr)
-
-
-def option(words: str, section: str | None = None, text: str | None = None, **more: Any) -> Any:
+def option(
+    words: str, section: str | None = None, text: str | None = None, choices: Sequence[str] = (), **more: Any
+) -> Any:
     """Describe an option of a command.
 
     Args:
         words: its names and its metavar, "--boxes FILE".
         section: its section of `--help`; None for "Options".
         text: its help; None for that in the docstring of its record.
+        choices: the values that the record accepts; () for all.
         more: further arguments of `typer.Option`: min, max, callback, show_default.
     """
     names = [word for word in words.split() if word.startswith("-")]
-    return typer.Option(
-        *names, metavar=words.removeprefix(" ".join(names)).strip() or None, help=text, rich_help_panel=section, **more
-    )
-
-
-def make_choice_check(choices: Sequence[str]) -> Callable[[str], str]:
-    """Return a Typer callback that accepts only the given choices."""
-
-    def check(name: str) -> str:
-        if name not in choices:
-            raise typer.BadParameter(f"{name!r} is not one of {', '.join(choices)}")
-        return name
-
-    return check
+    metavar = words.removeprefix(" ".join(names)).strip() or None
+    info = typer.Option(*names, metavar=metavar, help=text, rich_help_panel=section, **more)
+    info.choices = tuple(choices)
+    return info
 
 
 def pick(options: CommandOptions, record: type[T], **changes: object) -> T:

@@ -10,8 +10,9 @@ from typing import Annotated
 
 import typer
 
-from sylpose.commands.app import INPUT, OUTPUT, app, command, option, print_message
+from sylpose.commands.app import INPUT, OUTPUT, app, command, option
 from sylpose.commands.options import WorldOptions
+from sylpose.input_limits import print_message
 from sylpose.units import METERS
 
 # Same as in `calibration.formats`, repeated here to avoid importing it.

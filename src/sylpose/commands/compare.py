@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, cast
 
 import typer
 
-from sylpose.commands.app import OUTPUT, CommandOptions, command, make_choice_check, option
+from sylpose.commands.app import OUTPUT, CommandOptions, command, option
 from sylpose.commands.options import PlotFormat
 from sylpose.units import METERS
 
@@ -42,7 +42,7 @@ class CompareOptions(CommandOptions):
 
     a: Annotated[Path, typer.Argument(metavar="A")]
     b: Annotated[Path, typer.Argument(metavar="B")]
-    align: Annotated[str, option(f"--align {'|'.join(ALIGNMENTS)}", callback=make_choice_check(ALIGNMENTS))] = "first"
+    align: Annotated[str, option(f"--align {'|'.join(ALIGNMENTS)}", choices=ALIGNMENTS)] = "first"
     step: Annotated[int, option("--step N")] = 1
     within: Annotated[float | None, option("--within SEC")] = None
     out: Annotated[Path, option("--out DIR", OUTPUT)] = Path()

@@ -25,10 +25,10 @@ from sylpose.commands.app import (
     CommandOptions,
     command,
     exit_with_failures,
-    make_choice_check,
     option,
 )
 from sylpose.commands.options import MethodOptions, Seed
+from sylpose.input_limits import print_message
 from sylpose.methods import MODES
 
 if TYPE_CHECKING:
@@ -109,7 +109,7 @@ class NodeOptions(MethodOptions, NetworkOptions):
     speed: Annotated[float, option("--speed X", INPUT, min=0)] = 1.0
     wait: Annotated[float, option("--wait SEC", LIVE, min=0)] = 10.0
     patience: Annotated[float, option("--patience SEC", LIVE, min=0.1)] = 10.0
-    mode: Annotated[str, option(f"--mode {'|'.join(MODES)}", ADVANCED, callback=make_choice_check(MODES))] = MODES[0]
+    mode: Annotated[str, option(f"--mode {'|'.join(MODES)}", ADVANCED, choices=MODES)] = MODES[0]
     seed: Seed = 0
 
     def __post_init__(self) -> None:
@@ -267,7 +267,6 @@ class _NodeStatus:
 
     def report(self, present: Membership) -> None:
         """Report the node's state if the next report is due; called every tick."""
-        from sylpose.runs.console_output import print_to_stderr
 
         now = time.monotonic()
         if now < self._next_report:
@@ -275,7 +274,7 @@ class _NodeStatus:
         self._next_report = now + REPORT_INTERVAL
         refused = self.describe_refusals()
         for name, reason in sorted(refused.items() - self._reported.items()):
-            print_to_stderr(f"{self._camera}: {name} is refused: {reason}")
+            print_message(f"{self._camera}: {name} is refused: {reason}")
         self._reported |= refused
         members = [self._rig.names[c] for c in present.members]
         state = self._build_state(present.frames, members, now)
@@ -428,7 +427,7 @@ def nodes(options: NodesOptions) -> None:
     console_output.print_table(console_output.make_console(), _HEADER, rows)
     if len(rigs) > 1:
         differences = f"{len(rigs)} different calibrations or options in network {network}"
-        console_output.print_to_stderr(f"{differences}: such nodes do not communicate")
+        print_message(f"{differences}: such nodes do not communicate")
 
 
 def require_zenoh() -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
-from sylpose.commands.app import ADVANCED, INPUT, LIVE, OBJECT, OUTPUT, CommandOptions, make_choice_check, option
+from sylpose.commands.app import ADVANCED, INPUT, LIVE, OBJECT, OUTPUT, CommandOptions, option
 from sylpose.methods import FEATURES, METHODS, resolve_features
 from sylpose.report import PICTURE_FORMATS
 from sylpose.units import METERS
@@ -76,7 +76,7 @@ PlotFormat = Annotated[
         f"--format {'|'.join(PICTURE_FORMATS)}",
         OUTPUT,
         "Set the file format of plots.",
-        callback=make_choice_check(PICTURE_FORMATS),
+        choices=PICTURE_FORMATS,
     ),
 ]
 ResultPath = Annotated[
@@ -201,10 +201,8 @@ class MethodOptions(CommandOptions):
             landmarks, else SIFT.
     """
 
-    method: Annotated[str, option("--method NAME", ADVANCED, callback=make_choice_check(METHODS))] = METHODS[0]
-    features: Annotated[
-        str, option(f"--features {'|'.join(FEATURES)}", ADVANCED, callback=make_choice_check(FEATURES))
-    ] = FEATURES[0]
+    method: Annotated[str, option("--method NAME", ADVANCED, choices=METHODS)] = METHODS[0]
+    features: Annotated[str, option(f"--features {'|'.join(FEATURES)}", ADVANCED, choices=FEATURES)] = FEATURES[0]
 
     def __post_init__(self) -> None:
         """Check that the method can use the features."""

@@ -15,7 +15,6 @@ from sylpose.commands.app import (
     exit_with_failures,
     option,
     pick,
-    print_message,
 )
 from sylpose.commands.options import (
     BoxesFile,
@@ -33,6 +32,7 @@ from sylpose.commands.options import (
     Smooth,
     WorldOptions,
 )
+from sylpose.input_limits import print_message
 from sylpose.methods import MODES, format_methods_table
 
 if TYPE_CHECKING:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sylpose.commands.options import DisplayOptions
+from sylpose.input_limits import print_message
 from sylpose.io.capture import Session
 from sylpose.io.capture.live import LiveSession
 from sylpose.report.files import format_pose_line
@@ -150,7 +151,7 @@ class _RunDisplay:
             console.print(f"{'Opened' if opened else 'Open'} {url} in a browser.", soft_wrap=True)
             yield page
         if page.error:
-            console_output.print_to_stderr(page.error)
+            print_message(page.error)
         console.print(f"To see it again: sylpose show {shlex.quote(str(self._folder))}", soft_wrap=True)
 
     def on_problem(self, problem: str) -> None:
@@ -199,7 +200,7 @@ class _RunDisplay:
         if isinstance(error, KeyboardInterrupt):
             raise KeyboardInterrupt(f"interrupted {text}") from None
         if self.progress.tracked:
-            console_output.print_to_stderr(f"stopped {text}")
+            print_message(f"stopped {text}")
 
     def print_end(self, run: Run) -> None:
         """Print the summary of a finished run."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import textwrap
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -40,11 +39,6 @@ def make_console(*, stderr: bool = False, quiet: bool = False) -> Console:
     if not console.is_terminal:
         console.width = 10_000
     return console
-
-
-def print_to_stderr(message: str) -> None:
-    """Print a message to stderr, prefixed by the program's name."""
-    print(f"sylpose: {to_one_line(message, MAX_SENTENCE_LENGTH)}", file=sys.stderr)
 
 
 def print_facts(console: Console, facts: Iterable[tuple[str, str]]) -> None:

@@ -12,12 +12,11 @@ import numpy as np
 
 from sylpose.boards.detection import detect_markers
 from sylpose.geometry.arrays import FloatArray, Image
-from sylpose.input_limits import input_errors
+from sylpose.input_limits import input_errors, print_message
 from sylpose.io.capture import Session
 from sylpose.io.pixel_files import load_image_points
 from sylpose.io.point_files import MarkerLayout, PointModel
 from sylpose.rig import Camera, Rig
-from sylpose.runs import console_output
 from sylpose.runs.page import ThumbnailAlbum
 
 # Number of unmatched names that a message lists (choice).
@@ -70,7 +69,7 @@ def detect_in_recording(
         frames: start, stop and step.
         album: receives the images.
     """
-    with closing(session.frames(*frames, console_output.print_to_stderr)) as frame_sets:
+    with closing(session.frames(*frames, print_message)) as frame_sets:
         for frame_set in frame_sets:
             album.put(frame_set)
             pairs = zip(frame_set.images, session.rig, strict=True)

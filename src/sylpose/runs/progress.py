@@ -11,7 +11,8 @@ from typing import Any
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
 
-from sylpose.runs.console_output import make_console, print_to_stderr
+from sylpose.input_limits import print_message
+from sylpose.runs.console_output import make_console
 from sylpose.status import FrameStatus
 from sylpose.tracking.tracked_frame import TrackedFrame
 
@@ -130,7 +131,7 @@ class TrackingProgress(Progress):
             self._last_line_time = now
             total = self._progress.tasks[0].total
             of = "" if total is None else f" of {total:.0f}"
-            print_to_stderr(f"tracked {self.done}{of} frames, {rate or 'no rate yet'}, {inliers}")
+            print_message(f"tracked {self.done}{of} frames, {rate or 'no rate yet'}, {inliers}")
 
 
 class NotebookProgress(Progress):

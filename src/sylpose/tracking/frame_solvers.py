@@ -93,10 +93,6 @@ class PoseProblem:
         """(3,) g."""
         return np.asarray(self.previous.world_from_object.translation)
 
-    def create_rng(self) -> np.random.Generator:
-        """Create a random generator that gives each frame the same sequence."""
-        return np.random.default_rng(self.seed)
-
 
 @dataclass(frozen=True, eq=False)
 class PoseSolution:
@@ -176,7 +172,7 @@ def _exchange_terms(
 
 
 def _fit_epipolar(problem: PoseProblem, data: Sequence[TermData]) -> Fit:
-    return fit_terms(data, problem.center, problem.radius, [problem.guess], problem.create_rng())
+    return fit_terms(data, problem.center, problem.radius, [problem.guess], np.random.default_rng(problem.seed))
 
 
 def _create_solution(problem: PoseProblem, fit: Fit, match_weights: Sequence[MatchWeights]) -> PoseSolution | None:
