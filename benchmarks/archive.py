@@ -21,8 +21,8 @@ from pathlib import Path
 from sylpose.archive.contract import RunSettings, Summary, process_recording
 from sylpose.archive.recordings import Recording, TrackingOptions, find_recordings
 from sylpose.archive.run import ProcessWorkers, process_all
-from sylpose.archive.stores import open_store
 from sylpose.archive.worker import track_recording
+from sylpose.io.stores import open_store
 from sylpose.simulate import make_demo_scene, write_sequence
 
 N_OVERHEAD_RUNS = 300

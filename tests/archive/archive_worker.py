@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from sylpose.archive import contract
 from sylpose.archive.contract import RunSettings, Summary
 from sylpose.archive.recordings import Recording, TrackingOptions, find_recordings
-from sylpose.archive.stores import Store
+from sylpose.io.stores import Store
 
 
 def make_recordings(folder: Path, **orders: str) -> list[Recording]:
@@ -71,3 +72,8 @@ def do_work(recording: Recording, folder: Path, threads: int) -> Summary:
 def make_settings(out: Store, **changes: Any) -> RunSettings:
     """Return the settings of a run "a" that does the substitute work."""
     return RunSettings(out, do_work, **{"run": "a"} | changes)
+
+
+def read_owner(store: Store) -> str:
+    """Return the process that holds a recording and may still be at work; empty without any."""
+    return contract._read_live_claim(store, contract._list_claims(store))[1]

@@ -9,17 +9,18 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
-from sylpose.archive import batch_command, worker
-from sylpose.archive.contract import RunSettings, hold_claim, process_recording, read_record
+from sylpose.archive import worker
+from sylpose.archive.contract import RunSettings, collect_summaries, hold_claim, process_recording, read_record
 from sylpose.archive.recordings import TrackingOptions, find_recordings
-from sylpose.archive.stores import open_store
-from sylpose.archive.summary import collect_summaries
+from sylpose.commands import batch_display
 from sylpose.commands.main import main
 from sylpose.io.capture import open_session
+from sylpose.io.stores import open_store
 from sylpose.runs.options import RunOptions
 from sylpose.runs.run import track_session
 from tests.archive.archive_worker import count_work, do_work, make_recordings, make_settings
@@ -43,7 +44,7 @@ def table(out: Path) -> dict[str, dict[str, str]]:
 @pytest.mark.usefixtures("undrawn")
 def test_results_equal_track_command(recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """From one object store to another, and to a folder."""
-    monkeypatch.setattr(worker, "compile_kernels_once", lambda: None)
+    monkeypatch.setattr(worker, "compile_once_per_computer", lambda: None)
     store = open_store("memory://lab/archive")
     for path in recording.iterdir():
         store.write(f"day 1/turn/{path.name}", path)
@@ -67,7 +68,7 @@ def test_results_equal_track_command(recording: Path, tmp_path: Path, monkeypatc
 
 
 def test_errors_name_original_not_copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(worker, "compile_kernels_once", lambda: None)
+    monkeypatch.setattr(worker, "compile_once_per_computer", lambda: None)
     open_store("memory://broken/r").write("calibration.toml", b"?")
     open_store("memory://broken/r").write("cam_0.mp4", b"?")
     ((found,), _) = find_recordings(["memory://broken"], TrackingOptions())
@@ -153,15 +154,24 @@ def test_invalid_usage_gives_one_sentence(
     assert error.count("\n") == 1
 
 
+@pytest.mark.usefixtures("substitute_work")
+def test_batch_runs_outside_main_thread(tmp_path: Path) -> None:
+    """Only a main thread can handle signals."""
+    make_recordings(tmp_path / "in", a="work")
+    command = ["batch", str(tmp_path / "in"), "--out", str(tmp_path / "out"), "--jobs", "1"]
+    with ThreadPoolExecutor(1) as pool:
+        assert pool.submit(main, command).result(120) == 0
+
+
 def test_long_tables_are_truncated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = open_store(tmp_path / "out")
     recordings = make_recordings(tmp_path / "in", **{f"r{k:03}": "work" for k in range(40)}, s="wrong")
     for recording in recordings:
         process_recording(recording, make_settings(out))
-    batch_command.run_status_command(out, None)
+    assert main(["batch", "--status", "--out", str(tmp_path / "out")]) == 0
     assert len(collect_summaries(out)) == len(table(tmp_path / "out")) == 41
     message = capsys.readouterr().out
-    assert message.count(" done ") <= batch_command.MAX_ROWS + 1
+    assert message.count(" done ") <= batch_display.MAX_ROWS + 1
     assert "Not shown     11: see summary.csv" in message
 
 

@@ -16,18 +16,19 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from sylpose.archive import contract, stores
+from sylpose.archive import contract
 from sylpose.archive.contract import (
     CLAIM_LIFETIME,
     RecordingHeldError,
+    collect_summaries,
     hold_claim,
     mark_crashed,
     process_recording,
-    read_owner,
     read_record,
 )
-from sylpose.archive.stores import ObjectStore, Store, open_store
-from tests.archive.archive_worker import count_work, make_recordings, make_settings
+from sylpose.io import stores
+from sylpose.io.stores import ObjectStore, Store, StoredFile, open_store
+from tests.archive.archive_worker import count_work, make_recordings, make_settings, read_owner
 
 NUMBERS = itertools.count()
 
@@ -168,7 +169,7 @@ def test_claim_is_respected_until_it_expires(
 HOLD_AND_DIE = """
 import os, sys
 from sylpose.archive.contract import _make_scratch, hold_claim
-from sylpose.archive.stores import open_store
+from sylpose.io.stores import open_store
 
 store = open_store(sys.argv[1])
 with hold_claim(store, "b"), _make_scratch(store, sys.argv[2]):
@@ -219,6 +220,25 @@ def test_claim_is_renewed_until_superseded(out: Store, monkeypatch: pytest.Monke
         assert [*counted, is_current()] == [True, False, False]
     assert out.files() == []
     assert read_owner(out) == ""
+
+
+def test_summaries_cost_one_listing(out: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    recordings = make_recordings(tmp_path / "in", a="work", b="wrong", c="work", d="work")
+    for recording in recordings[:2]:
+        process_recording(recording, make_settings(out))
+    out.join("c").create("claim-000000", b"b\nprocess 1 of elsewhere")
+    lists, files = list[str](), type(out).files
+
+    def count_files(store: Store) -> list[StoredFile]:
+        lists.append(store.url)
+        return files(store)
+
+    monkeypatch.setattr(type(out), "files", count_files)
+    found = {name: summary.status for name, summary in collect_summaries(out).items()}
+    assert found == {"a": "done", "b": "wrong input", "c": "running"}
+    found = {name: summary.status for name, summary in collect_summaries(out, recordings).items()}
+    assert found == {"a": "done", "b": "wrong input", "c": "running", "d": "waiting"}
+    assert lists == [out.url] * 2
 
 
 def test_only_one_of_many_supersedes_expired_claim(out: Store, monkeypatch: pytest.MonkeyPatch) -> None:

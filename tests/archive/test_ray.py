@@ -12,8 +12,8 @@ import pytest
 
 from sylpose.archive.contract import Summary
 from sylpose.archive.recordings import Recording
-from sylpose.archive.run import RayWorkers, process_all
-from sylpose.archive.stores import open_store
+from sylpose.archive.run import RayWorkers, describe_death, process_all
+from sylpose.io.stores import open_store
 from tests.archive.archive_worker import count_work, make_recordings, make_settings
 from tests.paths import REPOSITORY
 
@@ -79,7 +79,7 @@ def test_killed_node_only_delays(cluster: Any, tmp_path: Path) -> None:
         def noted(recording: Recording) -> Future[Summary]:
             future = submit(recording)
             future.add_done_callback(
-                lambda done: deaths.append(workers.describe_death(done.exception())) if done.exception() else None
+                lambda done: deaths.append(describe_death(error)) if (error := done.exception()) else None
             )
             return future
 

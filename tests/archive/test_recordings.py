@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 from sylpose.archive.recordings import Recording, TrackingOptions, find_recordings
-from sylpose.archive.stores import ObjectStore, Store, is_url, open_store, resolve_location
+from sylpose.io.stores import ObjectStore, Store, is_url, open_store, resolve_location
 
 
 def archive(folder: Path, *files: str) -> Path:

@@ -9,17 +9,17 @@ import threading
 import time
 from concurrent.futures import Future
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from sylpose.archive import run, stores
-from sylpose.archive.contract import RunSettings, Summary, hold_claim
+from sylpose.archive import run
+from sylpose.archive.contract import RunSettings, Summary, collect_summaries, hold_claim
 from sylpose.archive.recordings import Recording
-from sylpose.archive.run import ProcessWorkers, choose_default_jobs, process_all, select_shard
-from sylpose.archive.stores import open_store
-from sylpose.archive.summary import collect_summaries
-from sylpose.runs.system_resources import available_cores, available_memory
+from sylpose.archive.run import ProcessWorkers, WorkerDeathError, process_all
+from sylpose.commands.batch import select_shard
+from sylpose.io import stores
+from sylpose.io.stores import open_store
+from sylpose.runs.system_resources import available_cores, available_memory, choose_default_jobs
 from tests.archive.archive_worker import count_work, make_recordings, make_settings
 from tests.archive.s3 import s3_server
 
@@ -160,17 +160,17 @@ class MortalWorkers:
         self.times -= 1
         future = Future[Summary]()
         if self.times >= 0:
-            future.set_exception(RuntimeError("the computer was lost"))
+            future.set_exception(WorkerDeathError("the computer was lost"))
         else:
             future.set_result(Summary(status="done"))
         return future
 
-    def describe_death(self, error: Any) -> str:
-        return str(error)
-
 
 @pytest.mark.parametrize(("times", "status"), [(2, "done"), (3, "crashed")])
-def test_lost_computers_cost_an_attempt(tmp_path: Path, times: int, status: str) -> None:
+def test_lost_computers_cost_an_attempt(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, times: int, status: str
+) -> None:
+    monkeypatch.setattr(run, "RETRY_INTERVAL", 0.1)
     found: list[Summary] = []
     recordings, settings = make_recordings(tmp_path / "in", one="work"), make_settings(open_store(tmp_path / "out"))
     process_all(recordings, settings, MortalWorkers(times), lambda _, summary: found.append(summary))
@@ -235,7 +235,7 @@ def test_processes_on_an_object_store(tmp_path: Path, monkeypatch: pytest.Monkey
 MAIN = """
 from pathlib import Path
 from sylpose.archive.run import ProcessWorkers, process_all
-from sylpose.archive.stores import open_store
+from sylpose.io.stores import open_store
 from tests.archive.archive_worker import make_recordings, make_settings
 
 if __name__ == "__main__":

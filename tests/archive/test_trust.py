@@ -7,10 +7,10 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from sylpose.archive.contract import DONE_FILE, hold_claim, process_recording, read_owner, read_record
-from sylpose.archive.stores import ObjectStore, StoredFile, open_store
+from sylpose.archive.contract import DONE_FILE, hold_claim, process_recording, read_record
 from sylpose.archive.worker import _fetch
-from tests.archive.archive_worker import count_work, make_recordings, make_settings
+from sylpose.io.stores import ObjectStore, StoredFile, open_store
+from tests.archive.archive_worker import count_work, make_recordings, make_settings, read_owner
 
 
 @pytest.mark.parametrize("name", ["../outside.mp4", "cam_0/../../outside.png", "/outside.mp4"])

@@ -22,7 +22,8 @@ import threading
 import time
 import traceback
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -33,19 +34,27 @@ import numpy as np
 
 from sylpose import __version__
 from sylpose.archive.recordings import Recording
-from sylpose.archive.stores import Store, is_inside
+from sylpose.io.stores import Store, is_inside
 
-DONE_FILE, FAILED_FILE = "done.json", "failed.json"
+DONE_FILE, FAILED_FILE, CLAIM = "done.json", "failed.json", re.compile(r"claim-[0-9]{6}")
 # Seconds between renewals, and until a claim expires (choice: eight missed renewals; a recording waits that long after
 # its computer crashed; the clocks of computers must agree better than that).
 RENEW_INTERVAL, CLAIM_LIFETIME = 15.0, 120.0
+# Number of parallel reads (choice: object stores have high latency).
+N_PARALLEL_READS = 16
 
 Status = Literal[
     "done", "nothing found", "wrong input", "i/o error", "crashed", "bug", "held", "waiting", "running", "outdated"
 ]
 FINISHED_STATUSES = ("done", "nothing found")  # those with results
-# Errors of the input; further ones of the operating system may be temporary.
-INPUT_ERRORS = (FileNotFoundError, PermissionError, IsADirectoryError, NotADirectoryError, ValueError)
+# The first that fits counts; errors of the operating system that do not come from the input may be temporary.
+STATUS_BY_ERROR: tuple[tuple[type[Exception] | tuple[type[Exception], ...], Status], ...] = (
+    (MemoryError, "crashed"),
+    (np.linalg.LinAlgError, "bug"),
+    ((FileNotFoundError, PermissionError, IsADirectoryError, NotADirectoryError, ValueError), "wrong input"),
+    (OSError, "i/o error"),
+    (Exception, "bug"),
+)
 
 
 class Summary(msgspec.Struct, frozen=True, kw_only=True):
@@ -126,12 +135,10 @@ def process_recording(recording: Recording, settings: RunSettings) -> Summary:
     """
     store, start = settings.destination.join(recording.name), time.monotonic()
     try:
-        if summary := find_finished(recording, settings):
-            return summary
         with hold_claim(store, settings.run) as is_current:
-            # Another worker may have finished meanwhile.
-            if summary := find_finished(recording, settings):
-                return summary
+            record = read_record(store)
+            if record and record.digest == recording.digest and is_final(record.summary, settings):
+                return record.summary
             with _make_scratch(store, settings.scratch) as folder:
                 summary, trace = _run_work(recording, folder, settings)
                 summary = msgspec.structs.replace(summary, seconds=round(time.monotonic() - start, 3))
@@ -170,12 +177,39 @@ def is_final(summary: Summary, settings: RunSettings) -> bool:
     return summary.status in FINISHED_STATUSES or (summary.status == "wrong input" and not settings.retry_failed)
 
 
-def find_finished(recording: Recording, settings: RunSettings) -> Summary | None:
-    """Return the summary of a recording that need not be processed again, else None."""
-    record = read_record(settings.destination.join(recording.name))
-    if record is None or record.digest != recording.digest or not is_final(record.summary, settings):
-        return None
-    return record.summary
+def collect_summaries(destination: Store, recordings: Sequence[Recording] | None = None) -> dict[str, Summary]:
+    """Collect the summaries of all recordings by name, sorted; their status may be that of work in progress.
+
+    The destination is listed once; only the records and claims that exist are read.
+
+    Args:
+        destination: where the results are.
+        recordings: None for all in the destination.
+    """
+    claims, recorded = dict[str, dict[str, float]](), set[str]()
+    for file in destination.files():
+        folder, _, name = file.name.rpartition("/")
+        if name in (DONE_FILE, FAILED_FILE):
+            recorded.add(folder)
+        elif CLAIM.fullmatch(name):
+            claims.setdefault(folder, {})[name] = file.modified
+    found = dict.fromkeys(filter(None, recorded | claims.keys()))
+    wanted = found if recordings is None else {recording.name: recording for recording in recordings}
+
+    def collect(name: str) -> Summary:
+        store, recording = destination.join(name), wanted[name]
+        if owner := _read_live_claim(store, claims.get(name, {}))[1]:
+            return Summary(status="running", error=f"by {owner}")
+        # The work may have ended since the listing.
+        record = read_record(store) if name in recorded | claims.keys() else None
+        if record is None:
+            return Summary(status="waiting")
+        if recording is not None and record.digest != recording.digest:
+            return Summary(status="outdated", error="its files, the options or the version of sylpose have changed")
+        return record.summary
+
+    with ThreadPoolExecutor(N_PARALLEL_READS) as pool:
+        return dict(zip(sorted(wanted), pool.map(collect, sorted(wanted)), strict=True))
 
 
 @contextmanager
@@ -226,17 +260,13 @@ def hold_claim(store: Store, run: str) -> Iterator[Callable[[], bool]]:
                     store.remove(claim)
 
 
-def read_owner(store: Store) -> str:
-    """Return the process that holds a recording and may still be at work; empty without any."""
-    return _read_live_claim(store, _list_claims(store))[1]
-
-
 def _read_live_claim(store: Store, claims: dict[str, float]) -> tuple[str, str]:
     """Return the run and the process of the latest claim; empty if it has expired or its process has ended."""
     if not claims or time.time() - claims[max(claims)] > CLAIM_LIFETIME:
         return "", ""
-    content = (store.read(max(claims)) or b"").decode(errors="replace")
-    run, owner, process = (*content.split("\n"), "", "")[:3]
+    if (content := store.read(max(claims))) is None:  # removed meanwhile
+        return "", ""
+    run, owner, process = (*content.decode(errors="replace").split("\n"), "", "")[:3]
     return ("", "") if _has_ended(process) else (run, owner or "another worker")
 
 
@@ -263,20 +293,17 @@ def _has_ended(process: str) -> bool:
 
 def _list_claims(store: Store) -> dict[str, float]:
     """Return when each claim was written, by name."""
-    return {file.name: file.modified for file in store.files() if re.fullmatch(r"claim-[0-9]{6}", file.name)}
+    return {file.name: file.modified for file in store.files() if CLAIM.fullmatch(file.name)}
 
 
 def _run_work(recording: Recording, folder: Path, settings: RunSettings) -> tuple[Summary, str]:
     """Run the work; return the summary, and the traceback of a bug."""
     try:
         return settings.work(recording, folder, settings.threads), ""
-    except MemoryError:
-        return Summary(status="crashed", error="it exceeded the memory limit of one recording"), ""
     except Exception as error:
-        if isinstance(error, INPUT_ERRORS) and not isinstance(error, np.linalg.LinAlgError):
-            return Summary(status="wrong input", error=_describe_error(error)), ""
-        if isinstance(error, OSError):
-            return Summary(status="i/o error", error=_describe_error(error)), ""
+        status = next(status for kinds, status in STATUS_BY_ERROR if isinstance(error, kinds))
+        if status != "bug":
+            return Summary(status=status, error=_describe_error(error)), ""
         message = f"{type(error).__name__}: {error}".split("\n", 1)[0]
         return Summary(status="bug", error=f"{message} (failed.json has the traceback)"), traceback.format_exc()
 
@@ -316,6 +343,8 @@ def _make_scratch(store: Store, parent: str | None) -> Iterator[Path]:
 
 
 def _describe_error(error: Exception) -> str:
+    if isinstance(error, MemoryError):
+        return "it exceeded the memory limit of one recording"
     if isinstance(error, OSError) and error.filename is not None and error.strerror:
         return f"{error.filename}: {error.strerror.lower()}"
     return " ".join(str(error).split()) or type(error).__name__

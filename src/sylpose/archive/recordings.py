@@ -7,17 +7,16 @@ import hashlib
 import io
 import re
 from collections.abc import Sequence
-from pathlib import Path, PurePosixPath
+from pathlib import Path, PurePath, PurePosixPath
 from typing import Any
 
 import msgspec
 
 from sylpose import __version__
-from sylpose.archive.stores import ObjectStore, Store, StoredFile, open_store, resolve_location, split_location
 from sylpose.input_limits import MAX_TABLE_BYTES, input_errors, parse_toml, to_one_line
 from sylpose.io.calibration.files import is_calibration_name
-from sylpose.io.capture.names import IMAGE_SUFFIXES
-from sylpose.io.capture.sources import NON_CAMERA_NAMES, VIDEO_SUFFIXES
+from sylpose.io.capture.sources import find_recording_folders
+from sylpose.io.stores import ObjectStore, Store, StoredFile, open_store, resolve_location
 from sylpose.methods import FEATURES, METHODS, resolve_features
 from sylpose.runs.world import is_world_text
 
@@ -103,7 +102,7 @@ def find_recordings(
     """
     remarks: list[str] = []
     if options.world is not None:
-        options = msgspec.structs.replace(options, world=_resolve_world(options.world, open_store(".")))
+        options = msgspec.structs.replace(options, world=_resolve("world", options.world, open_store(".")))
     calibration = None if calibration is None else open_store(calibration).url
     by_name: dict[str, Recording] = {}
     for source in sources:
@@ -144,13 +143,18 @@ def _find_below(
     files, results = _list_files(source, source.url), "" if out is None else f"{out.url}/"
     if results.startswith(f"{source.url}/") and results != f"{source.url}/":
         files = [file for file in files if not f"{source.url}/{file.name}".startswith(results)]
-    taken, uncalibrated = _group_by_folder(files, calibration is not None)
+    paths: dict[PurePath, StoredFile] = {PurePosixPath(file.name): file for file in files}
+    folders, uncalibrated = find_recording_folders(paths, calibration is not None)
+    inside: dict[PurePath, list[StoredFile]] = {folder: [] for folder in folders}
+    for path, file in paths.items():
+        for folder in inside.keys() & set(path.parents):
+            inside[folder].append(file._replace(name=path.relative_to(folder).as_posix()))
     found = []
-    for folder, inside in taken.items():
-        store = source if folder == SOURCE else source.join(folder.as_posix())
+    for folder in folders:
         name = source.url.rpartition("/")[2] if folder == SOURCE else folder.as_posix()
-        recording = Recording(name=name, path=store.url, **msgspec.structs.asdict(options))
-        found.append(_complete(recording, inside, calibration))
+        url = source.join(folder.as_posix()).url
+        recording = Recording(name=name, path=url, **msgspec.structs.asdict(options))
+        found.append(_complete(recording, inside[folder], calibration))
     names = ["the folder itself" if name == SOURCE else str(name) for name in uncalibrated]
     return found, ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
 
@@ -161,37 +165,11 @@ def _list_files(store: Store, label: str) -> list[StoredFile]:
     return store.files()
 
 
-def _group_by_folder(
-    files: Sequence[StoredFile], calibrated: bool
-) -> tuple[dict[PurePosixPath, list[StoredFile]], list[PurePosixPath]]:
-    """Group files by recording folder, with names relative to it; also return folders without calibration."""
-    videos, images, calibrations = set(), set(), set()
-    paths = {PurePosixPath(file.name): file for file in files}
-    for path in paths:
-        if NON_CAMERA_NAMES & set(path.parts[:-1]):
-            continue
-        if path.suffix.lower() in VIDEO_SUFFIXES and path.stem not in NON_CAMERA_NAMES:
-            videos.add(path.parent)
-        elif path.suffix.lower() in IMAGE_SUFFIXES and len(path.parts) > 1:
-            images.add(path.parent.parent)
-        elif is_calibration_name(Path(path.name)):
-            calibrations.add(path.parent)
-    # An image folder next to recordings does not make their common parent a recording.
-    outer = {parent for folder in videos | images for parent in folder.parents}
-    candidates = {folder for folder in videos | images if folder in videos | calibrations or folder not in outer}
-    taken = candidates if calibrated else candidates & calibrations
-    by_folder: dict[PurePosixPath, list[StoredFile]] = {f: [] for f in sorted(taken) if not taken & set(f.parents)}
-    for path, file in paths.items():
-        for folder in by_folder.keys() & set(path.parents):
-            by_folder[folder].append(file._replace(name=path.relative_to(folder).as_posix()))
-    return by_folder, [folder for folder in sorted(candidates) if not by_folder.keys() & {folder, *folder.parents}]
-
-
 def _read_manifest(manifest: str, options: TrackingOptions, calibration: str | None) -> list[Recording]:
     """Read the recordings of a manifest; its paths are relative to its folder."""
-    base, name = split_location(manifest)
-    content = base.read(name)
-    if content is None:
+    location = open_store(manifest)
+    base = location.join("..")
+    if (content := location.read("")) is None:
         raise FileNotFoundError(f"{manifest}: no such manifest")
     with input_errors(manifest):
         entries = _parse_manifest(content, manifest.lower().endswith(".toml"), options)
@@ -199,9 +177,9 @@ def _read_manifest(manifest: str, options: TrackingOptions, calibration: str | N
     for recording, given in entries:
         store = resolve_location(recording.path, base)
         files = _list_files(store, f"{manifest}: {to_one_line(recording.path)}")
-        paths: dict[str, Any] = {key: resolve_location(given[key], base).url for key in FILE_KINDS if key in given}
-        if "world" in given:
-            paths["world"] = _resolve_world(given["world"], base)
+        paths: dict[str, Any] = {
+            kind: _resolve(kind, given[kind], base) for kind in (*FILE_KINDS, "world") if kind in given
+        }
         name = recording.name or PurePosixPath(recording.path).as_posix()
         if "://" in name or any(part in ("", ".", "..") for part in re.split(r"[/\\]", name)):
             name = store.url.rpartition("/")[2]
@@ -240,9 +218,9 @@ def _parse_manifest(content: bytes, is_toml: bool, options: TrackingOptions) -> 
     return found
 
 
-def _resolve_world(world: str, base: Store) -> str:
-    """Resolve a world file to a URL or absolute path, relative to `base`."""
-    return world if is_world_text(world) else resolve_location(world, base).url
+def _resolve(kind: str, location: str, base: Store) -> str:
+    """Resolve the location of a file to a URL or absolute path, relative to `base`; a world may be no file."""
+    return location if kind == "world" and is_world_text(location) else resolve_location(location, base).url
 
 
 def _complete(recording: Recording, files: Sequence[StoredFile], calibration: str | None) -> Recording:
@@ -261,9 +239,7 @@ def _complete(recording: Recording, files: Sequence[StoredFile], calibration: st
         if kind == "masks":
             inputs += [kind, [file[:3] for file in open_store(url).files()]]
         else:
-            folder, name = split_location(url)
-            content = folder.read(name)
-            if content is None:
+            if (content := open_store(url).read("")) is None:
                 raise FileNotFoundError(f"{url}: no such file ({kind})")
             inputs += [kind, hashlib.blake2b(content).hexdigest()]
     return msgspec.structs.replace(recording, inputs=_digest(inputs))

@@ -18,24 +18,19 @@ from typing import Any, Protocol, Self
 
 from sylpose.archive.contract import RunSettings, Summary, mark_crashed, process_recording
 from sylpose.archive.recordings import Recording
-from sylpose.runs.system_resources import available_cores, available_memory
+from sylpose.runs.system_resources import MIN_MEMORY, memory_share, thread_limits
 
 # Attempts if workers die or disks and networks fail (choice: a node of a cluster may go away).
 MAX_ATTEMPTS = 3
-# Seconds until recordings that other workers hold, or whose disk or network failed, are tried again; between checks of
-# the own workers; for workers to end (choice).
+# Seconds until recordings that other workers hold, or whose worker, disk or network failed, are tried again; between
+# checks of the own workers; for workers to release their claims and end (choice).
 RETRY_INTERVAL, WORKER_CHECK_INTERVAL, EXIT_TIMEOUT_S = 5.0, 0.5, 10.0
 # Tasks in flight per available slot, so that the next ones are queued (choice).
 TASKS_PER_SLOT = 2
-# Seconds for tasks to release their claims after an interrupt (choice).
-RELEASE_TIMEOUT_S = 10.0
 DEATHS = {
     "OutOfMemoryError": "Ray killed the worker because of low memory",
     "NodeDiedError": "the computer was lost",
 }
-# Least memory of one recording, bytes (choice: several times the figure in docs/benchmarks.md), and largest share of
-# the computer's memory for all (choice).
-MIN_MEMORY, MAX_MEMORY_RATIO = 2 << 30, 0.9
 
 
 class Workers(Protocol):
@@ -47,8 +42,9 @@ class Workers(Protocol):
     def submit(self, recording: Recording) -> Future[Summary]:
         """Process a recording; the future has an exception if the worker dies."""
 
-    def describe_death(self, error: Any) -> str:
-        """Return why a worker died, from the exception of its future."""
+
+class WorkerDeathError(Exception):
+    """The worker process ended before its recording; the message has the reason."""
 
 
 def process_all(
@@ -58,7 +54,7 @@ def process_all(
     on_outcome: Callable[[Recording, Summary], None],
     on_progress: Callable[[int, int], None] = lambda *_: None,
 ) -> None:
-    """Distribute all recordings to workers; one whose worker dies is retried, then abandoned.
+    """Distribute all recordings to workers; one whose worker or disk fails is retried, then abandoned.
 
     Recordings held by other runs are tried again until these finish them or their claim expires.
 
@@ -69,7 +65,7 @@ def process_all(
         on_outcome: called once with each recording.
         on_progress: called regularly with the numbers of running recordings and of those to be tried again later.
     """
-    waiting, later, attempts = deque(recordings), deque[tuple[float, Recording]](), Counter[str]()
+    waiting, later, failures = deque(recordings), deque[tuple[float, Recording]](), Counter[str]()
     running: dict[Future[Summary], Recording] = {}
     while waiting or later or running:
         while later and later[0][0] <= time.monotonic():
@@ -82,54 +78,22 @@ def process_all(
             time.sleep(WORKER_CHECK_INTERVAL)
         for future in wait(running, WORKER_CHECK_INTERVAL, FIRST_COMPLETED).done:
             recording, death = running.pop(future), future.exception()
-            if death is not None or future.result().status == "i/o error":
-                attempts[recording.name] += 1
-                if attempts[recording.name] < MAX_ATTEMPTS:
-                    if death is None:
-                        later.append((time.monotonic() + RETRY_INTERVAL, recording))
-                    else:
-                        waiting.append(recording)
-                    continue
-            if death is None:
-                summary = future.result()
-            else:
-                reason = f"{workers.describe_death(death)}, {attempts[recording.name]} times"
+            summary = future.result() if death is None else Summary(status="crashed")
+            failures[recording.name] += (failed := death is not None or summary.status == "i/o error")
+            retry = failed and failures[recording.name] < MAX_ATTEMPTS
+            if death is not None and not retry:
+                reason = f"{describe_death(death)}, {failures[recording.name]} times"
                 summary = mark_crashed(recording, settings, reason)
-            if summary.status == "held":
+            if retry or summary.status == "held":
                 later.append((time.monotonic() + RETRY_INTERVAL, recording))
             else:
                 on_outcome(recording, summary)
 
 
-def select_shard(recordings: Sequence[Recording], shard: str) -> list[Recording]:
-    """Return every N-th recording, starting with the K-th, for a shard "K/N".
-
-    Raises:
-        ValueError: not of this form, or K not in 1 ... N.
-    """
-    k, _, n = shard.partition("/")
-    if not (k.isdigit() and n.isdigit() and 1 <= int(k) <= int(n)):
-        raise ValueError(
-            f"--shard: one of 1/N to N/N is expected, such as 3/100, got {shard!r} (for SLURM: --array=1-100)"
-        )
-    return list(recordings[int(k) - 1 :: int(n)])
-
-
-def choose_default_jobs(threads: int) -> int:
-    """Return the number of processes that cores and memory allow."""
-    total = available_memory()
-    by_memory = available_cores() if total is None else int(MAX_MEMORY_RATIO * total) // MIN_MEMORY
-    return max(1, min(available_cores() // threads, by_memory))
-
-
-def _limit_threads(threads: int) -> dict[str, str]:
-    """Return environment variables that limit the threads of libraries."""
-    names = ("OMP", "OPENBLAS", "MKL", "NUMBA", "VECLIB_MAXIMUM")
-    return {**{f"{name}_NUM_THREADS": str(threads) for name in names}, "OPENCV_FOR_THREADS_NUM": str(threads)}
-
-
-class WorkerDeathError(Exception):
-    """The worker process, its argument, ended before its recording."""
+def describe_death(error: BaseException) -> str:
+    """Return why a worker died, from the exception of its future."""
+    name = type(error).__name__
+    return str(error) if isinstance(error, WorkerDeathError) else DEATHS.get(name, f"the worker died ({name})")
 
 
 class ProcessWorkers:
@@ -142,15 +106,14 @@ class ProcessWorkers:
     """
 
     def __init__(self, settings: RunSettings, jobs: int, memory: int | None = None) -> None:
-        total = available_memory()
-        self._memory = memory or (None if total is None else int(MAX_MEMORY_RATIO * total) // jobs)
+        self._memory = memory or memory_share(jobs)
         self._settings, self._jobs, self._threads = settings, jobs, ThreadPoolExecutor(jobs)
         self._processes: list[SpawnProcess] = []
         self._idle: list[tuple[SpawnProcess, Connection]] = []
 
     def __enter__(self) -> Self:
         self._environment = dict(os.environ)  # which processes inherit
-        os.environ.update(_limit_threads(self._settings.threads))
+        os.environ.update(thread_limits(self._settings.threads))
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -185,18 +148,18 @@ class ProcessWorkers:
             pipe.send(recording)
             summary: Summary = pipe.recv()
         except (EOFError, OSError):
-            raise WorkerDeathError(process) from None
+            raise WorkerDeathError(_describe_exit(process)) from None
         self._idle.append((process, pipe))
         return summary
 
-    def describe_death(self, error: WorkerDeathError) -> str:
-        process = error.args[0]
-        process.join(EXIT_TIMEOUT_S)
-        code = process.exitcode
-        if code is None or code >= 0:
-            return f"the worker ended with exit code {code}"
-        name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
-        return f"the worker was killed by {name}{': out of memory?' if name == 'SIGKILL' else ''}"
+
+def _describe_exit(process: SpawnProcess) -> str:
+    process.join(EXIT_TIMEOUT_S)
+    code = process.exitcode
+    if code is None or code >= 0:
+        return f"the worker ended with exit code {code}"
+    name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
+    return f"the worker was killed by {name}{': out of memory?' if name == 'SIGKILL' else ''}"
 
 
 def _run_worker(pipe: Connection, settings: RunSettings, memory: int | None) -> None:
@@ -248,11 +211,9 @@ class RayWorkers:
             needed = f"{settings.threads} cores and {self._memory / 2**30:.1f} GB of memory"
             raise ValueError(f"--ray {address}: no computer in the cluster has {needed}")
         # One retry policy for all drivers: that of `run.py`, not Ray's.
-        environment = {"env_vars": _limit_threads(settings.threads)}
-        self._task = ray.remote(num_cpus=settings.threads, memory=self._memory, max_retries=0, runtime_env=environment)(
-            process_recording
-        )
-        self._futures: set[Any] = set()
+        environment = {"env_vars": thread_limits(settings.threads)}
+        options = {"num_cpus": settings.threads, "memory": self._memory, "max_retries": 0, "runtime_env": environment}
+        self._task, self._futures = ray.remote(**options)(process_recording), set[Any]()
 
     def __enter__(self) -> Self:
         return self
@@ -262,7 +223,7 @@ class RayWorkers:
         for task in tasks:
             self._ray.cancel(task, force=False)
         if tasks:
-            self._ray.wait(tasks, num_returns=len(tasks), timeout=RELEASE_TIMEOUT_S)
+            self._ray.wait(tasks, num_returns=len(tasks), timeout=EXIT_TIMEOUT_S)
         self._ray.shutdown()
 
     def _count_slots(self) -> int:
@@ -278,7 +239,3 @@ class RayWorkers:
         future: Future[Summary] = self._task.remote(recording, self._settings).future()
         self._futures = {other for other in self._futures if not other.done()} | {future}
         return future
-
-    def describe_death(self, error: BaseException | None) -> str:
-        name = type(error).__name__
-        return DEATHS.get(name, f"the worker died ({name})")

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-import functools
-import os
-import tempfile
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
-from filelock import FileLock
 
 from sylpose.archive.contract import Summary
-from sylpose.archive.recordings import Recording
-from sylpose.archive.stores import ObjectStore, is_inside, is_url, open_store, split_location
+from sylpose.archive.recordings import FILE_KINDS, Recording
 from sylpose.input_limits import to_one_line
 from sylpose.io.capture import open_session
+from sylpose.io.stores import ObjectStore, is_inside, is_url, open_store
 from sylpose.report.camera_consistency import describe_camera_problems
 from sylpose.runs.check import explain_failures
 from sylpose.runs.options import RunOptions
-from sylpose.runs.precompile import compile_all, is_compiled
+from sylpose.runs.precompile import compile_once_per_computer
 from sylpose.runs.run import track_session
 from sylpose.runs.run_result import Run
 from sylpose.runs.world import WorldSpec, apply_world_and_unit, is_world_text
@@ -39,7 +35,7 @@ def track_recording(recording: Recording, folder: Path, threads: int) -> Summary
     Raises:
         ValueError, OSError: as `open_session` and `track_session`; messages name the original instead of a copy.
     """
-    compile_kernels_once()
+    compile_once_per_computer()
     copies: dict[str, str] = {}
 
     def local(url: str | None, name: str) -> Path | None:
@@ -51,17 +47,15 @@ def track_recording(recording: Recording, folder: Path, threads: int) -> Summary
     options = recording.options
     unit, world = options.pop("unit"), options.pop("world")
     try:
-        session = open_session(
-            local(recording.path, "recording") or folder,
-            calibration=local(recording.calibration, "given_calibration"),
-            boxes=local(recording.boxes, "given_boxes"),
-            masks=local(recording.masks, "given_masks"),
-        )
+        given = (local(getattr(recording, kind), f"given_{kind}") for kind in FILE_KINDS)
+        calibration, boxes, masks, offsets = given
+        path = local(recording.path, "recording") or folder
+        session = open_session(path, calibration=calibration, boxes=boxes, masks=masks)
         if world is not None:
             world = WorldSpec(world if is_world_text(world) else str(local(world, "given_world.toml")))
         session = apply_world_and_unit(session, world, unit)
         run_options = RunOptions(
-            offsets=find_offsets(session, local(recording.offsets, "given_offsets")),
+            offsets=find_offsets(session, offsets),
             checkpoint_seconds=float("inf"),
             workers=threads,
             **options,
@@ -110,20 +104,10 @@ def _fetch(url: str, target: Path) -> Path:
     assert isinstance(source, ObjectStore)
     names = [file.name for file in source.files() if not file.name.startswith("sylpose/")]
     if not names:
-        folder, name = split_location(url)
-        target = target.with_suffix(Path(name).suffix)
-        ObjectStore(folder.url).fetch(name, target)
+        target = target.with_suffix(PurePosixPath(url).suffix)
+        source.fetch("", target)
     for name in names:
         if not is_inside(name):
             raise ValueError(f"{url}: a file named {to_one_line(name)} cannot belong to a recording")
         source.fetch(name, target / name)
     return target
-
-
-@functools.cache
-def compile_kernels_once() -> None:
-    """Compile the tracking kernels once per computer; other processes wait for the first."""
-    user = os.getuid() if hasattr(os, "getuid") else 0
-    with FileLock(Path(tempfile.gettempdir()) / f"sylpose-compiling-{user}.lock"):
-        if not is_compiled():
-            compile_all()

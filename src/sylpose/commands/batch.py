@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import signal
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -18,6 +22,10 @@ from sylpose.commands.options import (
     Unit,
     World,
 )
+
+if TYPE_CHECKING:
+    from sylpose.archive.contract import RunSettings, Summary
+    from sylpose.archive.recordings import Recording
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,22 +97,101 @@ def batch(options: BatchOptions) -> None:
         sylpose batch archive --out results --shard 3/100
         sylpose batch --status --out results
     """
-    from sylpose.archive.batch_command import BatchWorkers, run_batch_command, run_status_command
-    from sylpose.archive.contract import RunSettings
+    from sylpose.archive.contract import RunSettings, collect_summaries
     from sylpose.archive.recordings import TrackingOptions, find_recordings
-    from sylpose.archive.stores import open_store
     from sylpose.archive.worker import track_recording
+    from sylpose.commands.batch_display import print_summaries
+    from sylpose.io.stores import open_store
+    from sylpose.runs.console_output import make_console, print_warnings
 
-    destination, found = open_store(options.out), None
+    destination, recordings = open_store(options.out), None
     if options.source:
         tracking = TrackingOptions(**{name: getattr(options, name) for name in TrackingOptions.__struct_fields__})
-        found = find_recordings(options.source, tracking, options.calibration, destination)
-    if options.status or found is None:
-        run_status_command(destination, None if found is None else found[0])
+        recordings, remarks = find_recordings(options.source, tracking, options.calibration, destination)
+    if options.status or recordings is None:
+        if not (summaries := collect_summaries(destination, recordings)):
+            raise ValueError(f"{destination.url}: contains no results of sylpose batch")
+        print_summaries(summaries, destination)
         return
-    memory = None if options.memory is None else int(options.memory * 2**30)
     settings = pick(options, RunSettings, destination=destination, work=track_recording)
-    workers = BatchWorkers(options.jobs, options.ray, options.shard, memory)
-    summaries = run_batch_command(*found, settings, workers)
+    # Fail now rather than once per recording if the destination is not writable.
+    destination.write("batch.txt", b"Results of sylpose batch, a folder for each recording: docs/archive.md\n")
+    print_warnings(make_console(), remarks)
+    summaries = _track_all(recordings, settings, options)
+    print_summaries(summaries, None if options.shard else destination)
+    if options.shard:
+        text = f"All shards in one table: sylpose batch --status --out {destination.url}"
+        make_console().print(text, soft_wrap=True)
     if failed := sum(summary.status != "done" for summary in summaries.values()):
         exit_with_failures([f"{failed} of {len(summaries)} recordings without a trajectory"])
+
+
+def _track_all(recordings: Sequence[Recording], settings: RunSettings, options: BatchOptions) -> dict[str, Summary]:
+    """Track all recordings, or those of the shard, and return their summaries by name, in their order.
+
+    Raises:
+        KeyboardInterrupt: with a message; also on SIGTERM.
+        ValueError: invalid options.
+    """
+    from rich.text import Text
+
+    from sylpose.archive.contract import collect_summaries, is_final
+    from sylpose.archive.run import ProcessWorkers, RayWorkers, process_all
+    from sylpose.commands.batch_display import ProgressLine
+    from sylpose.runs.console_output import make_console
+    from sylpose.runs.system_resources import choose_default_jobs
+
+    console, shard, destination = make_console(), options.shard, settings.destination
+    shard_text = f", shard {shard} of {len(recordings)}" if shard else ""
+    recordings = select_shard(recordings, shard) if shard else recordings
+    jobs, n = options.jobs or choose_default_jobs(settings.threads), len(recordings)
+    workers_text = f"Ray at {options.ray}" if options.ray else f"{min(jobs, max(n, 1))} at a time"
+    headline = f"{shard_text}, {workers_text} -> {destination.url}"
+    console.print(Text.assemble((f"{n} recording{'' if n == 1 else 's'}", "bold"), headline))
+    summaries = collect_summaries(destination, recordings)
+    summaries = {name: summary for name, summary in summaries.items() if is_final(summary, settings)}
+    if summaries:
+        console.print(f"{len(summaries)} of them {'is' if len(summaries) == 1 else 'are'} already finished.")
+    remaining = [recording for recording in recordings if recording.name not in summaries]
+    memory = None if options.memory is None else int(options.memory * 2**30)
+    try:
+        with (
+            _interrupt_on_sigterm(),
+            ProgressLine(n, summaries) as line,
+            RayWorkers(settings, options.ray, memory)
+            if options.ray
+            else ProcessWorkers(settings, jobs, memory) as workers,
+        ):
+            process_all(remaining, settings, workers, line.add_result, line.show_counts)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(
+            f"interrupted after {len(summaries)} of {n}; finished results are kept, repeat the command to resume"
+        ) from None
+    return {recording.name: summaries[recording.name] for recording in recordings}
+
+
+@contextmanager
+def _interrupt_on_sigterm() -> Iterator[None]:
+    """Interrupt the block on SIGTERM, which SLURM sends at the time limit; only a main thread can receive signals."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    previous_handler = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, previous_handler)
+
+
+def select_shard(recordings: Sequence[Recording], shard: str) -> list[Recording]:
+    """Return every N-th recording, starting with the K-th, for a shard "K/N".
+
+    Raises:
+        ValueError: not of this form, or K not in 1 ... N.
+    """
+    k, _, n = shard.partition("/")
+    if not (k.isdigit() and n.isdigit() and 1 <= int(k) <= int(n)):
+        raise ValueError(
+            f"--shard: one of 1/N to N/N is expected, such as 3/100, got {shard!r} (for SLURM: --array=1-100)"
+        )
+    return list(recordings[int(k) - 1 :: int(n)])

@@ -8,13 +8,17 @@ writable folder (`geometry/kernel_cache.py`), from where later processes load th
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from functools import cache
 from pathlib import Path
 
 import numpy as np
+from filelock import FileLock
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -124,6 +128,15 @@ def compile_all(on_progress: Callable[[float], None] | None = None) -> None:
                 on_progress(seconds_by_future[done])
     warm_up()
     on_progress(REST_SECONDS)
+
+
+@cache
+def compile_once_per_computer() -> None:
+    """Compile all kernels unless they are cached; other processes of the user wait for the first."""
+    user = os.getuid() if hasattr(os, "getuid") else 0
+    with FileLock(Path(tempfile.gettempdir()) / f"sylpose-compiling-{user}.lock"):
+        if not is_compiled():
+            compile_all()
 
 
 def compile_with_progress(console: Console) -> None:

@@ -1,9 +1,13 @@
-"""Cores and memory available to this process."""
+"""Cores and memory available to this process, and their division among worker processes."""
 
 from __future__ import annotations
 
 import os
 from contextlib import suppress
+
+# Least memory of one recording, bytes (choice: several times the figure in docs/benchmarks.md), and largest share of
+# the computer's memory for all (choice).
+MIN_MEMORY, MAX_MEMORY_RATIO = 2 << 30, 0.9
 
 
 def available_cores() -> int:
@@ -24,3 +28,22 @@ def available_memory() -> int | None:
     with suppress(ValueError):
         sizes.append(int(os.environ.get("SLURM_MEM_PER_NODE", "")) << 20)
     return min(sizes, default=None)
+
+
+def memory_share(processes: int) -> int | None:
+    """Return the bytes for each of several processes; None if unknown."""
+    total = available_memory()
+    return None if total is None else int(MAX_MEMORY_RATIO * total) // processes
+
+
+def choose_default_jobs(threads: int) -> int:
+    """Return the number of processes that cores and memory allow."""
+    memory = memory_share(1)
+    by_memory = available_cores() if memory is None else memory // MIN_MEMORY
+    return max(1, min(available_cores() // threads, by_memory))
+
+
+def thread_limits(threads: int) -> dict[str, str]:
+    """Return environment variables that limit the threads of libraries."""
+    names = ("OMP", "OPENBLAS", "MKL", "NUMBA", "VECLIB_MAXIMUM")
+    return {**{f"{name}_NUM_THREADS": str(threads) for name in names}, "OPENCV_FOR_THREADS_NUM": str(threads)}

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any, Literal
 
 import av
@@ -13,8 +13,9 @@ from av.container import InputContainer
 from av.video.stream import VideoStream
 
 from sylpose.input_limits import UnreadableFileError, resolve_path
+from sylpose.io.calibration.files import is_calibration_name
 from sylpose.io.capture.images import read_image, read_image_size
-from sylpose.io.capture.names import find_repeated_recordings, image_files, image_numbers, match_names
+from sylpose.io.capture.names import IMAGE_SUFFIXES, find_repeated_recordings, image_files, image_numbers, match_names
 from sylpose.rig import Camera, Rig
 
 VIDEO_SUFFIXES = frozenset(
@@ -176,6 +177,34 @@ class RecordingFolder:
                     raise ValueError(f"{entry}: assigned to both camera {other} and camera {name}")
             entries[name] = entry
         return entries
+
+
+def find_recording_folders(files: Collection[PurePath], calibrated: bool) -> tuple[list[PurePath], list[PurePath]]:
+    """Find the folders of recordings among files: those with videos or image folders, and a calibration.
+
+    Args:
+        files: paths below a folder.
+        calibrated: whether a calibration is not required.
+
+    Returns:
+        The folders of recordings, outer ones only, and those that only lack a calibration; both sorted.
+    """
+    videos, images, calibrations = set(), set(), set()
+    for path in files:
+        if NON_CAMERA_NAMES & set(path.parts[:-1]):
+            continue
+        if path.suffix.lower() in VIDEO_SUFFIXES and path.stem not in NON_CAMERA_NAMES:
+            videos.add(path.parent)
+        elif path.suffix.lower() in IMAGE_SUFFIXES and len(path.parts) > 1:
+            images.add(path.parent.parent)
+        elif is_calibration_name(Path(path.name)):
+            calibrations.add(path.parent)
+    # An image folder next to recordings does not make their common parent a recording.
+    outer = {parent for folder in videos | images for parent in folder.parents}
+    candidates = {folder for folder in videos | images if folder in videos | calibrations or folder not in outer}
+    taken = candidates if calibrated else candidates & calibrations
+    found = [folder for folder in sorted(taken) if not taken & set(folder.parents)]
+    return found, [folder for folder in sorted(candidates) if not {folder, *folder.parents} & set(found)]
 
 
 def open_video(path: Path) -> tuple[InputContainer, VideoStream]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import posixpath
 import re
 import shutil
 from collections.abc import Iterator
@@ -33,7 +34,9 @@ class StoredFile(NamedTuple):
 
 @dataclass(frozen=True)
 class Store:
-    """A folder; `ObjectStore` has the same methods. All raise OSError that names the file.
+    """A folder or file; `ObjectStore` has the same methods. All raise OSError that names the file.
+
+    A file's name is relative to the location; "" is the location itself.
 
     Attributes:
         url: the absolute path of a folder; `s3://bucket/prefix` and the like.
@@ -92,7 +95,8 @@ class ObjectStore(Store):
     """A prefix of an object store, by obstore."""
 
     def join(self, name: str) -> Store:
-        return ObjectStore(f"{self.url}/{name}")
+        scheme, _, path = self.url.partition("://")
+        return ObjectStore(f"{scheme}://{posixpath.normpath(f'{path}/{name}')}")
 
     def read(self, name: str) -> bytes | None:
         with self._errors("read", name) as (client, path), suppress(FileNotFoundError):
@@ -180,12 +184,6 @@ def resolve_location(location: str, base: Store) -> Store:
     """Resolve a location in a manifest in `base`: a URL, an absolute path, or a path relative to `base`."""
     is_absolute = is_url(location) or Path(location).expanduser().is_absolute()
     return open_store(location) if is_absolute else base.join(location)
-
-
-def split_location(location: str) -> tuple[Store, str]:
-    """Return the store that contains a file, and its name there."""
-    folder, _, name = open_store(location).url.rpartition("/")
-    return open_store(folder or "/"), name
 
 
 @cache
