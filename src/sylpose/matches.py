@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sylpose.display import Printable, Summary
+from sylpose.display import Printable
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.validation import check_finite_rows, check_type
 from sylpose.rig import Camera
@@ -67,9 +67,3 @@ class Matches(Printable):
 
     def __len__(self) -> int:
         return len(self.x)
-
-    def _summary(self) -> Summary:
-        text = f"{len(self)} points in two frames"
-        if len(self):
-            text += f", moved by {np.median(np.linalg.norm(self.y - self.x, axis=1)):.3g} of the focal length (median)"
-        return Summary(text)

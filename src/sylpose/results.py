@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Self
@@ -10,18 +9,7 @@ from typing import Self
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.display import (
-    Printable,
-    Summary,
-    format_inliers,
-    format_length,
-    format_lengths,
-    format_position,
-    format_rotation,
-    format_vector,
-    format_with_sd,
-    truncate_rows,
-)
+from sylpose.display import Printable
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.matrices import invert_information, propagate_covariance
 from sylpose.geometry.validation import check_list, check_type
@@ -100,42 +88,6 @@ class Motion(Printable):
         matches = sum(len(mask) for mask in self.inliers)
         return float(self.n_inliers.sum() / matches) if matches else np.nan
 
-    def _summary(self) -> Summary:
-        status = f"{self.status.value}. {self.status.text}"
-        names = self.camera_names or [f"camera {c}" for c in range(len(self.inliers))]
-        inlier_texts = [
-            format_inliers(n, len(m), r) for n, m, r in zip(self.n_inliers, self.inliers, self.residuals, strict=True)
-        ]
-        rows = [
-            *truncate_rows(list(zip(names, inlier_texts, strict=True))),
-            *(("at fault", fault) for fault in self.faults),
-        ]
-        if self.motion is None:
-            return Summary(self.status.value, rows, status)
-        is_pose, center = self.method == "pose", self.motion.apply(self.center)
-        translation = center if is_pose else center - self.center
-        sigma = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
-        summary_rows = [
-            ("rotation", format_rotation(self.motion.rotation, self.covariance[:3, :3])),
-            ("center at" if is_pose else "translation", format_lengths(translation, sigma[3:], self.unit)),
-        ]
-        if self.alternative is not None:
-            summary_rows.append(("alternative", format_rotation(self.alternative.rotation)))
-        if len(self.unobservable):
-            summary_rows.append(("unobservable", f"{len(self.unobservable)} of the six directions of (w, d)"))
-        translation_text = f"moved {format_length(float(np.linalg.norm(translation)), self.unit)}"
-        if is_pose:
-            translation_text = f"at {format_position(translation)}"
-        elif (
-            not np.isfinite(translation @ self.covariance[3:, 3:] @ translation)
-            or self.status is Status.SCALE_NOT_OBSERVABLE
-        ):
-            translation_text = "translation not observable"
-        brief = f"{self.status.value}, rotated {format_rotation(self.motion.rotation)}, {translation_text}"
-        return Summary(
-            f"{brief}, {self.n_inliers.sum()} inliers in {len(self.inliers)} cameras", [*summary_rows, *rows], status
-        )
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RotationEstimate(Printable):
@@ -161,24 +113,6 @@ class RotationEstimate(Printable):
     def covariance(self) -> FloatArray:
         """(3, 3) inverse of `information`; infinite variance on axes that share an unobservable direction."""
         return invert_information(self.information)
-
-    def _summary(self) -> Summary:
-        rows = (
-            [("unobservable", f"rotation about {len(self.unobservable)} of three axes")]
-            if len(self.unobservable)
-            else []
-        )
-        rows += [("iterations", str(self.iterations)), *self._extra_rows()]
-        status = f"{self.status.value}. {self.status.text}"
-        if not np.isfinite(self.rotation).all():
-            return Summary(self.status.value, rows, status)
-        rotation = Rotation.from_matrix(self.rotation)
-        summary_rows = [("rotation", format_rotation(rotation, self.covariance)), *rows]
-        return Summary(f"{self.status.value}, rotated {format_rotation(rotation)}", summary_rows, status)
-
-    def _extra_rows(self) -> list[tuple[str, str]]:
-        """Return further rows, (label, text), of a subclass."""
-        return []
 
 
 def pan_tilt_roll(rotation: Rotation) -> FloatArray:
@@ -282,26 +216,6 @@ class FramePose(Printable):
             return np.full(3, np.nan)
         return np.asarray(self.world_from_object.translation)
 
-    def _summary(self) -> Summary:
-        rows = [("reason", self.reason)] if self.reason else []
-        if self.world_from_object is not None:
-            angles = np.degrees(self.pan_tilt_roll)
-            rows += [
-                (
-                    "pan, tilt, roll",
-                    f"{format_vector(angles)}°, ± {format_vector(np.degrees(self.sigma[:3]), 3)}° about x, y, z",
-                ),
-                ("position", format_with_sd(self.position, self.sigma[3:])),
-            ]
-        if self.observability is not Observability.ALL:
-            rows.append(("unobservable", self.observability.text))
-        n_matches = self.matches if len(self.matches) else self.inliers
-        for c, (n, total, residual) in enumerate(zip(self.inliers, n_matches, self.residuals, strict=True)):
-            rows.append((f"camera {c}", format_inliers(n, total, residual)))
-        rows += [("at fault", fault) for fault in self.faults]
-        status = f"frame {self.index}, time {self.time:.3f}: {self.status.value}"
-        return Summary(status, rows, f"{status}. {self.status.text}")
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Trajectory(Printable):
@@ -356,33 +270,3 @@ class Trajectory(Printable):
             rotations = Rotation.from_quat([pose.rotation.as_quat() for pose in poses])
             angles[rows] = (rotations * poses[0].rotation.inv()).magnitude()
         return angles
-
-    def _summary(self) -> Summary:
-        measured = [f for f in self if f.is_measured]
-        brief = f"{len(measured)} of {len(self)} frames with a pose"
-        status_counts = Counter(f.status for f in self).most_common()
-        rows = (
-            [("frames", ", ".join(f"{status.value} {count}" for status, count in status_counts))]
-            if status_counts
-            else []
-        )
-        if measured:
-            angles, positions = self.rotation_angles[self.measured_mask], self.positions[self.measured_mask]
-            distance = format_length(float(np.linalg.norm(positions[-1] - positions[0])), self.unit)
-            path = format_length(float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum()), self.unit)
-            last, largest = np.degrees(angles[-1]), np.degrees(angles.max())
-            brief += f", rotated {last:.1f}°, moved {distance}"
-            rows += [
-                ("time", f"{measured[0].time:.3f} to {measured[-1].time:.3f}"),
-                ("rotation", f"{last:.1f}° from the first to the last, {largest:.1f}° at most"),
-                ("translation", f"{distance} from the first to the last, along a path of {path}"),
-            ]
-        cameras = []
-        for c, name in enumerate(self.camera_names):
-            used = [f for f in measured if f.inliers[c] > 0]
-            medians = (
-                [np.median([f.inliers[c] for f in used]), np.median([f.residuals[c] for f in used])] if used else []
-            )
-            median_text = ", median {:.0f} inliers, residual {:.2f} px".format(*medians) if used else ""
-            cameras.append((name, f"used in {len(used)} frames{median_text}"))
-        return Summary(brief, [*rows, *truncate_rows(cameras)])

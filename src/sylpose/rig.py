@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.display import Printable, Summary, format_position, format_vector, truncate_rows
+from sylpose.display import Printable
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.lens_distortion import N_TERMS, project_points
 from sylpose.geometry.validation import (
@@ -161,12 +161,6 @@ class Camera(Printable):
         """(3,) unit vector, the optical axis in the world."""
         return np.asarray(self.rotation[2])
 
-    def _summary(self) -> Summary:
-        image = f"{self.size[0]} x {self.size[1]} pixels, focal length {self.focal:.0f}"
-        lens = f"{self.lens} {format_vector(self.distortion, 4)}" if self.distortion.any() else "no distortion"
-        pose_text = f"at {format_position(self.center)}, looking along {format_vector(self.direction)}"
-        return Summary(f"{self.name}, {image}", [("image", image), ("lens", lens), ("pose", pose_text)])
-
     def normalize(self, pixels: ArrayLike) -> FloatArray:
         """Undistort pixels of the image as recorded.
 
@@ -289,10 +283,6 @@ class Rig(Printable):
         if name not in self._index:
             raise KeyError(f"no camera {format_value(name)} in the rig ({to_one_line(', '.join(self.names), 200)})")
         return self.cameras[self._index[name]]
-
-    def _summary(self) -> Summary:
-        brief = f"{len(self)} camera{'s' if len(self) > 1 else ''}, lengths in {self.unit or 'an unknown unit'}"
-        return Summary(brief, truncate_rows([(c.name, "; ".join(text for _, text in c._summary().rows)) for c in self]))
 
     @property
     def names(self) -> tuple[str, ...]:

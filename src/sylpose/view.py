@@ -19,7 +19,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.display import Printable, Summary, format_rotation, format_with_sd
+from sylpose.display import Printable
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.matrices import invert_information, propagate_covariance
 from sylpose.geometry.validation import check_finite, check_real, check_rotation, check_type, format_value
@@ -69,16 +69,6 @@ class MotionView(Printable):
     def sigma(self) -> FloatArray:
         """(6,) standard deviations: rotation about the camera's x, y, z (radians), then translation of the center."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
-
-    def _summary(self) -> Summary:
-        status = f"{self.status.value}. {self.status.text}"
-        if self.motion is None:
-            return Summary(self.status.value, sentence=status)
-        rows = [
-            ("rotation", format_rotation(self.motion.rotation, self.covariance[:3, :3])),
-            ("right, down, away", format_with_sd(self.center_translation, self.sigma[3:])),
-        ]
-        return Summary(f"{self.status.value}, rotated {format_rotation(self.motion.rotation)}", rows, status)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import fdtri
 
-from sylpose.display import Printable, Summary
+from sylpose.display import Printable
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.matrices import transpose
 from sylpose.geometry.validation import check_integer, check_list, check_rotation, check_sequence
@@ -102,9 +102,6 @@ class Diagnosis(Printable):
     weights: FloatArray
     faults: tuple[Fault | None, ...]
 
-    def _summary(self) -> Summary:
-        return Summary(self.text)
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RobustSolution(RotationEstimate):
@@ -130,9 +127,6 @@ class RobustSolution(RotationEstimate):
     def faults(self) -> tuple[Fault | None, ...]:
         """(C,) None for a camera that is not at fault."""
         return self.diagnosis.faults
-
-    def _extra_rows(self) -> list[tuple[str, str]]:
-        return [("cameras", self.diagnosis.text)]
 
 
 def solve_robust(

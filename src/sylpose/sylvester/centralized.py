@@ -28,7 +28,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sylpose.display import Printable, Summary, format_optimality
+from sylpose.display import Printable
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.normal_equations import (
     OBSERVABLE_ROTATION_SD,
@@ -120,9 +120,6 @@ class CentralizedSolution(RotationEstimate):
         """Return the cost at `rotation`."""
         return float(self.costs[0])
 
-    def _extra_rows(self) -> list[tuple[str, str]]:
-        return [format_optimality(self.certified, len(self.candidates))]
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CentralizedBatch(Printable):
@@ -155,9 +152,6 @@ class CentralizedBatch(Printable):
     def rotations(self) -> FloatArray:
         """(N, 3, 3) best candidate of each problem."""
         return self.candidates[:, 0]
-
-    def _summary(self) -> Summary:
-        return Summary(f"{len(self)} problems, {int(self.certified.sum())} of them certified as globally optimal")
 
     def __len__(self) -> int:
         return len(self.counts)

@@ -108,9 +108,6 @@ class DepthPlaneSolution(RotationEstimate):
     cost: float
     converged: bool
 
-    def _extra_rows(self) -> list[tuple[str, str]]:
-        return [("cameras", f"{int(np.isfinite(self.sigma).sum())} of {len(self.sigma)} with enough matches")]
-
 
 class DepthPlaneProblem(NamedTuple):
     """Input data of the C cameras with enough matches.

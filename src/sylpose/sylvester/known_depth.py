@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from sylpose.display import format_optimality, format_vector
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.matrices import transpose
 from sylpose.geometry.normal_equations import UNOBSERVABLE_ROTATION_SD, find_unobservable_directions
@@ -78,12 +77,6 @@ class KnownDepthSolution(RotationEstimate):
     def translation(self) -> FloatArray:
         """(3,) t of X_j = R X_i + t."""
         return self.center + self.center_translation - self.rotation @ self.center
-
-    def _extra_rows(self) -> list[tuple[str, str]]:
-        return [
-            ("translation", f"{format_vector(self.center_translation, 4)} of the points' center"),
-            format_optimality(self.certified, len(self.candidates)),
-        ]
 
 
 def solve_2d3d(

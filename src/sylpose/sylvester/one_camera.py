@@ -40,11 +40,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
-from scipy.spatial.transform import Rotation
 
-from sylpose.display import Printable, Summary, format_rotation
+from sylpose.display import Printable
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.matrices import invert_information, transpose
+from sylpose.geometry.matrices import transpose
 from sylpose.geometry.validation import check_rotation, check_type
 from sylpose.moments import PairMoments
 from sylpose.results import RotationEstimate
@@ -104,17 +103,6 @@ class OneCameraSolution(Printable):
         k = int(np.argmin(np.linalg.norm(self.rotations - guess, axis=(1, 2))))
         return RotationEstimate(
             self.status, self.rotations[k], self.information[k], self.unobservable[k], self.iterations
-        )
-
-    def _summary(self) -> Summary:
-        status = f"{self.status.value}. {self.status.text}"
-        if not np.isfinite(self.rotations).all():
-            return Summary(self.status.value, sentence=status)
-        first, second = (Rotation.from_matrix(R) for R in self.rotations)
-        sure, mirrored = (invert_information(information) for information in self.information)
-        rows = [("rotated", format_rotation(first, sure)), ("or, mirrored", format_rotation(second, mirrored))]
-        return Summary(
-            f"{self.status.value}, rotated {format_rotation(first)} or {format_rotation(second)}", rows, status
         )
 
 

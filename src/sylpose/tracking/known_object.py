@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.display import Printable, Summary, format_length, truncate_rows
+from sylpose.display import Printable
 from sylpose.features.sift import Features
 from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.geometry.validation import check_finite, check_number, check_type
@@ -185,14 +185,6 @@ class KnownObject(Printable):
             ),
             scale_sd=sd,
         )
-
-    def _summary(self) -> Summary:
-        brief = (
-            f"radius {format_length(self.radius, self.unit)}, {len(self.positions)} landmarks, "
-            f"{len(self._keyframes)} keyframes"
-        )
-        cameras = [(name, f"{len(memory.landmarks.mean)} landmarks") for name, memory in self._cameras.items()]
-        return Summary(brief, truncate_rows(cameras))
 
 
 def build_known_object(

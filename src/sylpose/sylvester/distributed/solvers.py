@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from sylpose.display import format_optimality
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.validation import check_integer, check_list, check_rotations, check_sequence, check_type
 from sylpose.moments import PairMoments
@@ -79,13 +78,6 @@ class DistributedSolution(RotationEstimate):
     def rounds(self) -> int:
         """Number of rounds (same as `iterations`)."""
         return self.iterations
-
-    def _extra_rows(self) -> list[tuple[str, str]]:
-        distance_text = f"within {np.degrees(self.spread):.2g}° of each other"
-        done = f"{int(self.converged.sum())} of {len(self.converged)} converged, {distance_text}"
-        faults = [("at fault", text) for _, text in sorted(self.faults.items())]
-        sent = ("sent", f"{int(self.sent.sum())} bytes in total by all cameras")
-        return [("cameras", done), sent, format_optimality(self.certified), *faults]
 
 
 def solve_exchange(
