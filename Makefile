@@ -6,7 +6,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 # What touches cv2: OpenCV 4 and 5 are asked alike.
 OPENCV_TESTS := tests/io tests/features tests/report tests/simulate tests/test_rig.py
 
-.PHONY: demo demo-network test kernels test-slow test-opencv4 test-opencv5 browser web lint format dist bench bench-page bench-record bench-tracking bench-paper docs gallery clean
+.PHONY: demo demo-network test test-fast kernels test-slow test-opencv4 test-opencv5 browser web lint format dist bench bench-page bench-record bench-tracking bench-paper docs gallery clean
 
 # The package's own file has the version.
 $(VENV)/.installed: pyproject.toml src/sylpose/__init__.py
@@ -20,6 +20,12 @@ $(VENV)/.installed: pyproject.toml src/sylpose/__init__.py
 $(VENV)/.installed-dev: $(VENV)/.installed
 	$(PIP) install --quiet --upgrade 'pip>=25.1'
 	$(PIP) install --quiet --editable . --group dev
+	touch $@
+
+# Without Ray, browsers, solvers and formats of others: their tests are skipped.
+$(VENV)/.installed-dev-min: $(VENV)/.installed
+	$(PIP) install --quiet --upgrade 'pip>=25.1'
+	$(PIP) install --quiet --editable . --group dev-min
 	touch $@
 
 $(VENV)/.installed-bench: $(VENV)/.installed
@@ -43,6 +49,11 @@ test: export OPENBLAS_NUM_THREADS = 1
 test: browser
 	$(MAKE) --jobs=2 lint kernels
 	$(BIN)/python -m pytest -n auto --dist worksteal
+
+# Between two edits, under a minute: files of plain functions, no whole runs, processes, drawings or pages.
+test-fast: export OPENBLAS_NUM_THREADS = 1
+test-fast: $(VENV)/.installed-dev-min
+	$(BIN)/python -m pytest -n auto --dist worksteal --fast
 
 # Beside lint: the last ones are compiled by one process, and mypy is another.
 kernels: $(VENV)/.installed-dev

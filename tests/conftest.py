@@ -1,38 +1,73 @@
-"""Shared fixtures: one small rendered recording, made once per run."""
+"""Shared fixtures: small rendered recordings, made once for all processes that run the tests."""
 
 from __future__ import annotations
 
+import os
+import re
 import shutil
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 import pytest
+from filelock import FileLock
 from hypothesis import settings
 from matplotlib.figure import Figure
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.io.capture import open_session
 from sylpose.io.object_files import OBJECT_FILE, load_object
 from sylpose.report.files import read_trajectory
-from sylpose.runs.options import RunOptions
-from sylpose.runs.run import track_session
-from sylpose.simulate import make_demo_scene, write_sequence
 from sylpose.tracking.known_object import KnownObject
 from tests.chromium import launch_browser
-from tests.recordings import FIRST, mapping_path, write_box_recording
+from tests.recordings import mapping_path, write_box_recording
+from tests.saved import BOX_RESULT, FRAMES, copy_result, write_turn_recording
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
-# The same examples in every run, so that failures are reproducible. No deadline: machines are shared.
-settings.register_profile("seeded", derandomize=True, deadline=None)
-settings.load_profile("seeded")
+# The same examples in every run, so that failures are reproducible. No deadline: machines are shared. More examples of
+# each property: HYPOTHESIS_PROFILE=thorough.
+settings.register_profile("seeded", derandomize=True, deadline=None, max_examples=30)
+settings.register_profile("thorough", derandomize=True, deadline=None, max_examples=300)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "seeded"))
 
-FRAMES = 12
+__all__ = ["FRAMES"]
+
+# `--fast` leaves out files with one of these words: they render, track, draw, run commands or start processes.
+EXPENSIVE = re.compile(
+    r"\b(subprocess|commands\.main|track_session|simulation|render_\w+|write_recording|bundle_adjust|process_recording"
+    r"|archive\.run|tests\.(clips|recordings|chromium|boards)|(?:from|import) benchmarks|report\.(plots|drawing|page))\b"
+)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--fast", action="store_true", help="only files of plain functions (`EXPENSIVE` in tests/conftest.py)"
+    )
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Leave expensive files out of the fast lane before they are imported."""
+    if not config.getoption("--fast") or not collection_path.match("test_*.py"):
+        return None
+    return EXPENSIVE.search(collection_path.read_text(encoding="utf-8")) is not None or None
+
+
+def make_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], object]) -> Path:
+    """Return a folder of this name with the files that a function writes into it, once for all processes."""
+    base = factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        base = base.parent
+    folder = base / name
+    with FileLock(base / f"{name}.lock"):
+        if not folder.exists():
+            part = base / f"{name}.part"
+            part.mkdir()
+            make(part)
+            part.rename(folder)
+    return folder
 
 
 @pytest.fixture(scope="session")
@@ -42,10 +77,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     Read only; tests must not write into it.
     """
-    folder = tmp_path_factory.mktemp("recording")
-    scene = make_demo_scene(frames=4 * FRAMES, angle_deg=60.0, size=(320, 240), n_cameras=3)
-    write_sequence(folder, replace(scene, frames=FRAMES), boxes=True)
-    return folder
+    return make_once(tmp_path_factory, "recording", write_turn_recording)
 
 
 @pytest.fixture
@@ -78,12 +110,13 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="session")
 def first(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a recording's folder with its results in it; read-only."""
-    folder = write_box_recording(tmp_path_factory.mktemp("first") / "take", mapping_path, FIRST)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sylpose.report.plots.save_trajectory_plot", lambda *_, **__: None)
-        track_session(open_session(folder), options=RunOptions(overlay=False))
-    return folder
+    """Return a folder with the first frames of a recording and the saved results of all; read-only."""
+
+    def make(folder: Path) -> None:
+        write_box_recording(folder, mapping_path, 2)
+        copy_result(BOX_RESULT, folder / "sylpose")
+
+    return make_once(tmp_path_factory, "first", make)
 
 
 @pytest.fixture(scope="session")

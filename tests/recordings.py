@@ -35,7 +35,7 @@ RIG = arc(4, 35, 1.5, 500, (480, 360), height=0.4)
 # Sides of the box.
 BOX = (0.3, 0.22, 0.26)
 # Numbers of frames of the first recording and of the others.
-FIRST, NEXT = 50, 14
+FIRST, NEXT = 50, 10
 
 
 def mapping_path(k: float) -> RigidTransform:

@@ -27,7 +27,7 @@ from sylpose.status import Status
 from tests.paths import REPOSITORY
 
 PACKAGE = REPOSITORY / "src" / "sylpose"
-PAGES = [*REPOSITORY.glob("*.md"), *(REPOSITORY / "docs").rglob("*.md")]
+PAGES = sorted([*REPOSITORY.glob("*.md"), *(REPOSITORY / "docs").rglob("*.md")])
 EVERY_NAME = sorted(page.relative_to(REPOSITORY).as_posix() for page in PAGES)
 # Pages of the history keep the names of their time; only their links are checked.
 NAMES = [name for name in EVERY_NAME if not name.startswith("docs/history/")]

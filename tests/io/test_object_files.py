@@ -88,7 +88,7 @@ def test_known_object_gains_landmarks(tmp_path: Path, known: KnownObject) -> Non
 def test_resume_with_known_object(
     first: Path, known: KnownObject, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    session = open_session(write_box_recording(tmp_path / "take", moved_path, 8, seed=5))
+    session = open_session(write_box_recording(tmp_path / "take", moved_path, 5, seed=5))
     whole = track_session(session, tmp_path / "whole", RunOptions(overlay=False, known=known))
     done: list[int] = []
     with pytest.raises(KeyboardInterrupt):
@@ -97,7 +97,7 @@ def test_resume_with_known_object(
             tmp_path / "out",
             RunOptions(overlay=False, known=known),
             on_frame=lambda _, f: done.append(f.pose.index),
-            interrupted=lambda: len(done) == 4,
+            interrupted=lambda: len(done) == 3,
         )
     with pytest.raises(
         ValueError, match=r"checkpoint\.bin: the interrupted run had known object [0-9a-f]{32}, not none"
@@ -105,10 +105,10 @@ def test_resume_with_known_object(
         track_session(session, tmp_path / "out", RunOptions(overlay=False, resume=True))
     file = f"--object={first / 'sylpose' / OBJECT_FILE}"
     assert main(["track", str(session.path), "--out", str(tmp_path / "out"), "--no-overlay", "--resume", file]) == 0
-    assert "Resuming after 4 of 8 frames" in capsys.readouterr().out
+    assert "Resuming after 3 of 5 frames" in capsys.readouterr().out
     for name in ("trajectory.tum", "trajectory.csv", "tracked.csv"):
         assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
-    assert len(whole.trajectory) == 8
+    assert len(whole.trajectory) == 5
 
 
 def test_object_file_round_trip(known: KnownObject, tmp_path: Path) -> None:

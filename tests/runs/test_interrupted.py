@@ -111,24 +111,30 @@ def prepare_earlier_result(out: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("smooth", "full"),
+    ("smooth", "full", "shares"),
     [
-        pytest.param(True, False, id="smooth-cut"),
-        pytest.param(True, True, id="smooth-full", marks=pytest.mark.slow),
-        pytest.param(False, False, id="plain-cut", marks=pytest.mark.slow),
-        pytest.param(False, True, id="plain-full"),
+        pytest.param(True, False, (0.5, 1.0), id="smooth-cut"),
+        pytest.param(True, True, (0.0, 0.3, 0.7, 1.0), id="smooth-full", marks=pytest.mark.slow),
+        pytest.param(False, False, (0.0, 0.3, 0.7, 1.0), id="plain-cut", marks=pytest.mark.slow),
+        pytest.param(False, True, (0.0, 0.7), id="plain-full"),
     ],
 )
 def test_interruption_at_any_moment(
-    opened: Session, whole: dict[bool, dict[str, bytes]], tmp_path: Path, smooth: bool, full: bool
+    opened: Session,
+    whole: dict[bool, dict[str, bytes]],
+    tmp_path: Path,
+    smooth: bool,
+    full: bool,
+    shares: tuple[float, ...],
 ) -> None:
     """An earlier result stays until the new one is complete."""
     out = prepare_earlier_result(tmp_path / "out")
     FILE_FAILURES.arm(out)
     run(opened, out, smooth)
-    for at in np.unique(np.linspace(1 + full, FILE_FAILURES.count - 1 - smooth, 3, dtype=int)):
+    first, last = 1 + full, FILE_FAILURES.count - 1 - smooth
+    for at in (int(first + share * (last - first)) for share in shares):
         prepare_earlier_result(out)
-        FILE_FAILURES.arm(out, int(at), full)
+        FILE_FAILURES.arm(out, at, full)
         output = run_until_failure(opened, out, smooth)
         FILE_FAILURES.arm(Path("/nowhere"))
         assert output == "" or (full and "cannot write " in output and "\n" not in output)

@@ -95,7 +95,7 @@ def actor_from_new(known: KnownObject, new: KnownObject, actor_from_object: Rigi
 )
 def test_poses_in_new_object_frame(tmp_path: Path, known: KnownObject, smooth: bool) -> None:
     """Results are equal up to rounding, with the same uncertainty: no decision depends on the frame."""
-    session = open_session(write_box_recording(tmp_path / "take", moved_path, 6, seed=5))
+    session = open_session(write_box_recording(tmp_path / "take", moved_path, 4, seed=5))
     tool = known.to_frame(NEW_FROM_OBJECT, description="by hand")
     runs = [
         track_session(session, tmp_path / f"out{k}", RunOptions(overlay=False, smooth=smooth, known=its))
@@ -365,7 +365,7 @@ def test_scale_of_single_camera_object(by_one: Path, tmp_path: Path, capsys: pyt
     file = by_one / "sylpose" / OBJECT_FILE
     known = load_object(file)
     assert known.unit == INITIAL_DISTANCES
-    four = write_box_recording(tmp_path / "four", moved_path, 4, seed=5)
+    four = write_box_recording(tmp_path / "four", moved_path, 2, seed=5)
     assert main(["track", str(four), "--object", str(file)]) == 2
     assert "a single camera learned it" in capsys.readouterr().err
     frame, (points, _, _) = 3, on_a_face(3)
@@ -383,7 +383,7 @@ def test_scale_of_single_camera_object(by_one: Path, tmp_path: Path, capsys: pyt
     assert sized.unit == "m"
     assert 0.001 < sized.scale_sd < 0.1
     actor_from_frame = RigidTransform.from_translation(points[0]) * turned_to(points)
-    again = write_box_recording(tmp_path / "again", moved_path, NEXT - 6, seed=5, rig=RIG.subset(["cam_1"]))
+    again = write_box_recording(tmp_path / "again", moved_path, NEXT - 4, seed=5, rig=RIG.subset(["cam_1"]))
     for smooth in (False, True):
         run = track_session(open_session(again), options=RunOptions(overlay=False, smooth=smooth, known=sized))
         assert run.trajectory.unit == "m"

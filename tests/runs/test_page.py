@@ -23,7 +23,7 @@ from sylpose.runs.options import RunOptions
 from sylpose.runs.page import MIN_THUMBNAILS, ThumbnailAlbum, thumbnail_step, write_report_page
 from sylpose.runs.run import track_session
 
-FRAMES = 6
+FRAMES = 4
 
 
 def sets(positions: range) -> Iterator[FrameSet]:
@@ -63,7 +63,7 @@ def test_album_after_resume(n: int, at: int) -> None:
 
 
 def run(recording: Path, out: Path, interrupted: Any = None, **options: Any) -> bytes:
-    options |= {"stop": FRAMES, "overlay": False}
+    options |= {"stop": FRAMES, "overlay": False, "smooth": False}
     track_session(open_session(recording), out, RunOptions(**options), interrupted=interrupted)
     return undated(out / PAGE_FILE)
 
@@ -89,8 +89,8 @@ def images_in(page: Path) -> Any:
 def test_interrupted_run_yields_same_page(recording: Path, whole: Path, tmp_path: Path) -> None:
     arguments = itertools.count(1)
     with pytest.raises(KeyboardInterrupt):
-        run(recording, tmp_path, interrupted=lambda: next(arguments) == 4)
-    assert len(images_in(tmp_path / PAGE_FILE)["index"]) == 4
+        run(recording, tmp_path, interrupted=lambda: next(arguments) == 3)
+    assert len(images_in(tmp_path / PAGE_FILE)["index"]) == 3
     assert run(recording, tmp_path, resume=True) == undated(whole / PAGE_FILE)
     assert images_in(tmp_path / PAGE_FILE)["index"] == list(range(FRAMES))
 
@@ -126,7 +126,7 @@ def test_report_rebuilds_page(whole: Path, tmp_path: Path, capsys: pytest.Captur
 def test_page_contains_warnings(session: Path, tmp_path: Path) -> None:
     boxes = (session / "boxes.toml").read_text().splitlines()
     (session / "boxes.toml").write_text("\n".join(boxes[:2]))
-    track_session(open_session(session), tmp_path, RunOptions(stop=3, overlay=False))
+    track_session(open_session(session), tmp_path, RunOptions(stop=2, overlay=False, smooth=False))
     page = (tmp_path / PAGE_FILE).read_text(encoding="utf-8")
     message = "Only one camera has a box (cam_0): the object"
     assert f"<li>{message}" in page

@@ -13,9 +13,11 @@ from sylpose.io.capture import open_session
 from sylpose.runs.options import RunOptions
 from sylpose.runs.progress import NotebookProgress, show_progress
 from sylpose.runs.run import track_session
-from tests.conftest import FRAMES
 
 pytestmark = pytest.mark.usefixtures("undrawn")
+
+# Number of frames tracked; fewer are faster.
+N = 4
 
 
 def test_callback_is_called_for_each_frame(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -24,13 +26,13 @@ def test_callback_is_called_for_each_frame(recording: Path, tmp_path: Path, caps
     track_session(
         open_session(recording),
         tmp_path,
-        RunOptions(stop=8, overlay=False),
+        RunOptions(stop=N, overlay=False, smooth=False),
         progress=lambda done, total: reported.append((done, total)),
         on_frame=lambda _, tracked: frames.append(tracked.pose.index),
     )
     # It works with the other callbacks, and nothing is printed.
-    assert reported == [(k, 8) for k in range(1, 9)]
-    assert frames == list(range(8))
+    assert reported == [(k, N) for k in range(1, N + 1)]
+    assert frames == list(range(N))
     captured = capsys.readouterr()
     assert captured.out == captured.err == ""
 
@@ -41,7 +43,7 @@ def test_resumed_run_continues_counting(recording: Path, tmp_path: Path) -> None
         track_session(
             open_session(recording),
             tmp_path,
-            RunOptions(overlay=False),
+            RunOptions(overlay=False, smooth=False, stop=N),
             interrupted=lambda: len(reported) > 0,
             on_frame=lambda *frame: reported.append(frame),
         )
@@ -49,17 +51,17 @@ def test_resumed_run_continues_counting(recording: Path, tmp_path: Path) -> None
     track_session(
         open_session(recording),
         tmp_path,
-        RunOptions(overlay=False, resume=True),
+        RunOptions(overlay=False, smooth=False, stop=N, resume=True),
         progress=lambda *numbers: message.append(numbers),
     )
     first = message[0][0]
     assert first > 0
-    assert [done for done, _ in message] == list(range(first, FRAMES + 1))
-    assert {total for _, total in message} == {FRAMES}
+    assert [done for done, _ in message] == list(range(first, N + 1))
+    assert {total for _, total in message} == {N}
 
 
 def test_no_progress_by_default(recording: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    track_session(open_session(recording), tmp_path, RunOptions(stop=3, overlay=False))
+    track_session(open_session(recording), tmp_path, RunOptions(stop=2, overlay=False))
     captured = capfd.readouterr()
     assert captured.out == captured.err == ""
 
@@ -68,10 +70,10 @@ def test_bar_in_terminal(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("FORCE_COLOR", "1")  # rich then treats any output as a terminal
-    track_session(open_session(recording), tmp_path, RunOptions(stop=6, overlay=False), progress=True)
+    track_session(open_session(recording), tmp_path, RunOptions(stop=N, overlay=False), progress=True)
     shown = capfd.readouterr().err
     assert "Tracking" in shown
-    assert "6/6" in shown
+    assert f"{N}/{N}" in shown
     assert "3 cameras" in shown
 
 
@@ -105,12 +107,12 @@ def test_line_in_notebook(
     recording: Path, tmp_path: Path, notebook: Shown, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("sylpose.runs.progress.MIN_UPDATE_SECONDS", 0.0)
-    track_session(open_session(recording), tmp_path, RunOptions(stop=6, overlay=False), progress=True)
+    track_session(open_session(recording), tmp_path, RunOptions(stop=N, overlay=False), progress=True)
     assert notebook.lines[0] == "Tracking"
-    (half,) = (line for line in notebook.lines if " 3 of 6 frames" in line)
+    (half,) = (line for line in notebook.lines if " 2 of 4 frames" in line)
     assert half.count("█") == half.count("░") == 15
     assert any(line.startswith("Refining all poses jointly, round ") for line in notebook.lines)
-    assert notebook.lines[-1].startswith("6 frames in ")
+    assert notebook.lines[-1].startswith(f"{N} frames in ")
     assert capfd.readouterr().err == ""
 
 

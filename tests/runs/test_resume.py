@@ -35,7 +35,7 @@ from sylpose.tracking.tracked_frame import TrackedFrame
 pytestmark = pytest.mark.usefixtures("undrawn")
 
 # Number of frames tracked; fewer are faster.
-FRAMES = 7
+FRAMES = 5
 STOP = ("--stop", str(FRAMES))
 TRAJECTORIES = ("trajectory.tum", "trajectory.csv")
 # Program that runs `sylpose` and is killed after writing a frame's line: `-c KILLED LINE arguments`.
@@ -78,18 +78,18 @@ def same(a: Path, b: Path) -> bool:
 @pytest.mark.skipif(sys.platform == "win32", reason="sends a POSIX signal")
 def test_resume_killed_run(recording: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     args = ("track", recording, *STOP, "--out", tmp_path, "--checkpoint", 0)
-    assert killed(5, *args).returncode == -signal.SIGKILL
-    assert len(read_trajectory(tmp_path / "tracked.csv")) == 5
+    assert killed(4, *args).returncode == -signal.SIGKILL
+    assert len(read_trajectory(tmp_path / "tracked.csv")) == 4
     assert (tmp_path / CHECKPOINT).exists()
     assert main([*map(str, args), "--resume"]) == 0
     message = capsys.readouterr().out
-    assert f"Resuming after 4 of {FRAMES} frames." in message  # the fifth frame was only partly written
+    assert f"Resuming after 3 of {FRAMES} frames." in message  # the fourth frame was only partly written
     assert re.search(rf"Tracked +\d+ of {FRAMES} frames", message)
     assert same(tmp_path, whole)
     assert (tmp_path / "report.png").exists()
     assert (tmp_path / "overlay.mp4").exists()
-    assert (tmp_path / "overlay_4.mp4").exists()
-    assert "overlay_4.mp4" in message
+    assert (tmp_path / "overlay_3.mp4").exists()
+    assert "overlay_3.mp4" in message
     assert not (tmp_path / CHECKPOINT).exists()
     # A new run removes the old run's second video.
     assert main([*map(str, args), "--stop", "1"]) == 1  # a single frame has no motion
@@ -106,7 +106,7 @@ def test_ctrl_c_saves_checkpoint(
     def interrupted_there(self: TrajectoryWriter, pose: FramePose) -> None:
         write(self, pose)
         written.append(pose)
-        if len(written) == 5:
+        if len(written) == 3:
             os.kill(os.getpid(), signal.SIGINT)
 
     # Tests started in the background may ignore SIGINT.
@@ -118,7 +118,7 @@ def test_ctrl_c_saves_checkpoint(
     finally:
         signal.signal(signal.SIGINT, before)
     message = capsys.readouterr().err
-    assert message == f"sylpose: interrupted after 5 of {FRAMES} frames; the results so far are in {tmp_path}\n"
+    assert message == f"sylpose: interrupted after 3 of {FRAMES} frames; the results so far are in {tmp_path}\n"
     assert main([*args, "--resume"]) == 0
     assert same(tmp_path, whole)
 
@@ -147,12 +147,12 @@ def interrupted(session: Path, out: Path, after: int, **options: Any) -> None:
     ("options", "after"),
     [
         pytest.param({"method": "epipolar", "stop": 5}, 3, marks=pytest.mark.slow),
-        ({"method": "sylvester", "start": 1, "every": 2}, 3),
-        ({"features": "klt", "offsets": {"cam_1": 0.002}, "stop": 7}, 5),
-        ({"smooth": True, "stop": 6}, 4),
+        ({"method": "sylvester", "start": 1, "every": 2, "stop": 8}, 3),
+        ({"features": "klt", "offsets": {"cam_1": 0.002}, "smooth": False, "stop": 5}, 3),
+        ({"smooth": True, "stop": 4}, 3),
         pytest.param({"smooth": False, "stop": 6}, 4, marks=pytest.mark.slow),
         pytest.param({"stop": 4}, 4, marks=pytest.mark.slow),
-        ({"stop": 4, "checkpoint_seconds": 20}, 3),
+        ({"smooth": False, "stop": 3, "checkpoint_seconds": 20}, 2),
     ],
     ids=["epipolar", "every other frame", "klt", "smooth", "not smooth", "after the last frame", "from the start"],
 )
@@ -171,23 +171,23 @@ def test_resumed_run_is_exact(session: Path, tmp_path: Path, options: dict[str, 
 
 @pytest.mark.parametrize("where", ["smooth", "write_trajectory"])
 def test_resume_after_failure_while_finishing(
-    session: Path, tmp_path: Path, where: str, monkeypatch: pytest.MonkeyPatch
+    recording: Path, whole: Path, tmp_path: Path, where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    options: dict[str, Any] = {"stop": 5, "overlay": False, "checkpoint_seconds": 0}
-    track_session(open_session(session), tmp_path / "whole", RunOptions(**options))
+    session = open_session(recording)
+    options: dict[str, Any] = {"stop": FRAMES, "overlay": False, "checkpoint_seconds": 0}
 
     def breaks(*_: object, **__: object) -> None:
         raise PowerCutError
 
-    shutil.copytree(tmp_path / "whole", tmp_path / "part")  # results of an earlier run are not used
+    shutil.copytree(whole, tmp_path / "part")  # results of an earlier run are not used
     with monkeypatch.context() as patch:
         patch.setattr(f"sylpose.runs.outputs.{where}", breaks)
         with pytest.raises(PowerCutError):
-            track_session(open_session(session), tmp_path / "part", RunOptions(**options))
+            track_session(session, tmp_path / "part", RunOptions(**options))
     assert (tmp_path / "part" / CHECKPOINT).exists()
-    assert len(read_trajectory(tmp_path / "part" / "tracked.csv")) == 5
-    run = track_session(open_session(session), tmp_path / "part", RunOptions(resume=True, **options))
-    assert same(tmp_path / "part", tmp_path / "whole")
+    assert len(read_trajectory(tmp_path / "part" / "tracked.csv")) == FRAMES
+    run = track_session(session, tmp_path / "part", RunOptions(resume=True, **options))
+    assert same(tmp_path / "part", whole)
     assert {f.name for f in (tmp_path / "part").iterdir()} == {f.name for f in run.files}
 
 
@@ -214,7 +214,7 @@ def test_nothing_to_resume(recording: Path, whole: Path, tmp_path: Path, capsys:
 
 def test_other_options_or_another_session(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = session / "sylpose"
-    interrupted(session, out, 3)
+    interrupted(session, out, 2)
     before = {file: file.read_bytes() for file in out.iterdir()}
     for option, value, words in (
         ("--method", "epipolar", "method landmarks, not epipolar"),
@@ -281,11 +281,11 @@ def header(path: Path) -> tuple[dict[str, str], dict[str, str]]:
 
 
 def test_changed_files_are_rejected(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    interrupted(recording, tmp_path, 3, stop=4, checkpoint_seconds=0)
+    interrupted(recording, tmp_path, 2, stop=3, checkpoint_seconds=0)
     (tmp_path / "tracked.csv").write_text("")
-    assert "tracked.csv" in refused(capsys, recording, "--out", tmp_path, "--stop", 4)
+    assert "tracked.csv" in refused(capsys, recording, "--out", tmp_path, "--stop", 3)
     (tmp_path / "tracked.tum").unlink()
-    assert "tracked.tum" in refused(capsys, recording, "--out", tmp_path, "--stop", 4)
+    assert "tracked.tum" in refused(capsys, recording, "--out", tmp_path, "--stop", 3)
 
 
 def test_unwritable_checkpoint_is_reported(recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -298,8 +298,10 @@ def test_unwritable_checkpoint_is_reported(recording: Path, tmp_path: Path, monk
         save(path, *state)
 
     monkeypatch.setattr("sylpose.runs.checkpoint.save_checkpoint", full)
-    run = track_session(open_session(recording), tmp_path, RunOptions(stop=3, overlay=False, checkpoint_seconds=0))
-    assert len(run.trajectory) == 3
+    run = track_session(
+        open_session(recording), tmp_path, RunOptions(stop=2, overlay=False, smooth=False, checkpoint_seconds=0)
+    )
+    assert len(run.trajectory) == 2
     (message,) = run.problems
     assert "checkpoint.bin: no space left" in message
 

@@ -29,7 +29,7 @@ from tests.boards.drawing import make_floor_scene
 pytestmark = pytest.mark.usefixtures("undrawn")
 
 TAG = "apriltag:36h11,id=5,size=140mm"
-FRAMES = 10
+FRAMES = 8
 
 
 @pytest.fixture(scope="module")
@@ -195,7 +195,7 @@ def test_resume_requires_same_world(recording: Path, tmp_path: Path, capsys: pyt
     out, stops = tmp_path / "out", iter(range(100))
     opened = apply_world_and_unit(open_session(recording), WorldSpec(TAG), None)
     with pytest.raises(KeyboardInterrupt):
-        track_session(opened, out, RunOptions(overlay=False, checkpoint_seconds=0), interrupted=lambda: next(stops) > 4)
+        track_session(opened, out, RunOptions(overlay=False, checkpoint_seconds=0), interrupted=lambda: next(stops) > 2)
     assert sylpose("track", recording, "--out", out, "--no-overlay", "-q", "--resume") == 2
     assert "calibration changed since the interrupted run" in capsys.readouterr().err
     assert sylpose("track", recording, "--out", out, "--no-overlay", "-q", "--resume", "--world", TAG) == 0
@@ -208,7 +208,7 @@ def test_stale_world_file_is_removed(recording: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     for options, there in ((("--world", "up=-y"), True), ((), False)):
         assert (
-            sylpose("track", recording, "--out", out, "--no-overlay", "-q", "--no-smooth", "--stop", 4, *options) == 0
+            sylpose("track", recording, "--out", out, "--no-overlay", "-q", "--no-smooth", "--stop", 3, *options) == 0
         )
         assert (out / "world.toml").exists() == there
 
@@ -269,7 +269,7 @@ def test_check_plots_world_and_writes_file(recording: Path, tmp_path: Path, caps
 
 
 def test_batch_with_world(recording: Path, on_the_tag: Path, tmp_path: Path) -> None:
-    options = TrackingOptions(stop=4, smooth=False, overlay=False, unit="mm", world=str(on_the_tag / "world.toml"))
+    options = TrackingOptions(stop=3, smooth=False, overlay=False, unit="mm", world=str(on_the_tag / "world.toml"))
     ((found,), _) = find_recordings([str(recording)], options)
     summary = track_recording(found, tmp_path, 1)
     assert summary.status == "done"
@@ -286,7 +286,7 @@ def test_batch_with_world(recording: Path, on_the_tag: Path, tmp_path: Path) -> 
     ("options", "said"),
     [
         (("--world", "apriltag:36h11,id=6,size=140mm"), "no camera sees it in frame 0"),
-        (("--world", "apriltag:36h11,id=5,size=14cm", "--world-frame", "10"), "the recording has frames 0 to 9"),
+        (("--world", "apriltag:36h11,id=5,size=14cm", "--world-frame", "8"), "the recording has frames 0 to 7"),
         (("--world", "apriltag:36h11,id=5,size=70mm"), "the board appears 2 times as large"),
         (("--world", "apriltag:36h11,id=5"), "size is missing; expected one such as apriltag:36h11,id=3,size=80mm"),
         (
