@@ -47,8 +47,7 @@ from sylpose.io.capture.images import read_image, read_image_size
 from sylpose.io.capture.live import open_live
 from sylpose.io.capture.timeline import load_timestamps
 from sylpose.io.object_files import load_object, save_object
-from sylpose.io.pixel_files import load_image_points
-from sylpose.io.point_files import load_points
+from sylpose.io.point_files import load_image_points, load_points
 from sylpose.landmarks.alignment import LandmarkMatches
 from sylpose.landmarks.landmark_filter import Landmarks
 from sylpose.landmarks.messages import EvaluationMessage, TermsMessage

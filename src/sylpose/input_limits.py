@@ -141,15 +141,18 @@ def parse_toml(text: str, limit: int = MAX_TOML_BYTES) -> dict[str, Any]:
     """Parse TOML.
 
     Raises:
-        ValueError: invalid, more than `limit` characters, or lines with too many dots. To be converted by
-            `input_errors`.
-        RecursionError: nested too deep.
+        tomllib.TOMLDecodeError: invalid.
+        ValueError: more than `limit` characters, or lines with too many dots.
+        RecursionError: nested too deep. All are to be converted by `input_errors`.
     """
     if len(text) > limit:
         raise ValueError(f"{len(text)} characters, more than the {limit} allowed for TOML")
     if sum(line.count(".") ** 2 for line in text.split("\n")) > MAX_SQUARED_DOTS:
         raise ValueError("too many dots in a line")
-    return tomllib.loads(text)
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise tomllib.TOMLDecodeError(f"not valid TOML: {error}") from None
 
 
 def resolve_path(path: Path) -> Path:

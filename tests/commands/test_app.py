@@ -212,7 +212,7 @@ def cameras(session: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, bool]:
         return Player(played[int(source)], how["forever"], missing=MISSING if source == 1 else -1)
 
     monkeypatch.setattr(live, "open_live", partial(live.open_live, opener=opener))
-    monkeypatch.setattr(live, "RETRY_DELAYS", ())
+    monkeypatch.setattr("sylpose.io.capture.streams.RETRY_DELAYS", ())
     return how
 
 

@@ -17,8 +17,7 @@ from sylpose.commands.main import main
 from sylpose.commands.pose import PoseOptions, solve_poses
 from sylpose.commands.report import _collect_stills
 from sylpose.io import calibration
-from sylpose.io.pixel_files import load_image_points
-from sylpose.io.point_files import load_points
+from sylpose.io.point_files import load_image_points, load_points
 from sylpose.report.files import read_trajectory, read_tum
 from sylpose.report.page import render_page
 from sylpose.results import Trajectory

@@ -14,8 +14,7 @@ from sylpose.boards.detection import detect_markers
 from sylpose.geometry.arrays import FloatArray, Image
 from sylpose.input_limits import input_errors, print_message
 from sylpose.io.capture import Session
-from sylpose.io.pixel_files import load_image_points
-from sylpose.io.point_files import MarkerLayout, PointModel
+from sylpose.io.point_files import MarkerLayout, PointModel, load_image_points
 from sylpose.rig import Camera, Rig
 from sylpose.runs.page import ThumbnailAlbum
 

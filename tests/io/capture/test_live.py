@@ -251,7 +251,7 @@ def make_live_session(folder: Path, devices: dict[int, list[Device]], **more: fl
 
 @pytest.fixture
 def short_retry_delays(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sylpose.io.capture.live.RETRY_DELAYS", (0.01, 0.02))
+    monkeypatch.setattr("sylpose.io.capture.streams.RETRY_DELAYS", (0.01, 0.02))
 
 
 @pytest.mark.usefixtures("short_retry_delays")
@@ -297,7 +297,7 @@ def test_error_without_any_camera_names_reasons(folder: Path) -> None:
 
 def test_open_failure_is_reported_immediately(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It is reported before retries and before all cameras have failed."""
-    monkeypatch.setattr("sylpose.io.capture.live.RETRY_DELAYS", (60.0,))
+    monkeypatch.setattr("sylpose.io.capture.streams.RETRY_DELAYS", (60.0,))
     session, message = make_live_session(folder, {0: [], 1: []}), list[float]()
     begin = time.monotonic()
 

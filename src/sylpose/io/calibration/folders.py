@@ -259,15 +259,12 @@ def read_deeplabcut(_: Any, path: Path, sizes: SizeLookup | None = None) -> Rig:
         }
     known_sizes = lookup_sizes(path, names, sizes, given_sizes)
     first, second = (CameraEntry(path, name) for name in names)
-    first_matrix, first_lens, second_matrix, second_lens, rotation, translation = values
-    pose = second.make_pose(rotation, translation)
-    return make_rig(
-        path,
-        [
-            first.make_camera(known_sizes[first.place], first_matrix, first_lens, RigidTransform.identity()),
-            second.make_camera(known_sizes[second.place], second_matrix, second_lens, pose),
-        ],
-    )
+    matrix_1, lens_1, matrix_2, lens_2, rotation, translation = values
+    cameras = [
+        first.make_camera(known_sizes[names[0]], matrix_1, lens_1, RigidTransform.identity()),
+        second.make_camera(known_sizes[names[1]], matrix_2, lens_2, second.make_pose(rotation, translation)),
+    ]
+    return make_rig(path, cameras)
 
 
 def _split_names(key: str, path: Path) -> list[str]:

@@ -11,15 +11,11 @@ from typing import Any
 
 from sylpose.io.calibration.native import FORMAT_NAME
 
-_CHAIN_CAMERA = re.compile(r"cam\d+")
-_STEREO = re.compile(
-    r"(?:M|K|A|CM|mtx|camera_?matrix|D|dist|dist_?coeffs?|distortions?|R|T|P)_?(?:\d+|left|right|l|r)|[RTQEF]|rotation|translation",
-    re.IGNORECASE,
-)
 _ANIPOSE = {"size", "matrix", "distortions", "rotation", "translation"}
-_NERF = ("camera_angle_x", "fl_x", "frames", "aabb_scale")
-_MATLAB = {"CameraParameters1", "CameraParameters2", "PoseCamera2", "RotationOfCamera2", "RadialDistortion"}
-_ROS = {"transforms", "child_frame_id", "distortion_model", "rectification_matrix", "projection_matrix"}
+_STEREO = (
+    r"(?i:(?:M|K|A|CM|mtx|camera_?matrix|D|dist|dist_?coeffs?|distortions?|R|T|P)_?(?:\d+|left|right|l|r)|[RTQEF]|"
+    r"rotation|translation)"
+)
 
 
 def describe_incomplete(kind: str, data: Any) -> str | None:
@@ -38,12 +34,8 @@ def _get_keys(data: Any) -> set[str]:
     return {str(key) for key in data} if isinstance(data, dict) else set()
 
 
-def _has_any_key(*names: str) -> Callable[[Any], bool]:
-    return lambda data: not _get_keys(data).isdisjoint(names)
-
-
-def _has_key_prefix(*prefixes: str) -> Callable[[Any], bool]:
-    return lambda data: any(key.startswith(prefixes) for key in _get_keys(data))
+def _has_key(pattern: str) -> Callable[[Any], bool]:
+    return lambda data: any(re.fullmatch(pattern, key, re.DOTALL) for key in _get_keys(data))
 
 
 def _has_camera_table(data: Any) -> bool:
@@ -51,16 +43,11 @@ def _has_camera_table(data: Any) -> bool:
 
 
 def _is_chain(data: Any) -> bool:
-    keys = _get_keys(data)
-    return any(_CHAIN_CAMERA.fullmatch(name) for name in keys) or {"camera_model", "intrinsics"} <= keys
+    return _has_key(r"cam\d+")(data) or {"camera_model", "intrinsics"} <= _get_keys(data)
 
 
 def _is_rig_config(data: Any) -> bool:
     return isinstance(data, list) and any("cameras" in _get_keys(rig) for rig in data)
-
-
-def _is_stereo(data: Any) -> bool:
-    return any(_STEREO.fullmatch(key) for key in _get_keys(data))
 
 
 # By kind of content, more specific formats first: format name, missing content, and check for the format.
@@ -75,30 +62,26 @@ _INCOMPLETE_FORMATS: dict[str, tuple[tuple[str, str, Callable[[Any], bool]], ...
     ),
     "plain": (
         ("COLMAP rig_config", "a camera with an image_prefix", _is_rig_config),
-        (
-            "NeRF transforms",
-            "frames with a transform_matrix each",
-            _has_any_key(*_NERF),
-        ),
+        ("NeRF transforms", "frames with a transform_matrix each", _has_key("camera_angle_x|fl_x|frames|aabb_scale")),
         (
             "Matlab stereoParameters",
             "CameraParameters1 and CameraParameters2 (with IntrinsicMatrix or K, and RadialDistortion)",
-            _has_any_key(*_MATLAB),
+            _has_key("CameraParameters[12]|PoseCamera2|RotationOfCamera2|RadialDistortion"),
         ),
         (
             "JARVIS",
             "both of intrinsicMatrix and distortionCoefficients",
-            _has_any_key("intrinsicMatrix", "distortionCoefficients"),
+            _has_key("intrinsicMatrix|distortionCoefficients"),
         ),
+        ("EasyMocap", "names together with K_ and dist_, or R_ and T_, of each", _has_key("(?:K_|Rot_|dist_).*")),
+        ("EasyMocap", "K_ and dist_, or R_ and T_, of the cameras in names", _has_key("names")),
         (
-            "EasyMocap",
-            "names together with K_ and dist_, or R_ and T_, of each",
-            _has_key_prefix("K_", "Rot_", "dist_"),
+            "ROS",
+            "a transform, or all of a camera_info: K, P, distortion_model, width and height",
+            _has_key("transforms|child_frame_id|distortion_model|rectification_matrix|projection_matrix"),
         ),
-        ("EasyMocap", "K_ and dist_, or R_ and T_, of the cameras in names", _has_any_key("names")),
-        ("ROS", "a transform, or all of a camera_info: K, P, distortion_model, width and height", _has_any_key(*_ROS)),
         ("Kalibr camchain", "camera_model and a row of intrinsics for each camera", _is_chain),
-        ("OpenCV stereo", "M1 D1 and M2 D2, the lenses of two cameras, and R and T between them", _is_stereo),
+        ("OpenCV stereo", "M1 D1 and M2 D2, the lenses of two cameras, and R and T between them", _has_key(_STEREO)),
     ),
     "xml": (
         ("Qualisys", "a camera in cameras", lambda root: root.tag == "calibration"),

@@ -84,10 +84,8 @@ def _compute_poses(nodes: dict[str, dict[str, Any]], path: Path) -> dict[str, Ri
     first, *rest = nodes
     if missing := [name for name in rest if "T_cn_cnm1" not in nodes[name]]:
         if all("T_cam_imu" in node for node in nodes.values()):
-            return {
-                name: CameraEntry(path, name).parse_pose_matrix(node["T_cam_imu"], "T_cam_imu")
-                for name, node in nodes.items()
-            }
+            entries = {name: CameraEntry(path, name) for name in nodes}
+            return {name: entries[name].parse_pose_matrix(nodes[name]["T_cam_imu"], "T_cam_imu") for name in nodes}
         raise ValueError(
             f"{path}: this is a Kalibr camchain without T_cn_cnm1 of {', '.join(missing)}, so camera poses are unknown; "
             "calibrate all of them in one run, or give T_cam_imu of all"

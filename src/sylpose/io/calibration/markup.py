@@ -74,12 +74,12 @@ def read_content(path: Path) -> Content:
         return Content("plain", _parse_json(text))
     try:
         return Content("toml", parse_toml(text))
-    except tomllib.TOMLDecodeError as error:
+    except tomllib.TOMLDecodeError:
         # YAML without its header differs from broken TOML only by the name.
         if suffix in (".yml", ".yaml"):
             return Content("plain", _parse_yaml(text))
         if suffix == ".toml":
-            raise ValueError(f"not valid TOML: {error}") from None
+            raise
         return Content("unknown", text)
 
 

@@ -96,10 +96,8 @@ def _parse_vicon(node: Element, path: Path) -> Camera:
     size = entry.parse_attribute(node, "SENSOR_SIZE", 2)
     aspect = entry.parse_attribute(node, "PIXEL_ASPECT_RATIO")[0] if node.get("PIXEL_ASPECT_RATIO") else 1.0
     skew = entry.parse_attribute(node, "SKEW")[0] if node.get("SKEW") else 0.0
-    focal, (cx, cy) = (
-        entry.parse_attribute(frame, "FOCAL_LENGTH")[0],
-        entry.parse_attribute(frame, "PRINCIPAL_POINT", 2),
-    )
+    focal = entry.parse_attribute(frame, "FOCAL_LENGTH")[0]
+    cx, cy = entry.parse_attribute(frame, "PRINCIPAL_POINT", 2)
     if not aspect > 0 or not focal > 0:
         raise entry.error("FOCAL_LENGTH and PIXEL_ASPECT_RATIO must be positive")
     matrix = np.array([[focal, skew, cx], [0.0, focal / aspect, cy], [0.0, 0.0, 1.0]])
@@ -148,10 +146,8 @@ def read_optitrack(root: Element, path: Path) -> Rig:
         ValueError: invalid content; the message names the file, and the camera if applicable.
     """
     cameras = [camera for camera in root.iter("Camera") if camera.find("Extrinsic") is not None]
-    color_cameras = [
-        camera for camera in cameras if camera.find(f"Properties[@ImagerIndex='{COLOR_IMAGER}']") is not None
-    ]
-    return make_rig(path, [_parse_optitrack(camera, path) for camera in color_cameras or cameras], "m")
+    colors = [node for node in cameras if node.find(f"Properties[@ImagerIndex='{COLOR_IMAGER}']") is not None]
+    return make_rig(path, [_parse_optitrack(camera, path) for camera in colors or cameras], "m")
 
 
 def _parse_optitrack(node: Element, path: Path) -> Camera:

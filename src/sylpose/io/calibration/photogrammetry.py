@@ -261,16 +261,10 @@ def read_nerf(data: dict[str, Any], path: Path, sizes: SizeLookup | None = None)
     if len(frames) > MAX_FRAMES:
         raise ValueError(f"{path}: more than {MAX_FRAMES} frames")
     paths = _remove_common_folder([image_path(str(frame.get("file_path") or k)) for k, frame in enumerate(frames)])
-    lenses: dict[str, dict[str, Any]] = {}
-    keys: dict[str, str] = {}
-    images = []
+    keys_used = (*_NERF_KEYS, *_NERF_TERMS)
+    lenses, keys, images = dict[str, dict[str, Any]](), dict[str, str](), []
     for frame, image_file in zip(frames, paths, strict=True):
-        lens = {
-            key: table[key]
-            for table in (data, frame)
-            for key in (*_NERF_KEYS, *_NERF_TERMS)
-            if table.get(key) is not None
-        }
+        lens = {key: table[key] for table in (data, frame) for key in keys_used if table.get(key) is not None}
         # Keys are numbered in order of appearance.
         key = keys.setdefault(json.dumps(lens, sort_keys=True), str(len(keys)))
         lenses[key] = lens
@@ -286,29 +280,21 @@ def read_nerf(data: dict[str, Any], path: Path, sizes: SizeLookup | None = None)
         if {"w", "h"} <= (lens := lenses[camera.lens]).keys()
     }
     known_sizes = lookup_sizes(path, [camera.name for camera in static_cameras], sizes, given_sizes)
-    return make_rig(
-        path,
-        [
-            _parse_nerf_camera(
-                lenses[camera.lens], known_sizes[camera.name], camera.camera_from_world, path, camera.name
-            )
-            for camera in static_cameras
-        ],
-    )
+    cameras = [_parse_nerf_camera(c, lenses[c.lens], known_sizes[c.name], path) for c in static_cameras]
+    return make_rig(path, cameras)
 
 
 def _remove_common_folder(paths: Sequence[PurePosixPath]) -> list[PurePosixPath]:
     """Remove the common parent folder of all paths."""
     if len(paths) < 2:
         return [PurePosixPath(path.name) for path in paths]
-    common = (
-        os.path.commonpath([str(path.parent) for path in paths]) if len({p.is_absolute() for p in paths}) == 1 else ""
-    )
+    is_mixed = len({path.is_absolute() for path in paths}) > 1
+    common = "" if is_mixed else os.path.commonpath([str(path.parent) for path in paths])
     return [path.relative_to(common) if common else path for path in paths]
 
 
-def _parse_nerf_camera(lens: dict[str, Any], size: Any, pose: RigidTransform, path: Path, name: str) -> Camera:
-    entry = CameraEntry(path, name)
+def _parse_nerf_camera(camera: StaticCamera, lens: dict[str, Any], size: Any, path: Path) -> Camera:
+    entry, pose = CameraEntry(path, camera.name), camera.camera_from_world
     width, height = entry.parse_numbers(size, 2, "w and h")
     number = {
         key: entry.parse_number(lens[key], key)

@@ -62,11 +62,8 @@ def read(_: Any, path: Path) -> Rig:
             raise ValueError(f"{path}: the ROS transforms next to it do not connect {' and '.join(sorted(roots))}")
     else:
         poses = _poses_from_rectification(cameras, path)
-    return make_rig(
-        path,
-        [_parse_camera(entry, data, pose) for (entry, data), pose in zip(cameras.items(), poses, strict=True)],
-        "m",
-    )
+    posed = zip(cameras.items(), poses, strict=True)
+    return make_rig(path, [_parse_camera(entry, data, pose) for (entry, data), pose in posed], "m")
 
 
 def _is_info(data: Any) -> bool:
@@ -190,10 +187,7 @@ def _require_value(data: dict[str, Any], key: str, entry: CameraEntry) -> Any:
 
 
 def _parse_camera(entry: CameraEntry, data: dict[str, Any], pose: RigidTransform) -> Camera:
-    return entry.make_camera(
-        [_get_value(data, "width"), _get_value(data, "height")],
-        _parse_info_matrix(data, "K", entry),
-        _require_value(data, "D", entry),
-        pose,
-        entry.parse_lens_model(data["distortion_model"], "distortion_model"),
-    )
+    size = [_get_value(data, "width"), _get_value(data, "height")]
+    matrix, distortion = _parse_info_matrix(data, "K", entry), _require_value(data, "D", entry)
+    lens = entry.parse_lens_model(data["distortion_model"], "distortion_model")
+    return entry.make_camera(size, matrix, distortion, pose, lens)

@@ -160,16 +160,8 @@ def _read_other_file(path: Path, part: str, other: str, what: str, present: str)
 # Matlab
 
 
-_UNITS = {
-    "millimeters": "mm",
-    "mm": "mm",
-    "centimeters": "cm",
-    "cm": "cm",
-    "meters": "m",
-    "m": "m",
-    "inches": "in",
-    "in": "in",
-}
+_UNITS = {"millimeters": "mm", "centimeters": "cm", "meters": "m", "inches": "in"}
+_UNITS |= {unit: unit for unit in _UNITS.values()}
 
 
 def is_matlab(data: Any) -> bool:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -173,10 +172,7 @@ def load_world(path: Path | str, rig: Rig) -> World:
     path = Path(path)
     text = read_text(path)
     with input_errors(path):
-        try:
-            data = parse_toml(text)
-        except tomllib.TOMLDecodeError as error:
-            raise ValueError(f"not valid TOML: {error}") from None
+        data = parse_toml(text)
         if "format" not in data and "world_from_calibration" not in data:
             pose, scale, unit = _build_world_from_points(data, rig)
             return World(pose, f"points of {path.name}", rig.unit, scale, unit)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import re
-import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,14 @@ from sylpose.frames import Box
 from sylpose.geometry.arrays import BoolArray, IntArray
 from sylpose.input_limits import input_errors, parse_toml, read_text
 from sylpose.io.capture.images import read_mask
-from sylpose.io.capture.names import IMAGE_SUFFIXES, image_files, image_numbers, match_all_names, match_names
+from sylpose.io.capture.names import (
+    IMAGE_SUFFIXES,
+    image_files,
+    image_numbers,
+    invert_unique,
+    match_all_names,
+    match_names,
+)
 from sylpose.io.capture.sources import Source
 from sylpose.rig import Rig
 
@@ -81,10 +87,7 @@ def parse_boxes(text: str, rig: Rig, path: Path) -> dict[str, dict[str, Box]]:
         ValueError: as `load_boxes`.
     """
     with input_errors(path):
-        try:
-            raw = parse_toml(text)
-        except tomllib.TOMLDecodeError as error:
-            raise ValueError(f"cannot be read as TOML ({error})") from None
+        raw = parse_toml(text)
         tables = [name for name, value in raw.items() if isinstance(value, dict)]
         if not tables:
             return {DEFAULT_OBJECT_NAME: _convert_boxes(raw, rig, str(path))} if raw else {}
@@ -211,17 +214,10 @@ def _is_camera(entry: Path, rig: Rig) -> bool:
     return not name.isdigit() and (name in rig.names or (entry.is_dir() and bool(match_names([name], rig.names))))
 
 
-def _match_cameras(entries: Iterable[Path], rig: Rig, folder: Path) -> dict[str, str]:
-    try:
-        return match_names(dict.fromkeys(map(_entry_name, entries)), rig.names)
-    except ValueError as error:
-        raise ValueError(f"{folder}: {error}") from None
-
-
 def _find_object_folders(folder: Path, rig: Rig) -> list[Path]:
     """Return the object folders of a mask folder; none if its entries are images or named like cameras."""
     entries = _list_mask_entries(folder)
-    matched = _match_cameras(entries, rig, folder)
+    matched = match_names(dict.fromkeys(map(_entry_name, entries)), rig.names, folder)
     others = [f for f in entries if _entry_name(f) not in matched]
     for f in (f for f in entries if f.is_dir() and f not in others):
         if camera_like := [g.name for g in _list_mask_entries(f) if _is_camera(g, rig)]:
@@ -246,13 +242,7 @@ def _find_object_masks(folder: Path, rig: Rig, sources: tuple[Source, ...], warn
     if not found:
         raise ValueError(f"{folder}: contains no masks, neither CAMERA.png nor CAMERA/FRAME.png")
     matched = match_all_names(dict.fromkeys(map(_entry_name, found)), rig.names, folder)
-    by_camera: dict[str, Path] = {}
-    for entry in found:
-        camera = matched[_entry_name(entry)]
-        if camera in by_camera:
-            raise ValueError(f"{folder}: {by_camera[camera].name} and {entry.name} are both for camera {camera}")
-        by_camera[camera] = entry
-
+    by_camera = invert_unique({entry: matched[_entry_name(entry)] for entry in found}, folder)
     return tuple(_read_masks(by_camera.get(source.camera), source, warnings) for source in sources)
 
 

@@ -31,8 +31,8 @@ class FrameReading:
     ended: bool
 
 
-class _FrameReader:
-    """Reader of one camera's frames, by increasing numbers."""
+class FrameReader:
+    """Reader of one camera's frames: images of a folder in any order."""
 
     def __init__(self, source: Source) -> None:
         self._source = source
@@ -69,7 +69,7 @@ class CameraReader:
 
     def __init__(self, source: Source, masks: Mapping[str, Masks]) -> None:
         self._source, self._masks = source, masks
-        self._reader = _VideoReader(source) if source.kind == "video" else _FrameReader(source)
+        self._reader = _VideoReader(source) if source.kind == "video" else FrameReader(source)
 
     def read(self, k: int) -> FrameReading:
         """Read frame k and its masks; nothing for a negative k."""
@@ -92,7 +92,9 @@ class CameraReader:
             return None
 
 
-class _VideoReader(_FrameReader):
+class _VideoReader(FrameReader):
+    """Reader of a video's frames, by increasing numbers."""
+
     def __init__(self, source: Source) -> None:
         super().__init__(source)
         self._container, self._stream = open_video(source.path)

@@ -20,7 +20,7 @@ from sylpose.geometry.arrays import Image
 from sylpose.input_limits import resolve_path
 from sylpose.io.capture.frame_assembly import MAX_MISSED_SETS, DropCounter
 from sylpose.io.capture.images import read_image
-from sylpose.io.capture.names import IMAGE_SUFFIXES, image_files, image_numbers, match_names
+from sylpose.io.capture.names import IMAGE_SUFFIXES, image_files, image_numbers, invert_unique, match_names
 from sylpose.io.capture.sources import NON_CAMERA_NAMES
 from sylpose.rig import Camera, Rig
 
@@ -102,16 +102,8 @@ class GrowingFolder:
             and (entry.name in self.rig.names or entry.name.lower() not in NON_CAMERA_NAMES)
             and (self.masks is None or resolve_path(entry) != resolve_path(self.masks))
         }
-        try:
-            matched = match_names(found, self.rig.names)
-        except ValueError as error:
-            raise ValueError(f"{self.path}: {error}") from None
-        by_camera: dict[str, Path] = {}
-        for name, camera in matched.items():
-            if camera in by_camera:
-                raise ValueError(f"{self.path}: {by_camera[camera].name} and {name} are both for camera {camera}")
-            by_camera[camera] = found[name]
-        return by_camera
+        matched = match_names(found, self.rig.names, self.path)
+        return invert_unique({found[name]: camera for name, camera in matched.items()}, self.path)
 
 
 class _CameraFolder:

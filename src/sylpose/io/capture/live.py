@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import tomllib
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator
 from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
@@ -24,12 +24,11 @@ from sylpose.io.capture.session import (
     SessionBase,
     add_masks,
     check_frame_range,
-    find_boxes_file,
-    find_mask_folder,
+    find_boxes_and_masks,
     issue_warning,
 )
 from sylpose.io.capture.sources import Source
-from sylpose.io.capture.streams import RETRY_DELAYS, Device, open_device, read_streams
+from sylpose.io.capture.streams import Device, open_device, read_streams
 from sylpose.rig import Rig
 
 LIVE_FILE = "live.toml"
@@ -115,15 +114,12 @@ class LiveSession(SessionBase):
                 for frames in sets:
                     if report := self._counter.report_if_due():
                         on_problem(report)
-                    yield add_masks(
-                        frames,
-                        {
-                            name: [
-                                None if image is None else m.static for image, m in zip(frames.images, its, strict=True)
-                            ]
-                            for name, its in self._masks.items()
-                        },
-                    )
+                    has_image = [image is not None for image in frames.images]
+                    masks = {
+                        name: [m.static if has else None for has, m in zip(has_image, its, strict=True)]
+                        for name, its in self._masks.items()
+                    }
+                    yield add_masks(frames, masks)
         finally:
             if final_report := self._counter.final_report():
                 on_problem(final_report)
@@ -190,7 +186,7 @@ def open_live(
             boxes = folder / settings.boxes
         calibration = calibrations.find(folder) if calibration is None else Path(calibration)
         rig = calibrations.load(calibration)
-        boxes, masks = find_boxes_file(folder, boxes), find_mask_folder(folder, masks)
+        boxes, masks = find_boxes_and_masks(folder, boxes, masks)
         object_boxes = {} if boxes is None else load_boxes(boxes, rig)
         object_masks = {} if masks is None else _load_static_masks(masks, rig)
         counter = DropCounter(dict.fromkeys(rig.names, 0), dict.fromkeys(rig.names, 0))
@@ -202,7 +198,8 @@ def open_live(
         else:
             sources = _match_sources(settings, rig, file)
             openers = [partial(opener, sources[camera.name], camera.size, rate) for camera in rig]
-            reader = partial(_read_cameras, rig, openers, (max_delay, settings.tolerance, rate), counter)
+            assemble = partial(FrameAssembler, counter, max_delay, settings.tolerance, rate)
+            reader = partial(read_streams, rig, openers, assemble)
         return LiveSession(
             path=folder,
             rig=rig,
@@ -254,15 +251,3 @@ def _load_static_masks(folder: Path, rig: Rig) -> dict[str, tuple[Masks, ...]]:
     if any(f.is_dir() and match_names([f.name], rig.names) for f in (*folder.glob("*"), *folder.glob("*/*"))):
         raise ValueError(f"{folder}: a live session needs one mask per camera (CAMERA.png) for all frames")
     return find_masks(folder, rig, tuple(Source(c.name, folder, "video", c.size, 0) for c in rig))[0]
-
-
-def _read_cameras(
-    rig: Rig,
-    openers: Sequence[Callable[[], Device]],
-    limits: tuple[float, float | None, float | None],
-    counter: DropCounter,
-    indices: range,
-    on_problem: Callable[[str], None],
-    stopped: threading.Event,
-) -> Generator[FrameSet, None, None]:
-    return read_streams(rig, openers, FrameAssembler(counter, *limits), indices, on_problem, stopped, RETRY_DELAYS)

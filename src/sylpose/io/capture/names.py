@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".pgm", ".ppm", ".jp2"})
 
 
-def match_names(found: Iterable[str], cameras: Sequence[str]) -> dict[str, str]:
+def match_names(found: Iterable[str], cameras: Sequence[str], where: Path | str = "") -> dict[str, str]:
     """Match file names to camera names: exactly, then tolerantly (`cam_0`, `0`, `Cam0`, `cam-00`, `port_0`).
 
     If that finds none, words common to all file names are ignored, and words common to all cameras: Pose2Sim's
@@ -20,6 +20,7 @@ def match_names(found: Iterable[str], cameras: Sequence[str]) -> dict[str, str]:
     Args:
         found: the file names.
         cameras: the camera names.
+        where: where the names are, for the message.
 
     Returns:
         Camera name by file name, for the names that match.
@@ -41,7 +42,8 @@ def match_names(found: Iterable[str], cameras: Sequence[str]) -> dict[str, str]:
         candidates = by_key.get(_normalize_name(name), []) if name not in matched else []
         same_key_names = names_by_key.get(_normalize_name(name), [])
         if candidates and len(candidates) + len(same_key_names) > 2:
-            raise ValueError(f"{', '.join(same_key_names)} match the cameras {', '.join(candidates)} ambiguously")
+            problem = f"{', '.join(same_key_names)} match the cameras {', '.join(candidates)} ambiguously"
+            raise ValueError(f"{where}: {problem}" if where else problem)
         if candidates:
             matched[name] = candidates[0]
     return matched or _match_distinct_words(names, cameras)
@@ -54,14 +56,24 @@ def match_all_names(found: Iterable[str], cameras: Sequence[str], where: Path | 
         ValueError: names that match no camera; the message contains `where` and these names.
     """
     names = list(found)
-    try:
-        matched = match_names(names, cameras)
-    except ValueError as error:
-        raise ValueError(f"{where}: {error}") from None
+    matched = match_names(names, cameras, where)
     unknown = [name for name in names if name not in matched]
     if unknown:
         raise ValueError(f"{where}: {', '.join(unknown)} is not a camera of the calibration ({', '.join(cameras)})")
     return matched
+
+
+def invert_unique(camera_by_entry: Mapping[Path, str], where: Path | str) -> dict[str, Path]:
+    """Return the file or folder of each camera.
+
+    Raises:
+        ValueError: two of one camera; the message contains `where` and their names.
+    """
+    by_camera: dict[str, Path] = {}
+    for entry, camera in camera_by_entry.items():
+        if (other := by_camera.setdefault(camera, entry)) != entry:
+            raise ValueError(f"{where}: {other.name} and {entry.name} are both for camera {camera}")
+    return by_camera
 
 
 def _match_distinct_words(names: Sequence[str], cameras: Sequence[str]) -> dict[str, str]:

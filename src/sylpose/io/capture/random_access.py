@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Generator
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, closing, suppress
 from types import TracebackType
 from typing import Self
 
@@ -12,7 +12,7 @@ import numpy as np
 from av.video.frame import VideoFrame
 
 from sylpose.geometry.arrays import Image, IntArray
-from sylpose.io.capture.images import read_image
+from sylpose.io.capture.frame_readers import FrameReader
 from sylpose.io.capture.session import Session
 from sylpose.io.capture.sources import Source, open_video
 
@@ -31,7 +31,7 @@ class RandomAccessReader:
         self._frames = session.timeline.frames
         with ExitStack() as stack:
             self._cameras = [
-                stack.enter_context(_SeekableVideo(source)) if source.kind == "video" else _ImageFolder(source)
+                stack.enter_context(closing((_SeekableVideo if source.kind == "video" else FrameReader)(source)))
                 for source in session.sources
             ]
             self._open = stack.pop_all()
@@ -60,16 +60,6 @@ class RandomAccessReader:
         return tuple(None if k < 0 else camera.read(k) for camera, k in zip(self._cameras, row, strict=True))
 
 
-class _ImageFolder:
-    def __init__(self, source: Source) -> None:
-        self._source = source
-
-    def read(self, k: int) -> Image | None:
-        with suppress(ValueError, OSError):
-            return read_image(self._source.files[k], self._source.size)
-        return None
-
-
 class _SeekableVideo:
     """Random access to a video: frame k has the k-th presentation timestamp of all packets, also after seeking."""
 
@@ -80,10 +70,7 @@ class _SeekableVideo:
         self._last: tuple[int, VideoFrame | None] = (-1, None)
         self._times: IntArray | None = None
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: type[BaseException] | BaseException | TracebackType | None) -> None:
+    def close(self) -> None:
         self._decoded.close()
         self._container.close()
 
@@ -146,8 +133,7 @@ class _SeekableVideo:
         return np.array(sorted(known_times), np.int64)
 
     def _restart(self) -> None:
-        self._decoded.close()
-        self._container.close()
+        self.close()
         self._container, self._stream = open_video(self._source.path)
         self._decoded = self._decode()
 

@@ -165,9 +165,7 @@ class Session(SessionBase):
                 row = self.timeline.frames[i].tolist()
                 return [pool.submit(reader.read, k) for reader, k in zip(readers, row, strict=True)]
 
-            last = [
-                int(np.flatnonzero(column >= 0)[-1]) if (column >= 0).any() else -1 for column in self.timeline.frames.T
-            ]
+            last = [max(np.flatnonzero(column >= 0).tolist(), default=-1) for column in self.timeline.frames.T]
             pending = submit(indices[0])
             for i, next_index in zip_longest(indices, indices[1:]):
                 readings = [future.result() for future in pending]
@@ -261,8 +259,7 @@ def _open_session(path: Path, given: _InputFiles, is_reopened: bool = False) -> 
         if not path.is_dir():
             raise ValueError(f"{path}: a folder with one video or image folder per camera is expected, not a file")
         calibration = calibrations.find(path) if given.calibration is None else Path(given.calibration)
-        boxes = find_boxes_file(path, given.boxes, search=not is_reopened)
-        masks = find_mask_folder(path, given.masks, search=not is_reopened)
+        boxes, masks = find_boxes_and_masks(path, given.boxes, given.masks, search=not is_reopened)
         recording = RecordingFolder(path, calibration, [masks] if masks else [], given.cameras, given.without)
         full_rig = calibrations.load(calibration, recording.read_image_sizes)
         rig = full_rig if is_reopened else _exclude_cameras(full_rig, given.without, calibration)
@@ -294,18 +291,15 @@ def _open_session(path: Path, given: _InputFiles, is_reopened: bool = False) -> 
         )
 
 
-def find_boxes_file(path: Path, given: Path | None, search: bool = True) -> Path | None:
-    """Return the given file of boxes, or boxes.toml in the folder; None if there is none."""
-    if given is not None:
-        return Path(given)
-    return path / "boxes.toml" if search and (path / "boxes.toml").is_file() else None
-
-
-def find_mask_folder(path: Path, given: Path | None, search: bool = True) -> Path | None:
-    """Return the given folder of masks, or masks/ in the folder; None if there is none."""
-    if given is not None:
-        return Path(given)
-    return path / "masks" if search and (path / "masks").is_dir() else None
+def find_boxes_and_masks(
+    path: Path, boxes: Path | None, masks: Path | None, search: bool = True
+) -> tuple[Path | None, Path | None]:
+    """Return the given file of boxes and folder of masks, or boxes.toml and masks/ in the folder, if they exist."""
+    if boxes is None and search and (path / "boxes.toml").is_file():
+        boxes = path / "boxes.toml"
+    if masks is None and search and (path / "masks").is_dir():
+        masks = path / "masks"
+    return boxes and Path(boxes), masks and Path(masks)
 
 
 def _exclude_cameras(rig: Rig, without: Sequence[str], calibration: Path) -> Rig:

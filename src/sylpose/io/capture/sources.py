@@ -15,7 +15,14 @@ from av.video.stream import VideoStream
 from sylpose.input_limits import UnreadableFileError, resolve_path
 from sylpose.io.calibration.files import is_calibration_name
 from sylpose.io.capture.images import read_image, read_image_size
-from sylpose.io.capture.names import IMAGE_SUFFIXES, find_repeated_recordings, image_files, image_numbers, match_names
+from sylpose.io.capture.names import (
+    IMAGE_SUFFIXES,
+    find_repeated_recordings,
+    image_files,
+    image_numbers,
+    invert_unique,
+    match_names,
+)
 from sylpose.rig import Camera, Rig
 
 VIDEO_SUFFIXES = frozenset(
@@ -132,12 +139,8 @@ class RecordingFolder:
             matched = match_names(dict.fromkeys(names.values()), [*unassigned, *self.without])
         except ValueError as error:
             raise ValueError(f"{path}: {error}; select it with --video NAME=FILE") from None
-        for entry in found:
-            name = matched.get(names[entry])
-            if name in by_camera:
-                raise ValueError(f"{path}: {by_camera[name].name} and {entry.name} are both for camera {name}")
-            if name is not None:
-                by_camera[name] = entry
+        given = {entry: camera for camera, entry in by_camera.items()}
+        by_camera = invert_unique(given | {e: matched[names[e]] for e in found if names[e] in matched}, path)
         for name in self.without:
             by_camera.pop(name, None)
         missing = [name for name in cameras if name not in by_camera]

@@ -147,8 +147,8 @@ def _error_reason(error: av.error.FFmpegError) -> str:
 class _CameraThread:
     """Thread of one camera: opens it, forwards its frames and reconnects after failures."""
 
-    def __init__(self, camera: Camera, opener: Opener, hub: _StreamHub, retry_delays: Sequence[float]) -> None:
-        self._camera, self._open, self._hub, self._retry_delays = camera, opener, hub, retry_delays
+    def __init__(self, camera: Camera, opener: Opener, hub: _StreamHub) -> None:
+        self._camera, self._open, self._hub = camera, opener, hub
         self.has_tried = self.has_ended = self._is_down = False
         self.rejection: str | None = None  # reason why it is unusable
         self._thread = threading.Thread(target=self._run, name=f"sylpose-live-{camera.name}", daemon=True)
@@ -170,12 +170,12 @@ class _CameraThread:
                     return
                 if time.monotonic() - begin > STABLE_SECONDS:
                     failures = 0
-                can_retry = failures < len(self._retry_delays)
+                can_retry = failures < len(RETRY_DELAYS)
                 if failures == 0 or not can_retry:
                     consequence = "reconnecting" if can_retry else "this camera is not used any more"
                     self._hub.add_message(f"{self._camera.name}: {reason}; {consequence}.", is_last=not can_retry)
                     self._is_down = True
-                if not can_retry or self._hub.stopped.wait(self._retry_delays[failures]):
+                if not can_retry or self._hub.stopped.wait(RETRY_DELAYS[failures]):
                     return
                 failures += 1
         finally:
@@ -288,11 +288,10 @@ class _SetReader:
 def read_streams(
     cameras: Iterable[Camera],
     openers: Sequence[Opener],
-    assembler: FrameAssembler,
+    assemble: Callable[[], FrameAssembler],
     indices: range,
     on_problem: Callable[[str], None],
     stopped: threading.Event,
-    retry_delays: Sequence[float] = RETRY_DELAYS,
 ) -> Generator[FrameSet, None, None]:
     """Open cameras and yield their frame sets, without masks; the cameras are closed at the end.
 
@@ -302,21 +301,18 @@ def read_streams(
     Args:
         cameras: the rig's cameras.
         openers: functions that open the devices, one per camera.
-        assembler: groups the frames into sets.
+        assemble: returns what groups the frames into sets.
         indices: numbers of the frame sets to yield.
         on_problem: called with messages, in the caller's thread.
         stopped: ends the iteration when set.
-        retry_delays: seconds between attempts to reopen a failed camera.
 
     Raises:
         ValueError: a camera's frames differ from the calibration's size.
         OSError: no camera delivers any frame.
     """
     cameras = list(cameras)
-    hub = _StreamHub(assembler, [camera.name for camera in cameras], stopped)
-    threads = [
-        _CameraThread(camera, opener, hub, retry_delays) for camera, opener in zip(cameras, openers, strict=True)
-    ]
+    hub = _StreamHub(assemble(), [camera.name for camera in cameras], stopped)
+    threads = [_CameraThread(camera, opener, hub) for camera, opener in zip(cameras, openers, strict=True)]
     reader, start_time = _SetReader(hub, threads, on_problem), 0.0
     try:
         reader.wait_for_cameras()

@@ -8,6 +8,7 @@ from __future__ import annotations
 import base64
 import json
 import struct
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sylpose.atomic_io import replace_atomically
+from sylpose.geometry.arrays import FloatArray
 from sylpose.io.exports.poses import UP_UNKNOWN_NOTE, Poses, find_runs
 
 FLOAT, LINES = 5126, 1
@@ -37,29 +39,13 @@ def write_gltf(poses: Poses, path: Path) -> list[str]:
         "COLOR_0": buffer.add_accessor(np.repeat(_COLORS, 2, 0), "VEC3"),
     }
     has_pose, times = poses.has_pose, poses.times - poses.times[0]
-    times_accessor = buffer.add_accessor(times[has_pose], "SCALAR", bounds=True)
-    samplers: list[dict[str, Any]] = [
-        {
-            "input": times_accessor,
-            "output": buffer.add_accessor(poses.positions[has_pose], "VEC3"),
-            "interpolation": "LINEAR",
-        },
-        {
-            "input": times_accessor,
-            "output": buffer.add_accessor(poses.quaternions[has_pose], "VEC4"),
-            "interpolation": "LINEAR",
-        },
-    ]
-    animated_paths = ["translation", "rotation"]
+    moved = times[has_pose], {"translation": poses.positions[has_pose], "rotation": poses.quaternions[has_pose]}
+    animation = _build_animation(buffer, *moved, "LINEAR")
     if not has_pose.all():
         changes = sorted({0, *(k for run in find_runs(has_pose) for k in run if k < len(poses))})
         scales = np.where(has_pose[changes], 1.0, 0.0)[:, None] * np.ones(3)
-        visibility_accessors = (
-            buffer.add_accessor(times[changes], "SCALAR", bounds=True),
-            buffer.add_accessor(scales, "VEC3"),
-        )
-        samplers.append({"input": visibility_accessors[0], "output": visibility_accessors[1], "interpolation": "STEP"})
-        animated_paths.append("scale")
+        animation |= _build_animation(buffer, times[changes], {"scale": scales}, "STEP")
+    channels = [{"sampler": k, "target": {"node": 1, "path": path}} for k, path in enumerate(animation)]
     world = {"name": "world", "children": [1]} | ({"rotation": _Y_UP_FROM_Z_UP} if poses.z_up else {})
     content: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": "sylpose"},
@@ -67,27 +53,27 @@ def write_gltf(poses: Poses, path: Path) -> list[str]:
         "scenes": [{"nodes": [0]}],
         "nodes": [world, {"name": poses.name, "mesh": 0}],
         "meshes": [{"name": "axes", "primitives": [{"attributes": mesh, "mode": LINES}]}],
-        "animations": [
-            {
-                "name": "trajectory",
-                "samplers": samplers,
-                "channels": [
-                    {"sampler": k, "target": {"node": 1, "path": what}} for k, what in enumerate(animated_paths)
-                ],
-            }
-        ],
+        "animations": [{"name": "trajectory", "samplers": [*animation.values()], "channels": channels}],
         "accessors": buffer.accessors,
         "bufferViews": buffer.views,
         "buffers": [{"byteLength": len(buffer.data)}],
     }
+    is_binary = path.suffix.lower() == ".glb"
     with replace_atomically(path) as part:
-        part.write_bytes(
-            _encode_binary(content, bytes(buffer.data))
-            if path.suffix.lower() == ".glb"
-            else _encode_text(content, buffer.data)
-        )
-    notes = [] if poses.unit == "m" else ["lengths are in the calibration's unknown unit, not m"]
+        part.write_bytes((_encode_binary if is_binary else _encode_text)(content, bytes(buffer.data)))
+    notes = poses.note_unit("m")
     return notes if poses.z_up else [*notes, UP_UNKNOWN_NOTE]
+
+
+def _build_animation(
+    buffer: _BufferBuilder, times: FloatArray, values: Mapping[str, FloatArray], interpolation: str
+) -> dict[str, dict[str, Any]]:
+    """Build the sampler of each animated property of a node."""
+    start = buffer.add_accessor(times, "SCALAR", bounds=True)
+    outputs = {path: buffer.add_accessor(array, f"VEC{array.shape[1]}") for path, array in values.items()}
+    return {
+        path: {"input": start, "output": output, "interpolation": interpolation} for path, output in outputs.items()
+    }
 
 
 class _BufferBuilder:
@@ -103,12 +89,8 @@ class _BufferBuilder:
         array = np.ascontiguousarray(values, "<f4")
         rows = array.reshape(len(array), -1)
         self.views.append({"buffer": 0, "byteOffset": len(self.data), "byteLength": array.nbytes})
-        accessor: dict[str, Any] = {
-            "bufferView": len(self.views) - 1,
-            "componentType": FLOAT,
-            "count": len(array),
-            "type": kind,
-        }
+        accessor: dict[str, Any] = {"bufferView": len(self.views) - 1, "componentType": FLOAT}
+        accessor |= {"count": len(array), "type": kind}
         if bounds:
             accessor |= {"min": rows.min(axis=0).tolist(), "max": rows.max(axis=0).tolist()}
         self.data += array.tobytes()
@@ -116,7 +98,7 @@ class _BufferBuilder:
         return len(self.accessors) - 1
 
 
-def _encode_text(content: dict[str, Any], data: bytearray) -> bytes:
+def _encode_text(content: dict[str, Any], data: bytes) -> bytes:
     content["buffers"][0]["uri"] = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
     return json.dumps(content).encode()
 

@@ -62,16 +62,15 @@ def write_rosbag(poses: Poses, path: Path) -> list[str]:
                     pose = kinds["geometry_msgs/msg/Pose"](kinds["geometry_msgs/msg/Point"](tx, ty, tz), rotation)
                     message = kinds["geometry_msgs/msg/PoseStamped"](header, pose)
                     bag.write(pose_connection, stamp_ns, store.serialize_cdr(message, pose_connection.msgtype))
-                    transform = kinds["geometry_msgs/msg/Transform"](
-                        kinds["geometry_msgs/msg/Vector3"](tx, ty, tz), rotation
-                    )
+                    translation = kinds["geometry_msgs/msg/Vector3"](tx, ty, tz)
+                    transform = kinds["geometry_msgs/msg/Transform"](translation, rotation)
                     stamped = kinds["geometry_msgs/msg/TransformStamped"](header, name, transform)
                     message = kinds["tf2_msgs/msg/TFMessage"]([stamped])
                     bag.write(tf_connection, stamp_ns, store.serialize_cdr(message, tf_connection.msgtype))
             (part / path.name).rename(path)
         finally:
             shutil.rmtree(part, ignore_errors=True)
-    return [] if poses.unit == "m" else ["lengths are in the calibration's unknown unit, not m"]
+    return poses.note_unit("m")
 
 
 def write_c3d(poses: Poses, path: Path) -> list[str]:
@@ -102,7 +101,7 @@ def write_c3d(poses: Poses, path: Path) -> list[str]:
     file["data"]["meta_points"]["residuals"] = np.where(is_present, 0.0, -1.0).T[None]
     with replace_atomically(path) as part:
         file.write(str(part))
-    return [] if poses.unit == "mm" else ["lengths are in the calibration's unknown unit, not mm"]
+    return poses.note_unit("mm")
 
 
 def write_parquet(trajectory: Trajectory, path: Path) -> list[str]:
@@ -135,10 +134,8 @@ def write_usd(poses: Poses, path: Path) -> list[str]:
         name = "".join(c if c.isascii() and (c.isalnum() or c == "_") else "_" for c in poses.name)
         node = UsdGeom.Xform.Define(stage, f"/world/{name if name[0].isalpha() else f'_{name}'}")
         _add_axes(stage, node.GetPath(), poses.axis_length)
-        translate_op, orient_op = (
-            node.AddTranslateOp(UsdGeom.XformOp.PrecisionDouble),
-            node.AddOrientOp(UsdGeom.XformOp.PrecisionDouble),
-        )
+        precision = UsdGeom.XformOp.PrecisionDouble
+        translate_op, orient_op = node.AddTranslateOp(precision), node.AddOrientOp(precision)
         visibility = node.CreateVisibilityAttr()
         previous = None
         for time, has_pose, position, (x, y, z, w) in zip(

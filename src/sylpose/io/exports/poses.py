@@ -95,6 +95,10 @@ class Poses:
             return self
         return replace(self, positions=self.positions * (METERS[self.unit] / METERS[unit]), unit=unit)
 
+    def note_unit(self, expected: str) -> list[str]:
+        """Return a note if lengths are not in a format's unit, since the own one is unknown."""
+        return [] if self.unit == expected else [f"lengths are in the calibration's unknown unit, not {expected}"]
+
     def with_y_up(self) -> Self:
         """Rotate the world about x for formats with y up; unchanged if up is unknown."""
         if not self.z_up:
@@ -135,13 +139,8 @@ class Poses:
         """Remove gaps before the first pose and after the last one."""
         valid = np.flatnonzero(self.has_pose)
         selection = slice(int(valid[0]), int(valid[-1]) + 1)
-        return replace(
-            self,
-            indices=self.indices[selection],
-            times=self.times[selection],
-            positions=self.positions[selection],
-            quaternions=self.quaternions[selection],
-        )
+        columns = {name: getattr(self, name)[selection] for name in ("indices", "times", "positions", "quaternions")}
+        return replace(self, **columns)
 
 
 def find_runs(has_pose: BoolArray) -> list[tuple[int, int]]:

@@ -39,10 +39,8 @@ def write_tum(poses: Poses, path: Path) -> list[str]:
     """Write time tx ty tz qx qy qz qw of each pose."""
     rows = np.column_stack([poses.times, poses.positions, poses.quaternions])[poses.has_pose]
     unit = poses.unit or "units of the calibration"
-    _write_text(
-        path,
-        f"# time tx ty tz qx qy qz qw : world_from_object, positions in {unit}\n" + _format_lines(rows.tolist(), " "),
-    )
+    head = f"# time tx ty tz qx qy qz qw : world_from_object, positions in {unit}\n"
+    _write_text(path, head + _format_lines(rows.tolist(), " "))
     return []
 
 
@@ -54,10 +52,8 @@ def write_trc(poses: Poses, path: Path) -> list[str]:
     """
     rate, poses = poses.compute_rate("trc"), poses.in_unit("mm")
     names, positions = poses.compute_markers()
-    n, head = (
-        len(poses),
-        "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames",
-    )
+    head = "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames"
+    n = len(poses)
     numbers = [f"{rate:g}", f"{rate:g}", n, len(names), poses.unit or "units", f"{rate:g}", 1, n]
     axes = "\t".join(f"{axis}{k}" for k in range(1, len(names) + 1) for axis in "XYZ")
     lines = [
@@ -72,7 +68,7 @@ def write_trc(poses: Poses, path: Path) -> list[str]:
         cells = ["" if math.isnan(v) else f"{v:.6f}" for v in row]
         lines.append("\t".join([str(k), f"{time:.6f}", *cells]))
     _write_text(path, "\n".join(lines) + "\n")
-    return _note_unit(poses, "mm")
+    return poses.note_unit("mm")
 
 
 def write_bvh(poses: Poses, path: Path) -> list[str]:
@@ -112,10 +108,6 @@ Frame Time: {1 / rate:.9f}
     _write_text(path, head + _format_lines(np.column_stack([poses.positions, angles]).tolist(), " "))
     up_note = "its world is rotated: z up becomes y up" if is_rotated else UP_UNKNOWN_NOTE
     return [f"its frames are {poses.indices[0]} to {poses.indices[-1]} of the recording", up_note]
-
-
-def _note_unit(poses: Poses, expected: str) -> list[str]:
-    return [] if poses.unit == expected else [f"lengths are in the calibration's unknown unit, not {expected}"]
 
 
 def _format_lines(rows: Iterable[list[float]], separator: str) -> str:
