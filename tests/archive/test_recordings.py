@@ -212,5 +212,7 @@ def test_places() -> None:
     assert open_store("file:///data/x") == open_store("/data/x")
     assert resolve_location("../x", open_store("/data/y")).url == "/data/x"
     assert resolve_location("x", open_store("memory://a/b/")).url == "memory://a/b/x"
+    assert resolve_location("../x", open_store("memory://a/b/")).url == "memory://a/x"
+    assert resolve_location("../../../x", open_store("memory://a/b")).url == "memory://a/x"  # the same bucket
     assert resolve_location("s3://bucket/x", open_store("/data")).url == "s3://bucket/x"
     assert isinstance(open_store("s3://bucket/x"), ObjectStore)

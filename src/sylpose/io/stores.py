@@ -95,8 +95,8 @@ class ObjectStore(Store):
     """A prefix of an object store, by obstore."""
 
     def join(self, name: str) -> Store:
-        scheme, _, path = self.url.partition("://")
-        return ObjectStore(f"{scheme}://{posixpath.normpath(f'{path}/{name}')}")
+        root, path = self._split()
+        return ObjectStore(f"{root}{posixpath.normpath(posixpath.join('/', path, name))}".rstrip("/"))
 
     def read(self, name: str) -> bytes | None:
         with self._errors("read", name) as (client, path), suppress(FileNotFoundError):
@@ -137,12 +137,18 @@ class ObjectStore(Store):
                 found.append(StoredFile(name, entry["size"], tag, modified.timestamp()))
         return sorted(found)
 
+    def _split(self, name: str = "") -> tuple[str, str]:
+        """Return the bucket's URL, and a file's path in it."""
+        scheme, _, location = self.url.partition("://")
+        bucket, _, path = f"{location}/{name}".partition("/")
+        return f"{scheme}://{bucket}", path.strip("/")
+
     @contextmanager
     def _errors(self, action: str, name: str = "") -> Iterator[tuple[Any, str]]:
         """Yield the client of the bucket and a file's path in it; describe errors."""
         from obstore.exceptions import BaseError
 
-        root, path = re.fullmatch("([^/]+//[^/]*)/?(.*)", f"{self.url}/{name}".rstrip("/"), re.DOTALL).groups()  # type: ignore[union-attr]
+        root, path = self._split(name)
         try:
             yield _connect(root), path
         except FileNotFoundError:
