@@ -159,22 +159,27 @@ def fingers(rng: np.random.Generator) -> Take:
     """Fingers hold the object and shift on it now and then; the hand moves with it."""
     take = draw_take(rng, body=draw_block)
     radius, rig, path = take.radius, take.scene.rig, take.scene.actors[0].path
-    body, side = take.scene.actors[0].body, float(rng.choice([-1, 1]))
-    half = np.abs(body.vertices).max(axis=0)
+    half, side = np.abs(take.scene.actors[0].body.vertices).max(axis=0), float(rng.choice([-1, 1]))
+    # On the face that looks at the cameras in the middle of the take.
+    facing = path(take.scene.frames / 2).rotation.inv().apply(to_cameras(rig))
+    across = int(np.argmax(np.abs(facing)))
+    along, beside = (axis for axis in range(3) if axis != across)
     actors = []
     for i in range(4):
-        sides = radius * np.array([0.45, 0.12, 0.12])
+        sides = radius * np.where(np.arange(3) == along, 0.5, 0.12)
         corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * sides / 2
         finger = reduce_contrast(
             TexturedBody.from_hull(corners, texture_resolution(rig), int(rng.integers(1 << 30))), 0.5
         )
-        place = np.array([side * 0.75 * half[0], (0.35 - 0.22 * i) * half[1], -half[2] - 0.06 * radius])
+        place = np.zeros(3)
+        place[[along, beside]] = side * 0.7 * half[along], (0.45 - 0.3 * i) * half[beside]
+        place[across] = np.sign(facing[across]) * (half[across] + 0.06 * radius)
         slip, period = 0.1 * radius * rng.uniform(0, 1), float(rng.uniform(15, 40))
 
         def on_object(
             frame: float, place: FloatArray = place, slip: float = slip, period: float = period
         ) -> RigidTransform:
-            moved = place + np.array([0, slip * np.sin(2 * np.pi * frame / period), 0])
+            moved = place + slip * np.sin(2 * np.pi * frame / period) * (np.arange(3) == along)
             return path(frame) * RigidTransform.from_translation(moved)
 
         actors.append(Actor(finger, on_object))

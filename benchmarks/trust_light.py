@@ -220,9 +220,10 @@ def screen_video(rng: np.random.Generator) -> Take:
 
 
 def mirror(rng: np.random.Generator) -> Take:
-    """A mirror on the wall behind the object shows it from the other side."""
+    """A large mirror behind the object, at an angle to the cameras, shows it from the other side."""
     take = draw_take(rng, photos=False)
-    normal = to_cameras(take.scene.rig)
+    angle = float(np.radians(rng.uniform(12, 25)) * rng.choice([-1, 1]))
+    normal = Rotation.from_euler("y", angle).apply(to_cameras(take.scene.rig))
     plane = -float(rng.uniform(1.6, 2.6)) * take.radius
     linear, offset = np.eye(3) - 2 * np.outer(normal, normal), 2 * plane * normal
     actor = take.scene.actors[0]

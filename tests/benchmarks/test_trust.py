@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from benchmarks.trust import draw, score_poses
+from benchmarks.trust import Run, Score, draw, format_row, format_worst, score_poses
 from benchmarks.trust_camera_faults import reflect
 from benchmarks.trust_effects import exchange, flip, freeze
 from benchmarks.trust_kinds import GROUPS, KINDS
@@ -120,3 +120,21 @@ def test_reflected_motion_is_that_of_the_reflected_world(take: Take) -> None:
     motion, point = truth[7] * truth[2].inv(), np.array([0.3, 0.2, -0.1])
     mirror = np.array([1.0, -1.0, 1.0])
     assert np.allclose(reflect(motion).apply(mirror * point), mirror * motion.apply(point))
+
+
+def test_table_counts_frames_and_runs(take: Take) -> None:
+    (truth,) = take.true_poses()
+    good = score_poses(take, make_poses(truth))
+    bad = score_poses(take, make_poses(rotate(truth, np.where(np.arange(take.scene.frames) >= 30, 6.0, 0.0))))
+    none = score_poses(take, [])
+    runs = [make_run(0, good, bad), make_run(1, none, none)]
+    cells = [cell.strip() for cell in format_row("slow-turn", runs).strip("|").split("|")]
+    assert cells[:6] == ["slow-turn", "2", "80", "49 / 49", "0", f"{take.scene.frames - 30} in 1"]
+    assert cells[10:] == ["100, 100", "74, 100"]
+    assert cells[6] == "0.00, 0.00"
+    assert format_row("none", runs[1:]).count("| - ") == 6
+    assert [line.partition(":")[0] for line in format_worst(runs)] == ["slow-turn 0"]
+
+
+def make_run(seed: int, tracked: Score, refined: Score) -> Run:
+    return Run("slow-turn", "regular", seed, 3, 40, False, tracked, refined, "ok", "", 1.0)
