@@ -90,6 +90,7 @@ class Run:
     Attributes:
         kind, group, seed: identify it.
         cameras, frames: numbers of them.
+        first: first frame in which the object can be seen.
         boxes: whether boxes were given.
         tracked, refined: scores.
         refinement: status of the refinement.
@@ -102,6 +103,7 @@ class Run:
     seed: int
     cameras: int
     frames: int
+    first: int
     boxes: bool
     tracked: Score
     refined: Score
@@ -138,6 +140,7 @@ def run_take(kind: str, seed: int) -> Run:
         seed,
         len(rig),
         len(frames),
+        take.first,
         take.boxes is not None,
         score_poses(take, tracked),
         score_poses(take, refined),

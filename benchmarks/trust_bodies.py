@@ -367,13 +367,14 @@ def equal_faces(rng: np.random.Generator) -> Take:
 
 
 def deforming(rng: np.random.Generator) -> Take:
-    """A soft body that is stretched and sheared by 10 to 30 % as it moves."""
+    """A soft body that is stretched by 10 to 30 % as it moves, without rotating on the whole."""
     take = draw_take(rng)
     body, path = take.scene.actors[0].body, take.scene.actors[0].path
-    shears, periods = rng.normal(0, rng.uniform(0.05, 0.15), (2, 3, 3)), rng.uniform(10, 40, 2)
+    strains, periods = rng.normal(0, rng.uniform(0.05, 0.15), (2, 3, 3)), rng.uniform(10, 40, 2)
+    strains = (strains + strains.transpose(0, 2, 1)) / 2
     soft = []
     for k in range(take.scene.frames):
-        linear = np.eye(3) + np.einsum("i,ijk->jk", np.sin(2 * np.pi * k / periods), shears)
+        linear = np.eye(3) + np.einsum("i,ijk->jk", np.sin(2 * np.pi * k / periods), strains)
         soft.append(Actor(transform_body(body, linear), show_during(path, k - 0.5, k + 0.5)))
     return replace(take, scene=replace(take.scene, actors=tuple(soft)), truths=(path,))
 

@@ -137,4 +137,4 @@ def test_table_counts_frames_and_runs(take: Take) -> None:
 
 
 def make_run(seed: int, tracked: Score, refined: Score) -> Run:
-    return Run("slow-turn", "regular", seed, 3, 40, False, tracked, refined, "ok", "", 1.0)
+    return Run("slow-turn", "regular", seed, 3, 40, 0, False, tracked, refined, "ok", "", 1.0)
