@@ -9,7 +9,7 @@ move in the image, like a screen behind the object that carries no information.
 
 The table gives for each rotation and translation:
 
-- the scenes in which the background reveals the camera (`tracking/camera_motion_correction.py`), the delay of the reported
+- the scenes in which the background reveals the camera (`tracking/state_machine.py`), the delay of the reported
   frame and the error of the reported angle;
 - the scenes in which the camera is found inconsistent with the others (`report/camera_consistency.py`), and the number of
   false alarms of other cameras;

@@ -31,7 +31,7 @@ from sylpose.simulate import Body, arc, box, ellipsoid, plane, random_motion, ri
 from sylpose.status import Status
 from sylpose.sylvester.centralized import solve_centralized
 from sylpose.sylvester.depth_plane import DepthPlaneSolution, solve_depth_plane
-from sylpose.tracking.camera_side.region import project_outline, rasterize_outline
+from sylpose.tracking.camera_side.frame import project_outline, rasterize_outline
 from sylpose.tracking.joint_side.object_model import carve_box_volume
 
 BODIES = {

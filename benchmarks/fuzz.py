@@ -78,7 +78,7 @@ from sylpose.simulate import ring
 from sylpose.smoothing import Track
 from sylpose.status import FrameStatus
 from sylpose.sync.offsets import load_offsets
-from sylpose.tracking.joint_side.keyframes import SolvedFrame
+from sylpose.tracking.joint_side.joint_state import SolvedFrame
 from sylpose.tracking.known_object import CameraLandmarks, KnownObject
 from sylpose.tracking.reports import (
     KnownDepthMatches,

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from sylpose.runs.checkpoint_schema import SERIALIZER
-from sylpose.tracking.state_transfer import TrackerSnapshot
-from sylpose.tracking.tracker import Tracker
+from sylpose.tracking.tracker import Tracker, TrackerSnapshot
 
 __all__ = ["dump_state", "restore_state"]
 

@@ -64,7 +64,7 @@ ALLOWED: dict[str, set[str]] = {
 # Modules that import packages of others by their names.
 IMPORT_OTHERS = {"runs.installation"}
 # Where images are processed, read or written.
-SEES_IMAGES = {"rig", "features", "boards", "tracking.camera_side.region", "sync", "io", "report", "simulate"}
+SEES_IMAGES = {"rig", "features", "boards", "tracking.camera_side.frame", "sync", "io", "report", "simulate"}
 
 
 @cache

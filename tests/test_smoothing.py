@@ -17,7 +17,7 @@ from sylpose.rig import Rig
 from sylpose.simulate import ellipsoid, ring
 from sylpose.smoothing import SmoothedTrajectory, Track, _select_observations, smooth
 from sylpose.status import FrameStatus, Status
-from sylpose.tracking.camera_side.observations import LandmarkObservations
+from sylpose.tracking.camera_side.frame import LandmarkObservations
 from sylpose.tracking.joint_side.joint_state import Nudge
 from sylpose.tracking.tracked_frame import TrackedFrame
 

@@ -61,8 +61,7 @@ if TYPE_CHECKING:
     from sylpose.sylvester.equation import SingularSylvesterError, solve_generalized_sylvester, solve_sylvester
     from sylpose.sylvester.known_depth import KnownDepthSolution, solve_2d3d, solve_3d3d
     from sylpose.sylvester.one_camera import OneCameraSolution, solve_one_camera
-    from sylpose.tracking.camera_side.frame import DetectedFeatures
-    from sylpose.tracking.camera_side.observations import LandmarkObservations
+    from sylpose.tracking.camera_side.frame import DetectedFeatures, LandmarkObservations
     from sylpose.tracking.joint_side.joint_state import Nudge
     from sylpose.tracking.known_object import KnownObject, ObjectFrame
     from sylpose.tracking.tracked_frame import TrackedFrame
@@ -189,8 +188,7 @@ _HOMES = {
     "sylpose.rig": ("Camera", "Rig"),
     "sylpose.tracking.joint_side.joint_state": ("Nudge",),
     "sylpose.tracking.known_object": ("KnownObject", "ObjectFrame"),
-    "sylpose.tracking.camera_side.frame": ("DetectedFeatures",),
-    "sylpose.tracking.camera_side.observations": ("LandmarkObservations",),
+    "sylpose.tracking.camera_side.frame": ("DetectedFeatures", "LandmarkObservations"),
     "sylpose.tracking.tracked_frame": ("TrackedFrame",),
     "sylpose.tracking.tracker": ("track",),
     "sylpose.relative_pose.motion": ("estimate_motion", "estimate_motions"),

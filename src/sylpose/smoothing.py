@@ -29,9 +29,8 @@ from sylpose.geometry.validation import check_bool, check_integer, check_list, c
 from sylpose.results import FramePose
 from sylpose.rig import Rig
 from sylpose.status import FrameStatus, Observability, Status
-from sylpose.tracking.camera_side.observations import LandmarkObservations
-from sylpose.tracking.joint_side.joint_state import Nudge
-from sylpose.tracking.joint_side.keyframes import inherit_covariance
+from sylpose.tracking.camera_side.frame import LandmarkObservations
+from sylpose.tracking.joint_side.joint_state import Nudge, inherit_covariance
 from sylpose.tracking.object_transfer import TransferredObject
 from sylpose.tracking.reports import quantize_positions
 from sylpose.tracking.tracked_frame import TrackedFrame

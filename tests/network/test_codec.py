@@ -19,9 +19,16 @@ from sylpose.network.codec import MAX_PAYLOAD_BYTES, RECORDS, FrameAnnouncement,
 from sylpose.network.wire_format import HEADER
 from sylpose.relative_pose.terms import TermData
 from sylpose.serialization import decode_array, encode_array
-from sylpose.tracking.joint_side.joint_state import JointState, Nudge, ObjectMotion, Refinement
-from sylpose.tracking.joint_side.keyframes import Anchor, KnownFrames, SolvedFrame
-from sylpose.tracking.joint_side.motion_model import VelocityModel
+from sylpose.tracking.joint_side.joint_state import (
+    Anchor,
+    JointState,
+    KnownFrames,
+    MotionModel,
+    Nudge,
+    ObjectMotion,
+    Refinement,
+    SolvedFrame,
+)
 from sylpose.tracking.joint_side.object_model import ObjectModel
 from sylpose.tracking.reports import (
     BoxMotionReport,
@@ -38,7 +45,7 @@ from sylpose.tracking.reports import (
     RelocalizationMatches,
     TrackingReport,
 )
-from sylpose.tracking.state_transfer import BufferedRecord, Handover
+from sylpose.tracking.tracker import BufferedRecord, Handover
 
 RNG = np.random.default_rng(0)
 
@@ -68,7 +75,7 @@ MODEL = ObjectModel(random_array(3), 0.3, random_array(9, 3), True, False)
 SOLVED = SolvedFrame(
     7, 0.25, random_array(3), POSE, random_array(6, 6), random_array(3, 3), np.array([True, False, True]), 2.5
 )
-VELOCITY = VelocityModel(random_array(6), random_array(6), 4, 0.03)
+VELOCITY = MotionModel(random_array(6), random_array(6), 4, 0.03)
 NUDGE = Nudge(1, 5, random_array(3), 0.01)
 JOINT = JointState(
     MODEL,

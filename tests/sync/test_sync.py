@@ -32,7 +32,7 @@ from sylpose.sync.speed_correlation import (
     split_offsets,
     to_small_gray,
 )
-from sylpose.tracking.camera_side.observations import LandmarkObservations
+from sylpose.tracking.camera_side.frame import LandmarkObservations
 from sylpose.tracking.tracker import track
 
 RATE = 30.0

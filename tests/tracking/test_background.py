@@ -15,8 +15,13 @@ from sylpose.landmarks.landmark_filter import LandmarkTable, initialize_landmark
 from sylpose.rig import Camera
 from sylpose.simulate import Actor, arc, make_demo_scene, render_frames
 from sylpose.status import FrameStatus
-from sylpose.tracking.camera_side.frame import CameraFrame, FrameMatches
-from sylpose.tracking.camera_side.observations import MAX_UNEXPLAINED_RATIO, ReobservedFeatures, count_ages
+from sylpose.tracking.camera_side.frame import (
+    MAX_UNEXPLAINED_RATIO,
+    CameraFrame,
+    FrameMatches,
+    ReobservedFeatures,
+    count_ages,
+)
 from sylpose.tracking.context import LocalExecutor
 from sylpose.tracking.first_motion import FirstMotion, estimate_first_motion, estimate_jitter, is_continuing_motion
 from sylpose.tracking.initialization import MAX_BUFFERED_FRAMES

@@ -28,11 +28,11 @@ from sylpose.runs.checkpoint_schema import SERIALIZER
 from sylpose.simulate import make_demo_scene
 from sylpose.simulate.textures import make_room_image
 from sylpose.status import FrameStatus
-from sylpose.tracking.camera_motion_correction import add_nudge_faults
 from sylpose.tracking.camera_side.camera_motion import MAX_CHANGED_FRAMES, PAUSE_FRAMES, CameraMotionDetector
 from sylpose.tracking.context import TrackerContext
 from sylpose.tracking.joint_side.joint_state import JointState, Nudge
 from sylpose.tracking.reports import CameraMotionReport
+from sylpose.tracking.state_machine import add_nudge_faults
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import Tracker, track
 from tests.clips import Clip, compute_pose_errors, frame_sets

@@ -22,7 +22,7 @@ from sylpose.tracking.camera_side import camera as camera_module
 from sylpose.tracking.camera_side.frame import CameraFrame, FrameMatches, drop_background
 from sylpose.tracking.context import Frame, TrackerContext
 from sylpose.tracking.joint_side import joint_state as joint_module
-from sylpose.tracking.joint_side.joint_state import JointState
+from sylpose.tracking.joint_side.joint_state import JointState, KnownMotion
 from sylpose.tracking.pose_search import PoseCandidate, find_pose
 from sylpose.tracking.tracker import track
 from tests.clips import Clip, compute_pose_errors, make_rotated_pose, moving_scene, statuses
@@ -159,11 +159,11 @@ def test_static_features_of_predicted_motion_are_background() -> None:
     earlier, current = (CameraFrame(f, np.zeros(40, bool), LandmarkTable()) for f in (features, later))
     earlier.landmark_ids = earlier.table.update(known)
     pair = FrameMatches.from_indices(0, earlier, later, np.column_stack([np.arange(40)] * 2))
-    kept = drop_background(pair, current, camera, before, predicted_pose, radius)
+    (kept,) = drop_background([pair], current, camera, KnownMotion({0: before}, predicted_pose, radius))
     assert kept.indices[:, 0].tolist() == [*range(10), *range(20, 40)]
     assert np.flatnonzero(current.background).tolist() == list(range(10, 20))
     # An object predicted to be static gives no evidence of background.
-    assert len(drop_background(pair, current, camera, before, before, radius)) == 40
+    assert drop_background([pair], current, camera, KnownMotion({0: before}, before, radius)) == [pair]
 
 
 def make_features(camera: Camera, pixels: FloatArray) -> Features:

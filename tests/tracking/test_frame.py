@@ -26,7 +26,7 @@ from sylpose.tracking.camera_side.frame import (
     triangulate,
 )
 from sylpose.tracking.frame_solvers import compute_reference_motion
-from sylpose.tracking.joint_side.keyframes import SolvedFrame, compute_viewpoints
+from sylpose.tracking.joint_side.joint_state import KnownMotion, SolvedFrame, compute_viewpoints
 from tests.scenes import compute_epipolar_px
 
 RADIUS = 0.15
@@ -92,10 +92,8 @@ def learn_background_of(rig: Rig, reference: ObservedFrame, current: ObservedFra
     """Apply `learn_background` to some cameras, or to all."""
     for c in cameras or range(len(rig)):
         pair = make_pair(reference, current, c)
-        poses = reference.pose, current.pose
-        mark_background(
-            pair, current.cameras[c], find_background(pair, current.cameras[c], rig.cameras[c], *poses, RADIUS)
-        )
+        motion = KnownMotion({reference.solved.number: reference.pose}, current.pose, RADIUS)
+        mark_background(pair, current.cameras[c], find_background(pair, current.cameras[c], rig.cameras[c], motion))
 
 
 def triangulate_pair(

@@ -11,17 +11,20 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.geometry.arrays import FloatArray
 from sylpose.simulate import ring
-from sylpose.tracking.camera_side.observations import count_ages, expand_ages
+from sylpose.tracking.camera_side.frame import count_ages, expand_ages
 from sylpose.tracking.joint_side.joint_state import (
     MAX_COASTING_FRAMES,
     MAX_COASTING_POSITION_SD,
     MAX_COASTING_ROTATION_SD,
     MIN_STRONG_INLIERS,
+    Anchor,
     JointState,
+    KnownFrames,
+    MotionModel,
+    SolvedFrame,
     add_reference_covariance,
+    compute_viewpoints,
 )
-from sylpose.tracking.joint_side.keyframes import Anchor, KnownFrames, SolvedFrame, compute_viewpoints
-from sylpose.tracking.joint_side.motion_model import VelocityModel
 from sylpose.tracking.joint_side.object_model import ObjectModel
 from sylpose.tracking.reports import PoseAgreement
 
@@ -434,6 +437,6 @@ def test_default_state_is_empty() -> None:
     state = JointState()
     assert state.frames.last is None
     assert not state.frames.keyframes
-    assert isinstance(state.motion.velocity, VelocityModel)
+    assert isinstance(state.motion.velocity, MotionModel)
     assert state.motion.velocity.n_frames == 0
     assert (state.motion.n_missed, state.motion.n_reobserved, state.motion.is_lost) == (0, 0, False)

@@ -13,10 +13,10 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Rig
 from sylpose.simulate import ring
-from sylpose.tracking.joint_side.keyframes import (
+from sylpose.tracking.joint_side.joint_state import (
     MAX_KEYFRAMES,
-    MIN_NEW_ROTATION,
-    MIN_NEW_SCALE,
+    MIN_KEYFRAME_ROTATION,
+    MIN_KEYFRAME_SCALE,
     RING_ANGLES,
     SolvedFrame,
     add_keyframe,
@@ -158,7 +158,7 @@ def test_nearest_views_are_sorted_with_older_first(rig: Rig) -> None:
 
 def test_new_side_makes_keyframe(rig: Rig) -> None:
     kept: list[SolvedFrame] = []
-    limit = float(np.degrees(MIN_NEW_ROTATION))
+    limit = float(np.degrees(MIN_KEYFRAME_ROTATION))
     assert try_keyframe(kept, make_frame(rig, 0, make_rotated(0.0)))
     assert not try_keyframe(kept, make_frame(rig, 1, make_rotated(0.9 * limit)))
     assert try_keyframe(kept, make_frame(rig, 2, make_rotated(1.1 * limit)))
@@ -175,10 +175,10 @@ def test_new_distance_makes_keyframe(rig: Rig) -> None:
         return RigidTransform.from_components(camera.cameras[0].center + factor * towards, START.rotation)
 
     kept = [make_frame(camera, 0, at(1.0))]
-    assert not try_keyframe(kept, make_frame(camera, 1, at(0.98 * MIN_NEW_SCALE)))
-    assert not try_keyframe(kept, make_frame(camera, 2, at(1.02 / MIN_NEW_SCALE)))
-    assert try_keyframe(kept, make_frame(camera, 3, at(1.02 * MIN_NEW_SCALE)))
-    assert try_keyframe(kept, make_frame(camera, 4, at(0.98 / MIN_NEW_SCALE)))
+    assert not try_keyframe(kept, make_frame(camera, 1, at(0.98 * MIN_KEYFRAME_SCALE)))
+    assert not try_keyframe(kept, make_frame(camera, 2, at(1.02 / MIN_KEYFRAME_SCALE)))
+    assert try_keyframe(kept, make_frame(camera, 3, at(1.02 * MIN_KEYFRAME_SCALE)))
+    assert try_keyframe(kept, make_frame(camera, 4, at(0.98 / MIN_KEYFRAME_SCALE)))
 
 
 def test_majority_of_cameras_decides(rig: Rig) -> None:
@@ -209,7 +209,7 @@ def test_cameras_without_features_give_no_warning(rig: Rig) -> None:
 
 
 def test_most_redundant_keyframe_is_removed(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sylpose.tracking.joint_side.keyframes.MAX_KEYFRAMES", 4)
+    monkeypatch.setattr("sylpose.tracking.joint_side.joint_state.MAX_KEYFRAMES", 4)
     kept = make_frames(rig, 0, 40, 80, 93)
     assert try_keyframe(kept, make_frame(rig, 4, make_rotated(120.0)))
     assert indices(kept) == [0, 1, 2, 4]  # 80 and 93 were most similar
@@ -247,7 +247,7 @@ def test_every_view_stays_covered(steps: list[tuple[float, int]], most: int) -> 
     kept: list[SolvedFrame] = []
     pose, met = START, []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sylpose.tracking.joint_side.keyframes.MAX_KEYFRAMES", most)
+        patch.setattr("sylpose.tracking.joint_side.joint_state.MAX_KEYFRAMES", most)
         for k, (degrees, axis) in enumerate(steps):
             turn = Rotation.from_rotvec(np.radians(degrees) * np.eye(3)[axis])
             pose = RigidTransform.from_components(pose.translation, turn * pose.rotation)
@@ -259,7 +259,7 @@ def test_every_view_stays_covered(steps: list[tuple[float, int]], most: int) -> 
     if len(kept) < most:
         for current in met:
             near = [
-                min(angle(current.viewpoints[c], k.viewpoints[c]) for k in kept) < MIN_NEW_ROTATION + 1e-6
+                min(angle(current.viewpoints[c], k.viewpoints[c]) for k in kept) < MIN_KEYFRAME_ROTATION + 1e-6
                 for c in range(3)
             ]
             assert sum(near) >= 2

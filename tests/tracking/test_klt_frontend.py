@@ -15,12 +15,11 @@ from sylpose.features.sift import Features
 from sylpose.geometry.arrays import BoolArray, FloatArray, Image
 from sylpose.landmarks.landmark_filter import LandmarkTable, initialize_landmarks
 from sylpose.rig import Camera
-from sylpose.tracking.camera_side.frame import CameraFrame
-from sylpose.tracking.camera_side.klt_frontend import (
-    DUPLICATE_PX,
+from sylpose.tracking.camera_side.camera import (
     MAX_DEPTH_SD_RATIO,
     MAX_TRACKED,
     MIN_NEW_FEATURES,
+    MIN_TRACK_DISTANCE_PX,
     N_ANCHOR_FEATURES,
     CameraAnchor,
     TrackedFeatures,
@@ -29,7 +28,8 @@ from sylpose.tracking.camera_side.klt_frontend import (
     create_anchor,
     track_anchor,
 )
-from sylpose.tracking.joint_side.keyframes import (
+from sylpose.tracking.camera_side.frame import CameraFrame
+from sylpose.tracking.joint_side.joint_state import (
     MAX_ANCHOR_ROTATION,
     MIN_CAMERA_RATIO,
     MIN_TRACKED,
@@ -300,7 +300,7 @@ def make_tracked(pixels: FloatArray) -> TrackedFeatures:
 @pytest.mark.parametrize(("share", "kept"), [(0.98, False), (1.02, True)])
 def test_new_feature_near_a_tracked_one_is_dropped(share: float, kept: bool) -> None:
     known = make_grid(30)
-    new = known[:5] + share * DUPLICATE_PX * np.array([0.6, -0.8])
+    new = known[:5] + share * MIN_TRACK_DISTANCE_PX * np.array([0.6, -0.8])
     both = append_new_features(make_tracked(known), make_features(new, 1000), np.zeros(5, bool))
     assert len(both) == (35 if kept else 30)
     np.testing.assert_array_equal(both.pixels[:30], known)

@@ -11,13 +11,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Rig
 from sylpose.simulate import ellipsoid, ring
-from sylpose.tracking.joint_side.motion_model import (
+from sylpose.tracking.joint_side.joint_state import (
     AVERAGING_FRAMES,
     MAX_PREDICTION_ERROR,
     MIN_INTERVAL_RATIO,
     MIN_STEADY_FRAMES,
     PREDICTION_SDS,
-    VelocityModel,
+    MotionModel,
 )
 
 CENTER = np.array([0.1, -0.2, 0.3])
@@ -37,9 +37,9 @@ def about_center(turn: FloatArray, translation: FloatArray) -> RigidTransform:
     return RigidTransform.from_components(CENTER + translation - rotation.apply(CENTER), rotation)
 
 
-def make_steady_model(frames: int = MIN_STEADY_FRAMES) -> VelocityModel:
+def make_steady_model(frames: int = MIN_STEADY_FRAMES) -> MotionModel:
     """At TWIST, which changes by 0.01 rad/s and 0.002 length units/s per frame, in one direction each."""
-    return VelocityModel(TWIST, np.array([0.0, 0.01, 0.0, 0.0, 0.0, 0.002]) ** 2, frames, DT)
+    return MotionModel(TWIST, np.array([0.0, 0.01, 0.0, 0.0, 0.0, 0.002]) ** 2, frames, DT)
 
 
 def prediction_information(elapsed: float) -> FloatArray:
@@ -49,7 +49,7 @@ def prediction_information(elapsed: float) -> FloatArray:
     )
 
 
-def add_error(velocity: VelocityModel, error: FloatArray, elapsed: float = DT) -> tuple[FloatArray, FloatArray]:
+def add_error(velocity: MotionModel, error: FloatArray, elapsed: float = DT) -> tuple[FloatArray, FloatArray]:
     """(R, d) that differ from the prediction by an error (6,) of (w, d)."""
     predicted_pose = velocity.predict_motion(elapsed)
     rotation = (Rotation.from_rotvec(error[:3]) * predicted_pose.rotation).as_matrix()
@@ -57,7 +57,7 @@ def add_error(velocity: VelocityModel, error: FloatArray, elapsed: float = DT) -
 
 
 def compute_error(
-    velocity: VelocityModel, rotation: FloatArray, translation: FloatArray, elapsed: float = DT
+    velocity: MotionModel, rotation: FloatArray, translation: FloatArray, elapsed: float = DT
 ) -> FloatArray:
     """(6,) the inverse of `add_error`."""
     predicted_pose = velocity.predict_motion(elapsed)
@@ -73,7 +73,7 @@ def compute_error(
 def test_prediction_is_exact_for_any_axis(elapsed: float, axis_through: FloatArray) -> None:
     turn = np.array([0.5, 1.0, -0.3])
     twist = np.concatenate([turn, np.cross(axis_through, turn) + np.array([0.1, 0.0, 0.2])])
-    velocity, center = VelocityModel(), CENTER
+    velocity, center = MotionModel(), CENTER
     for dt in (DT, 2 * DT, DT, 1.5 * DT):
         motion = RigidTransform.from_exp_coords(twist * dt)
         velocity = velocity.update(motion, center, dt)
@@ -86,7 +86,7 @@ def test_prediction_is_exact_for_any_axis(elapsed: float, axis_through: FloatArr
 
 
 def test_unknown_velocity_predicts_no_motion() -> None:
-    np.testing.assert_array_equal(VelocityModel().predict_motion(3.0).as_matrix(), np.eye(4))
+    np.testing.assert_array_equal(MotionModel().predict_motion(3.0).as_matrix(), np.eye(4))
 
 
 def test_update_does_not_modify_old_model() -> None:
@@ -111,7 +111,7 @@ def test_prediction_uses_last_motion_only() -> None:
 def test_change_variance_is_mean_square() -> None:
     """Few changes have equal weight; of many, the last ones have more."""
     angles = [0.10, 0.13, 0.11, 0.16]
-    velocity = VelocityModel()
+    velocity = MotionModel()
     for angle in angles:
         velocity = velocity.update(make_rotation(angle), CENTER, DT)
     expected = np.mean((np.diff(angles) / DT) ** 2) * np.array([0, 0, 1, 0, 0, 0])
@@ -127,27 +127,27 @@ def test_change_variance_is_mean_square() -> None:
 
 def test_position_change_is_that_of_center() -> None:
     """A changing rotation about the center moves the world's origin, but not the object."""
-    velocity = VelocityModel().update(make_rotation(0.1), CENTER, DT).update(make_rotation(0.2), CENTER, DT)
+    velocity = MotionModel().update(make_rotation(0.1), CENTER, DT).update(make_rotation(0.2), CENTER, DT)
     assert velocity.change_variance[3:].max() < 1e-20
-    shifted = VelocityModel().update(make_rotation(0.1), CENTER, DT)
+    shifted = MotionModel().update(make_rotation(0.1), CENTER, DT)
     shifted = shifted.update(about_center(np.array([0, 0, 0.1]), np.array([0.03, 0, 0])), CENTER, DT)
     np.testing.assert_allclose(shifted.change_variance, [0, 0, 0, (0.03 / DT) ** 2, 0, 0], rtol=1e-9, atol=1e-20)
 
 
 @pytest.mark.parametrize(("share", "learns"), [(0.99, False), (1.01, True)])
 def test_very_short_interval_is_ignored(share: float, learns: bool) -> None:
-    velocity = VelocityModel().update(make_rotation(0.1), CENTER, DT).update(make_rotation(0.1), CENTER, DT)
+    velocity = MotionModel().update(make_rotation(0.1), CENTER, DT).update(make_rotation(0.1), CENTER, DT)
     again = velocity.update(make_rotation(0.3), CENTER, share * MIN_INTERVAL_RATIO * DT)
     assert (again is not velocity) == learns
     # The first interval is always used, as there is no usual one.
-    assert VelocityModel().update(make_rotation(0.1), CENTER, 0.0).n_frames == 1
+    assert MotionModel().update(make_rotation(0.1), CENTER, 0.0).n_frames == 1
     # So is the first after a gap.
     assert velocity.reset(is_static=False).update(make_rotation(0.1), CENTER, 0.01 * DT).n_frames == 1
 
 
 def test_usual_interval_adapts() -> None:
     """A very short interval at one frame rate is the usual one at another."""
-    velocity, fast = VelocityModel().update(make_rotation(0.1), CENTER, DT), 0.5 * MIN_INTERVAL_RATIO * DT
+    velocity, fast = MotionModel().update(make_rotation(0.1), CENTER, DT), 0.5 * MIN_INTERVAL_RATIO * DT
     intervals = [2 * DT, 3 * DT, 2 * DT, 0.5 * DT]
     expected = DT
     for interval in intervals:
@@ -179,8 +179,8 @@ def test_first_motion_after_gap_is_no_change() -> None:
 
 
 def test_covariance_is_infinite_before_two_motions() -> None:
-    one = VelocityModel().update(make_rotation(0.1), CENTER, DT)
-    for unknown in (VelocityModel(), one):
+    one = MotionModel().update(make_rotation(0.1), CENTER, DT)
+    for unknown in (MotionModel(), one):
         assert np.isposinf(unknown.predict_covariance(DT, 1)).all()
     two = one.update(make_rotation(0.13), CENTER, DT)
     assert np.isfinite(two.predict_covariance(DT, 1)).all()
@@ -198,7 +198,7 @@ def test_covariance_grows_with_missed_frames_and_time() -> None:
 def test_covariance_is_variance_of_next_motion() -> None:
     """For an object with a different velocity in every frame."""
     rng = np.random.default_rng(0)
-    velocity, spreads, squares = VelocityModel(), [], []
+    velocity, spreads, squares = MotionModel(), [], []
     for k, angle in enumerate(rng.normal(0.1, 0.02, 600)):
         if k > AVERAGING_FRAMES:
             spreads.append(velocity.predict_covariance(DT, 1)[2, 2])
@@ -304,7 +304,7 @@ def test_static_object_needs_no_time_correction(rig: Rig) -> None:
 def test_time_correction_is_exact_for_uniform_motion(rig: Rig, elapsed: float) -> None:
     """Exactly, while no velocity change has been observed."""
     motion = RigidTransform.from_exp_coords(TWIST * elapsed)
-    at_once = VelocityModel(n_frames=9).synchronize_rig(rig, TIME_OFFSETS, CENTER, motion, elapsed)
+    at_once = MotionModel(n_frames=9).synchronize_rig(rig, TIME_OFFSETS, CENTER, motion, elapsed)
     points = CENTER + ellipsoid((0.15, 0.1, 0.12), n=50).points
     assert at_once.names == rig.names
     assert at_once.unit == rig.unit
@@ -316,7 +316,7 @@ def test_time_correction_is_exact_for_uniform_motion(rig: Rig, elapsed: float) -
 
 
 def test_only_cameras_with_offset_are_corrected(rig: Rig) -> None:
-    at_once = VelocityModel().synchronize_rig(rig, np.array([0.0, 0.01, 0.0]), CENTER, MOTION, DT)
+    at_once = MotionModel().synchronize_rig(rig, np.array([0.0, 0.01, 0.0]), CENTER, MOTION, DT)
     gaps = [np.linalg.norm(a.center - b.center) for a, b in zip(rig, at_once, strict=True)]
     assert max(gaps[0], gaps[2]) < 1e-12
     assert gaps[1] > 1e-3
@@ -326,7 +326,7 @@ def test_velocity_equal_to_its_change_has_half_weight(rig: Rig) -> None:
     speed = np.concatenate([TWIST[:3], np.cross(TWIST[:3], CENTER) + TWIST[3:]])
     unsteady = replace(make_steady_model(), change_variance=speed[[1, 2, 0, 5, 3, 4]] ** 2)
     found = unsteady.synchronize_rig(rig, TIME_OFFSETS, CENTER, MOTION, DT)
-    half = VelocityModel().synchronize_rig(rig, TIME_OFFSETS / 2, CENTER, MOTION, DT)
+    half = MotionModel().synchronize_rig(rig, TIME_OFFSETS / 2, CENTER, MOTION, DT)
     for a, b in zip(found, half, strict=True):
         np.testing.assert_allclose(a.camera_from_world.as_matrix(), b.camera_from_world.as_matrix(), atol=1e-12)
 
@@ -334,7 +334,7 @@ def test_velocity_equal_to_its_change_has_half_weight(rig: Rig) -> None:
 def test_weight_decreases_with_velocity_change(rig: Rig) -> None:
     moved = []
     for change in (0.0, 0.3, 1.0, 3.0, 30.0):
-        velocity = VelocityModel(change_variance=np.full(6, change**2))
+        velocity = MotionModel(change_variance=np.full(6, change**2))
         at_once = velocity.synchronize_rig(rig, TIME_OFFSETS, CENTER, MOTION, DT)
         moved.append(np.linalg.norm(at_once.cameras[1].center - rig.cameras[1].center))
     assert (np.diff(moved) < 0).all()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sylpose.tracking.camera_side.observations import estimate_noise
+from sylpose.tracking.camera_side.frame import estimate_noise
 
 
 def test_noise_of_gaussian_residuals() -> None:

@@ -13,7 +13,7 @@ from sylpose.frames import Box
 from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Camera, Rig, make_look_at_camera
 from sylpose.simulate import arc, ring
-from sylpose.tracking.camera_side.region import project_outline, rasterize_outline
+from sylpose.tracking.camera_side.frame import project_outline, rasterize_outline
 from sylpose.tracking.joint_side.object_model import carve_box_volume
 
 CORNERS = np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1]), axis=-1).reshape(-1, 3) / 2.0

@@ -17,7 +17,7 @@ from sylpose.landmarks.landmark_filter import Landmarks, LandmarkTable, initiali
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import Actor, chamfered_box, make_demo_scene
 from sylpose.tracking.camera_side.frame import CameraFrame
-from sylpose.tracking.joint_side.keyframes import SolvedFrame, compute_viewpoints
+from sylpose.tracking.joint_side.joint_state import SolvedFrame, compute_viewpoints
 from sylpose.tracking.pose_search import (
     DESCRIPTOR_RATIO,
     LOOSE_DESCRIPTOR_RATIO,

@@ -18,9 +18,8 @@ from sylpose.methods import METHODS
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import arc, make_demo_scene
 from sylpose.status import FrameStatus, Observability
-from sylpose.tracking.camera_side.frame import CameraFrame
-from sylpose.tracking.camera_side.region import project_outline, rasterize_outline
-from sylpose.tracking.joint_side.keyframes import N_RECENT_FRAMES
+from sylpose.tracking.camera_side.frame import CameraFrame, project_outline, rasterize_outline
+from sylpose.tracking.joint_side.joint_state import N_RECENT_FRAMES
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import Tracker, track
 from tests.clips import (
@@ -396,9 +395,9 @@ def test_fewer_cameras_are_less_certain(clip: Clip, tracked: Sequence[TrackedFra
 
 
 def test_images_are_released_and_references_bounded(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sylpose.tracking.joint_side.keyframes.MAX_KEYFRAMES", 3)
+    monkeypatch.setattr("sylpose.tracking.joint_side.joint_state.MAX_KEYFRAMES", 3)
     monkeypatch.setattr(
-        "sylpose.tracking.joint_side.keyframes.MIN_NEW_ROTATION", np.radians(1.0)
+        "sylpose.tracking.joint_side.joint_state.MIN_KEYFRAME_ROTATION", np.radians(1.0)
     )  # nearly every frame is a keyframe
     alive: list[list[weakref.ref[Any]]] = []
     references = []

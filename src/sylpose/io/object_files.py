@@ -25,7 +25,7 @@ from sylpose.input_limits import input_errors, open_regular_file
 from sylpose.landmarks.landmark_filter import Landmarks
 from sylpose.rig import Camera, Rig
 from sylpose.serialization import make_transforms
-from sylpose.tracking.joint_side.keyframes import SolvedFrame
+from sylpose.tracking.joint_side.joint_state import SolvedFrame
 from sylpose.tracking.known_object import MIN_KEYFRAMES, CameraLandmarks, KnownObject, ObjectFrame
 from sylpose.tracking.object_transfer import check_unit
 

@@ -40,12 +40,7 @@ from sylpose.landmarks.camera_terms import (
     evaluate_pose,
     update_depth_model,
 )
-from sylpose.landmarks.joint_step import (
-    MAX_ITERATIONS,
-    AlignmentState,
-    is_noise_estimated,
-    take_joint_step,
-)
+from sylpose.landmarks.joint_step import MAX_ITERATIONS, AlignmentState, is_noise_estimated, take_joint_step
 from sylpose.landmarks.messages import EvaluationMessage
 
 # A rotation (3, 3), a translation (3,), and the noise assumed in the first iteration, pixels: the pose should be

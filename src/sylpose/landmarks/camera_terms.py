@@ -161,13 +161,7 @@ def compute_weights(stacked: StackedMatches, c: int, state: CameraState) -> floa
 
 
 @kernel
-def build_equations(
-    stacked: StackedMatches,
-    c: int,
-    variance: float,
-    weight_sum: float,
-    state: CameraState,
-) -> None:
+def build_equations(stacked: StackedMatches, c: int, variance: float, weight_sum: float, state: CameraState) -> None:
     """Compute the equations: lower triangle of J'WJ in (w, d, a), and J'We; camera's axes.
 
     Args:

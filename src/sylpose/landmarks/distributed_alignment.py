@@ -34,12 +34,7 @@ from sylpose.landmarks.alignment import (
     make_result,
     stack_matches,
 )
-from sylpose.landmarks.camera_terms import (
-    CameraState,
-    compute_camera_terms,
-    estimate_camera_noise,
-    update_depth_model,
-)
+from sylpose.landmarks.camera_terms import CameraState, compute_camera_terms, estimate_camera_noise, update_depth_model
 from sylpose.landmarks.joint_step import (
     MAX_ITERATIONS,
     SETTLING_ITERATIONS,

@@ -16,9 +16,16 @@ from sylpose.landmarks.alignment import LandmarkMatches
 from sylpose.landmarks.messages import EvaluationMessage, TermsMessage
 from sylpose.relative_pose.terms import TermData
 from sylpose.serialization import RecordType, Serializer
-from sylpose.tracking.joint_side.joint_state import JointState, Nudge, ObjectMotion, Refinement
-from sylpose.tracking.joint_side.keyframes import Anchor, KnownFrames, SolvedFrame
-from sylpose.tracking.joint_side.motion_model import VelocityModel
+from sylpose.tracking.joint_side.joint_state import (
+    Anchor,
+    JointState,
+    KnownFrames,
+    MotionModel,
+    Nudge,
+    ObjectMotion,
+    Refinement,
+    SolvedFrame,
+)
 from sylpose.tracking.joint_side.object_model import ObjectModel
 from sylpose.tracking.reports import (
     BoxMotionReport,
@@ -35,7 +42,7 @@ from sylpose.tracking.reports import (
     RelocalizationMatches,
     TrackingReport,
 )
-from sylpose.tracking.state_transfer import BufferedRecord, Handover
+from sylpose.tracking.tracker import BufferedRecord, Handover
 
 T = TypeVar("T")
 
@@ -112,7 +119,7 @@ RECORDS = (
         SolvedFrame, {"time_offsets": ("n",), "covariance": (6, 6), "viewpoints": ("n", 3), "is_visible": ("n",)}
     ),
     RecordType(Anchor),
-    RecordType(VelocityModel, {"twist": (6,), "change_variance": (6,)}),
+    RecordType(MotionModel, {"twist": (6,), "change_variance": (6,)}),
     RecordType(Nudge, {"rotation": (3,)}),
     RecordType(FrameAnnouncement),
     RecordType(KnownFrames),

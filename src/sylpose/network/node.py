@@ -27,11 +27,9 @@ from sylpose.network.plausibility import find_implausibility
 from sylpose.rig import Rig
 from sylpose.tracking.camera_side.camera import CameraTracker
 from sylpose.tracking.context import Alignment
-from sylpose.tracking.joint_side.joint_state import JointState
-from sylpose.tracking.joint_side.keyframes import SolvedFrame
-from sylpose.tracking.state_transfer import Handover, check_handover
+from sylpose.tracking.joint_side.joint_state import JointState, SolvedFrame
 from sylpose.tracking.tracked_frame import TrackedFrame
-from sylpose.tracking.tracker import TrackerBase
+from sylpose.tracking.tracker import Handover, TrackerBase, check_handover
 
 T = TypeVar("T")
 

@@ -15,7 +15,7 @@ import numpy as np
 from sylpose.network.node import Node, Rollback
 from sylpose.rig import Rig
 from sylpose.smoothing import SmoothedTrajectory, Track, smooth
-from sylpose.tracking.camera_side.observations import LandmarkObservations
+from sylpose.tracking.camera_side.frame import LandmarkObservations
 from sylpose.tracking.reports import CameraObservations, quantize_positions
 from sylpose.tracking.tracked_frame import TrackedFrame
 

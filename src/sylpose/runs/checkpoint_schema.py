@@ -18,15 +18,13 @@ from sylpose.rig import Camera, Rig
 from sylpose.serialization import RecordType, Serializer
 from sylpose.smoothing import Track
 from sylpose.tracking.anchor_preparation import find_new_features
-from sylpose.tracking.camera_side.camera import CameraTracker
+from sylpose.tracking.camera_side.camera import CameraAnchor, CameraTracker, NextAnchor, TrackedFeatures
 from sylpose.tracking.camera_side.camera_motion import CameraMotionDetector, View
-from sylpose.tracking.camera_side.frame import CameraFrame
-from sylpose.tracking.camera_side.klt_frontend import CameraAnchor, NextAnchor, TrackedFeatures
-from sylpose.tracking.camera_side.observations import LandmarkObservations
+from sylpose.tracking.camera_side.frame import CameraFrame, LandmarkObservations
 from sylpose.tracking.context import Frame
 from sylpose.tracking.initialization import BufferedFrame
 from sylpose.tracking.joint_side.joint_state import PendingRefinement
-from sylpose.tracking.state_transfer import TrackerSnapshot
+from sylpose.tracking.tracker import TrackerSnapshot
 from sylpose.tracking.window import bundle_frames
 
 

@@ -20,21 +20,27 @@ from sylpose.geometry.future import BackgroundResult
 from sylpose.landmarks.alignment import make_camera_state, stack_matches
 from sylpose.landmarks.camera_terms import compute_camera_terms
 from sylpose.rig import Camera
-from sylpose.tracking.camera_side.camera import CameraTracker
-from sylpose.tracking.camera_side.frame import CameraFrame, FrameMatches, drop_background, match_frames, omit_empty
-from sylpose.tracking.camera_side.klt_frontend import (
+from sylpose.tracking.camera_side.camera import (
     N_ANCHOR_FEATURES,
     CameraAnchor,
+    CameraTracker,
     NextAnchor,
     TrackedFeatures,
     append_new_features,
     create_anchor,
     select_tracked,
 )
-from sylpose.tracking.camera_side.observations import ReobservedFeatures, build_observations, split_by_pair
+from sylpose.tracking.camera_side.frame import (
+    CameraFrame,
+    FrameMatches,
+    ReobservedFeatures,
+    build_observations,
+    drop_background,
+    match_frames,
+    split_by_pair,
+)
 from sylpose.tracking.context import TrackerContext
-from sylpose.tracking.joint_side.joint_state import JointState
-from sylpose.tracking.joint_side.keyframes import Anchor, SolvedFrame, add_keyframe, select_references
+from sylpose.tracking.joint_side.joint_state import Anchor, JointState, SolvedFrame, add_keyframe, select_references
 from sylpose.tracking.pose_search import MAX_KLT_FEATURES, PoseCandidate
 
 # Minimum noise by which a match is judged, pixels (choice).
@@ -128,14 +134,12 @@ def _join_camera(camera: CameraTracker, state: JointState, frame: SolvedFrame) -
         return
     features, matches = next_anchor.result.value()
     new_frame, pose, radius = camera.create_frame(features), frame.world_from_object, state.object.radius
-    known_frames = state.frames.by_number
-    pairs = list[FrameMatches]()
+    motion, pairs = state.motion_to(pose), list[FrameMatches]()
     for number, indices in matches.items():
-        if number in camera.frames and number in known_frames:
+        if number in camera.frames and number in motion.earlier:
             pair = match_frames(number, camera.frames[number], new_frame, indices)
-            reference_pose = known_frames[number].world_from_object
-            pairs.append(drop_background(pair, new_frame, next_anchor.camera, reference_pose, pose, radius))
-    reobserved = _select_agreeing(next_anchor.camera, omit_empty(pairs), new_frame, frame, radius)
+            pairs += drop_background([pair], new_frame, next_anchor.camera, motion)
+    reobserved = _select_agreeing(next_anchor.camera, pairs, new_frame, frame, radius)
     camera.update_landmarks(new_frame, next_anchor.camera, pose, reobserved, state.object)
     merged = CameraFrame(
         Features.concatenate([old.features, features]),
@@ -154,7 +158,7 @@ def _select_agreeing(
     """Select a camera's matches that agree with its frame's pose."""
     if not pairs:
         return ReobservedFeatures.empty()
-    observations, _ = build_observations(camera, pairs, new, frame)
+    observations, *_ = build_observations(camera, pairs, new, frame)
     stacked = stack_matches([replace(observations, prior_weight=np.ones(len(observations.prior_weight)))])
     terms = make_camera_state(stacked)
     compute_camera_terms(stacked, 0, np.eye(3), np.zeros(3), MIN_NOISE_PX, True, terms, np.empty((6, 7)))

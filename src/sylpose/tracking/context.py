@@ -20,12 +20,16 @@ from sylpose.features.sift import MAX_FEATURES, Features
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import FloatArray
 from sylpose.landmarks.alignment import AlignmentResult, AlignmentStart, LandmarkMatches, align
-from sylpose.methods import METHODS
 from sylpose.rig import Rig
-from sylpose.tracking.camera_side.camera import CameraTracker
-from sylpose.tracking.camera_side.frame import CameraFrame, FrameMatches
-from sylpose.tracking.camera_side.klt_frontend import TrackedFeatures
-from sylpose.tracking.camera_side.region import REGION_MARGIN, Region, project_outline
+from sylpose.tracking.camera_side.camera import CameraTracker, TrackedFeatures
+from sylpose.tracking.camera_side.frame import (
+    REGION_MARGIN,
+    CameraFrame,
+    FrameMatches,
+    Region,
+    drop_background,
+    project_outline,
+)
 from sylpose.tracking.joint_side.joint_state import JointState
 
 T = TypeVar("T")
@@ -141,6 +145,7 @@ class TrackerContext:
         executor: connects the cameras.
         method: of `frame_solvers`.
         uses_klt: whether features are tracked by KLT between anchor frames.
+        refines_window: whether recent frames are refined jointly during tracking (`window`).
         time_offsets: (C,) seconds by which each camera's images are later than its time stamps.
         seed: random seed of outlier rejection.
     """
@@ -150,13 +155,9 @@ class TrackerContext:
     executor: CameraExecutor
     method: str
     uses_klt: bool
+    refines_window: bool
     time_offsets: FloatArray
     seed: int
-
-    @property
-    def refines_window(self) -> bool:
-        """Whether recent frames are refined jointly during tracking (`window`)."""
-        return self.method == METHODS[0]
 
     def create_rng(self) -> np.random.Generator:
         """Create a random generator that gives each frame the same sequence."""
@@ -229,8 +230,8 @@ def drop_static_matches(
     Args:
         predicted_pose: predicted world_from_object.
     """
-    poses = {number: solved.world_from_object for number, solved in state.frames.by_number.items()}
+    motion = state.motion_to(predicted_pose)
     return [
-        camera.drop_background(own, current, poses, predicted_pose, state.object.radius)
+        drop_background(own, current, camera.camera, motion)
         for camera, own, current in zip(context.cameras, pairs, frame.cameras, strict=True)
     ]

@@ -18,8 +18,7 @@ from sylpose.tracking.camera_side.camera import CameraTracker
 from sylpose.tracking.camera_side.frame import FrameMatches
 from sylpose.tracking.context import Frame, TrackerContext, drop_static_matches, object_radius_px, project_regions
 from sylpose.tracking.first_motion import update_from_matches
-from sylpose.tracking.joint_side.joint_state import JointState
-from sylpose.tracking.joint_side.keyframes import compute_viewpoints, find_nearest_views
+from sylpose.tracking.joint_side.joint_state import JointState, compute_viewpoints, find_nearest_views
 from sylpose.tracking.pose_search import (
     MIN_RADIUS_PX,
     SOLVED_RADIUS,

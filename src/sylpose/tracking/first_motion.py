@@ -26,6 +26,7 @@ from sylpose.tracking.camera_side.camera import CameraTracker, compute_static_px
 from sylpose.tracking.camera_side.frame import (
     CameraFrame,
     FrameMatches,
+    Region,
     collect_features,
     find_static,
     mark_others_as_background,
@@ -34,10 +35,9 @@ from sylpose.tracking.camera_side.frame import (
     select_inliers,
     triangulate,
 )
-from sylpose.tracking.camera_side.region import Region
 from sylpose.tracking.context import CameraExecutor, Frame, TrackerContext, drop_static_matches
 from sylpose.tracking.frame_solvers import scatter_fit
-from sylpose.tracking.joint_side.joint_state import MIN_MOVED_FEATURES, JointState
+from sylpose.tracking.joint_side.joint_state import MIN_MOVED_FEATURES, JointState, KnownMotion
 from sylpose.tracking.reports import BoxMotionReport, InitialMatches, MovingMatches, quantize_positions
 
 # Another motion with this share of the object's inliers may be the object as well (choice).
@@ -366,10 +366,11 @@ def _update_depth(
     if not initial_motion.is_significant or is_unclear or is_far:
         return state, None
     radius, current_pose = initial_motion.radius, initial_motion.motion * first.world_from_object
+    motion = KnownMotion({first.number: first.world_from_object}, current_pose, radius)
     for camera, current, own in zip(context.cameras, frame.cameras, pairs, strict=True):
         # Boxes may contain more background than object.
         with_first = [pair for pair in own if pair.reference == first.number]
-        camera.learn_background(with_first, current, current_pose, {first.number: first}, radius)
+        camera.learn_background(with_first, current, motion)
     accepted_statuses = (Status.OK,) if len(context.rig) > 1 else (Status.OK, Status.SCALE_NOT_OBSERVABLE)
     if classify_observability(initial_motion.fit, state.object.radius)[0].status not in accepted_statuses:
         return state, None

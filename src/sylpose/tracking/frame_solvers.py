@@ -13,29 +13,29 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.matrices import rotvec
 from sylpose.landmarks.alignment import FIRST_PX, LandmarkMatches, select_hypothesis, subtract_uncertainty
-from sylpose.relative_pose.observability import is_more_than_chance
 from sylpose.relative_pose.solver import fit_terms
 from sylpose.relative_pose.sylvester_methods import ESTIMATORS, UNBIASED_METHODS, apply_paper_method
 from sylpose.relative_pose.terms import MIN_MATCHES, Fit, TermData
 from sylpose.rig import Rig
 from sylpose.status import Status
 from sylpose.sylvester.known_depth import solve_2d3d
-from sylpose.tracking.camera_side.frame import CameraFrame, FrameMatches
-from sylpose.tracking.camera_side.observations import (
+from sylpose.tracking.camera_side.frame import (
     STATIC_WEIGHT,
+    CameraFrame,
+    FrameMatches,
     MatchWeights,
     build_observations,
     compute_depth_smear,
     compute_full_weight_age,
     compute_inlier_statistics,
     compute_support,
-    expand_ages,
+    has_enough_motion,
+    is_explained_by_chance,
     split_by_pair,
-    summarize_ages,
     weight_observations,
 )
 from sylpose.tracking.context import Alignment, CameraExecutor
-from sylpose.tracking.joint_side.keyframes import SolvedFrame
+from sylpose.tracking.joint_side.joint_state import SolvedFrame
 from sylpose.tracking.reports import CameraTerms, InlierStatistics, KnownDepthMatches, LandmarkAges
 
 Hypothesis = tuple[FloatArray, FloatArray]
@@ -50,16 +50,12 @@ ALTERNATIVE_START_PX = (4.0, 1.0)
 # board edge-on (stands-fast 31). So smaller initial noise levels are tried too, pixels: the last one where depths are
 # known, all of them after a rotation larger than this since the last solved frame, radians (choice).
 LARGE_ROTATION, NARROW_START_PX = np.radians(8.0), (8.0, 2.0)
-# An inlier share this large does not occur by chance (choice).
-MIN_CERTAIN_INLIER_RATIO = 0.8
 # A landmark's depth counts as a guess after so many observations or fewer, or while it is not known better than this
 # share of the object's radius: observations of an object at rest add nothing (choice).
 MAX_YOUNG_AGE, GUESSED_DEPTH_RATIO = 3, 0.1
 # A depth is known if its standard deviation moves the landmark's image by less than this, pixels. The 2D-3D equation
 # needs so many such landmarks (choice).
 MAX_DEPTH_SMEAR_PX, MIN_KNOWN_LANDMARKS = 1.0, 30
-# Motion is more than noise if this share of all landmarks moves (choice).
-MIN_MOVING_RATIO = 0.06
 # Maximum number of alternations between depths and motion; they end when the rotation changes by less (choice).
 POSIT_ROUNDS, POSIT_TOLERANCE = 20, 1e-6
 
@@ -240,7 +236,8 @@ def _align_landmarks(
     pose, found = alignments[best]
     # While all depths are guesses, the opposite rotation with reversed depths fits nearly as well (mirrored solution of
     # few cameras and small rotations). Epipolar geometry provides an independent start.
-    is_large_rotation = max(_rotation_angle(problem.guess[0]), _rotation_angle(pose.rotation)) > LARGE_ROTATION
+    angles = [float(np.linalg.norm(rotvec(rotation))) for rotation in (problem.guess[0], pose.rotation)]
+    is_large_rotation = max(angles) > LARGE_ROTATION
     if is_depth_guessed or pose.cost > MAX_GOOD_COST or is_large_rotation:
         starts = _create_epipolar_starts(executor, problem)
         starts += [(*problem.guess, px) for px in NARROW_START_PX if px not in start_px] if is_large_rotation else []
@@ -259,7 +256,7 @@ def _align_landmarks(
         ],
         InlierStatistics(),
     )
-    if sum(one.n_inlier_matches for one in statistics) < MIN_MATCHES or _is_explained_by_chance(statistics):
+    if sum(one.n_inlier_matches for one in statistics) < MIN_MATCHES or is_explained_by_chance(statistics):
         return None
     match_weights = [split_by_pair(*weights, pairs) for weights, pairs in zip(found, problem.pairs, strict=True)]
     information = subtract_uncertainty(pose.information, offset)
@@ -279,15 +276,14 @@ def _exchange_observations(
         build_observations(problem.rig.cameras[c], pairs, frame, problem.previous)
         for c, pairs, frame in zip(executor.local, problem.pairs, problem.frames, strict=True)
     ]
-    ages = executor.gather(
-        [summarize_ages(*own, pairs) for own, pairs in zip(unweighted, problem.pairs, strict=True)], LandmarkAges()
-    )
+    ages = executor.gather([own for *_, own in unweighted], LandmarkAges())
     # If all old landmarks vanish at once, something else is in view: the typical age in the last frame counts too.
-    full_weight_age = max(compute_full_weight_age(expand_ages(ages)), problem.previous.landmark_age)
+    full_weight_age = max(compute_full_weight_age(ages), problem.previous.landmark_age)
     # Static landmarks that never moved get almost no weight once others move: undetected background is consistent with
     # itself, as the object is, and often larger.
-    static_weight = STATIC_WEIGHT if _has_enough_motion(ages) else 1.0
-    return [weight_observations(*own, full_weight_age, static_weight) for own in unweighted], ages
+    static_weight = STATIC_WEIGHT if has_enough_motion(ages) else 1.0
+    weights = full_weight_age, static_weight
+    return [weight_observations(own, is_moving, *weights) for own, is_moving, _ in unweighted], ages
 
 
 def _create_epipolar_starts(
@@ -313,35 +309,6 @@ def _median_depth_sd(ages: Sequence[LandmarkAges]) -> float:
     """Return the median over cameras of the landmarks' depth standard deviation."""
     known = [a.depth_sd for a in ages if np.isfinite(a.depth_sd)]
     return float(np.median(known)) if known else np.inf
-
-
-def _rotation_angle(rotation: FloatArray) -> float:
-    """Return the angle of a rotation (3, 3), radians."""
-    return float(np.linalg.norm(rotvec(rotation)))
-
-
-def _has_enough_motion(ages: Sequence[LandmarkAges]) -> bool:
-    """Return whether enough landmarks have moved for static ones to be background.
-
-    At least two cameras must see it, if there are two, since something may pass in front of one.
-    """
-    total = [float(a.counts.sum()) for a in ages]
-    seeing = [a.n_moving for a, n in zip(ages, total, strict=True) if n >= MIN_MATCHES]
-    cameras = sum(2 * moving >= MIN_MATCHES for moving in seeing)
-    return sum(seeing) >= max(MIN_MATCHES, MIN_MOVING_RATIO * sum(total)) and cameras >= min(2, len(seeing))
-
-
-def _is_explained_by_chance(statistics: Sequence[InlierStatistics]) -> bool:
-    """Return whether random matches would agree with a pose about as often.
-
-    The pose has six unknowns, plus those of each camera's depth model.
-    """
-    inliers, tried = sum(one.n_inlier_features for one in statistics), sum(one.n_features for one in statistics)
-    n_unknowns = 6 + sum(one.n_unknowns for one in statistics)
-    expected_by_chance = sum(one.expected_by_chance for one in statistics)
-    return inliers < MIN_CERTAIN_INLIER_RATIO * tried and not is_more_than_chance(
-        inliers, expected_by_chance, n_unknowns
-    )
 
 
 # --- landmarks of known depth -----------------------------------------------------------------------------------------

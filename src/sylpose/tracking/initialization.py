@@ -36,9 +36,7 @@ from sylpose.tracking.first_motion import (
     is_ambiguous,
     is_continuing_motion,
 )
-from sylpose.tracking.joint_side.joint_state import JointState
-from sylpose.tracking.joint_side.keyframes import Anchor
-from sylpose.tracking.joint_side.motion_model import VelocityModel
+from sylpose.tracking.joint_side.joint_state import Anchor, JointState, KnownMotion, MotionModel
 from sylpose.tracking.joint_side.object_model import ObjectModel
 from sylpose.tracking.map_update import accept_first_frame, accept_frame, handle_missing_object
 from sylpose.tracking.pose_search import find_pose
@@ -204,8 +202,9 @@ def _initialize_from_motion(
     end_pose = first_motion.motion * first_pose
     state = JointState(_create_model(context, first_motion, first_pose, end_pose))
     frame = replace(first, regions=project_regions(context, state, first_pose))
+    motion = KnownMotion({first.number: first_pose}, end_pose, first_motion.radius)
     sides = [
-        _split_foreground(camera, current, region, own, frame, first_motion, (first_pose, end_pose))
+        _split_foreground(camera, current, region, own, frame, motion)
         for camera, current, region, own in zip(context.cameras, first.cameras, frame.regions or (), pairs, strict=True)
     ]
     frame = context.with_features(frame, [inside for inside, _ in sides])
@@ -221,7 +220,7 @@ def _initialize_from_motion(
     end = state.last
     # The velocity is unknown for the frames between.
     frames = replace(state.frames, last=start, keyframes=(start, end), anchor=None)
-    state = replace(state, frames=frames, motion=replace(state.motion, velocity=VelocityModel()))
+    state = replace(state, frames=frames, motion=replace(state.motion, velocity=MotionModel()))
     for buffered_frame in between:
         pose = state.predict_pose(buffered_frame.time)
         state, tracked = _solve_buffered_frame(context, state, buffered_frame, pose)
@@ -263,8 +262,7 @@ def _split_foreground(
     region: FloatArray | None,
     pairs: Sequence[FrameMatches],
     frame: Frame,
-    first_motion: FirstMotion,
-    poses: tuple[RigidTransform, RigidTransform],
+    motion: KnownMotion,
 ) -> tuple[Features, Features]:
     """Split the first frame's features into object candidates and static or surrounding ones.
 
@@ -272,13 +270,13 @@ def _split_foreground(
         current: the camera's data of the first frame.
         pairs: its matches of the last frame with the first.
         frame: the first frame.
-        poses: world_from_object of the first and of the last frame.
+        motion: from the first to the last frame.
     """
     for pair in pairs:
         camera.update_noise(estimate_jitter(pair))
     is_static, empty = np.zeros(len(current.features), bool), camera.create_empty_frame()
     for pair in pairs:
-        still = find_background(pair, empty, camera.camera, *poses, first_motion.radius)
+        still = find_background(pair, empty, camera.camera, motion)
         is_static[pair.indices[still, 0]] = True
     return camera.split_foreground(current.features, region, is_static, frame.images)
 

@@ -20,8 +20,7 @@ from sylpose.input_limits import to_one_line
 from sylpose.landmarks.landmark_filter import Landmarks
 from sylpose.rig import MAX_LENGTH, Rig, check_single_pose
 from sylpose.tracking.camera_side.camera import CameraTracker
-from sylpose.tracking.joint_side.joint_state import JointState
-from sylpose.tracking.joint_side.keyframes import SolvedFrame
+from sylpose.tracking.joint_side.joint_state import JointState, SolvedFrame
 from sylpose.units import INITIAL_DISTANCES
 
 # Minimum number of keyframes of a usable object model (choice).
@@ -219,12 +218,7 @@ def build_known_object(
     if initial is not None:
         new_rig = Rig(rig.cameras, initial.unit)
         return replace(
-            initial,
-            rig=new_rig,
-            radius=model.radius,
-            _points=model.points,
-            _keyframes=keyframes,
-            _cameras=cameras,
+            initial, rig=new_rig, radius=model.radius, _points=model.points, _keyframes=keyframes, _cameras=cameras
         )
     new_rig = rig if len(rig) > 1 else Rig(rig.cameras, INITIAL_DISTANCES)
     return KnownObject(

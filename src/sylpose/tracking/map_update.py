@@ -15,20 +15,21 @@ from sylpose.matches import STATIC_PX
 from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.results import FramePose
 from sylpose.status import FrameStatus, Observability
-from sylpose.tracking.camera_side.camera import AcceptedPose, CameraRecord, CameraTracker
-from sylpose.tracking.camera_side.observations import (
+from sylpose.tracking.camera_side.camera import AcceptedPose, CameraTracker
+from sylpose.tracking.camera_side.frame import (
     ReobservedFeatures,
     compute_full_weight_age,
-    expand_ages,
     record_observations,
 )
 from sylpose.tracking.context import Frame, TrackerContext
 from sylpose.tracking.joint_side.joint_state import (
+    Anchor,
     JointState,
+    SolvedFrame,
     add_reference_covariance,
+    compute_viewpoints,
     enlarge_covariance,
 )
-from sylpose.tracking.joint_side.keyframes import Anchor, SolvedFrame, compute_viewpoints
 from sylpose.tracking.pose_search import PoseCandidate
 from sylpose.tracking.reports import quantize_positions
 from sylpose.tracking.tracked_frame import TrackedFrame, create_unsolved_frame
@@ -150,23 +151,9 @@ def accept_frame(
         candidate.solution.faults,
         np.array([a.n_features for a in agreements], np.int64),
     )
-    return new_state, _create_result(context, frame, result.update_uncertain_status(), records, model.radius)
-
-
-def _create_result(
-    context: TrackerContext, frame: Frame, pose: FramePose, records: Sequence[CameraRecord], radius: float
-) -> TrackedFrame:
-    """Create a solved frame's result from the cameras' parts."""
-    return TrackedFrame(
-        pose,
-        frame.images,
-        context.spread(record.matches for record in records),
-        context.spread(frame.regions or ()),
-        radius,
-        context.spread(record.observations for record in records),
-        frame.time_offsets,
-        detections=context.spread(record.detections for record in records),
-    )
+    matches, observations, detections = (context.spread(parts) for parts in zip(*records, strict=True))
+    parts = matches, context.spread(frame.regions or ()), model.radius, observations, frame.time_offsets
+    return new_state, TrackedFrame(result.update_uncertain_status(), frame.images, *parts, detections=detections)
 
 
 def _accept_pose(
@@ -182,39 +169,35 @@ def _accept_pose(
     # updated while all may still be background: they would follow a slowly moving object halfway. Cameras with few
     # matches may see another object.
     has_matches = np.array([a.n_known_moved for a in agreements]) >= MIN_MATCHES
-    has_moved = state.is_motion_verified(agreements)
-    is_muted = find_muted_cameras(inflation, has_matches) | (not has_moved)
+    is_muted = find_muted_cameras(inflation, has_matches) | (not candidate.has_moved)
     solved = SolvedFrame(
         frame.number,
         frame.time,
         frame.time_offsets,
         pose,
-        _compute_covariance(context, state, candidate, has_moved=has_moved),
+        _compute_covariance(context, state, candidate),
         compute_viewpoints(context.rig, pose),
         np.array([a.has_features for a in agreements]) & ~is_muted,
-        compute_full_weight_age(expand_ages([a.ages for a in agreements])),
+        compute_full_weight_age([a.ages for a in agreements]),
     )
     return AcceptedPose(
         solved,
         frame.images,
         candidate.rig,
-        state.frames.by_number,
+        state.motion_to(pose),
         state.last.number,
-        state.object.radius,
         agreements,
         is_muted,
-        has_moved,
+        candidate.has_moved,
         frame.has_new_features,
     )
 
 
-def _compute_covariance(
-    context: TrackerContext, state: JointState, candidate: PoseCandidate, *, has_moved: bool
-) -> FloatArray:
+def _compute_covariance(context: TrackerContext, state: JointState, candidate: PoseCandidate) -> FloatArray:
     """Return the covariance (6, 6) of (w, d) of a candidate's pose."""
     solution, pose, radius, first = candidate.solution, candidate.pose, state.object.radius, state.frames.first
     if solution.is_static:  # the pose and its error are those of the last frame
-        covariance = state.last.covariance if has_moved else first.covariance
+        covariance = state.last.covariance if candidate.has_moved else first.covariance
     else:
         correlation = _compute_rotation_continuity(state, candidate) if solution.is_biased else 0.0
         covariance = add_reference_covariance(
@@ -222,7 +205,7 @@ def _compute_covariance(
         )
         if state.refinement.covariance is not None and not state.motion.n_missed:
             covariance = enlarge_covariance(covariance, state.refinement.covariance)
-    if not has_moved:
+    if not candidate.has_moved:
         covariance = covariance + _undetected_motion_covariance(context, pose, radius)
     if state.object.is_depth_guessed:
         # With all depths guessed, the mirrored rotation fits nearly as well.

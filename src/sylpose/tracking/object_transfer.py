@@ -26,15 +26,16 @@ from sylpose.rig import Rig
 from sylpose.status import Observability
 from sylpose.tracking.camera_side.camera import CameraTracker
 from sylpose.tracking.camera_side.frame import CameraFrame
-from sylpose.tracking.joint_side.joint_state import JointState, ObjectMotion
-from sylpose.tracking.joint_side.keyframes import (
+from sylpose.tracking.joint_side.joint_state import (
     MAX_KEYFRAMES,
-    MIN_NEW_ROTATION,
+    MIN_KEYFRAME_ROTATION,
+    JointState,
     KnownFrames,
+    MotionModel,
+    ObjectMotion,
     SolvedFrame,
     compute_viewpoints,
 )
-from sylpose.tracking.joint_side.motion_model import VelocityModel
 from sylpose.tracking.joint_side.object_model import ObjectModel
 from sylpose.tracking.known_object import CameraLandmarks, KnownObject
 from sylpose.tracking.pose_search import MAX_WAIT_FRAMES
@@ -279,7 +280,7 @@ def initialize_from_object(
         for k, frame in enumerate(transferred.keyframes)
     )
     motion = ObjectMotion(
-        VelocityModel(n_frames=1, interval=1.0),
+        MotionModel(n_frames=1, interval=1.0),
         has_moved=True,
         n_missed=1,
         n_reobserved=MAX_WAIT_FRAMES,  # poses are required from the first frame on, even if little is visible
@@ -345,7 +346,7 @@ def _select_views(known: KnownObject, max_views: int) -> list[_View]:
                 eye = frame.world_from_object.inv().apply(known.rig[name].center)
                 candidates.append(_View(name, k, eye / np.linalg.norm(eye), len(features)))
     candidates.sort(key=lambda view: -view.landmarks)
-    min_angle = MIN_NEW_ROTATION
+    min_angle = MIN_KEYFRAME_ROTATION
     while True:
         chosen = list[_View]()
         for view in candidates:

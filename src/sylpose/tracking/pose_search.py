@@ -19,20 +19,25 @@ from sylpose.geometry.matrices import invert_information, make_motion_about, rel
 from sylpose.landmarks.landmark_filter import Landmarks, LandmarkTable
 from sylpose.rig import Rig
 from sylpose.status import Status
-from sylpose.tracking.camera_side.camera import CameraSolution, CameraTracker
-from sylpose.tracking.camera_side.frame import CameraFrame, DetectedFeatures, FrameMatches
-from sylpose.tracking.camera_side.klt_frontend import N_ANCHOR_FEATURES, append_new_features
-from sylpose.tracking.camera_side.observations import measure_agreement
-from sylpose.tracking.context import Frame, TrackerContext, detect, drop_static_matches, object_radius_px
+from sylpose.tracking.camera_side.camera import (
+    N_ANCHOR_FEATURES,
+    CameraSolution,
+    CameraTracker,
+    TrackedFeatures,
+    append_new_features,
+)
+from sylpose.tracking.camera_side.frame import CameraFrame, DetectedFeatures, FrameMatches, measure_agreement
+from sylpose.tracking.context import Frame, TrackerContext, detect, object_radius_px
 from sylpose.tracking.first_motion import is_box_center_static, select_static_matches, update_from_matches
 from sylpose.tracking.frame_solvers import SOLVERS, PoseProblem, PoseSolution
-from sylpose.tracking.joint_side.joint_state import JointState
-from sylpose.tracking.joint_side.keyframes import (
+from sylpose.tracking.joint_side.joint_state import (
     PREPARATION_MARGIN,
+    JointState,
     SolvedFrame,
     compute_viewpoints,
     find_nearest_views,
     has_enough_tracks,
+    is_mostly_moving,
     select_references,
 )
 from sylpose.tracking.reports import PoseAgreement, RelocalizationMatches, TrackingReport
@@ -91,6 +96,7 @@ class PoseCandidate:
         motion: of the object since the last solved frame.
         pose: world_from_object.
         agreements: per camera, how its matches agree with the pose.
+        has_moved: whether the object has been observed to move, in this frame at the latest.
         cameras: per camera, local: its part.
     """
 
@@ -100,6 +106,7 @@ class PoseCandidate:
     motion: RigidTransform
     pose: RigidTransform
     agreements: Sequence[PoseAgreement]
+    has_moved: bool
     cameras: Sequence[CameraSolution]
 
     def as_static(self, last_pose: RigidTransform) -> PoseCandidate:
@@ -133,7 +140,7 @@ def find_pose(
         return state, None
     if state.may_be_background(candidate.agreements):
         return replace(state, motion=replace(state.motion, is_background_only=True)), None
-    is_static = state.is_static(candidate.agreements)
+    is_static = not candidate.has_moved and not is_mostly_moving(candidate.agreements)
     return state, candidate.as_static(state.last.world_from_object) if is_static else candidate
 
 
@@ -149,8 +156,8 @@ def track_from_anchor(
         predicted_pose: predicted world_from_object.
 
     Returns:
-        the frame with the tracked features; their total number; whether they suffice without new features; whether new
-        ones will be needed soon.
+        the frame with the tracked features only; their total number; whether they suffice without new features;
+        whether new ones will be needed soon.
     """
     anchor, last = state.frames.anchor, state.last
     assert anchor is not None
@@ -165,13 +172,18 @@ def track_from_anchor(
     tracked = context.executor.run(track, context.cameras)
     own_reports = [own.create_report(region) for own, region in zip(tracked, frame.regions, strict=True)]
     reports = context.executor.gather(own_reports, TrackingReport())
+    frame = context.with_features(
+        replace(frame, tracked=tracked, has_new_features=False), [own.features for own in tracked]
+    )
+    # The first motion is unknown: features that are tracked easily may be static.
+    is_usable = state.motion.velocity.n_frames > 0 and not state.is_matched_with_first(frame.number)
     # While the next anchor is prepared, less is enough.
     min_margin = 1.0 if state.frames.next_anchor_number is None else 1.0 / PREPARATION_MARGIN
     is_enough, is_enough_for_long = (
         has_enough_tracks(reports, anchor, predicted_pose, margin) for margin in (min_margin, PREPARATION_MARGIN)
     )
     n_tracked = sum(report.n_tracked for report in reports)
-    return replace(frame, tracked=tracked), n_tracked, is_enough, not is_enough_for_long
+    return frame, n_tracked, is_usable and is_enough, not is_enough_for_long
 
 
 def is_fast(state: JointState, predicted_pose: RigidTransform) -> bool:
@@ -211,7 +223,7 @@ def detect_in_regions(
             append_new_features(tracked, detected, camera.find_known_background(detected), n_total)
             for camera, tracked, detected in zip(context.cameras, frame.tracked, features, strict=True)
         ]
-    return context.with_features(frame, features)
+    return context.with_features(replace(frame, has_new_features=True), features)
 
 
 def _match_references(
@@ -227,25 +239,16 @@ def _match_references(
     Returns:
         per camera, local: matches.
     """
-    tracked = [None] * len(context.cameras) if frame.tracked is None else frame.tracked
+    tracked: Sequence[TrackedFeatures | None] = frame.tracked or [None] * len(context.cameras)
+    references = [list[int]() for _ in context.cameras]
     if frame.has_new_features:
         viewpoints, last = compute_viewpoints(context.rig, guess), state.last if frame.tracked is None else None
-        references = [
-            [
-                *([] if last is None else [last.number]),
-                *(k.number for k in select_references(state.frames.keyframes, c, viewpoints[c], last)),
-            ]
-            for c in context.executor.local
-        ]
-        pairs = context.executor.run(CameraTracker.match_all, context.cameras, frame.cameras, tracked, references)
-    else:
-        pairs = [
-            camera.match_all(current, own, [])
-            for camera, current, own in zip(context.cameras, frame.cameras, tracked, strict=True)
-        ]
-    if state.motion.velocity.n_frames < MIN_VELOCITY_FRAMES:
-        return pairs
-    return drop_static_matches(context, state, frame, pairs, guess)
+        for c, own in zip(context.executor.local, references, strict=True):
+            own += [] if last is None else [last.number]
+            own += [k.number for k in select_references(state.frames.keyframes, c, viewpoints[c], last)]
+    motion = None if state.motion.velocity.n_frames < MIN_VELOCITY_FRAMES else state.motion_to(guess)
+    match = partial(CameraTracker.match_all, motion=motion)
+    return context.executor.run(match, context.cameras, frame.cameras, tracked, references)
 
 
 # --- solution ---------------------------------------------------------------------------------------------------------
@@ -271,10 +274,11 @@ def solve_pose(
     center, elapsed = last.world_from_object.translation, frame.time - last.time
     known_frames, seed, radius = state.frames.by_number, context.seed, state.object.radius
     motion = velocity.predict_motion(elapsed)
-    none = [None] * len(context.cameras)
+    rig, none = context.rig, [None] * len(context.cameras)
     first_landmarks: list[Landmarks] | None = None
     for _ in range(VELOCITY_ROUNDS):
-        rig = velocity.synchronize_rig(context.rig, frame.time_offsets, center, motion, elapsed)
+        if frame.time_offsets.any():
+            rig = velocity.synchronize_rig(context.rig, frame.time_offsets, center, motion, elapsed)
         guessed = guess * last.world_from_object.inv()
         hypothesis = (rotation_matrix_of(guessed), guessed.apply(center) - center)
         problem = PoseProblem(rig, last, known_frames, radius, hypothesis, seed, frame.cameras, pairs)
@@ -305,7 +309,8 @@ def solve_pose(
     agreements = context.executor.gather(own_agreements, PoseAgreement())
     if not solution.is_static and _is_noise(context, state, guess, agreements):
         return None
-    return PoseCandidate(frame, rig, solution, motion, guess, agreements, cameras)
+    has_moved = state.is_motion_verified(agreements)
+    return PoseCandidate(frame, rig, solution, motion, guess, agreements, has_moved, cameras)
 
 
 def _is_noise(

@@ -16,21 +16,13 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.features.sift import MAX_FEATURES, Features
 from sylpose.frames import FrameSet
 from sylpose.tracking.anchor_preparation import begin_preparation, can_prepare, join_anchor
-from sylpose.tracking.camera_motion_correction import add_nudge_faults, compensate_camera_motion
 from sylpose.tracking.camera_side.camera import CameraTracker
-from sylpose.tracking.camera_side.region import REGION_MARGIN
-from sylpose.tracking.context import (
-    Frame,
-    TrackerContext,
-    create_frame,
-    detect,
-    detect_everywhere,
-    project_regions,
-)
+from sylpose.tracking.camera_side.camera_motion import PAUSE_FRAMES
+from sylpose.tracking.camera_side.frame import REGION_MARGIN
+from sylpose.tracking.context import Frame, TrackerContext, create_frame, detect, detect_everywhere, project_regions
 from sylpose.tracking.fallback_search import search_with_all_features
 from sylpose.tracking.initialization import BufferedFrame, initialize_tracking
-from sylpose.tracking.joint_side.joint_state import JointState
-from sylpose.tracking.joint_side.keyframes import MIN_TRACKED_RATIO
+from sylpose.tracking.joint_side.joint_state import MIN_TRACKED_RATIO, JointState, Nudge
 from sylpose.tracking.map_update import accept_frame, handle_missing_object
 from sylpose.tracking.pose_search import (
     PoseCandidate,
@@ -43,14 +35,12 @@ from sylpose.tracking.pose_search import (
     relocalize,
     track_from_anchor,
 )
+from sylpose.tracking.reports import CameraMotionReport
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.window import apply_refinement
 
 # A first motion with little support is accepted up to this rotation, radians (choice).
 MAX_FIRST_ROTATION = np.radians(3.0)
-# While depth is known from boxes only, the first so many frames are matched with the first one, then every
-# `FIRST_MATCH_INTERVAL`th (choice).
-N_FIRST_MATCHED, FIRST_MATCH_INTERVAL = 6, 4
 # Interval of frames in which large images are searched at full resolution for a lost object, which may be small
 # (choice).
 FULL_SEARCH_INTERVAL = 4
@@ -63,17 +53,20 @@ def process_frame(
 ) -> tuple[JointState, Sequence[BufferedFrame], list[TrackedFrame]]:
     """Process the next frame in the current state; see `initialize_tracking`."""
     state, images = compensate_camera_motion(context, state, images)
+    frame = create_frame(context, number, images)
     for camera in context.cameras:
         camera.begin_frame()
+    # Results of background work.
     if state.is_refinement_ready(number):
         state = apply_refinement(context, state)
-    frame = create_frame(context, number, images)
+    if state.frames.is_next_anchor_due(number):
+        state = join_anchor(context, state)
     if state.frames.last is None:
         state, buffered, decided = initialize_tracking(context, state, buffered, frame)
     else:
         state, tracked = (recover if state.motion.n_missed else track_frame)(context, state, frame)
         buffered, decided = [], [tracked]
-    return state, buffered, add_nudge_faults(context, state, decided)
+    return state, buffered, add_nudge_faults(context, state, decided) if state.nudges else decided
 
 
 # --- an object that was found in the previous frame -------------------------------------------------------------------
@@ -81,16 +74,17 @@ def process_frame(
 
 def track_frame(context: TrackerContext, state: JointState, frame: Frame) -> tuple[JointState, TrackedFrame]:
     """Track an object that was found in the previous frame: near the prediction, else anywhere."""
-    if state.frames.is_next_anchor_due(frame.number):
-        state = join_anchor(context, state)
     predicted_pose = state.predict_pose(frame.time)
     frame = replace(frame, regions=project_regions(context, state, predicted_pose))
     candidate, needs_anchor_soon = None, False
     if state.frames.anchor is not None:
         frame, n_tracked, is_enough, needs_anchor_soon = track_from_anchor(context, state, frame, predicted_pose)
-        # The first motion is unknown: features that are tracked easily may be static.
-        if is_enough and state.motion.velocity.n_frames and not is_matched_with_first(state, frame.number):
-            state, candidate = _find_pose_by_tracks(context, state, frame, predicted_pose, n_tracked)
+        if is_enough:
+            state, candidate = find_pose(context, state, frame, predicted_pose)
+        if candidate is not None and sum(a.n_inlier_matches for a in candidate.agreements) <= (
+            MIN_TRACKED_RATIO * n_tracked
+        ):
+            candidate = None
     if candidate is None:
         frame = detect_in_regions(context, state, frame, predicted_pose)
         state, candidate = find_pose(context, state, frame, predicted_pose)
@@ -106,32 +100,6 @@ def track_frame(context: TrackerContext, state: JointState, frame: Frame) -> tup
     if needs_anchor_soon and not candidate.frame.has_new_features and can_prepare(state):
         state = begin_preparation(context, state, candidate)
     return state, tracked
-
-
-def is_matched_with_first(state: JointState, number: int) -> bool:
-    """Return whether a frame is matched with the first one even if enough features are tracked.
-
-    Only matches with the first frame determine depth, and until depth is known a pose is uncertain.
-    """
-    age = number - state.frames.first.number
-    # A motion that two cameras detect needs confirmation by the next frame.
-    needs_confirmation = state.motion.first_motion is not None
-    return state.object.is_depth_guessed and (
-        age <= N_FIRST_MATCHED or age % FIRST_MATCH_INTERVAL == 0 or needs_confirmation
-    )
-
-
-def _find_pose_by_tracks(
-    context: TrackerContext, state: JointState, frame: Frame, predicted_pose: RigidTransform, n_tracked: int
-) -> tuple[JointState, PoseCandidate | None]:
-    """Search for the pose by tracked features alone; None if too few of them agree with it."""
-    assert frame.tracked is not None
-    frame = context.with_features(replace(frame, has_new_features=False), [own.features for own in frame.tracked])
-    state, candidate = find_pose(context, state, frame, predicted_pose)
-    if candidate is None:
-        return state, None
-    n_inliers = sum(a.n_inlier_matches for a in candidate.agreements)
-    return state, candidate if n_inliers > MIN_TRACKED_RATIO * n_tracked else None
 
 
 def _is_plausible(state: JointState, candidate: PoseCandidate | None, predicted_pose: RigidTransform) -> bool:
@@ -218,3 +186,71 @@ def _confirm_pose(
     if is_partly_visible(state, candidate):
         return replace(state, motion=replace(state.motion, n_reobserved=state.motion.n_reobserved + 1)), None
     return state, candidate
+
+
+# --- motion of the cameras --------------------------------------------------------------------------------------------
+
+
+def compensate_camera_motion(
+    context: TrackerContext, state: JointState, images: FrameSet
+) -> tuple[JointState, FrameSet]:
+    """Compensate camera rotations in the images and record newly confirmed ones.
+
+    Images of cameras with an unconfirmed rotation are removed.
+
+    Returns:
+        the state; the images.
+    """
+    views = {camera.index: camera.motion_detector.stabilize(*camera.view_of(images)) for camera in context.cameras}
+    center, points = state.object.center, state.object.points
+    if center is not None:
+        points = points + center if state.frames.last is None else state.predict_pose(images.time).apply(points)
+    own_reports = [
+        camera.motion_detector.detect(views[camera.index][0], None if center is None else points, images.index)
+        for camera in context.cameras
+    ]
+    reports = context.executor.gather(own_reports, CameraMotionReport())
+    rotated = [c for c, report in enumerate(reports) if np.linalg.norm(report.rotation) > 0]
+    moving = [camera for camera in context.cameras if camera.index in rotated]
+    # Motion in most cameras at once is that of the object, or of all cameras. With one camera the two cannot be
+    # distinguished until the object's position is known.
+    n_changed, n = sum(report.has_changed for report in reports), len(context.rig)
+    if rotated and (n_changed > max(n // 2, 1) or (n == 1 and center is None)):
+        for camera in moving:
+            camera.motion_detector.restart(PAUSE_FRAMES)
+        rotated, moving = [], []
+    for camera in moving:
+        if reports[camera.index].is_confirmed:
+            camera.motion_detector.apply_correction()
+            views[camera.index] = camera.motion_detector.stabilize(*camera.view_of(images))
+        else:
+            views[camera.index] = (None, None)
+    confirmed = [(c, reports[c]) for c in rotated if reports[c].is_confirmed]
+    nudges = tuple(Nudge(c, report.first_frame, report.rotation, report.sd) for c, report in confirmed)
+    corrected = replace(
+        images,
+        images=context.spread(image for image, _ in views.values()),
+        masks=context.spread(mask for _, mask in views.values()),
+    )
+    return replace(state, nudges=(*state.nudges, *nudges)) if nudges else state, corrected
+
+
+def add_nudge_faults(context: TrackerContext, state: JointState, decided: Sequence[TrackedFrame]) -> list[TrackedFrame]:
+    """Add camera rotations up to each frame as faults, and their uncertainty to its pose."""
+    out = []
+    for tracked in decided:
+        before = [nudge for nudge in state.nudges if nudge.frame <= tracked.pose.index]
+        pose = tracked.pose
+        for nudge in before:
+            camera = context.rig.cameras[nudge.camera]
+            covariance = pose.covariance
+            if pose.world_from_object is not None:
+                distance = np.linalg.norm(pose.world_from_object.translation - camera.center)
+                covariance = covariance + np.diag(np.repeat([nudge.sd**2, (nudge.sd * distance) ** 2], 3))
+            fault = (
+                f"camera {camera.name} was nudged at frame {nudge.frame}: the background turned by "
+                f"{np.degrees(nudge.angle):.2g} degrees"
+            )
+            pose = replace(pose, covariance=covariance, faults=(*pose.faults, fault))
+        out.append(replace(tracked, pose=pose, nudges=tuple(before)) if before else tracked)
+    return out

@@ -13,8 +13,7 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.results import FramePose
 from sylpose.status import FrameStatus
-from sylpose.tracking.camera_side.frame import DetectedFeatures
-from sylpose.tracking.camera_side.observations import LandmarkObservations
+from sylpose.tracking.camera_side.frame import DetectedFeatures, LandmarkObservations
 from sylpose.tracking.context import Frame, TrackerContext
 from sylpose.tracking.joint_side.joint_state import Nudge
 

@@ -39,12 +39,10 @@ from sylpose.tracking.joint_side.joint_state import (
     MIN_FRAMES_TO_APPLY,
     JointState,
     PendingRefinement,
-    compute_pose_change,
-    enlarge_covariance,
-)
-from sylpose.tracking.joint_side.keyframes import (
     SolvedFrame,
+    compute_pose_change,
     compute_viewpoints,
+    enlarge_covariance,
     find_nearest_views,
     inherit_covariance,
 )

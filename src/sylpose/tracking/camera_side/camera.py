@@ -6,7 +6,7 @@ data and sends them only `reports`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -14,17 +14,24 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform
 
+from sylpose.features.klt import Tracks, start_tracks, to_gray, track_features
 from sylpose.features.sift import MAX_FAINT_FEATURES, MAX_FEATURES, Features, detect_features, find_static_features
 from sylpose.frames import FrameSet
-from sylpose.geometry.arrays import BoolArray, FloatArray
+from sylpose.geometry.arrays import BoolArray, FloatArray, Image, IntArray
+from sylpose.geometry.future import BackgroundResult
 from sylpose.landmarks.landmark_filter import Landmarks, LandmarkTable, update_landmarks
 from sylpose.matches import STATIC_PX
 from sylpose.rig import Camera, Rig
 from sylpose.tracking.camera_side.camera_motion import CameraMotionDetector, View
 from sylpose.tracking.camera_side.frame import (
+    SURFACE_DEPTH_SD_RATIO,
     CameraFrame,
     DetectedFeatures,
     FrameMatches,
+    LandmarkObservations,
+    MatchWeights,
+    Region,
+    ReobservedFeatures,
     collect_detected_features,
     collect_features,
     drop_background,
@@ -33,27 +40,13 @@ from sylpose.tracking.camera_side.frame import (
     match_frames,
     match_near_pose,
     omit_empty,
-)
-from sylpose.tracking.camera_side.klt_frontend import (
-    CameraAnchor,
-    NextAnchor,
-    TrackedFeatures,
-    advance_anchor,
-    create_anchor,
-    track_anchor,
-)
-from sylpose.tracking.camera_side.observations import (
-    SURFACE_DEPTH_SD_RATIO,
-    LandmarkObservations,
-    MatchWeights,
-    ReobservedFeatures,
+    rasterize_outline,
     record_observations,
     select_shown_matches,
 )
-from sylpose.tracking.camera_side.region import Region, rasterize_outline
-from sylpose.tracking.joint_side.keyframes import SolvedFrame
+from sylpose.tracking.joint_side.joint_state import KnownMotion, SolvedFrame
 from sylpose.tracking.joint_side.object_model import ObjectModel
-from sylpose.tracking.reports import PoseAgreement
+from sylpose.tracking.reports import PoseAgreement, TrackingReport
 
 # With so many landmarks of known depth they describe the surface better than the volume inside the boxes (choice).
 MIN_SURFACE_LANDMARKS = 20
@@ -73,6 +66,193 @@ MAX_SEARCH_PIXELS = 1920 * 1080
 SURROUNDINGS_SCALE = 2.0
 # Features closer than this, pixels, are the same (choice).
 DUPLICATE_PX = 1.5
+# Features per camera of an anchor (they are also used for matching, as anchors become keyframes); how many of them are
+# tracked; minimum number of new ones among those (choice).
+N_ANCHOR_FEATURES, MAX_TRACKED, MIN_NEW_FEATURES = 350, 170, 40
+# A new feature closer than this to a tracked one, pixels, is the same (choice).
+MIN_TRACK_DISTANCE_PX = 4.0
+# Lost features are searched again where their depth is known to this share of the object's radius (choice).
+MAX_DEPTH_SD_RATIO = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class CameraAnchor:
+    """One camera's side of an anchor: the tracks of its features.
+
+    Attributes:
+        number: of the anchor's frame.
+        frame: the camera's data of it.
+        tracks: one row per feature of the frame.
+        is_alive: (n,) False for features found not to be on the object.
+        image: the last one, grayscale; None before the camera's first.
+    """
+
+    number: int
+    frame: CameraFrame
+    tracks: Tracks
+    is_alive: BoolArray
+    image: Image | None
+
+
+@dataclass(frozen=True, eq=False)
+class TrackedFeatures:
+    """An anchor's features tracked in a camera's image.
+
+    Attributes:
+        anchor: the camera's anchor.
+        rows: (m,) indices of the anchor's features that were found.
+        features: these features, in the frame.
+        previous_pixels: (m, 2) their pixels in the previous frame; NaN for those that were lost there.
+        tracks: of all of the anchor's features.
+        image: the frame's, grayscale, or None.
+    """
+
+    anchor: CameraAnchor
+    rows: IntArray
+    features: Features
+    previous_pixels: FloatArray
+    tracks: Tracks
+    image: Image | None
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def match_with_anchor(self) -> FrameMatches:
+        """Return the matches with the anchor; tracked features come first in the frame."""
+        indices = np.column_stack([self.rows, np.arange(len(self.rows))])
+        return FrameMatches.from_indices(self.anchor.number, self.anchor.frame, self.features, indices)
+
+    def create_report(self, region: FloatArray | None) -> TrackingReport:
+        """Create the camera's report for `has_enough_tracks`.
+
+        Args:
+            region: (k, 2) the object's outline in the image, None if out of view.
+        """
+        expects_object = self.image is not None and region is not None
+        return TrackingReport(len(self), int(self.anchor.is_alive.sum()), expects_object, self.anchor.image is not None)
+
+
+@dataclass(frozen=True, eq=False)
+class NextAnchor:
+    """One camera's side of the next anchor, while it is prepared (`tracking.anchor_preparation`).
+
+    Attributes:
+        number: of its frame.
+        image: its image, grayscale.
+        camera: with its pose at that frame.
+        n_tracked: number of its features that are tracked.
+        rows: (n_tracked,) their indices in the previous anchor.
+        result: the new features and their matches (m, 2) with earlier frames, by number.
+    """
+
+    number: int
+    image: Image
+    camera: Camera
+    n_tracked: int
+    rows: IntArray
+    result: BackgroundResult[tuple[Features, dict[int, IntArray]]]
+
+
+def create_anchor(
+    number: int, current: CameraFrame, image: Image | None, tracked: TrackedFeatures | None
+) -> CameraAnchor:
+    """Create a camera's anchor from a solved frame.
+
+    Args:
+        image: the frame's.
+        tracked: features tracked up to it: the camera's first features. They keep their patches.
+    """
+    image = _to_grayscale(image) if tracked is None else tracked.image
+    known = 0 if tracked is None else len(tracked)
+    # Without an image no tracks can be started.
+    new = start_tracks(np.zeros((1, 1), np.uint8) if image is None else image, current.features.pixels[known:])
+    tracks = new if tracked is None else tracked.tracks.subset(tracked.rows).concatenate(new)
+    return CameraAnchor(number, current, tracks, select_tracked(tracks.tracked & ~current.background, known), image)
+
+
+def _to_grayscale(image: Image | None) -> Image | None:
+    return None if image is None else to_gray(image)
+
+
+def select_tracked(tracked: BoolArray, n_tracked: int) -> BoolArray:
+    """Select features (n,) to track: the first `n_tracked`, and some of the others spread over the list."""
+    new = n_tracked + np.flatnonzero(tracked[n_tracked:])
+    n_wanted = max(MAX_TRACKED - n_tracked, MIN_NEW_FEATURES)
+    is_selected = tracked.copy()
+    is_selected[n_tracked:] = False
+    is_selected[new if len(new) <= n_wanted else new[np.arange(n_wanted) * len(new) // n_wanted]] = True
+    return is_selected
+
+
+def advance_anchor(
+    tracked: TrackedFeatures, pairs: Sequence[FrameMatches], weights: Sequence[FloatArray]
+) -> CameraAnchor:
+    """Return the anchor after a frame solved by its features alone: outliers are dropped."""
+    anchor, alive = tracked.anchor, tracked.anchor.is_alive.copy()
+    for pair, w in zip(pairs, weights, strict=True):
+        alive[pair.indices[w == 0, 0]] = False
+    image = anchor.image if tracked.image is None else tracked.image
+    return CameraAnchor(anchor.number, anchor.frame, tracked.tracks, alive, image)
+
+
+def track_anchor(
+    anchor: CameraAnchor,
+    camera: Camera,
+    last_pose: RigidTransform,
+    predicted_pose: RigidTransform,
+    image: Image | None,
+    mask: BoolArray | None,
+    radius: float,
+) -> TrackedFeatures:
+    """Track an anchor's features in the camera's next image.
+
+    Args:
+        last_pose: world_from_object of the last image with tracks.
+        predicted_pose: predicted world_from_object.
+        image: the frame's.
+        mask: (h, w), True on the object.
+        radius: of the object.
+    """
+    tracks, alive = anchor.tracks, np.flatnonzero(anchor.is_alive)
+    if image is None or anchor.image is None or not len(alive):
+        nothing = np.empty(0, np.int64), Features.empty(), np.empty((0, 2))
+        return TrackedFeatures(anchor, *nothing, tracks, _to_grayscale(image))
+    landmarks, tracked = anchor.frame.table.get(anchor.frame.landmark_ids[alive]), tracks.tracked[alive]
+    expected, last_pixels = (camera.project(pose.apply(landmarks.mean)) for pose in (predicted_pose, last_pose))
+    lost = np.flatnonzero(~tracked)
+    is_uncertain = landmarks.subset(lost).depth_sd >= MAX_DEPTH_SD_RATIO * radius
+    # A feature's last pixel is known better than its landmark's projection; the projection gives the expected motion
+    # only.
+    image, guess = to_gray(image), np.full((len(tracks), 2), np.nan)
+    guess[alive] = np.where(tracked[:, None], tracks.pixels[alive] + expected - last_pixels, expected)
+    guess[alive[lost[is_uncertain]]] = np.nan
+    tracks = track_features(tracks.keep(anchor.is_alive), anchor.image, image, guess)
+    rows = np.flatnonzero(tracks.tracked)
+    if mask is not None:
+        column, row = np.round(tracks.pixels[rows]).astype(np.int64).T
+        rows = rows[mask[row, column]]
+    pixels = tracks.pixels[rows]
+    old = anchor.frame.features
+    features = Features(pixels, camera.normalize_to_grid(pixels), old.descriptors[rows], old.faint[rows])
+    return TrackedFeatures(anchor, rows, features, anchor.tracks.pixels[rows], tracks, image)
+
+
+def append_new_features(
+    tracked: TrackedFeatures, detected: Features, background: BoolArray, max_features: int = N_ANCHOR_FEATURES
+) -> Features:
+    """Append detected features that are not near tracked ones.
+
+    Args:
+        background: (n,) which detected features are known to be background.
+        max_features: maximum total number, but at least `MIN_NEW_FEATURES` detected features are added.
+    """
+    a, b = tracked.features, detected.subset(~background)
+    if len(a) and len(b):
+        b = b.subset(cKDTree(a.pixels).query(b.pixels)[0] > MIN_TRACK_DISTANCE_PX)
+    n_wanted = max(max_features - len(a), MIN_NEW_FEATURES)
+    if len(b) > n_wanted:
+        b = b.subset(np.arange(n_wanted) * len(b) // n_wanted)
+    return Features.concatenate([a, b])
 
 
 def compute_static_px(noise_px: float) -> float:
@@ -113,9 +293,8 @@ class AcceptedPose:
         solved: the frame.
         images: its images.
         rig: the cameras with their poses at this frame.
-        known_frames: solved frames before it, by number.
+        motion: motion of the object from the solved frames before it.
         last_number: number of the last solved frame before it.
-        radius: of the object.
         agreements: per camera of the rig, how its matches agree with the pose.
         is_muted: (C,) cameras whose landmarks are not updated.
         has_moved: whether the object has been observed to move.
@@ -125,9 +304,8 @@ class AcceptedPose:
     solved: SolvedFrame
     images: FrameSet
     rig: Rig
-    known_frames: Mapping[int, SolvedFrame]
+    motion: KnownMotion
     last_number: int
-    radius: float
     agreements: Sequence[PoseAgreement]
     is_muted: BoolArray
     has_moved: bool
@@ -306,7 +484,7 @@ class CameraTracker:
     def track_anchor(
         self, images: FrameSet, last_pose: RigidTransform, predicted_pose: RigidTransform, radius: float
     ) -> TrackedFeatures:
-        """Track the anchor's features in the next image. See `klt_frontend.track_anchor`."""
+        """Track the anchor's features in the next image. See `track_anchor`."""
         assert self.anchor is not None
         return track_anchor(self.anchor, self.camera, last_pose, predicted_pose, *self.view_of(images), radius)
 
@@ -318,13 +496,21 @@ class CameraTracker:
         return omit_empty([match_frames(number, self.frames[number], current) for number in references])
 
     def match_all(
-        self, current: CameraFrame, tracked: TrackedFeatures | None, references: Sequence[int]
+        self,
+        current: CameraFrame,
+        tracked: TrackedFeatures | None,
+        references: Sequence[int],
+        motion: KnownMotion | None,
     ) -> list[FrameMatches]:
-        """Match tracked features with the anchor and others with earlier frames; record what was detected."""
+        """Match tracked features with the anchor and others with earlier frames; record what was detected.
+
+        Args:
+            motion: predicted motion, by which background is dropped; None while it is unknown.
+        """
         pairs = [tracked.match_with_anchor()] if tracked is not None and len(tracked) else []
         pairs += self.match(current, references)
         self.detections = collect_detected_features(current.features, pairs)
-        return pairs
+        return pairs if motion is None else drop_background(pairs, current, self.camera, motion)
 
     def match_near(
         self,
@@ -358,23 +544,6 @@ class CameraTracker:
         )
         return near, float(np.mean(by_chance))
 
-    def drop_background(
-        self,
-        pairs: Sequence[FrameMatches],
-        current: CameraFrame,
-        poses: Mapping[int, RigidTransform],
-        predicted_pose: RigidTransform,
-        radius: float,
-    ) -> list[FrameMatches]:
-        """Remove matches that are background according to the predicted motion. See `frame.drop_background`.
-
-        Args:
-            poses: world_from_object of the earlier frames.
-        """
-        return omit_empty(
-            drop_background(pair, current, self.camera, poses[pair.reference], predicted_pose, radius) for pair in pairs
-        )
-
     # --- update after a frame is accepted -----------------------------------------------------------------------------
 
     def initialize(self, first: SolvedFrame, current: CameraFrame, background: Features, images: FrameSet) -> None:
@@ -388,11 +557,13 @@ class CameraTracker:
             self.table.update(solution.first_landmarks)
         if accepted.is_muted[self.index]:
             return ReobservedFeatures.empty()
-        current, pose = solution.current, accepted.solved.world_from_object
+        current = solution.current
         if accepted.has_new_features:
-            self.learn_background(solution.pairs, current, pose, accepted.known_frames, accepted.radius)
+            self.learn_background(solution.pairs, current, accepted.motion)
         self.update_noise(accepted.agreements[self.index].residual_px)
-        return ReobservedFeatures.from_matches(solution.pairs, solution.weights, current.static_px, accepted.radius)
+        return ReobservedFeatures.from_matches(
+            solution.pairs, solution.weights, current.static_px, accepted.motion.radius
+        )
 
     def update_map(
         self,
@@ -415,12 +586,14 @@ class CameraTracker:
         number, is_muted = accepted.solved.number, accepted.is_muted[self.index]
         current, tracked = self.create_empty_frame() if is_muted else solution.current, solution.tracked
         pose, weights = accepted.solved.world_from_object, [w for w, _ in solution.weights]
-        self.update_landmarks(current, accepted.rig.cameras[self.index], pose, reobserved, model)
         if tracked is not None and not accepted.has_new_features:
             # Until the object has moved, disagreeing features may be the object's and the others background.
             is_judged = accepted.has_moved and not is_muted
             self.anchor = advance_anchor(tracked, solution.pairs if is_judged else [], weights if is_judged else [])
-        self._store_frame(number, current, kept, self.view_of(accepted.images))
+        self.update_landmarks(current, accepted.rig.cameras[self.index], pose, reobserved, model)
+        self.frames[number], self.view = current, self.view_of(accepted.images)
+        self.frames = {k: frame for k, frame in self.frames.items() if k in kept}
+        self.table.prune(np.concatenate([frame.landmark_ids for frame in self.frames.values()]))
         if begins_anchor:
             self.set_anchor(number, accepted.images, None if is_muted else tracked)
         before = None if tracked is None else tracked.previous_pixels
@@ -431,23 +604,11 @@ class CameraTracker:
             detected,
         )
 
-    def learn_background(
-        self,
-        pairs: Sequence[FrameMatches],
-        current: CameraFrame,
-        pose_j: RigidTransform,
-        known_frames: Mapping[int, SolvedFrame],
-        radius: float,
-    ) -> None:
-        """Mark features as background that were static while the object moved.
-
-        Args:
-            pose_j: the current world_from_object.
-        """
+    def learn_background(self, pairs: Sequence[FrameMatches], current: CameraFrame, motion: KnownMotion) -> None:
+        """Mark features as background that were static while the object moved."""
         before = current.background.copy()
         for pair in pairs:
-            pose_i = known_frames[pair.reference].world_from_object
-            mark_background(pair, current, find_background(pair, current, self.camera, pose_i, pose_j, radius))
+            mark_background(pair, current, find_background(pair, current, self.camera, motion))
         background = current.features.subset(current.background & ~before)
         if len(self.background_features) < MAX_BACKGROUND_FEATURES:
             self.background_features = Features.concatenate([self.background_features, background])
@@ -488,13 +649,7 @@ class CameraTracker:
         """Compute a frame's landmarks as if they were observed in this frame only. See `update_landmarks`."""
         own, none = self.frames[frame.number], ReobservedFeatures.empty()
         new = update_landmarks(
-            own.features,
-            frame_camera,
-            frame.world_from_object,
-            none.landmarks,
-            none.index,
-            model.points,
-            model.radius,
+            own.features, frame_camera, frame.world_from_object, none.landmarks, none.index, model.points, model.radius
         )
         return replace(new, id=own.landmark_ids)
 
@@ -523,13 +678,7 @@ class CameraTracker:
             np.concatenate([old.landmark_ids, self.table.update(new)]),
         )
 
-    def _store_frame(self, number: int, current: CameraFrame, kept: set[int], view: View) -> None:
-        """Store a solved frame and its image; discard frames whose numbers are not listed."""
-        self.frames[number], self.view = current, view
-        self.frames = {k: frame for k, frame in self.frames.items() if k in kept}
-        self.table.prune(np.concatenate([frame.landmark_ids for frame in self.frames.values()]))
-
     def set_anchor(self, number: int, images: FrameSet, tracked: TrackedFeatures | None) -> None:
-        """Make a solved frame the anchor. See `klt_frontend.create_anchor`."""
+        """Make a solved frame the anchor. See `create_anchor`."""
         image = images.images[self.index]
         self.anchor, self.next_anchor = create_anchor(number, self.frames[number], image, tracked), None

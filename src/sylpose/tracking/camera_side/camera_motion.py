@@ -2,7 +2,7 @@
 
 Corners all over the image are observed (`features.static_background`). If nearly all static ones move by one rotation
 about the camera's center, outside the object's region, the camera was nudged. The decision is made with all cameras
-(`camera_motion_correction`).
+(`tracking.state_machine`).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from sylpose.features.static_background import (
 )
 from sylpose.geometry.arrays import BoolArray, FloatArray, Image
 from sylpose.rig import Camera
-from sylpose.tracking.camera_side.region import REGION_MARGIN, project_outline, rasterize_outline
+from sylpose.tracking.camera_side.frame import REGION_MARGIN, project_outline, rasterize_outline
 from sylpose.tracking.reports import CameraMotionReport
 
 # An image, and the object's mask (h, w) in it.

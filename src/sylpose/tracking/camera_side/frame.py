@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
+import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.features.sift import Features, match_features, match_guided
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
+from sylpose.geometry.matrices import rotation_matrix_of
+from sylpose.geometry.robust_loss import SIGMA_OF_MEDIAN
+from sylpose.landmarks.alignment import LandmarkMatches
+from sylpose.landmarks.camera_terms import CUTOFF, REFERENCE_NOISE_PX
 from sylpose.landmarks.landmark_filter import Landmarks, LandmarkTable
 from sylpose.matches import STATIC_PX
-from sylpose.relative_pose.terms import TermData
+from sylpose.relative_pose.observability import is_more_than_chance
+from sylpose.relative_pose.terms import MIN_MATCHES, TermData
 from sylpose.rig import Camera
+from sylpose.tracking.joint_side.joint_state import KnownMotion, SolvedFrame
+from sylpose.tracking.reports import InlierStatistics, LandmarkAges, PoseAgreement
 
 # A feature that is static where the object's surface moved by this many pixels is background (choice).
 BACKGROUND_PX = 4.0
@@ -24,6 +33,63 @@ MAX_FAINT_STATIC_PX, MAX_STATIC_RATIO = 4.0, 0.2
 DEPTH_SEARCH_SDS = 2.0
 # Points are added to the object's cloud once their depth is known to this relative precision (choice).
 MAX_RELATIVE_DEPTH_SD = 0.1
+# An outline (k, 2) in pixels; None: out of view.
+Region = FloatArray | None
+# Margin of the object's search region, as a share of its size in the image (choice).
+REGION_MARGIN = 0.15
+# Directions in which an outline is dilated (choice).
+DILATION_DIRECTIONS = np.array([[np.cos(angle), np.sin(angle)] for angle in np.linspace(0, 2 * np.pi, 9)[:-1]])
+# Default arrays.
+_no_pixels = partial(np.empty, (0, 2))
+_no_indices: Callable[[], IntArray] = partial(np.array, [], np.int64)
+# For one camera: (weights, residuals in pixels) of each of its pairs.
+MatchWeights = list[tuple[FloatArray, FloatArray]]
+# Weight of a static landmark that never moved, while others move: boxes may contain ten times as much wall as object
+# (choice).
+STATIC_WEIGHT = 0.005
+# Motion is more than noise if this share of all landmarks moves (choice).
+MIN_MOVING_RATIO = 0.06
+# Landmarks with less weight, such as young ones among old, do not support a pose (choice).
+MIN_EVIDENCE_WEIGHT = 0.06
+# An inlier share this large does not occur by chance (choice).
+MIN_CERTAIN_INLIER_RATIO = 0.8
+# Landmarks whose depth is known to this share of the object's radius describe its surface (choice).
+SURFACE_DEPTH_SD_RATIO = 0.1
+# A landmark has moved with the object if the pose leaves at most this share of its displacement since its first
+# observation unexplained (choice).
+MAX_UNEXPLAINED_RATIO = 0.5
+
+
+def project_outline(camera: Camera, points: FloatArray, margin_ratio: float) -> Region:
+    """Return the dilated outline of world points in a camera's image.
+
+    Args:
+        points: (n, 3) world.
+        margin_ratio: margin on every side, as a share of the outline's longer side; at least 12 pixels.
+
+    Returns:
+        (k, 2) pixels, convex; None if the points are out of view.
+    """
+    pixels = camera.project(points)
+    size = np.array(camera.size)
+    # Lens models fold back far outside the image: projections there are invalid.
+    pixels = pixels[((pixels > -size) & (pixels < 2 * size)).all(axis=1)]
+    if len(pixels) < 3:
+        return None
+    margin = max(12.0, margin_ratio * float(np.ptp(pixels, axis=0).max()))
+    if (pixels.max(axis=0) + margin < 0).any() or (pixels.min(axis=0) - margin > size - 1).any():
+        return None
+    hull = cv2.convexHull(pixels.astype(np.float32)).reshape(-1, 2)
+    widened = (hull[:, None] + margin * DILATION_DIRECTIONS).reshape(-1, 2).astype(np.float32)
+    return np.asarray(cv2.convexHull(widened).reshape(-1, 2), dtype=float)
+
+
+def rasterize_outline(outline: Region, size: tuple[int, int]) -> BoolArray:
+    """Return a mask (h, w), True inside the outline (k, 2); all False without one."""
+    mask = np.zeros((size[1], size[0]), np.uint8)
+    if outline is not None:
+        cv2.fillConvexPoly(mask, np.round(outline).astype(np.int32), 1)
+    return mask.astype(bool)
 
 
 @dataclass(eq=False)
@@ -41,7 +107,7 @@ class CameraFrame:
     features: Features
     background: BoolArray
     table: LandmarkTable
-    landmark_ids: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    landmark_ids: IntArray = field(default_factory=_no_indices)
     static_px: float = STATIC_PX
 
     @property
@@ -95,11 +161,6 @@ class FrameMatches:
         """(n) landmarks of the matches, from the earlier frame."""
         return self.earlier.table.get(self.earlier.landmark_ids[self.indices[:, 0]])
 
-    @property
-    def observation_counts(self) -> IntArray:
-        """(n,) number of frames in which each match's landmark was observed."""
-        return self.earlier.table.observation_counts(self.earlier.landmark_ids[self.indices[:, 0]])
-
     def to_term(self, index: int, camera: Camera, previous_from_reference: RigidTransform | None = None) -> TermData:
         """Return the matches as a term of a motion estimate.
 
@@ -122,8 +183,8 @@ class DetectedFeatures:
         rejected: (m, 2) features that match known landmarks but do not agree with the pose, or without a pose.
     """
 
-    features: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
-    rejected: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+    features: FloatArray = field(default_factory=_no_pixels)
+    rejected: FloatArray = field(default_factory=_no_pixels)
 
 
 def collect_detected_features(
@@ -212,52 +273,38 @@ def measure_displacement(landmarks: Landmarks, pixels: FloatArray) -> FloatArray
     return np.asarray(np.linalg.norm(pixels - landmarks.origin, axis=1))
 
 
-def find_background(
-    pair: FrameMatches,
-    current: CameraFrame,
-    camera: Camera,
-    pose_i: RigidTransform,
-    pose_j: RigidTransform,
-    radius: float,
-) -> BoolArray:
-    """Return which matches (n,) are static where a point on the object moved.
-
-    Args:
-        pose_i, pose_j: world_from_object.
-        radius: of the object.
-    """
+def find_background(pair: FrameMatches, current: CameraFrame, camera: Camera, motion: KnownMotion) -> BoolArray:
+    """Return which matches (n,) are static where a point on the object moved."""
     is_background = find_static(pair, current.static_px)
     at = np.flatnonzero(is_background)
-    moved = _min_motion_px(pair.pixels_i[at], pair.normalized_i[at], camera, pose_i, pose_j, radius)
+    moved = _min_motion_px(pair, at, camera, motion)
     is_background[at] = moved > BACKGROUND_PX - STATIC_PX + current.static_px
     return is_background
 
 
 def drop_background(
-    pair: FrameMatches,
-    current: CameraFrame,
-    camera: Camera,
-    reference_pose: RigidTransform,
-    predicted_pose: RigidTransform,
-    radius: float,
-) -> FrameMatches:
-    """Remove static, never moved matches where a point on the object would have moved.
+    pairs: Sequence[FrameMatches], current: CameraFrame, camera: Camera, motion: KnownMotion
+) -> list[FrameMatches]:
+    """Remove static, never moved matches where a point on the object would have moved; omit pairs without others.
 
     They are marked as background as in `mark_background`, before the pose is known.
 
     Args:
-        predicted_pose: predicted world_from_object. An object that stops instead is still tracked by landmarks that
-            have moved.
+        motion: predicted motion. An object that stops instead is still tracked by landmarks that have moved.
     """
-    displacement = np.linalg.norm(pair.pixels_i - pair.pixels_j, axis=1)
-    background = (displacement < MAX_FAINT_STATIC_PX) & ~pair.landmarks.has_moved
-    if not background.any():
-        return pair
-    at = np.flatnonzero(background)
-    moved = _min_motion_px(pair.pixels_i[at], pair.normalized_i[at], camera, reference_pose, predicted_pose, radius)
-    background[at] = (moved > BACKGROUND_PX) & (displacement[at] < np.maximum(MAX_STATIC_RATIO * moved, STATIC_PX))
-    mark_background(pair, current, background)
-    return pair.subset(~background)
+    remaining = []
+    for pair in pairs:
+        displacement = np.linalg.norm(pair.pixels_i - pair.pixels_j, axis=1)
+        background = (displacement < MAX_FAINT_STATIC_PX) & ~pair.landmarks.has_moved
+        if not background.any():
+            remaining.append(pair)
+            continue
+        at = np.flatnonzero(background)
+        moved = _min_motion_px(pair, at, camera, motion)
+        background[at] = (moved > BACKGROUND_PX) & (displacement[at] < np.maximum(MAX_STATIC_RATIO * moved, STATIC_PX))
+        mark_background(pair, current, background)
+        remaining.append(pair.subset(~background))
+    return omit_empty(remaining)
 
 
 def mark_background(pair: FrameMatches, current: CameraFrame, is_background: BoolArray) -> None:
@@ -271,22 +318,12 @@ def mark_others_as_background(pairs: Sequence[FrameMatches], current: CameraFram
     current.background[np.setdiff1d(np.arange(len(current.features)), collect_features(pairs))] = True
 
 
-def _min_motion_px(
-    pixels: FloatArray,
-    normalized: FloatArray,
-    camera: Camera,
-    pose_i: RigidTransform,
-    pose_j: RigidTransform,
-    radius: float,
-) -> FloatArray:
-    """Return the least image motion (n,) of points on the object, over its depth range, pixels.
-
-    Args:
-        pixels: (n, 2) observations.
-        normalized: (n, 2) the same, normalized.
-    """
+def _min_motion_px(pair: FrameMatches, at: IntArray, camera: Camera, motion: KnownMotion) -> FloatArray:
+    """Return the least image motion (m,) of points on the object at some matches (m,), over its depth range, pixels."""
+    pixels, normalized, radius = pair.pixels_i[at], pair.normalized_i[at], motion.radius
+    pose_i = motion.earlier[pair.reference]
     middle = camera.camera_from_world.apply(pose_i.translation)[2]
-    moves = pose_j.as_matrix() @ pose_i.inv().as_matrix() @ camera.camera_from_world.inv().as_matrix()
+    moves = motion.pose.as_matrix() @ pose_i.inv().as_matrix() @ camera.camera_from_world.inv().as_matrix()
     along = np.column_stack([normalized, np.ones(len(normalized))]) @ moves[:3, :3].T
     moved = np.full(len(pixels), np.inf)
     for depth in (middle - radius, middle, middle + radius):
@@ -316,3 +353,348 @@ def triangulate(pair: FrameMatches, camera: Camera, pose_i: RigidTransform, pose
     offset = end - start
     s = np.einsum("ni,ni->n", np.cross(offset, v[good]), across[good]) / square[good]
     return np.asarray((start + s[:, None] * u[good])[s > 0])
+
+
+# --- observations of landmarks ----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class LandmarkObservations:
+    """One camera's landmark observations in one frame, input to the joint refinement of all poses.
+
+    Attributes:
+        landmark_ids: (n,) landmark numbers, unique per camera and object feature.
+        normalized: (n, 2) undistorted normalized image points.
+        positions: (n, 3) estimated landmark positions, object's frame.
+        has_moved: (n,) whether the landmark is known to have moved with the object; otherwise it may be background.
+    """
+
+    landmark_ids: IntArray
+    normalized: FloatArray
+    positions: FloatArray
+    has_moved: BoolArray
+
+
+def build_observations(
+    camera: Camera, pairs: Sequence[FrameMatches], current: CameraFrame, previous: SolvedFrame
+) -> tuple[LandmarkMatches, BoolArray, LandmarkAges]:
+    """Build a camera's landmark observations relative to the object's last pose.
+
+    Args:
+        camera: with its pose at this frame.
+        pairs: matches with earlier frames.
+
+    Returns:
+        the observations, with the number of frames of each landmark in place of its weight; (n,) whether the landmark
+        has moved with the object or is displaced from where it was first observed; a summary of the landmarks' ages.
+    """
+    index = collect_features(pairs)
+    landmarks = Landmarks.concatenate([pair.landmarks for pair in pairs])
+    counts = [pair.earlier.table.observation_counts(pair.earlier.landmark_ids) for pair in pairs]
+    rotation, center = rotation_matrix_of(previous.world_from_object), previous.world_from_object.translation
+    points, error = landmarks.mean @ rotation.T, landmarks.depth_error @ rotation.T
+    outwards = np.sign(np.einsum("ni,ni->n", error, points + center - camera.center))
+    # Age of each feature in frames: that of its oldest landmark.
+    frame_counts = np.zeros(int(index.max(initial=-1)) + 1)
+    np.maximum.at(frame_counts, index, landmarks.n_observations)
+    displacement = measure_displacement(landmarks, current.features.pixels[index])
+    is_moving = (displacement > current.static_px) | landmarks.has_moved
+    observations = LandmarkMatches(
+        points=points,
+        depth_error=error * outwards[:, None],
+        image=current.features.normalized[index],
+        feature=index,
+        prior_weight=frame_counts[index],
+        rotation=camera.rotation,
+        center=camera.center - center,
+        focal=camera.focal,
+    )
+    oldest = max((int(own.max(initial=0)) for own in counts), default=0)
+    depth_sd = float(np.median(np.linalg.norm(observations.depth_error, axis=1))) if len(index) else np.nan
+    ages = count_ages(observations.prior_weight, int(is_moving.sum()), oldest, depth_sd)
+    return observations, is_moving, ages
+
+
+# --- ages of landmarks ------------------------------------------------------------------------------------------------
+
+
+def count_ages(frame_counts: FloatArray, n_moving: int = 0, oldest: int = 0, depth_sd: float = np.nan) -> LandmarkAges:
+    """Build the histogram from each landmark's number of frames (n,)."""
+    counts = np.bincount(frame_counts.astype(np.int64))
+    values = np.flatnonzero(counts)
+    return LandmarkAges(values.astype(float), counts[values].astype(float), n_moving, oldest, depth_sd)
+
+
+def expand_ages(ages_by_camera: Sequence[LandmarkAges]) -> FloatArray:
+    """Return the sorted ages (n,) of all cameras' landmarks, in frames."""
+    values = np.concatenate([ages.values for ages in ages_by_camera])
+    return np.sort(np.repeat(values, np.concatenate([ages.counts for ages in ages_by_camera]).astype(np.int64)))
+
+
+def compute_full_weight_age(ages_by_camera: Sequence[LandmarkAges]) -> float:
+    """Return the age in frames at which a landmark gets full weight, from the ages of all cameras' landmarks."""
+    ages = expand_ages(ages_by_camera)
+    return float(np.quantile(ages, 0.75)) if len(ages) else 1.0
+
+
+def has_enough_motion(ages_by_camera: Sequence[LandmarkAges]) -> bool:
+    """Return whether enough landmarks have moved for static ones to be background.
+
+    At least two cameras must see it, if there are two, since something may pass in front of one.
+    """
+    total = [float(ages.counts.sum()) for ages in ages_by_camera]
+    seeing = [ages.n_moving for ages, n in zip(ages_by_camera, total, strict=True) if n >= MIN_MATCHES]
+    cameras = sum(2 * moving >= MIN_MATCHES for moving in seeing)
+    return sum(seeing) >= max(MIN_MATCHES, MIN_MOVING_RATIO * sum(total)) and cameras >= min(2, len(seeing))
+
+
+# --- agreement with a pose ----------------------------------------------------------------------------------------------
+
+
+def weight_observations(
+    observations: LandmarkMatches, is_moving: BoolArray, full_weight_age: float, static_weight: float
+) -> LandmarkMatches:
+    """Replace the ages in the observations of `build_observations` by weights.
+
+    Landmarks that have long moved with the object get more weight than new ones (on a hand, for example).
+
+    Args:
+        full_weight_age: age of full weight.
+        static_weight: factor for static landmarks that never moved.
+    """
+    return replace(
+        observations,
+        prior_weight=np.minimum(observations.prior_weight / full_weight_age, 1.0) ** 2
+        * np.where(is_moving, 1.0, static_weight),
+    )
+
+
+def split_by_pair(weights: FloatArray, residuals: FloatArray, pairs: Sequence[FrameMatches]) -> MatchWeights:
+    """Split the weights and residuals (n,) of a camera's observations by pair."""
+    cuts = np.cumsum([len(pair) for pair in pairs])[:-1]
+    return list(zip(np.split(weights, cuts), np.split(residuals, cuts), strict=True)) if len(pairs) else []
+
+
+def compute_inlier_statistics(
+    observations: LandmarkMatches,
+    weights: FloatArray,
+    residuals: FloatArray,
+    rotation: FloatArray,
+    translation: FloatArray,
+    current: CameraFrame,
+) -> InlierStatistics:
+    """Count a camera's features that agree with a pose, and those expected by chance.
+
+    A random match agrees when it falls into the inlier ellipse around its landmark's projection. The probability is the
+    ellipse's share of the region covered by the camera's features. Landmarks of low weight are not counted.
+    """
+    matches = int((weights > 0).sum())
+    if not len(observations.image):
+        return InlierStatistics(matches)
+    is_evidence = observations.prior_weight > MIN_EVIDENCE_WEIGHT
+    is_inlier = (weights > 0) & is_evidence
+    sigma = (
+        np.sqrt(np.mean(residuals[is_inlier] ** 2)) / observations.focal
+        if is_inlier.any()
+        else 1.0 / observations.focal
+    )
+    along = compute_depth_smear(observations, rotation, translation)
+    region = float(np.prod(np.ptp(current.features.normalized, axis=0)))
+    share = np.minimum(np.pi * CUTOFF**2 * sigma * np.hypot(sigma, along) / max(region, 1e-12), 1.0)
+    # A feature matched with several landmarks is counted once.
+    expected_by_chance = float(
+        share[is_evidence].sum() / max(np.bincount(observations.feature[is_evidence]).max(initial=0), 1)
+    )
+    inliers, tried = (_count_unique(observations.feature[chosen]) for chosen in (is_inlier, is_evidence))
+    return InlierStatistics(matches, inliers, tried, expected_by_chance, 3)
+
+
+def is_explained_by_chance(statistics: Sequence[InlierStatistics]) -> bool:
+    """Return whether random matches would agree with a pose about as often.
+
+    The pose has six unknowns, plus those of each camera's depth model.
+    """
+    inliers, tried = sum(one.n_inlier_features for one in statistics), sum(one.n_features for one in statistics)
+    n_unknowns = 6 + sum(one.n_unknowns for one in statistics)
+    expected = sum(one.expected_by_chance for one in statistics)
+    return inliers < MIN_CERTAIN_INLIER_RATIO * tried and not is_more_than_chance(inliers, expected, n_unknowns)
+
+
+def compute_support(observations: LandmarkMatches, weights: FloatArray, residuals: FloatArray) -> float:
+    """Return the weighted number of matches that agree with a pose by epipolar distance.
+
+    The noise level is fixed, so values are comparable between poses of the same observations, whatever noise each was
+    fitted with.
+    """
+    near = np.maximum(1.0 - (residuals / (CUTOFF * REFERENCE_NOISE_PX)) ** 2, 0.0) ** 2
+    return float((observations.prior_weight * np.where(weights > 0, near, 0.0)).sum())
+
+
+def compute_depth_smear(observations: LandmarkMatches, rotation: FloatArray, translation: FloatArray) -> FloatArray:
+    """Return the image motion (n,) for one standard deviation of a landmark's depth, normalized units."""
+    ends = [
+        (observations.points + k * observations.depth_error) @ rotation.T + translation - observations.center
+        for k in (0, 1)
+    ]
+    near, far = (p @ observations.rotation.T for p in ends)
+    return np.asarray(np.linalg.norm(near[:, :2] / near[:, 2:] - far[:, :2] / far[:, 2:], axis=1))
+
+
+def measure_agreement(
+    pairs: Sequence[FrameMatches], match_weights: MatchWeights, current: CameraFrame
+) -> PoseAgreement:
+    """Summarize one camera's agreement with a solution."""
+    inliers = select_inliers(pairs, [w for w, _ in match_weights])
+    squares = np.concatenate([np.empty(0), *(r[w > 0] ** 2 for w, r in match_weights)])
+    indices, tried = collect_features(inliers), collect_features(pairs)
+    is_inlier = np.concatenate([np.empty(0, bool), *(w > 0 for w, _ in match_weights)])
+    all_landmarks = Landmarks.concatenate([pair.landmarks for pair in pairs])
+    inlier_landmarks = all_landmarks.subset(is_inlier)
+    is_moving = np.concatenate([np.empty(0, bool), *(~find_static(pair) for pair in inliers)])
+    return PoseAgreement(
+        n_inlier_matches=len(indices),
+        n_matches=len(tried),
+        references=tuple(pair.reference for pair in pairs),
+        weights=tuple(float(w.sum()) for w, _ in match_weights),
+        ages=count_ages(inlier_landmarks.n_observations.astype(float)),
+        n_inlier_features=_count_unique(indices),
+        n_moved=_count_unique(indices[find_moved(inliers, inlier_landmarks, match_weights, current.static_px)]),
+        n_known_moved=_count_unique(tried[all_landmarks.has_moved]),
+        residual_px=float(np.sqrt(squares.mean())) if len(squares) else np.nan,
+        has_features=len(current.features) > 0,
+        n_strong=_count_unique(indices[~current.features.faint[indices]]),
+        noise_px=estimate_noise(np.sqrt(squares)),
+        n_moving=_count_unique(indices[is_moving]),
+        n_features=_count_unique(tried),
+    )
+
+
+def _count_unique(features: IntArray) -> int:
+    """Count unique features."""
+    return int(np.count_nonzero(np.bincount(features)))
+
+
+def estimate_noise(residuals: FloatArray) -> float:
+    """Estimate the standard deviation of inlier residuals (n,); NaN without any.
+
+    It is the rms, or the median-based estimate if smaller, since a few of many low-contrast features may be far off.
+    """
+    if not len(residuals):
+        return np.nan
+    return float(min(np.sqrt(np.mean(residuals**2)), SIGMA_OF_MEDIAN * np.median(np.abs(residuals))))
+
+
+@dataclass(frozen=True, eq=False)
+class ReobservedFeatures:
+    """Features of one camera's frame that were observed before.
+
+    Attributes:
+        inliers: their matches with earlier frames.
+        index: (k,) into the frame's features.
+        landmarks: (k) the most certain landmark that each is matched with.
+        surface_points: (m, 3) positions of landmarks certain enough to describe the surface.
+    """
+
+    inliers: Sequence[FrameMatches]
+    index: IntArray
+    landmarks: Landmarks
+    surface_points: FloatArray
+
+    @classmethod
+    def empty(cls) -> ReobservedFeatures:
+        """Return an empty set: all features are new."""
+        return cls([], np.empty(0, np.int64), Landmarks.empty(), np.empty((0, 3)))
+
+    @classmethod
+    def from_matches(
+        cls, pairs: Sequence[FrameMatches], match_weights: MatchWeights, static_px: float, radius: float
+    ) -> ReobservedFeatures:
+        """Build from a frame's matches that agree with its pose.
+
+        A landmark has moved if any landmark matched with its feature has, or if it moves now: it agrees with the pose,
+        far from where it was first observed.
+
+        Args:
+            match_weights: weights and residuals, pixels, (n,) per pair.
+            static_px: smaller displacements may be static.
+            radius: of the object.
+        """
+        inliers = select_inliers(pairs, [w for w, _ in match_weights])
+        if not inliers:
+            return cls.empty()
+        landmarks = Landmarks.concatenate([pair.landmarks for pair in inliers])
+        index, sd = collect_features(inliers), landmarks.depth_sd
+        # Of equally certain landmarks the oldest is used: rounding, which differs between machines, must not decide.
+        order = np.lexsort((landmarks.id, sd.astype(np.float32), index))
+        _, first = np.unique(index[order], return_index=True)
+        pick = order[first]
+        has_moved = find_moved(inliers, landmarks, match_weights, static_px)
+        has_feature_moved = np.zeros(int(index.max()) + 1, bool)
+        np.logical_or.at(has_feature_moved, index, has_moved)
+        # The origin is that of the oldest landmark matched with the feature.
+        best = replace(
+            landmarks.subset(pick),
+            has_moved=has_feature_moved[index[pick]],
+            origin=_find_oldest_origins(index, landmarks)[index[pick]],
+        )
+        return cls(inliers, index[pick], best, best.mean[sd[pick] < SURFACE_DEPTH_SD_RATIO * radius])
+
+
+def find_moved(
+    inliers: Sequence[FrameMatches], landmarks: Landmarks, match_weights: MatchWeights, static_px: float
+) -> BoolArray:
+    """Return which inlier matches (n,) are known not to be background.
+
+    Their landmark, `landmarks` (n), has moved before or moves now.
+
+    Args:
+        match_weights, static_px: as in `ReobservedFeatures.from_matches`.
+    """
+    residual = np.concatenate([np.empty(0), *(np.abs(r[w > 0]) for w, r in match_weights)])
+    displacement = measure_displacement(
+        landmarks, np.concatenate([np.empty((0, 2)), *(pair.pixels_j for pair in inliers)])
+    )
+    return np.asarray(
+        landmarks.has_moved | ((displacement > static_px) & (residual < MAX_UNEXPLAINED_RATIO * displacement))
+    )
+
+
+def _find_oldest_origins(index: IntArray, landmarks: Landmarks) -> FloatArray:
+    """Return for each feature (m, 2) the origin of its oldest matched landmark.
+
+    Args:
+        index: (n,) feature of each landmark in `landmarks`.
+    """
+    origin = np.zeros((int(index.max()) + 1, 2))
+    order = np.argsort(-landmarks.id, kind="stable")
+    origin[index[order]] = landmarks.origin[order]
+    return origin
+
+
+def select_shown_matches(
+    inliers: Sequence[FrameMatches], current: CameraFrame, previous: int, previous_pixels: FloatArray | None
+) -> tuple[FloatArray, FloatArray] | None:
+    """Return one camera's inliers against the last solved frame, for `TrackedFrame.matches`.
+
+    Args:
+        inliers: matches with earlier frames that agree with the pose.
+        current: the camera's current frame.
+        previous: the last solved frame's number.
+        previous_pixels: (m, 2) pixels of the first m features in that frame, if they were tracked by KLT.
+    """
+    if previous_pixels is not None:
+        index = np.unique(collect_features(inliers))
+        index = index[index < len(previous_pixels)]
+        index = index[np.isfinite(previous_pixels[index]).all(axis=1)]
+        return previous_pixels[index], current.features.pixels[index]
+    with_previous = [pair for pair in inliers if pair.reference == previous]
+    return (with_previous[0].pixels_i, with_previous[0].pixels_j) if with_previous else None
+
+
+def record_observations(inliers: Sequence[FrameMatches], current: CameraFrame) -> LandmarkObservations:
+    """Collect one camera's observations: inlier features and newly observed ones."""
+    landmarks = current.landmarks
+    index = np.union1d(collect_features(inliers), np.flatnonzero(landmarks.n_observations == 1))
+    return LandmarkObservations(
+        landmarks.id[index], current.features.normalized[index], landmarks.mean[index], landmarks.has_moved[index]
+    )

@@ -7,19 +7,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.bundle_adjustment.bundle import BundleResult
-from sylpose.geometry.arrays import FloatArray, IntArray
+from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.future import BackgroundResult
-from sylpose.geometry.matrices import invert_information, relative_rotvec, rotation_matrix_of
+from sylpose.geometry.matrices import invert_information, relative_rotvec, rotation_matrix_of, rotvec
+from sylpose.geometry.numba_linalg import apply_rotvec
+from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.results import MAX_ROTATION_SD
-from sylpose.tracking.joint_side.keyframes import Anchor, KnownFrames, SolvedFrame
-from sylpose.tracking.joint_side.motion_model import VelocityModel
+from sylpose.rig import Rig
 from sylpose.tracking.joint_side.object_model import ObjectModel
-from sylpose.tracking.reports import NewObservations, PoseAgreement
+from sylpose.tracking.reports import NewObservations, PoseAgreement, TrackingReport
 
 # The pose of a missing object is extrapolated for at most so many frames, and only while its rotation (radians) and its
 # position (object's radii) are more certain than this (choice).
@@ -30,6 +32,9 @@ MIN_STRONG_INLIERS = 60
 # A pose belongs to the object rather than the background if so many of its inlier features, and this share of them,
 # have moved with it (choice).
 MIN_MOVED_FEATURES, MIN_MOVED_RATIO = 8, 0.04
+# While depth is known from boxes only, the first so many frames are matched with the first one, then every
+# `FIRST_MATCH_INTERVAL`th (choice).
+N_FIRST_MATCHED, FIRST_MATCH_INTERVAL = 6, 4
 # After the first frames, a refinement is due once the object has rotated by this since the last one (radians) or moved
 # by this share of its radius, as less motion shows little new; at the earliest after `MIN_INTERVAL` frames, at the
 # latest after `MAX_INTERVAL` (choice).
@@ -38,6 +43,417 @@ MIN_NEW_ROTATION, MIN_NEW_TRANSLATION, MIN_INTERVAL, MAX_INTERVAL = np.radians(1
 MIN_FRAMES_TO_APPLY = 9
 # A refinement in the background is applied so many frames later (choice).
 RESULT_DELAY = 5
+# Maximum number of keyframes: a few for every side of the object (choice).
+MAX_KEYFRAMES = 100
+# A frame becomes a keyframe when the object has rotated by this much relative to the nearest one, or its distance has
+# changed by this factor, in a camera's view (choice).
+MIN_KEYFRAME_ROTATION, MIN_KEYFRAME_SCALE = np.radians(6.0), 1.2
+# One reference is taken from each ring of angles between viewpoints: near ones match well, far ones limit drift
+# (choice).
+RING_ANGLES = np.radians([0.0, 10.0, 18.0, 28.0])
+# Number of recent frames that are refined with the keyframes (choice).
+N_RECENT_FRAMES = 8
+# An anchor is used while these shares of its features are still tracked, overall and per camera, at least so many in
+# total, and the object has rotated by less than this (radians) since (choice).
+MIN_TRACKED_RATIO, MIN_CAMERA_RATIO, MIN_TRACKED, MAX_ANCHOR_ROTATION = 0.4, 0.25, 60, np.radians(30.0)
+# Preparation of the next anchor starts when the tracked shares fall below these times this factor, or the rotation
+# exceeds that divided by it (choice).
+PREPARATION_MARGIN = 1.5
+# Number of frames after which a camera without tracks is searched again (choice).
+RETRY_FRAMES = 8
+# Delay in frames until the next anchor's new features are added: at 30 frames per second the time needed on a busy
+# processor (choice).
+JOIN_DELAY = 7
+# Number of frames for which a sparse anchor is used: by then it is clear which features move with the object (choice).
+MAX_SPARSE_AGE = 2
+# Standard deviation of the constant-velocity prior, in units of the usual change of velocity. The prior is used once so
+# many consecutive frames were solved (choice).
+PREDICTION_SDS, MIN_STEADY_FRAMES = 5.0, 5
+# Largest accepted difference between prediction and fit (chi-squared of six: chance exceeds it once in a thousand
+# times).
+MAX_PREDICTION_ERROR = chi_squared_bound(6)
+# Number of frames over which the usual change is averaged (choice).
+AVERAGING_FRAMES = 5
+# The velocity is not updated from an interval shorter than this share of the usual one (choice).
+MIN_INTERVAL_RATIO = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class MotionModel:
+    """Constant-velocity model: the last motion and its variability.
+
+    Attributes:
+        twist: (6,) exponential coordinates per second, rotation first, in the world.
+        change_variance: (6,) mean squared changes of angular velocity and of the center's velocity, per second.
+        n_frames: number of consecutive solved frames.
+        interval: usual time between them, seconds.
+    """
+
+    twist: FloatArray = field(default_factory=lambda: np.zeros(6))
+    change_variance: FloatArray = field(default_factory=lambda: np.zeros(6))
+    n_frames: int = 0
+    interval: float = 0.0
+
+    def predict_motion(self, elapsed: float) -> RigidTransform:
+        """Predict the motion over some seconds."""
+        return RigidTransform.from_exp_coords(self.twist * elapsed)
+
+    def update(self, motion: RigidTransform, center: FloatArray, elapsed: float) -> MotionModel:
+        """Update with the motion to the next frame.
+
+        Args:
+            motion: of the object.
+            center: (3,) of the object at its start.
+            elapsed: seconds.
+        """
+        # Over a very short interval the pose difference is mostly noise.
+        if self.n_frames and elapsed < MIN_INTERVAL_RATIO * self.interval:
+            return self
+        elapsed = max(elapsed, 1e-9)
+        interval, change_variance = elapsed, self.change_variance
+        # The first motion is a change by itself.
+        if self.n_frames:
+            interval = self.interval + (elapsed - self.interval) / AVERAGING_FRAMES
+            change = (
+                self._compute_prediction_error(
+                    rotation_matrix_of(motion), motion.apply(center) - center, center, elapsed
+                )
+                / elapsed
+            )
+            change_variance = change_variance + (change**2 - change_variance) / min(self.n_frames, AVERAGING_FRAMES)
+        return MotionModel(motion.as_exp_coords() / elapsed, change_variance, self.n_frames + 1, interval)
+
+    def reset(self, *, is_static: bool) -> MotionModel:
+        """Reset after unsolved frames.
+
+        The variability is kept, and so is the velocity unless the object `is_static`.
+        """
+        return replace(self, n_frames=0, twist=np.zeros(6) if is_static else self.twist)
+
+    def predict_covariance(self, elapsed: float, n_missed: int) -> FloatArray:
+        """Predict the covariance (6, 6) of (w, d) of the motion; infinite while it is unknown.
+
+        Args:
+            elapsed: seconds.
+            n_missed: number of unsolved frames within that time.
+        """
+        if not self.change_variance.any():  # fewer than two motions so far
+            return np.full((6, 6), np.inf)
+        return np.asarray(np.diag(self.change_variance) * n_missed * elapsed**2)
+
+    def fuse(
+        self, rotation: FloatArray, translation: FloatArray, information: FloatArray, center: FloatArray, elapsed: float
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Fuse a motion since the last frame with the constant-velocity prediction.
+
+        The prediction is weak and matters where matches provide little, as when all but a corner of the object is
+        hidden. It is ignored if the matches contradict it: then the object has started, stopped or reversed.
+
+        Args:
+            rotation: (3, 3) R.
+            translation: (3,) d.
+            information: (6, 6) of (w, d).
+            center: (3,) of the object in the last frame, `elapsed` seconds ago.
+
+        Returns:
+            the three, corrected.
+        """
+        # An object that has been static so far gives no information on its motion.
+        if self.n_frames < MIN_STEADY_FRAMES or not self.change_variance.any():
+            return rotation, translation, information
+        error = self._compute_prediction_error(rotation, translation, center, elapsed)
+        sd = np.maximum(PREDICTION_SDS * elapsed * np.sqrt(_sum_by_parts(self.change_variance)), 1e-12)
+        prediction, fused_information = np.diag(sd**-2), information + np.diag(sd**-2)
+        # error' (covariance of the fit + diag(sd²))^-1 error, without inverting an information matrix that may be
+        # singular.
+        weighted = prediction @ error
+        if weighted @ error - weighted @ np.linalg.solve(fused_information, weighted) > MAX_PREDICTION_ERROR:
+            return rotation, translation, information
+        step = -np.linalg.solve(fused_information, prediction @ error)
+        corrected = np.empty((3, 3))
+        apply_rotvec(np.asarray(step[:3], float), rotation, corrected)
+        return corrected, translation + step[3:], fused_information
+
+    def synchronize_rig(
+        self, rig: Rig, time_offsets: FloatArray, center: FloatArray, motion: RigidTransform, elapsed: float
+    ) -> Rig:
+        """Return the rig with camera poses corrected for their time offsets.
+
+        With these poses, the moving object appears as if all images were taken at the same time.
+
+        Args:
+            time_offsets: (C,) time offsets, seconds.
+            center: (3,) of the object.
+            motion: of the object within `elapsed` seconds, which gives its velocity.
+        """
+        twist = motion.as_exp_coords() / max(elapsed, 1e-9)
+        if not time_offsets.any() or not twist.any():
+            return rig
+        # A velocity that changes between frames by its own size is no estimate for the times between.
+        velocity = np.concatenate([twist[:3], np.cross(twist[:3], center) + twist[3:]])
+        square, change = _sum_by_parts(velocity**2), _sum_by_parts(self.change_variance)
+        velocity = velocity * square / np.maximum(square + change, 1e-300)
+        twist = np.concatenate([velocity[:3], velocity[3:] - np.cross(velocity[:3], center)])
+        cameras = [
+            replace(
+                camera, camera_from_world=camera.camera_from_world * RigidTransform.from_exp_coords(twist * seconds)
+            )
+            for camera, seconds in zip(rig, time_offsets, strict=True)
+        ]
+        return Rig(cameras, rig.unit)
+
+    def _compute_prediction_error(
+        self, rotation: FloatArray, translation: FloatArray, center: FloatArray, elapsed: float
+    ) -> FloatArray:
+        """Return the difference (6,) of (w, d) between a motion and the prediction."""
+        predicted_pose = self.predict_motion(elapsed)
+        rotation_error = rotvec(rotation @ rotation_matrix_of(predicted_pose).T)
+        return np.concatenate([rotation_error, translation - (predicted_pose.apply(center) - center)])
+
+
+def _sum_by_parts(squares: FloatArray) -> FloatArray:
+    """Return the sums of the first and the last three elements, each repeated three times (6,)."""
+    return np.repeat(squares.reshape(2, 3).sum(axis=1), 3)
+
+
+@dataclass(frozen=True, eq=False)
+class SolvedFrame:
+    """A frame with its pose, shared by all cameras.
+
+    Attributes:
+        number, time, time_offsets: as in `context.Frame`; each camera stores its own data under the number.
+        world_from_object: the pose.
+        covariance: (6, 6) of (w, d), docs/conventions.md.
+        viewpoints: (C, 3) camera centers in the object's frame.
+        is_visible: (C,) which cameras have features in it.
+        landmark_age: typical number of frames in which the landmarks used for its pose were observed.
+        is_fixed: whether joint refinement keeps its pose fixed, as for keyframes transferred from another rig.
+    """
+
+    number: int
+    time: float
+    time_offsets: FloatArray
+    world_from_object: RigidTransform
+    covariance: FloatArray
+    viewpoints: FloatArray
+    is_visible: BoolArray
+    landmark_age: float = 1.0
+    is_fixed: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Anchor:
+    """Frame whose features are tracked by KLT; shared by all cameras.
+
+    Attributes:
+        frame: its landmarks are updated by the tracked features.
+        age: number of frames solved by its features alone.
+        is_sparse: whether it was created right after the first frame in boxes, when new features in them might be
+            background.
+    """
+
+    frame: SolvedFrame
+    age: int = 0
+    is_sparse: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class KnownFrames:
+    """Solved frames that later ones may be matched with.
+
+    Attributes:
+        last: the last solved frame; None before the first.
+        keyframes: solved frames from all sides of the object, in order of time.
+        recent: the last few solved frames, in order of time.
+        anchor: the anchor frame, whose features are tracked by KLT, if any.
+        next_anchor_number: number of the next anchor frame while it is prepared (`tracking.anchor_preparation`).
+    """
+
+    last: SolvedFrame | None = None
+    keyframes: tuple[SolvedFrame, ...] = ()
+    recent: tuple[SolvedFrame, ...] = ()
+    anchor: Anchor | None = None
+    next_anchor_number: int | None = None
+
+    @property
+    def first(self) -> SolvedFrame:
+        """The frame whose pose defines the object's frame; only valid once there is one."""
+        return self.keyframes[0]
+
+    @property
+    def by_number(self) -> Mapping[int, SolvedFrame]:
+        """The frames by number; empty before the first."""
+        anchor = () if self.anchor is None else (self.anchor.frame,)
+        last = () if self.last is None else (self.last,)
+        return {frame.number: frame for frame in (*self.keyframes, *self.recent, *last, *anchor)}
+
+    def is_next_anchor_due(self, number: int) -> bool:
+        """Return whether the next anchor is to be used from the frame with this number on."""
+        due = self.next_anchor_number
+        return due is not None and number >= due + JOIN_DELAY and due in self.by_number
+
+    def add(self, solved: SolvedFrame, *, has_new_features: bool) -> KnownFrames:
+        """Add a solved frame; with new features it may become a keyframe, and its features are tracked no longer."""
+        anchor = self.anchor
+        return replace(
+            self,
+            last=solved,
+            keyframes=add_keyframe(self.keyframes, solved) if has_new_features else self.keyframes,
+            recent=(*self.recent, solved)[-N_RECENT_FRAMES:],
+            anchor=None if has_new_features or anchor is None else replace(anchor, age=anchor.age + 1),
+            next_anchor_number=None if has_new_features else self.next_anchor_number,
+        )
+
+    def replace_frames(self, frames: Mapping[int, SolvedFrame]) -> KnownFrames:
+        """Replace some frames, by number, by refined ones."""
+        assert self.last is not None
+        anchor = self.anchor
+        if anchor is not None and anchor.frame.number in frames:
+            anchor = replace(anchor, frame=frames[anchor.frame.number])
+        return replace(
+            self,
+            last=frames.get(self.last.number, self.last),
+            keyframes=tuple(frames.get(k.number, k) for k in self.keyframes),
+            anchor=anchor,
+            recent=tuple(frames.get(k.number, k) for k in self.recent),
+        )
+
+
+def compute_viewpoints(rig: Rig, world_from_object: RigidTransform) -> FloatArray:
+    """Return the camera centers (C, 3) in the object's frame."""
+    return np.asarray(world_from_object.inv().apply(np.array([camera.center for camera in rig])).reshape(-1, 3))
+
+
+def _compute_angles(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the angles (n, m) between viewpoints (n, 3) and (m, 3), seen from the object."""
+    a, b = (v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-300) for v in (a, b))
+    return np.asarray(np.arccos(np.clip(a @ b.T, -1.0, 1.0)))
+
+
+def _get_viewpoints(keyframes: Sequence[SolvedFrame], camera: int) -> FloatArray:
+    """Return one camera's viewpoints (K, 3); NaN where it has no features."""
+    empty = np.full(3, np.nan)
+    return np.array([k.viewpoints[camera] if k.is_visible[camera] else empty for k in keyframes]).reshape(-1, 3)
+
+
+def select_references(
+    keyframes: Sequence[SolvedFrame], camera: int, viewpoint: FloatArray, skip: SolvedFrame | None = None
+) -> list[SolvedFrame]:
+    """Select the oldest keyframe in each ring around a camera's viewpoint (3,).
+
+    Args:
+        skip: a frame that is matched anyway.
+    """
+    if not keyframes:
+        return []
+    angle = _compute_angles(viewpoint[None], _get_viewpoints(keyframes, camera))[0]
+    chosen = []
+    for inner, outer in pairwise(RING_ANGLES):
+        ring = np.flatnonzero((angle >= inner) & (angle < outer))
+        if len(ring) and not (skip is not None and keyframes[ring[0]].number == skip.number):
+            chosen.append(keyframes[ring[0]])
+    return chosen
+
+
+def find_nearest_views(
+    keyframes: Sequence[SolvedFrame], camera: int, viewpoint: FloatArray, count: int, max_angle: float = np.inf
+) -> list[SolvedFrame]:
+    """Return up to `count` keyframes nearest to a camera viewpoint (3,), nearest first.
+
+    Args:
+        max_angle: maximum angle, radians.
+    """
+    if not keyframes:
+        return []
+    angle = np.nan_to_num(_compute_angles(viewpoint[None], _get_viewpoints(keyframes, camera))[0], nan=np.inf)
+    order = np.argsort(angle, kind="stable")[:count]
+    return [keyframes[i] for i in order if np.isfinite(angle[i]) and angle[i] <= max_angle]
+
+
+def add_keyframe(keyframes: tuple[SolvedFrame, ...], current: SolvedFrame) -> tuple[SolvedFrame, ...]:
+    """Add a solved frame (in order of time) if it shows the object from a new side.
+
+    If there are too many keyframes, the most redundant one is removed.
+    """
+    if keyframes and not _is_new(keyframes, current):
+        return keyframes
+    kept = [*keyframes, current]
+    if len(kept) > MAX_KEYFRAMES:
+        rotations = np.array([k.world_from_object.rotation.as_matrix().ravel() for k in kept])
+        # tr(A'B) = 1 + 2 cos: the larger, the more similar. Of the most similar pair the newer is removed; the first
+        # one stays.
+        similarity = np.tril(rotations @ rotations.T, -1) - 10.0 * np.triu(np.ones((len(rotations), len(rotations))))
+        del kept[int(np.unravel_index(np.argmax(similarity), similarity.shape)[0])]
+    return tuple(kept)
+
+
+def inherit_covariance(poses: RigidTransform, covariances: FloatArray, is_fixed: BoolArray) -> FloatArray:
+    """Return the covariance (N, 6, 6) of (w, d) that frames inherit from fixed ones.
+
+    The errors of fixed frames have common ancestors, so they are fully correlated, and rotate with the object.
+
+    Args:
+        poses: N world_from_object.
+        covariances: (N, 6, 6) of the fixed frames.
+        is_fixed: (N,) which frames are fixed.
+    """
+    rotations = np.zeros((len(is_fixed), 6, 6))
+    rotations[:, :3, :3] = rotations[:, 3:, 3:] = poses.rotation.as_matrix()
+    inverse_rotations = rotations[is_fixed].transpose(0, 2, 1)
+    mean = (inverse_rotations @ covariances[is_fixed] @ rotations[is_fixed]).mean(axis=0)
+    return np.asarray(rotations @ mean @ rotations.transpose(0, 2, 1))
+
+
+def _is_new(keyframes: Sequence[SolvedFrame], current: SolvedFrame) -> bool:
+    """Return whether most cameras with features have a view unlike that in any keyframe."""
+    new = []
+    for camera in np.flatnonzero(current.is_visible).tolist():
+        views, viewpoint = _get_viewpoints(keyframes, camera), current.viewpoints[camera]
+        scale = np.linalg.norm(views, axis=1) / np.linalg.norm(viewpoint)
+        is_similar = (
+            (_compute_angles(viewpoint[None], views)[0] < MIN_KEYFRAME_ROTATION)
+            & (scale < MIN_KEYFRAME_SCALE)
+            & (scale > 1.0 / MIN_KEYFRAME_SCALE)
+        )
+        new.append(not is_similar.any())
+    return 2 * sum(new) > len(new)
+
+
+def has_enough_tracks(
+    reports: Sequence[TrackingReport], anchor: Anchor, predicted_pose: RigidTransform, margin: float = 1.0
+) -> bool:
+    """Return whether an anchor's tracked features suffice without new ones.
+
+    Args:
+        reports: of all cameras.
+        predicted_pose: predicted world_from_object.
+        margin: safety factor on the required numbers.
+    """
+    angle = np.linalg.norm(relative_rotvec(anchor.frame.world_from_object, predicted_pose))
+    found, alive = np.array([r.n_tracked for r in reports]), np.array([r.n_alive for r in reports])
+    shares = margin * np.array([MIN_TRACKED_RATIO, MIN_CAMERA_RATIO])
+    is_enough = found.sum() >= max(shares[0] * alive.sum(), MIN_TRACKED) and (found >= shares[1] * alive).all()
+    for r in reports:
+        # A camera that delivers images again is searched at once; one without tracks is searched again after a while.
+        is_enough &= not (r.expects_object and not r.has_previous_image)
+        is_enough &= not (r.expects_object and r.n_alive == 0 and anchor.age >= RETRY_FRAMES)
+    is_lasting = not (anchor.is_sparse and anchor.age >= MAX_SPARSE_AGE)
+    return bool(is_enough and is_lasting and angle < MAX_ANCHOR_ROTATION / margin)
+
+
+@dataclass(frozen=True, eq=False)
+class KnownMotion:
+    """Motion of the object from earlier frames to a later one, by which background is recognized.
+
+    Attributes:
+        earlier: world_from_object of the earlier frames, by number.
+        pose: world_from_object of the later frame, predicted or solved.
+        radius: of the object.
+    """
+
+    earlier: Mapping[int, RigidTransform]
+    pose: RigidTransform
+    radius: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +470,7 @@ class ObjectMotion:
         is_background_only: whether in the current frame only features that never moved agreed with a pose.
     """
 
-    velocity: VelocityModel = field(default_factory=VelocityModel)
+    velocity: MotionModel = field(default_factory=MotionModel)
     has_moved: bool = False
     first_motion: RigidTransform | None = None
     n_missed: int = 0
@@ -164,6 +580,11 @@ class JointState:
         last = self.last.world_from_object
         return last if self.motion.is_lost else self.motion.velocity.predict_motion(time - self.last.time) * last
 
+    def motion_to(self, pose: RigidTransform) -> KnownMotion:
+        """Return the object's motion from the known frames to a pose (world_from_object)."""
+        earlier = {number: frame.world_from_object for number, frame in self.frames.by_number.items()}
+        return KnownMotion(earlier, pose, self.object.radius)
+
     def is_motion_verified(self, agreements: Sequence[PoseAgreement]) -> bool:
         """Return whether the object has been observed to move, in this frame at the latest.
 
@@ -178,16 +599,17 @@ class JointState:
             sum(moved_counts) >= MIN_MOVED_FEATURES and n_cameras >= min(2, len(moved_counts))
         )
 
-    def is_static(self, agreements: Sequence[PoseAgreement]) -> bool:
-        """Return whether the object has not moved yet, including this frame.
+    def is_matched_with_first(self, number: int) -> bool:
+        """Return whether a frame is matched with the first one even if enough features are tracked.
 
-        A person passing behind the object also moves, but not most of what one camera sees in its box.
-
-        Args:
-            agreements: per camera, how its matches agree with the frame's pose.
+        Only matches with the first frame determine depth, and until depth is known a pose is uncertain.
         """
-        is_mostly_moving = any(a.n_moved >= MIN_MOVED_FEATURES and 2 * a.n_moved > a.n_matches for a in agreements)
-        return not is_mostly_moving and not self.is_motion_verified(agreements)
+        age = number - self.frames.first.number
+        # A motion that two cameras detect needs confirmation by the next frame.
+        needs_confirmation = self.motion.first_motion is not None
+        return self.object.is_depth_guessed and (
+            age <= N_FIRST_MATCHED or age % FIRST_MATCH_INTERVAL == 0 or needs_confirmation
+        )
 
     def may_be_background(self, agreements: Sequence[PoseAgreement], min_ratio: float = MIN_MOVED_RATIO) -> bool:
         """Return whether a pose may be the background's: almost none of its inliers ever moved.
@@ -305,6 +727,11 @@ class JointState:
         """Return whether a background refinement is to be applied in the frame with this number."""
         pending = self.refinement.pending
         return pending is not None and number >= pending.number + RESULT_DELAY
+
+
+def is_mostly_moving(agreements: Sequence[PoseAgreement]) -> bool:
+    """Return whether most of what one camera sees in its box moves, unlike with a person passing behind the object."""
+    return any(a.n_moved >= MIN_MOVED_FEATURES and 2 * a.n_moved > a.n_matches for a in agreements)
 
 
 def compute_pose_change(last: SolvedFrame, refined_pose: RigidTransform) -> FloatArray:
