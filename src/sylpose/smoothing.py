@@ -31,7 +31,7 @@ from sylpose.rig import Rig
 from sylpose.status import FrameStatus, Observability, Status
 from sylpose.tracking.camera_side.frame import LandmarkObservations
 from sylpose.tracking.joint_side.joint_state import Nudge, inherit_covariance
-from sylpose.tracking.object_transfer import TransferredObject
+from sylpose.tracking.known_object import TransferredObject
 from sylpose.tracking.reports import quantize_positions
 from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.window import find_alternative_path

@@ -26,8 +26,7 @@ from sylpose.runs.options import RunOptions
 from sylpose.runs.run import track_session
 from sylpose.simulate import Actor, Recording, Scene, arc, chamfered_box, write_recording
 from sylpose.status import Observability
-from sylpose.tracking.known_object import KnownObject
-from sylpose.tracking.object_transfer import transfer_object
+from sylpose.tracking.known_object import KnownObject, transfer_object
 from sylpose.tracking.tracker import Tracker
 from sylpose.units import INITIAL_DISTANCES
 from tests.recordings import NEXT, RIG, Path_, compute_pose_error, moved_path, slide, write_box_recording

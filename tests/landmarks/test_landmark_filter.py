@@ -12,6 +12,7 @@ from sylpose.features.sift import Features
 from sylpose.geometry.arrays import FloatArray
 from sylpose.landmarks.landmark_filter import (
     RAY_SIGMA_PX,
+    DepthPrior,
     Landmarks,
     add_observations,
     compute_rays,
@@ -192,7 +193,9 @@ def test_depth_prior_uses_surrounding_points(cameras: Sequence[Camera]) -> None:
     distance = np.linalg.norm(world - camera.center, axis=1)
     front = distance < np.median(distance)  # one layer: the visible surface
     probes = np.flatnonzero(front)[::40]
-    guess, sd = predict_depths(observe(cloud[probes], camera), camera, WORLD_FROM_OBJECT, cloud[front], RADIUS)
+    guess, sd = predict_depths(
+        observe(cloud[probes], camera), camera, WORLD_FROM_OBJECT, DepthPrior(cloud[front], RADIUS)
+    )
     error = guess - distance[probes]
     assert np.median(np.abs(error)) < 0.05 * RADIUS
     assert (np.abs(error) < 4 * sd).all()
@@ -202,7 +205,7 @@ def test_depth_prior_is_bounded_by_the_radius(cameras: Sequence[Camera]) -> None
     camera, cloud = cameras[0], surface(400)
     rng = np.random.default_rng(4)
     anywhere = features_at(rng.uniform(0, 900, (200, 2)), camera)
-    distance, sd = predict_depths(anywhere, camera, WORLD_FROM_OBJECT, cloud, RADIUS)
+    distance, sd = predict_depths(anywhere, camera, WORLD_FROM_OBJECT, DepthPrior(cloud, RADIUS))
     assert (sd <= RADIUS).all()
     assert (sd >= 0.05 * RADIUS).all()
     # Far from the object only its size is known.
@@ -213,7 +216,7 @@ def test_depth_prior_is_bounded_by_the_radius(cameras: Sequence[Camera]) -> None
     flat = np.column_stack([rng.uniform(-0.1, 0.1, (2000, 2)), np.zeros(2000)])
     facing = RigidTransform.from_components([0, 0, 0], Rotation.from_matrix(camera.rotation.T))
     _, least = predict_depths(
-        features_at(camera.project(facing.apply(flat[:50])), camera), camera, facing, flat, 100 * RADIUS
+        features_at(camera.project(facing.apply(flat[:50])), camera), camera, facing, DepthPrior(flat, 100 * RADIUS)
     )
     np.testing.assert_allclose(least, least.min())
     assert least.min() > 0
@@ -223,7 +226,7 @@ def test_depth_prior_is_bounded_by_the_radius(cameras: Sequence[Camera]) -> None
 def test_depth_prior_without_a_cloud_is_the_center(cameras: Sequence[Camera], n_points: int) -> None:
     camera = cameras[1]
     features = observe(surface(5), camera)
-    distance, sd = predict_depths(features, camera, WORLD_FROM_OBJECT, surface(10)[:n_points], RADIUS)
+    distance, sd = predict_depths(features, camera, WORLD_FROM_OBJECT, DepthPrior(surface(10)[:n_points], RADIUS))
     np.testing.assert_allclose(distance, np.linalg.norm(WORLD_FROM_OBJECT.translation - camera.center))
     np.testing.assert_allclose(sd, RADIUS)
 
@@ -232,12 +235,14 @@ def test_depth_prior_ignores_points_behind_the_camera(cameras: Sequence[Camera])
     camera, cloud = cameras[0], surface(300)
     features = observe(surface(20, seed=5), camera)
     behind = WORLD_FROM_OBJECT.inv().apply(camera.center - camera.direction * np.linspace(0.5, 2, 50)[:, None])
-    with_them = predict_depths(features, camera, WORLD_FROM_OBJECT, np.concatenate([cloud, behind]), RADIUS)
-    np.testing.assert_array_equal(with_them, predict_depths(features, camera, WORLD_FROM_OBJECT, cloud, RADIUS))
+    with_them = predict_depths(features, camera, WORLD_FROM_OBJECT, DepthPrior(np.concatenate([cloud, behind]), RADIUS))
+    np.testing.assert_array_equal(
+        with_them, predict_depths(features, camera, WORLD_FROM_OBJECT, DepthPrior(cloud, RADIUS))
+    )
 
 
 def test_depth_prior_without_features(cameras: Sequence[Camera]) -> None:
-    distance, sd = predict_depths(Features.empty(), cameras[0], WORLD_FROM_OBJECT, surface(50), RADIUS)
+    distance, sd = predict_depths(Features.empty(), cameras[0], WORLD_FROM_OBJECT, DepthPrior(surface(50), RADIUS))
     assert distance.shape == sd.shape == (0,)
 
 
@@ -250,14 +255,14 @@ def test_update_keeps_known_and_adds_new(cameras: Sequence[Camera]) -> None:
     known = observe_first(points[index], cameras[0], 0.01, 0.05)
     before = known.mean.copy(), known.information.copy()
     features = observe(points, camera)
-    learnt = update_landmarks(features, camera, WORLD_FROM_OBJECT, known, index, surface(200), RADIUS)
+    learnt = update_landmarks(features, camera, WORLD_FROM_OBJECT, DepthPrior(surface(200), RADIUS), known, index)
     assert len(learnt) == 12
     again = add_observations(known, features.subset(index), camera, WORLD_FROM_OBJECT.inv())
     np.testing.assert_allclose(learnt.mean[index], again.mean)
     np.testing.assert_allclose(learnt.information[index], again.information)
     assert learnt.n_observations.tolist() == [1, 1, 2, 1, 1, 1, 1, 2, 1, 2, 1, 1]
     others = np.setdiff1d(np.arange(12), index)
-    distance, sd = predict_depths(features, camera, WORLD_FROM_OBJECT, surface(200), RADIUS)
+    distance, sd = predict_depths(features, camera, WORLD_FROM_OBJECT, DepthPrior(surface(200), RADIUS))
     new = initialize_landmarks(features, camera, WORLD_FROM_OBJECT.inv(), distance, sd)
     np.testing.assert_allclose(learnt.mean[others], new.mean[others])
     # The keyframe's landmarks are unchanged.
@@ -268,7 +273,7 @@ def test_update_keeps_known_and_adds_new(cameras: Sequence[Camera]) -> None:
 def test_update_without_features_or_landmarks(cameras: Sequence[Camera]) -> None:
     nothing = np.empty(0, np.int64)
     learnt = update_landmarks(
-        Features.empty(), cameras[0], WORLD_FROM_OBJECT, Landmarks.empty(), nothing, surface(50), RADIUS
+        Features.empty(), cameras[0], WORLD_FROM_OBJECT, DepthPrior(surface(50), RADIUS), Landmarks.empty(), nothing
     )
     assert len(learnt) == 0
     assert learnt.information.shape == (0, 3, 3)

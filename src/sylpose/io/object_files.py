@@ -26,8 +26,7 @@ from sylpose.landmarks.landmark_filter import Landmarks
 from sylpose.rig import Camera, Rig
 from sylpose.serialization import make_transforms
 from sylpose.tracking.joint_side.joint_state import SolvedFrame
-from sylpose.tracking.known_object import MIN_KEYFRAMES, CameraLandmarks, KnownObject, ObjectFrame
-from sylpose.tracking.object_transfer import check_unit
+from sylpose.tracking.known_object import MIN_KEYFRAMES, CameraLandmarks, KnownObject, ObjectFrame, check_unit
 
 OBJECT_FILE, CLOUD_FILE = "object.npz", "object.ply"
 FORMAT = "sylpose object 1"

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -168,13 +169,23 @@ def _add_rays(
             mean[n, i] += residual[i]
 
 
+class DepthPrior(NamedTuple):
+    """Prior of the depths of new features.
+
+    Attributes:
+        cloud: (m, 3) points on or in the object, object's frame.
+        radius: of the object, which limits the standard deviation: from three tenths of it to the radius.
+        bulge: how much nearer than the cloud the surface is assumed to be at the object's center, in radii, decreasing
+            to zero at its edge like a sphere's.
+    """
+
+    cloud: FloatArray
+    radius: float
+    bulge: float = 0.0
+
+
 def predict_depths(
-    features: Features,
-    camera: Camera,
-    world_from_object: RigidTransform,
-    cloud: FloatArray,
-    radius: float,
-    bulge: float = 0.0,
+    features: Features, camera: Camera, world_from_object: RigidTransform, prior: DepthPrior
 ) -> tuple[FloatArray, FloatArray]:
     """Predict the distance of new features from the object's points around them in the image.
 
@@ -182,15 +193,12 @@ def predict_depths(
         features: of one camera.
         camera: the camera.
         world_from_object: pose of the object.
-        cloud: (m, 3) points on or in the object, object's frame.
-        radius: of the object, which limits the standard deviation: from three tenths of it to the radius.
-        bulge: how much nearer than the cloud the surface is assumed to be at the object's center, in radii, decreasing
-            to zero at its edge like a sphere's.
+        prior: the object's points.
 
     Returns:
         distance (n,) from the camera; sd (n,).
     """
-    n = len(features)
+    n, (cloud, radius, bulge) = len(features), prior
     if n == 0:
         return np.empty(0), np.empty(0)
     points = world_from_object.apply(cloud).reshape(-1, 3)
@@ -208,35 +216,37 @@ def predict_depths(
         offset = np.linalg.norm(features.pixels - camera.project(world_from_object.translation), axis=1)
         rim = 1.1 * offset.max()
         neighbor_distances = neighbor_distances - (bulge * radius * np.sqrt(1.0 - (offset / rim) ** 2))[:, None]
-    return neighbor_distances.mean(axis=1), np.sqrt(neighbor_distances.var(axis=1) + extrapolation**2).clip(
-        0.3 * radius, radius
-    )
+    sd = np.sqrt(neighbor_distances.var(axis=1) + extrapolation**2)
+    return neighbor_distances.mean(axis=1), sd.clip(0.3 * radius, radius)
+
+
+def create_landmarks(
+    features: Features, camera: Camera, world_from_object: RigidTransform, prior: DepthPrior
+) -> Landmarks:
+    """Create landmarks of features that are observed for the first time. See `predict_depths`."""
+    depths = predict_depths(features, camera, world_from_object, prior)
+    return initialize_landmarks(features, camera, world_from_object.inv(), *depths)
 
 
 def update_landmarks(
     features: Features,
     camera: Camera,
     world_from_object: RigidTransform,
+    prior: DepthPrior,
     known: Landmarks,
     index: IntArray,
-    cloud: FloatArray,
-    radius: float,
-    bulge: float = 0.0,
 ) -> Landmarks:
-    """Return the landmarks of a frame's features: known ones updated, the others initialized.
+    """Return the landmarks of a frame's features: known ones updated, the others created. See `predict_depths`.
 
-    Args: see `predict_depths`.
+    Args:
         known: (k) landmarks that are observed in the frame.
         index: (k,) their features.
     """
-    object_from_world = world_from_object.inv()
     is_new = np.ones(len(features), bool)
     is_new[index] = False
     new_index = np.flatnonzero(is_new)
-    new_features = features.subset(new_index)
-    distance, sd = predict_depths(new_features, camera, world_from_object, cloud, radius, bulge)
-    new = initialize_landmarks(new_features, camera, object_from_world, distance, sd)
-    updated = add_observations(known, features.subset(index), camera, object_from_world)
+    new = create_landmarks(features.subset(new_index), camera, world_from_object, prior)
+    updated = add_observations(known, features.subset(index), camera, world_from_object.inv())
     order = np.argsort(np.concatenate([index, new_index]))
     return Landmarks.concatenate([updated, new]).subset(order)
 

@@ -141,13 +141,7 @@ def _join_camera(camera: CameraTracker, state: JointState, frame: SolvedFrame) -
             pairs += drop_background([pair], new_frame, next_anchor.camera, motion)
     reobserved = _select_agreeing(next_anchor.camera, pairs, new_frame, frame, radius)
     camera.update_landmarks(new_frame, next_anchor.camera, pose, reobserved, state.object)
-    merged = CameraFrame(
-        Features.concatenate([old.features, features]),
-        np.concatenate([old.background, new_frame.background]),
-        camera.table,
-        np.concatenate([old.landmark_ids, new_frame.landmark_ids]),
-        camera.static_px,
-    )
+    merged = old.append(new_frame)
     camera.frames[frame.number] = merged
     camera.anchor = _track_to_last_image(next_anchor, new_frame, merged, frame, state.last, previous_anchor)
 

@@ -20,7 +20,6 @@ from sylpose.tracking.camera_side.camera import CameraTracker
 from sylpose.tracking.camera_side.camera_motion import PAUSE_FRAMES
 from sylpose.tracking.camera_side.frame import REGION_MARGIN
 from sylpose.tracking.context import Frame, TrackerContext, create_frame, detect, detect_everywhere, project_regions
-from sylpose.tracking.fallback_search import search_with_all_features
 from sylpose.tracking.initialization import BufferedFrame, initialize_tracking
 from sylpose.tracking.joint_side.joint_state import MIN_TRACKED_RATIO, JointState, Nudge
 from sylpose.tracking.map_update import accept_frame, handle_missing_object
@@ -33,6 +32,7 @@ from sylpose.tracking.pose_search import (
     is_partly_visible,
     is_weakly_supported,
     relocalize,
+    search_with_all_features,
     track_from_anchor,
 )
 from sylpose.tracking.reports import CameraMotionReport
@@ -145,7 +145,7 @@ def recover(context: TrackerContext, state: JointState, frame: Frame) -> tuple[J
 def _find_pose_by_fallback(
     context: TrackerContext, state: JointState, frame: Frame, predicted_pose: RigidTransform
 ) -> tuple[JointState, PoseCandidate | None]:
-    """Search for the frame's pose with all features, by `fallback_search`."""
+    """Search for the frame's pose with all features, by `search_with_all_features`."""
     frame = replace(frame, tracked=None, has_new_features=True)
     frame = context.with_features(frame, detect(context, frame, faint=True))
     return search_with_all_features(context, state, frame, predicted_pose)

@@ -22,8 +22,13 @@ from sylpose.tracking.context import CameraExecutor, Frame, LocalExecutor, Track
 from sylpose.tracking.initialization import BufferedFrame, finish_initialization
 from sylpose.tracking.joint_side.joint_state import JointState, SolvedFrame
 from sylpose.tracking.joint_side.object_model import ObjectModel
-from sylpose.tracking.known_object import KnownObject, build_known_object
-from sylpose.tracking.object_transfer import TransferredObject, initialize_from_object, transfer_object
+from sylpose.tracking.known_object import (
+    KnownObject,
+    TransferredObject,
+    build_known_object,
+    initialize_from_object,
+    transfer_object,
+)
 from sylpose.tracking.state_machine import add_nudge_faults, process_frame
 from sylpose.tracking.tracked_frame import TrackedFrame
 

@@ -19,7 +19,7 @@ from sylpose.features.sift import MAX_FAINT_FEATURES, MAX_FEATURES, Features, de
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 from sylpose.geometry.future import BackgroundResult
-from sylpose.landmarks.landmark_filter import Landmarks, LandmarkTable, update_landmarks
+from sylpose.landmarks.landmark_filter import DepthPrior, Landmarks, LandmarkTable, create_landmarks, update_landmarks
 from sylpose.matches import STATIC_PX
 from sylpose.rig import Camera, Rig
 from sylpose.tracking.camera_side.camera_motion import CameraMotionDetector, View
@@ -260,10 +260,9 @@ def compute_static_px(noise_px: float) -> float:
     return float(np.clip(STATIC_SIGMAS * noise_px, STATIC_PX, MAX_STATIC_PX))
 
 
-def is_large(camera: Camera) -> bool:
-    """Return whether a camera's images are downscaled for searching."""
-    width, height = camera.size
-    return width * height > MAX_SEARCH_PIXELS
+def _make_depth_prior(surface: FloatArray, model: ObjectModel) -> DepthPrior:
+    """Make the prior of new features from points (n, 3) on the surface, or the model's while they are few."""
+    return DepthPrior(surface if len(surface) >= MIN_SURFACE_LANDMARKS else model.points, model.radius)
 
 
 @dataclass(frozen=True, eq=False)
@@ -362,7 +361,8 @@ class CameraTracker:
     @property
     def is_large(self) -> bool:
         """Whether the camera's images are downscaled for searching."""
-        return is_large(self.camera)
+        width, height = self.camera.size
+        return width * height > MAX_SEARCH_PIXELS
 
     @property
     def has_observations(self) -> bool:
@@ -633,24 +633,20 @@ class CameraTracker:
             frame_camera: the camera, with its pose at this frame.
             reobserved: features that were observed before.
             model: of the object; its points are used while too few landmarks describe the surface.
-            bulge: see `predict_depths`.
+            bulge: see `DepthPrior`.
         """
-        surface = reobserved.surface_points
-        surface = surface if len(surface) >= MIN_SURFACE_LANDMARKS else model.points
-        known = reobserved.landmarks, reobserved.index
-        current.landmark_ids = self.table.update(
-            update_landmarks(current.features, frame_camera, world_from_object, *known, surface, model.radius, bulge)
-        )
+        prior = _make_depth_prior(reobserved.surface_points, model)._replace(bulge=bulge)
+        observed = current.features, frame_camera, world_from_object
+        landmarks = update_landmarks(*observed, prior, reobserved.landmarks, reobserved.index)
+        current.landmark_ids = self.table.update(landmarks)
         # Landmarks that earlier frames kept apart are merged.
         for pair in reobserved.inliers:
             pair.earlier.landmark_ids[pair.indices[:, 0]] = current.landmark_ids[pair.indices[:, 1]]
 
     def reinitialize_landmarks(self, frame: SolvedFrame, frame_camera: Camera, model: ObjectModel) -> Landmarks:
         """Compute a frame's landmarks as if they were observed in this frame only. See `update_landmarks`."""
-        own, none = self.frames[frame.number], ReobservedFeatures.empty()
-        new = update_landmarks(
-            own.features, frame_camera, frame.world_from_object, none.landmarks, none.index, model.points, model.radius
-        )
+        own, prior = self.frames[frame.number], DepthPrior(model.points, model.radius)
+        new = create_landmarks(own.features, frame_camera, frame.world_from_object, prior)
         return replace(new, id=own.landmark_ids)
 
     def add_remaining_features(self, region: Region, last: SolvedFrame, model: ObjectModel) -> None:
@@ -667,16 +663,10 @@ class CameraTracker:
             detected = detected.subset(cKDTree(old.features.pixels).query(detected.pixels)[0] > DUPLICATE_PX)
         if not len(detected):
             return
-        known, none, pose = old.landmarks, ReobservedFeatures.empty(), last.world_from_object
-        surface = known.mean[known.depth_sd < SURFACE_DEPTH_SD_RATIO * model.radius]
-        cloud = surface if len(surface) >= MIN_SURFACE_LANDMARKS else model.points
-        new = update_landmarks(detected, self.camera, pose, none.landmarks, none.index, cloud, model.radius)
-        self.frames[last.number] = CameraFrame(
-            Features.concatenate([old.features, detected]),
-            np.concatenate([old.background, self.find_known_background(detected)]),
-            self.table,
-            np.concatenate([old.landmark_ids, self.table.update(new)]),
-        )
+        known, new = old.landmarks, self.create_frame(detected)
+        prior = _make_depth_prior(known.mean[known.depth_sd < SURFACE_DEPTH_SD_RATIO * model.radius], model)
+        new.landmark_ids = self.table.update(create_landmarks(detected, self.camera, last.world_from_object, prior))
+        self.frames[last.number] = old.append(new)
 
     def set_anchor(self, number: int, images: FrameSet, tracked: TrackedFeatures | None) -> None:
         """Make a solved frame the anchor. See `create_anchor`."""

@@ -115,6 +115,13 @@ class CameraFrame:
         """(n) landmarks of the features, as estimated so far."""
         return self.table.get(self.landmark_ids)
 
+    def append(self, new: CameraFrame) -> CameraFrame:
+        """Return the solved frame with more features."""
+        features = Features.concatenate([self.features, new.features])
+        background = np.concatenate([self.background, new.background])
+        ids = np.concatenate([self.landmark_ids, new.landmark_ids])
+        return CameraFrame(features, background, self.table, ids, self.static_px)
+
 
 @dataclass(frozen=True, eq=False)
 class FrameMatches:
