@@ -20,7 +20,7 @@ from sylpose.rig import Rig
 from sylpose.simulate import arc, ellipsoid
 from sylpose.status import FrameStatus, Status
 from sylpose.tracking.camera_side.frame import CameraFrame, FrameMatches
-from sylpose.tracking.context import LocalExecutor
+from sylpose.tracking.context import LocalExecutor, TrackerContext
 from sylpose.tracking.first_motion import AMBIGUITY_RATIO, FirstMotion, estimate_first_motion, is_ambiguous
 from sylpose.tracking.tracker import track
 from tests.clips import statuses
@@ -97,8 +97,12 @@ def make_pairs(
     return pairs
 
 
+def make_context(executor: LocalExecutor, rig: Rig, seed: int = 0) -> TrackerContext:
+    return TrackerContext(rig, (), executor, "landmarks", False, True, np.zeros(len(rig)), seed)
+
+
 def estimate_motion(executor: LocalExecutor, rig: Rig, pairs: Sequence[Sequence[FrameMatches]]) -> FirstMotion:
-    return estimate_first_motion(executor, rig, pairs, FIRST, np.random.default_rng(0))
+    return estimate_first_motion(make_context(executor, rig), pairs, FIRST)
 
 
 def moving_displacements(pairs: Sequence[Sequence[FrameMatches]], first: int, last: int) -> list[FloatArray]:
@@ -173,7 +177,7 @@ def test_common_motion_is_one_object(executor: LocalExecutor, rig: Rig) -> None:
     assert max(motion_errors(found)) < 2e-5
     assert found.n_inliers > 0.95 * sum(len(shift) for shift in moving_displacements(pairs, 0, 110))
     assert found.radius > 0.3
-    assert not is_ambiguous(executor, rig, pairs, FIRST, found, np.random.default_rng(1))
+    assert not is_ambiguous(make_context(executor, rig, 1), pairs, FIRST, found)
 
 
 def assert_no_motion(motion: FirstMotion, cameras: int) -> None:
@@ -194,7 +198,7 @@ def test_static_scene_has_no_object(executor: LocalExecutor, rig: Rig) -> None:
     pairs = make_pairs(rig, [standing])
     found = estimate_motion(executor, rig, pairs)
     assert_no_motion(found, len(rig))
-    assert not is_ambiguous(executor, rig, pairs, FIRST, found, np.random.default_rng(1))
+    assert not is_ambiguous(make_context(executor, rig, 1), pairs, FIRST, found)
 
 
 def test_no_matches_give_no_motion(executor: LocalExecutor, rig: Rig) -> None:
@@ -239,7 +243,7 @@ def test_second_body_with_over_half_the_features_is_ambiguous(
 ) -> None:
     pairs = make_pairs(rig, [OBJECT, Body(count, ELSEWHERE, OTHER)])
     found = estimate_motion(executor, rig, pairs)
-    assert is_ambiguous(executor, rig, pairs, FIRST, found, np.random.default_rng(1)) == ambiguous
+    assert is_ambiguous(make_context(executor, rig, 1), pairs, FIRST, found) == ambiguous
 
 
 @pytest.mark.parametrize("more", [-1, 1])
@@ -251,17 +255,17 @@ def test_ambiguity_threshold(executor: LocalExecutor, rig: Rig, more: int) -> No
     assert rival.fit.status is Status.OK
     assert rival.n_inliers > 0.9 * 40 * len(rig)
     larger = replace(found, n_inliers=int(rival.n_inliers / AMBIGUITY_RATIO) + more)
-    assert is_ambiguous(executor, rig, pairs, FIRST, larger, np.random.default_rng(1)) == (more < 0)
+    assert is_ambiguous(make_context(executor, rig, 1), pairs, FIRST, larger) == (more < 0)
 
 
 @pytest.mark.parametrize("noise_px", [0.0, 0.3])
 def test_object_itself_is_not_ambiguous(executor: LocalExecutor, rig: Rig, noise_px: float) -> None:
     pairs = make_pairs(rig, [OBJECT], noise_px=noise_px)
     found = estimate_motion(executor, rig, pairs)
-    assert not is_ambiguous(executor, rig, pairs, FIRST, found, np.random.default_rng(1))
+    assert not is_ambiguous(make_context(executor, rig, 1), pairs, FIRST, found)
     # With its inliers included it would be.
     blind = replace(found, inliers=[[] for _ in rig])
-    assert is_ambiguous(executor, rig, pairs, FIRST, blind, np.random.default_rng(1))
+    assert is_ambiguous(make_context(executor, rig, 1), pairs, FIRST, blind)
 
 
 def test_buffered_frame_may_determine_depth() -> None:

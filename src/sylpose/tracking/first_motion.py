@@ -20,7 +20,7 @@ from sylpose.landmarks.landmark_filter import Landmarks
 from sylpose.relative_pose.observability import classify_observability
 from sylpose.relative_pose.solver import fit_terms
 from sylpose.relative_pose.terms import MIN_MATCHES, Fit, TermData, locate_object, make_failed_fit
-from sylpose.rig import Camera, Rig
+from sylpose.rig import Camera
 from sylpose.status import FrameStatus, Status
 from sylpose.tracking.camera_side.camera import CameraTracker, compute_static_px
 from sylpose.tracking.camera_side.frame import (
@@ -35,7 +35,7 @@ from sylpose.tracking.camera_side.frame import (
     select_inliers,
     triangulate,
 )
-from sylpose.tracking.context import CameraExecutor, Frame, TrackerContext, drop_static_matches
+from sylpose.tracking.context import Frame, TrackerContext, drop_static_matches
 from sylpose.tracking.frame_solvers import scatter_fit
 from sylpose.tracking.joint_side.joint_state import MIN_MOVED_FEATURES, JointState, KnownMotion
 from sylpose.tracking.reports import BoxMotionReport, InitialMatches, MovingMatches, quantize_positions
@@ -140,17 +140,14 @@ def estimate_jitter(pair: FrameMatches) -> float:
 
 
 def estimate_first_motion(
-    executor: CameraExecutor,
-    rig: Rig,
-    pairs: Sequence[Sequence[FrameMatches]],
-    first_number: int,
-    rng: np.random.Generator,
+    context: TrackerContext, pairs: Sequence[Sequence[FrameMatches]], first_number: int
 ) -> FirstMotion:
     """Estimate the motion since the frame with the number `first_number`, from its moving matches.
 
     Args:
         pairs: per camera, local: matches.
     """
+    rig, executor = context.rig, context.executor
     first_pairs = [[pair for pair in own if pair.reference == first_number] for own in pairs]
     n_matches = sum(executor.gather([sum(map(len, own)) for own in first_pairs], 0))
     # Per camera, local: moving matches of each pair, and what the others need of them.
@@ -176,7 +173,7 @@ def estimate_first_motion(
         undefined, fit = np.full(3, np.nan), make_failed_fit([], Status.TOO_FEW_MATCHES)
         nothing = [list[FrameMatches]() for _ in executor.local]
         return FirstMotion(fit, undefined, undefined, np.nan, 0, np.nan, 0, False, False, failure_status, nothing)
-    fit, center = _fit_consistent(reports, rng)
+    fit, center = _fit_consistent(reports, context.create_rng())
     detects_motion, is_likelier = _test_significance(fit, reports)
     weights = scatter_fit(executor, fit, [[report.term for report in of_camera] for of_camera in by_camera])
     inliers = [
@@ -272,12 +269,10 @@ def _test_significance(fit: Fit, reports: Sequence[MovingMatches]) -> tuple[Bool
 
 
 def is_ambiguous(
-    executor: CameraExecutor,
-    rig: Rig,
+    context: TrackerContext,
     pairs: Sequence[Sequence[FrameMatches]],
     first_number: int,
     initial_motion: FirstMotion,
-    rng: np.random.Generator,
 ) -> bool:
     """Return whether something else moved as a rigid body, with nearly as many inliers.
 
@@ -289,7 +284,7 @@ def is_ambiguous(
         [pair.subset(~np.isin(pair.indices[:, 0], _first_features(inliers))) for pair in own]
         for own, inliers in zip(pairs, initial_motion.inliers, strict=True)
     ]
-    other = estimate_first_motion(executor, rig, others, first_number, rng)
+    other = estimate_first_motion(context, others, first_number)
     return (
         other.fit.status is Status.OK
         and other.is_significant
@@ -359,7 +354,7 @@ def _update_depth(
         the state; the motion, or None. If depth is already known, only the motion is estimated.
     """
     first = state.frames.first
-    initial_motion = estimate_first_motion(context.executor, context.rig, pairs, first.number, context.create_rng())
+    initial_motion = estimate_first_motion(context, pairs, first.number)
     # Something may pass by behind the object.
     is_far = np.linalg.norm(initial_motion.inlier_center - first.world_from_object.translation) > state.object.radius
     is_unclear = initial_motion.fit.is_mixed or initial_motion.fit.alternative is not None

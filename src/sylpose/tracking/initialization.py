@@ -177,7 +177,7 @@ def _match_first_motion(
     first, current = buffered[0].frame, buffered[-1].frame
     matches = context.executor.run(partial(match_frames, first.number), first.cameras, current.cameras)
     pairs = [omit_empty([pair]) for pair in matches]
-    return pairs, estimate_first_motion(context.executor, context.rig, pairs, first.number, context.create_rng())
+    return pairs, estimate_first_motion(context, pairs, first.number)
 
 
 def _initialize_from_motion(
@@ -236,7 +236,7 @@ def _initialize_from_motion(
         state = replace(state, frames=replace(state.frames, keyframes=keyframes, anchor=anchor))
     else:  # one of them determined the depth: the end frame, based on guessed depth, was discarded
         state, last_tracked = _solve_buffered_frame(context, state, end_frame, state.predict_pose(end_frame.time))
-    if is_ambiguous(context.executor, context.rig, pairs, first.number, first_motion, context.create_rng()):
+    if is_ambiguous(context, pairs, first.number, first_motion):
         decided[0] = replace(decided[0], note=AMBIGUITY_NOTE)
     return state, [*decided, last_tracked]
 

@@ -6,7 +6,7 @@ import copy
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypedDict, Unpack
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -18,6 +18,7 @@ from sylpose.input_limits import to_one_line
 from sylpose.methods import FEATURES, METHODS, resolve_features
 from sylpose.rig import Rig
 from sylpose.tracking.camera_side.camera import CameraTracker, create_anchor
+from sylpose.tracking.camera_side.frame import CameraFrame
 from sylpose.tracking.context import CameraExecutor, Frame, LocalExecutor, TrackerContext
 from sylpose.tracking.initialization import BufferedFrame, finish_initialization
 from sylpose.tracking.joint_side.joint_state import JointState, SolvedFrame
@@ -61,6 +62,20 @@ class BufferedRecord:
     time_offsets: FloatArray
     motion: RigidTransform | None
 
+    @classmethod
+    def from_frame(cls, frame: Frame, motion: RigidTransform | None) -> BufferedRecord:
+        """Return the shared data of a buffered frame."""
+        images = frame.images
+        times = np.array([np.nan if time is None else time for time in images.times])
+        return cls(images.index, images.time, times, frame.number, frame.time_offsets, motion)
+
+    def to_frame(self, cameras: Sequence[CameraFrame]) -> BufferedFrame:
+        """Return the buffered frame without images, with the local cameras' data."""
+        times = tuple(None if np.isnan(time) else float(time) for time in self.times)
+        no_images = (None,) * len(times)
+        images = FrameSet(self.index, self.time, times, no_images, no_images)
+        return BufferedFrame(Frame(self.number, images, self.time_offsets, cameras=cameras), self.motion)
+
 
 @dataclass(frozen=True, eq=False)
 class Handover:
@@ -75,25 +90,6 @@ class Handover:
     state: JointState
     buffered: tuple[BufferedRecord, ...]
     number: int
-
-
-def build_handover(snapshot: TrackerSnapshot) -> Handover:
-    """Create a handover between two frames."""
-    state = snapshot.state
-    # Observations are shared again, and pending background work is restarted.
-    state = replace(
-        state,
-        frames=replace(state.frames, next_anchor_number=None),
-        refinement=replace(state.refinement, shared=(), pending=None),
-    )
-    buffered = tuple(_create_record(frame, motion) for frame, motion in snapshot.buffered)
-    return Handover(state, buffered, snapshot.next_number)
-
-
-def _create_record(frame: Frame, motion: RigidTransform | None) -> BufferedRecord:
-    images = frame.images
-    times = np.array([np.nan if time is None else time for time in images.times])
-    return BufferedRecord(images.index, images.time, times, frame.number, frame.time_offsets, motion)
 
 
 def check_handover(handover: Handover, cameras: int) -> None:
@@ -116,34 +112,14 @@ def check_handover(handover: Handover, cameras: int) -> None:
         raise ValueError(f"the shared state is not that of {n} cameras")
 
 
-def restore_handover(
-    handover: Handover, context: TrackerContext, local_frames: Sequence[BufferedFrame] | None
-) -> tuple[JointState, list[BufferedFrame], int]:
-    """Restore state, buffered frames and next frame number from a handover.
+class TrackerOptions(TypedDict, total=False):
+    """Options of a tracker besides its cameras, see `track`."""
 
-    Args:
-        local_frames: buffered frames of local cameras that took part so far; None for cameras that join now, which have
-            no features of the earlier frames.
-    """
-    state, records = handover.state, handover.buffered
-    if local_frames is not None:
-        # The transmitted motion is rounded: all cameras continue with the same value.
-        return state, [w._replace(motion=t.motion) for w, t in zip(local_frames, records, strict=True)], handover.number
-    for camera in context.cameras:
-        camera.reset()
-        if state.frames.last is not None:
-            camera.frames = {number: camera.create_empty_frame() for number in state.frames.by_number}
-        if state.frames.anchor is not None:
-            number = state.frames.anchor.frame.number
-            camera.anchor = create_anchor(number, camera.frames[number], None, None)
-    no_images = (None,) * len(context.rig)
-    buffered = list[BufferedFrame]()
-    for record in records:
-        times = tuple(None if np.isnan(time) else float(time) for time in record.times)
-        images = FrameSet(record.index, record.time, times, no_images, no_images)
-        empty = [camera.create_empty_frame() for camera in context.cameras]
-        buffered.append(BufferedFrame(Frame(record.number, images, record.time_offsets, cameras=empty), record.motion))
-    return state, buffered, handover.number
+    method: str
+    features: str
+    offsets: Mapping[str, float] | None
+    seed: int
+    known_object: KnownObject | None
 
 
 def track(
@@ -186,25 +162,13 @@ def track(
             space; a known object observed by other cameras, combined with boxes or with another method than
             "landmarks".
     """
-    with Tracker(
-        rig,
-        boxes,
-        method=method,
-        features=features,
-        offsets=offsets,
-        workers=workers,
-        seed=seed,
-        known_object=known_object,
-    ) as tracker:
-        for frame_set in _check_frame_sequence(frames):
+    options = TrackerOptions(method=method, features=features, offsets=offsets, seed=seed, known_object=known_object)
+    with Tracker(rig, boxes, workers=workers, **options) as tracker:
+        if not isinstance(frames, Iterable) or isinstance(frames, (str, bytes, Mapping)):
+            raise TypeError(f"frames must be a sequence of FrameSet, got {format_value(frames)}")
+        for frame_set in frames:
             yield from tracker.step(frame_set)
         yield from tracker.flush()
-
-
-def _check_frame_sequence(frames: Iterable[FrameSet]) -> Iterable[FrameSet]:
-    if not isinstance(frames, Iterable) or isinstance(frames, (str, bytes, Mapping)):
-        raise TypeError(f"frames must be a sequence of FrameSet, got {format_value(frames)}")
-    return frames
 
 
 class TrackerBase:
@@ -225,16 +189,17 @@ class TrackerBase:
         cameras: Sequence[CameraTracker],
         executor: CameraExecutor,
         boxes: Mapping[str, Box] | None,
-        *,
-        method: str,
-        features: str,
-        offsets: Mapping[str, float] | None,
-        seed: int,
-        known_object: KnownObject | None = None,
+        **options: Unpack[TrackerOptions],
     ) -> None:
-        uses_klt = resolve_features(method, features) == "klt"
+        method, seed, known_object = (
+            options.get("method", METHODS[0]),
+            options.get("seed", 0),
+            options.get("known_object"),
+        )
+        uses_klt = resolve_features(method, options.get("features", FEATURES[0])) == "klt"
         check_integer(seed, "seed")
-        for name, value in check_type({} if offsets is None else offsets, Mapping, "offsets").items():
+        offsets = check_type({} if (given := options.get("offsets")) is None else given, Mapping, "offsets")
+        for name, value in offsets.items():
             if name not in rig.names:
                 raise ValueError(
                     f"offsets: no camera {format_value(name)} in the rig ({to_one_line(', '.join(rig.names), 200)})"
@@ -242,10 +207,9 @@ class TrackerBase:
             check_number(value, f"offsets: {name}", minimum=-MAX_TIME_OFFSET, maximum=MAX_TIME_OFFSET)
         for name, box in check_type({} if boxes is None else boxes, Mapping, "boxes").items():
             check_type(box, Box, f"boxes: {format_value(name)}")
-        time_offsets = np.array([(offsets or {}).get(name, 0.0) for name in rig.names])
-        self._context = TrackerContext(
-            rig, cameras, executor, method, uses_klt, method == METHODS[0], time_offsets, seed
-        )
+        time_offsets = np.array([offsets.get(name, 0.0) for name in rig.names])
+        settings = method, uses_klt, method == METHODS[0], time_offsets, seed
+        self._context = TrackerContext(rig, cameras, executor, *settings)
         self._rig = rig
         self._state = JointState(ObjectModel.from_boxes(rig, boxes) if boxes else ObjectModel())
         if known_object is not None:
@@ -278,13 +242,9 @@ class TrackerBase:
         self._state, self._buffered, decided = process_frame(self._context, self._state, self._buffered, index, frames)
         if transferred is None:
             return decided
+        convert = transferred.converter.convert
         return [
-            replace(
-                tracked,
-                pose=transferred.converter.convert(tracked.pose),
-                learned_pose=tracked.pose,
-                note=tracked.note or note,
-            )
+            replace(tracked, pose=convert(tracked.pose), learned_pose=tracked.pose, note=tracked.note or note)
             for tracked in decided
         ]
 
@@ -311,16 +271,16 @@ class TrackerBase:
 
     def build_known_object(self) -> KnownObject | None:
         """Build a known object for another recording; None while too little is known."""
-        return build_known_object(
-            self._rig,
-            self._state,
-            self._context.cameras,
-            None if self.transferred_object is None else self.transferred_object.known_object,
-        )
+        initial = None if self.transferred_object is None else self.transferred_object.known_object
+        return build_known_object(self._rig, self._state, self._context.cameras, initial)
 
     def create_handover(self) -> Handover:
         """Create the handover for a camera that joins at the next frame."""
-        return build_handover(self.snapshot)
+        # Observations are shared again, and pending background work is restarted.
+        frames = replace(self._state.frames, next_anchor_number=None)
+        refinement = replace(self._state.refinement, shared=(), pending=None)
+        buffered = tuple(BufferedRecord.from_frame(*own) for own in self._buffered)
+        return Handover(replace(self._state, frames=frames, refinement=refinement), buffered, self.next_number)
 
     def apply_handover(self, handover: Handover, *, is_new: bool) -> None:
         """Continue from a handover.
@@ -329,8 +289,23 @@ class TrackerBase:
             handover: the shared state.
             is_new: whether the local cameras join now, without any observations so far.
         """
-        local_frames = None if is_new else self._buffered
-        self._state, self._buffered, self.next_number = restore_handover(handover, self._context, local_frames)
+        self._state, self.next_number = handover.state, handover.number
+        if not is_new:
+            # The transmitted motion is rounded: all cameras continue with the same value.
+            both = zip(self._buffered, handover.buffered, strict=True)
+            self._buffered = [own._replace(motion=record.motion) for own, record in both]
+            return
+        frames = self._state.frames
+        for camera in self._context.cameras:
+            camera.reset()
+            camera.frames = {number: camera.create_empty_frame() for number in frames.by_number}
+            if frames.anchor is not None:
+                number = frames.anchor.frame.number
+                camera.anchor = create_anchor(number, camera.frames[number], None, None)
+        self._buffered = [
+            record.to_frame([camera.create_empty_frame() for camera in self._context.cameras])
+            for record in handover.buffered
+        ]
 
     @property
     def has_observations(self) -> bool:
@@ -373,20 +348,15 @@ class Tracker(TrackerBase):
         rig: Rig,
         boxes: Mapping[str, Box] | None = None,
         *,
-        method: str = METHODS[0],
-        features: str = FEATURES[0],
-        offsets: Mapping[str, float] | None = None,
         workers: int | None = None,
-        seed: int = 0,
-        known_object: KnownObject | None = None,
+        **options: Unpack[TrackerOptions],
     ) -> None:
         check_type(rig, Rig, "rig")
         if workers is not None:
             check_integer(workers, "workers", minimum=0)
         self._executor = LocalExecutor(len(rig), workers or min(len(rig), os.cpu_count() or 1))
         cameras = [CameraTracker(c, camera) for c, camera in enumerate(rig)]
-        options: dict[str, Any] = {"method": method, "features": features, "offsets": offsets, "seed": seed}
-        super().__init__(rig, cameras, self._executor, boxes, **options, known_object=known_object)
+        super().__init__(rig, cameras, self._executor, boxes, **options)
 
     def __enter__(self) -> Tracker:
         return self
