@@ -156,9 +156,8 @@ def align(
     """
     if not matches:
         raise ValueError("alignment needs at least one camera, got none")
-    return align_from_starts(
-        _LocalCameras(stack_matches(matches)), [(np.asarray(rotation, float), np.asarray(translation, float), first_px)]
-    )[0]
+    start = np.asarray(rotation, float), np.asarray(translation, float), first_px
+    return align_from_starts(_LocalCameras(stack_matches(matches)), [start])[0]
 
 
 class AlignmentJob(NamedTuple):
@@ -194,19 +193,69 @@ def make_camera_state(stacked: StackedMatches) -> CameraState:
     )
 
 
-def make_initial_state(job: AlignmentJob) -> AlignmentState:
-    """Return the shared state at a job's start."""
-    n = len(job.variance_inflation)
-    return AlignmentState(
-        job.rotation.copy(),
-        job.translation.copy(),
-        np.full(n, job.schedule[0]),
-        np.array([job.schedule[0]]),
-        job.variance_inflation.copy(),
-        np.zeros((6, 6)),
-        np.zeros(6),
-        np.zeros(6),
-    )
+class AlignmentRun:
+    """A job in progress.
+
+    Args:
+        job: the problem.
+        stacked: matches of the local cameras.
+
+    Attributes:
+        state, camera_state: shared by all cameras; of the local cameras.
+        schedule: (S,) noise assumed in the first iterations, pixels.
+        left_out: as in the job.
+        iteration, converged: number of iterations so far; whether the last one was negligible.
+    """
+
+    def __init__(self, job: AlignmentJob, stacked: StackedMatches) -> None:
+        inflation, sigma_px = job.variance_inflation.copy(), np.full(len(job.variance_inflation), job.schedule[0])
+        pose, steps = (job.rotation.copy(), job.translation.copy()), (np.zeros(6), np.zeros(6))
+        self.state = AlignmentState(*pose, sigma_px, np.array([job.schedule[0]]), inflation, np.zeros((6, 6)), *steps)
+        self.stacked, self.camera_state = stacked, make_camera_state(stacked)
+        self.schedule, self.left_out = np.array(job.schedule, float), job.left_out
+        self.iteration, self.converged = 0, False
+
+    def evaluate(self, c: int, number: int) -> EvaluationMessage:
+        """Evaluate the final pose with one camera's matches.
+
+        Args:
+            c: index among the local cameras.
+            number: index among all cameras.
+        """
+        stacked, state = self.stacked, self.state
+        # The noise that defines inliers is limited by the rig's.
+        limit = max(MAX_INLIER_NOISE_PX, MAX_INLIER_NOISE_RATIO * state.rig_px[0])
+        noise_px, is_used = float(min(state.sigma_px[number], limit)), number != self.left_out
+        cost, reference_cost, inliers = evaluate_pose(
+            stacked, c, state.rotation, state.translation, noise_px, is_used, self.camera_state
+        )
+        matches = slice(stacked.offsets[c], stacked.offsets[c + 1])
+        weight = float(stacked.prior_weight[matches].sum())
+        return EvaluationMessage(cost, reference_cost, int(inliers), matches.stop - matches.start, weight)
+
+    def make_result(self, evaluations: Sequence[EvaluationMessage]) -> AlignmentResult:
+        """Combine the cameras' evaluations of the final pose with the local cameras' data."""
+        state, splits = self.state, self.stacked.offsets[1:-1]
+        reference_costs = np.array([t.reference_cost for t in evaluations])
+        prior_weights = np.array([t.prior_weight for t in evaluations])
+        inliers, total = np.array([t.inliers for t in evaluations], np.int64), max(float(prior_weights.sum()), 1e-12)
+        return AlignmentResult(
+            rotation=state.rotation,
+            translation=state.translation,
+            information=state.information,
+            cost=sum((t.cost for t in evaluations), 0.0) / total,
+            reference_cost=float(reference_costs.sum()) / total,
+            reference_costs=reference_costs / np.maximum(prior_weights, 1e-12),
+            converged=self.converged and int(inliers.sum()) >= MIN_MATCHES,
+            iterations=min(self.iteration, MAX_ITERATIONS),
+            matches=np.array([t.matches for t in evaluations], np.int64),
+            sigma_px=state.sigma_px,
+            variance_inflation=state.variance_inflation,
+            inliers=inliers,
+            weights=tuple(np.split(self.camera_state.weights, splits)),
+            residuals=tuple(np.split(self.camera_state.cross_residual, splits)),
+            depth_model=self.camera_state.depth_model,
+        )
 
 
 class _CameraGroup(Protocol):
@@ -222,9 +271,8 @@ class _CameraGroup(Protocol):
 def make_first_job(start: AlignmentStart, n_cameras: int) -> AlignmentJob:
     """Return the job of one start, without variance inflation."""
     rotation, translation, first_px = start
-    return AlignmentJob(
-        [s for s in SCHEDULE_PX if s <= first_px] or SCHEDULE_PX[-1:], rotation, translation, np.ones(n_cameras)
-    )
+    schedule = [s for s in SCHEDULE_PX if s <= first_px] or SCHEDULE_PX[-1:]
+    return AlignmentJob(schedule, rotation, translation, np.ones(n_cameras))
 
 
 def align_from_starts(cameras: _CameraGroup, starts: Sequence[AlignmentStart]) -> list[AlignmentResult]:
@@ -263,45 +311,6 @@ def _has_disagreement(joint: AlignmentResult, eligible: Sequence[int]) -> bool:
     )
 
 
-def _inlier_noise(state: AlignmentState, c: int) -> float:
-    """Return the noise that defines inliers, pixels, limited by the rig's."""
-    return float(min(state.sigma_px[c], max(MAX_INLIER_NOISE_PX, MAX_INLIER_NOISE_RATIO * state.rig_px[0])))
-
-
-def make_result(
-    state: AlignmentState,
-    iterations: int,
-    converged: bool,
-    evaluations: Sequence[EvaluationMessage],
-    stacked: StackedMatches,
-    camera_state: CameraState,
-) -> AlignmentResult:
-    """Combine the cameras' evaluations of a pose with the local cameras' data."""
-    splits = stacked.offsets[1:-1]
-    reference_costs, prior_weights = (
-        np.array([t.reference_cost for t in evaluations]),
-        np.array([t.prior_weight for t in evaluations]),
-    )
-    inliers, total = np.array([t.inliers for t in evaluations], np.int64), max(float(prior_weights.sum()), 1e-12)
-    return AlignmentResult(
-        state.rotation,
-        state.translation,
-        state.information,
-        sum((t.cost for t in evaluations), 0.0) / total,
-        float(reference_costs.sum()) / total,
-        reference_costs / np.maximum(prior_weights, 1e-12),
-        converged and int(inliers.sum()) >= MIN_MATCHES,
-        iterations,
-        np.array([t.matches for t in evaluations], np.int64),
-        state.sigma_px,
-        state.variance_inflation,
-        inliers,
-        tuple(np.split(camera_state.weights, splits)),
-        tuple(np.split(camera_state.cross_residual, splits)),
-        camera_state.depth_model,
-    )
-
-
 # --- all cameras here -------------------------------------------------------------------------------------------------
 
 
@@ -317,17 +326,12 @@ class _LocalCameras:
 
     def solve(self, jobs: Sequence[AlignmentJob]) -> list[AlignmentResult]:
         """Solve the jobs, see `_CameraGroup`."""
-        return [self._solve_job(job) for job in jobs]
-
-    def _solve_job(self, job: AlignmentJob) -> AlignmentResult:
-        camera_state, state = make_camera_state(self.stacked), make_initial_state(job)
-        iterations, converged = _run_iterations(
-            self.stacked, np.array(job.schedule, float), job.left_out, state, camera_state
-        )
-        evaluations = [
-            evaluate_camera(self.stacked, c, state, camera_state, c, c != job.left_out) for c in range(self.count)
-        ]
-        return make_result(state, iterations, converged, evaluations, self.stacked, camera_state)
+        runs = [AlignmentRun(job, self.stacked) for job in jobs]
+        for run in runs:
+            run.iteration, run.converged = _run_iterations(
+                self.stacked, run.schedule, run.left_out, run.state, run.camera_state
+            )
+        return [run.make_result([run.evaluate(c, c) for c in range(self.count)]) for run in runs]
 
 
 @kernel
@@ -344,21 +348,13 @@ def _run_iterations(
     iteration, converged, is_last = 0, False, False
     for iteration in range(1, MAX_ITERATIONS + 2):
         for c in range(n):
+            rotation, translation, sigma_px = state.rotation, state.translation, state.sigma_px[c]
             weight_sums[c] = compute_camera_terms(
-                stacked,
-                c,
-                state.rotation,
-                state.translation,
-                state.sigma_px[c],
-                c != left_out,
-                camera_state,
-                reduced[c],
+                stacked, c, rotation, translation, sigma_px, c != left_out, camera_state, reduced[c]
             )
-            noise[c] = (
-                estimate_camera_noise(stacked, c, camera_state)
-                if is_noise_estimated(iteration, len(schedule))
-                else np.nan
-            )
+            noise[c] = np.nan
+            if is_noise_estimated(iteration, len(schedule)):
+                noise[c] = estimate_camera_noise(stacked, c, camera_state)
         stepped, negligible = take_joint_step(state, reduced, weight_sums, noise, schedule, iteration, is_last)
         if not stepped:
             break
@@ -369,46 +365,20 @@ def _run_iterations(
     return min(iteration, MAX_ITERATIONS), converged
 
 
-def evaluate_camera(
-    stacked: StackedMatches, c: int, state: AlignmentState, camera_state: CameraState, number: int, is_used: bool
-) -> EvaluationMessage:
-    """Evaluate the final pose with one camera's matches.
-
-    Args:
-        c: index among the local cameras.
-        number: index among all cameras.
-        is_used: whether it was used.
-    """
-    cost, reference_cost, inliers = evaluate_pose(
-        stacked, c, state.rotation, state.translation, _inlier_noise(state, number), is_used, camera_state
-    )
-    matches = slice(stacked.offsets[c], stacked.offsets[c + 1])
-    return EvaluationMessage(
-        cost, reference_cost, int(inliers), matches.stop - matches.start, float(stacked.prior_weight[matches].sum())
-    )
-
-
 # --- arrays -----------------------------------------------------------------------------------------------------------
 
 
 def stack_matches(matches: Sequence[LandmarkMatches]) -> StackedMatches:
     """Concatenate all cameras' matches."""
-    points, depth_error, image, prior_weight = (
-        np.ascontiguousarray(np.concatenate(part), float)
-        for part in zip(*((s.points, s.depth_error, s.image, s.prior_weight) for s in matches), strict=True)
-    )
-    return StackedMatches(
-        points=points,
-        depth_error=depth_error,
-        image=image,
-        prior_weight=prior_weight,
-        feature=np.concatenate([s.feature for s in matches]).astype(np.int64),
-        basis=np.concatenate([_depth_basis(s.image) for s in matches]),
-        offsets=np.cumsum([0, *(len(s.image) for s in matches)], dtype=np.int64),
-        rotation=np.array([s.rotation for s in matches], float),
-        center=np.array([s.center for s in matches], float),
-        focal=np.array([s.focal for s in matches], float),
-    )
+    arrays = {
+        name: np.ascontiguousarray(np.concatenate([getattr(s, name) for s in matches]), float)
+        for name in ("points", "depth_error", "image", "prior_weight")
+    }
+    arrays |= {name: np.array([getattr(s, name) for s in matches], float) for name in ("rotation", "center", "focal")}
+    feature = np.concatenate([s.feature for s in matches]).astype(np.int64)
+    basis = np.concatenate([_depth_basis(s.image) for s in matches])
+    offsets = np.cumsum([0, *(len(s.image) for s in matches)], dtype=np.int64)
+    return StackedMatches(**arrays, feature=feature, basis=basis, offsets=offsets)
 
 
 def _depth_basis(image: FloatArray) -> FloatArray:

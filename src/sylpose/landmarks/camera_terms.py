@@ -79,23 +79,17 @@ def linearize_matches(
     c: int,
     rotation: FloatArray,
     translation: FloatArray,
-    depth_model: FloatArray,
     variance: float,
     state: CameraState,
 ) -> None:
     """Compute camera c's landmark projections and residuals.
 
     Args:
-        depth_model: (3,) a.
         variance: σ², normalized units.
         state: its projections, distance and cross_residual are filled.
     """
-    q, projections, distance, cross_residual = (
-        stacked.rotation[c],
-        state.projections,
-        state.distance,
-        state.cross_residual,
-    )
+    q, depth_model, projections = stacked.rotation[c], state.depth_model[c], state.projections
+    distance, cross_residual = state.distance, state.cross_residual
     camera_rotation, camera_translation = np.empty((3, 3)), np.empty(3)
     for i in range(3):
         camera_translation[i] = 0.0
@@ -107,11 +101,8 @@ def linearize_matches(
         for k in range(3):
             depth_offset += stacked.basis[i, k] * depth_model[k]
         d0, d1, d2 = stacked.depth_error[i, 0], stacked.depth_error[i, 1], stacked.depth_error[i, 2]
-        x0, x1, x2 = (
-            stacked.points[i, 0] + depth_offset * d0,
-            stacked.points[i, 1] + depth_offset * d1,
-            stacked.points[i, 2] + depth_offset * d2,
-        )
+        x0, x1 = stacked.points[i, 0] + depth_offset * d0, stacked.points[i, 1] + depth_offset * d1
+        x2 = stacked.points[i, 2] + depth_offset * d2
         s0 = camera_rotation[0, 0] * x0 + camera_rotation[0, 1] * x1 + camera_rotation[0, 2] * x2
         s1 = camera_rotation[1, 0] * x0 + camera_rotation[1, 1] * x1 + camera_rotation[1, 2] * x2
         s2 = camera_rotation[2, 0] * x0 + camera_rotation[2, 1] * x1 + camera_rotation[2, 2] * x2
@@ -167,26 +158,17 @@ def build_equations(stacked: StackedMatches, c: int, variance: float, weight_sum
     Args:
         weight_sum: the weights' sum.
     """
-    projections, cross_residual, weights, equations = (
-        state.projections,
-        state.cross_residual,
-        state.weights,
-        state.equations,
-    )
+    projections, cross_residual = state.projections, state.cross_residual
+    weights, equations = state.weights, state.equations
     equations[:] = 0.0
     row, phi = np.empty(6), np.empty(3)
     correlation = max(1.0, weight_sum / MAX_INDEPENDENT_MATCHES)
     for i in range(stacked.offsets[c], stacked.offsets[c + 1]):
         if not weights[i] > 0.0:
             continue
-        s0, s1, s2, u, v, z = (
-            projections[i, 0],
-            projections[i, 1],
-            projections[i, 2],
-            projections[i, 3],
-            projections[i, 4],
-            projections[i, 5],
-        )
+        s0, s1, s2 = projections[i, 0], projections[i, 1], projections[i, 2]
+        u, v, z = projections[i, 3], projections[i, 4], projections[i, 5]
+        g0, g1, g2 = projections[i, 10], projections[i, 11], projections[i, 12]
         b0, b1, length, along = projections[i, 6], projections[i, 7], projections[i, 8], projections[i, 9]
         depth_variance = length * length
         w = weights[i] / (variance + correlation * depth_variance)
@@ -209,17 +191,10 @@ def build_equations(stacked: StackedMatches, c: int, variance: float, weight_sum
         # it, that would interpret noise as motion.
         w = weights[i] / variance
         depth_shift = -length * along / (variance + depth_variance)
-        new_depth = z + depth_shift * projections[i, 12]
+        new_depth = z + depth_shift * g2
         if new_depth > 0.2 * z:
-            s0, s1, s2 = (
-                s0 + depth_shift * projections[i, 10],
-                s1 + depth_shift * projections[i, 11],
-                s2 + depth_shift * projections[i, 12],
-            )
-            u, v = (
-                (u * z + depth_shift * projections[i, 10]) / new_depth,
-                (v * z + depth_shift * projections[i, 11]) / new_depth,
-            )
+            s0, s1, s2 = s0 + depth_shift * g0, s1 + depth_shift * g1, s2 + depth_shift * g2
+            u, v = (u * z + depth_shift * g0) / new_depth, (v * z + depth_shift * g1) / new_depth
             z = new_depth
         compute_image_row(-b1, b0, u, v, z, s0, s1, s2, 1.0, row)
         for k in range(6):
@@ -283,7 +258,7 @@ def compute_camera_terms(
         the weights' sum.
     """
     variance = (sigma_px / stacked.focal[c]) ** 2
-    linearize_matches(stacked, c, rotation, translation, state.depth_model[c], variance, state)
+    linearize_matches(stacked, c, rotation, translation, variance, state)
     weight_sum = compute_weights(stacked, c, state)
     if not is_used:
         weight_sum = 0.0
@@ -316,32 +291,12 @@ def update_depth_model(c: int, step: FloatArray, state: CameraState) -> None:
 
 
 @kernel
-def _compute_robust_cost(q: float) -> float:
-    """Return the bisquare cost, 0 to 1, of a squared distance relative to the cutoff."""
-    return 1.0 - max(1.0 - q, 0.0) ** 3
-
-
-@kernel
-def compute_cost(
-    stacked: StackedMatches,
-    c: int,
-    rotation: FloatArray,
-    translation: FloatArray,
-    depth_model: FloatArray,
-    noise_px: float,
-    state: CameraState,
-) -> float:
-    """Return the sum of camera c's robust costs, weighted by `prior_weight`.
-
-    Args:
-        depth_model: (3,) a.
-        noise_px: the noise assumed, pixels.
-        state: its part is overwritten.
-    """
-    linearize_matches(stacked, c, rotation, translation, depth_model, (noise_px / stacked.focal[c]) ** 2, state)
+def _sum_costs(stacked: StackedMatches, c: int, state: CameraState) -> float:
+    """Return the sum of camera c's bisquare costs, each from 0 to 1, weighted by `prior_weight`."""
     cost = 0.0
     for i in range(stacked.offsets[c], stacked.offsets[c + 1]):
-        cost += stacked.prior_weight[i] * _compute_robust_cost((state.distance[i] / CUTOFF) ** 2)
+        q = (state.distance[i] / CUTOFF) ** 2
+        cost += stacked.prior_weight[i] * (1.0 - max(1.0 - q, 0.0) ** 3)
     return cost
 
 
@@ -365,14 +320,13 @@ def evaluate_pose(
         the sum of its matches' robust costs, each between 0 and 1, weighted by `prior_weight`; the same at
         `REFERENCE_NOISE_PX`; number of inliers.
     """
-    reference_cost = compute_cost(stacked, c, rotation, translation, state.depth_model[c], REFERENCE_NOISE_PX, state)
-    variance = (noise_px / stacked.focal[c]) ** 2
-    linearize_matches(stacked, c, rotation, translation, state.depth_model[c], variance, state)
+    linearize_matches(stacked, c, rotation, translation, (REFERENCE_NOISE_PX / stacked.focal[c]) ** 2, state)
+    reference_cost = _sum_costs(stacked, c, state)
+    linearize_matches(stacked, c, rotation, translation, (noise_px / stacked.focal[c]) ** 2, state)
     if is_used:
         compute_weights(stacked, c, state)
-    cost, inliers = 0.0, 0
+    cost, inliers = _sum_costs(stacked, c, state), 0
     for i in range(stacked.offsets[c], stacked.offsets[c + 1]):
         state.cross_residual[i] *= stacked.focal[c]
-        cost += stacked.prior_weight[i] * _compute_robust_cost((state.distance[i] / CUTOFF) ** 2)
         inliers += state.weights[i] > 0.0
     return cost, reference_cost, inliers

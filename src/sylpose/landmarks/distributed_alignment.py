@@ -15,7 +15,6 @@ iterations follow.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -24,17 +23,14 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.landmarks.alignment import (
     AlignmentJob,
     AlignmentResult,
+    AlignmentRun,
     AlignmentStart,
     LandmarkMatches,
     align_from_starts,
-    evaluate_camera,
-    make_camera_state,
     make_first_job,
-    make_initial_state,
-    make_result,
     stack_matches,
 )
-from sylpose.landmarks.camera_terms import CameraState, compute_camera_terms, estimate_camera_noise, update_depth_model
+from sylpose.landmarks.camera_terms import compute_camera_terms, estimate_camera_noise, update_depth_model
 from sylpose.landmarks.joint_step import (
     MAX_ITERATIONS,
     SETTLING_ITERATIONS,
@@ -60,19 +56,11 @@ SAME_POSE_DISTANCE = 1.0
 MIN_WEIGHT_RATIO = 0.5
 
 
-@dataclass(eq=False)
-class _JobState:
-    """A job in progress: the shared state of all cameras, and this camera's local state."""
+class _NodeRun(AlignmentRun):
+    """A job in progress on this node; attributes as in `take_joint_step`."""
 
-    state: AlignmentState
-    camera_state: CameraState
-    schedule: FloatArray
-    is_used: bool = True
-    iteration: int = 0
-    converged: bool = False
-    is_last: bool = False
-    finished: bool = False
-    weight_sums: FloatArray = field(default_factory=lambda: np.zeros(0))
+    is_last = finished = False
+    weight_sums: FloatArray = np.zeros(0)
 
 
 class DistributedAligner:
@@ -101,32 +89,22 @@ class DistributedAligner:
 
     def solve(self, jobs: Sequence[AlignmentJob]) -> list[AlignmentResult]:
         """Solve the jobs, see `alignment._CameraGroup`."""
-        runs = [
-            _JobState(
-                make_initial_state(job),
-                make_camera_state(self._matches),
-                np.array(job.schedule, float),
-                is_used=self._index != job.left_out,
-            )
-            for job in jobs
-        ]
+        runs = [_NodeRun(job, self._matches) for job in jobs]
         while active := [run for run in runs if not run.finished]:
             self._run_iteration(active, [self._make_message(run) for run in active])
-        return self._make_results(runs, self._evaluate(runs))
+        return self._make_results(runs)
 
-    def _make_message(self, run: _JobState) -> TermsMessage:
+    def _make_message(self, run: _NodeRun) -> TermsMessage:
         """Return this camera's message for the current iteration of a run."""
         run.iteration += 1
         state, reduced, sigma_px = run.state, np.empty((6, 7)), float(run.state.sigma_px[self._index])
-        weight_sum = compute_camera_terms(
-            self._matches, 0, state.rotation, state.translation, sigma_px, run.is_used, run.camera_state, reduced
-        )
-        with_noise = is_noise_estimated(run.iteration, len(run.schedule))
-        return TermsMessage.from_reduced(
-            reduced, weight_sum, estimate_camera_noise(self._matches, 0, run.camera_state) if with_noise else np.nan
-        )
+        pose, is_used, noise_px = (state.rotation, state.translation), self._index != run.left_out, np.nan
+        weight_sum = compute_camera_terms(self._matches, 0, *pose, sigma_px, is_used, run.camera_state, reduced)
+        if is_noise_estimated(run.iteration, len(run.schedule)):
+            noise_px = estimate_camera_noise(self._matches, 0, run.camera_state)
+        return TermsMessage.from_reduced(reduced, weight_sum, noise_px)
 
-    def _run_iteration(self, runs: Sequence[_JobState], messages: Sequence[TermsMessage]) -> None:
+    def _run_iteration(self, runs: Sequence[_NodeRun], messages: Sequence[TermsMessage]) -> None:
         """Run one iteration of several runs."""
         messages = [message.to_single_precision() for message in messages] if self._is_compact else messages
         received = self._exchange(tuple(messages), (TermsMessage(np.zeros(27), 0.0, np.nan),) * len(messages))
@@ -142,34 +120,13 @@ class DistributedAligner:
                 run.is_last = negligible or run.iteration == MAX_ITERATIONS
                 update_depth_model(0, run.state.step, run.camera_state)
 
-    def _evaluate(self, runs: Sequence[_JobState]) -> list[tuple[EvaluationMessage, ...]]:
-        """Return all cameras' evaluations of each run's final pose."""
+    def _make_results(self, runs: Sequence[_NodeRun]) -> list[AlignmentResult]:
+        """Exchange the evaluations of each run's final pose, and return the results."""
         if not runs:
             return []
-        own_evaluations = tuple(
-            evaluate_camera(self._matches, 0, run.state, run.camera_state, self._index, run.is_used) for run in runs
-        )
-        return list(
-            zip(
-                *self._exchange(own_evaluations, (EvaluationMessage(0.0, 0.0, 0, 0, 0.0),) * len(own_evaluations)),
-                strict=True,
-            )
-        )
-
-    def _make_results(
-        self, runs: Sequence[_JobState], evaluations: Sequence[Sequence[EvaluationMessage]]
-    ) -> list[AlignmentResult]:
-        return [
-            make_result(
-                run.state,
-                min(run.iteration, MAX_ITERATIONS),
-                run.converged,
-                run_evaluations,
-                self._matches,
-                run.camera_state,
-            )
-            for run, run_evaluations in zip(runs, evaluations, strict=True)
-        ]
+        own = tuple(run.evaluate(0, self._index) for run in runs)
+        evaluations = self._exchange(own, (EvaluationMessage(0.0, 0.0, 0, 0, 0.0),) * len(own))
+        return [run.make_result(by_camera) for run, *by_camera in zip(runs, *evaluations, strict=True)]
 
     # --- compact ---------------------------------------------------------------------------------------------------
 
@@ -182,7 +139,7 @@ class DistributedAligner:
         self._run_iteration(all_runs, messages)
         own_weights = [run.weight_sums for run in all_runs]
         # Runs that reach the same pose are merged.
-        runs: list[_JobState] = []
+        runs: list[_NodeRun] = []
         run_indices = []
         for run in all_runs:
             k = next((k for k, other in enumerate(runs) if _is_same_pose(run.state, other.state)), len(runs))
@@ -200,7 +157,7 @@ class DistributedAligner:
                     run.converged or size < (STEP_TOLERANCE if count < COMPACT_ITERATIONS else COMPACT_TOLERANCE)
                 )
                 run.finished |= run.converged
-        results = self._make_results(runs, self._evaluate(runs))
+        results = self._make_results(runs)
         first = [run_indices.index(k) for k in range(len(runs))]
         failed = [
             k
@@ -211,13 +168,11 @@ class DistributedAligner:
             results[k] = result
         return [results[k] for k in run_indices]
 
-    def _solve_alone(self, job: AlignmentJob) -> tuple[_JobState, TermsMessage]:
+    def _solve_alone(self, job: AlignmentJob) -> tuple[_NodeRun, TermsMessage]:
         """Return the run that starts from this camera's own solution, and its message about the common start."""
         stacked, schedule = self._matches, np.array(job.schedule, float)
-        camera_state, state = (
-            make_camera_state(stacked),
-            make_initial_state(job._replace(variance_inflation=np.ones(1))),
-        )
+        alone = AlignmentRun(job._replace(variance_inflation=np.ones(1)), stacked)
+        camera_state, state = alone.camera_state, alone.state
         reduced, with_prior, difference = np.empty((1, 6, 7)), np.empty((1, 6, 7)), np.zeros(6)
         weight_sum, iteration, is_last = 0.0, 0, False
         prior = _prior_information(stacked.points)
@@ -235,8 +190,8 @@ class DistributedAligner:
             is_last = converged or iteration == MAX_ITERATIONS
             update_depth_model(0, state.step, camera_state)
         reduced[0, :, 6] -= reduced[0, :, :6] @ difference
-        start = make_initial_state(job._replace(schedule=job.schedule[-1:]))
-        run = _JobState(start, camera_state, schedule[-1:], iteration=1)
+        run = _NodeRun(job._replace(schedule=job.schedule[-1:]), stacked)
+        run.camera_state, run.iteration = camera_state, 1
         # Its depth model is that of its own solution, from which steps are taken.
         for k in range(3):
             camera_state.gains[0, k, 6] -= camera_state.gains[0, k, :6] @ difference
