@@ -28,7 +28,7 @@ from sylpose.network.simulation import track_by_nodes
 from sylpose.packets import NetworkFaults
 from sylpose.simulate import make_demo_scene
 from sylpose.status import FrameStatus
-from sylpose.tracking.tracked_frame import TrackedFrame
+from sylpose.tracking.context import TrackedFrame
 from sylpose.tracking.tracker import track
 from tests.clips import SIZE, Clip, compute_pose_errors
 

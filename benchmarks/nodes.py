@@ -29,7 +29,7 @@ from sylpose.methods import MODES
 from sylpose.network.simulation import SimulationResult, track_by_nodes
 from sylpose.network.wire_format import HEADER
 from sylpose.packets import NetworkFaults
-from sylpose.tracking.tracked_frame import TrackedFrame
+from sylpose.tracking.context import TrackedFrame
 from sylpose.tracking.tracker import track
 
 SCENES = ("demo:0", "temple", "board4", "person-behind:0", "jumps-15:0", "nudged:1", "stands-fast:2")

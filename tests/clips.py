@@ -17,7 +17,7 @@ from sylpose.rig import Camera, Rig
 from sylpose.simulate import Actor, DemoTruth, Scene, TexturedBody, compute_demo_truth, make_demo_scene, render_frames
 from sylpose.simulate.render import Path
 from sylpose.status import FrameStatus
-from sylpose.tracking.tracked_frame import TrackedFrame
+from sylpose.tracking.context import TrackedFrame
 from sylpose.tracking.tracker import track
 
 Images = Sequence[Image | None]

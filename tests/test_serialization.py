@@ -25,7 +25,7 @@ from sylpose.runs.options import RunOptions
 from sylpose.runs.run import track_session
 from sylpose.smoothing import Track
 from sylpose.status import FrameStatus
-from sylpose.tracking.tracked_frame import TrackedFrame
+from sylpose.tracking.context import TrackedFrame
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 

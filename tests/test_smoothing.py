@@ -18,8 +18,8 @@ from sylpose.simulate import ellipsoid, ring
 from sylpose.smoothing import SmoothedTrajectory, Track, _select_observations, smooth
 from sylpose.status import FrameStatus, Status
 from sylpose.tracking.camera_side.frame import LandmarkObservations
+from sylpose.tracking.context import TrackedFrame
 from sylpose.tracking.joint_side.joint_state import Nudge
-from sylpose.tracking.tracked_frame import TrackedFrame
 
 RIG = ring(3, 1.5, 1000.0, height=(0.4, -0.1, 0.3))
 RADIUS = 0.15

@@ -62,9 +62,9 @@ if TYPE_CHECKING:
     from sylpose.sylvester.known_depth import KnownDepthSolution, solve_2d3d, solve_3d3d
     from sylpose.sylvester.one_camera import OneCameraSolution, solve_one_camera
     from sylpose.tracking.camera_side.frame import DetectedFeatures, LandmarkObservations
+    from sylpose.tracking.context import TrackedFrame
     from sylpose.tracking.joint_side.joint_state import Nudge
     from sylpose.tracking.known_object import KnownObject, ObjectFrame
-    from sylpose.tracking.tracked_frame import TrackedFrame
     from sylpose.tracking.tracker import track
     from sylpose.view import MotionView, RotationView, trajectory_view, view_of_motion, view_of_pose, view_of_rotation
 
@@ -189,7 +189,7 @@ _HOMES = {
     "sylpose.tracking.joint_side.joint_state": ("Nudge",),
     "sylpose.tracking.known_object": ("KnownObject", "ObjectFrame"),
     "sylpose.tracking.camera_side.frame": ("DetectedFeatures", "LandmarkObservations"),
-    "sylpose.tracking.tracked_frame": ("TrackedFrame",),
+    "sylpose.tracking.context": ("TrackedFrame",),
     "sylpose.tracking.tracker": ("track",),
     "sylpose.relative_pose.motion": ("estimate_motion", "estimate_motions"),
     "sylpose.view": (

@@ -30,10 +30,10 @@ from sylpose.results import FramePose
 from sylpose.rig import Rig
 from sylpose.status import FrameStatus, Observability, Status
 from sylpose.tracking.camera_side.frame import LandmarkObservations
+from sylpose.tracking.context import TrackedFrame
 from sylpose.tracking.joint_side.joint_state import Nudge, inherit_covariance
 from sylpose.tracking.known_object import TransferredObject
 from sylpose.tracking.reports import quantize_positions
-from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.window import find_alternative_path
 
 # Landmarks with fewer observations contain little information on the motion, and biased: features that slide along an

@@ -29,7 +29,7 @@ from sylpose.runs.page import read_scenes
 from sylpose.runs.run import track_session
 from sylpose.runs.run_metadata import open_source_recording
 from sylpose.status import FrameStatus
-from sylpose.tracking.tracked_frame import TrackedFrame
+from sylpose.tracking.context import TrackedFrame
 from sylpose.tracking.tracker import track
 from tests.chromium import OpenedPage, open_page
 from tests.conftest import FRAMES

@@ -37,8 +37,8 @@ from sylpose.runs.check import preview_moving_object
 from sylpose.runs.options import RunOptions
 from sylpose.runs.run import track_session
 from sylpose.status import FrameStatus
+from sylpose.tracking.context import TrackedFrame
 from sylpose.tracking.frame_solvers import SOLVERS
-from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import Tracker
 from tests.conftest import FRAMES
 from tests.paths import DATA

@@ -23,7 +23,7 @@ from sylpose.report.files import read_trajectory, read_tum
 from sylpose.runs.options import RunOptions
 from sylpose.runs.run import track_session
 from sylpose.simulate import Actor, Recording, Scene, chamfered_box, make_demo_scene, write_recording
-from sylpose.tracking.tracked_frame import TrackedFrame
+from sylpose.tracking.context import TrackedFrame
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 

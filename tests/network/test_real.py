@@ -37,7 +37,7 @@ from sylpose.packets import Packet
 from sylpose.report.files import read_trajectory
 from sylpose.simulate import render_sequence
 from sylpose.simulate.recordings import DemoTruth
-from sylpose.tracking.tracked_frame import TrackedFrame
+from sylpose.tracking.context import TrackedFrame
 from sylpose.tracking.tracker import track
 from tests.clips import SIZE, Clip, compute_pose_errors
 from tests.network.test_simulation import FRAMES, clip  # noqa: F401

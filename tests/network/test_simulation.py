@@ -25,8 +25,8 @@ from sylpose.packets import Inbox, NetworkFaults, Packet
 from sylpose.simulate import make_demo_scene
 from sylpose.smoothing import Track, smooth
 from sylpose.status import FrameStatus, Status
+from sylpose.tracking.context import TrackedFrame
 from sylpose.tracking.reports import CameraObservations
-from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import track
 from tests.clips import SIZE, Clip, compute_pose_errors
 from tests.tracking.test_fallback_search import LOW_CONTRAST, make_jumping_clip

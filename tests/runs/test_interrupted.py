@@ -26,7 +26,7 @@ from sylpose.runs.run import has_finished, track_session
 from sylpose.runs.run_metadata import SETTINGS, USED_CALIBRATION
 from sylpose.sync.estimation import TimeOffsets, write_offsets
 from sylpose.sync.speed_correlation import OffsetEstimate
-from sylpose.tracking.tracked_frame import TrackedFrame
+from sylpose.tracking.context import TrackedFrame
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 

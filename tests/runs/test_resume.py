@@ -29,8 +29,8 @@ from sylpose.runs.checkpoint import CHECKPOINT
 from sylpose.runs.checkpoint_schema import SERIALIZER, RunState
 from sylpose.runs.options import RunOptions
 from sylpose.runs.run import track_session
+from sylpose.tracking.context import TrackedFrame
 from sylpose.tracking.joint_side.joint_state import JointState
-from sylpose.tracking.tracked_frame import TrackedFrame
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 

@@ -12,9 +12,9 @@ import pytest
 
 from sylpose.frames import FrameSet
 from sylpose.geometry.future import BackgroundResult
+from sylpose.tracking.context import TrackedFrame
 from sylpose.tracking.joint_side.joint_state import JOIN_DELAY, JointState
 from sylpose.tracking.joint_side.joint_state import RESULT_DELAY as REFINED_LATER
-from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import Tracker
 from tests.clips import Clip, compute_pose_errors, frame_sets, make_rotated_pose, moving_scene
 from tests.stored import dump_state, restore_state

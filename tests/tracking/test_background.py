@@ -22,7 +22,7 @@ from sylpose.tracking.camera_side.frame import (
     ReobservedFeatures,
     count_ages,
 )
-from sylpose.tracking.context import LocalExecutor, TrackerContext
+from sylpose.tracking.context import Context, LocalExecutor
 from sylpose.tracking.first_motion import FirstMotion, estimate_first_motion, estimate_jitter, is_continuing_motion
 from sylpose.tracking.initialization import MAX_BUFFERED_FRAMES
 from sylpose.tracking.joint_side.joint_state import MIN_MOVED_FEATURES, JointState, ObjectMotion
@@ -51,7 +51,7 @@ def estimate_wall_motion(sigma: float, moving: int, translation: float, seed: in
     assert estimate_jitter(pairs[0][0]) == pytest.approx(max(sigma, 0.15), rel=0.35)
     executor = LocalExecutor(2, 1)
     try:
-        context = TrackerContext(RIG, (), executor, "landmarks", False, True, np.zeros(2), 0)
+        context = Context(RIG, (), executor, "landmarks", False, True, np.zeros(2), 0)
         return estimate_first_motion(context, pairs, 0)
     finally:
         executor.close()

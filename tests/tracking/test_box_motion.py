@@ -15,7 +15,7 @@ from sylpose.simulate import Actor, ring
 from sylpose.status import FrameStatus
 from sylpose.tracking.camera_side.camera import CameraTracker
 from sylpose.tracking.camera_side.frame import CameraFrame, FrameMatches
-from sylpose.tracking.context import Frame, LocalExecutor, TrackerContext
+from sylpose.tracking.context import Context, Frame, LocalExecutor
 from sylpose.tracking.first_motion import is_box_center_static, select_static_matches
 from sylpose.tracking.joint_side.joint_state import JointState, KnownFrames, SolvedFrame
 from sylpose.tracking.joint_side.object_model import ObjectModel
@@ -54,7 +54,7 @@ def simulate_box_motion(shifts: list[tuple[float, float]], rig: Rig = RIG) -> tu
     images = FrameSet(1, 1.0, (None,) * n, (None,) * n, (None,) * n)
     frame = Frame(1, images, np.zeros(n), cameras=cameras)
     camera_trackers = [CameraTracker(c, camera) for c, camera in enumerate(rig)]
-    context = TrackerContext(rig, camera_trackers, executor, "landmarks", False, True, np.zeros(n), 0)
+    context = Context(rig, camera_trackers, executor, "landmarks", False, True, np.zeros(n), 0)
     rest = select_static_matches(frame, pairs)
     return is_box_center_static(context, state, frame, pairs), [sum(map(len, of)) for of in rest]
 

@@ -29,11 +29,10 @@ from sylpose.simulate import make_demo_scene
 from sylpose.simulate.textures import make_room_image
 from sylpose.status import FrameStatus
 from sylpose.tracking.camera_side.camera_motion import MAX_CHANGED_FRAMES, PAUSE_FRAMES, CameraMotionDetector
-from sylpose.tracking.context import TrackerContext
+from sylpose.tracking.context import Context, TrackedFrame
 from sylpose.tracking.joint_side.joint_state import JointState, Nudge
 from sylpose.tracking.reports import CameraMotionReport
 from sylpose.tracking.state_machine import add_nudge_faults
-from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import Tracker, track
 from tests.clips import Clip, compute_pose_errors, frame_sets
 from tests.stored import dump_state, restore_state
@@ -275,7 +274,7 @@ def test_checkpoint_continues_exactly(clip: Clip) -> None:
 
 def test_rotation_uncertainty_enters_pose_covariance(clip: Clip) -> None:
     pose = FramePose(7, 0.2, FrameStatus.TRACKED, RigidTransform.identity(), np.eye(6), np.zeros(3, int), np.zeros(3))
-    before, context = replace(pose, index=6), cast(TrackerContext, SimpleNamespace(rig=clip.rig))
+    before, context = replace(pose, index=6), cast(Context, SimpleNamespace(rig=clip.rig))
     frames = [TrackedFrame(p, clip.frames()[0], (None,) * 3, (None,) * 3, 1.0) for p in (before, pose)]
     state = JointState(nudges=(Nudge(2, 7, nudge_rotvec(1.234), 0.1), Nudge(0, 9, nudge_rotvec(5.7), 0.1)))
     found = add_nudge_faults(context, state, frames)

@@ -20,7 +20,7 @@ from sylpose.status import FrameStatus
 from sylpose.tracking import initialization, state_machine
 from sylpose.tracking.camera_side import camera as camera_module
 from sylpose.tracking.camera_side.frame import CameraFrame, FrameMatches, drop_background
-from sylpose.tracking.context import Frame, TrackerContext
+from sylpose.tracking.context import Context, Frame
 from sylpose.tracking.joint_side import joint_state as joint_module
 from sylpose.tracking.joint_side.joint_state import JointState, KnownMotion
 from sylpose.tracking.pose_search import PoseCandidate, find_pose
@@ -103,7 +103,7 @@ def test_slow_object_with_weak_pose_is_searched_again(monkeypatch: pytest.Monkey
     slips: list[int] = []
 
     def slip(
-        context: TrackerContext, state: JointState, frame: Frame, *args: Any, **kwargs: Any
+        context: Context, state: JointState, frame: Frame, *args: Any, **kwargs: Any
     ) -> tuple[JointState, PoseCandidate | None]:
         state, found = usual(context, state, frame, *args, **kwargs)
         if found is None or frame.number != FRAMES - 1:

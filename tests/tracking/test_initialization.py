@@ -20,7 +20,7 @@ from sylpose.rig import Rig
 from sylpose.simulate import arc, ellipsoid
 from sylpose.status import FrameStatus, Status
 from sylpose.tracking.camera_side.frame import CameraFrame, FrameMatches
-from sylpose.tracking.context import LocalExecutor, TrackerContext
+from sylpose.tracking.context import Context, LocalExecutor
 from sylpose.tracking.first_motion import AMBIGUITY_RATIO, FirstMotion, estimate_first_motion, is_ambiguous
 from sylpose.tracking.tracker import track
 from tests.clips import statuses
@@ -97,8 +97,8 @@ def make_pairs(
     return pairs
 
 
-def make_context(executor: LocalExecutor, rig: Rig, seed: int = 0) -> TrackerContext:
-    return TrackerContext(rig, (), executor, "landmarks", False, True, np.zeros(len(rig)), seed)
+def make_context(executor: LocalExecutor, rig: Rig, seed: int = 0) -> Context:
+    return Context(rig, (), executor, "landmarks", False, True, np.zeros(len(rig)), seed)
 
 
 def estimate_motion(executor: LocalExecutor, rig: Rig, pairs: Sequence[Sequence[FrameMatches]]) -> FirstMotion:

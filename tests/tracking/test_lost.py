@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.status import FrameStatus
-from sylpose.tracking.tracked_frame import explain_missing_pose
+from sylpose.tracking.context import explain_missing_pose
 from sylpose.tracking.tracker import track
 from tests.clips import (
     HALF_DEGREE,

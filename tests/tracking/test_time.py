@@ -14,7 +14,7 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.simulate import Actor, Scene, compute_demo_truth, render_frames
 from sylpose.simulate.render import Path
 from sylpose.status import FrameStatus
-from sylpose.tracking.tracked_frame import TrackedFrame
+from sylpose.tracking.context import TrackedFrame
 from sylpose.tracking.tracker import Tracker, track
 from tests.clips import (
     HALF_DEGREE,

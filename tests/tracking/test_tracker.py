@@ -19,8 +19,8 @@ from sylpose.rig import Camera, Rig
 from sylpose.simulate import arc, make_demo_scene
 from sylpose.status import FrameStatus, Observability
 from sylpose.tracking.camera_side.frame import CameraFrame, project_outline, rasterize_outline
+from sylpose.tracking.context import TrackedFrame
 from sylpose.tracking.joint_side.joint_state import N_RECENT_FRAMES
-from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import Tracker, track
 from tests.clips import (
     FRAMES,

@@ -20,7 +20,7 @@ from sylpose.report.scene import Scene, build_scene
 from sylpose.results import Trajectory
 from sylpose.rig import Rig
 from sylpose.status import FrameStatus
-from sylpose.tracking.tracked_frame import TrackedFrame
+from sylpose.tracking.context import TrackedFrame
 
 # Frame rate of images without times, and updates per second during playback (choice).
 DEFAULT_FRAME_RATE, UPDATE_RATE = 10.0, 25.0

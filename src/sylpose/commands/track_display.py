@@ -26,7 +26,7 @@ from sylpose.runs.progress import TrackingProgress
 from sylpose.runs.results_folder import EARLIER
 from sylpose.runs.run import name_known_objects, output_path, result_units, track_session
 from sylpose.runs.run_result import Run
-from sylpose.tracking.tracked_frame import TrackedFrame
+from sylpose.tracking.context import TrackedFrame
 
 if TYPE_CHECKING:
     from sylpose.browser.viewer import LivePage

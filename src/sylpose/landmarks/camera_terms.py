@@ -75,12 +75,7 @@ class CameraState(NamedTuple):
 
 @kernel
 def linearize_matches(
-    stacked: StackedMatches,
-    c: int,
-    rotation: FloatArray,
-    translation: FloatArray,
-    variance: float,
-    state: CameraState,
+    stacked: StackedMatches, c: int, rotation: FloatArray, translation: FloatArray, variance: float, state: CameraState
 ) -> None:
     """Compute camera c's landmark projections and residuals.
 

@@ -26,9 +26,8 @@ from sylpose.network.membership import ExchangeRequest, ExchangeResult, JoinRequ
 from sylpose.network.plausibility import find_implausibility
 from sylpose.rig import Rig
 from sylpose.tracking.camera_side.camera import CameraTracker
-from sylpose.tracking.context import Alignment
+from sylpose.tracking.context import Alignment, TrackedFrame
 from sylpose.tracking.joint_side.joint_state import JointState, SolvedFrame
-from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import Handover, TrackerBase, check_handover
 
 T = TypeVar("T")

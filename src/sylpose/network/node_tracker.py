@@ -14,7 +14,7 @@ from sylpose.frames import Box, FrameSet
 from sylpose.network.simulation import SimulationResult, track_by_nodes
 from sylpose.network.wire_format import HEADER
 from sylpose.rig import Rig
-from sylpose.tracking.tracked_frame import TrackedFrame
+from sylpose.tracking.context import TrackedFrame
 
 
 class NodesTracker:

@@ -30,7 +30,7 @@ from sylpose.network.wire_format import Welcome
 from sylpose.packets import NO_FAULTS, Inbox, NetworkFaults, Packet, run_network
 from sylpose.rig import Rig
 from sylpose.smoothing import SmoothedTrajectory
-from sylpose.tracking.tracked_frame import TrackedFrame
+from sylpose.tracking.context import TrackedFrame
 
 # Steps for which a finished node still answers nodes that missed its last message (derived: longer than they wait).
 LINGER_STEPS = 2 * DEFAULT_TIMEOUTS.inactive

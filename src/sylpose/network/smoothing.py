@@ -16,8 +16,8 @@ from sylpose.network.node import Node, Rollback
 from sylpose.rig import Rig
 from sylpose.smoothing import SmoothedTrajectory, Track, smooth
 from sylpose.tracking.camera_side.frame import LandmarkObservations
+from sylpose.tracking.context import TrackedFrame
 from sylpose.tracking.reports import CameraObservations, quantize_positions
-from sylpose.tracking.tracked_frame import TrackedFrame
 
 # Frames per message (choice: of 4 MB at most, with 4,000 observations in each).
 FRAMES_PER_MESSAGE = 200

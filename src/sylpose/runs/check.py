@@ -20,8 +20,8 @@ from sylpose.rig import Camera, Rig
 from sylpose.runs.console_output import select_solved_frames
 from sylpose.runs.run_result import Run
 from sylpose.status import FrameStatus
+from sylpose.tracking.context import TrackedFrame
 from sylpose.tracking.joint_side.object_model import carve_box_volume
-from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import Tracker
 
 # Timestamps of one frame set that deviate more from their mean, frames, cause a warning (choice: cameras without a

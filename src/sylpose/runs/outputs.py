@@ -23,8 +23,8 @@ from sylpose.runs.page import ThumbnailAlbum
 from sylpose.runs.run_result import StageTimer
 from sylpose.smoothing import Track, make_keyframe_tracks, smooth
 from sylpose.status import Status
+from sylpose.tracking.context import TrackedFrame
 from sylpose.tracking.known_object import KnownObject, TransferredObject
-from sylpose.tracking.tracked_frame import TrackedFrame
 
 # Largest number of frames that are refined jointly: they take some 30 kB each, all at once in memory.
 MAX_SMOOTHED_FRAMES = 10_000

@@ -14,7 +14,7 @@ from rich.progress import Progress as Bar
 from sylpose.input_limits import print_message
 from sylpose.runs.console_output import make_console
 from sylpose.status import FrameStatus
-from sylpose.tracking.tracked_frame import TrackedFrame
+from sylpose.tracking.context import TrackedFrame
 
 # Called with the number of tracked frames and the total, or None if it is unknown.
 ProgressCallback = Callable[[int, int | None], None]

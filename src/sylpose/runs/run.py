@@ -28,8 +28,8 @@ from sylpose.runs.results_folder import ResultsFolder, check_output_folder, lock
 from sylpose.runs.run_metadata import SETTINGS, USED_CALIBRATION, WORLD, write_run_metadata
 from sylpose.runs.run_result import Run, StageTimer
 from sylpose.sync.offsets import apply_offsets, find_offsets
+from sylpose.tracking.context import TrackedFrame
 from sylpose.tracking.known_object import KnownObject
-from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.tracker import Tracker
 from sylpose.units import INITIAL_DISTANCES
 

@@ -39,7 +39,7 @@ from sylpose.tracking.camera_side.frame import (
     match_frames,
     split_by_pair,
 )
-from sylpose.tracking.context import TrackerContext
+from sylpose.tracking.context import Context
 from sylpose.tracking.joint_side.joint_state import Anchor, JointState, SolvedFrame, add_keyframe, select_references
 from sylpose.tracking.pose_search import MAX_KLT_FEATURES, PoseCandidate
 
@@ -53,7 +53,7 @@ def can_prepare(state: JointState) -> bool:
     return is_idle and state.motion.has_moved and not state.object.is_depth_guessed
 
 
-def begin_preparation(context: TrackerContext, state: JointState, candidate: PoseCandidate) -> JointState:
+def begin_preparation(context: Context, state: JointState, candidate: PoseCandidate) -> JointState:
     """Start detecting new features in the last solved frame."""
     frame, last = candidate.frame, state.last
     assert frame.tracked is not None
@@ -109,7 +109,7 @@ def find_new_features(
     return new, {number: match_features(features, new) for number, features in references.items()}
 
 
-def join_anchor(context: TrackerContext, state: JointState) -> JointState:
+def join_anchor(context: Context, state: JointState) -> JointState:
     """Switch to the next anchor, which is due (`KnownFrames.is_next_anchor_due`)."""
     assert state.frames.next_anchor_number is not None
     frame = state.frames.by_number[state.frames.next_anchor_number]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Protocol, TypeVar, cast
 
@@ -20,20 +20,24 @@ from sylpose.features.sift import MAX_FEATURES, Features
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import FloatArray
 from sylpose.landmarks.alignment import AlignmentResult, AlignmentStart, LandmarkMatches, align
+from sylpose.relative_pose.terms import MIN_MATCHES
+from sylpose.results import FramePose
 from sylpose.rig import Rig
+from sylpose.status import FrameStatus
 from sylpose.tracking.camera_side.camera import CameraTracker, TrackedFeatures
 from sylpose.tracking.camera_side.frame import (
     REGION_MARGIN,
     CameraFrame,
-    FrameMatches,
+    CameraPairs,
+    DetectedFeatures,
+    LandmarkObservations,
     Region,
     drop_background,
     project_outline,
 )
-from sylpose.tracking.joint_side.joint_state import JointState
+from sylpose.tracking.joint_side.joint_state import JointState, Nudge
 
 T = TypeVar("T")
-
 # A pose and, per camera, local: (weights, residuals) of its observations.
 Alignment = tuple[AlignmentResult, list[tuple[FloatArray, FloatArray]]]
 
@@ -136,7 +140,7 @@ class Frame:
 
 
 @dataclass(frozen=True, eq=False)
-class TrackerContext:
+class Context:
     """Fixed settings and components of one tracking run.
 
     Attributes:
@@ -174,14 +178,14 @@ class TrackerContext:
         return replace(frame, cameras=own)
 
 
-def create_frame(context: TrackerContext, number: int, images: FrameSet) -> Frame:
+def create_frame(context: Context, number: int, images: FrameSet) -> Frame:
     """Create a frame from its images, without features."""
     times = [images.time if time is None else time for time in images.times]
     return Frame(number, images, np.array(times) - images.time + context.time_offsets)
 
 
 def project_regions(
-    context: TrackerContext, state: JointState, world_from_object: RigidTransform, growth: float = REGION_MARGIN
+    context: Context, state: JointState, world_from_object: RigidTransform, growth: float = REGION_MARGIN
 ) -> list[Region]:
     """Project the object at a pose into each camera.
 
@@ -195,14 +199,14 @@ def project_regions(
     return [project_outline(camera.camera, points, growth) for camera in context.cameras]
 
 
-def object_radius_px(context: TrackerContext, state: JointState, world_from_object: RigidTransform) -> list[float]:
+def object_radius_px(context: Context, state: JointState, world_from_object: RigidTransform) -> list[float]:
     """Return per camera of the rig the object's radius in its image at a pose, pixels."""
     center = world_from_object.translation
     depths = [max(float(camera.camera_from_world.apply(center)[2]), 1e-12) for camera in context.rig]
     return [state.object.radius / depth * camera.focal for camera, depth in zip(context.rig, depths, strict=True)]
 
 
-def detect(context: TrackerContext, frame: Frame, max_features: int = MAX_FEATURES, *, faint: bool) -> list[Features]:
+def detect(context: Context, frame: Frame, max_features: int = MAX_FEATURES, *, faint: bool) -> list[Features]:
     """Detect features in a frame's regions; per camera, local. See `CameraTracker.detect`."""
     assert frame.regions is not None
     detect_in = partial(CameraTracker.detect_in, images=frame.images, max_features=max_features, faint=faint)
@@ -210,7 +214,7 @@ def detect(context: TrackerContext, frame: Frame, max_features: int = MAX_FEATUR
 
 
 def detect_everywhere(
-    context: TrackerContext, images: FrameSet, max_features: int, *, faint: bool = False, reduced: bool
+    context: Context, images: FrameSet, max_features: int, *, faint: bool = False, reduced: bool
 ) -> list[Features]:
     """Detect features in the whole images; per camera, local. See `CameraTracker.detect`."""
     views = [camera.view_of(images) for camera in context.cameras]
@@ -219,12 +223,8 @@ def detect_everywhere(
 
 
 def drop_static_matches(
-    context: TrackerContext,
-    state: JointState,
-    frame: Frame,
-    pairs: Sequence[Sequence[FrameMatches]],
-    predicted_pose: RigidTransform,
-) -> list[list[FrameMatches]]:
+    context: Context, state: JointState, frame: Frame, pairs: CameraPairs, predicted_pose: RigidTransform
+) -> CameraPairs:
     """Remove matches that are background according to the predicted motion; per camera, local.
 
     Args:
@@ -235,3 +235,105 @@ def drop_static_matches(
         drop_background(own, current, camera.camera, motion)
         for camera, own, current in zip(context.cameras, pairs, frame.cameras, strict=True)
     ]
+
+
+# --- result of a frame ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class TrackedFrame:
+    """Pose of one frame with the data behind it.
+
+    Attributes:
+        pose: the result.
+        frames: the images used; images of a camera that was nudged are rotated back.
+        matches: per camera (previous pixels (n, 2), current pixels (n, 2)) of the inliers against the last solved
+            frame, or None.
+        regions: per camera the searched outline (k, 2), pixels; None for the whole image or none of it.
+        radius: of the object, length units; NaN while unknown.
+        observations: per camera landmark observations, empty where the frame was not solved.
+        time_offsets: (C,) seconds after `frames.time` at which each camera took its image.
+        note: a remark on this frame, or "".
+        nudges: camera rotations detected so far, in order of time; later images of those cameras are rotated back.
+        detections: per camera its detected features; empty in the first frame.
+        learned_pose: pose in the frame that a known object was learned in, which `observations` refer to; None if it
+            equals `pose`.
+    """
+
+    pose: FramePose
+    frames: FrameSet
+    matches: tuple[tuple[FloatArray, FloatArray] | None, ...]
+    regions: tuple[FloatArray | None, ...]
+    radius: float
+    observations: tuple[LandmarkObservations, ...] = ()
+    time_offsets: FloatArray = field(default_factory=lambda: np.empty(0))
+    note: str = ""
+    nudges: tuple[Nudge, ...] = ()
+    detections: tuple[DetectedFeatures, ...] = ()
+    learned_pose: FramePose | None = None
+
+
+# The state after a frame, and the frame's result.
+FrameResult = tuple[JointState, TrackedFrame]
+
+
+def create_unsolved_frame(
+    context: Context,
+    frame: Frame,
+    status: FrameStatus,
+    detections: Sequence[DetectedFeatures],
+    radius: float = np.nan,
+    world_from_object: RigidTransform | None = None,
+    covariance: FloatArray | None = None,
+) -> TrackedFrame:
+    """Create the result of a frame in which the object was not found.
+
+    Args:
+        detections: per camera, local: the detected features.
+        world_from_object: predicted pose, if any.
+        covariance: (6, 6) of (w, d), its uncertainty.
+    """
+    n, images = len(context.rig), frame.images
+    own_counts = [np.array([len(own.features), len(own.rejected)]) for own in detections]
+    features, matches = np.array(context.executor.gather(own_counts, np.zeros(2, np.int64))).T
+    pose = FramePose(
+        images.index,
+        images.time,
+        status,
+        world_from_object,
+        np.full((6, 6), np.nan) if covariance is None else covariance,
+        np.zeros(n, np.int64),
+        np.full(n, np.nan),
+        matches=matches,
+        reason=explain_missing_pose(status, int(features.sum()), int(matches.sum())),
+    )
+    regions = (None,) * n if frame.regions is None else context.spread(frame.regions)
+    return TrackedFrame(pose, images, (None,) * n, regions, radius, detections=context.spread(detections))
+
+
+def explain_missing_pose(status: FrameStatus, features: int, matches: int) -> str:
+    """Explain why a frame has no pose, for users.
+
+    Args:
+        features: number of features examined, over all cameras.
+        matches: number of those that match known landmarks.
+    """
+    if status is FrameStatus.BACKGROUND_ONLY:
+        return "features that agree with a pose are static and never moved"
+    if features < MIN_MATCHES:
+        return f"{_format_count(features, 'feature')} in the search regions of all cameras"
+    if status is FrameStatus.NO_MOTION:
+        return f"{_format_count(features, 'feature')}, too few of which moved far enough"
+    if status is FrameStatus.NOT_CONSISTENT:
+        return f"{_format_count(features, 'feature')}; no rigid motion lasted long enough"
+    if matches < MIN_MATCHES:
+        return f"{matches} of {_format_count(features, 'feature')} match known landmarks"
+    return (
+        f"no pose fits enough of the {_format_count(matches, 'match', 'matches')} "
+        f"among {_format_count(features, 'feature')}"
+    )
+
+
+def _format_count(number: int, singular: str, plural: str | None = None) -> str:
+    """Format a count with its noun."""
+    return f"{number} {singular if number == 1 else plural or singular + 's'}"

@@ -25,7 +25,9 @@ from sylpose.status import FrameStatus, Status
 from sylpose.tracking.camera_side.camera import CameraTracker, compute_static_px
 from sylpose.tracking.camera_side.frame import (
     CameraFrame,
+    CameraPairs,
     FrameMatches,
+    Pairs,
     Region,
     collect_features,
     find_static,
@@ -35,7 +37,7 @@ from sylpose.tracking.camera_side.frame import (
     select_inliers,
     triangulate,
 )
-from sylpose.tracking.context import Frame, TrackerContext, drop_static_matches
+from sylpose.tracking.context import Context, Frame, drop_static_matches
 from sylpose.tracking.frame_solvers import scatter_fit
 from sylpose.tracking.joint_side.joint_state import MIN_MOVED_FEATURES, JointState, KnownMotion
 from sylpose.tracking.reports import BoxMotionReport, InitialMatches, MovingMatches, quantize_positions
@@ -102,7 +104,7 @@ class FirstMotion:
     is_significant: bool
     is_observable: bool
     failure_status: FrameStatus
-    inliers: Sequence[Sequence[FrameMatches]]
+    inliers: CameraPairs
 
     @property
     def motion(self) -> RigidTransform:
@@ -139,9 +141,7 @@ def estimate_jitter(pair: FrameMatches) -> float:
 # --- estimation -------------------------------------------------------------------------------------------------------
 
 
-def estimate_first_motion(
-    context: TrackerContext, pairs: Sequence[Sequence[FrameMatches]], first_number: int
-) -> FirstMotion:
+def estimate_first_motion(context: Context, pairs: CameraPairs, first_number: int) -> FirstMotion:
     """Estimate the motion since the frame with the number `first_number`, from its moving matches.
 
     Args:
@@ -268,12 +268,7 @@ def _test_significance(fit: Fit, reports: Sequence[MovingMatches]) -> tuple[Bool
     return detects_motion, log_gain > MIN_LOG_GAIN_PER_UNKNOWN * MOTION_UNKNOWNS
 
 
-def is_ambiguous(
-    context: TrackerContext,
-    pairs: Sequence[Sequence[FrameMatches]],
-    first_number: int,
-    initial_motion: FirstMotion,
-) -> bool:
+def is_ambiguous(context: Context, pairs: CameraPairs, first_number: int, initial_motion: FirstMotion) -> bool:
     """Return whether something else moved as a rigid body, with nearly as many inliers.
 
     Args:
@@ -292,7 +287,7 @@ def is_ambiguous(
     )
 
 
-def _first_features(pairs: Sequence[FrameMatches]) -> IntArray:
+def _first_features(pairs: Pairs) -> IntArray:
     """Return the earlier frame's feature (n,) of each match."""
     return np.concatenate([np.empty(0, np.int64), *(pair.indices[:, 0] for pair in pairs)])
 
@@ -301,8 +296,8 @@ def _first_features(pairs: Sequence[FrameMatches]) -> IntArray:
 
 
 def update_from_matches(
-    context: TrackerContext, state: JointState, frame: Frame, pairs: Sequence[Sequence[FrameMatches]]
-) -> tuple[JointState, RigidTransform | None, Sequence[Sequence[FrameMatches]]]:
+    context: Context, state: JointState, frame: Frame, pairs: CameraPairs
+) -> tuple[JointState, RigidTransform | None, CameraPairs]:
     """Update depth and motion from a frame's matches (`JointState.needs_first_motion`).
 
     Args:
@@ -339,7 +334,7 @@ def update_from_matches(
 
 
 def _update_depth(
-    context: TrackerContext, state: JointState, frame: Frame, pairs: Sequence[Sequence[FrameMatches]]
+    context: Context, state: JointState, frame: Frame, pairs: CameraPairs
 ) -> tuple[JointState, FirstMotion | None]:
     """Replace depths guessed from boxes by those of a motion since the first frame.
 
@@ -389,7 +384,7 @@ def _update_depth(
 
 
 def estimate_first_points(
-    camera: Camera, inliers: Sequence[FrameMatches], first_pose: RigidTransform, current_pose: RigidTransform
+    camera: Camera, inliers: Pairs, first_pose: RigidTransform, current_pose: RigidTransform
 ) -> FloatArray:
     """Estimate positions (m, 3) of a camera's inliers on the object.
 
@@ -405,7 +400,7 @@ def estimate_first_points(
 
 
 def triangulate_inliers(
-    camera: Camera, inliers: Sequence[FrameMatches], first_pose: RigidTransform, current_pose: RigidTransform
+    camera: Camera, inliers: Pairs, first_pose: RigidTransform, current_pose: RigidTransform
 ) -> FloatArray:
     """Triangulate a camera's inliers on the object, (m, 3). See `frame.triangulate`."""
     points = [triangulate(pair, camera, first_pose, current_pose) for pair in inliers]
@@ -415,9 +410,7 @@ def triangulate_inliers(
 # --- motion in boxes --------------------------------------------------------------------------------------------------
 
 
-def is_box_center_static(
-    context: TrackerContext, state: JointState, frame: Frame, pairs: Sequence[Sequence[FrameMatches]]
-) -> bool:
+def is_box_center_static(context: Context, state: JointState, frame: Frame, pairs: CameraPairs) -> bool:
     """Return whether something moves in the boxes but not at their centers, in most cameras.
 
     Args:
@@ -437,9 +430,7 @@ def is_box_center_static(
     ) > len(usable)
 
 
-def _report_box_motion(
-    camera: Camera, points: FloatArray, pairs: Sequence[FrameMatches], static_px: float
-) -> BoxMotionReport:
+def _report_box_motion(camera: Camera, points: FloatArray, pairs: Pairs, static_px: float) -> BoxMotionReport:
     """Report the motion in one camera's box.
 
     Args:
@@ -469,7 +460,7 @@ def count_center_features(camera: CameraTracker, features: Features, region: Reg
     return int(camera.find_inside(features, middle + CENTER_RATIO * (region - middle)).sum())
 
 
-def select_static_matches(frame: Frame, pairs: Sequence[Sequence[FrameMatches]]) -> list[list[FrameMatches]]:
+def select_static_matches(frame: Frame, pairs: CameraPairs) -> CameraPairs:
     """Select matches of features that have not moved since they were first observed; per camera, local."""
     return [
         omit_empty(pair.subset(_is_static(pair, current)) for pair in own)

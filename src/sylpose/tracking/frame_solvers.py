@@ -22,6 +22,7 @@ from sylpose.sylvester.known_depth import solve_2d3d
 from sylpose.tracking.camera_side.frame import (
     STATIC_WEIGHT,
     CameraFrame,
+    CameraPairs,
     FrameMatches,
     MatchWeights,
     build_observations,
@@ -82,7 +83,7 @@ class PoseProblem:
     guess: Hypothesis
     seed: int
     frames: Sequence[CameraFrame]
-    pairs: Sequence[Sequence[FrameMatches]]
+    pairs: CameraPairs
 
     @property
     def center(self) -> FloatArray:

@@ -20,13 +20,24 @@ from sylpose.status import FrameStatus
 from sylpose.tracking.camera_side.camera import CameraTracker
 from sylpose.tracking.camera_side.frame import (
     CameraFrame,
+    CameraPairs,
     FrameMatches,
+    Pairs,
     collect_detected_features,
     find_background,
     match_frames,
     omit_empty,
 )
-from sylpose.tracking.context import Frame, TrackerContext, detect, detect_everywhere, project_regions
+from sylpose.tracking.context import (
+    Context,
+    Frame,
+    FrameResult,
+    TrackedFrame,
+    create_unsolved_frame,
+    detect,
+    detect_everywhere,
+    project_regions,
+)
 from sylpose.tracking.first_motion import (
     FirstMotion,
     count_center_features,
@@ -41,7 +52,6 @@ from sylpose.tracking.joint_side.object_model import ObjectModel
 from sylpose.tracking.map_update import accept_first_frame, accept_frame, handle_missing_object
 from sylpose.tracking.pose_search import find_pose
 from sylpose.tracking.reports import quantize_positions
-from sylpose.tracking.tracked_frame import TrackedFrame, create_unsolved_frame
 
 # Without boxes the object is unknown until it moves: up to so many frames are buffered with their features (choice),
 MAX_BUFFERED_FRAMES = 60
@@ -69,7 +79,7 @@ class BufferedFrame(NamedTuple):
 
 
 def initialize_tracking(
-    context: TrackerContext, state: JointState, buffered: Sequence[BufferedFrame], frame: Frame
+    context: Context, state: JointState, buffered: Sequence[BufferedFrame], frame: Frame
 ) -> tuple[JointState, list[BufferedFrame], list[TrackedFrame]]:
     """Process a frame before the first pose.
 
@@ -107,7 +117,7 @@ def initialize_tracking(
     return state, remaining, [_create_unmatched_frame(context, dropped, status, dropped.features)]
 
 
-def finish_initialization(context: TrackerContext, buffered: Sequence[BufferedFrame]) -> list[TrackedFrame]:
+def finish_initialization(context: Context, buffered: Sequence[BufferedFrame]) -> list[TrackedFrame]:
     """Decide the frames buffered at the recording's end; a smaller motion is accepted now."""
     status = FrameStatus.NO_MOTION
     if len(buffered) > 1:
@@ -118,13 +128,13 @@ def finish_initialization(context: TrackerContext, buffered: Sequence[BufferedFr
     return [_create_unmatched_frame(context, frame, status, frame.features) for frame, _ in buffered]
 
 
-def _count_features(context: TrackerContext, features: Sequence[Features]) -> int:
+def _count_features(context: Context, features: Sequence[Features]) -> int:
     """Count the features of all cameras."""
     return sum(context.executor.gather([len(own) for own in features], 0))
 
 
 def _create_unmatched_frame(
-    context: TrackerContext, frame: Frame, status: FrameStatus, features: Sequence[Features], radius: float = np.nan
+    context: Context, frame: Frame, status: FrameStatus, features: Sequence[Features], radius: float = np.nan
 ) -> TrackedFrame:
     """Create the result of a frame whose features are not matched."""
     return create_unsolved_frame(context, frame, status, [collect_detected_features(own) for own in features], radius)
@@ -133,9 +143,7 @@ def _create_unmatched_frame(
 # --- with boxes -------------------------------------------------------------------------------------------------------
 
 
-def _initialize_from_boxes(
-    context: TrackerContext, state: JointState, frame: Frame, center: FloatArray
-) -> tuple[JointState, TrackedFrame]:
+def _initialize_from_boxes(context: Context, state: JointState, frame: Frame, center: FloatArray) -> FrameResult:
     """Accept the first frame with enough features in the boxes; center (3,) of the object, world."""
     regions = project_regions(context, state, RigidTransform.from_translation(center))
     frame = replace(frame, regions=regions)
@@ -171,7 +179,7 @@ def _limit_memory(buffered: Sequence[BufferedFrame]) -> list[BufferedFrame]:
 
 
 def _match_first_motion(
-    context: TrackerContext, buffered: Sequence[BufferedFrame]
+    context: Context, buffered: Sequence[BufferedFrame]
 ) -> tuple[list[list[FrameMatches]], FirstMotion]:
     """Match the last buffered frame with the first and estimate the motion."""
     first, current = buffered[0].frame, buffered[-1].frame
@@ -181,10 +189,7 @@ def _match_first_motion(
 
 
 def _initialize_from_motion(
-    context: TrackerContext,
-    buffered: Sequence[BufferedFrame],
-    pairs: Sequence[Sequence[FrameMatches]],
-    first_motion: FirstMotion,
+    context: Context, buffered: Sequence[BufferedFrame], pairs: CameraPairs, first_motion: FirstMotion
 ) -> tuple[JointState, list[TrackedFrame]] | None:
     """Initialize the object from the first motion and solve all buffered frames.
 
@@ -242,7 +247,7 @@ def _initialize_from_motion(
 
 
 def _create_model(
-    context: TrackerContext, first_motion: FirstMotion, first_pose: RigidTransform, end_pose: RigidTransform
+    context: Context, first_motion: FirstMotion, first_pose: RigidTransform, end_pose: RigidTransform
 ) -> ObjectModel:
     """Create the object's model from its first motion."""
     radius = first_motion.radius
@@ -260,7 +265,7 @@ def _split_foreground(
     camera: CameraTracker,
     current: CameraFrame,
     region: FloatArray | None,
-    pairs: Sequence[FrameMatches],
+    pairs: Pairs,
     frame: Frame,
     motion: KnownMotion,
 ) -> tuple[Features, Features]:
@@ -281,9 +286,7 @@ def _split_foreground(
     return camera.split_foreground(current.features, region, is_static, frame.images)
 
 
-def _solve_buffered_frame(
-    context: TrackerContext, state: JointState, frame: Frame, pose: RigidTransform
-) -> tuple[JointState, TrackedFrame]:
+def _solve_buffered_frame(context: Context, state: JointState, frame: Frame, pose: RigidTransform) -> FrameResult:
     """Solve a buffered frame from a guess of its pose (world_from_object).
 
     Its features cover the whole image: static surroundings would seem to belong to an object at rest.

@@ -16,12 +16,8 @@ from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.results import FramePose
 from sylpose.status import FrameStatus, Observability
 from sylpose.tracking.camera_side.camera import AcceptedPose, CameraTracker
-from sylpose.tracking.camera_side.frame import (
-    ReobservedFeatures,
-    compute_full_weight_age,
-    record_observations,
-)
-from sylpose.tracking.context import Frame, TrackerContext
+from sylpose.tracking.camera_side.frame import ReobservedFeatures, compute_full_weight_age, record_observations
+from sylpose.tracking.context import Context, Frame, FrameResult, TrackedFrame, create_unsolved_frame
 from sylpose.tracking.joint_side.joint_state import (
     Anchor,
     JointState,
@@ -32,7 +28,6 @@ from sylpose.tracking.joint_side.joint_state import (
 )
 from sylpose.tracking.pose_search import PoseCandidate
 from sylpose.tracking.reports import quantize_positions
-from sylpose.tracking.tracked_frame import TrackedFrame, create_unsolved_frame
 from sylpose.tracking.window import refine_window
 
 # A single camera cannot distinguish a rotation from its mirror image, concave from convex. An object in a box is
@@ -48,8 +43,8 @@ MIRROR_ERROR_RATIO = 0.5
 
 
 def accept_first_frame(
-    context: TrackerContext, state: JointState, frame: Frame, around: Sequence[Features], center: FloatArray
-) -> tuple[JointState, TrackedFrame]:
+    context: Context, state: JointState, frame: Frame, around: Sequence[Features], center: FloatArray
+) -> FrameResult:
     """Accept the frame whose pose defines the object's frame.
 
     Args:
@@ -94,9 +89,7 @@ def accept_first_frame(
     )
 
 
-def accept_frame(
-    context: TrackerContext, state: JointState, candidate: PoseCandidate
-) -> tuple[JointState, TrackedFrame]:
+def accept_frame(context: Context, state: JointState, candidate: PoseCandidate) -> FrameResult:
     """Accept a solved frame: update landmarks, background, anchor and state.
 
     Args:
@@ -156,9 +149,7 @@ def accept_frame(
     return new_state, TrackedFrame(result.update_uncertain_status(), frame.images, *parts, detections=detections)
 
 
-def _accept_pose(
-    context: TrackerContext, state: JointState, candidate: PoseCandidate, inflation: FloatArray
-) -> AcceptedPose:
+def _accept_pose(context: Context, state: JointState, candidate: PoseCandidate, inflation: FloatArray) -> AcceptedPose:
     """Decide which cameras update their landmarks, and compute the pose's covariance.
 
     Args:
@@ -193,7 +184,7 @@ def _accept_pose(
     )
 
 
-def _compute_covariance(context: TrackerContext, state: JointState, candidate: PoseCandidate) -> FloatArray:
+def _compute_covariance(context: Context, state: JointState, candidate: PoseCandidate) -> FloatArray:
     """Return the covariance (6, 6) of (w, d) of a candidate's pose."""
     solution, pose, radius, first = candidate.solution, candidate.pose, state.object.radius, state.frames.first
     if solution.is_static:  # the pose and its error are those of the last frame
@@ -229,7 +220,7 @@ def find_muted_cameras(variance_inflation: FloatArray, has_matches: BoolArray) -
     return np.zeros_like(is_inflated) if is_majority else is_inflated
 
 
-def _undetected_motion_covariance(context: TrackerContext, pose: RigidTransform, radius: float) -> FloatArray:
+def _undetected_motion_covariance(context: Context, pose: RigidTransform, radius: float) -> FloatArray:
     """Return the covariance (6, 6) of (w, d) of an undetected motion.
 
     It applies while most features may be background, so that only a static scene is established.
@@ -262,8 +253,8 @@ def _compute_inflation(candidate: PoseCandidate) -> FloatArray:
 
 
 def handle_missing_object(
-    context: TrackerContext, state: JointState, frame: Frame, predicted_pose: RigidTransform
-) -> tuple[JointState, TrackedFrame]:
+    context: Context, state: JointState, frame: Frame, predicted_pose: RigidTransform
+) -> FrameResult:
     """Handle a frame in which the object was not found.
 
     The pose is extrapolated until it becomes too uncertain. If only static features agreed with a pose, none is

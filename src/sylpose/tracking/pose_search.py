@@ -26,15 +26,8 @@ from sylpose.tracking.camera_side.camera import (
     TrackedFeatures,
     append_new_features,
 )
-from sylpose.tracking.camera_side.frame import CameraFrame, DetectedFeatures, FrameMatches, measure_agreement
-from sylpose.tracking.context import (
-    Frame,
-    TrackerContext,
-    detect,
-    drop_static_matches,
-    object_radius_px,
-    project_regions,
-)
+from sylpose.tracking.camera_side.frame import CameraFrame, CameraPairs, DetectedFeatures, measure_agreement
+from sylpose.tracking.context import Context, Frame, detect, drop_static_matches, object_radius_px, project_regions
 from sylpose.tracking.first_motion import is_box_center_static, select_static_matches, update_from_matches
 from sylpose.tracking.frame_solvers import SOLVERS, PoseProblem, PoseSolution
 from sylpose.tracking.joint_side.joint_state import (
@@ -142,11 +135,13 @@ class PoseCandidate:
         )
 
 
-def find_pose(
-    context: TrackerContext, state: JointState, frame: Frame, guess: RigidTransform
-) -> tuple[JointState, PoseCandidate | None]:
+# The state, and the pose candidate if any.
+SearchResult = tuple[JointState, PoseCandidate | None]
+
+
+def find_pose(context: Context, state: JointState, frame: Frame, guess: RigidTransform) -> SearchResult:
     """Search for the frame's pose near a guess (world_from_object)."""
-    pairs: Sequence[Sequence[FrameMatches]] = _match_references(context, state, frame, guess)
+    pairs: CameraPairs = _match_references(context, state, frame, guess)
     is_open = state.object.is_bounded and not state.motion.has_moved
     if is_open and is_box_center_static(context, state, frame, pairs):
         # Something other than the object moves in the boxes.
@@ -169,7 +164,7 @@ def find_pose(
 
 
 def track_from_anchor(
-    context: TrackerContext, state: JointState, frame: Frame, predicted_pose: RigidTransform
+    context: Context, state: JointState, frame: Frame, predicted_pose: RigidTransform
 ) -> tuple[Frame, int, bool, bool]:
     """Track the anchor's features in the next images.
 
@@ -219,9 +214,7 @@ def is_fast(state: JointState, predicted_pose: RigidTransform) -> bool:
     return bool(not state.motion.velocity.n_frames or state.motion.n_missed > 0 or angle > FAST_ROTATION)
 
 
-def detect_in_regions(
-    context: TrackerContext, state: JointState, frame: Frame, predicted_pose: RigidTransform
-) -> Frame:
+def detect_in_regions(context: Context, state: JointState, frame: Frame, predicted_pose: RigidTransform) -> Frame:
     """Detect features in the object's regions and append them to the tracked ones.
 
     Low-contrast features are included where the others are barely enough.
@@ -247,9 +240,7 @@ def detect_in_regions(
     return context.with_features(replace(frame, has_new_features=True), features)
 
 
-def _match_references(
-    context: TrackerContext, state: JointState, frame: Frame, guess: RigidTransform
-) -> list[list[FrameMatches]]:
+def _match_references(context: Context, state: JointState, frame: Frame, guess: RigidTransform) -> CameraPairs:
     """Match a frame's features with the anchor, the last frame and keyframes.
 
     Tracked features are matched with the anchor; new ones with the last frame and with keyframes of similar viewpoints.
@@ -276,11 +267,7 @@ def _match_references(
 
 
 def solve_pose(
-    context: TrackerContext,
-    state: JointState,
-    frame: Frame,
-    pairs: Sequence[Sequence[FrameMatches]],
-    guess: RigidTransform,
+    context: Context, state: JointState, frame: Frame, pairs: CameraPairs, guess: RigidTransform
 ) -> PoseCandidate | None:
     """Solve a frame's pose from its matches, starting at a guess.
 
@@ -334,18 +321,14 @@ def solve_pose(
     return PoseCandidate(frame, rig, solution, motion, guess, agreements, has_moved, cameras)
 
 
-def _is_noise(
-    context: TrackerContext, state: JointState, pose: RigidTransform, agreements: Sequence[PoseAgreement]
-) -> bool:
+def _is_noise(context: Context, state: JointState, pose: RigidTransform, agreements: Sequence[PoseAgreement]) -> bool:
     """Return whether in no camera the matches fit a pose (world_from_object) better than any other pose."""
     limits = [max(MAX_NOISE_RATIO * radius, MAX_NOISE_PX) for radius in object_radius_px(context, state, pose)]
     residuals_px = np.array([a.residual_px for a in agreements])
     return bool((np.isnan(residuals_px) | (residuals_px > limits)).all())
 
 
-def _replace_first_landmarks(
-    pairs: Sequence[Sequence[FrameMatches]], number: int, landmarks: Sequence[Landmarks]
-) -> list[list[FrameMatches]]:
+def _replace_first_landmarks(pairs: CameraPairs, number: int, landmarks: Sequence[Landmarks]) -> CameraPairs:
     """Return the pairs with the first frame's landmarks replaced."""
     tables = [LandmarkTable.from_landmarks(own) for own in landmarks]
     return [
@@ -360,7 +343,7 @@ def _replace_first_landmarks(
 # --- acceptance -------------------------------------------------------------------------------------------------------
 
 
-def compute_noise_weights(context: TrackerContext, state: JointState, candidate: PoseCandidate) -> FloatArray:
+def compute_noise_weights(context: Context, state: JointState, candidate: PoseCandidate) -> FloatArray:
     """Return the weight (C,) of each camera's inlier features by noise, from 1 to 0.
 
     The noise limit is the same for all poses.
@@ -373,7 +356,7 @@ def compute_noise_weights(context: TrackerContext, state: JointState, candidate:
     return np.asarray(np.maximum(1.0 - (np.minimum(noise, 1e6) / cutoff) ** 2, 0.0) ** 2)
 
 
-def is_weakly_supported(context: TrackerContext, state: JointState, candidate: PoseCandidate) -> bool:
+def is_weakly_supported(context: Context, state: JointState, candidate: PoseCandidate) -> bool:
     """Return whether a pose has too little support or too much noise to be certain.
 
     Cameras that mostly see other things do not count if two others agree; nor cameras with almost no features. While
@@ -408,7 +391,7 @@ def is_partly_visible(state: JointState, candidate: PoseCandidate) -> bool:
 # --- relocalization ---------------------------------------------------------------------------------------------------
 
 
-def relocalize(context: TrackerContext, state: JointState, frame: Frame, *, faint: bool) -> RigidTransform | None:
+def relocalize(context: Context, state: JointState, frame: Frame, *, faint: bool) -> RigidTransform | None:
     """Relocalize the object anywhere in the images, from the keyframes' landmarks alone.
 
     Args:
@@ -491,8 +474,8 @@ def select_keyframes(
 
 
 def search_with_all_features(
-    context: TrackerContext, state: JointState, frame: Frame, predicted_pose: RigidTransform
-) -> tuple[JointState, PoseCandidate | None]:
+    context: Context, state: JointState, frame: Frame, predicted_pose: RigidTransform
+) -> SearchResult:
     """Search for the frame's pose with all features, from matches and from the prediction.
 
     Args:
@@ -505,7 +488,7 @@ def search_with_all_features(
     _add_remaining_features(context, state)
     references = _select_references(context, state, predicted_pose)
     matches = context.executor.run(CameraTracker.match, context.cameras, frame.cameras, references)
-    pairs: Sequence[Sequence[FrameMatches]] = drop_static_matches(context, state, frame, matches, predicted_pose)
+    pairs: CameraPairs = drop_static_matches(context, state, frame, matches, predicted_pose)
     matched_pose = None
     if state.needs_first_motion:
         state, matched_pose, pairs = update_from_matches(context, state, frame, pairs)
@@ -529,7 +512,7 @@ def search_with_all_features(
     return state, best if best is not None and _is_significant(context, state, best) else None
 
 
-def _is_significant(context: TrackerContext, state: JointState, candidate: PoseCandidate) -> bool:
+def _is_significant(context: Context, state: JointState, candidate: PoseCandidate) -> bool:
     """Return whether significantly more features agree with a pose than by chance."""
     references = [own[:MAX_EVIDENCE_REFERENCES] for own in _select_references(context, state, candidate.pose)]
     counts = context.executor.run(
@@ -543,14 +526,14 @@ def _is_significant(context: TrackerContext, state: JointState, candidate: PoseC
     return bool(n_near > SELECTION_BIAS + n_by_chance + 3.0 * np.sqrt(n_by_chance))
 
 
-def _add_remaining_features(context: TrackerContext, state: JointState) -> None:
+def _add_remaining_features(context: Context, state: JointState) -> None:
     """Add all remaining features in the last solved frame's image to that frame."""
     regions = project_regions(context, state, state.last.world_from_object)
     add = partial(CameraTracker.add_remaining_features, last=state.last, model=state.object)
     context.executor.run(add, context.cameras, regions)
 
 
-def _select_references(context: TrackerContext, state: JointState, guess: RigidTransform) -> list[list[int]]:
+def _select_references(context: Context, state: JointState, guess: RigidTransform) -> list[list[int]]:
     """Return per camera, local: the numbers of the last solved frame and of nearby keyframes."""
     viewpoints, last, keyframes = compute_viewpoints(context.rig, guess), state.last.number, state.frames.keyframes
     near = [
@@ -560,14 +543,14 @@ def _select_references(context: TrackerContext, state: JointState, guess: RigidT
     return [[last, *(k.number for k in own if k.number != last)] for own in near]
 
 
-def _search_radii(context: TrackerContext, state: JointState, pose: RigidTransform, radius_ratio: float) -> list[float]:
+def _search_radii(context: Context, state: JointState, pose: RigidTransform, radius_ratio: float) -> list[float]:
     """Return per camera, local: the search radius, pixels, by its share of the object's radius in the image."""
     radii = object_radius_px(context, state, pose)
     return [max(radius_ratio * radii[c], MIN_RADIUS_PX) for c in context.executor.local]
 
 
 def _solve_near_pose(
-    context: TrackerContext,
+    context: Context,
     state: JointState,
     frame: Frame,
     predicted_pose: RigidTransform,
@@ -592,7 +575,7 @@ def _solve_near_pose(
     return solve_pose(context, state, frame, drop_static_matches(context, state, frame, pairs, predicted_pose), pose)
 
 
-def _compute_score(context: TrackerContext, state: JointState, candidate: PoseCandidate) -> float:
+def _compute_score(context: Context, state: JointState, candidate: PoseCandidate) -> float:
     """Return the number of inlier features of a pose, weighted by their noise."""
     weights = compute_noise_weights(context, state, candidate)
     return float(weights @ np.array([a.n_inlier_features for a in candidate.agreements]))

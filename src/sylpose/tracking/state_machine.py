@@ -19,12 +19,22 @@ from sylpose.tracking.anchor_preparation import begin_preparation, can_prepare, 
 from sylpose.tracking.camera_side.camera import CameraTracker
 from sylpose.tracking.camera_side.camera_motion import PAUSE_FRAMES
 from sylpose.tracking.camera_side.frame import REGION_MARGIN
-from sylpose.tracking.context import Frame, TrackerContext, create_frame, detect, detect_everywhere, project_regions
+from sylpose.tracking.context import (
+    Context,
+    Frame,
+    FrameResult,
+    TrackedFrame,
+    create_frame,
+    detect,
+    detect_everywhere,
+    project_regions,
+)
 from sylpose.tracking.initialization import BufferedFrame, initialize_tracking
 from sylpose.tracking.joint_side.joint_state import MIN_TRACKED_RATIO, JointState, Nudge
 from sylpose.tracking.map_update import accept_frame, handle_missing_object
 from sylpose.tracking.pose_search import (
     PoseCandidate,
+    SearchResult,
     detect_in_regions,
     find_pose,
     is_fast,
@@ -36,7 +46,6 @@ from sylpose.tracking.pose_search import (
     track_from_anchor,
 )
 from sylpose.tracking.reports import CameraMotionReport
-from sylpose.tracking.tracked_frame import TrackedFrame
 from sylpose.tracking.window import apply_refinement
 
 # A first motion with little support is accepted up to this rotation, radians (choice).
@@ -49,7 +58,7 @@ MAX_REGION_MARGIN = 1.0
 
 
 def process_frame(
-    context: TrackerContext, state: JointState, buffered: Sequence[BufferedFrame], number: int, images: FrameSet
+    context: Context, state: JointState, buffered: Sequence[BufferedFrame], number: int, images: FrameSet
 ) -> tuple[JointState, Sequence[BufferedFrame], list[TrackedFrame]]:
     """Process the next frame in the current state; see `initialize_tracking`."""
     state, images = compensate_camera_motion(context, state, images)
@@ -72,7 +81,7 @@ def process_frame(
 # --- an object that was found in the previous frame -------------------------------------------------------------------
 
 
-def track_frame(context: TrackerContext, state: JointState, frame: Frame) -> tuple[JointState, TrackedFrame]:
+def track_frame(context: Context, state: JointState, frame: Frame) -> FrameResult:
     """Track an object that was found in the previous frame: near the prediction, else anywhere."""
     predicted_pose = state.predict_pose(frame.time)
     frame = replace(frame, regions=project_regions(context, state, predicted_pose))
@@ -117,7 +126,7 @@ def _is_plausible(state: JointState, candidate: PoseCandidate | None, predicted_
 # --- an object that was missed in the previous frame ------------------------------------------------------------------
 
 
-def recover(context: TrackerContext, state: JointState, frame: Frame) -> tuple[JointState, TrackedFrame]:
+def recover(context: Context, state: JointState, frame: Frame) -> FrameResult:
     """Search for an object missed in the previous frame: near the prediction, else anywhere.
 
     A pose is accepted only if solving again from it confirms it.
@@ -143,17 +152,15 @@ def recover(context: TrackerContext, state: JointState, frame: Frame) -> tuple[J
 
 
 def _find_pose_by_fallback(
-    context: TrackerContext, state: JointState, frame: Frame, predicted_pose: RigidTransform
-) -> tuple[JointState, PoseCandidate | None]:
+    context: Context, state: JointState, frame: Frame, predicted_pose: RigidTransform
+) -> SearchResult:
     """Search for the frame's pose with all features, by `search_with_all_features`."""
     frame = replace(frame, tracked=None, has_new_features=True)
     frame = context.with_features(frame, detect(context, frame, faint=True))
     return search_with_all_features(context, state, frame, predicted_pose)
 
 
-def _find_pose_anywhere(
-    context: TrackerContext, state: JointState, frame: Frame
-) -> tuple[JointState, PoseCandidate | None]:
+def _find_pose_anywhere(context: Context, state: JointState, frame: Frame) -> SearchResult:
     """Search for the object in the whole images: by the strongest features, then by all."""
     reduced = (state.motion.n_missed + 1) % FULL_SEARCH_INTERVAL != 0
     for faint in (False, True):
@@ -171,8 +178,8 @@ def _find_pose_anywhere(
 
 
 def _confirm_pose(
-    context: TrackerContext, state: JointState, frame: Frame, features: Sequence[Features], pose: RigidTransform
-) -> tuple[JointState, PoseCandidate | None]:
+    context: Context, state: JointState, frame: Frame, features: Sequence[Features], pose: RigidTransform
+) -> SearchResult:
     """Solve the frame again from a relocalized pose, with features inside the object's region only."""
     regions = project_regions(context, state, pose)
     inside = [
@@ -191,9 +198,7 @@ def _confirm_pose(
 # --- motion of the cameras --------------------------------------------------------------------------------------------
 
 
-def compensate_camera_motion(
-    context: TrackerContext, state: JointState, images: FrameSet
-) -> tuple[JointState, FrameSet]:
+def compensate_camera_motion(context: Context, state: JointState, images: FrameSet) -> tuple[JointState, FrameSet]:
     """Compensate camera rotations in the images and record newly confirmed ones.
 
     Images of cameras with an unconfirmed rotation are removed.
@@ -235,7 +240,7 @@ def compensate_camera_motion(
     return replace(state, nudges=(*state.nudges, *nudges)) if nudges else state, corrected
 
 
-def add_nudge_faults(context: TrackerContext, state: JointState, decided: Sequence[TrackedFrame]) -> list[TrackedFrame]:
+def add_nudge_faults(context: Context, state: JointState, decided: Sequence[TrackedFrame]) -> list[TrackedFrame]:
     """Add camera rotations up to each frame as faults, and their uncertainty to its pose."""
     out = []
     for tracked in decided:

@@ -19,7 +19,7 @@ from sylpose.methods import FEATURES, METHODS, resolve_features
 from sylpose.rig import Rig
 from sylpose.tracking.camera_side.camera import CameraTracker, create_anchor
 from sylpose.tracking.camera_side.frame import CameraFrame
-from sylpose.tracking.context import CameraExecutor, Frame, LocalExecutor, TrackerContext
+from sylpose.tracking.context import CameraExecutor, Context, Frame, LocalExecutor, TrackedFrame
 from sylpose.tracking.initialization import BufferedFrame, finish_initialization
 from sylpose.tracking.joint_side.joint_state import JointState, SolvedFrame
 from sylpose.tracking.joint_side.object_model import ObjectModel
@@ -31,7 +31,6 @@ from sylpose.tracking.known_object import (
     transfer_object,
 )
 from sylpose.tracking.state_machine import add_nudge_faults, process_frame
-from sylpose.tracking.tracked_frame import TrackedFrame
 
 MAX_TIME_OFFSET = 1e6  # seconds: cameras of one recording start within days of each other (choice)
 
@@ -209,7 +208,7 @@ class TrackerBase:
             check_type(box, Box, f"boxes: {format_value(name)}")
         time_offsets = np.array([offsets.get(name, 0.0) for name in rig.names])
         settings = method, uses_klt, method == METHODS[0], time_offsets, seed
-        self._context = TrackerContext(rig, cameras, executor, *settings)
+        self._context = Context(rig, cameras, executor, *settings)
         self._rig = rig
         self._state = JointState(ObjectModel.from_boxes(rig, boxes) if boxes else ObjectModel())
         if known_object is not None:

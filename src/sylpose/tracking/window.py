@@ -34,7 +34,7 @@ from sylpose.results import MAX_ROTATION_SD
 from sylpose.rig import Rig
 from sylpose.status import Status
 from sylpose.tracking.camera_side.camera import CameraTracker
-from sylpose.tracking.context import TrackerContext
+from sylpose.tracking.context import Context
 from sylpose.tracking.joint_side.joint_state import (
     MIN_FRAMES_TO_APPLY,
     JointState,
@@ -78,7 +78,7 @@ MIN_ROTATION, MIN_TRANSLATION = np.deg2rad(0.5), 0.03
 MAX_LINKS, LONG_LINK_FRAMES = 6, 8
 
 
-def refine_window(context: TrackerContext, state: JointState) -> JointState:
+def refine_window(context: Context, state: JointState) -> JointState:
     """Refine the keyframes and the last frames jointly; each camera updates its landmarks.
 
     With few frames, or if the refinement diverges, it only updates the uncertainty of the path's scale and of the last
@@ -113,7 +113,7 @@ def refine_window(context: TrackerContext, state: JointState) -> JointState:
     return apply_refinement(context, state) if is_urgent else state
 
 
-def apply_refinement(context: TrackerContext, state: JointState) -> JointState:
+def apply_refinement(context: Context, state: JointState) -> JointState:
     """Apply the pending refinement; frames solved since it began follow the correction of its last frame."""
     pending = state.refinement.pending
     assert pending is not None
@@ -148,7 +148,7 @@ def apply_refinement(context: TrackerContext, state: JointState) -> JointState:
 
 
 def _move_frames(
-    context: TrackerContext, state: JointState, pending: PendingRefinement, bundled: BundleResult, at: int
+    context: Context, state: JointState, pending: PendingRefinement, bundled: BundleResult, at: int
 ) -> JointState:
     """Move the known frames to their refined poses, and the landmarks with them.
 
@@ -275,10 +275,7 @@ def _compute_keys(frame: IntArray, landmark: IntArray) -> IntArray:
 
 
 def _build_bundle_input(
-    context: TrackerContext,
-    frames: Sequence[SolvedFrame],
-    used: Sequence[NewObservations],
-    new: Sequence[NewObservations],
+    context: Context, frames: Sequence[SolvedFrame], used: Sequence[NewObservations], new: Sequence[NewObservations]
 ) -> tuple[Rig, Observations, RigidTransform, FloatArray, FloatArray, BoolArray | None]:
     """Build the input of `bundle_frames`.
 

@@ -30,6 +30,7 @@ from sylpose.tracking.camera_side.frame import (
     FrameMatches,
     LandmarkObservations,
     MatchWeights,
+    Pairs,
     Region,
     ReobservedFeatures,
     collect_detected_features,
@@ -184,9 +185,7 @@ def select_tracked(tracked: BoolArray, n_tracked: int) -> BoolArray:
     return is_selected
 
 
-def advance_anchor(
-    tracked: TrackedFeatures, pairs: Sequence[FrameMatches], weights: Sequence[FloatArray]
-) -> CameraAnchor:
+def advance_anchor(tracked: TrackedFeatures, pairs: Pairs, weights: Sequence[FloatArray]) -> CameraAnchor:
     """Return the anchor after a frame solved by its features alone: outliers are dropped."""
     anchor, alive = tracked.anchor, tracked.anchor.is_alive.copy()
     for pair, w in zip(pairs, weights, strict=True):
@@ -278,7 +277,7 @@ class CameraSolution:
     """
 
     current: CameraFrame
-    pairs: Sequence[FrameMatches]
+    pairs: Pairs
     weights: MatchWeights
     tracked: TrackedFeatures | None
     first_landmarks: Landmarks | None
@@ -604,7 +603,7 @@ class CameraTracker:
             detected,
         )
 
-    def learn_background(self, pairs: Sequence[FrameMatches], current: CameraFrame, motion: KnownMotion) -> None:
+    def learn_background(self, pairs: Pairs, current: CameraFrame, motion: KnownMotion) -> None:
         """Mark features as background that were static while the object moved."""
         before = current.background.copy()
         for pair in pairs:

@@ -181,6 +181,11 @@ class FrameMatches:
         return TermData(index, x, y, camera.rotation, camera.center, camera.focal, previous_from_reference)
 
 
+# One camera's matches with several earlier frames; those of the local cameras.
+Pairs = Sequence[FrameMatches]
+CameraPairs = Sequence[Pairs]
+
+
 @dataclass(frozen=True, eq=False)
 class DetectedFeatures:
     """A camera's detected features in a frame, pixels.
@@ -195,7 +200,7 @@ class DetectedFeatures:
 
 
 def collect_detected_features(
-    features: Features, pairs: Sequence[FrameMatches] = (), weights: Sequence[FloatArray] | None = None
+    features: Features, pairs: Pairs = (), weights: Sequence[FloatArray] | None = None
 ) -> DetectedFeatures:
     """Collect a frame's detected and rejected features.
 
@@ -255,7 +260,7 @@ def match_near_pose(
     return FrameMatches.from_indices(reference, earlier, current.features, indices[~current.background[indices[:, 1]]])
 
 
-def collect_features(pairs: Sequence[FrameMatches]) -> IntArray:
+def collect_features(pairs: Pairs) -> IntArray:
     """Return the current frame's feature (n,) of each match."""
     return np.concatenate([np.empty(0, np.int64), *(pair.indices[:, 1] for pair in pairs)])
 
@@ -265,7 +270,7 @@ def omit_empty(pairs: Iterable[FrameMatches]) -> list[FrameMatches]:
     return [pair for pair in pairs if len(pair)]
 
 
-def select_inliers(pairs: Sequence[FrameMatches], weights: Sequence[FloatArray]) -> list[FrameMatches]:
+def select_inliers(pairs: Pairs, weights: Sequence[FloatArray]) -> list[FrameMatches]:
     """Select each pair's inliers, given its weights; omit pairs without any."""
     return omit_empty(pair.subset(w > 0) for pair, w in zip(pairs, weights, strict=True))
 
@@ -289,9 +294,7 @@ def find_background(pair: FrameMatches, current: CameraFrame, camera: Camera, mo
     return is_background
 
 
-def drop_background(
-    pairs: Sequence[FrameMatches], current: CameraFrame, camera: Camera, motion: KnownMotion
-) -> list[FrameMatches]:
+def drop_background(pairs: Pairs, current: CameraFrame, camera: Camera, motion: KnownMotion) -> list[FrameMatches]:
     """Remove static, never moved matches where a point on the object would have moved; omit pairs without others.
 
     They are marked as background as in `mark_background`, before the pose is known.
@@ -320,7 +323,7 @@ def mark_background(pair: FrameMatches, current: CameraFrame, is_background: Boo
     current.background[pair.indices[is_background, 1]] = True
 
 
-def mark_others_as_background(pairs: Sequence[FrameMatches], current: CameraFrame) -> None:
+def mark_others_as_background(pairs: Pairs, current: CameraFrame) -> None:
     """Mark all features of a frame except those of the given matches as background."""
     current.background[np.setdiff1d(np.arange(len(current.features)), collect_features(pairs))] = True
 
@@ -383,7 +386,7 @@ class LandmarkObservations:
 
 
 def build_observations(
-    camera: Camera, pairs: Sequence[FrameMatches], current: CameraFrame, previous: SolvedFrame
+    camera: Camera, pairs: Pairs, current: CameraFrame, previous: SolvedFrame
 ) -> tuple[LandmarkMatches, BoolArray, LandmarkAges]:
     """Build a camera's landmark observations relative to the object's last pose.
 
@@ -476,7 +479,7 @@ def weight_observations(
     )
 
 
-def split_by_pair(weights: FloatArray, residuals: FloatArray, pairs: Sequence[FrameMatches]) -> MatchWeights:
+def split_by_pair(weights: FloatArray, residuals: FloatArray, pairs: Pairs) -> MatchWeights:
     """Split the weights and residuals (n,) of a camera's observations by pair."""
     cuts = np.cumsum([len(pair) for pair in pairs])[:-1]
     return list(zip(np.split(weights, cuts), np.split(residuals, cuts), strict=True)) if len(pairs) else []
@@ -547,9 +550,7 @@ def compute_depth_smear(observations: LandmarkMatches, rotation: FloatArray, tra
     return np.asarray(np.linalg.norm(near[:, :2] / near[:, 2:] - far[:, :2] / far[:, 2:], axis=1))
 
 
-def measure_agreement(
-    pairs: Sequence[FrameMatches], match_weights: MatchWeights, current: CameraFrame
-) -> PoseAgreement:
+def measure_agreement(pairs: Pairs, match_weights: MatchWeights, current: CameraFrame) -> PoseAgreement:
     """Summarize one camera's agreement with a solution."""
     inliers = select_inliers(pairs, [w for w, _ in match_weights])
     squares = np.concatenate([np.empty(0), *(r[w > 0] ** 2 for w, r in match_weights)])
@@ -602,7 +603,7 @@ class ReobservedFeatures:
         surface_points: (m, 3) positions of landmarks certain enough to describe the surface.
     """
 
-    inliers: Sequence[FrameMatches]
+    inliers: Pairs
     index: IntArray
     landmarks: Landmarks
     surface_points: FloatArray
@@ -614,7 +615,7 @@ class ReobservedFeatures:
 
     @classmethod
     def from_matches(
-        cls, pairs: Sequence[FrameMatches], match_weights: MatchWeights, static_px: float, radius: float
+        cls, pairs: Pairs, match_weights: MatchWeights, static_px: float, radius: float
     ) -> ReobservedFeatures:
         """Build from a frame's matches that agree with its pose.
 
@@ -647,9 +648,7 @@ class ReobservedFeatures:
         return cls(inliers, index[pick], best, best.mean[sd[pick] < SURFACE_DEPTH_SD_RATIO * radius])
 
 
-def find_moved(
-    inliers: Sequence[FrameMatches], landmarks: Landmarks, match_weights: MatchWeights, static_px: float
-) -> BoolArray:
+def find_moved(inliers: Pairs, landmarks: Landmarks, match_weights: MatchWeights, static_px: float) -> BoolArray:
     """Return which inlier matches (n,) are known not to be background.
 
     Their landmark, `landmarks` (n), has moved before or moves now.
@@ -679,7 +678,7 @@ def _find_oldest_origins(index: IntArray, landmarks: Landmarks) -> FloatArray:
 
 
 def select_shown_matches(
-    inliers: Sequence[FrameMatches], current: CameraFrame, previous: int, previous_pixels: FloatArray | None
+    inliers: Pairs, current: CameraFrame, previous: int, previous_pixels: FloatArray | None
 ) -> tuple[FloatArray, FloatArray] | None:
     """Return one camera's inliers against the last solved frame, for `TrackedFrame.matches`.
 
@@ -698,7 +697,7 @@ def select_shown_matches(
     return (with_previous[0].pixels_i, with_previous[0].pixels_j) if with_previous else None
 
 
-def record_observations(inliers: Sequence[FrameMatches], current: CameraFrame) -> LandmarkObservations:
+def record_observations(inliers: Pairs, current: CameraFrame) -> LandmarkObservations:
     """Collect one camera's observations: inlier features and newly observed ones."""
     landmarks = current.landmarks
     index = np.union1d(collect_features(inliers), np.flatnonzero(landmarks.n_observations == 1))
