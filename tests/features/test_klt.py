@@ -220,7 +220,7 @@ def test_no_features() -> None:
     image = warp_texture()
     for empty in (np.empty((0, 2)), np.empty(0)):
         tracks = track_features(start_tracks(image, empty), image, image, empty)
-        assert len(tracks) == len(tracks.patches) == 0
+        assert len(tracks) == len(tracks.filters) == 0
         assert tracks.pixels.shape == (0, 2)
     lost = start_tracks(image, spread_points(5)).keep(np.zeros(5, bool))
     assert not track_features(lost, image, image).tracked.any()

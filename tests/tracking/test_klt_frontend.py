@@ -231,14 +231,14 @@ def test_next_anchor_keeps_tracks_and_adds_new_ones(followed_ones: int) -> None:
     # Kept tracks preserve their order, patches and pixels, not those of any other image.
     assert anchor.number == 9
     np.testing.assert_array_equal(anchor.image, image)
-    patches = before.tracks.patches
-    np.testing.assert_array_equal(anchor.tracks.patches.filters[:k], patches.filters[before.rows])
+    patches = before.tracks
+    np.testing.assert_array_equal(anchor.tracks.filters[:k], patches.filters[before.rows])
     np.testing.assert_array_equal(anchor.tracks.pixels[:k], before.features.pixels)
     np.testing.assert_array_equal(anchor.tracks.warps[:k], before.tracks.warps[before.rows])
     assert anchor.is_alive[:k].all()
     # The others start in this image.
     new = start_tracks(image, both.pixels[k:])
-    np.testing.assert_array_equal(anchor.tracks.patches.filters[k:], new.patches.filters)
+    np.testing.assert_array_equal(anchor.tracks.filters[k:], new.filters)
     assert anchor.is_alive[k:].sum() == min(new.tracked.sum(), max(MAX_TRACKED - k, MIN_NEW_FEATURES))
     assert anchor.is_alive[k:].sum() >= min(MIN_NEW_FEATURES, int(new.tracked.sum())) > 0
 

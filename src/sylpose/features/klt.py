@@ -16,7 +16,7 @@ IJCV 2004 (inverse compositional, with gain and bias projected out, part 3).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import cv2
@@ -53,37 +53,23 @@ MARGIN_PX = 40
 
 
 @dataclass(frozen=True, eq=False)
-class TemplatePatches:
-    """Template patches of n features, precomputed for registration.
-
-    Attributes:
-        filters: (n, s, 8) float32, s = (2 PATCH_RADIUS + 1)^2 samples in row order. Multiplying a sampled patch by them
-            gives the steps of the warp's six parameters for unit gain, then the gain, then the mean. About 5 kB per
-            feature.
-        contrast: (n,) norm of the patch minus its mean.
-        sd: (n,) standard deviation of the feature position from the patch's texture, pixels.
-    """
-
-    filters: Filters
-    contrast: FloatArray
-    sd: FloatArray
-
-    def __len__(self) -> int:
-        return len(self.contrast)
-
-
-@dataclass(frozen=True, eq=False)
 class Tracks:
     """Tracking state of n features of a template frame. Rows keep their order; lost features are kept.
 
     Attributes:
-        patches: the template patches.
+        filters: (n, s, 8) float32, s = (2 PATCH_RADIUS + 1)^2 samples of the template patches in row order. Multiplying
+            a sampled patch by them gives the steps of the warp's six parameters for unit gain, then the gain, then the
+            mean. About 5 kB per feature.
+        contrast: (n,) norm of the template patch minus its mean.
+        sd: (n,) standard deviation of the feature position from the patch's texture, pixels.
         pixels: (n, 2) current positions; NaN for lost features.
         warps: (n, 2, 2) from offsets in the template patch to offsets in the image; the last one found.
         tracked: (n,) False for lost features.
     """
 
-    patches: TemplatePatches
+    filters: Filters
+    contrast: FloatArray
+    sd: FloatArray
     pixels: FloatArray
     warps: FloatArray
     tracked: BoolArray
@@ -93,15 +79,11 @@ class Tracks:
 
     def subset(self, rows: IntArray) -> Tracks:
         """Return the rows (m,) in the given order."""
-        patches = TemplatePatches(self.patches.filters[rows], self.patches.contrast[rows], self.patches.sd[rows])
-        return Tracks(patches, self.pixels[rows], self.warps[rows], self.tracked[rows])
+        return Tracks(*(getattr(self, f.name)[rows] for f in fields(self)))
 
     def concatenate(self, others: Tracks) -> Tracks:
         """Return these rows followed by those of `others`."""
-        a, b, join = self.patches, others.patches, np.concatenate
-        patches = TemplatePatches(join([a.filters, b.filters]), join([a.contrast, b.contrast]), join([a.sd, b.sd]))
-        pixels, warps = join([self.pixels, others.pixels]), join([self.warps, others.warps])
-        return Tracks(patches, pixels, warps, join([self.tracked, others.tracked]))
+        return Tracks(*(np.concatenate([getattr(own, f.name) for own in (self, others)]) for f in fields(self)))
 
     def keep(self, mask: BoolArray) -> Tracks:
         """Mark features outside the mask (n,) as lost, such as outliers of a motion."""
@@ -156,11 +138,10 @@ def start_tracks(image: Image, pixels: ArrayLike) -> Tracks:
         fx, fy = (pixels - np.floor(pixels)).astype(np.float32).T[..., None, None]
         values = values[:, :, :-1] + fx * (values[:, :, 1:] - values[:, :, :-1])
         patches = values[:, :-1] + fy * (values[:, 1:] - values[:, :-1])
-    templates = _build_templates(patches)
-    tracked = inside & (templates.sd < MAX_SD_PX)
-    templates.filters[~tracked] = 0.0  # never matched, whatever the guess
-    tracks = Tracks(templates, pixels, np.tile(np.eye(2), (n, 1, 1)), tracked)
-    return tracks.keep(tracked)
+    filters, contrast, sd = _build_templates(patches)
+    tracked = inside & (sd < MAX_SD_PX)
+    filters[~tracked] = 0.0  # never matched, whatever the guess
+    return Tracks(filters, contrast, sd, pixels, np.tile(np.eye(2), (n, 1, 1)), tracked).keep(tracked)
 
 
 def track_features(tracks: Tracks, previous: Image, current: Image, guess: ArrayLike | None = None) -> Tracks:
@@ -193,13 +174,12 @@ def track_features(tracks: Tracks, previous: Image, current: Image, guess: Array
     start[active] = _track_pyramidal(previous, current, tracks.pixels[active], start[active])
     candidates = np.flatnonzero(np.isfinite(start).all(axis=1))
     positions, warps, correlation = start[candidates], tracks.warps[candidates], np.zeros(len(candidates))
-    templates = tracks.patches
-    _register_patches(current, templates.filters, templates.contrast, candidates, positions, warps, correlation)
+    _register_patches(current, tracks.filters, tracks.contrast, candidates, positions, warps, correlation)
     found = correlation > MIN_CORRELATION
     pixels, all_warps, tracked = np.full_like(start, np.nan), tracks.warps.copy(), np.zeros(len(tracks), bool)
     rows = candidates[found]
     pixels[rows], all_warps[rows], tracked[rows] = positions[found], warps[found], True
-    return Tracks(tracks.patches, pixels, all_warps, tracked)
+    return replace(tracks, pixels=pixels, warps=all_warps, tracked=tracked)
 
 
 def _check_image(image: Image, name: str) -> Image:
@@ -217,8 +197,8 @@ def _check_points(points: ArrayLike, name: str) -> FloatArray:
     return array
 
 
-def _build_templates(patches: Filters) -> TemplatePatches:
-    """Precompute template patches from (n, side + 2, side + 2) samples, one extra pixel per side."""
+def _build_templates(patches: Filters) -> tuple[Filters, FloatArray, FloatArray]:
+    """Precompute filters, contrast and sd of `Tracks` from (n, side + 2, side + 2) samples, one extra pixel per side."""
     n, samples = len(patches), (2 * PATCH_RADIUS + 1) ** 2
     along_u = (0.5 * (patches[:, 1:-1, 2:] - patches[:, 1:-1, :-2])).reshape(n, samples)
     along_v = (0.5 * (patches[:, 2:, 1:-1] - patches[:, :-2, 1:-1])).reshape(n, samples)
@@ -241,7 +221,7 @@ def _build_templates(patches: Filters) -> TemplatePatches:
     filters[:, :, 6] = texture / power[:, None]
     filters[:, :, 7] = 1.0 / samples
     sd = NOISE_GRAY_LEVELS * np.sqrt(0.5 * (inverse[:, 0, 0] + inverse[:, 1, 1]))
-    return TemplatePatches(filters, np.sqrt(power.astype(float)), sd)
+    return filters, np.sqrt(power.astype(float)), sd
 
 
 def _track_pyramidal(previous: Image, current: Image, pixels: FloatArray, start: FloatArray) -> FloatArray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any
 
@@ -67,18 +67,13 @@ class Features:
 
     def subset(self, index: IntArray | BoolArray) -> Features:
         """Return the keypoints selected by a mask or an index array."""
-        return Features(self.pixels[index], self.normalized[index], self.descriptors[index], self.faint[index])
+        return Features(*(getattr(self, f.name)[index] for f in fields(self)))
 
     @classmethod
     def concatenate(cls, parts: Sequence[Features]) -> Features:
         """Concatenate keypoint sets in the given order."""
         parts = [cls.empty(), *parts]
-        return cls(
-            np.concatenate([p.pixels for p in parts]),
-            np.concatenate([p.normalized for p in parts]),
-            np.concatenate([p.descriptors for p in parts]),
-            np.concatenate([p.faint for p in parts]),
-        )
+        return cls(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)))
 
     @classmethod
     def empty(cls) -> Features:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from sylpose.bundle_adjustment.bundle import Observations
-from sylpose.features.klt import TemplatePatches, Tracks
+from sylpose.features.klt import Tracks
 from sylpose.features.sift import Features
 from sylpose.features.static_background import CameraRotation, RotationRectifier, StaticBackground
 from sylpose.frames import FrameSet
@@ -97,6 +97,14 @@ _FEATURES: dict[str, tuple[int | str, ...]] = {
     "descriptors": ("n", 128),
     "faint": ("n",),
 }
+_TRACKS: dict[str, tuple[int | str, ...]] = {
+    "filters": ("n", "s", 8),
+    "contrast": ("n",),
+    "sd": ("n",),
+    "pixels": ("n", 2),
+    "warps": ("n", 2, 2),
+    "tracked": ("n",),
+}
 _TABLE_FIELDS = {"_rows": Landmarks, "_used": int, "_next": int}
 _SIGHTINGS: dict[str, tuple[int | str, ...]] = {
     "landmark_ids": ("n",),
@@ -125,8 +133,7 @@ RECORDS = (
     RecordType(CameraRotation, {"rotation": (3, 3)}),
     RecordType(RotationRectifier, {"rotation": (3, 3)}, {"camera": Camera, "rotation": FloatArray}),
     RecordType(Features, _FEATURES),
-    RecordType(TemplatePatches, {"filters": ("n", "s", 8), "contrast": ("n",), "sd": ("n",)}),
-    RecordType(Tracks, {"pixels": ("n", 2), "warps": ("n", 2, 2), "tracked": ("n",)}),
+    RecordType(Tracks, _TRACKS),
     RecordType(Landmarks, _LANDMARKS),
     RecordType(LandmarkTable, fields=_TABLE_FIELDS, sets_attributes=True, check=_check_table),
     RecordType(Camera),
