@@ -94,7 +94,7 @@ def make_anchor(n: int = 60, depth_sd: float = 1e-3) -> CameraAnchor:
 def track_to(
     anchor: CameraAnchor, image: Image | None, predicted_pose: RigidTransform = START, mask: BoolArray | None = None
 ) -> TrackedFeatures:
-    return track_anchor(anchor, CAMERA, START, predicted_pose, image, mask, RADIUS)
+    return track_anchor(anchor, CAMERA, (image, mask), (START, predicted_pose), RADIUS)
 
 
 # --- sufficiency
@@ -260,15 +260,8 @@ def test_outliers_are_dropped_without_modifying_old_anchor() -> None:
     np.testing.assert_allclose(after.tracks.pixels[died] - pixels[died], [[1.0, 0.0]] * 3, atol=0.2)
     np.testing.assert_array_equal(after.image, render_picture(1.0, 0.0))
     # Dropped features are not searched again.
-    again = track_anchor(
-        after,
-        CAMERA,
-        make_translated_pose(1.0, 0.0),
-        make_translated_pose(2.0, 0.0),
-        render_picture(2.0, 0.0),
-        None,
-        RADIUS,
-    )
+    poses = make_translated_pose(1.0, 0.0), make_translated_pose(2.0, 0.0)
+    again = track_anchor(after, CAMERA, (render_picture(2.0, 0.0), None), poses, RADIUS)
     assert not np.isin(died, again.rows).any()
     assert len(again) > 0.9 * after.is_alive.sum()
 

@@ -252,7 +252,7 @@ def _align_landmarks(
         return None
     statistics = executor.gather(
         [
-            compute_inlier_statistics(own, *weights, pose.rotation, pose.translation, frame)
+            compute_inlier_statistics(own, *weights, pose, frame)
             for own, weights, frame in zip(observations, found, problem.frames, strict=True)
         ],
         InlierStatistics(),

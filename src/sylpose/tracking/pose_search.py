@@ -26,7 +26,7 @@ from sylpose.tracking.camera_side.camera import (
     TrackedFeatures,
     append_new_features,
 )
-from sylpose.tracking.camera_side.frame import CameraFrame, CameraPairs, DetectedFeatures, measure_agreement
+from sylpose.tracking.camera_side.frame import CameraFrame, CameraPairs, DetectedFeatures, SearchArea, measure_agreement
 from sylpose.tracking.context import Context, Frame, detect, drop_static_matches, object_radius_px, project_regions
 from sylpose.tracking.first_motion import is_box_center_static, select_static_matches, update_from_matches
 from sylpose.tracking.frame_solvers import SOLVERS, PoseProblem, PoseSolution
@@ -40,7 +40,7 @@ from sylpose.tracking.joint_side.joint_state import (
     is_mostly_moving,
     select_references,
 )
-from sylpose.tracking.reports import PoseAgreement, RelocalizationMatches, TrackingReport
+from sylpose.tracking.reports import Agreements, PoseAgreement, RelocalizationMatches, TrackingReport
 
 # Maximum number of features detected per camera while features are tracked by KLT (choice).
 MAX_KLT_FEATURES = 400
@@ -119,7 +119,7 @@ class PoseCandidate:
     solution: PoseSolution
     motion: RigidTransform
     pose: RigidTransform
-    agreements: Sequence[PoseAgreement]
+    agreements: Agreements
     has_moved: bool
     cameras: Sequence[CameraSolution]
 
@@ -178,13 +178,8 @@ def track_from_anchor(
     anchor, last = state.frames.anchor, state.last
     assert anchor is not None
     assert frame.regions is not None
-    track = partial(
-        CameraTracker.track_anchor,
-        images=frame.images,
-        last_pose=last.world_from_object,
-        predicted_pose=predicted_pose,
-        radius=state.object.radius,
-    )
+    poses = last.world_from_object, predicted_pose
+    track = partial(CameraTracker.track_anchor, images=frame.images, poses=poses, radius=state.object.radius)
     tracked = context.executor.run(track, context.cameras)
     own_reports = [own.create_report(region) for own, region in zip(tracked, frame.regions, strict=True)]
     reports = context.executor.gather(own_reports, TrackingReport())
@@ -321,7 +316,7 @@ def solve_pose(
     return PoseCandidate(frame, rig, solution, motion, guess, agreements, has_moved, cameras)
 
 
-def _is_noise(context: Context, state: JointState, pose: RigidTransform, agreements: Sequence[PoseAgreement]) -> bool:
+def _is_noise(context: Context, state: JointState, pose: RigidTransform, agreements: Agreements) -> bool:
     """Return whether in no camera the matches fit a pose (world_from_object) better than any other pose."""
     limits = [max(MAX_NOISE_RATIO * radius, MAX_NOISE_PX) for radius in object_radius_px(context, state, pose)]
     residuals_px = np.array([a.residual_px for a in agreements])
@@ -486,7 +481,7 @@ def search_with_all_features(
         the state; the best candidate, or None.
     """
     _add_remaining_features(context, state)
-    references = _select_references(context, state, predicted_pose)
+    references = _select_nearby(context, state, predicted_pose)
     matches = context.executor.run(CameraTracker.match, context.cameras, frame.cameras, references)
     pairs: CameraPairs = drop_static_matches(context, state, frame, matches, predicted_pose)
     matched_pose = None
@@ -514,14 +509,10 @@ def search_with_all_features(
 
 def _is_significant(context: Context, state: JointState, candidate: PoseCandidate) -> bool:
     """Return whether significantly more features agree with a pose than by chance."""
-    references = [own[:MAX_EVIDENCE_REFERENCES] for own in _select_references(context, state, candidate.pose)]
-    counts = context.executor.run(
-        partial(CameraTracker.count_supporting_features, pose=candidate.pose),
-        context.cameras,
-        candidate.frame.cameras,
-        references,
-        _search_radii(context, state, candidate.pose, SOLVED_RADIUS),
-    )
+    references = [own[:MAX_EVIDENCE_REFERENCES] for own in _select_nearby(context, state, candidate.pose)]
+    areas = _make_search_areas(context, state, candidate.pose, SOLVED_RADIUS)
+    count = CameraTracker.count_supporting_features
+    counts = context.executor.run(count, context.cameras, candidate.frame.cameras, references, areas)
     n_near, n_by_chance = np.array(context.executor.gather(counts, (0, 0.0))).sum(axis=0)
     return bool(n_near > SELECTION_BIAS + n_by_chance + 3.0 * np.sqrt(n_by_chance))
 
@@ -533,7 +524,7 @@ def _add_remaining_features(context: Context, state: JointState) -> None:
     context.executor.run(add, context.cameras, regions)
 
 
-def _select_references(context: Context, state: JointState, guess: RigidTransform) -> list[list[int]]:
+def _select_nearby(context: Context, state: JointState, guess: RigidTransform) -> list[list[int]]:
     """Return per camera, local: the numbers of the last solved frame and of nearby keyframes."""
     viewpoints, last, keyframes = compute_viewpoints(context.rig, guess), state.last.number, state.frames.keyframes
     near = [
@@ -543,10 +534,12 @@ def _select_references(context: Context, state: JointState, guess: RigidTransfor
     return [[last, *(k.number for k in own if k.number != last)] for own in near]
 
 
-def _search_radii(context: Context, state: JointState, pose: RigidTransform, radius_ratio: float) -> list[float]:
-    """Return per camera, local: the search radius, pixels, by its share of the object's radius in the image."""
+def _make_search_areas(
+    context: Context, state: JointState, pose: RigidTransform, radius_ratio: float
+) -> list[SearchArea]:
+    """Return per camera, local: the search area, by its share of the object's radius in the image."""
     radii = object_radius_px(context, state, pose)
-    return [max(radius_ratio * radii[c], MIN_RADIUS_PX) for c in context.executor.local]
+    return [SearchArea(pose, max(radius_ratio * radii[c], MIN_RADIUS_PX)) for c in context.executor.local]
 
 
 def _solve_near_pose(
@@ -564,14 +557,8 @@ def _solve_near_pose(
         pose: world_from_object at which landmarks are projected.
         radius_ratio: search radius as a share of the object's radius in the image.
     """
-    pairs = context.executor.run(
-        CameraTracker.match_near,
-        context.cameras,
-        frame.cameras,
-        _select_references(context, state, pose),
-        [pose] * len(context.cameras),
-        _search_radii(context, state, pose, radius_ratio),
-    )
+    references, areas = _select_nearby(context, state, pose), _make_search_areas(context, state, pose, radius_ratio)
+    pairs = context.executor.run(CameraTracker.match_near, context.cameras, frame.cameras, references, areas)
     return solve_pose(context, state, frame, drop_static_matches(context, state, frame, pairs, predicted_pose), pose)
 
 

@@ -189,6 +189,10 @@ class PoseAgreement:
     n_features: int = 0
 
 
+# Of all cameras.
+Agreements = Sequence[PoseAgreement]
+
+
 @dataclass(frozen=True, eq=False)
 class RelocalizationMatches:
     """One camera's features that match landmarks of its keyframes.

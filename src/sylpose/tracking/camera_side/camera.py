@@ -33,6 +33,7 @@ from sylpose.tracking.camera_side.frame import (
     Pairs,
     Region,
     ReobservedFeatures,
+    SearchArea,
     collect_detected_features,
     collect_features,
     drop_background,
@@ -195,29 +196,22 @@ def advance_anchor(tracked: TrackedFeatures, pairs: Pairs, weights: Sequence[Flo
 
 
 def track_anchor(
-    anchor: CameraAnchor,
-    camera: Camera,
-    last_pose: RigidTransform,
-    predicted_pose: RigidTransform,
-    image: Image | None,
-    mask: BoolArray | None,
-    radius: float,
+    anchor: CameraAnchor, camera: Camera, view: View, poses: tuple[RigidTransform, RigidTransform], radius: float
 ) -> TrackedFeatures:
     """Track an anchor's features in the camera's next image.
 
     Args:
-        last_pose: world_from_object of the last image with tracks.
-        predicted_pose: predicted world_from_object.
-        image: the frame's.
-        mask: (h, w), True on the object.
+        view: image and mask of the frame.
+        poses: world_from_object of the last image with tracks, and the predicted one.
         radius: of the object.
     """
+    image, mask = view
     tracks, alive = anchor.tracks, np.flatnonzero(anchor.is_alive)
     if image is None or anchor.image is None or not len(alive):
         nothing = np.empty(0, np.int64), Features.empty(), np.empty((0, 2))
         return TrackedFeatures(anchor, *nothing, tracks, _to_grayscale(image))
     landmarks, tracked = anchor.frame.table.get(anchor.frame.landmark_ids[alive]), tracks.tracked[alive]
-    expected, last_pixels = (camera.project(pose.apply(landmarks.mean)) for pose in (predicted_pose, last_pose))
+    last_pixels, expected = (camera.project(pose.apply(landmarks.mean)) for pose in poses)
     lost = np.flatnonzero(~tracked)
     is_uncertain = landmarks.subset(lost).depth_sd >= MAX_DEPTH_SD_RATIO * radius
     # A feature's last pixel is known better than its landmark's projection; the projection gives the expected motion
@@ -481,11 +475,11 @@ class CameraTracker:
         self.detections = DetectedFeatures()
 
     def track_anchor(
-        self, images: FrameSet, last_pose: RigidTransform, predicted_pose: RigidTransform, radius: float
+        self, images: FrameSet, poses: tuple[RigidTransform, RigidTransform], radius: float
     ) -> TrackedFeatures:
         """Track the anchor's features in the next image. See `track_anchor`."""
         assert self.anchor is not None
-        return track_anchor(self.anchor, self.camera, last_pose, predicted_pose, *self.view_of(images), radius)
+        return track_anchor(self.anchor, self.camera, self.view_of(images), poses, radius)
 
     def match(self, current: CameraFrame, references: Sequence[int]) -> list[FrameMatches]:
         """Match by descriptors with earlier frames, in the given order.
@@ -511,35 +505,22 @@ class CameraTracker:
         self.detections = collect_detected_features(current.features, pairs)
         return pairs if motion is None else drop_background(pairs, current, self.camera, motion)
 
-    def match_near(
-        self,
-        current: CameraFrame,
-        references: Sequence[int],
-        pose: RigidTransform,
-        radius_px: float,
-        offset_px: tuple[float, float] = (0.0, 0.0),
-    ) -> list[FrameMatches]:
+    def match_near(self, current: CameraFrame, references: Sequence[int], area: SearchArea) -> list[FrameMatches]:
         """Match with landmarks of earlier frames near their projections. See `match_near_pose`."""
-        return omit_empty(
-            match_near_pose(number, self.frames[number], current, self.camera, pose, radius_px, offset_px)
-            for number in references
-        )
+        return omit_empty(match_near_pose(n, self.frames[n], current, self.camera, area) for n in references)
 
     def count_supporting_features(
-        self, current: CameraFrame, references: Sequence[int], radius_px: float, pose: RigidTransform
+        self, current: CameraFrame, references: Sequence[int], area: SearchArea
     ) -> tuple[int, float]:
         """Count features that match landmarks near their projections, and those that match by chance.
-
-        Args:
-            radius_px: search radius, pixels.
-            pose: world_from_object.
 
         Returns:
             number of features near the projections; mean number at offset places.
         """
+        offsets = ((0.0, 0.0), *((dx * area.radius_px, dy * area.radius_px) for dx, dy in CHANCE_OFFSETS))
+        areas = [area._replace(offset_px=offset_px) for offset_px in offsets]
         near, *by_chance = (
-            len(np.unique(collect_features(self.match_near(current, references, pose, radius_px, offset_px))))
-            for offset_px in ((0.0, 0.0), *((dx * radius_px, dy * radius_px) for dx, dy in CHANCE_OFFSETS))
+            len(np.unique(collect_features(self.match_near(current, references, own)))) for own in areas
         )
         return near, float(np.mean(by_chance))
 

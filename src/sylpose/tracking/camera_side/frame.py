@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -14,7 +15,7 @@ from sylpose.features.sift import Features, match_features, match_guided
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.matrices import rotation_matrix_of
 from sylpose.geometry.robust_loss import SIGMA_OF_MEDIAN
-from sylpose.landmarks.alignment import LandmarkMatches
+from sylpose.landmarks.alignment import AlignmentResult, LandmarkMatches
 from sylpose.landmarks.camera_terms import CUTOFF, REFERENCE_NOISE_PX
 from sylpose.landmarks.landmark_filter import Landmarks, LandmarkTable
 from sylpose.matches import STATIC_PX
@@ -234,29 +235,30 @@ def match_frames(
     return FrameMatches.from_indices(reference, earlier, b, indices[~known & ~current.background[indices[:, 1]]])
 
 
-def match_near_pose(
-    reference: int,
-    earlier: CameraFrame,
-    current: CameraFrame,
-    camera: Camera,
-    pose: RigidTransform,
-    radius_px: float,
-    offset_px: tuple[float, float] = (0.0, 0.0),
-) -> FrameMatches:
-    """Match the earlier frame's landmarks with features near their projections.
+class SearchArea(NamedTuple):
+    """Where landmarks are searched in a frame.
 
-    Args:
-        pose: world_from_object, of the current frame.
+    Attributes:
+        pose: world_from_object, of the frame.
         radius_px: search radius, pixels, in addition to the range left open by the landmarks' depth.
         offset_px: offset of the search from the projections; with an offset, matches are found by chance only.
     """
+
+    pose: RigidTransform
+    radius_px: float
+    offset_px: tuple[float, float] = (0.0, 0.0)
+
+
+def match_near_pose(
+    reference: int, earlier: CameraFrame, current: CameraFrame, camera: Camera, area: SearchArea
+) -> FrameMatches:
+    """Match the earlier frame's landmarks with features near their projections."""
     landmarks = earlier.landmarks
     depth_offsets = DEPTH_SEARCH_SDS * landmarks.depth_error
-    ends = np.stack(
-        [camera.project(pose.apply(landmarks.mean + s * depth_offsets).reshape(-1, 3)) for s in (-1, 1)], axis=1
-    )
+    points = [area.pose.apply(landmarks.mean + s * depth_offsets).reshape(-1, 3) for s in (-1, 1)]
+    ends = np.stack([camera.project(own) for own in points], axis=1)
     ends[earlier.background] = np.nan
-    indices = match_guided(earlier.features, current.features, ends + np.array(offset_px), radius_px)
+    indices = match_guided(earlier.features, current.features, ends + np.array(area.offset_px), area.radius_px)
     return FrameMatches.from_indices(reference, earlier, current.features, indices[~current.background[indices[:, 1]]])
 
 
@@ -489,8 +491,7 @@ def compute_inlier_statistics(
     observations: LandmarkMatches,
     weights: FloatArray,
     residuals: FloatArray,
-    rotation: FloatArray,
-    translation: FloatArray,
+    pose: AlignmentResult,
     current: CameraFrame,
 ) -> InlierStatistics:
     """Count a camera's features that agree with a pose, and those expected by chance.
@@ -508,7 +509,7 @@ def compute_inlier_statistics(
         if is_inlier.any()
         else 1.0 / observations.focal
     )
-    along = compute_depth_smear(observations, rotation, translation)
+    along = compute_depth_smear(observations, pose.rotation, pose.translation)
     region = float(np.prod(np.ptp(current.features.normalized, axis=0)))
     share = np.minimum(np.pi * CUTOFF**2 * sigma * np.hypot(sigma, along) / max(region, 1e-12), 1.0)
     # A feature matched with several landmarks is counted once.

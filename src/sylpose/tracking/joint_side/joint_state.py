@@ -21,7 +21,7 @@ from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.results import MAX_ROTATION_SD
 from sylpose.rig import Rig
 from sylpose.tracking.joint_side.object_model import ObjectModel
-from sylpose.tracking.reports import NewObservations, PoseAgreement, TrackingReport
+from sylpose.tracking.reports import Agreements, NewObservations, TrackingReport
 
 # The pose of a missing object is extrapolated for at most so many frames, and only while its rotation (radians) and its
 # position (object's radii) are more certain than this (choice).
@@ -585,7 +585,7 @@ class JointState:
         earlier = {number: frame.world_from_object for number, frame in self.frames.by_number.items()}
         return KnownMotion(earlier, pose, self.object.radius)
 
-    def is_motion_verified(self, agreements: Sequence[PoseAgreement]) -> bool:
+    def is_motion_verified(self, agreements: Agreements) -> bool:
         """Return whether the object has been observed to move, in this frame at the latest.
 
         At least two cameras have to see it move, since something may pass in front of one.
@@ -611,7 +611,7 @@ class JointState:
             age <= N_FIRST_MATCHED or age % FIRST_MATCH_INTERVAL == 0 or needs_confirmation
         )
 
-    def may_be_background(self, agreements: Sequence[PoseAgreement], min_ratio: float = MIN_MOVED_RATIO) -> bool:
+    def may_be_background(self, agreements: Agreements, min_ratio: float = MIN_MOVED_RATIO) -> bool:
         """Return whether a pose may be the background's: almost none of its inliers ever moved.
 
         Always False before the object has moved: no other evidence exists then.
@@ -638,12 +638,7 @@ class JointState:
     # --- the next state -----------------------------------------------------------------------------------------------
 
     def add_solved_frame(
-        self,
-        solved: SolvedFrame,
-        motion: RigidTransform,
-        *,
-        has_new_features: bool,
-        agreements: Sequence[PoseAgreement] = (),
+        self, solved: SolvedFrame, motion: RigidTransform, *, has_new_features: bool, agreements: Agreements = ()
     ) -> JointState:
         """Return the state after a solved frame.
 
@@ -729,7 +724,7 @@ class JointState:
         return pending is not None and number >= pending.number + RESULT_DELAY
 
 
-def is_mostly_moving(agreements: Sequence[PoseAgreement]) -> bool:
+def is_mostly_moving(agreements: Agreements) -> bool:
     """Return whether most of what one camera sees in its box moves, unlike with a person passing behind the object."""
     return any(a.n_moved >= MIN_MOVED_FEATURES and 2 * a.n_moved > a.n_matches for a in agreements)
 
@@ -757,7 +752,7 @@ def enlarge_covariance(a: FloatArray, b: FloatArray) -> FloatArray:
 def add_reference_covariance(
     information: FloatArray,
     world_from_object: RigidTransform,
-    agreements: Sequence[PoseAgreement],
+    agreements: Agreements,
     known_frames: Mapping[int, SolvedFrame],
     radius: float,
     correlation: float = 0.0,
