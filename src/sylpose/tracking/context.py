@@ -1,4 +1,4 @@
-"""What all steps of tracking share: the rig, this process's cameras, their exchange of reports, and the current frame.
+"""Context of all tracking steps: the rig, this process's cameras, their exchange of reports, a frame and its result.
 
 A list that is "per camera, local" has one entry for each camera of this process: all of the rig, or in a distributed
 run one. A step is a loop over these cameras. What they have to share is gathered: then it has an entry for each camera

@@ -1,6 +1,12 @@
 """Object model learned in one recording, with which another recording can start.
 
 A tracker that starts with it behaves as if the object had been lost before the first frame.
+
+Cameras that observed the object, in the same arrangement, keep their landmarks. For others its keyframes are
+transferred: if an object has the same pose relative to two cameras, both have the same view of it. So each keyframe of
+each learning camera becomes a keyframe of each new camera, at the pose that gives the same view. It belongs to that
+camera alone, since the others have different views there. These poses contain the arrangement of the learning cameras
+and therefore stay fixed in joint refinement.
 """
 
 from __future__ import annotations

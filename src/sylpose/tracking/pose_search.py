@@ -1,6 +1,10 @@
 """Pose search in one frame: near the prediction or anywhere. Landmarks are not updated here.
 
 Each camera uses only its own images; all arrive at the same pose because it depends on exchanged reports alone.
+
+The search with all features runs only after the usual one has failed, before a frame is left without a pose: it takes
+many times as long. It detects all features in the frame and in the last solved one, uses all nearby keyframes, and
+accepts matches that are distinctive only among features near the projection.
 """
 
 from __future__ import annotations

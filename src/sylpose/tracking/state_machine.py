@@ -2,6 +2,10 @@
 
 Each is a function of the shared state and of the cameras' reports, and returns the new state. First a pose is searched
 for. If one is accepted, the map is updated; otherwise the frame has no pose.
+
+Before that, motion of the cameras is corrected. A camera whose background shows a rotation
+(`camera_side.camera_motion`) is ignored until two consecutive frames give the same rotation. From then on its images
+are rotated back before any processing: its calibration and all landmarks stay valid.
 """
 
 from __future__ import annotations

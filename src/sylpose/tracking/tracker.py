@@ -1,4 +1,4 @@
-"""Single-process tracker: the object's pose in every frame, against several earlier frames."""
+"""Tracker: the object's pose in every frame, against several earlier frames; its state, for cameras that join."""
 
 from __future__ import annotations
 

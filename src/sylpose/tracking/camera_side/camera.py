@@ -2,6 +2,10 @@
 
 Its inputs are shared by all cameras (a pose, the object's radius, frame numbers). It has no access to other cameras'
 data and sends them only `reports`.
+
+KLT front end: SIFT detects the features of an anchor frame and matches them with the keyframes. Frames between two
+anchors only track them, which takes a tenth of the time and is more precise (`features.klt`). The next anchor keeps the
+surviving tracks and adds new features.
 """
 
 from __future__ import annotations

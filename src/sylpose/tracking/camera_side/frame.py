@@ -1,4 +1,7 @@
-"""One camera's data of a frame, and its matches between two frames."""
+"""One camera's data of a frame: features, the object's region, matches with earlier frames, landmark observations.
+
+The region is the projection of a point cloud that fills the object.
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,11 @@
 """Shared tracker state: object, solved frames, motion and refinement, replicated on every camera.
 
 All of it follows from what the cameras exchange, so every replica is identical.
+
+Cameras are static and the object rotates, so a keyframe is characterized by the camera's viewpoint in the object's
+frame. A new frame is matched with keyframes of similar viewpoints, oldest first: an old pose has drifted less, and the
+first keyframe of a side that is observed again closes the loop (docs/method/4-tracking.md, "Drift"). Between them the
+object is assumed to move at constant velocity, with an adaptive uncertainty.
 """
 
 from __future__ import annotations
