@@ -177,64 +177,58 @@ class Context:
         own = [camera.create_frame(found) for camera, found in zip(self.cameras, features, strict=True)]
         return replace(frame, cameras=own)
 
+    def create_frame(self, number: int, images: FrameSet) -> Frame:
+        """Create a frame from its images, without features."""
+        times = [images.time if time is None else time for time in images.times]
+        return Frame(number, images, np.array(times) - images.time + self.time_offsets)
 
-def create_frame(context: Context, number: int, images: FrameSet) -> Frame:
-    """Create a frame from its images, without features."""
-    times = [images.time if time is None else time for time in images.times]
-    return Frame(number, images, np.array(times) - images.time + context.time_offsets)
+    def project_regions(
+        self, state: JointState, world_from_object: RigidTransform, growth: float = REGION_MARGIN
+    ) -> list[Region]:
+        """Project the object at a pose into each camera.
 
+        Args:
+            growth: margin as a share of the object's size in the image.
 
-def project_regions(
-    context: Context, state: JointState, world_from_object: RigidTransform, growth: float = REGION_MARGIN
-) -> list[Region]:
-    """Project the object at a pose into each camera.
+        Returns:
+            per camera, local: its region; None if out of view.
+        """
+        points = world_from_object.apply(state.object.points)
+        return [project_outline(camera.camera, points, growth) for camera in self.cameras]
 
-    Args:
-        growth: margin as a share of the object's size in the image.
+    def object_radius_px(self, state: JointState, world_from_object: RigidTransform) -> list[float]:
+        """Return per camera of the rig the object's radius in its image at a pose, pixels."""
+        center = world_from_object.translation
+        depths = [max(float(camera.camera_from_world.apply(center)[2]), 1e-12) for camera in self.rig]
+        return [state.object.radius / depth * camera.focal for camera, depth in zip(self.rig, depths, strict=True)]
 
-    Returns:
-        per camera, local: its region; None if out of view.
-    """
-    points = world_from_object.apply(state.object.points)
-    return [project_outline(camera.camera, points, growth) for camera in context.cameras]
+    def detect(self, frame: Frame, max_features: int = MAX_FEATURES, *, faint: bool) -> list[Features]:
+        """Detect features in a frame's regions; per camera, local. See `CameraTracker.detect`."""
+        assert frame.regions is not None
+        detect_in = partial(CameraTracker.detect_in, images=frame.images, max_features=max_features, faint=faint)
+        return self.executor.run(detect_in, self.cameras, frame.regions)
 
+    def detect_everywhere(
+        self, images: FrameSet, max_features: int, *, faint: bool = False, reduced: bool
+    ) -> list[Features]:
+        """Detect features in the whole images; per camera, local. See `CameraTracker.detect`."""
+        views = [camera.view_of(images) for camera in self.cameras]
+        detect_all = partial(CameraTracker.detect, area=None, max_features=max_features, faint=faint, reduced=reduced)
+        return self.executor.run(detect_all, self.cameras, views)
 
-def object_radius_px(context: Context, state: JointState, world_from_object: RigidTransform) -> list[float]:
-    """Return per camera of the rig the object's radius in its image at a pose, pixels."""
-    center = world_from_object.translation
-    depths = [max(float(camera.camera_from_world.apply(center)[2]), 1e-12) for camera in context.rig]
-    return [state.object.radius / depth * camera.focal for camera, depth in zip(context.rig, depths, strict=True)]
+    def drop_static_matches(
+        self, state: JointState, frame: Frame, pairs: CameraPairs, predicted_pose: RigidTransform
+    ) -> CameraPairs:
+        """Remove matches that are background according to the predicted motion; per camera, local.
 
-
-def detect(context: Context, frame: Frame, max_features: int = MAX_FEATURES, *, faint: bool) -> list[Features]:
-    """Detect features in a frame's regions; per camera, local. See `CameraTracker.detect`."""
-    assert frame.regions is not None
-    detect_in = partial(CameraTracker.detect_in, images=frame.images, max_features=max_features, faint=faint)
-    return context.executor.run(detect_in, context.cameras, frame.regions)
-
-
-def detect_everywhere(
-    context: Context, images: FrameSet, max_features: int, *, faint: bool = False, reduced: bool
-) -> list[Features]:
-    """Detect features in the whole images; per camera, local. See `CameraTracker.detect`."""
-    views = [camera.view_of(images) for camera in context.cameras]
-    detect_all = partial(CameraTracker.detect, area=None, max_features=max_features, faint=faint, reduced=reduced)
-    return context.executor.run(detect_all, context.cameras, views)
-
-
-def drop_static_matches(
-    context: Context, state: JointState, frame: Frame, pairs: CameraPairs, predicted_pose: RigidTransform
-) -> CameraPairs:
-    """Remove matches that are background according to the predicted motion; per camera, local.
-
-    Args:
-        predicted_pose: predicted world_from_object.
-    """
-    motion = state.motion_to(predicted_pose)
-    return [
-        drop_background(own, current, camera.camera, motion)
-        for camera, own, current in zip(context.cameras, pairs, frame.cameras, strict=True)
-    ]
+        Args:
+            predicted_pose: predicted world_from_object.
+        """
+        motion = state.motion_to(predicted_pose)
+        return [
+            drop_background(own, current, camera.camera, motion)
+            for camera, own, current in zip(self.cameras, pairs, frame.cameras, strict=True)
+        ]
 
 
 # --- result of a frame ------------------------------------------------------------------------------------------------

@@ -37,7 +37,7 @@ from sylpose.tracking.camera_side.frame import (
     select_inliers,
     triangulate,
 )
-from sylpose.tracking.context import Context, Frame, drop_static_matches
+from sylpose.tracking.context import Context, Frame
 from sylpose.tracking.frame_solvers import scatter_fit
 from sylpose.tracking.joint_side.joint_state import MIN_MOVED_FEATURES, JointState, KnownMotion
 from sylpose.tracking.reports import BoxMotionReport, InitialMatches, MovingMatches, quantize_positions
@@ -325,7 +325,7 @@ def update_from_matches(
     # the boxes it fills. Static features near points where the object barely moves may agree with it, so only moving
     # features are kept. Other methods need every match.
     if not context.refines_window:
-        return state, pose, drop_static_matches(context, state, frame, remaining, pose)
+        return state, pose, context.drop_static_matches(state, frame, remaining, pose)
     if state.object.is_bounded:
         # New features in the boxes may be background: the next frames decide.
         for inliers, current in zip(initial_motion.inliers, frame.cameras, strict=True):

@@ -28,16 +28,7 @@ from sylpose.tracking.camera_side.frame import (
     match_frames,
     omit_empty,
 )
-from sylpose.tracking.context import (
-    Context,
-    Frame,
-    FrameResult,
-    TrackedFrame,
-    create_unsolved_frame,
-    detect,
-    detect_everywhere,
-    project_regions,
-)
+from sylpose.tracking.context import Context, Frame, FrameResult, TrackedFrame, create_unsolved_frame
 from sylpose.tracking.first_motion import (
     FirstMotion,
     count_center_features,
@@ -92,7 +83,7 @@ def initialize_tracking(
     if state.object.center is not None:
         state, tracked = _initialize_from_boxes(context, state, frame, state.object.center)
         return state, [], [tracked]
-    features = detect_everywhere(context, frame.images, MAX_START_FEATURES, reduced=True)
+    features = context.detect_everywhere(frame.images, MAX_START_FEATURES, reduced=True)
     if not buffered and _count_features(context, features) < MIN_MATCHES:
         # Later frames need one to be compared with.
         return state, [], [_create_unmatched_frame(context, frame, FrameStatus.TOO_FEW_MATCHES, features)]
@@ -145,14 +136,14 @@ def _create_unmatched_frame(
 
 def _initialize_from_boxes(context: Context, state: JointState, frame: Frame, center: FloatArray) -> FrameResult:
     """Accept the first frame with enough features in the boxes; center (3,) of the object, world."""
-    regions = project_regions(context, state, RigidTransform.from_translation(center))
+    regions = context.project_regions(state, RigidTransform.from_translation(center))
     frame = replace(frame, regions=regions)
-    features = detect(context, frame, MAX_FEATURES, faint=False)
+    features = context.detect(frame, MAX_FEATURES, faint=False)
     own_counts = [count_center_features(*own) for own in zip(context.cameras, features, regions, strict=True)]
     n_center = sum(context.executor.gather(own_counts, 0))
     state = replace(state, is_feature_poor=n_center < MIN_CENTER_FEATURES * len(context.rig))
     if state.is_feature_poor:
-        features = detect(context, frame, faint=True)
+        features = context.detect(frame, faint=True)
     if _count_features(context, features) < MIN_MATCHES:
         status = FrameStatus.TOO_FEW_MATCHES
         return state, _create_unmatched_frame(context, frame, status, features, state.object.radius)
@@ -206,7 +197,7 @@ def _initialize_from_motion(
     first_pose = RigidTransform.from_translation(first_motion.inlier_center)
     end_pose = first_motion.motion * first_pose
     state = JointState(_create_model(context, first_motion, first_pose, end_pose))
-    frame = replace(first, regions=project_regions(context, state, first_pose))
+    frame = replace(first, regions=context.project_regions(state, first_pose))
     motion = KnownMotion({first.number: first_pose}, end_pose, first_motion.radius)
     sides = [
         _split_foreground(camera, current, region, own, frame, motion)
@@ -291,7 +282,7 @@ def _solve_buffered_frame(context: Context, state: JointState, frame: Frame, pos
 
     Its features cover the whole image: static surroundings would seem to belong to an object at rest.
     """
-    regions = project_regions(context, state, pose)
+    regions = context.project_regions(state, pose)
     detect_inside = partial(CameraTracker.detect_at_full_res, images=frame.images, faint=False)
     inside = context.executor.run(detect_inside, context.cameras, frame.features, regions)
     frame = context.with_features(replace(frame, regions=regions), inside)

@@ -31,7 +31,7 @@ from sylpose.tracking.camera_side.camera import (
     append_new_features,
 )
 from sylpose.tracking.camera_side.frame import CameraFrame, CameraPairs, DetectedFeatures, SearchArea, measure_agreement
-from sylpose.tracking.context import Context, Frame, detect, drop_static_matches, object_radius_px, project_regions
+from sylpose.tracking.context import Context, Frame
 from sylpose.tracking.first_motion import is_box_center_static, select_static_matches, update_from_matches
 from sylpose.tracking.frame_solvers import SOLVERS, PoseProblem, PoseSolution
 from sylpose.tracking.joint_side.joint_state import (
@@ -230,7 +230,7 @@ def detect_in_regions(context: Context, state: JointState, frame: Frame, predict
         if context.uses_klt and not is_fast(state, predicted_pose)
         else (MAX_FEATURES, MAX_FEATURES)
     )
-    features = detect(context, frame, n_detected, faint=state.is_feature_poor)
+    features = context.detect(frame, n_detected, faint=state.is_feature_poor)
     if frame.tracked is not None:
         features = [
             append_new_features(tracked, detected, camera.find_known_background(detected), n_total)
@@ -322,7 +322,7 @@ def solve_pose(
 
 def _is_noise(context: Context, state: JointState, pose: RigidTransform, agreements: Agreements) -> bool:
     """Return whether in no camera the matches fit a pose (world_from_object) better than any other pose."""
-    limits = [max(MAX_NOISE_RATIO * radius, MAX_NOISE_PX) for radius in object_radius_px(context, state, pose)]
+    limits = [max(MAX_NOISE_RATIO * radius, MAX_NOISE_PX) for radius in context.object_radius_px(state, pose)]
     residuals_px = np.array([a.residual_px for a in agreements])
     return bool((np.isnan(residuals_px) | (residuals_px > limits)).all())
 
@@ -349,7 +349,7 @@ def compute_noise_weights(context: Context, state: JointState, candidate: PoseCa
     """
     cutoff = [
         max(ZERO_WEIGHT_NOISE_RATIO * radius, ZERO_WEIGHT_NOISE_PX)
-        for radius in object_radius_px(context, state, candidate.pose)
+        for radius in context.object_radius_px(state, candidate.pose)
     ]
     noise = np.nan_to_num(np.array([a.noise_px for a in candidate.agreements]), nan=np.inf)
     return np.asarray(np.maximum(1.0 - (np.minimum(noise, 1e6) / cutoff) ** 2, 0.0) ** 2)
@@ -487,7 +487,7 @@ def search_with_all_features(
     _add_remaining_features(context, state)
     references = _select_nearby(context, state, predicted_pose)
     matches = context.executor.run(CameraTracker.match, context.cameras, frame.cameras, references)
-    pairs: CameraPairs = drop_static_matches(context, state, frame, matches, predicted_pose)
+    pairs: CameraPairs = context.drop_static_matches(state, frame, matches, predicted_pose)
     matched_pose = None
     if state.needs_first_motion:
         state, matched_pose, pairs = update_from_matches(context, state, frame, pairs)
@@ -523,7 +523,7 @@ def _is_significant(context: Context, state: JointState, candidate: PoseCandidat
 
 def _add_remaining_features(context: Context, state: JointState) -> None:
     """Add all remaining features in the last solved frame's image to that frame."""
-    regions = project_regions(context, state, state.last.world_from_object)
+    regions = context.project_regions(state, state.last.world_from_object)
     add = partial(CameraTracker.add_remaining_features, last=state.last, model=state.object)
     context.executor.run(add, context.cameras, regions)
 
@@ -542,7 +542,7 @@ def _make_search_areas(
     context: Context, state: JointState, pose: RigidTransform, radius_ratio: float
 ) -> list[SearchArea]:
     """Return per camera, local: the search area, by its share of the object's radius in the image."""
-    radii = object_radius_px(context, state, pose)
+    radii = context.object_radius_px(state, pose)
     return [SearchArea(pose, max(radius_ratio * radii[c], MIN_RADIUS_PX)) for c in context.executor.local]
 
 
@@ -563,7 +563,7 @@ def _solve_near_pose(
     """
     references, areas = _select_nearby(context, state, pose), _make_search_areas(context, state, pose, radius_ratio)
     pairs = context.executor.run(CameraTracker.match_near, context.cameras, frame.cameras, references, areas)
-    return solve_pose(context, state, frame, drop_static_matches(context, state, frame, pairs, predicted_pose), pose)
+    return solve_pose(context, state, frame, context.drop_static_matches(state, frame, pairs, predicted_pose), pose)
 
 
 def _compute_score(context: Context, state: JointState, candidate: PoseCandidate) -> float:

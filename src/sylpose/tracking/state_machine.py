@@ -23,16 +23,7 @@ from sylpose.tracking.anchor_preparation import begin_preparation, can_prepare, 
 from sylpose.tracking.camera_side.camera import CameraTracker
 from sylpose.tracking.camera_side.camera_motion import PAUSE_FRAMES
 from sylpose.tracking.camera_side.frame import REGION_MARGIN
-from sylpose.tracking.context import (
-    Context,
-    Frame,
-    FrameResult,
-    TrackedFrame,
-    create_frame,
-    detect,
-    detect_everywhere,
-    project_regions,
-)
+from sylpose.tracking.context import Context, Frame, FrameResult, TrackedFrame
 from sylpose.tracking.initialization import BufferedFrame, initialize_tracking
 from sylpose.tracking.joint_side.joint_state import MIN_TRACKED_RATIO, JointState, Nudge
 from sylpose.tracking.map_update import accept_frame, handle_missing_object
@@ -66,7 +57,7 @@ def process_frame(
 ) -> tuple[JointState, Sequence[BufferedFrame], list[TrackedFrame]]:
     """Process the next frame in the current state; see `initialize_tracking`."""
     state, images = compensate_camera_motion(context, state, images)
-    frame = create_frame(context, number, images)
+    frame = context.create_frame(number, images)
     for camera in context.cameras:
         camera.begin_frame()
     # Results of background work.
@@ -88,7 +79,7 @@ def process_frame(
 def track_frame(context: Context, state: JointState, frame: Frame) -> FrameResult:
     """Track an object that was found in the previous frame: near the prediction, else anywhere."""
     predicted_pose = state.predict_pose(frame.time)
-    frame = replace(frame, regions=project_regions(context, state, predicted_pose))
+    frame = replace(frame, regions=context.project_regions(state, predicted_pose))
     candidate, needs_anchor_soon = None, False
     if state.frames.anchor is not None:
         frame, n_tracked, is_enough, needs_anchor_soon = track_from_anchor(context, state, frame, predicted_pose)
@@ -139,7 +130,7 @@ def recover(context: Context, state: JointState, frame: Frame) -> FrameResult:
     candidate = None
     if not state.motion.is_lost or not state.motion.velocity.n_frames:  # before its first motion it may be nearby
         margin = min(REGION_MARGIN * (1 + state.motion.n_missed), MAX_REGION_MARGIN)
-        frame = replace(frame, regions=project_regions(context, state, predicted_pose, margin))
+        frame = replace(frame, regions=context.project_regions(state, predicted_pose, margin))
         current = detect_in_regions(context, state, frame, predicted_pose)
         state, near = find_pose(context, state, current, predicted_pose)
         if near is not None:
@@ -160,7 +151,7 @@ def _find_pose_by_fallback(
 ) -> SearchResult:
     """Search for the frame's pose with all features, by `search_with_all_features`."""
     frame = replace(frame, tracked=None, has_new_features=True)
-    frame = context.with_features(frame, detect(context, frame, faint=True))
+    frame = context.with_features(frame, context.detect(frame, faint=True))
     return search_with_all_features(context, state, frame, predicted_pose)
 
 
@@ -168,10 +159,10 @@ def _find_pose_anywhere(context: Context, state: JointState, frame: Frame) -> Se
     """Search for the object in the whole images: by the strongest features, then by all."""
     reduced = (state.motion.n_missed + 1) % FULL_SEARCH_INTERVAL != 0
     for faint in (False, True):
-        features = detect_everywhere(context, frame.images, MAX_FEATURES, faint=faint, reduced=reduced)
+        features = context.detect_everywhere(frame.images, MAX_FEATURES, faint=faint, reduced=reduced)
         pose = relocalize(context, state, context.with_features(frame, features), faint=faint)
         if pose is not None:
-            regions = project_regions(context, state, pose)
+            regions = context.project_regions(state, pose)
             detect_inside = partial(CameraTracker.detect_at_full_res, images=frame.images, faint=faint)
             features = context.executor.run(detect_inside, context.cameras, features, regions)
             state, candidate = _confirm_pose(context, state, frame, features, pose)
@@ -185,7 +176,7 @@ def _confirm_pose(
     context: Context, state: JointState, frame: Frame, features: Sequence[Features], pose: RigidTransform
 ) -> SearchResult:
     """Solve the frame again from a relocalized pose, with features inside the object's region only."""
-    regions = project_regions(context, state, pose)
+    regions = context.project_regions(state, pose)
     inside = [
         own.subset(camera.find_inside(own, region))
         for camera, own, region in zip(context.cameras, features, regions, strict=True)
