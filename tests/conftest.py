@@ -38,7 +38,8 @@ __all__ = ["FRAMES"]
 # `--fast` leaves out files with one of these words: they render, track, draw, run commands or start processes.
 EXPENSIVE = re.compile(
     r"\b(subprocess|commands\.main|track_session|simulation|render_\w+|write_recording|bundle_adjust|process_recording"
-    r"|archive\.run|tests\.(clips|recordings|chromium|boards)|(?:from|import) benchmarks|report\.(plots|drawing|page))\b"
+    r"|archive\.run|pages\.notebooks|tests\.(clips|recordings|chromium|boards)|(?:from|import) benchmarks"
+    r"|report\.(plots|drawing|page))\b"
 )
 
 

@@ -36,7 +36,10 @@ NUMBERS = itertools.count()
 @pytest.fixture(params=["folder", "memory"])
 def out(request: pytest.FixtureRequest, tmp_path: Path) -> Store:
     """A destination: a folder, and an object store."""
-    return open_store(tmp_path / "out ü#1" if request.param == "folder" else f"memory://{next(NUMBERS)}/results")
+    if request.param == "folder":
+        return open_store(tmp_path / "out ü#1")
+    pytest.importorskip("obstore", reason="the extra `archive`")
+    return open_store(f"memory://{next(NUMBERS)}/results")
 
 
 def files_in(out: Store, name: str = "one") -> set[str]:
@@ -126,6 +129,7 @@ def test_only_one_of_many_workers_works(tmp_path: Path, out: Store) -> None:
 
 def test_concurrent_runs_process_each_recording_once(tmp_path: Path) -> None:
     """Several simultaneous commands; each recording is processed once."""
+    pytest.importorskip("obstore", reason="the extra `archive`")
     out = open_store(f"memory://{next(NUMBERS)}")
     recordings = make_recordings(tmp_path / "in", **{f"r{k}": "sleep 0.02" for k in range(6)})
 
@@ -376,6 +380,7 @@ def test_reason_of_a_crash_is_kept_if_it_cannot_be_written(
 
 
 def test_store_errors_are_described(tmp_path: Path) -> None:
+    pytest.importorskip("obstore", reason="the extra `archive`")
     store = open_store("memory://nothing")
     assert isinstance(store, ObjectStore)
     with pytest.raises(FileNotFoundError, match=r"cannot read memory://nothing/nowhere: no such file$"):

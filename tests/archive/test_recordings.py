@@ -46,6 +46,7 @@ def by_name(*sources: object, calibration: str | None = None, out: Store | None 
 
 def in_memory(name: str, folder: Path) -> str:
     """Copy the folder's files to an in-memory object store."""
+    pytest.importorskip("obstore", reason="the extra `archive`")
     store = open_store(f"memory://{name}/archive")
     for path in folder.rglob("*"):
         if path.is_file():
@@ -207,6 +208,7 @@ def test_circular_links_terminate(tmp_path: Path) -> None:
 
 
 def test_places() -> None:
+    pytest.importorskip("obstore", reason="the extra `archive`")
     assert is_url("s3://bucket/x")
     assert not is_url("C:\\recordings")
     assert open_store("file:///data/x") == open_store("/data/x")

@@ -15,6 +15,7 @@ from tests.archive.archive_worker import count_work, make_recordings, make_setti
 
 @pytest.mark.parametrize("name", ["../outside.mp4", "cam_0/../../outside.png", "/outside.mp4"])
 def test_copies_stay_in_scratch_folder(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("obstore", reason="the extra `archive`")
     target = tmp_path / "scratch"
     target.mkdir()
     monkeypatch.setattr(ObjectStore, "files", lambda _: [StoredFile(name, 3, "", 0.0)])

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 
@@ -12,21 +9,12 @@ from benchmarks import consensus as consensus_benchmark
 from benchmarks import depth_plane as depth_plane_benchmark
 from benchmarks import equations, paper_times, sensors
 from sylpose.simulate import ellipsoid
-from tests.paths import REPOSITORY
-
-FOLDER = REPOSITORY / "benchmarks"
 
 
-def test_sensors_command_line() -> None:
-    done = subprocess.run(
-        [sys.executable, str(FOLDER / "sensors.py"), "--scenes", "1", "--rigs", "4", "--turns", "10"],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=200,
-    )
-    assert done.returncode == 0, done.stderr
-    rows = [line.split("|") for line in done.stdout.splitlines() if line.startswith("| 4 ")]
+def test_sensors_command_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr("sys.argv", ["sensors.py", "--scenes", "1", "--rigs", "4", "--turns", "10"])
+    sensors.main()
+    rows = [line.split("|") for line in capsys.readouterr().out.splitlines() if line.startswith("| 4 ")]
     assert {row[3].strip() for row in rows} >= {"junk", "frozen", "turned 90", "mirrored"}
 
 

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from benchmarks import two_frames
 from benchmarks.two_frames_bound import compute_bounds, sample_errors
 from benchmarks.two_frames_report import (
     FAILED_DEG,
@@ -39,17 +40,32 @@ SCRIPT = REPOSITORY / "benchmarks" / "two_frames.py"
 BASE = ROWS[0]
 
 
-def run(*arguments: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, str(SCRIPT), *map(str, arguments)], capture_output=True, text=True, timeout=300, check=False
-    )
+Run = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    """Return a function that runs the benchmark in this process and returns its exit code, output and errors."""
+
+    def command(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", [str(SCRIPT), *map(str, arguments)])
+        try:
+            code = two_frames.main()
+        except SystemExit as ended:
+            code = int(ended.code or 0)
+        return code, *capsys.readouterr()
+
+    return command
 
 
 @pytest.fixture(scope="module")
 def results_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Run one scene of the base rows of both problems without peers."""
     path = tmp_path_factory.mktemp("benchmark") / "results.json"
-    done = run("--rows", "*ring of 4*", "--scenes", 1, "--no-peers", "--out", path, "--table", "markdown")
+    arguments = ["--rows", "*ring of 4*", "--scenes", "1", "--no-peers", "--out", str(path), "--table", "markdown"]
+    done = subprocess.run(
+        [sys.executable, str(SCRIPT), *arguments], capture_output=True, text=True, timeout=300, check=False
+    )
     assert done.returncode == 0, done.stderr
     assert f"| {BASE.name}" in done.stdout
     return path
@@ -70,27 +86,29 @@ def test_saved_results_load_the_same(results_file: Path, tmp_path: Path) -> None
     assert (tmp_path / "again.json").read_text() == results_file.read_text()
 
 
-def test_invalid_baseline_is_rejected(tmp_path: Path) -> None:
+def test_invalid_baseline_is_rejected(run: Run, tmp_path: Path) -> None:
     (tmp_path / "other.json").write_text("{}")
     for name in ("other.json", "missing.json"):
-        done = run("--no-peers", "--compare", tmp_path / name)
-        assert done.returncode == 2
-        assert f"{name}: not a file of results" in done.stderr
+        code, _, errors = run("--no-peers", "--compare", tmp_path / name)
+        assert code == 2
+        assert f"{name}: not a file of results" in errors
 
 
-def test_unknown_rows_are_rejected() -> None:
-    done = run("--no-peers", "--rows", "no such row")
-    assert done.returncode == 2
-    assert "no row matches 'no such row'" in done.stderr
+def test_unknown_rows_are_rejected(run: Run) -> None:
+    code, _, errors = run("--no-peers", "--rows", "no such row")
+    assert code == 2
+    assert "no row matches 'no such row'" in errors
 
 
-def test_regression_exits_with_1(results_file: Path, tmp_path: Path) -> None:
+def test_regression_exits_with_1(run: Run, results_file: Path, tmp_path: Path) -> None:
     results = load(results_file)
     better = [replace(r, deg=[0.5 * v for v in r.deg], loop_ms=r.loop_ms / 10) for r in results.rows[:1]]
     save(replace(results, rows=better), tmp_path / "baseline.json")
-    done = run("--rows", BASE.name, "--scenes", 1, "--no-peers", "--compare", tmp_path / "baseline.json")
-    assert done.returncode == 1, done.stderr
-    assert f"- {BASE.name}: median deg" in done.stdout
+    code, output, errors = run(
+        "--rows", BASE.name, "--scenes", 1, "--no-peers", "--compare", tmp_path / "baseline.json"
+    )
+    assert code == 1, errors
+    assert f"- {BASE.name}: median deg" in output
 
 
 def test_regressions(results_file: Path) -> None:

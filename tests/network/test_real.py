@@ -60,7 +60,7 @@ def network() -> str:
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, DemoTruth]:
     folder = tmp_path_factory.mktemp("recording")
-    return folder, render_sequence(folder, frames=6, angle_deg=12, n_cameras=3, seed=5, size=SIZE)
+    return folder, render_sequence(folder, frames=4, angle_deg=8, n_cameras=3, seed=5, size=SIZE)
 
 
 def test_processes_reproduce_single_process_trajectory(
@@ -105,7 +105,7 @@ def test_processes_reproduce_single_process_trajectory(
     # Observers receive it as well: a line for each frame of each node.
     lines = [json.loads(line) for line in poses]
     assert {line["node"] for line in lines} == set(NAMES)
-    last = [line for line in lines if line["frame"] == 5]
+    last = [line for line in lines if line["frame"] == 3]
     assert last
     assert all(line["took_part"] == list(NAMES) and line["status"] == "tracked" for line in last)
     pose = expected[-1].pose.world_from_object

@@ -46,6 +46,7 @@ def test_keys_restrict_senders_to_own_name() -> None:
 
 @pytest.mark.skipif(os.name != "posix", reason="no such rights")
 def test_key_permissions_and_unused_authority_key(tmp_path: Path) -> None:
+    pytest.importorskip("cryptography", reason="the extra `network`")
     make_keys(tmp_path, NAMES)
     for file in tmp_path.glob("*.key"):
         assert file.stat().st_mode & 0o077 == 0, file
@@ -91,6 +92,7 @@ def test_non_finite_poses_are_rejected(wrong: str) -> None:
 def test_untrusted_text_is_sanitized_for_terminal(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    pytest.importorskip("zenoh", reason="the extra `network`")
     numbers = dict.fromkeys(("clock", "frames", "rate", "latency_ms", "bytes_per_frame", "rounds_per_frame"), 1.0)
     hostile = {**numbers, "state": "\x1b[2Jwell\r\n" + 1000 * "!", "members": ["\x1b]0;a\x07", "\u202eb"]}
 

@@ -43,7 +43,7 @@ SEEDS = st.integers(0, 2**32 - 1)
 KAPPAS = [0.0, 0.3, 1.0]
 RADIUS = 0.15
 SIGMA_PX = 0.5
-FEW = settings(max_examples=15)
+FEW = settings(max_examples=6)
 
 
 def make_scene(seed: int, rig: Rig | None = None, noise_px: float = 0.5) -> SimulatedPair:

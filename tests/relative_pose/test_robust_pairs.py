@@ -36,9 +36,9 @@ def compute_median_nees(found: list[Outcome]) -> float:
 
 
 def test_board_with_narrow_baseline_is_right_or_ambiguous() -> None:
-    found = run_setting("board, 3 cameras 20 apart, turn 8", 20)
+    found = run_setting("board, 3 cameras 20 apart, turn 8", 12)
     assert not any(o.is_wrong_and_sure for o in found)
-    assert sum(o.status is Status.OK for o in found) >= 15
+    assert sum(o.status is Status.OK for o in found) >= 9
     assert 2.0 < compute_median_nees(found) < 9.0
     # With two cameras, about every fourth scene is ambiguous.
     doubtful = run_setting("board, 2 cameras 20 apart, turn 3", 20)
@@ -49,10 +49,10 @@ def test_large_rotation_of_a_board_is_not_mirrored() -> None:
     """The seeds of the search contain mismatches, and its first minima may all be wrong."""
     wrong = 0
     for turn in (15, 25):
-        found = run_setting(f"board, 2 cameras 35 apart, 2 m, turn {turn}, outliers 10 %", 75)
+        found = run_setting(f"board, 2 cameras 35 apart, 2 m, turn {turn}, outliers 10 %", 36)
         wrong += sum(o.is_wrong_and_sure for o in found)
         assert not any(o.status is Status.MIXED for o in found)
-        assert sum(o.status is Status.OK for o in found) >= 50
+        assert sum(o.status is Status.OK for o in found) >= 24
         assert 2.0 < compute_median_nees(found) < 9.0
     assert wrong <= 1
 
@@ -65,12 +65,12 @@ def test_narrow_baseline_is_not_overconfident() -> None:
 
 
 def test_two_bodies_are_not_fitted_as_one() -> None:
-    found = run_setting("second motion 40 %, turn 10", 20)
+    found = run_setting("second motion 40 %, turn 10", 12)
     assert not any(o.is_wrong_and_sure for o in found)
-    assert sum(o.status is Status.OK for o in found) >= 12
+    assert sum(o.status is Status.OK for o in found) >= 7
     assert 2.0 < compute_median_nees(found) < 12.0
-    halves = run_setting("second motion 48 %", 12)
-    assert sum(o.status in (Status.MIXED, Status.AMBIGUOUS) for o in halves) >= 4
+    halves = run_setting("second motion 48 %", 8)
+    assert sum(o.status in (Status.MIXED, Status.AMBIGUOUS) for o in halves) >= 3
 
 
 def test_small_motion_is_separated_from_the_background() -> None:
@@ -114,7 +114,14 @@ def test_mixture_converges_from_all_static(monkeypatch: pytest.MonkeyPatch) -> N
         assert ((probabilities >= 0.0) & (probabilities <= 1.0)).all()
 
 
-@pytest.mark.parametrize("row", ["static 30 %, moves 2 px", "static 60 %, moves 2 px", "before nothing, moves 1 px"])
+@pytest.mark.parametrize(
+    "row",
+    [
+        pytest.param("static 30 %, moves 2 px", marks=pytest.mark.slow),
+        "static 60 %, moves 2 px",
+        "before nothing, moves 1 px",
+    ],
+)
 def test_covariance_includes_the_uncertain_background(row: str) -> None:
     """Means of 30 scenes of six unknowns, including statuses that leave a part open."""
     squares = [o.nees for o in run_setting(row, 30) if np.isfinite(o.nees)]
@@ -137,7 +144,7 @@ def test_motion_below_the_noise_is_not_excluded() -> None:
 def test_mismatches_on_a_static_scene_are_no_motion() -> None:
     """Three matches in ten are displaced at random by up to 5 px, and nothing moves."""
     guessed = 0
-    for seed in range(12):
+    for seed in range(8):
         rng = np.random.default_rng([seed, 7])
         pair, rig = simulate_scene(SETTINGS["stands still, 60 matches"], seed)
         matches = []

@@ -128,7 +128,7 @@ def compute_likelihood(stack: Stack, sigma_px: float, candidate: Candidate) -> f
 @pytest.mark.parametrize("body", ["ellipsoid", "box", "cloud"])
 @pytest.mark.parametrize("rig", RIGS)
 def test_search_reaches_the_true_motion_without_noise(rig: str, body: str, turn: float) -> None:
-    for seed in range(4):
+    for seed in range(2):
         pair = make_scene(seed, RIGS[rig], BODIES[body], turn, noise_px=0)
         stack, center = stack_scene(RIGS[rig], pair)
         best = find_scene_minima(stack, 0.02)[0]
@@ -146,7 +146,7 @@ def test_minimum_near_the_true_motion_is_found(rig: Rig, body: str, turn: float)
     """The minimum reached from the truth is found, or a likelier one: re-weighting decides
     (`sylpose.relative_pose.robust_fit.fit_robust_motion`)."""
     missed = []
-    for seed in range(12):
+    for seed in range(6):
         pair = make_scene(seed, rig, BODIES[body], turn)
         stack, center = stack_scene(rig, pair)
         sums = make_moment_sums(stack, 0.5)
@@ -158,7 +158,7 @@ def test_minimum_near_the_true_motion_is_found(rig: Rig, body: str, turn: float)
         if best < far - 0.5:
             missed.append((seed, round(best, 1), round(far, 1)))
     # A plane has a second solution in each camera; its minimum may be the only one found.
-    assert len(missed) <= (2 if body == "plane" else 0), missed
+    assert len(missed) <= (1 if body == "plane" else 0), missed
 
 
 def test_minima_are_distinct_and_sorted_by_likelihood() -> None:

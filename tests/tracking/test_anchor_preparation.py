@@ -99,6 +99,8 @@ def test_camera_without_image_recovers(clip: Clip) -> None:
         decided, joints = track_states(tracker, clip.frames()[:8])
         hidden: list[int] = []
         for frame in clip.frames()[8:]:
+            if hidden and frame.index > hidden[0] + 12:
+                break
             images = frame.images
             if joints[-1].frames.next_anchor_number is None and not hidden:
                 images = (None, *images[1:])  # until the next anchor's preparation starts, and in its frame
@@ -115,10 +117,10 @@ def test_checkpoint_and_restore_give_equal_results(
     tracked_and_states: tuple[list[TrackedFrame], list[JointState]], clip: Clip
 ) -> None:
     plain, joints = tracked_and_states
-    frames = clip.frames()
     at = next(k for k, joint in enumerate(joints) if joint.frames.next_anchor_number is not None) + 2
     pending = next((k for k, joint in enumerate(joints) if joint.refinement.pending is not None), at) + 1
     stops, found = {at, pending}, []
+    frames = clip.frames()[: max(stops) + 8]
     tracker = Tracker(clip.rig, clip.boxes)
     for k, frame in enumerate(frames):
         if k in stops:
@@ -131,7 +133,7 @@ def test_checkpoint_and_restore_give_equal_results(
             restore_state(tracker, data)
         found += tracker.step(frame)
     tracker.close()
-    for one, other in zip(found, plain, strict=True):
+    for one, other in zip(found, plain[: len(frames)], strict=True):
         assert one.pose.world_from_object is not None
         assert other.pose.world_from_object is not None
         a, b = one.pose.world_from_object.as_matrix(), other.pose.world_from_object.as_matrix()

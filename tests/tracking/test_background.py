@@ -150,7 +150,7 @@ def compress(image: Image) -> Image:
 
 def test_long_static_object_in_compressed_images() -> None:
     """All frames are solved in the end, and static ones have the static status."""
-    stands, moves = 14, 6
+    stands, moves = 8, 4
     clip = Clip.render(
         prepend_rest(make_demo_scene(frames=moves, angle_deg=15, size=SIZE, n_cameras=2, seed=1), stands, moves)
     )

@@ -142,7 +142,7 @@ def test_all_methods_run(clip: Clip, method: str) -> None:
 # --- static objects
 
 
-@pytest.mark.parametrize("features", ["sift", "klt"])
+@pytest.mark.parametrize("features", [pytest.param("sift", marks=pytest.mark.slow), "klt"])
 def test_initially_static_object_in_box(features: str) -> None:
     """Landmarks with depths from boxes only age before the object moves."""
     clip = Clip.render(prepend_rest(make_demo_scene(frames=10, angle_deg=25, size=SIZE, n_cameras=3, seed=1), 6, 3))
@@ -151,7 +151,7 @@ def test_initially_static_object_in_box(features: str) -> None:
     assert compute_pose_errors(tracked, clip.truth)[:, 0].max() < HALF_DEGREE
 
 
-@pytest.mark.parametrize("n_cameras", [2, 3])
+@pytest.mark.parametrize("n_cameras", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_initially_static_object(n_cameras: int) -> None:
     rest, moving = 5, 4
     scene = make_demo_scene(frames=10, angle_deg=25, size=SIZE, n_cameras=n_cameras, seed=1)
@@ -275,7 +275,7 @@ def monocular() -> Clip:
     return Clip.render(make_demo_scene(frames=6, angle_deg=22, size=(480, 360), n_cameras=1))
 
 
-@pytest.mark.parametrize("with_boxes", [True, False])
+@pytest.mark.parametrize("with_boxes", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_single_camera_measures_rotation_without_scale(monocular: Clip, with_boxes: bool) -> None:
     tracked = list(track(monocular.frames(), monocular.rig, monocular.boxes if with_boxes else None))
     assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * 5
@@ -321,7 +321,7 @@ def assert_same(a: Sequence[TrackedFrame], b: Sequence[TrackedFrame]) -> None:
         np.testing.assert_array_equal(one.pose.residuals, other.pose.residuals)
 
 
-@pytest.mark.parametrize("with_boxes", [True, False])
+@pytest.mark.parametrize("with_boxes", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_thread_count_does_not_change_results(clip: Clip, with_boxes: bool) -> None:
     boxes, frames = clip.boxes if with_boxes else None, clip.frames()[:4]
     one, four = (list(track(frames, clip.rig, boxes, workers=n)) for n in (1, 4))
@@ -341,7 +341,7 @@ def test_repeated_run_gives_equal_results(clip: Clip, tracked: Sequence[TrackedF
         ("klt", True),
         pytest.param("klt", False, marks=pytest.mark.slow),
         pytest.param("sift", True, marks=pytest.mark.slow),
-        ("sift", False),
+        pytest.param("sift", False, marks=pytest.mark.slow),
     ],
 )
 def test_restored_snapshot_is_exact(clip: Clip, with_boxes: bool, features: str) -> None:
