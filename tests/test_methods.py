@@ -24,7 +24,7 @@ from sylpose.relative_pose.sylvester_methods import ESTIMATORS
 from sylpose.runs.options import RunOptions
 from sylpose.status import FrameStatus
 from sylpose.tracking.frame_solvers import SOLVERS
-from sylpose.tracking.tracker import Tracker
+from sylpose.tracking.tracker import Tracker, TrackerBase, TrackerOptions
 from tests.conftest import FRAMES
 from tests.paths import REPOSITORY
 
@@ -34,9 +34,11 @@ def test_code_has_the_methods_of_the_table() -> None:
     assert tuple(SOLVERS) == METHODS
     assert tuple(ESTIMATORS) == PAPER_METHODS
     assert set(PAPER_METHODS) < set(MOTION_METHODS) < set(METHODS)
-    for function in (sylpose.track, Tracker, RunOptions):
+    for function in (sylpose.track, TrackerBase, RunOptions):
         defaults = {name: p.default for name, p in inspect.signature(function).parameters.items()}
         assert (defaults["method"], defaults["features"]) == (METHODS[0], FEATURES[0])
+    keywords = [name for name, p in inspect.signature(TrackerBase).parameters.items() if p.kind is p.KEYWORD_ONLY]
+    assert keywords == list(TrackerOptions.__annotations__)  # `Tracker` passes them on
     assert inspect.signature(sylpose.estimate_motion).parameters["method"].default == MOTION_METHODS[0]
 
 

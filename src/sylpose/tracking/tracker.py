@@ -188,16 +188,16 @@ class TrackerBase:
         cameras: Sequence[CameraTracker],
         executor: CameraExecutor,
         boxes: Mapping[str, Box] | None,
-        **options: Unpack[TrackerOptions],
+        *,
+        method: str = METHODS[0],
+        features: str = FEATURES[0],
+        offsets: Mapping[str, float] | None = None,
+        seed: int = 0,
+        known_object: KnownObject | None = None,
     ) -> None:
-        method, seed, known_object = (
-            options.get("method", METHODS[0]),
-            options.get("seed", 0),
-            options.get("known_object"),
-        )
-        uses_klt = resolve_features(method, options.get("features", FEATURES[0])) == "klt"
+        uses_klt = resolve_features(method, features) == "klt"
         check_integer(seed, "seed")
-        offsets = check_type({} if (given := options.get("offsets")) is None else given, Mapping, "offsets")
+        offsets = check_type({} if offsets is None else offsets, Mapping, "offsets")
         for name, value in offsets.items():
             if name not in rig.names:
                 raise ValueError(
