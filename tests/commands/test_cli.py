@@ -367,7 +367,7 @@ def test_failure_of_the_overlay_is_reported(
     def full(*_: Any) -> None:
         raise OSError("cannot write overlay.mp4: no space left on device")
 
-    monkeypatch.setattr("sylpose.report.overlay.OverlayWriter.write_objects", full)
+    monkeypatch.setattr("sylpose.report.overlay.OverlayWriter.write", full)
     result = run("track", recording, "--out", tmp_path)
     assert result.code == 2
     assert "overlay.mp4: no space left" in result.err
@@ -754,7 +754,7 @@ def test_import_is_light() -> None:
         assert getattr(sylpose, name) is not None
         assert name in dir(sylpose)
     with pytest.raises(AttributeError, match="nonsense"):
-        _ = sylpose.nonsense
+        _ = sylpose.nonsense  # type: ignore[attr-defined]
 
 
 def test_calibrations_are_converted_to_another_unit(tmp_path: Path, run: Command) -> None:

@@ -28,7 +28,8 @@ from sylpose.serialization import make_transforms
 from sylpose.tracking.joint_side.joint_state import SolvedFrame
 from sylpose.tracking.known_object import MIN_KEYFRAMES, CameraLandmarks, KnownObject, ObjectFrame, check_unit
 
-OBJECT_FILE, CLOUD_FILE = "object.npz", "object.ply"
+OBJECT_FILE = "object.npz"
+CLOUD_FILE = "object.ply"
 FORMAT = "sylpose object 1"
 # Largest total size of the arrays in bytes, and largest length in the calibration's unit (choice).
 MAX_BYTES, MAX_LENGTH = 1 << 29, 1e9

@@ -31,7 +31,9 @@ MAX_SMOOTHED_FRAMES = 10_000
 # File with the data that smoothing needs of each frame.
 TRACKS = "tracks.bin"
 # Names of the trajectory files: the result, and the poses as tracked if the result is smoothed.
-RESULT, TRACKED, SUFFIXES = "trajectory", "tracked", (".tum", ".csv")
+RESULT = "trajectory"
+TRACKED = "tracked"
+SUFFIXES: tuple[str, ...] = (".tum", ".csv")
 # Frames that may wait for the overlay's thread before the tracker is blocked.
 OVERLAY_QUEUE = 4
 
@@ -267,7 +269,7 @@ class Overlay:
             )
             for name, t in sorted(frame.items(), key=lambda item: self._names.index(item[0]))
         ]
-        self._writer.write_objects(images, drawings)
+        self._writer.write(images, drawings)
 
     def close(self) -> None:
         """Complete the video."""
