@@ -2,8 +2,8 @@
 
     python benchmarks/byzantine.py [--seeds 0 1 2 3 4] [--mode exact compact] [--loss 0]
 
-A box rotates by 25 degrees in front of four cameras in 8 frames (320x240). `network/fault_injection.py` alters the messages
-of camera 1. The table gives for each kind of fault, over all seeds:
+A box rotates by 25 degrees in front of four cameras in 8 frames (320x240). `tests/network/byzantine_faults.py` alters the
+messages of camera 1. The table gives for each kind of fault, over all seeds:
 
 - the RMS errors of the other nodes (rotation, translation), relative to one process without that camera: median; worst;
 - the frames that the others lost;
@@ -23,7 +23,6 @@ import numpy as np
 from benchmarks.nodes import has_identical_results
 from sylpose.geometry.arrays import FloatArray
 from sylpose.methods import MODES
-from sylpose.network.fault_injection import FaultKind
 from sylpose.network.simulation import track_by_nodes
 from sylpose.packets import NetworkFaults
 from sylpose.simulate import make_demo_scene
@@ -31,6 +30,7 @@ from sylpose.status import FrameStatus
 from sylpose.tracking.context import TrackedFrame
 from sylpose.tracking.tracker import track
 from tests.clips import SIZE, Clip, compute_pose_errors
+from tests.network.byzantine_faults import FaultKind, make_fault
 
 BYZANTINE, CAMERAS, FRAMES = 1, 4, 8
 TABLE_HEADER = (
@@ -69,7 +69,7 @@ def main() -> None:
                     clip.frames(),
                     clip.rig,
                     clip.boxes,
-                    faults={BYZANTINE: fault},
+                    faults={BYZANTINE: make_fault(fault, BYZANTINE, CAMERAS, seed)},
                     mode=mode,
                     network_faults=network_faults,
                 )

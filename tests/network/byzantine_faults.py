@@ -1,9 +1,9 @@
-"""Byzantine fault injection for the simulated network: falsified messages of a camera."""
+"""Byzantine faults for the simulated network: falsified messages of a camera."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Literal, TypeAlias
+from typing import Literal
 
 import numpy as np
 
@@ -11,14 +11,14 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.matrices import unpack_symmetric
 from sylpose.landmarks.messages import TermsMessage
 from sylpose.network.codec import decode, encode
+from sylpose.network.simulation import NodeFault
 from sylpose.network.wire_format import DATA, HEADER, message_kind
+
+__all__ = ["FaultKind", "make_fault"]
 
 FaultKind = Literal[
     "two-faced", "whispering", "accusing", "stubborn", "false", "heavy", "bent", "nan", "junk", "flipped"
 ]
-# Falsifies a message, given its bytes and the receiver.
-MessageFault: TypeAlias = Callable[[bytes, int], bytes]
-
 # Factor by which information is exaggerated; and error of a false pose, radians and relative to the object's size
 # (choice).
 EXAGGERATION, POSE_ERROR = 900.0, 0.3
@@ -28,20 +28,29 @@ N_CORRUPTED_BYTES = 2
 FIRST_ACCUSING_ROUND = 40
 
 
-def make_message_fault(fault: FaultKind, camera: int, cameras: int, seed: int = 0) -> MessageFault | None:
-    """Make a fault in which a camera sends different messages to different receivers.
+def make_fault(fault: FaultKind, camera: int, cameras: int, seed: int = 0) -> NodeFault:
+    """Make a fault of a node.
 
     Args:
-        fault: "two-faced", another false pose for each receiver; "whispering", a false pose for one receiver and the
-            truth for the others; "accusing", the truth, with the digest of another history.
+        fault: different messages for different receivers: "two-faced", another false pose for each; "whispering", a
+            false pose for one and the truth for the others; "accusing", the truth, with the digest of another history.
+            The same for all: "stubborn", always the same false pose; "false", another one in each round; "heavy", a
+            false pose with 900 times the information; "bent", an indefinite information matrix; "nan", NaN; "junk",
+            random bytes; "flipped", corrupted bytes in any message.
         camera: number of the faulty camera.
         cameras: number of cameras.
         seed: seed of the random errors.
-
-    Returns:
-        The fault; None if the camera sends the same to all (`make_payload_fault`).
     """
-    victim = (camera + 1) % cameras
+    if fault in ("two-faced", "whispering", "accusing"):
+        return NodeFault(alter_message=_make_message_fault(fault, camera, (camera + 1) % cameras, seed))
+    rng, is_varying = np.random.default_rng([seed, camera]), fault in ("false", "flipped")
+    return NodeFault(
+        lambda content: _falsify_payload(content, fault, rng if is_varying else np.random.default_rng([seed, camera]))
+    )
+
+
+def _make_message_fault(fault: FaultKind, camera: int, victim: int, seed: int) -> Callable[[bytes, int], bytes]:
+    """Make a fault in which a camera sends different messages to different receivers."""
 
     def falsify(data: bytes, to: int) -> bytes:
         if message_kind(data) != DATA or (fault == "whispering" and to != victim):
@@ -53,23 +62,7 @@ def make_message_fault(fault: FaultKind, camera: int, cameras: int, seed: int = 
             data[HEADER.size :], fault, np.random.default_rng([seed, camera, to])
         )
 
-    return falsify if fault in ("two-faced", "whispering", "accusing") else None
-
-
-def make_payload_fault(fault: FaultKind, camera: int, seed: int = 0) -> Callable[[bytes], bytes]:
-    """Make a fault in which a camera replaces its payload, for all receivers and itself.
-
-    Args:
-        fault: "stubborn", always the same false pose; "false", another one in each round; "heavy", a false pose with
-            900 times the information; "bent", an indefinite information matrix; "nan", NaN; "junk", random bytes;
-            "flipped", corrupted bytes in any message.
-        camera: number of the faulty camera.
-        seed: seed of the random errors.
-    """
-    rng, is_varying = np.random.default_rng([seed, camera]), fault in ("false", "flipped")
-    return lambda content: _falsify_payload(
-        content, fault, rng if is_varying else np.random.default_rng([seed, camera])
-    )
+    return falsify
 
 
 def _falsify_payload(content: bytes, fault: FaultKind, rng: np.random.Generator) -> bytes:

@@ -13,7 +13,6 @@ from benchmarks.nodes import compare_runs
 from sylpose.geometry.arrays import FloatArray
 from sylpose.methods import MODES
 from sylpose.network import simulation
-from sylpose.network.fault_injection import FaultKind
 from sylpose.network.membership import ExchangeRequest, ExchangeResult, Request
 from sylpose.network.node import Node
 from sylpose.network.node_tracker import NodesTracker
@@ -29,6 +28,7 @@ from sylpose.tracking.context import TrackedFrame
 from sylpose.tracking.reports import CameraObservations
 from sylpose.tracking.tracker import track
 from tests.clips import SIZE, Clip, compute_pose_errors
+from tests.network.byzantine_faults import FaultKind, make_fault
 from tests.tracking.test_fallback_search import LOW_CONTRAST, make_jumping_clip
 
 FRAMES = 8
@@ -318,7 +318,12 @@ def test_others_continue_despite_faulty_node(
     """They agree, with about the accuracy without it; results before its detection are discarded."""
     network_faults = NetworkFaults(loss=loss, seed=1)
     outcome = track_by_nodes(
-        four.frames(), four.rig, four.boxes, faults={1: lie}, mode=mode, network_faults=network_faults
+        four.frames(),
+        four.rig,
+        four.boxes,
+        faults={1: make_fault(lie, 1, 4, seed=1)},
+        mode=mode,
+        network_faults=network_faults,
     )
     good = [0, 2, 3]
     assert_agreed(outcome, good)
@@ -340,7 +345,7 @@ def test_node_with_corrupted_bytes_is_harmless(four: Clip, seed: int) -> None:
         four.frames(),
         four.rig,
         boxes,
-        faults={seed % 4: "flipped"},
+        faults={seed % 4: make_fault("flipped", seed % 4, 4, seed)},
         mode=MODES[seed % 2],
         network_faults=NetworkFaults(seed=seed),
     )

@@ -129,10 +129,7 @@ def build_access_rules(names: Sequence[str]) -> dict[str, Any]:
         "enabled": True,
         "default_permission": "deny",
         "rules": [subscribe_rule, receive_rule, *publish_rules],
-        "subjects": [
-            {"id": "anyone"},
-            *({"id": f"is-{name}", "cert_common_names": [name]} for name in names),
-        ],
+        "subjects": [{"id": "anyone"}, *({"id": f"is-{name}", "cert_common_names": [name]} for name in names)],
         "policies": [
             {"rules": ["listens", "receives"], "subjects": ["anyone"]},
             *({"rules": [f"speaks-{name}"], "subjects": [f"is-{name}"]} for name in names),

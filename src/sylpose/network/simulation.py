@@ -12,7 +12,6 @@ from sylpose.frames import Box, FrameSet
 from sylpose.geometry.arrays import IntArray
 from sylpose.methods import MODES
 from sylpose.network.codec import NO_FRAME
-from sylpose.network.fault_injection import FaultKind, make_message_fault, make_payload_fault
 from sylpose.network.membership import (
     ExchangeRequest,
     Membership,
@@ -85,6 +84,18 @@ class SimulationResult(NamedTuple):
     smoothed: list[SmoothedTrajectory | None]
 
 
+class NodeFault(NamedTuple):
+    """Byzantine fault of a node, for tests of the others.
+
+    Attributes:
+        alter_payload: alters each payload, for all receivers and for the node itself; None for none.
+        alter_message: alters each message, given its bytes and the receiver; None for none.
+    """
+
+    alter_payload: Callable[[bytes], bytes] | None = None
+    alter_message: Callable[[bytes, int], bytes] | None = None
+
+
 class FrameBuffer:
     """Recording that is read sequentially on demand; the last `kept` frames are stored, None for all."""
 
@@ -141,7 +152,7 @@ def track_by_nodes(
     boxes: Mapping[str, Box] | None = None,
     *,
     network_faults: NetworkFaults = NO_FAULTS,
-    faults: Mapping[int, FaultKind] | None = None,
+    faults: Mapping[int, NodeFault] | None = None,
     mode: str = MODES[0],
     smooth: bool = False,
     on_frame: Callable[[int, TrackedFrame], None] | None = None,
@@ -152,7 +163,7 @@ def track_by_nodes(
     Args:
         frames, rig, boxes: as `track`.
         network_faults: faults of the network.
-        faults: camera -> its injected fault (`network.fault_injection`).
+        faults: camera -> its fault.
         mode: mode of the nodes, see `Node`.
         smooth: refine all poses jointly after the last frame (`smooth_by_node`).
         on_frame: called with a camera and each of its tracked frames.
@@ -163,9 +174,7 @@ def track_by_nodes(
     """
     n = len(rig)
     faults = faults or {}
-    message_faults = {
-        c: of for c, fault in faults.items() if (of := make_message_fault(fault, c, n, network_faults.seed)) is not None
-    }
+    message_faults = {c: fault.alter_message for c, fault in faults.items() if fault.alter_message is not None}
     # Without faults, nodes work sequentially and none is a frame ahead, so two frames suffice.
     recording = FrameBuffer(frames, FRAMES_KEPT if network_faults == NO_FAULTS and not faults else None)
     smoothed: list[SmoothedTrajectory | None] = [None] * n
@@ -180,8 +189,8 @@ def track_by_nodes(
         is_founder = starts[c] == 1 and c in first
 
         def track(request: Callable[[Request, int], Response]) -> None:
-            if c in faults and c not in message_faults:
-                request = _wrap_payload_fault(request, make_payload_fault(faults[c], c, network_faults.seed))
+            if c in faults and faults[c].alter_payload is not None:
+                request = _wrap_payload_fault(request, faults[c].alter_payload)
             node = Node(c, n, request, mode)
             node.refused = refused[c]
             camera_frames = RecordedCamera(c, recording)
