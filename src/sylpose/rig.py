@@ -404,12 +404,7 @@ def intersect_rays(centers: ArrayLike, directions: ArrayLike, near: ArrayLike | 
 
 
 def make_look_at_camera(
-    name: str,
-    center: ArrayLike,
-    target: ArrayLike,
-    focal: float,
-    size: tuple[int, int],
-    distortion: ArrayLike = (),
+    name: str, center: ArrayLike, target: ArrayLike, focal: float, size: tuple[int, int], distortion: ArrayLike = ()
 ) -> Camera:
     """Make an upright camera at a center that looks at a target.
 

@@ -416,7 +416,7 @@ def test_overlay_is_readable_while_written(tmp_path: Path) -> None:
     matches = [(np.full((5, 2), 50.0), np.full((5, 2), 60.0))] * 3
     with OverlayWriter(tmp_path / "o.mp4", rig, 5) as writer:
         for k in range(23):
-            writer.write(make_blank_images(rig, 5 * k), CENTERED, matches, 0.3)
+            writer.write(make_blank_images(rig, 5 * k), [OverlayObject("", CENTERED, matches, 0.3)])
         shutil.copy(tmp_path / "o.mp4", tmp_path / "copy.mp4")
     whole, part = overlay_frames(tmp_path / "o.mp4"), overlay_frames(tmp_path / "copy.mp4")
     assert len(whole) == 23
@@ -445,7 +445,9 @@ def test_overlay_of_mixed_sizes_with_each_encoder(
     images[2] = np.full((362, 640), 90, np.uint8)
     with OverlayWriter(tmp_path / "o.mp4", rig, rate, max_width=1001) as writer:
         for _ in range(3):
-            writer.write(images, pose, [None] * 5, 0.5, [np.array([[10.0, 10], [90, 10], [50, 80]])] * 5)
+            writer.write(
+                images, [OverlayObject("", pose, [None] * 5, 0.5, [np.array([[10.0, 10], [90, 10], [50, 80]])] * 5)]
+            )
     frames = overlay_frames(tmp_path / "o.mp4")
     assert len(frames) == 3
     assert frames[0].shape[1] <= 1002
@@ -460,7 +462,8 @@ def test_overlay_on_full_disk_raises_oserror(tmp_path: Path) -> None:
     for _ in range(3):
         with pytest.raises(OSError, match=r"cannot write .*o\.mp4: no space left on device"):
             writer.write(
-                make_blank_images(rig, 0), frame_pose(0, RigidTransform.identity(), cameras=3), [None] * 3, 0.5
+                make_blank_images(rig, 0),
+                [OverlayObject("", frame_pose(0, RigidTransform.identity(), cameras=3), [None] * 3, 0.5)],
             )
     writer.close()
     writer.close()
@@ -474,7 +477,7 @@ def test_axes_are_drawn_at_their_projections(tmp_path: Path) -> None:
     turn = Rotation.from_rotvec([0.3, -0.2, 0.4])
     pose = frame_pose(1, RigidTransform.from_components([0.1, 0.2, -0.1], turn), cameras=1)
     with OverlayWriter(tmp_path / "o.mp4", rig, 5) as writer:
-        picture = writer.draw(make_blank_images(rig, 0), pose, [None], 0.5)
+        picture = writer.draw(make_blank_images(rig, 0), [OverlayObject("", pose, [None], 0.5)])
         bar = writer._layout.bar
     scale = picture.shape[1] / 400
     for axis, color in zip(np.eye(3), drawing.AXIS_COLORS, strict=True):
@@ -504,12 +507,15 @@ def n_painted(picture: NDArray[np.uint8], color: tuple[int, int, int], near: int
 def test_coasting_axes_are_pale_and_dashed(tmp_path: Path) -> None:
     rig = ring(3, 1)
     with OverlayWriter(tmp_path / "o.mp4", rig, 5) as writer:
-        measured = writer.draw(make_blank_images(rig), CENTERED, [None] * 3, 0.3)
-        coasting = writer.draw(make_blank_images(rig), replace(CENTERED, status=FrameStatus.COASTING), [None] * 3, 0.3)
+        measured = writer.draw(make_blank_images(rig), [OverlayObject("", CENTERED, [None] * 3, 0.3)])
+        coasting = writer.draw(
+            make_blank_images(rig), [OverlayObject("", replace(CENTERED, status=FrameStatus.COASTING), [None] * 3, 0.3)]
+        )
     for color in drawing.AXIS_COLORS:
         assert n_painted(measured, color) > 50 > n_painted(coasting, color)
     assert not np.array_equal(
-        coasting, writer.draw(make_blank_images(rig), frame_pose(4, None, cameras=3), [None] * 3, 0.3)
+        coasting,
+        writer.draw(make_blank_images(rig), [OverlayObject("", frame_pose(4, None, cameras=3), [None] * 3, 0.3)]),
     )
 
 
@@ -517,10 +523,12 @@ def test_noisy_camera_is_not_green(tmp_path: Path) -> None:
     rig = ring(3, 1)
     with OverlayWriter(tmp_path / "o.mp4", rig, 5) as writer:
         alike = writer.draw(
-            make_blank_images(rig), replace(CENTERED, residuals=np.array([0.3, 0.3, 0.3])), [None] * 3, 0.3
+            make_blank_images(rig),
+            [OverlayObject("", replace(CENTERED, residuals=np.array([0.3, 0.3, 0.3])), [None] * 3, 0.3)],
         )
         noisy = writer.draw(
-            make_blank_images(rig), replace(CENTERED, residuals=np.array([0.3, 3.0, 0.3])), [None] * 3, 0.3
+            make_blank_images(rig),
+            [OverlayObject("", replace(CENTERED, residuals=np.array([0.3, 3.0, 0.3])), [None] * 3, 0.3)],
         )
     # Letters are antialiased, by OpenCV 4 so much that hardly a pixel has their own color.
     assert n_painted(noisy, overlay.WARN_COLOR, 20) > n_painted(alike, overlay.WARN_COLOR, 20) + 30
@@ -532,14 +540,10 @@ def test_features_and_rejected_matches_are_drawn_without_pose(tmp_path: Path) ->
     looked_at = [(np.array([[20.0, 30], [40, 30]]), np.array([[60.0, 40]]))] * 3
     lost = replace(frame_pose(4, None, cameras=3), reason="4 of 300 features match what is known of the object")
     with OverlayWriter(tmp_path / "o.mp4", rig, 5) as writer:
-        without = writer.draw_objects(make_blank_images(rig), [OverlayObject("", lost, [None] * 3, 0.3)])
-        drawn = writer.draw_objects(
-            make_blank_images(rig), [OverlayObject("", lost, [None] * 3, 0.3, candidates=looked_at)]
-        )
+        without = writer.draw(make_blank_images(rig), [OverlayObject("", lost, [None] * 3, 0.3)])
+        drawn = writer.draw(make_blank_images(rig), [OverlayObject("", lost, [None] * 3, 0.3, candidates=looked_at)])
         with pytest.raises(ValueError, match="3 candidates"):
-            writer.draw_objects(
-                make_blank_images(rig), [OverlayObject("", lost, [None] * 3, 0.3, candidates=looked_at[:1])]
-            )
+            writer.draw(make_blank_images(rig), [OverlayObject("", lost, [None] * 3, 0.3, candidates=looked_at[:1])])
     assert n_painted(drawn, overlay.REJECTED_COLOR) > n_painted(without, overlay.REJECTED_COLOR)
     changed = (drawn != without).any(axis=2).sum()
     assert 3 * 20 < changed < 3 * 600
@@ -561,7 +565,12 @@ def test_overlay_note_is_in_the_title_bar(tmp_path: Path) -> None:
     rig, drawn = ring(3, 1), []
     for note in ("", "poses as tracked"):
         with OverlayWriter(tmp_path / "o.mp4", rig, 10.0, note=note) as writer:
-            drawn.append(np.split(writer.draw(make_blank_images(rig), CENTERED, [None] * 3, 0.3), [writer._layout.bar]))
+            drawn.append(
+                np.split(
+                    writer.draw(make_blank_images(rig), [OverlayObject("", CENTERED, [None] * 3, 0.3)]),
+                    [writer._layout.bar],
+                )
+            )
     (head, below), (noted, below_it) = drawn
     assert n_painted(noted, drawing.GRAY, 20) > n_painted(head, drawing.GRAY, 20) + 30
     np.testing.assert_array_equal(below, below_it)
@@ -574,10 +583,10 @@ def test_overlay_of_several_objects(tmp_path: Path) -> None:
     mug = OverlayObject("mug", CENTERED, [None] * 3, 0.3, region, overlay.object_color(0))
     objects = [mug, OverlayObject("tray", lost, [None] * 3, np.nan, color=overlay.object_color(1))]
     with OverlayWriter(tmp_path / "o.mp4", rig, 5) as writer:
-        picture = writer.draw_objects(make_blank_images(rig), objects)
-        writer.write_objects(make_blank_images(rig), objects)
+        picture = writer.draw(make_blank_images(rig), objects)
+        writer.write(make_blank_images(rig), objects)
         with pytest.raises(ValueError, match="needs 3 matches"):
-            writer.write_objects(make_blank_images(rig), [replace(objects[0], matches=[])])
+            writer.write(make_blank_images(rig), [replace(objects[0], matches=[])])
     assert n_painted(picture, overlay.OBJECT_COLORS[0], 60) > 50
     assert n_painted(picture, overlay.BAD_COLOR, 60) > 10
     assert len(overlay_frames(tmp_path / "o.mp4")) == 1
@@ -588,9 +597,12 @@ def test_pose_behind_camera_is_not_drawn(tmp_path: Path) -> None:
     with OverlayWriter(tmp_path / "o.mp4", rig, 5) as writer:
         for place in (rig.cameras[0].center, 3 * rig.cameras[0].center, np.full(3, 1e12)):
             pose = frame_pose(1, RigidTransform.from_translation(place), cameras=3)
-            writer.write(make_blank_images(rig), pose, [(np.empty((0, 2)), np.empty((0, 2)))] * 3, 0.5)
+            writer.write(
+                make_blank_images(rig), [OverlayObject("", pose, [(np.empty((0, 2)), np.empty((0, 2)))] * 3, 0.5)]
+            )
         writer.write(
-            make_blank_images(rig), frame_pose(2, None, FrameStatus.NOT_CONSISTENT, cameras=3), [None] * 3, 0.5
+            make_blank_images(rig),
+            [OverlayObject("", frame_pose(2, None, FrameStatus.NOT_CONSISTENT, cameras=3), [None] * 3, 0.5)],
         )
     assert len(overlay_frames(tmp_path / "o.mp4")) == 4
 
@@ -610,11 +622,11 @@ def test_overlay_bad_input(tmp_path: Path) -> None:
         OverlayWriter(tmp_path / "o.mp4", rig, 5, max_width=10)
     with OverlayWriter(tmp_path / "o.mp4", rig, 5) as writer:
         with pytest.raises(ValueError, match="needs 3 images, one per camera, got 2"):
-            writer.write(make_blank_images(rig)[:2], CENTERED, [None] * 3, 0.3)
+            writer.write(make_blank_images(rig)[:2], [OverlayObject("", CENTERED, [None] * 3, 0.3)])
         with pytest.raises(ValueError, match="needs 3 matches"):
-            writer.write(make_blank_images(rig), CENTERED, [None] * 2, 0.3)
+            writer.write(make_blank_images(rig), [OverlayObject("", CENTERED, [None] * 2, 0.3)])
         with pytest.raises(ValueError, match="camera cam_0: the image is 10x20, its calibration 320x240"):
-            writer.write([np.zeros((20, 10, 3), np.uint8), None, None], CENTERED, [None] * 3, 0.3)
+            writer.write([np.zeros((20, 10, 3), np.uint8), None, None], [OverlayObject("", CENTERED, [None] * 3, 0.3)])
 
 
 # The rig

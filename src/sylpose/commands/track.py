@@ -6,16 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from sylpose.commands.app import (
-    ADVANCED,
-    INPUT,
-    LIVE,
-    OBJECT,
-    command,
-    exit_with_failures,
-    option,
-    pick,
-)
+from sylpose.commands.app import ADVANCED, INPUT, LIVE, OBJECT, command, exit_with_failures, option, pick
 from sylpose.commands.options import (
     BoxesFile,
     DisplayOptions,

@@ -17,12 +17,7 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.report.plots import INK, create_figure, save_figure, style_panel
 
 # Okabe & Ito's colors for up to four methods, with distinct dashes and markers for printing in gray.
-STYLES = (
-    ("#0072B2", "-", "o"),
-    ("#D55E00", "--", "s"),
-    ("#009E73", "-.", "^"),
-    ("#CC79A7", ":", "D"),
-)
+STYLES = (("#0072B2", "-", "o"), ("#D55E00", "--", "s"), ("#009E73", "-.", "^"), ("#CC79A7", ":", "D"))
 # Maximum number of levels of which each one gets a marker and a tick (choice).
 MAX_MARKERS = 15
 ERROR_LABEL = "rotation error (degrees)"

@@ -169,34 +169,20 @@ class OverlayWriter:
         finally:
             self._file.close()
 
-    def write(
-        self,
-        images: Sequence[Image | None],
-        pose: FramePose,
-        matches: Sequence[Matches | None],
-        axis_length: float,
-        regions: Sequence[FloatArray | None] = (),
-    ) -> None:
+    def write(self, images: Sequence[Image | None], objects: Sequence[OverlayObject]) -> None:
         """Draw and append one frame.
 
         Args:
             images: per camera (height, width, 3) BGR or (height, width) gray as recorded, or None if missing.
-            pose: pose of this frame.
-            matches: per camera the inliers' pixels (n, 2) in the previous frame and (n, 2) in this one, or None.
-            axis_length: length of the object's axes, in the calibration's unit.
-            regions: per camera the corners (n, 2) of the object's region in pixels, or None; empty for no regions.
+            objects: any number of objects.
 
         Raises:
             ValueError: not one image, match or region per camera, or an image of another size than its camera's.
             OSError: the file cannot be written; the message names it.
         """
-        self.write_objects(images, [OverlayObject("", pose, matches, axis_length, regions)])
-
-    def write_objects(self, images: Sequence[Image | None], objects: Sequence[OverlayObject]) -> None:
-        """Draw and append one frame with any number of objects."""
         if self._write_error is not None:  # FFmpeg would continue with a file that has no header, and crash
             raise self._write_error
-        frame = av.VideoFrame.from_ndarray(self.draw_objects(images, objects), format="bgr24")
+        frame = av.VideoFrame.from_ndarray(self.draw(images, objects), format="bgr24")
         frame = frame.reformat(format="yuv420p", dst_colorspace=Colorspace.ITU709)
         frame.pts = self._count
         frame.time_base = 1 / self._stream.codec_context.framerate
@@ -208,19 +194,8 @@ class OverlayWriter:
             self._write_error = error
             raise
 
-    def draw(
-        self,
-        images: Sequence[Image | None],
-        pose: FramePose,
-        matches: Sequence[Matches | None],
-        axis_length: float,
-        regions: Sequence[FloatArray | None] = (),
-    ) -> Image:
+    def draw(self, images: Sequence[Image | None], objects: Sequence[OverlayObject]) -> Image:
         """Return the picture that `write` appends: (height, width, 3) BGR."""
-        return self.draw_objects(images, [OverlayObject("", pose, matches, axis_length, regions)])
-
-    def draw_objects(self, images: Sequence[Image | None], objects: Sequence[OverlayObject]) -> Image:
-        """Return the picture that `write_objects` appends: (height, width, 3) BGR."""
         n = len(self.rig)
         self._check_count("images", images)
         for item in objects:

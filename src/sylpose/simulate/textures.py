@@ -170,13 +170,7 @@ def _draw_disc(image: Image, x: float, y: float, radius: float, color: Color, th
 
 def _accent_color(hue: int, rng: np.random.Generator) -> Color:
     """Return a contrast color for paint of a hue: cream, near-black, a lighter or darker tone, or the opposite hue."""
-    options = (
-        (22, 30, 240),
-        (hue, 130, 45),
-        (hue + 6, 90, 245),
-        (hue - 8, 200, 110),
-        (hue + 90, 160, 190),
-    )
+    options = ((22, 30, 240), (hue, 130, 45), (hue + 6, 90, 245), (hue - 8, 200, 110), (hue + 90, 160, 190))
     return _hsv_color(*options[rng.choice(5, p=[0.3, 0.3, 0.15, 0.15, 0.1])])
 
 

@@ -164,11 +164,7 @@ class _Refined(NamedTuple):
 
 
 def _refine_offsets(
-    session: Session,
-    initial: FloatArray,
-    frames: tuple[int, int | None],
-    seed: int,
-    show_progress: ProgressWrapper,
+    session: Session, initial: FloatArray, frames: tuple[int, int | None], seed: int, show_progress: ProgressWrapper
 ) -> _Refined:
     """Track the first object and refine its poses, landmarks and the offsets jointly, until the offsets converge."""
     single_object, rate, (start, stop) = session.select_object(session.objects[0]), session.rate or 1.0, frames
