@@ -86,7 +86,7 @@ def main() -> None:
     print("|---|---|---|---|---|---|---|---|")
     with tempfile.TemporaryDirectory() as folder:
         demo = Path(folder) / "demo"
-        simulate.render_sequence(demo, frames=options.demo_frames)
+        simulate.write_sequence(demo, simulate.make_demo_scene(frames=options.demo_frames))
         for name, session in (
             ("temple", options.shared / "data" / "temple"),
             ("board4", options.shared / "data" / "board4"),

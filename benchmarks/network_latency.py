@@ -14,7 +14,7 @@ from sylpose.io.capture import open_session
 from sylpose.methods import MODES
 from sylpose.network.simulation import track_by_nodes
 from sylpose.network.wire_format import HEADER
-from sylpose.simulate import render_sequence
+from sylpose.simulate import make_demo_scene, write_sequence
 
 __all__ = ["format_tables", "measure_processes", "measure_simulated"]
 
@@ -35,7 +35,8 @@ PROCESSES_HEADER = (
 def measure_simulated(cameras: int, mode: str) -> str:
     """Run over a simulated network in this process and format the table row."""
     with tempfile.TemporaryDirectory() as folder:
-        render_sequence(folder, frames=FRAMES, angle_deg=90.0 * FRAMES / LOOP_FRAMES, n_cameras=cameras, size=SIZE)
+        turn = 90.0 * FRAMES / LOOP_FRAMES
+        write_sequence(folder, make_demo_scene(frames=FRAMES, angle_deg=turn, n_cameras=cameras, size=SIZE))
         session = open_session(Path(folder))
         frames, rig = list(session.frames()), session.rig
         track_by_nodes(frames[:4], rig, mode=mode)  # loads compiled code

@@ -24,11 +24,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from benchmarks.rendered_recordings import Recording, write_recording
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import FloatArray
 from sylpose.io.capture import open_session
 from sylpose.runs.precompile import compile_all
-from sylpose.simulate import Recording, make_demo_scene, write_recording
+from sylpose.simulate import make_demo_scene
 from sylpose.sync.estimation import OffsetPrecision, sync_session
 
 RATE = 30.0

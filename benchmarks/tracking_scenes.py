@@ -25,6 +25,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from benchmarks.rendered_recordings import Recording, write_recording
 from benchmarks.tracking_paths import Path as Motion
 from benchmarks.tracking_paths import (
     bump_profile,
@@ -37,7 +38,7 @@ from benchmarks.tracking_paths import (
 )
 from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Camera, Rig
-from sylpose.simulate import Actor, Recording, Scene, TexturedBody, arc, chamfered_box, write_recording
+from sylpose.simulate import Actor, Scene, TexturedBody, arc, chamfered_box
 
 __all__ = ["BUILDERS", "build_recording", "render_recording"]
 

@@ -21,6 +21,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from benchmarks.rendered_recordings import Recording, write_recording
 from sylpose.geometry.arrays import FloatArray
 from sylpose.io import calibration
 from sylpose.io.capture import open_session
@@ -31,7 +32,7 @@ from sylpose.results import FramePose, Trajectory
 from sylpose.rig import Rig
 from sylpose.runs.options import RunOptions
 from sylpose.runs.run import track_session
-from sylpose.simulate import Actor, Recording, Scene, arc, chamfered_box, make_demo_scene, write_recording
+from sylpose.simulate import Actor, Scene, arc, chamfered_box, make_demo_scene
 from sylpose.simulate.recordings import object_suffixes
 from sylpose.status import FrameStatus
 

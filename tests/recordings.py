@@ -10,10 +10,11 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from benchmarks.rendered_recordings import Recording, write_recording
 from sylpose.boards.specification import Board
 from sylpose.results import FramePose
 from sylpose.rig import Rig
-from sylpose.simulate import Actor, Recording, Scene, TexturedBody, arc, chamfered_box, write_recording
+from sylpose.simulate import Actor, Scene, TexturedBody, arc, chamfered_box
 from tests.boards.drawing import draw_picture
 
 __all__ = [

@@ -67,10 +67,7 @@ NOT_CALLED = {
     "make_demo_scene": "the demo's, writes a recording",
     "compute_demo_truth": "the same",
     "render_frames": "images of seconds each: simulate/",
-    "render_sequence": "the same",
-    "write_recording": "the same",
     "write_sequence": "the same",
-    "compute_visible_shares": "the same",
     "chamfered_box": "the same",
 }
 

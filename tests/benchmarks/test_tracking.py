@@ -11,6 +11,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from benchmarks import tracking
+from benchmarks.rendered_recordings import Recording, compute_visible_shares, write_recording
 from benchmarks.tracking_paths import Path as Motion
 from benchmarks.tracking_paths import bump_profile, make_tumbling_path, smooth_step, smooth_window, swing_profile
 from benchmarks.tracking_report import (
@@ -28,7 +29,7 @@ from benchmarks.tracking_report import (
 from benchmarks.tracking_scenes import BUILDERS, DISTANCE, build_recording, render_recording
 from sylpose.io.capture import open_session
 from sylpose.report.files import read_tum, write_tum
-from sylpose.simulate import Actor, Recording, Scene, arc, chamfered_box, compute_visible_shares, write_recording
+from sylpose.simulate import Actor, Scene, arc, chamfered_box
 
 
 def frame_steps(motion: Motion, frames: int) -> tuple[RigidTransform, np.ndarray, np.ndarray]:

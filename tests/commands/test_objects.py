@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
+from benchmarks.rendered_recordings import Recording, write_recording
 from sylpose.atomic_io import format_boxes_toml
 from sylpose.commands.main import main
 from sylpose.comparison import compare_trajectories
@@ -22,7 +23,7 @@ from sylpose.io.capture import open_session
 from sylpose.report.files import read_trajectory, read_tum
 from sylpose.runs.options import RunOptions
 from sylpose.runs.run import track_session
-from sylpose.simulate import Actor, Recording, Scene, chamfered_box, make_demo_scene, write_recording
+from sylpose.simulate import Actor, Scene, chamfered_box, make_demo_scene
 from sylpose.tracking.context import TrackedFrame
 
 pytestmark = pytest.mark.usefixtures("undrawn")

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from benchmarks.rendered_recordings import Recording, write_recording
 from sylpose.boards.specification import parse_board
 from sylpose.commands.main import main
 from sylpose.commands.pose import PoseOptions, solve_poses
@@ -24,7 +25,7 @@ from sylpose.results import Trajectory
 from sylpose.rig import Rig
 from sylpose.runs.page import read_scenes
 from sylpose.runs.run_metadata import SETTINGS, USED_CALIBRATION, open_source_recording
-from sylpose.simulate import Actor, Recording, Scene, chamfered_box, write_recording
+from sylpose.simulate import Actor, Scene, chamfered_box
 from sylpose.status import FrameStatus, Observability
 from tests.recordings import BOX, RIG, attach_target, compute_pose_error, moved_path
 

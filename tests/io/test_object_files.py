@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from benchmarks.fuzz import make_kinds
+from benchmarks.rendered_recordings import Recording, write_recording
 from sylpose.commands.main import main
 from sylpose.io import calibration
 from sylpose.io.capture import open_session
@@ -24,7 +25,7 @@ from sylpose.io.object_files import CLOUD_FILE, OBJECT_FILE, load_known_objects,
 from sylpose.rig import Rig
 from sylpose.runs.options import RunOptions
 from sylpose.runs.run import track_session
-from sylpose.simulate import Actor, Recording, Scene, arc, chamfered_box, write_recording
+from sylpose.simulate import Actor, Scene, arc, chamfered_box
 from sylpose.status import Observability
 from sylpose.tracking.known_object import KnownObject, transfer_object
 from sylpose.tracking.tracker import Tracker

@@ -35,7 +35,7 @@ from sylpose.network.zenoh_transport import (
 )
 from sylpose.packets import Packet
 from sylpose.report.files import read_trajectory
-from sylpose.simulate import render_sequence
+from sylpose.simulate import make_demo_scene, write_sequence
 from sylpose.simulate.recordings import DemoTruth
 from sylpose.tracking.context import TrackedFrame
 from sylpose.tracking.tracker import track
@@ -60,7 +60,7 @@ def network() -> str:
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, DemoTruth]:
     folder = tmp_path_factory.mktemp("recording")
-    return folder, render_sequence(folder, frames=4, angle_deg=8, n_cameras=3, seed=5, size=SIZE)
+    return folder, write_sequence(folder, make_demo_scene(frames=4, angle_deg=8, n_cameras=3, seed=5, size=SIZE))
 
 
 def test_processes_reproduce_single_process_trajectory(
@@ -120,7 +120,7 @@ def test_processes_reproduce_single_process_trajectory(
 def test_eight_processes_agree_with_one(network: str, tmp_path: Path) -> None:
     """Small images, so that two cores suffice."""
     folder, names = tmp_path / "recording", [f"cam_{c}" for c in range(8)]
-    render_sequence(folder, frames=6, angle_deg=15, n_cameras=8, seed=7, size=SMALL)
+    write_sequence(folder, make_demo_scene(frames=6, angle_deg=15, n_cameras=8, seed=7, size=SMALL))
     poses: list[str] = []
     session = watch_network(LinkSettings(), network, lambda *_: None, lambda _, line: poses.append(line))
     nodes = []

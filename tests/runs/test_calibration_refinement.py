@@ -16,14 +16,15 @@ from sylpose.commands.main import main
 from sylpose.io import calibration
 from sylpose.rig import Rig
 from sylpose.runs.calibration_refinement import REFINED, REFINED_END, compute_final_rig, describe_changes, write_refined
-from sylpose.simulate import compute_demo_truth, make_demo_scene, render_sequence, ring
+from sylpose.simulate import compute_demo_truth, make_demo_scene, ring, write_sequence
 from sylpose.simulate.recordings import create_session_folder, write_boxes, write_videos
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
 
 def test_refinement_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    truth = render_sequence(tmp_path / "s", frames=8, angle_deg=24.0, size=(240, 180), n_cameras=3, boxes=True)
+    scene = make_demo_scene(frames=8, angle_deg=24.0, size=(240, 180), n_cameras=3)
+    truth = write_sequence(tmp_path / "s", scene, boxes=True)
     assert main(["track", str(tmp_path / "s"), "--refine-calibration", "--no-overlay"]) == 0
     output = capsys.readouterr().out
     assert "Calibration   cam_0: " in output

@@ -19,7 +19,7 @@ from sylpose.network.codec import (
     find_common_newcomers,
 )
 from sylpose.runs.frame_source import LiveSource, RecordedSource
-from sylpose.simulate import render_sequence
+from sylpose.simulate import make_demo_scene, write_sequence
 from sylpose.simulate.rigs import ring
 
 RIG = ring(3)
@@ -111,7 +111,7 @@ def test_failing_live_camera_reports_the_reason(live: LiveSource, device: Device
 
 
 def test_recording_is_played_completely_at_its_speed(tmp_path: Path) -> None:
-    truth = render_sequence(tmp_path, frames=6, angle_deg=5, n_cameras=2, seed=0)
+    truth = write_sequence(tmp_path, make_demo_scene(frames=6, angle_deg=5, n_cameras=2, seed=0))
     from sylpose.io import calibration
 
     rig = calibration.load(tmp_path / "calibration.toml")

@@ -13,6 +13,7 @@ import pytest
 from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from benchmarks.rendered_recordings import Recording, write_recording
 from sylpose.boards.specification import parse_board
 from sylpose.commands.main import main
 from sylpose.io.capture import open_session
@@ -24,7 +25,7 @@ from sylpose.runs.object_frames import change_object_frame
 from sylpose.runs.options import RunOptions
 from sylpose.runs.run import track_session
 from sylpose.runs.run_metadata import USED_CALIBRATION
-from sylpose.simulate import Actor, Recording, Scene, chamfered_box, write_recording
+from sylpose.simulate import Actor, Scene, chamfered_box
 from sylpose.status import FrameStatus, Observability
 from sylpose.tracking.known_object import KnownObject
 from sylpose.units import INITIAL_DISTANCES

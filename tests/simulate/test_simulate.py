@@ -355,7 +355,8 @@ def test_motion_blur_affects_the_object_only() -> None:
 
 
 def test_written_sequence_can_be_read(tmp_path: Path) -> None:
-    truth = simulate.render_sequence(tmp_path / "demo", frames=4, size=(320, 240), n_cameras=2, boxes=True)
+    scene = simulate.make_demo_scene(frames=4, size=(320, 240), n_cameras=2)
+    truth = simulate.write_sequence(tmp_path / "demo", scene, boxes=True)
     folder = tmp_path / "demo"
     rig = calibration.load(folder / "calibration.toml")
     assert rig.names == truth.rig.names
@@ -386,6 +387,6 @@ def test_invalid_scenes_raise(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="does not look"):
         simulate.make_demo_scene(rig=Rig([cameras[0], turned]))
     with pytest.raises(ValueError, match="even"):
-        simulate.render_sequence(tmp_path, size=(641, 480), frames=1)
+        simulate.write_sequence(tmp_path, simulate.make_demo_scene(size=(641, 480), frames=1))
     with pytest.raises(ValueError, match="not all in one plane"):
         simulate.TexturedBody.from_hull([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], 100)

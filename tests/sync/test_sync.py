@@ -15,11 +15,12 @@ from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from benchmarks.rendered_recordings import Recording, write_recording
 from sylpose.commands.main import main
 from sylpose.geometry.arrays import FloatArray
 from sylpose.io.capture import Session, open_session
 from sylpose.results import FramePose
-from sylpose.simulate import Actor, Recording, Scene, arc, chamfered_box, write_recording
+from sylpose.simulate import Actor, Scene, arc, chamfered_box
 from sylpose.smoothing import SmoothedTrajectory, Track
 from sylpose.status import FrameStatus, Status
 from sylpose.sync import estimation

@@ -88,7 +88,7 @@ def render_demo(out: Path, *, frames: int, turn_deg: float, n_cameras: int, seed
     """
     from sylpose.atomic_io import make_output_folder, output_errors, replace_atomically
     from sylpose.geometry.validation import check_number
-    from sylpose.simulate import render_sequence
+    from sylpose.simulate import make_demo_scene, write_sequence
 
     if frames < 2:
         raise ValueError(f"the demo needs at least 2 frames, got {frames}")
@@ -103,4 +103,4 @@ def render_demo(out: Path, *, frames: int, turn_deg: float, n_cameras: int, seed
             part.write_text("Written by `sylpose demo`, which replaces it without confirmation.\n")
         for old in out.glob("cam_*.mp4"):  # an earlier demo may have had more cameras
             old.unlink()
-        render_sequence(out, frames=frames, angle_deg=turn_deg, n_cameras=n_cameras, seed=seed)
+        write_sequence(out, make_demo_scene(frames=frames, angle_deg=turn_deg, n_cameras=n_cameras, seed=seed))

@@ -189,8 +189,8 @@ def track_by_nodes(
         is_founder = starts[c] == 1 and c in first
 
         def track(request: Callable[[Request, int], Response]) -> None:
-            if c in faults and faults[c].alter_payload is not None:
-                request = _wrap_payload_fault(request, faults[c].alter_payload)
+            if c in faults and (alter := faults[c].alter_payload) is not None:
+                request = _wrap_payload_fault(request, alter)
             node = Node(c, n, request, mode)
             node.refused = refused[c]
             camera_frames = RecordedCamera(c, recording)

@@ -4,12 +4,8 @@ from sylpose.rig import make_look_at_camera
 from sylpose.simulate.bodies import Body, box, cloud, ellipsoid, plane
 from sylpose.simulate.recordings import (
     DemoTruth,
-    Recording,
     compute_demo_truth,
-    compute_visible_shares,
     make_demo_scene,
-    render_sequence,
-    write_recording,
     write_sequence,
 )
 from sylpose.simulate.render import Actor, Scene, TexturedBody, chamfered_box, render_frames
@@ -21,7 +17,6 @@ __all__ = [
     "Body",
     "DemoTruth",
     "OutlierKind",
-    "Recording",
     "Scene",
     "SimulatedPair",
     "TexturedBody",
@@ -30,7 +25,6 @@ __all__ = [
     "chamfered_box",
     "cloud",
     "compute_demo_truth",
-    "compute_visible_shares",
     "dome",
     "ellipsoid",
     "make_demo_scene",
@@ -38,9 +32,7 @@ __all__ = [
     "plane",
     "random_motion",
     "render_frames",
-    "render_sequence",
     "ring",
     "simulate_matches",
-    "write_recording",
     "write_sequence",
 ]
