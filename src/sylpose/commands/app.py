@@ -86,9 +86,27 @@ class GroupedCommand(TyperCommand):
 class CommandOptions:
     """Options of a command; each field is `Annotated` with its `option` or `typer.Argument`.
 
-    The help of an option is its text in the "Attributes" of the record's docstring.
+    The help of an option is its text in the "Attributes" of the record's docstring, or for options that several
+    commands share (`commands.options`), its text here.
 
     Commands that are called from Python accept text for paths, sequences for tuples and integers for floats.
+
+    Attributes:
+        boxes: Read the object's boxes in the first frame; default: SESSION/boxes.toml if present.
+        frame_offset: Set by how many frames a camera starts late. Repeatable.
+        angles: Add three Euler angles to the CSV and plot them: XYZ (intrinsic axes), xyz (extrinsic axes), or three
+            vectors, "0,0,1 1,0,0 0,1,0".
+        unit: Set the length unit of the results; default: the calibration's.
+        world: Set the world frame, z up: a board on the floor (chessboard:9x6,square=25mm), up=0,-1,0 in the
+            calibration's frame, or a file (world.toml, or three points: docs/formats.md).
+        out: Write the results here; default: SESSION/sylpose.
+        stop: Stop before this frame; default: the end.
+        overlay: Write overlay.mp4.
+        smooth: Refine all poses jointly at the end; default: for recordings.
+        refine_calibration: Smooth and also estimate the calibration's errors; write calibration.refined.toml.
+        seed: Set the random seed; equal seeds give equal results.
+        plot_format: Set the file format of plots.
+        result: Folder that sylpose track wrote, or its trajectory.csv.
 
     Raises:
         TypeError, ValueError: naming the field: another type, or out of its range.
@@ -250,21 +268,18 @@ def substitute_option_name(message: str, options: Mapping[str, str], arguments: 
     return message
 
 
-def option(
-    words: str, section: str | None = None, text: str | None = None, choices: Sequence[str] = (), **more: Any
-) -> Any:
-    """Describe an option of a command.
+def option(words: str, section: str | None = None, choices: Sequence[str] = (), **more: Any) -> Any:
+    """Describe an option of a command, apart from its help.
 
     Args:
         words: its names and its metavar, "--boxes FILE".
         section: its section of `--help`; None for "Options".
-        text: its help; None for that in the docstring of its record.
         choices: the values that the record accepts; () for all.
         more: further arguments of `typer.Option`: min, max, callback, show_default.
     """
     names = [word for word in words.split() if word.startswith("-")]
     metavar = words.removeprefix(" ".join(names)).strip() or None
-    info = typer.Option(*names, metavar=metavar, help=text, rich_help_panel=section, **more)
+    info = typer.Option(*names, metavar=metavar, rich_help_panel=section, **more)
     info.choices = tuple(choices)
     return info
 

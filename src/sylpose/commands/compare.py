@@ -94,10 +94,8 @@ def compare(options: CompareOptions) -> None:
     if align == "sim3":
         console.print(f"Scale: {result.scale:.6g}")
     content, rows = _build_json_content(result, step, unit), []
-    for label, errors in (
-        ("absolute", content["absolute"]),
-        ("pose-to-pose" if step == 1 else f"{step}-pose", content["relative"]),
-    ):
+    relative = "pose-to-pose" if step == 1 else f"{step}-pose"
+    for label, errors in (("absolute", content["absolute"]), (relative, content["relative"])):
         values = ([errors[key][name] for name in PRINTED_STATISTICS] for key in ("rotation_deg", "position"))
         rotation, position = ([v if v > ROUNDING_ERROR else 0.0 for v in row] for row in values)
         rows.append([f"{label} rotation", *(f"{value:.3g}°" for value in rotation)])
@@ -148,7 +146,7 @@ def describe_mismatches(a: Path, b: Path, unit_a: str, unit_b: str, align: str) 
         found.append(
             f"A is in {units[0]}, B in {units[1]}: lengths are compared unscaled; --align sim3 estimates the scale."
         )
-    settings = [read_settings(path if path.is_dir() else path.parent) for path in (a, b)]
+    settings = [read_settings(path) for path in (a, b)]
     # A TUM file has no settings, even if its folder has some.
     are_runs = all(settings) and all(path.is_dir() or path.suffix.lower() == ".csv" for path in (a, b))
     if align == "both" or not are_runs:

@@ -93,8 +93,6 @@ def render_demo(out: Path, *, frames: int, turn_deg: float, n_cameras: int, seed
     if frames < 2:
         raise ValueError(f"the demo needs at least 2 frames, got {frames}")
     check_number(turn_deg, "--turn")
-    if seed < 0:
-        raise ValueError(f"--seed must not be negative, got {seed}")
     make_output_folder(out)
     if any(out.iterdir()) and not (out / MARKER_FILE).exists():
         raise ValueError(f"{out}: is not empty and not from an earlier demo; the demo would replace files in it")

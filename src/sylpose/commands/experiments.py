@@ -29,12 +29,6 @@ class ExperimentsOptions(CommandOptions):
     quick: Annotated[bool, option("--quick")] = False
     seed: Seed = 0
 
-    def __post_init__(self) -> None:
-        """Check the seed."""
-        super().__post_init__()
-        if self.seed < 0:
-            raise ValueError(f"--seed must not be negative, got {self.seed}")
-
 
 @command("Run the paper's experiments: tables and figures.")
 def experiments(options: ExperimentsOptions) -> None:

@@ -44,10 +44,9 @@ def _show_version(requested: bool) -> None:
         raise typer.Exit
 
 
+Version = typer.Option("--version", help="Show the version and exit.", is_eager=True, callback=_show_version)
+
+
 @app.callback()
-def _root(
-    version: Annotated[
-        bool, typer.Option("--version", help="Show the version and exit.", is_eager=True, callback=_show_version)
-    ] = False,
-) -> None:
+def _root(version: Annotated[bool, Version] = False) -> None:
     pass

@@ -29,10 +29,7 @@ object_app = typer.Typer(
 app.add_typer(object_app, name="object")
 
 ObjectFile = Annotated[Path, typer.Argument(metavar="IN", help="An object.npz from a run, or a file derived from one.")]
-ResultFolder = Annotated[
-    Path | None,
-    option("--result DIR", None, "Look up pixel points in this run of the object; default: the folder of IN."),
-]
+ResultFolder = Annotated[Path | None, option("--result DIR")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,6 +80,7 @@ class FrameOptions(CommandOptions):
         turn: Rotate the axes, in degrees about the present x, then y, then z.
         board: Use the frame of a board or marker on the object: apriltag:36h11,id=3,size=80mm.
         recording: With --board, detect it in this recording; default: that of --result.
+        result: Look up pixel points in this run of the object; default: the folder of IN.
     """
 
     source: ObjectFile
@@ -193,6 +191,7 @@ class ScaleOptions(CommandOptions):
         between: Set the two points.
         distance: Set the distance between them.
         unit: Set the unit of LENGTH and of the calibration used with OUT.
+        result: Look up pixel points in this run of the object; default: the folder of IN.
     """
 
     source: ObjectFile

@@ -22,66 +22,20 @@ if TYPE_CHECKING:
 
 SessionT = TypeVar("SessionT", bound="SessionBase")
 
-BoxesFile = Annotated[
-    Path | None,
-    option(
-        "--boxes FILE", OBJECT, "Read the object's boxes in the first frame; default: SESSION/boxes.toml if present."
-    ),
-]
-FrameOffset = Annotated[
-    tuple[str, ...],
-    option("--frame-offset CAM=N", INPUT, "Set by how many frames a camera starts late. Repeatable."),
-]
-EulerAxes = Annotated[
-    str | None,
-    option(
-        "--euler AXES",
-        OUTPUT,
-        "Add three Euler angles to the CSV and plot them: XYZ (intrinsic axes), xyz (extrinsic axes), or three "
-        'vectors, "0,0,1 1,0,0 0,1,0".',
-    ),
-]
-Unit = Annotated[
-    str | None,
-    option(f"--unit {'|'.join(METERS)}", OUTPUT, "Set the length unit of the results; default: the calibration's."),
-]
-World = Annotated[
-    str | None,
-    option(
-        "--world WORLD",
-        OUTPUT,
-        "Set the world frame, z up: a board on the floor (chessboard:9x6,square=25mm), up=0,-1,0 in the calibration's "
-        "frame, or a file (world.toml, or three points: docs/formats.md).",
-    ),
-]
-OutFolder = Annotated[Path | None, option("--out DIR", OUTPUT, "Write the results here; default: SESSION/sylpose.")]
-StopFrame = Annotated[int | None, option("--stop N", INPUT, "Stop before this frame; default: the end.")]
-Overlay = Annotated[bool, option("--overlay/--no-overlay", OUTPUT, "Write overlay.mp4.")]
-Smooth = Annotated[
-    bool | None,
-    option("--smooth/--no-smooth", ADVANCED, "Refine all poses jointly at the end; default: for recordings."),
-]
-RefineCalibration = Annotated[
-    bool,
-    option(
-        "--refine-calibration",
-        ADVANCED,
-        "Smooth and also estimate the calibration's errors; write calibration.refined.toml.",
-    ),
-]
-Seed = Annotated[int, option("--seed N", ADVANCED, "Set the random seed; equal seeds give equal results.")]
-PlotFormat = Annotated[
-    str,
-    option(
-        f"--format {'|'.join(PICTURE_FORMATS)}",
-        OUTPUT,
-        "Set the file format of plots.",
-        choices=PICTURE_FORMATS,
-    ),
-]
-ResultPath = Annotated[
-    Path, typer.Argument(metavar="RESULT", help="Folder that sylpose track wrote, or its trajectory.csv.")
-]
+# Their help is in the docstring of `CommandOptions`.
+BoxesFile = Annotated[Path | None, option("--boxes FILE", OBJECT)]
+FrameOffset = Annotated[tuple[str, ...], option("--frame-offset CAM=N", INPUT)]
+EulerAxes = Annotated[str | None, option("--euler AXES", OUTPUT)]
+Unit = Annotated[str | None, option(f"--unit {'|'.join(METERS)}", OUTPUT)]
+World = Annotated[str | None, option("--world WORLD", OUTPUT)]
+OutFolder = Annotated[Path | None, option("--out DIR", OUTPUT)]
+StopFrame = Annotated[int | None, option("--stop N", INPUT)]
+Overlay = Annotated[bool, option("--overlay/--no-overlay", OUTPUT)]
+Smooth = Annotated[bool | None, option("--smooth/--no-smooth", ADVANCED)]
+RefineCalibration = Annotated[bool, option("--refine-calibration", ADVANCED)]
+Seed = Annotated[int, option("--seed N", ADVANCED, min=0)]
+PlotFormat = Annotated[str, option(f"--format {'|'.join(PICTURE_FORMATS)}", OUTPUT, choices=PICTURE_FORMATS)]
+ResultPath = Annotated[Path, typer.Argument(metavar="RESULT")]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -35,12 +35,6 @@ class SyncOptions(RangeOptions, RecordingOptions):
     max_lag: Annotated[float, option("--max-lag SEC", ADVANCED)] = 3.0
     seed: Seed = 0
 
-    def __post_init__(self) -> None:
-        """Check the seed."""
-        super().__post_init__()
-        if self.seed < 0:
-            raise ValueError(f"--seed must not be negative, got {self.seed}")
-
 
 @command("Estimate the time offsets between the cameras.")
 def sync(options: SyncOptions) -> None:

@@ -32,6 +32,15 @@ if TYPE_CHECKING:
     from sylpose.runs.options import RunOptions
 
 
+# Options that do not apply to live cameras and growing folders.
+_NOT_LIVE = {
+    "exclude_camera": "of live cameras and growing folders, all cameras of the calibration are used",
+    "video": "live.toml assigns live cameras, and growing folders are assigned by name",
+    "frame_offset": "frames of live cameras are matched by their timestamps; set delays with --offsets FILE",
+    "resume": "a live session cannot be resumed",
+}
+
+
 @dataclass(frozen=True, kw_only=True)
 class TrackOptions(DisplayOptions, MethodOptions, WorldOptions, RangeOptions, RecordingOptions):
     """Options of `sylpose track`.
@@ -80,22 +89,9 @@ class TrackOptions(DisplayOptions, MethodOptions, WorldOptions, RangeOptions, Re
             if self.no_drop:
                 raise ValueError("--no-drop requires --follow (growing folders)")
             return self.apply_to(self.open(self.boxes, self.frame_offset))
-        for name, value, reason in (
-            (
-                "exclude-camera",
-                self.exclude_camera,
-                "of live cameras and growing folders, all cameras of the calibration are used",
-            ),
-            ("video", self.video, "live.toml assigns live cameras, and growing folders are assigned by name"),
-            (
-                "frame-offset",
-                self.frame_offset,
-                "frames of live cameras are matched by their timestamps; set delays with --offsets FILE",
-            ),
-            ("resume", self.resume, "a live session cannot be resumed"),
-        ):
-            if value:
-                raise ValueError(f"--{name}: {reason}")
+        for name, reason in _NOT_LIVE.items():
+            if getattr(self, name):
+                raise ValueError(f"--{name.replace('_', '-')}: {reason}")
         live = open_live(
             self.session,
             calibration=self.calibration,

@@ -56,8 +56,9 @@ def track_in_terminal(
         ValueError, OSError: as `track_session`; an invalid stream destination.
     """
     with ExitStack() as stack:
-        send = None if shown.stream is None else stack.enter_context(open_pose_stream(shown.stream))
-        display = _RunDisplay(session, output_path(session, out), options, shown, send)
+        display = _RunDisplay(session, output_path(session, out), options, shown)
+        if shown.stream is not None:
+            display.send = stack.enter_context(open_pose_stream(shown.stream))
         if shown.show:
             display.page = stack.enter_context(display.serve_live_page())
         display.start()
@@ -86,22 +87,20 @@ class _RunDisplay:
     Args:
         session, options, shown: as for `track_in_terminal`.
         folder: folder of the results.
+
+    Attributes:
         send: sends a line of the pose stream; None without one.
     """
 
     progress: TrackingProgress
     page: LivePage | None = None
+    send: Callable[[str], None] | None = None
 
     def __init__(
-        self,
-        session: Session | LiveSession,
-        folder: Path,
-        options: RunOptions,
-        shown: DisplayOptions,
-        send: Callable[[str], None] | None,
+        self, session: Session | LiveSession, folder: Path, options: RunOptions, shown: DisplayOptions
     ) -> None:
         self._session, self._folder, self._options = session, folder, options
-        self._shown, self._send, self._to_stderr = shown, send, shown.stream == STDOUT
+        self._shown, self._to_stderr = shown, shown.stream == STDOUT
         self._console = console_output.make_console(stderr=self._to_stderr, quiet=shown.quiet)
         self._warning_console = console_output.make_console(stderr=True) if shown.quiet else self._console
         ends = [end for end in (session.n_frames, options.stop) if end is not None]
@@ -170,8 +169,8 @@ class _RunDisplay:
         if self._shown.verbose:
             line = console_output.format_frame_line(of, tracked.pose, cameras, unit)
             self._console.print(line, soft_wrap=True)
-        if self._send is not None:
-            self._send(format_pose_line(tracked.pose, cameras, unit, **({"object": of} if of else {})))
+        if self.send is not None:
+            self.send(format_pose_line(tracked.pose, cameras, unit, **({"object": of} if of else {})))
 
     def on_smoothing(self, number: int) -> None:
         """Show a round of the joint refinement."""
