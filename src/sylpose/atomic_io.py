@@ -7,9 +7,11 @@ import json
 import os
 import re
 import shutil
+import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import IO
 
 
 @contextmanager
@@ -81,6 +83,67 @@ def replace_atomically(path: Path | str, *, mode: int | None = None) -> Iterator
         except BaseException:
             part.unlink(missing_ok=True)
             raise
+
+
+class GrowingFile:
+    """File that grows at its end; what is written has been passed to the operating system, and errors name the file.
+
+    Args:
+        path: the file.
+        length: number of bytes of an existing file to keep; later content is overwritten, and cut by `truncate`. None: a
+            new file.
+        temporary: create an unnamed file in the folder `path`, which disappears when the process ends.
+
+    Attributes:
+        length: number of bytes so far.
+
+    Raises:
+        OSError: the file cannot be written; the message names it.
+        ValueError: naming the file that is missing or shorter than `length`.
+    """
+
+    def __init__(self, path: Path, length: int | None = None, *, temporary: bool = False) -> None:
+        self.path, self.length = path, length or 0
+        if self.length and (not path.is_file() or path.stat().st_size < self.length):
+            raise ValueError(f"{path}: has changed since the interrupted run, which therefore cannot be resumed")
+        self._file: IO[bytes]
+        with output_errors(path):
+            if temporary:
+                self._file = tempfile.TemporaryFile(buffering=0, dir=path)  # noqa: SIM115 (open until `close`)
+            else:
+                mode = "w+b" if length is None or not path.exists() else "r+b"
+                self._file = path.open(mode, buffering=0)
+
+    def write(self, data: bytes) -> None:
+        """Append bytes."""
+        remaining = memoryview(data)
+        with output_errors(self.path):
+            self._file.seek(self.length)
+            while remaining:
+                remaining = remaining[self._file.write(remaining) :]
+        self.length += len(data)
+
+    def read(self, offset: int, size: int) -> bytes:
+        """Return `size` bytes, or fewer at the end."""
+        self._file.seek(offset)
+        return self._file.read(size)
+
+    def flush(self) -> int:
+        """Flush everything to the disk and return the length."""
+        with output_errors(self.path):
+            os.fsync(self._file.fileno())
+        return self.length
+
+    def truncate(self, length: int) -> None:
+        """Cut the file to this length."""
+        with output_errors(self.path):
+            self._file.truncate(length)
+        self.length = length
+
+    def close(self) -> None:
+        """Close the file; may be called twice."""
+        with output_errors(self.path):
+            self._file.close()
 
 
 def format_toml_string(text: str) -> str:

@@ -6,7 +6,6 @@ import csv
 import io
 import json
 import math
-import os
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.atomic_io import make_output_folder, output_errors, partial_path, replace_atomically
+from sylpose.atomic_io import GrowingFile, make_output_folder, partial_path, replace_atomically
 from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.geometry.euler_angles import EulerAngles
 from sylpose.geometry.validation import check_type
@@ -50,13 +49,8 @@ def build_columns(trajectory: Trajectory) -> dict[str, list[Any]]:
         if f.world_from_object is not None:
             quaternion = align_quaternion_sign(f.world_from_object.rotation.as_quat(), quaternion)
             pose = np.concatenate([f.position, quaternion])
-        cells: list[Any] = [f.index, f.time, f.status.value, f.observability.value, trajectory.unit]
-        cells += [
-            *pose.tolist(),
-            *np.degrees(f.pan_tilt_roll).tolist(),
-            *np.degrees(f.sigma[:3]).tolist(),
-            *f.sigma[3:].tolist(),
-        ]
+        cells: list[Any] = [f.index, f.time, f.status.value, f.observability.value, trajectory.unit, *pose.tolist()]
+        cells += [*np.degrees(f.pan_tilt_roll).tolist(), *np.degrees(f.sigma[:3]).tolist(), *f.sigma[3:].tolist()]
         for values in (f.inliers, f.residuals, f.variance_inflation, f.matches):
             cells += (values if len(values) else missing).tolist()
         rows.append([*cells, "; ".join(f.faults), f.reason])
@@ -153,37 +147,29 @@ class TrajectoryWriter:
         self._last_index = -1  # the number of the last frame
         per_camera = [f"{what}_{n}" for what in CAMERA_COLUMNS for n in camera_names]
         angle_columns = [] if angles is None else [f"{name}_deg" for name in angles.names]
-        self._tum = _open_at(self.tum_path, None if resume is None else resume.tum_bytes)
+        self._tum = GrowingFile(self.tum_path, None if resume is None else resume.tum_bytes)
         try:
-            self._csv = _open_at(self.csv_path, None if resume is None else resume.csv_bytes)
+            self._csv = GrowingFile(self.csv_path, None if resume is None else resume.csv_bytes)
             if resume is None or not resume.csv_bytes:
-                self._write_line(self._tum, self.tum_path, _format_tum_header(unit, world))
-                self._write_line(
-                    self._csv,
-                    self.csv_path,
-                    _format_csv_line([*COLUMNS, *angle_columns, *per_camera, "faults", "reason"]),
-                )
+                self._tum.write(_format_tum_header(unit, world).encode())
+                header = [*COLUMNS, *angle_columns, *per_camera, "faults", "reason"]
+                self._csv.write(_format_csv_line(header).encode())
         except (OSError, ValueError):
             self.close()
             raise
 
     def state(self) -> WriterState:
         """Flush both files to disk and return the state to resume from."""
-        for file, path in ((self._tum, self.tum_path), (self._csv, self.csv_path)):
-            with output_errors(path):
-                os.fsync(file.fileno())
-        return WriterState(self._tum.tell(), self._csv.tell(), self._quaternion)
+        return WriterState(self._tum.flush(), self._csv.flush(), self._quaternion)
 
     def read_back(self) -> Trajectory:
         """Read the frames written so far, rounded as in the file."""
-        length = self._csv.tell()
-        return _parse_trajectory(self.csv_path.read_bytes()[:length].decode())
+        return _parse_trajectory(self._csv.read(0, self._csv.length).decode())
 
     def truncate(self) -> None:
         """Truncate both files after the last written line."""
-        for file, path in ((self._tum, self.tum_path), (self._csv, self.csv_path)):
-            with output_errors(path):
-                file.truncate(file.tell())
+        self._tum.truncate(self._tum.length)
+        self._csv.truncate(self._csv.length)
 
     def __enter__(self) -> Self:
         return self
@@ -225,20 +211,18 @@ class TrajectoryWriter:
         cells += [_format_cell(v, 9) for v in np.degrees(pose.pan_tilt_roll)]
         cells += [_format_cell(v, 6) for v in pose.sigma / _SD_TO_RADIANS]
         if self._angles is not None:
-            transform = pose.world_from_object
-            cells += (
-                [""] * 3
-                if transform is None
-                else [_format_cell(v, 9) for v in np.degrees(self._angles.from_rotation(transform.rotation))]
-            )
+            transform, angles = pose.world_from_object, np.full(3, np.nan)
+            if transform is not None:
+                angles = self._angles.from_rotation(transform.rotation)
+            cells += [_format_cell(v, 9) for v in np.degrees(angles)]
         cells += [str(int(count)) for count in pose.inliers] + [_format_cell(v, 6) for v in pose.residuals]
         cells += ["inf" if np.isinf(v) else _format_cell(v, 4) for v in inflation]
         cells += [str(int(count)) for count in pose.matches] if len(pose.matches) else [""] * n
         cells += ["; ".join(pose.faults), pose.reason]
         # Write the CSV first: after an interrupt in between, the frame is in the file that has every column.
-        self._write_line(self._csv, self.csv_path, _format_csv_line(cells))
+        self._csv.write(_format_csv_line(cells).encode())
         if pose.is_measured:
-            self._write_line(self._tum, self.tum_path, _format_tum_line(pose.time, pose.position, quaternion))
+            self._tum.write(_format_tum_line(pose.time, pose.position, quaternion).encode())
 
     def _rewind(self, pose: FramePose) -> None:
         """Truncate both files before a frame that is already in them.
@@ -248,42 +232,10 @@ class TrajectoryWriter:
         """
         csv_lines = self.csv_path.read_bytes().splitlines(keepends=True)
         tum_lines = self.tum_path.read_bytes().splitlines(keepends=True)
-        kept_csv_lines = [
-            line for k, line in enumerate(csv_lines) if k == 0 or int(line.split(b",", 1)[0]) < pose.index
-        ]
-        kept_tum_lines = [line for line in tum_lines if line.startswith(b"#") or float(line.split()[0]) < pose.time]
-        for file, path, kept in (
-            (self._csv, self.csv_path, kept_csv_lines),
-            (self._tum, self.tum_path, kept_tum_lines),
-        ):
-            length = sum(map(len, kept))
-            with output_errors(path):
-                file.truncate(length)
-                file.seek(length)
-
-    @staticmethod
-    def _write_line(file: io.FileIO, path: Path, line: str) -> None:
-        data = line.encode()
-        with output_errors(path):
-            while data:
-                data = data[file.write(data) :]
-
-
-def _open_at(path: Path, length: int | None) -> io.FileIO:
-    """Open a new file, or an existing one after its first `length` bytes.
-
-    A file of length 0 may not exist yet.
-    """
-    # Unbuffered: the operating system has the line as soon as `write` returns.
-    if length is None or (length == 0 and not path.exists()):
-        with output_errors(path):
-            return path.open("wb", buffering=0)
-    if not path.is_file() or path.stat().st_size < length:
-        raise ValueError(f"{path}: differs from the interrupted run, which cannot be resumed")
-    with output_errors(path):
-        file = path.open("r+b", buffering=0)
-        file.seek(length)
-    return file
+        kept_csv = [line for k, line in enumerate(csv_lines) if k == 0 or int(line.split(b",", 1)[0]) < pose.index]
+        kept_tum = [line for line in tum_lines if line.startswith(b"#") or float(line.split()[0]) < pose.time]
+        self._csv.truncate(sum(map(len, kept_csv)))
+        self._tum.truncate(sum(map(len, kept_tum)))
 
 
 def read_trajectory(path: Path | str) -> Trajectory:

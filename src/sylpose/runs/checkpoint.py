@@ -8,22 +8,20 @@ file of their own that only grows.
 from __future__ import annotations
 
 import hashlib
-import os
 import re
 import struct
-import tempfile
 import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Annotated, Any, Generic, TypeVar
+from typing import Annotated, Any, Generic, TypeVar
 
 import msgspec
 import numpy as np
 
 from sylpose import __version__
-from sylpose.atomic_io import output_errors, replace_atomically
+from sylpose.atomic_io import GrowingFile, replace_atomically
 from sylpose.io.capture import Session
 from sylpose.rig import Rig
 from sylpose.runs.checkpoint_schema import SERIALIZER, RunState
@@ -199,33 +197,16 @@ class FrameFile(Generic[T]):
     """
 
     def __init__(self, path: Path, kind: type[T], length: int = 0) -> None:
-        self.path, self._kind, self._end = path, kind, length
-        if length and (not path.is_file() or path.stat().st_size < length):
-            raise ValueError(f"{path}: has changed since the interrupted run, which therefore cannot be resumed")
-        # Unbuffered: bytes counted as written have been passed to the operating system.
-        self._file: IO[bytes]
-        with output_errors(path):
-            if path.is_dir():
-                self._file = tempfile.TemporaryFile(buffering=0, dir=path)  # noqa: SIM115 (open until `close`)
-            else:
-                self._file = path.open("r+b" if length else "w+b", buffering=0)
+        self._file, self._kind = GrowingFile(path, length or None, temporary=path.is_dir()), kind
 
     def write(self, record: T) -> None:
         """Append the record of a frame."""
         content = b"".join(SERIALIZER.dump(record))
-        data = memoryview(_FRAME.pack(len(content), zlib.crc32(content)) + content)
-        with output_errors(self.path):
-            self._file.seek(self._end)
-            remaining = data
-            while remaining:
-                remaining = remaining[self._file.write(remaining) :]
-        self._end += len(data)
+        self._file.write(_FRAME.pack(len(content), zlib.crc32(content)) + content)
 
     def length(self) -> int:
         """Return the length in bytes, after flushing everything to the disk."""
-        with output_errors(self.path):
-            os.fsync(self._file.fileno())
-        return self._end
+        return self._file.flush()
 
     def read(self) -> Iterator[T]:
         """Yield all records in order.
@@ -234,23 +215,21 @@ class FrameFile(Generic[T]):
             ValueError: the file is damaged; the message names it.
         """
         offset = 0
-        while offset < self._end:
-            self._file.seek(offset)
+        while offset < self._file.length:
             try:
-                size, checksum = _FRAME.unpack(self._file.read(_FRAME.size))
-                offset += _FRAME.size + size
-                content = self._file.read(size) if offset <= self._end else b""
+                size, checksum = _FRAME.unpack(self._file.read(offset, _FRAME.size))
+                start, offset = offset + _FRAME.size, offset + _FRAME.size + size
+                content = self._file.read(start, size) if offset <= self._file.length else b""
                 if len(content) != size or zlib.crc32(content) != checksum:
                     raise ValueError("not the content that was written")
                 record: T = SERIALIZER.load(memoryview(content), self._kind)
             except (ValueError, struct.error):
-                raise ValueError(f"{self.path}: is damaged; omit --resume to start over") from None
+                raise ValueError(f"{self._file.path}: is damaged; omit --resume to start over") from None
             yield record
 
     def close(self) -> None:
         """Close the file; raise OSError, which names the file, if that fails."""
-        with output_errors(self.path):
-            self._file.close()
+        self._file.close()
 
 
 def compute_fingerprint(session: Session) -> dict[str, str]:
