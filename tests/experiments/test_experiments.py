@@ -21,20 +21,22 @@ from sylpose.experiments.accuracy import (
     SENSORS,
 )
 from sylpose.experiments.distributed import DISTRIBUTED
-from sylpose.experiments.estimators import Estimate, angle_deg, error_deg
-from sylpose.experiments.scenes import (
+from sylpose.experiments.problems import (
     BALANCED,
     BODIES,
     CLOUD,
     PRACTICE,
     STRETCHED,
     SURFACE,
+    Estimate,
     Scene,
+    angle_deg,
     around_rig,
     balanced_cloud,
+    error_deg,
     simulate,
 )
-from sylpose.experiments.table import compute_error_cells, compute_quartiles
+from sylpose.experiments.study import compute_error_cells, compute_quartiles
 from sylpose.experiments.timing import fit_line
 from sylpose.geometry.arrays import FloatArray
 

@@ -1,8 +1,7 @@
 """The paper's experiments: seeded Monte Carlo studies, each with a table and a figure."""
 
 from sylpose.experiments import accuracy, distributed, timing
-from sylpose.experiments.study import Study
-from sylpose.experiments.table import Table
+from sylpose.experiments.study import Study, Table
 
 __all__ = ["STUDIES", "Study", "Table"]
 

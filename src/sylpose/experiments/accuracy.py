@@ -8,8 +8,17 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sylpose.experiments.estimators import (
+from sylpose.experiments.problems import (
+    BALANCED,
+    BODIES,
+    CLOUD,
+    PRACTICE,
+    STRETCHED,
+    SURFACE,
     Estimator,
+    Problem,
+    Scene,
+    around_rig,
     detected_faults,
     estimate_centralized,
     estimate_depth_plane,
@@ -18,23 +27,22 @@ from sylpose.experiments.estimators import (
     estimate_robust,
     estimate_unconstrained,
     estimate_without_faulty,
-)
-from sylpose.experiments.figures import IDENTITY_ERROR, Lines, draw_bars
-from sylpose.experiments.scenes import (
-    BALANCED,
-    BODIES,
-    CLOUD,
-    PRACTICE,
-    STRETCHED,
-    SURFACE,
-    Problem,
-    Scene,
-    around_rig,
     right_angle_rig,
     simulate,
 )
-from sylpose.experiments.study import Levels, Study, compare, score_estimator, simulate_trials
-from sylpose.experiments.table import ERROR_COLUMNS, Cell, Table
+from sylpose.experiments.study import (
+    ERROR_COLUMNS,
+    IDENTITY_ERROR,
+    Cell,
+    Levels,
+    Lines,
+    Study,
+    Table,
+    compare,
+    draw_bars,
+    score_estimator,
+    simulate_trials,
+)
 from sylpose.simulate import arc, dome, ring
 
 ONE_CAMERA, ALL_CAMERAS, DEPTH_PLANE = "one camera, better mirror image", "all cameras", "all cameras, depth plane"
@@ -91,11 +99,8 @@ def summarize_rotation(table: Table) -> list[str]:
     for scene in (BALANCED, PRACTICE):
         errors = ", ".join(f"{median_error(table, scene, turn_deg=t):.2g}° at {t:g}°" for t in (0.5, 5.0, 40.0))
         sentences.append(f"All cameras, {scene.name}: {errors} of rotation.")
-    single = median_error(table, BALANCED, ONE_CAMERA, turn_deg=0.5)
-    return [
-        *sentences,
-        f"One camera measures a rotation by 0.5° with an error of {single:.2g}°, if its model is exact.",
-    ]
+    one = median_error(table, BALANCED, ONE_CAMERA, turn_deg=0.5)
+    return [*sentences, f"One camera measures a rotation by 0.5° with an error of {one:.2g}°, if its model is exact."]
 
 
 ROTATION = Study(

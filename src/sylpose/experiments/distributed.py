@@ -7,19 +7,32 @@ from functools import partial
 
 import numpy as np
 
-from sylpose.experiments.estimators import (
+from sylpose.experiments.problems import (
+    BALANCED,
+    PRACTICE,
     Estimator,
+    Problem,
     angle_deg,
+    around_rig,
     estimate_centralized,
     estimate_depth_plane,
     estimate_mean_of_single,
     estimate_one_camera,
     estimate_other_mirror,
+    simulate,
 )
-from sylpose.experiments.figures import Lines, draw_bars
-from sylpose.experiments.scenes import BALANCED, PRACTICE, Problem, around_rig, simulate
-from sylpose.experiments.study import Study, score_estimator, simulate_trials
-from sylpose.experiments.table import ERROR_COLUMNS, Cell, Table, compute_error_cells, compute_quartiles
+from sylpose.experiments.study import (
+    ERROR_COLUMNS,
+    Cell,
+    Lines,
+    Study,
+    Table,
+    compute_error_cells,
+    compute_quartiles,
+    draw_bars,
+    score_estimator,
+    simulate_trials,
+)
 from sylpose.geometry.arrays import FloatArray
 from sylpose.packets import Inbox, NetworkFaults, Packet, run_network
 from sylpose.rig import Rig

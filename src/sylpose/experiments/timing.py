@@ -12,9 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from sylpose.experiments.figures import Lines, ReferenceCurve
-from sylpose.experiments.study import Study
-from sylpose.experiments.table import Table, compute_quartiles
+from sylpose.experiments.study import Lines, ReferenceCurve, Study, Table, compute_quartiles
 from sylpose.geometry.arrays import FloatArray
 from sylpose.moments import PairMoments
 from sylpose.sylvester.centralized import solve_centralized
