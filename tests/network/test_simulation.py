@@ -15,9 +15,8 @@ from sylpose.methods import MODES
 from sylpose.network import simulation
 from sylpose.network.membership import ExchangeRequest, ExchangeResult, Request
 from sylpose.network.node import Node
-from sylpose.network.node_tracker import NodesTracker
 from sylpose.network.rounds import DEFAULT_TIMEOUTS
-from sylpose.network.simulation import SimulationResult, track_by_nodes
+from sylpose.network.simulation import NodesTracker, SimulationResult, track_by_nodes
 from sylpose.network.smoothing import _unpack_observations
 from sylpose.network.wire_format import HEADER, Hello, encode_hello
 from sylpose.packets import Inbox, NetworkFaults, Packet

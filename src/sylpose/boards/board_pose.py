@@ -77,10 +77,8 @@ def find_board(rig: Rig, images: Sequence[Image | None], board: Board, *, seed: 
     missing = (None,) * n
     check_frame_set(FrameSet(0, 0.0, missing, tuple(images), missing), rig)
     board = check_type(board, Board, "board")
-    detections = [
-        Detection() if image is None else detect(image, camera, board)
-        for camera, image in zip(rig, images, strict=True)
-    ]
+    pairs = zip(rig, images, strict=True)
+    detections = [Detection() if image is None else detect(image, camera, board) for camera, image in pairs]
     return combine_detections(rig, detections, board, seed=seed)
 
 

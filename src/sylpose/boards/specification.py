@@ -88,10 +88,8 @@ class Board:
     diameter: float = 0.0
 
     def __post_init__(self) -> None:
-        columns, rows = (
-            check_integer(side, "size", minimum=1, maximum=MAX_SIDE)
-            for side in check_sequence(self.size, "size", 2, "sides")
-        )
+        sides = check_sequence(self.size, "size", 2, "sides")
+        columns, rows = (check_integer(side, "size", minimum=1, maximum=MAX_SIDE) for side in sides)
         counts = {"charuco": (columns - 1) * (rows - 1), "marker": 4, "aprilgrid": 4 * columns * rows}
         kind = check_choice(self.kind, ("charuco", "chessboard", "circles", "acircles", "marker", "aprilgrid"), "kind")
         points = check_finite_rows(self.points, 3, "points")

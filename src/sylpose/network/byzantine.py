@@ -50,11 +50,8 @@ class FaultEvidence(NamedTuple):
     def describe(self, names: Sequence[str] | None = None) -> dict[int, str]:
         """Return a message by suspected camera; `names` are those of all cameras."""
         name_of = (lambda c: f"camera {c}") if names is None else names.__getitem__
-        messages = {
-            c: f"it or {name_of(o)} reports false messages"
-            for pair in self.suspect_pairs
-            for c, o in permutations(pair)
-        }
+        ordered = (two for pair in self.suspect_pairs for two in permutations(pair))
+        messages = {c: f"it or {name_of(other)} reports false messages" for c, other in ordered}
         return {**messages, **dict.fromkeys(self.faulty, "it sent different messages to different cameras")}
 
 

@@ -175,22 +175,15 @@ def submit_request(p: Membership, request: Request, frames: int) -> tuple[Member
         return replace(p, round_state=None, welcome=None), []
     if p.round_state is not None:
         round_state, packets = begin_next_round(p.round_state, request.payload, request.newcomers, request.shared_state)
-    elif p.welcome is not None:
-        number, epoch, members, shared_state = p.welcome
-        epoch = compute_join_epoch(epoch, shared_state)
-        round_state, packets = start_rounds(
-            p.camera,
-            sorted(members),
-            request.payload,
-            number=number,
-            epoch=epoch,
-            timeouts=p.timeouts,
-            evidence=p.evidence,
-        )
     else:
+        number, members = 0, frozenset({p.camera})
         epoch = zlib.crc32(f"{p.camera} {p.incarnation} {p.ticks}".encode())
+        if p.welcome is not None:
+            number, epoch, members, shared_state = p.welcome
+            epoch = compute_join_epoch(epoch, shared_state)
+        history = {"number": number, "epoch": epoch}
         round_state, packets = start_rounds(
-            p.camera, [p.camera], request.payload, epoch=epoch, timeouts=p.timeouts, evidence=p.evidence
+            p.camera, sorted(members), request.payload, **history, timeouts=p.timeouts, evidence=p.evidence
         )
     return replace(p, round_state=round_state, welcome=None), packets
 
@@ -202,24 +195,20 @@ def take_response(p: Membership) -> tuple[Membership, Response | None]:
         others = {c: o for c, o in p.outside.items() if c not in p.members and c not in blocked}
         own_rank = p.frames > 0, len(p.members), -min(p.members)
         is_outranked = any((o.hello.frames > 0, o.hello.size, -c) > own_rank for c, o in others.items() if o.hello.size)
-        is_rollback, is_excluded = p.round_state.is_rollback, p.round_state.is_excluded
-        result = ExchangeResult(
-            p.round_state.outcome,
-            _find_newcomers(p, others),
-            is_outranked and p.ticks >= p.separate_until,
-            is_rollback,
-            is_excluded,
-        )
+        outcome, is_rollback, is_excluded = p.round_state.outcome, p.round_state.is_rollback, p.round_state.is_excluded
+        is_outranked = is_outranked and p.ticks >= p.separate_until
+        result = ExchangeResult(outcome, _find_newcomers(p, others), is_outranked, is_rollback, is_excluded)
         return replace(p, request=None), result
     if isinstance(p.request, JoinRequest):
         if p.welcome is not None:
             return replace(p, request=None), JoinResult(p.welcome.shared_state, frozenset())
-        if p.ticks - p.waiting_since > p.wait + p.timeouts.stalled and any(o.hello.size for o in p.outside.values()):
+        has_waited = p.ticks - p.waiting_since > p.wait + p.timeouts.stalled
+        is_ignored = has_waited and any(o.hello.size for o in p.outside.values())
+        if is_ignored:
             # A member of that group does not receive this node's messages: better a group of its own, for as long
             # again.
             p = replace(p, separate_until=p.ticks + p.timeouts.stalled)
-            return replace(p, request=None), JoinResult(None, _find_newcomers(p, p.outside))
-        if _is_founder(p):
+        if is_ignored or _is_founder(p):
             return replace(p, request=None), JoinResult(None, _find_newcomers(p, p.outside))
     return p, None
 
@@ -245,10 +234,8 @@ def _is_founder(p: Membership) -> bool:
 
 def add_inactivity(round_state: RoundState, camera: int, ticks: int) -> RoundState:
     """Add inactive ticks to a camera, after it has announced elsewhere that it is no member."""
-    return replace(
-        round_state,
-        inactive_ticks={**round_state.inactive_ticks, camera: round_state.inactive_ticks.get(camera, 0) + ticks},
-    )
+    ticks += round_state.inactive_ticks.get(camera, 0)
+    return replace(round_state, inactive_ticks={**round_state.inactive_ticks, camera: ticks})
 
 
 def step_membership(p: Membership, inbox: Inbox, *, tick: bool = True) -> tuple[Membership, list[Packet]]:
@@ -267,11 +254,8 @@ def step_membership(p: Membership, inbox: Inbox, *, tick: bool = True) -> tuple[
     outside, round_state = dict(p.outside), p.round_state
     if tick:
         p = replace(p, ticks=p.ticks + 1)
-        outside = {
-            c: OutsideNode(o.hello, o.inactive_ticks + 1)
-            for c, o in outside.items()
-            if o.inactive_ticks < HELLO_INTERVAL * MAX_MISSED_HELLOS
-        }
+        present = {c: o for c, o in outside.items() if o.inactive_ticks < HELLO_INTERVAL * MAX_MISSED_HELLOS}
+        outside = {c: OutsideNode(o.hello, o.inactive_ticks + 1) for c, o in present.items()}
     own_group = frozenset({p.camera, *p.members})
     for sender, data in inbox:
         if p.all_evidence.excludes(sender, own_group):

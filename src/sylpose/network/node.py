@@ -237,9 +237,7 @@ def track_by_node(
         # The last common state.
         checkpoint = tracking.copy_snapshot()
         try:
-            announcements = node.exchange_announcements(
-                *frame_source.newest(wanted), has_object=tracking.has_observations
-            )
+            announcements = node.exchange_announcements(*frame_source.newest(wanted), tracking.has_observations)
             is_object_known = any(announcement.has_object for announcement in announcements)
             node.frames = tracking.next_number if is_object_known else 0
             if all(announcement.is_outranked for announcement in announcements):
@@ -285,15 +283,9 @@ def track_by_node(
 def _is_same_object_frame(one: SolvedFrame, other: SolvedFrame) -> bool:
     """Return whether two frames define the same object frame: the same time and the same pose."""
     a, b = one.world_from_object, other.world_from_object
-    rotation_angle, distance = (
-        (a.rotation * b.rotation.inv()).magnitude(),
-        np.linalg.norm(a.translation - b.translation),
-    )
-    return bool(
-        one.time == other.time
-        and rotation_angle < POSE_TOLERANCE
-        and distance < POSE_TOLERANCE * np.linalg.norm(one.viewpoints, axis=1).max()
-    )
+    angle, distance = (a.rotation * b.rotation.inv()).magnitude(), np.linalg.norm(a.translation - b.translation)
+    max_distance = POSE_TOLERANCE * np.linalg.norm(one.viewpoints, axis=1).max()
+    return bool(one.time == other.time and angle < POSE_TOLERANCE and distance < max_distance)
 
 
 def _add_fault(tracked: TrackedFrame, message: str) -> TrackedFrame:

@@ -79,10 +79,8 @@ def find_implausibility(payload: object, camera: int) -> str | None:
 
 def _is_plausible(one: object, camera: int) -> bool:
     if isinstance(one, COUNT_RECORDS):
-        field_values = [(field.name, getattr(one, field.name)) for field in fields(one)]
-        if not all(
-            _is_count(value, name in OPTIONAL_FIELDS) for name, value in field_values if name not in SIGNED_FIELDS
-        ):
+        names = [field.name for field in fields(one) if field.name not in SIGNED_FIELDS]
+        if not all(_is_count(getattr(one, name), name in OPTIONAL_FIELDS) for name in names):
             return False
     match one:
         case InitialMatches():
@@ -94,11 +92,8 @@ def _is_plausible(one: object, camera: int) -> bool:
         case KnownDepthMatches():
             return len(one.weights) == len(one.observations.points) and _is_plausible(one.observations, camera)
         case PoseAgreement():
-            return (
-                _is_plausible(one.ages, camera)
-                and len(one.references) == len(one.weights)
-                and one.n_strong <= one.n_inlier_features <= one.n_features
-            )
+            fits = len(one.references) == len(one.weights) and one.n_strong <= one.n_inlier_features <= one.n_features
+            return fits and _is_plausible(one.ages, camera)
         case LandmarkAges():
             return bool(one.counts.sum() < MAX_COUNT)
         case EvaluationMessage():
@@ -107,13 +102,11 @@ def _is_plausible(one: object, camera: int) -> bool:
             return _are_points(one.image, MAX_NORMALIZED) and _are_points(one.positions)
         case TermData():
             points = _are_points(one.x, MAX_NORMALIZED) and _are_points(one.y, MAX_NORMALIZED)
-            return (
-                points and one.camera == camera and 0.0 < one.focal < MAX_COUNT and _is_view(one.rotation, one.center)
-            )
+            is_own = one.camera == camera and 0.0 < one.focal < MAX_COUNT
+            return points and is_own and _is_view(one.rotation, one.center)
         case LandmarkMatches():
-            return all(map(_are_points, (one.points, one.image, one.prior_weight))) and _is_view(
-                one.rotation, one.center
-            )
+            points = all(map(_are_points, (one.points, one.image, one.prior_weight)))
+            return points and _is_view(one.rotation, one.center)
         case RelocalizationMatches():
             return _are_points(one.points) and _are_points(one.pixels)
         case np.ndarray():
@@ -125,12 +118,9 @@ def _is_plausible(one: object, camera: int) -> bool:
 
 def _has_enough_matches(message: TermsMessage) -> bool:
     """Return whether the information is possible for the number of matches."""
-    noise = np.isnan(message.noise_px) or 0.0 < message.noise_px < MAX_COUNT
-    return bool(
-        noise
-        and 0.0 <= message.weight_sum < MAX_COUNT
-        and message.upper[DIAGONAL[:3]].sum() <= MAX_INFORMATION_PER_MATCH * message.weight_sum
-    )
+    noise, n = np.isnan(message.noise_px) or 0.0 < message.noise_px < MAX_COUNT, message.weight_sum
+    information = message.upper[DIAGONAL[:3]].sum()
+    return bool(noise and 0.0 <= n < MAX_COUNT and information <= MAX_INFORMATION_PER_MATCH * n)
 
 
 def _is_count(value: object, allow_nan: bool) -> bool:

@@ -76,19 +76,10 @@ def _pack_observations(block: Sequence[Track], c: int, radius: float) -> CameraO
 
 def _unpack_observations(observations: CameraObservations, frames: int) -> list[LandmarkObservations]:
     """Split observations by frame; none if they contain invalid frame or landmark indices."""
-    m = len(observations.landmark_ids)
-    is_valid = (
-        (observations.frame >= 0)
-        & (observations.frame < frames)
-        & (observations.landmark >= 0)
-        & (observations.landmark < m)
-    )
+    s, m = observations, len(observations.landmark_ids)
+    is_valid = (s.frame >= 0) & (s.frame < frames) & (s.landmark >= 0) & (s.landmark < m)
     if not is_valid.all():
         return _unpack_observations(CameraObservations(), frames)
-    of_frames = [observations.frame == k for k in range(frames)]
-    numbers, places, moved = (
-        observations.landmark_ids[observations.landmark],
-        observations.positions[observations.landmark],
-        observations.has_moved[observations.landmark] > 0,
-    )
-    return [LandmarkObservations(numbers[k], observations.image[k], places[k], moved[k]) for k in of_frames]
+    ids, positions, moved = s.landmark_ids[s.landmark], s.positions[s.landmark], s.has_moved[s.landmark] > 0
+    of_frames = [s.frame == k for k in range(frames)]
+    return [LandmarkObservations(ids[k], s.image[k], positions[k], moved[k]) for k in of_frames]

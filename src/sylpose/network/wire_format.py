@@ -12,9 +12,11 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping, Sequence
 from hashlib import blake2b
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 from sylpose.network.codec import MAX_PAYLOAD_BYTES
+
+Payloads: TypeAlias = Mapping[int, bytes]  # camera -> payload
 
 
 class Header:
@@ -102,24 +104,18 @@ def encode_message(kind: int, camera: int, number: int, epoch: int, content: byt
 
 
 def encode_relay(
-    kind: int,
-    camera: int,
-    number: int,
-    epoch: int,
-    leaving: frozenset[int],
-    also_relayed: frozenset[int],
-    received: Mapping[int, bytes],
+    kind: int, camera: int, number: int, epoch: int, leaving: frozenset[int], also: frozenset[int], received: Payloads
 ) -> bytes:
-    """Encode the leaving cameras of a round, with the payloads received from them and from `also_relayed` cameras.
+    """Encode the leaving cameras of a round, with the payloads received from them and from `also` cameras.
 
     Args:
         kind: `EXCLUSION`, `ROUND_END` or `RELAY`.
         camera, number, epoch: of the header.
         leaving: excluded cameras.
-        also_relayed: further cameras whose payloads are relayed.
+        also: further cameras whose payloads are relayed.
         received: camera -> payload.
     """
-    relayed = sorted(c for c in leaving | also_relayed if c in received)
+    relayed = sorted(c for c in leaving | also if c in received)
     content = _LEAVING.pack(encode_cameras(leaving), encode_cameras(frozenset(relayed)))
     content += b"".join(_SIZE.pack(len(received[c])) + received[c] for c in relayed)
     return encode_message(kind, camera, number, epoch, content)
@@ -153,7 +149,7 @@ def digest(data: bytes) -> bytes:
 
 
 def compute_next_epoch(
-    previous: int, number: int, members: Sequence[int], newcomers: frozenset[int], payloads: Mapping[int, bytes]
+    previous: int, number: int, members: Sequence[int], newcomers: frozenset[int], payloads: Payloads
 ) -> int:
     """Compute the epoch of a round from the previous epoch and the payloads of that round.
 

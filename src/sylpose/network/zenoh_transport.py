@@ -128,27 +128,17 @@ class ZenohTransport:
         for name in self.names:
             check_name("camera", name)
         self.session = open_zenoh_session(self.links, self.address.name)
-        taken = self._is_name_in_use(self.address.name)
-        if taken:
+        if self._is_name_in_use(self.address.name):
             self.session.close()
             raise ValueError(
                 f"{self.address.name}: another node in network {self.address.network} already has this name"
             )
-        fast: dict[str, Any] = {
-            "congestion_control": zenoh.CongestionControl.DROP,
-            "priority": zenoh.Priority.REAL_TIME,
-            "express": True,
-        }
-        key = self.address.key
-        self._all = self.session.declare_publisher(key("all"), **fast)
-        self._to = {
-            c: self.session.declare_publisher(
-                key("to", name), **{**fast, "congestion_control": zenoh.CongestionControl.BLOCK}
-            )
-            for c, name in enumerate(self.names)
-        }
-        self._poses = self.session.declare_publisher(key("pose"))
-        self._states = self.session.declare_publisher(key("state"))
+        fast: dict[str, Any] = {"priority": zenoh.Priority.REAL_TIME, "express": True}
+        drop, block = zenoh.CongestionControl.DROP, zenoh.CongestionControl.BLOCK
+        key, declare = self.address.key, self.session.declare_publisher
+        self._all = declare(key("all"), congestion_control=drop, **fast)
+        self._to = [declare(key("to", name), congestion_control=block, **fast) for name in self.names]
+        self._poses, self._states = declare(key("pose")), declare(key("state"))
         for rest in (("all",), ("to", self.address.name)):
             self.session.declare_subscriber(key(*rest, name="*"), self._on_sample, allowed_origin=zenoh.Locality.REMOTE)
         everybody = key("alive", name="*", rig="*")
@@ -246,7 +236,8 @@ def open_zenoh_session(links: LinkSettings, name: str) -> Any:
         "transport/link/protocols": [protocol],
     }
     if links.multicast:
-        settings["scouting/multicast/interface"] = _discovery_interface(links.listen.rpartition(":")[0])
+        host = links.listen.rpartition(":")[0]  # discover nodes by the interface of the listening address
+        settings["scouting/multicast/interface"] = "auto" if host in ("0.0.0.0", "[::]", "localhost") else host
     if links.keys is not None:
         settings["transport/link/tls"] = build_tls_settings(links.keys, name)
         if links.names:  # observers receive nothing that they would have to reject
@@ -256,17 +247,11 @@ def open_zenoh_session(links: LinkSettings, name: str) -> Any:
             config.insert_json5(key, json.dumps(value))
         return zenoh.open(config)
     except zenoh.ZError as error:
+        ends = f"listen at {links.listen}" + (f" or connect to {', '.join(links.connect)}" if links.connect else "")
         why = str(error).split(" at ")[0]
         raise ValueError(
-            f"{name}: cannot listen at {links.listen}"
-            + (f" or connect to {', '.join(links.connect)}" if links.connect else "")
-            + f" ({why}); check the address, the port, the keys and the clock"
+            f"{name}: cannot {ends} ({why}); check the address, the port, the keys and the clock"
         ) from None
-
-
-def _discovery_interface(host: str) -> str:
-    """Return the interface for discovery: that of the listening address."""
-    return "auto" if host in ("0.0.0.0", "[::]", "localhost") else host
 
 
 def decode_line(data: bytes) -> str | None:

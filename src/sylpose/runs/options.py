@@ -35,7 +35,7 @@ class RunOptions:
             frame. Boxes of these objects are not used.
         workers: as in `track`; the result does not depend on it.
         distributed: None for one process; "exact" or "compact" for one node per camera over a simulated network
-            (`network.node_tracker`), for recordings only.
+            (`network.simulation`), for recordings only.
         resume: continue the interrupted run in the same folder, which must have had the same options.
         checkpoint_seconds: time between two checkpoints; 0 for one after every frame. Live sessions have none.
 

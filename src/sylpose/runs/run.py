@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -15,7 +15,7 @@ from sylpose.io.capture import Session
 from sylpose.io.capture.live import LiveSession
 from sylpose.io.object_files import object_checksum
 from sylpose.methods import METHODS
-from sylpose.network.node_tracker import NodesTracker
+from sylpose.network.simulation import NodesTracker
 from sylpose.rig import Rig
 from sylpose.runs.check import check_session
 from sylpose.runs.checkpoint import CheckpointWriter
@@ -399,5 +399,4 @@ def _is_smoothed(options: RunOptions, session: Session | LiveSession, frames: in
 
 
 def _iterate_no_frames() -> Generator[FrameSet, None, None]:
-    nothing: Iterator[FrameSet] = iter(())
-    yield from nothing
+    yield from ()
