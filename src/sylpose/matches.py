@@ -36,10 +36,8 @@ class Matches(Printable):
 
     def __post_init__(self) -> None:
         # Contiguous by rows, as the compiled solvers require.
-        x, y = (
-            np.array(check_finite_rows(part, 2, f"matches: {name}", maximum=MAX_COORDINATE))
-            for name, part in (("x", self.x), ("y", self.y))
-        )
+        parts = (("matches: x", self.x), ("matches: y", self.y))
+        x, y = (np.array(check_finite_rows(part, 2, name, maximum=MAX_COORDINATE)) for name, part in parts)
         if x.shape != y.shape:
             raise ValueError(f"matches need as many points in frame i as in j, got {len(x)} and {len(y)}")
         object.__setattr__(self, "x", x)

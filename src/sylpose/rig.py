@@ -425,10 +425,8 @@ def make_look_at_camera(
     center = check_finite(center, (3,), "center", maximum=MAX_LENGTH)
     forward = check_finite(target, (3,), "target", maximum=MAX_LENGTH) - center
     check_number(focal, "focal", above=0.0)
-    width, height = (
-        check_integer(side, "size", minimum=1, maximum=MAX_IMAGE_SIDE)
-        for side in check_sequence(size, "size", 2, "sides")
-    )
+    sides = check_sequence(size, "size", 2, "sides")
+    width, height = (check_integer(side, "size", minimum=1, maximum=MAX_IMAGE_SIDE) for side in sides)
     if not np.linalg.norm(forward) > 0:
         raise ValueError(f"camera {name}: its center equals its target")
     forward = forward / np.linalg.norm(forward)

@@ -410,10 +410,8 @@ def encode_array(value: Array) -> bytes:
     floats = value.dtype.kind == "f"
     with np.errstate(over="ignore"):
         four = floats and np.array_equal(value.astype("<f4"), value, equal_nan=True)
-    encoding, content = (
-        _FOUR_BYTES if four else _EIGHT_BYTES,
-        value.astype("<f4" if four else "<f8" if floats else "<i8").tobytes(),
-    )
+    encoding = _FOUR_BYTES if four else _EIGHT_BYTES
+    content = value.astype("<f4" if four else "<f8" if floats else "<i8").tobytes()
     exponent = _find_exponent(value)
     if exponent is not None:
         integers = np.round(value * 2.0**exponent).astype(np.int64) if floats else value.astype(np.int64)

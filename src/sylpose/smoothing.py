@@ -259,10 +259,8 @@ def _detected_moved_cameras(last: Track, rig: Rig) -> list[MovedCamera]:
     pose, translation_sd = last.pose.world_from_object, MOVED_TRANSLATION_RATIO * compute_mean_camera_distance(rig)
     assert pose is not None
     distances = np.linalg.norm(np.array([c.center for c in rig]) - pose.translation, axis=1)
-    return [
-        MovedCamera(n.camera, n.frame, float(np.hypot(n.sd, translation_sd / distances[n.camera])), n.rotation)
-        for n in last.nudges
-    ]
+    sds = [float(np.hypot(nudge.sd, translation_sd / distances[nudge.camera])) for nudge in last.nudges]
+    return [MovedCamera(n.camera, n.frame, sd, n.rotation) for n, sd in zip(last.nudges, sds, strict=True)]
 
 
 def _stack_poses(poses: Sequence[FramePose]) -> RigidTransform:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from enum import Enum
+from typing import Self
 
 # Values in result files of earlier versions, and the present ones.
 _LEGACY_VALUES = {
@@ -14,7 +15,21 @@ _LEGACY_VALUES = {
 }
 
 
-class Status(Enum):
+class _Described(Enum):
+    """Value of a result that one sentence explains."""
+
+    @classmethod
+    def _missing_(cls, value: object) -> Self | None:
+        """Accept the values of earlier versions, which result files may contain."""
+        return next((member for member in cls if member.value == _LEGACY_VALUES.get(str(value))), None)
+
+    @property
+    def text(self) -> str:
+        """One sentence that explains the value."""
+        return _TEXTS[self]
+
+
+class Status(_Described):
     """Outcome of an estimator. `status.text` explains it in one sentence."""
 
     OK = "ok"
@@ -29,42 +44,13 @@ class Status(Enum):
     MIXED = "more than one motion"
     MOSTLY_STATIC = "mostly static"
 
-    @classmethod
-    def _missing_(cls, value: object) -> Status | None:
-        """Accept the values of earlier versions, which result files may contain."""
-        return next((member for member in cls if member.value == _LEGACY_VALUES.get(str(value))), None)
-
-    @property
-    def text(self) -> str:
-        """One sentence that explains the status."""
-        return _TEXTS[self]
-
     @property
     def has_pose(self) -> bool:
         """Whether a result with this status has a usable estimate."""
         return self in (Status.OK, Status.SCALE_NOT_OBSERVABLE, Status.NO_MOTION, Status.NOT_CERTIFIED)
 
 
-_TEXTS = {
-    Status.OK: "The estimate converged and every requested quantity is observable.",
-    Status.TOO_FEW_MATCHES: "Too few matches on the object in all cameras together.",
-    Status.SCALE_NOT_OBSERVABLE: "Rotation and translation direction are estimated; the translation's length is not "
-    "observable (one camera, or a translation without rotation).",
-    Status.ROTATION_NOT_OBSERVABLE: "Part of the rotation is not observable from these cameras.",
-    Status.NO_MOTION: "The object did not move measurably: its matches are static in every camera.",
-    Status.NOT_CERTIFIED: "The best solution found; its global optimality is not proved.",
-    Status.NOT_CONVERGED: "The solver did not converge within its iteration limit.",
-    Status.NOT_CONSISTENT: "No single rigid motion explains enough of the matches.",
-    Status.AMBIGUOUS: "Two motions explain the matches about equally well, or about as many matches each; the data do "
-    "not decide which is the object's.",
-    Status.MIXED: "One motion nearly explains the matches, with residuals that are alike among neighbors: two bodies "
-    "move, or a camera is miscalibrated.",
-    Status.MOSTLY_STATIC: "Most matches are static; the moving ones are too few, or move too little, to identify the "
-    "object.",
-}
-
-
-class FrameStatus(Enum):
+class FrameStatus(_Described):
     """Outcome of a frame in the tracker. `status.text` explains it in one sentence."""
 
     FIRST = "first frame"
@@ -81,30 +67,37 @@ class FrameStatus(Enum):
     ROTATION_NOT_OBSERVABLE = "rotation not observable"
     NO_CONSISTENT_POSE = "no consistent pose"
 
-    @classmethod
-    def _missing_(cls, value: object) -> FrameStatus | None:
-        """Accept the values of earlier versions, which result files may contain."""
-        return next((member for member in cls if member.value == _LEGACY_VALUES.get(str(value))), None)
-
-    @property
-    def text(self) -> str:
-        """One sentence that explains the status."""
-        return _FRAME_TEXTS[self]
-
     @property
     def has_pose(self) -> bool:
         """Whether a frame of this status has a pose."""
-        return self in (
-            FrameStatus.FIRST,
-            FrameStatus.TRACKED,
-            FrameStatus.RELOCALIZED,
-            FrameStatus.COASTING,
-            FrameStatus.UNCERTAIN,
-            FrameStatus.LOCALIZED,
-        )
+        located = FrameStatus.FIRST, FrameStatus.TRACKED, FrameStatus.RELOCALIZED, FrameStatus.LOCALIZED
+        return self in (*located, FrameStatus.COASTING, FrameStatus.UNCERTAIN)
 
 
-_FRAME_TEXTS = {
+class Observability(_Described):
+    """Which part of a frame's pose is observable. `text` explains it in one sentence."""
+
+    ALL = "all"
+    NO_SCALE = "scale not observable"
+    NO_TRANSLATION_SCALE = "translation scale not observable"
+
+
+_TEXTS: dict[_Described, str] = {
+    Status.OK: "The estimate converged and every requested quantity is observable.",
+    Status.TOO_FEW_MATCHES: "Too few matches on the object in all cameras together.",
+    Status.SCALE_NOT_OBSERVABLE: "Rotation and translation direction are estimated; the translation's length is not "
+    "observable (one camera, or a translation without rotation).",
+    Status.ROTATION_NOT_OBSERVABLE: "Part of the rotation is not observable from these cameras.",
+    Status.NO_MOTION: "The object did not move measurably: its matches are static in every camera.",
+    Status.NOT_CERTIFIED: "The best solution found; its global optimality is not proved.",
+    Status.NOT_CONVERGED: "The solver did not converge within its iteration limit.",
+    Status.NOT_CONSISTENT: "No single rigid motion explains enough of the matches.",
+    Status.AMBIGUOUS: "Two motions explain the matches about equally well, or about as many matches each; the data do "
+    "not decide which is the object's.",
+    Status.MIXED: "One motion nearly explains the matches, with residuals that are alike among neighbors: two bodies "
+    "move, or a camera is miscalibrated.",
+    Status.MOSTLY_STATIC: "Most matches are static; the moving ones are too few, or move too little, to identify the "
+    "object.",
     FrameStatus.FIRST: "The first frame with the object: all other poses are relative to it.",
     FrameStatus.TRACKED: "The object was tracked from the previous frame.",
     FrameStatus.RELOCALIZED: "The object was found again by its landmarks.",
@@ -121,28 +114,6 @@ _FRAME_TEXTS = {
     "well.",
     FrameStatus.NO_CONSISTENT_POSE: "No single pose explains enough of the observations.",
     FrameStatus.NOT_CONSISTENT: "Nothing could be followed as one rigid body for long enough: the pose is unknown.",
-}
-
-
-class Observability(Enum):
-    """Which part of a frame's pose is observable. `text` explains it in one sentence."""
-
-    ALL = "all"
-    NO_SCALE = "scale not observable"
-    NO_TRANSLATION_SCALE = "translation scale not observable"
-
-    @classmethod
-    def _missing_(cls, value: object) -> Observability | None:
-        """Accept the values of earlier versions, which result files may contain."""
-        return next((member for member in cls if member.value == _LEGACY_VALUES.get(str(value))), None)
-
-    @property
-    def text(self) -> str:
-        """One sentence that explains the value."""
-        return _OBSERVABILITY_TEXTS[self]
-
-
-_OBSERVABILITY_TEXTS = {
     Observability.ALL: "The whole pose is observable.",
     Observability.NO_TRANSLATION_SCALE: "The object has not rotated: the length of its translation rests on the "
     "assumed distance and shape until it rotates.",

@@ -118,10 +118,8 @@ def compute_epipolar_band(other: Camera, box: Box, camera: Camera) -> EpipolarBa
         return EpipolarBand(empty, curve)
     first, last = visible[0], visible[-1]
     # At infinity the band ends at the box's outline: at its side farther from the epipole.
-    sides = [
-        [(first + step * k) % len(outline_rays) for k in range((step * (last - first)) % len(outline_rays) + 1)]
-        for step in (1, -1)
-    ]
+    n = len(outline_rays)
+    sides = [[(first + step * k) % n for k in range((step * (last - first)) % n + 1)] for step in (1, -1)]
     far = min(sides, key=lambda side: float((outline_rays[side] @ baseline).mean()))
     far_edge = project_points(camera, camera.center + outline_rays[far])
     far_edge = far_edge[_is_near_image(camera, far_edge)]

@@ -160,13 +160,8 @@ class _PoseInput:
 def _common_settings(options: PoseOptions) -> dict[str, object]:
     from sylpose.runs.run_metadata import file_checksum
 
-    return {
-        "model": str(options.model.resolve()),
-        "model_checksum": file_checksum(options.model),
-        "is_in": options.is_in,
-        "max_error_px": options.max_error_px,
-        "seed": options.seed,
-    }
+    chosen = {name: getattr(options, name) for name in ("is_in", "max_error_px", "seed")}
+    return {"model": str(options.model.resolve()), "model_checksum": file_checksum(options.model), **chosen}
 
 
 def _open_recording(options: PoseOptions, model: PointModel) -> _PoseInput:

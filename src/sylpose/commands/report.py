@@ -55,13 +55,7 @@ def _collect_stills(folder: Path) -> tuple[Thumbnails, str]:
     from sylpose.report.page import read_stills
     from sylpose.report.scene import Thumbnails
     from sylpose.runs.page import ThumbnailAlbum
-    from sylpose.runs.run_metadata import (
-        SETTINGS,
-        find_run_folder,
-        open_source_recording,
-        read_settings,
-        settings_table,
-    )
+    from sylpose.runs.run_metadata import find_settings, open_source_recording, read_settings, settings_table
 
     if (folder / PAGE_FILE).is_file():
         return read_stills(folder / PAGE_FILE), ""
@@ -73,7 +67,7 @@ def _collect_stills(folder: Path) -> tuple[Thumbnails, str]:
     options, album = settings_table(settings, "options"), ThumbnailAlbum(len(session.rig))
     start, every, stop = (options.get(name) for name in ("start", "every", "stop"))
     if not all(isinstance(number, int | None) for number in (start, every, stop)):
-        raise ValueError(f"{find_run_folder(folder) / SETTINGS}: start, stop and every must be whole numbers")
+        raise ValueError(f"{find_settings(folder)}: start, stop and every must be whole numbers")
     for frames in session.frames(start or 0, stop, every or 1, lambda _: None):
         album.put(frames)
     return album.stills(), ""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -64,19 +65,19 @@ def _to_fixed_point(pixels: FloatArray, scale: float) -> IntArray:
 def draw_axes(
     tile: Image,
     camera: Camera,
-    world_from_object: RigidTransform,
+    pose: RigidTransform,
     length: float,
     scale: float,
     text_scale: float,
     faint: bool = False,
 ) -> None:
-    """Draw the object's axes, farthest first.
+    """Draw the axes of a pose in the world, farthest first.
 
     The lens model may bend them. With `faint` they are pale and dashed.
     """
     width = max(2, round(text_scale * 2.2))
-    origin = world_from_object.translation
-    directions = world_from_object.rotation.as_matrix().T
+    origin = pose.translation
+    directions = pose.rotation.as_matrix().T
     depths = np.linalg.norm(origin + length * directions - camera.center, axis=1)
     steps = np.linspace(0, 1, 13)[:, None]
     for k in np.argsort(-depths):
@@ -134,15 +135,11 @@ def draw_text(
     if not np.isfinite(position).all() or max(abs(position[0]), abs(position[1])) > 1e5:
         return int(width)
     x, y = (position[0] - width / 2, position[1] + height / 2) if centered else (position[0], position[1])
-    place = (round(x), round(y))
-    if centered:
-        # Draws an outline. A thicker pen would widen the letters in OpenCV 5.
-        for dx, dy in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
-            offset_place = (place[0] + dx, place[1] + dy)
-            cv2.putText(
-                picture, text, offset_place, cv2.FONT_HERSHEY_SIMPLEX, size, DARK, stroke_width(size), cv2.LINE_AA
-            )
-    cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, size, color, stroke_width(size), cv2.LINE_AA)
+    # Centered text has an outline. A thicker pen would widen the letters in OpenCV 5.
+    outline = [(dx, dy, DARK) for dx in (-1, 1) for dy in (-1, 1)] if centered else []
+    for dx, dy, ink in (*outline, (0, 0, color)):
+        place = round(x) + dx, round(y) + dy
+        cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, size, ink, stroke_width(size), cv2.LINE_AA)
     return int(width)
 
 
@@ -271,11 +268,7 @@ def encode_thumbnail(image: Image | None, cameras: int) -> bytes | None:
 def shrink_image(image: Image, max_side: int) -> Image:
     """Shrink an image (h, w, 3) or (h, w) so that its longer side has at most `max_side` pixels."""
     height, width = image.shape[:2]
-    return (
-        _shrink_to_width(image, max(1, round(max_side * width / max(height, width))))
-        if max(height, width) > max_side
-        else image
-    )
+    return _shrink_to_width(image, max(1, round(max_side * width / max(height, width))))
 
 
 def _shrink_to_width(image: Image, width: int) -> Image:
@@ -323,11 +316,8 @@ class UndistortionMap:
     def apply(self, image: Image) -> Image:
         """Undistort a camera's image (h, w, 3) or (h, w) to (height, width, 3); gray where it has no source."""
         small = _shrink_to_width(to_bgr(image), self.size[0])
-        rest = cv2.BORDER_CONSTANT
-        undistorted = cv2.remap(
-            small, self.map_x, self.map_y, cv2.INTER_LINEAR, borderMode=rest, borderValue=BACKGROUND_COLOR
-        )
-        return np.asarray(undistorted, np.uint8)
+        rest: dict[str, Any] = {"borderMode": cv2.BORDER_CONSTANT, "borderValue": BACKGROUND_COLOR}
+        return np.asarray(cv2.remap(small, self.map_x, self.map_y, cv2.INTER_LINEAR, **rest), np.uint8)
 
 
 def build_undistortion_map(camera: Camera, max_side: int) -> UndistortionMap:

@@ -16,10 +16,8 @@ _NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?!\w)")
 
 def explain_missing_poses(trajectory: Trajectory) -> list[str]:
     """Explain, in sentences, why a trajectory contains no pose."""
-    sentences = [
-        f"{_format_frame_count(count)}: {status.value}. {status.text}"
-        for status, count in Counter(f.status for f in trajectory).most_common()
-    ]
+    counts = Counter(f.status for f in trajectory).most_common()
+    sentences = [f"{_format_frame_count(count)}: {status.value}. {status.text}" for status, count in counts]
     reasons = group_sentences([f.reason for f in trajectory if f.reason])
     sentences += [f"{_format_frame_count(count)}: {reason}" for reason, count in reasons[:MAX_REASONS]]
     if len(reasons) > MAX_REASONS:

@@ -23,6 +23,8 @@ from sylpose.report.drawing import (
     DARK,
     GRAY,
     WHITE,
+    Color,
+    Matches,
     draw_axes,
     draw_crosses,
     draw_dots,
@@ -36,8 +38,6 @@ from sylpose.results import FramePose
 from sylpose.rig import Camera, Rig
 from sylpose.status import FrameStatus, Observability
 
-Color = tuple[int, int, int]
-Matches = tuple[FloatArray, FloatArray]
 CandidatePixels = tuple[FloatArray, FloatArray]
 
 # In order of preference; every build of FFmpeg has the last. None delays frames: no B-frames, no look-ahead.
@@ -127,12 +127,8 @@ class OverlayWriter:
 
     def _open(self, rate: Fraction) -> None:
         name, options = _choose_encoder()
-        container = av.open(
-            self._file,
-            "w",
-            format="mp4",
-            options={"movflags": "frag_keyframe+empty_moov+default_base_moof", "flush_packets": "1"},
-        )
+        fragmented = {"movflags": "frag_keyframe+empty_moov+default_base_moof", "flush_packets": "1"}
+        container = av.open(self._file, "w", format="mp4", options=fragmented)
         # Any: PyAV's stubs overload add_stream by literal codec names.
         stream: Any = container.add_stream(name, rate=rate, options=options)
         stream.width, stream.height = self._layout.size
@@ -212,9 +208,8 @@ class OverlayWriter:
             if images[i] is not None:
                 for item in objects:
                     _draw_object(inner, camera, i, item, layout.text_scale)
-            _draw_caption(
-                tile, camera.name, [item.pose for item in objects], i, images[i] is not None, layout.text_scale
-            )
+            poses = [item.pose for item in objects]
+            _draw_caption(tile, camera.name, poses, i, images[i] is not None, layout.text_scale)
         return picture
 
     def _check_count(self, name: str, values: Sequence[object]) -> None:
@@ -317,10 +312,9 @@ def _draw_caption(
         details, color = f"{details}  disagrees", WARN_COLOR
     elif len(poses) == 1 and find_noisy_cameras(poses[0].residuals)[i]:
         details, color = f"{details}  noisy", WARN_COLOR
-    if all(pose.status is FrameStatus.FIRST for pose in poses):
+    if all(pose.status is FrameStatus.FIRST for pose in poses) or not has_image:
         details = ""
     if not has_image:
-        details = ""
         draw_text(tile, "no frame", (tile.shape[1] / 2, tile.shape[0] / 2), 1.2 * text_scale, GRAY, centered=True)
     size, margin = 0.78 * text_scale, round(10 * text_scale) + 2
     (name_width, height), _ = cv2.getTextSize(name, cv2.FONT_HERSHEY_SIMPLEX, size, stroke_width(size))

@@ -24,8 +24,8 @@ from urllib.parse import quote
 import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import RigidTransform
 
-from sylpose.atomic_io import replace_atomically
 from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.geometry.euler_angles import EulerAngles
 from sylpose.input_limits import MAX_SENTENCE_LENGTH, input_errors, read_bytes, to_one_line
@@ -39,6 +39,7 @@ from sylpose.report.plots import (
     camera_colors,
     choose_length_unit,
     compute_frame_angles,
+    count_inliers,
     summarize_trajectory,
 )
 from sylpose.report.scene import IMAGE_GRID, Scene, Thumbnails
@@ -111,11 +112,7 @@ def build_page_data(trajectory: Trajectory, scene: Scene, angles: EulerAngles) -
     reasons, faults = _deduplicate([f.reason for f in frames]), _deduplicate(["; ".join(f.faults) for f in frames])
     points = scene.points[:: max(1, -(-len(scene.points) // MAX_POINTS))]
     point_cameras = scene.point_cameras[:: max(1, -(-len(scene.points) // MAX_POINTS))]
-    counts = np.array([f.inliers for f in frames], dtype=float)
-    errors = np.array([f.residuals for f in frames], dtype=float)
-    # The first frame has no match partner and coasting frames have no matches: their zeros are no measurement.
-    unmatched = np.array([f.status in (FrameStatus.FIRST, FrameStatus.COASTING) for f in frames])
-    counts[unmatched], errors[unmatched] = np.nan, np.nan
+    counts, errors = count_inliers(frames)
     return {
         "total": len(trajectory),
         "shown": len(selected),
@@ -181,14 +178,8 @@ def build_page_images(trajectory: Trajectory, scene: Scene, rig: Rig) -> dict[st
             camera_points = scene.points[scene.point_cameras == c]
             camera_points = camera_points[:: max(1, -(-len(camera_points) // max_points))][:max_points]
             ends = scene.axis_length * np.eye(3)[:, None] * np.linspace(0, 1, AXIS_SAMPLES)[:, None]
-            axes.append(
-                _quantize_pixels(camera, None if pose is None else pose.apply(ends.reshape(-1, 3)), 3 * AXIS_SAMPLES)
-            )
-            points.append(
-                _quantize_pixels(
-                    camera, None if pose is None or not len(camera_points) else pose.apply(camera_points), max_points
-                )
-            )
+            axes.append(_quantize_pixels(camera, pose, ends.reshape(-1, 3), 3 * AXIS_SAMPLES))
+            points.append(_quantize_pixels(camera, pose, camera_points, max_points))
     return {
         "index": [number for number, _ in shown],
         "files": [[None if file is None else base64.b64encode(file).decode() for file in files] for _, files in shown],
@@ -203,22 +194,21 @@ def build_page_images(trajectory: Trajectory, scene: Scene, rig: Rig) -> dict[st
 def _thin_out(stills: Thumbnails) -> Thumbnails:
     """Drop every second frame until the images fit the size limit; none are left if one frame is too large."""
     while sum(4 * len(file) // 3 for files in stills.images for file in files if file) > MAX_IMAGE_BYTES:
-        step = 2 if len(stills.images) > 1 else 1
-        if step == 1:
+        if len(stills.images) == 1:
             return Thumbnails()
         stills = Thumbnails(stills.index[::2], stills.images[::2])
     return stills
 
 
-def _quantize_pixels(camera: Camera, points: FloatArray | None, n: int) -> IntArray:
-    """Quantize the pixels of points, (n, 2), in steps of the image's width and height.
+def _quantize_pixels(camera: Camera, pose: RigidTransform | None, points: FloatArray, n: int) -> IntArray:
+    """Quantize the pixels of the object's points, (n, 2), in steps of the image's width and height.
 
-    Padding, and points far outside the image or without a projection, are `MISSING_COORDINATE`.
+    Padding, points far outside the image or without a projection, and all without a pose are `MISSING_COORDINATE`.
     """
     out = np.full((n, 2), MISSING_COORDINATE, np.int64)
-    if points is not None:
+    if pose is not None and len(points):
         with np.errstate(invalid="ignore"):
-            fractions = (camera.project(points) + 0.5) / camera.size
+            fractions = (camera.project(pose.apply(points)) + 0.5) / camera.size
             is_near = (np.abs(fractions) < 3).all(axis=1)
         out[: len(points)][is_near] = np.round(fractions[is_near] * COORDINATE_STEPS)
     return out
@@ -284,20 +274,6 @@ class PageHeader:
     videos: Sequence[str] = ()
 
 
-def write_page(
-    path: Path | str, trajectory: Trajectory, scene: Scene, rig: Rig, angles: EulerAngles, header: PageHeader
-) -> None:
-    """Write the page, replacing an existing file.
-
-    Raises:
-        ValueError: a trajectory without frames.
-        OSError: the file cannot be written; the message names it.
-    """
-    page = render_page(trajectory, scene, rig, angles, header)
-    with replace_atomically(path) as part:
-        part.write_text(page, encoding="utf-8", newline="\n")
-
-
 def render_page(trajectory: Trajectory, scene: Scene, rig: Rig, angles: EulerAngles, header: PageHeader) -> str:
     """Render the page as HTML text.
 
@@ -307,6 +283,9 @@ def render_page(trajectory: Trajectory, scene: Scene, rig: Rig, angles: EulerAng
         rig: whose lenses took the scene's images.
         angles: the three angles to show.
         header: other texts of the page.
+
+    Raises:
+        ValueError: a trajectory without frames.
     """
     summary_text, data = summarize_trajectory(trajectory), build_page_data(trajectory, scene, angles)
     images = build_page_images(trajectory, scene, rig)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import io
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib import rc_context
@@ -25,7 +25,7 @@ from sylpose.geometry.euler_angles import PAN_TILT_ROLL, EulerAngles
 from sylpose.geometry.validation import check_type
 from sylpose.report.camera_consistency import describe_camera_problems, find_disagreements
 from sylpose.report.failure_reasons import explain_missing_poses
-from sylpose.results import Trajectory
+from sylpose.results import FramePose, Trajectory
 from sylpose.status import FrameStatus, Observability
 
 # Okabe & Ito's colors, distinguishable for the color-blind. An axis has the same color in both upper panels: tilt
@@ -190,11 +190,7 @@ def _plot_angles(panel: Axes, trajectory: Trajectory, angles: EulerAngles, is_un
 def _plot_cameras(inliers: Axes, residuals: Axes, trajectory: Trajectory) -> None:
     """Plot the inliers and residuals of each camera, shaded in its color while it disagrees with the others."""
     times, colors = trajectory.times, camera_colors(len(trajectory.camera_names))
-    counts = np.array([f.inliers for f in trajectory], dtype=float)
-    errors = np.array([f.residuals for f in trajectory], dtype=float)
-    # The first frame has no match partner and coasting frames have no matches: their zeros are no measurement.
-    unmatched = np.array([f.status in (FrameStatus.FIRST, FrameStatus.COASTING) for f in trajectory])
-    counts[unmatched], errors[unmatched] = np.nan, np.nan
+    counts, errors = count_inliers(trajectory)
     marker = "." if len(trajectory) <= MAX_MARKED_FRAMES else ""
     for k, name in enumerate(trajectory.camera_names):
         dash = DASHES[k // len(CAMERA_COLORS) % len(DASHES)]
@@ -222,19 +218,13 @@ def _add_note(figure: Figure, note: str) -> None:
 
 def _draw_failure_figure(trajectory: Trajectory, title: str, note: str, input_warnings: Sequence[str]) -> Figure:
     """Draw the reasons for missing poses, after the problems found before the run as the likeliest cause."""
-    parts = (
-        ("Problems found before the run", input_warnings),
-        ("Why there is no pose", explain_missing_poses(trajectory)),
-    )
+    parts = {"Problems found before the run": input_warnings, "Why there is no pose": explain_missing_poses(trajectory)}
     lines: list[tuple[str, bool]] = []
-    for heading, sentences in parts:
+    for heading, sentences in parts.items():
         if sentences:
             lines += [("", False)] * bool(lines) + [(heading, True)]
-            lines += [
-                (line, False)
-                for sentence in sentences
-                for line in textwrap.wrap(sentence, 130, subsequent_indent="    ")
-            ]
+        for sentence in sentences:
+            lines += [(line, False) for line in textwrap.wrap(sentence, 130, subsequent_indent="    ")]
     height = 1.2 + 0.25 * len(lines)
     figure = create_figure(11.5, height)
     figure.suptitle(title, x=0.01, horizontalalignment="left", fontsize=12, fontweight="bold", color=INK)
@@ -321,14 +311,11 @@ def _add_legend(panel: Axes, handles: list[Line2D] | list[Line2D | Patch]) -> No
 
 def _shade_frames(panels: list[Axes], trajectory: Trajectory) -> list[Patch]:
     """Shade frames with a missing, predicted, uncertain or partly observable pose, and return legend entries."""
-    unknown_scale, unknown_length = (
-        np.array([f.observability is kind for f in trajectory])
-        for kind in (Observability.NO_SCALE, Observability.NO_TRANSLATION_SCALE)
-    )
+    observability, status = np.array([(f.observability, f.status) for f in trajectory], object).T
+    unknown_scale = observability == Observability.NO_SCALE
+    unknown_length = observability == Observability.NO_TRANSLATION_SCALE
+    coasting, uncertain = status == FrameStatus.COASTING, status == FrameStatus.UNCERTAIN
     entries = []
-    coasting, uncertain = (
-        np.array([f.status is status for f in trajectory]) for status in (FrameStatus.COASTING, FrameStatus.UNCERTAIN)
-    )
     for frames, color, label in (
         (~trajectory.measured_mask & ~coasting & ~uncertain, NO_POSE_COLOR, "no pose"),
         (coasting, COASTING_COLOR, "coasting: predicted, not observed"),
@@ -372,6 +359,16 @@ def angle_labels(angles: EulerAngles) -> list[tuple[str, str]]:
     return [(label, colors[k]) for label, k in zip(labels, color_indices, strict=True)]
 
 
+def count_inliers(frames: Iterable[FramePose]) -> tuple[FloatArray, FloatArray]:
+    """Return inliers and residuals, (N, C); NaN where a frame has no matches."""
+    frames = list(frames)
+    counts, errors = (np.array([getattr(f, name) for f in frames], float) for name in ("inliers", "residuals"))
+    # The first frame has no match partner and coasting frames have no matches: their zeros are no measurement.
+    unmatched = np.array([f.status in (FrameStatus.FIRST, FrameStatus.COASTING) for f in frames])
+    counts[unmatched], errors[unmatched] = np.nan, np.nan
+    return counts, errors
+
+
 def compute_frame_angles(trajectory: Trajectory, angles: EulerAngles) -> FloatArray:
     """Compute the angles (N, 3) in radians, as in the CSV; NaN rows without a pose."""
     places = [f.world_from_object for f in trajectory]
@@ -410,17 +407,10 @@ def plot_comparison(result: Comparison, path: Path, *, unit: str = "", title: st
     largest = float(max(np.abs(p.translation - start).max() for p in (result.estimate, result.reference)))
     scale, length = choose_length_unit(largest, unit)
     for k, (axis, color) in enumerate((("x", X_COLOR), ("y", Y_COLOR), ("z", Z_COLOR))):
-        position_axes.plot(
-            times,
-            scale * (result.reference.translation - start)[:, k],
-            color="#CCCCCC",
-            linewidth=5,
-            solid_capstyle="round",
-            label="reference" if k == 0 else None,
-        )
-        position_axes.plot(
-            times, scale * (result.estimate.translation - start)[:, k], color=color, linewidth=1.4, label=axis
-        )
+        reference, estimate = (scale * (p.translation - start)[:, k] for p in (result.reference, result.estimate))
+        wide: dict[str, Any] = {"color": "#CCCCCC", "linewidth": 5, "solid_capstyle": "round"}
+        position_axes.plot(times, reference, **wide, label="reference" if k == 0 else None)
+        position_axes.plot(times, estimate, color=color, linewidth=1.4, label=axis)
     position_axes.set_ylabel(f"position since the start ({length})")
     middle = 0.5 * (times[len(times) - len(result.relative_rotation) :] + times[: len(result.relative_rotation)])
     scale, length = choose_length_unit(float(result.position.max()), unit)
@@ -456,7 +446,7 @@ class NodeResult(NamedTuple):
 
 
 def plot_nodes(
-    results: Sequence[NodeResult],
+    nodes: Sequence[NodeResult],
     times: FloatArray,
     truth: RigidTransform,
     offline: tuple[float, float] | None,
@@ -465,7 +455,7 @@ def plot_nodes(
     """Plot the rotation since the first frame (top) and each node's error (bottom).
 
     Args:
-        results: results of the nodes.
+        nodes: results of the nodes.
         times: (n,) seconds.
         truth: the n true poses.
         offline: start and end of the time a node was offline, seconds; None for no outage.
@@ -477,19 +467,15 @@ def plot_nodes(
     figure = create_figure(9.0, 6.0)
     rotation_axes, error_axes = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     true = np.degrees((truth.rotation * truth[0].rotation.inv()).magnitude())
-    rotation_axes.plot(
-        times, true, color="#DDDDDD", linewidth=MAX_LINE_WIDTH + 4, label="truth", solid_capstyle="round"
-    )
-    first = next(p.world_from_object for p in results[0].trajectory if p.world_from_object is not None)
-    colors = dict(zip(dict.fromkeys(a.name.partition(" ")[0] for a in results), camera_colors(9), strict=False))
-    for k, result in enumerate(results):
+    wide: dict[str, Any] = {"color": "#DDDDDD", "linewidth": MAX_LINE_WIDTH + 4, "solid_capstyle": "round"}
+    rotation_axes.plot(times, true, **wide, label="truth")
+    first = next(p.world_from_object for p in nodes[0].trajectory if p.world_from_object is not None)
+    colors = dict(zip(dict.fromkeys(a.name.partition(" ")[0] for a in nodes), camera_colors(9), strict=False))
+    for k, result in enumerate(nodes):
         solved = [p for p in result.trajectory if p.world_from_object is not None]
         color = colors[result.name.partition(" ")[0]]
-        angles = [
-            np.degrees((p.world_from_object.rotation * first.rotation.inv()).magnitude())
-            for p in solved
-            if p.world_from_object is not None
-        ]
+        poses = [p.world_from_object for p in solved if p.world_from_object is not None]
+        angles = [np.degrees((pose.rotation * first.rotation.inv()).magnitude()) for pose in poses]
         width = max(MAX_LINE_WIDTH - LINE_WIDTH_STEP * k, 1.2)
         rotation_axes.plot([p.time for p in solved], angles, color=color, linewidth=width, label=result.name)
         error_axes.plot(result.times, result.errors, color=color, linewidth=max(0.6 * width, 1.0))

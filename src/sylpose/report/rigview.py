@@ -219,19 +219,11 @@ def _draw_cameras(
         behind = -(rows @ camera.direction)
         if np.linalg.norm(behind) < 0.3:
             behind = place - middle if np.linalg.norm(place - middle) > 1e-9 else np.array([0.0, 1.0])
-        label_offset = 15 * behind / np.linalg.norm(behind)
-        text = panel.annotate(
-            camera.name,
-            place,
-            xytext=(float(label_offset[0]), float(label_offset[1])),
-            textcoords="offset points",
-            ha="left" if label_offset[0] > 6 else "right" if label_offset[0] < -6 else "center",
-            va="bottom" if label_offset[1] > 6 else "top" if label_offset[1] < -6 else "center",
-            color=INK,
-            fontsize=11,
-            fontweight="bold",
-        )
-        text.set_path_effects(TEXT_HALO)
+        x, y = (15 * behind / np.linalg.norm(behind)).tolist()
+        look: dict[str, Any] = {"color": INK, "fontsize": 11, "fontweight": "bold", "path_effects": TEXT_HALO}
+        look["ha"] = "left" if x > 6 else "right" if x < -6 else "center"
+        look["va"] = "bottom" if y > 6 else "top" if y < -6 else "center"
+        panel.annotate(camera.name, place, xytext=(x, y), textcoords="offset points", **look)
 
 
 def _draw_object(panel: Axes, places: FloatArray, radius: float | None) -> None:
@@ -254,14 +246,11 @@ def _draw_distances(panel: Axes, places: FloatArray, centers: FloatArray, distan
 
 
 def _draw_legend(figure: Figure, unit: str, has_object: bool, is_estimate: bool) -> None:
-    lines = [Line2D([], [], **BASELINE_STYLE, label=f"between neighbors ({unit})")]
+    entries = [(BASELINE_STYLE, f"between neighbors ({unit})")]
     if has_object:
         where = "nearest point to the optical axes" if is_estimate else "object"
-        lines = [
-            Line2D([], [], **OBJECT_STYLE, label=where),
-            Line2D([], [], **OBJECT_LINE_STYLE, label=f"distance ({unit})"),
-            *lines,
-        ]
+        entries = [(OBJECT_STYLE, where), (OBJECT_LINE_STYLE, f"distance ({unit})"), *entries]
+    lines = [Line2D([], [], **style, label=label) for style, label in entries]
     # Outside the panels, since any corner of them may contain a camera.
     figure.legend(handles=lines, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
 

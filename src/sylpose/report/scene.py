@@ -5,7 +5,6 @@ All viewers (`report/page.py`, `sylpose show`) draw from it, so that they are co
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -62,7 +61,6 @@ class Scene:
         unit: unit of lengths, or "".
         cameras: (C) names.
         sizes: (C, 2) of their images, pixels.
-        matrices: (C, 3, 3) intrinsic matrices, pixels, without lens distortion.
         world_from_camera: (C, 4, 4); a camera looks along its z, y is down.
         image_planes: (C, GRID, GRID, 3) far plane of each frustum in the world: intersections with the rays of evenly
             spaced pixels, lens included, by rows from the image's top left corner.
@@ -87,7 +85,6 @@ class Scene:
     unit: str
     cameras: tuple[str, ...]
     sizes: IntArray
-    matrices: FloatArray
     world_from_camera: FloatArray
     image_planes: FloatArray
     colors: IntArray
@@ -105,11 +102,6 @@ class Scene:
     point_cameras: IntArray
     axis_length: float
     thumbnails: Thumbnails
-
-    @property
-    def corners(self) -> FloatArray:
-        """Return the far corners of the frusta, (C, 4, 3): top left, top right, bottom right, bottom left."""
-        return self.image_planes[:, [0, 0, -1, -1], [0, -1, -1, 0]]
 
     @property
     def point_colors(self) -> IntArray:
@@ -138,14 +130,13 @@ def build_scene(
     centers = np.array([camera.center for camera in rig])
     center = _compute_center(trajectory, rig, centers)
     camera_distance = float(np.median(np.linalg.norm(centers - center, axis=1))) or 1.0
-    colors = np.array([_parse_rgb(color) for color in camera_colors(len(rig))], np.int64)
+    colors = np.array([list(bytes.fromhex(color[1:])) for color in camera_colors(len(rig))], np.int64)
     if cloud is None:
         cloud = PointCloud(np.empty((0, 3)), np.empty(0, np.int64), DEFAULT_AXIS_RATIO * camera_distance)
     return Scene(
         unit=trajectory.unit,
         cameras=rig.names,
         sizes=np.array([camera.size for camera in rig], np.int64),
-        matrices=np.array([camera.matrix for camera in rig]),
         world_from_camera=np.array([camera.camera_from_world.inv().as_matrix() for camera in rig]),
         image_planes=np.array([_compute_image_plane(camera, FRUSTUM_DEPTH_RATIO * camera_distance) for camera in rig]),
         colors=colors,
@@ -193,7 +184,3 @@ def _compute_image_plane(camera: Camera, depth: float) -> FloatArray:
     # At the border of a very wide lens, a flat end would extend to infinity.
     points = camera.center + depth * rays / np.maximum(rays @ camera.direction, 0.4)[:, None]
     return np.asarray(points.reshape(IMAGE_GRID, IMAGE_GRID, 3))
-
-
-def _parse_rgb(color: str) -> Sequence[int]:
-    return [int(color[k : k + 2], 16) for k in (1, 3, 5)]

@@ -45,11 +45,9 @@ def find_moved_cameras(trajectory: Trajectory, nudges: Sequence[Nudge]) -> list[
     for disagreement in find_disagreements(trajectory):
         if positions[disagreement.first] >= N_INITIAL_FRAMES and disagreement.camera not in corrected:
             found.setdefault(names.index(disagreement.camera), disagreement.first)
-    return (
-        [MovedCamera(*disagreement) for disagreement in found.items()]
-        if len(found) + len(corrected) < len(names) - 1
-        else []
-    )
+    if len(found) + len(corrected) >= len(names) - 1:
+        return []
+    return [MovedCamera(*disagreement) for disagreement in found.items()]
 
 
 def describe_changes(correction: CalibrationCorrection, rig: Rig, moved: Sequence[MovedCamera]) -> list[str]:

@@ -104,6 +104,10 @@ def collect_facts(session: Session, locations: Mapping[str, ObjectLocation]) -> 
         locations: expected location by object name.
     """
     rig, unit = session.rig, session.rig.unit or "unspecified"
+
+    def label(name: str) -> str:
+        return "" if len(session.objects) == 1 else f", {name}"
+
     calibration = session.calibration
     inside = calibration.parent.resolve() == session.path.resolve()
     name = calibration.name if inside else str(calibration)
@@ -123,17 +127,9 @@ def collect_facts(session: Session, locations: Mapping[str, ObjectLocation]) -> 
     for name in session.objects:
         boxes = session.select_object(name).boxes.items()
         text = ", ".join(f"{camera} {box.width:.0f}x{box.height:.0f}" for camera, box in boxes)
-        entries.append((_object_label("Boxes", name, session), text or "none: whatever moves is tracked"))
+        entries.append((f"Boxes{label(name)}", text or "none: whatever moves is tracked"))
     entries.append(("Masks", "none" if session.masks is None else str(session.masks)))
-    entries += [
-        (_object_label("Object", name, session), _describe_location(rig, location))
-        for name, location in locations.items()
-    ]
-    return entries
-
-
-def _object_label(label: str, name: str, session: Session) -> str:
-    return label if len(session.objects) == 1 else f"{label}, {name}"
+    return entries + [(f"Object{label(name)}", _describe_location(rig, where)) for name, where in locations.items()]
 
 
 def _describe_location(rig: Rig, location: ObjectLocation) -> str:
@@ -293,11 +289,8 @@ def preview_moving_object(session: Session, n_frames: int = PREVIEW_FRAMES) -> P
         return Preview(first, (None,) * len(names), "nothing yet", (description,))
     begin, end = solved[0], solved[-1]
     displacements = _median_displacements(session, begin, end)
-    counts = [
-        f"{name} {n} features, {px:.0f} px"
-        for name, n, px in zip(names, end.pose.inliers.tolist(), displacements, strict=True)
-        if n
-    ]
+    columns = zip(names, end.pose.inliers.tolist(), displacements, strict=True)
+    counts = [f"{name} {n} features, {px:.0f} px" for name, n, px in columns if n]
     description = f"what moves from frame {begin.pose.index} to {end.pose.index}: {', '.join(counts)}"
     return Preview(begin.frames, begin.regions, description, (begin.note,) if begin.note else ())
 

@@ -63,12 +63,9 @@ def print_warnings(console: Console, sentences: Sequence[str]) -> None:
 
 def _print_entry(console: Console, label: str, style: str, message: str) -> None:
     """Print text with a hanging indent; Rich's own wrapping would break paths and pad lines with spaces."""
-    width = max(console.width - len(label), 20)
-    lines = textwrap.wrap(
-        to_one_line(message, MAX_SENTENCE_LENGTH), width, break_long_words=False, break_on_hyphens=False
-    ) or [""]
-    text = Text.assemble((label, style), f"\n{'':{len(label)}}".join(lines))
-    console.print(text, soft_wrap=True)
+    message, width = to_one_line(message, MAX_SENTENCE_LENGTH), max(console.width - len(label), 20)
+    lines = textwrap.wrap(message, width, break_long_words=False, break_on_hyphens=False)
+    console.print(Text.assemble((label, style), f"\n{'':{len(label)}}".join(lines)), soft_wrap=True)
 
 
 def print_table(console: Console, header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
@@ -162,13 +159,9 @@ def _summarize(trajectory: Trajectory) -> list[tuple[str, str]]:
         facts.append(("Scale", "not observable with one camera: lengths are in units of the object's first distance"))
     elif n_without_scale:
         facts.append(("Scale", f"not observable in {n_without_scale} frames: the translation in them is unknown"))
-    if n_uncertain_distance := sum(f.observability is Observability.NO_TRANSLATION_SCALE for f in trajectory):
-        facts.append(
-            (
-                "Distance",
-                f"uncertain in {n_uncertain_distance} frames: without rotation it rests on the assumed shape (see tx_sd)",
-            )
-        )
+    if n_uncertain := sum(f.observability is Observability.NO_TRANSLATION_SCALE for f in trajectory):
+        text = f"uncertain in {n_uncertain} frames: without rotation it rests on the assumed shape (see tx_sd)"
+        facts.append(("Distance", text))
     facts += [("" if k else "Cameras", remark) for k, remark in enumerate(describe_camera_problems(trajectory))]
     return facts
 
@@ -180,9 +173,8 @@ def _describe_failures(trajectory: Trajectory) -> list[str]:
     reasons = []
     for group in longest:
         first, last = group[0].index, group[-1].index
-        reasons.append(
-            f"frame {first}: {group[0].reason}" if first == last else f"frames {first} to {last}: {group[0].reason}"
-        )
+        frames = f"frame {first}" if first == last else f"frames {first} to {last}"
+        reasons.append(f"{frames}: {group[0].reason}")
     if (rest := len(ranges) - len(longest)) > 0:
         reasons.append(f"and {rest} shorter range{'s' if rest > 1 else ''}: see the column reason of trajectory.csv")
     return reasons

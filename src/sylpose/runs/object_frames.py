@@ -21,12 +21,12 @@ from sylpose.absolute_pose.object_axes import (
     fit_plane_to_points,
 )
 from sylpose.absolute_pose.pose import make_frame_pose
-from sylpose.boards.board_pose import BoardObservation, find_board
+from sylpose.boards.board_pose import find_board
 from sylpose.boards.specification import parse_board
 from sylpose.display import format_length
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.robust_loss import chi_squared_bound
-from sylpose.io.capture import Session, open_session
+from sylpose.io.capture import open_session
 from sylpose.results import FramePose
 from sylpose.runs.point_selection import (
     MAX_DEPTH_SD_RATIO,
@@ -116,10 +116,8 @@ def frame_from_plane(points: PointParser, plane: Sequence[str], origin: str | No
     if list(plane) != [LARGEST]:
         picked_points = np.array([points("--plane", word).position for word in plane])
         distances = np.linalg.norm(points_on_plane[:, None] - picked_points, axis=2).min(axis=1)
-        points_on_plane, description = (
-            points_on_plane[distances < PLANE_RADIUS_RATIO * known.radius],
-            f"plane at {len(picked_points)} picked point{'s' if len(picked_points) > 1 else ''}",
-        )
+        points_on_plane = points_on_plane[distances < PLANE_RADIUS_RATIO * known.radius]
+        description = f"plane at {len(picked_points)} picked point{'s' if len(picked_points) > 1 else ''}"
     rng, middle = np.random.default_rng(0), known.frame.from_learned.translation
     with _prefix_errors("--plane:"):
         normal, center, inliers = fit_plane(points_on_plane, known.radius, middle, rng)
@@ -130,22 +128,16 @@ def frame_from_plane(points: PointParser, plane: Sequence[str], origin: str | No
     def solve_frame(
         normal: FloatArray, center: FloatArray, draw: Callable[[PickedPoint], FloatArray]
     ) -> RigidTransform:
-        return axes_from_plane(
-            normal,
-            center,
-            None if origin_point is None else draw(origin_point),
-            None if x_point is None else draw(x_point),
-        )
+        drawn = (None if point is None else draw(point) for point in (origin_point, x_point))
+        return axes_from_plane(normal, center, *drawn)
+
+    def sample_frame(rng: np.random.Generator) -> RigidTransform:
+        resampled = points_on_plane[rng.integers(0, len(points_on_plane), len(points_on_plane))]
+        return solve_frame(*fit_plane_to_points(resampled, normal), make_joint_sampler(rng))
 
     frame = solve_frame(normal, center, lambda p: p.position)
-    sd = estimate_axes_sd(
-        frame,
-        lambda rng: solve_frame(
-            *fit_plane_to_points(points_on_plane[rng.integers(0, len(points_on_plane), len(points_on_plane))], normal),
-            make_joint_sampler(rng),
-        ),
-    )
-    return NewFrame(frame, sd, f"{description}, {len(points_on_plane)} landmarks")
+    description += f", {len(points_on_plane)} landmarks"
+    return NewFrame(frame, estimate_axes_sd(frame, sample_frame), description)
 
 
 def frame_from_extent(known: KnownObject) -> NewFrame:
@@ -153,10 +145,9 @@ def frame_from_extent(known: KnownObject) -> NewFrame:
     positions = precise_landmarks(known)
     with _prefix_errors("--extent:"):
         frame = axes_from_extent(positions)
-    sd = estimate_axes_sd(
-        frame, lambda rng: axes_from_extent(positions[rng.integers(0, len(positions), len(positions))])
-    )
-    return NewFrame(frame, sd, f"extent of {len(positions)} landmarks")
+    n = len(positions)
+    sd = estimate_axes_sd(frame, lambda rng: axes_from_extent(positions[rng.integers(0, n, n)]))
+    return NewFrame(frame, sd, f"extent of {n} landmarks")
 
 
 def move_frame(points: PointParser, origin: str | None, turn: str | None) -> NewFrame:
@@ -180,12 +171,9 @@ def move_frame(points: PointParser, origin: str | None, turn: str | None) -> New
 
     exact = origin_point.is_exact and not sd.any()
     description = " and ".join(w for w, given in (("origin moved", origin), ("axes rotated", turn)) if given)
-    previous = points.known.frame.description
-    return NewFrame(
-        frame,
-        np.zeros(6) if exact else estimate_axes_sd(frame, sample_frame),
-        f"{previous}, {description}"[-200:] if previous else description,
-    )
+    if previous := points.known.frame.description:
+        description = f"{previous}, {description}"[-200:]
+    return NewFrame(frame, np.zeros(6) if exact else estimate_axes_sd(frame, sample_frame), description)
 
 
 def measure_distance(a: PickedPoint, b: PickedPoint) -> tuple[float, float]:
@@ -287,7 +275,7 @@ def estimate_board_frame(result: ObjectRun, recording: Path, text: str) -> NewFr
     chosen = [known[k] for k in np.unique(np.linspace(0, len(known) - 1, MAX_FRAMES).round().astype(int))]
     poses, covariances, n_detected = list[RigidTransform](), list[FloatArray](), 0
     for index in chosen:
-        detection = _detect_board(session, index, result, text)
+        detection = find_board(result.rig, next(session.frames(index, index + 1)).images, board)
         n_detected += bool(detection.cameras)
         if detection.motion.status is Status.OK:
             board_pose = make_frame_pose(detection.motion, index, 0.0, detection.motion.n_inliers)
@@ -300,9 +288,7 @@ def estimate_board_frame(result: ObjectRun, recording: Path, text: str) -> NewFr
             poses.append(object_from_board)
             covariances.append(rotation @ covariance @ rotation.T)
     if not poses:
-        reason = (
-            f"it was detected in {n_detected}, but no pose could be solved" if n_detected else "it was detected in none"
-        )
+        reason = f"it was detected in {n_detected or 'none'}" + (", but no pose could be solved" if n_detected else "")
         raise ValueError(f"--board {text}: of {len(chosen)} frames of {recording} {reason}")
     object_from_board, sd, n_agreeing = _average_poses(poses, np.array(covariances))
     if 2 * n_agreeing <= len(poses) or np.rad2deg(sd[:3].max()) > MAX_ROTATION_SD:
@@ -311,12 +297,6 @@ def estimate_board_frame(result: ObjectRun, recording: Path, text: str) -> NewFr
             "visible"
         )
     return NewFrame(object_from_board.inv(), sd, f"{text} on it, detected in {n_agreeing} frames")
-
-
-def _detect_board(session: Session, index: int, result: ObjectRun, text: str) -> BoardObservation:
-    for frames in session.frames(index, index + 1):
-        return find_board(result.rig, frames.images, parse_board(text, result.rig.unit))
-    raise ValueError(f"{session.path}: no frame {index}")
 
 
 def _average_poses(poses: list[RigidTransform], covariances: FloatArray) -> tuple[RigidTransform, FloatArray, int]:

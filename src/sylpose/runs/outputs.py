@@ -101,11 +101,8 @@ class ObjectOutput:
     @property
     def trajectory(self) -> Trajectory:
         """Return the trajectory of all frames so far."""
-        return (
-            self._make_trajectory(list(self._poses.read()))
-            if self._final_trajectory is None
-            else self._final_trajectory
-        )
+        final = self._final_trajectory
+        return self._make_trajectory(list(self._poses.read())) if final is None else final
 
     def _make_trajectory(self, poses: Sequence[FramePose]) -> Trajectory:
         return Trajectory(poses, self._rig.names, self._rig.unit)
@@ -196,14 +193,8 @@ class ObjectOutput:
             with self._clock.measure("plots"):
                 from sylpose.report.plots import save_trajectory_plot
 
-                angles = self._angles or PAN_TILT_ROLL
-                save_trajectory_plot(
-                    self._final_trajectory,
-                    self.report_path,
-                    note=self._note,
-                    angles=angles,
-                    input_warnings=self._warnings,
-                )
+                trajectory, plot, angles = self._final_trajectory, self.report_path, self._angles or PAN_TILT_ROLL
+                save_trajectory_plot(trajectory, plot, note=self._note, angles=angles, input_warnings=self._warnings)
                 if self._files_named(RESULT)[1].stat().st_size <= MAX_TABLE_BYTES:
                     from sylpose.runs.page import write_report_page
 
@@ -255,21 +246,13 @@ class Overlay:
     def _draw(self, frame: dict[str, TrackedFrame]) -> None:
         from sylpose.report.overlay import OverlayObject, object_color
 
-        images = next(iter(frame.values())).frames.images
-        single = len(self._names) == 1
-        drawings = [
-            OverlayObject(
-                "" if single else name,
-                t.pose,
-                t.matches,
-                t.radius,
-                t.regions,
-                None if single else object_color(self._names.index(name)),
-                [(region.features, region.rejected) for region in t.detections],
-            )
-            for name, t in sorted(frame.items(), key=lambda item: self._names.index(item[0]))
-        ]
-        self._writer.write(images, drawings)
+        drawings = list[OverlayObject]()
+        for k, name in enumerate(self._names):
+            if (t := frame.get(name)) is not None:
+                label, color = ("", None) if len(self._names) == 1 else (name, object_color(k))
+                candidates = [(region.features, region.rejected) for region in t.detections]
+                drawings.append(OverlayObject(label, t.pose, t.matches, t.radius, t.regions, color, candidates))
+        self._writer.write(next(iter(frame.values())).frames.images, drawings)
 
     def close(self) -> None:
         """Complete the video."""

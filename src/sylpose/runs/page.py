@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from sylpose import __version__
+from sylpose.atomic_io import replace_atomically
 from sylpose.frames import FrameSet
 from sylpose.geometry.euler_angles import PAN_TILT_ROLL, parse_euler_angles
 from sylpose.input_limits import input_errors
@@ -18,13 +19,13 @@ from sylpose.io import calibration
 from sylpose.io.object_files import MAX_DRAWN_DEPTH_SD, OBJECT_FILE, load_object
 from sylpose.report.drawing import encode_thumbnail
 from sylpose.report.files import PAGE_FILE
-from sylpose.report.page import PageHeader, write_page
+from sylpose.report.page import PageHeader, render_page
 from sylpose.report.scene import PointCloud, Scene, Thumbnails, build_scene
 from sylpose.results import Trajectory
 from sylpose.rig import Rig
 from sylpose.runs import console_output
 from sylpose.runs.calibration_refinement import REFINED
-from sylpose.runs.run_metadata import SETTINGS, find_run_folder, read_settings, settings_table
+from sylpose.runs.run_metadata import find_run_folder, find_settings, read_settings, settings_table
 from sylpose.runs.view import find_calibration, read_result
 from sylpose.tracking.known_object import KnownObject
 
@@ -51,9 +52,11 @@ def write_report_page(folder: Path, stills: Thumbnails) -> Path:
     (trajectory, rig, cloud), settings = _read_run(folder), read_settings(folder)
     scene = build_scene(trajectory, rig, cloud, stills)
     axes = settings.get("options", {}).get("angles")
-    with input_errors(find_run_folder(folder) / SETTINGS):
+    with input_errors(find_settings(folder)):
         angles = PAN_TILT_ROLL if axes is None else parse_euler_angles(str(axes))
-    write_page(folder / PAGE_FILE, trajectory, scene, rig, angles, _make_head(folder, trajectory, settings))
+    page = render_page(trajectory, scene, rig, angles, _make_head(folder, trajectory, settings))
+    with replace_atomically(folder / PAGE_FILE) as part:
+        part.write_text(page, encoding="utf-8", newline="\n")
     return folder / PAGE_FILE
 
 
@@ -73,12 +76,8 @@ def _make_head(folder: Path, trajectory: Trajectory, settings: Mapping[str, Any]
         digest = f", {str(checksums['calibration'])[:12]}" if "calibration" in checksums else ""
         facts.append(("Calibration", f"{Path(str(settings['calibration'])).name}{digest}"))
     software = [f"sylpose {versions['sylpose']}"] if "sylpose" in versions else []
-    software += [
-        f"{label} {version}"
-        for name, label in _SHOWN_PACKAGES.items()
-        for package, version in versions.items()
-        if str(package).startswith(name)
-    ]
+    for name, label in _SHOWN_PACKAGES.items():
+        software += [f"{label} {version}" for package, version in versions.items() if str(package).startswith(name)]
     if software:
         facts.append(("Versions", ", ".join(software)))
     return PageHeader(

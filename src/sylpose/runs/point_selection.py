@@ -190,11 +190,10 @@ def _locate_pixels(pixels: Mapping[str, FloatArray], result: ObjectRun, index: i
     rays = np.array(
         [object_from_world.rotation.apply(c.rays(at)[0]) for c, at in zip(cameras, pixels.values(), strict=True)]
     )
-    point = (
-        _triangulate(cameras, centers, rays)
-        if len(cameras) > 1
-        else _intersect_surface(cameras[0], centers[0], rays[0], known)
-    )
+    if len(cameras) > 1:
+        point = _triangulate(cameras, centers, rays)
+    else:
+        point = _intersect_surface(cameras[0], centers[0], rays[0], known)
     # An error of the pose moves the point on the object by -R' (d + w x r).
     x, y, z = pose.world_from_object.rotation.apply(point.position)
     jacobian = np.array([[0.0, z, -y, 1.0, 0.0, 0.0], [-z, 0.0, x, 0.0, 1.0, 0.0], [y, -x, 0.0, 0.0, 0.0, 1.0]])
@@ -239,26 +238,21 @@ def _intersect_surface(camera: Camera, center: FloatArray, ray: FloatArray, know
     middle = _weighted_median(depth, sd**-2)
     inliers = np.abs(depth - middle) < 3.0 * np.maximum(sd, np.median(np.abs(depth - middle)))  # excludes the back side
     depth, sd, across = depth[inliers], sd[inliers], (lateral[nearest] @ np.linalg.svd(ray[None])[2][1:].T)[inliers]
-    columns = (
-        np.column_stack([np.ones(len(depth)), across])
-        if len(depth) >= MIN_NEIGHBORS_FOR_SLOPE
-        else np.ones((len(depth), 1))
-    )
-    if np.linalg.matrix_rank(columns, ROUGHNESS * known.radius) < columns.shape[1]:
+    columns = np.column_stack([np.ones(len(depth)), across])
+    rank = np.linalg.matrix_rank(columns, ROUGHNESS * known.radius)
+    if len(depth) < MIN_NEIGHBORS_FOR_SLOPE or rank < columns.shape[1]:
         columns = columns[:, :1]
     if columns.shape[1] > 1:  # the slope is estimated
         sd = np.sqrt(np.einsum("i,nij,j->n", ray, covariances[nearest][inliers], ray) + (ROUGHNESS * known.radius) ** 2)
     normal = (columns / sd[:, None]).T @ (columns / sd[:, None])
     found = np.linalg.solve(normal, (columns / sd[:, None]).T @ (depth / sd))
-    reduced_chi2 = (
-        float(np.mean(((depth - columns @ found) / sd) ** 2)) * len(depth) / max(len(depth) - columns.shape[1], 1)
-    )
+    chi2 = float(np.mean(((depth - columns @ found) / sd) ** 2)) * len(depth)
+    reduced_chi2 = chi2 / max(len(depth) - columns.shape[1], 1)
     variance = float(np.linalg.inv(normal)[0, 0]) * max(reduced_chi2, 1.0)
     surface_depth = float(found[0])
     click = (CLICK_SD_PX * surface_depth / camera.focal) ** 2
-    return PickedPoint(
-        center + surface_depth * ray, click * np.eye(3) + max(variance - click, 0.0) * np.outer(ray, ray)
-    )
+    covariance = click * np.eye(3) + max(variance - click, 0.0) * np.outer(ray, ray)
+    return PickedPoint(center + surface_depth * ray, covariance)
 
 
 def _weighted_median(values: FloatArray, weights: FloatArray) -> float:
@@ -282,6 +276,5 @@ def _visible_landmarks(
     near = np.flatnonzero(views @ view > np.cos(MAX_VIEW_ANGLE)).tolist()
     landmarks = memory.landmarks.subset(np.isin(memory.landmarks.id, [n for k in near for n in memory.landmark_ids[k]]))
     landmarks = landmarks.subset(landmarks.depth_sd < MAX_DEPTH_SD_RATIO * known.radius)
-    return from_learned.apply(landmarks.mean).reshape(-1, 3), rotation @ np.linalg.inv(
-        landmarks.information
-    ) @ rotation.T
+    covariances = rotation @ np.linalg.inv(landmarks.information) @ rotation.T
+    return from_learned.apply(landmarks.mean).reshape(-1, 3), covariances

@@ -138,9 +138,11 @@ class NotebookProgress(Progress):
     """Progress line in a notebook's output, without control characters or widgets."""
 
     def __init__(self, frames: int | None, objects: int) -> None:
+        from IPython.display import display
+
         super().__init__(frames, objects)
         self._started = self._last_update = time.monotonic()
-        self._display_handle = _display(_Line("Tracking"))
+        self._line: Any = display(_Line("Tracking"), display_id=True)  # the handle that updates it
 
     def _report(self) -> None:
         done, frames, now = self.done, self._frames, time.monotonic()
@@ -150,15 +152,15 @@ class NotebookProgress(Progress):
         filled = BAR_WIDTH * done // frames if frames else 0
         bar = f"{'█' * filled}{'░' * (BAR_WIDTH - filled)} {done} of {frames}" if frames else str(done)
         rate = (done - self._skipped) / max(now - self._started, 1e-9)
-        self._display_handle.update(_Line(f"Tracking {bar} frames, {rate:.1f} per second"))
+        self._line.update(_Line(f"Tracking {bar} frames, {rate:.1f} per second"))
 
     def report_smoothing_round(self, number: int) -> None:
-        self._display_handle.update(_Line(f"Refining all poses jointly, round {number}"))
+        self._line.update(_Line(f"Refining all poses jointly, round {number}"))
 
     def end(self) -> None:
         """Show the final number of frames and the time."""
         seconds = time.monotonic() - self._started
-        self._display_handle.update(_Line(f"{self.done} frames in {seconds:.1f} s"))
+        self._line.update(_Line(f"{self.done} frames in {seconds:.1f} s"))
 
 
 class _Line:
@@ -169,13 +171,6 @@ class _Line:
 
     def __repr__(self) -> str:
         return self._text
-
-
-def _display(line: _Line) -> Any:
-    """Show a line and return the handle that updates it."""
-    from IPython.display import display
-
-    return display(line, display_id=True)
 
 
 @contextmanager

@@ -33,10 +33,15 @@ _PACKAGES = ("numpy", "scipy", "numba", "av", *_OPENCV)
 _HEADER = (
     f"# Options of this run of sylpose. The calibration that it used is in {USED_CALIBRATION}, in the same folder.\n"
 )
+_COMMENTS = {"checksums": "# Checksums of the inputs; of images, their names and sizes.\n"}
+
+
+# Values by their keys in settings.toml; None is omitted.
+_Values = Mapping[str, object]
 
 
 def write_run_metadata(
-    folder: Path, session: Session | LiveSession, options: Mapping[str, object], warnings: Sequence[str] = ()
+    folder: Path, session: Session | LiveSession, options: _Values, warnings: Sequence[str] = ()
 ) -> list[Path]:
     """Write `settings.toml` and `calibration.used.toml`, and `world.toml` if the session has its own world frame.
 
@@ -52,24 +57,20 @@ def write_run_metadata(
     Raises:
         OSError: the file cannot be written; the message names it.
     """
-    session_options = {
-        "rate": session.rate,
-        "unit": session.rig.unit or None,
-        "world": session.world and session.world.description,
-    }
     inputs: dict[str, object] = {
         "recording": str(session.path.resolve()),
         "calibration": str(session.calibration.resolve()),
     }
-    tables = ""
+    tables: dict[str, _Values] = {}
     if isinstance(session, Session):
-        inputs |= _drop_none({"rate": session.rate, "without": [*session.without] or None})
-        if session.timeline.offsets:
-            tables += _format_table("frame_offsets", session.timeline.offsets)
-        tables += _format_table("cameras", {source.camera: str(source.path.resolve()) for source in session.sources})
-        tables += "\n# Checksums of the inputs; of images, their names and sizes."
-        tables += _format_table("checksums", compute_fingerprint(session))
-    files = _write_metadata(folder, session.rig, inputs, {**options, **_drop_none(session_options)}, warnings, tables)
+        inputs |= {"rate": session.rate, "without": [*session.without] or None}
+        tables["frame_offsets"] = session.timeline.offsets
+        tables["cameras"] = {source.camera: str(source.path.resolve()) for source in session.sources}
+        tables["checksums"] = compute_fingerprint(session)
+    world = session.world and session.world.description
+    options = {**options, "rate": session.rate, "unit": session.rig.unit or None, "world": world}
+    inputs["warnings"] = [*warnings] or None
+    files = _write_metadata(folder, session.rig, inputs, options, tables)
     if session.world is None:
         return files
     save_world(session.world, folder / WORLD)
@@ -77,12 +78,7 @@ def write_run_metadata(
 
 
 def write_table_run_metadata(
-    folder: Path,
-    tables: Sequence[Path],
-    calibration_file: Path,
-    rig: Rig,
-    options: Mapping[str, object],
-    warnings: Sequence[str] = (),
+    folder: Path, tables: Sequence[Path], calibration_file: Path, rig: Rig, options: _Values, warnings: Sequence[str]
 ) -> list[Path]:
     """Write the same files for a run on tables of image points instead of a recording.
 
@@ -97,12 +93,10 @@ def write_table_run_metadata(
     Raises:
         OSError: naming the file that cannot be written, or read.
     """
-    inputs = {"tables": [str(table.resolve()) for table in tables], "calibration": str(calibration_file.resolve())}
-    checksums = {str(table.resolve()): file_checksum(table) for table in tables} | {
-        "calibration": compute_rig_checksum(rig)
-    }
-    run_options = {**options, **_drop_none({"unit": rig.unit or None})}
-    return _write_metadata(folder, rig, inputs, run_options, warnings, _format_table("checksums", checksums))
+    files = [str(table.resolve()) for table in tables]
+    inputs = {"tables": files, "calibration": str(calibration_file.resolve()), "warnings": [*warnings] or None}
+    checksums = {file: file_checksum(Path(file)) for file in files} | {"calibration": compute_rig_checksum(rig)}
+    return _write_metadata(folder, rig, inputs, {**options, "unit": rig.unit or None}, {"checksums": checksums})
 
 
 def file_checksum(file: Path) -> str:
@@ -111,42 +105,37 @@ def file_checksum(file: Path) -> str:
 
 
 def _write_metadata(
-    folder: Path,
-    rig: Rig,
-    inputs: Mapping[str, object],
-    options: Mapping[str, object],
-    warnings: Sequence[str],
-    tables: str,
+    folder: Path, rig: Rig, inputs: _Values, options: _Values, tables: Mapping[str, _Values]
 ) -> list[Path]:
-    """Write both files: the run's inputs, its options, and the tables after them."""
+    """Write both files: the run's inputs, then its options and the tables."""
     make_output_folder(folder)
-    options = _drop_none(options)
+    nested = {name: value for name, value in options.items() if isinstance(value, Mapping)}
+    options = {name: value for name, value in options.items() if name not in nested}
+    tables = {"options": options, **nested, **tables, "versions": _collect_versions()}
     text = f"{_HEADER}started = {datetime.now(UTC).isoformat(timespec='seconds')}\n{_format_lines(inputs)}"
-    if warnings:
-        text += _format_lines({"warnings": [*warnings]})
-    text += _format_table("options", {name: value for name, value in options.items() if not isinstance(value, Mapping)})
-    for name, value in options.items():
-        if isinstance(value, Mapping):
-            text += _format_table(name, value)
-    text += tables + _format_table("versions", _collect_versions())
+    for name, values in tables.items():
+        if values:
+            text += f"\n{_COMMENTS.get(name, '')}[{name}]\n{_format_lines(values)}"
     with replace_atomically(folder / SETTINGS) as part:
         part.write_text(text, encoding="utf-8")
     calibration.save(rig, folder / USED_CALIBRATION)
     return [folder / SETTINGS, folder / USED_CALIBRATION]
 
 
-def _drop_none(values: Mapping[str, object]) -> dict[str, object]:
-    return {name: value for name, value in values.items() if value is not None}
-
-
-def find_run_folder(folder: Path) -> Path:
-    """Return the folder of the run that contains `folder`, which may be that of one of several objects."""
+def find_run_folder(result: Path) -> Path:
+    """Return the folder of the run of a result: a folder, which may be that of one of several objects, or a file in it."""
+    folder = result if result.is_dir() else result.parent
     return folder.parent if not (folder / SETTINGS).is_file() and (folder.parent / SETTINGS).is_file() else folder
 
 
-def read_settings(folder: Path) -> dict[str, Any]:
-    """Read settings.toml; return an empty dictionary if it does not exist, as for runs of 0.1.0."""
-    file = find_run_folder(folder) / SETTINGS
+def find_settings(result: Path) -> Path:
+    """Return the path of a result's settings.toml, which may not exist."""
+    return find_run_folder(result) / SETTINGS
+
+
+def read_settings(result: Path) -> dict[str, Any]:
+    """Read settings.toml of a result; return an empty dictionary if it does not exist, as for runs of 0.1.0."""
+    file = find_settings(result)
     if not file.is_file():
         return {}
     content = read_text(file)
@@ -165,9 +154,8 @@ def read_world_definition(result: Path) -> str | None:
     Args:
         result: folder of the run, or of one of its objects, or a file in it.
     """
-    folder = result if result.is_dir() else result.parent
     # The existence of world.toml does not decide it: `sylpose check` writes one, too.
-    world = settings_table(read_settings(folder), "options").get("world")
+    world = settings_table(read_settings(result), "options").get("world")
     return None if world is None else str(world)
 
 
@@ -179,12 +167,9 @@ def _collect_versions() -> dict[str, str]:
     return found
 
 
-def _format_table(name: str, values: Mapping[str, object]) -> str:
-    return f"\n[{name}]\n{_format_lines(values)}"
-
-
-def _format_lines(values: Mapping[str, object]) -> str:
-    return "".join(f"{format_toml_key(key)} = {_format_value(value)}\n" for key, value in values.items())
+def _format_lines(values: _Values) -> str:
+    known = {key: value for key, value in values.items() if value is not None}
+    return "".join(f"{format_toml_key(key)} = {_format_value(value)}\n" for key, value in known.items())
 
 
 def _format_value(value: object) -> str:

@@ -21,6 +21,7 @@ from sylpose.runs.run_metadata import USED_CALIBRATION, WORLD
 from sylpose.units import METERS
 from sylpose.view import trajectory_view
 
+Point = tuple[float, float, float]
 # Intrinsics of virtual cameras; a trajectory in the camera's frame does not depend on them.
 VIRTUAL_FOCAL, VIRTUAL_SIZE = 1000.0, (1280, 960)
 
@@ -107,11 +108,7 @@ def _find_run_file(result: Path, name: str) -> Path | None:
 
 
 def make_virtual_camera(
-    name: str,
-    position: tuple[float, float, float],
-    target: tuple[float, float, float] | None,
-    trajectory: Trajectory,
-    z_up: bool = False,
+    name: str, position: Point, target: Point | None, trajectory: Trajectory, z_up: bool = False
 ) -> Camera:
     """Create an upright virtual camera at a point, looking at another one.
 
@@ -140,12 +137,7 @@ def make_virtual_camera(
 
 
 def write_view(
-    trajectory: Trajectory,
-    name: str,
-    camera: Camera,
-    folder: Path,
-    plot_format: str = "png",
-    angles: EulerAngles | None = None,
+    trajectory: Trajectory, name: str, camera: Camera, folder: Path, plot_format: str, angles: EulerAngles | None
 ) -> list[Path]:
     """Write view_NAME.tum, .csv and a plot with the trajectory in the camera's frame, and return these files.
 

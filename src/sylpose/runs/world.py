@@ -196,12 +196,8 @@ def _read_board_images(folder: Path, rig: Rig, frame: int) -> list[Image | None]
             f"{folder}: contains no image, video or image folder of {to_one_line(', '.join(rig.names), 200)}"
         )
     path_by_camera: Mapping[str, Path] = {camera: entries[name] for name, camera in matched.items()}
-    images = [
-        _read_board_image(path_by_camera[camera.name], rig, camera.name, frame)
-        if camera.name in path_by_camera
-        else None
-        for camera in rig
-    ]
+    paths = [(path_by_camera.get(name), name) for name in rig.names]
+    images = [None if path is None else _read_board_image(path, rig, name, frame) for path, name in paths]
     if all(image is None for image in images):
         raise ValueError(f"--world-frame {frame}: no camera has an image of this number in {folder}")
     return images

@@ -76,10 +76,8 @@ def random_motion(
     Raises:
         ValueError: the axis has zero length.
     """
-    angle_deg, distance = (
-        check_number(angle_deg, "angle_deg", minimum=-360.0, maximum=360.0),
-        check_number(distance, "distance", maximum=MAX_LENGTH),
-    )
+    angle_deg = check_number(angle_deg, "angle_deg", minimum=-360.0, maximum=360.0)
+    distance = check_number(distance, "distance", maximum=MAX_LENGTH)
     check_type(rng, np.random.Generator, "rng")
     center = check_finite(center, (3,), "center", maximum=MAX_LENGTH)
     axis_vector = rng.standard_normal(3) if axis is None else check_finite(axis, (3,), "axis", maximum=MAX_LENGTH)

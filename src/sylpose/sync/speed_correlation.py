@@ -129,12 +129,9 @@ def estimate_coarse_offsets(speed_signals: Sequence[SpeedSignal], rate: float, m
         if not (np.isfinite(value) and value > 0):
             raise ValueError(f"{name} must be positive, got {value}")
     n = len(speed_signals)
-    signals = _resample_log_speeds(speed_signals, rate)
-    pairs = [
-        (a, b, *found)
-        for a, b in combinations(range(n), 2)
-        if (found := _estimate_lag(signals[a], signals[b], round(max_lag * rate))) is not None
-    ]
+    signals, max_samples = _resample_log_speeds(speed_signals, rate), round(max_lag * rate)
+    estimates = [(a, b, _estimate_lag(signals[a], signals[b], max_samples)) for a, b in combinations(range(n), 2)]
+    pairs = [(a, b, *found) for a, b, found in estimates if found is not None]
     if not pairs:
         return OffsetEstimate(np.zeros(n), np.full(n, np.inf), np.zeros(n, bool))
     first, second = np.array([p[0] for p in pairs]), np.array([p[1] for p in pairs])
