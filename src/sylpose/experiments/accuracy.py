@@ -72,15 +72,13 @@ def summarize_noise(table: Table) -> list[str]:
     ]
 
 
-NOISE = Study(
+NOISE = compare(
     "noise",
     "How does the error grow with the noise of the image points?",
-    *compare(
-        Levels("noise_px", "noise (px)", (0.0, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0), simulate_noise),
-        (BALANCED, SURFACE, PRACTICE),
-        ESTIMATORS,
-        "Image noise: 4 cameras, 60 matches each, rotation by 5°",
-    ),
+    "Image noise: 4 cameras, 60 matches each, rotation by 5°",
+    Levels("noise_px", "noise (px)", (0.0, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0), simulate_noise),
+    (BALANCED, SURFACE, PRACTICE),
+    ESTIMATORS,
     summarize_noise,
 )
 
@@ -103,17 +101,15 @@ def summarize_rotation(table: Table) -> list[str]:
     return [*sentences, f"One camera measures a rotation by 0.5° with an error of {one:.2g}°, if its model is exact."]
 
 
-ROTATION = Study(
+ROTATION = compare(
     "turn",
     "How does the error depend on the rotation angle?",
-    *compare(
-        Levels("turn_deg", TURN_LABEL, (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0), simulate_rotation),
-        (BALANCED, SURFACE, PRACTICE),
-        ESTIMATORS,
-        "Rotation angle: 4 cameras, 60 matches each, noise of 0.5 px",
-        IDENTITY_ERROR,
-    ),
+    "Rotation angle: 4 cameras, 60 matches each, noise of 0.5 px",
+    Levels("turn_deg", TURN_LABEL, (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0), simulate_rotation),
+    (BALANCED, SURFACE, PRACTICE),
+    ESTIMATORS,
     summarize_rotation,
+    reference=IDENTITY_ERROR,
 )
 
 
@@ -125,17 +121,15 @@ def summarize_depth(table: Table) -> list[str]:
     ]
 
 
-DEPTH = Study(
+DEPTH = compare(
     "depth_plane",
     "How much does a local depth plane per camera improve the result, in perspective?",
-    *compare(
-        Levels("turn_deg", TURN_LABEL, (0.5, 1.0, 2.0, 5.0, 10.0, 15.0, 20.0), simulate_rotation),
-        BODIES,
-        ESTIMATORS,
-        "With and without a depth plane: perspective, 4 cameras, 60 matches each, noise of 0.5 px",
-        IDENTITY_ERROR,
-    ),
+    "With and without a depth plane: perspective, 4 cameras, 60 matches each, noise of 0.5 px",
+    Levels("turn_deg", TURN_LABEL, (0.5, 1.0, 2.0, 5.0, 10.0, 15.0, 20.0), simulate_rotation),
+    BODIES,
+    ESTIMATORS,
     summarize_depth,
+    reference=IDENTITY_ERROR,
 )
 
 # --- Number of points -------------------------------------------------------------------------------------------------
@@ -153,15 +147,13 @@ def summarize_points(table: Table) -> list[str]:
     ]
 
 
-POINTS = Study(
+POINTS = compare(
     "points",
     "How does the error fall with the number of points?",
-    *compare(
-        Levels("matches", "matches per camera", (6, 10, 20, 40, 80, 160, 320), simulate_points),
-        (BALANCED, CLOUD, PRACTICE),
-        ESTIMATORS,
-        "Number of points: 4 cameras, noise of 0.5 px, rotation by 5°",
-    ),
+    "Number of points: 4 cameras, noise of 0.5 px, rotation by 5°",
+    Levels("matches", "matches per camera", (6, 10, 20, 40, 80, 160, 320), simulate_points),
+    (BALANCED, CLOUD, PRACTICE),
+    ESTIMATORS,
     summarize_points,
 )
 
@@ -186,15 +178,13 @@ def summarize_cameras(table: Table) -> list[str]:
     return [*sentences, f"Certified as the global optimum, perspective: {certified} cameras."]
 
 
-CAMERAS = Study(
+CAMERAS = compare(
     "cameras",
     "How much does each additional camera improve the result?",
-    *compare(
-        Levels("cameras", "cameras", (2, 3, 4, 6, 8, 16, 32), simulate_cameras),
-        (BALANCED, CLOUD, PRACTICE),
-        ESTIMATORS,
-        "Number of cameras, on a dome: 60 matches each, noise of 0.5 px, rotation by 5°",
-    ),
+    "Number of cameras, on a dome: 60 matches each, noise of 0.5 px, rotation by 5°",
+    Levels("cameras", "cameras", (2, 3, 4, 6, 8, 16, 32), simulate_cameras),
+    (BALANCED, CLOUD, PRACTICE),
+    ESTIMATORS,
     summarize_cameras,
 )
 
@@ -228,15 +218,13 @@ def summarize_constraint(table: Table) -> list[str]:
     return sentences
 
 
-CONSTRAINT = Study(
+CONSTRAINT = compare(
     "constraint",
     "Is the constrained estimate better than a projection afterwards?",
-    *compare(
-        Levels("noise_px", "noise (px)", (0.1, 0.2, 0.5, 1.0, 2.0, 5.0), simulate_constraint),
-        (BALANCED, STRETCHED, PRACTICE),
-        CONSTRAINT_ESTIMATORS,
-        f"Constrained or projected: 3 orthogonal cameras, 20 matches each, rotation by {CONSTRAINT_ANGLE_DEG:g}°",
-    ),
+    f"Constrained or projected: 3 orthogonal cameras, 20 matches each, rotation by {CONSTRAINT_ANGLE_DEG:g}°",
+    Levels("noise_px", "noise (px)", (0.1, 0.2, 0.5, 1.0, 2.0, 5.0), simulate_constraint),
+    (BALANCED, STRETCHED, PRACTICE),
+    CONSTRAINT_ESTIMATORS,
     summarize_constraint,
     trials=100,
     quick_trials=10,
@@ -323,15 +311,13 @@ def summarize_occlusion(table: Table) -> list[str]:
 
 
 HIDDEN_LABEL = "share of occluded features (%)"
-OCCLUSION_STUDY = Study(
+OCCLUSION_STUDY = compare(
     "occlusion",
     "What is the effect of occlusion in some cameras, up to all features?",
-    *compare(
-        Levels("hidden_percent", HIDDEN_LABEL, (0, 25, 50, 75, 90, 100), simulate_occlusion, is_log=False),
-        (CLOUD, PRACTICE),
-        OCCLUSION,
-        "Occlusion in 4 of 8 cameras: rotation by 5°, noise of 0.5 px",
-    ),
+    "Occlusion in 4 of 8 cameras: rotation by 5°, noise of 0.5 px",
+    Levels("hidden_percent", HIDDEN_LABEL, (0, 25, 50, 75, 90, 100), simulate_occlusion, is_log=False),
+    (CLOUD, PRACTICE),
+    OCCLUSION,
     summarize_occlusion,
 )
 

@@ -271,15 +271,27 @@ class Levels(NamedTuple):
 
 
 def compare(
+    name: str,
+    question: str,
+    title: str,
     levels: Levels,
     scenes: Sequence[Scene],
     estimators: Mapping[str, Estimator],
-    title: str,
+    summarize: Callable[[Table], list[str]],
     reference: ReferenceCurve | None = None,
-) -> tuple[Callable[[int, int], Table], Callable[[Table, Path], None]]:
-    """Return `run` and `draw` of a study: all estimators on the same problems, with the same motions at every level.
+    **trials: int,
+) -> Study:
+    """Return a study of all estimators on the same problems, with the same motions at every level.
 
     The table has the columns scene, method, `levels.name` and `ERROR_COLUMNS`.
+
+    Args:
+        name, question, summarize, trials: as in `Study`.
+        title: title of the figure.
+        levels: the varied quantity.
+        scenes: a panel each.
+        estimators: a line each, by their names.
+        reference: as in `Lines`.
     """
 
     def run(seed: int, trials: int) -> Table:
@@ -290,7 +302,8 @@ def compare(
                 rows += [(scene.name, name, level, *score_estimator(of, problems)) for name, of in estimators.items()]
         return Table(("scene", "method", levels.name, *ERROR_COLUMNS), tuple(rows))
 
-    return run, Lines(title, levels.name, levels.label, log_x=levels.is_log, reference=reference).draw
+    figure = Lines(title, levels.name, levels.label, log_x=levels.is_log, reference=reference)
+    return Study(name, question, run, figure.draw, summarize, **trials)
 
 
 def simulate_trials(simulate: Callable[[np.random.Generator], Problem], seed: int, trials: int) -> list[Problem]:
