@@ -101,18 +101,11 @@ def compare_trajectories(
     relative = (matched_reference[:-step].inv() * matched_reference[step:]).inv() * (
         estimate[:-step].inv() * estimate[step:]
     )
-    return Comparison(
-        align,
-        len(reference_times),
-        np.asarray(reference_times)[reference_indices],
-        estimate,
-        matched_reference,
-        scale,
-        np.asarray(errors.rotation.magnitude()),
-        np.linalg.norm(estimate.translation - matched_reference.translation, axis=1),
-        np.asarray(relative.rotation.magnitude()),
-        np.linalg.norm(relative.translation, axis=1),
-    )
+    position = np.linalg.norm(estimate.translation - matched_reference.translation, axis=1)
+    absolute_errors = np.asarray(errors.rotation.magnitude()), position
+    relative_errors = np.asarray(relative.rotation.magnitude()), np.linalg.norm(relative.translation, axis=1)
+    compared = np.asarray(reference_times)[reference_indices], estimate, matched_reference, scale
+    return Comparison(align, len(reference_times), *compared, *absolute_errors, *relative_errors)
 
 
 def associate_timestamps(

@@ -16,20 +16,20 @@ class Method(NamedTuple):
         name: as users type it.
         inputs: the data that the motion is estimated from.
         output: the result, and when to choose the method.
+        function: its implementation, `module.function` within `sylpose`.
         features: possible sources of a tracked frame's features, the best first; see `FEATURES`.
         supports_two_frames: whether `estimate_motion` accepts it as well; between two frames no landmarks are
             available.
         uses_moments: whether it is one of the paper's rotation estimators, which use the pair moments of two frames.
-        function: its implementation, `module.function` within `sylpose`.
     """
 
     name: str
     inputs: str
     output: str
-    features: tuple[str, ...]
-    supports_two_frames: bool
-    uses_moments: bool
     function: str
+    features: tuple[str, ...]
+    supports_two_frames: bool = False
+    uses_moments: bool = False
 
 
 def _paper_method(name: str, inputs: str, output: str, function: str) -> Method:
@@ -38,7 +38,7 @@ def _paper_method(name: str, inputs: str, output: str, function: str) -> Method:
     These use only the matches with the previous frame. KLT features have matches with their template frame, which is
     the previous frame for one frame only, so they are not supported.
     """
-    return Method(name, inputs, output, ("sift",), True, True, function)
+    return Method(name, inputs, output, function, ("sift",), True, True)
 
 
 # The first of each is the default.
@@ -50,19 +50,16 @@ TABLE = (
         "landmarks",
         "landmarks on the object, mapped while it rotates",
         "least drift; recommended",
-        ("klt", "sift"),
-        False,
-        False,
         "landmarks.alignment.align",
+        ("klt", "sift"),
     ),
     Method(
         "epipolar",
         "matches with keyframes, perspective, weak depth prior",
         "two frames; a check without a landmark map",
-        ("sift", "klt"),
-        True,
-        False,
         "relative_pose.solver.fit_terms",
+        ("sift", "klt"),
+        supports_two_frames=True,
     ),
     _paper_method(
         "sylvester",
@@ -80,10 +77,8 @@ TABLE = (
         "known-depth",
         "the landmarks' positions, Sylvester's equation",
         "2D-3D as in the paper, for comparison",
-        ("sift", "klt"),
-        False,
-        False,
         "sylvester.known_depth.solve_2d3d",
+        ("sift", "klt"),
     ),
 )
 

@@ -171,18 +171,10 @@ def smooth(
     result = bundle_adjust_with_scale(extended_rig, extended, start, radius, options, alternative_start=alternative)
     if result.status is not Status.TOO_FEW_MATCHES:
         poses = _apply_result(frames, used, observations, result, n)
-    return SmoothedTrajectory(
-        tuple(poses),
-        result.status,
-        result.offsets[:n],
-        result.offsets_sd[:n],
-        result.sigma_px[:n],
-        result.iterations,
-        result.scale_sd,
-        result.scale_variance_ratio,
-        result.correction,
-        all_moved,
-    )
+    offsets, noise = (result.offsets[:n], result.offsets_sd[:n]), result.sigma_px[:n]
+    scale = result.scale_sd, result.scale_variance_ratio
+    moved = result.correction, all_moved
+    return SmoothedTrajectory(tuple(poses), result.status, *offsets, noise, result.iterations, *scale, *moved)
 
 
 def _check_arguments(

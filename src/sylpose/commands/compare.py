@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
@@ -49,14 +49,6 @@ class CompareOptions(CommandOptions):
     plot_format: PlotFormat = "png"
 
 
-class _Motion(NamedTuple):
-    """Trajectory to compare: times (n,), n poses world_from_object, and the length unit or ""."""
-
-    times: FloatArray
-    poses: RigidTransform
-    unit: str
-
-
 @command("Compute the errors between two trajectories.")
 def compare(options: CompareOptions) -> None:
     """Compute absolute and relative pose errors of A with respect to B.
@@ -79,14 +71,14 @@ def compare(options: CompareOptions) -> None:
     from sylpose.runs import console_output
 
     a, b, align, step = options.a, options.b, options.align, options.step
-    ours, theirs = _read_motion(a), _read_motion(b)
-    poses, unit = ours.poses, theirs.unit or ours.unit
-    if ours.unit in METERS and theirs.unit in METERS:
-        scale = METERS[ours.unit] / METERS[theirs.unit]
+    times, poses, unit_a = _read_motion(a)
+    reference_times, reference, unit_b = _read_motion(b)
+    unit, alignment = unit_b or unit_a, cast("Alignment", align)
+    if unit_a in METERS and unit_b in METERS:
+        scale = METERS[unit_a] / METERS[unit_b]
         poses = RigidTransform.from_components(scale * poses.translation, poses.rotation)
-    alignment = cast("Alignment", align)
     result = compare_trajectories(
-        ours.times, poses, theirs.times, theirs.poses, align=alignment, step=step, max_time_diff=options.within
+        times, poses, reference_times, reference, align=alignment, step=step, max_time_diff=options.within
     )
     console = console_output.make_console()
     summary = f": {len(result.times)} of {result.n_reference} poses, aligned by {align}"
@@ -101,7 +93,7 @@ def compare(options: CompareOptions) -> None:
         rows.append([f"{label} rotation", *(f"{value:.3g}°" for value in rotation)])
         rows.append([f"{label} position", *(format_length(value, unit) for value in position)])
     console_output.print_table(console, ("Error", *PRINTED_STATISTICS), rows)
-    console_output.print_warnings(console, describe_mismatches(a, b, ours.unit, theirs.unit, align))
+    console_output.print_warnings(console, describe_mismatches(a, b, unit_a, unit_b, align))
     folder = make_output_folder(options.out)
     files = [folder / "compare.json", folder / f"compare.{options.plot_format}"]
     with replace_atomically(files[0]) as part:
@@ -110,8 +102,11 @@ def compare(options: CompareOptions) -> None:
     console_output.print_files(console, "Files", files)
 
 
-def _read_motion(path: Path) -> _Motion:
+def _read_motion(path: Path) -> tuple[FloatArray, RigidTransform, str]:
     """Read the measured poses of a run's folder, a trajectory.csv or a TUM file.
+
+    Returns:
+        times (n,), n poses world_from_object, and the length unit or "".
 
     Raises:
         ValueError: the file contains no pose; the message names it.
@@ -124,16 +119,16 @@ def _read_motion(path: Path) -> _Motion:
     from sylpose.runs.view import read_result
 
     if path.is_file() and path.suffix.lower() in (".tum", ".txt"):
-        motion = _Motion(*read_tum(path), "")
+        (times, poses), unit = read_tum(path), ""
     else:
         trajectory = read_result(path)
         frames = [frame for frame in trajectory if frame.is_measured]
         matrices = [f.world_from_object.as_matrix() for f in frames if f.world_from_object is not None]
         poses = RigidTransform.from_matrix(np.array(matrices).reshape(-1, 4, 4))
-        motion = _Motion(np.array([frame.time for frame in frames]), poses, trajectory.unit)
-    if not len(motion.times):
+        times, unit = np.array([frame.time for frame in frames]), trajectory.unit
+    if not len(times):
         raise ValueError(f"{path}: contains no pose")
-    return motion
+    return times, poses, unit
 
 
 def describe_mismatches(a: Path, b: Path, unit_a: str, unit_b: str, align: str) -> list[str]:

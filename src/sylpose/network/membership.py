@@ -181,9 +181,8 @@ def submit_request(p: Membership, request: Request, frames: int) -> tuple[Member
         if p.welcome is not None:
             number, epoch, members, shared_state = p.welcome
             epoch = compute_join_epoch(epoch, shared_state)
-        history = {"number": number, "epoch": epoch}
         round_state, packets = start_rounds(
-            p.camera, sorted(members), request.payload, **history, timeouts=p.timeouts, evidence=p.evidence
+            p.camera, sorted(members), request.payload, number, epoch, timeouts=p.timeouts, evidence=p.evidence
         )
     return replace(p, round_state=round_state, welcome=None), packets
 

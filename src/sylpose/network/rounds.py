@@ -152,9 +152,9 @@ def start_rounds(
     camera: int,
     members: Sequence[int],
     payload: bytes,
-    *,
     number: int = 0,
     epoch: int = 0,
+    *,
     timeouts: Timeouts = DEFAULT_TIMEOUTS,
     evidence: FaultEvidence = NO_EVIDENCE,
 ) -> tuple[RoundState, list[Packet]]:

@@ -223,16 +223,9 @@ def track_by_nodes(
             worker.stop()
     for c, s in enumerate(outcome.states):
         refused[c] |= {} if s is None else s.membership.all_refused
-    return SimulationResult(
-        found,
-        [() if s is None else s.membership.members for s in outcome.states],
-        outcome.rounds,
-        [[] if s is None else s.payload_sizes for s in outcome.states],
-        refused,
-        outcome.sent,
-        outcome.received,
-        smoothed,
-    )
+    members = [() if s is None else s.membership.members for s in outcome.states]
+    sizes = [[] if s is None else s.payload_sizes for s in outcome.states]
+    return SimulationResult(found, members, outcome.rounds, sizes, refused, outcome.sent, outcome.received, smoothed)
 
 
 def _wrap_payload_fault(

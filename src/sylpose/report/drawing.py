@@ -63,13 +63,7 @@ def _to_fixed_point(pixels: FloatArray, scale: float) -> IntArray:
 
 
 def draw_axes(
-    tile: Image,
-    camera: Camera,
-    pose: RigidTransform,
-    length: float,
-    scale: float,
-    text_scale: float,
-    faint: bool = False,
+    tile: Image, camera: Camera, pose: RigidTransform, length: float, scale: float, text_scale: float, faint: bool
 ) -> None:
     """Draw the axes of a pose in the world, farthest first.
 
@@ -211,7 +205,7 @@ def draw_world_axes(path: Path, images: Sequence[Image | None], rig: Rig) -> Non
                 for part in np.split(line, np.flatnonzero(np.isnan(line[:, 0]))):
                     draw_polyline(layer, (part[np.isfinite(part[:, 0])] + 0.5) * scale - 0.5, WHITE, 1)
         cv2.addWeighted(layer, 0.5, tile, 0.5, 0, dst=tile)
-        draw_axes(tile, camera, RigidTransform.identity(), length, scale, 0.8)
+        draw_axes(tile, camera, RigidTransform.identity(), length, scale, 0.8, faint=False)
         draw_text(tile, f"{camera.name}   axes {length:g} {rig.unit}".rstrip(), (8, 22), 0.6, WHITE)
     _save(path, [tile for tile, _ in tiles])
 

@@ -91,17 +91,10 @@ def describe_rig(rig: Rig, center: ArrayLike | None = None) -> list[CameraView]:
         if point is not None:
             distance = float(np.linalg.norm(point - centers[i]))
             off_axis = _angle_between(directions[i], point - centers[i])
-        rows.append(
-            CameraView(
-                name=camera.name,
-                size=camera.size,
-                field_of_view=_compute_field_of_view(camera),
-                distance=distance,
-                off_axis=off_axis,
-                angles=tuple(_angle_between(directions[i], other) for other in directions),
-                baselines=tuple(float(d) for d in np.linalg.norm(centers - centers[i], axis=1)),
-            )
-        )
+        angles = tuple(_angle_between(directions[i], other) for other in directions)
+        baselines = tuple(float(d) for d in np.linalg.norm(centers - centers[i], axis=1))
+        field_of_view = _compute_field_of_view(camera)
+        rows.append(CameraView(camera.name, camera.size, field_of_view, distance, off_axis, angles, baselines))
     return rows
 
 

@@ -85,18 +85,12 @@ class TrackingProgress(Progress):
         self._last_line_time = time.monotonic()
         console = make_console(stderr=True, quiet=quiet)
         self._last_activity = quiet
-        self._progress = Bar(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn(f"{cameras} camera{'s' if cameras > 1 else ''}"),
-            TextColumn("{task.fields[rate]}"),
-            TextColumn("{task.fields[inliers]}"),
-            TimeRemainingColumn(compact=True),
-            console=console,
-            transient=True,
-            disable=quiet or not console.is_terminal,
-        )
+        count = TextColumn(f"{cameras} camera{'s' if cameras > 1 else ''}")
+        rate, inliers = TextColumn("{task.fields[rate]}"), TextColumn("{task.fields[inliers]}")
+        columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), count, rate, inliers
+        hidden = quiet or not console.is_terminal
+        remaining = TimeRemainingColumn(compact=True)
+        self._progress = Bar(*columns, remaining, console=console, transient=True, disable=hidden)
         self._task = self._progress.add_task("Tracking", total=frames, rate="", inliers="")
 
     def __enter__(self) -> TrackingProgress:
