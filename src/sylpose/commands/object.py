@@ -51,14 +51,13 @@ def show(options: ShowOptions) -> None:
     from sylpose.display import format_length
     from sylpose.io.object_files import load_object
     from sylpose.runs import console_output, object_frames
-    from sylpose.runs.point_selection import MAX_DEPTH_SD_RATIO
 
     known, console = load_object(options.file), console_output.make_console()
     console_output.print_facts(console, object_frames.describe_object(known))
     rows = []
     for name, memory in known._cameras.items():
         sd = memory.landmarks.depth_sd
-        precise = sd[sd < MAX_DEPTH_SD_RATIO * known.radius]
+        precise = sd[sd < object_frames.MAX_DEPTH_SD_RATIO * known.radius]
         views = sum(len(features) > 0 for features in memory.features)
         median_sd = format_length(float(np.median(precise)), known.unit) if len(precise) else "-"
         rows.append([name, str(len(sd)), str(len(precise)), median_sd, str(views)])
@@ -288,8 +287,7 @@ def apply(options: ApplyOptions) -> None:
     from sylpose.report.plots import save_trajectory_plot
     from sylpose.results import Trajectory
     from sylpose.runs import console_output
-    from sylpose.runs.object_frames import change_object_frame
-    from sylpose.runs.point_selection import read_object_run
+    from sylpose.runs.object_frames import change_object_frame, read_object_run
     from sylpose.runs.run_metadata import SETTINGS, USED_CALIBRATION
 
     file, result, out = options.file, options.result, options.out
