@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from sylpose.commands.app import CommandOptions, command, exit_with_failures, option
-from sylpose.commands.options import DisplayOptions, Seed
+from sylpose.commands.app import command, exit_with_failures, option
+from sylpose.commands.options import DisplayOptions, SeedOptions
 
 # Rotation error beyond which the demo counts as failed (choice: a hundred times the usual error, docs/benchmarks.md).
 MAX_ERROR_DEG = 2.0
@@ -16,7 +16,7 @@ MARKER_FILE = "sylpose-demo.txt"
 
 
 @dataclass(frozen=True, kw_only=True)
-class DemoOptions(CommandOptions):
+class DemoOptions(SeedOptions):
     """Options of `sylpose demo`.
 
     Attributes:
@@ -30,7 +30,6 @@ class DemoOptions(CommandOptions):
     frames: Annotated[int, option("--frames N")] = 60
     turn: Annotated[float, option("--turn DEG")] = 90.0
     cameras: Annotated[int, option("--cameras N")] = 4
-    seed: Seed = 0
 
 
 @command("Render and track a recording with ground truth.")

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from sylpose.commands.app import CommandOptions, command, option
-from sylpose.commands.options import Seed
+from sylpose.commands.app import command, option
+from sylpose.commands.options import SeedOptions
 
 # Prefix of all files written; other files of the folder are not touched.
 PREFIX = "paper_"
@@ -15,7 +15,7 @@ INDEX = f"{PREFIX}index.md"
 
 
 @dataclass(frozen=True, kw_only=True)
-class ExperimentsOptions(CommandOptions):
+class ExperimentsOptions(SeedOptions):
     """Options of `sylpose experiments`.
 
     Attributes:
@@ -27,7 +27,6 @@ class ExperimentsOptions(CommandOptions):
     out: Annotated[Path, option("--out DIR")] = Path("sylpose_experiments")
     only: Annotated[tuple[str, ...], option("--only STUDY")] = ()
     quick: Annotated[bool, option("--quick")] = False
-    seed: Seed = 0
 
 
 @command("Run the paper's experiments: tables and figures.")

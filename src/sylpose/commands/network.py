@@ -11,7 +11,7 @@ import typer
 
 from sylpose.commands.app import CommandOptions, app, command, exit_with_failures, option
 from sylpose.commands.node import require_zenoh
-from sylpose.commands.options import Seed
+from sylpose.commands.options import SeedOptions
 from sylpose.methods import MODES
 
 # Share of the frames after which a node is killed; seconds until it is restarted; seconds after which the nodes are
@@ -62,7 +62,7 @@ def init(options: InitOptions) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class DemoOptions(CommandOptions):
+class DemoOptions(SeedOptions):
     """Options of `sylpose network demo`.
 
     Attributes:
@@ -74,7 +74,6 @@ class DemoOptions(CommandOptions):
     out: Annotated[Path, option("--out DIR")] = Path("sylpose_network_demo")
     frames: Annotated[int, option("--frames N", min=20)] = 60
     speed: Annotated[float, option("--speed X", min=0)] = 0.1
-    seed: Seed = 0
 
 
 @command("Run four nodes on a rendered recording.", group=network_app, name="demo")

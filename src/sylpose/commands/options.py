@@ -33,7 +33,7 @@ StopFrame = Annotated[int | None, option("--stop N", INPUT)]
 Overlay = Annotated[bool, option("--overlay/--no-overlay", OUTPUT)]
 Smooth = Annotated[bool | None, option("--smooth/--no-smooth", ADVANCED)]
 RefineCalibration = Annotated[bool, option("--refine-calibration", ADVANCED)]
-Seed = Annotated[int, option("--seed N", ADVANCED, min=0)]
+Seed = Annotated[int, option("--seed N", ADVANCED)]
 PlotFormat = Annotated[str, option(f"--format {'|'.join(PICTURE_FORMATS)}", OUTPUT, choices=PICTURE_FORMATS)]
 ResultPath = Annotated[Path, typer.Argument(metavar="RESULT")]
 
@@ -143,6 +143,19 @@ class RangeOptions(CommandOptions):
 
     start: Annotated[int, option("--start N", INPUT)] = 0
     stop: StopFrame = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeedOptions(CommandOptions):
+    """Random seed."""
+
+    seed: Seed = 0
+
+    def __post_init__(self) -> None:
+        """Check the seed."""
+        super().__post_init__()
+        if self.seed < 0:
+            raise ValueError(f"--seed must not be negative, got {self.seed}")
 
 
 @dataclass(frozen=True, kw_only=True)

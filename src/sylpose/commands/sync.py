@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from sylpose.commands.app import ADVANCED, OUTPUT, command, exit_with_failures, option
-from sylpose.commands.options import BoxesFile, RangeOptions, RecordingOptions, Seed
+from sylpose.commands.options import BoxesFile, RangeOptions, RecordingOptions, SeedOptions
 
 if TYPE_CHECKING:
     from sylpose.sync.estimation import TimeOffsets
@@ -22,7 +22,7 @@ _EXPLANATIONS = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class SyncOptions(RangeOptions, RecordingOptions):
+class SyncOptions(SeedOptions, RangeOptions, RecordingOptions):
     """Options of `sylpose sync`.
 
     Attributes:
@@ -33,7 +33,6 @@ class SyncOptions(RangeOptions, RecordingOptions):
     boxes: BoxesFile = None
     out: Annotated[Path | None, option("--out FILE", OUTPUT)] = None
     max_lag: Annotated[float, option("--max-lag SEC", ADVANCED)] = 3.0
-    seed: Seed = 0
 
 
 @command("Estimate the time offsets between the cameras.")
