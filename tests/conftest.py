@@ -39,7 +39,7 @@ __all__ = ["FRAMES"]
 EXPENSIVE = re.compile(
     r"\b(subprocess|commands\.main|track_session|simulation|render_\w+|write_recording|bundle_adjust|process_recording"
     r"|archive\.run|pages\.notebooks|tests\.(clips|recordings|chromium|boards)|(?:from|import) benchmarks"
-    r"|report\.(plots|drawing|page))\b"
+    r"|report\.(plots|drawing|page)|tracking\.tracker|sylpose\.smoothing)\b"
 )
 
 

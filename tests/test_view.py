@@ -24,7 +24,7 @@ from sylpose.sylvester.depth_plane import solve_depth_plane
 from sylpose.view import resolve_viewpoint, trajectory_view, view_of_motion, view_of_pose, view_of_rotation
 
 seeds = st.integers(0, 2**32 - 1)
-quick = settings(max_examples=25, deadline=None)
+quick = settings(max_examples=12, deadline=None)
 
 
 def random_transform(rng: np.random.Generator) -> RigidTransform:

@@ -51,7 +51,7 @@ def make_board_scene(seed: int, turn: float = 7.0) -> tuple[RigidTransform, Obse
 def test_frame_that_determines_the_surface_is_kept() -> None:
     """Without it all other frames agree better, with any surface."""
     squares, wide = [], 0
-    for seed in range(24):
+    for seed in range(12):
         poses, seen, landmarks = make_board_scene(seed)
         found = bundle_adjust_with_scale(
             RIG, seen, poses, RADIUS, BundleOptions(landmarks=landmarks, max_iterations=12)
@@ -62,13 +62,13 @@ def test_frame_that_determines_the_surface_is_kept() -> None:
         wide += bool(np.degrees(np.sqrt(np.linalg.eigvalsh(found.covariance[-1, :3, :3])[-1])) > 1.5)
     # The mean is three for a correct covariance; a covariance of degrees would be consistent with anything.
     assert 1.0 < np.median(squares) < 8.0
-    assert wide <= 2
+    assert wide <= 1
 
 
 def test_slides_of_flat_and_thin_bodies_along_the_view() -> None:
     """Noise taken for relief rotates them by degrees: the covariance must cover that, and not more."""
     squares, degrees = [], []
-    for seed, name, where in product((3, 203, 303), ("board", "rod"), ("2 in 40°", "3 in 60°")):
+    for seed, name, where in product((3, 203), ("board", "rod"), ("2 in 40°", "3 in 60°")):
         found = refine_simulated(name, RIGS[where], "slide", DIRECTIONS[3], 1.0, seed, 10)
         off = compute_pose_error(simulate_poses(10, DIRECTIONS[3], "slide")[-1], found.world_from_object[-1])
         squares.append(float(off @ np.linalg.solve(found.covariance[-1], off)))

@@ -81,7 +81,7 @@ def networks(draw: st.DrawFn) -> LossyNetwork:
     return LossyNetwork(n, draw(st.integers(0, 10**6)), loss, delay, dies)
 
 
-@settings(max_examples=150)
+@settings(max_examples=60)
 @given(network=networks())
 def test_live_cameras_receive_the_same(network: LossyNetwork) -> None:
     network.run()
@@ -126,7 +126,7 @@ class NetworkWithFault(LossyNetwork):
                 super().send(c, [Packet((to,), data)])
 
 
-@settings(max_examples=150)
+@settings(max_examples=60)
 @given(data=st.data())
 def test_faulty_camera_is_excluded_and_others_agree(data: st.DataObject) -> None:
     n = data.draw(st.integers(4, 7))

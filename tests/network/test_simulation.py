@@ -73,8 +73,8 @@ def assert_agreed(outcome: SimulationResult, cameras: Sequence[int]) -> None:
     [
         pytest.param("landmarks", True, NetworkFaults(), marks=pytest.mark.slow),
         ("landmarks", True, NetworkFaults(loss=0.1, delay=2, seed=4)),
-        ("landmarks", False, NetworkFaults(loss=0.3, seed=5)),
-        ("epipolar", True, NetworkFaults()),
+        pytest.param("landmarks", False, NetworkFaults(loss=0.3, seed=5), marks=pytest.mark.slow),
+        pytest.param("epipolar", True, NetworkFaults(), marks=pytest.mark.slow),
         ("sylvester", False, NetworkFaults()),
     ],
 )
@@ -138,6 +138,7 @@ def test_camera_motion_is_shared(clip: Clip) -> None:
         assert [f.pose.faults for f in found] == [f.pose.faults for f in expected]
 
 
+@pytest.mark.slow
 def test_known_depths_are_shared(clip: Clip) -> None:
     """Matrix products depend on the memory layout, which landmarks at a threshold amplify."""
     expected = list(track(clip.frames(), clip.rig, clip.boxes, method="known-depth"))
@@ -305,7 +306,9 @@ def rms(found: Sequence[TrackedFrame], clip: Clip) -> FloatArray:
             "two-faced", "exact", 0.0, "it sent different messages to different cameras", marks=pytest.mark.slow
         ),
         ("two-faced", "compact", 0.1, "it sent different messages to different cameras"),
-        ("accusing", "exact", 0.0, "it sent different messages to different cameras"),
+        pytest.param(
+            "accusing", "exact", 0.0, "it sent different messages to different cameras", marks=pytest.mark.slow
+        ),
         ("whispering", "compact", 0.0, "it or camera 2 reports false messages"),
         ("heavy", "compact", 0.0, None),
         ("bent", "compact", 0.0, "its pose information matrix is invalid"),
@@ -335,9 +338,7 @@ def test_others_continue_despite_faulty_node(
         assert outcome.refused[c].keys() <= ({1, 2} if lie == "whispering" else {1})
 
 
-@pytest.mark.parametrize(
-    "seed", [1, pytest.param(5, marks=pytest.mark.slow), 8, pytest.param(11, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (5, 8, 11))])
 def test_node_with_corrupted_bytes_is_harmless(four: Clip, seed: int) -> None:
     boxes = four.boxes if seed % 2 else None
     outcome = track_by_nodes(

@@ -49,7 +49,7 @@ from tests.scenes import (
     make_zigzag_rig,
 )
 
-SEEDS = range(5)
+SEEDS = [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3, 4))]
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -242,7 +242,7 @@ def make_random_points(seed: int) -> Scene:
 @pytest.mark.parametrize("make", [make_outliers, make_permuted_matches, make_random_points])
 def test_outliers_only(make: Callable[[int], Scene]) -> None:
     wrong, unsettled = [], 0
-    for seed in range(20):
+    for seed in range(10):
         scene = make(seed)
         found = estimate_with_timeout(LIMIT, scene.rig, scene.matches)
         check_fields(scene.rig, scene.matches, found)
@@ -252,7 +252,7 @@ def test_outliers_only(make: Callable[[int], Scene]) -> None:
         if found.status is OK:
             assert compute_nees(compute_motion_error(scene.pair, found), found) < 100, seed
     assert len(wrong) <= 1, wrong
-    assert unsettled <= 3
+    assert unsettled <= 2
 
 
 MANY = """

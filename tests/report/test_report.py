@@ -280,7 +280,7 @@ def test_invalid_trajectory_files_are_rejected(tmp_path: Path) -> None:
 # Plots
 
 
-@pytest.mark.parametrize("end", ["png", "svg", "pdf"])
+@pytest.mark.parametrize("end", ["png", *(pytest.param(end, marks=pytest.mark.slow) for end in ("svg", "pdf"))])
 def test_equal_reports_are_equal_files(tmp_path: Path, end: str) -> None:
     files = [tmp_path / f"{k}.{end}" for k in range(2)]
     for file in files:
@@ -290,7 +290,7 @@ def test_equal_reports_are_equal_files(tmp_path: Path, end: str) -> None:
     assert files[0].read_bytes().startswith(magic[end])
 
 
-@pytest.mark.parametrize("n", [1, 3, 6, 120])
+@pytest.mark.parametrize("n", [1, 6, *(pytest.param(n, marks=pytest.mark.slow) for n in (3, 120))])
 def test_report_of_any_length(tmp_path: Path, n: int) -> None:
     save_trajectory_plot(make_rotating_trajectory(n, 9, cameras=3), tmp_path / "report.png")
     picture = cv2.imread(str(tmp_path / "report.png"))

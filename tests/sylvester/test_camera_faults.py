@@ -23,7 +23,7 @@ from sylpose.sylvester.orthographic import compute_views
 from tests.scenes import compute_angle, draw_rotations
 
 seeds = st.integers(0, 2**32 - 1)
-quick = settings(max_examples=15, deadline=None)
+quick = settings(max_examples=8, deadline=None)
 
 
 def random_cameras(rng: np.random.Generator, n: int) -> FloatArray:

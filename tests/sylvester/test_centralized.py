@@ -25,7 +25,7 @@ from tests.scenes import compute_angle, draw_rotations
 
 Matches = list[tuple[FloatArray, FloatArray]]
 seeds = st.integers(0, 2**32 - 1)
-quick = settings(max_examples=25, deadline=None)
+quick = settings(max_examples=12, deadline=None)
 
 
 def general_cameras(rng: np.random.Generator, n: int) -> FloatArray:

@@ -19,7 +19,7 @@ sizes = st.integers(1, 5)
 batches = st.sampled_from([(), (3,), (2, 3), (0,)])
 methods: list[Method] = ["kronecker", "bartels-stewart"]
 each_method = pytest.mark.parametrize("method", methods)
-quick = settings(max_examples=25, deadline=None)
+quick = settings(max_examples=12, deadline=None)
 
 
 def random_matrix(rng: np.random.Generator, *values: complex, condition: float = 10.0) -> FloatArray:

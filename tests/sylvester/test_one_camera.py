@@ -19,7 +19,7 @@ from sylpose.sylvester.orthographic import build_cost, compute_views
 from tests.scenes import compute_angle
 
 seeds = st.integers(0, 2**32 - 1)
-quick = settings(max_examples=25, deadline=None)
+quick = settings(max_examples=12, deadline=None)
 SQUARE = np.array([[1.0, 1], [1, -1], [-1, 1], [-1, -1]])
 LINE = np.outer([-2.0, -1, 0.5, 2.5], [0.6, 0.8])
 MIRROR = np.diag([1.0, 1, -1])

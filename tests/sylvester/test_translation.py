@@ -16,7 +16,7 @@ from sylpose.sylvester.translation import refine_translation, solve_translation_
 from tests.scenes import BODY, draw_rotations, make_zigzag_rig
 
 seeds = st.integers(0, 2**32 - 1)
-quick = settings(max_examples=25, deadline=None)
+quick = settings(max_examples=12, deadline=None)
 # An initial value without information.
 NOTHING = np.zeros(3), np.zeros((3, 3))
 
