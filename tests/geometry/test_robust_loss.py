@@ -14,7 +14,6 @@ from scipy.stats import chi2
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.robust_loss import (
     BIQUARTIC_BOUND,
-    BISQUARE_BOUND,
     SIGMA_OF_MEDIAN,
     NoiseResponse,
     biquartic,
@@ -31,7 +30,7 @@ from sylpose.geometry.robust_loss import (
 SEEDS = st.integers(0, 2**32 - 1)
 Weight = Callable[[float], float]
 WEIGHTS: dict[str, tuple[Weight, float, Callable[[float], NoiseResponse]]] = {
-    "bisquare": (bisquare, BISQUARE_BOUND, bisquare_noise_response),
+    "bisquare": (bisquare, 1.0 / 3.0, bisquare_noise_response),
     "biquartic": (biquartic, BIQUARTIC_BOUND, biquartic_noise_response),
 }
 CUTOFFS = [1.5, 3.0, 4.7, 5.0, 8.0]

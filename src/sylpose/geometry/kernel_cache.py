@@ -133,7 +133,11 @@ class _KernelCache(FunctionCache):
         try:
             base._save_overload(sig, data)
         except OSError as error:  # the disk is full, the folder is gone
-            _warn_not_cached(self.kept_in, error.strerror or str(error))
+            if "not kept" not in _logged:
+                _logged.add("not kept")
+                reason = (error.strerror or str(error)).lower()
+                text = "compiled code cannot be cached in %s: %s; %s=FOLDER sets another folder"
+                _log.warning(text, self.kept_in, reason, CACHE_DIR_VARIABLE)
 
 
 def _load_entry(file: Any, key: object) -> Any:
@@ -143,8 +147,9 @@ def _load_entry(file: Any, key: object) -> Any:
     except OSError:  # owned by another user
         return None
     except Exception:
-        # A truncated file can raise anything: its index is reset.
-        _reset_index(file)
+        # A truncated file can raise anything: its index is reset, unless it is read-only.
+        with suppress(OSError):
+            file.flush()
         return None
 
 
@@ -154,11 +159,6 @@ def _list_keys(file: Any) -> list[Any]:
         return list(file._load_index())
     except Exception:  # as above
         return []
-
-
-def _reset_index(file: Any) -> None:
-    with suppress(OSError):  # a read-only index cannot be reset
-        file.flush()
 
 
 def compute_digest(function: Callable[..., object]) -> str:
@@ -212,22 +212,9 @@ def _log_compilation(kept_in: Path | None) -> None:
         return
     reason, location = "after an installation or an update", f"cached in {kept_in and display_folder(kept_in)}"
     if kept_in is None:
-        reason, location = (
-            "at every start",
-            f"no folder is writable for its cache, {CACHE_DIR_VARIABLE}=FOLDER sets one",
-        )
+        reason = "at every start"
+        location = f"no folder is writable for its cache, {CACHE_DIR_VARIABLE}=FOLDER sets one"
     _log.warning("sylpose compiles its kernels for up to two minutes %s; %s", reason, location)
-
-
-def _warn_not_cached(folder: Path, reason: str) -> None:
-    if "not kept" not in _logged:
-        _logged.add("not kept")
-        _log.warning(
-            "compiled code cannot be cached in %s: %s; %s=FOLDER sets another folder",
-            folder,
-            reason.lower(),
-            CACHE_DIR_VARIABLE,
-        )
 
 
 # Environment variable that also sets Numba's cache folder.

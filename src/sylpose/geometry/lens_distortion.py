@@ -28,16 +28,11 @@ def distort_point(x: float, y: float, matrix: FloatArray, k: FloatArray) -> tupl
 
 @kernel
 def project_points(
-    points: FloatArray,
-    rotation: FloatArray,
-    translation: FloatArray,
-    matrix: FloatArray,
-    k: FloatArray,
-    out: FloatArray,
+    X: FloatArray, rotation: FloatArray, translation: FloatArray, matrix: FloatArray, k: FloatArray, out: FloatArray
 ) -> None:
-    """Write the pixels of points (n, 3) to out (n, 2), with X_c = rotation X + translation; NaN behind the camera."""
-    for i in range(points.shape[0]):
-        a, b, c = points[i, 0], points[i, 1], points[i, 2]
+    """Write the pixels of points X (n, 3) to out (n, 2), with X_c = rotation X + translation; NaN behind the camera."""
+    for i in range(X.shape[0]):
+        a, b, c = X[i]
         z = rotation[2, 0] * a + rotation[2, 1] * b + rotation[2, 2] * c + translation[2]
         if z > 1e-9:
             x = rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2] * c + translation[0]

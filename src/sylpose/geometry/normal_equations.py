@@ -108,16 +108,7 @@ def rotate_rows(rows: FloatArray, q: FloatArray, out: FloatArray) -> None:
 
 @leaf
 def compute_image_row(
-    n0: float,
-    n1: float,
-    u: float,
-    v: float,
-    z: float,
-    s0: float,
-    s1: float,
-    s2: float,
-    scale: float,
-    row: FloatArray,
+    n0: float, n1: float, u: float, v: float, z: float, s0: float, s1: float, s2: float, scale: float, row: FloatArray
 ) -> None:
     """Write the derivative of a point's image in a direction n by (w, d) to row (6,): (s × h, scale h).
 

@@ -149,6 +149,15 @@ def symmetric_eigen(a: FloatArray, values: FloatArray, vectors: FloatArray) -> N
 
 
 @leaf
+def dot(a: FloatArray, b: FloatArray) -> float:
+    """Return the scalar product of a and b (n,), summed from the first to the last."""
+    total = 0.0
+    for i in range(len(a)):
+        total += a[i] * b[i]
+    return total
+
+
+@leaf
 def compute_sum(values: FloatArray) -> float:
     """Return the sum of values (n,) in four independent partial sums, in the same order on every machine."""
     n = values.shape[0]

@@ -27,7 +27,6 @@ DEFAULT_NOISE_PX = 0.5
 MIN_NOISE_PX, MAX_NOISE_PX = 1e-4, 1e6
 
 # Values of the losses, integrals of the weights by q, from the cutoff on (derived).
-BISQUARE_BOUND = 1.0 / 3.0
 BIQUARTIC_BOUND = 8.0 / 15.0
 # Standard deviation of a Gaussian variable over the median of its absolute value (derived).
 SIGMA_OF_MEDIAN = 1.0 / float(ndtri(0.75))
@@ -52,24 +51,17 @@ def biquartic_loss(q: float) -> float:
     return q * (1.0 - q2 * (2.0 / 3.0 - 0.2 * q2)) if q < 1.0 else BIQUARTIC_BOUND
 
 
-@kernel
-def _apply_elementwise(q: FloatArray, loss: bool, out: FloatArray) -> None:
-    for i in range(len(q)):
-        out[i] = biquartic_loss(q[i]) if loss else biquartic(q[i])
-
-
 def biquartic_weights(q: FloatArray) -> FloatArray:
     """Return (n,) `biquartic` of each."""
-    out = np.empty(len(q))
-    _apply_elementwise(q, False, out)
-    return out
+    bounded = np.fmin(q, 1.0)
+    return np.asarray((1.0 - bounded * bounded) ** 2)
 
 
 def biquartic_losses(q: FloatArray) -> FloatArray:
     """Return (n,) `biquartic_loss` of each."""
-    out = np.empty(len(q))
-    _apply_elementwise(q, True, out)
-    return out
+    bounded = np.fmin(q, 1.0)
+    q2 = bounded * bounded
+    return np.where(q < 1.0, bounded * (1.0 - q2 * (2.0 / 3.0 - 0.2 * q2)), BIQUARTIC_BOUND)
 
 
 class NoiseResponse(NamedTuple):

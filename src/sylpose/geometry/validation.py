@@ -151,13 +151,8 @@ def check_number(
     """
     expected = "a finite number"
     if above is not None or (minimum, maximum) != (-MAX_MAGNITUDE, MAX_MAGNITUDE):
-        lower = (
-            f" above {above:g}"
-            if above is not None
-            else f" of at least {minimum:g}"
-            if minimum > -MAX_MAGNITUDE
-            else ""
-        )
+        lower = f" of at least {minimum:g}" if minimum > -MAX_MAGNITUDE else ""
+        lower = lower if above is None else f" above {above:g}"
         expected = f"a finite number{lower}{' and' if lower and maximum < MAX_MAGNITUDE else ''}"
         expected += f" of at most {maximum:g}" if maximum < MAX_MAGNITUDE else ""
     if isinstance(value, np.ndarray) and value.ndim == 0:
@@ -219,17 +214,17 @@ def check_type(value: Any, kind: type[T] | tuple[type[T], ...], name: str) -> T:
     return value
 
 
-def check_list(values: Any, kind: type[T], name: str, n: int | None = None, unit: str = "") -> list[T]:
+def check_list(values: Any, kind: type[T], name: str, n: int | None = None) -> list[T]:
     """Return a list of objects of this type.
 
     Args:
-        n: required number: one per camera, or per unit named by `unit`; None for any.
+        n: required number: one per camera; None for any.
 
     Raises:
         TypeError: naming the argument: not a sequence, or an element of another type.
         ValueError: not `n` elements.
     """
-    out: list[T] = check_sequence(values, name, n, unit, description=f"sequence of {kind.__name__}")
+    out: list[T] = check_sequence(values, name, n, description=f"sequence of {kind.__name__}")
     for k, value in enumerate(out):
         if not isinstance(value, kind):
             raise TypeError(f"{name}[{k}] must be {kind.__name__}, got {format_value(value)}")
