@@ -16,7 +16,7 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.moments import PairMoments
 from sylpose.simulate import box, ellipsoid, plane, random_motion, ring, simulate_matches
 from sylpose.status import Status
-from sylpose.sylvester import affine_consensus as agreement
+from sylpose.sylvester import camera_faults as agreement
 from sylpose.sylvester.camera_faults import Diagnosis, diagnose_cameras, find_faulty_cameras, solve_robust
 from sylpose.sylvester.centralized import solve_centralized
 from sylpose.sylvester.orthographic import compute_views

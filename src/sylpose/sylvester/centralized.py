@@ -42,8 +42,7 @@ from sylpose.results import RotationEstimate
 from sylpose.status import Status
 from sylpose.sylvester.depth_bias import information_with_depth_bias
 from sylpose.sylvester.orthographic import Views, build_costs, moment_matrices
-from sylpose.sylvester.so3 import evaluate_cost, minimize_batch
-from sylpose.sylvester.so3_kernels import ZERO_CURVATURE
+from sylpose.sylvester.so3 import ZERO_CURVATURE, evaluate_cost, minimize_batch
 
 # Cameras needed: each contributes the four numbers of an affine map and has three unknowns of its own (two slopes and a
 # scale), so three cameras determine the three parameters of the rotation (derived).

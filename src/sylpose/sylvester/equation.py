@@ -82,17 +82,15 @@ def solve_sylvester(
     a, b, c = np.ldexp(a, -exponent), np.ldexp(b, -exponent), np.ldexp(c, -rhs_exponent)
     size = _norm_bound(a) + _norm_bound(b)
     if method == "kronecker":
-        solution, sigma = _solve_kronecker(
-            _kronecker_system([a, np.eye(a.shape[-1])], [np.eye(b.shape[-1]), b]), c, size, rcond
-        )
+        system = _kronecker_system([a, np.eye(a.shape[-1])], [np.eye(b.shape[-1]), b])
+        solution, sigma = _solve_kronecker(system, c, rcond * size)
     else:
         solution, sigma = _solve_schur(_reduce_schur, [a, b], c)
     index = _find_singular(sigma, rcond * size, batch)
     if index is not None:
         unit = 2.0 ** _select_value(exponent[..., 0, 0], batch, index)
-        pairs = _describe_eigenvalues(
-            _select_matrix(a, batch, index), _select_matrix(b, batch, index), _select_value(sigma, batch, index), unit
-        )
+        a, b = _select_matrix(a, batch, index), _select_matrix(b, batch, index)
+        pairs = _describe_eigenvalues(a, b, _select_value(sigma, batch, index), unit)
         raise SingularSylvesterError(f"A N + N B = C{_describe_singularity(sigma, size, batch, index)}{pairs}")
     return _rescale(solution, rhs_exponent - exponent)
 
@@ -138,7 +136,7 @@ def solve_generalized_sylvester(
     b = [np.ldexp(x, -e) for x, e in zip(b, b_exponents, strict=True)]
     size = np.sum(np.broadcast_arrays(*(_norm_bound(x) * _norm_bound(y) for x, y in zip(a, b, strict=True))), axis=0)
     if method == "kronecker":
-        solution, sigma = _solve_kronecker(_kronecker_system(a, b), c, size, rcond)
+        solution, sigma = _solve_kronecker(_kronecker_system(a, b), c, rcond * size)
     else:
         # A single term is treated as two, the second one zero.
         pencils = [a[0], a[1], b[0], b[1]] if len(a) == 2 else [a[0], 0 * a[0], b[0], 0 * b[0]]
@@ -178,7 +176,7 @@ def _check_input(
     c: FloatArray,
     method: Method | None,
     rcond: float,
-    kronecker_unknowns: int,
+    limit: int,
     terms: int = 2,
 ) -> tuple[tuple[int, ...], Method]:
     """Return the batch's shape and the method; the first matrix is m x m, the last n x n."""
@@ -193,7 +191,7 @@ def _check_input(
     if not EPSILON <= check_number(rcond, "rcond") < 1:
         raise ValueError(f"rcond must be at least {EPSILON:.3g} and below 1, got {rcond}")
     if method is None:
-        method = "kronecker" if m * n <= kronecker_unknowns or terms > 2 else "bartels-stewart"
+        method = "kronecker" if m * n <= limit or terms > 2 else "bartels-stewart"
     if not isinstance(method, str) or method not in ("kronecker", "bartels-stewart"):
         raise ValueError(f'method must be "kronecker" or "bartels-stewart", got {format_value(method)}')
     if method == "kronecker" and m * n > MAX_KRONECKER_UNKNOWNS:
@@ -231,10 +229,8 @@ def _kronecker_system(a: Sequence[FloatArray], b: Sequence[FloatArray]) -> Float
     return sum((kron(x, transpose(y)) for x, y in zip(a, b, strict=True)), start=np.zeros(()))
 
 
-def _solve_kronecker(
-    system: FloatArray, c: FloatArray, size: FloatArray, rcond: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return X (..., m, n) and σ per system: exact where it may be at most rcond * size, else a lower bound."""
+def _solve_kronecker(system: FloatArray, c: FloatArray, limit: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return X (..., m, n) and σ per system: exact where it may be at most `limit`, else a lower bound."""
     try:
         inverse = np.linalg.inv(system)
     except np.linalg.LinAlgError:  # a pivot of one of them is exactly zero
@@ -243,7 +239,7 @@ def _solve_kronecker(
     with np.errstate(all="ignore"):  # inf and NaN where it is singular
         sigma = np.asarray(1 / _norm_bound(inverse))
         # The inverse takes a third of the time of the singular values and shows that nearly all systems are regular.
-        uncertain = ~(sigma > rcond * size)
+        uncertain = ~(sigma > limit)
         if uncertain.any():
             sigma[uncertain] = np.linalg.svd(system[uncertain], compute_uv=False)[..., -1]
         vec = c.reshape(*c.shape[:-2], system.shape[-1], 1)
@@ -279,9 +275,8 @@ def _solve_schur(
         triangular = reduce_equation(*(_select_matrix(x, batch, i) for x in matrices))
         with np.errstate(all="ignore"):  # inf and NaN where it is singular
             sigma[i] = _min_singular_value(triangular, start)
-            solution[i] = triangular.recover(
-                triangular.solve(triangular.transform_rhs(_select_matrix(c, batch, i)))
-            ).real
+            rhs = triangular.transform_rhs(_select_matrix(c, batch, i))
+            solution[i] = triangular.recover(triangular.solve(rhs)).real
     return solution, sigma
 
 

@@ -28,8 +28,7 @@ from sylpose.geometry.validation import check_finite, check_rotations, check_seq
 from sylpose.results import RotationEstimate
 from sylpose.status import Status
 from sylpose.sylvester.centralized import rotation_status
-from sylpose.sylvester.so3 import MIN_RELATIVE_VARIANCE, QuadraticCost, minimize
-from sylpose.sylvester.so3_kernels import ZERO_CURVATURE
+from sylpose.sylvester.so3 import MIN_RELATIVE_VARIANCE, ZERO_CURVATURE, QuadraticCost, minimize
 from sylpose.sylvester.so3_sos_certificate import CERTIFICATE
 
 # Eigenvalues up to this share of the largest ones count as zero: well above rounding's 1e-16 (choice).
@@ -112,22 +111,15 @@ def solve_2d3d(
     images = check_sequence(images, "images", len(Q))
     o = np.zeros((len(Q), 3)) if centers is None else check_finite(centers, (len(Q), 3), "centers")
     w = [None] * len(Q) if weights is None else check_sequence(weights, "weights", len(Q))
-    sets = [
-        _compute_moments(points[c], images[c], w[c], (f"points[{c}]", f"images[{c}]", f"weights[{c}]"), 2)
-        for c in range(len(Q))
-    ]
+    names = [(f"points[{c}]", f"images[{c}]", f"weights[{c}]") for c in range(len(Q))]
+    sets = [_compute_moments(points[c], images[c], w[c], names[c], 2) for c in range(len(Q))]
     weight = sum(s.weight for s in sets)
     if not weight > 0:
         raise ValueError("no camera has points")
     center = sum((s.weight * s.mean_x for s in sets), start=np.zeros(3)) / weight
     PQ = Q[:, :2]
-    q = QuadraticCost.from_terms(
-        transpose(PQ) @ PQ,
-        np.array([s.s_xx for s in sets]),
-        transpose(PQ) @ np.array([s.s_yx for s in sets]),
-        np.array([s.half_yy for s in sets]),
-        np.array([s.weight for s in sets]),
-    )
+    set_weights, _, _, s_xx, s_yx, half_yy, _ = (np.array(values) for values in zip(*sets, strict=True))
+    q = QuadraticCost.from_terms(transpose(PQ) @ PQ, s_xx, transpose(PQ) @ s_yx, half_yy, set_weights)
     scale = float(q.scale)
     if not scale > COINCIDENT_SPREAD**2 * sum(s.total for s in sets):
         return _no_spread_solution(center, np.full(3, np.nan))
@@ -135,11 +127,11 @@ def solve_2d3d(
     R = np.asarray(candidates[0])
     best = q.evaluate(R)
     converged, H, L = bool(best.stationary), q.H / scale, best.multiplier / scale
-    views = PQ[[s.weight > 0 for s in sets]]
+    views = PQ[set_weights > 0]
     certified = converged and (
         _is_positive(H + np.kron(L, np.eye(3)))
         or _is_certified_by_rows(np.einsum("cki,ckj->ij", views, views), H, L)
-        or _is_certified_by_columns(np.sum([s.s_xx for s in sets], axis=0), H, R.T @ L @ R)
+        or _is_certified_by_columns(s_xx.sum(axis=0), H, R.T @ L @ R)
     )
     if certified:
         candidates = candidates[:1]
@@ -147,9 +139,8 @@ def solve_2d3d(
     unobservable = find_unobservable_directions(best.information, UNOBSERVABLE_ROTATION_SD, min_ratio=ZERO_CURVATURE)
     status = rotation_status(converged, certified, unobservable)
     d, d_information = _solve_translation(PQ, o, sets, R, center, float(q.variance(best.cost)))
-    return KnownDepthSolution(
-        status, R, best.information, unobservable, iterations, candidates, costs, certified, L, center, d, d_information
-    )
+    minima, motion = (candidates, costs, certified, L), (center, d, d_information)
+    return KnownDepthSolution(status, R, best.information, unobservable, iterations, *minima, *motion)
 
 
 def solve_3d3d(x: ArrayLike, y: ArrayLike, weights: ArrayLike | None = None) -> KnownDepthSolution:
@@ -188,15 +179,9 @@ def solve_3d3d(x: ArrayLike, y: ArrayLike, weights: ArrayLike | None = None) -> 
     variance = max(cost, MIN_RELATIVE_VARIANCE * squares) * scale / s.weight * 2 / 3
     information = hessian * scale / variance
     unobservable = find_unobservable_directions(information, UNOBSERVABLE_ROTATION_SD, min_ratio=ZERO_CURVATURE)
-    status, L, d_information = (
-        rotation_status(True, True, unobservable),
-        K - R @ S @ R.T,
-        s.weight / variance * np.eye(3),
-    )
-    costs = np.array([cost])
-    return KnownDepthSolution(
-        status, R, information, unobservable, 0, R[None], costs, True, L, s.mean_x, d, d_information
-    )
+    status, motion = rotation_status(True, True, unobservable), (s.mean_x, d, s.weight / variance * np.eye(3))
+    minimum = R[None], np.array([cost]), True, K - R @ S @ R.T
+    return KnownDepthSolution(status, R, information, unobservable, 0, *minimum, *motion)
 
 
 class _Moments(NamedTuple):
@@ -276,10 +261,8 @@ def _solve_translation(
     """
     root = np.sqrt([s.weight for s in sets])
     rows = (root[:, None, None] * PQ).reshape(-1, 3)
-    target = [
-        r * (s.mean_y - p @ (R @ (s.mean_x - center) + center - c))
-        for r, p, c, s in zip(root, PQ, o, sets, strict=True)
-    ]
+    parts = zip(root, PQ, o, sets, strict=True)
+    target = [r * (s.mean_y - p @ (R @ (s.mean_x - center) + center - c)) for r, p, c, s in parts]
     d, _, rank, _ = np.linalg.lstsq(rows, np.concatenate(target), rcond=1e-9)
     freedom = 2 * int((root > 0).sum()) - int(rank)
     if freedom > 0:
@@ -298,7 +281,5 @@ def _smallest_rotation(R: FloatArray, axis: FloatArray) -> FloatArray:
 def _no_spread_solution(center: FloatArray, center_translation: FloatArray) -> KnownDepthSolution:
     """Return the solution for coincident points, whose rotation is not observable."""
     status, nan, zero = Status.ROTATION_NOT_OBSERVABLE, np.full((3, 3), np.nan), np.zeros((3, 3))
-    d = center_translation
-    return KnownDepthSolution(
-        status, nan, zero, np.eye(3), 0, nan[None], np.zeros(1), False, zero.copy(), center, d, zero.copy()
-    )
+    minimum, motion = (nan[None], np.zeros(1), False, zero.copy()), (center, center_translation, zero.copy())
+    return KnownDepthSolution(status, nan, zero, np.eye(3), 0, *minimum, *motion)

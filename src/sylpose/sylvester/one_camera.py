@@ -33,6 +33,7 @@ changes N by φ²/2 only, so a small one is hardly observable; if there is none,
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import atan2, cos, hypot, sin, sqrt
 from typing import NamedTuple
@@ -101,9 +102,8 @@ class OneCameraSolution(Printable):
         """
         guess = check_rotation(guess, "guess")
         k = int(np.argmin(np.linalg.norm(self.rotations - guess, axis=(1, 2))))
-        return RotationEstimate(
-            self.status, self.rotations[k], self.information[k], self.unobservable[k], self.iterations
-        )
+        selected = self.rotations[k], self.information[k], self.unobservable[k]
+        return RotationEstimate(self.status, *selected, self.iterations)
 
 
 def solve_one_camera(rotation: ArrayLike, moments: PairMoments, *, aim: bool = True) -> OneCameraSolution:
@@ -123,13 +123,7 @@ def solve_one_camera(rotation: ArrayLike, moments: PairMoments, *, aim: bool = T
     Raises:
         ValueError: rotation is not a rotation matrix.
     """
-    views = _single_view(rotation, moments, aim)
-    if not _has_spread(views):
-        return _no_spread_solution()
-    s, axes, T = _normalize(views)
-    if s[0] == 0:
-        return _make_solution(views, axes, _solve_collinear(s[1], axes[:, 1], T[:, 1], axes))
-    return _make_solution(views, axes, _solve_constrained(s, T + REGULARIZATION * axes * s))
+    return _solve(rotation, moments, aim, _solve_block)
 
 
 def solve_unconstrained(rotation: ArrayLike, moments: PairMoments, *, aim: bool = True) -> OneCameraSolution:
@@ -140,15 +134,7 @@ def solve_unconstrained(rotation: ArrayLike, moments: PairMoments, *, aim: bool 
     collinear points the equation is singular and the minimum-norm N is used. Away from the optimum the Hessian,
     `noise_information`, may be negative. Arguments, result and errors are those of `solve_one_camera`.
     """
-    views = _single_view(rotation, moments, aim)
-    if not _has_spread(views):
-        return _no_spread_solution()
-    s, axes, T = _normalize(views)
-    U, values, W = np.linalg.svd(T / np.where(s > 0, s, np.inf))
-    c = min(float(values[1]), 1.0)
-    return _make_solution(
-        views, axes, _BlockSolution(U @ np.diag([1.0, c]) @ W, _third_column(U[:, 0], c), np.zeros((2, 2)), True, 0)
-    )
+    return _solve(rotation, moments, aim, _project_block)
 
 
 class _BlockSolution(NamedTuple):
@@ -161,14 +147,34 @@ class _BlockSolution(NamedTuple):
     iterations: int
 
 
-def _single_view(rotation: ArrayLike, moments: PairMoments, aim: bool) -> Views:
+def _solve(
+    rotation: ArrayLike,
+    moments: PairMoments,
+    aim: bool,
+    solve_block: Callable[[FloatArray, FloatArray, FloatArray], _BlockSolution],
+) -> OneCameraSolution:
+    """Solve for the block by a function of s, axes and T (`_normalize`)."""
     Q = check_rotation(rotation)
-    return compute_views(Q[None], [check_type(moments, PairMoments, "moments")], aim=aim)
-
-
-def _has_spread(views: Views) -> bool:
+    views = compute_views(Q[None], [check_type(moments, PairMoments, "moments")], aim=aim)
     # Excludes rounding errors of centering; slightly stricter than `build_cost`, which raises an error.
-    return bool(np.trace(views.s_xx[0]) > 10 * ROUNDING_SHARE * views.total)
+    if not np.trace(views.s_xx[0]) > 10 * ROUNDING_SHARE * views.total:
+        return _no_spread_solution()
+    s, axes, T = _normalize(views)
+    return _make_solution(views, axes, solve_block(s, axes, T))
+
+
+def _solve_block(s: FloatArray, axes: FloatArray, T: FloatArray) -> _BlockSolution:
+    """Solve under pseudo-orthogonality."""
+    if s[0] == 0:
+        return _solve_collinear(s[1], axes[:, 1], T[:, 1], axes)
+    return _solve_constrained(s, T + REGULARIZATION * axes * s)
+
+
+def _project_block(s: FloatArray, axes: FloatArray, T: FloatArray) -> _BlockSolution:  # noqa: ARG001
+    """Project the unconstrained solution to the nearest block of a rotation."""
+    U, values, W = np.linalg.svd(T / np.where(s > 0, s, np.inf))
+    c = min(float(values[1]), 1.0)
+    return _BlockSolution(U @ np.diag([1.0, c]) @ W, _third_column(U[:, 0], c), np.zeros((2, 2)), True, 0)
 
 
 def _normalize(views: Views) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -212,9 +218,8 @@ def _solve_constrained(s: FloatArray, T: FloatArray) -> _BlockSolution:
             low /= 16
             if excess(low) > 0:
                 break
-    d, report = brentq(
-        excess, low, high, xtol=1e-300, rtol=4 * np.finfo(float).eps, maxiter=300, full_output=True, disp=False
-    )
+    rtol = 4 * np.finfo(float).eps
+    d, report = brentq(excess, low, high, xtol=1e-300, rtol=rtol, maxiter=300, full_output=True, disp=False)
     u0, u1, v0, v1 = stationary(d)
     if abs(hypot(v0, v1) - 1) > 1e-12:
         u0, u1, v0, v1 = _solve_at_kink(s, T, d)
@@ -279,10 +284,8 @@ def _solve_collinear(s: float, line: FloatArray, t: FloatArray, axes: FloatArray
     image_direction, excess = t / s, float(np.linalg.norm(t)) - s
     if excess > 0:
         image_direction = t / np.linalg.norm(t)
-    before, after = (
-        np.array([*line, 0.0]),
-        np.array([*image_direction, sqrt(max(0.0, 1 - float(image_direction @ image_direction)))]),
-    )
+    before = np.array([*line, 0.0])
+    after = np.array([*image_direction, sqrt(max(0.0, 1 - float(image_direction @ image_direction)))])
     # The smallest rotation between two unit vectors: the product of two half-turn rotations, or a half turn in the
     # image.
     half = before + after
@@ -290,17 +293,15 @@ def _solve_collinear(s: float, line: FloatArray, t: FloatArray, axes: FloatArray
         R = np.diag([-1.0, -1.0, 1.0])
     else:
         R = (2 * np.outer(half, half) / (half @ half) - np.eye(3)) @ (2 * np.outer(before, before) - np.eye(3))
-    return _BlockSolution(
-        R[:2, :2] @ axes, R[:2, 2], max(excess, 0.0) * np.outer(image_direction, image_direction), True, 0
-    )
+    multiplier = max(excess, 0.0) * np.outer(image_direction, image_direction)
+    return _BlockSolution(R[:2, :2] @ axes, R[:2, 2], multiplier, True, 0)
 
 
 def _make_solution(views: Views, axes: FloatArray, block: _BlockSolution) -> OneCameraSolution:
     N, m = block.N @ axes.T, block.m
     m = (-m if m[0] < 0 or (m[0] == 0 and m[1] < 0) else m) + 0.0  # no -0
-    rotations = (
-        transpose(views.rotation_y) @ np.array([_complete_rotation(N, m), _complete_rotation(N, -m)]) @ views.rotation_x
-    )
+    in_camera = np.array([_complete_rotation(N, m), _complete_rotation(N, -m)])
+    rotations = transpose(views.rotation_y) @ in_camera @ views.rotation_x
     q = build_cost(views)
     at = q.evaluate(rotations)
     information = np.array([information_with_depth_bias(views, R) for R in rotations])

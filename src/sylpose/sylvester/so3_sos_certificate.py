@@ -24,7 +24,7 @@ from __future__ import annotations
 import numpy as np
 
 from sylpose.geometry.arrays import FloatArray, IntArray
-from sylpose.geometry.numba_linalg import cholesky, kernel, solve_factored
+from sylpose.geometry.numba_linalg import cholesky, dot, kernel, solve_factored
 
 # Minimum eigenvalue of a certifying matrix, relative to H's mean eigenvalue of 1: well above rounding
 # (choice).
@@ -38,6 +38,10 @@ MAX_STEPS = 60
 MAX_DECREMENT, BARRIER_GROWTH = 1.0, 30.0
 # Number of free multipliers (derived).
 N_MULTIPLIERS = 14
+
+
+# Entries ij, ji, ii, jj of vec(S) for each k, with (i, j, k) cyclic (derived).
+_ENTRIES = ((5, 7, 4, 8), (6, 2, 8, 0), (1, 3, 0, 4))
 
 
 def _constraint_entries() -> tuple[IntArray, FloatArray]:
@@ -58,16 +62,6 @@ def _constraint_entries() -> tuple[IntArray, FloatArray]:
 
 # Rows at least as large as columns: the lower triangle.
 _INDICES, _WEIGHTS = _constraint_entries()
-
-
-def constraint_matrices() -> FloatArray:
-    """Return N_k (14, 9, 9)."""
-    N = np.zeros((N_MULTIPLIERS, 9, 9))
-    for k in range(N_MULTIPLIERS):
-        for (a, b), w in zip(_INDICES[k], _WEIGHTS[k], strict=True):
-            N[k, a, b] += w
-            N[k, b, a] += w
-    return N
 
 
 @kernel
@@ -116,13 +110,11 @@ def certify_minimum(H: FloatArray, h: FloatArray, R: FloatArray) -> tuple[bool, 
         if not cholesky(curvature_factor):
             return False, iteration
         while True:
-            decrement = 0.0
-            for k in range(N_MULTIPLIERS + 1):
-                step[k] = slope[k] if k < N_MULTIPLIERS else slope[k] + eta
+            gradient_ahead = slope.copy()
+            gradient_ahead[N_MULTIPLIERS] += eta
+            step[:] = gradient_ahead
             solve_factored(curvature_factor, step)
-            for k in range(N_MULTIPLIERS + 1):
-                decrement += step[k] * (slope[k] if k < N_MULTIPLIERS else slope[k] + eta)
-            if decrement > MAX_DECREMENT:
+            if dot(step, gradient_ahead) > MAX_DECREMENT:
                 break
             # At a maximum, t is at most 6 / η below its supremum.
             if t + 9.0 / eta < margin:
@@ -154,10 +146,7 @@ def build_gram_matrix(H: FloatArray, h: FloatArray, R: FloatArray, G: FloatArray
     for i in range(9):
         for l in range(3):
             for m in range(3):
-                s = 0.0
-                for n in range(3):
-                    s += H[i, 3 * l + n] * R[m, n]
-                half[i, 3 * l + m] = s
+                half[i, 3 * l + m] = dot(H[i, 3 * l : 3 * l + 3], R[m])
     for i in range(3):
         for k in range(3):
             g_entry = 0.0
@@ -174,23 +163,20 @@ def build_gram_matrix(H: FloatArray, h: FloatArray, R: FloatArray, G: FloatArray
     # U: S_ii has the entries -2 for x_j² and x_k², S_ij has √2 for √2 x_i x_j and -2 for c x_k, S_ji has +2 for the
     # latter.
     for k in range(3):
-        i, j = (k + 1) % 3, (k + 2) % 3
-        ij, ji, ii, jj = 3 * i + j, 3 * j + i, 4 * i, 4 * j
+        ij, ji, ii, jj = _ENTRIES[k]
         for l in range(9):
             TU[l, k] = -2.0 * (T[l, ij] - T[l, ji])
             TU[l, 3 + k] = -2.0 * (T[l, ii] + T[l, jj])
             TU[l, 6 + k] = np.sqrt(2.0) * (T[l, ij] + T[l, ji])
     for k in range(3):
-        i, j = (k + 1) % 3, (k + 2) % 3
-        ij, ji, ii, jj = 3 * i + j, 3 * j + i, 4 * i, 4 * j
+        ij, ji, ii, jj = _ENTRIES[k]
         for l in range(9):
             G[k, l] = TU[ji, l] - TU[ij, l]
             G[3 + k, l] = -TU[ii, l] - TU[jj, l]
             G[6 + k, l] = np.sqrt(0.5) * (TU[ij, l] + TU[ji, l])
     # n g'Um: c² times a square goes to the first block, |x|² times a square to the last; c x_k belongs to the gradient.
     for k in range(3):
-        i, j = (k + 1) % 3, (k + 2) % 3
-        ij, ji, ii, jj = 3 * i + j, 3 * j + i, 4 * i, 4 * j
+        (ij, ji, ii, jj), i, j = _ENTRIES[k], (k + 1) % 3, (k + 2) % 3
         gradient[k] = 2.0 * (g[ji] - g[ij])
         square, product = -2.0 * (g[ii] + g[jj]), np.sqrt(2.0) * (g[ij] + g[ji])
         G[k, k] += square
@@ -244,10 +230,7 @@ def _barrier_derivatives(W: FloatArray, WDW: FloatArray, slope: FloatArray, curv
     """
     for i in range(9):
         for j in range(i + 1):
-            s = 0.0
-            for k in range(3, 9):
-                s += W[i, k] * W[j, k]
-            WDW[i, j] = WDW[j, i] = s
+            WDW[i, j] = WDW[j, i] = dot(W[i, 3:], W[j, 3:])
     for k in range(N_MULTIPLIERS):
         slope[k] = along_t = 0.0
         for c in range(2):

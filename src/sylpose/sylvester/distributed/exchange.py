@@ -37,6 +37,9 @@ _HEADER = struct.Struct("<BBHI")
 MAX_MISSED_ROUNDS = 20
 
 
+Graph = Iterable[tuple[int, int]]  # pairs of connected cameras
+
+
 class Kind(IntEnum):
     """Protocol of a message."""
 
@@ -129,12 +132,7 @@ class ExchangeState:
 
 
 def start_exchange(
-    camera: int,
-    rotations: ArrayLike,
-    moments: PairMoments,
-    *,
-    graph: Iterable[tuple[int, int]] | None = None,
-    aim: bool = True,
+    camera: int, rotations: ArrayLike, moments: PairMoments, *, graph: Graph | None = None, aim: bool = True
 ) -> tuple[ExchangeState, list[Packet]]:
     """Create a node and its first message.
 
@@ -214,7 +212,7 @@ def _solve(s: ExchangeState) -> NodeEstimate | None:
     return NodeEstimate(found.rotation, found.information, weights, faults, found.diagnosis.consistent)
 
 
-def _build_links(n: int, graph: Iterable[tuple[int, int]]) -> BoolArray:
+def _build_links(n: int, graph: Graph) -> BoolArray:
     """Return the (n, n) mask of connected nodes, each also with itself."""
     links = np.eye(n, dtype=bool)
     for i, j in graph:
@@ -224,7 +222,6 @@ def _build_links(n: int, graph: Iterable[tuple[int, int]]) -> BoolArray:
     component = connected_components(links, directed=False)[1]
     unreachable = np.flatnonzero(component != component[0]).tolist()
     if unreachable:
-        raise ValueError(
-            f"the graph is not connected: cameras {', '.join(map(str, unreachable))} cannot reach camera 0"
-        )
+        cameras = ", ".join(map(str, unreachable))
+        raise ValueError(f"the graph is not connected: cameras {cameras} cannot reach camera 0")
     return links

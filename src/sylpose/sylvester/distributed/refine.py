@@ -50,8 +50,13 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.matrices import pack_upper, unpack_symmetric
 from sylpose.moments import PairMoments
 from sylpose.packets import Inbox, Packet
-from sylpose.sylvester.affine_consensus import AffineFits, fit_affine_maps
-from sylpose.sylvester.camera_faults import FULL_WEIGHT_SCORE, find_static_views, max_fault_score
+from sylpose.sylvester.camera_faults import (
+    FULL_WEIGHT_SCORE,
+    AffineFits,
+    find_static_views,
+    fit_affine_maps,
+    max_fault_score,
+)
 from sylpose.sylvester.depth_bias import SLOPE_GRID, SurfaceSums, compute_surface_sums, information_from_sums
 from sylpose.sylvester.distributed.exchange import (
     MAX_MISSED_ROUNDS,
@@ -67,8 +72,7 @@ from sylpose.sylvester.distributed.exchange import (
 from sylpose.sylvester.equation import solve_generalized_sylvester
 from sylpose.sylvester.one_camera import solve_one_camera
 from sylpose.sylvester.orthographic import Views, build_cost, compute_terms, compute_views
-from sylpose.sylvester.so3 import MIN_RELATIVE_VARIANCE, QuadraticCost, compute_derivatives
-from sylpose.sylvester.so3_kernels import ZERO_CURVATURE
+from sylpose.sylvester.so3 import MIN_RELATIVE_VARIANCE, ZERO_CURVATURE, QuadraticCost, compute_derivatives
 
 # p_c over trace(H_c), and over-relaxation (measured: docs/history/benchmarks.md#distributed, plain and extrapolated).
 PENALTY, RELAXATION = 0.1, 1.6

@@ -9,7 +9,7 @@ The steps of a node are in `exchange` and `refine`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Protocol, TypeVar
@@ -25,7 +25,7 @@ from sylpose.packets import MAX_ROUNDS, NO_FAULTS, Inbox, NetworkFaults, Network
 from sylpose.results import RotationEstimate
 from sylpose.status import Status
 from sylpose.sylvester.centralized import find_unobservable_rotations, rotation_status
-from sylpose.sylvester.distributed.exchange import NodeEstimate, start_exchange, step_exchange
+from sylpose.sylvester.distributed.exchange import Graph, NodeEstimate, start_exchange, step_exchange
 from sylpose.sylvester.distributed.refine import start_refine, step_refine
 from sylpose.sylvester.orthographic import build_cost, compute_views
 from sylpose.sylvester.so3 import is_certified
@@ -110,7 +110,7 @@ def solve_gossip(
     rotations: ArrayLike,
     moments: Sequence[PairMoments],
     *,
-    graph: Iterable[tuple[int, int]] | None = None,
+    graph: Graph | None = None,
     aim: bool = True,
     max_rounds: int = 1000,
     network_faults: NetworkFaults = NO_FAULTS,
@@ -179,7 +179,7 @@ def _solve(
     return _combine_results(Q, moments, aim, run_network(starts, step, network_faults, max_rounds))
 
 
-def _check_graph(graph: Iterable[tuple[int, int]], n: int) -> list[tuple[int, int]]:
+def _check_graph(graph: Graph, n: int) -> list[tuple[int, int]]:
     """Return the pairs of cameras.
 
     Raises:
