@@ -147,14 +147,12 @@ def axes_from_extent(points: FloatArray) -> RigidTransform:
     return _make_axes(centroid, x, z)
 
 
-def estimate_axes_sd(
-    estimate: RigidTransform, draw: Callable[[np.random.Generator], RigidTransform], seed: int = 0
-) -> FloatArray:
+def estimate_axes_sd(estimate: RigidTransform, draw: Callable[[np.random.Generator], RigidTransform]) -> FloatArray:
     """Return (6,) standard deviations of axes, radians about them and lengths along them, from random draws.
 
     A draw that fails counts as a rotation of 180 degrees.
     """
-    rng, errors = np.random.default_rng(seed), []
+    rng, errors = np.random.default_rng(0), []
     for _ in range(N_DRAWS):
         try:
             difference = draw(rng) * estimate.inv()

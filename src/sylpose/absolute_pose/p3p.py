@@ -24,23 +24,21 @@ def _align_triangles(
     The model (3, 3) is mapped to the points (3, 3).
     """
     for k in range(2):
-        p = points if k == 0 else model
-        f = axes[k]
+        corners, f = points if k == 0 else model, axes[k]
         for j in range(3):
-            f[0, j], f[1, j] = p[1, j] - p[0, j], p[2, j] - p[0, j]
+            f[0, j], f[1, j] = corners[1, j] - corners[0, j], corners[2, j] - corners[0, j]
         for a, b, out in ((0, 1, 2), (2, 0, 1)):
             for j in range(3):
-                m, n = (j + 1) % 3, (j + 2) % 3
-                f[out, j] = f[a, m] * f[b, n] - f[a, n] * f[b, m]
+                k1, k2 = (j + 1) % 3, (j + 2) % 3
+                f[out, j] = f[a, k1] * f[b, k2] - f[a, k2] * f[b, k1]
         for i in range(3):
             length = np.sqrt(f[i, 0] ** 2 + f[i, 1] ** 2 + f[i, 2] ** 2)
             for j in range(3):
                 f[i, j] /= length
+    p, m = axes[0], axes[1]
     for i in range(3):
         for j in range(3):
-            rotation[i, j] = (
-                axes[0, 0, i] * axes[1, 0, j] + axes[0, 1, i] * axes[1, 1, j] + axes[0, 2, i] * axes[1, 2, j]
-            )
+            rotation[i, j] = p[0, i] * m[0, j] + p[1, i] * m[1, j] + p[2, i] * m[2, j]
     for i in range(3):
         translation[i] = 0.0
         for k in range(3):

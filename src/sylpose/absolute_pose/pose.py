@@ -7,26 +7,15 @@ to chance, and whether other cameras contradict it.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import lgamma
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.absolute_pose.pose_kernels import (
-    CUTOFF,
-    Noise,
-    Views,
-    compute_chance,
-    compute_information,
-    compute_score,
-    fit_pose,
-    make_workspace,
-    minimize,
-    sample_inlier_ratio,
-    search_samples,
-)
+from sylpose.absolute_pose import pose_kernels as kernels
+from sylpose.absolute_pose.pose_kernels import ModelPose, Pose, Views
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.matrices import invert_information
 from sylpose.geometry.normal_equations import (
@@ -122,14 +111,8 @@ def estimate_pose(
     max_error_px = check_number(max_error_px, "max_error_px", above=0.0, minimum=MIN_ERROR_PX, maximum=MAX_FOCAL_PX)
     seed = check_integer(seed, "seed")
     units = NoiseUnits(np.ones(n), 0.0) if noise_px is None else make_noise_units(noise_px, rig.names)
-    models = [
-        check_finite_rows(p, 3, f"camera {camera.name}: points", maximum=MAX_LENGTH)
-        for camera, p in zip(rig, points, strict=True)
-    ]
-    pixel_arrays = [
-        check_finite_rows(u, 2, f"camera {camera.name}: pixels", maximum=MAX_FOCAL_PX)
-        for camera, u in zip(rig, pixels, strict=True)
-    ]
+    models = _check_arrays(rig, points, 3, "points", MAX_LENGTH)
+    pixel_arrays = _check_arrays(rig, pixels, 2, "pixels", MAX_FOCAL_PX)
     for camera, x, u in zip(rig, models, pixel_arrays, strict=True):
         if len(x) != len(u):
             raise ValueError(f"camera {camera.name}: {len(x)} points but {len(u)} pixels; give one pixel per point")
@@ -143,30 +126,31 @@ def estimate_pose(
     return replace(result, inliers=tuple(inliers))
 
 
+def _check_arrays(rig: Rig, arrays: Sequence[ArrayLike], width: int, name: str, maximum: float) -> list[FloatArray]:
+    """Return each camera's array (n, width), checked."""
+    named = [(f"camera {camera.name}: {name}", array) for camera, array in zip(rig, arrays, strict=True)]
+    return [check_finite_rows(array, width, label, maximum=maximum) for label, array in named]
+
+
 def _estimate(
-    rig: Rig,
-    models: Sequence[FloatArray],
-    pixels: Sequence[FloatArray],
-    max_error_px: float,
-    units: NoiseUnits,
-    seed: int,
+    rig: Rig, models: list[FloatArray], pixels: list[FloatArray], max_px: float, units: NoiseUnits, seed: int
 ) -> Motion:
     """Run `estimate_pose` on checked matches of used cameras, without copies."""
     counts = np.array([len(x) for x in models])
     model = np.concatenate(models)
     center = model.mean(axis=0) if len(model) else np.full(3, np.nan)
     if not _has_enough_matches(model, np.repeat(np.arange(len(rig)), counts)):
-        return _make_result(rig, counts, Status.TOO_FEW_MATCHES, center)
+        return _make_failure(rig, counts, Status.TOO_FEW_MATCHES, center)
     used = np.flatnonzero(counts).tolist()
     cameras, used_pixels = [rig.cameras[c] for c in used], [pixels[c] for c in used]
     origin, views = _make_views(cameras, model - center, used_pixels, units.per_px[used], units.sigma)
-    max_square = float(max_error_px * units.per_px.max()) ** 2
+    max_square = float(max_px * units.per_px.max()) ** 2
     extent, axes = np.linalg.eigh(views.points.T @ views.points / len(model))
     if not extent[1] > 1e-12 * extent[2]:
-        return _make_result(rig, counts, Status.ROTATION_NOT_OBSERVABLE, center, unobservable=np.eye(6))
+        return replace(_make_failure(rig, counts, Status.ROTATION_NOT_OBSERVABLE, center), unobservable=np.eye(6))
     poses = search_poses(views, max_square, axes[:, 0], np.random.default_rng(seed))
     if not poses:
-        return _make_result(rig, counts, Status.NOT_CONSISTENT, center)
+        return _make_failure(rig, counts, Status.NOT_CONSISTENT, center)
     best = poses[0]
     status = Status.OK if best.converged else Status.NOT_CONVERGED
     all_inliers = bool(best.weights.all())
@@ -182,7 +166,7 @@ def _estimate(
                 "calibration?",
             )
     pose_information = np.empty((6, 6))
-    compute_information(views, best.rotation, best.translation, best.noise, pose_information)
+    kernels.compute_information(views, best.model, best.noise, pose_information)
     pose_information *= _information_scale(best, units.sigma)
     unobservable = np.empty((0, 6))
     if status is Status.OK:
@@ -194,8 +178,25 @@ def _estimate(
             status = Status.ROTATION_NOT_OBSERVABLE if is_rotation else Status.SCALE_NOT_OBSERVABLE
         elif all_inliers and is_by_chance(views, best):
             status = Status.NOT_CONSISTENT
-    result = _make_result(rig, counts, status, center, best, origin, pose_information, unobservable)
-    return replace(result, residuals=result.residuals / np.where(units.per_px > 0.0, units.per_px, 1.0), faults=faults)
+    is_inlier = best.weights > 0
+    camera = np.repeat(np.arange(len(counts)), counts)[is_inlier]
+    sums = np.bincount(camera, best.squares[is_inlier], len(counts))
+    numbers = np.bincount(camera, minlength=len(counts))
+    residuals = np.sqrt(sums / np.maximum(numbers, 1), out=np.full(len(counts), np.nan), where=numbers > 0)
+    matrix = np.eye(4)
+    matrix[:3, :3] = best.model.rotation
+    matrix[:3, 3] = origin + best.model.translation - best.model.rotation @ center
+    return replace(
+        _make_failure(rig, counts, status, center),
+        motion=RigidTransform(matrix, normalize=False) if status.has_pose else None,
+        information=pose_information,
+        covariance=invert_information(pose_information),
+        unobservable=unobservable,
+        inliers=tuple(np.split(is_inlier, np.cumsum(counts)[:-1])),
+        residuals=residuals / np.where(units.per_px > 0.0, units.per_px, 1.0),
+        iterations=best.iterations,
+        faults=faults,
+    )
 
 
 def _has_enough_matches(model: FloatArray, camera: IntArray) -> bool:
@@ -231,7 +232,7 @@ def _information_scale(pose: Pose, known_noise: float) -> float:
 def _observability_limits(views: Views, pose: Pose) -> FloatArray:
     """Return (6,) standard deviations beyond which (w, d) are unobservable: an angle, and half of the distance."""
     centers = -np.einsum("cij,ci->cj", views.rotations, views.translations)
-    distance = float(np.linalg.norm(centers - pose.translation, axis=1).min())
+    distance = float(np.linalg.norm(centers - pose.model.translation, axis=1).min())
     return np.array([UNOBSERVABLE_ROTATION_SD] * 3 + [UNOBSERVABLE_RATIO * distance] * 3)
 
 
@@ -246,54 +247,33 @@ def _find_unobservable(
     best = poses[0]
     if len(directions := find_unobservable_directions(pose_information, limits)):
         return directions
-    (noise, freedom), max_square = _noise_prior(known_noise), CUTOFF**2 * float(np.median(best.noise.variances))
-    workspace = make_workspace()
-    scores = [compute_score(views, p.rotation, p.translation, max_square, np.inf, workspace) for p in poses]
-    losses = np.array(scores)
+    (noise, freedom), max_square = _noise_prior(known_noise), kernels.CUTOFF**2 * float(np.median(best.noise.variances))
+    workspace = kernels.make_workspace()
+    losses = np.array([kernels.compute_score(views, pose.model, max_square, np.inf, workspace) for pose in poses])
     squares = BIQUARTIC_BOUND * max_square * losses + freedom * noise**2
     for pose, square in zip(poses[1:], squares[1:], strict=True):
-        rotvec = Rotation.from_matrix(pose.rotation @ best.rotation.T).as_rotvec()
+        rotvec = Rotation.from_matrix(pose.model.rotation @ best.model.rotation.T).as_rotvec()
         odds = 0.5 * (best.freedom + freedom) * np.log(square / squares[0])
         if np.linalg.norm(rotvec) > UNOBSERVABLE_ROTATION_SD and odds < np.log(CLEAR_ODDS):
-            direction = np.concatenate([rotvec, pose.translation - best.translation])[None] / limits
+            direction = np.concatenate([rotvec, pose.model.translation - best.model.translation])[None] / limits
             return direction / np.linalg.norm(direction)
     return directions
 
 
-def _make_result(
-    rig: Rig,
-    counts: IntArray,
-    status: Status,
-    center: FloatArray,
-    pose: Pose | None = None,
-    origin: FloatArray | None = None,
-    pose_information: FloatArray | None = None,
-    unobservable: FloatArray | None = None,
-) -> Motion:
-    """Make the public result; without a pose it has no inliers and no information."""
-    is_inlier = np.zeros(counts.sum(), bool) if pose is None else pose.weights > 0
-    residuals, motion = np.full(len(counts), np.nan), None
-    if pose is not None:
-        camera = np.repeat(np.arange(len(counts)), counts)[is_inlier]
-        sums = np.bincount(camera, pose.squares[is_inlier], len(counts))
-        numbers = np.bincount(camera, minlength=len(counts))
-        np.sqrt(sums / np.maximum(numbers, 1), out=residuals, where=numbers > 0)
-    if pose is not None and origin is not None and status.has_pose:
-        matrix = np.eye(4)
-        matrix[:3, :3], matrix[:3, 3] = pose.rotation, origin + pose.translation - pose.rotation @ center
-        motion = RigidTransform(matrix, normalize=False)
-    pose_information = np.zeros((6, 6)) if pose_information is None else pose_information
+def _make_failure(rig: Rig, counts: IntArray, status: Status, center: FloatArray) -> Motion:
+    """Make the public result without a pose: it has no inliers and no information."""
+    nothing = np.zeros((6, 6))
     return Motion(
         status=status,
-        motion=motion,
+        motion=None,
         center=center,
-        information=pose_information,
-        covariance=invert_information(pose_information),
-        unobservable=np.empty((0, 6)) if unobservable is None else unobservable,
-        inliers=tuple(np.split(is_inlier, np.cumsum(counts)[:-1])),
-        residuals=residuals,
+        information=nothing,
+        covariance=invert_information(nothing),
+        unobservable=np.empty((0, 6)),
+        inliers=tuple(np.zeros(n, bool) for n in counts),
+        residuals=np.full(len(counts), np.nan),
         method="pose",
-        iterations=0 if pose is None else pose.iterations,
+        iterations=0,
         camera_names=rig.names,
         unit=rig.unit,
     )
@@ -350,12 +330,12 @@ def _estimate_model_scale(views: Views, max_square: float, thin_axis: FloatArray
         max_square: squared distance beyond which a match is an outlier, pixels.
         thin_axis: (3,) the direction in which the model extends least.
     """
-    single_poses = list(find_single_camera_poses(views, max_square, thin_axis, seed))
+    single_poses = list(find_camera_poses(views, max_square, thin_axis, seed))
     if len(single_poses) < 2:
         return None
     cameras = [c for c, _ in single_poses]
     centers = -np.einsum("cij,ci->cj", views.rotations[cameras], views.translations[cameras])
-    offsets = np.array([pose.translation for _, pose in single_poses]) - centers
+    offsets = np.array([pose.model.translation for _, pose in single_poses]) - centers
     # The size at which center + size * offset is equal for all, by least squares.
     centers, offsets = centers - centers.mean(axis=0), offsets - offsets.mean(axis=0)
     spread = float(np.sum(offsets * offsets))
@@ -404,20 +384,6 @@ def make_frame_pose(estimate: Motion, index: int, time: float, matches: IntArray
 # --- search -----------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class Pose:
-    """Fitted pose: rotation and translation as in the kernels, and the fit's diagnostics."""
-
-    rotation: FloatArray
-    translation: FloatArray
-    squares: FloatArray
-    weights: FloatArray
-    noise: Noise
-    iterations: int
-    freedom: float
-    converged: bool
-
-
 def search_poses(views: Views, max_square: float, thin_axis: FloatArray, rng: np.random.Generator) -> list[Pose]:
     """Search for distinct poses, refine them, and fit the best two to all matches; best first.
 
@@ -430,28 +396,28 @@ def search_poses(views: Views, max_square: float, thin_axis: FloatArray, rng: np
     n_done, n_samples = 0, MIN_SAMPLES
     while n_done < n_samples:
         draws = rng.random((min(n_samples - n_done, 200), 6))
-        search_samples(subset, draws, max_square, SEARCH_STEPS, rotations, translations, scores)
+        kernels.search_samples(subset, draws, max_square, SEARCH_STEPS, rotations, translations, scores)
         n_done += len(draws)
         n_samples = MAX_SAMPLES
         if scores[0] < np.inf:
-            n_samples = _required_samples(subset, rotations[0], translations[0], max_square)
-    starts = [(rotations[k], translations[k]) for k in range(N_KEPT) if scores[k] < np.inf]
+            n_samples = _required_samples(subset, ModelPose(rotations[0], translations[0]), max_square)
+    starts = [ModelPose(rotations[k], translations[k]) for k in range(N_KEPT) if scores[k] < np.inf]
     if not starts:
         return []
-    mirrored = _mirror_pose(*starts[0], thin_axis)
-    minimize(subset, *mirrored, _max_noise(views, max_square), 10, 1e-3)
+    mirrored = _mirror_pose(starts[0], thin_axis)
+    kernels.minimize(subset, mirrored, kernels.make_noise(views, max_square), 10, 1e-3)
     poses: list[Pose] = []
-    workspace, max_score = make_workspace(), MAX_SCORE_RATIO * scores[0] + MAX_SCORE_EXCESS
-    for rotation, translation in [*starts, mirrored]:
-        score = compute_score(subset, rotation, translation, max_square, np.inf, workspace)
-        if score > max_score or _is_known(poses, rotation):
+    workspace, max_score = kernels.make_workspace(), MAX_SCORE_RATIO * scores[0] + MAX_SCORE_EXCESS
+    for start in [*starts, mirrored]:
+        score = kernels.compute_score(subset, start, max_square, np.inf, workspace)
+        if score > max_score or _is_known(poses, start):
             continue
-        pose = _fit_pose(subset, rotation, translation, max_square)
-        if pose is not None and not _is_known(poses, pose.rotation):
+        pose = _fit_pose(subset, start, max_square)
+        if pose is not None and not _is_known(poses, pose.model):
             poses.append(pose)
     poses = _sort_by_false_alarms(subset, poses)
     if subset is not views:
-        fitted = [_fit_pose(views, pose.rotation, pose.translation, max_square) for pose in poses[:2]]
+        fitted = [_fit_pose(views, pose.model, max_square) for pose in poses[:2]]
         poses = _sort_by_false_alarms(views, [pose for pose in fitted if pose is not None])
     return poses
 
@@ -465,12 +431,15 @@ def select_matches(views: Views, mask: BoolArray) -> tuple[Views, BoolArray]:
     """Select some of the matches (n,), at least one, and return the mask of the cameras (C,) that have any of them."""
     start = np.concatenate([[0], np.cumsum(mask)])[views.start]
     has_matches = np.diff(start) > 0
-    points, images, to_pixels = views.points[mask], views.images[mask], views.to_pixels[mask]
-    starts, cameras = (
-        np.append(start[:-1][has_matches], start[-1]),
-        (views.rotations[has_matches], views.translations[has_matches]),
-    )
-    return Views(points, images, to_pixels, starts, *cameras, views.min_variance), has_matches
+    rotations, translations = views.rotations[has_matches], views.translations[has_matches]
+    selected = _take(views, mask, np.append(start[:-1][has_matches], start[-1]))
+    return selected._replace(rotations=rotations, translations=translations), has_matches
+
+
+def _take(views: Views, matches: BoolArray | IntArray, start: IntArray) -> Views:
+    """Return the views of some of the matches, with the cameras' new starts."""
+    points, images, to_pixels = views.points[matches], views.images[matches], views.to_pixels[matches]
+    return views._replace(points=points, images=images, to_pixels=to_pixels, start=start)
 
 
 def _sort_by_false_alarms(views: Views, poses: list[Pose]) -> list[Pose]:
@@ -493,47 +462,36 @@ def _select_subset(views: Views, rng: np.random.Generator) -> Views:
         first + (np.arange(n) if n <= quota else rng.choice(n, quota, replace=False))
         for first, n in zip(views.start[:-1], counts, strict=True)
     ]
-    start = np.concatenate([[0], np.cumsum([len(p) for p in picked])])
-    indices = np.concatenate(picked)
-    points, images, to_pixels = views.points[indices], views.images[indices], views.to_pixels[indices]
-    return views._replace(points=points, images=images, to_pixels=to_pixels, start=start)
+    return _take(views, np.concatenate(picked), np.concatenate([[0], np.cumsum([len(p) for p in picked])]))
 
 
-def _required_samples(views: Views, rotation: FloatArray, translation: FloatArray, max_square: float) -> int:
+def _required_samples(views: Views, pose: ModelPose, max_square: float) -> int:
     """Return the number of samples for which one is free of outliers except with probability `MISS_PROBABILITY`."""
-    inlier_ratio = sample_inlier_ratio(views, rotation, translation, max_square)
+    inlier_ratio = kernels.sample_inlier_ratio(views, pose, max_square)
     if inlier_ratio >= 1.0:
         return MIN_SAMPLES
     return int(np.clip(np.log(MISS_PROBABILITY) / np.log1p(-max(inlier_ratio, 1e-9)), MIN_SAMPLES, MAX_SAMPLES))
 
 
-def _mirror_pose(rotation: FloatArray, translation: FloatArray, thin_axis: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _mirror_pose(pose: ModelPose, thin_axis: FloatArray) -> ModelPose:
     """Return the mirror pose of a flat object, which looks most alike from the cameras' center, the world's origin.
 
     Rotations by 180 degrees about the object's normal, then about the viewing direction, preserve its scaled
     orthographic image.
     """
-    viewing_ray = translation / max(float(np.linalg.norm(translation)), 1e-300)
+    viewing_ray = pose.translation / max(float(np.linalg.norm(pose.translation)), 1e-300)
     half_turns = [2.0 * np.outer(axis, axis) - np.eye(3) for axis in (viewing_ray, thin_axis)]
-    return half_turns[0] @ rotation @ half_turns[1], translation.copy()
+    return ModelPose(half_turns[0] @ pose.rotation @ half_turns[1], pose.translation.copy())
 
 
-def _is_known(poses: Sequence[Pose], rotation: FloatArray) -> bool:
-    return any(np.linalg.norm(rotation - pose.rotation) < np.sqrt(2.0) * SAME_ROTATION for pose in poses)
+def _is_known(poses: Sequence[Pose], other: ModelPose) -> bool:
+    return any(np.linalg.norm(other.rotation - p.model.rotation) < np.sqrt(2.0) * SAME_ROTATION for p in poses)
 
 
-def _max_noise(views: Views, max_square: float) -> Noise:
-    """Return the noise of the largest cutoff, for all cameras."""
-    return Noise(np.full(len(views.rotations), max_square / CUTOFF**2), np.full(len(views.rotations), max_square))
-
-
-def _fit_pose(views: Views, rotation: FloatArray, translation: FloatArray, max_square: float) -> Pose | None:
+def _fit_pose(views: Views, start: ModelPose, max_square: float) -> Pose | None:
     """Fit a pose robustly from a start; None if fewer than `MIN_MATCHES` inliers remain."""
-    rotation, translation = rotation.copy(), translation.copy()
-    squares, weights, noise = np.empty(len(views.points)), np.zeros(len(views.points)), _max_noise(views, max_square)
-    convergence = fit_pose(views, rotation, translation, max_square, MAX_ITERATIONS, 1, squares, weights, noise)
-    has_enough_inliers = np.count_nonzero(weights) >= MIN_MATCHES
-    return Pose(rotation, translation, squares, weights, noise, *convergence) if has_enough_inliers else None
+    pose = kernels.fit_pose(views, start, max_square, MAX_ITERATIONS, 1)
+    return pose if np.count_nonzero(pose.weights) >= MIN_MATCHES else None
 
 
 def _log_false_alarms(views: Views, pose: Pose) -> float:
@@ -546,7 +504,8 @@ def _log_false_alarms(views: Views, pose: Pose) -> float:
 
     Source: Moisan & Stival, a contrario RANSAC, 2004.
     """
-    n, (k, log_share) = len(pose.weights), compute_chance(views, pose.translation, pose.weights, pose.noise)
+    n = len(pose.weights)
+    k, log_share = kernels.compute_chance(views, pose.model.translation, pose.weights, pose.noise)
     choices = lgamma(n + 1) - lgamma(n - k + 1) - lgamma(4) - lgamma(k - 2)
     return float(np.log(n) + choices + (k - 3) / k * log_share)
 
@@ -559,13 +518,11 @@ def is_by_chance(views: Views, pose: Pose) -> bool:
     """
     if not pose.weights.all():
         return bool(_log_false_alarms(views, pose) > np.log(MAX_FALSE_ALARMS))
-    k, log_share = compute_chance(views, pose.translation, pose.weights, pose.noise)
+    k, log_share = kernels.compute_chance(views, pose.model.translation, pose.weights, pose.noise)
     return bool((k - 3) / k * log_share > np.log(MAX_FALSE_ALARMS))
 
 
-def find_single_camera_poses(
-    views: Views, max_square: float, thin_axis: FloatArray, seed: int
-) -> Iterator[tuple[int, Pose]]:
+def find_camera_poses(views: Views, max_square: float, thin_axis: FloatArray, seed: int) -> Iterator[tuple[int, Pose]]:
     """Yield the cameras that support a pose alone, with that pose.
 
     A majority of their matches, and more than `MIN_MATCHES`, are inliers, not by chance.
@@ -592,7 +549,7 @@ def is_contradicted(views: Views, pose: Pose, max_square: float, thin_axis: Floa
         return False
     others, has_matches = select_matches(views, (pose.weights == 0.0) & np.repeat(is_opposing, counts))
     if n_supporting <= 1:
-        return any(True for _ in find_single_camera_poses(others, max_square, thin_axis, seed))
+        return any(True for _ in find_camera_poses(others, max_square, thin_axis, seed))
     poses = search_poses(others, max_square, thin_axis, np.random.default_rng(seed))
     if not poses or is_by_chance(others, poses[0]):
         return False

@@ -1,7 +1,6 @@
 """Compiled loops of `estimate_pose`: robust scores, the search for a start, the fit, and the noise.
 
-All of them take the same `Views`: n matches sorted by camera. A pose is R (3, 3) and g (3,): a model point X, relative
-to the model's center, is at R X + g.
+All of them take the same `Views`: n matches sorted by camera.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ import numpy as np
 
 from sylpose.absolute_pose.p3p import solve_p3p
 from sylpose.geometry.arrays import FloatArray, IntArray
-from sylpose.geometry.numba_linalg import apply_rotvec, cholesky_solve, kernel, leaf
+from sylpose.geometry.numba_linalg import apply_rotvec, cholesky_solve, dot, kernel, leaf
 from sylpose.geometry.robust_loss import BIQUARTIC_BOUND, biquartic, biquartic_loss, biquartic_noise_response
 
 # Cutoff of the biquartic weights: nearly 1 up to two sigma, 0 beyond five (choice).
@@ -68,44 +67,69 @@ class Noise(NamedTuple):
     cutoffs: FloatArray
 
 
+class ModelPose(NamedTuple):
+    """Rotation R (3, 3) and translation g (3,): a model point X, relative to the model's center, is at R X + g."""
+
+    rotation: FloatArray
+    translation: FloatArray
+
+
 class Workspace(NamedTuple):
-    """Workspace for one camera.
+    """Workspace for one camera: the pose `model` of the model in it, and a match's two rows `row` (2, 6)."""
+
+    model: ModelPose
+    row: FloatArray
+
+
+class Pose(NamedTuple):
+    """Fitted pose of the model in the world.
 
     Attributes:
-        camera_rotation, camera_translation: (3, 3), (3,) from the model to the camera.
-        row: (2, 6) a match's two rows.
+        model: the pose.
+        squares, weights: (n,) squared reprojection errors, pixels, and robust weights.
+        noise: estimated from the residuals.
+        iterations: of the fit.
+        freedom: degrees of freedom of the noise.
+        converged: whether the fit converged.
     """
 
-    camera_rotation: FloatArray
-    camera_translation: FloatArray
-    row: FloatArray
+    model: ModelPose
+    squares: FloatArray
+    weights: FloatArray
+    noise: Noise
+    iterations: int
+    freedom: float
+    converged: bool
+
+
+@kernel
+def make_noise(views: Views, max_square: float) -> Noise:
+    """Return the noise of the largest cutoff, for all cameras."""
+    n = len(views.rotations)
+    return Noise(np.full(n, max_square / (CUTOFF * CUTOFF)), np.full(n, max_square))
 
 
 @kernel
 def make_workspace() -> Workspace:
     """Allocate a workspace."""
-    return Workspace(np.empty((3, 3)), np.empty(3), np.empty((2, 6)))
+    return Workspace(ModelPose(np.empty((3, 3)), np.empty(3)), np.empty((2, 6)))
 
 
 @leaf
-def _camera_from_model(
-    views: Views, c: int, rotation: FloatArray, translation: FloatArray, workspace: Workspace
-) -> None:
+def _camera_from_model(views: Views, c: int, pose: ModelPose, workspace: Workspace) -> None:
     """Write the transform from the model to camera c to the workspace."""
-    q, t, g = views.rotations[c], views.translations[c], translation
+    q, t, (r, g), out = views.rotations[c], views.translations[c], pose, workspace.model
     for i in range(3):
-        workspace.camera_translation[i] = t[i] + q[i, 0] * g[0] + q[i, 1] * g[1] + q[i, 2] * g[2]
+        out.translation[i] = t[i] + q[i, 0] * g[0] + q[i, 1] * g[1] + q[i, 2] * g[2]
         for j in range(3):
-            workspace.camera_rotation[i, j] = (
-                q[i, 0] * rotation[0, j] + q[i, 1] * rotation[1, j] + q[i, 2] * rotation[2, j]
-            )
+            out.rotation[i, j] = q[i, 0] * r[0, j] + q[i, 1] * r[1, j] + q[i, 2] * r[2, j]
 
 
 @leaf
 def _project_match(views: Views, k: int, workspace: Workspace) -> tuple[float, float, float, float, float]:
     """Project match k: depth, normalized image (2), reprojection error in pixels (2); for positive depths only."""
     x, y, z = views.points[k, 0], views.points[k, 1], views.points[k, 2]
-    r, t = workspace.camera_rotation, workspace.camera_translation
+    r, t = workspace.model
     depth = r[2, 0] * x + r[2, 1] * y + r[2, 2] * z + t[2]
     inverse_depth = 1.0 / depth
     u = (r[0, 0] * x + r[0, 1] * y + r[0, 2] * z + t[0]) * inverse_depth
@@ -116,25 +140,23 @@ def _project_match(views: Views, k: int, workspace: Workspace) -> tuple[float, f
 
 
 @leaf
-def _compute_squares(
-    views: Views, rotation: FloatArray, translation: FloatArray, out: FloatArray, workspace: Workspace
-) -> None:
+def _compute_squares(views: Views, pose: ModelPose, out: FloatArray, workspace: Workspace) -> None:
     """Write squared reprojection errors, pixels, to out (n,); infinite behind a camera."""
     for c in range(len(views.rotations)):
-        _camera_from_model(views, c, rotation, translation, workspace)
+        _camera_from_model(views, c, pose, workspace)
         for k in range(views.start[c], views.start[c + 1]):
             depth, _, _, r0, r1 = _project_match(views, k, workspace)
             out[k] = r0 * r0 + r1 * r1 if depth > 0.0 else np.inf
 
 
 @kernel
-def sample_inlier_ratio(views: Views, rotation: FloatArray, translation: FloatArray, max_square: float) -> float:
+def sample_inlier_ratio(views: Views, pose: ModelPose, max_square: float) -> float:
     """Return the fraction of samples of three matches that are all inliers of a pose.
 
     Samples are those of `search_samples`; inliers are within sqrt(max_square) pixels.
     """
     squares = np.empty(len(views.points))
-    _compute_squares(views, rotation, translation, squares, make_workspace())
+    _compute_squares(views, pose, squares, make_workspace())
     n_cameras, n_inliers, camera_ratios = len(views.rotations), 0, 0.0
     for c in range(n_cameras):
         first, end, camera_inliers = views.start[c], views.start[c + 1], 0
@@ -170,16 +192,14 @@ def compute_chance(views: Views, translation: FloatArray, weights: FloatArray, n
 
 
 @leaf
-def compute_score(
-    views: Views, rotation: FloatArray, translation: FloatArray, max_square: float, bound: float, workspace: Workspace
-) -> float:
+def compute_score(views: Views, pose: ModelPose, max_square: float, bound: float, workspace: Workspace) -> float:
     """Return the sum of the matches' losses, each between 0 and 1; stop beyond `bound`.
 
     The cutoff is sqrt(max_square) pixels.
     """
     total = 0.0
     for c in range(len(views.rotations)):
-        _camera_from_model(views, c, rotation, translation, workspace)
+        _camera_from_model(views, c, pose, workspace)
         for k in range(views.start[c], views.start[c + 1]):
             depth, _, _, r0, r1 = _project_match(views, k, workspace)
             ratio = (r0 * r0 + r1 * r1) / max_square if depth > 0.0 else 2.0
@@ -191,22 +211,14 @@ def compute_score(
 
 @leaf
 def _build_normal_equations(
-    views: Views,
-    rotation: FloatArray,
-    translation: FloatArray,
-    noise: Noise,
-    hessian: FloatArray,
-    gradient: FloatArray,
-    workspace: Workspace,
+    views: Views, pose: ModelPose, noise: Noise, hessian: FloatArray, gradient: FloatArray, workspace: Workspace
 ) -> float:
     """Write hessian (6, 6) and gradient (6,) by (w, d) of the re-weighted squares, in variances; return the loss."""
-    for i in range(6):
-        gradient[i] = 0.0
-        for j in range(6):
-            hessian[i, j] = 0.0
-    row, loss = workspace.row, 0.0
+    gradient[:] = 0.0
+    hessian[:] = 0.0
+    row, rotation, loss = workspace.row, pose.rotation, 0.0
     for c in range(len(views.rotations)):
-        _camera_from_model(views, c, rotation, translation, workspace)
+        _camera_from_model(views, c, pose, workspace)
         q = views.rotations[c]
         variance, cutoff = noise.variances[c], noise.cutoffs[c]
         for k in range(views.start[c], views.start[c + 1]):
@@ -243,13 +255,11 @@ def _build_normal_equations(
 
 
 @leaf
-def _compute_loss(
-    views: Views, rotation: FloatArray, translation: FloatArray, noise: Noise, workspace: Workspace
-) -> float:
+def _compute_loss(views: Views, pose: ModelPose, noise: Noise, workspace: Workspace) -> float:
     """Return the loss as in `_build_normal_equations`."""
     loss = 0.0
     for c in range(len(views.rotations)):
-        _camera_from_model(views, c, rotation, translation, workspace)
+        _camera_from_model(views, c, pose, workspace)
         cutoff = noise.cutoffs[c]
         loss_scale = 0.5 * cutoff / noise.variances[c]
         for k in range(views.start[c], views.start[c + 1]):
@@ -259,19 +269,15 @@ def _compute_loss(
 
 
 @leaf
-def _copy_pose(
-    rotation: FloatArray, translation: FloatArray, to_rotation: FloatArray, to_translation: FloatArray
-) -> None:
+def _copy_pose(target: ModelPose, source: ModelPose) -> None:
     for i in range(3):
-        to_translation[i] = translation[i]
+        target.translation[i] = source.translation[i]
         for j in range(3):
-            to_rotation[i, j] = rotation[i, j]
+            target.rotation[i, j] = source.rotation[i, j]
 
 
 @kernel
-def minimize(
-    views: Views, rotation: FloatArray, translation: FloatArray, noise: Noise, steps: int, damping: float
-) -> tuple[float, float]:
+def minimize(views: Views, pose: ModelPose, noise: Noise, steps: int, damping: float) -> tuple[float, float]:
     """Run Levenberg-Marquardt on the loss with constant noise, in place.
 
     Returns:
@@ -279,35 +285,30 @@ def minimize(
     """
     hessian, gradient = np.empty((6, 6)), np.empty(6)
     new_hessian, new_gradient = np.empty((6, 6)), np.empty(6)
-    new_rotation, new_translation = np.empty((3, 3)), np.empty(3)
+    new = ModelPose(np.empty((3, 3)), np.empty(3))
     damped, step, workspace = np.empty((6, 6)), np.empty(6), make_workspace()
-    loss = _build_normal_equations(views, rotation, translation, noise, hessian, gradient, workspace)
+    loss = _build_normal_equations(views, pose, noise, hessian, gradient, workspace)
     predicted_decrease = np.inf
     for iteration in range(steps):
+        damped[:] = hessian
         for i in range(6):
-            for j in range(6):
-                damped[i, j] = hessian[i, j]
             damped[i, i] *= 1.0 + damping
             step[i] = -gradient[i]
         if not cholesky_solve(damped, step):
             damping = max(10.0 * damping, 1e-8)
             predicted_decrease = np.inf
             continue
-        predicted_decrease = 0.0
-        for i in range(6):
-            predicted_decrease -= 0.5 * step[i] * gradient[i]
-        apply_rotvec(step[:3], rotation, new_rotation)
+        predicted_decrease = -0.5 * dot(step, gradient)
+        apply_rotvec(step[:3], pose.rotation, new.rotation)
         for i in range(3):
-            new_translation[i] = translation[i] + step[3 + i]
+            new.translation[i] = pose.translation[i] + step[3 + i]
         if iteration + 1 < steps:
-            new_loss = _build_normal_equations(
-                views, new_rotation, new_translation, noise, new_hessian, new_gradient, workspace
-            )
+            new_loss = _build_normal_equations(views, new, noise, new_hessian, new_gradient, workspace)
         else:
             # The last step needs no derivatives.
-            new_loss = _compute_loss(views, new_rotation, new_translation, noise, workspace)
+            new_loss = _compute_loss(views, new, noise, workspace)
         if new_loss <= loss:
-            _copy_pose(new_rotation, new_translation, rotation, translation)
+            _copy_pose(pose, new)
             hessian, new_hessian, gradient, new_gradient = new_hessian, hessian, new_gradient, gradient
             loss = new_loss
             damping = 0.1 * damping if damping > 1e-6 else 0.0
@@ -317,18 +318,8 @@ def minimize(
 
 
 @kernel
-def fit_pose(
-    views: Views,
-    rotation: FloatArray,
-    translation: FloatArray,
-    max_square: float,
-    max_iterations: int,
-    max_steps: int,
-    squares: FloatArray,
-    weights: FloatArray,
-    noise: Noise,
-) -> tuple[int, float, bool]:
-    """Fit a pose robustly from a start, in place, by re-weighting with the noise estimated from the residuals.
+def fit_pose(views: Views, start: ModelPose, max_square: float, max_iterations: int, max_steps: int) -> Pose:
+    """Fit a pose robustly from a start by re-weighting with the noise estimated from the residuals.
 
     The median estimates the noise at first, because it tolerates outliers and an inexact start; then the weighted mean
     square does, which is more efficient without outliers.
@@ -337,20 +328,18 @@ def fit_pose(
         max_square: squared distances beyond it are outliers whatever the noise.
         max_iterations, max_steps: maximum number of iterations and steps in each (arguments, because Numba compiles a
             version of `minimize` for every constant).
-        squares, weights, noise: (n,), (n,) and the noise, filled.
-
-    Returns:
-        iterations used, degrees of freedom, and whether it converged.
     """
+    pose, n = ModelPose(start.rotation.copy(), start.translation.copy()), len(views.points)
+    squares, weights, noise = np.empty(n), np.zeros(n), make_noise(views, max_square)
     damping, freedom, predicted_decrease, change, workspace = 1e-4, 1.0, np.inf, np.inf, make_workspace()
     iteration = 0
     for iteration in range(max_iterations):
-        _compute_squares(views, rotation, translation, squares, workspace)
+        _compute_squares(views, pose, squares, workspace)
         previous_variance = noise.variances[0]
         if iteration < MEDIAN_ROUNDS:
             median, count = compute_median_square(squares, max_square)
             if count < 4:
-                return iteration, 1.0, False
+                return Pose(pose, squares, weights, noise, iteration, 1.0, False)
             # Corrected for six fitted unknowns.
             variance = median / MEDIAN_SQUARE * count / max(count - 3.0, 1.0)
             for c in range(len(noise.cutoffs)):
@@ -361,20 +350,17 @@ def fit_pose(
             change = abs(noise.variances[0] / previous_variance - 1.0)
         if iteration > MEDIAN_ROUNDS and predicted_decrease < 1e-10 and change < 1e-4:
             break
-        predicted_decrease, damping = minimize(views, rotation, translation, noise, max_steps, damping)
+        predicted_decrease, damping = minimize(views, pose, noise, max_steps, damping)
     compute_weights(squares, views.start, noise, weights)
-    return iteration, freedom, predicted_decrease < 1e-4 and change < 0.1
+    converged = predicted_decrease < 1e-4 and change < 0.1
+    return Pose(pose, squares, weights, noise, iteration, freedom, converged)
 
 
 @kernel
-def compute_information(
-    views: Views, rotation: FloatArray, translation: FloatArray, noise: Noise, out: FloatArray
-) -> None:
+def compute_information(views: Views, pose: ModelPose, noise: Noise, out: FloatArray) -> None:
     """Write the information on (w, d) to out (6, 6): the inverse of the covariance of the weighted estimate."""
-    _build_normal_equations(views, rotation, translation, noise, out, np.empty(6), make_workspace())
-    for i in range(6):
-        for j in range(6):
-            out[i, j] *= INFORMATION_GAIN
+    _build_normal_equations(views, pose, noise, out, np.empty(6), make_workspace())
+    out *= INFORMATION_GAIN
 
 
 @kernel
@@ -396,10 +382,14 @@ def search_samples(
         rotations, translations, scores: (K, 3, 3), (K, 3), (K + 1,): the poses kept, best first, and the score of the
             best sample; infinite scores initially.
     """
-    n, n_cameras, n_kept = len(views.points), len(views.rotations), len(translations)
+    n, n_cameras, n_kept, noise = (
+        len(views.points),
+        len(views.rotations),
+        len(translations),
+        make_noise(views, max_square),
+    )
     origins, rays, model = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     found_rotations, found_translations, workspace = np.empty((8, 3, 3)), np.empty((8, 3)), make_workspace()
-    noise = Noise(np.full(n_cameras, max_square / (CUTOFF * CUTOFF)), np.full(n_cameras, max_square))
     for s in range(len(draws)):
         for i in range(3):
             k = int(draws[s, i] * n)
@@ -418,24 +408,23 @@ def search_samples(
                 model[i, j] = views.points[k, j]
         best = -1
         for h in range(solve_p3p(origins, rays, model, found_rotations, found_translations)):
-            bound = scores[n_kept]
-            value = compute_score(views, found_rotations[h], found_translations[h], max_square, bound, workspace)
+            found = ModelPose(found_rotations[h], found_translations[h])
+            value = compute_score(views, found, max_square, scores[n_kept], workspace)
             if value < scores[n_kept]:
                 scores[n_kept], best = value, h
         if best < 0:
             continue
-        rotation, translation = found_rotations[best], found_translations[best]
-        minimize(views, rotation, translation, noise, n_steps, 1e-3)
-        value = compute_score(views, rotation, translation, max_square, scores[n_kept - 1], workspace)
+        pose = ModelPose(found_rotations[best], found_translations[best])
+        minimize(views, pose, noise, n_steps, 1e-3)
+        value = compute_score(views, pose, max_square, scores[n_kept - 1], workspace)
         if not value < scores[n_kept - 1]:
             continue
         position = n_kept - 1
         while position > 0 and value < scores[position - 1]:
-            _copy_pose(rotations[position - 1], translations[position - 1], rotations[position], translations[position])
+            rotations[position], translations[position] = rotations[position - 1], translations[position - 1]
             scores[position] = scores[position - 1]
             position -= 1
-        _copy_pose(rotation, translation, rotations[position], translations[position])
-        scores[position] = value
+        rotations[position], translations[position], scores[position] = pose.rotation, pose.translation, value
 
 
 @leaf
