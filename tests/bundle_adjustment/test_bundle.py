@@ -16,7 +16,13 @@ import sylpose.bundle_adjustment.bundle as bundle_module
 import sylpose.bundle_adjustment.reduced_system as bundle_system
 from sylpose.bundle_adjustment.bundle import BundleOptions, BundleResult, Observations, bundle_adjust
 from sylpose.bundle_adjustment.camera_parameters import SLOPE_SD, default_depth_prior
-from sylpose.bundle_adjustment.kernels import SortedObservations, Views, compute_derivatives, compute_residuals
+from sylpose.bundle_adjustment.kernels import (
+    LandmarkSystem,
+    SortedObservations,
+    Views,
+    compute_derivatives,
+    compute_residuals,
+)
 from sylpose.bundle_adjustment.problem import DEPTH_SD_RADII, LATERAL_SD_RADII, Problem, _inverse_left_jacobian
 from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Camera, Rig
@@ -141,8 +147,9 @@ def test_derivatives(seed: int) -> None:
         compute_residuals(seen, views(x), (point + x[20:])[None], out)
         return np.asarray(out[0])
 
-    e, by_pose, by_shared, by_point = np.empty(2), np.empty((2, 6)), np.zeros((2, 14)), np.empty((2, 3))
-    compute_derivatives(seen, views(np.zeros(23)), point, 0, e, by_pose, by_shared, by_point)
+    terms = np.empty((1, 2)), np.empty((1, 2, 6)), np.zeros((1, 2, 14)), np.empty((1, 2, 3))
+    compute_derivatives(seen, views(np.zeros(23)), point, 0, 0, LandmarkSystem(*terms, np.empty((3, 3)), np.empty(3)))
+    e, by_pose, by_shared, by_point = (part[0] for part in terms)
     h = 1e-6
     numeric = np.column_stack([(residual(h * u) - residual(-h * u)) / (2 * h) for u in np.eye(23)])
     np.testing.assert_allclose(e, residual(np.zeros(23)), rtol=1e-12)
@@ -403,7 +410,7 @@ def test_bad_input(short: tuple[RigidTransform, Observations]) -> None:
         ({"frame": seen.frame + 5}, "frame must be from 0 to 11"),
         ({"camera": seen.camera - 1}, "camera must be from 0 to 3"),
         ({"landmark": seen.landmark[1:]}, "landmark must be"),
-        ({"image": np.full_like(seen.image, np.nan)}, "image: has values"),
+        ({"image": np.full_like(seen.image, np.nan)}, "observations: image has values"),
     ):
         with pytest.raises(ValueError, match=words):
             bundle_adjust(RIG, replace(seen, **change), poses, RADIUS)
@@ -411,8 +418,8 @@ def test_bad_input(short: tuple[RigidTransform, Observations]) -> None:
         ({"fixed": np.zeros(12, bool)}, "at least one frame"),
         ({"fixed": np.ones(3, bool)}, "fixed: shape"),
         ({"times": np.zeros(12)}, "must increase"),
-        ({"prior_information": np.zeros((12, 6))}, "information: shape"),
-        ({"landmarks": np.zeros((3, 2))}, "landmarks: shape"),
+        ({"prior_information": np.zeros((12, 6))}, "prior_information must be"),
+        ({"landmarks": np.zeros((3, 2))}, "landmarks must be"),
         ({"offsets_sd": 0.0}, "offsets_sd"),
     ):
         with pytest.raises(ValueError, match=words):
@@ -466,5 +473,5 @@ def test_known_surface_depths() -> None:
     assert 0.9 < (lengths[0] / lengths[1] - 1.0) / (0.03 / 1.5) < 1.2
     with pytest.raises(ValueError, match="positive definite"):
         bundle_adjust(RIG, seen, poses, RADIUS, BundleOptions(depth_prior=(np.zeros(4), -np.eye(4))))
-    with pytest.raises(ValueError, match="depth_prior: mean: shape"):
+    with pytest.raises(ValueError, match="depth_prior: mean must be"):
         bundle_adjust(RIG, seen, poses, RADIUS, BundleOptions(depth_prior=(np.zeros(3), np.eye(4))))

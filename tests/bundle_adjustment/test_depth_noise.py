@@ -9,8 +9,11 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from benchmarks.translation_only import simulate_tracks
 from sylpose.bundle_adjustment import problem
 from sylpose.bundle_adjustment.bundle import bundle_adjust
-from sylpose.bundle_adjustment.covariance_inflation import add_second_order_terms
-from sylpose.bundle_adjustment.depth_noise import compute_depth_noise, shrink_depth_noise
+from sylpose.bundle_adjustment.covariance_inflation import (
+    add_second_order_terms,
+    compute_depth_noise,
+    shrink_depth_noise,
+)
 from sylpose.bundle_adjustment.kernels import Linearization, SortedObservations, Views, compute_residuals
 from sylpose.geometry.arrays import FloatArray
 from sylpose.simulate import arc, ellipsoid

@@ -23,20 +23,13 @@ from scipy.sparse import block_array, coo_array, csr_array, eye_array, tril
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.bundle_adjustment.calibration_refinement import (
-    NEAR_EXACT_SCALES,
-    CalibrationCorrection,
-    CalibrationPrior,
-    add_calibration_errors,
-    free_calibration,
-    make_correction,
-    relinearize_lenses,
-    rescale_calibration_prior,
-)
+from sylpose.bundle_adjustment import calibration_refinement as calibration
+from sylpose.bundle_adjustment.calibration_refinement import CalibrationCorrection, CalibrationPrior
 from sylpose.bundle_adjustment.camera_parameters import compute_depth_basis, default_depth_prior, make_camera_parameters
 from sylpose.bundle_adjustment.kernels import DEPTH, TIME_OFFSET, SortedObservations
 from sylpose.bundle_adjustment.problem import LATERAL_SD_RADII, Fit, FitSummary, Problem, State
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
+from sylpose.geometry.validation import check_finite
 from sylpose.rig import Rig
 from sylpose.status import Status
 
@@ -85,8 +78,8 @@ class Observations:
 
 
 @dataclass(frozen=True, eq=False)
-class BundleResult:
-    """Refined trajectory.
+class BundleResult(FitSummary):
+    """Refined trajectory, with its uncertainty.
 
     Attributes:
         status: OK; NOT_CONVERGED within the maximum number of iterations; TOO_FEW_MATCHES when no frame is connected to
@@ -94,45 +87,27 @@ class BundleResult:
         world_from_object: N poses.
         landmarks: (M, 3) object's frame; those observed less than twice are as given, or on their ray, or at the
             origin.
-        covariance: (N, 6, 6) of (w, d), docs/conventions.md, relative to the fixed frames, where it is zero.
         connected: (N,) frames connected to a fixed frame by landmarks, directly or through others. Others keep
             approximately the poses given, with a covariance as wide as the object's size and half a revolution.
-        sigma_px: (C,) noise of each camera, pixels, of one coordinate; NaN for a camera without observations.
         weights: (n,) in [0, 1], 0 for outliers and for landmarks observed less than twice.
         residuals: (n,) pixels; 1e6 behind a camera.
         offsets: (C,) time offset of each camera, seconds, positive for a delay; their mean is 0. Zeros when not
             requested.
         offsets_sd: (C,) their standard deviations, close to the prior's where the motion does not constrain them.
         iterations: iterations of Levenberg-Marquardt.
-        variance_inflation: (N,) variance inflation relative to independent noise of sigma_px, at least 1: errors are
-            correlated along tracks, and by calibration errors (`covariance_inflation`).
-        scale_sd: relative standard deviation of the path's length: of a common factor of all translations of the
-            object's origin, which a motion without rotation does not determine. inf without any translation.
-        scale_variance_ratio: in [0, 1], its fraction of the variance of all translations.
         correction: of the calibration, if requested.
-        calibration_scales: (4,) 1, then the estimated size of calibration errors relative to their prior, for the
-            cameras' rotations, translations and lenses; 1 without a calibration prior.
-        surface_covariance: (N, 3, 3) covariance of the mean position of the observed surface relative to the object's
-            origin (`add_second_order_terms`).
     """
 
     status: Status
     world_from_object: RigidTransform
     landmarks: FloatArray
-    covariance: FloatArray
     connected: BoolArray
-    sigma_px: FloatArray
     weights: FloatArray
     residuals: FloatArray
     offsets: FloatArray
     offsets_sd: FloatArray
     iterations: int
-    variance_inflation: FloatArray
-    scale_sd: float
-    scale_variance_ratio: float
     correction: CalibrationCorrection | None
-    calibration_scales: FloatArray
-    surface_covariance: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,8 +205,8 @@ def bundle_adjust(
     has_moved_cameras = prior is not None and bool((prior.predecessor >= 0).any())
     if prior is not None and has_moved_cameras:
         # The poses of moved cameras must be free from the first iteration: otherwise all poses would diverge.
-        added = add_calibration_errors(problem, state, rig, prior)
-        problem, state = rescale_calibration_prior(*added, NEAR_EXACT_SCALES)
+        added = calibration.add_calibration_errors(problem, state, rig, prior)
+        problem, state = calibration.rescale_calibration_prior(*added, calibration.NEAR_EXACT_SCALES)
     if options.fix_depths:
         problem = problem.fix_depths()
     if setup.is_solvable:
@@ -248,16 +223,16 @@ def bundle_adjust(
         summary = problem.summarize(fit, connected)
     if prior is not None:
         if has_moved_cameras:
-            problem, state = rescale_calibration_prior(problem, fit.state, np.ones(4))
+            problem, state = calibration.rescale_calibration_prior(problem, fit.state, np.ones(4))
         else:
-            problem, state = add_calibration_errors(problem, fit.state, rig, prior)
+            problem, state = calibration.add_calibration_errors(problem, fit.state, rig, prior)
         fit = replace(fit, state=state)
         if options.recalibrate and setup.is_solvable:
             image = setup.problem.observations.image
             problem, fit, summary = refine_with_calibration(problem, fit, rig, image, connected, options)
         else:
             summary = problem.summarize(fit, connected)
-    return _make_result(rig, observations, setup, problem, fit, summary, options)
+    return _make_result(rig, setup, problem, fit, summary, options)
 
 
 def _prepare(
@@ -271,14 +246,14 @@ def _prepare(
         raise ValueError(f"offsets_sd: {options.offsets_sd} is not a positive time")
     fixed_mask, pose_information = resolve_fixed_frames(options.fixed, n_frames), np.zeros((n_frames, 6, 6))
     if options.prior_information is not None:
-        pose_information = _to_finite_array("prior_information", options.prior_information, (n_frames, 6, 6))
+        pose_information = check_finite(options.prior_information, (n_frames, 6, 6), "prior_information")
     if options.landmarks is None:
         landmarks = np.zeros((int(np.max(observations.landmark, initial=-1)) + 1, 3))
     else:
-        landmarks = _to_finite_array("landmarks", options.landmarks, (-1, 3)).copy()
+        landmarks = check_finite(options.landmarks, ("M", 3), "landmarks").copy()
     _check_observations(observations, n_frames, n_cameras, len(landmarks))
     times = np.arange(n_frames) if options.times is None else np.asarray(options.times, float)
-    times = _to_finite_array("times", times, (n_frames, n_cameras) if times.ndim == 2 else (n_frames,))
+    times = check_finite(times, (n_frames, n_cameras) if times.ndim == 2 else (n_frames,), "times")
     camera_times = times if times.ndim == 2 else np.repeat(times[:, None], n_cameras, axis=1)
     frame_times = camera_times.mean(axis=1)
     if (np.diff(frame_times) <= 0).any():
@@ -289,8 +264,8 @@ def _prepare(
     repeated = np.diff(sorted_observations.start) >= 2
     connected = find_connected_frames(sorted_observations, repeated, fixed_mask | pose_information.any(axis=(1, 2)))
     depth, covariance = options.depth_prior or default_depth_prior(radius, n_cameras)
-    depth = _to_finite_array("depth_prior: mean", depth, (n_cameras,))
-    covariance = _to_finite_array("depth_prior: covariance", covariance, (n_cameras, n_cameras))
+    depth = check_finite(depth, (n_cameras,), "depth_prior: mean")
+    covariance = check_finite(covariance, (n_cameras, n_cameras), "depth_prior: covariance")
     used = np.unique(sorted_observations.camera)
     camera_parameters = make_camera_parameters(n_cameras, options.offsets_sd, used, depth, covariance)
     weak_information = np.repeat([WEAK_ROTATION_SD**-2, (WEAK_TRANSLATION_RADII * radius) ** -2], 3)
@@ -320,59 +295,37 @@ def _prepare(
 
 
 def _make_result(
-    rig: Rig,
-    observations: Observations,
-    setup: _Setup,
-    problem: Problem,
-    fit: Fit,
-    summary: FitSummary,
-    options: BundleOptions,
+    rig: Rig, setup: _Setup, problem: Problem, fit: Fit, summary: FitSummary, options: BundleOptions
 ) -> BundleResult:
     """Make the result from the fit and its uncertainty."""
     state, parameters, prior, correction = fit.state, problem.camera_parameters, options.calibration_prior, None
     if prior is not None and options.recalibrate:
-        correction = make_correction(parameters, rig, prior.predecessor, state.z, summary.parameter_covariance)
+        covariance = summary.parameter_covariance
+        correction = calibration.make_correction(parameters, rig, prior.predecessor, state.z, covariance)
     points = setup.landmarks.copy()
     points[setup.indices] = state.points
-    weights, distances = np.empty(len(observations)), np.empty(len(observations))
+    weights, distances = np.empty(len(setup.order)), np.empty(len(setup.order))
     weights[setup.order] = fit.weights
     distances[setup.order] = np.linalg.norm(problem.compute_residuals(state), axis=1)
-    unused_cameras = np.setdiff1d(np.arange(len(rig)), observations.camera)
-    summary.sigma[unused_cameras] = np.nan
+    unused_cameras = np.setdiff1d(np.arange(len(rig)), problem.observations.camera)
+    summary.sigma_px[unused_cameras] = np.nan
     basis = parameters.basis[:, TIME_OFFSET]
     spread = np.sqrt(np.einsum("ck,kl,cl->c", basis, summary.parameter_covariance, basis))
     if options.offsets_sd is not None:
         spread[unused_cameras] = options.offsets_sd
     return BundleResult(
-        fit.status,
-        RigidTransform.from_components(state.translations, Rotation.from_matrix(state.rotations)),
-        points,
-        summary.covariance,
-        setup.connected,
-        summary.sigma,
-        weights,
-        distances,
-        parameters.evaluate(state.z)[:, TIME_OFFSET],
-        spread,
-        fit.iterations,
-        summary.variance_inflation,
-        summary.scale_sd,
-        summary.scale_variance_ratio,
-        correction,
-        summary.calibration_scales,
-        summary.surface_covariance,
+        **vars(summary),
+        status=fit.status,
+        world_from_object=RigidTransform.from_components(state.translations, Rotation.from_matrix(state.rotations)),
+        landmarks=points,
+        connected=setup.connected,
+        weights=weights,
+        residuals=distances,
+        offsets=parameters.evaluate(state.z)[:, TIME_OFFSET],
+        offsets_sd=spread,
+        iterations=fit.iterations,
+        correction=correction,
     )
-
-
-def _to_finite_array(name: str, values: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
-    """Return the values as a finite array of a shape, in which -1 matches any size."""
-    array = np.asarray(values, dtype=float)
-    if array.ndim != len(shape) or any(size not in (-1, n) for size, n in zip(shape, array.shape, strict=True)):
-        expected = ", ".join("any" if n < 0 else str(n) for n in shape)
-        raise ValueError(f"{name}: shape {array.shape}, expected ({expected})")
-    if not np.isfinite(array).all():
-        raise ValueError(f"{name}: has values that are not finite")
-    return array
 
 
 def resolve_fixed_frames(fixed: ArrayLike | None, n_frames: int) -> BoolArray:
@@ -396,12 +349,10 @@ def _check_observations(observations: Observations, n_frames: int, n_cameras: in
             raise ValueError(f"observations: {name} must be ({n},) integers")
         if n and not (np.min(index) >= 0 and np.max(index) < size):
             raise ValueError(f"observations: {name} must be from 0 to {size - 1}")
-    _to_finite_array("observations: image", observations.image, (n, 2))
+    check_finite(observations.image, (n, 2), "observations: image")
 
 
-def _sort_observations(
-    observations: Observations, fixed_mask: BoolArray
-) -> tuple[IntArray, IntArray, SortedObservations]:
+def _sort_observations(observations: Observations, fixed: BoolArray) -> tuple[IntArray, IntArray, SortedObservations]:
     """Sort observations by landmark.
 
     Returns:
@@ -410,7 +361,7 @@ def _sort_observations(
     """
     order = np.lexsort((observations.camera, observations.frame, observations.landmark))
     landmark_indices, counts = np.unique(observations.landmark, return_counts=True)
-    free = np.where(fixed_mask, -1, np.cumsum(~fixed_mask) - 1).astype(np.int64)
+    free = np.where(fixed, -1, np.cumsum(~fixed) - 1).astype(np.int64)
     frame, camera = (np.asarray(index[order], np.int64) for index in (observations.frame, observations.camera))
     start = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
     image, lens = np.ascontiguousarray(observations.image[order], dtype=float), np.zeros((len(order), 3, 0))
@@ -481,12 +432,7 @@ def minimize(problem: Problem, state: State, options: BundleOptions) -> Fit:
 
 
 def refine_with_calibration(
-    problem: Problem,
-    fit: Fit,
-    rig: Rig,
-    image: FloatArray,
-    connected: BoolArray,
-    options: BundleOptions,
+    problem: Problem, fit: Fit, rig: Rig, image: FloatArray, connected: BoolArray, options: BundleOptions
 ) -> tuple[Problem, Fit, FitSummary]:
     """Refine with the calibration estimated as well.
 
@@ -497,19 +443,19 @@ def refine_with_calibration(
     Args:
         image: (n, 2) points as normalized by the rig.
     """
-    problem, options = free_calibration(problem), replace(options, coarse=False)
+    problem, options = calibration.free_calibration(problem), replace(options, coarse=False)
     for _ in range(LENS_LINEARIZATIONS):
         fit = minimize(problem, fit.state, options)
         scales = problem.summarize(fit, connected).calibration_scales
-        problem, state = rescale_calibration_prior(problem, fit.state, scales)
-        problem, fit = relinearize_lenses(problem, image, rig, state.z), replace(fit, state=state)
+        problem, state = calibration.rescale_calibration_prior(problem, fit.state, scales)
+        problem, fit = calibration.relinearize_lenses(problem, image, rig, state.z), replace(fit, state=state)
     fit = minimize(problem, fit.state, options)
     summary, scales = problem.summarize(fit, connected), problem.camera_parameters.scales
     # The noise floor of the search already inflates the variance in part.
     inflation = np.median(summary.variance_inflation[problem.observations.free_index >= 0])
-    inflation = inflation * np.mean((summary.sigma / fit.sigma) ** 2)
+    inflation = inflation * np.mean((summary.sigma_px / fit.sigma) ** 2)
     scale_factors = np.where(np.arange(4) > 0, max(inflation, 1.0) ** -0.5, 1.0)
-    fit = minimize(*rescale_calibration_prior(problem, fit.state, scales * scale_factors), options)
+    fit = minimize(*calibration.rescale_calibration_prior(problem, fit.state, scales * scale_factors), options)
     state = replace(fit.state, z=fit.state.z * scale_factors[problem.camera_parameters.kind])
     return problem, replace(fit, state=state), summary
 
@@ -540,7 +486,7 @@ def estimate_noise_ratio(problem: Problem, fit: Fit, summary: FitSummary, connec
     its size is added to its own.
     """
     state, observations = fit.state, problem.observations
-    scaled = connected[observations.frame] * fit.weights / summary.sigma[observations.camera] ** 2
+    scaled = connected[observations.frame] * fit.weights / summary.sigma_px[observations.camera] ** 2
     rng, covariance = np.random.default_rng(0), np.where(connected[:, None, None], summary.covariance, 0.0)
     roots = np.linalg.cholesky(covariance[:, :3, :3] + 1e-18 * np.eye(3))
     right = problem.rotations[0, 0]
@@ -551,10 +497,8 @@ def estimate_noise_ratio(problem: Problem, fit: Fit, summary: FitSummary, connec
     noise = np.zeros(2)
     for _ in range(draws):
         noise_rotation = Rotation.from_rotvec(np.einsum("nij,nj->ni", roots, rng.standard_normal((len(roots), 3))))
-        rotations, derivatives = (
-            noise_rotation.as_matrix() @ fixed_rotation,
-            state.pose_derivatives * np.repeat([0.0, 1.0], 3),
-        )
+        rotations = noise_rotation.as_matrix() @ fixed_rotation
+        derivatives = state.pose_derivatives * np.repeat([0.0, 1.0], 3)
         noisy_state = replace(shifted_state, rotations=rotations, pose_derivatives=derivatives)
         noise += _compute_information(problem, noisy_state, scaled, connected)
     return float((noise / draws / _compute_information(problem, shifted_state, scaled, connected)).min())

@@ -99,17 +99,13 @@ def compute_mean_camera_distance(rig: Iterable[Camera]) -> float:
 def default_calibration_prior(rig: Rig) -> CalibrationPrior:
     """Return the typical errors of calibrations; smaller for lenses with a small reported reprojection error."""
     size = compute_mean_camera_distance(rig)
-    scales = np.array(
-        [1.0 if c.error_px is None else np.clip(c.error_px / TYPICAL_ERROR_PX, MIN_ERROR_RATIO, 1.0) for c in rig]
-    )
+    errors_px = [camera.error_px for camera in rig]
+    scales = np.array([1.0 if e is None else np.clip(e / TYPICAL_ERROR_PX, MIN_ERROR_RATIO, 1.0) for e in errors_px])
     lens = np.array([FOCAL_SD_RATIO, PRINCIPAL_POINT_SD_PX, PRINCIPAL_POINT_SD_PX, RADIAL_SD])
-    n = len(rig)
-    return CalibrationPrior(
-        np.full(n, np.deg2rad(ROTATION_SD_DEG)),
-        np.full(n, TRANSLATION_SD_RATIO * size),
-        scales[:, None] * lens,
-        np.full(n, -1),
+    rotation_sd, translation_sd = (
+        np.full(len(rig), x) for x in (np.deg2rad(ROTATION_SD_DEG), TRANSLATION_SD_RATIO * size)
     )
+    return CalibrationPrior(rotation_sd, translation_sd, scales[:, None] * lens, np.full(len(rig), -1))
 
 
 def add_moved_cameras(rig: Rig, prior: CalibrationPrior, moved: Sequence[MovedCamera]) -> tuple[Rig, CalibrationPrior]:

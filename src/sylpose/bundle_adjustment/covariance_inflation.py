@@ -1,4 +1,4 @@
-"""Variance inflation from the scatter of groups of observations (cluster-robust covariance).
+"""Honest covariances: inflation by the scatter of groups of observations, and shrinkage of noisy landmark depths.
 
 Errors are correlated along a landmark's track, among neighboring landmarks and, with calibration errors, among all
 observations of one camera. Least squares assumes independent errors and underestimates the variance. The scatter of the
@@ -6,8 +6,16 @@ estimates of groups of observations measures the correlation: with independent n
 step, s_g the gradient of group g, have sum_g E[x_g x_g'] = A^-1 - sum_g A^-1 A_g A^-1 A_g A^-1, A_g its information.
 The diagonal block of each frame is compared; the second term uses the frames' diagonal blocks of A and A_g.
 
+The information on a rotation comes from relief: the distances of landmarks from their common plane. If the body hardly
+rotates, the relief is unknown but still fitted to noise. The fitted relief then seems to determine the rotation, most
+for a translating plane. So the information is computed with the most likely relief: with a relief variance, estimated
+from all landmarks of a camera, and a noise variance per landmark, each relief is multiplied by the ratio of the first
+to their sum (`shrink_depth_noise`).
+
 Source: H. White, "Maximum likelihood estimation of misspecified models", 1982 (the sandwich), for groups: K.-Y. Liang,
-S. L. Zeger, "Longitudinal data analysis using generalized linear models", 1986.
+S. L. Zeger, "Longitudinal data analysis using generalized linear models", 1986; errors in variables, W. A. Fuller,
+"Measurement Error Models", 1987; unequal variances, B. Efron, C. Morris, "Stein's estimation rule and its competitors",
+1973; the use of the last two is ours.
 """
 
 from __future__ import annotations
@@ -17,15 +25,68 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import median_filter
 
-from sylpose.bundle_adjustment.kernels import (
-    Linearization,
-    eliminate_landmark,
-    make_landmark_system,
-)
-from sylpose.bundle_adjustment.reduced_system import Solver, System
-from sylpose.bundle_adjustment.schur import whiten
+from sylpose.bundle_adjustment.kernels import Linearization, eliminate_landmark, make_landmark_system
+from sylpose.bundle_adjustment.reduced_system import Solver, System, whiten
 from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.geometry.numba_linalg import kernel
+
+# Minimum number of landmarks for a plane fit: three would be exactly on it (choice).
+MIN_LANDMARKS = 6
+# Iterations of the estimate of the relief variance (choice).
+MAX_ITERATIONS = 20
+
+
+def shrink_depth_noise(at: Linearization) -> FloatArray:
+    """Return the landmarks (m, 3) at the optimum with their relief shrunk by its noise."""
+    observations, points, noise = at.observations, at.points, np.full(len(at.points), np.nan)
+    compute_depth_noise(at, noise)
+    depths = np.einsum("mi,mi->m", observations.depth_direction, points)
+    change = np.zeros(len(points))
+    for c in np.unique(observations.first_viewer):
+        own = np.flatnonzero((observations.first_viewer == c) & np.isfinite(noise))
+        if len(own) < MIN_LANDMARKS:
+            continue
+        plane = np.linalg.lstsq(observations.depth_basis[own], depths[own], rcond=None)[0]
+        relief = depths[own] - observations.depth_basis[own] @ plane
+        change[own] = -relief * noise[own] / (noise[own] + _estimate_residual_depth_variance(relief**2, noise[own]))
+    return np.ascontiguousarray(points + change[:, None] * observations.depth_direction)
+
+
+def _estimate_residual_depth_variance(squares: FloatArray, noise: FloatArray) -> float:
+    """Estimate the variance of the relief from squares (n,) of noisy values with individual noise variances.
+
+    It is close to zero where noise explains the squares.
+    """
+    out = float(np.median(squares))
+    minimum = 1e-6 * (out + float(np.median(noise)))
+    for _ in range(MAX_ITERATIONS):
+        weights = (out + noise + minimum) ** -2.0
+        out = max(float(weights @ (squares - noise) / weights.sum()), minimum)
+    return out
+
+
+@kernel
+def compute_depth_noise(at: Linearization, out: FloatArray) -> None:
+    """Write the noise variance of each landmark's depth, in its viewer's direction at known poses, to out (m,).
+
+    Landmarks without a weighted observation are left unchanged.
+    """
+    system, v = make_landmark_system(at), np.empty(3)
+    for i in range(at.points.shape[0]):
+        if not eliminate_landmark(at, i, system):
+            continue
+        root, u = system.root, at.observations.depth_direction[i]
+        # Change of the landmark per unit of gradient along u: V u, V = root' root.
+        for j in range(3):
+            v[j] = root[j, 0] * u[0] + root[j, 1] * u[1] + root[j, 2] * u[2]
+        whole = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
+        size = 0.0
+        for j in range(3):
+            moved = root[0, j] * v[0] + root[1, j] * v[1] + root[2, j] * v[2]
+            size += moved * moved
+        # V without the contribution of the prior, V (V^-1 - P) V with P the prior's information, along u.
+        out[i] = max(whole - at.prior[0] * whole * whole - at.prior[1] * size, 0.0)
+
 
 # Frames of the running median (choice).
 MEDIAN_FRAMES = 11
@@ -37,7 +98,7 @@ CALIBRATED_SCATTER_RATIO = 0.67
 MIN_DEGREES_OF_FREEDOM = 1.0
 
 
-class _GroupSums(NamedTuple):
+class _Sums(NamedTuple):
     """Contributions of G groups of observations to the reduced system.
 
     Attributes:
@@ -80,16 +141,14 @@ def compute_variance_inflation(at: Linearization, system: System, solver: Solver
         group_names, group = np.unique(group, return_inverse=True)
         n, shared_shape = len(group_names), at.views.parameters.shape
         shapes = (frames, n, 6), (n, *shared_shape), (frames, n, 6, 6)
-        sums = _GroupSums(np.zeros(shapes[0]), np.zeros(shapes[1]), np.zeros(shapes[2]))
+        sums = _Sums(np.zeros(shapes[0]), np.zeros(shapes[1]), np.zeros(shapes[2]))
         _accumulate_group_scores(at, group, sums)
         ratio = _scatter_ratio(sums, system, solver, covariance, noise_ratio)
         excess += np.maximum(median_filter(ratio, MEDIAN_FRAMES, mode="nearest") - 1.0, 0.0)
     return 1.0 + excess
 
 
-def _scatter_ratio(
-    sums: _GroupSums, system: System, solver: Solver, covariance: FloatArray, noise_ratio: float
-) -> FloatArray:
+def _scatter_ratio(sums: _Sums, system: System, solver: Solver, covariance: FloatArray, scale: float) -> FloatArray:
     """Return (F,) scatter of the groups' parts relative to independent noise."""
     frames, groups, _ = sums.pose_gradients.shape
     right = np.ascontiguousarray(sums.pose_gradients.transpose(0, 2, 1)).reshape(6 * frames, groups)
@@ -99,12 +158,12 @@ def _scatter_ratio(
     relative_information = np.linalg.solve(system.frame_blocks()[:, None], sums.information)
     expected = 6.0 - np.einsum("kgij,kgji->k", relative_information, relative_information)
     ratio = np.ones(frames)
-    np.divide(scatter, noise_ratio * expected, out=ratio, where=expected > MIN_DEGREES_OF_FREEDOM)
+    np.divide(scatter, scale * expected, out=ratio, where=expected > MIN_DEGREES_OF_FREEDOM)
     return ratio
 
 
 @kernel
-def _accumulate_group_scores(at: Linearization, group: IntArray, sums: _GroupSums) -> None:
+def _accumulate_group_scores(at: Linearization, group: IntArray, sums: _Sums) -> None:
     """Add the contributions of groups of observations to sums that start at zero; group (n,) of each observation."""
     system, observations, rows, poses = make_landmark_system(at), at.observations, np.empty((3, 2)), np.empty((3, 6))
     e, pose_jacobian, shared_jacobian, point_jacobian, root, slope = system

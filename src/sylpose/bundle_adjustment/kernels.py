@@ -150,20 +150,15 @@ def compute_pixel_scale(observations: SortedObservations, views: Views, n: int) 
 
 @kernel
 def compute_derivatives(
-    observations: SortedObservations,
-    views: Views,
-    point: FloatArray,
-    n: int,
-    e: FloatArray,
-    pose_jacobian: FloatArray,
-    shared_jacobian: FloatArray,
-    point_jacobian: FloatArray,
+    observations: SortedObservations, views: Views, point: FloatArray, n: int, o: int, out: LandmarkSystem
 ) -> None:
-    """Write one observation's residual (2,) and its derivatives, pixels.
+    """Write the residual and the derivatives, pixels, of observation n to row o of its landmark's system.
 
     They are by (w, d) (2, 6), by its camera's shared parameters (2, K) and by the landmark (2, 3). The landmark must be
     in front of the camera. The columns `DEPTH` are not written: no residual depends on them.
     """
+    e, pose_jacobian, shared_jacobian = out.e[o], out.pose_jacobian[o], out.shared_jacobian[o]
+    point_jacobian = out.point_jacobian[o]
     k, c = observations.frame[n], observations.camera[n]
     r, m, b, q = views.object_rotations[k], views.camera_from_object[k, c], views.translations[k, c], views.rotations[c]
     angular_velocity, linear_velocity = views.angular_velocity[k, c], views.linear_velocity[k, c]
@@ -232,14 +227,15 @@ def eliminate_landmark(at: Linearization, i: int, system: LandmarkSystem) -> boo
     Returns:
         False if no observation has weight: the landmark is then not moved.
     """
-    observations, views, weights, depth_prior, lateral_prior = (
+    observations, views, weights, e, root, slope = (
         at.observations,
         at.views,
         at.weights,
-        at.prior[0],
-        at.prior[1],
+        system.e,
+        system.root,
+        system.slope,
     )
-    e, pose_jacobian, shared_jacobian, point_jacobian, root, slope = system
+    depth_prior, lateral_prior = at.prior
     point, first, last = at.points[i], observations.start[i], observations.start[i + 1]
     u, r = observations.depth_direction[i], depth_prior * compute_depth_residual(at, i)
     v00, v10 = lateral_prior + depth_prior * u[0] * u[0], depth_prior * u[1] * u[0]
@@ -255,10 +251,9 @@ def eliminate_landmark(at: Linearization, i: int, system: LandmarkSystem) -> boo
             continue
         has_weight = True
         o = n - first
-        by_pose, by_point = pose_jacobian[o], point_jacobian[o]
-        compute_derivatives(observations, views, point, n, e[o], by_pose, shared_jacobian[o], by_point)
+        compute_derivatives(observations, views, point, n, o, system)
         for a in range(2):
-            x, y, z = by_point[a]
+            x, y, z = system.point_jacobian[o, a]
             r = w * e[o, a]
             v00 += w * x * x
             v10 += w * y * x

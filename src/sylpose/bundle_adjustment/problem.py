@@ -8,11 +8,14 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
+from sylpose.bundle_adjustment import kernels
 from sylpose.bundle_adjustment.camera_parameters import CameraParameters
-from sylpose.bundle_adjustment.covariance_inflation import add_second_order_terms, compute_variance_inflation
-from sylpose.bundle_adjustment.depth_noise import shrink_depth_noise
+from sylpose.bundle_adjustment.covariance_inflation import (
+    add_second_order_terms,
+    compute_variance_inflation,
+    shrink_depth_noise,
+)
 from sylpose.bundle_adjustment.kernels import (
-    BEHIND_PX,
     DEPTH,
     ROTATION,
     TIME_OFFSET,
@@ -20,11 +23,15 @@ from sylpose.bundle_adjustment.kernels import (
     Linearization,
     SortedObservations,
     Views,
-    compute_residuals,
-    triangulate_rays,
 )
-from sylpose.bundle_adjustment.reduced_system import Solver, System, estimate_calibration_scales
-from sylpose.bundle_adjustment.schur import ReducedSystem, back_substitute, eliminate_landmarks
+from sylpose.bundle_adjustment.reduced_system import (
+    ReducedSystem,
+    Solver,
+    System,
+    back_substitute,
+    eliminate_landmarks,
+    estimate_calibration_scales,
+)
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.robust_loss import biquartic_losses, biquartic_noise_response, biquartic_weights, robust_sigma
 from sylpose.status import Status
@@ -84,14 +91,22 @@ class FitSummary:
     """Uncertainty of the solution.
 
     Attributes:
-        sigma: (C,) noise, pixels.
-        covariance: (N, 6, 6) of (w, d).
-        parameter_covariance: (k, k) of z.
-        variance_inflation: (N,) as in `BundleResult`.
-        scale_sd, scale_variance_ratio, calibration_scales, surface_covariance: as in `BundleResult`.
+        sigma_px: (C,) noise of each camera, pixels, of one coordinate; in a result NaN for a camera without
+            observations.
+        covariance: (N, 6, 6) of (w, d), docs/conventions.md, relative to the fixed frames, where it is zero.
+        parameter_covariance: (k, k) of the per-camera parameters z.
+        variance_inflation: (N,) variance inflation relative to independent noise of sigma_px, at least 1: errors are
+            correlated along tracks, and by calibration errors (`covariance_inflation`).
+        scale_sd: relative standard deviation of the path's length: of a common factor of all translations of the
+            object's origin, which a motion without rotation does not determine. inf without any translation.
+        scale_variance_ratio: in [0, 1], its fraction of the variance of all translations.
+        calibration_scales: (4,) 1, then the estimated size of calibration errors relative to their prior, for the
+            cameras' rotations, translations and lenses; 1 without a calibration prior.
+        surface_covariance: (N, 3, 3) covariance of the mean position of the observed surface relative to the object's
+            origin (`add_second_order_terms`).
     """
 
-    sigma: FloatArray
+    sigma_px: FloatArray
     covariance: FloatArray
     parameter_covariance: FloatArray
     variance_inflation: FloatArray
@@ -178,13 +193,13 @@ class Problem:
     def compute_residuals(self, state: State) -> FloatArray:
         """Return (n, 2) residuals, pixels."""
         out = np.empty((len(self.observations.frame), 2))
-        compute_residuals(self.observations, self.view_frames(state), state.points, out)
+        kernels.compute_residuals(self.observations, self.view_frames(state), state.points, out)
         return out
 
     def triangulate(self, state: State) -> FloatArray:
         """Return (m, 3) points nearest to their rays and, weakly, to the object's center, at the state's poses."""
         out = np.empty_like(state.points)
-        triangulate_rays(self.observations, self.view_frames(state), float(self.landmark_prior[0]), out)
+        kernels.triangulate_rays(self.observations, self.view_frames(state), float(self.landmark_prior[0]), out)
         return out
 
     def reset_stray_landmarks(self, state: State, e: FloatArray, sigma: FloatArray) -> State:
@@ -201,7 +216,7 @@ class Problem:
     def compute_weights(self, e: FloatArray, sigma: FloatArray) -> FloatArray:
         """Return (n,) robust weights of residuals (n, 2)."""
         square, cutoff = np.einsum("ni,ni->n", e, e), (CUTOFF_SIGMAS * sigma[self.observations.camera]) ** 2
-        return self.repeat_mask * np.where(square < BEHIND_PX**2, biquartic_weights(square / cutoff), 0.0)
+        return self.repeat_mask * np.where(square < kernels.BEHIND_PX**2, biquartic_weights(square / cutoff), 0.0)
 
     def compute_cost(self, e: FloatArray, sigma: FloatArray, state: State, fixed_weights: FloatArray | None) -> float:
         """Return half the sum of squares in standard deviations, plus the same of the priors.
@@ -232,8 +247,7 @@ class Problem:
         assigned the noise of all cameras together.
         """
         n, camera, used = len(self.focals), self.observations.camera, self.repeat_mask > 0
-        n_pose_unknowns = 6.0 * self.pattern.shape[0]
-        freedom = 2.0 - leverage - min(n_pose_unknowns / max(float(self.repeat_mask.sum()), 1.0), 0.5)
+        freedom = self._compute_freedom(self.repeat_mask, leverage)
         coordinates = e / np.sqrt(np.maximum(freedom, 0.2) / 2.0)[:, None]
         pooled = robust_sigma(_subsample(coordinates[used]), MIN_SIGMA_PX)
         camera_sigmas = [
@@ -242,13 +256,17 @@ class Problem:
         ]
         return self.estimate_weighted_noise(e, self.compute_weights(e, np.array(camera_sigmas)), leverage)
 
+    def _compute_freedom(self, weights: FloatArray, leverage: FloatArray) -> FloatArray:
+        """Return (n,) degrees of freedom of each observation's two coordinates."""
+        n_pose_unknowns = 6.0 * self.pattern.shape[0]
+        return np.asarray(2.0 - leverage - min(n_pose_unknowns / max(float(weights.sum()), 1.0), 0.5))
+
     def estimate_weighted_noise(
         self, e: FloatArray, weights: FloatArray, leverage: FloatArray, minimum: float = MIN_SIGMA_PX
     ) -> FloatArray:
         """Return (C,) noise of each camera, pixels, at least `minimum`, from the residuals and their weights."""
         n, camera = len(self.focals), self.observations.camera
-        n_pose_unknowns = 6.0 * self.pattern.shape[0]
-        observation_freedom = 2.0 - leverage - min(n_pose_unknowns / max(float(weights.sum()), 1.0), 0.5)
+        observation_freedom = self._compute_freedom(weights, leverage)
         squares = np.bincount(camera, weights * np.einsum("ni,ni->n", e, e) / SHRINKAGE, minlength=n)
         freedom = np.bincount(camera, weights * np.maximum(observation_freedom, 0.0), minlength=n)
         pooled = squares.sum() / max(freedom.sum(), 1e-9)
@@ -278,10 +296,8 @@ class Problem:
             solver = solver.rescale(scales[self.camera_parameters.kind])
             rows = solver.gain.reshape(rows.shape)
         # Inflates the information of the observations, not that of the prior.
-        information = np.linalg.inv(frame_covariance) - self.prior[moving]
-        frame_covariance = np.asarray(
-            np.linalg.inv(information / excess[moving, None, None] + self.prior[moving]), float
-        )
+        information = (np.linalg.inv(frame_covariance) - self.prior[moving]) / excess[moving, None, None]
+        frame_covariance = np.asarray(np.linalg.inv(information + self.prior[moving]), float)
         covariance, shared_covariance = np.zeros((len(moving), 6, 6)), solver.parameter_covariance(median_excess)
         covariance[moving] = frame_covariance + rows @ shared_covariance @ rows.transpose(0, 2, 1)
         covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
@@ -452,11 +468,8 @@ def differentiate_quartic(rotations: FloatArray, translations: FloatArray, times
     stencil = np.arange(len(times) - STENCIL_SIZE + 1)[:, None] + np.arange(STENCIL_SIZE)
     middle = stencil[:, STENCIL_SIZE // 2]
     stencil_rotations, middle_inverse = rotations[stencil], rotations[middle].transpose(0, 2, 1)
-    rotation_changes = (
-        Rotation.from_matrix((stencil_rotations @ middle_inverse[:, None]).reshape(-1, 3, 3))
-        .as_rotvec()
-        .reshape(*stencil.shape, 3)
-    )
+    relative_rotations = (stencil_rotations @ middle_inverse[:, None]).reshape(-1, 3, 3)
+    rotation_changes = Rotation.from_matrix(relative_rotations).as_rotvec().reshape(*stencil.shape, 3)
     change = np.concatenate([rotation_changes, translations[stencil] - translations[middle, None]], axis=2)
     out[middle] = _stencil_weights(times)[:, 1:3] @ change
     return out

@@ -137,20 +137,19 @@ def _is_better(result: BundleResult, other: BundleResult, observations: Observat
 
 
 def _compute_costs(
-    result: BundleResult, other: BundleResult, observations: Observations, repeated: BoolArray
+    first: BundleResult, second: BundleResult, observations: Observations, mask: BoolArray
 ) -> list[float]:
     """Return the costs of two refinements on the counted observations (n,), with equal noise."""
-    sigma = np.fmin(result.sigma_px, other.sigma_px)[observations.camera]
+    sigma = np.fmin(first.sigma_px, second.sigma_px)[observations.camera]
     return [
-        float(biquartic_losses((b.residuals[repeated] / (CUTOFF_SIGMAS * sigma[repeated])) ** 2).sum())
-        for b in (result, other)
+        float(biquartic_losses((b.residuals[mask] / (CUTOFF_SIGMAS * sigma[mask])) ** 2).sum()) for b in (first, second)
     ]
 
 
 def has_lost_frame(result: BundleResult, other: BundleResult, observations: Observations, repeated: BoolArray) -> bool:
     """Return whether one result loses a frame of which the other explains most counted observations (n,)."""
-    inliers, totals = count_frame_inliers(result, observations, repeated)
-    other_inliers, _ = count_frame_inliers(other, observations, repeated)
+    inliers, totals = count_inliers(result, observations, repeated)
+    other_inliers, _ = count_inliers(other, observations, repeated)
     return bool(((2 * other_inliers > totals) & (inliers < LOST_INLIER_RATIO * other_inliers)).any())
 
 
@@ -199,20 +198,16 @@ def find_repeated_observations(observations: Observations) -> BoolArray:
     return np.asarray(np.bincount(observations.landmark)[observations.landmark] > 1)
 
 
-def count_frame_inliers(
-    result: BundleResult, observations: Observations, repeated: BoolArray
-) -> tuple[IntArray, IntArray]:
+def count_inliers(result: BundleResult, observations: Observations, repeated: BoolArray) -> tuple[IntArray, IntArray]:
     """Return for each frame (N,) the number of counted observations (n,) that are inliers, and their total number."""
     frames = len(result.covariance)
-    inliers, totals = (
-        np.bincount(observations.frame[mask], minlength=frames) for mask in (repeated & (result.weights > 0), repeated)
-    )
-    return inliers, totals
+    inliers = np.bincount(observations.frame[repeated & (result.weights > 0)], minlength=frames)
+    return inliers, np.bincount(observations.frame[repeated], minlength=frames)
 
 
 def find_lost_frames(result: BundleResult, observations: Observations) -> BoolArray:
     """Return (N,) mask of the lost frames."""
-    inliers, totals = count_frame_inliers(result, observations, find_repeated_observations(observations))
+    inliers, totals = count_inliers(result, observations, find_repeated_observations(observations))
     return np.asarray((totals >= MIN_OBSERVATIONS) & (inliers <= MAX_INLIER_RATIO * totals))
 
 
