@@ -8,17 +8,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sylpose.geometry.arrays import BoolArray, FloatArray
-from sylpose.relative_pose.affine_ransac import find_hyperplane_inliers
+from sylpose.relative_pose.affine_ransac import find_inliers
 from sylpose.simulate import random_motion, simulate_matches
 from tests.scenes import BODY, make_zigzag_rig
 
 SEEDS = st.integers(0, 2**32 - 1)
 
 
-def find_inliers(x: FloatArray, y: FloatArray, threshold: float, rng: np.random.Generator) -> BoolArray:
+def select_inliers(x: FloatArray, y: FloatArray, threshold: float, rng: np.random.Generator) -> BoolArray:
     """Return the kernel's weights as a mask."""
     weights = np.zeros(len(x))
-    find_hyperplane_inliers(np.ascontiguousarray(x), np.ascontiguousarray(y), threshold, rng.random((300, 4)), weights)
+    find_inliers(np.ascontiguousarray(x), np.ascontiguousarray(y), threshold, rng.random((300, 4)), weights)
     return weights > 0
 
 
@@ -41,7 +41,7 @@ def make_matches(seed: int, n: int = 60, outliers: float = 0.4) -> tuple[FloatAr
 def test_ransac_finds_the_inliers(n: int, outliers: float) -> None:
     for seed in range(10):
         x, y, right = make_matches(seed, n, outliers)
-        found = find_inliers(x, y, 0.1, np.random.default_rng(seed))
+        found = select_inliers(x, y, 0.1, np.random.default_rng(seed))
         np.testing.assert_array_equal(found, right)
 
 
@@ -50,7 +50,7 @@ def test_ransac_tolerates_noise() -> None:
         x, y, right = make_matches(seed)
         rng = np.random.default_rng(seed)
         x, y = x + 0.5 * rng.standard_normal(x.shape), y + 0.5 * rng.standard_normal(y.shape)
-        found = find_inliers(x, y, 2.0, rng)
+        found = select_inliers(x, y, 2.0, rng)
         assert found[right].mean() > 0.9
         assert found[~right].mean() < 0.1
 
@@ -61,7 +61,7 @@ def test_ransac_tolerates_perspective() -> None:
         rig = make_zigzag_rig(1)
         pair = simulate_matches(rig, BODY, random_motion(8, 0.02, rng), rng=rng, outliers=0.4)
         m, wrong = pair.matches[0], pair.is_outlier[0]
-        found = find_inliers(m.x, m.y, 3.0 / rig.cameras[0].focal, rng)
+        found = select_inliers(m.x, m.y, 3.0 / rig.cameras[0].focal, rng)
         assert found[~wrong].mean() > 0.8
         assert found[wrong].mean() < 0.5  # about a quarter of them lie near their epipolar lines by chance
 
@@ -70,7 +70,7 @@ def test_ransac_is_deterministic() -> None:
     x, y, _ = make_matches(0)
     rng = np.random.default_rng(0)
     x, y = x + rng.standard_normal(x.shape), y + rng.standard_normal(y.shape)
-    first, again = (find_inliers(x, y, 1.0, np.random.default_rng(3)) for _ in range(2))
+    first, again = (select_inliers(x, y, 1.0, np.random.default_rng(3)) for _ in range(2))
     np.testing.assert_array_equal(first, again)
 
 
@@ -78,25 +78,25 @@ def test_ransac_is_deterministic() -> None:
 @given(SEEDS, st.floats(1e-4, 1e4))
 def test_ransac_is_invariant_to_scale_and_offset(seed: int, scale: float) -> None:
     x, y, right = make_matches(seed)
-    found = find_inliers(scale * (x + 3), scale * (y - 7), scale * 0.1, np.random.default_rng(0))
+    found = select_inliers(scale * (x + 3), scale * (y - 7), scale * 0.1, np.random.default_rng(0))
     np.testing.assert_array_equal(found, right)
 
 
 @pytest.mark.parametrize("n", range(6))
 def test_fewer_than_six_matches_are_kept(n: int) -> None:
     x, y = np.random.default_rng(n).standard_normal((2, n, 2))
-    found = find_inliers(x, y, 1e-6, np.random.default_rng(0))
+    found = select_inliers(x, y, 1e-6, np.random.default_rng(0))
     assert found.shape == (n,)
     assert found.all()
 
 
 def test_duplicate_matches_are_handled() -> None:
     x, y, right = make_matches(0, 30)
-    found = find_inliers(np.repeat(x, 3, 0), np.repeat(y, 3, 0), 0.1, np.random.default_rng(0))
+    found = select_inliers(np.repeat(x, 3, 0), np.repeat(y, 3, 0), 0.1, np.random.default_rng(0))
     np.testing.assert_array_equal(found, np.repeat(right, 3))
     # A single repeated match: every quadruple is degenerate, and nothing is contradictory.
     one = np.ones((50, 2))
-    assert find_inliers(one, 2 * one, 0.1, np.random.default_rng(0)).all()
+    assert select_inliers(one, 2 * one, 0.1, np.random.default_rng(0)).all()
 
 
 @settings(max_examples=30, deadline=None)
@@ -105,6 +105,6 @@ def test_degenerate_points_give_a_mask(seed: int, n: int, rank: int) -> None:
     """Points on a line, in one place, or spread: a mask is returned without a warning."""
     rng = np.random.default_rng(seed)
     x = rng.standard_normal((n, rank)) @ rng.standard_normal((rank, 2))
-    found = find_inliers(x, 2 * x + 1, 0.01, rng)
+    found = select_inliers(x, 2 * x + 1, 0.01, rng)
     assert found.shape == (n,)
     assert found.all()

@@ -7,9 +7,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.relative_pose.match_cost import Tolerance, compute_match_errors
+from sylpose.relative_pose.match_cost import Tolerance
 from sylpose.relative_pose.moments_cost import NormalEquations, build_view_equations
 from sylpose.relative_pose.terms import Candidate, TermData, stack_terms
+from tests.relative_pose.match_errors import compute_match_errors
 from tests.scenes import make_moment_sums, make_view
 
 # Standard deviation of the noise, as a share of the object's size.

@@ -14,10 +14,11 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.geometry.arrays import FloatArray
 from sylpose.relative_pose.irls import CUTOFF
-from sylpose.relative_pose.match_cost import MatchEquations, Tolerance, compute_match_errors
+from sylpose.relative_pose.match_cost import MatchEquations, Tolerance
 from sylpose.relative_pose.terms import DEPTH_MODEL_SIZE, Candidate, Stack, locate_object, stack_terms
 from sylpose.rig import Rig
 from sylpose.simulate import Body, SimulatedPair, random_motion, simulate_matches
+from tests.relative_pose.match_errors import compute_match_errors
 from tests.scenes import BODY, get_true_motion, make_candidate, make_terms, make_zigzag_rig
 
 

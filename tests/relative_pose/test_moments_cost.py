@@ -18,9 +18,9 @@ from sylpose.relative_pose.moments_cost import (
     NormalEquations,
     build_view_equations,
     compute_moments,
-    compute_term_cost,
     compute_view_misfit,
     estimate_view_variance,
+    evaluate_term,
     make_term_view,
 )
 from sylpose.relative_pose.terms import Candidate, Stack, TermData, stack_terms
@@ -154,7 +154,7 @@ def build_equations(
     if full:
         value = build_view_equations(stack, sums, t, kappa, depth_model, make_view(stack, t, candidate), normal)
     else:
-        value = compute_term_cost(stack, sums, t, kappa, candidate, make_term_view())
+        value = evaluate_term(stack, sums, t, kappa, candidate, make_term_view())
     return normal.hessian[t], normal.gradient[t], value
 
 

@@ -18,7 +18,7 @@ from benchmarks.robust_pairs import (
     simulate_scene,
 )
 from sylpose.matches import Matches
-from sylpose.relative_pose import static_background
+from sylpose.relative_pose import motion_mixture
 from sylpose.relative_pose.motion import estimate_motion
 from sylpose.status import Status
 
@@ -95,20 +95,20 @@ def test_few_moving_matches(n: int, few: int) -> None:
 
 def test_mixture_converges_from_all_static(monkeypatch: pytest.MonkeyPatch) -> None:
     calls: list[tuple[Any, ...]] = []
-    original: Callable[..., Any] = static_background._fit_mixture
+    original: Callable[..., Any] = motion_mixture._fit_mixture
 
     def mixture(*given: Any) -> Any:
         calls.append(given)
         return original(*given)
 
-    monkeypatch.setattr(static_background, "_fit_mixture", mixture)
+    monkeypatch.setattr(motion_mixture, "_fit_mixture", mixture)
     pair, rig = simulate_scene(SETTINGS["static 60 %, moves 2 px"], 0)
     estimate_motion(rig, pair.matches)
     *given, still = calls[0]
     begun = original(*given, np.ones(len(still)))
     assert begun.cost == pytest.approx(original(*given, still).cost, abs=1.0)
     # Later rounds correct the first one: check that one alone.
-    monkeypatch.setattr(static_background, "MAX_ROUNDS", 1)
+    monkeypatch.setattr(motion_mixture, "MAX_BACKGROUND_ROUNDS", 1)
     begun = original(*given, np.ones(len(still)))
     for probabilities in (begun.moving_probability, begun.static_probability):
         assert ((probabilities >= 0.0) & (probabilities <= 1.0)).all()

@@ -23,8 +23,8 @@ from sylpose.relative_pose.search import (
     INITIAL_DAMPING,
     compute_log_likelihood,
     descend,
-    make_descent_workspace,
     make_minima,
+    make_workspace,
     search_minima,
 )
 from sylpose.relative_pose.terms import Candidate, Stack, locate_object, stack_initial_motions, stack_terms
@@ -111,13 +111,13 @@ def minimize_from(
     stack: Stack, sums: MomentSums, start: Candidate, iterations: int = 60, tolerance: float = 1e-12
 ) -> tuple[Candidate, int, float, FloatArray]:
     """Return the minimum, the number of iterations, the predicted decrease of the last step, and the terms' weights."""
-    candidate, workspace = start.copy(), make_descent_workspace(len(stack.focal))
-    count, decrease, _ = descend(stack, sums, False, iterations, tolerance, candidate, INITIAL_DAMPING, workspace)
+    candidate, workspace = start.copy(), make_workspace(len(stack.focal))._replace(tolerance=tolerance)
+    count, decrease, _ = descend(stack, sums, False, iterations, candidate, INITIAL_DAMPING, workspace)
     return candidate, count, decrease, workspace.term_weights
 
 
 def compute_likelihood(stack: Stack, sigma_px: float, candidate: Candidate) -> float:
-    workspace = make_descent_workspace(len(stack.focal))
+    workspace = make_workspace(len(stack.focal))
     return compute_log_likelihood(stack, make_moment_sums(stack, sigma_px), candidate, workspace)
 
 

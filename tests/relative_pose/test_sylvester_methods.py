@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose.methods import METHODS, MOTION_METHODS, PAPER_METHODS
 from sylpose.moments import PairMoments
 from sylpose.relative_pose.motion import estimate_motion
-from sylpose.relative_pose.sylvester_methods import ESTIMATORS, apply_paper_method
+from sylpose.relative_pose.sylvester_methods import ESTIMATORS, apply_estimator
 from sylpose.relative_pose.terms import Fit, TermData
 from sylpose.results import Motion
 from sylpose.rig import Rig
@@ -110,5 +110,5 @@ def test_matches_without_spread_leave_the_rotation_open() -> None:
     weights = (np.ones(9), np.ones(9))
     robust = Fit(Status.OK, np.eye(3), np.zeros(3), weights, weights, np.eye(6), np.eye(6), 1)
     for method in PAPER_METHODS:
-        fit = apply_paper_method(method, data, robust, np.zeros(3), rig.names)
+        fit = apply_estimator(method, data, robust, np.zeros(3), rig.names)
         assert fit.status is Status.ROTATION_NOT_OBSERVABLE

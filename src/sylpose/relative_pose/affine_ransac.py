@@ -17,9 +17,7 @@ ALONG_CUTOFF = 6.0
 
 
 @kernel
-def find_hyperplane_inliers(
-    x: FloatArray, y: FloatArray, threshold: float, picks: FloatArray, weights: FloatArray
-) -> float:
+def find_inliers(x: FloatArray, y: FloatArray, threshold: float, picks: FloatArray, weights: FloatArray) -> float:
     """Find the matches of one camera that fit one affine epipolar constraint.
 
     Under weak perspective the joint points (x1, x2, y1, y2) of a rigid motion are on a hyperplane of the 4D space,

@@ -13,13 +13,11 @@ import numpy as np
 
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.numba_linalg import kernel, symmetric_eigen
-from sylpose.relative_pose.alternative_solutions import is_narrow_baseline
-from sylpose.relative_pose.curvature_correction import compute_size_if_curved
 from sylpose.relative_pose.irls import SIGMA_FLOOR_PX, IrlsFit, has_uniform_residuals
-from sylpose.relative_pose.motion_mixture import correlate_neighbors, is_mixed
+from sylpose.relative_pose.motion_mixture import correlate_neighbors, has_static_candidates, is_mixed
 from sylpose.relative_pose.observability import MIN_CERTAIN_SHARE, is_collinear, is_static
-from sylpose.relative_pose.static_background import has_static_candidates
 from sylpose.relative_pose.terms import Stack
+from sylpose.relative_pose.uncertainty import compute_size_if_curved, is_narrow_baseline
 
 # Unknowns of a hyperplane, and the minimum number of inliers for the test (choice).
 HYPERPLANE_UNKNOWNS, MIN_TEST_INLIERS = 4, 8
@@ -73,9 +71,7 @@ class FitDiagnostics(NamedTuple):
 
 
 @kernel
-def diagnose_fit(
-    stack: Stack, usable: BoolArray, fit: IrlsFit, probabilities: FloatArray, radius: float
-) -> FitDiagnostics:
+def diagnose(stack: Stack, usable: BoolArray, fit: IrlsFit, probabilities: FloatArray, radius: float) -> FitDiagnostics:
     """Compute the diagnostics of a fit.
 
     Args:
@@ -99,23 +95,13 @@ def diagnose_fit(
     curved = compute_size_if_curved(fit, radius) > 0.0
     uncertain = curved or soft_assignment
     mixed = is_mixed(*correlate_neighbors(stack, fit), uncertain)
-    return FitDiagnostics(
-        inliers,
-        finite,
-        inliers >= MIN_CERTAIN_SHARE * usable_count,
-        not soft_assignment and has_uniform_residuals(fit.weights),
-        is_narrow_baseline(stack.a2),
-        has_static_candidates(stack, usable),
-        is_collinear(stack, fit.weights, fit.sigma_px, np.zeros((3, 3))),
-        soft_assignment,
-        curved,
-        is_static(stack, fit, information),
-        mixed,
-        is_consistent_per_camera(stack, fit),
-        information_factor,
-        information,
-        without_depth,
-    )
+    certain, uniform = inliers >= MIN_CERTAIN_SHARE * usable_count, has_uniform_residuals(fit.weights)
+    narrow, background = is_narrow_baseline(stack.a2), has_static_candidates(stack, usable)
+    collinear = is_collinear(stack, fit.weights, fit.sigma_px, np.zeros((3, 3)))
+    static, consistent = is_static(stack, fit, information), is_consistent_per_camera(stack, fit)
+    shape = narrow, background, collinear, soft_assignment, curved, static, mixed, consistent
+    uniform = uniform and not soft_assignment
+    return FitDiagnostics(inliers, finite, certain, uniform, *shape, information_factor, information, without_depth)
 
 
 @kernel
@@ -177,12 +163,8 @@ def is_consistent_per_camera(stack: Stack, fit: IrlsFit) -> bool:
     inconsistencies = np.empty(len(stack.focal))
     for t in range(len(stack.focal)):
         first, last = stack.offsets[t], stack.offsets[t + 1]
-        x, y, weights, residuals = (
-            stack.x[first:last],
-            stack.y[first:last],
-            fit.weights[first:last],
-            fit.residuals_px[first:last],
-        )
+        x, y = stack.x[first:last], stack.y[first:last]
+        weights, residuals = fit.weights[first:last], fit.residuals_px[first:last]
         inliers = 0
         for i in range(last - first):
             inliers += weights[i] > 0.0
@@ -209,9 +191,7 @@ def compute_chance_margin(cameras: int) -> float:
 
 
 @kernel
-def compute_inconsistency(
-    x: FloatArray, y: FloatArray, weights: FloatArray, residuals: FloatArray, focal: float
-) -> float:
+def compute_inconsistency(x: FloatArray, y: FloatArray, weights: FloatArray, errors: FloatArray, focal: float) -> float:
     """Return the inconsistency of a camera's inliers with the common fit.
 
     It is twice the logarithm of the likelihood ratio of their own hyperplane, with unknown noise, to the fit. It is
@@ -223,7 +203,7 @@ def compute_inconsistency(
         if weights[i] > 0.0:
             count += 1
             mass += weights[i]
-            squares += weights[i] * residuals[i] ** 2
+            squares += weights[i] * errors[i] ** 2
             for a in range(2):
                 mean[a] += weights[i] * x[i, a]
                 mean[2 + a] += weights[i] * y[i, a]

@@ -18,7 +18,7 @@ import numpy as np
 
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.normal_equations import add_rotated, eliminate_block, rotate_rows
-from sylpose.geometry.numba_linalg import cholesky_solve, compute_sum, kernel, leaf
+from sylpose.geometry.numba_linalg import cholesky_solve, compute_sum, dot, kernel, leaf
 from sylpose.geometry.robust_loss import bisquare_noise_response
 from sylpose.relative_pose.match_cost import (
     InlierPrior,
@@ -27,6 +27,7 @@ from sylpose.relative_pose.match_cost import (
     Tolerance,
     build_match_equations,
     make_match_equations,
+    make_term,
 )
 from sylpose.relative_pose.terms import DEPTH_MODEL_SIZE, Candidate, Stack, apply_step, copy_into
 
@@ -120,49 +121,42 @@ class IrlsFit(NamedTuple):
     distance_offset: FloatArray
 
 
-class JointEquations(NamedTuple):
-    """Normal equations of all terms in (w, d) and the distance offset: `total` (7, 7), `right` (7,)."""
+class JointSystem(NamedTuple):
+    """Normal equations of T terms in (w, d) and the distance offset, with the depth models eliminated.
+
+    Attributes:
+        total, right: (7, 7), (7,) the equations.
+        gains: (T, 6, 8) the responses of the depth models (`reduce_term`).
+        block, inverse, prior, reduced: (6, 6), (6, 6), (6, 6), (7, 8) work arrays.
+    """
 
     total: FloatArray
     right: FloatArray
-
-
-class SchurWorkspace(NamedTuple):
-    """Work arrays of `reduce_term`, allocated once: `block`, `inverse`, `prior` (6, 6), `reduced` (7, 8)."""
-
+    gains: FloatArray
     block: FloatArray
     inverse: FloatArray
-    reduced: FloatArray
     prior: FloatArray
+    reduced: FloatArray
 
 
 @kernel
-def make_joint_equations() -> JointEquations:
-    """Allocate zero equations."""
-    return JointEquations(np.zeros((7, 7)), np.zeros(7))
-
-
-@kernel
-def make_schur_workspace() -> SchurWorkspace:
-    """Allocate the work arrays."""
-    size = (DEPTH_MODEL_SIZE, DEPTH_MODEL_SIZE)
-    return SchurWorkspace(np.empty(size), np.empty(size), np.empty((7, 8)), np.empty(size))
+def make_joint_system(n: int) -> JointSystem:
+    """Allocate zero equations of n terms."""
+    k, gains = DEPTH_MODEL_SIZE, np.zeros((n, DEPTH_MODEL_SIZE, 8))
+    return JointSystem(
+        np.zeros((7, 7)), np.zeros(7), gains, np.empty((k, k)), np.empty((k, k)), np.empty((k, k)), np.empty((7, 8))
+    )
 
 
 @kernel
 def make_empty_irls_fit(stack: Stack) -> IrlsFit:
     """Return an identity motion without inliers."""
-    n, n_matches = stack.focal.shape[0], stack.x.shape[0]
+    n, m = stack.focal.shape[0], stack.x.shape[0]
+    candidate = Candidate(np.eye(3), np.zeros(3), stack.depth_model_mean.copy())
+    sigma_px, weights, residuals_px, residual_depth = np.ones(n), np.zeros(m), np.zeros(m), stack.residual_depth.copy()
+    information, without_depth, noise = np.zeros((6, 6)), np.zeros((6, 6)), np.zeros((6, 6))
     return IrlsFit(
-        Candidate(np.eye(3), np.zeros(3), stack.depth_model_mean.copy()),
-        np.ones(n),
-        np.zeros(n_matches),
-        np.zeros(n_matches),
-        np.zeros((6, 6)),
-        np.zeros((6, 6)),
-        np.zeros((6, 6)),
-        stack.residual_depth.copy(),
-        np.zeros(1),
+        candidate, sigma_px, weights, residuals_px, information, without_depth, noise, residual_depth, np.zeros(1)
     )
 
 
@@ -187,44 +181,31 @@ class _Workspace(NamedTuple):
         matches: the errors of all matches; `across` and `weights` are the fit's own.
         equations, final_equations: of one term, the latter with the noise part.
         joint, joint_without_depth: of all terms, with the prior on the depth models and with hardly any.
-        gains: (T, 6, 8) the responses of the depth models (`reduce_term`).
         step: (7,).
         mass, active: (T,) the sums of the weights, and whether the term is used.
         sums: (2, N) terms of sums.
-        schur: of `reduce_term`.
     """
 
     matches: MatchErrors
     equations: MatchEquations
     final_equations: MatchEquations
-    joint: JointEquations
-    joint_without_depth: JointEquations
-    gains: FloatArray
+    joint: JointSystem
+    joint_without_depth: JointSystem
     step: FloatArray
     mass: FloatArray
     active: BoolArray
     sums: FloatArray
-    schur: SchurWorkspace
 
 
 @kernel
 def _make_workspace(fit: IrlsFit) -> _Workspace:
     """Allocate the work arrays for a fit."""
-    n, n_matches = fit.sigma_px.shape[0], fit.weights.shape[0]
-    distance, along, parallax = np.empty(n_matches), np.empty(n_matches), np.empty(n_matches)
-    return _Workspace(
-        MatchErrors(distance, fit.residuals_px, along, parallax, fit.weights),
-        make_match_equations(False, False),
-        make_match_equations(True, False),
-        make_joint_equations(),
-        make_joint_equations(),
-        np.empty((n, DEPTH_MODEL_SIZE, 8)),
-        np.empty(7),
-        np.zeros(n),
-        np.ones(n, np.bool_),
-        np.empty((2, n_matches)),
-        make_schur_workspace(),
-    )
+    n, m = fit.sigma_px.shape[0], fit.weights.shape[0]
+    matches = MatchErrors(np.empty(m), fit.residuals_px, np.empty(m), np.empty(m), fit.weights)
+    equations, final_equations = make_match_equations(False, False), make_match_equations(True, False)
+    joint, without_depth = make_joint_system(n), make_joint_system(n)
+    step, mass, active, sums = np.empty(7), np.zeros(n), np.ones(n, np.bool_), np.empty((2, m))
+    return _Workspace(matches, equations, final_equations, joint, without_depth, step, mass, active, sums)
 
 
 @kernel
@@ -246,7 +227,7 @@ def run_constrained_irls(
     """
     min_sigma_px, sigma_px, depth_model = max(min_sigma_px, stack.min_sigma_px), fit.sigma_px, fit.candidate.depth_model
     n, work = sigma_px.shape[0], _make_workspace(fit)
-    step, right, gains = work.step, work.joint.right, work.gains
+    step, right, gains = work.step, work.joint.right, work.joint.gains
     fit.residual_depth[:], fit.distance_offset[:] = stack.residual_depth, 0.0
     bound = max(MAX_SIGMA_GROWTH * sigma_px.max(), min_sigma_px)
     decrease, length, count, converged = np.inf, 1.0, 0, False
@@ -260,9 +241,7 @@ def run_constrained_irls(
             break
         if not _solve_step(constraint, work):
             return count, np.inf, np.inf
-        last_decrease, decrease = decrease, 0.0
-        for i in range(7):
-            decrease += 0.5 * step[i] * right[i]
+        last_decrease, decrease = decrease, 0.5 * dot(step, right)
         # Growing steps overshoot, and changing inliers cause cycles: shorter steps converge.
         growing = decrease > last_decrease and count > FREE_GROWTH_ROUNDS
         length = max(STEP_SHRINK_FACTOR * length, MIN_STEP_LENGTH) if growing else min(STEP_GROWTH_FACTOR * length, 1.0)
@@ -296,32 +275,26 @@ def make_tolerance(stack: Stack, t: int, fit: IrlsFit, mass: float, cutoff: floa
 
 
 @kernel
-def _sum_terms(
-    stack: Stack, usable: InlierPrior, fit: IrlsFit, cutoff: float, converged: bool, work: _Workspace
-) -> bool:
+def _sum_terms(stack: Stack, usable: InlierPrior, fit: IrlsFit, cutoff: float, final: bool, work: _Workspace) -> bool:
     """Compute all errors, the joint equations and the information; return whether the depth models are determined.
 
     The last round, after convergence, only evaluates the information.
     """
     joint, without_depth, noise = work.joint, work.joint_without_depth, fit.noise_information
-    for equations in (joint, without_depth):
-        equations.total[:] = 0.0
-    joint.right[:] = 0.0
-    noise[:] = 0.0
+    joint.total[:], without_depth.total[:], joint.right[:], noise[:] = 0.0, 0.0, 0.0, 0.0
     # Prior of the distance offset: standard deviation 1.
     joint.total[6, 6], joint.right[6] = 1.0, -fit.distance_offset[0]
     for t in range(stack.focal.shape[0]):
-        equations_t, gain = work.final_equations if converged else work.equations, work.gains[t]
-        tolerance = make_tolerance(stack, t, fit, work.mass[t], cutoff)
-        build_match_equations(stack, t, usable, fit.candidate, tolerance, work.matches, equations_t)
+        equations, offset = work.final_equations if final else work.equations, fit.distance_offset[0]
+        term = make_term(stack, t, fit.candidate, make_tolerance(stack, t, fit, work.mass[t], cutoff))
+        build_match_equations(stack, term, usable, work.matches, equations)
         if not work.active[t]:
-            gain[:] = 0.0
+            joint.gains[t] = 0.0
             continue
-        offset, schur = fit.distance_offset, work.schur
-        if converged:
-            reduce_term(stack, t, fit.candidate, offset, equations_t, WEAK_PRIOR_SCALE, without_depth, gain, schur)
-            add_rotated(equations_t.noise_information, stack.qy[t], noise)
-        if not reduce_term(stack, t, fit.candidate, offset, equations_t, 1.0, joint, gain, schur):
+        if final:
+            reduce_term(stack, t, fit.candidate, offset, equations, WEAK_PRIOR_SCALE, without_depth)
+            add_rotated(equations.noise_information, stack.qy[t], noise)
+        if not reduce_term(stack, t, fit.candidate, offset, equations, 1.0, joint):
             return False
     fit.information_without_depth[:] = without_depth.total[:6, :6]
     for i in range(6):
@@ -377,7 +350,7 @@ def _finish(stack: Stack, usable: InlierPrior, fit: IrlsFit, work: _Workspace) -
     cost, density = 0.5 * fit.distance_offset[0] ** 2, 0.0
     distance, parallax = work.matches.distance, work.matches.parallax
     for t in range(stack.focal.shape[0]):
-        cost += compute_depth_prior(stack, t, fit.candidate.depth_model[t], fit.distance_offset[0], work.schur.prior)
+        cost += compute_depth_prior(stack, t, fit.candidate.depth_model[t], fit.distance_offset[0], work.joint.prior)
         f, variance = stack.focal[t], (fit.sigma_px[t] / stack.focal[t]) ** 2
         mismatch_density = np.log((MISMATCH_RANGE * stack.spread[t]) ** 2 / (2.0 * np.pi))
         for i in range(stack.offsets[t], stack.offsets[t + 1]):
@@ -486,31 +459,31 @@ def reduce_term(
     stack: Stack,
     t: int,
     candidate: Candidate,
-    distance_offset: FloatArray,
+    offset: float,
     equations: MatchEquations,
-    prior_scale: float,
-    joint: JointEquations,
-    gain: FloatArray,
-    workspace: SchurWorkspace,
+    scale: float,
+    joint: JointSystem,
 ) -> bool:
     """Add term t's equations, with the scaled prior of its depth model, which is eliminated, to the joint equations.
 
     The unknowns are (w, d) and the distance offset z, which adds `stack.distance_gain[t]` z to the first mean of α.
-    They are in world axes. gain (6, 8) receives the response of the depth model: α changes by
-    gain[:, 7] - gain[:, :7] (w, d, z).
+    They are in world axes. The joint equations receive the response of the depth model: α changes by
+    gains[t, :, 7] - gains[t, :, :7] (w, d, z).
+
+    Args:
+        offset: z.
+        scale: of the prior.
 
     Returns:
         whether the elimination succeeded.
     """
-    block, inverse, reduced, prior = workspace
-    depth_model, offset = candidate.depth_model[t], distance_offset[0]
+    gain, block, inverse, prior, reduced = joint.gains[t], joint.block, joint.inverse, joint.prior, joint.reduced
+    depth_model = candidate.depth_model[t]
     compute_depth_prior(stack, t, depth_model, offset, prior)
     for k in range(DEPTH_MODEL_SIZE):
         for j in range(DEPTH_MODEL_SIZE):
-            prior[k, j] *= prior_scale
-    for i in range(7):
-        for j in range(8):
-            reduced[i, j] = 0.0
+            prior[k, j] *= scale
+    reduced[:] = 0.0
     q, distance_gain = stack.qy[t], stack.distance_gain[t]
     rotate_rows(equations.matrix[DEPTH_MODEL_SIZE:], q, gain)
     add_rotated(equations.matrix, q, reduced)
@@ -542,13 +515,11 @@ def reduce_term(
                 s += inverse[k, i] * inverse[k, j]
             unknowns -= (1.0 if i == j else 2.0) * s * prior[i, j]
     # The derivative of log det(block) / 2, from the likelihood with α integrated out.
-    correction = MARGINALIZED_SHARE * unknowns / max(equations.parallax_squares[0], 1e-300)
+    pull = MARGINALIZED_SHARE * unknowns / max(equations.parallax_squares[0], 1e-300)
     for i in range(6):
         h, j = i // 3, i % 3
         for a in range(3):
-            joint.right[i] += q[a, j] * (
-                equations.right[3 * h + a] - correction * equations.parallax_gradient[3 * h + a]
-            )
+            joint.right[i] += q[a, j] * (equations.right[3 * h + a] - pull * equations.parallax_gradient[3 * h + a])
     for i in range(7):
         joint.right[i] += reduced[i, 7]
         for j in range(7):
@@ -557,15 +528,13 @@ def reduce_term(
 
 
 @leaf
-def compute_depth_prior(
-    stack: Stack, t: int, depth_model: FloatArray, distance_offset: float, prior: FloatArray
-) -> float:
+def compute_depth_prior(stack: Stack, t: int, depth_model: FloatArray, offset: float, prior: FloatArray) -> float:
     """Set prior (6, 6), the prior information of α, and return the prior cost.
 
     Slopes have heavy tails (a Cauchy distribution in two dimensions): a plane may be seen at a grazing angle.
     """
     slope_square, cost, mean, information = 0.0, 0.0, stack.depth_model_mean[t], stack.depth_model_information[t]
-    mean_offset = stack.distance_gain[t] * distance_offset
+    mean_offset = stack.distance_gain[t] * offset
     for k in range(DEPTH_MODEL_SIZE):
         part, deviation = 0.0, depth_model[k] - mean[k] - (mean_offset if k == 0 else 0.0)
         for j in range(DEPTH_MODEL_SIZE):

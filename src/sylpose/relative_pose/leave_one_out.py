@@ -5,7 +5,7 @@ Under weak perspective the inliers of one camera are near a hyperplane of (x, y)
 at any level of noise, whether the camera disagrees with the others. A faulty camera biases the motion, so that others
 look wrong as well. If one is inconsistent, the fit is repeated without each of the cameras, and each camera is fitted
 alone. A camera is removed if its own motion and that of the others are together clearly the likeliest. Two swapped
-videos are found by swapping them back (`undo_video_swap`). Matches of a removed camera that agree with the others'
+videos are found by swapping them back (`undo_swap`). Matches of a removed camera that agree with the others'
 motion within noise are restored if they are not few: then only some of its matches belong to something else.
 
 The directions of the cameras are tested too (`is_other_camera_misaligned`): the rays through the middle of what each
@@ -27,14 +27,7 @@ from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.matrices import essential_matrix, sampson_scale
 from sylpose.matches import STATIC_PX
 from sylpose.moments import PairMoments
-from sylpose.relative_pose.diagnostics import (
-    HYPERPLANE_UNKNOWNS,
-    MAX_REJECTED_SHARE,
-    MIN_TEST_INLIERS,
-    compute_chance_margin,
-    compute_inconsistency,
-    is_inconsistent,
-)
+from sylpose.relative_pose import diagnostics
 from sylpose.relative_pose.irls import SIGMA_FLOOR_PX
 from sylpose.relative_pose.solver import FAR_MOTION_PX
 from sylpose.relative_pose.terms import Fit, Solution, TermData, TermSolver, locate_object
@@ -107,7 +100,7 @@ def solve_without_faulty_cameras(
     if solution.fit.cameras_consistent or not _has_disagreement(data, solution.fit):
         return solution
     only_junk = solution.fit.status.has_pose and _is_only_junk(data, solution.fit, solve)
-    swapped = None if only_junk else undo_video_swap(data, solution, names, solve)
+    swapped = None if only_junk else undo_swap(data, solution, names, solve)
     if swapped is not None:
         return swapped
     if only_junk:
@@ -129,7 +122,7 @@ def solve_without_faulty_cameras(
         else:
             masks[k][:] = False
             removed.append(k)
-    max_remaining = MAX_REMAINING_INCONSISTENCY + compute_chance_margin(len(data))
+    max_remaining = MAX_REMAINING_INCONSISTENCY + diagnostics.compute_chance_margin(len(data))
     if removed and not only_junk and _compute_inconsistencies(data, solution.fit).max() > max_remaining:
         # Removing cameras does not explain the inconsistency: restore all.
         solution, removed = first, []
@@ -158,9 +151,7 @@ def solve_without_faulty_cameras(
     return solution._replace(fit=replace(solution.fit, faults=faults))
 
 
-def undo_video_swap(
-    data: Sequence[TermData], solution: Solution, names: Sequence[str], solve: TermSolver
-) -> Solution | None:
+def undo_swap(data: Sequence[TermData], solution: Solution, names: Sequence[str], solve: TermSolver) -> Solution | None:
     """Swap the matches of two cameras back if this, and no other swap, explains all of them.
 
     Two swapped cameras are consistent with each other: around an object each is the image of the other under a half
@@ -205,9 +196,8 @@ def undo_video_swap(
     if len(costs) > 1 and sorted(costs)[1] - min(costs) < MIN_SWAP_MARGIN:
         # In a symmetric rig several swaps are equally good.
         pairs_text = " or of ".join(text for cost, text in sorted(likely) if cost < min(costs) + MIN_SWAP_MARGIN)
-        return solution._replace(
-            fit=replace(solution.fit, is_mixed=True, faults=(f"the videos of {pairs_text} were exchanged",))
-        )
+        text = f"the videos of {pairs_text} were exchanged"
+        return solution._replace(fit=replace(solution.fit, is_mixed=True, faults=(text,)))
     return best
 
 
@@ -222,12 +212,12 @@ def _has_disagreement(data: Sequence[TermData], fit: Fit) -> bool:
         far = np.concatenate([_compute_displacements(term)[w > 0] for term, w in zip(data, fit.weights, strict=True)])
         if not float(np.median(far)) > FAR_MOTION_PX:
             return False
-    return bool(is_inconsistent(_compute_inconsistencies(data, fit)) or _find_rejected(data, fit).any())
+    return bool(diagnostics.is_inconsistent(_compute_inconsistencies(data, fit)) or _find_rejected(data, fit).any())
 
 
 def _is_only_junk(data: Sequence[TermData], fit: Fit, solve: TermSolver) -> bool:
     """Return whether the only faults are rejected cameras that see no motion by themselves."""
-    if is_inconsistent(_compute_inconsistencies(data, fit)):
+    if diagnostics.is_inconsistent(_compute_inconsistencies(data, fit)):
         return False
     rejected = _find_rejected(data, fit)
     alone = [solve([data[k]]).fit.status for k in np.flatnonzero(rejected).tolist()]
@@ -237,7 +227,7 @@ def _is_only_junk(data: Sequence[TermData], fit: Fit, solve: TermSolver) -> bool
 def _find_rejected(data: Sequence[TermData], fit: Fit) -> BoolArray:
     """Return (T,) whether hardly any of a camera's matches are inliers."""
     inliers, matches = (np.array(n) for n in ([np.count_nonzero(w) for w in fit.weights], [len(t) for t in data]))
-    return np.asarray((matches >= MIN_TEST_INLIERS) & (inliers <= MAX_REJECTED_SHARE * matches))
+    return np.asarray((matches >= diagnostics.MIN_TEST_INLIERS) & (inliers <= diagnostics.MAX_REJECTED_SHARE * matches))
 
 
 def _find_worst_camera(
@@ -271,7 +261,7 @@ def _find_worst_camera(
     best, *others = sorted(solutions_without, key=lambda k: costs[k])
     # If the remaining cameras are inconsistent too, the model is imperfect, and differences count less.
     remaining = _compute_inconsistencies(data, solutions_without[best].fit)
-    scale = max(1.0, float(np.maximum(remaining, 0.0).sum()) / (HYPERPLANE_UNKNOWNS * (cameras - 1)))
+    scale = max(1.0, float(np.maximum(remaining, 0.0).sum()) / (diagnostics.HYPERPLANE_UNKNOWNS * (cameras - 1)))
     gain = solution.fit.cost - costs[best] if has_pose else np.inf
     if not (_is_frozen(data, best) or gain > MIN_LIKELIHOOD_GAIN * scale):
         return None, None
@@ -280,7 +270,7 @@ def _find_worst_camera(
     active_terms = {i: t.subset(mask) for i, (t, mask) in enumerate(zip(data, masks, strict=True)) if mask.any()}
     if clear and not is_other_camera_misaligned(list(active_terms.values()), active_terms[best]):
         return (best, solutions_without[best]), None
-    max_remaining = MAX_REMAINING_INCONSISTENCY + compute_chance_margin(cameras)
+    max_remaining = MAX_REMAINING_INCONSISTENCY + diagnostics.compute_chance_margin(cameras)
     return None, solutions_without[best] if remaining.max() <= max_remaining else None
 
 
@@ -311,7 +301,7 @@ def solve_subset(data: Sequence[TermData], masks: Sequence[BoolArray], solve: Te
 def _compute_inconsistencies(data: Sequence[TermData], fit: Fit) -> FloatArray:
     """Return (T,) `compute_inconsistency` of the terms' inliers."""
     parts = zip(data, fit.weights, fit.residuals, strict=True)
-    return np.array([compute_inconsistency(term.x, term.y, w, r, term.focal) for term, w, r in parts])
+    return np.array([diagnostics.compute_inconsistency(term.x, term.y, w, r, term.focal) for term, w, r in parts])
 
 
 def _find_agreeing(term: TermData, solution: Solution) -> BoolArray:
@@ -326,16 +316,16 @@ def _find_agreeing(term: TermData, solution: Solution) -> BoolArray:
     moved = _compute_displacements(term) > STATIC_PX
     near = int((moved & (normalized < NEAR_SIGMAS)).sum())
     far = int((moved & (normalized >= NEAR_SIGMAS) & (normalized < FAR_SIGMAS)).sum())
-    is_concentrated = near > far and near >= max(MIN_TEST_INLIERS, MIN_RESTORED_SHARE * moved.sum())
+    is_concentrated = near > far and near >= max(diagnostics.MIN_TEST_INLIERS, MIN_RESTORED_SHARE * moved.sum())
     return moved & (normalized < FAR_SIGMAS) if is_concentrated else np.zeros(len(term), dtype=bool)
 
 
 def _is_noisy(fit: Fit, k: int) -> bool:
     """Return whether a term's inliers have more noise than those of the others, beyond chance; True without inliers."""
     inliers = [(w[w > 0], r[w > 0]) for w, r in zip(fit.weights, fit.residuals, strict=True)]
-    if len(inliers[k][0]) < MIN_TEST_INLIERS:
+    if len(inliers[k][0]) < diagnostics.MIN_TEST_INLIERS:
         return True
-    variances = [float(w @ r**2) / float(w.sum()) for w, r in inliers if len(w) >= MIN_TEST_INLIERS]
+    variances = [float(w @ r**2) / float(w.sum()) for w, r in inliers if len(w) >= diagnostics.MIN_TEST_INLIERS]
     own_variance = float(inliers[k][0] @ inliers[k][1] ** 2) / float(inliers[k][0].sum())
     max_ratio = 1.0 + MAX_NOISE_SIGMAS * float(np.sqrt(2.0 / len(inliers[k][0])))
     return own_variance > max_ratio * float(np.median(variances))
@@ -355,10 +345,8 @@ def _describe_faults(
 ) -> tuple[str, ...]:
     """Return a sentence for each rejected term; terms that were not removed may have none."""
     labels = [names[term.camera] for term in data]
-    moments = [
-        PairMoments.from_matches(term.x, term.y, np.ones(len(term)) if reject else w)
-        for term, reject, w in zip(data, rejected, fit.weights, strict=True)
-    ]
+    weights = [np.ones(len(w)) if reject else w for reject, w in zip(rejected, fit.weights, strict=True)]
+    moments = [PairMoments.from_matches(term.x, term.y, w) for term, w in zip(data, weights, strict=True)]
     rotations, at_fault = np.array([term.rotation for term in data]), np.flatnonzero(rejected).tolist()
     diagnosis = find_faulty_cameras(rotations, moments, fit.rotation, at_fault=at_fault, names=labels)
     texts = {i: f.text for i, f in enumerate(diagnosis.faults) if rejected[i] and f is not None}

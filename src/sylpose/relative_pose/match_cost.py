@@ -57,6 +57,7 @@ class Term(NamedTuple):
     """One term's motion, depth model and noise, in the axes of its current camera (`Stack`).
 
     Attributes:
+        first, last: the range of its matches.
         rc, tc, rotated_center: as `transform_to_camera` computes them.
         inverse_depth: of g.
         inverse_spread: inverse of the spread.
@@ -65,6 +66,8 @@ class Term(NamedTuple):
         tolerance: noise model.
     """
 
+    first: int
+    last: int
     rc: FloatArray
     tc: FloatArray
     rotated_center: FloatArray
@@ -131,61 +134,30 @@ def make_match_equations(noise: bool, missing: bool) -> MatchEquations:
     return MatchEquations(hessian, gradient, np.zeros(6), np.zeros(1), np.zeros((size, size)), np.zeros((lost, lost)))
 
 
-def compute_match_errors(
-    stack: Stack,
-    t: int,
-    candidate: Candidate,
-    tolerance: Tolerance,
-    usable: InlierPrior | None = None,
-    *,
-    noise: bool = True,
-) -> tuple[MatchErrors, MatchEquations]:
-    """Allocate and run `build_match_equations` for term t; the errors are those of its own matches."""
-    n = len(stack.x)
-    matches, equations = make_match_errors(n), make_match_equations(noise, False)
-    usable_weights = np.ones(n) if usable is None else usable.astype(np.float64)
-    build_match_equations(stack, t, usable_weights, candidate, tolerance, matches, equations)
-    rows = slice(stack.offsets[t], stack.offsets[t + 1])
-    return MatchErrors(*(values[rows] for values in matches)), equations
+@kernel
+def make_term(stack: Stack, t: int, candidate: Candidate, tolerance: Tolerance) -> Term:
+    """Return term t's motion, quadric depth model and noise."""
+    rc, tc, rotated = np.empty((3, 3)), np.empty(3), np.empty(3)
+    unit, per_spread = stack.inverse_depth[t], 1.0 / stack.spread[t]
+    transform_to_camera(stack, t, candidate, rc, tc, rotated)
+    first, last, anchor, depth_model = stack.offsets[t], stack.offsets[t + 1], stack.anchor[t], candidate.depth_model[t]
+    return Term(first, last, rc, tc, rotated, unit, per_spread, anchor, depth_model, tolerance)
 
 
 @kernel
-def _make_term(stack: Stack, t: int, candidate: Candidate, tolerance: Tolerance) -> Term:
-    """Return term t's motion, depth model and noise."""
-    rc, tc, rotated_center, anchor = np.empty((3, 3)), np.empty(3), np.empty(3), stack.anchor[t]
-    transform_to_camera(stack, t, candidate, rc, tc, rotated_center)
-    per_spread, depth_model = 1.0 / stack.spread[t], candidate.depth_model[t]
-    return Term(rc, tc, rotated_center, stack.inverse_depth[t], per_spread, anchor, depth_model, tolerance)
-
-
-@kernel
-def compute_distances(
-    stack: Stack, t: int, usable: InlierPrior, candidate: Candidate, tolerance: Tolerance, matches: MatchErrors
-) -> None:
-    """Compute the errors of the matches of term t, without their normal equations."""
-    term, lanes, last = _make_term(stack, t, candidate, tolerance), make_lanes(), stack.offsets[t + 1]
-    for start in range(stack.offsets[t], last, LANES):
-        _compute_batch(stack.x, stack.y, usable, start, min(LANES, last - start), term, lanes, matches)
-
-
-@kernel
-def make_lanes() -> FloatArray:
-    """Allocate the values of a batch of matches."""
-    return np.empty(VALUES_PER_MATCH * LANES)
+def compute_distances(stack: Stack, term: Term, usable: InlierPrior, matches: MatchErrors) -> None:
+    """Compute the errors of the matches of a term, without their normal equations."""
+    lanes = np.empty(VALUES_PER_MATCH * LANES)
+    for start in range(term.first, term.last, LANES):
+        _compute_batch(stack, usable, start, min(LANES, term.last - start), term, lanes, matches)
 
 
 @leaf
 def _compute_batch(
-    x: FloatArray,
-    y: FloatArray,
-    usable: InlierPrior,
-    start: int,
-    count: int,
-    term: Term,
-    lanes: FloatArray,
-    matches: MatchErrors,
+    stack: Stack, usable: InlierPrior, start: int, count: int, term: Term, lanes: FloatArray, matches: MatchErrors
 ) -> None:
     """Load `count` matches from `start` on into the lanes and compute their errors."""
+    x, y = stack.x, stack.y
     for k in range(count):
         lanes[k], lanes[LANES + k] = x[start + k, 0], x[start + k, 1]
         lanes[2 * LANES + k], lanes[3 * LANES + k] = y[start + k, 0], y[start + k, 1]
@@ -204,35 +176,22 @@ def _compute_batch(
 
 @kernel
 def build_match_equations(
-    stack: Stack,
-    t: int,
-    usable: InlierPrior,
-    candidate: Candidate,
-    tolerance: Tolerance,
-    matches: MatchErrors,
-    equations: MatchEquations,
+    stack: Stack, term: Term, usable: InlierPrior, matches: MatchErrors, equations: MatchEquations
 ) -> None:
-    """Compute the errors of the matches of term t and their normal equations.
+    """Compute the errors of the matches of a term and their normal equations.
 
     Args:
         usable: (N,) matches that may be inliers, or the probability of each to be one.
-        candidate: with quadric depth models.
-        matches: of all terms; the part of term t is filled.
+        matches: of all terms; the part of this term is filled.
         equations: filled.
     """
     matrix, right, parallax_gradient, squares, noise, missing = equations
-    term, lanes, weighted = _make_term(stack, t, candidate, tolerance), make_lanes(), np.empty(LANES)
-    matrix[:] = 0.0
-    right[:] = 0.0
-    parallax_gradient[:] = 0.0
-    squares[:] = 0.0
-    noise[:] = 0.0
-    missing[:] = 0.0
+    lanes, weighted = np.empty(VALUES_PER_MATCH * LANES), np.empty(LANES)
+    matrix[:], right[:], parallax_gradient[:], squares[:], noise[:], missing[:] = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     along, across = np.zeros((13, 13, N_PARTIAL_SUMS)), np.zeros((7, 7, N_PARTIAL_SUMS))
-    last = stack.offsets[t + 1]
-    for start in range(stack.offsets[t], last, LANES):
-        count = min(LANES, last - start)
-        _compute_batch(stack.x, stack.y, usable, start, count, term, lanes, matches)
+    for start in range(term.first, term.last, LANES):
+        count = min(LANES, term.last - start)
+        _compute_batch(stack, usable, start, count, term, lanes, matches)
         _add_products(lanes, ALONG_ROW, 13, 10, weighted, along)
         _add_products(lanes, ACROSS_ROW, 7, 11, weighted, across)
         squares[0] += _add_parallax_gradient(lanes, count, term, parallax_gradient)
@@ -258,7 +217,7 @@ def _compute_errors(term: Term, lanes: FloatArray) -> None:
 
     The first five of the `VALUES_PER_MATCH` values are the input, all others are computed.
     """
-    rc, tc, rotated_center, unit, per_spread, anchor, depth_model, tolerance = term
+    _, _, rc, tc, rotated_center, unit, per_spread, anchor, depth_model, tolerance = term
     variance, residual_depth, shared_residual_depth, cutoff = tolerance
     anchor0, anchor1 = anchor[0], anchor[1]
     a0, a1, a2 = depth_model[0], depth_model[1], depth_model[2]
@@ -315,11 +274,8 @@ def _compute_errors(term: Term, lanes: FloatArray) -> None:
         lanes[i], lanes[i + LANES], lanes[i + 2 * LANES] = s1 * h2 - s2 * h1, s2 * h0 - s0 * h2, s0 * h1 - s1 * h0
         lanes[i + 3 * LANES], lanes[i + 4 * LANES], lanes[i + 5 * LANES] = rho * h0, rho * h1, rho * h2
         lanes[i + 6 * LANES], lanes[i + 7 * LANES], lanes[i + 8 * LANES] = length, length * p, length * q
-        lanes[i + 9 * LANES], lanes[i + 10 * LANES], lanes[i + 11 * LANES] = (
-            length * p * p,
-            length * p * q,
-            length * q * q,
-        )
+        lanes[i + 9 * LANES], lanes[i + 10 * LANES] = length * p * p, length * p * q
+        lanes[i + 11 * LANES] = length * q * q
         lanes[i + 12 * LANES] = along_error
         lanes[12 * LANES + k], lanes[13 * LANES + k], lanes[14 * LANES + k], lanes[15 * LANES + k] = h0, h1, h2, length
         # Across it: at the match's own depth, as far as its parallax exceeds the noise. Used along the line as well,
@@ -347,9 +303,9 @@ def _compute_errors(term: Term, lanes: FloatArray) -> None:
 
 @leaf
 def _add_products(
-    lanes: FloatArray, first: int, size: int, weight: int, weighted: FloatArray, sums: FloatArray
+    lanes: FloatArray, first: int, size: int, weight: int, products: FloatArray, sums: FloatArray
 ) -> None:
-    """Add the weighted products of all pairs of `size` rows, the lower triangle, to sums (size, size, LANES / 4).
+    """Add the products products of all pairs of `size` rows, the lower triangle, to sums (size, size, LANES / 4).
 
     Each sum is kept in as many parts as are processed at once. The number of parts is read from the array: a constant
     would make the compiler unroll the loop instead.
@@ -357,13 +313,13 @@ def _add_products(
     parts = sums.shape[2]
     for k in range(size):
         for i in range(LANES):
-            weighted[i] = lanes[weight * LANES + i] * lanes[(first + k) * LANES + i]
+            products[i] = lanes[weight * LANES + i] * lanes[(first + k) * LANES + i]
         for j in range(k + 1):
             row, target = lanes[(first + j) * LANES : (first + j + 1) * LANES], sums[k, j]
             for i in range(parts):
-                target[i] += (weighted[i] * row[i] + weighted[N_PARTIAL_SUMS + i] * row[N_PARTIAL_SUMS + i]) + (
-                    weighted[2 * N_PARTIAL_SUMS + i] * row[2 * N_PARTIAL_SUMS + i]
-                    + weighted[3 * N_PARTIAL_SUMS + i] * row[3 * N_PARTIAL_SUMS + i]
+                target[i] += (products[i] * row[i] + products[N_PARTIAL_SUMS + i] * row[N_PARTIAL_SUMS + i]) + (
+                    products[2 * N_PARTIAL_SUMS + i] * row[2 * N_PARTIAL_SUMS + i]
+                    + products[3 * N_PARTIAL_SUMS + i] * row[3 * N_PARTIAL_SUMS + i]
                 )
 
 

@@ -85,16 +85,9 @@ class TermView(NamedTuple):
 @kernel
 def make_term_view() -> TermView:
     """Allocate a view."""
-    return TermView(
-        np.empty((3, 3)),
-        np.empty(3),
-        np.empty(3),
-        np.empty(3),
-        np.zeros((10, 3, 3)),
-        np.zeros((7, 3, 3)),
-        np.empty((10, 9)),
-        np.empty(9),
-    )
+    rc, tc, rotated_center, plane = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
+    h, e, rows, image = np.zeros((10, 3, 3)), np.zeros((7, 3, 3)), np.empty((10, 9)), np.empty(9)
+    return TermView(rc, tc, rotated_center, plane, h, e, rows, image)
 
 
 @leaf
@@ -208,9 +201,7 @@ def _add_products(
 
 
 @leaf
-def compute_term_cost(
-    stack: Stack, sums: MomentSums, t: int, kappa: float, candidate: Candidate, view: TermView
-) -> float:
+def evaluate_term(stack: Stack, sums: MomentSums, t: int, kappa: float, candidate: Candidate, view: TermView) -> float:
     """Set the view and return one term's cost, as `build_view_equations` does."""
     update_view(stack, t, candidate, view)
     m, variance = sums.moments[t], sums.variance[t]
@@ -243,25 +234,19 @@ def _compute_prior_cost(stack: Stack, t: int, depth_model: FloatArray) -> float:
 
 @leaf
 def build_view_equations(
-    stack: Stack,
-    sums: MomentSums,
-    t: int,
-    kappa: float,
-    depth_model: FloatArray,
-    view: TermView,
-    normal: NormalEquations,
+    stack: Stack, sums: MomentSums, t: int, kappa: float, alpha: FloatArray, view: TermView, out: NormalEquations
 ) -> float:
     """Fill term t's normal equations in (w, d, α) for a view set by `update_view`.
 
     Args:
-        depth_model: (3,) planar.
-        normal: of all terms; the part of term t is filled.
+        alpha: (3,) α, planar.
+        out: of all terms; the part of term t is filled.
 
     Returns:
         the cost: half the weighted sum of squares, prior of α included.
     """
     m, variance = sums.moments[t], sums.variance[t]
-    hessian, gradient = normal.hessian[t], normal.gradient[t]
+    hessian, gradient = out.hessian[t], out.gradient[t]
     rc, tc, rotated_center, plane, h, e, rows, image = view
     qy, unit, anchor, spread = stack.qy[t], stack.inverse_depth[t], stack.anchor[t], stack.spread[t]
     count = m[8, 8]
@@ -289,9 +274,7 @@ def build_view_equations(
         h[7, i, 2] = tc[i] * unit
         h[8, i, 0] = h[9, i, 1] = slope
         h[8, i, 2], h[9, i, 2] = -slope * anchor[0], -slope * anchor[1]
-    hessian[:] = 0.0
-    gradient[:] = 0.0
-    cost = _compute_prior_cost(stack, t, depth_model)
+    hessian[:], gradient[:], cost = 0.0, 0.0, _compute_prior_cost(stack, t, alpha)
     if kappa < 1.0:
         for k in range(10):
             depth_ratio = (h[k, 2, 0] * x0 + h[k, 2, 1] * x1 + h[k, 2, 2]) / depth if k > 0 else 0.0
@@ -310,7 +293,7 @@ def build_view_equations(
             cost += _add_products(k, rows, image, kappa / variance, hessian, gradient)
     for j in range(3):
         sd = stack.plane_sd[t, j]
-        gradient[6 + j] += (depth_model[j] - stack.plane_mean[t, j]) / (sd * sd)
+        gradient[6 + j] += (alpha[j] - stack.plane_mean[t, j]) / (sd * sd)
         hessian[6 + j, 6 + j] += 1.0 / (sd * sd)
     return cost
 

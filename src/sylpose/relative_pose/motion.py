@@ -10,33 +10,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
+from sylpose.geometry import validation
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.matrices import invert_information, make_motion_about, remove_direction
 from sylpose.geometry.numba_linalg import find_distinct_rows, kernel
 from sylpose.geometry.robust_loss import NoisePx, NoiseUnits, make_noise_units
-from sylpose.geometry.validation import (
-    check_choice,
-    check_finite,
-    check_integer,
-    check_list,
-    check_number,
-    check_sequence,
-    check_type,
-)
 from sylpose.matches import Matches
 from sylpose.methods import MOTION_METHODS
 from sylpose.relative_pose.leave_one_out import solve_without_faulty_cameras
 from sylpose.relative_pose.observability import classify_observability
 from sylpose.relative_pose.second_motion import select_larger_body
 from sylpose.relative_pose.solver import fit_terms
-from sylpose.relative_pose.sylvester_methods import ESTIMATORS, apply_paper_method
-from sylpose.relative_pose.terms import (
-    MIN_MATCHES,
-    Solution,
-    TermData,
-    locate_object,
-    make_failed_fit,
-)
+from sylpose.relative_pose.sylvester_methods import ESTIMATORS, apply_estimator
+from sylpose.relative_pose.terms import MIN_MATCHES, Solution, TermData, locate_object, make_failed_fit
 from sylpose.results import Motion
 from sylpose.rig import Rig, check_single_pose
 from sylpose.status import Status
@@ -86,15 +72,15 @@ def estimate_motion(
 
     Source: Chen & Schonfeld 2010 for the paper's estimators; docs/method/3-pose.md for the rest.
     """
-    matches = check_list(matches, Matches, "matches", len(check_type(rig, Rig, "rig")))
-    check_choice(method, MOTION_METHODS, "method")
-    seed = check_integer(seed, "seed")
+    matches = validation.check_list(matches, Matches, "matches", len(validation.check_type(rig, Rig, "rig")))
+    validation.check_choice(method, MOTION_METHODS, "method")
+    seed = validation.check_integer(seed, "seed")
     if radius is not None:
-        radius = check_number(radius, "radius", above=0.0)
+        radius = validation.check_number(radius, "radius", above=0.0)
     if initial is not None:
         check_single_pose(initial, "initial")
     if center is not None:
-        center = check_finite(center, (3,), "center")
+        center = validation.check_finite(center, (3,), "center")
     units = NoiseUnits(np.ones(len(rig)), 0.0) if noise_px is None else make_noise_units(noise_px, rig.names)
     duplicates = [find_distinct_rows(m.x, m.y) for m in matches]
     unique = [m if s is None else Matches(m.x[s.rows], m.y[s.rows]) for m, s in zip(matches, duplicates, strict=True)]
@@ -123,7 +109,7 @@ def _estimate(
     ]
     if sum(len(term) for term in data) < MIN_MATCHES:
         failed = Solution(make_failed_fit(data, Status.TOO_FEW_MATCHES), np.full(3, np.nan), 1.0)
-        return _build_motion(rig, matches, data, failed, method, units.per_px)
+        return replace(_build_motion(rig, matches, data, failed, units.per_px), method=method, unit="")
     if center is not None:
         _check_center(center, rig, data)
     rng = np.random.default_rng(seed)
@@ -137,14 +123,16 @@ def _estimate(
             guess.append((rotation, start.fit.translation + (rotation - np.eye(3)) @ (g - start.center)))
         return Solution(fit_terms(terms, g, size, guess, rng, units.sigma), g, size)
 
-    solution, second_body_ratio = select_larger_body(data, solve(data), solve, units.sigma)
+    solution = solve(data)
+    solution, second_body_ratio = select_larger_body(data, solution, solve, units.sigma) or (solution, 0.0)
     if second_body_ratio == 0.0 and solution.fit.status is not Status.TOO_FEW_MATCHES:
         solution = solve_without_faulty_cameras(data, solution, rig.names, solve)
     if method in ESTIMATORS and solution.fit.status is Status.OK:
-        solution = solution._replace(fit=apply_paper_method(method, data, solution.fit, solution.center, rig.names))
+        solution = solution._replace(fit=apply_estimator(method, data, solution.fit, solution.center, rig.names))
     # One camera alone does not determine the object's distance; only a given center does.
     unit = rig.unit if center is not None or len(data) > 1 else ""
-    return _build_motion(rig, matches, data, solution, method, units.per_px, second_body_ratio, unit)
+    motion = _build_motion(rig, matches, data, solution, units.per_px)
+    return replace(motion, method=method, second_body_ratio=second_body_ratio, unit=unit)
 
 
 def estimate_motions(
@@ -170,10 +158,10 @@ def estimate_motions(
     Raises:
         ValueError: as `estimate_motion`; fewer than one thread.
     """
-    check_integer(threads, "threads", minimum=1)
+    validation.check_integer(threads, "threads", minimum=1)
     match_sets = [
-        check_list(pair, Matches, f"pairs[{k}]", len(check_type(rig, Rig, "rig")))
-        for k, pair in enumerate(check_sequence(pairs, "pairs"))
+        validation.check_list(pair, Matches, f"pairs[{k}]", len(validation.check_type(rig, Rig, "rig")))
+        for k, pair in enumerate(validation.check_sequence(pairs, "pairs"))
     ]
 
     def estimate_pair(matches: Sequence[Matches]) -> Motion:
@@ -186,14 +174,7 @@ def estimate_motions(
 
 
 def _build_motion(
-    rig: Rig,
-    matches: Sequence[Matches],
-    data: Sequence[TermData],
-    solution: Solution,
-    method: str,
-    per_px: FloatArray,
-    second_body_ratio: float = 0.0,
-    unit: str = "",
+    rig: Rig, matches: Sequence[Matches], data: Sequence[TermData], solution: Solution, per_px: FloatArray
 ) -> Motion:
     """Convert a fit into the public result and flag unobservable directions."""
     fit, center, radius = solution
@@ -220,14 +201,12 @@ def _build_motion(
         unobservable=unobservable,
         inliers=tuple(inliers),
         residuals=residuals,
-        method=method,
+        method="epipolar",
         iterations=fit.iterations,
         faults=fit.faults,
         alternative=None if alternative is None else make_motion_about(center, *alternative),
-        second_body_ratio=second_body_ratio,
         static_ratio=fit.static_ratio,
         camera_names=rig.names,
-        unit=unit,
     )
 
 

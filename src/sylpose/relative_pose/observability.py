@@ -12,7 +12,7 @@ from sylpose.geometry.normal_equations import UNOBSERVABLE_RATIO, find_unobserva
 from sylpose.geometry.numba_linalg import kernel, so3_log
 from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.relative_pose.irls import CUTOFF, IrlsFit
-from sylpose.relative_pose.match_cost import Tolerance, compute_match_errors
+from sylpose.relative_pose.match_cost import Tolerance, compute_distances, make_match_errors, make_term
 from sylpose.relative_pose.terms import Fit, Stack
 from sylpose.status import Status
 
@@ -41,9 +41,8 @@ def classify_observability(fit: Fit, radius: float) -> tuple[Fit, FloatArray]:
     """
     if fit.status not in (Status.OK, Status.NOT_CERTIFIED):
         return fit, np.empty((0, 6))
-    directions = find_unobservable_motions(
-        fit.rotation, fit.translation, fit.information, fit.information_without_depth, radius
-    )
+    information = fit.information, fit.information_without_depth
+    directions = find_unobservable_motions(fit.rotation, fit.translation, *information, radius)
     if len(directions) == 0:
         return fit, directions
     is_rotation = has_rotation_direction(directions * ([radius] * 3 + [1.0] * 3))
@@ -94,6 +93,7 @@ def is_consistent(stack: Stack, usable: BoolArray, fit: IrlsFit) -> bool:
         return True
     permutations = min(MAX_PERMUTATIONS, 1 + PERMUTED_MATCHES // total)
     by_chance, candidate = 0.0, fit.candidate._replace(depth_model=stack.depth_model_mean)
+    matches, usable_weights = make_match_errors(len(stack.x)), usable.astype(np.float64)
     for k in range(1, permutations + 1):
         y = stack.y.copy()
         for first, last in zip(stack.offsets, stack.offsets[1:], strict=False):
@@ -106,8 +106,9 @@ def is_consistent(stack: Stack, usable: BoolArray, fit: IrlsFit) -> bool:
             if not (weights[first:last] > 0).any() or usable[first:last].sum() <= k:
                 continue
             variance, residual_depth = (fit.sigma_px[t] / stack.focal[t]) ** 2, stack.residual_depth[t]
-            tolerance = Tolerance(variance, residual_depth, residual_depth, CUTOFF)
-            agree[first:last] = compute_match_errors(permuted, t, candidate, tolerance, usable, noise=False)[0].weights
+            term = make_term(permuted, t, candidate, Tolerance(variance, residual_depth, residual_depth, CUTOFF))
+            compute_distances(permuted, term, usable_weights, matches)
+            agree[first:last] = matches.weights[first:last]
         changed = usable & (y != stack.y).any(axis=1)
         by_chance += float((agree[changed] > 0.0).sum()) * total / max(int(changed.sum()), 1) / permutations
     return is_more_than_chance(inliers, by_chance, 6)

@@ -8,7 +8,7 @@ import numpy as np
 
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.numba_linalg import kernel
-from sylpose.relative_pose.affine_ransac import find_hyperplane_inliers
+from sylpose.relative_pose.affine_ransac import find_inliers
 from sylpose.relative_pose.irls import (
     CONVERGED_DECREASE,
     MAX_SIGMA_GROWTH,
@@ -88,14 +88,12 @@ def fit_robust_motion(stack: Stack, usable: FloatArray, picks: FloatArray, guess
         guesses: initial motions in addition to the built-in ones.
     """
     fit = make_empty_irls_fit(stack)
-    refined = RefinedMinima(
-        np.zeros((MAX_REFINED, 3, 3)), np.zeros((MAX_REFINED, 3)), np.empty(MAX_REFINED), np.zeros(MAX_REFINED)
-    )
+    k = MAX_REFINED
+    refined = RefinedMinima(np.zeros((k, 3, 3)), np.zeros((k, 3)), np.full(k, np.inf), np.zeros(k))
     n, trial = stack.focal.shape[0], make_empty_irls_fit(stack)
     sums, first_sigma = MomentSums(np.empty((n, 9, 9)), np.empty(n)), np.empty(n)
     _select_seeds(stack, usable, picks, trial.weights, first_sigma)
     best, decrease, iterations = np.inf, np.inf, 0
-    refined.costs[:] = np.inf
     seeds, sigma_px, minima = trial.weights.copy(), first_sigma.copy(), make_minima(MAX_MINIMA, n)
     # Mismatches among the seeds displace the minima. Few cameras leave many minima to distinguish, so a second pass
     # searches the inliers of the first.
@@ -205,9 +203,7 @@ def _is_refined(rotation: FloatArray, refined: RefinedMinima, count: int) -> boo
 
 
 @kernel
-def _select_seeds(
-    stack: Stack, usable: FloatArray, picks: FloatArray, weights: FloatArray, sigma_px: FloatArray
-) -> None:
+def _select_seeds(stack: Stack, usable: FloatArray, picks: FloatArray, weights: FloatArray, sigma: FloatArray) -> None:
     """Select each term's seeds, matches that one motion can explain: weights (N,) of 1 or 0, and their noise (T,)."""
     n, n_matches = stack.focal.shape[0], stack.x.shape[0]
     x, y, index = np.empty((n_matches, 2)), np.empty((n_matches, 2)), np.empty(n_matches, np.int64)
@@ -224,7 +220,7 @@ def _select_seeds(
                 index[count] = i
                 count += 1
         threshold = SEED_THRESHOLD_PX / stack.focal[t]
-        rms = find_hyperplane_inliers(x[:count], y[:count], threshold, picks, inliers[:count])
+        rms = find_inliers(x[:count], y[:count], threshold, picks, inliers[:count])
         kept = 0
         for k in range(count):
             kept += inliers[k] > 0.0
@@ -232,7 +228,7 @@ def _select_seeds(
         if count >= MIN_WIDE_SEED_MATCHES and kept < MIN_SEED_SHARE * count:
             # A wider band distinguishes outliers from noise.
             threshold = WIDE_SEED_FACTOR * SEED_THRESHOLD_PX / stack.focal[t]
-            wide_rms = find_hyperplane_inliers(x[:count], y[:count], threshold, picks, wide[:count])
+            wide_rms = find_inliers(x[:count], y[:count], threshold, picks, wide[:count])
             wide_kept = 0
             for k in range(count):
                 wide_kept += wide[k] > 0.0
@@ -242,12 +238,12 @@ def _select_seeds(
         for k in range(count):
             weights[index[k]] = inliers[k]
             kept += inliers[k] > 0.0
-        sigma_px[t] = 0.0
+        sigma[t] = 0.0
         if kept >= MIN_MATCHES:
             # The hyperplane is in both frames' coordinates, as is Sampson's distance.
-            sigma_px[t] = min(max(rms * stack.focal[t], lower), bound)
-            sigma_sum += sigma_px[t]
+            sigma[t] = min(max(rms * stack.focal[t], lower), bound)
+            sigma_sum += sigma[t]
             sigma_count += 1
     for t in range(n):
-        if sigma_px[t] == 0.0:
-            sigma_px[t] = sigma_sum / sigma_count if sigma_count > 0 else 1.0
+        if sigma[t] == 0.0:
+            sigma[t] = sigma_sum / sigma_count if sigma_count > 0 else 1.0

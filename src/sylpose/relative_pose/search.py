@@ -29,15 +29,15 @@ import numpy as np
 
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.normal_equations import eliminate_block
-from sylpose.geometry.numba_linalg import apply_rotvec, cholesky_solve, kernel, leaf, so3_exp, so3_log
+from sylpose.geometry.numba_linalg import apply_rotvec, cholesky_solve, dot, kernel, leaf, so3_exp, so3_log
 from sylpose.relative_pose.moments_cost import (
     MomentSums,
     NormalEquations,
     TermView,
     build_view_equations,
-    compute_term_cost,
     compute_view_misfit,
     estimate_view_variance,
+    evaluate_term,
     make_term_view,
     update_view,
 )
@@ -79,7 +79,7 @@ PARALLEL_RIDGE = 1e-3
 MAX_ROTATION = 1.0
 
 
-class DescentWorkspace(NamedTuple):
+class Workspace(NamedTuple):
     """Work arrays of a search over T terms, allocated once.
 
     Attributes:
@@ -89,6 +89,7 @@ class DescentWorkspace(NamedTuple):
         total, right, step: (6, 6), (6,), (6,) the joint equations and a step.
         block, reduced: (3, 3), (6, 7) for the elimination of a depth model.
         trial, term_view: a candidate, and the view of one term.
+        tolerance: predicted decrease of the full cost at convergence.
     """
 
     normal: NormalEquations
@@ -104,25 +105,18 @@ class DescentWorkspace(NamedTuple):
     reduced: FloatArray
     trial: Candidate
     term_view: TermView
+    tolerance: float
 
 
 @kernel
-def make_descent_workspace(n: int) -> DescentWorkspace:
+def make_workspace(n: int) -> Workspace:
     """Allocate the work arrays for n terms."""
-    return DescentWorkspace(
-        NormalEquations(np.empty((n, 9, 9)), np.empty((n, 9))),
-        np.empty((n, 3, 7)),
-        np.empty(n),
-        np.empty(n),
-        np.empty(n),
-        np.empty(n),
-        np.empty((6, 6)),
-        np.empty(6),
-        np.empty(6),
-        np.empty((3, 3)),
-        np.empty((6, 7)),
-        Candidate(np.empty((3, 3)), np.empty(3), np.empty((n, 3))),
-        make_term_view(),
+    normal, gain = NormalEquations(np.empty((n, 9, 9)), np.empty((n, 9))), np.empty((n, 3, 7))
+    kappa, costs, weights, squares = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    total, right, step, block, reduced = np.empty((6, 6)), np.empty(6), np.empty(6), np.empty((3, 3)), np.empty((6, 7))
+    trial, view = Candidate(np.empty((3, 3)), np.empty(3), np.empty((n, 3))), make_term_view()
+    return Workspace(
+        normal, gain, kappa, costs, weights, squares, total, right, step, block, reduced, trial, view, TOLERANCE
     )
 
 
@@ -151,7 +145,7 @@ def _update_term_weights(costs: FloatArray, moments: FloatArray, term_weights: F
 
 
 @leaf
-def _solve_step(damping: float, workspace: DescentWorkspace) -> bool:
+def _solve_step(damping: float, workspace: Workspace) -> bool:
     """Compute a damped step, the depth models eliminated term by term; return False if it is undetermined."""
     normal, total, right, step = workspace.normal, workspace.total, workspace.right, workspace.step
     block, reduced = workspace.block, workspace.reduced
@@ -190,42 +184,33 @@ def _solve_step(damping: float, workspace: DescentWorkspace) -> bool:
 
 @leaf
 def descend(
-    stack: Stack,
-    sums: MomentSums,
-    plane_only: bool,
-    iterations: int,
-    tolerance: float,
-    candidate: Candidate,
-    damping: float,
-    workspace: DescentWorkspace,
+    stack: Stack, sums: MomentSums, planar: bool, steps: int, candidate: Candidate, damping: float, work: Workspace
 ) -> tuple[int, float, float]:
     """Run Levenberg-Marquardt from one start, which becomes the minimum in place.
 
     Terms that fit much worse than the others are down-weighted.
 
     Args:
-        plane_only: omit the epipolar part (κ = 0), as is necessary near the identity while the parallax is not yet
+        planar: omit the epipolar part (κ = 0), as is necessary near the identity while the parallax is not yet
             explained.
-        iterations: maximum number of iterations.
-        tolerance: converged if the predicted decrease of the cost is below this: half the squared length of the step,
-            in standard deviations of the motion.
+        steps: maximum number of iterations.
         candidate: the start; receives the minimum.
         damping: of the first step.
-        workspace: work arrays.
+        work: work arrays.
 
     Returns:
-        number of iterations; the predicted decrease of the last step, below `tolerance` if converged; the current
-        damping.
+        number of iterations; the predicted decrease of the last step: half the squared length of the step, in standard
+        deviations of the motion, below the tolerance if converged; the current damping.
     """
-    n, decrease = stack.focal.shape[0], np.inf
-    normal, gain, kappa, costs, term_weights, squares, _, right, step, _, _, trial, view = workspace
+    n, decrease, tolerance = stack.focal.shape[0], np.inf, PLANE_TOLERANCE if planar else work.tolerance
+    normal, gain, kappa, costs, term_weights, squares, _, right, step, _, _, trial, view, _ = work
     kappa[:] = 0.0
     term_weights[:] = 1.0
-    for count in range(1, iterations + 1):
+    for count in range(1, steps + 1):
         cost = 0.0
         for t in range(n):
             update_view(stack, t, candidate, view)
-            if not plane_only:
+            if not planar:
                 kappa[t], _ = estimate_view_variance(stack, sums, t, view)
             costs[t] = build_view_equations(stack, sums, t, kappa[t], candidate.depth_model[t], view, normal)
         if n > 2:
@@ -234,25 +219,22 @@ def descend(
             cost += term_weights[t] * costs[t]
         accepted = False
         for _ in range(MAX_TRIES):
-            if _solve_step(damping, workspace):
+            if _solve_step(damping, work):
                 length = np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
                 if length > MAX_ROTATION_STEP:
                     for i in range(6):
                         step[i] *= MAX_ROTATION_STEP / length
                 apply_rotvec(step[:3], candidate.rotation, trial.rotation)
-                decrease = 0.0
+                new, decrease = 0.0, 0.5 * dot(step, right)
                 for i in range(3):
                     trial.translation[i] = candidate.translation[i] + step[3 + i]
-                for i in range(6):
-                    decrease += 0.5 * step[i] * right[i]
-                new = 0.0
                 for t in range(n):
                     for i in range(3):
                         trial.depth_model[t, i] = candidate.depth_model[t, i] - gain[t, i, 6]
                         decrease += 0.5 * term_weights[t] * gain[t, i, 6] * normal.gradient[t, 6 + i]
                         for k in range(6):
                             trial.depth_model[t, i] -= gain[t, i, k] * step[k]
-                    new += term_weights[t] * compute_term_cost(stack, sums, t, kappa[t], trial, view)
+                    new += term_weights[t] * evaluate_term(stack, sums, t, kappa[t], trial, view)
                 if new <= cost * (1.0 + 1e-12):
                     accepted = True
                     break
@@ -263,11 +245,11 @@ def descend(
         damping = max(0.1 * damping, 1e-9)
         if decrease < tolerance:
             return count, decrease, damping
-    return iterations, decrease, damping
+    return steps, decrease, damping
 
 
 @leaf
-def compute_log_likelihood(stack: Stack, sums: MomentSums, candidate: Candidate, workspace: DescentWorkspace) -> float:
+def compute_log_likelihood(stack: Stack, sums: MomentSums, candidate: Candidate, workspace: Workspace) -> float:
     """Return the log-likelihood of a minimum up to a constant, to compare minima."""
     total, n = 0.0, stack.focal.shape[0]
     means, squares, view = workspace.costs, workspace.squares, workspace.term_view
@@ -415,12 +397,8 @@ class Minima(NamedTuple):
 @kernel
 def make_minima(max_minima: int, terms: int) -> Minima:
     """Allocate `max_minima` minima for the given number of terms."""
-    return Minima(
-        np.zeros((max_minima, 3, 3)),
-        np.zeros((max_minima, 3)),
-        np.zeros((max_minima, terms, 3)),
-        np.full(max_minima, -np.inf),
-    )
+    n = max_minima
+    return Minima(np.zeros((n, 3, 3)), np.zeros((n, 3)), np.zeros((n, terms, 3)), np.full(n, -np.inf))
 
 
 @kernel
@@ -434,7 +412,7 @@ def search_minima(stack: Stack, sums: MomentSums, guesses: InitialMotions, minim
         number of iterations.
     """
     n, n_guesses = stack.focal.shape[0], guesses.rotations.shape[0]
-    candidate, workspace = Candidate(np.eye(3), np.zeros(3), np.empty((n, 3))), make_descent_workspace(n)
+    candidate, workspace = Candidate(np.eye(3), np.zeros(3), np.empty((n, 3))), make_workspace(n)
     minima.likelihoods[:] = -np.inf
     axes = np.zeros((MAX_MIRRORS + 1, 3))
     n_mirrors = _find_mirror_axes(stack, axes)
@@ -447,7 +425,7 @@ def search_minima(stack: Stack, sums: MomentSums, guesses: InitialMotions, minim
         mirror, guess = (start - 1) // 2, start - 1 - 2 * n_mirrors
         candidate.depth_model[:] = stack.plane_mean
         if start == 0:
-            done, _, _ = descend(stack, sums, True, PLANE_STEPS, PLANE_TOLERANCE, candidate, INITIAL_DAMPING, workspace)
+            done, _, _ = descend(stack, sums, True, PLANE_STEPS, candidate, INITIAL_DAMPING, workspace)
             count += done
         elif guess < 0:
             axis = axes[mirror]
@@ -466,21 +444,16 @@ def search_minima(stack: Stack, sums: MomentSums, guesses: InitialMotions, minim
             so3_exp(affine_rotvecs[guess - n_guesses], candidate.rotation)
             candidate.translation[:] = first_translation
         if (0 < start <= 2 * n_mirrors and start % 2 == 0) or guess >= n_guesses:
-            done, _, _ = descend(
-                stack, sums, True, MIRROR_STEPS, PLANE_TOLERANCE, candidate, INITIAL_DAMPING, workspace
-            )
+            done, _, _ = descend(stack, sums, True, MIRROR_STEPS, candidate, INITIAL_DAMPING, workspace)
             count += done
         decrease, damping, value = np.inf, INITIAL_DAMPING, -np.inf
         nearest = _find_same_minimum(candidate, minima)
-        dropped = (
-            nearest >= 0
-            and compute_log_likelihood(stack, sums, candidate, workspace)
-            > minima.likelihoods[nearest] - SAME_MINIMUM_GAP
-        )
+        first_value = compute_log_likelihood(stack, sums, candidate, workspace) if nearest >= 0 else -np.inf
+        dropped = nearest >= 0 and first_value > minima.likelihoods[nearest] - SAME_MINIMUM_GAP
         for k in range(CHECK_ITERATIONS):
             if dropped or decrease < TOLERANCE:
                 break
-            done, decrease, damping = descend(stack, sums, False, 1, TOLERANCE, candidate, damping, workspace)
+            done, decrease, damping = descend(stack, sums, False, 1, candidate, damping, workspace)
             count += done
             value = compute_log_likelihood(stack, sums, candidate, workspace)
             # Stop a start that approaches a known minimum or is far behind the best.
@@ -490,7 +463,7 @@ def search_minima(stack: Stack, sums: MomentSums, guesses: InitialMotions, minim
         if dropped:
             continue
         if decrease >= TOLERANCE:
-            done, _, _ = descend(stack, sums, False, MAX_STEPS, TOLERANCE, candidate, damping, workspace)
+            done, _, _ = descend(stack, sums, False, MAX_STEPS, candidate, damping, workspace)
             count += done
             value = compute_log_likelihood(stack, sums, candidate, workspace)
         if start == 0:
@@ -516,10 +489,7 @@ def _find_mirror_axes(stack: Stack, axes: FloatArray) -> int:
     for t in range(0, n, stride):
         is_new = count < MAX_MIRRORS
         for k in range(count):
-            dot = 0.0
-            for i in range(3):
-                dot += axes[k, i] * stack.qx[t, 2, i]
-            is_new = is_new and abs(dot) < SAME_AXIS_COSINE
+            is_new = is_new and abs(dot(axes[k], stack.qx[t, 2])) < SAME_AXIS_COSINE
         if is_new:
             axes[count] = stack.qx[t, 2]
             count += 1

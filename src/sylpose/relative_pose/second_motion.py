@@ -39,8 +39,8 @@ AMBIGUOUS_RATIO = 0.8
 
 def select_larger_body(
     data: Sequence[TermData], solution: Solution, solve: TermSolver, min_sigma_px: float = 0.0
-) -> tuple[Solution, float]:
-    """Return the solution, or that of a larger body among its outliers.
+) -> tuple[Solution, float] | None:
+    """Return the solution of the larger of two bodies, of which one is among a solution's outliers.
 
     Args:
         data: the terms of the solution, all in one reference frame.
@@ -49,22 +49,13 @@ def select_larger_body(
         min_sigma_px: lower bound of the noise, pixels.
 
     Returns:
-        the solution of the larger body; the other's inliers over its own, 0 without another body.
+        the solution of the larger body; the other's inliers over its own. None without another body.
     """
-    found = _find_second_body(data, solution, solve, min_sigma_px)
-    return found if found is not None else (solution, 0.0)
-
-
-def _find_second_body(
-    data: Sequence[TermData], solution: Solution, solve: TermSolver, min_sigma_px: float
-) -> tuple[Solution, float] | None:
-    """Return the result of `select_larger_body` if there are two bodies."""
-    inliers = [w > 0 for w in solution.fit.weights]
+    weights = solution.fit.weights
+    inliers = [w > 0 for w in weights]
     if sum(len(t) for t in data) < (1.0 + MIN_OUTLIER_RATIO) * _count_true(inliers):
         return None
-    outliers = [
-        _find_moving_outliers(t.x, t.y, STATIC_PX / t.focal, w) for t, w in zip(data, solution.fit.weights, strict=True)
-    ]
+    outliers = [_find_moving_outliers(t.x, t.y, STATIC_PX / t.focal, w) for t, w in zip(data, weights, strict=True)]
     # A camera whose matches are all outliers is faulty and no evidence of a second body.
     for mask, inlier in zip(outliers, inliers, strict=True):
         if inlier.sum() < MIN_MATCHES or mask.sum() < MIN_MATCHES:
@@ -150,12 +141,10 @@ def _compare_displacements(x: FloatArray, y: FloatArray, mask: BoolArray) -> Flo
             square = (x[picks[i], 0] - x[picks[j], 0]) ** 2 + (x[picks[i], 1] - x[picks[j], 1]) ** 2
             if j != i and square < min_square:
                 min_square, nearest = square, j
-        out[i, 0] = np.sqrt(
-            (displacements[i, 0] - displacements[nearest, 0]) ** 2
-            + (displacements[i, 1] - displacements[nearest, 1]) ** 2
-        )
-        out[i, 1] = np.sqrt((displacements[i, 0] - medians[0]) ** 2 + (displacements[i, 1] - medians[1]) ** 2)
-        out[i, 2] = np.sqrt(displacements[i, 0] ** 2 + displacements[i, 1] ** 2)
+        own, other = displacements[i], displacements[nearest]
+        out[i, 0] = np.sqrt((own[0] - other[0]) ** 2 + (own[1] - other[1]) ** 2)
+        out[i, 1] = np.sqrt((own[0] - medians[0]) ** 2 + (own[1] - medians[1]) ** 2)
+        out[i, 2] = np.sqrt(own[0] ** 2 + own[1] ** 2)
     return out
 
 

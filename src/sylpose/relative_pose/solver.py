@@ -18,40 +18,12 @@ from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.matrices import remove_direction
 from sylpose.geometry.numba_linalg import compute_median, kernel
 from sylpose.matches import STATIC_PX
-from sylpose.relative_pose.alternative_solutions import (
-    MAX_LIKELIHOOD_LOSS,
-    compute_second_planes,
-    find_likeliest_alternative,
-    merge_minima,
-)
-from sylpose.relative_pose.curvature_correction import (
-    compute_curvature_covariance,
-    has_weak_direction,
-    inflate,
-    inflate_covariance,
-    minimize_across_valley,
-    refit_along_weak_direction,
-)
-from sylpose.relative_pose.diagnostics import FitDiagnostics, diagnose_fit, subtract_information
+from sylpose.relative_pose import motion_mixture, observability, uncertainty
+from sylpose.relative_pose.diagnostics import FitDiagnostics, diagnose, subtract_information
 from sylpose.relative_pose.irls import SIGMA_FLOOR_PX, IrlsFit, make_empty_irls_fit, make_irls_start, run_irls
 from sylpose.relative_pose.moments_cost import MomentSums, compute_moments
-from sylpose.relative_pose.motion_mixture import compute_missing_information, correlate_neighbors, fit_motion_mixture
-from sylpose.relative_pose.observability import (
-    classify_observability,
-    find_rod_axis,
-    find_unobservable_motions,
-    is_consistent,
-    is_static,
-)
 from sylpose.relative_pose.robust_fit import RefinedMinima, RobustFit, draw_and_fit
 from sylpose.relative_pose.search import make_minima, search_minima
-from sylpose.relative_pose.static_background import (
-    MIN_LIKELIHOOD_GAIN,
-    MOTION_FACTORS,
-    bound_hidden_motion,
-    has_moving_matches,
-    split_background,
-)
 from sylpose.relative_pose.terms import (
     MIN_MATCHES,
     Fit,
@@ -99,7 +71,7 @@ class _Problem(NamedTuple):
 
     def diagnose(self, fit: IrlsFit, probabilities: FloatArray) -> FitDiagnostics:
         """Compute the diagnostics of a fit."""
-        return diagnose_fit(self.stack, self.usable, fit, probabilities, self.radius)
+        return diagnose(self.stack, self.usable, fit, probabilities, self.radius)
 
     def fail(self, status: Status) -> Fit:
         """Return a fit without a pose."""
@@ -137,45 +109,44 @@ def fit_terms(
     stack = stack_terms(data, center, radius, min_sigma_px)
     usable = np.ones(len(stack.x), dtype=bool)
     _exclude_background(stack, usable)
-    problem, starts, all_usable = (
-        _Problem(data, stack, radius, usable),
-        stack_initial_motions(guesses),
-        usable.astype(float),
-    )
+    problem, starts = _Problem(data, stack, radius, usable), stack_initial_motions(guesses)
+    all_usable = usable.astype(float)
     result = draw_and_fit(stack, usable, starts, rng)
     checks = problem.diagnose(result.fit, all_usable)
-    planes = compute_second_planes(stack, result.fit) if checks.is_narrow_baseline else []
+    planes = uncertainty.compute_second_planes(stack, result.fit) if checks.is_narrow_baseline else []
     if planes:
         refit = draw_and_fit(stack, usable, stack_initial_motions([*guesses, *((R, d) for R, d, _ in planes)]), rng)
         better = refit if refit.minima.costs.min() < result.minima.costs.min() else result
-        iterations, minima = result.iterations + refit.iterations, merge_minima(result.minima, refit.minima)
+        iterations, minima = result.iterations + refit.iterations, uncertainty.merge_minima(result.minima, refit.minima)
         result = better._replace(minima=minima, iterations=iterations)
         checks = problem.diagnose(result.fit, all_usable)
     # If the search diverged, replace its result by the identity.
     single = result.fit if checks.is_finite else make_empty_irls_fit(stack)
     motion_factor, likelihood_gain, split = 1.0, -np.inf, None
     if checks.has_static_candidates:
-        motion_factor, likelihood_gain = bound_hidden_motion(stack, usable, single)
+        motion_factor, likelihood_gain = motion_mixture.bound_hidden_motion(stack, usable, single)
     if likelihood_gain > -np.inf and not _is_all_static(stack, usable, single):
-        split = split_background(stack, usable, single, likelihood_gain, starts, rng)
+        split = motion_mixture.split_background(stack, usable, single, likelihood_gain, starts, rng)
     # A mixture that does not converge is no evidence against a single motion.
     split = split if split is not None and split.result.decrease < MAX_PREDICTED_DECREASE else None
-    if split is not None and split.likelihood_gain > MIN_LIKELIHOOD_GAIN:
-        fit = _build_fit(problem, split.result, split.moving_probability)
-        static_ratio = float(1.0 - split.moving_probability.mean()) if fit.status.has_pose else 0.0
+    if split is not None and split.likelihood_gain > motion_mixture.MIN_LIKELIHOOD_GAIN:
+        moving = split.moving_probability
+        fit = _build_fit(problem, split.result, moving, problem.diagnose(split.result.fit, moving))
+        static_ratio = float(1.0 - moving.mean()) if fit.status.has_pose else 0.0
         return replace(fit, iterations=int(result.iterations + split.result.iterations), static_ratio=static_ratio)
     if split is not None:
-        minima = merge_minima(result.minima, split.rebase_minima(float(result.minima.costs.min())))
+        minima = uncertainty.merge_minima(result.minima, split.rebase_minima(float(result.minima.costs.min())))
         result = result._replace(minima=minima)
-    if checks.has_uniform_residuals or not (checks.has_certain_inliers or is_consistent(stack, usable, result.fit)):
+    agrees = checks.has_certain_inliers or observability.is_consistent(stack, usable, result.fit)
+    if checks.has_uniform_residuals or not agrees:
         return problem.fail(Status.NOT_CONSISTENT)
-    return replace(_build_fit(problem, result, all_usable, motion_factor, checks), iterations=int(result.iterations))
+    return replace(_build_fit(problem, result, all_usable, checks, motion_factor), iterations=int(result.iterations))
 
 
 def _is_all_static(stack: Stack, usable: BoolArray, single: IrlsFit) -> bool:
     """Return whether the motion may be zero and no match has moved."""
-    may_be_static = bool(single.weights.any()) and is_static(stack, single, single.information)
-    return may_be_static and not has_moving_matches(stack, usable, single)
+    may_be_static = bool(single.weights.any()) and observability.is_static(stack, single, single.information)
+    return may_be_static and not motion_mixture.has_moving_matches(stack, usable, single)
 
 
 def fit_two_motions(
@@ -192,7 +163,7 @@ def fit_two_motions(
     """
     stack, fits = stack_terms(data, center, radius, min_sigma_px), (first, second)
     inliers = [np.concatenate(f.weights) > 0 for f in fits]
-    mixture = fit_motion_mixture(stack, [(f.rotation, f.translation) for f in fits], inliers)
+    mixture = motion_mixture.fit_motion_mixture(stack, [(f.rotation, f.translation) for f in fits], inliers)
     probabilities = mixture.probabilities
     counts = probabilities.sum(axis=1)
     if not (mixture.predicted_decrease < MAX_PREDICTED_DECREASE and counts.min() > MIN_MATCHES):
@@ -200,30 +171,26 @@ def fit_two_motions(
     rotation, translation, _ = mixture.fits[0].candidate
     minima = RefinedMinima(rotation[None], translation[None], np.array([mixture.cost]), counts[:1])
     result = RobustFit(mixture.fits[0], minima, mixture.iterations, mixture.predicted_decrease)
-    fit = _build_fit(_Problem(data, stack, radius, np.ones(len(stack.x), dtype=bool)), result, probabilities[0])
+    problem = _Problem(data, stack, radius, np.ones(len(stack.x), dtype=bool))
+    fit = _build_fit(problem, result, probabilities[0], problem.diagnose(result.fit, probabilities[0]))
     return replace(fit, iterations=mixture.iterations), np.add.reduceat(probabilities, stack.offsets[:-1], axis=1)
 
 
 def _build_fit(
-    problem: _Problem,
-    result: RobustFit,
-    probabilities: FloatArray,
-    motion_factor: float = 1.0,
-    checks: FitDiagnostics | None = None,
+    problem: _Problem, result: RobustFit, probabilities: FloatArray, checks: FitDiagnostics, motion_factor: float = 1.0
 ) -> Fit:
     """Build the fit of a motion: its covariance, its status and its alternatives.
 
     Args:
         result: of `draw_and_fit`, or of a mixture.
         probabilities: (N,) the probability of each match to belong to the motion, given that it is no mismatch.
+        checks: diagnostics of the fit.
         motion_factor: factor by which the motion may be larger (`bound_hidden_motion`).
-        checks: diagnostics of the fit, if already computed.
     """
     _, stack, radius, usable = problem
-    checks = checks or problem.diagnose(result.fit, probabilities)
     if checks.inliers < MIN_MATCHES:
         return problem.fail(Status.NOT_CONSISTENT)
-    rod_direction = find_rod_axis(stack, result.fit) if checks.is_collinear else None
+    rod_direction = observability.find_rod_axis(stack, result.fit) if checks.is_collinear else None
     if rod_direction is not None:
         refit = _remove_rod_rotation(stack, probabilities, result, rod_direction)
         if refit is not None:
@@ -237,12 +204,13 @@ def _build_fit(
     information, may_be_static = (checks.information, checks.information_without_depth), checks.may_be_static
     if checks.may_be_curved or checks.has_soft_assignment:
         information = _correct_information(problem, irls_fit, probabilities, checks)
-        may_be_static = is_static(stack, irls_fit, information[0])
+        may_be_static = observability.is_static(stack, irls_fit, information[0])
     if may_be_static:
-        likeliest = find_likeliest_alternative(irls_fit, minima, information[0], radius)
-        if likeliest is not None or has_moving_matches(stack, usable, irls_fit):
+        likeliest = uncertainty.find_likeliest_alternative(irls_fit, minima, information[0], radius)
+        if likeliest is not None or motion_mixture.has_moving_matches(stack, usable, irls_fit):
             return problem.fail(Status.MOSTLY_STATIC)
-        status, rotation, translation, motion_factor = Status.NO_MOTION, np.eye(3), np.zeros(3), MOTION_FACTORS[-1]
+        status, rotation, translation = Status.NO_MOTION, np.eye(3), np.zeros(3)
+        motion_factor = motion_mixture.MOTION_FACTORS[-1]
     elif motion_factor >= MAX_MOTION_FACTOR:
         return problem.fail(Status.MOSTLY_STATIC)
     elif rod_direction is None:
@@ -259,25 +227,16 @@ def _build_fit(
         information = _inflate_both((first, second), column)
     if rod_direction is not None:
         information = remove_direction(information[0], rod_direction), remove_direction(information[1], rod_direction)
-    weights, is_soft = irls_fit.weights, checks.has_soft_assignment
-    return Fit(
-        status,
-        rotation,
-        translation,
-        problem.split_by_term(weights * (probabilities > 0.5) if is_soft else weights),
-        problem.split_by_term(irls_fit.residuals_px),
-        *information,
-        0,
-        alternative=alternative,
-        is_mixed=checks.is_mixed,
-        cost=float(minima.costs.min()),
-        cameras_consistent=checks.cameras_consistent and not is_soft,
-    )
+    weights = irls_fit.weights * (probabilities > 0.5) if checks.has_soft_assignment else irls_fit.weights
+    matches = problem.split_by_term(weights), problem.split_by_term(irls_fit.residuals_px)
+    consistent, cost = checks.cameras_consistent and not checks.has_soft_assignment, float(minima.costs.min())
+    fit = Fit(status, rotation, translation, *matches, *information, 0, alternative=alternative, cost=cost)
+    return replace(fit, is_mixed=checks.is_mixed, cameras_consistent=consistent)
 
 
 def _inflate_both(information: Information, columns: FloatArray) -> Information:
     """Inflate both covariances by F F', F (6, m)."""
-    return inflate(information[0], columns), inflate(information[1], columns)
+    return uncertainty.inflate(information[0], columns), uncertainty.inflate(information[1], columns)
 
 
 def _correct_information(
@@ -285,9 +244,9 @@ def _correct_information(
 ) -> Information:
     """Return the information without what a curved valley and uncertain assignments lose."""
     stack, both = problem.stack, (checks.information, checks.information_without_depth)
-    curvature = compute_curvature_covariance(stack, probabilities, irls_fit, problem.radius)
+    curvature = uncertainty.compute_curvature_covariance(stack, probabilities, irls_fit, problem.radius)
     if checks.has_soft_assignment:
-        missing = checks.information_factor * compute_missing_information(stack, irls_fit, probabilities)
+        missing = checks.information_factor * motion_mixture.compute_missing_information(stack, irls_fit, probabilities)
         both = subtract_information(both[0], missing, 1.0), subtract_information(both[1], missing, 1.0)
     return _inflate_both(both, curvature)
 
@@ -303,31 +262,29 @@ def _consider_alternatives(
     stack, radius, irls_fit, minima = problem.stack, problem.radius, result.fit, result.minima
     R, d, _ = irls_fit.candidate
     # Unobservable or ambiguously assigned motions need no further checks.
-    needs_alternatives = not (checks.has_soft_assignment or checks.is_mixed) and not len(
-        find_unobservable_motions(R, d, *information, radius)
-    )
-    weakly_observed = needs_alternatives and checks.may_be_curved and has_weak_direction(stack, irls_fit, radius)
+    is_clear = not (checks.has_soft_assignment or checks.is_mixed)
+    needs_alternatives = is_clear and not len(observability.find_unobservable_motions(R, d, *information, radius))
+    may_be_weak = needs_alternatives and checks.may_be_curved
+    weakly_observed = may_be_weak and uncertainty.has_weak_direction(stack, irls_fit, radius)
     cost = float(minima.costs.min())
     if needs_alternatives:
         include_self = weakly_observed or checks.inliers < FEW_INLIERS
         refined_minima = _refine_from_alternatives(stack, probabilities, irls_fit, cost, include_self)
         if refined_minima is None:
             return None
-        minima = merge_minima(minima, refined_minima)
-    likeliest = find_likeliest_alternative(irls_fit, minima, information[0], radius)
+        minima = uncertainty.merge_minima(minima, refined_minima)
+    likeliest = uncertainty.find_likeliest_alternative(irls_fit, minima, information[0], radius)
     if likeliest is not None and likeliest.is_distant:
         return minima, (likeliest.rotation, likeliest.translation), information
     if likeliest is not None:
         information = _inflate_both(information, ALTERNATIVE_SD_RATIO * likeliest.step[:, None])
-    steps = refit_along_weak_direction(stack, probabilities, irls_fit, radius, cost) if weakly_observed else []
-    for step, likelihood_loss in steps:
-        information = _inflate_both(information, inflate_covariance(information[0], step, likelihood_loss))
+    if weakly_observed:
+        for step, loss in uncertainty.refit_along_weak_direction(stack, probabilities, irls_fit, radius, cost):
+            information = _inflate_both(information, uncertainty.inflate_covariance(information[0], step, loss))
     return minima, None, information
 
 
-def _remove_rod_rotation(
-    stack: Stack, usable: FloatArray, result: RobustFit, rod_direction: FloatArray
-) -> RobustFit | None:
+def _remove_rod_rotation(stack: Stack, usable: FloatArray, result: RobustFit, rod_axis: FloatArray) -> RobustFit | None:
     """Remove the arbitrary rotation of a rod about itself and fit again.
 
     Returns:
@@ -336,10 +293,10 @@ def _remove_rod_rotation(
     refit = make_irls_start(stack, result.fit.candidate, result.fit.sigma_px)
     rotation = Rotation.from_matrix(result.fit.candidate.rotation)
     x, y, z, w = rotation.as_quat()
-    rod_rotation = Rotation.from_rotvec(2.0 * np.arctan2(np.dot((x, y, z), rod_direction[:3]), w) * rod_direction[:3])
+    rod_rotation = Rotation.from_rotvec(2.0 * np.arctan2(np.dot((x, y, z), rod_axis[:3]), w) * rod_axis[:3])
     refit.candidate.rotation[:] = (rod_rotation.inv() * rotation).as_matrix()
     _, decrease, new_cost = run_irls(stack, usable, refit, SIGMA_FLOOR_PX)
-    is_likely = new_cost < float(result.minima.costs.min()) + MAX_LIKELIHOOD_LOSS
+    is_likely = new_cost < float(result.minima.costs.min()) + uncertainty.MAX_LIKELIHOOD_LOSS
     return result._replace(fit=refit, decrease=float(decrease)) if is_likely else None
 
 
@@ -359,7 +316,7 @@ def _refine_from_alternatives(
     Returns:
         the minima; None if the refit from the motion itself diverges.
     """
-    starts = compute_second_planes(stack, irls_fit) if len(stack.focal) <= FEW_CAMERAS else []
+    starts = uncertainty.compute_second_planes(stack, irls_fit) if len(stack.focal) <= FEW_CAMERAS else []
     starts += [irls_fit.candidate._replace(depth_model=stack.depth_model_mean)] if include_self else []
     rotations, translations = np.empty((len(starts), 3, 3)), np.empty((len(starts), 3))
     costs, inliers = np.empty(len(starts)), np.empty(len(starts))
@@ -419,13 +376,13 @@ def warm_up_irls() -> None:
 
 def warm_up_diagnostics() -> None:
     """Compile the diagnostics of a fit only."""
-    classify_observability(make_failed_fit(_make_terms(), Status.OK), 0.1)
+    observability.classify_observability(make_failed_fit(_make_terms(), Status.OK), 0.1)
     locate_object(_make_terms())
     stack = _make_stack()
     fit, usable = make_empty_irls_fit(stack), np.ones(len(stack.x))
-    correlate_neighbors(stack, fit)
-    compute_missing_information(stack, fit, 0.5 * usable)
-    minimize_across_valley(stack, usable, fit, np.zeros(6), np.zeros(6), np.zeros(6))
+    motion_mixture.correlate_neighbors(stack, fit)
+    motion_mixture.compute_missing_information(stack, fit, 0.5 * usable)
+    uncertainty.minimize_across_valley(stack, usable, fit, np.zeros(6), np.zeros(6), np.zeros(6))
 
 
 def _make_terms() -> list[TermData]:

@@ -46,16 +46,14 @@ ESTIMATORS: dict[str, Callable[[FloatArray, Moments, FloatArray], RotationEstima
 UNBIASED_METHODS = {"depth-plane"}
 
 
-def apply_paper_method(
-    method: str, data: Sequence[TermData], robust: Fit, center: FloatArray, names: Sequence[str]
-) -> Fit:
+def apply_estimator(method: str, data: Sequence[TermData], robust: Fit, g: FloatArray, names: Sequence[str]) -> Fit:
     """Replace a robust fit's motion by one of the paper's estimates.
 
     Args:
         method: a key of `ESTIMATORS`.
         data: the terms of the fit, one per camera, all of the same reference.
         robust: a fit whose status is OK.
-        center: (3,) g.
+        g: (3,) the object's center.
         names: of the rig's cameras.
 
     Returns:
@@ -75,18 +73,15 @@ def apply_paper_method(
         estimate = ESTIMATORS[method](Q, moments, robust.rotation)
         centers = np.array([data[i].center for i in used])
         rotation_variance = 0.0 if method in UNBIASED_METHODS else min(float(np.trace(estimate.covariance)), np.pi**2)
-        translation, translation_information = solve_translation_from_means(
-            Q, centers, moments, estimate.rotation, center, rotation_variance=rotation_variance
-        )
+        known = Q, centers, moments, estimate.rotation, g
+        translation, from_means = solve_translation_from_means(*known, rotation_variance=rotation_variance)
         information, prior_information = np.zeros((6, 6)), np.zeros((6, 6))
         if method in UNBIASED_METHODS:
-            prior_information[3:, 3:] = translation_information
-            translation, information = refine_translation(
-                Q, centers, moments, estimate.rotation, center, translation, translation_information
-            )
+            prior_information[3:, 3:] = from_means
+            translation, information = refine_translation(*known, translation, from_means)
             information[:3, :3] += _project_information(estimate)
         else:
-            information[:3, :3], information[3:, 3:] = estimate.information, translation_information
+            information[:3, :3], information[3:, 3:] = estimate.information, from_means
     except ValueError:
         # No spread in any camera, or an object behind one: the rotation cannot be estimated.
         return replace(robust, status=Status.ROTATION_NOT_OBSERVABLE, faults=faults)

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import accumulate
 from typing import Any, NamedTuple, Protocol
 
@@ -70,9 +70,9 @@ MIN_PARALLEL_MEAN = 0.95
 MIN_EIGENVALUE_RATIO = 1e-3
 
 # Related priors elsewhere describe the visible side of a body in their own unknowns:
-# - `sylvester.depth_plane_kernels`: a plane without an offset, which moments about the mean do not have; all normals
+# - `sylvester.depth_plane`: a plane without an offset, which moments about the mean do not have; all normals
 #   are equally likely (slopes about 1); residual depth is 0.3 of the points' spread and has its own unknown.
-# - `sylvester.affine_consensus`: no depth but the affine image of a plane: slopes of 0.5, near `SLOPE_SD`, with a tail
+# - `sylvester.camera_faults`: no depth but the affine image of a plane: slopes of 0.5, near `SLOPE_SD`, with a tail
 #   as for equally likely normals; residual depth is part of the affine residual and grows with the rotation.
 # - `landmarks.landmark_filter.predict_depths`: depths of known neighbors, hence their scatter, 0.3 to 1 radii: no less
 #   than `OFFSET_SD`, no more than the depth of a body. Its bulge of 0.5 radii, for one camera with boxes, is a body
@@ -199,12 +199,7 @@ def copy_into(target: Candidate, source: Candidate) -> None:
 
 @leaf
 def transform_to_camera(
-    stack: Stack,
-    t: int,
-    candidate: Candidate,
-    rc: FloatArray,
-    tc: FloatArray,
-    rotated_center: FloatArray,
+    stack: Stack, t: int, candidate: Candidate, rc: FloatArray, tc: FloatArray, rotated_center: FloatArray
 ) -> None:
     """Transform the motion into term t's camera: `rc` = Qy R Qx', `tc` = Qy τ, `rotated_center` = Qy R a1."""
     rotation, translation = candidate.rotation, candidate.translation
@@ -222,10 +217,8 @@ def transform_to_camera(
 
 
 @kernel
-def apply_step(
-    candidate: Candidate, distance_offset: FloatArray, step: FloatArray, gains: FloatArray, length: float
-) -> None:
-    """Apply `length` times a step (7,) to candidate and `distance_offset` (1,).
+def apply_step(candidate: Candidate, offset: FloatArray, step: FloatArray, gains: FloatArray, length: float) -> None:
+    """Apply `length` times a step (7,) to candidate and `offset` (1,).
 
     The depth models follow by gains (T, 6, 8).
     """
@@ -234,7 +227,7 @@ def apply_step(
     candidate.rotation[:] = rotation
     for i in range(3):
         candidate.translation[i] += length * step[3 + i]
-    distance_offset[0] += length * step[6]
+    offset[0] += length * step[6]
     for t in range(gains.shape[0]):
         for k in range(DEPTH_MODEL_SIZE):
             change = gains[t, k, 7]
@@ -252,18 +245,19 @@ class InitialMotions(NamedTuple):
 
 def stack_initial_motions(motions: Sequence[tuple[FloatArray, FloatArray]]) -> InitialMotions:
     """Stack motions (R, d) into arrays."""
-    rotations, translations = [r for r, _ in motions], [d for _, d in motions]
-    return InitialMotions(
-        np.array(rotations, dtype=float).reshape(-1, 3, 3), np.array(translations, dtype=float).reshape(-1, 3)
-    )
+    rotations, translations = (np.array([motion[k] for motion in motions], dtype=float) for k in range(2))
+    return InitialMotions(rotations.reshape(-1, 3, 3), translations.reshape(-1, 3))
 
 
-def _concatenate(data: Sequence[TermData], name: str) -> FloatArray:
-    return np.concatenate([getattr(term, name) for term in data])
-
-
-def _compute_offsets(data: Sequence[TermData]) -> IntArray:
-    return np.array([0, *accumulate(len(term) for term in data)])
+# One problem is located, then solved: both need the same arrays.
+@lru_cache(maxsize=4)
+def _concatenate(data: tuple[TermData, ...]) -> tuple[Any, ...]:
+    """Return x, y, offsets, the rotations and centers in both frames, and the focal lengths of T terms, as in `Stack`."""
+    names = "x", "y", "rotation_x", "rotation", "center_x", "center"
+    x, y, qx, qy, centers_x, centers = (np.concatenate([getattr(term, name) for term in data]) for name in names)
+    offsets, focal = np.array([0, *accumulate(len(t) for t in data)]), np.array([float(t.focal) for t in data])
+    rotations = qx.reshape(-1, 3, 3), qy.reshape(-1, 3, 3)
+    return x, y, offsets, *rotations, centers_x.reshape(-1, 3), centers.reshape(-1, 3), focal
 
 
 def stack_terms(data: Sequence[TermData], center: FloatArray, radius: float, min_sigma_px: float = 0.0) -> Stack:
@@ -275,12 +269,10 @@ def stack_terms(data: Sequence[TermData], center: FloatArray, radius: float, min
         min_sigma_px: lower bound of the noise, pixels.
     """
     n, k = len(data), DEPTH_MODEL_SIZE
-    qx, qy = (_concatenate(data, name).reshape(-1, 3, 3) for name in ("rotation_x", "rotation"))
-    a1, a2 = (_concatenate(data, name).reshape(-1, 3) - center for name in ("center_x", "center"))
+    *views, centers_x, centers, focal = _concatenate(tuple(data))
     shapes: Sequence[Any] = ((n, 2), n, n, (n, k), (n, k, k), n, n, (n, 3), (n, 3), n)
-    x, y, focal = _concatenate(data, "x"), _concatenate(data, "y"), np.array([float(term.focal) for term in data])
-    views = x, y, _compute_offsets(data), qx, qy, a1, a2
-    stack = Stack._make([*views, *map(np.empty, shapes), focal, float(min_sigma_px)])
+    relative_centers = centers_x - center, centers - center
+    stack = Stack._make([*views, *relative_centers, *map(np.empty, shapes), focal, float(min_sigma_px)])
     _set_depth_priors(stack, float(radius))
     return stack
 
@@ -307,10 +299,8 @@ def _set_depth_priors(stack: Stack, radius: float) -> None:
             stack.depth_model_mean[t, k] = share * _PRIOR_MEAN[k] + (1.0 if k == 0 else 0.0)
             for j in range(DEPTH_MODEL_SIZE):
                 stack.depth_model_information[t, k, j] = _PRIOR_INFORMATION[k, j] * scale[k] * scale[j]
-        stack.residual_depth[t], stack.plane_residual_depth[t] = (
-            RESIDUAL_DEPTH_SD * share,
-            PLANE_RESIDUAL_DEPTH_SD * share,
-        )
+        stack.residual_depth[t] = RESIDUAL_DEPTH_SD * share
+        stack.plane_residual_depth[t] = PLANE_RESIDUAL_DEPTH_SD * share
         # In the search, depths must not become negative: errors in length are acceptable.
         stack.plane_sd[t, 0] = min(np.hypot(PLANE_OFFSET_SD, distance_sd[t]) * share, MAX_INVERSE_DEPTH_SD)
         stack.plane_mean[t, 0] = 1.0 + PLANE_OFFSET * share
@@ -393,10 +383,9 @@ def locate_object(data: Sequence[TermData]) -> tuple[FloatArray, float]:
         center (3,), the point nearest to the rays through each camera's median point (at distance 1 with one camera);
         radius, length units: twice the median distance of the points from it.
     """
-    rotations, centers = _concatenate(data, "rotation_x").reshape(-1, 3, 3), _concatenate(data, "center_x")
+    x, _, offsets, rotations, _, centers, *_ = _concatenate(tuple(data))
     center = np.empty(3)
-    x, offsets = _concatenate(data, "x"), _compute_offsets(data)
-    return center, float(_locate_from_rays(x, offsets, rotations, centers.reshape(-1, 3), center))
+    return center, float(_locate_from_rays(x, offsets, rotations, centers, center))
 
 
 @kernel

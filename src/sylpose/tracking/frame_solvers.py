@@ -14,7 +14,7 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.matrices import rotvec
 from sylpose.landmarks.alignment import FIRST_PX, LandmarkMatches, select_hypothesis, subtract_uncertainty
 from sylpose.relative_pose.solver import fit_terms
-from sylpose.relative_pose.sylvester_methods import ESTIMATORS, UNBIASED_METHODS, apply_paper_method
+from sylpose.relative_pose.sylvester_methods import ESTIMATORS, UNBIASED_METHODS, apply_estimator
 from sylpose.relative_pose.terms import MIN_MATCHES, Fit, TermData
 from sylpose.rig import Rig
 from sylpose.status import Status
@@ -192,7 +192,7 @@ def solve_paper(method: str, executor: CameraExecutor, problem: PoseProblem) -> 
     data = gather_terms(terms)
     fit = _fit_epipolar(problem, data)
     if fit.status is Status.OK:
-        fit = apply_paper_method(method, data, fit, problem.center, problem.rig.names)
+        fit = apply_estimator(method, data, fit, problem.center, problem.rig.names)
     match_weights = []
     for pairs, scattered in zip(problem.pairs, scatter_fit(executor, fit, terms), strict=True):
         own = iter(scattered)
