@@ -27,12 +27,12 @@ def compute_ok_share(statuses: Sequence[Status]) -> float:
 
 @pytest.mark.parametrize("kind", ["solid", "sphere", "solid, wrong 30 to 50 %", "copies", "pose"])
 def test_usual_scenes_are_ok(kind: str) -> None:
-    assert compute_ok_share(get_statuses(kind, 30)) >= 0.97
+    assert compute_ok_share(get_statuses(kind, 20)) >= 0.97
 
 
 @pytest.mark.parametrize("kind", ["copies, few", "copies, wrong 30 to 60 %", "pose, copies"])
 def test_duplicate_matches_are_no_new_evidence(kind: str) -> None:
-    assert compute_ok_share(get_statuses(kind, 30, wrong=kind == "copies, wrong 30 to 60 %")) >= 0.6
+    assert compute_ok_share(get_statuses(kind, 20, wrong=kind == "copies, wrong 30 to 60 %")) >= 0.6
 
 
 def test_duplicates_change_only_the_masks() -> None:
@@ -53,14 +53,14 @@ def test_duplicates_change_only_the_masks() -> None:
 
 def test_two_contradictory_cameras_are_not_ok() -> None:
     """One of three cameras may contradict, and a camera with mismatches only is no evidence against the other."""
-    assert compute_ok_share(get_statuses("pose, turned by 5 to 45, two cameras", 30, wrong=1)) <= 0.2
+    assert compute_ok_share(get_statuses("pose, turned by 5 to 45, two cameras", 20, wrong=1)) <= 0.2
     assert compute_ok_share(get_statuses("pose, turned by 1 to 45", 20)) >= 0.95
     assert compute_ok_share(get_statuses("pose, junk", 20, wrong=1)) >= 0.95
     assert compute_ok_share(get_statuses("pose, wrong 30 to 60 %", 20)) >= 0.95
 
 
 def test_four_accidental_matches_are_not_taken_as_exact() -> None:
-    assert compute_ok_share(get_statuses("pose, few", 100, wrong=1)) >= 0.8
+    assert compute_ok_share(get_statuses("pose, few", 60, wrong=1)) >= 0.8
 
 
 def test_extreme_noise_is_estimated_or_inconsistent() -> None:
@@ -68,11 +68,11 @@ def test_extreme_noise_is_estimated_or_inconsistent() -> None:
     covariance."""
     assert compute_ok_share(get_statuses("noise x 3", 20, wrong=1)) >= 0.6
     assert compute_ok_share(get_statuses("noise x 10", 30)) >= 0.3
-    statuses = get_statuses("noise x 10, wrong 30 to 60 %", 30, wrong=1)
-    assert statuses.count(Status.NOT_CONSISTENT) >= 10
+    statuses = get_statuses("noise x 10, wrong 30 to 60 %", 20, wrong=1)
+    assert statuses.count(Status.NOT_CONSISTENT) >= 7
     assert Status.OK not in get_statuses("all wrong", 20)
 
 
 def test_opposite_cameras_are_not_overconfident() -> None:
-    assert compute_ok_share(get_statuses("two opposite", 30, wrong=1)) >= 0.5
-    get_statuses("two opposite, wrong 30 to 60 %", 30, wrong=1)
+    assert compute_ok_share(get_statuses("two opposite", 20, wrong=1)) >= 0.5
+    get_statuses("two opposite, wrong 30 to 60 %", 20, wrong=1)
