@@ -31,6 +31,7 @@ from sylpose.runs.run_result import Run
 from sylpose.status import FrameStatus, Observability
 from sylpose.sync.offsets import load_offsets
 from tests.conftest import FRAMES
+from tests.saved import TURN_RESULT
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -53,13 +54,13 @@ def error_message(capsys: pytest.CaptureFixture[str], *args: object) -> str:
 # --- statuses ---------------------------------------------------------------------------------------------------------
 
 
-def test_summary_counts_measured_frames(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    run = track_session(open_session(recording), tmp_path, RunOptions(stop=6, overlay=False))
-    frames = [*run.trajectory]
+def test_summary_counts_measured_frames(capsys: pytest.CaptureFixture[str]) -> None:
+    saved = read_trajectory(TURN_RESULT / "trajectory.csv")
+    frames = [*saved][:6]
     frames[3] = replace(frames[3], status=FrameStatus.COASTING)
     frames[4] = replace(frames[4], status=FrameStatus.LOST, world_from_object=None)
     frames[5] = replace(frames[5], status=FrameStatus.RELOCALIZED)
-    changed = Run({"object": Trajectory(frames, run.trajectory.camera_names)}, run.files, (), run.seconds)
+    changed = Run({"object": Trajectory(frames, saved.camera_names)}, (), (), {"tracking": 1.0})
     console_output.print_summary(console_output.make_console(), changed, 6)
     assert "4 of 6 frames (1 relocalized), coasting 1, lost 1" in capsys.readouterr().out
 
@@ -90,12 +91,12 @@ def test_summary_reports_frames_with_uncertain_distance(capsys: pytest.CaptureFi
 def test_images_without_times_are_tracked(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name in CAMERAS:
         (session / name).mkdir()
-        for k, image in enumerate(images(session / f"{name}.mp4")[:4]):
+        for k, image in enumerate(images(session / f"{name}.mp4")[:3]):
             cv2.imwrite(str(session / name / f"{k}.bmp"), image)
         (session / f"{name}.mp4").unlink()
     assert main(["track", str(session), "--no-overlay", "--no-smooth"]) == 0
-    assert len(read_trajectory(session / "sylpose" / "trajectory.csv")) == 4
-    assert "4 of 4 frames" in capsys.readouterr().out
+    assert len(read_trajectory(session / "sylpose" / "trajectory.csv")) == 3
+    assert "3 of 3 frames" in capsys.readouterr().out
     assert not (session / "sylpose" / "tracked.csv").exists()
 
 
@@ -103,10 +104,10 @@ def test_result_is_smoothed_by_default(session: Path, tmp_path: Path) -> None:
     rounds: list[int] = []
     for name, options in (("as tracked", ["--no-smooth"]), ("smoothed", []), ("paper", ["--method", "sylvester"])):
         assert (
-            main(["track", str(session), "--no-overlay", "--stop", "5", "--out", str(tmp_path / name), *options]) == 0
+            main(["track", str(session), "--no-overlay", "--stop", "3", "--out", str(tmp_path / name), *options]) == 0
         )
     run = track_session(
-        open_session(session), tmp_path / "run", RunOptions(stop=5, overlay=False), on_smoothing=rounds.append
+        open_session(session), tmp_path / "run", RunOptions(stop=3, overlay=False), on_smoothing=rounds.append
     )
     assert rounds[:2] == [1, 2]
     files = {name: (tmp_path / name).iterdir() for name in ("as tracked", "smoothed", "paper", "run")}
@@ -116,14 +117,16 @@ def test_result_is_smoothed_by_default(session: Path, tmp_path: Path) -> None:
     contents = {name: (tmp_path / name / "trajectory.csv").read_bytes() for name in names}
     assert (tmp_path / "smoothed" / "tracked.csv").read_bytes() == contents["as tracked"]
     assert contents["run"] == contents["smoothed"] != contents["as tracked"]
-    assert len(run.trajectory) == 5
+    assert len(run.trajectory) == 3
 
 
 def test_notes_of_frames_become_problems_of_the_run(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("sylpose.tracking.initialization.is_ambiguous", lambda *_: True)
-    run = track_session(replace(open_session(recording), _boxes={}), tmp_path, RunOptions(stop=6, overlay=False))
+    run = track_session(
+        replace(open_session(recording), _boxes={}), tmp_path, RunOptions(stop=3, overlay=False, smooth=False)
+    )
     assert any("another moved nearly as much" in problem for problem in run.problems)
 
 
@@ -148,7 +151,7 @@ def test_camera_offsets_are_read(tmp_path: Path) -> None:
 
 
 def test_offsets_change_the_result(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    track = ("track", str(session), "--no-overlay", "--stop", "5")
+    track = ("track", str(session), "--no-overlay", "--no-smooth", "--stop", "3")
     assert main([*track, "--out", str(tmp_path / "none")]) == 0
     (tmp_path / "given.toml").write_text("cam_1 = 0.01\n")
     assert main([*track, "--offsets", str(tmp_path / "given.toml"), "--out", str(tmp_path / "given")]) == 0
@@ -306,7 +309,7 @@ def test_growing_folder_is_tracked_as_it_grows(
 
 @pytest.mark.usefixtures("undrawn")
 def test_nodes_match_one_process(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    options = ["track", str(session), "--stop", "6", "--no-overlay", "--out"]
+    options = ["track", str(session), "--stop", "4", "--no-overlay", "--no-smooth", "--out"]
     assert main([*options, str(tmp_path / "one")]) == 0
     expected = read_trajectory(tmp_path / "one" / "trajectory.csv")
     capsys.readouterr()

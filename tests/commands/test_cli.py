@@ -206,7 +206,7 @@ def test_default_output_folder_and_removal_of_old_files(run: Command, session: P
 
 
 def test_every_reduces_the_overlay_frame_rate(run: Command, recording: Path, tmp_path: Path) -> None:
-    assert run("track", recording, "--every", 3, "--out", tmp_path).code == 0
+    assert run("track", recording, "--every", 3, "--no-smooth", "--out", tmp_path).code == 0
     assert n_video_frames(tmp_path / "overlay.mp4") == 4
     with av.open(str(tmp_path / "overlay.mp4")) as video:
         assert video.streams.video[0].average_rate == 10
@@ -214,7 +214,7 @@ def test_every_reduces_the_overlay_frame_rate(run: Command, recording: Path, tmp
 
 @pytest.mark.parametrize("method", ["epipolar", "sylvester", "known-depth"])  # test_tracking tests all of them
 def test_other_methods_can_be_chosen(run: Command, recording: Path, tmp_path: Path, method: str) -> None:
-    result = run("track", recording, "--stop", 3, "--no-overlay", "--method", method, "--out", tmp_path)
+    result = run("track", recording, "--stop", 3, "--no-overlay", "--no-smooth", "--method", method, "--out", tmp_path)
     assert result.code in (0, 1), result.err
     assert len(read_trajectory(tmp_path / "trajectory.csv")) == 3
 
@@ -222,7 +222,7 @@ def test_other_methods_can_be_chosen(run: Command, recording: Path, tmp_path: Pa
 def test_single_camera_is_tracked_and_scale_is_reported(run: Command, session: Path) -> None:
     subset(session, ["cam_1"])
     (session / "boxes.toml").write_text(f"cam_1 = {true_box(session, 'cam_1')}\n")
-    result = run("track", session, "--no-overlay", "--stop", 6)
+    result = run("track", session, "--no-overlay", "--no-smooth", "--stop", 4)
     assert result.code == 0, result.err
     assert "not observable with one camera" in result.out
     assert "first distances" in result.out
@@ -245,7 +245,7 @@ def test_track_prints_warnings_before_and_after_a_failure(run: Command, session:
     rig = calibration.load(session / "calibration.toml")
     inverse = Rig([replace(camera, camera_from_world=camera.camera_from_world.inv()) for camera in rig], rig.unit)
     calibration.save(inverse, session / "calibration.toml")
-    result = run("track", session, "--no-overlay")
+    result = run("track", session, "--no-overlay", "--stop", 4)
     assert result.code == 1, result.out
     assert "probably contains world_from_camera" in " ".join(result.out.split())
     assert result.err.index("no frame could be solved") < result.err.index("probably contains world_from_camera")
@@ -346,7 +346,7 @@ def test_exception_keeps_partial_results_and_its_traceback(
 
 def test_offsets_in_use_are_printed(run: Command, session: Path, tmp_path: Path) -> None:
     (session / "offsets.toml").write_text("cam_0 = 0.0\ncam_1 = 0.004\ncam_2 = -0.002\n")
-    result = run("track", session, "--stop", "4", "--no-overlay", "--out", tmp_path / "out")
+    result = run("track", session, "--stop", "2", "--no-overlay", "--no-smooth", "--out", tmp_path / "out")
     assert result.code == 0, result.err
     assert "Time offsets: cam_1 4 ms, cam_2 -2 ms (from --offsets, or offsets.toml in the recording)." in result.out
 
@@ -355,7 +355,7 @@ def test_progress_lines_without_a_terminal(
     run: Command, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("sylpose.runs.progress.SECONDS_BETWEEN_LINES", 0.0)
-    result = run("track", recording, "--stop", "3", "--no-overlay", "--out", tmp_path / "out")
+    result = run("track", recording, "--stop", "3", "--no-overlay", "--no-smooth", "--out", tmp_path / "out")
     lines = [line for line in result.err.splitlines() if line.startswith("sylpose: tracked ")]
     assert [line.split(",")[0] for line in lines] == [f"sylpose: tracked {k} of 3 frames" for k in (1, 2, 3)]
     assert lines[-1].endswith("inliers")
@@ -368,7 +368,7 @@ def test_failure_of_the_overlay_is_reported(
         raise OSError("cannot write overlay.mp4: no space left on device")
 
     monkeypatch.setattr("sylpose.report.overlay.OverlayWriter.write", full)
-    result = run("track", recording, "--out", tmp_path)
+    result = run("track", recording, "--stop", 3, "--no-smooth", "--out", tmp_path)
     assert result.code == 2
     assert "overlay.mp4: no space left" in result.err
     assert len(read_trajectory(tmp_path / "trajectory.csv")) >= 1
@@ -377,7 +377,7 @@ def test_failure_of_the_overlay_is_reported(
 
 def test_truncated_video_is_tracked_and_reported(run: Command, session: Path) -> None:
     truncate_video(session / "cam_1.mp4", 0.6)
-    result = run("track", session, "--no-overlay")
+    result = run("track", session, "--no-overlay", "--no-smooth")
     assert result.code == 0, result.err
     assert re.search(r"cam_1: cam_1.mp4 is cut off after \d+ of 12 frames", result.out)
     trajectory = read_trajectory(session / "sylpose" / "trajectory.csv")
@@ -814,7 +814,7 @@ def test_results_do_not_depend_on_the_unit(session: Path, tmp_path: Path) -> Non
             replace(camera, camera_from_world=RigidTransform.from_components(factor * p.translation, p.rotation))
             for camera, p in poses
         ]
-        run = track_session(opened.with_rig(Rig(moved)), tmp_path / str(factor), RunOptions(stop=4, overlay=False))
+        run = track_session(opened.with_rig(Rig(moved)), tmp_path / str(factor), RunOptions(stop=3, overlay=False))
         results.append(run.trajectory)
     for a, b in zip(*results, strict=True):
         assert a.status is b.status

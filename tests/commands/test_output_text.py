@@ -25,7 +25,7 @@ from sylpose.status import FrameStatus
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
-ASKED = ("--no-overlay", "--no-smooth", "--stop", "6")
+ASKED = ("--no-overlay", "--no-smooth", "--stop", "3")
 
 
 def test_stream_json_lines_to_stdout(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -33,7 +33,7 @@ def test_stream_json_lines_to_stdout(recording: Path, tmp_path: Path, capsys: py
     out, err = capsys.readouterr()
     lines = [json.loads(line) for line in out.splitlines()]
     found = read_trajectory(tmp_path / "trajectory.csv")
-    assert [line["frame"] for line in lines] == [*range(6)]
+    assert [line["frame"] for line in lines] == [*range(3)]
     for line, pose in zip(lines, found, strict=True):
         assert (line["status"], line["unit"], line["reason"]) == (pose.status.value, found.unit, pose.reason)
         np.testing.assert_allclose(line["position"], pose.position, atol=1e-9)
@@ -49,8 +49,8 @@ def test_stream_to_udp(recording: Path, tmp_path: Path) -> None:
         received.settimeout(60)
         to = f"udp://127.0.0.1:{received.getsockname()[1]}"
         assert main(["track", str(recording), "--out", str(tmp_path), *ASKED, "--stream", to]) == 0
-        frames = [json.loads(received.recv(1 << 16))["frame"] for _ in range(6)]
-    assert frames == [*range(6)]
+        frames = [json.loads(received.recv(1 << 16))["frame"] for _ in range(3)]
+    assert frames == [*range(3)]
 
 
 def test_udp_stream_without_receiver() -> None:
@@ -92,7 +92,7 @@ def test_quiet_prints_only_warnings(session: Path, tmp_path: Path, capsys: pytes
 def test_verbose_prints_one_line_per_frame(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["track", str(recording), "--out", str(tmp_path), *ASKED, "--verbose"]) == 0
     lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("frame ")]
-    assert len(lines) == 6
+    assert len(lines) == 3
     assert "tracked, ±" in lines[-1]
     assert "cam_0 " in lines[-1]
     assert " of " in lines[-1]
@@ -116,11 +116,11 @@ def test_pose_line_of_unknown_values() -> None:
 
 
 def test_result_contains_settings_and_calibration(recording: Path, tmp_path: Path) -> None:
-    run = track_session(open_session(recording), tmp_path, RunOptions(overlay=False, smooth=False, stop=4, seed=3))
+    run = track_session(open_session(recording), tmp_path, RunOptions(overlay=False, smooth=False, stop=3, seed=3))
     assert {tmp_path / SETTINGS, tmp_path / USED_CALIBRATION} <= set(run.files)
     kept = tomllib.loads((tmp_path / SETTINGS).read_text())
     assert kept["recording"] == str(recording.resolve())
-    assert (kept["options"]["seed"], kept["options"]["stop"], kept["options"]["smooth"]) == (3, 4, False)
+    assert (kept["options"]["seed"], kept["options"]["stop"], kept["options"]["smooth"]) == (3, 3, False)
     assert kept["versions"]["sylpose"] == __version__
     assert len(kept["checksums"]["calibration"]) == 32
     used, given = calibration.load(tmp_path / USED_CALIBRATION), open_session(recording).rig
