@@ -170,7 +170,7 @@ def shine(places: FloatArray, radius: float, strength: float, *, on_object: bool
         total = strength * np.exp(-((u - place[0]) ** 2 + (v - place[1]) ** 2) / (2 * size**2))
         mask = take.mask(c, k, take.scene.actors[:1])
         total[~mask if on_object else take.mask(c, k)] = 0
-        return np.clip(np.rint(image + total[..., None]), 0, 255).astype(np.uint8)
+        return np.asarray(np.clip(np.rint(image + total[..., None]), 0, 255), dtype=np.uint8)
 
     return change_images(change)
 
