@@ -13,7 +13,7 @@ object's center in object radii.
 - *In the bounds*: share of the localized frames whose stated 95 % ellipsoid contains the truth: of rotation, of translation.
 - A take may have several truths, such as two equal objects without boxes. A run is scored against the one that it agrees
   with best as a whole.
-- A refusal (an error message in place of a result) leaves no localized frame.
+- An error ends a run at its frame; runs with errors are listed at the end.
 
 Prints one row per kind, or per run with --each, a row of all, and the worst runs. --film writes the first, middle and last
 images of each take as a picture instead. The kinds are in `benchmarks/trust_kinds.py`. Seeds 0 to 9 are looked at while
@@ -94,7 +94,7 @@ class Run:
         boxes: whether boxes were given.
         tracked, refined: scores.
         refinement: status of the refinement.
-        refusal: message of the error that ended tracking, or "".
+        refusal: type and message of the error that ended tracking, or "".
         seconds: duration of tracking and refinement.
     """
 
@@ -127,8 +127,8 @@ def run_take(kind: str, seed: int) -> Run:
         for frame in track(frames, rig, take.boxes, seed=seed, workers=1):
             tracked.append(frame.pose)
             tracks.append(Track.from_tracked(frame))
-    except ValueError as error:
-        refusal = str(error)
+    except Exception as error:  # a crash ends a take, not the benchmark
+        refusal = f"{type(error).__name__}: {error}"
     refined, refinement = tracked, Status.TOO_FEW_MATCHES
     if tracks:
         result = smooth(tracks, rig, calibration_prior=default_calibration_prior(rig))
@@ -327,6 +327,7 @@ def report(names: Sequence[str], seeds: Sequence[int], jobs: int, *, each: bool,
     print(format_row("all", runs))
     print("\nMost frames wrong and sure, as tracked and as refined:")
     print("\n".join(format_worst(runs)) or "none")
+    print("\n".join(f"{run.kind} {run.seed}: {run.refusal}" for run in runs if run.refusal))
 
 
 if __name__ == "__main__":
