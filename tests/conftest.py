@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import re
 import shutil
@@ -35,6 +36,9 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "seeded"))
 
 __all__ = ["FRAMES"]
 
+# What importing all tests makes stays: looking for garbage among it takes a third of the time.
+gc.disable()
+
 # `--fast` leaves out files with one of these words: they render, track, draw, run commands or start processes.
 EXPENSIVE = re.compile(
     r"\b(subprocess|commands\.main|track_session|simulation|render_\w+|write_recording|bundle_adjust|process_recording"
@@ -54,6 +58,12 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     if not config.getoption("--fast") or not collection_path.match("test_*.py"):
         return None
     return EXPENSIVE.search(collection_path.read_text(encoding="utf-8")) is not None or None
+
+
+def pytest_collection_finish() -> None:
+    """Collect garbage again, but not among what has been imported."""
+    gc.freeze()
+    gc.enable()
 
 
 def make_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], object]) -> Path:
@@ -106,6 +116,7 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
         Path(path).write_bytes(pixel)
 
     monkeypatch.setattr(Figure, "savefig", savefig)
+    monkeypatch.setattr("sylpose.report.plots.draw_trajectory_figure", lambda *_, **__: Figure())
     monkeypatch.setattr("sylpose.report.page.render_page", lambda *_: "")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from concurrent.futures import Future
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +18,16 @@ from sylpose.io.stores import open_store
 from tests.archive.archive_worker import count_work, make_recordings, make_settings
 from tests.paths import REPOSITORY
 
-ray: Any = pytest.importorskip("ray")
+if find_spec("ray") is None:
+    pytest.skip("without the extra `cluster`", allow_module_level=True)
 GB = 1 << 30
 
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[Any]:
     """A head without cores, and two nodes with one core each."""
+    # Importing it takes seconds.
+    import ray
     from ray.cluster_utils import Cluster
 
     patch = pytest.MonkeyPatch()
@@ -43,6 +47,8 @@ def cluster() -> Iterator[Any]:
 
 
 def test_unusable_cluster_raises_one_sentence(cluster: Any, tmp_path: Path) -> None:
+    import ray
+
     out = open_store(tmp_path / "out")
     with pytest.raises(ValueError, match=r"no computer in the cluster has 1 cores and 64.0 GB of memory"):
         RayWorkers(make_settings(out), cluster.address, memory=64 * GB)

@@ -196,7 +196,7 @@ def test_moved_camera() -> None:
 def test_correlated_errors_do_not_change_the_calibration(degrees: float, seed: int) -> None:
     """Tracked images, with correlated errors of neighboring features: an exact rig stays nearly exact, a wrong one is
     corrected."""
-    tracked_frames, reported, rig, true = track_rendered(seed, degrees, frames=30)
+    tracked_frames, reported, rig, true = track_rendered(seed, degrees, frames=22)
     found = smooth(tracked_frames, reported, calibration_prior=default_calibration_prior(reported), recalibrate=True)
     assert found.correction is not None
     poses = [pose for pose in found.poses if pose.is_measured]

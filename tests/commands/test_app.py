@@ -307,22 +307,23 @@ def test_growing_folder_is_tracked_as_it_grows(
 # --- start-up ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.usefixtures("undrawn")
-def test_nodes_match_one_process(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(("mode", "apart"), [pytest.param("exact", 1e-8, marks=pytest.mark.slow), ("compact", 1e-3)])
+def test_nodes_match_one_process(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], mode: str, apart: float
+) -> None:
     options = ["track", str(session), "--stop", "4", "--no-overlay", "--no-smooth", "--out"]
     assert main([*options, str(tmp_path / "one")]) == 0
     expected = read_trajectory(tmp_path / "one" / "trajectory.csv")
     capsys.readouterr()
-    for mode, apart in (("exact", 1e-8), ("compact", 1e-3)):
-        assert main([*options, str(tmp_path / mode), "--simulate-nodes", mode]) == 0
-        assert "3 nodes exchanged" in " ".join(capsys.readouterr().out.split())
-        found = read_trajectory(tmp_path / mode / "trajectory.csv")
-        assert [f.status for f in found] == [f.status for f in expected]
-        for a, b in zip(found, expected, strict=True):
-            assert a.world_from_object is not None
-            assert b.world_from_object is not None
-            np.testing.assert_allclose(a.world_from_object.as_matrix(), b.world_from_object.as_matrix(), atol=apart)
-        assert {f.name for f in (tmp_path / mode).iterdir()} == {f.name for f in (tmp_path / "one").iterdir()}
+    assert main([*options, str(tmp_path / mode), "--simulate-nodes", mode]) == 0
+    assert "3 nodes exchanged" in " ".join(capsys.readouterr().out.split())
+    found = read_trajectory(tmp_path / mode / "trajectory.csv")
+    assert [f.status for f in found] == [f.status for f in expected]
+    for a, b in zip(found, expected, strict=True):
+        assert a.world_from_object is not None
+        assert b.world_from_object is not None
+        np.testing.assert_allclose(a.world_from_object.as_matrix(), b.world_from_object.as_matrix(), atol=apart)
+    assert {f.name for f in (tmp_path / mode).iterdir()} == {f.name for f in (tmp_path / "one").iterdir()}
 
 
 def test_options_not_supported_by_nodes(session: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -212,7 +212,10 @@ def test_every_reduces_the_overlay_frame_rate(run: Command, recording: Path, tmp
         assert video.streams.video[0].average_rate == 10
 
 
-@pytest.mark.parametrize("method", ["epipolar", "sylvester", "known-depth"])  # test_tracking tests all of them
+# tests/tracking/test_tracker.py tests all of them.
+@pytest.mark.parametrize(
+    "method", ["epipolar", *(pytest.param(method, marks=pytest.mark.slow) for method in ("sylvester", "known-depth"))]
+)
 def test_other_methods_can_be_chosen(run: Command, recording: Path, tmp_path: Path, method: str) -> None:
     result = run("track", recording, "--stop", 3, "--no-overlay", "--no-smooth", "--method", method, "--out", tmp_path)
     assert result.code in (0, 1), result.err
@@ -245,7 +248,8 @@ def test_track_prints_warnings_before_and_after_a_failure(run: Command, session:
     rig = calibration.load(session / "calibration.toml")
     inverse = Rig([replace(camera, camera_from_world=camera.camera_from_world.inv()) for camera in rig], rig.unit)
     calibration.save(inverse, session / "calibration.toml")
-    result = run("track", session, "--no-overlay", "--stop", 4)
+    # In a third frame one camera alone may see a motion.
+    result = run("track", session, "--no-overlay", "--stop", 2)
     assert result.code == 1, result.out
     assert "probably contains world_from_camera" in " ".join(result.out.split())
     assert result.err.index("no frame could be solved") < result.err.index("probably contains world_from_camera")
@@ -271,7 +275,7 @@ def test_nothing_found_is_exit_code_1(run: Command, session: Path) -> None:
 # --- partial results are kept ----------------------------------------------------------------------------------------
 
 
-def make_endless(session: Path, n: int = 1000) -> None:
+def make_endless(session: Path, n: int = 300) -> None:
     """Replace a session's videos by folders of n images that play them back and forth."""
     order = [*range(FRAMES), *range(FRAMES - 2, 0, -1)]
     for name in ("cam_0", "cam_1", "cam_2"):
@@ -310,13 +314,13 @@ def test_interrupt_keeps_partial_results(session: Path, how: signal.Signals) -> 
         assert (out / name).read_text().endswith("\n")
     trajectory = read_trajectory(out / f"{stem}.csv")
     assert [frame.index for frame in trajectory] == list(range(len(trajectory)))
-    assert 4 <= len(trajectory) < 1000
+    assert 4 <= len(trajectory) < 300
     assert len(read_tum(out / f"{stem}.tum")[0]) in (trajectory.measured_mask.sum(), trajectory.measured_mask.sum() - 1)
     if how == signal.SIGINT:
         assert process.returncode == 130
         (sentence,) = err.strip().splitlines()
         output = re.fullmatch(
-            r"sylpose: interrupted after (\d+) of 1000 frames; the results so far are in (.*)", sentence
+            r"sylpose: interrupted after (\d+) of 300 frames; the results so far are in (.*)", sentence
         )
         assert output is not None
         assert len(trajectory) == int(output[1])
@@ -682,10 +686,10 @@ def test_box_that_does_not_fit_the_others_is_named(session: Path) -> None:
 
 def test_demo(run: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    args = ("--frames", 6, "--turn", 8, "--cameras", 3)
+    args = ("--frames", 4, "--turn", 6, "--cameras", 3)
     result = run("demo", *args)
     assert result.code == 0, result.err
-    assert "Against ground truth, motion since the first of 6 frames" in result.out
+    assert "Against ground truth, motion since the first of 4 frames" in result.out
     assert {file.name for file in (tmp_path / "sylpose_demo" / "sylpose").iterdir()} >= OUTPUTS
 
     # Run again with fewer cameras into the same folder; an inaccurate result gives exit code 1.

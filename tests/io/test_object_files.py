@@ -366,8 +366,8 @@ def test_invalid_arrays_are_rejected(
 
 def test_oversized_archive_is_rejected(tmp_path: Path, first: Path) -> None:
     arrays = _arrays(first / "sylpose" / OBJECT_FILE)
-    arrays["points"] = np.zeros((30_000_000, 3))
-    with zipfile.ZipFile(tmp_path / "bomb.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+    arrays["points"] = np.zeros((23_000_000, 3))
+    with zipfile.ZipFile(tmp_path / "bomb.npz", "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         for name, values in arrays.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as out:
                 np.lib.format.write_array(out, values, allow_pickle=False)
@@ -375,7 +375,7 @@ def test_oversized_archive_is_rejected(tmp_path: Path, first: Path) -> None:
         load_object(tmp_path / "bomb.npz")
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(at=st.integers(0, 1 << 30), byte=st.integers(1, 255), cut=st.booleans())
 def test_damaged_object_files(first: Path, tmp_path: Path, at: int, byte: int, cut: bool) -> None:
     data = bytearray((first / "sylpose" / OBJECT_FILE).read_bytes())
@@ -428,7 +428,7 @@ def _replace_array(data: bytes, name: str, content: bytes) -> bytes:
 @pytest.mark.parametrize("how", ["flip", "cut", "replace"])
 def test_each_region_of_the_file_is_damaged(small: bytes, tmp_path: Path, how: str) -> None:
     """Damage the file every few bytes: local headers, contents, directory and end of the archive."""
-    rng, n_refused, positions = np.random.default_rng(0), 0, range(0, len(small), 7)
+    rng, n_refused, positions = np.random.default_rng(0), 0, range(0, len(small), 19)
     for at in positions:
         data = bytearray(small)
         if how == "flip":
@@ -442,7 +442,10 @@ def test_each_region_of_the_file_is_damaged(small: bytes, tmp_path: Path, how: s
     assert n_refused > {"flip": 0.7, "cut": 0.99, "replace": 0.95}[how] * len(positions)
 
 
-@pytest.mark.parametrize("name", ["header", "points", "keyframe_stays", "feature_descriptor"])
+@pytest.mark.parametrize(
+    "name",
+    ["header", "points", *(pytest.param(n, marks=pytest.mark.slow) for n in ("keyframe_stays", "feature_descriptor"))],
+)
 def test_damaged_array_headers_are_refused(small: bytes, tmp_path: Path, name: str) -> None:
     """Flip each bit of an array's header, with a valid checksum of the archive: type, shape and size must agree."""
     with zipfile.ZipFile(io.BytesIO(small)) as archive:

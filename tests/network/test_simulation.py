@@ -75,7 +75,7 @@ def assert_agreed(outcome: SimulationResult, cameras: Sequence[int]) -> None:
         ("landmarks", True, NetworkFaults(loss=0.1, delay=2, seed=4)),
         pytest.param("landmarks", False, NetworkFaults(loss=0.3, seed=5), marks=pytest.mark.slow),
         pytest.param("epipolar", True, NetworkFaults(), marks=pytest.mark.slow),
-        ("sylvester", False, NetworkFaults()),
+        pytest.param("sylvester", False, NetworkFaults(), marks=pytest.mark.slow),
     ],
 )
 def test_nodes_reproduce_single_process_poses(
@@ -192,7 +192,7 @@ def is_accurate(found: Sequence[TrackedFrame], clip: Clip, worst: float) -> bool
     "network_faults",
     [
         pytest.param(NetworkFaults(joins={2: 60}), marks=pytest.mark.slow),
-        NetworkFaults(joins={0: 100}, loss=0.2, delay=2, seed=3),
+        pytest.param(NetworkFaults(joins={0: 100}, loss=0.2, delay=2, seed=3), marks=pytest.mark.slow),
         NetworkFaults(dies={1: 60}, returns={1: 110}),
         pytest.param(NetworkFaults(dies={0: 70}, returns={0: 75}), marks=pytest.mark.slow),
         pytest.param(NetworkFaults(partition=(60, 140, frozenset({1}))), marks=pytest.mark.slow),
@@ -224,13 +224,13 @@ def test_late_and_restarted_nodes_join(clip: Clip, network_faults: NetworkFaults
 
 def test_newcomer_before_first_motion_waits(clip: Clip) -> None:
     """Without boxes, frames wait for a motion: a newcomer has their poses although it missed the first ones."""
-    frames = [clip.frames()[0]] * 3 + clip.frames()
+    frames = [clip.frames()[0]] * 3 + clip.frames()[:5]
     frames = [replace(f, index=k, time=k / 30, times=(None,) * 3) for k, f in enumerate(frames)]
     outcome = track_by_nodes(frames, clip.rig, None, network_faults=NetworkFaults(joins={2: 6}))
     assert outcome.members == [(0, 1, 2)] * 3
     assert_common_frames_equal(outcome)
-    assert len(outcome.frames[2]) > FRAMES
-    assert sum(f.pose.is_measured for f in outcome.frames[2]) >= FRAMES - 2
+    assert len(outcome.frames[2]) > 5
+    assert sum(f.pose.is_measured for f in outcome.frames[2]) >= 3
 
 
 def test_late_cameras_found_group(clip: Clip, by_one: list[TrackedFrame]) -> None:
@@ -241,6 +241,7 @@ def test_late_cameras_found_group(clip: Clip, by_one: list[TrackedFrame]) -> Non
     assert_agreed(outcome, range(3))
 
 
+@pytest.mark.slow
 def test_object_is_reinitialized_if_no_node_knows_it() -> None:
     """The nodes that saw the object leave when the others join, which cannot relocalize it. The object frame then
     changes, which is reported."""
@@ -309,8 +310,8 @@ def rms(found: Sequence[TrackedFrame], clip: Clip) -> FloatArray:
         pytest.param(
             "accusing", "exact", 0.0, "it sent different messages to different cameras", marks=pytest.mark.slow
         ),
-        ("whispering", "compact", 0.0, "it or camera 2 reports false messages"),
-        ("heavy", "compact", 0.0, None),
+        pytest.param("whispering", "compact", 0.0, "it or camera 2 reports false messages", marks=pytest.mark.slow),
+        pytest.param("heavy", "compact", 0.0, None, marks=pytest.mark.slow),
         ("bent", "compact", 0.0, "its pose information matrix is invalid"),
     ],
 )

@@ -149,7 +149,7 @@ def interrupted(session: Path, out: Path, after: int, **options: Any) -> None:
         pytest.param({"method": "epipolar", "stop": 5}, 3, marks=pytest.mark.slow),
         ({"method": "sylvester", "start": 1, "every": 2, "stop": 8}, 3),
         ({"features": "klt", "offsets": {"cam_1": 0.002}, "smooth": False, "stop": 5}, 3),
-        ({"smooth": True, "stop": 4}, 3),
+        pytest.param({"smooth": True, "stop": 4}, 3, marks=pytest.mark.slow),  # as `test_resume_killed_run`
         pytest.param({"smooth": False, "stop": 6}, 4, marks=pytest.mark.slow),
         pytest.param({"stop": 4}, 4, marks=pytest.mark.slow),
         ({"smooth": False, "stop": 3, "checkpoint_seconds": 20}, 2),
@@ -169,7 +169,7 @@ def test_resumed_run_is_exact(session: Path, tmp_path: Path, options: dict[str, 
     )
 
 
-@pytest.mark.parametrize("where", ["smooth", "write_trajectory"])
+@pytest.mark.parametrize("where", [pytest.param("smooth", marks=pytest.mark.slow), "write_trajectory"])
 def test_resume_after_failure_while_finishing(
     recording: Path, whole: Path, tmp_path: Path, where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -237,6 +237,14 @@ def test_other_options_or_another_session(session: Path, capsys: pytest.CaptureF
     assert {file: file.read_bytes() for file in out.iterdir()} == before
 
 
+@pytest.fixture(scope="module")
+def stopped(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the results of a run that failed after its first frame of two; read only."""
+    out = tmp_path_factory.mktemp("stopped")
+    interrupted(recording, out, 1, stop=2)
+    return out
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -249,10 +257,15 @@ def test_other_options_or_another_session(session: Path, capsys: pytest.CaptureF
     ids=["cut", "changed", "empty", "foreign", "of another version"],
 )
 def test_damaged_checkpoint(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], change: Callable[[bytes], bytes], words: str
+    recording: Path,
+    stopped: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    change: Callable[[bytes], bytes],
+    words: str,
 ) -> None:
     path = tmp_path / CHECKPOINT
-    interrupted(recording, tmp_path, 1, stop=2)
+    shutil.copytree(stopped, tmp_path, dirs_exist_ok=True)
     path.write_bytes(change(path.read_bytes()))
     message = refused(capsys, recording, "--out", tmp_path, "--stop", 2)
     assert words in message

@@ -67,7 +67,7 @@ def test_camera_with_other_content(clip: Clip) -> None:
     assert compute_pose_errors(tracked, clip.truth)[:, 0].max() < 0.8
 
 
-@pytest.mark.parametrize("method", ["landmarks", "epipolar"])
+@pytest.mark.parametrize("method", ["landmarks", pytest.param("epipolar", marks=pytest.mark.slow)])
 def test_all_cameras_missing_temporarily(clip: Clip, method: str) -> None:
     gone = (4, 5)
     images: list[Images] = [(None,) * 3 if k in gone else frame for k, frame in enumerate(clip.images)]
@@ -78,7 +78,9 @@ def test_all_cameras_missing_temporarily(clip: Clip, method: str) -> None:
     assert np.median(compute_pose_errors(tracked, clip.truth)[:, 0]) < HALF_DEGREE
 
 
-@pytest.mark.parametrize(("nothing", "with_boxes"), [(None, True), (None, False), (BLACK, True)])
+@pytest.mark.parametrize(
+    ("nothing", "with_boxes"), [pytest.param(None, True, marks=pytest.mark.slow), (None, False), (BLACK, True)]
+)
 def test_initial_frames_without_features(clip: Clip, nothing: Image | None, with_boxes: bool) -> None:
     images: list[Images] = [(nothing,) * 3, (nothing,) * 3, *clip.images[:4]]
     tracked = list(track(frame_sets(images), clip.rig, clip.boxes if with_boxes else None))
@@ -118,7 +120,7 @@ def test_object_entering_view_of_camera(clip: Clip) -> None:
     assert seen[-1] > 10
 
 
-@pytest.mark.parametrize("names", [("cam_0", "cam_2"), ("cam_0", "cam_1")])
+@pytest.mark.parametrize("names", [pytest.param(("cam_0", "cam_2"), marks=pytest.mark.slow), ("cam_0", "cam_1")])
 def test_two_cameras_with_boxes(clip: Clip, names: tuple[str, str]) -> None:
     """Two boxes allow far more depth than the object has, which must not be used as its true depth."""
     rig = clip.rig.subset(names)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.status import FrameStatus
-from sylpose.tracking.context import explain_missing_pose
+from sylpose.tracking.context import TrackedFrame, explain_missing_pose
 from sylpose.tracking.tracker import track
 from tests.clips import (
     HALF_DEGREE,
@@ -27,13 +28,19 @@ from tests.clips import (
 )
 
 
+@cache
+def track_hidden_clip(features: str) -> tuple[TrackedFrame, ...]:
+    """Return the tracking result of `hidden_clip`; read only."""
+    clip = hidden_clip()
+    return tuple(track(clip.frames(), clip.rig, clip.boxes, features=features))
+
+
 @pytest.mark.parametrize(
     ("features", "back", "most_deg", "most_mm"),
     [("klt", 10, 0.8, 3), pytest.param("sift", 10, 0.3, 1, marks=pytest.mark.slow)],
 )
 def test_all_cameras_covered_for_a_few_frames(features: str, back: int, most_deg: float, most_mm: float) -> None:
-    clip = hidden_clip()
-    tracked = list(track(clip.frames(), clip.rig, clip.boxes, features=features))
+    clip, tracked = hidden_clip(), track_hidden_clip(features)
     # Relocalized at once, by three SIFT keyframes or by all features of the last frame before.
     assert statuses(tracked) == [
         FrameStatus.FIRST,
@@ -117,7 +124,7 @@ def test_leaving_and_coming_back(monkeypatch: pytest.MonkeyPatch) -> None:
     assert_valid(tracked)
 
 
-@pytest.mark.parametrize("steady", [pytest.param(3, marks=pytest.mark.slow), 8])
+@pytest.mark.parametrize("steady", [3, pytest.param(8, marks=pytest.mark.slow)])
 def test_jump(steady: int) -> None:
     """15 degrees and a tenth of the distance between two frames, after slow, steady motion."""
 
@@ -134,8 +141,7 @@ def test_jump(steady: int) -> None:
 
 
 def test_explanation_of_missing_pose() -> None:
-    clip = hidden_clip()
-    tracked = list(track(clip.frames()[:9], clip.rig, clip.boxes))
+    tracked = track_hidden_clip("klt")[:9]
     for frame in tracked:
         pose, sought = frame.pose, frame.detections
         if pose.status is FrameStatus.FIRST:
@@ -153,14 +159,15 @@ def test_explanation_of_missing_pose() -> None:
 
 
 def test_images_without_features_are_reported() -> None:
-    clip = Clip.render(moving_scene(make_drifting_pose, 8))
+    clip = hidden_clip()  # in view until frame 6
     frames = clip.frames()
     blank = [
-        replace(f, images=tuple(np.full_like(image, 90) for image in f.images if image is not None)) for f in frames[5:]
+        replace(f, images=tuple(np.full_like(image, 90) for image in f.images if image is not None))
+        for f in frames[3:5]
     ]
-    tracked = list(track([*frames[:5], *blank], clip.rig, clip.boxes))
-    assert {f.pose.reason for f in tracked[5:]} == {"0 features in the search regions of all cameras"}
-    assert all(len(camera.features) == len(camera.rejected) == 0 for f in tracked[5:] for camera in f.detections)
+    tracked = list(track([*frames[:3], *blank], clip.rig, clip.boxes))
+    assert {f.pose.reason for f in tracked[3:]} == {"0 features in the search regions of all cameras"}
+    assert all(len(camera.features) == len(camera.rejected) == 0 for f in tracked[3:] for camera in f.detections)
 
 
 @pytest.mark.parametrize(

@@ -107,13 +107,13 @@ def test_offsets_do_what_time_stamps_do(skewed_clip: Clip, tracked_clip: list[Tr
 
 def test_equal_time_stamps_need_no_correction() -> None:
     clip, plain = turning_clip(), track_turning_clip(True)
-    same = list(track(stamp_times(clip, [0.0] * len(clip.rig)), clip.rig, clip.boxes))
-    for a, b in zip(plain, same, strict=True):
+    same = list(track(stamp_times(clip, [0.0] * len(clip.rig))[:4], clip.rig, clip.boxes))
+    for a, b in zip(plain[:4], same, strict=True):
         assert a.pose.world_from_object is not None
         assert b.pose.world_from_object is not None
         np.testing.assert_array_equal(a.pose.world_from_object.as_matrix(), b.pose.world_from_object.as_matrix())
     # A camera without a time stamp has the frame's time.
-    unknown = [replace(f, times=(None,) * len(clip.rig)) for f in clip.frames()]
+    unknown = [replace(f, times=(None,) * len(clip.rig)) for f in clip.frames()[:4]]
     assert not any(f.time_offsets.any() for f in track(unknown, clip.rig, clip.boxes))
 
 
@@ -191,8 +191,11 @@ def test_landmark_number_is_one_point_on_object(loop_clip: Clip, tracked_loop: l
 @pytest.mark.parametrize(
     ("with_boxes", "cut"),
     [
-        *((True, 1), (True, 4), (False, 0), (False, 6)),
-        *(pytest.param(*other, marks=pytest.mark.slow) for other in ((True, 0), (True, 6), (False, 1), (False, 4))),
+        *((True, 4), (False, 0)),
+        *(
+            pytest.param(*other, marks=pytest.mark.slow)
+            for other in ((True, 0), (True, 1), (True, 6), (False, 1), (False, 4), (False, 6))
+        ),
     ],
 )
 def test_tracker_continues_from_checkpoint(cut: int, with_boxes: bool) -> None:

@@ -115,14 +115,15 @@ def test_cameras_of_different_sizes() -> None:
     for camera, size, focal in zip(rig, sizes, (420, 380, 400), strict=True):
         matrix = np.array([[focal, 0, (size[0] - 1) / 2], [0, focal, (size[1] - 1) / 2], [0, 0, 1]])
         cameras.append(Camera(camera.name, size, matrix, np.empty(0), camera.camera_from_world))
-    clip = Clip.render(make_demo_scene(rig=Rig(cameras), frames=6, angle_deg=18))
+    clip = Clip.render(make_demo_scene(rig=Rig(cameras), frames=4, angle_deg=12))
     for boxes in (clip.boxes, None):
         tracked = list(track(clip.frames(), clip.rig, boxes))
-        assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * 5
+        assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * 3
         assert compute_pose_errors(tracked, clip.truth)[:, 0].max() < HALF_DEGREE
 
 
-@pytest.mark.parametrize("method", METHODS)
+# The first one is the tracker's default: `test_with_boxes`.
+@pytest.mark.parametrize("method", [pytest.param(METHODS[0], marks=pytest.mark.slow), *METHODS[1:]])
 def test_all_methods_run(clip: Clip, method: str) -> None:
     tracked = list(track(clip.frames(), clip.rig, clip.boxes, method=method))
     assert statuses(tracked)[0] is FrameStatus.FIRST
@@ -208,7 +209,9 @@ def test_never_moving_object() -> None:
     assert_valid(tracked)
 
 
-@pytest.mark.parametrize("method", ["landmarks", "epipolar", "sylvester"])
+@pytest.mark.parametrize(
+    "method", ["landmarks", *(pytest.param(method, marks=pytest.mark.slow) for method in ("epipolar", "sylvester"))]
+)
 def test_pausing_object(clip: Clip, method: str) -> None:
     images = [*clip.images[:3], clip.images[2], clip.images[2], *clip.images[3:5]]
     tracked = list(track(frame_sets(images), clip.rig, clip.boxes, method=method))
@@ -288,7 +291,7 @@ def test_single_camera_measures_rotation_without_scale(monocular: Clip, with_box
     assert np.linalg.norm(first.translation - monocular.rig.cameras[0].center) == pytest.approx(1, abs=1e-6)
 
 
-@pytest.mark.parametrize("method", ["epipolar", "sylvester"])
+@pytest.mark.parametrize("method", ["epipolar", pytest.param("sylvester", marks=pytest.mark.slow)])
 def test_single_camera_with_other_methods(monocular: Clip, method: str) -> None:
     tracked = list(track(monocular.frames(), monocular.rig, monocular.boxes, method=method))
     assert len(tracked) == 6
@@ -329,7 +332,7 @@ def test_thread_count_does_not_change_results(clip: Clip, with_boxes: bool) -> N
 
 
 def test_repeated_run_gives_equal_results(clip: Clip, tracked: Sequence[TrackedFrame]) -> None:
-    assert_same(list(track(clip.frames(), clip.rig, clip.boxes)), tracked)
+    assert_same(list(track(clip.frames()[:4], clip.rig, clip.boxes)), tracked[:4])
 
 
 # --- uncertainty
@@ -346,7 +349,7 @@ def test_repeated_run_gives_equal_results(clip: Clip, tracked: Sequence[TrackedF
 )
 def test_restored_snapshot_is_exact(clip: Clip, with_boxes: bool, features: str) -> None:
     """After restoring a snapshot, all results equal those of a tracker that never processed the frame."""
-    boxes, frames = clip.boxes if with_boxes else None, clip.frames()[:6]
+    boxes, frames = clip.boxes if with_boxes else None, clip.frames()[:4]
     with Tracker(clip.rig, boxes, features=features, workers=1) as tracker:
         plain = [f for frame in frames for f in tracker.step(frame)]
     with Tracker(clip.rig, boxes, features=features, workers=1) as tracker:
