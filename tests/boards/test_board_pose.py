@@ -34,7 +34,7 @@ KINDS = {
 }
 # Those that others resemble.
 SIMILAR = ("chessboard:5x5,square=25mm", "chessboard:4x4,square=25mm")
-SEEDS = 4
+SEEDS = 2
 
 
 def frame_after_symmetry(board: Board, turn: int) -> RigidTransform:

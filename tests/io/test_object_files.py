@@ -149,7 +149,7 @@ def test_static_object_is_not_learned(tmp_path: Path) -> None:
 
 def test_absent_object_is_not_found(tmp_path: Path, known: KnownObject) -> None:
     """Track another object with a different texture."""
-    other = Scene(RIG, (Actor(chamfered_box([0.2, 0.3, 0.2], 77), moved_path),), 6, 11)
+    other = Scene(RIG, (Actor(chamfered_box([0.2, 0.3, 0.2], 77), moved_path),), 3, 11)
     write_recording(Recording(other), tmp_path / "take")
     run = track_session(open_session(tmp_path / "take"), options=RunOptions(overlay=False, known=known))
     assert not run.trajectory.measured_mask.any()

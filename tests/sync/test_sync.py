@@ -320,7 +320,7 @@ def test_uniform_motion_is_inconclusive(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(estimation, "MAX_ROUNDS", 1)
-    record_videos(tmp_path / "screw", screw_motion, np.array([0.0, 0.4, -0.3]), 33)
+    record_videos(tmp_path / "screw", screw_motion, np.array([0.0, 0.4, -0.3]), 25)
     found = run_command(monkeypatch, tmp_path / "screw", code=1)
     assert found.precision == (OffsetPrecision.UNOBSERVABLE,) * 3
     assert not found.offsets.any()

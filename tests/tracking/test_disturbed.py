@@ -172,7 +172,7 @@ def test_other_body_in_same_place_is_rejected(gap: int, seed: int) -> None:
     def other_path(frame: float) -> RigidTransform:
         return NOWHERE if frame < 8 + gap else make_rotated_pose(3 * frame)
 
-    clip = Clip.render(moving_scene(path, 12 + gap, [Actor(other, other_path)]))
+    clip = Clip.render(moving_scene(path, 12 + gap, [Actor(other, other_path)], n_cameras=3))
     tracked = list(track(clip.frames(), clip.rig, clip.boxes))
     assert statuses(tracked[1:8]) == [FrameStatus.TRACKED] * 7
     assert set(statuses(tracked[8:])) <= {FrameStatus.COASTING, FrameStatus.LOST, FrameStatus.BACKGROUND_ONLY}

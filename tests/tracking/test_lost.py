@@ -64,14 +64,15 @@ def test_all_cameras_covered_for_a_few_frames(features: str, back: int, most_deg
 
 def test_all_cameras_covered_for_long(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sylpose.tracking.joint_side.joint_state.MAX_COASTING_FRAMES", 2)
-    first, last = 6, 9
+    first, last = 5, 8
     frames = last + 5
-    rig = moving_scene(make_drifting_pose, 1).rig
+    rig = moving_scene(make_drifting_pose, 1, n_cameras=3).rig
 
     def path(frame: float) -> RigidTransform:
         return make_drifting_pose(min(frame, first) + 0.65 * max(frame - first, 0))  # slower while hidden
 
-    clip = Clip.render(moving_scene(path, frames, [make_occluding_board(camera, first, last) for camera in rig]))
+    boards = [make_occluding_board(camera, first, last) for camera in rig]
+    clip = Clip.render(moving_scene(path, frames, boards, n_cameras=3))
     tracked = list(track(clip.frames(), clip.rig, clip.boxes))
     hidden = statuses(tracked)[first : last + 1]
     n = hidden.index(FrameStatus.LOST)
@@ -110,7 +111,7 @@ def leaving_path(frame: float) -> RigidTransform:
 
 def test_leaving_and_coming_back(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sylpose.tracking.joint_side.joint_state.MAX_COASTING_FRAMES", 2)
-    clip = Clip.render(moving_scene(leaving_path, 23))
+    clip = Clip.render(moving_scene(leaving_path, 23, n_cameras=3))
     tracked = list(track(clip.frames(), clip.rig, clip.boxes))
     found = statuses(tracked)
     assert found[:7] == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * 6

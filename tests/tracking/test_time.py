@@ -132,7 +132,7 @@ def make_circle(frames: int) -> Path:
 
 @pytest.fixture(scope="module")
 def loop_clip() -> Clip:
-    return Clip.render(moving_scene(make_circle(48), 52))
+    return Clip.render(moving_scene(make_circle(48), 52, n_cameras=3))
 
 
 @pytest.fixture(scope="module", params=["klt", pytest.param("sift", marks=pytest.mark.slow)])
