@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 # The same examples in every run, so that failures are reproducible. No deadline: machines are shared. More examples of
 # each property: HYPOTHESIS_PROFILE=thorough.
-settings.register_profile("seeded", derandomize=True, deadline=None, max_examples=30)
+settings.register_profile("seeded", derandomize=True, deadline=None, max_examples=20)
 settings.register_profile("thorough", derandomize=True, deadline=None, max_examples=300)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "seeded"))
 

@@ -157,9 +157,9 @@ def calls() -> dict[str, Call]:
         "find_faulty_cameras": Call(
             camera_faults.find_faulty_cameras, {**of_rig, "rotation": R, "at_fault": [1], "names": ["a", "b", "c"]}
         ),
-        "solve_depth_plane": Call(sylpose.solve_depth_plane, {**of_rig, "noise": np.full(3, 1e-3)}, 50),
+        "solve_depth_plane": Call(sylpose.solve_depth_plane, {**of_rig, "noise": np.full(3, 1e-3)}, 25),
         "solve_exchange": Call(
-            sylpose.solve_exchange, {**of_rig, "max_rounds": 30, "network_faults": sylpose.NetworkFaults()}, 30
+            sylpose.solve_exchange, {**of_rig, "max_rounds": 30, "network_faults": sylpose.NetworkFaults()}, 15
         ),
         "solve_refine": Call(
             sylpose.solve_refine, {**of_rig, "max_rounds": 60, "network_faults": sylpose.NetworkFaults()}, 10

@@ -206,7 +206,8 @@ def said_of(path: Path, data: bytes) -> str:
     return ""
 
 
-def test_tampered_checkpoints(checkpoint: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("trials", [60, pytest.param(150, marks=pytest.mark.slow)])
+def test_tampered_checkpoints(checkpoint: Path, tmp_path: Path, trials: int) -> None:
     """Change, remove or insert bytes, with and without a valid checksum: a one-line error, or a state of valid types."""
     good = checkpoint.read_bytes()[:-DIGEST_SIZE]
     first, line, _ = good.split(b"\n", 2)
@@ -215,7 +216,7 @@ def test_tampered_checkpoints(checkpoint: Path, tmp_path: Path) -> None:
     (length,) = np.frombuffer(good[begin : begin + 8], "<u8")
     path, rng, refused = tmp_path / CHECKPOINT, np.random.default_rng(0), 0
     assert said_of(path, sealed(good)) == ""
-    for trial in range(150):
+    for trial in range(trials):
         data = bytearray(good)
         for _ in range(rng.integers(1, 4)):
             at = int(rng.integers(0, begin + 8 + int(length)))
@@ -233,7 +234,7 @@ def test_tampered_checkpoints(checkpoint: Path, tmp_path: Path) -> None:
         assert not message or str(path) in message
         assert "\n" not in message
         assert len(message) < 2000
-    assert refused > 100
+    assert 3 * refused > 2 * trials
 
 
 def test_pickles_are_not_loaded(checkpoint: Path, tmp_path: Path) -> None:

@@ -584,7 +584,7 @@ def test_check_warns_if_nothing_moves(recording: Path) -> None:
     assert found.outlines == (None,) * 3
 
 
-@pytest.mark.parametrize("name", ["temple", "board4"])
+@pytest.mark.parametrize("name", ["temple", pytest.param("board4", marks=pytest.mark.slow)])
 def test_check_of_real_recordings(run: Command, tmp_path: Path, name: str) -> None:
     if not (DATA / name).is_dir():
         pytest.skip(f"no recording {name} in {DATA}")

@@ -124,7 +124,7 @@ def compute_likelihood(stack: Stack, sigma_px: float, candidate: Candidate) -> f
 # --- the right minimum ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("turn", [1.0, 5.0, 15.0, 40.0])
+@pytest.mark.parametrize("turn", [1.0, *(pytest.param(turn, marks=pytest.mark.slow) for turn in (5.0, 15.0)), 40.0])
 @pytest.mark.parametrize("body", ["ellipsoid", "box", "cloud"])
 @pytest.mark.parametrize("rig", RIGS)
 def test_search_reaches_the_true_motion_without_noise(rig: str, body: str, turn: float) -> None:
@@ -139,7 +139,7 @@ def test_search_reaches_the_true_motion_without_noise(rig: str, body: str, turn:
         assert np.linalg.norm(best_d - translation) < 1e-5, seed
 
 
-@pytest.mark.parametrize("turn", [2.0, 8.0, 20.0])
+@pytest.mark.parametrize("turn", [2.0, pytest.param(8.0, marks=pytest.mark.slow), 20.0])
 @pytest.mark.parametrize("body", ["ellipsoid", "plane", "cloud"])
 @pytest.mark.parametrize("rig", [arc(2, 30), arc(3, 30), ring(3)], ids=["arc2", "arc3", "ring3"])
 def test_minimum_near_the_true_motion_is_found(rig: Rig, body: str, turn: float) -> None:

@@ -141,7 +141,9 @@ def test_exchange_sends_moments_once() -> None:
     assert (found.received == 4 * (368 + 8)).all()
 
 
-@pytest.mark.parametrize("rig", [make_zigzag_rig(16), dome(16), ring(16)])
+@pytest.mark.parametrize(
+    "rig", [make_zigzag_rig(16), *(pytest.param(rig, marks=pytest.mark.slow) for rig in (dome(16), ring(16)))]
+)
 def test_sixteen_cameras_refine_in_at_most_a_hundred_rounds_of_72_bytes(rig: Rig) -> None:
     problem = simulate_problem(rig)
     found = solve_refine(*problem)
