@@ -332,7 +332,7 @@ def calls() -> dict[str, Call]:
             message_pattern="image must be",
         ),
         "Trajectory": Call(sylpose.Trajectory, {"frames": [pose, pose], "camera_names": ["a", "b"], "unit": "m"}),
-        "FramePose.update_uncertain_status": Call(pose.update_uncertain_status, {}),
+        "FramePose.mark_uncertain": Call(pose.mark_uncertain, {}),
         "FramePose.in_object_frame": Call(pose.in_object_frame, {"new_from_object": RigidTransform.identity()}),
         "KnownObject.to_frame": Call(
             sylpose.KnownObject(three, 0.1, "a", points, (), {}).to_frame,

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import pickle
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from sylpose import smoothing
+from sylpose.bundle_adjustment.bundle import BundleResult
 from sylpose.bundle_adjustment.calibration_refinement import correct_rig, default_calibration_prior
+from sylpose.bundle_adjustment.scale_prior import bundle_adjust_with_scale
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import FloatArray
 from sylpose.results import FramePose
@@ -116,16 +120,28 @@ def with_uncertain_rotation(frame: Track, degrees: float) -> Track:
     )
     covariance = frame.pose.covariance.copy()
     covariance[:3, :3] += np.deg2rad(30.0) ** 2 * np.outer(axis, axis)
-    pose = replace(frame.pose, world_from_object=turned, covariance=covariance).update_uncertain_status()
+    pose = replace(frame.pose, world_from_object=turned, covariance=covariance).mark_uncertain()
     assert pose.status is FrameStatus.UNCERTAIN
     return replace(frame, pose=pose)
 
 
-def test_smoothing_recovers_uncertain_rotations() -> None:
+def test_smoothing_recovers_uncertain_rotations_without_raising_their_status() -> None:
     frames = [with_uncertain_rotation(f, 8.0) if 8 <= k < 16 else f for k, f in enumerate(make_tracks())]
     found = smooth(frames, RIG)
-    assert all(p.status is FrameStatus.TRACKED for p in found.poses[1:])
+    assert [p.status for p in found.poses] == [f.pose.status for f in frames]
     assert np.rad2deg(np.abs(errors(found)[:, :3])).max() < 0.2
+
+
+def test_refinement_that_does_not_converge_is_discarded(monkeypatch: pytest.MonkeyPatch) -> None:
+    frames, refine = make_tracks(), bundle_adjust_with_scale
+
+    def fail(*arguments: Any, **options: Any) -> BundleResult:
+        return replace(refine(*arguments, **options), status=Status.NOT_CONVERGED)
+
+    monkeypatch.setattr(smoothing, "bundle_adjust_with_scale", fail)
+    found = smooth(frames, RIG)
+    assert found.status is Status.NOT_CONVERGED
+    assert found.poses == tuple(f.pose for f in frames)
 
 
 def test_disconnected_uncertain_frame_is_unchanged() -> None:
@@ -212,7 +228,7 @@ def test_one_camera() -> None:
 def test_coasting_frames_are_interpolated() -> None:
     gap = (9, 10, 11, 12)
     found = smooth(make_tracks(coasting=gap), RIG)
-    assert [found.poses[k].status for k in gap] == [FrameStatus.COASTING] * 4
+    assert [found.poses[k].status for k in gap] == [FrameStatus.INTERPOLATED] * 4
     e = errors(found)
     assert np.abs(e[list(gap), :3]).max() < np.deg2rad(0.1)  # the tracker's were off by 0.3 degrees
     assert np.abs(e[list(gap), 3:]).max() < 1e-3
@@ -325,8 +341,8 @@ def test_static_landmarks_are_used_if_necessary() -> None:
     assert (counts[300:] == 2).all()
 
 
-def test_contradicted_frame_keeps_its_tracked_pose() -> None:
-    """It keeps the tracker's pose and uncertainty, moved along with its neighbors."""
+def test_contradicted_frame_keeps_its_tracked_pose_as_contradicted() -> None:
+    """It keeps the tracker's pose and covariance, moved along with its neighbors, but is no longer certain."""
     frames, k, rng = make_tracks(), 14, np.random.default_rng(5)
     junk = [replace(s, normalized=rng.uniform(-0.1, 0.1, s.normalized.shape)) for s in frames[k].observations]
     frames[k] = replace(frames[k], observations=tuple(junk))
@@ -341,7 +357,7 @@ def test_contradicted_frame_keeps_its_tracked_pose() -> None:
     expected = now * before.inv() * reported
     np.testing.assert_allclose(kept.as_matrix(), expected.as_matrix(), atol=1e-12)
     np.testing.assert_array_equal(found.poses[k].covariance, frames[k].pose.covariance)
-    assert found.poses[k].status is FrameStatus.TRACKED
+    assert found.poses[k].status is FrameStatus.CONTRADICTED
     others = np.delete(errors(found), k, axis=0)
     assert np.abs(others[:, :3]).max() < np.deg2rad(0.15)
 

@@ -68,26 +68,24 @@ def test_pose_with_uncertain_rotation_is_uncertain(degrees: float, uncertain: bo
     covariance[:3, :3] += np.deg2rad(degrees) ** 2 * np.outer(about, about)
     for status in (FrameStatus.TRACKED, FrameStatus.RELOCALIZED):
         pose = replace(pose_with(np.random.default_rng(1), 3, status), covariance=covariance)
-        judged = pose.update_uncertain_status()
+        judged = pose.mark_uncertain()
         assert judged.status is (FrameStatus.UNCERTAIN if uncertain else status)
         assert judged.is_measured is not uncertain
         assert judged.world_from_object is pose.world_from_object
-    # A smaller covariance makes it tracked again; an infinite one is uncertain.
+    # No covariance raises the status; an infinite one is uncertain.
     uncertain_pose = replace(
         pose_with(np.random.default_rng(1), 3), status=FrameStatus.UNCERTAIN, covariance=covariance
     )
     assert uncertain_pose.is_observed
-    assert uncertain_pose.update_uncertain_status().status is (
-        FrameStatus.UNCERTAIN if uncertain else FrameStatus.TRACKED
-    )
+    assert uncertain_pose.mark_uncertain().status is FrameStatus.UNCERTAIN
     for unknown in (np.inf, np.nan):
         assert (
-            replace(uncertain_pose, covariance=np.diag([unknown, *np.ones(5)])).update_uncertain_status().status
+            replace(uncertain_pose, covariance=np.diag([unknown, *np.ones(5)])).mark_uncertain().status
             is FrameStatus.UNCERTAIN
         )
     for status in (FrameStatus.FIRST, FrameStatus.COASTING, FrameStatus.LOST):
         same = pose_with(np.random.default_rng(1), 3, status)
-        assert same.update_uncertain_status() is same
+        assert same.mark_uncertain() is same
 
 
 # --- The motion -------------------------------------------------------------------------------------------------------

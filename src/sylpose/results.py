@@ -14,7 +14,7 @@ from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.matrices import invert_information, propagate_covariance
 from sylpose.geometry.validation import check_list, check_type
 from sylpose.rig import check_single_pose
-from sylpose.status import FrameStatus, Observability, Status
+from sylpose.status import DOUBTFUL, PREDICTED, FrameStatus, Observability, Status
 
 # A pose whose rotation has a larger standard deviation about any axis, in radians, is uncertain (choice).
 MAX_ROTATION_SD = 0.35
@@ -155,20 +155,20 @@ class FramePose(Printable):
 
     @property
     def is_measured(self) -> bool:
-        """Whether the images determine the pose; False for predicted or uncertain ones."""
-        return self.world_from_object is not None and self.status not in (FrameStatus.COASTING, FrameStatus.UNCERTAIN)
+        """Whether the images determine the pose; False for predicted, uncertain or contradicted ones."""
+        return self.world_from_object is not None and self.status not in (*PREDICTED, *DOUBTFUL)
 
     @property
     def is_observed(self) -> bool:
-        """Whether the object was found in this frame's images, even if its rotation is uncertain."""
-        return self.is_measured or self.status is FrameStatus.UNCERTAIN
+        """Whether the object was found in this frame's images, even if its pose is not reliable."""
+        return self.is_measured or self.status in DOUBTFUL
 
-    def update_uncertain_status(self) -> Self:
-        """Return the pose with status `UNCERTAIN` set or cleared according to its rotation's covariance.
+    def mark_uncertain(self) -> Self:
+        """Return the pose with status `UNCERTAIN` if its rotation's covariance is too large; a status never rises.
 
         Poses without the object in the images, and the first one, are returned unchanged.
         """
-        if not self.is_observed or self.status is FrameStatus.FIRST:
+        if not self.is_observed or self.status in (FrameStatus.FIRST, FrameStatus.CONTRADICTED):
             return self
         rotation_covariance = self.covariance[:3, :3]
         if (
@@ -176,7 +176,7 @@ class FramePose(Printable):
             or np.linalg.eigvalsh(rotation_covariance)[-1] > MAX_ROTATION_SD**2
         ):
             return replace(self, status=FrameStatus.UNCERTAIN)
-        return replace(self, status=FrameStatus.TRACKED) if self.status is FrameStatus.UNCERTAIN else self
+        return self
 
     def in_object_frame(self, new_from_object: RigidTransform) -> Self:
         """Return the pose of the object in another object frame, with other axes and another origin.

@@ -40,6 +40,8 @@ from sylpose.tracking.window import find_alternative_path
 # edge or were mismatched are soon lost. They are used, the longer tracks first, by frames with fewer than so many
 # observations; those never seen to move by frames with very few, so many (choice).
 MIN_TRACK_LENGTHS, ENOUGH_OBSERVATIONS, FEW_OBSERVATIONS = (8, 5, 2), 100, 30
+# Reason of frames that the refined path does not explain.
+LOST_REASON = "most observations contradict the refined path"
 # Measured poses on each side of a gap that determine the interpolating curve (choice).
 N_NEIGHBORS = 3
 
@@ -76,10 +78,11 @@ class SmoothedTrajectory:
     """A refined trajectory.
 
     Attributes:
-        poses: of all frames. Those not connected to the first one are unchanged. Coasting ones are interpolated between
-            the measured ones before and after. Without one of these, or in frames most of whose observations disagree
-            with the others, tracked poses are moved along with the previous measured one.
-        status: OK; NOT_CONVERGED; TOO_FEW_MATCHES when there was nothing to refine: then the poses are unchanged.
+        poses: of all frames, none with a better status than tracked. Those not connected to the first one are
+            unchanged. Coasting ones are interpolated between the measured ones before and after. Without one of these,
+            tracked poses are moved along with the previous measured one; so are those of frames most of whose
+            observations disagree with the others, which become contradicted.
+        status: OK; NOT_CONVERGED, or TOO_FEW_MATCHES when there was nothing to refine: then the poses are unchanged.
         offsets: (C,) time offset of each camera, seconds, positive for a delay; their mean is 0. Zeros when not
             requested.
         offsets_sd: (C,) their standard deviations.
@@ -169,8 +172,9 @@ def smooth(
     # Fixed frames belong to no path and determine the surface.
     alternative = None if is_fixed.any() else find_alternative_path(extended_rig, extended, start, radius)
     result = bundle_adjust_with_scale(extended_rig, extended, start, radius, options, alternative_start=alternative)
-    if result.status is not Status.TOO_FEW_MATCHES:
-        poses = _apply_result(frames, used, observations, result, n)
+    if result.status is not Status.OK:  # no estimate: everything remains as tracked
+        return SmoothedTrajectory(tuple(poses), result.status, zeros, zeros, result.sigma_px[:n], result.iterations)
+    poses = _apply_result(frames, used, observations, result, n)
     offsets, noise = (result.offsets[:n], result.offsets_sd[:n]), result.sigma_px[:n]
     scale = result.scale_sd, result.scale_variance_ratio
     moved = result.correction, all_moved
@@ -238,7 +242,9 @@ def _apply_result(
                 observability=scale if has_scale else Observability.NO_SCALE,
                 inliers=counts[i],
                 residuals=residuals[i],
-            ).update_uncertain_status()
+            ).mark_uncertain()
+        elif is_lost_frame[k] and poses[k].status is not FrameStatus.FIRST:
+            poses[k] = replace(poses[k], status=FrameStatus.CONTRADICTED, reason=poses[k].reason or LOST_REASON)
     return _fill_gaps(poses, [frame.pose for frame in frames], is_refined, is_lost_frame)
 
 
@@ -312,7 +318,7 @@ def _fill_gaps(
     Coasting poses without lost ones between follow a curve through the measured ones around them. Others, and those of
     contradicted frames, keep their pose relative to the last frame in which the object was observed.
     """
-    out = list(poses)
+    out = list(poses)  # contradicted frames have their lower status
     is_measured = is_refined & np.array([pose.is_measured for pose in poses])
     observed = [k for k, pose in enumerate(tracked) if pose.is_observed and not is_lost_frame[k]]
     for i, k in enumerate(observed):
@@ -326,13 +332,15 @@ def _fill_gaps(
                 near, far = (k, g - k) if g - k <= end - g else (end, end - g)
                 # The covariance of the nearer end plus that of as many frames of coasting.
                 covariance = poses[near].covariance + tracked[k + far].covariance
-                out[g] = replace(tracked[g], world_from_object=pose, covariance=covariance)
+                out[g] = replace(
+                    tracked[g], status=FrameStatus.INTERPOLATED, world_from_object=pose, covariance=covariance
+                )
             continue
         old, new = tracked[k].world_from_object, poses[k].world_from_object
         for g in gap:
             gap_pose = tracked[g].world_from_object
             if old is not None and new is not None and gap_pose is not None:
-                out[g] = replace(tracked[g], world_from_object=new * old.inv() * gap_pose)
+                out[g] = replace(out[g], world_from_object=new * old.inv() * gap_pose)
     return out
 
 

@@ -57,7 +57,9 @@ class FrameStatus(_Described):
     TRACKED = "tracked"
     RELOCALIZED = "relocalised"
     COASTING = "coasting"
+    INTERPOLATED = "interpolated"
     UNCERTAIN = "uncertain"
+    CONTRADICTED = "contradicted"
     LOST = "lost"
     TOO_FEW_MATCHES = "too few matches"
     NO_MOTION = "no motion"
@@ -71,7 +73,13 @@ class FrameStatus(_Described):
     def has_pose(self) -> bool:
         """Whether a frame of this status has a pose."""
         located = FrameStatus.FIRST, FrameStatus.TRACKED, FrameStatus.RELOCALIZED, FrameStatus.LOCALIZED
-        return self in (*located, FrameStatus.COASTING, FrameStatus.UNCERTAIN)
+        return self in (*located, *PREDICTED, *DOUBTFUL)
+
+
+# Statuses of frames with a pose that no match determines.
+PREDICTED = (FrameStatus.COASTING, FrameStatus.INTERPOLATED)
+# Statuses of frames whose pose is not to be relied on, although the object was found.
+DOUBTFUL = (FrameStatus.UNCERTAIN, FrameStatus.CONTRADICTED)
 
 
 class Observability(_Described):
@@ -103,7 +111,10 @@ _TEXTS: dict[_Described, str] = {
     FrameStatus.RELOCALIZED: "The object was found again by its landmarks.",
     FrameStatus.COASTING: "The object was not found; its pose is predicted from its last motion, with growing "
     "uncertainty.",
+    FrameStatus.INTERPOLATED: "The object was not found; the refinement of the whole recording interpolates its pose "
+    "between the measured ones before and after.",
     FrameStatus.UNCERTAIN: "The observations hardly constrain the rotation: very different poses fit as well.",
+    FrameStatus.CONTRADICTED: "Most of what the cameras see in this frame contradicts the rest of the recording.",
     FrameStatus.LOST: "The object was not found for too long to predict its pose.",
     FrameStatus.TOO_FEW_MATCHES: "Too few features on the object in all cameras together to start.",
     FrameStatus.NO_MOTION: "Nothing has moved yet that could be the object: its pose is unknown.",

@@ -378,7 +378,7 @@ def make_frame_pose(estimate: Motion, index: int, time: float, matches: IntArray
         reason="" if status.has_pose else reason,
     )
     # Estimated about the points' centroid.
-    return pose.in_object_frame(center).update_uncertain_status()
+    return pose.in_object_frame(center).mark_uncertain()
 
 
 # --- search -----------------------------------------------------------------------------------------------------------

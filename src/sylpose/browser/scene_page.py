@@ -44,12 +44,15 @@ _SURFACE: dict[str, Any] = {"cast_shadow": False, "receive_shadow": False, "visi
 LAYERS = ("Cameras", "Images", "Path", "Axes", "Points", "Uncertainty", "Floor")
 Rgb = tuple[int, int, int]
 
-# Colors of frames in the path and next to their status: tracked, relocalized, coasting, uncertain; without a pose.
+# Colors of frames in the path and next to their status: tracked, relocalized, coasting or interpolated, uncertain or
+# contradicted; without a pose.
 TRACKED_COLOR, NO_POSE_COLOR = (31, 119, 220), (150, 150, 150)
 _COLORS: dict[str, Rgb] = {
     FrameStatus.RELOCALIZED.value: (142, 68, 173),
     FrameStatus.COASTING.value: (243, 156, 18),
+    FrameStatus.INTERPOLATED.value: (243, 156, 18),
     FrameStatus.UNCERTAIN.value: (231, 76, 60),
+    FrameStatus.CONTRADICTED.value: (231, 76, 60),
 }
 
 

@@ -64,7 +64,13 @@ AXIS_SAMPLES = 5
 COORDINATE_STEPS, MISSING_COORDINATE = 8192, -32768
 
 # Severity, by which one frame is chosen to represent a group.
-_SEVERITY = {FrameStatus.UNCERTAIN: 3, FrameStatus.COASTING: 2, FrameStatus.RELOCALIZED: 1}
+_SEVERITY = {
+    FrameStatus.CONTRADICTED: 3,
+    FrameStatus.UNCERTAIN: 3,
+    FrameStatus.COASTING: 2,
+    FrameStatus.INTERPOLATED: 2,
+    FrameStatus.RELOCALIZED: 1,
+}
 
 
 def select_frames(trajectory: Trajectory, max_frames: int) -> IntArray:

@@ -26,7 +26,7 @@ from sylpose.geometry.validation import check_type
 from sylpose.report.camera_consistency import describe_camera_problems, find_disagreements
 from sylpose.report.failure_reasons import explain_missing_poses
 from sylpose.results import FramePose, Trajectory
-from sylpose.status import FrameStatus, Observability
+from sylpose.status import DOUBTFUL, PREDICTED, FrameStatus, Observability
 
 # Okabe & Ito's colors, distinguishable for the color-blind. An axis has the same color in both upper panels: tilt
 # rotates about x, pan about y, roll about z.
@@ -35,7 +35,7 @@ X_COLOR, Y_COLOR, Z_COLOR = "#D55E00", "#009E73", "#0072B2"
 CAMERA_COLORS = ("#332288", "#CC6677", "#117733", "#DDCC77", "#88CCEE", "#882255", "#44AA99", "#999933", "#AA4499")
 DASHES = ("-", "--", ":", "-.")
 NO_POSE_COLOR, UNKNOWN_SCALE_COLOR, COASTING_COLOR, UNKNOWN_LENGTH_COLOR = "#BBBBBB", "#F0E442", "#F6D9C2", "#D9C7E8"
-UNCERTAIN_COLOR = "#F4B6B6"
+UNCERTAIN_COLOR, CONTRADICTED_COLOR = "#F4B6B6", "#E06666"
 INK = "#333333"
 
 # With more frames than this, markers would overlap.
@@ -62,7 +62,7 @@ def summarize_trajectory(trajectory: Trajectory) -> str:
         raise ValueError("the trajectory has no frames")
     solved = [f for f in trajectory if f.is_measured]
     parts = [f"{len(solved)} of {len(trajectory)} frames with a pose"]
-    for status in (FrameStatus.COASTING, FrameStatus.UNCERTAIN):
+    for status in (*PREDICTED, *DOUBTFUL):
         if frames := sum(f.status is status for f in trajectory):
             parts.append(f"{status.value} in {frames}")
     if solved:
@@ -119,9 +119,10 @@ def draw_trajectory_figure(
     The top panel has three angles, as in the CSV, and the total rotation; lines break where angles wrap around.
     Positions are relative to the start; inliers and residuals are per camera.
 
-    Bands are two standard deviations to each side, to first order in the covariance. Predicted (coasting) and poorly
-    constrained (uncertain) poses are dotted and pale; these frames and those without a pose are shaded. While a camera
-    disagrees with the others, the lower panels are shaded in its color, and the title reports it. If no frame has a
+    Bands are two standard deviations to each side, to first order in the covariance. Predicted (coasting), poorly
+    constrained (uncertain) and contradicted poses are dotted and pale; these frames and those without a pose are
+    shaded. While a camera disagrees with the others, the lower panels are shaded in its color, and the title reports
+    it. If no frame has a
     pose, the figure lists the reasons instead.
 
     Args:
@@ -137,7 +138,7 @@ def draw_trajectory_figure(
     solved = trajectory.measured_mask
     if not any(f.world_from_object is not None for f in trajectory):
         return _draw_failure_figure(trajectory, title, note, input_warnings)
-    is_unmeasured = np.array([f.status in (FrameStatus.COASTING, FrameStatus.UNCERTAIN) for f in trajectory])
+    is_unmeasured = np.array([f.world_from_object is not None and not f.is_measured for f in trajectory])
     times = trajectory.times
     figure = create_figure(11.5, 11.5)
     panels: list[Axes] = list(figure.subplots(4, 1, sharex=True, gridspec_kw={"height_ratios": [3, 3, 2, 2]}))
@@ -314,12 +315,15 @@ def _shade_frames(panels: list[Axes], trajectory: Trajectory) -> list[Patch]:
     observability, status = np.array([(f.observability, f.status) for f in trajectory], object).T
     unknown_scale = observability == Observability.NO_SCALE
     unknown_length = observability == Observability.NO_TRANSLATION_SCALE
-    coasting, uncertain = status == FrameStatus.COASTING, status == FrameStatus.UNCERTAIN
+    coasting, interpolated = status == FrameStatus.COASTING, status == FrameStatus.INTERPOLATED
+    uncertain, contradicted = status == FrameStatus.UNCERTAIN, status == FrameStatus.CONTRADICTED
     entries = []
     for frames, color, label in (
-        (~trajectory.measured_mask & ~coasting & ~uncertain, NO_POSE_COLOR, "no pose"),
+        (np.array([f.world_from_object is None for f in trajectory]), NO_POSE_COLOR, "no pose"),
         (coasting, COASTING_COLOR, "coasting: predicted, not observed"),
+        (interpolated, COASTING_COLOR, "interpolated, not observed"),
         (uncertain, UNCERTAIN_COLOR, "uncertain: rotation poorly constrained"),
+        (contradicted, CONTRADICTED_COLOR, "contradicted by the rest of the recording"),
         (unknown_scale, UNKNOWN_SCALE_COLOR, Observability.NO_SCALE.value),
         (unknown_length, UNKNOWN_LENGTH_COLOR, Observability.NO_TRANSLATION_SCALE.value),
     ):
@@ -364,7 +368,7 @@ def count_inliers(frames: Iterable[FramePose]) -> tuple[FloatArray, FloatArray]:
     frames = list(frames)
     counts, errors = (np.array([getattr(f, name) for f in frames], float) for name in ("inliers", "residuals"))
     # The first frame has no match partner and coasting frames have no matches: their zeros are no measurement.
-    unmatched = np.array([f.status in (FrameStatus.FIRST, FrameStatus.COASTING) for f in frames])
+    unmatched = np.array([f.status in (FrameStatus.FIRST, *PREDICTED) for f in frames])
     counts[unmatched], errors[unmatched] = np.nan, np.nan
     return counts, errors
 

@@ -165,7 +165,7 @@ class ObjectOutput:
             if result.correction is not None:
                 self.files += write_refined(self.folder, result.correction, self._rig.names, result.moved_cameras)
                 self.changes += describe_changes(result.correction, self._rig, result.moved_cameras)
-        return None if result.status is Status.OK else f"Smoothing: {result.status.text}"
+        return None if result.status is Status.OK else f"Smoothing: {result.status.text} The poses are as tracked."
 
     def write_object(self, model: KnownObject | None) -> None:
         """Write the object model and its point cloud, for other recordings and for viewing; nothing for None."""

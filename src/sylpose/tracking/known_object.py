@@ -312,7 +312,7 @@ class PoseConverter:
             converted = replace(
                 converted, covariance=converted.covariance + self.scale_sd**2 * block_diag(rotation_block, sized)
             )
-        return converted.update_uncertain_status()
+        return converted.mark_uncertain()
 
 
 @dataclass(frozen=True, eq=False)

@@ -146,7 +146,7 @@ def accept_frame(context: Context, state: JointState, candidate: PoseCandidate) 
     )
     matches, observations, detections = (context.spread(parts) for parts in zip(*records, strict=True))
     parts = matches, context.spread(frame.regions or ()), model.radius, observations, frame.time_offsets
-    return new_state, TrackedFrame(result.update_uncertain_status(), frame.images, *parts, detections=detections)
+    return new_state, TrackedFrame(result.mark_uncertain(), frame.images, *parts, detections=detections)
 
 
 def _accept_pose(context: Context, state: JointState, candidate: PoseCandidate, inflation: FloatArray) -> AcceptedPose:
