@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import av
 import cv2
@@ -434,7 +435,12 @@ def slide_then_turn(rng: np.random.Generator) -> Variation:
 Kind = Callable[[np.random.Generator], Variation]
 
 
-def index_by_name(kinds: Sequence[Kind]) -> dict[str, Kind]:
+Drawn = TypeVar("Drawn")
+
+
+def index_by_name(
+    kinds: Sequence[Callable[[np.random.Generator], Drawn]],
+) -> dict[str, Callable[[np.random.Generator], Drawn]]:
     """Index kinds by their command-line names."""
     return {kind.__name__.replace("_", "-"): kind for kind in kinds}
 

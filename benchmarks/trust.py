@@ -35,21 +35,19 @@ from pathlib import Path
 import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform
-from scipy.stats import chi2
 
+from benchmarks.kinds import LOCALIZED, SURE_SDS, WRONG_DEG, WRONG_RADII
 from benchmarks.trust_kinds import GROUPS, KINDS
 from benchmarks.trust_takes import Take
-from sylpose import FramePose, FrameStatus, track
+from sylpose import FramePose, track
 from sylpose.bundle_adjustment.calibration_refinement import default_calibration_prior
 from sylpose.geometry.arrays import FloatArray
+from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.smoothing import Track, smooth
 from sylpose.status import Status
 
-# Limits of wrong and sure results: degrees, radii, standard deviations (the project's promise).
-WRONG_DEG, WRONG_RADII, SURE_SDS = 3.0, 1.0 / 3.0, 5.0
 # Squared error of three unknowns in standard deviations that 95 % stay below.
-BOUND_95 = float(chi2.ppf(0.95, 3))
-LOCALIZED = (FrameStatus.TRACKED, FrameStatus.RELOCALIZED)
+BOUND_95 = chi_squared_bound(3, 0.05)
 N_WORST = 15
 
 
@@ -122,17 +120,16 @@ def run_take(kind: str, seed: int) -> Run:
     cv2.setNumThreads(1)
     take = draw(kind, seed)
     rig, frames, begin = take.calibration, list(take.frames()), time.perf_counter()
-    tracks, tracked, refusal = [], [], ""
+    tracks, tracked, refined, refinement, refusal = [], [], None, Status.TOO_FEW_MATCHES, ""
     try:
         for frame in track(frames, rig, take.boxes, seed=seed, workers=1):
             tracked.append(frame.pose)
             tracks.append(Track.from_tracked(frame))
+        if tracks:
+            result = smooth(tracks, rig, calibration_prior=default_calibration_prior(rig))
+            refined, refinement = list(result.poses), result.status
     except Exception as error:  # a crash ends a take, not the benchmark
         refusal = f"{type(error).__name__}: {error}"
-    refined, refinement = tracked, Status.TOO_FEW_MATCHES
-    if tracks:
-        result = smooth(tracks, rig, calibration_prior=default_calibration_prior(rig))
-        refined, refinement = list(result.poses), result.status
     group = next(name for name, kinds in GROUPS.items() if kind in kinds)
     return Run(
         kind,
@@ -143,7 +140,7 @@ def run_take(kind: str, seed: int) -> Run:
         take.first,
         take.boxes is not None,
         score_poses(take, tracked),
-        score_poses(take, refined),
+        score_poses(take, tracked if refined is None else refined),
         refinement.value,
         refusal,
         time.perf_counter() - begin,

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from benchmarks.kinds_feature_poor import blur_textures, reduce_contrast
-from benchmarks.kinds_scenes import draw_block, draw_body, draw_direction, make_board, texture_resolution
-from benchmarks.trust_camera_faults import UP, index_takes
+from benchmarks.kinds_scenes import draw_block, draw_body, draw_direction, index_by_name, make_board, texture_resolution
+from benchmarks.trust_camera_faults import UP
 from benchmarks.trust_effects import see_through, shine
 from benchmarks.trust_light import transform_body
 from benchmarks.trust_people import add_actors, add_person, hold_with, make_person, swing_arm, wave_arm
@@ -401,7 +401,7 @@ def hinged(rng: np.random.Generator) -> Take:
     return place_boxes(take) if rng.random() < 0.5 else take
 
 
-PEOPLE = index_takes(
+PEOPLE = index_by_name(
     [
         person_behind_object,
         person_beside,
@@ -415,8 +415,8 @@ PEOPLE = index_takes(
         fingers,
     ]
 )
-SEVERAL = index_takes(
+SEVERAL = index_by_name(
     [equal_pair, larger_beside, two_objects, equal_swap, turntable_pair, other_first, occluder, taken_away]
 )
-SURFACES = index_takes([checkered, faint, glossy, transparent, spinning_sphere, spinning_bottle, equal_faces])
-NOT_RIGID = index_takes([deforming, hinged])
+SURFACES = index_by_name([checkered, faint, glossy, transparent, spinning_sphere, spinning_bottle, equal_faces])
+NOT_RIGID = index_by_name([deforming, hinged])

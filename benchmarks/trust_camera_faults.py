@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from benchmarks.kinds_scenes import draw_direction, make_board
+from benchmarks.kinds_scenes import draw_direction, index_by_name, make_board
 from benchmarks.trust_effects import (
     change_images,
     cover,
@@ -33,15 +33,10 @@ from sylpose.geometry.arrays import Image
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import Actor
 
-__all__ = ["ONE_CAMERA", "REGULAR", "WHOLE_RIG", "TakeKind", "index_takes"]
+__all__ = ["ONE_CAMERA", "REGULAR", "WHOLE_RIG", "TakeKind"]
 
 TakeKind = Callable[[np.random.Generator], Take]
 UP = np.array([0.0, -1.0, 0.0])
-
-
-def index_takes(kinds: list[TakeKind]) -> dict[str, TakeKind]:
-    """Index kinds by their command-line names."""
-    return {kind.__name__.replace("_", "-"): kind for kind in kinds}
 
 
 # --- regular --------------------------------------------------------------------------------------------------------------
@@ -379,10 +374,10 @@ def noisy_camera(rng: np.random.Generator) -> Take:
     return replace(take, effects=(change_images(add_noise, [c]),))
 
 
-REGULAR = index_takes(
+REGULAR = index_by_name(
     [turn_in_place, free_motion, hand_board, carried, slow_turn, fast_turn, long_lens, wide_angle, six_per_second]
 )
-WHOLE_RIG = index_takes(
+WHOLE_RIG = index_by_name(
     [
         all_mirrored,
         all_upside_down,
@@ -395,7 +390,7 @@ WHOLE_RIG = index_takes(
         all_zoomed,
     ]
 )
-ONE_CAMERA = index_takes(
+ONE_CAMERA = index_by_name(
     [
         one_mirrored,
         one_upside_down,

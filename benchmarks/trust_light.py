@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from benchmarks.kinds_scenes import DISTANCE, draw_direction
-from benchmarks.trust_camera_faults import index_takes
+from benchmarks.kinds_scenes import DISTANCE, draw_direction, index_by_name
 from benchmarks.trust_effects import cast_shadows, compress, rotate_cameras, scale_brightness, shine
 from benchmarks.trust_people import add_actors
 from benchmarks.trust_takes import Take, draw_photo, draw_take, make_panel, show_during, to_cameras
@@ -273,8 +272,8 @@ def swaying_plant(rng: np.random.Generator) -> Take:
     return add_actors(take, tuple(leaves))
 
 
-LATE = index_takes([late_third, late_half, rests_long, rests_between, put_down, creeping])
-LIGHT = index_takes(
+LATE = index_by_name([late_third, late_half, rests_long, rests_between, put_down, creeping])
+LIGHT = index_by_name(
     [
         exposure_steps,
         exposure_wanders,
@@ -289,4 +288,4 @@ LIGHT = index_takes(
         sagging_camera,
     ]
 )
-MOVING_BACKGROUND = index_takes([shadows, light_patch, screen_video, mirror, swaying_plant])
+MOVING_BACKGROUND = index_by_name([shadows, light_patch, screen_video, mirror, swaying_plant])

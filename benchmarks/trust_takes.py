@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib.util
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path as FilePath
 
 import cv2
@@ -156,6 +157,7 @@ def _exposed_at(path: Path, clock: Clock, delay: float) -> Path:
 # --- photographs and panels -----------------------------------------------------------------------------------------------
 
 
+@cache
 def _photograph_files() -> list[FilePath]:
     """Find the photographs that installed packages ship."""
     files = []
@@ -166,13 +168,13 @@ def _photograph_files() -> list[FilePath]:
     return files
 
 
-PHOTOGRAPHS = _photograph_files()
-
-
 def draw_photo(rng: np.random.Generator, size: tuple[int, int]) -> Image:
     """Draw a part of a photograph that an installed package ships, or of a drawn room if none does."""
     width, height = size
-    photo = cv2.imread(str(PHOTOGRAPHS[int(rng.integers(len(PHOTOGRAPHS)))])) if PHOTOGRAPHS else None
+    # One number of the take's generator, whatever is installed: the rest of the take is the same on every machine.
+    rng = np.random.default_rng(int(rng.integers(1 << 30)))
+    files = _photograph_files()
+    photo = cv2.imread(str(files[int(rng.integers(len(files)))])) if files else None
     if photo is None:
         from sylpose.simulate.textures import make_room_image
 

@@ -75,6 +75,7 @@ def make_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path],
     with FileLock(base / f"{name}.lock"):
         if not folder.exists():
             part = base / f"{name}.part"
+            shutil.rmtree(part, ignore_errors=True)  # of a worker in which `make` failed
             part.mkdir()
             make(part)
             part.rename(folder)

@@ -27,7 +27,7 @@ from typing import Any
 __version__ = "0.2.0"
 
 _STUB = ast.parse(Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8"))
-_HOME_OF = {node.names[0].name: node.module for node in _STUB.body if isinstance(node, ast.ImportFrom)}
+_HOME_OF = {name.name: node.module for node in _STUB.body if isinstance(node, ast.ImportFrom) for name in node.names}
 __all__ = sorted(_HOME_OF)
 
 

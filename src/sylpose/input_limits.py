@@ -1,4 +1,4 @@
-"""Limits for input files, and one short error message for any problem with them.
+"""Limits for input files, and one short message on stderr for any problem with them.
 
 Readers raise errors about a file's content through `input_errors`, so that the message names the file, is one line of
 bounded length, and contains no control characters of the file (SECURITY.md).
@@ -152,7 +152,8 @@ def parse_toml(text: str, limit: int = MAX_TOML_BYTES) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise tomllib.TOMLDecodeError(f"not valid TOML: {error}") from None
+        error.args = (f"not valid TOML: {error}",)
+        raise
 
 
 def resolve_path(path: Path) -> Path:

@@ -83,8 +83,8 @@ class SmoothedTrajectory:
             tracked poses are moved along with the previous measured one; so are those of frames most of whose
             observations disagree with the others, which become contradicted.
         status: OK; NOT_CONVERGED, or TOO_FEW_MATCHES when there was nothing to refine: then the poses are unchanged.
-        offsets: (C,) time offset of each camera, seconds, positive for a delay; their mean is 0. Zeros when not
-            requested.
+        offsets: (C,) time offset of each camera, seconds, positive for a delay; their mean is 0. Zeros if not requested
+            or not OK.
         offsets_sd: (C,) their standard deviations.
         sigma_px: (C,) noise of each camera, pixels.
         iterations: iterations of the solver.
@@ -175,10 +175,18 @@ def smooth(
     if result.status is not Status.OK:  # no estimate: everything remains as tracked
         return SmoothedTrajectory(tuple(poses), result.status, zeros, zeros, result.sigma_px[:n], result.iterations)
     poses = _apply_result(frames, used, observations, result, n)
-    offsets, noise = (result.offsets[:n], result.offsets_sd[:n]), result.sigma_px[:n]
-    scale = result.scale_sd, result.scale_variance_ratio
-    moved = result.correction, all_moved
-    return SmoothedTrajectory(tuple(poses), result.status, *offsets, noise, result.iterations, *scale, *moved)
+    return SmoothedTrajectory(
+        tuple(poses),
+        result.status,
+        result.offsets[:n],
+        result.offsets_sd[:n],
+        result.sigma_px[:n],
+        result.iterations,
+        result.scale_sd,
+        result.scale_variance_ratio,
+        result.correction,
+        all_moved,
+    )
 
 
 def _check_arguments(
@@ -318,7 +326,7 @@ def _fill_gaps(
     Coasting poses without lost ones between follow a curve through the measured ones around them. Others, and those of
     contradicted frames, keep their pose relative to the last frame in which the object was observed.
     """
-    out = list(poses)  # contradicted frames have their lower status
+    out = list(poses)
     is_measured = is_refined & np.array([pose.is_measured for pose in poses])
     observed = [k for k, pose in enumerate(tracked) if pose.is_observed and not is_lost_frame[k]]
     for i, k in enumerate(observed):
@@ -340,6 +348,7 @@ def _fill_gaps(
         for g in gap:
             gap_pose = tracked[g].world_from_object
             if old is not None and new is not None and gap_pose is not None:
+                # Of `out`, not `tracked`: contradicted frames keep that status.
                 out[g] = replace(out[g], world_from_object=new * old.inv() * gap_pose)
     return out
 

@@ -21,7 +21,7 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.io.capture import Session, open_session
 from sylpose.results import FramePose
 from sylpose.simulate import Actor, Scene, arc, chamfered_box
-from sylpose.smoothing import SmoothedTrajectory, Track
+from sylpose.smoothing import SmoothedTrajectory, Track, smooth
 from sylpose.status import FrameStatus, Status
 from sylpose.sync import estimation
 from sylpose.sync.estimation import OffsetPrecision, TimeOffsets, sync_session, write_offsets
@@ -406,6 +406,18 @@ def test_untrackable_recording_keeps_whole_frame_offsets(recording: Path, monkey
         np.round(LATE - LATE.max()) - np.round(LATE - LATE.max()).mean(), abs=1.0
     )
     assert found.problems == ("The object could not be tracked, so its poses give no offsets.",)
+
+
+def test_refinement_that_does_not_converge_gives_no_offsets(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    refine = smooth
+
+    def fail(*arguments: Any, **options: Any) -> SmoothedTrajectory:
+        return replace(refine(*arguments, **options), status=Status.NOT_CONVERGED)
+
+    monkeypatch.setattr(estimation, "smooth", fail)
+    found = sync_session(open_session(recording))
+    assert OffsetPrecision.FINE not in found.precision
+    assert not np.isnan(found.offsets).any()
 
 
 def test_names_are_quoted_if_necessary(recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

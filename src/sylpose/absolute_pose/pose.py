@@ -140,17 +140,17 @@ def _estimate(
     model = np.concatenate(models)
     center = model.mean(axis=0) if len(model) else np.full(3, np.nan)
     if not _has_enough_matches(model, np.repeat(np.arange(len(rig)), counts)):
-        return _make_failure(rig, counts, Status.TOO_FEW_MATCHES, center)
+        return _make_empty_result(rig, counts, Status.TOO_FEW_MATCHES, center)
     used = np.flatnonzero(counts).tolist()
     cameras, used_pixels = [rig.cameras[c] for c in used], [pixels[c] for c in used]
     origin, views = _make_views(cameras, model - center, used_pixels, units.per_px[used], units.sigma)
     max_square = float(max_px * units.per_px.max()) ** 2
     extent, axes = np.linalg.eigh(views.points.T @ views.points / len(model))
     if not extent[1] > 1e-12 * extent[2]:
-        return replace(_make_failure(rig, counts, Status.ROTATION_NOT_OBSERVABLE, center), unobservable=np.eye(6))
+        return replace(_make_empty_result(rig, counts, Status.ROTATION_NOT_OBSERVABLE, center), unobservable=np.eye(6))
     poses = search_poses(views, max_square, axes[:, 0], np.random.default_rng(seed))
     if not poses:
-        return _make_failure(rig, counts, Status.NOT_CONSISTENT, center)
+        return _make_empty_result(rig, counts, Status.NOT_CONSISTENT, center)
     best = poses[0]
     status = Status.OK if best.converged else Status.NOT_CONVERGED
     all_inliers = bool(best.weights.all())
@@ -187,7 +187,7 @@ def _estimate(
     matrix[:3, :3] = best.model.rotation
     matrix[:3, 3] = origin + best.model.translation - best.model.rotation @ center
     return replace(
-        _make_failure(rig, counts, status, center),
+        _make_empty_result(rig, counts, status, center),
         motion=RigidTransform(matrix, normalize=False) if status.has_pose else None,
         information=pose_information,
         covariance=invert_information(pose_information),
@@ -260,8 +260,8 @@ def _find_unobservable(
     return directions
 
 
-def _make_failure(rig: Rig, counts: IntArray, status: Status, center: FloatArray) -> Motion:
-    """Make the public result without a pose: it has no inliers and no information."""
+def _make_empty_result(rig: Rig, counts: IntArray, status: Status, center: FloatArray) -> Motion:
+    """Make a public result without pose, inliers and information; a fit replaces them."""
     nothing = np.zeros((6, 6))
     return Motion(
         status=status,

@@ -19,7 +19,7 @@ from sylpose.geometry.arrays import FloatArray, Image, IntArray
 from sylpose.report.drawing import build_undistortion_map
 from sylpose.report.scene import Scene
 from sylpose.rig import Rig
-from sylpose.status import FrameStatus
+from sylpose.status import DOUBTFUL, PREDICTED, FrameStatus
 
 # Longer side of the images, pixels (choice: sharp enough next to the object, 20 kB each).
 IMAGE_SIZE = 480
@@ -49,10 +49,8 @@ Rgb = tuple[int, int, int]
 TRACKED_COLOR, NO_POSE_COLOR = (31, 119, 220), (150, 150, 150)
 _COLORS: dict[str, Rgb] = {
     FrameStatus.RELOCALIZED.value: (142, 68, 173),
-    FrameStatus.COASTING.value: (243, 156, 18),
-    FrameStatus.INTERPOLATED.value: (243, 156, 18),
-    FrameStatus.UNCERTAIN.value: (231, 76, 60),
-    FrameStatus.CONTRADICTED.value: (231, 76, 60),
+    **{status.value: (243, 156, 18) for status in PREDICTED},
+    **{status.value: (231, 76, 60) for status in DOUBTFUL},
 }
 
 
@@ -179,7 +177,7 @@ class ScenePage:
         look = {"thickness": 3.0, "visible": False, **_LINES}
         path = {
             color: self._api.add_line_segments(f"{key}_path{k}", blank, color, **look)
-            for k, color in enumerate((TRACKED_COLOR, *_COLORS.values()))
+            for k, color in enumerate(dict.fromkeys((TRACKED_COLOR, *_COLORS.values())))
         }
         self._objects[name] = ObjectNodes(unit, axes, points, ellipsoid, path)
         self.set_size(name, self._scene.axis_length)

@@ -113,11 +113,12 @@ def batch(options: BatchOptions) -> None:
             raise ValueError(f"{destination.url}: contains no results of sylpose batch")
         print_summaries(summaries, destination)
         return
+    selected = select_shard(recordings, options.shard) if options.shard else recordings
     settings = pick(options, RunSettings, destination=destination, work=track_recording)
     # Fail now rather than once per recording if the destination is not writable.
     destination.write("batch.txt", b"Results of sylpose batch, a folder for each recording: docs/archive.md\n")
     print_warnings(make_console(), remarks)
-    summaries = _track_all(recordings, settings, options)
+    summaries = _track_all(selected, len(recordings), settings, options)
     print_summaries(summaries, None if options.shard else destination)
     if options.shard:
         text = f"All shards in one table: sylpose batch --status --out {destination.url}"
@@ -126,8 +127,10 @@ def batch(options: BatchOptions) -> None:
         exit_with_failures([f"{failed} of {len(summaries)} recordings without a trajectory"])
 
 
-def _track_all(recordings: Sequence[Recording], settings: RunSettings, options: BatchOptions) -> dict[str, Summary]:
-    """Track all recordings, or those of the shard, and return their summaries by name, in their order.
+def _track_all(
+    recordings: Sequence[Recording], n_total: int, settings: RunSettings, options: BatchOptions
+) -> dict[str, Summary]:
+    """Track recordings, those of a shard or all of `n_total`, and return their summaries by name, in their order.
 
     Raises:
         KeyboardInterrupt: with a message; also on SIGTERM.
@@ -142,8 +145,7 @@ def _track_all(recordings: Sequence[Recording], settings: RunSettings, options: 
     from sylpose.runs.system_resources import choose_default_jobs
 
     console, shard, destination = make_console(), options.shard, settings.destination
-    shard_text = f", shard {shard} of {len(recordings)}" if shard else ""
-    recordings = select_shard(recordings, shard) if shard else recordings
+    shard_text = f", shard {shard} of {n_total}" if shard else ""
     jobs, n = options.jobs or choose_default_jobs(settings.threads), len(recordings)
     workers_text = f"Ray at {options.ray}" if options.ray else f"{min(jobs, max(n, 1))} at a time"
     headline = f"{shard_text}, {workers_text} -> {destination.url}"

@@ -48,7 +48,7 @@ class ProgressLine(Progress):
 
     def show_counts(self, running: int, later: int) -> None:
         n_failed = sum(summary.status != "done" for summary in self._summaries.values())
-        texts = [f"{n} {label}" for n, label in ((later, "to retry"), (n_failed, "failed")) if n]
+        texts = [f"{n} {label}" for n, label in ((later, "waiting"), (n_failed, "failed")) if n]
         self.update(self._task, counts=", ".join([f"{running} running", *texts]))
 
 

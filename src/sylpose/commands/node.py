@@ -267,7 +267,6 @@ class _NodeStatus:
 
     def report(self, present: Membership) -> None:
         """Report the node's state if the next report is due; called every tick."""
-
         now = time.monotonic()
         if now < self._next_report:
             return

@@ -118,9 +118,13 @@ def _is_plausible(one: object, camera: int) -> bool:
 
 def _has_enough_matches(message: TermsMessage) -> bool:
     """Return whether the information is possible for the number of matches."""
-    noise, n = np.isnan(message.noise_px) or 0.0 < message.noise_px < MAX_COUNT, message.weight_sum
+    has_valid_noise = np.isnan(message.noise_px) or 0.0 < message.noise_px < MAX_COUNT
     information = message.upper[DIAGONAL[:3]].sum()
-    return bool(noise and 0.0 <= n < MAX_COUNT and information <= MAX_INFORMATION_PER_MATCH * n)
+    return bool(
+        has_valid_noise
+        and 0.0 <= message.weight_sum < MAX_COUNT
+        and information <= MAX_INFORMATION_PER_MATCH * message.weight_sum
+    )
 
 
 def _is_count(value: object, allow_nan: bool) -> bool:

@@ -101,7 +101,7 @@ class NodeFault(NamedTuple):
 
 
 class FrameBuffer:
-    """Recording that is read sequentially on demand; the last `kept` frames are stored, None for all."""
+    """Recording that is read sequentially on demand; the last `max_kept` frames are stored, None for all."""
 
     def __init__(self, frames: Iterable[FrameSet], max_kept: int | None = None) -> None:
         self._frames, self._max_kept, self._read = iter(frames), max_kept, 0
@@ -352,14 +352,12 @@ class NodesTracker:
             frames = self._frame_sets.pop(own[0].pose.index)
             images = tuple(a.frames.images[c] for c, a in enumerate(own))
             masks = tuple(a.frames.masks[c] for c, a in enumerate(own))
-            out.append(
-                replace(
-                    own[0],
-                    frames=replace(frames, images=images, masks=masks),
-                    matches=tuple(a.matches[c] for c, a in enumerate(own)),
-                    regions=tuple(a.regions[c] for c, a in enumerate(own)),
-                    observations=tuple(a.observations[c] for c, a in enumerate(own)) if own[0].observations else (),
-                )
-            )
+            # Each node knows its own camera's part; parts are empty where the frame was not solved.
+            parts: dict[str, Any] = {
+                name: tuple(getattr(a, name)[c] for c, a in enumerate(own))
+                for name in ("matches", "regions", "observations", "detections")
+                if getattr(own[0], name)
+            }
+            out.append(replace(own[0], frames=replace(frames, images=images, masks=masks), **parts))
         self._n_returned += len(out)
         return out

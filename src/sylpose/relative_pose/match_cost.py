@@ -303,9 +303,9 @@ def _compute_errors(term: Term, lanes: FloatArray) -> None:
 
 @leaf
 def _add_products(
-    lanes: FloatArray, first: int, size: int, weight: int, products: FloatArray, sums: FloatArray
+    lanes: FloatArray, first: int, size: int, weight: int, weighted: FloatArray, sums: FloatArray
 ) -> None:
-    """Add the products products of all pairs of `size` rows, the lower triangle, to sums (size, size, LANES / 4).
+    """Add the weighted products of all pairs of `size` rows, the lower triangle, to sums (size, size, LANES / 4).
 
     Each sum is kept in as many parts as are processed at once. The number of parts is read from the array: a constant
     would make the compiler unroll the loop instead.
@@ -313,13 +313,13 @@ def _add_products(
     parts = sums.shape[2]
     for k in range(size):
         for i in range(LANES):
-            products[i] = lanes[weight * LANES + i] * lanes[(first + k) * LANES + i]
+            weighted[i] = lanes[weight * LANES + i] * lanes[(first + k) * LANES + i]
         for j in range(k + 1):
             row, target = lanes[(first + j) * LANES : (first + j + 1) * LANES], sums[k, j]
             for i in range(parts):
-                target[i] += (products[i] * row[i] + products[N_PARTIAL_SUMS + i] * row[N_PARTIAL_SUMS + i]) + (
-                    products[2 * N_PARTIAL_SUMS + i] * row[2 * N_PARTIAL_SUMS + i]
-                    + products[3 * N_PARTIAL_SUMS + i] * row[3 * N_PARTIAL_SUMS + i]
+                target[i] += (weighted[i] * row[i] + weighted[N_PARTIAL_SUMS + i] * row[N_PARTIAL_SUMS + i]) + (
+                    weighted[2 * N_PARTIAL_SUMS + i] * row[2 * N_PARTIAL_SUMS + i]
+                    + weighted[3 * N_PARTIAL_SUMS + i] * row[3 * N_PARTIAL_SUMS + i]
                 )
 
 

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from itertools import accumulate
 from typing import Any, NamedTuple, Protocol
 
@@ -249,9 +249,7 @@ def stack_initial_motions(motions: Sequence[tuple[FloatArray, FloatArray]]) -> I
     return InitialMotions(rotations.reshape(-1, 3, 3), translations.reshape(-1, 3))
 
 
-# One problem is located, then solved: both need the same arrays.
-@lru_cache(maxsize=4)
-def _concatenate(data: tuple[TermData, ...]) -> tuple[Any, ...]:
+def _concatenate(data: Sequence[TermData]) -> tuple[Any, ...]:
     """Return x, y, offsets, the rotations and centers in both frames, and the focal lengths of T terms, as in `Stack`."""
     names = "x", "y", "rotation_x", "rotation", "center_x", "center"
     x, y, qx, qy, centers_x, centers = (np.concatenate([getattr(term, name) for term in data]) for name in names)
@@ -269,7 +267,7 @@ def stack_terms(data: Sequence[TermData], center: FloatArray, radius: float, min
         min_sigma_px: lower bound of the noise, pixels.
     """
     n, k = len(data), DEPTH_MODEL_SIZE
-    *views, centers_x, centers, focal = _concatenate(tuple(data))
+    *views, centers_x, centers, focal = _concatenate(data)
     shapes: Sequence[Any] = ((n, 2), n, n, (n, k), (n, k, k), n, n, (n, 3), (n, 3), n)
     relative_centers = centers_x - center, centers - center
     stack = Stack._make([*views, *relative_centers, *map(np.empty, shapes), focal, float(min_sigma_px)])
@@ -383,7 +381,7 @@ def locate_object(data: Sequence[TermData]) -> tuple[FloatArray, float]:
         center (3,), the point nearest to the rays through each camera's median point (at distance 1 with one camera);
         radius, length units: twice the median distance of the points from it.
     """
-    x, _, offsets, rotations, _, centers, *_ = _concatenate(tuple(data))
+    x, _, offsets, rotations, _, centers, *_ = _concatenate(data)
     center = np.empty(3)
     return center, float(_locate_from_rays(x, offsets, rotations, centers, center))
 

@@ -45,7 +45,7 @@ from sylpose.report.plots import (
 from sylpose.report.scene import IMAGE_GRID, Scene, Thumbnails
 from sylpose.results import FramePose, Trajectory
 from sylpose.rig import Camera, Rig
-from sylpose.status import FrameStatus, Observability
+from sylpose.status import DOUBTFUL, PREDICTED, FrameStatus, Observability
 
 # The page stays below this size, so that it can be mailed (choice). Limits within it: bytes of the encoded images, and
 # number of values of all frames (base64 adds half as many bytes again).
@@ -64,13 +64,7 @@ AXIS_SAMPLES = 5
 COORDINATE_STEPS, MISSING_COORDINATE = 8192, -32768
 
 # Severity, by which one frame is chosen to represent a group.
-_SEVERITY = {
-    FrameStatus.CONTRADICTED: 3,
-    FrameStatus.UNCERTAIN: 3,
-    FrameStatus.COASTING: 2,
-    FrameStatus.INTERPOLATED: 2,
-    FrameStatus.RELOCALIZED: 1,
-}
+_SEVERITY = {**dict.fromkeys(DOUBTFUL, 3), **dict.fromkeys(PREDICTED, 2), FrameStatus.RELOCALIZED: 1}
 
 
 def select_frames(trajectory: Trajectory, max_frames: int) -> IntArray:

@@ -119,11 +119,10 @@ def draw_trajectory_figure(
     The top panel has three angles, as in the CSV, and the total rotation; lines break where angles wrap around.
     Positions are relative to the start; inliers and residuals are per camera.
 
-    Bands are two standard deviations to each side, to first order in the covariance. Predicted (coasting), poorly
-    constrained (uncertain) and contradicted poses are dotted and pale; these frames and those without a pose are
-    shaded. While a camera disagrees with the others, the lower panels are shaded in its color, and the title reports
-    it. If no frame has a
-    pose, the figure lists the reasons instead.
+    Bands are two standard deviations to each side, to first order in the covariance. Predicted (coasting,
+    interpolated), poorly constrained (uncertain) and contradicted poses are dotted and pale; these frames and those
+    without a pose are shaded. While a camera disagrees with the others, the lower panels are shaded in its color, and
+    the title reports it. If no frame has a pose, the figure lists the reasons instead.
 
     Args:
         trajectory: trajectory of at least one frame.
@@ -311,7 +310,7 @@ def _add_legend(panel: Axes, handles: list[Line2D] | list[Line2D | Patch]) -> No
 
 
 def _shade_frames(panels: list[Axes], trajectory: Trajectory) -> list[Patch]:
-    """Shade frames with a missing, predicted, uncertain or partly observable pose, and return legend entries."""
+    """Shade frames with a missing, predicted, doubtful or partly observable pose, and return legend entries."""
     observability, status = np.array([(f.observability, f.status) for f in trajectory], object).T
     unknown_scale = observability == Observability.NO_SCALE
     unknown_length = observability == Observability.NO_TRANSLATION_SCALE
@@ -367,7 +366,7 @@ def count_inliers(frames: Iterable[FramePose]) -> tuple[FloatArray, FloatArray]:
     """Return inliers and residuals, (N, C); NaN where a frame has no matches."""
     frames = list(frames)
     counts, errors = (np.array([getattr(f, name) for f in frames], float) for name in ("inliers", "residuals"))
-    # The first frame has no match partner and coasting frames have no matches: their zeros are no measurement.
+    # The first frame has no match partner and predicted frames have no matches: their zeros are no measurement.
     unmatched = np.array([f.status in (FrameStatus.FIRST, *PREDICTED) for f in frames])
     counts[unmatched], errors[unmatched] = np.nan, np.nan
     return counts, errors

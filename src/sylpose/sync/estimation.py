@@ -185,7 +185,7 @@ def _refine_offsets(
         tracks = [replace(t, time_offsets=t.time_offsets + change[: len(t.time_offsets)]) for t in tracked_frames]
         refined = smooth(tracks, shifted.rig, offsets_sd=PRIOR_SD_FRAMES / rate)
         is_tracked = refined.status is not Status.TOO_FEW_MATCHES
-        if not is_tracked:
+        if refined.status is not Status.OK:
             sd = np.full(len(session.rig), np.inf)
             break
         if k == 0:
@@ -211,7 +211,7 @@ def _scatter_ratio(tracks: Sequence[Track], rig: Rig, prior_sd: float) -> float:
         return 1.0
     edges = np.linspace(0, len(tracks), n + 1).astype(int)
     parts = [smooth(tracks[i:j], rig, offsets_sd=prior_sd) for i, j in pairwise(edges)]
-    parts = [part for part in parts if part.status is not Status.TOO_FEW_MATCHES]
+    parts = [part for part in parts if part.status is Status.OK]
     if len(parts) < 2:
         return 1.0
     values, sds = np.array([p.offsets for p in parts]), np.array([p.offsets_sd for p in parts])

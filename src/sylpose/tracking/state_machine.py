@@ -111,11 +111,20 @@ def _is_plausible(state: JointState, candidate: PoseCandidate | None, predicted_
 
     That is a very small first motion, or a slow object near its predicted pose.
     """
-    if candidate is None:
+    if candidate is None or not has_known_references(state, candidate):
         return False
     if not state.motion.velocity.n_frames:
         return bool(candidate.motion.rotation.magnitude() < MAX_FIRST_ROTATION)
     return not is_fast(state, predicted_pose) and is_near_start(state, candidate, predicted_pose)
+
+
+def has_known_references(state: JointState, candidate: PoseCandidate) -> bool:
+    """Return whether all frames that a pose rests on are still known.
+
+    A search that starts again from the first frame discards the others, with all landmarks of poses found before.
+    """
+    known = state.frames.by_number
+    return all(number in known for agreement in candidate.agreements for number in agreement.references)
 
 
 # --- an object that was missed in the previous frame ------------------------------------------------------------------

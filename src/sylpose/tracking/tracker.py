@@ -212,7 +212,7 @@ class TrackerBase:
         self._rig = rig
         self._state = JointState(ObjectModel.from_boxes(rig, boxes) if boxes else ObjectModel())
         if known_object is not None:
-            check_type(known_object, KnownObject, "known")
+            check_type(known_object, KnownObject, "known_object")
             if boxes:
                 raise ValueError("boxes: not allowed for a known object")
             if method != METHODS[0]:
@@ -336,7 +336,7 @@ class Tracker(TrackerBase):
     """Single-process tracker of one rigid object; a context manager for its worker threads.
 
     Args:
-        rig, boxes, method, features, offsets, known, workers, seed: see `track`.
+        rig, boxes, method, features, offsets, known_object, workers, seed: see `track`.
 
     Raises:
         ValueError: as `track`.

@@ -57,7 +57,11 @@ class RandomAccessReader:
         if not 0 <= index < len(self._frames):
             raise ValueError(f"index must be in 0 ... {len(self._frames) - 1} (the session's frames), got {index}")
         row = self._frames[index].tolist()
-        return tuple(None if k < 0 else camera.read(k) for camera, k in zip(self._cameras, row, strict=True))
+        images = tuple(None if k < 0 else camera.read(k) for camera, k in zip(self._cameras, row, strict=True))
+        for camera in self._cameras:
+            if isinstance(camera, FrameReader):
+                camera.problems.clear()  # an unreadable image is None, whatever the reason
+        return images
 
 
 class _SeekableVideo:

@@ -207,7 +207,8 @@ def find_recording_folders(files: Collection[PurePath], calibrated: bool) -> tup
     candidates = {folder for folder in videos | images if folder in videos | calibrations or folder not in outer}
     taken = candidates if calibrated else candidates & calibrations
     found = [folder for folder in sorted(taken) if not taken & set(folder.parents)]
-    return found, [folder for folder in sorted(candidates) if not {folder, *folder.parents} & set(found)]
+    recordings = set(found)
+    return found, [folder for folder in sorted(candidates) if not {folder, *folder.parents} & recordings]
 
 
 def open_video(path: Path) -> tuple[InputContainer, VideoStream]:
