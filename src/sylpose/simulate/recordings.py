@@ -105,8 +105,10 @@ def write_videos(
     if "libx264" in av.codecs_available:
         # One key frame at the start and no references to later frames: such a video can be appended to itself.
         key = {"bf": "0", "g": str(frames)} if repeats > 1 else {}
-        # One thread, as the result depends on the number of threads.
-        codec, options = "libx264", {"crf": str(quality), "preset": "veryfast", "threads": "1", **key}
+        # The same images are the same bytes: with several threads they are not, and x264's "macroblock tree" reads memory
+        # that it has not written.
+        same = {"threads": "1", "mbtree": "0"}
+        codec, options = "libx264", {"crf": str(quality), "preset": "veryfast", **same, **key}
     with ExitStack() as stack:
         parts = [stack.enter_context(replace_atomically(folder / f"{camera.name}.mp4")) for camera in rig]
         files = [stack.enter_context(av.open(str(part), "w")) for part in parts]
