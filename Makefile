@@ -6,6 +6,9 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 # What touches cv2: OpenCV 4 and 5 are asked alike.
 OPENCV_TESTS := tests/io tests/features tests/report tests/simulate tests/test_rig.py
 
+# Compiled modules are kept, also where that is off: every process would compile all of them again.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: demo demo-network test test-fast kernels test-slow test-opencv4 test-opencv5 browser web lint format dist bench bench-page bench-record bench-tracking bench-paper docs gallery clean
 
 # The package's own file has the version.
@@ -44,14 +47,15 @@ demo: $(VENV)/.installed
 demo-network: $(VENV)/.installed-dev
 	$(BIN)/sylpose network demo --out demo-network
 
-# Small matrices gain nothing from several threads, which would get into each other's way beside several workers.
-test: export OPENBLAS_NUM_THREADS = 1
+# Small matrices and images gain nothing from several threads, which would get into each other's way beside several
+# workers.
+test test-fast: export OPENBLAS_NUM_THREADS = 1
+test test-fast: export OPENCV_FOR_THREADS_NUM = 1
 test: browser
 	$(MAKE) --jobs=2 lint kernels
 	$(BIN)/python -m pytest -n auto --dist worksteal
 
 # Between two edits, under a minute: files of plain functions, no whole runs, processes, drawings or pages.
-test-fast: export OPENBLAS_NUM_THREADS = 1
 test-fast: $(VENV)/.installed-dev-min
 	$(BIN)/python -m pytest -n auto --dist worksteal --fast
 

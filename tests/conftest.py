@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from filelock import FileLock
 from hypothesis import settings
-from matplotlib.figure import Figure
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.io.object_files import OBJECT_FILE, load_object
@@ -23,9 +22,11 @@ from sylpose.report.files import read_trajectory
 from sylpose.tracking.known_object import KnownObject
 from tests.chromium import launch_browser
 from tests.recordings import mapping_path, write_box_recording
+from tests.remembered import REMEMBERED
 from tests.saved import BOX_RESULT, FRAMES, copy_result, write_turn_recording
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     from playwright.sync_api import Browser
 
 # The same examples in every run, so that failures are reproducible. No deadline: machines are shared. More examples of
@@ -39,11 +40,12 @@ __all__ = ["FRAMES"]
 # What importing all tests makes stays: looking for garbage among it takes a third of the time.
 gc.disable()
 
-# `--fast` leaves out files with one of these words: they render, track, draw, run commands or start processes.
+# `--fast` leaves out files with one of these words: they render, track, draw, run commands, simulate networks, start
+# processes or draw many scenes.
 EXPENSIVE = re.compile(
-    r"\b(subprocess|commands\.main|track_session|simulation|render_\w+|write_recording|bundle_adjust|process_recording"
-    r"|archive\.run|pages\.notebooks|tests\.(clips|recordings|chromium|boards)|(?:from|import) benchmarks"
-    r"|report\.(plots|drawing|page)|tracking\.tracker|sylpose\.smoothing)\b"
+    r"\b(Monte Carlo|subprocess|commands\.main|distributed\.solvers|track_session|simulation|render_\w+|write_recording"
+    r"|bundle_adjust|process_recording|archive\.run|pages\.notebooks|tests\.(clips|recordings|chromium|boards)"
+    r"|(?:from|import) benchmarks|report\.(plots|drawing|page)|tracking\.tracker|sylpose\.smoothing)\b"
 )
 
 
@@ -82,6 +84,14 @@ def make_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path],
     return folder
 
 
+@pytest.fixture(scope="session", autouse=True)
+def remembered() -> Iterator[None]:
+    """Detect the keypoints of an image once."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sylpose.features.sift._cv2", REMEMBERED)
+        yield
+
+
 @pytest.fixture(scope="session")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Render three videos of 12 frames, 320x240, with calibration, boxes and ground truth: a quarter of a 60 degree
@@ -111,6 +121,8 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
 
     Drawing takes as long as tracking a few frames; tests/report and runs in separate processes test the drawings.
     """
+    from matplotlib.figure import Figure  # half a second, which tests without drawings do not need
+
     pixel = cv2.imencode(".png", np.zeros((1, 1), np.uint8))[1].tobytes()
 
     def savefig(_: Figure, path: Path | str, **__: object) -> None:

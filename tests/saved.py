@@ -28,10 +28,10 @@ FILES = {BOX_RESULT: (*TRAJECTORIES, SETTINGS, USED_CALIBRATION, OBJECT_FILE, CL
 FRAMES = 12
 
 
-def write_turn_recording(folder: Path) -> Path:
-    """Render three videos of 12 frames, 320x240: a quarter of a 60 degree rotation."""
+def write_turn_recording(folder: Path, frames: int = FRAMES) -> Path:
+    """Render three videos of 12 frames, 320x240: a quarter of a 60 degree rotation; or of fewer."""
     scene = make_demo_scene(frames=4 * FRAMES, angle_deg=60.0, size=(320, 240), n_cameras=3)
-    write_sequence(folder, replace(scene, frames=FRAMES), boxes=True)
+    write_sequence(folder, replace(scene, frames=frames), boxes=True)
     return folder
 
 

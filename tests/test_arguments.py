@@ -30,6 +30,8 @@ from tests.mutations import copy_arrays, is_unchanged, mutations
 
 # Largest number of mutations per argument; slow functions have fewer, chosen by the seed.
 MAX_MUTATIONS, SEED = 60, 0
+# As many in the quick suite.
+QUICK_MUTATIONS = 20
 # In addition to `sylpose.__all__`.
 MORE: tuple[Any, ...] = (
     camera_faults.diagnose_cameras,
@@ -495,13 +497,12 @@ def find_result_problem(found: Any, nan: bool) -> str | None:
 def find_problems(name: str, most: int | None = None) -> list[str]:
     """Return the problems of a function, by argument and mutation."""
     call, out = calls()[name], []
+    most = call.max_mutations if most is None else min(most, call.max_mutations)
     for argument, value in call.arguments.items():
         changes = list(mutations(value))
         rng = np.random.default_rng([SEED, *argument.encode()])
-        if len(changes) > (call.max_mutations if most is None else most):
-            changes = [
-                changes[k] for k in rng.permutation(len(changes))[: call.max_mutations if most is None else most]
-            ]
+        if len(changes) > most:
+            changes = [changes[k] for k in rng.permutation(len(changes))[:most]]
         for what, wrong in changes:
             given = {**call.arguments, argument: wrong}
             before = copy_arrays(given[argument])
@@ -531,6 +532,7 @@ def test_valid_calls_succeed(name: str) -> None:
     assert find_result_problem(call.function(**call.arguments), call.nan) is None
 
 
+@pytest.mark.parametrize("most", [QUICK_MUTATIONS, pytest.param(None, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", CALLED)
-def test_wrong_arguments_are_rejected_by_name(name: str) -> None:
-    assert not find_problems(name)
+def test_wrong_arguments_are_rejected_by_name(name: str, most: int | None) -> None:
+    assert not find_problems(name, most)

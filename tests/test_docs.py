@@ -24,7 +24,9 @@ from sylpose.commands.app import app
 from sylpose.commands.main import main
 from sylpose.simulate import dome, ellipsoid, random_motion, simulate_matches
 from sylpose.status import Status
+from tests.conftest import make_once
 from tests.paths import REPOSITORY
+from tests.saved import write_turn_recording
 
 PACKAGE = REPOSITORY / "src" / "sylpose"
 PAGES = sorted([*REPOSITORY.glob("*.md"), *(REPOSITORY / "docs").rglob("*.md")])
@@ -172,6 +174,13 @@ def test_toml_and_json_are_valid() -> None:
             read[block.language]("\n".join(block.lines))
         except ValueError as error:
             pytest.fail(f"{block.name}: {error}")
+
+
+@pytest.fixture
+def session(tmp_path_factory: pytest.TempPathFactory, tmp_path: Path) -> Path:
+    """Return a writable copy of the first frames of `recording`: examples must run, their results are not shown."""
+    few = make_once(tmp_path_factory, "few_frames", lambda folder: write_turn_recording(folder, 6))
+    return Path(shutil.copytree(few, tmp_path / "session"))
 
 
 # --- Python ----------------------------------------------------------------------------------------------------------

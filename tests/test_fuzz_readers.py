@@ -62,5 +62,6 @@ def test_forbidden_outcomes_are_detected(tmp_path: Path) -> None:
     assert read_and_classify(Kind("a", (), lambda _: nothing["a"]), tmp_path / "a").outcome == "KeyError"
 
 
+@pytest.mark.slow
 def test_batches_run_in_separate_processes() -> None:
     assert [seed for seed, _ in run_isolated_batch("offsets", range(3, 6))] == [3, 4, 5]

@@ -34,7 +34,14 @@ def words_of(text: str) -> str:
 NUMBER = re.compile(r"-?\d+\.?\d*(?:e[-+]?\d+)?")
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=[path.stem for path in NOTEBOOKS])
+# Slow: it tracks a recording and draws, as other tests do.
+@pytest.mark.parametrize(
+    "path",
+    [
+        pytest.param(path, id=path.stem, marks=pytest.mark.slow if path.stem == "first_steps" else ())
+        for path in NOTEBOOKS
+    ],
+)
 def test_notebook_reproduces_stored_output(path: Path) -> None:
     notebook = read(path)
     for number, (cell, shown) in enumerate(zip(notebook["cells"], run(notebook), strict=True)):

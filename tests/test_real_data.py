@@ -77,6 +77,7 @@ def test_temple() -> None:
     assert result.millimetres[-1] <= 0.5
 
 
+@pytest.mark.slow
 def test_board4() -> None:
     """A hand-held board and four roughly calibrated webcams, one of which does not see it at first."""
     folder = recording("board4")

@@ -206,7 +206,7 @@ def said_of(path: Path, data: bytes) -> str:
     return ""
 
 
-@pytest.mark.parametrize("trials", [60, pytest.param(150, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("trials", [30, pytest.param(150, marks=pytest.mark.slow)])
 def test_tampered_checkpoints(checkpoint: Path, tmp_path: Path, trials: int) -> None:
     """Change, remove or insert bytes, with and without a valid checksum: a one-line error, or a state of valid types."""
     good = checkpoint.read_bytes()[:-DIGEST_SIZE]

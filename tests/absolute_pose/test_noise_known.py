@@ -1,4 +1,4 @@
-"""Known noise of the cameras in `estimate_pose`."""
+"""Known noise of the cameras in `estimate_pose`, by Monte Carlo."""
 
 from __future__ import annotations
 

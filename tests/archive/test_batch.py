@@ -49,12 +49,12 @@ def test_results_equal_track_command(recording: Path, tmp_path: Path, monkeypatc
     store = open_store("memory://lab/archive")
     for path in recording.iterdir():
         store.write(f"day 1/turn/{path.name}", path)
-    ((found,), _) = find_recordings([store.url], TrackingOptions(overlay=False, every=2, seed=3))
+    ((found,), _) = find_recordings([store.url], TrackingOptions(overlay=False, every=2, stop=7, seed=3))
     assert found.name == "day 1/turn"
     out = open_store("memory://results")
     settings = RunSettings(out, worker.track_recording, threads=2, scratch=str(tmp_path / "scratch"))
     summary = process_recording(found, settings)
-    run = track_session(open_session(recording), tmp_path / "track", RunOptions(overlay=False, every=2, seed=3))
+    run = track_session(open_session(recording), tmp_path / "track", RunOptions(overlay=False, every=2, stop=7, seed=3))
     for path in (tmp_path / "track").iterdir():
         if path.suffix in (".csv", ".tum"):
             assert out.join("day 1/turn").read(path.name) == path.read_bytes(), path.name
@@ -180,6 +180,7 @@ def test_long_tables_are_truncated(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "Not shown     11: see summary.csv" in message
 
 
+@pytest.mark.slow
 def test_interrupt_exits_130_without_partial_results(recording: Path, tmp_path: Path) -> None:
     """By SIGTERM, as SLURM at the time limit; Ctrl-C is equivalent."""
     for name in ("a", "b"):

@@ -57,6 +57,7 @@ def test_unusable_cluster_raises_one_sentence(cluster: Any, tmp_path: Path) -> N
         RayWorkers(make_settings(open_store("memory://x")), cluster.address)
 
 
+@pytest.mark.slow
 def test_killed_node_only_delays(cluster: Any, tmp_path: Path) -> None:
     """It is killed during a recording that takes a minute, which the other node then finishes immediately."""
     folder, out = tmp_path / "in", open_store(tmp_path / "out")

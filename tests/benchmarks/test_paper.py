@@ -18,6 +18,7 @@ def test_sensors_command_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Ca
     assert {row[3].strip() for row in rows} >= {"junk", "frozen", "turned 90", "mirrored"}
 
 
+@pytest.mark.slow
 def test_motion_tables_name_the_miscalibrated_camera(capsys: pytest.CaptureFixture[str]) -> None:
     sensors.print_motion_tables(1)
     lines = capsys.readouterr().out.splitlines()

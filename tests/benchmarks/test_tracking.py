@@ -94,6 +94,7 @@ def test_gone_object_is_invisible_for_30_frames_and_returns_rotated_elsewhere() 
     assert np.linalg.norm(back.translation - left.translation) > 0.1
 
 
+@pytest.mark.slow
 def test_occluders_hide_the_whole_object() -> None:
     for name, cameras, length in (("occluded-half", [0, 2], 20), ("occluded-all", [0, 1, 2, 3], 8)):
         recording = build_recording(name, 60)

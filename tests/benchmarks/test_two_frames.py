@@ -249,6 +249,7 @@ def load_fake() -> Prepare:
     return prepare
 
 
+@pytest.mark.slow
 def test_hanging_or_dying_solver_is_replaced() -> None:
     scene = make_scene(BASE, 0)
     with Worker(load_fake, limit_s=3.0) as worker:

@@ -138,7 +138,12 @@ def simulate_detections(
 
 
 @pytest.mark.parametrize(
-    "text", ["chessboard:7x5,square=1", "chessboard:6x6,square=1", "circles:5x5,spacing=1,diameter=0.5"]
+    "text",
+    [
+        "chessboard:7x5,square=1",
+        pytest.param("chessboard:6x6,square=1", marks=pytest.mark.slow),
+        "circles:5x5,spacing=1,diameter=0.5",
+    ],
 )
 def test_cameras_agree_on_symmetry(text: str) -> None:
     board = parse_board(text)
@@ -166,7 +171,9 @@ def test_cameras_agree_on_symmetry(text: str) -> None:
         assert right[0] == max(right)
 
 
-@pytest.mark.parametrize("text", ["chessboard:6x5,square=1", "chessboard:5x5,square=1"])
+@pytest.mark.parametrize(
+    "text", ["chessboard:6x5,square=1", pytest.param("chessboard:5x5,square=1", marks=pytest.mark.slow)]
+)
 def test_colors_resolve_chessboard_orientation(text: str) -> None:
     """For any camera roll, the square at the origin is dark."""
     board = parse_board(text)

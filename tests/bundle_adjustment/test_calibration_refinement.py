@@ -192,7 +192,8 @@ def test_moved_camera() -> None:
     np.testing.assert_array_equal(now[4].matrix, now[1].matrix)
 
 
-@pytest.mark.parametrize(("degrees", "seed"), [pytest.param(0.0, 3, marks=pytest.mark.slow), (3.0, 4)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("degrees", "seed"), [(0.0, 3), (3.0, 4)])
 def test_correlated_errors_do_not_change_the_calibration(degrees: float, seed: int) -> None:
     """Tracked images, with correlated errors of neighboring features: an exact rig stays nearly exact, a wrong one is
     corrected."""

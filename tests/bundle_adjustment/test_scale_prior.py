@@ -10,6 +10,7 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from benchmarks.translation_only import DIRECTIONS, RIGS, compute_pose_error, refine_simulated, simulate_poses
@@ -65,6 +66,7 @@ def test_frame_that_determines_the_surface_is_kept() -> None:
     assert wide <= 1
 
 
+@pytest.mark.slow
 def test_slides_of_flat_and_thin_bodies_along_the_view() -> None:
     """Noise taken for relief rotates them by degrees: the covariance must cover that, and not more."""
     squares, degrees = [], []

@@ -311,7 +311,7 @@ def test_growing_folder_is_tracked_as_it_grows(
 def test_nodes_match_one_process(
     session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], mode: str, apart: float
 ) -> None:
-    options = ["track", str(session), "--stop", "4", "--no-overlay", "--no-smooth", "--out"]
+    options = ["track", str(session), "--stop", "3", "--no-overlay", "--no-smooth", "--out"]
     assert main([*options, str(tmp_path / "one")]) == 0
     expected = read_trajectory(tmp_path / "one" / "trajectory.csv")
     capsys.readouterr()

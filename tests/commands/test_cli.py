@@ -172,6 +172,7 @@ def test_track_is_quiet_and_plain_without_a_terminal(tracked: tuple[Path, subpro
     assert all(line == line.rstrip() for line in done.stdout.splitlines())
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs a pseudo-terminal")
 def test_track_shows_progress_on_a_terminal(recording: Path, tmp_path: Path) -> None:
     leader, follower = os.openpty()
@@ -290,7 +291,8 @@ def make_endless(session: Path, n: int = 300) -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="sends a POSIX signal")
-@pytest.mark.parametrize("how", [signal.SIGINT, pytest.param(signal.SIGKILL, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
 def test_interrupt_keeps_partial_results(session: Path, how: signal.Signals) -> None:
     make_endless(session)
     out = session / "sylpose"
@@ -584,7 +586,8 @@ def test_check_warns_if_nothing_moves(recording: Path) -> None:
     assert found.outlines == (None,) * 3
 
 
-@pytest.mark.parametrize("name", ["temple", pytest.param("board4", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["temple", "board4"])
 def test_check_of_real_recordings(run: Command, tmp_path: Path, name: str) -> None:
     if not (DATA / name).is_dir():
         pytest.skip(f"no recording {name} in {DATA}")
@@ -686,15 +689,15 @@ def test_box_that_does_not_fit_the_others_is_named(session: Path) -> None:
 
 def test_demo(run: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    args = ("--frames", 4, "--turn", 6, "--cameras", 3)
+    args = ("--frames", 3, "--turn", 6, "--cameras", 3)
     result = run("demo", *args)
     assert result.code == 0, result.err
-    assert "Against ground truth, motion since the first of 4 frames" in result.out
+    assert "Against ground truth, motion since the first of 3 frames" in result.out
     assert {file.name for file in (tmp_path / "sylpose_demo" / "sylpose").iterdir()} >= OUTPUTS
 
     # Run again with fewer cameras into the same folder; an inaccurate result gives exit code 1.
     monkeypatch.setattr(demo, "MAX_ERROR_DEG", 0.0)
-    result = run("demo", "--frames", 3, "--turn", 3, "--cameras", 2)
+    result = run("demo", "--frames", 2, "--turn", 3, "--cameras", 2)
     assert result.code == 1
     assert "the demo failed" in result.err
 

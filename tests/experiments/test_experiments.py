@@ -149,7 +149,7 @@ def test_study_creates_table_figure_and_findings(study: Study, tmp_path: Path) -
     assert not any("nan" in sentence for sentence in findings)
 
 
-@pytest.mark.parametrize("name", ["constraint", "schemes"])
+@pytest.mark.parametrize("name", ["constraint", pytest.param("schemes", marks=pytest.mark.slow)])
 def test_study_is_reproducible(name: str) -> None:
     again, other = (BY_NAME[name].run(seed, 1) for seed in (5, 6))
     assert again.to_csv() == study_table(name).to_csv()

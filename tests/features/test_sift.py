@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import fields, replace
 
 import cv2
 import numpy as np
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from sylpose.features import sift
 from sylpose.features.sift import Features, detect_features, find_static_features, match_features, match_guided
 from sylpose.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 from sylpose.matches import Matches
@@ -48,6 +50,29 @@ def random_features(n: int, rng: np.random.Generator, size: float = 400.0) -> Fe
 
 
 # --- detection
+
+
+def test_keypoints_depend_on_the_image_only(
+    images: list[Image], camera: Camera, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`tests.remembered` relies on it: in other threads, in another order, with threads of OpenCV's own or none."""
+
+    def detect(image: Image) -> Features:
+        return detect_features(image, camera, box_mask(100, 80, 400, 300))
+
+    remembered = [detect(image) for image in images]
+    monkeypatch.setattr(sift, "_cv2", cv2)
+    threads = cv2.getNumThreads()
+    try:
+        for count in (1, 4):
+            cv2.setNumThreads(count)
+            with ThreadPoolExecutor(2) as pool:
+                found = list(pool.map(detect, [*images, *images[::-1]]))
+            for new, known in zip(found, [*remembered, *remembered[::-1]], strict=True):
+                for field in fields(Features):
+                    np.testing.assert_array_equal(getattr(new, field.name), getattr(known, field.name))
+    finally:
+        cv2.setNumThreads(threads)
 
 
 def test_descriptors_are_rootsift(images: list[Image], camera: Camera) -> None:

@@ -30,8 +30,8 @@ MIXTURES = ("\n ", " \n", '\\"', "/*", "//", "- ", "1 ", "1,", "a\n", "\n\n1", "
 FILLERS = (*WHITE_SPACE, *MARKS, *MIXTURES)
 # Those that have been quadratic for one reader, and one of each kind.
 QUICK_FILLERS = (" ", "\n", "\r\n", "9", *"([{<", "'", '"', "\\", "\n ", " \n", '\\"', "/*", "a: 1\n")
-# Bytes: 128 kB, for which quadratic time is a minute; and 1 MB, of which TOML may have a quarter.
-QUICK_BYTES, TOML_BYTES, BYTES = 2**17, 2**18 - 8, 2**20 - 8
+# Bytes: 64 kB, for which quadratic time is a quarter of a minute; and 1 MB, of which TOML may have a quarter.
+QUICK_BYTES, TOML_BYTES, BYTES = 2**16, 2**18 - 8, 2**20 - 8
 # Largest processor time, seconds: several times what the slowest linear readers (YAML, CSV) need for 1 MB.
 MAX_SECONDS = 5.0
 

@@ -1,4 +1,4 @@
-"""Known noise of the cameras: its effect on weights and covariance."""
+"""Known noise of the cameras: its effect on weights and covariance, by Monte Carlo."""
 
 from __future__ import annotations
 

@@ -119,7 +119,7 @@ def test_mixture_converges_from_all_static(monkeypatch: pytest.MonkeyPatch) -> N
     [
         pytest.param("static 30 %, moves 2 px", marks=pytest.mark.slow),
         "static 60 %, moves 2 px",
-        "before nothing, moves 1 px",
+        pytest.param("before nothing, moves 1 px", marks=pytest.mark.slow),
     ],
 )
 def test_covariance_includes_the_uncertain_background(row: str) -> None:
@@ -163,7 +163,7 @@ def test_static_ratio_is_reported() -> None:
     assert estimate_motion(rig, pair.matches).static_ratio == 0.0
 
 
-@pytest.mark.parametrize("degrees", [20.0, 45.0])
+@pytest.mark.parametrize("degrees", [20.0, pytest.param(45.0, marks=pytest.mark.slow)])
 def test_wrong_calibration_of_four_cameras_is_named(degrees: float) -> None:
     right, false = 0, 0
     for seed in range(10):

@@ -31,7 +31,6 @@ from sylpose.tracking.known_object import KnownObject
 from sylpose.units import INITIAL_DISTANCES
 from tests.recordings import (
     BOX,
-    NEXT,
     RIG,
     attach_target,
     compute_pose_error,
@@ -354,7 +353,7 @@ def test_measured_lengths_are_compared(first: Path, tmp_path: Path, capsys: pyte
 @pytest.fixture(scope="module")
 def by_one(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a recording of a single camera."""
-    folder = write_box_recording(tmp_path_factory.mktemp("one") / "take", mapping_path, 50, rig=RIG.subset(["cam_1"]))
+    folder = write_box_recording(tmp_path_factory.mktemp("one") / "take", mapping_path, 30, rig=RIG.subset(["cam_1"]))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("sylpose.report.plots.save_trajectory_plot", lambda *_, **__: None)
         track_session(open_session(folder), options=RunOptions(overlay=False, smooth=False))
@@ -384,7 +383,7 @@ def test_scale_of_single_camera_object(by_one: Path, tmp_path: Path, capsys: pyt
     assert sized.unit == "m"
     assert 0.001 < sized.scale_sd < 0.1
     actor_from_frame = RigidTransform.from_translation(points[0]) * turned_to(points)
-    again = write_box_recording(tmp_path / "again", moved_path, NEXT - 4, seed=5, rig=RIG.subset(["cam_1"]))
+    again = write_box_recording(tmp_path / "again", moved_path, 4, seed=5, rig=RIG.subset(["cam_1"]))
     for smooth in (False, True):
         run = track_session(open_session(again), options=RunOptions(overlay=False, smooth=smooth, known=sized))
         assert run.trajectory.unit == "m"

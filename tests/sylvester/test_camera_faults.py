@@ -226,7 +226,7 @@ def test_no_fault_is_reported_for_an_oblique_board(turn: float, shift: float) ->
         (make_rotated_calibration(180), 12),
         pytest.param(apply_mirror, 12, marks=pytest.mark.slow),
         pytest.param(apply_freeze, 12, marks=pytest.mark.slow),
-        (apply_junk, 18),
+        pytest.param(apply_junk, 18, marks=pytest.mark.slow),
     ],
 )
 def test_faulty_camera_is_detected_for_a_board(spoil: FaultFunction, found_at_least: int) -> None:

@@ -220,7 +220,7 @@ def test_nonnegative_form_without_sum_of_squares_is_not_certified(share: float) 
 
 
 @given(seeds, st.sampled_from([1, 2, 4, 9]), st.floats(0.01, 3.0))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=5, deadline=None)
 def test_certified_minimum_is_global_for_random_costs(seed: int, rank: int, size: float) -> None:
     """Random costs."""
     rng = np.random.default_rng(seed)

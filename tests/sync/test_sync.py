@@ -221,16 +221,16 @@ def add_timestamps(recording: Path, folder: Path, late: FloatArray) -> Path:
 def test_offsets_end_to_end(
     recording: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    # The speeds use all frames; two sections suffice for the refinement.
-    monkeypatch.setattr(estimation, "MAX_TRACKED_FRAMES", 24)
     times_tracked = count_tracking(monkeypatch, track)
     found = run_command(monkeypatch, recording, code=0)
-    assert found.tracked == 24
+    assert found.tracked == FRAMES
     assert len(times_tracked) == 1
     true = LATE - LATE.mean()
     assert found.precision == (OffsetPrecision.FINE,) * 3
     assert not found.problems
-    assert found.offsets * RATE == pytest.approx(true, abs=0.04)
+    assert found.offsets * RATE == pytest.approx(true, abs=0.05)
+    assert (np.abs(found.offsets - true / RATE) < 3 * found.sd).all()
+    assert (found.sd * RATE < 0.06).all()
     assert found.coarse.offsets * RATE == pytest.approx(true, abs=0.5)
     assert (found.after < 1.05 * found.before).all()
     out = capsys.readouterr().out
@@ -415,6 +415,7 @@ def test_refinement_that_does_not_converge_gives_no_offsets(recording: Path, mon
         return replace(refine(*arguments, **options), status=Status.NOT_CONVERGED)
 
     monkeypatch.setattr(estimation, "smooth", fail)
+    monkeypatch.setattr(estimation, "MAX_TRACKED_FRAMES", 8)
     found = sync_session(open_session(recording))
     assert OffsetPrecision.FINE not in found.precision
     assert not np.isnan(found.offsets).any()

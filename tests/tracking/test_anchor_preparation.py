@@ -81,6 +81,7 @@ def test_background_work_keeps_accuracy(
     assert error[2:, 0].max() < 0.4  # the first motion is below the static threshold
 
 
+@pytest.mark.slow
 def test_landmarks_keep_their_numbers(clip: Clip) -> None:
     """Features detected again that match keyframes keep their landmarks: otherwise a reversed motion would drift."""
     images = clip.images[:28]
@@ -94,6 +95,7 @@ def test_landmarks_keep_their_numbers(clip: Clip) -> None:
     assert np.degrees(off.rotation.magnitude()) < 0.2
 
 
+@pytest.mark.slow
 def test_camera_without_image_recovers(clip: Clip) -> None:
     with Tracker(clip.rig, clip.boxes) as tracker:
         decided, joints = track_states(tracker, clip.frames()[:8])

@@ -148,6 +148,7 @@ def compress(image: Image) -> Image:
     return np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), dtype=np.uint8)
 
 
+@pytest.mark.slow
 def test_long_static_object_in_compressed_images() -> None:
     """All frames are solved in the end, and static ones have the static status."""
     stands, moves = 8, 4

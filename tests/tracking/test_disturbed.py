@@ -79,7 +79,12 @@ def test_all_cameras_missing_temporarily(clip: Clip, method: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("nothing", "with_boxes"), [pytest.param(None, True, marks=pytest.mark.slow), (None, False), (BLACK, True)]
+    ("nothing", "with_boxes"),
+    [
+        pytest.param(None, True, marks=pytest.mark.slow),
+        (None, False),
+        pytest.param(BLACK, True, marks=pytest.mark.slow),
+    ],
 )
 def test_initial_frames_without_features(clip: Clip, nothing: Image | None, with_boxes: bool) -> None:
     images: list[Images] = [(nothing,) * 3, (nothing,) * 3, *clip.images[:4]]
@@ -178,6 +183,7 @@ def test_other_body_in_same_place_is_rejected(gap: int, seed: int) -> None:
     assert set(statuses(tracked[8:])) <= {FrameStatus.COASTING, FrameStatus.LOST, FrameStatus.BACKGROUND_ONLY}
 
 
+@pytest.mark.slow
 def test_unknown_side_is_rejected() -> None:
     """The object returns rotated by 180 degrees about the vertical."""
 

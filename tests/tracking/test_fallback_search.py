@@ -49,7 +49,7 @@ def make_jumping_clip(degrees: float, contrast: float = 1.0) -> Clip:
     )
 
 
-@pytest.mark.parametrize("features", ["klt", "sift"])
+@pytest.mark.parametrize("features", ["klt", pytest.param("sift", marks=pytest.mark.slow)])
 def test_jumps_from_first_frame(features: str) -> None:
     clip = make_jumping_clip(20.0)
     tracked = list(track(clip.frames(), clip.rig, clip.boxes, features=features))
@@ -68,6 +68,7 @@ def test_low_contrast_texture(low_contrast_clip: Clip) -> None:
     assert compute_pose_errors(tracked, low_contrast_clip.truth)[:, 0].max() < 2.0
 
 
+@pytest.mark.slow
 def test_usual_search_with_low_contrast_features(low_contrast_clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(state_machine, "search_with_all_features", lambda _team, joint, *_: (joint, None))
     tracked = list(track(low_contrast_clip.frames(), low_contrast_clip.rig, low_contrast_clip.boxes, features="sift"))
@@ -79,7 +80,9 @@ def test_usual_search_with_low_contrast_features(low_contrast_clip: Clip, monkey
     assert statuses(tracked).count(FrameStatus.TRACKED) < FRAMES - 1
 
 
-@pytest.mark.parametrize(("contrast", "faint"), [(1.0, False), (LOW_CONTRAST, True)])
+@pytest.mark.parametrize(
+    ("contrast", "faint"), [pytest.param(1.0, False, marks=pytest.mark.slow), (LOW_CONTRAST, True)]
+)
 def test_low_contrast_features_are_used_if_needed(
     contrast: float, faint: bool, low_contrast_clip: Clip, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -136,6 +139,7 @@ def test_no_pose_of_absent_object(low_contrast_clip: Clip) -> None:
     assert set(statuses(tracked)[2:]) <= {FrameStatus.COASTING, FrameStatus.LOST}
 
 
+@pytest.mark.slow
 def test_no_pose_from_room_after_object_left() -> None:
     """The object rotated by 45 degrees and is gone for four frames; the room has more features than it had."""
     take = KINDS["back"](np.random.default_rng([1, *b"back"]))

@@ -70,8 +70,9 @@ def test_small_images_are_not_downscaled() -> None:
     np.testing.assert_array_equal(same.pixels, detect_features(image, camera).pixels)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small_search_limit")
-@pytest.mark.parametrize("boxed", [pytest.param(True, marks=pytest.mark.slow), False])
+@pytest.mark.parametrize("boxed", [True, False])
 def test_object_is_found_and_relocalized(boxed: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whole images are downscaled, the object's regions are not: landmarks have full precision."""
     sizes: dict[bool, list[int]] = {True: [], False: []}

@@ -109,6 +109,7 @@ def leaving_path(frame: float) -> RigidTransform:
     return RigidTransform.from_translation([0, -0.9 * away, 0]) * make_rotated_pose(1.5 * frame)
 
 
+@pytest.mark.slow
 def test_leaving_and_coming_back(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sylpose.tracking.joint_side.joint_state.MAX_COASTING_FRAMES", 2)
     clip = Clip.render(moving_scene(leaving_path, 23, n_cameras=3))

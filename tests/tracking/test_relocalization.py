@@ -175,7 +175,7 @@ def test_loose_ratio_relocalizes_blurred_texture(texels: float, turn: float) -> 
 
 def test_loose_ratio_does_not_find_other_body(clip: Clip) -> None:
     known = [make_keyframe(clip, k, faint=True) for k in range(len(ROTATIONS_DEG))]
-    for seed in (11, 12, 13):
+    for seed in (11, 12):
         other = make_other_body([make_rotated_pose(0), make_rotated_pose(24, [0.1, 0, 0])], seed)
         for images in other.images:
             current = detect_in_frames(clip.rig, images, faint=True)

@@ -122,8 +122,11 @@ def test_cameras_of_different_sizes() -> None:
         assert compute_pose_errors(tracked, clip.truth)[:, 0].max() < HALF_DEGREE
 
 
-# The first one is the tracker's default: `test_with_boxes`.
-@pytest.mark.parametrize("method", [pytest.param(METHODS[0], marks=pytest.mark.slow), *METHODS[1:]])
+# The first one is the tracker's default: `test_with_boxes`; known depths are in test_methods.py.
+@pytest.mark.parametrize(
+    "method",
+    [pytest.param(m, marks=pytest.mark.slow if m in (METHODS[0], "known-depth") else ()) for m in METHODS],
+)
 def test_all_methods_run(clip: Clip, method: str) -> None:
     tracked = list(track(clip.frames(), clip.rig, clip.boxes, method=method))
     assert statuses(tracked)[0] is FrameStatus.FIRST
@@ -349,7 +352,7 @@ def test_repeated_run_gives_equal_results(clip: Clip, tracked: Sequence[TrackedF
 )
 def test_restored_snapshot_is_exact(clip: Clip, with_boxes: bool, features: str) -> None:
     """After restoring a snapshot, all results equal those of a tracker that never processed the frame."""
-    boxes, frames = clip.boxes if with_boxes else None, clip.frames()[:4]
+    boxes, frames = clip.boxes if with_boxes else None, clip.frames()[:3]
     with Tracker(clip.rig, boxes, features=features, workers=1) as tracker:
         plain = [f for frame in frames for f in tracker.step(frame)]
     with Tracker(clip.rig, boxes, features=features, workers=1) as tracker:
