@@ -43,8 +43,8 @@ gc.disable()
 # `--fast` leaves out files with one of these words: they render, track, draw, run commands, simulate networks, start
 # processes or draw many scenes.
 EXPENSIVE = re.compile(
-    r"\b(Monte Carlo|subprocess|commands\.main|distributed\.solvers|track_session|simulation|render_\w+|write_recording"
-    r"|bundle_adjust|process_recording|archive\.run|pages\.notebooks|tests\.(clips|recordings|chromium|boards)"
+    r"\b(Monte Carlo|subprocess|runpy|commands\.main|distributed\.solvers|track_session|simulation|render_\w+"
+    r"|write_recording|bundle_adjust|process_recording|archive\.run|pages\.notebooks|tests\.(clips|recordings|chromium|boards)"
     r"|(?:from|import) benchmarks|report\.(plots|drawing|page)|tracking\.tracker|sylpose\.smoothing)\b"
 )
 

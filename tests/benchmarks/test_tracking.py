@@ -73,7 +73,10 @@ def test_tumble_has_the_given_speed_and_starts_at_identity() -> None:
     assert np.allclose(path(3.5).rotation.as_matrix(), path(3.5000001).rotation.as_matrix(), atol=1e-6)
 
 
-@pytest.mark.parametrize("name", ["box", "body", "occluded-half", "dropped", "two"])
+@pytest.mark.parametrize(
+    "name",
+    ["box", "dropped", *(pytest.param(name, marks=pytest.mark.slow) for name in ("body", "occluded-half", "two"))],
+)
 def test_sequences_rotate_by_more_than_400_degrees(name: str) -> None:
     recording = build_recording(name)
     for actor in recording.scene.actors[: len(recording.objects)]:

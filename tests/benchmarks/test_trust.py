@@ -46,7 +46,8 @@ def test_there_are_enough_kinds() -> None:
     assert len(set(GROUPS["people"]) | set(GROUPS["persons"])) >= len(names) / 3
 
 
-@pytest.mark.parametrize("name", ["junk-video", pytest.param("interlaced", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["junk-video", "interlaced"])
 def test_takes_render_and_repeat(name: str) -> None:
     first, second = ([frame.images[0] for frame in shorten(draw(name, 3)).frames()] for _ in range(2))
     assert len(first) == 3

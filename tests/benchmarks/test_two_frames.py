@@ -100,6 +100,7 @@ def test_unknown_rows_are_rejected(run: Run) -> None:
     assert "no row matches 'no such row'" in errors
 
 
+@pytest.mark.slow
 def test_regression_exits_with_1(run: Run, results_file: Path, tmp_path: Path) -> None:
     results = load(results_file)
     better = [replace(r, deg=[0.5 * v for v in r.deg], loop_ms=r.loop_ms / 10) for r in results.rows[:1]]
@@ -214,7 +215,7 @@ def numerical_bound(scene: Scene, depth_known: bool) -> FloatArray:
     return np.asarray(np.linalg.inv(information))
 
 
-@pytest.mark.parametrize("name", ["20 matches", "pose: 16 cameras x 2 points"])
+@pytest.mark.parametrize("name", [pytest.param("20 matches", marks=pytest.mark.slow), "pose: 16 cameras x 2 points"])
 def test_bound_equals_the_numerical_bound(name: str) -> None:
     scene = make_scene(next(row for row in ROWS if row.name == name), 0)
     for bound, depth_known in zip(compute_bounds(scene), (False, True), strict=True):

@@ -30,7 +30,6 @@ from sylpose.runs.run import track_session
 from sylpose.runs.run_result import Run
 from sylpose.status import FrameStatus, Observability
 from sylpose.sync.offsets import load_offsets
-from tests.conftest import FRAMES
 from tests.saved import TURN_RESULT
 
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -178,7 +177,9 @@ def test_offsets_need_times(session: Path, capsys: pytest.CaptureFixture[str]) -
 
 # Frames per second, low enough for a busy machine; longest wait for the tracker, which may be slow; the frame that one
 # camera lacks.
-RATE, DELAY, MISSING = 2, 60, 6
+RATE, DELAY, MISSING = 2, 60, 4
+# Number of frames.
+LIVE_FRAMES = 8
 
 
 class Player:
@@ -208,7 +209,7 @@ def cameras(session: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, bool]:
     """Replace the session's videos by live cameras that play them; returns the playback options."""
     sources = "".join(f"{name} = {c}\n" for c, name in enumerate(CAMERAS))
     (session / "live.toml").write_text(f"max_delay = {DELAY}\nrate = {RATE}\n[sources]\n{sources}")
-    played = {c: images(session / f"{name}.mp4") for c, name in enumerate(CAMERAS)}
+    played = {c: images(session / f"{name}.mp4")[:LIVE_FRAMES] for c, name in enumerate(CAMERAS)}
     how = {"forever": False}
 
     def opener(source: int | str, *_: object) -> Player:
@@ -232,7 +233,7 @@ def test_live_cameras_are_tracked_to_their_end(session: Path, capsys: pytest.Cap
         *("settings.toml", "calibration.used.toml"),
     }
     trajectory = read_trajectory(out / "trajectory.csv")
-    assert len(trajectory) >= FRAMES - 2
+    assert len(trajectory) >= LIVE_FRAMES - 2
     assert trajectory.measured_mask.mean() > 0.8
     assert "without cam_1" in output.out
 
@@ -286,7 +287,7 @@ def test_growing_folder_is_tracked_as_it_grows(
         (session / name).mkdir()
 
     def record() -> None:
-        for k in range(FRAMES):
+        for k in range(LIVE_FRAMES):
             for name in CAMERAS:
                 cv2.imwrite(str(session / name / "writing.bmp"), played[name][k])
                 (session / name / "writing.bmp").rename(session / name / f"{k:03d}.png")
@@ -298,10 +299,10 @@ def test_growing_folder_is_tracked_as_it_grows(
     command = ["track", str(session), "--follow", "--no-drop", "--rate", "30", "--out", str(tmp_path / "out")]
     assert main(command) == 0
     recorder.join()
-    assert f"of {FRAMES} frames" in capsys.readouterr().out
+    assert f"of {LIVE_FRAMES} frames" in capsys.readouterr().out
     trajectory = read_trajectory(tmp_path / "out" / "trajectory.csv")
-    assert [frame.index for frame in trajectory] == list(range(FRAMES))
-    assert trajectory.times[-1] == pytest.approx((FRAMES - 1) / 30)
+    assert [frame.index for frame in trajectory] == list(range(LIVE_FRAMES))
+    assert trajectory.times[-1] == pytest.approx((LIVE_FRAMES - 1) / 30)
 
 
 # --- start-up ---------------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Faulty cameras in two frames are named and removed; good cameras are not."""
+"""Faulty cameras in two frames are named and removed, good cameras are not (Monte Carlo)."""
 
 from __future__ import annotations
 
