@@ -31,7 +31,7 @@ from tests.mutations import copy_arrays, is_unchanged, mutations
 # Largest number of mutations per argument; slow functions have fewer, chosen by the seed.
 MAX_MUTATIONS, SEED = 60, 0
 # As many in the quick suite.
-QUICK_MUTATIONS = 20
+QUICK_MUTATIONS = 12
 # In addition to `sylpose.__all__`.
 MORE: tuple[Any, ...] = (
     camera_faults.diagnose_cameras,

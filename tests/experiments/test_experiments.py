@@ -199,6 +199,7 @@ def test_depth_plane_improves_perspective() -> None:
         assert of(method=DEPTH_PLANE)[5.0] < of(method=ALL_CAMERAS)[5.0], scene.name
 
 
+@pytest.mark.slow
 def test_constraint_is_better_than_projection() -> None:
     table = CONSTRAINT.run(4, 10)
     for kind in ("one camera", "all cameras"):

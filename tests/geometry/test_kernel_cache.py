@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[2] / "src"
 CALLER = """
 from sylpose.geometry.numba_linalg import kernel
@@ -82,6 +84,7 @@ def test_read_only_cache_is_loaded(tmp_path: Path) -> None:
     assert run_process(tmp_path, 4.0, before=READ_ONLY) == ("9.0", "1", [])
 
 
+@pytest.mark.slow
 def test_truncated_files_are_replaced(tmp_path: Path) -> None:
     run_process(tmp_path)
     for kind, length in ((".nbi", 0), (".nbc", 30)):

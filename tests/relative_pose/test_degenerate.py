@@ -277,6 +277,7 @@ print(found.status.name, seconds, mib, turn)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="memory is read from the resource module")
 def test_a_million_matches() -> None:
     """Run in a separate process, whose peak memory is that of this call: the input points take 32 MiB."""

@@ -63,6 +63,7 @@ def test_four_accidental_matches_are_not_taken_as_exact() -> None:
     assert compute_ok_share(get_statuses("pose, few", 60, wrong=1)) >= 0.8
 
 
+@pytest.mark.slow
 def test_extreme_noise_is_estimated_or_inconsistent() -> None:
     """Regression: with the noise bounded by that of the seeds, the fit selected matches of no motion with a small
     covariance."""

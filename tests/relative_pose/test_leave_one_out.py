@@ -63,8 +63,11 @@ def is_only_bad_named(found: Motion, rig: Rig) -> bool:
 @pytest.mark.parametrize(
     ("cameras", "angle"),
     [
-        *((4, 5.0), (6, 10.0), (4, 20.0), (6, 45.0)),
-        *(pytest.param(*other, marks=pytest.mark.slow) for other in ((6, 5.0), (4, 10.0), (6, 20.0), (4, 45.0))),
+        *((4, 5.0), (4, 20.0)),
+        *(
+            pytest.param(*other, marks=pytest.mark.slow)
+            for other in ((6, 5.0), (4, 10.0), (6, 10.0), (6, 20.0), (4, 45.0), (6, 45.0))
+        ),
     ],
 )
 def test_wrong_calibration_is_named_and_removed(cameras: int, angle: float) -> None:

@@ -147,7 +147,7 @@ def interrupted(session: Path, out: Path, after: int, **options: Any) -> None:
     ("options", "after"),
     [
         pytest.param({"method": "epipolar", "stop": 5}, 3, marks=pytest.mark.slow),
-        ({"method": "sylvester", "start": 1, "every": 2, "stop": 8}, 3),
+        pytest.param({"method": "sylvester", "start": 1, "every": 2, "stop": 8}, 3, marks=pytest.mark.slow),
         ({"features": "klt", "offsets": {"cam_1": 0.002}, "smooth": False, "stop": 5}, 3),
         pytest.param({"smooth": True, "stop": 4}, 3, marks=pytest.mark.slow),  # as `test_resume_killed_run`
         pytest.param({"smooth": False, "stop": 6}, 4, marks=pytest.mark.slow),

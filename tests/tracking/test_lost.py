@@ -86,6 +86,7 @@ def test_all_cameras_covered_for_long(monkeypatch: pytest.MonkeyPatch) -> None:
     assert_valid(tracked)
 
 
+@pytest.mark.slow
 def test_half_of_the_cameras_covered() -> None:
     rig = moving_scene(make_drifting_pose, 1).rig
     boards = [make_occluding_board(rig.cameras[c], 7, 10) for c in (0, 2)]

@@ -87,6 +87,7 @@ def test_time_stamps_are_used_by_tracker(skewed_clip: Clip, tracked_clip: list[T
     assert_valid(tracked_clip)
 
 
+@pytest.mark.slow
 def test_offsets_do_what_time_stamps_do(skewed_clip: Clip, tracked_clip: list[TrackedFrame]) -> None:
     offsets = dict(zip(skewed_clip.rig.names, np.array(SKEW) / RATE, strict=True))
     found = list(track(skewed_clip.frames(), skewed_clip.rig, skewed_clip.boxes, offsets=offsets))
