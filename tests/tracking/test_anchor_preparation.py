@@ -6,14 +6,18 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from threading import Event
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
 from sylpose.frames import FrameSet
 from sylpose.geometry.future import BackgroundResult
+from sylpose.tracking import anchor_preparation
+from sylpose.tracking.camera_side.camera import CameraTracker
 from sylpose.tracking.context import TrackedFrame
-from sylpose.tracking.joint_side.joint_state import JOIN_DELAY, JointState
+from sylpose.tracking.joint_side.joint_state import JOIN_DELAY, JointState, SolvedFrame
 from sylpose.tracking.joint_side.joint_state import RESULT_DELAY as REFINED_LATER
 from sylpose.tracking.tracker import Tracker
 from tests.clips import Clip, compute_pose_errors, frame_sets, make_rotated_pose, moving_scene
@@ -140,6 +144,17 @@ def test_checkpoint_and_restore_give_equal_results(
         assert other.pose.world_from_object is not None
         a, b = one.pose.world_from_object.as_matrix(), other.pose.world_from_object.as_matrix()
         np.testing.assert_array_equal(a, b)
+
+
+def test_camera_without_next_anchor_keeps_its_features(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It had no image of that frame: the frame itself becomes its anchor, with the features that it has."""
+    monkeypatch.setattr(anchor_preparation, "create_anchor", lambda *arguments: arguments)
+    camera = SimpleNamespace(next_anchor=None, frames={4: "features"}, anchor="previous")
+    anchor_preparation._join_camera(
+        cast(CameraTracker, camera), JointState(), cast(SolvedFrame, SimpleNamespace(number=4))
+    )
+    assert camera.anchor == (4, "features", None, None)
+    assert camera.next_anchor is None
 
 
 def raise_error(number: int) -> int:

@@ -68,7 +68,6 @@ def test_low_contrast_texture(low_contrast_clip: Clip) -> None:
     assert compute_pose_errors(tracked, low_contrast_clip.truth)[:, 0].max() < 2.0
 
 
-@pytest.mark.slow
 def test_usual_search_with_low_contrast_features(low_contrast_clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(state_machine, "search_with_all_features", lambda _team, joint, *_: (joint, None))
     tracked = list(track(low_contrast_clip.frames(), low_contrast_clip.rig, low_contrast_clip.boxes, features="sift"))
@@ -139,7 +138,6 @@ def test_no_pose_of_absent_object(low_contrast_clip: Clip) -> None:
     assert set(statuses(tracked)[2:]) <= {FrameStatus.COASTING, FrameStatus.LOST}
 
 
-@pytest.mark.slow
 def test_no_pose_from_room_after_object_left() -> None:
     """The object rotated by 45 degrees and is gone for four frames; the room has more features than it had."""
     take = KINDS["back"](np.random.default_rng([1, *b"back"]))

@@ -176,7 +176,7 @@ def test_small_object_has_margin_of_twelve_pixels(rig: Rig) -> None:
     assert (np.ptp(outline, axis=0) < 40).all()
 
 
-@pytest.mark.parametrize("at", [(5.0, 0.0, 0.0), (0.0, 5.0, 0.0), (0.0, 0.0, -5.0)])
+@pytest.mark.parametrize("at", [(5.0, 0.0, 0.0), (1.35, 0.0, 0.0), (0.0, 5.0, 0.0), (0.0, 0.0, -5.0)])
 def test_no_outline_out_of_view(at: tuple[float, float, float]) -> None:
     camera = make_look_at_camera("cam_0", (0, 0, -1.5), (0, 0, 0), 1000.0, (1280, 960), (-0.3, 0.1, 0, 0))
     assert project_outline(camera, make_block((0.1, 0.1, 0.1), at), 0.15) is None

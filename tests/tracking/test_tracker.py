@@ -122,10 +122,10 @@ def test_cameras_of_different_sizes() -> None:
         assert compute_pose_errors(tracked, clip.truth)[:, 0].max() < HALF_DEGREE
 
 
-# The first one is the tracker's default: `test_with_boxes`; known depths are in test_methods.py.
+# The first one is the tracker's default: `test_with_boxes`.
 @pytest.mark.parametrize(
     "method",
-    [pytest.param(m, marks=pytest.mark.slow if m in (METHODS[0], "known-depth") else ()) for m in METHODS],
+    [pytest.param(m, marks=pytest.mark.slow if m == METHODS[0] else ()) for m in METHODS],
 )
 def test_all_methods_run(clip: Clip, method: str) -> None:
     tracked = list(track(clip.frames(), clip.rig, clip.boxes, method=method))
