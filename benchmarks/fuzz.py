@@ -499,6 +499,7 @@ def _save_object() -> bytes:
             covariance=0.01 * np.eye(6),
             landmark_age=3.0,
             is_fixed=True,
+            is_contradicted=False,
             **empty,
         )
         for k in range(2)

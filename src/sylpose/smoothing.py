@@ -173,8 +173,9 @@ def smooth(
     alternative = None if is_fixed.any() else find_alternative_path(extended_rig, extended, start, radius)
     result = bundle_adjust_with_scale(extended_rig, extended, start, radius, options, alternative_start=alternative)
     if result.status is not Status.OK:  # no estimate: everything remains as tracked
+        poses = _extend_contradiction(poses, frames)
         return SmoothedTrajectory(tuple(poses), result.status, zeros, zeros, result.sigma_px[:n], result.iterations)
-    poses = _apply_result(frames, used, observations, result, n)
+    poses = _extend_contradiction(_apply_result(frames, used, observations, result, n), frames)
     return SmoothedTrajectory(
         tuple(poses),
         result.status,
@@ -256,6 +257,20 @@ def _apply_result(
     return _fill_gaps(poses, [frame.pose for frame in frames], is_refined, is_lost_frame)
 
 
+def _extend_contradiction(poses: list[FramePose], frames: Sequence[Track]) -> list[FramePose]:
+    """Return the poses, all of them contradicted if most were as tracked: then the rig is wrong in all frames."""
+    tracked = [f.pose.status for f in frames if f.pose.is_observed and f.pose.status is not FrameStatus.FIRST]
+    if 2 * tracked.count(FrameStatus.CONTRADICTED) <= len(tracked):
+        return poses
+    reason = "in most frames the cameras see different motions"
+    return [
+        replace(pose, status=FrameStatus.CONTRADICTED, reason=pose.reason or reason)
+        if pose.is_measured and pose.status is not FrameStatus.FIRST
+        else pose
+        for pose in poses
+    ]
+
+
 def _detected_moved_cameras(last: Track, rig: Rig) -> list[MovedCamera]:
     """Return the moved cameras according to the last frame.
 
@@ -326,7 +341,7 @@ def _fill_gaps(
     Coasting poses without lost ones between follow a curve through the measured ones around them. Others, and those of
     contradicted frames, keep their pose relative to the last frame in which the object was observed.
     """
-    out = list(poses)
+    out = list(poses)  # contradicted frames have their lower status
     is_measured = is_refined & np.array([pose.is_measured for pose in poses])
     observed = [k for k, pose in enumerate(tracked) if pose.is_observed and not is_lost_frame[k]]
     for i, k in enumerate(observed):

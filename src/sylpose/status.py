@@ -114,7 +114,8 @@ _TEXTS: dict[_Described, str] = {
     FrameStatus.INTERPOLATED: "The object was not found; the refinement of the whole recording interpolates its pose "
     "between the measured ones before and after.",
     FrameStatus.UNCERTAIN: "The observations hardly constrain the rotation: very different poses fit as well.",
-    FrameStatus.CONTRADICTED: "Most of what the cameras see in this frame contradicts the rest of the recording.",
+    FrameStatus.CONTRADICTED: "The cameras contradict each other: no single motion explains the images of all of them, or "
+    "the frame contradicts the rest of the recording.",
     FrameStatus.LOST: "The object was not found for too long to predict its pose.",
     FrameStatus.TOO_FEW_MATCHES: "Too few features on the object in all cameras together to start.",
     FrameStatus.NO_MOTION: "Nothing has moved yet that could be the object: its pose is unknown.",

@@ -17,6 +17,7 @@ from sylpose.landmarks.alignment import LandmarkMatches
 from sylpose.landmarks.messages import EvaluationMessage, TermsMessage
 from sylpose.network.codec import MAX_PAYLOAD_BYTES, RECORDS, FrameAnnouncement, decode, encode
 from sylpose.network.wire_format import HEADER
+from sylpose.relative_pose.camera_evidence import CameraEvidence
 from sylpose.relative_pose.terms import TermData
 from sylpose.serialization import decode_array, encode_array
 from sylpose.tracking.joint_side.joint_state import (
@@ -71,9 +72,18 @@ SIGHTS = LandmarkMatches(
     700.0,
 )
 AGES = LandmarkAges(random_array(4), random_array(4), 3, 12, np.nan)
+EVIDENCE = CameraEvidence(12, 0.3, 0.9, 4.5)
 MODEL = ObjectModel(random_array(3), 0.3, random_array(9, 3), True, False)
 SOLVED = SolvedFrame(
-    7, 0.25, random_array(3), POSE, random_array(6, 6), random_array(3, 3), np.array([True, False, True]), 2.5
+    7,
+    0.25,
+    random_array(3),
+    POSE,
+    random_array(6, 6),
+    random_array(3, 3),
+    np.array([True, False, True]),
+    2.5,
+    is_contradicted=True,
 )
 VELOCITY = MotionModel(random_array(6), random_array(6), 4, 0.03)
 NUDGE = Nudge(1, 5, random_array(3), 0.01)
@@ -95,7 +105,8 @@ SAMPLES = [
     AGES,
     InlierStatistics(30, 20, 25, 1.25, 3),
     KnownDepthMatches(SIGHTS, random_array(5)),
-    PoseAgreement(9, 12, (0, 3), (1.5, 2.0), AGES, 8, 7, 6, 0.5, True, 5, 4, 0.25, 10),
+    PoseAgreement(9, 12, (0, 3), (1.5, 2.0), AGES, 8, 7, 6, 0.5, True, 5, 4, 0.25, 10, EVIDENCE, 3),
+    EVIDENCE,
     RelocalizationMatches(random_array(6, 3), random_array(6, 2)),
     CameraMotionReport(True, random_array(3), 0.01, 17, True),
     NewObservations(random_integers(4), random_integers(4), random_array(4, 2), random_integers(2), random_array(2, 3)),

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from sylpose.landmarks.alignment import LandmarkMatches
 from sylpose.landmarks.messages import EvaluationMessage, TermsMessage
+from sylpose.relative_pose.camera_evidence import CameraEvidence
 from sylpose.relative_pose.terms import TermData
 from sylpose.serialization import RecordType, Serializer
 from sylpose.tracking.joint_side.joint_state import (
@@ -94,6 +95,7 @@ RECORDS = (
     RecordType(InlierStatistics),
     RecordType(KnownDepthMatches, {"weights": ("n",)}),
     RecordType(PoseAgreement),
+    RecordType(CameraEvidence),
     RecordType(RelocalizationMatches, {"points": ("n", 3), "pixels": ("n", 2)}),
     RecordType(CameraMotionReport, {"rotation": (3,)}),
     RecordType(NewObservations, _OBSERVATIONS),

@@ -13,6 +13,8 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.matrices import unpack_symmetric
 from sylpose.landmarks.alignment import LandmarkMatches
 from sylpose.landmarks.messages import DIAGONAL, EvaluationMessage, TermsMessage
+from sylpose.relative_pose.camera_evidence import MAX_EXCESS, MIN_SIGMA_PX, CameraEvidence
+from sylpose.relative_pose.camera_evidence import MIN_MATCHES as MIN_EVIDENCE_MATCHES
 from sylpose.relative_pose.terms import TermData
 from sylpose.tracking.reports import (
     BoxMotionReport,
@@ -55,7 +57,7 @@ COUNT_RECORDS = (
     EvaluationMessage,
 )
 # Exceptions: positions and image points, which may be negative; and fields that are NaN if unknown (derived).
-SIGNED_FIELDS = {"term", "observations", "ages", "image", "positions"}
+SIGNED_FIELDS = {"term", "observations", "ages", "image", "positions", "evidence", "evidence_reference"}
 OPTIONAL_FIELDS = {
     "jitter_px",
     "center_displacement_px",
@@ -93,7 +95,12 @@ def _is_plausible(one: object, camera: int) -> bool:
             return len(one.weights) == len(one.observations.points) and _is_plausible(one.observations, camera)
         case PoseAgreement():
             fits = len(one.references) == len(one.weights) and one.n_strong <= one.n_inlier_features <= one.n_features
-            return fits and _is_plausible(one.ages, camera)
+            return fits and _is_plausible(one.ages, camera) and _is_plausible(one.evidence, camera)
+        case CameraEvidence():
+            if not one.n:
+                return bool(np.isnan(one.excess))
+            noise = MIN_SIGMA_PX <= one.own_px <= MAX_COUNT and 0.0 <= one.joint_px <= MAX_COUNT
+            return noise and MIN_EVIDENCE_MATCHES <= one.n <= MAX_COUNT and 0.0 <= one.excess <= MAX_EXCESS
         case LandmarkAges():
             return bool(one.counts.sum() < MAX_COUNT)
         case EvaluationMessage():

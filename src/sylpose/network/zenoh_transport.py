@@ -1,6 +1,6 @@
 """Zenoh transport: discovery, messages and liveliness of nodes on a real network.
 
-Key expressions identify the sender: sylpose/1/NETWORK/RIG/NAME/..., where RIG is a digest of the calibration, so that
+Key expressions identify the sender: sylpose/2/NETWORK/RIG/NAME/..., where RIG is a digest of the calibration, so that
 nodes of another rig are ignored but can be reported. With keys (`network.keys`), links use mutual TLS, and a node may
 only send under its own name.
 """
@@ -25,7 +25,7 @@ from sylpose.packets import Packet
 from sylpose.rig import Rig
 
 # Version of the protocol (choice).
-PROTOCOL_VERSION = 1
+PROTOCOL_VERSION = 2
 LOOPBACK = "127.0.0.1:0"  # this machine only, at any port (choice)
 # Names that are valid in a key expression.
 NAME_PATTERN = re.compile(r"[A-Za-z0-9_.\-]{1,64}")

@@ -322,7 +322,7 @@ def _shade_frames(panels: list[Axes], trajectory: Trajectory) -> list[Patch]:
         (coasting, COASTING_COLOR, "coasting: predicted, not observed"),
         (interpolated, COASTING_COLOR, "interpolated, not observed"),
         (uncertain, UNCERTAIN_COLOR, "uncertain: rotation poorly constrained"),
-        (contradicted, CONTRADICTED_COLOR, "contradicted by the rest of the recording"),
+        (contradicted, CONTRADICTED_COLOR, "contradicted: the cameras disagree"),
         (unknown_scale, UNKNOWN_SCALE_COLOR, Observability.NO_SCALE.value),
         (unknown_length, UNKNOWN_LENGTH_COLOR, Observability.NO_TRANSLATION_SCALE.value),
     ):

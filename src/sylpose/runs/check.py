@@ -292,7 +292,10 @@ def preview_moving_object(session: Session, n_frames: int = PREVIEW_FRAMES) -> P
     columns = zip(names, end.pose.inliers.tolist(), displacements, strict=True)
     counts = [f"{name} {n} features, {px:.0f} px" for name, n, px in columns if n]
     description = f"what moves from frame {begin.pose.index} to {end.pose.index}: {', '.join(counts)}"
-    return Preview(begin.frames, begin.regions, description, (begin.note,) if begin.note else ())
+    problems = [begin.note] if begin.note else []
+    if any(f.pose.status is FrameStatus.CONTRADICTED for f in solved):
+        problems.append(f"{FrameStatus.CONTRADICTED.text} Check the calibration and the order of the videos.")
+    return Preview(begin.frames, begin.regions, description, tuple(problems))
 
 
 def _median_displacements(session: Session, begin: TrackedFrame, end: TrackedFrame) -> Sequence[float]:

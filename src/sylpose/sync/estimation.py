@@ -197,7 +197,7 @@ def _refine_offsets(
             break
     scatter = _scatter_ratio(tracks, single_object.rig, PRIOR_SD_FRAMES / rate)
     sd = np.hypot(sd * scatter, ERROR_ALONG_MOTION_PX / _image_speeds(tracks, single_object.rig))
-    n_tracked = sum(t.pose.is_measured for t in tracks)
+    n_tracked = sum(t.pose.is_observed for t in tracks)
     return _Refined(offsets, sd, before, after, n_tracked, is_tracked, converged)
 
 

@@ -371,3 +371,5 @@ SOLVERS: dict[str, Solver] = {
     **{method: partial(solve_paper, method) for method in ESTIMATORS},
     "known-depth": solve_known_depth,
 }
+# Methods whose poses the cameras' own motions may contradict: the others are approximations, and have errors of their own.
+MAXIMUM_LIKELIHOOD = {"landmarks", "epipolar"}

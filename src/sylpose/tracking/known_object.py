@@ -225,19 +225,20 @@ def build_known_object(
 ) -> KnownObject | None:
     """Build the object model learned so far; None until the object has moved and rotated.
 
-    Before that, the landmarks may be background.
+    Before that, the landmarks may be background. Keyframes that the cameras contradict are left out.
 
     Args:
         initial: object model that the recording started with.
     """
+    keyframes = tuple(keyframe for keyframe in state.frames.keyframes if not keyframe.is_contradicted)
     if (
         state.frames.last is None
         or not state.motion.has_moved
-        or len(state.frames.keyframes) < MIN_KEYFRAMES
+        or len(keyframes) < MIN_KEYFRAMES
         or state.object.is_depth_guessed
     ):
         return None
-    cameras, keyframes = {}, state.frames.keyframes
+    cameras = {}
     for camera_tracker in camera_trackers:
         features, numbers = list[Features](), list[IntArray]()
         for keyframe in keyframes:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -11,7 +11,9 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.features.sift import Features
 from sylpose.geometry.arrays import BoolArray, FloatArray
+from sylpose.landmarks.joint_step import MIN_SIGMA_PX
 from sylpose.matches import STATIC_PX
+from sylpose.relative_pose.camera_evidence import MAX_F_RATIO, compute_f_ratio
 from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.results import FramePose
 from sylpose.status import FrameStatus, Observability
@@ -27,7 +29,7 @@ from sylpose.tracking.joint_side.joint_state import (
     enlarge_covariance,
 )
 from sylpose.tracking.pose_search import PoseCandidate
-from sylpose.tracking.reports import quantize_positions
+from sylpose.tracking.reports import Agreements, quantize_positions
 from sylpose.tracking.window import refine_window
 
 # A single camera cannot distinguish a rotation from its mirror image, concave from convex. An object in a box is
@@ -38,6 +40,8 @@ CONVEX_BULGE_RATIO = 0.5
 MAX_REJECTED_INLIER_RATIO, MIN_INLIER_RATIO_OTHERS = 0.2, 0.5
 # A camera whose variance inflation exceeds this does not update landmarks in that frame (choice).
 MAX_UPDATE_INFLATION = 30.0
+# No covariance is enlarged by more: beyond it nothing is known (derived: a pixel becomes a thousand).
+MAX_BIRGE_RATIO = 1e6
 # Relative error of a rotation while all depths are guesses (choice).
 MIRROR_ERROR_RATIO = 0.5
 
@@ -143,10 +147,16 @@ def accept_frame(context: Context, state: JointState, candidate: PoseCandidate) 
         inflation,
         candidate.solution.faults,
         np.array([a.n_features for a in agreements], np.int64),
-    )
+    ).mark_uncertain()
+    if accepted.solved.is_contradicted:
+        f_ratio, _ = compute_f_ratio(np.array([a.evidence.excess for a in agreements]))
+        reason = f"the cameras see different motions (F ratio {f_ratio:.0f}; the limit is {MAX_F_RATIO:.0f})"
+        if not f_ratio > MAX_F_RATIO:
+            reason = "tracked from frames in which the cameras see different motions"
+        result = replace(result, status=FrameStatus.CONTRADICTED, reason=reason)
     matches, observations, detections = (context.spread(parts) for parts in zip(*records, strict=True))
     parts = matches, context.spread(frame.regions or ()), model.radius, observations, frame.time_offsets
-    return new_state, TrackedFrame(result.mark_uncertain(), frame.images, *parts, detections=detections)
+    return new_state, TrackedFrame(result, frame.images, *parts, detections=detections)
 
 
 def _accept_pose(context: Context, state: JointState, candidate: PoseCandidate, inflation: FloatArray) -> AcceptedPose:
@@ -170,6 +180,7 @@ def _accept_pose(context: Context, state: JointState, candidate: PoseCandidate, 
         compute_viewpoints(context.rig, pose),
         np.array([a.has_features for a in agreements]) & ~is_muted,
         compute_full_weight_age([a.ages for a in agreements]),
+        is_contradicted=is_contradicted(agreements, state.frames.by_number, state.last),
     )
     return AcceptedPose(
         solved,
@@ -192,7 +203,12 @@ def _compute_covariance(context: Context, state: JointState, candidate: PoseCand
     else:
         correlation = _compute_rotation_continuity(state, candidate) if solution.is_biased else 0.0
         covariance = add_reference_covariance(
-            solution.information, pose, candidate.agreements, state.frames.by_number, radius, correlation
+            solution.information / _compute_birge_ratio(candidate),
+            pose,
+            candidate.agreements,
+            state.frames.by_number,
+            radius,
+            correlation,
         )
         if state.refinement.covariance is not None and not state.motion.n_missed:
             covariance = enlarge_covariance(covariance, state.refinement.covariance)
@@ -203,6 +219,38 @@ def _compute_covariance(context: Context, state: JointState, candidate: PoseCand
         rotation = (pose.rotation * first.world_from_object.rotation.inv()).magnitude()
         covariance = covariance + np.diag(np.repeat([(MIRROR_ERROR_RATIO * rotation) ** 2, 0.0], 3))
     return covariance
+
+
+def is_contradicted(agreements: Agreements, known_frames: Mapping[int, SolvedFrame], last: SolvedFrame) -> bool:
+    """Return whether the cameras contradict a pose, or those of all earlier frames that support it.
+
+    A pose is as reliable as the earlier frames that the evidence connects it with. Where fewer than two cameras have
+    evidence, as for an object that rests, it is as reliable as the last one.
+    """
+    f_ratio, _ = compute_f_ratio(np.array([a.evidence.excess for a in agreements]))
+    if not f_ratio <= MAX_F_RATIO:
+        return f_ratio > MAX_F_RATIO or last.is_contradicted
+    references = [known_frames[a.evidence_reference] for a in agreements if a.evidence_reference in known_frames]
+    return sum(not frame.is_contradicted for frame in references) < 2
+
+
+def _compute_birge_ratio(candidate: PoseCandidate) -> float:
+    """Return the factor by which a pose's covariance is too small according to the evidence of the cameras, at least 1.
+
+    The F ratio refers to each camera's own noise; the solver's noise and variance inflation already contain a part of it.
+    Where the cameras contradict each other, their errors have one cause: all constraints together are one measurement.
+    """
+    f_ratio, constraints = compute_f_ratio(np.array([a.evidence.excess for a in candidate.agreements]))
+    if not f_ratio > 1.0:
+        return 1.0
+    if f_ratio > MAX_F_RATIO:
+        f_ratio *= constraints
+    own = used = 0.0
+    for a, inflation in zip(candidate.agreements, candidate.solution.variance_inflation, strict=True):
+        if a.evidence.n and np.isfinite(inflation) and np.isfinite(a.noise_px):
+            own += a.evidence.n / a.evidence.own_px**2
+            used += a.evidence.n / (max(a.noise_px, MIN_SIGMA_PX) ** 2 * inflation)
+    return min(max(f_ratio * used / own if own else f_ratio, 1.0), MAX_BIRGE_RATIO)
 
 
 def find_muted_cameras(variance_inflation: FloatArray, has_matches: BoolArray) -> BoolArray:

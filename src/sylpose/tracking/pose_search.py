@@ -30,10 +30,17 @@ from sylpose.tracking.camera_side.camera import (
     TrackedFeatures,
     append_new_features,
 )
-from sylpose.tracking.camera_side.frame import CameraFrame, CameraPairs, DetectedFeatures, SearchArea, measure_agreement
+from sylpose.tracking.camera_side.frame import (
+    CameraFrame,
+    CameraPairs,
+    DetectedFeatures,
+    SearchArea,
+    add_evidence,
+    measure_agreement,
+)
 from sylpose.tracking.context import Context, Frame
 from sylpose.tracking.first_motion import is_box_center_static, select_static_matches, update_from_matches
-from sylpose.tracking.frame_solvers import SOLVERS, PoseProblem, PoseSolution
+from sylpose.tracking.frame_solvers import MAXIMUM_LIKELIHOOD, SOLVERS, PoseProblem, PoseSolution
 from sylpose.tracking.joint_side.joint_state import (
     PREPARATION_MARGIN,
     JointState,
@@ -312,7 +319,13 @@ def solve_pose(
     assert solution is not None
     own = (frame.cameras, pairs, solution.match_weights, frame.tracked or none, first_landmarks or none)
     cameras = [CameraSolution(*parts) for parts in zip(*own, strict=True)]
-    own_agreements = [measure_agreement(own.pairs, own.weights, own.current) for own in cameras]
+    own_agreements = [measure_agreement(camera.pairs, camera.weights, camera.current) for camera in cameras]
+    # Where cameras take their images at different times, the earlier frame's velocity is needed as well: no evidence.
+    if context.method in MAXIMUM_LIKELIHOOD and not (solution.is_static or frame.time_offsets.any()):
+        own_agreements = [
+            add_evidence(agreement, camera.pairs, camera.current, rig.cameras[c], guess, known_frames)
+            for agreement, camera, c in zip(own_agreements, cameras, context.executor.local, strict=True)
+        ]
     agreements = context.executor.gather(own_agreements, PoseAgreement())
     if not solution.is_static and _is_noise(context, state, guess, agreements):
         return None

@@ -16,6 +16,7 @@ import numpy as np
 
 from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.landmarks.alignment import LandmarkMatches
+from sylpose.relative_pose.camera_evidence import CameraEvidence
 from sylpose.relative_pose.terms import TermData
 
 # Positions that need little precision are rounded to this share of the object's radius, or finer (choice).
@@ -171,6 +172,8 @@ class PoseAgreement:
         n_strong: number of inlier features that are not low-contrast.
         noise_px: robust standard deviation of the inliers' residuals; NaN without any.
         n_features: number of features that have matches, inliers or not.
+        evidence: of its matches with one earlier frame for or against the pose.
+        evidence_reference: number of that frame; -1 without evidence.
     """
 
     n_inlier_matches: int = 0
@@ -187,6 +190,8 @@ class PoseAgreement:
     n_strong: int = 0
     noise_px: float = np.nan
     n_features: int = 0
+    evidence: CameraEvidence = field(default_factory=CameraEvidence)
+    evidence_reference: int = -1
 
 
 # Of all cameras.

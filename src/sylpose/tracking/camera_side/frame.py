@@ -5,7 +5,7 @@ The region is the projection of a point cloud that fills the object.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import NamedTuple
@@ -22,6 +22,8 @@ from sylpose.landmarks.alignment import AlignmentResult, LandmarkMatches
 from sylpose.landmarks.camera_terms import CUTOFF, REFERENCE_NOISE_PX
 from sylpose.landmarks.landmark_filter import Landmarks, LandmarkTable
 from sylpose.matches import STATIC_PX
+from sylpose.relative_pose.camera_evidence import MIN_MATCHES as MIN_EVIDENCE_MATCHES
+from sylpose.relative_pose.camera_evidence import CameraEvidence, compare_motions
 from sylpose.relative_pose.observability import is_more_than_chance
 from sylpose.relative_pose.terms import MIN_MATCHES, TermData
 from sylpose.rig import Camera
@@ -579,6 +581,41 @@ def measure_agreement(pairs: Pairs, match_weights: MatchWeights, current: Camera
         n_moving=_count_unique(indices[is_moving]),
         n_features=_count_unique(tried),
     )
+
+
+def add_evidence(
+    agreement: PoseAgreement,
+    pairs: Pairs,
+    current: CameraFrame,
+    camera: Camera,
+    pose: RigidTransform,
+    known_frames: Mapping[int, SolvedFrame],
+) -> PoseAgreement:
+    """Compare a camera's own motion with that of a pose, from the earlier frame since which its features moved most.
+
+    Static matches are no evidence: they may be background, whose own motion is none.
+
+    Args:
+        agreement: with the pose, without evidence.
+        pairs: the camera's matches with earlier frames, inliers or not.
+        current: its data of the frame.
+        camera: with its pose at this frame.
+        pose: world_from_object.
+        known_frames: the earlier frames by number.
+    """
+    moving = [pair.subset(~find_static(pair, current.static_px)) for pair in pairs]
+    usable = [pair for pair in moving if len(pair) >= MIN_EVIDENCE_MATCHES]
+    if not usable:
+        return agreement
+    pair = max(usable, key=lambda pair: float(((pair.pixels_j - pair.pixels_i) ** 2).sum()))
+    earlier = known_frames[pair.reference].world_from_object
+    motion, shift = pose * earlier.inv(), camera.center - earlier.translation
+    rotation = camera.rotation @ rotation_matrix_of(motion) @ camera.rotation.T
+    translation = camera.rotation @ (motion.apply(camera.center) - camera.center) / np.linalg.norm(shift)
+    evidence = CameraEvidence(
+        *compare_motions(pair.normalized_i, pair.normalized_j, camera.focal, rotation, translation)
+    )
+    return replace(agreement, evidence=evidence, evidence_reference=pair.reference if evidence.n else -1)
 
 
 def _count_unique(features: IntArray) -> int:

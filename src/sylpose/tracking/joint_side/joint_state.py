@@ -233,6 +233,7 @@ class SolvedFrame:
         is_visible: (C,) which cameras have features in it.
         landmark_age: typical number of frames in which the landmarks used for its pose were observed.
         is_fixed: whether joint refinement keeps its pose fixed, as for keyframes transferred from another rig.
+        is_contradicted: whether the cameras contradict its pose, or those of all earlier frames that support it.
     """
 
     number: int
@@ -244,6 +245,7 @@ class SolvedFrame:
     is_visible: BoolArray
     landmark_age: float = 1.0
     is_fixed: bool = False
+    is_contradicted: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,413 @@
+"""Evidence of one camera for or against the joint motion: its own best motion explains its matches as well, or better.
+
+A camera that sees one rigid motion explains its matches alone, by an essential matrix: five unknowns. All C cameras
+together have one motion with six unknowns. If the joint motion fits a camera's matches much worse than the camera's own
+motion does, rig and images contradict each other: a wrong calibration, images that are mirrored, exchanged, frozen or
+late, another body. No noise level is assumed: the camera's own fit measures it, and no camera is the reference.
+
+    own fit of camera c:   RSS_c over its n_c inliers,  s_c² = RSS_c / (n_c - 5)
+    joint fit:             J_c = min over δ of  RSS_c(R, t, δ) / s_c² + |δ / s_δ|²
+    excess                 D_c = J_c - RSS_c / s_c²,  at most about five without a contradiction
+    F ratio                F = Σ_c D_c / (5 C - 6)
+
+(R, t) is the motion in question, as the tracker found it: its own error is part of the excess. Residuals are Sampson
+distances in pixels of the same matches in both fits. δ are errors that users must expect: a rotation of the camera, its
+focal length, and its rotation between the two images. Matches whose errors are alike in a part of the image (edges along
+which features slide, a mask, compression) are fewer measurements than matches: J_c and RSS_c are divided by the design
+effect of the camera's own residuals.
+
+The own fit is one of least trimmed squares that begins with the matches that the joint motion explains best. Another body
+may have more matches; that is no contradiction while the object's matches agree.
+
+Source: G. C. Chow, Econometrica 28, 1960 (the test); R. T. Birge, Phys. Rev. 40, 1932 (the ratio of external to internal
+consistency); P. J. Rousseeuw and K. Van Driessen, Data Mining and Knowledge Discovery 12, 2006 (concentration steps);
+L. Kish, Survey Sampling, 1965 (the design effect). Their use on epipolar geometry is ours
+(docs/method/5-uncertainty.md).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sylpose.geometry.arrays import FloatArray
+from sylpose.geometry.numba_linalg import apply_rotvec, cholesky_solve, compute_median, dot, kernel, symmetric_eigen
+from sylpose.geometry.robust_loss import SIGMA_OF_MEDIAN
+from sylpose.relative_pose.affine_ransac import find_inliers
+
+# Calibration errors that are no contradiction, standard deviations: rotation, radians, and relative focal length (choice:
+# 0.3 degrees and 1 %, as a good calibration may be off).
+ROTATION_ERROR_SD, FOCAL_ERROR_SD = 0.0052, 0.01
+# Rotation of a camera between the two images, standard deviation, radians, if it trembles or its clock is a little off
+# (choice: 0.1 degrees).
+TREMBLE_SD = 0.0017
+N_NUISANCES = 7
+# Unknowns of a camera's own motion, and of the joint one (derived).
+N_OWN, N_JOINT = 5, 6
+# A camera needs twice as many matches as unknowns to have a fit of its own (derived).
+MIN_MATCHES = 2 * N_OWN
+# Smallest noise of a camera, pixels: frozen images have none (choice).
+MIN_SIGMA_PX = 0.05
+# A camera's own motion begins with 1 of so many matches, those that the joint motion explains best: where other things move,
+# too, the object may have as few (choice). Its inliers are within so many standard deviations (choice).
+MIN_SHARE, MAX_SIGMAS = 3, 3.0
+# A motion that moves the camera relative to the object by less than this share of its distance has no epipolar geometry:
+# every match would fit (derived: far below the smallest measurable motion).
+MIN_BASELINE = 1e-4
+# Cameras contradict each other beyond this F ratio (choice: right motions have at most 4 without outliers, and 1 in 100 of
+# those with 30 to 60 % outliers more than 70; half of the mirrored, turned and exchanged pairs of frames have more than 30).
+MAX_F_RATIO = 30.0
+# Of a camera's matches, this share that the joint motion explains best is compared (choice).
+KEPT_SHARE = 0.9
+# If the excess of these is more than so many times its number of unknowns, they may be chance (choice).
+MAX_OWN_RATIO = 10.0
+# Random quadruples of the outlier rejection of a second start, and its tolerance, pixels (choice).
+QUADRUPLES, SEED_PX = np.random.default_rng(0).random((300, 4)), 2.0
+# Rounds of trimming, and steps of each fit (choice).
+N_TRIMS, N_STEPS = 8, 15
+# No excess is larger: a million times what the largest contradictions have (derived: keeps sums finite).
+MAX_EXCESS = 1e12
+# Cells per image axis in which errors may be alike (choice).
+N_CELLS = 4
+
+
+@dataclass(frozen=True)
+class CameraEvidence:
+    """How well one camera's own motion and the joint motion explain its matches.
+
+    Attributes:
+        n: number of matches, the inliers of its own motion; 0 without evidence.
+        own_px: noise about its own motion, pixels.
+        joint_px: rms residual of the same matches about the joint motion, pixels.
+        excess: D_c, see the module; NaN without evidence.
+    """
+
+    n: int = 0
+    own_px: float = float("nan")
+    joint_px: float = float("nan")
+    excess: float = float("nan")
+
+
+@kernel
+def compute_f_ratio(excess: FloatArray) -> tuple[float, int]:
+    """Return the F ratio of the cameras' excess (C,) and the number of constraints that it refers to; NaN and 0 without any.
+
+    An excess of NaN is a camera without evidence. With three or more, one camera may be at fault, and a robust joint
+    motion does not follow it: the ratio is that without the worst.
+    """
+    ordered = np.sort(excess[np.isfinite(excess)])
+    n = min(len(ordered), max(len(ordered) - 1, 2))
+    constraints = N_OWN * n - N_JOINT
+    return (ordered[:n].sum() / constraints, constraints) if constraints > 0 else (np.nan, 0)
+
+
+@kernel
+def compare_motions(
+    x: FloatArray, y: FloatArray, focal: float, rotation: FloatArray, translation: FloatArray
+) -> tuple[int, float, float, float]:
+    """Compare a camera's own motion with the joint one; return the fields of `CameraEvidence`.
+
+    Args:
+        x, y: (n, 2) its matches, normalized; inliers of the joint motion or not.
+        focal: focal length, pixels.
+        rotation, translation: (3, 3) R and (3,) t of the joint motion in its axes, y ~ R x + t / depth, in units of
+            the object's distance.
+    """
+    if len(x) < MIN_MATCHES or not np.sqrt(dot(translation, translation)) > MIN_BASELINE:
+        return 0, np.nan, np.nan, np.nan
+    n = len(x)
+    own, residuals = np.empty(n), np.empty(n)
+    own_rotation, own_translation = rotation.copy(), translation.copy()
+    # Least trimmed squares, from the matches that the joint motion explains best: other bodies may have more.
+    _compute_residuals(x, y, focal, rotation, translation, residuals)
+    sizes = np.abs(residuals)
+    limit = np.partition(sizes, n // MIN_SHARE)[n // MIN_SHARE]
+    for i in range(n):
+        own[i] = 1.0 if sizes[i] <= limit else 0.0
+    best = _measure_excess(x, y, focal, own, own_rotation, own_translation, rotation, translation)
+    if best[3] <= N_OWN * MAX_OWN_RATIO:
+        return best
+    # They may be chance. From most matches:
+    find_inliers(x, y, SEED_PX / focal, QUADRUPLES, own)
+    _start_from_affine(x, y, own, own_rotation, own_translation)
+    other = _measure_excess(x, y, focal, own, own_rotation, own_translation, rotation, translation)
+    return other if not other[3] <= best[3] else best
+
+
+@kernel
+def _measure_excess(
+    x: FloatArray,
+    y: FloatArray,
+    focal: float,
+    own: FloatArray,
+    own_rotation: FloatArray,
+    own_translation: FloatArray,
+    rotation: FloatArray,
+    translation: FloatArray,
+) -> tuple[int, float, float, float]:
+    """Fit a camera's own motion, beginning with the weighted matches; return the fields of `CameraEvidence`."""
+    residuals = np.empty(len(x))
+    for _ in range(N_TRIMS):
+        _fit_motion(x, y, own, own_rotation, own_translation)
+        if not _trim(x, y, focal, own, own_rotation, own_translation, residuals) < np.inf:
+            return 0, np.nan, np.nan, np.nan
+    if own.sum() < MIN_MATCHES:
+        return 0, np.nan, np.nan, np.nan
+    _fit_motion(x, y, own, own_rotation, own_translation)
+    _compute_residuals(x, y, focal, own_rotation, own_translation, residuals)
+    count, squares = 0, 0.0
+    for i in range(len(x)):
+        if own[i] > 0.0:
+            count += 1
+            squares += residuals[i] ** 2
+    sigma = max(np.sqrt(squares / (count - N_OWN)), MIN_SIGMA_PX)
+    effective = sigma * sigma * _compute_design_effect(y, own, residuals)
+    # Outliers that the own motion happens to explain are the worst of the joint one.
+    joint = np.empty(len(x))
+    _compute_residuals(x, y, focal, rotation, translation, joint)
+    sizes = np.sort(np.abs(joint[own > 0.0]))
+    limit, own_squares = sizes[int(KEPT_SHARE * (count - 1))], 0.0
+    for i in range(len(x)):
+        own[i] = 1.0 if own[i] > 0.0 and abs(joint[i]) <= limit else 0.0
+        own_squares += own[i] * residuals[i] ** 2
+    joint_squares, joint_cost = _marginalize_calibration(x, y, focal, own, rotation, translation, effective)
+    excess = min(max(joint_cost - own_squares / effective, 0.0), MAX_EXCESS)
+    return count, sigma, np.sqrt(joint_squares / own.sum()), excess
+
+
+@kernel
+def _start_from_affine(
+    x: FloatArray, y: FloatArray, weights: FloatArray, rotation: FloatArray, translation: FloatArray
+) -> None:
+    """Write a motion with the epipolar lines of an affine fit: a rotation about the optical axis and a translation."""
+    mean, cov, total = np.zeros(4), np.zeros((4, 4)), 1e-300
+    point, values, vectors = np.empty(4), np.empty(4), np.empty((4, 4))
+    for step in range(2):
+        for i in range(len(x)):
+            if weights[i] > 0.0:
+                point[0], point[1], point[2], point[3] = x[i, 0], x[i, 1], y[i, 0], y[i, 1]
+                if step == 0:
+                    total += 1.0
+                    mean += point
+                else:
+                    for a in range(4):
+                        for b in range(4):
+                            cov[a, b] += (point[a] - mean[a]) * (point[b] - mean[b])
+        if step == 0:
+            mean /= total
+    symmetric_eigen(cov, values, vectors)
+    angle = np.arctan2(vectors[3, 0], vectors[2, 0]) - np.arctan2(-vectors[1, 0], -vectors[0, 0])
+    rotation[:] = 0.0
+    rotation[0, 0], rotation[1, 1], rotation[2, 2] = np.cos(angle), np.cos(angle), 1.0
+    rotation[1, 0], rotation[0, 1] = np.sin(angle), -np.sin(angle)
+    # Epipolar lines are normal to the second half of the hyperplane's normal, and pass near the mean displacement.
+    translation[0], translation[1], translation[2] = -vectors[3, 0], vectors[2, 0], 0.0
+    length = np.sqrt(translation[0] ** 2 + translation[1] ** 2)
+    if not length > 1e-9:
+        translation[0], length = 1.0, 1.0
+    translation /= length
+    # A rotation about the image's axes moves the mean onto its line.
+    offset = np.empty(2)
+    for a in range(2):
+        offset[a] = mean[2 + a] - rotation[a, 0] * mean[0] - rotation[a, 1] * mean[1]
+    across = offset[0] * -translation[1] + offset[1] * translation[0]
+    tilt, turned = np.array([-across * translation[0], -across * translation[1], 0.0]), np.empty((3, 3))
+    tilt[0], tilt[1] = -across * translation[0], -across * translation[1]
+    apply_rotvec(tilt, rotation, turned)
+    rotation[:] = turned
+
+
+@kernel
+def _make_essential(rotation: FloatArray, translation: FloatArray, out: FloatArray) -> None:
+    """Write [t]x R to out (3, 3)."""
+    for j in range(3):
+        out[0, j] = translation[1] * rotation[2, j] - translation[2] * rotation[1, j]
+        out[1, j] = translation[2] * rotation[0, j] - translation[0] * rotation[2, j]
+        out[2, j] = translation[0] * rotation[1, j] - translation[1] * rotation[0, j]
+
+
+@kernel
+def _compute_residuals(
+    x: FloatArray, y: FloatArray, focal: float, rotation: FloatArray, translation: FloatArray, residuals: FloatArray
+) -> None:
+    """Write the Sampson distances (n,), pixels."""
+    essential, none = np.empty((3, 3)), np.empty((0, 3, 3))
+    _make_essential(rotation, translation, essential)
+    for i in range(len(x)):
+        residuals[i] = focal * _sampson(x, y, i, essential, none, residuals[:0])
+
+
+@kernel
+def _sampson(
+    x: FloatArray, y: FloatArray, i: int, essential: FloatArray, derivatives: FloatArray, slope: FloatArray
+) -> float:
+    """Return the Sampson distance of match i, and write its derivatives along (k, 3, 3) changes of E to slope (k,)."""
+    e, x0, x1, y0, y1 = essential, x[i, 0], x[i, 1], y[i, 0], y[i, 1]
+    a0 = e[0, 0] * x0 + e[0, 1] * x1 + e[0, 2]
+    a1 = e[1, 0] * x0 + e[1, 1] * x1 + e[1, 2]
+    a2 = e[2, 0] * x0 + e[2, 1] * x1 + e[2, 2]
+    b0 = e[0, 0] * y0 + e[1, 0] * y1 + e[2, 0]
+    b1 = e[0, 1] * y0 + e[1, 1] * y1 + e[2, 1]
+    square = a0 * a0 + a1 * a1 + b0 * b0 + b1 * b1 + 1e-300
+    length = np.sqrt(square)
+    value = y0 * a0 + y1 * a1 + a2
+    for k in range(len(derivatives)):
+        d = derivatives[k]
+        c0 = d[0, 0] * x0 + d[0, 1] * x1 + d[0, 2]
+        c1 = d[1, 0] * x0 + d[1, 1] * x1 + d[1, 2]
+        c2 = d[2, 0] * x0 + d[2, 1] * x1 + d[2, 2]
+        f0 = d[0, 0] * y0 + d[1, 0] * y1 + d[2, 0]
+        f1 = d[0, 1] * y0 + d[1, 1] * y1 + d[2, 1]
+        change = (a0 * c0 + a1 * c1 + b0 * f0 + b1 * f1) / square
+        slope[k] = (y0 * c0 + y1 * c1 + c2 - value * change) / length
+    return float(value / length)
+
+
+@kernel
+def _fit_motion(
+    x: FloatArray, y: FloatArray, weights: FloatArray, rotation: FloatArray, translation: FloatArray
+) -> None:
+    """Minimize the squared Sampson distances of the weighted matches, in place; t has unit length."""
+    translation /= np.sqrt(dot(translation, translation)) + 1e-300
+    essential, derivatives, slope = np.empty((3, 3)), np.empty((6, 3, 3)), np.empty(6)
+    normal, right, factor, step = np.empty((6, 6)), np.empty(6), np.empty((6, 6)), np.empty(6)
+    turned, moved, axis, damping = np.empty((3, 3)), np.empty(3), np.empty((3, 3)), 1e-3
+    cost = _sum_squares(x, y, weights, rotation, translation)
+    for _ in range(N_STEPS):
+        _make_essential(rotation, translation, essential)
+        for k in range(3):
+            axis[:] = 0.0
+            axis[(k + 1) % 3, (k + 2) % 3], axis[(k + 2) % 3, (k + 1) % 3] = -1.0, 1.0
+            turned[:] = axis @ rotation
+            _make_essential(turned, translation, derivatives[k])
+            derivatives[3 + k] = turned
+        normal[:], right[:] = 0.0, 0.0
+        for i in range(len(x)):
+            if weights[i] > 0.0:
+                r = _sampson(x, y, i, essential, derivatives, slope)
+                for a in range(6):
+                    right[a] -= slope[a] * r
+                    for b in range(a + 1):
+                        normal[a, b] += slope[a] * slope[b]
+        for a in range(6):
+            for b in range(a):
+                normal[b, a] = normal[a, b]
+        improved, least = False, 1e-12 * np.trace(normal) + 1e-300
+        for _ in range(6):
+            factor[:], step[:] = normal, right
+            for a in range(6):
+                factor[a, a] += damping * normal[a, a] + least
+            if cholesky_solve(factor, step):
+                apply_rotvec(step[:3], rotation, turned)
+                moved[:] = translation + step[3:]
+                moved /= np.sqrt(dot(moved, moved)) + 1e-300
+                new_cost = _sum_squares(x, y, weights, turned, moved)
+                if new_cost < cost:
+                    improved = True
+                    break
+            damping *= 8.0
+        if not improved:
+            break
+        gain = cost - new_cost
+        rotation[:], translation[:], cost = turned, moved, new_cost
+        damping = max(damping / 8.0, 1e-9)
+        if gain < 1e-5 * cost:
+            break
+
+
+@kernel
+def _sum_squares(
+    x: FloatArray, y: FloatArray, weights: FloatArray, rotation: FloatArray, translation: FloatArray
+) -> float:
+    essential, none, slope, total = np.empty((3, 3)), np.empty((0, 3, 3)), np.empty(0), 0.0
+    _make_essential(rotation, translation, essential)
+    for i in range(len(x)):
+        if weights[i] > 0.0:
+            total += _sampson(x, y, i, essential, none, slope) ** 2
+    return total
+
+
+@kernel
+def _trim(
+    x: FloatArray,
+    y: FloatArray,
+    focal: float,
+    weights: FloatArray,
+    rotation: FloatArray,
+    translation: FloatArray,
+    residuals: FloatArray,
+) -> float:
+    """Set weights (n,): matches within some standard deviations, from the median of those used; return the noise."""
+    _compute_residuals(x, y, focal, rotation, translation, residuals)
+    used, count = np.empty(len(x)), 0
+    for i in range(len(x)):
+        if weights[i] > 0.0:
+            used[count] = abs(residuals[i])
+            count += 1
+    if count < MIN_MATCHES:
+        return np.nan
+    sigma = max(SIGMA_OF_MEDIAN * compute_median(used[:count]), MIN_SIGMA_PX)
+    for i in range(len(x)):
+        weights[i] = 1.0 if abs(residuals[i]) <= MAX_SIGMAS * sigma else 0.0
+    return sigma
+
+
+@kernel
+def _compute_design_effect(y: FloatArray, weights: FloatArray, residuals: FloatArray) -> float:
+    """Return the variance of cells' sums relative to independent residuals, at least 1."""
+    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    for i in range(len(y)):
+        if weights[i] > 0.0:
+            for a in range(2):
+                low[a], high[a] = min(low[a], y[i, a]), max(high[a], y[i, a])
+    sums, squares = np.zeros((N_CELLS, N_CELLS)), 1e-300
+    for i in range(len(y)):
+        if weights[i] > 0.0:
+            cell = np.empty(2, np.int64)
+            for a in range(2):
+                cell[a] = min(int(N_CELLS * (y[i, a] - low[a]) / max(high[a] - low[a], 1e-300)), N_CELLS - 1)
+            sums[cell[0], cell[1]] += residuals[i]
+            squares += residuals[i] ** 2
+    return max(float((sums * sums).sum() / squares), 1.0)
+
+
+@kernel
+def _marginalize_calibration(
+    x: FloatArray,
+    y: FloatArray,
+    focal: float,
+    weights: FloatArray,
+    rotation: FloatArray,
+    translation: FloatArray,
+    variance: float,
+) -> tuple[float, float]:
+    """Return the sum of squares about the joint motion, and its least cost over calibration errors, to first order."""
+    essential, derivatives, slope = np.empty((3, 3)), np.zeros((N_NUISANCES, 3, 3)), np.empty(N_NUISANCES)
+    _make_essential(rotation, translation, essential)
+    # Both images turn with the camera, E' = exp(δ) E exp(-δ), or the second alone; the focal length scales the first two
+    # coordinates.
+    for k in range(3):
+        axis = np.zeros((3, 3))
+        axis[(k + 1) % 3, (k + 2) % 3], axis[(k + 2) % 3, (k + 1) % 3] = -1.0, 1.0
+        derivatives[k] = axis @ essential - essential @ axis
+        derivatives[4 + k] = axis @ essential
+    for a in range(3):
+        for b in range(3):
+            derivatives[3, a, b] = ((a < 2) + (b < 2)) * essential[a, b]
+    normal, right, squares = np.zeros((N_NUISANCES, N_NUISANCES)), np.zeros(N_NUISANCES), 0.0
+    for i in range(len(x)):
+        if weights[i] > 0.0:
+            r = focal * _sampson(x, y, i, essential, derivatives, slope)
+            squares += r * r
+            for a in range(N_NUISANCES):
+                right[a] += focal * slope[a] * r / variance
+                for b in range(N_NUISANCES):
+                    normal[a, b] += focal * focal * slope[a] * slope[b] / variance
+    for a in range(N_NUISANCES):
+        sd = ROTATION_ERROR_SD if a < 3 else FOCAL_ERROR_SD if a == 3 else TREMBLE_SD
+        normal[a, a] += 1.0 / (sd * sd)
+    step = right.copy()
+    if not cholesky_solve(normal, step):
+        return squares, squares / variance
+    return squares, squares / variance - float(right @ step)

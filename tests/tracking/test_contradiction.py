@@ -1,0 +1,79 @@
+"""Frames in which the cameras contradict each other are not tracked, nor are those that rest on them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform
+
+from sylpose.geometry.arrays import Image
+from sylpose.relative_pose.camera_evidence import MAX_F_RATIO, CameraEvidence
+from sylpose.smoothing import Track, smooth
+from sylpose.status import FrameStatus
+from sylpose.tracking.joint_side.joint_state import SolvedFrame
+from sylpose.tracking.map_update import is_contradicted
+from sylpose.tracking.reports import PoseAgreement
+from sylpose.tracking.tracker import track
+from tests.clips import Clip, frame_sets, statuses, turning_clip
+
+
+@pytest.fixture(scope="module")
+def clip() -> Clip:
+    return turning_clip()
+
+
+def mirror(images: Sequence[Image]) -> list[Image]:
+    return [np.ascontiguousarray(image[:, ::-1]) for image in images]
+
+
+def turn_upside_down(images: Sequence[Image]) -> list[Image]:
+    return [np.ascontiguousarray(image[::-1, ::-1]) for image in images]
+
+
+def exchange(images: Sequence[Image]) -> list[Image]:
+    return [images[1], images[2], images[0]]
+
+
+@pytest.mark.parametrize("corrupt", [mirror, turn_upside_down, exchange])
+def test_wrong_rig_is_not_tracked(clip: Clip, corrupt: Callable[[Sequence[Image]], list[Image]]) -> None:
+    tracked = list(track(frame_sets([tuple(corrupt(images)) for images in clip.images]), clip.rig))
+    refined = smooth([Track.from_tracked(frame) for frame in tracked], clip.rig).poses
+    sure = FrameStatus.TRACKED, FrameStatus.RELOCALIZED
+    assert not [pose for pose in refined if pose.status in sure]
+    contradicted = [pose for pose in refined if pose.status is FrameStatus.CONTRADICTED]
+    assert contradicted or corrupt is mirror  # where no pose is found, there is none to contradict
+    assert all("different motions" in pose.reason for pose in contradicted)
+
+
+def test_right_rig_is_tracked(clip: Clip) -> None:
+    tracked = list(track(clip.frames(), clip.rig))
+    assert statuses(tracked)[1:] == [FrameStatus.TRACKED] * (len(clip.images) - 1)
+
+
+def make_frame(number: int, is_contradicted: bool) -> SolvedFrame:
+    pose, none = RigidTransform.identity(), np.zeros(2)
+    views = np.zeros((2, 3)), np.ones(2, bool)
+    return SolvedFrame(number, float(number), none, pose, np.eye(6), *views, is_contradicted=is_contradicted)
+
+
+def test_frame_is_as_reliable_as_those_that_support_it() -> None:
+    good, bad = make_frame(1, False), make_frame(2, True)
+    known = {frame.number: frame for frame in (good, bad)}
+    agreeing = PoseAgreement(evidence=CameraEvidence(20, 0.3, 0.4, 5.0))
+    on_good, on_bad = (replace(agreeing, evidence_reference=frame.number) for frame in (good, bad))
+    assert not is_contradicted([on_good, on_good], known, good)
+    assert not is_contradicted([on_good, on_good, on_bad], known, bad)  # two cameras connect it with a reliable frame
+    assert is_contradicted([on_good, on_bad], known, good)
+    assert is_contradicted([on_bad, on_bad], known, good)
+    # Without evidence it is as reliable as the last frame.
+    assert is_contradicted([PoseAgreement(), PoseAgreement()], known, bad)
+    assert is_contradicted([PoseAgreement(), on_good], known, bad)
+    assert not is_contradicted([PoseAgreement(), PoseAgreement()], known, good)
+    # Two cameras that disagree contradict any pose.
+    other = replace(on_good, evidence=CameraEvidence(20, 0.3, 9.0, 4.5 * MAX_F_RATIO))
+    assert is_contradicted([on_good, other], known, good)
+    # Of three, one may be at fault: the pose rests on the others.
+    assert not is_contradicted([on_good, on_good, other], known, good)
