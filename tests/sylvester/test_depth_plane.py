@@ -1,4 +1,4 @@
-"""Depth plane estimator: exactness, derivatives, symmetries, statuses and covariance."""
+"""Depth plane estimator: exactness, derivatives, symmetries, statuses and covariance (Monte Carlo)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Minima of quadratic costs on SO(3): certificate against a semidefinite relaxation and random starts."""
+"""Minima of quadratic costs on SO(3): certificate against a semidefinite relaxation and random starts (Monte Carlo)."""
 
 from __future__ import annotations
 
