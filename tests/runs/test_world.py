@@ -123,19 +123,15 @@ def test_results_in_board_world(
 
 
 def test_covariances_rotate_with_world(recording: Path) -> None:
-    """Compare full covariances, before they are reduced to standard deviations of axes.
-
-    The axes are permuted: in other worlds other octants of landmarks are compared, so that covariances differ.
-    """
+    """Compare full covariances, before they are reduced to standard deviations of axes."""
     session, runs = open_session(recording), []
-    for requested in (None, WorldSpec("up=1,0,0 origin=0.1,0.2,0")):
+    for requested in (None, WorldSpec("up=0.1,-1,0.3 origin=0.1,0.2,0")):
         opened = apply_world_and_unit(session, requested, None)
-        frames = islice(opened.frames(), 5)
+        frames = islice(opened.frames(), 6)
         runs.append((opened, [f.pose for f in track(frames, opened.rig, opened.boxes)]))
     world = runs[1][0].world
     assert world is not None
     turn = block_diag(*[world.world_from_calibration.rotation.as_matrix()] * 2)
-    assert set(np.round(turn, 9).ravel()) == {0.0, 1.0}
     ratios, unrotated = list[float](), list[float]()
     for before, after in zip(runs[0][1], runs[1][1], strict=True):
         if before.index and before.world_from_object is not None and after.world_from_object is not None:
@@ -143,7 +139,7 @@ def test_covariances_rotate_with_world(recording: Path) -> None:
                 of += np.linalg.eigvals(np.linalg.solve(expected, after.covariance)).real.tolist()
     assert len(ratios) >= 12
     # Rounding may select other features.
-    assert 0.8 < min(ratios) <= max(ratios) < 1.25
+    assert 0.9 < min(ratios) <= max(ratios) < 1.1
     assert min(unrotated) < 0.1
     assert max(unrotated) > 10
 

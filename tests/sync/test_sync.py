@@ -228,7 +228,7 @@ def test_offsets_end_to_end(
     true = LATE - LATE.mean()
     assert found.precision == (OffsetPrecision.FINE,) * 3
     assert not found.problems
-    assert found.offsets * RATE == pytest.approx(true, abs=0.05)
+    assert found.offsets * RATE == pytest.approx(true, abs=0.04)
     assert (np.abs(found.offsets - true / RATE) < 3 * found.sd).all()
     assert (found.sd * RATE < 0.06).all()
     assert found.coarse.offsets * RATE == pytest.approx(true, abs=0.5)
