@@ -68,6 +68,8 @@ QUADRUPLES, SEED_PX = np.random.default_rng(0).random((300, 4)), 2.0
 N_TRIMS, N_STEPS = 8, 15
 # No excess is larger: a million times what the largest contradictions have (derived: keeps sums finite).
 MAX_EXCESS = 1e12
+# Derivatives of a rotation about each axis (derived).
+GENERATORS = np.ascontiguousarray(-np.cross(np.eye(3)[:, None], np.eye(3)))
 # Cells per image axis in which errors may be alike (choice).
 N_CELLS = 4
 
@@ -150,7 +152,7 @@ def _measure_excess(
     residuals = np.empty(len(x))
     for _ in range(N_TRIMS):
         _fit_motion(x, y, own, own_rotation, own_translation)
-        if not _trim(x, y, focal, own, own_rotation, own_translation, residuals) < np.inf:
+        if not _trim(x, y, focal, own, own_rotation, own_translation, residuals):
             return 0, np.nan, np.nan, np.nan
     if own.sum() < MIN_MATCHES:
         return 0, np.nan, np.nan, np.nan
@@ -213,7 +215,6 @@ def _start_from_affine(
         offset[a] = mean[2 + a] - rotation[a, 0] * mean[0] - rotation[a, 1] * mean[1]
     across = offset[0] * -translation[1] + offset[1] * translation[0]
     tilt, turned = np.array([-across * translation[0], -across * translation[1], 0.0]), np.empty((3, 3))
-    tilt[0], tilt[1] = -across * translation[0], -across * translation[1]
     apply_rotvec(tilt, rotation, turned)
     rotation[:] = turned
 
@@ -272,14 +273,12 @@ def _fit_motion(
     translation /= np.sqrt(dot(translation, translation)) + 1e-300
     essential, derivatives, slope = np.empty((3, 3)), np.empty((6, 3, 3)), np.empty(6)
     normal, right, factor, step = np.empty((6, 6)), np.empty(6), np.empty((6, 6)), np.empty(6)
-    turned, moved, axis, damping = np.empty((3, 3)), np.empty(3), np.empty((3, 3)), 1e-3
+    turned, moved, damping = np.empty((3, 3)), np.empty(3), 1e-3
     cost = _sum_squares(x, y, weights, rotation, translation)
     for _ in range(N_STEPS):
         _make_essential(rotation, translation, essential)
         for k in range(3):
-            axis[:] = 0.0
-            axis[(k + 1) % 3, (k + 2) % 3], axis[(k + 2) % 3, (k + 1) % 3] = -1.0, 1.0
-            turned[:] = axis @ rotation
+            turned[:] = GENERATORS[k] @ rotation
             _make_essential(turned, translation, derivatives[k])
             derivatives[3 + k] = turned
         normal[:], right[:] = 0.0, 0.0
@@ -337,8 +336,8 @@ def _trim(
     rotation: FloatArray,
     translation: FloatArray,
     residuals: FloatArray,
-) -> float:
-    """Set weights (n,): matches within some standard deviations, from the median of those used; return the noise."""
+) -> bool:
+    """Set weights (n,): matches within some standard deviations, from the median of those used; False if too few."""
     _compute_residuals(x, y, focal, rotation, translation, residuals)
     used, count = np.empty(len(x)), 0
     for i in range(len(x)):
@@ -346,11 +345,11 @@ def _trim(
             used[count] = abs(residuals[i])
             count += 1
     if count < MIN_MATCHES:
-        return np.nan
+        return False
     sigma = max(SIGMA_OF_MEDIAN * compute_median(used[:count]), MIN_SIGMA_PX)
     for i in range(len(x)):
         weights[i] = 1.0 if abs(residuals[i]) <= MAX_SIGMAS * sigma else 0.0
-    return sigma
+    return True
 
 
 @kernel
@@ -388,10 +387,8 @@ def _marginalize_calibration(
     # Both images turn with the camera, E' = exp(δ) E exp(-δ), or the second alone; the focal length scales the first two
     # coordinates.
     for k in range(3):
-        axis = np.zeros((3, 3))
-        axis[(k + 1) % 3, (k + 2) % 3], axis[(k + 2) % 3, (k + 1) % 3] = -1.0, 1.0
-        derivatives[k] = axis @ essential - essential @ axis
-        derivatives[4 + k] = axis @ essential
+        derivatives[4 + k] = GENERATORS[k] @ essential
+        derivatives[k] = derivatives[4 + k] - essential @ GENERATORS[k]
     for a in range(3):
         for b in range(3):
             derivatives[3, a, b] = ((a < 2) + (b < 2)) * essential[a, b]

@@ -149,7 +149,7 @@ def accept_frame(context: Context, state: JointState, candidate: PoseCandidate) 
         np.array([a.n_features for a in agreements], np.int64),
     ).mark_uncertain()
     if accepted.solved.is_contradicted:
-        f_ratio, _ = compute_f_ratio(np.array([a.evidence.excess for a in agreements]))
+        f_ratio, _ = _compute_f_ratio(agreements)
         reason = f"the cameras see different motions (F ratio {f_ratio:.0f}; the limit is {MAX_F_RATIO:.0f})"
         if not f_ratio > MAX_F_RATIO:
             reason = "tracked from frames in which the cameras see different motions"
@@ -227,11 +227,16 @@ def is_contradicted(agreements: Agreements, known_frames: Mapping[int, SolvedFra
     A pose is as reliable as the earlier frames that the evidence connects it with. Where fewer than two cameras have
     evidence, as for an object that rests, it is as reliable as the last one.
     """
-    f_ratio, _ = compute_f_ratio(np.array([a.evidence.excess for a in agreements]))
+    f_ratio, _ = _compute_f_ratio(agreements)
     if not f_ratio <= MAX_F_RATIO:
         return f_ratio > MAX_F_RATIO or last.is_contradicted
     references = [known_frames[a.evidence_reference] for a in agreements if a.evidence_reference in known_frames]
     return sum(not frame.is_contradicted for frame in references) < 2
+
+
+def _compute_f_ratio(agreements: Agreements) -> tuple[float, int]:
+    """Return the F ratio of a pose and the number of constraints that it refers to; NaN and 0 without evidence."""
+    return compute_f_ratio(np.array([agreement.evidence.excess for agreement in agreements]))
 
 
 def _compute_birge_ratio(candidate: PoseCandidate) -> float:
@@ -240,7 +245,7 @@ def _compute_birge_ratio(candidate: PoseCandidate) -> float:
     The F ratio refers to each camera's own noise; the solver's noise and variance inflation already contain a part of it.
     Where the cameras contradict each other, their errors have one cause: all constraints together are one measurement.
     """
-    f_ratio, constraints = compute_f_ratio(np.array([a.evidence.excess for a in candidate.agreements]))
+    f_ratio, constraints = _compute_f_ratio(candidate.agreements)
     if not f_ratio > 1.0:
         return 1.0
     if f_ratio > MAX_F_RATIO:
