@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
+from sylpose.commands.main import main
 from sylpose.geometry.arrays import Image
 from sylpose.relative_pose.camera_evidence import MAX_F_RATIO, CameraEvidence
+from sylpose.simulate import make_demo_scene, render_frames
+from sylpose.simulate.recordings import create_session_folder, write_videos
 from sylpose.smoothing import Track, smooth
 from sylpose.status import FrameStatus
 from sylpose.tracking.joint_side.joint_state import SolvedFrame
@@ -46,6 +50,15 @@ def test_wrong_rig_is_not_tracked(clip: Clip, corrupt: Callable[[Sequence[Image]
     contradicted = [pose for pose in refined if pose.status is FrameStatus.CONTRADICTED]
     assert contradicted or corrupt is mirror  # where no pose is found, there is none to contradict
     assert all("different motions" in pose.reason for pose in contradicted)
+
+
+def test_command_names_the_remedy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = make_demo_scene(frames=8, n_cameras=3)
+    folder = create_session_folder(tmp_path / "recording", scene.rig)
+    frames = (turn_upside_down([image for image in images if image is not None]) for images in render_frames(scene))
+    write_videos(folder, scene.rig, frames, scene.frames)
+    assert main(["track", str(folder), "--no-overlay", "-q"]) == 1
+    assert "Check that the calibration belongs to these images" in capsys.readouterr().err
 
 
 def test_right_rig_is_tracked(clip: Clip) -> None:

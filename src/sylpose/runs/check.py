@@ -19,7 +19,7 @@ from sylpose.report.rigview import describe_rig, find_axes_intersection
 from sylpose.rig import Camera, Rig
 from sylpose.runs.console_output import select_solved_frames
 from sylpose.runs.run_result import Run
-from sylpose.status import FrameStatus
+from sylpose.status import DOUBTFUL, FrameStatus
 from sylpose.tracking.context import TrackedFrame
 from sylpose.tracking.joint_side.object_model import carve_box_volume
 from sylpose.tracking.tracker import Tracker
@@ -361,7 +361,8 @@ def explain_failures(session: Session | LiveSession, run: Run) -> list[str]:
         if select_solved_frames(trajectory):
             continue
         prefix = f"{name}: " if len(run.trajectories) > 1 else ""
-        statuses = [frame.status for frame in trajectory if frame.world_from_object is None]
+        failed = [frame for frame in trajectory if frame.world_from_object is None or frame.status in DOUBTFUL]
+        statuses = [frame.status for frame in failed]
         if not len(trajectory):
             reasons.append(f"{prefix}no frame was tracked")
         elif not statuses:
@@ -369,8 +370,14 @@ def explain_failures(session: Session | LiveSession, run: Run) -> list[str]:
                 f"{prefix}no motion could be estimated: there is only the first frame, the reference of all poses"
             )
         else:
-            sentence = f"{prefix}no frame could be solved. {max(statuses, key=statuses.count).text}"
-            if not session.select_object(name).boxes and session.masks is None:
+            status = max(statuses, key=statuses.count)
+            sentence = f"{prefix}no frame could be solved. {status.text}"
+            if status is FrameStatus.CONTRADICTED:
+                sentence += (
+                    " Check that the calibration belongs to these images: names of the cameras, its unit and axes, mirrored "
+                    "or turned images, time offsets."
+                )
+            elif not session.select_object(name).boxes and session.masks is None:
                 sentence += (
                     f" Provide boxes of the object in the first frame ({boxes_hint(session)}) or masks (--masks) to "
                     "select it."
