@@ -54,6 +54,7 @@ NOT_CALLED = {
     "load_object": "reads a file: commands/test_object_files.py",
     "save_object": "writes it: the same",
     "Session.frames": "the same",
+    "Session.select_cameras": "the same",
     "Session.select_object": "the same",
     "Session.with_rig": "the same",
     "Session.with_world": "the same",

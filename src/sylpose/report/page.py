@@ -290,18 +290,18 @@ def render_page(trajectory: Trajectory, scene: Scene, rig: Rig, angles: EulerAng
     summary_text, data = summarize_trajectory(trajectory), build_page_data(trajectory, scene, angles)
     images = build_page_images(trajectory, scene, rig)
     has_failed = not any(f.world_from_object is not None for f in trajectory)
-    script, style = _load_asset("report.js"), _load_asset("report.css")
-    return Template(_load_asset("page.html")).substitute(
-        script_hash=_compute_hash(script),
-        style_hash=_compute_hash(style),
+    script, style = load_asset("report.js"), load_asset("report.css")
+    return Template(load_asset("page.html")).substitute(
+        script_hash=compute_hash(script),
+        style_hash=compute_hash(style),
         script=script,
         style=style,
-        version=_escape_html(header.version),
-        title=_escape_html(header.title),
+        version=escape_html(header.version),
+        title=escape_html(header.title),
         kind=" failed-run" if has_failed else "",
-        summary=_escape_html(f"{summary_text[:1].upper()}{summary_text[1:]}."),
+        summary=escape_html(f"{summary_text[:1].upper()}{summary_text[1:]}."),
         facts="".join(
-            f"<div><dt>{_escape_html(label)}</dt><dd>{_escape_html(words)}</dd></div>" for label, words in header.facts
+            f"<div><dt>{escape_html(label)}</dt><dd>{escape_html(words)}</dd></div>" for label, words in header.facts
         ),
         notices=_render_notices(trajectory, header, has_failed=has_failed),
         videos=_render_videos(header.videos),
@@ -340,13 +340,13 @@ def _render_items(sentences: Sequence[str]) -> str:
     shown = [*sentences[:MAX_LIST_ITEMS]]
     if len(sentences) > MAX_LIST_ITEMS:
         shown.append(f"and {len(sentences) - MAX_LIST_ITEMS} more")
-    return "".join(f"<li>{_escape_html(sentence)}</li>" for sentence in shown)
+    return "".join(f"<li>{escape_html(sentence)}</li>" for sentence in shown)
 
 
 def _render_videos(names: Sequence[str]) -> str:
     if not names:
         return ""
-    links = ", ".join(f'<a href="{_escape_html(quote(name))}">{_escape_html(name)}</a>' for name in names)
+    links = ", ".join(f'<a href="{escape_html(quote(name))}">{escape_html(name)}</a>' for name in names)
     return f"<p><small>All frames (video in the same folder): {links}</small></p>"
 
 
@@ -362,7 +362,7 @@ def _render_row(cells: Sequence[str], numbers: int) -> str:
     """Render a table row: a name, the given number of numeric cells, and text cells."""
     kinds = ["", *[' class="number"'] * numbers, *[' class="said"'] * len(cells)]
     return (
-        f"<tr>{''.join(f'<td{kind}>{_escape_html(cell)}</td>' for cell, kind in zip(cells, kinds, strict=False))}</tr>"
+        f"<tr>{''.join(f'<td{kind}>{escape_html(cell)}</td>' for cell, kind in zip(cells, kinds, strict=False))}</tr>"
     )
 
 
@@ -370,7 +370,7 @@ def _render_settings(tables: Mapping[str, Sequence[tuple[str, str]]]) -> str:
     if not tables:
         return ""
     parts = [
-        f"<h3>{_escape_html(name)}</h3>" * bool(name)
+        f"<h3>{escape_html(name)}</h3>" * bool(name)
         + f"<table><tbody>{''.join(_render_row(r, numbers=0) for r in rows)}</tbody></table>"
         for name, rows in tables.items()
     ]
@@ -395,10 +395,10 @@ def _render_notes(data: Mapping[str, Any], images: Mapping[str, Any], scene: Sce
     sentences.append(
         f"Made by sylpose {version}; with three.js and uPlot, whose licenses (MIT) are in this page's script."
     )
-    return "".join(f"<p>{_escape_html(sentence)}</p>" for sentence in sentences)
+    return "".join(f"<p>{escape_html(sentence)}</p>" for sentence in sentences)
 
 
-def _escape_html(text: str) -> str:
+def escape_html(text: str) -> str:
     """Escape text for HTML content and attributes; spell out control characters."""
     return html.escape(to_one_line(text, MAX_SENTENCE_LENGTH), quote=True)
 
@@ -410,11 +410,11 @@ def _dump_json(value: object) -> str:
 
 
 @cache
-def _load_asset(name: str) -> str:
+def load_asset(name: str) -> str:
     return (ASSETS_DIR / name).read_text(encoding="utf-8")
 
 
-def _compute_hash(text: str) -> str:
+def compute_hash(text: str) -> str:
     """Compute the hash with which a browser verifies a script or style."""
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
 

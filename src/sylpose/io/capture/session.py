@@ -7,7 +7,7 @@ import warnings as python_warnings
 from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from itertools import zip_longest
 from pathlib import Path
 from typing import NamedTuple, Self
@@ -25,6 +25,9 @@ from sylpose.io.capture.frame_readers import CameraReader, FrameReading, check_r
 from sylpose.io.capture.sources import RecordingFolder, Source
 from sylpose.io.capture.timeline import Timeline, build_timeline, load_timestamps
 from sylpose.rig import Rig
+
+# Decoded images that a reversed recording holds at once, bytes (choice: seconds of video on usual machines).
+MAX_CHUNK_BYTES = 400_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +116,31 @@ class Session(SessionBase):
 
     sources: tuple[Source, ...]
     timeline: Timeline
+
+    def select_cameras(self, names: Sequence[str]) -> Self:
+        """Return the session restricted to some of its cameras; numbers and times of the frame sets remain.
+
+        Raises:
+            ValueError: no names, or one that is no camera of the session.
+        """
+        names = check_list(names, str, "names")
+        if not names or not {*names} <= {*self.rig.names}:
+            raise ValueError(f"names: some of the cameras {', '.join(self.rig.names)} are expected, got {names}")
+        kept = [c for c, name in enumerate(self.rig.names) if name in names]
+        boxes = {
+            name: {camera: box for camera, box in by_camera.items() if camera in names}
+            for name, by_camera in self._boxes.items()
+        }
+        timeline = replace(self.timeline, frames=self.timeline.frames[:, kept], stamps=self.timeline.stamps[:, kept])
+        return replace(
+            self,
+            rig=self.rig.subset([self.rig.names[c] for c in kept]),
+            sources=tuple(self.sources[c] for c in kept),
+            timeline=timeline,
+            without=(*self.without, *(name for name in self.rig.names if name not in names)),
+            _boxes=boxes,
+            _masks={name: tuple(masks[c] for c in kept) for name, masks in self._masks.items()},
+        )
 
     @property
     def n_frames(self) -> int:
@@ -315,6 +343,46 @@ def _exclude_cameras(rig: Rig, without: Sequence[str], calibration: Path) -> Rig
     if not kept:
         raise ValueError(f"without: no camera of {calibration.name} remains")
     return rig.subset(kept) if without else rig
+
+
+@dataclass(frozen=True, eq=False)
+class ReversedSession(Session):
+    """A recording whose frame sets come in reverse order; its times increase all the same.
+
+    Videos are decoded forwards in chunks, from the last one to the first.
+
+    Attributes:
+        forward: the recording.
+    """
+
+    forward: Session = field(kw_only=True)
+
+    @classmethod
+    def from_session(cls, session: Session) -> Self:
+        """Return a recording in reverse order; boxes are dropped, since they are those of its first frame."""
+        old = session.timeline
+        stamps, times = old.times[0] + old.times[-1] - old.stamps[::-1], old.times[0] + old.times[-1] - old.times[::-1]
+        timeline = replace(old, frames=old.frames[::-1], times=times, stamps=stamps)
+        values = {item.name: getattr(session, item.name) for item in fields(session)}
+        return cls(**(values | {"timeline": timeline, "_boxes": {}, "forward": session}))
+
+    def with_boxes(self, boxes: Mapping[str, Mapping[str, Box]]) -> Self:
+        """Return the session with boxes of its objects in the frame at which it starts."""
+        return replace(self, _boxes={name: dict(by_camera) for name, by_camera in boxes.items()})
+
+    def _read(self, indices: range, on_problem: Callable[[str], None]) -> Generator[FrameSet, None, None]:
+        last = self.n_frames - 1
+        size = sum(3 * camera.size[0] * camera.size[1] for camera in self.rig)
+        length = max(1, MAX_CHUNK_BYTES // size)
+        for begin in range(0, len(indices), length):
+            chunk = indices[begin : begin + length]
+            forward = self.forward.frames(last - chunk[-1], last - chunk[0] + 1, chunk.step, on_problem)
+            with closing(forward):
+                sets = {last - frames.index: frames for frames in forward}
+            for i in chunk:
+                if i in sets:
+                    stamps = (None if np.isnan(stamp) else float(stamp) for stamp in self.timeline.stamps[i])
+                    yield replace(sets.pop(i), index=i, time=float(self.timeline.times[i]), times=tuple(stamps))
 
 
 def add_masks(frames: FrameSet, by_object: Mapping[str, Sequence[BoolArray | None]]) -> FrameSet:
