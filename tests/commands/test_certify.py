@@ -17,7 +17,9 @@ from sylpose.io.capture import session as sessions
 from sylpose.io.capture.session import ReversedSession
 from sylpose.runs import certify
 from sylpose.runs.certificate_page import CERTIFICATE_FILES
+from sylpose.runs.run_result import Run
 from sylpose.simulate.recordings import write_boxes
+from tests.runs.test_certify import SDS, make_result
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -48,7 +50,9 @@ def test_certificate_of_a_recording(
         assert estimate["error"] < estimate["bound_95"]
         assert estimate["factor_95"][0] < estimate["factor"] < estimate["factor_95"][1]
         assert not estimate["is_lower_bound"]
-    assert "accurate in rotation to" in (folder / CERTIFICATE_FILES[0]).read_text(encoding="utf-8")
+    assert "The motion since the first frame is accurate to" in (folder / CERTIFICATE_FILES[0]).read_text(
+        encoding="utf-8"
+    )
 
 
 @pytest.mark.parametrize(
@@ -69,6 +73,28 @@ def test_wrong_input_is_one_sentence(
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert message.format(recording) in line
     assert not (recording / "sylpose").exists()
+
+
+def test_parts_that_cannot_be_tracked_give_their_reason(session: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All cameras are tracked; parts have no boxes, or rays that do not meet."""
+    opened = open_session(session)
+    one_box = replace(opened, _boxes={"object": {"cam_0": opened.boxes["cam_0"]}})
+    result = make_result(np.zeros((8, 6)), SDS, opened.rig.names)
+
+    def track(of: Session, *_: object, **__: object) -> Run:
+        if len(of.rig) < 3 or isinstance(of, ReversedSession):
+            raise ValueError("boxes: the rays do not meet")
+        return Run({"object": result}, (), (), {})
+
+    monkeypatch.setattr(certify, "track_session", track)
+    (certificate,) = certify.certify_session(one_box).objects
+    assert [*certificate.remarks] == [
+        "cam_0, cam_1: boxes: the rays do not meet.",
+        "cam_0, cam_2: boxes: the rays do not meet.",
+        "cam_1, cam_2: no box of the object in these cameras.",
+        "backwards: boxes: the rays do not meet.",
+    ]
+    assert certificate.rotation is certificate.position is None
 
 
 def test_interrupted_runs_write_nothing(

@@ -380,7 +380,7 @@ def test_page_is_well_formed_and_escapes_texts() -> None:
     assert "not certified" in page
     assert "cannot see" in page
     alone = SessionCertificate(make_certificates().objects[1:], None, ())
-    assert "Nothing could be certified." in render_certificate(alone, facts)
+    assert "Its accuracy could not be certified." in render_certificate(alone, facts)
 
 
 def test_files_have_all_numbers(tmp_path: Path) -> None:

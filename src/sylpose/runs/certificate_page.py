@@ -272,27 +272,33 @@ def format_factor(estimate: Estimate | None) -> tuple[str, str]:
 
 def describe_accuracy(item: Certificate) -> str:
     """Return one sentence on the accuracy of an object's result."""
-    certified = [q for q in list_quantities(item) if q.estimate is not None and not q.estimate.is_lower_bound]
-    errors = [f"{q.name} to {q.format(q.estimate.error)}" for q in certified if q.estimate is not None]
+    quantities = list_quantities(item)
+    errors = [
+        f"{q.format(q.estimate.error)} in {q.name}"
+        for q in quantities
+        if q.estimate is not None and not q.estimate.is_lower_bound
+    ]
     if not errors:
         return "Nothing is certified: no part of the cameras followed the object."
-    missing = [q.name for q in list_quantities(item) if q not in certified]
+    missing = [q.name for q in quantities if q.estimate is None or q.estimate.is_lower_bound]
     rest = f" {missing[0].capitalize()} is not certified." if missing else ""
+    lost = item.n_frames - item.n_measured
+    where = f" in the {item.n_measured} of {item.n_frames} frames that have a pose" if lost else ""
     return (
-        f"The motion since the first frame is accurate in {' and in '.join(errors)} (rms), apart from errors that all "
+        f"The motion since the first frame is accurate to {' and '.join(errors)} (rms){where}, apart from errors that all "
         f"cameras share.{rest}"
     )
 
 
-def describe_for_paper(certificate: SessionCertificate) -> str:
-    """Return a text for a paper, one sentence per fact."""
-    sentences = []
+def describe_for_paper(certificate: SessionCertificate) -> list[str]:
+    """Return a text for a paper: a paragraph per object, and one on the bar."""
+    paragraphs = []
     for item in certificate.objects:
         of = f" of {item.name}" if len(certificate.objects) > 1 else ""
-        sentences.append(
+        sentences = [
             f"Poses{of} were measured with sylpose {__version__} from {_count(len(item.cameras), 'camera')}; "
             f"{item.n_measured} of {item.n_frames} frames had a measured pose."
-        )
+        ]
         parts = sum(test.kind == "part" and test.rotation is not None for test in item.tests)
         errors, factors = list[str](), list[str]()
         for quantity in list_quantities(item):
@@ -305,23 +311,23 @@ def describe_for_paper(certificate: SessionCertificate) -> str:
             low, high = map(format_number, estimate.factor_interval)
             factors.append(f"{format_number(estimate.factor)} ({quantity.name}; 95 %: {low} to {high})")
         if errors:
-            sentences.append(
+            sentences += [
                 f"The error of the motion since the first frame was {' and '.join(errors)}, estimated from the recording "
-                f"itself by tracking it with {_count(parts, 'part')} of the cameras (jackknife) and backwards."
-            )
-            sentences.append(f"Stated standard deviations were multiplied by {' and '.join(factors)}.")
-    if errors_shared := any(item.rotation is not None for item in certificate.objects):
-        sentences.append(
-            "The estimate excludes errors that all cameras share, such as a wrong scale of the calibration."
-        )
+                f"itself by tracking it with {_count(parts, 'part')} of the cameras (jackknife) and backwards.",
+                "The estimate excludes errors that all cameras share, such as a wrong scale of the calibration.",
+                f"Stated standard deviations were multiplied by {' and '.join(factors)}.",
+            ]
+        else:
+            sentences.append("Its accuracy could not be certified.")
+        paragraphs.append(" ".join(sentences))
     if (bar := certificate.bar) is not None:
         (_, *lengths), (_, *angles) = build_bar_rows(bar, certificate.objects[0].unit)
-        sentences.append(
+        paragraphs.append(
             f"The relative pose of two objects on a stiff bar (ASTM E3064, {len(bar.index)} frames) deviated from its "
             f"mean by {lengths[0]} and {angles[0]} (rms), {lengths[1]} and {angles[1]} (maximum), {lengths[2]} and "
             f"{angles[2]} (99.7th percentile)."
         )
-    return " ".join(sentences) if errors_shared or bar else "Nothing could be certified."
+    return paragraphs
 
 
 def _count(n: int, noun: str) -> str:
@@ -355,7 +361,7 @@ def render_certificate(certificate: SessionCertificate, facts: dict[str, str]) -
         objects="".join(_render_object(item, is_named=len(certificate.objects) > 1) for item in certificate.objects),
         bar="" if certificate.bar is None else _render_bar(certificate.bar, certificate.objects[0].unit),
         limits=limits,
-        paper=escape_html(describe_for_paper(certificate)),
+        paper="".join(f'<p class="paper">{escape_html(text)}</p>' for text in describe_for_paper(certificate)),
         notes=(
             "<p>Errors are those of the motion since the first frame with a pose, rotation in world axes and position of "
             "the object&#39;s center. certificate.json has all numbers, certificate.csv the differences of all frames."
@@ -534,7 +540,10 @@ def render_chart(title: str, series: Sequence[_Series], lines: dict[str, float],
         at = y(tick / scale)
         drawn.append(f'<line class="grid" x1="{LEFT}" x2="{WIDTH - 8}" y1="{at:.1f}" y2="{at:.1f}"/>')
         drawn.append(f'<text x="{LEFT - 6}" y="{at + 4:.1f}" text-anchor="end">{tick:g}</text>')
-    for tick in choose_ticks(float(begin), float(end)):
+    # Recordings without time stamps count frames.
+    axis = "frame" if np.array_equal(series[0].times, np.round(series[0].times)) else "s"
+    drawn.append(f'<text x="{WIDTH - 4}" y="{HEIGHT - 7}" text-anchor="end">{axis}</text>')
+    for tick in choose_ticks(float(begin), float(end) - 0.07 * span):
         drawn.append(f'<text x="{x(tick):.1f}" y="{HEIGHT - 7}" text-anchor="middle">{tick:g}</text>')
     keys = []
     colors = camera_colors(1 + max(s.color for s in series))

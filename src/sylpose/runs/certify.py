@@ -685,6 +685,8 @@ class _Runs:
             return "no box of the object in these cameras."
         try:
             return self.track(label, part, options)
+        except np.linalg.LinAlgError:  # a bug
+            raise
         except ValueError as error:  # boxes whose rays do not meet, a camera without frames
             return f"{error}."
 
@@ -698,6 +700,8 @@ class _Runs:
             turned = turned.with_boxes({session.objects[0]: bound_sphere(session.rig, last.position, radius)})
         try:
             result = self.track(label, turned, replace(options, start=first, stop=end + 1 - options.start))
+        except np.linalg.LinAlgError:  # a bug
+            raise
         except ValueError as error:
             return f"{error}."
         times = session.timeline.times
