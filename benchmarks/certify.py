@@ -2,6 +2,7 @@
 
     python benchmarks/certify.py [KIND ...] [--seeds 0:2] [--jobs N] [--each] [--list] [--json FILE]
     python benchmarks/certify.py --recording DIR ...
+    python benchmarks/certify.py --bar
 
 Each take is rendered, tracked with all cameras, with parts of them and backwards as `sylpose certify` does it, and
 certified; the certificate is compared with the true errors of the motion since the first frame with a pose. Recordings need
@@ -14,6 +15,9 @@ a groundtruth.tum. Columns, of rotation and of position:
 - *Bound*: share of the runs whose 95 % bound is above the true error, and the least ratio.
 - *Factor / true*: the factor on standard deviations, relative to the one by which they agree with the truth.
 
+--bar renders two textured boxes at the ends of a stiff bar, and prints what `sylpose certify --bar` finds: the truth is a
+constant relative pose.
+
 Runs without parts that determine a quantity are not certified and only counted. Kinds named "shared-..." have errors that
 all cameras share; a certificate cannot see them. Seeds 0 to 9 are looked at while developing; figures in documents are of
 other seeds, looked at once.
@@ -23,10 +27,12 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import cv2
 import numpy as np
@@ -42,6 +48,7 @@ from sylpose.comparison import associate_timestamps
 from sylpose.geometry.arrays import FloatArray
 from sylpose.report.files import read_tum
 from sylpose.rig import Camera
+from sylpose.runs.certificate_page import build_bar_rows, describe_accuracy
 from sylpose.runs.certify import (
     POSITION,
     ROTATION,
@@ -54,6 +61,8 @@ from sylpose.runs.certify import (
     compute_motions,
     normalize_differences,
 )
+from sylpose.simulate import Actor, Scene, arc, chamfered_box, compute_demo_truth, render_frames
+from sylpose.simulate.recordings import create_session_folder, write_boxes, write_videos
 from sylpose.smoothing import Track, smooth
 
 # Kinds of `benchmarks/trust.py`.
@@ -208,6 +217,43 @@ def run_recording(folder: Path) -> Run:
     return compare_certificate(folder.name, 0, numbered, certificate, poses[own])
 
 
+def write_bar(folder: Path, frames: int = 30) -> None:
+    """Write a recording of two textured boxes that move as one rigid body, with boxes."""
+    rig, ends = arc(4, 35, 1.5, 620, (640, 480), height=0.35), {"left": -0.17, "right": 0.17}
+
+    def move(frame: float) -> RigidTransform:
+        turn = Rotation.from_rotvec(np.radians(2.0 * frame) * np.array([0.25, 0.9, 0.35]))
+        place = [0.06 * np.sin(frame / 9), 0.03 * np.sin(frame / 7), 0.05 * np.sin(frame / 8)]
+        return RigidTransform.from_components(place, turn)
+
+    actors, boxes = list[Actor](), dict[str, dict[str, tuple[int, int, int, int]]]()
+    for seed, (name, x) in enumerate(ends.items(), start=1):
+        end = RigidTransform.from_translation([x, 0.0, 0.0])
+        actors.append(Actor(chamfered_box(np.array([0.16, 0.15, 0.16]), 700, seed=seed), partial(_join, move, end)))
+        truth = compute_demo_truth(Scene(rig, (actors[-1],), 1, 3, 1.5))
+        boxes[name] = truth.boxes
+    create_session_folder(folder, rig)
+    write_boxes(folder, boxes)
+    write_videos(folder, rig, render_frames(Scene(rig, tuple(actors), frames, 3, 1.5)), frames)
+
+
+def _join(move: Callable[[float], RigidTransform], end: RigidTransform, frame: float) -> RigidTransform:
+    return move(frame) * end
+
+
+def report_bar() -> None:
+    """Render, certify and print the bar."""
+    with TemporaryDirectory() as folder:
+        write_bar(Path(folder))
+        certificate = certify_session(open_session(Path(folder)), bar=("left", "right"))
+    assert certificate.bar is not None
+    print("| | rms | maximum | 99.7th percentile |\n|---|---|---|---|")
+    for row in build_bar_rows(certificate.bar, "m"):
+        print("| " + " | ".join(row) + " |")
+    for item in certificate.objects:
+        print(f"{item.name}: {describe_accuracy(item)}")
+
+
 def compute_true_errors(complete: Trajectory, truth: RigidTransform) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Compute the errors (n, 3) of rotation and position since the first measured frame, and covariances (n, 6, 6)."""
     frames = {frame.index: frame for frame in complete if frame.is_measured}
@@ -273,11 +319,15 @@ def main() -> None:
     parser.add_argument("--each", action="store_true", help="print a row for each run")
     parser.add_argument("--list", action="store_true", help="print the kinds and stop")
     parser.add_argument("--recording", type=Path, action="append", default=[], metavar="DIR")
+    parser.add_argument("--bar", action="store_true", help="certify a rendered bar and stop")
     parser.add_argument("--json", type=Path, metavar="FILE")
     arguments = parser.parse_args()
     names = arguments.kinds or ([] if arguments.recording else list(KINDS))
     if unknown := [name for name in names if name not in KINDS]:
         parser.error(f"unknown kind: {', '.join(unknown)}; known are {', '.join(KINDS)}")
+    if arguments.bar:
+        report_bar()
+        return
     if arguments.list:
         print(", ".join(KINDS))
         return

@@ -1,8 +1,8 @@
 """Rebuild the documents' pictures of the demo.
 
-    python -m pages.demo        a minute on two cores, with the browser of the tests (`make browser`)
+    python -m pages.demo        four minutes on two cores, with the browser of the tests (`make browser`)
 
-Writes docs/images/demo.png, report.png and report_html.png.
+Writes docs/images/demo.png, report.png, report_html.png and certificate.png.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 from PIL import Image
 
 from pages.gallery import DOCS
+from sylpose.commands.certify import CertifyOptions, certify
 from sylpose.commands.demo import DemoOptions, demo
 from sylpose.report.files import read_trajectory
 from sylpose.report.plots import INK, X_COLOR, Y_COLOR, Z_COLOR, create_figure, style_panel
@@ -71,6 +72,15 @@ def _save(image: Image.Image, path: Path) -> None:
     image.quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE).save(path, optimize=True)
 
 
+def picture_certificate(file: Path) -> Image.Image:
+    """Take a picture of the upper part of a certificate."""
+    with (
+        launch_browser() as browser,
+        open_page(browser, file.as_uri(), viewport={"width": 1200, "height": 750}) as page,
+    ):
+        return Image.open(io.BytesIO(page.page.screenshot())).convert("RGB")
+
+
 def main() -> None:
     images = DOCS / "images"
     with TemporaryDirectory() as temporary:
@@ -91,6 +101,8 @@ def main() -> None:
             page.page.wait_for_timeout(1500)
             shot = Image.open(io.BytesIO(page.page.screenshot())).convert("RGB")
         _save(shot, images / "report_html.png")
+        certify(CertifyOptions(session=folder))
+        _save(picture_certificate(results / "certificate.html"), images / "certificate.png")
 
 
 if __name__ == "__main__":

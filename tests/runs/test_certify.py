@@ -222,6 +222,20 @@ def test_a_part_with_some_lost_frames_states_its_coverage() -> None:
     assert "cam_0, cam_1 found the object in 31 of 41 frames." in certificate.remarks[0]
 
 
+def test_a_part_that_followed_something_else_is_named() -> None:
+    errors = draw_errors(np.random.default_rng(12))[:, :40]
+    parts = {part: make_result(errors[0], SDS, part) for part in PAIRS}
+    complete = make_result(errors[1], SDS)
+    assert not certify_results("o", complete, parts, complete).remarks
+    parts[PAIRS[2]] = make_result(np.full((40, 6), [0.2, 0, 0, 0, 0, 0]), SDS, PAIRS[2])
+    certificate = certify_results("o", complete, parts, complete)
+    (remark,) = certificate.remarks
+    assert remark.startswith("cam_0, cam_3 alone makes most of the error of rotation: 11°, the other parts 0.4")
+    # The number is not changed: which of the results is wrong is not known.
+    assert certificate.rotation is not None
+    assert certificate.rotation.error == pytest.approx(0.2 / math.sqrt(6), rel=0.1)
+
+
 def test_single_cameras_determine_rotation_only() -> None:
     names, errors = NAMES[:2], draw_errors(np.random.default_rng(8))[:2, :60]
     parts: dict[tuple[str, ...], Trajectory] = {

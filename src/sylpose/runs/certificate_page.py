@@ -19,7 +19,7 @@ from sylpose.display import format_length
 from sylpose.geometry.arrays import FloatArray
 from sylpose.io.capture import Session
 from sylpose.report.page import compute_hash, escape_html, load_asset
-from sylpose.report.plots import camera_colors, choose_length_unit
+from sylpose.report.plots import choose_length_unit
 from sylpose.runs.certify import (
     POSITION,
     ROTATION,
@@ -35,6 +35,8 @@ from sylpose.runs.checkpoint import compute_fingerprint
 CERTIFICATE_FILES = ("certificate.html", "certificate.json", "certificate.csv")
 # Size of a chart, and its margins left and below, in its own units.
 WIDTH, HEIGHT, LEFT, BOTTOM = 560, 220, 52, 24
+# Colors of the parts, visible on light and dark pages (Okabe & Ito); the cameras' own colors mean single cameras.
+PART_COLORS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#56B4E9", "#CC79A7", "#8A8A8A")
 # Intervals between ticks, at most (choice).
 MAX_INTERVALS = 5
 
@@ -546,12 +548,11 @@ def render_chart(title: str, series: Sequence[_Series], lines: dict[str, float],
     for tick in choose_ticks(float(begin), float(end) - 0.07 * span):
         drawn.append(f'<text x="{x(tick):.1f}" y="{HEIGHT - 7}" text-anchor="middle">{tick:g}</text>')
     keys = []
-    colors = camera_colors(1 + max(s.color for s in series))
     for s in series:
         points = " ".join(f"{x(t):.1f},{y(v):.1f}" for t, v in zip(s.times, s.values, strict=True) if math.isfinite(v))
-        style = 'class="stated"' if s.color < 0 else f'class="part" stroke="{colors[s.color]}"'
+        style = 'class="stated"' if s.color < 0 else f'class="part" stroke="{PART_COLORS[s.color % len(PART_COLORS)]}"'
         drawn.append(f'<polyline fill="none" {style} points="{points}"/>')
-        keys.append((style, s.label))
+        keys.append((style, f"{s.label} (cut off)" if np.max(s.values) > 1.04 * top else s.label))
     for kind, value in lines.items():
         drawn.append(f'<line class="{kind}" x1="{LEFT}" x2="{WIDTH - 8}" y1="{y(value):.1f}" y2="{y(value):.1f}"/>')
         keys.append((f'class="{kind}"', {"rms": "certified rms error", "bound": "its 95 % upper bound"}[kind]))

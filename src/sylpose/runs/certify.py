@@ -18,6 +18,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import chdtri
 
+from sylpose.display import format_length
 from sylpose.frames import Box
 from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.geometry.robust_loss import chi_squared_bound
@@ -42,6 +43,8 @@ CONFIDENCE = 0.95
 BAR_PERCENTILE = 99.7
 # Points on the sphere whose image is the object's box in the last frame (choice: its outline within some percent).
 SPHERE_POINTS = 256
+# Share of the parts' mean square from which on one of them is named: it may have followed something else (choice).
+DOMINANT_SHARE = 0.9
 # Largest number of splits of the cameras (choice: as many as are independent with four cameras).
 MAX_SPLITS = 3
 ROTATION, POSITION = slice(0, 3), slice(3, 6)
@@ -474,6 +477,7 @@ def certify_results(
         tests.append(test)
         remarks += [test.reason] if test.reason else []
     rotation, position = (_estimate(tests, quantity, n) for quantity in ("rotation", "position"))
+    remarks += _describe_dominant_parts(tests, complete.unit)
     return _summarize(name, complete, tests, (rotation, position), remarks)
 
 
@@ -500,6 +504,29 @@ def _estimate(tests: Sequence[ConsistencyTest], quantity: str, cameras: int) -> 
     if not parts:
         return replace(largest, factor=np.nan, factor_interval=(np.nan, np.nan), basis="direction only")
     return replace(largest, factor=estimates[0].factor, factor_interval=estimates[0].factor_interval)
+
+
+def _describe_dominant_parts(tests: Sequence[ConsistencyTest], unit: str) -> list[str]:
+    """Describe, for each quantity, a part of the cameras that alone makes most of the certified error."""
+    sentences = []
+    for quantity in ("rotation", "position"):
+        errors = {
+            test.a: a.error for test in tests if test.kind == "part" and (a := getattr(test, quantity)) is not None
+        }
+        squares = np.square([*errors.values()])
+        if len(errors) < 3 or squares.max() <= DOMINANT_SHARE * squares.sum():
+            continue
+        worst = max(errors, key=errors.__getitem__)
+        others = float((squares.sum() - squares.max()) / (len(errors) - 1)) ** 0.5
+        texts = [
+            f"{np.degrees(error):.2g}°" if quantity == "rotation" else format_length(error, unit)
+            for error in (errors[worst], others)
+        ]
+        sentences.append(
+            f"{worst} alone makes most of the error of {quantity}: {texts[0]}, the other parts {texts[1]}. It may have "
+            "followed something else, or its cameras are wrong."
+        )
+    return sentences
 
 
 def _summarize(
