@@ -563,6 +563,15 @@ def test_check_prints_a_summary(run: Command, recording: Path, tmp_path: Path) -
     assert cv2.imread(str(tmp_path / "target.png")) is not None
 
 
+def test_check_names_exchanged_videos(run: Command, recording: Path, tmp_path: Path) -> None:
+    options = "--video", "cam_0=cam_2.mp4", "--video", "cam_1=cam_1.mp4", "--video", "cam_2=cam_0.mp4"
+    result = run("check", recording, *options, "--out", tmp_path)
+    assert result.code == 0, result.err
+    text = " ".join((result.out + result.err).split())
+    assert "the videos of cam_0 and cam_2 are exchanged: --video cam_0=cam_0.mp4 --video cam_2=cam_2.mp4" in text
+    assert "Not ready to track" in text
+
+
 def without_boxes(recording: Path) -> Session:
     """Open a recording; `preview_moving_object` ignores its boxes."""
     return open_session(recording)

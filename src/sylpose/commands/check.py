@@ -32,7 +32,7 @@ def check(options: CheckOptions) -> None:
     from sylpose.report.drawing import draw_regions, draw_world_axes
     from sylpose.report.rigview import describe_rig, plot_rig
     from sylpose.runs import check as checks
-    from sylpose.runs import console_output
+    from sylpose.runs import console_output, rig_evidence
     from sylpose.runs.results_folder import check_output_folder
     from sylpose.runs.run_metadata import WORLD
 
@@ -64,11 +64,19 @@ def check(options: CheckOptions) -> None:
     console.print()
     if target is not None:
         console.print(f"Target: {target.description}.", highlight=False)
-    problems = [*checks.list_warnings(session, locations), *(target.warnings if target is not None else ())]
+    problems, is_rig_wrong = checks.list_warnings(session, locations), False
+    if target is not None:
+        findings = rig_evidence.examine_rig(session.rig, session.frames)
+        problems += rig_evidence.describe_findings(session, findings)
+        is_rig_wrong = findings.is_rig_wrong
+        # What was or was not found to move under a wrong rig is no problem of its own.
+        problems += [] if is_rig_wrong else target.warnings
     console_output.print_warnings(console, problems)
     if errors:
         raise ValueError(f"{'; '.join(errors)}; correct the boxes: {checks.boxes_hint(session)}")
-    if problems:
+    if is_rig_wrong:
+        console.print("Not ready to track: poses would be wrong; see the warnings above.")
+    elif problems:
         console.print("Can be tracked; see the warnings above.")
     else:
         axis_note = checks.describe_axis_miss(session.rig)

@@ -92,14 +92,14 @@ class CameraEvidence:
 
 
 @kernel
-def compute_f_ratio(excess: FloatArray) -> tuple[float, int]:
+def compute_f_ratio(excess: FloatArray, without_worst: bool = True) -> tuple[float, int]:
     """Return the F ratio of the cameras' excess (C,) and the number of constraints that it refers to; NaN and 0 without any.
 
     An excess of NaN is a camera without evidence. With three or more, one camera may be at fault, and a robust joint
-    motion does not follow it: the ratio is that without the worst.
+    motion does not follow it: the ratio is that without the worst, unless all are to agree.
     """
     ordered = np.sort(excess[np.isfinite(excess)])
-    n = min(len(ordered), max(len(ordered) - 1, 2))
+    n = min(len(ordered), max(len(ordered) - 1, 2)) if without_worst else len(ordered)
     constraints = N_OWN * n - N_JOINT
     return (ordered[:n].sum() / constraints, constraints) if constraints > 0 else (np.nan, 0)
 

@@ -373,9 +373,13 @@ def explain_failures(session: Session | LiveSession, run: Run) -> list[str]:
             status = max(statuses, key=statuses.count)
             sentence = f"{prefix}no frame could be solved. {status.text}"
             if status is FrameStatus.CONTRADICTED:
+                path = shlex.quote(str(session.path))
+                remedy = (
+                    "" if isinstance(session, LiveSession) else f" `sylpose check {path}` tries the usual mistakes."
+                )
                 sentence += (
                     " Check that the calibration belongs to these images: names of the cameras, its unit and axes, mirrored "
-                    "or turned images, time offsets."
+                    f"or turned images, time offsets.{remedy}"
                 )
             elif not session.select_object(name).boxes and session.masks is None:
                 sentence += (

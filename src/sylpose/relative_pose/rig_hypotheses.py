@@ -1,0 +1,250 @@
+"""Hypotheses on why cameras contradict each other: the usual mistakes with images, calibrations and clocks.
+
+If all cameras see one rigid motion, its joint estimate fits each camera's matches about as well as the camera's own
+motion does (`camera_evidence`). Where it does not, the comparison is repeated with each usual mistake undone: images
+mirrored or turned, poses inverted, axes of other programs, cameras exchanged or late, one camera left out. The mistake
+that was made is the one without which the cameras agree. F ratios of several pairs of frames are pooled by their median.
+
+Some mistakes have the same epipolar geometry:
+
+- Images flipped vertically, and a left-handed world with y reversed (Unity): the world is a reflection in both.
+- Mirrored images, and OpenGL axes: depths have opposite signs. The joint motion has a surface in front of the cameras
+  (`terms`), hence only one of the two fits.
+- Rigs that a mistake maps to themselves: two cameras, and cameras in one plane with their axes, do not distinguish
+  mirrored images from turned ones. Motion does not reveal the length unit of any rig.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from itertools import combinations, permutations
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sylpose.geometry.arrays import FloatArray
+from sylpose.relative_pose.camera_evidence import (
+    MAX_OWN_RATIO,
+    MIN_BASELINE,
+    MIN_MATCHES,
+    compare_motions,
+    compute_f_ratio,
+)
+from sylpose.relative_pose.solver import fit_terms
+from sylpose.relative_pose.terms import TermData, locate_object
+from sylpose.rig import Camera, Rig
+
+# One camera's matches of moving features between two frames: pixels (n, 2) of both, as recorded.
+CameraMatches = tuple[FloatArray, FloatArray]
+# Those of each camera of the rig, in its order.
+FramePair = Sequence[CameraMatches]
+
+# All orders of up to so many cameras are tried; of more, pairwise exchanges and cyclic shifts (choice: 23 orders).
+MAX_PERMUTED = 4
+# A hypothesis explains a contradiction if it reduces the F ratio at least by this factor, to at most this value (choice:
+# right hypotheses have at most 1.4, others at least 3; docs/calibrating.md).
+MIN_REDUCTION, MAX_AGREEING = 3.0, 2.0
+# Ratios below this are alike (derived: the expected value without a contradiction).
+EXPECTED_RATIO = 1.0
+# A contradiction needs so many pairs of frames, and so does its explanation; that of a late camera needs more, since six
+# lags of each camera are tried (choice).
+MIN_PAIRS, MIN_LATE_PAIRS = 2, 3
+# More hypotheses that fit alike name nothing (choice).
+MAX_NAMED = 3
+# Axes of an OpenGL camera, y upwards and z backwards, in OpenCV's (derived).
+OPENCV_FROM_OPENGL = RigidTransform.from_rotation(Rotation.from_matrix(np.diag([1.0, -1.0, -1.0])))
+
+
+class Mistake(StrEnum):
+    """Usual mistakes with the images, the calibration or the clock of all cameras or of one."""
+
+    NONE = "none"
+    MIRRORED = "images mirrored"
+    TURNED = "images turned by 180 degrees"
+    FLIPPED = "images flipped vertically"
+    CLOCKWISE = "images turned clockwise"
+    COUNTERCLOCKWISE = "images turned counterclockwise"
+    INVERTED = "poses inverted"
+    OPENGL = "OpenGL axes"
+    INVERTED_OPENGL = "poses inverted, OpenGL axes"
+    EXCHANGED = "cameras exchanged"
+    LATE = "late"
+    INCONSISTENT = "inconsistent"
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A mistake that may have been made.
+
+    Attributes:
+        mistake: its kind.
+        cameras: indices of the affected cameras, () for all; for `Mistake.EXCHANGED` (C,), the camera whose images
+            each camera has.
+        lag: number of frames by which the camera's images are late; negative if they are early.
+    """
+
+    mistake: Mistake = Mistake.NONE
+    cameras: tuple[int, ...] = ()
+    lag: int = 0
+
+
+@dataclass(frozen=True)
+class HypothesisFit:
+    """How well the cameras agree under a hypothesis.
+
+    Attributes:
+        hypothesis: the hypothesis.
+        f_ratio: median of the F ratios of all pairs of frames with evidence; infinite without any.
+        given_ratio: the same of these pairs without the hypothesis.
+        n_pairs: number of these pairs.
+    """
+
+    hypothesis: Hypothesis
+    f_ratio: float
+    given_ratio: float
+    n_pairs: int
+
+    @property
+    def is_agreement(self) -> bool:
+        """Whether the hypothesis explains a contradiction."""
+        max_ratio = min(MAX_AGREEING, self.given_ratio / MIN_REDUCTION)
+        min_pairs = MIN_LATE_PAIRS if self.hypothesis.mistake is Mistake.LATE else MIN_PAIRS
+        return self.n_pairs >= min_pairs and self.given_ratio > MAX_OWN_RATIO and self.f_ratio <= max_ratio
+
+
+def list_hypotheses(rig: Rig) -> Iterator[Hypothesis]:
+    """Yield the hypotheses on a rig apart from late cameras."""
+    whole = Mistake.MIRRORED, Mistake.TURNED, Mistake.FLIPPED, Mistake.INVERTED, Mistake.OPENGL, Mistake.INVERTED_OPENGL
+    yield from map(Hypothesis, whole)
+    for c, camera in enumerate(rig):
+        square = (Mistake.CLOCKWISE, Mistake.COUNTERCLOCKWISE) if camera.size[0] == camera.size[1] else ()
+        yield from (Hypothesis(mistake, (c,)) for mistake in (Mistake.MIRRORED, Mistake.TURNED, *square))
+        if len(rig) > 2:
+            yield Hypothesis(Mistake.INCONSISTENT, (c,))
+    for order in _list_orders(len(rig)):
+        if all(rig.cameras[c].size == rig.cameras[source].size for c, source in enumerate(order)):
+            yield Hypothesis(Mistake.EXCHANGED, order)
+
+
+def _list_orders(n: int) -> Iterator[tuple[int, ...]]:
+    """Yield the orders of n cameras that are tried."""
+    in_order = tuple(range(n))
+    orders = set(permutations(in_order)) if n <= MAX_PERMUTED else {in_order[k:] + in_order[:k] for k in in_order}
+    for i, j in combinations(in_order, 2):
+        order = [*in_order]
+        order[i], order[j] = j, i
+        orders.add(tuple(order))
+    yield from sorted(orders - {in_order})
+
+
+def compute_f_ratios(
+    rig: Rig, pairs: Sequence[FramePair], hypothesis: Hypothesis, without_worst: bool = False
+) -> FloatArray:
+    """Compute the F ratio of each pair of frames once a mistake is undone.
+
+    Args:
+        rig: C cameras.
+        pairs: P pairs of frames; for `Mistake.LATE` with the camera's matches at the times of the others.
+        hypothesis: the mistake.
+        without_worst: whether one of three or more cameras may disagree.
+
+    Returns:
+        (P,) the ratios; infinite without a joint motion, NaN if fewer than two cameras have evidence.
+    """
+    return np.array([_compare_cameras(_undo(rig, pair, hypothesis), without_worst) for pair in pairs])
+
+
+def summarize(hypothesis: Hypothesis, ratios: FloatArray, given: FloatArray) -> HypothesisFit:
+    """Summarize the F ratios (P,) under a hypothesis, and those of the same pairs of frames without it."""
+    known = ~np.isnan(ratios) & ~np.isnan(given)
+    if not known.any():
+        return HypothesisFit(hypothesis, np.inf, np.inf, 0)
+    f_ratio, given_ratio = (float(np.median(values[known])) for values in (ratios, given))
+    return HypothesisFit(hypothesis, f_ratio, given_ratio, int(np.count_nonzero(known)))
+
+
+def select_explanations(fits: Sequence[HypothesisFit]) -> list[HypothesisFit]:
+    """Select the hypotheses that explain a contradiction, best first.
+
+    Args:
+        fits: of all hypotheses.
+
+    Returns:
+        those that fit about as well as the best one; none if these are too many to name.
+    """
+    agreeing = sorted((fit for fit in fits if fit.is_agreement), key=lambda fit: fit.f_ratio)
+    best = [fit for fit in agreeing if fit.f_ratio <= max(MIN_REDUCTION * agreeing[0].f_ratio, EXPECTED_RATIO)]
+    # A camera that agrees once its mistake is undone can be left out as well. Similar lags of a camera are one mistake.
+    chosen = dict[tuple[Mistake, tuple[int, ...]], HypothesisFit]()
+    for fit in best:
+        chosen.setdefault((fit.hypothesis.mistake, fit.hypothesis.cameras), fit)
+    specific = [fit for fit in chosen.values() if fit.hypothesis.mistake is not Mistake.INCONSISTENT]
+    selected = specific or [*chosen.values()]
+    return selected if len(selected) <= MAX_NAMED else []
+
+
+def _undo(rig: Rig, pair: FramePair, hypothesis: Hypothesis) -> list[tuple[Camera, CameraMatches]]:
+    """Return the cameras and their matches as they are without a mistake."""
+    mistake, affected = hypothesis.mistake, hypothesis.cameras
+    if mistake is Mistake.EXCHANGED:
+        return [(camera, pair[affected.index(c)]) for c, camera in enumerate(rig)]
+    views = list(zip(rig, pair, strict=True))
+    if mistake is Mistake.INCONSISTENT:
+        return [view for c, view in enumerate(views) if c not in affected]
+    return [
+        (_undo_pose(camera, mistake), _undo_image(camera, matches, mistake))
+        if c in affected or not affected
+        else (camera, matches)
+        for c, (camera, matches) in enumerate(views)
+    ]
+
+
+def _undo_pose(camera: Camera, mistake: Mistake) -> Camera:
+    pose = camera.camera_from_world
+    if mistake in (Mistake.INVERTED, Mistake.INVERTED_OPENGL):
+        pose = pose.inv()
+    if mistake in (Mistake.OPENGL, Mistake.INVERTED_OPENGL):
+        pose = OPENCV_FROM_OPENGL * pose
+    return replace(camera, camera_from_world=pose)
+
+
+def _undo_image(camera: Camera, matches: CameraMatches, mistake: Mistake) -> CameraMatches:
+    right, bottom = camera.size[0] - 1.0, camera.size[1] - 1.0
+
+    def undo(pixels: FloatArray) -> FloatArray:
+        u, v = pixels.T
+        if mistake is Mistake.CLOCKWISE:
+            return np.column_stack([v, bottom - u])
+        if mistake is Mistake.COUNTERCLOCKWISE:
+            return np.column_stack([right - v, u])
+        u = right - u if mistake in (Mistake.MIRRORED, Mistake.TURNED) else u
+        return np.column_stack([u, bottom - v if mistake in (Mistake.FLIPPED, Mistake.TURNED) else v])
+
+    return undo(matches[0]), undo(matches[1])
+
+
+def _compare_cameras(views: Sequence[tuple[Camera, CameraMatches]], without_worst: bool) -> float:
+    """Return the F ratio of a pair of frames; infinite without a joint motion, NaN without evidence."""
+    terms = [
+        TermData(c, camera.normalize(x), camera.normalize(y), camera.rotation, camera.center, camera.focal)
+        for c, (camera, (x, y)) in enumerate(views)
+        if len(x) >= MIN_MATCHES
+    ]
+    if len(terms) < 2:
+        return np.nan
+    center, radius = locate_object(terms)
+    fit = fit_terms(terms, center, radius, [], np.random.default_rng(0))
+    if not fit.status.has_pose:
+        return np.inf
+    excess = np.empty(len(terms))
+    for c, term in enumerate(terms):
+        offset = term.center - center
+        moved = (fit.rotation @ offset + fit.translation - offset) / np.linalg.norm(offset)
+        if not np.linalg.norm(moved) > MIN_BASELINE:
+            # Without a baseline every match fits, whatever the rig.
+            return np.inf
+        rotation = term.rotation @ fit.rotation @ term.rotation.T
+        *_, excess[c] = compare_motions(term.x, term.y, term.focal, rotation, term.rotation @ moved)
+    return float(compute_f_ratio(excess, without_worst)[0])
