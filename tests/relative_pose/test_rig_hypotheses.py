@@ -191,6 +191,9 @@ def test_selection_needs_pairs_and_a_clear_reduction() -> None:
     assert select_explanations([HypothesisFit(mirrored, 0.5, 100.0, MIN_PAIRS - 1)]) == []
     assert select_explanations([HypothesisFit(mirrored, 0.5, MAX_OWN_RATIO, 5)]) == []
     assert select_explanations([HypothesisFit(mirrored, 1.01 * MAX_AGREEING, 100.0, 5)]) == []
+    assert select_explanations([HypothesisFit(mirrored, 0.5, 20.0, 5, 2 * MAX_OWN_RATIO)]) == []
+    assert select_explanations([HypothesisFit(mirrored, 0.5, 20.0, MIN_PAIRS)]) == []
+    assert select_explanations([HypothesisFit(mirrored, 0.5, 20.0, MIN_PAIRS + 1)])
     assert select_explanations([]) == []
     # A camera that can be left out may be the one with the mistake; two that can are both named.
     both = [HypothesisFit(left_out, 0.1, 100.0, 5), HypothesisFit(mirrored, 0.6, 100.0, 5)]

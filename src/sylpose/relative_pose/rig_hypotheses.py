@@ -26,6 +26,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.geometry.arrays import FloatArray
 from sylpose.relative_pose.camera_evidence import (
+    MAX_F_RATIO,
     MAX_OWN_RATIO,
     MIN_BASELINE,
     MIN_MATCHES,
@@ -97,7 +98,8 @@ class HypothesisFit:
     Attributes:
         hypothesis: the hypothesis.
         f_ratio: median of the F ratios of all pairs of frames with evidence; infinite without any.
-        given_ratio: the same of these pairs without the hypothesis.
+        given_ratio: the same of these pairs without the hypothesis; of two in the middle, the smaller one.
+        worst_ratio: largest of the F ratios; infinite without any.
         n_pairs: number of these pairs.
     """
 
@@ -105,13 +107,17 @@ class HypothesisFit:
     f_ratio: float
     given_ratio: float
     n_pairs: int
+    worst_ratio: float = 0.0
 
     @property
     def is_agreement(self) -> bool:
         """Whether the hypothesis explains a contradiction."""
         max_ratio = min(MAX_AGREEING, self.given_ratio / MIN_REDUCTION)
         min_pairs = MIN_LATE_PAIRS if self.hypothesis.mistake is Mistake.LATE else MIN_PAIRS
-        return self.n_pairs >= min_pairs and self.given_ratio > MAX_OWN_RATIO and self.f_ratio <= max_ratio
+        # Two pairs have no majority: a larger ratio makes up for that.
+        min_given = MAX_OWN_RATIO if self.n_pairs > MIN_PAIRS else MAX_F_RATIO
+        is_contradiction = self.n_pairs >= min_pairs and self.given_ratio > min_given
+        return is_contradiction and self.f_ratio <= max_ratio and self.worst_ratio <= MAX_OWN_RATIO
 
 
 def list_hypotheses(rig: Rig) -> Iterator[Hypothesis]:
@@ -160,9 +166,9 @@ def summarize(hypothesis: Hypothesis, ratios: FloatArray, given: FloatArray) -> 
     """Summarize the F ratios (P,) under a hypothesis, and those of the same pairs of frames without it."""
     known = ~np.isnan(ratios) & ~np.isnan(given)
     if not known.any():
-        return HypothesisFit(hypothesis, np.inf, np.inf, 0)
-    f_ratio, given_ratio = (float(np.median(values[known])) for values in (ratios, given))
-    return HypothesisFit(hypothesis, f_ratio, given_ratio, int(np.count_nonzero(known)))
+        return HypothesisFit(hypothesis, np.inf, np.inf, 0, np.inf)
+    f_ratio, given_ratio = float(np.median(ratios[known])), float(np.quantile(given[known], 0.5, method="lower"))
+    return HypothesisFit(hypothesis, f_ratio, given_ratio, int(np.count_nonzero(known)), float(ratios[known].max()))
 
 
 def select_explanations(fits: Sequence[HypothesisFit]) -> list[HypothesisFit]:

@@ -123,7 +123,7 @@ def examine_rig(rig: Rig, read_frames: Callable[[], Iterable[FrameSet]]) -> RigF
     span = evidence.frames[0][0], evidence.frames[-1][1]
     given = compute_f_ratios(rig, evidence.pairs, Hypothesis())
     fit = summarize(Hypothesis(), given, given)
-    if not (fit.n_pairs >= MIN_PAIRS and fit.f_ratio > MAX_OWN_RATIO):
+    if not (fit.n_pairs >= MIN_PAIRS and fit.given_ratio > MAX_OWN_RATIO):
         return RigFindings(span, False, (), frozen, still)
     fits = [
         summarize(hypothesis, compute_f_ratios(rig, evidence.pairs, hypothesis), given)
@@ -137,7 +137,7 @@ def examine_rig(rig: Rig, read_frames: Callable[[], Iterable[FrameSet]]) -> RigF
     if not explanations:
         # Of three or more cameras, one may see something else that moves.
         given = compute_f_ratios(rig, evidence.pairs, Hypothesis(), without_worst=True)
-    is_contradicted = bool(explanations) or summarize(Hypothesis(), given, given).f_ratio > MAX_F_RATIO
+    is_contradicted = bool(explanations) or summarize(Hypothesis(), given, given).given_ratio > MAX_F_RATIO
     return RigFindings(span, is_contradicted, tuple(explanations), frozen, still)
 
 
