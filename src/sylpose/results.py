@@ -155,7 +155,7 @@ class FramePose(Printable):
 
     @property
     def is_measured(self) -> bool:
-        """Whether the images determine the pose; False for predicted, uncertain or contradicted ones."""
+        """Whether the images determine the pose; False for predicted or doubtful ones."""
         return self.world_from_object is not None and self.status not in (*PREDICTED, *DOUBTFUL)
 
     @property
@@ -168,7 +168,7 @@ class FramePose(Printable):
 
         Poses without the object in the images, and the first one, are returned unchanged.
         """
-        if not self.is_observed or self.status in (FrameStatus.FIRST, FrameStatus.CONTRADICTED):
+        if not self.is_observed or self.status in (FrameStatus.FIRST, FrameStatus.CONTRADICTED, FrameStatus.AMBIGUOUS):
             return self
         rotation_covariance = self.covariance[:3, :3]
         if (

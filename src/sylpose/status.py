@@ -60,6 +60,7 @@ class FrameStatus(_Described):
     INTERPOLATED = "interpolated"
     UNCERTAIN = "uncertain"
     CONTRADICTED = "contradicted"
+    AMBIGUOUS = "ambiguous"
     LOST = "lost"
     TOO_FEW_MATCHES = "too few matches"
     NO_MOTION = "no motion"
@@ -79,7 +80,7 @@ class FrameStatus(_Described):
 # Statuses of frames with a pose that no match determines.
 PREDICTED = (FrameStatus.COASTING, FrameStatus.INTERPOLATED)
 # Statuses of frames whose pose is not to be relied on, although the object was found.
-DOUBTFUL = (FrameStatus.UNCERTAIN, FrameStatus.CONTRADICTED)
+DOUBTFUL = (FrameStatus.UNCERTAIN, FrameStatus.CONTRADICTED, FrameStatus.AMBIGUOUS)
 
 
 class Observability(_Described):
@@ -116,6 +117,8 @@ _TEXTS: dict[_Described, str] = {
     FrameStatus.UNCERTAIN: "The observations hardly constrain the rotation: very different poses fit as well.",
     FrameStatus.CONTRADICTED: "The cameras contradict each other: no single motion explains the images of all of them, or "
     "the frame contradicts the rest of the recording.",
+    FrameStatus.AMBIGUOUS: "Several bodies move at the same time, and which of them is the object is not known: the pose "
+    "is that of the one with the most matches.",
     FrameStatus.LOST: "The object was not found for too long to predict its pose.",
     FrameStatus.TOO_FEW_MATCHES: "Too few features on the object in all cameras together to start.",
     FrameStatus.NO_MOTION: "Nothing has moved yet that could be the object: its pose is unknown.",

@@ -36,12 +36,12 @@ from sylpose.runs import check as checks
 from sylpose.runs.check import preview_moving_object
 from sylpose.runs.options import RunOptions
 from sylpose.runs.run import track_session
-from sylpose.status import FrameStatus
 from sylpose.tracking.context import TrackedFrame
 from sylpose.tracking.frame_solvers import SOLVERS
 from sylpose.tracking.tracker import Tracker
 from tests.conftest import FRAMES
 from tests.paths import DATA
+from tests.recordings import write_box_recording
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -582,17 +582,18 @@ def test_check_describes_the_moving_object_without_boxes(recording: Path) -> Non
     assert found.description.startswith("what moves from frame 0 to ")
     assert found.description.count("cam_") == 3
     assert found.warnings == ()
-    assert all(outline is not None and len(outline) > 3 for outline in found.outlines)
+    (view,) = found.views
+    assert view.label == ""
+    assert all(outline is not None and len(outline) > 3 for outline in view.outlines)
 
 
-def test_check_warns_if_nothing_moves(recording: Path) -> None:
-    """A single frame shows no motion, but it is drawn nevertheless."""
-    found = preview_moving_object(without_boxes(recording), n_frames=1)
+def test_check_warns_if_nothing_moves(tmp_path: Path) -> None:
+    """A recording without motion is drawn nevertheless."""
+    resting = write_box_recording(tmp_path, lambda _frame: RigidTransform.identity(), 3)
+    found = preview_moving_object(open_session(resting))
     assert len(found.warnings) == 1
-    assert "nothing trackable moves within the first frame" in found.warnings[0]
-    assert FrameStatus.NO_MOTION.text in found.warnings[0]
-    assert found.frames is not None
-    assert found.outlines == (None,) * 3
+    assert "no rigid body was found to move" in found.warnings[0]
+    assert found.views[0].outlines == (None,) * 4
 
 
 @pytest.mark.slow

@@ -19,9 +19,10 @@ from sylpose.matches import STATIC_PX
 from sylpose.rig import Rig
 from sylpose.simulate import arc, ellipsoid
 from sylpose.status import FrameStatus, Status
+from sylpose.tracking.bodies import find_bodies, has_rival
 from sylpose.tracking.camera_side.frame import CameraFrame, FrameMatches
-from sylpose.tracking.context import Context, LocalExecutor
-from sylpose.tracking.first_motion import AMBIGUITY_RATIO, FirstMotion, estimate_first_motion, is_ambiguous
+from sylpose.tracking.context import MAX_RIVAL_RATIO, Context, LocalExecutor
+from sylpose.tracking.first_motion import FirstMotion, estimate_first_motion
 from sylpose.tracking.tracker import track
 from tests.clips import statuses
 
@@ -177,7 +178,7 @@ def test_common_motion_is_one_object(executor: LocalExecutor, rig: Rig) -> None:
     assert max(motion_errors(found)) < 2e-5
     assert found.n_inliers > 0.95 * sum(len(shift) for shift in moving_displacements(pairs, 0, 110))
     assert found.radius > 0.3
-    assert not is_ambiguous(make_context(executor, rig, 1), pairs, FIRST, found)
+    assert not has_rival(make_context(executor, rig, 1), pairs, FIRST, found)
 
 
 def assert_no_motion(motion: FirstMotion, cameras: int) -> None:
@@ -198,7 +199,7 @@ def test_static_scene_has_no_object(executor: LocalExecutor, rig: Rig) -> None:
     pairs = make_pairs(rig, [standing])
     found = estimate_motion(executor, rig, pairs)
     assert_no_motion(found, len(rig))
-    assert not is_ambiguous(make_context(executor, rig, 1), pairs, FIRST, found)
+    assert not has_rival(make_context(executor, rig, 1), pairs, FIRST, found)
 
 
 def test_no_matches_give_no_motion(executor: LocalExecutor, rig: Rig) -> None:
@@ -237,35 +238,51 @@ def test_equal_seeds_give_equal_motions(executor: LocalExecutor, rig: Rig) -> No
 # --- two moving bodies
 
 
-@pytest.mark.parametrize(("count", "ambiguous"), [(10, False), (20, False), (40, True)])
-def test_second_body_with_over_half_the_features_is_ambiguous(
-    executor: LocalExecutor, rig: Rig, count: int, ambiguous: bool
-) -> None:
+@pytest.mark.parametrize("count", [20, 40, 60])
+def test_bodies_are_found_with_their_motions(executor: LocalExecutor, rig: Rig, count: int) -> None:
+    """The one with more matches first. A few matches agree with both motions."""
+    pairs = make_pairs(rig, [OBJECT, Body(count, ELSEWHERE, OTHER)])
+    found = find_bodies(make_context(executor, rig), pairs, FIRST)
+    assert len(found) == 2
+    assert found[0].n_inliers >= found[1].n_inliers
+    for truth in (MOTION, OTHER):
+        errors = [(truth.inv() * body.motion).rotation.magnitude() for body in found]
+        assert min(errors) < np.radians(0.2)
+    owners = [{int(i) for pairs in body.inliers for pair in pairs for i in pair.indices[:, 0]} for body in found]
+    assert not owners[0] & owners[1]
+
+
+def test_bodies_of_static_scene(executor: LocalExecutor, rig: Rig) -> None:
+    assert not find_bodies(make_context(executor, rig), make_pairs(rig, []), FIRST)
+
+
+@pytest.mark.parametrize("count", [20, 40])
+def test_second_body_is_rival(executor: LocalExecutor, rig: Rig, count: int) -> None:
     pairs = make_pairs(rig, [OBJECT, Body(count, ELSEWHERE, OTHER)])
     found = estimate_motion(executor, rig, pairs)
-    assert is_ambiguous(make_context(executor, rig, 1), pairs, FIRST, found) == ambiguous
+    assert has_rival(make_context(executor, rig, 1), pairs, FIRST, found)
 
 
 @pytest.mark.parametrize("more", [-1, 1])
-def test_ambiguity_threshold(executor: LocalExecutor, rig: Rig, more: int) -> None:
+def test_rival_threshold(executor: LocalExecutor, rig: Rig, more: int) -> None:
     """On both sides of the threshold, with a second body of known feature count."""
     pairs = make_pairs(rig, [OBJECT, Body(40, ELSEWHERE, OTHER)])
     found = estimate_motion(executor, rig, pairs)
     rival = estimate_motion(executor, rig, make_pairs(rig, [Body(40, ELSEWHERE, OTHER)]))
     assert rival.fit.status is Status.OK
     assert rival.n_inliers > 0.9 * 40 * len(rig)
-    larger = replace(found, n_inliers=int(rival.n_inliers / AMBIGUITY_RATIO) + more)
-    assert is_ambiguous(make_context(executor, rig, 1), pairs, FIRST, larger) == (more < 0)
+    larger = replace(found, n_inliers=round(rival.n_inliers / MAX_RIVAL_RATIO) + more)
+    assert has_rival(make_context(executor, rig, 1), pairs, FIRST, larger) == (more < 0)
 
 
 @pytest.mark.parametrize("noise_px", [0.0, 0.3])
 def test_object_itself_is_not_ambiguous(executor: LocalExecutor, rig: Rig, noise_px: float) -> None:
     pairs = make_pairs(rig, [OBJECT], noise_px=noise_px)
     found = estimate_motion(executor, rig, pairs)
-    assert not is_ambiguous(make_context(executor, rig, 1), pairs, FIRST, found)
+    assert not has_rival(make_context(executor, rig, 1), pairs, FIRST, found)
     # With its inliers included it would be.
     blind = replace(found, inliers=[[] for _ in rig])
-    assert is_ambiguous(make_context(executor, rig, 1), pairs, FIRST, blind)
+    assert has_rival(make_context(executor, rig, 1), pairs, FIRST, blind)
 
 
 def test_buffered_frame_may_determine_depth() -> None:

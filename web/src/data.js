@@ -44,7 +44,7 @@ export function readImages(data) {
 // Groups of statuses with a color each.
 function kindOf(status, hasPose) {
   if (!hasPose) return "none";
-  return { relocalised: "again", coasting: "coasting", interpolated: "coasting", uncertain: "uncertain", contradicted: "uncertain" }[status] ?? "tracked";
+  return { relocalised: "again", coasting: "coasting", interpolated: "coasting", uncertain: "uncertain", contradicted: "uncertain", ambiguous: "uncertain" }[status] ?? "tracked";
 }
 
 export const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();

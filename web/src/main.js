@@ -60,7 +60,7 @@ function band() {
 new ResizeObserver(band).observe($("band"));
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", band);
 
-const names = { tracked: "tracked", again: "relocalized", coasting: "coasting, interpolated", uncertain: "uncertain, contradicted", none: "no pose" };
+const names = { tracked: "tracked", again: "relocalized", coasting: "coasting, interpolated", uncertain: "uncertain, contradicted, ambiguous", none: "no pose" };
 for (const kind of Object.keys(names)) {
   if (!data.kinds.includes(kind)) continue;
   $("band-legend").append(make("span", { class: kind }, make("i", {}), names[kind]));

@@ -52,13 +52,13 @@ def check(options: CheckOptions) -> None:
     plot_rig(session.rig, pictures[0], location.center if location.radius else None, location.radius)
     errors = checks.list_errors(locations)
     target = None if errors else checks.find_tracking_target(session)
-    first = None if target is None else target.frames
-    if target is not None and first is not None:
+    views = [] if target is None else target.views
+    if views:
         pictures.append(folder / "target.png")
-        draw_regions(pictures[-1], first.images, session.rig.names, target.outlines)
+        draw_regions(pictures[-1], session.rig.names, [(label, its.images, outlines) for label, its, outlines in views])
     if session.world is not None:
         pictures.append(folder / "world.png")
-        draw_world_axes(pictures[-1], [None] * len(session.rig) if first is None else first.images, session.rig)
+        draw_world_axes(pictures[-1], views[0].frames.images if views else [None] * len(session.rig), session.rig)
         save_world(session.world, folder / WORLD)
     console_output.print_files(console, "Pictures" if len(pictures) > 1 else "Picture", pictures)
     console.print()

@@ -47,8 +47,8 @@ class TrackOptions(DisplayOptions, MethodOptions, WorldOptions, RangeOptions, Re
 
     Attributes:
         method: Select the estimation method; see below.
-        known: Express poses in the frame of an object.npz from another recording; for several objects, repeat with
-            NAME=FILE.
+        known: Without boxes, track body N of those that `sylpose check` draws; or express poses in the frame of an
+            object.npz from another recording; for several objects, repeat with NAME=FILE.
         offsets: Read the cameras' time offsets in seconds (TOML); default: SESSION/offsets.toml if present.
         every: Track every N-th frame.
         follow: Track image folders that a recorder is still writing.
@@ -60,7 +60,7 @@ class TrackOptions(DisplayOptions, MethodOptions, WorldOptions, RangeOptions, Re
     """
 
     boxes: BoxesFile = None
-    known: Annotated[tuple[str, ...], option("--object [NAME=]FILE", OBJECT)] = ()
+    known: Annotated[tuple[str, ...], option("--object N|[NAME=]FILE", OBJECT)] = ()
     frame_offset: FrameOffset = ()
     offsets: Annotated[Path | None, option("--offsets FILE", INPUT)] = None
     every: Annotated[int, option("--every N", INPUT)] = 1
@@ -113,8 +113,12 @@ class TrackOptions(DisplayOptions, MethodOptions, WorldOptions, RangeOptions, Re
         from sylpose.runs.options import RunOptions
         from sylpose.sync.offsets import find_offsets
 
-        known = load_known_objects(self.known, session.objects, session.rig)
-        return pick(self, RunOptions, offsets=find_offsets(session, self.offsets), known=known)
+        numbers = [text for text in self.known if text.isascii() and text.isdigit()]
+        if numbers and (len(self.known) > 1 or not int(numbers[0])):
+            raise ValueError(f"--object: expected one number from 1 on, or files, got {' '.join(self.known)}")
+        known = load_known_objects(() if numbers else self.known, session.objects, session.rig)
+        candidate = int(numbers[0]) if numbers else None
+        return pick(self, RunOptions, offsets=find_offsets(session, self.offsets), known=known, candidate=candidate)
 
 
 @command("Track an object in a recording or live cameras.", notes=f"\b\n{format_methods_table()}\n")

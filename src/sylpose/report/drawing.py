@@ -158,25 +158,35 @@ AXIS_RATIO, FLOOR_LINES = 0.15, 4
 
 
 def draw_regions(
-    path: Path, images: Sequence[Image | None], names: Sequence[str], outlines: Sequence[FloatArray | None]
+    path: Path,
+    names: Sequence[str],
+    rows: Sequence[tuple[str, Sequence[Image | None], Sequence[FloatArray | None]]],
 ) -> None:
-    """Draw the images side by side, each with its region's outline.
+    """Draw the images side by side, each with its region's outline, one row below the other.
 
     Args:
         path: path of the picture.
-        images: images of C cameras, (h, w, 3) BGR or (h, w) gray, or None.
-        names: names of the cameras.
-        outlines: (k, 2) pixels, or None.
+        names: names of C cameras.
+        rows: of each a label, images of the cameras, (h, w, 3) BGR or (h, w) gray, or None, and outlines (k, 2), pixels,
+            or None.
 
     Raises:
         OSError: the file cannot be written; the message names it.
     """
-    tiles = [_make_tile(image) for image in images]
-    for (tile, scale), name, outline in zip(tiles, names, outlines, strict=True):
-        if outline is not None:
-            draw_polyline(tile, (outline + 0.5) * scale - 0.5, AXIS_COLORS[1], 2, closed=True)
-        draw_text(tile, name, (8, 22), 0.6, WHITE)
-    _save(path, [tile for tile, _ in tiles])
+    drawn = list[Image]()
+    for label, images, outlines in rows:
+        tiles = list[Image]()
+        for image, name, outline in zip(images, names, outlines, strict=True):
+            tile, scale = _make_tile(image)
+            if outline is not None:
+                pixels = (outline + 0.5) * scale - 0.5
+                draw_polyline(tile, pixels, AXIS_COLORS[1], 2, closed=True)
+                x, y = np.clip(pixels.mean(axis=0), 12, np.array(tile.shape[1::-1]) - 12)
+                draw_text(tile, label, (int(x) - 8, int(y) + 8), 1.0, WHITE)
+            draw_text(tile, name, (8, 22), 0.6, WHITE)
+            tiles.append(tile)
+        drawn.append(np.hstack(tiles))
+    _save(path, np.vstack(drawn))
 
 
 def draw_world_axes(path: Path, images: Sequence[Image | None], rig: Rig) -> None:
@@ -207,7 +217,7 @@ def draw_world_axes(path: Path, images: Sequence[Image | None], rig: Rig) -> Non
         cv2.addWeighted(layer, 0.5, tile, 0.5, 0, dst=tile)
         draw_axes(tile, camera, RigidTransform.identity(), length, scale, 0.8, faint=False)
         draw_text(tile, f"{camera.name}   axes {length:g} {rig.unit}".rstrip(), (8, 22), 0.6, WHITE)
-    _save(path, [tile for tile, _ in tiles])
+    _save(path, np.hstack([tile for tile, _ in tiles]))
 
 
 def _round_length(value: float) -> float:
@@ -226,8 +236,8 @@ def _make_tile(image: Image | None, camera: Camera | None = None) -> tuple[Image
     return np.asarray(cv2.resize(to_bgr(image), (max(1, round(scale * image.shape[1])), TILE_HEIGHT)), np.uint8), scale
 
 
-def _save(path: Path, tiles: Sequence[Image]) -> None:
-    is_encoded, data = cv2.imencode(".png", np.hstack(list(tiles)))
+def _save(path: Path, picture: Image) -> None:
+    is_encoded, data = cv2.imencode(".png", picture)
     if not is_encoded:
         raise OSError(f"{path}: the picture cannot be written")
     with replace_atomically(path) as part:

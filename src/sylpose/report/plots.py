@@ -35,7 +35,7 @@ X_COLOR, Y_COLOR, Z_COLOR = "#D55E00", "#009E73", "#0072B2"
 CAMERA_COLORS = ("#332288", "#CC6677", "#117733", "#DDCC77", "#88CCEE", "#882255", "#44AA99", "#999933", "#AA4499")
 DASHES = ("-", "--", ":", "-.")
 NO_POSE_COLOR, UNKNOWN_SCALE_COLOR, COASTING_COLOR, UNKNOWN_LENGTH_COLOR = "#BBBBBB", "#F0E442", "#F6D9C2", "#D9C7E8"
-UNCERTAIN_COLOR, CONTRADICTED_COLOR = "#F4B6B6", "#E06666"
+UNCERTAIN_COLOR, AMBIGUOUS_COLOR, CONTRADICTED_COLOR = "#F4B6B6", "#E8A0D0", "#E06666"
 INK = "#333333"
 
 # With more frames than this, markers would overlap.
@@ -315,13 +315,15 @@ def _shade_frames(panels: list[Axes], trajectory: Trajectory) -> list[Patch]:
     unknown_scale = observability == Observability.NO_SCALE
     unknown_length = observability == Observability.NO_TRANSLATION_SCALE
     coasting, interpolated = status == FrameStatus.COASTING, status == FrameStatus.INTERPOLATED
-    uncertain, contradicted = status == FrameStatus.UNCERTAIN, status == FrameStatus.CONTRADICTED
+    uncertain, ambiguous = status == FrameStatus.UNCERTAIN, status == FrameStatus.AMBIGUOUS
+    contradicted = status == FrameStatus.CONTRADICTED
     entries = []
     for frames, color, label in (
         (np.array([f.world_from_object is None for f in trajectory]), NO_POSE_COLOR, "no pose"),
         (coasting, COASTING_COLOR, "coasting: predicted, not observed"),
         (interpolated, COASTING_COLOR, "interpolated, not observed"),
         (uncertain, UNCERTAIN_COLOR, "uncertain: rotation poorly constrained"),
+        (ambiguous, AMBIGUOUS_COLOR, "ambiguous: several bodies move"),
         (contradicted, CONTRADICTED_COLOR, "contradicted: the cameras disagree"),
         (unknown_scale, UNKNOWN_SCALE_COLOR, Observability.NO_SCALE.value),
         (unknown_length, UNKNOWN_LENGTH_COLOR, Observability.NO_TRANSLATION_SCALE.value),

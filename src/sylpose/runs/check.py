@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,20 +17,16 @@ from sylpose.io.capture import Session
 from sylpose.io.capture.live import LiveSession
 from sylpose.report.rigview import describe_rig, find_axes_intersection
 from sylpose.rig import Camera, Rig
+from sylpose.runs.candidates import find_session_candidates
 from sylpose.runs.console_output import select_solved_frames
 from sylpose.runs.run_result import Run
 from sylpose.status import DOUBTFUL, FrameStatus
-from sylpose.tracking.context import TrackedFrame
+from sylpose.tracking.context import MAX_RIVAL_RATIO
 from sylpose.tracking.joint_side.object_model import carve_box_volume
-from sylpose.tracking.tracker import Tracker
 
 # Timestamps of one frame set that deviate more from their mean, frames, cause a warning (choice: cameras without a
 # common trigger reach one frame in either direction).
 MAX_TIMESTAMP_SPREAD = 2.0
-# Number of frames that are tracked (choice).
-PREVIEW_FRAMES = 30
-# Directions of the points on the object whose motion in the images is reported (derived).
-DIRECTIONS = np.concatenate([np.eye(3), -np.eye(3)])
 # Cameras whose baseline is below this share of their distance to the object count as coincident (choice: parallax
 # of a pixel at f = 1000 px).
 MIN_BASELINE_RATIO = 1e-3
@@ -58,19 +54,31 @@ class ObjectLocation:
     error: str = ""
 
 
+class View(NamedTuple):
+    """View of an object.
+
+    Attributes:
+        label: its number, or "" if it is the only one.
+        frames: images.
+        outlines: by camera, outline (k, 2) in pixels, or None if the object is not visible or unknown.
+    """
+
+    label: str
+    frames: FrameSet
+    outlines: Sequence[FloatArray | None]
+
+
 @dataclass(frozen=True, eq=False)
 class Preview:
     """Preview of the tracked object.
 
     Attributes:
-        frames: the first frame, for drawing; None for a recording without frames.
-        outlines: by camera, outline (k, 2) in pixels, or None if the object is not visible or unknown.
+        views: of the object, or of each body that may be it; empty for a recording without frames.
         description: description.
         warnings: warnings.
     """
 
-    frames: FrameSet | None
-    outlines: tuple[FloatArray | None, ...]
+    views: Sequence[View]
     description: str
     warnings: tuple[str, ...] = ()
 
@@ -82,7 +90,8 @@ def find_tracking_target(session: Session) -> Preview:
     if not boxes:
         return preview_moving_object(session)
     first = next(iter(session.frames()), None)
-    return Preview(first, box_outlines(session, boxes), f"the object in the boxes of {', '.join(boxes)}")
+    views = [] if first is None else [View("", first, box_outlines(session, boxes))]
+    return Preview(views, f"the object in the boxes of {', '.join(boxes)}")
 
 
 def locate_object(session: Session | LiveSession) -> ObjectLocation:
@@ -266,48 +275,32 @@ def _check_boxes(session: Session | LiveSession, location: ObjectLocation, start
     return found
 
 
-def preview_moving_object(session: Session, n_frames: int = PREVIEW_FRAMES) -> Preview:
-    """Find what moves against the static background in the first frames, as `track` does."""
-    names, tracked, first = session.rig.names, list[TrackedFrame](), None
-    with Tracker(session.rig) as tracker:
-        for frames in islice(session.frames(), n_frames):
-            first = frames if first is None else first
-            tracked += tracker.step(frames)
-            if any(f.pose.is_observed for f in tracked[1:]):
-                break
-        else:
-            tracked += tracker.flush()
-    solved = [f for f in tracked if f.pose.is_observed]
-    if len(solved) < 2:
-        statuses = [f.pose.status for f in tracked]
-        why = statuses[-1].text if statuses else FrameStatus.TOO_FEW_MATCHES.text
-        range_text = f"the first {len(tracked)} frames" if len(tracked) > 1 else "the first frame"
+def preview_moving_object(session: Session) -> Preview:
+    """Find the bodies that move in a recording, as `track` does, and draw those that may be the object."""
+    candidates, names = find_session_candidates(session), session.rig.names
+    if not candidates:
+        first = next(iter(session.frames()), None)
         description = (
-            f"Without boxes, the moving object is tracked, but nothing trackable moves within {range_text}. {why} "
-            f"Select the object with boxes: {boxes_hint(session)}."
+            "Without boxes, the moving object is tracked, but no rigid body was found to move. Select the object with "
+            f"boxes: {boxes_hint(session)}."
         )
-        return Preview(first, (None,) * len(names), "nothing yet", (description,))
-    begin, end = solved[0], solved[-1]
-    displacements = _median_displacements(session, begin, end)
-    columns = zip(names, end.pose.inliers.tolist(), displacements, strict=True)
-    counts = [f"{name} {n} features, {px:.0f} px" for name, n, px in columns if n]
-    description = f"what moves from frame {begin.pose.index} to {end.pose.index}: {', '.join(counts)}"
-    problems = [begin.note] if begin.note else []
-    if any(f.pose.status is FrameStatus.CONTRADICTED for f in solved):
-        problems.append(f"{FrameStatus.CONTRADICTED.text} Check the calibration and the order of the videos.")
-    return Preview(begin.frames, begin.regions, description, tuple(problems))
-
-
-def _median_displacements(session: Session, begin: TrackedFrame, end: TrackedFrame) -> Sequence[float]:
-    """Return the median displacement of the object's surface in each camera's images, pixels."""
-    first_pose, last_pose = begin.pose.world_from_object, end.pose.world_from_object
-    assert first_pose is not None
-    assert last_pose is not None
-    points = begin.radius * DIRECTIONS
-    displacements = [
-        camera.project(last_pose.apply(points)) - camera.project(first_pose.apply(points)) for camera in session.rig
-    ]
-    return [float(np.median(np.linalg.norm(shift, axis=1))) for shift in displacements]
+        return Preview([] if first is None else [View("", first, (None,) * len(names))], "nothing yet", (description,))
+    listed = [c for c in candidates if c is candidates[0] or c.n_matches > MAX_RIVAL_RATIO * candidates[0].n_matches]
+    views, lines = list[View](), list[str]()
+    for number, candidate in enumerate(listed, start=1):
+        frames = next(iter(session.frames(candidate.first)))
+        views.append(View(f"{number}" if len(listed) > 1 else "", frames, candidate.outlines))
+        columns = zip(names, candidate.counts.tolist(), candidate.displacements_px.tolist(), strict=True)
+        counts = ", ".join(f"{name} {n} features, {px:.0f} px" for name, n, px in columns if n)
+        lines.append(f"from frame {candidate.first} to {candidate.last}: {counts}")
+    if not candidates[0].is_ambiguous:
+        return Preview(views[:1], f"what moves {lines[0]}")
+    description = "\n".join(f"body {number}, which moves {line}" for number, line in enumerate(lines, start=1))
+    warning = (
+        f"{FrameStatus.AMBIGUOUS.text} Select it with `--object N`, N the number in the picture, or with boxes: "
+        f"{boxes_hint(session)}."
+    )
+    return Preview(views, description, (warning,))
 
 
 def box_outlines(session: Session, boxes: Mapping[str, Box]) -> tuple[FloatArray | None, ...]:
@@ -372,7 +365,9 @@ def explain_failures(session: Session | LiveSession, run: Run) -> list[str]:
         else:
             status = max(statuses, key=statuses.count)
             sentence = f"{prefix}no frame could be solved. {status.text}"
-            if status is FrameStatus.CONTRADICTED:
+            if status is FrameStatus.AMBIGUOUS:
+                sentence += f" `sylpose check` draws them: select one with --object N or boxes ({boxes_hint(session)})."
+            elif status is FrameStatus.CONTRADICTED:
                 path = shlex.quote(str(session.path))
                 remedy = (
                     "" if isinstance(session, LiveSession) else f" `sylpose check {path}` tries the usual mistakes."

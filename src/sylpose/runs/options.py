@@ -33,6 +33,8 @@ class RunOptions:
             axes), or three vectors, "0,0,1 1,0,0 0,1,0" (intrinsic).
         known: object model, or models by name, from another recording (`io.object_files`); poses are expressed in its
             frame. Boxes of these objects are not used.
+        candidate: number of the moving body to be tracked where there are no boxes, 1 for the one with the most matches,
+            in the order of `sylpose check`; None: that one, with the status `ambiguous` if another one moves as well.
         workers: as in `track`; the result does not depend on it.
         distributed: None for one process; "exact" or "compact" for one node per camera over a simulated network
             (`network.simulation`), for recordings only.
@@ -55,6 +57,7 @@ class RunOptions:
     plot_format: str = "png"
     angles: str | None = None
     known: KnownObject | Mapping[str, KnownObject] | None = None
+    candidate: int | None = None
     seed: int = 0
     workers: int | None = None
     distributed: str | None = None
@@ -71,8 +74,9 @@ class RunOptions:
         for name in ("start", "every", *(["stop"] if self.stop is not None else [])):
             check_integer(getattr(self, name), name, minimum=-(2**62))
         check_integer(self.seed, "seed")
-        if self.workers is not None:
-            check_integer(self.workers, "workers", minimum=1)
+        for name in ("workers", "candidate"):
+            if getattr(self, name) is not None:
+                check_integer(getattr(self, name), name, minimum=1)
         check_frame_range(self.start, self.stop, self.every)
         seconds: object = self.checkpoint_seconds  # callers may ignore its type
         if isinstance(seconds, bool) or not isinstance(seconds, (int, float)) or not seconds >= 0:

@@ -10,13 +10,14 @@ from pathlib import Path
 from typing import Any
 
 from sylpose import __version__
-from sylpose.frames import FrameSet
+from sylpose.frames import Box, FrameSet
 from sylpose.io.capture import Session
 from sylpose.io.capture.live import LiveSession
 from sylpose.io.object_files import object_checksum
 from sylpose.methods import METHODS
 from sylpose.network.simulation import NodesTracker
 from sylpose.rig import Rig
+from sylpose.runs.candidates import select_candidate
 from sylpose.runs.check import check_session
 from sylpose.runs.checkpoint import CheckpointWriter
 from sylpose.runs.checkpoint_schema import OutputState, RunState
@@ -28,7 +29,7 @@ from sylpose.runs.results_folder import ResultsFolder, check_output_folder, lock
 from sylpose.runs.run_metadata import SETTINGS, USED_CALIBRATION, WORLD, write_run_metadata
 from sylpose.runs.run_result import Run, StageTimer
 from sylpose.sync.offsets import apply_offsets, find_offsets
-from sylpose.tracking.context import TrackedFrame
+from sylpose.tracking.context import Candidate, TrackedFrame
 from sylpose.tracking.known_object import KnownObject
 from sylpose.tracking.tracker import Tracker
 from sylpose.units import INITIAL_DISTANCES
@@ -194,7 +195,7 @@ class _SessionRun:
 
     def _collect_settings(self) -> dict[str, Any]:
         """Return the options that must be the same to resume."""
-        names = ("method", "features", "seed", "start", "stop", "every")
+        names = ("method", "features", "seed", "start", "stop", "every", "candidate")
         return {name: getattr(self.options, name) for name in names} | {
             "known": ", ".join(f"{name} {object_checksum(its)}" for name, its in self.known.items()) or None,
             "angles": self.options.angles,
@@ -210,6 +211,7 @@ class _SessionRun:
         arguments["offsets"] = self._time_offsets
         for name in self.session.objects:
             boxes = None if name in self.known else self.session.select_object(name).boxes or None
+            arguments["candidate"] = self._select_candidate(name, boxes)
             if options.distributed is not None:
                 nodes = NodesTracker(self.session.rig, boxes, mode=options.distributed, **arguments)
                 self.trackers[name] = stack.enter_context(nodes)
@@ -222,6 +224,17 @@ class _SessionRun:
                 raise ValueError(
                     f"refine_calibration: {name} was learned with another rig, which does not constrain this one"
                 )
+
+    def _select_candidate(self, name: str, boxes: Mapping[str, Box] | None) -> Candidate | None:
+        """Select the moving body to be tracked where neither boxes nor masks nor a known object select it."""
+        is_selected = bool(boxes) or name in self.known or self.session.masks is not None
+        if self.options.candidate is not None and (is_selected or not isinstance(self.session, Session)):
+            reason = "boxes or masks select the object" if is_selected else "live cameras are not searched in advance"
+            raise ValueError(f"object {self.options.candidate}: {reason}; omit the number")
+        if is_selected or not isinstance(self.session, Session):
+            return None
+        with self.clock.measure("search for what moves"):
+            return select_candidate(self.session, self.options)
 
     def begin(self, stack: ExitStack) -> dict[str, OutputState]:
         """Move earlier results away, which return if no frame is tracked, and write the first files."""

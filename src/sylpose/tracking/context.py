@@ -18,7 +18,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.features.sift import MAX_FEATURES, Features
 from sylpose.frames import FrameSet
-from sylpose.geometry.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.landmarks.alignment import AlignmentResult, AlignmentStart, LandmarkMatches, align
 from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.results import FramePose
@@ -37,6 +37,9 @@ from sylpose.tracking.camera_side.frame import (
 )
 from sylpose.tracking.joint_side.joint_state import JointState, Nudge
 
+# A body with more than this share of the matches of the largest one may be the object as well (choice: a single body
+# leaves none, see docs/history).
+MAX_RIVAL_RATIO = 0.1
 T = TypeVar("T")
 # A pose and, per camera, local: (weights, residuals) of its observations.
 Alignment = tuple[AlignmentResult, list[tuple[FloatArray, FloatArray]]]
@@ -140,6 +143,33 @@ class Frame:
 
 
 @dataclass(frozen=True, eq=False)
+class Candidate:
+    """A body that moves and might be the object.
+
+    Attributes:
+        first, last: indices of the frame sets between which its motion is known best, from the earliest one on.
+        outlines: (C,) per camera its convex outline (k, 2) in the first of them, pixels; None where it is not seen.
+        counts: (C,) number of its matches between the two, per camera.
+        displacements_px: (C,) their median displacement, pixels; NaN without any.
+        n_matches: number of its matches, in all cameras and windows.
+        rival_ratio: matches of the largest other body that moves at the same time, as a share of its own.
+    """
+
+    first: int
+    last: int
+    outlines: tuple[Region, ...]
+    counts: IntArray
+    displacements_px: FloatArray
+    n_matches: int
+    rival_ratio: float
+
+    @property
+    def is_ambiguous(self) -> bool:
+        """Whether another body might be the object as well."""
+        return self.rival_ratio > MAX_RIVAL_RATIO
+
+
+@dataclass(frozen=True, eq=False)
 class Context:
     """Fixed settings and components of one tracking run.
 
@@ -152,6 +182,7 @@ class Context:
         refines_window: whether recent frames are refined jointly during tracking (`window`).
         time_offsets: (C,) seconds by which each camera's images are later than its time stamps.
         seed: random seed of outlier rejection.
+        candidate: the body to be tracked; None: with boxes, or the largest one.
     """
 
     rig: Rig
@@ -162,6 +193,7 @@ class Context:
     refines_window: bool
     time_offsets: FloatArray
     seed: int
+    candidate: Candidate | None = None
 
     def create_rng(self) -> np.random.Generator:
         """Create a random generator that gives each frame the same sequence."""

@@ -7,18 +7,18 @@ object is at the center, so motion at the center is the object's.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.features.sift import Features
-from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
+from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.matrices import make_motion_about
 from sylpose.landmarks.landmark_filter import Landmarks
 from sylpose.relative_pose.observability import classify_observability
-from sylpose.relative_pose.solver import fit_terms
+from sylpose.relative_pose.solver import fit_terms, fit_two_motions
 from sylpose.relative_pose.terms import MIN_MATCHES, Fit, TermData, locate_object, make_failed_fit
 from sylpose.rig import Camera
 from sylpose.status import FrameStatus, Status
@@ -42,8 +42,11 @@ from sylpose.tracking.frame_solvers import scatter_fit
 from sylpose.tracking.joint_side.joint_state import MIN_MOVED_FEATURES, JointState, KnownMotion
 from sylpose.tracking.reports import BoxMotionReport, InitialMatches, MovingMatches, quantize_positions
 
-# Another motion with this share of the object's inliers may be the object as well (choice).
-AMBIGUITY_RATIO = 0.5
+# Maximum number of features per camera while the object may be anywhere in the image (choice).
+MAX_START_FEATURES = 4000
+# A motion that is not fully observable (length of a translation, small rotation) is replaced by a later one with this
+# median displacement, pixels, if possible (choice).
+MIN_FIRST_MOTION_PX = 8.0
 # Keypoints displaced by less than this, pixels, may be static. They define the noise if more than this share of them is
 # displaced by less than half of it (choice).
 MAX_STATIC_PX, MIN_STATIC_RATIO = 4.0, 0.65
@@ -87,7 +90,8 @@ class FirstMotion:
         n_inliers: number of inliers.
         displacement_px: median displacement of the inliers; NaN without any.
         n_cameras: number of cameras that detect it, with enough inliers displaced far enough.
-        is_significant: whether it exceeds the noise of static keypoints.
+        is_rigid: whether a rigid motion is likelier than independent displacements of the matches.
+        is_significant: whether it also exceeds the noise of static keypoints.
         is_observable: whether it is fully observable, including rotation angle and length of translation.
         failure_status: status to report if this is not the object's motion: too few matches, no motion, or no rigid
             motion.
@@ -101,6 +105,7 @@ class FirstMotion:
     n_inliers: int
     displacement_px: float
     n_cameras: int
+    is_rigid: bool
     is_significant: bool
     is_observable: bool
     failure_status: FrameStatus
@@ -172,9 +177,11 @@ def estimate_first_motion(context: Context, pairs: CameraPairs, first_number: in
     if not reports:
         undefined, fit = np.full(3, np.nan), make_failed_fit([], Status.TOO_FEW_MATCHES)
         nothing = [list[FrameMatches]() for _ in executor.local]
-        return FirstMotion(fit, undefined, undefined, np.nan, 0, np.nan, 0, False, False, failure_status, nothing)
+        return FirstMotion(
+            fit, undefined, undefined, np.nan, 0, np.nan, 0, False, False, False, failure_status, nothing
+        )
     fit, center = _fit_consistent(reports, context.create_rng())
-    detects_motion, is_likelier = _test_significance(fit, reports)
+    is_rigid, detects_motion = _test_significance(fit, reports)
     weights = scatter_fit(executor, fit, [[report.term for report in of_camera] for of_camera in by_camera])
     inliers = [
         (report.term.subset(w > 0), report.displacement_px[w > 0])
@@ -183,7 +190,7 @@ def estimate_first_motion(context: Context, pairs: CameraPairs, first_number: in
     inliers = [(term, shift) for term, shift in inliers if len(term)]
     inlier_center, radius = locate_object([term for term, _ in inliers]) if inliers else (np.full(3, np.nan), np.nan)
     displacement = np.concatenate([np.empty(0), *(shift for _, shift in inliers)])
-    n_cameras = int(detects_motion.sum())
+    min_cameras = min(2, len(rig))
     return FirstMotion(
         fit=fit,
         center=center,
@@ -191,8 +198,9 @@ def estimate_first_motion(context: Context, pairs: CameraPairs, first_number: in
         radius=radius,
         n_inliers=len(displacement),
         displacement_px=float(np.median(displacement)) if len(displacement) else np.nan,
-        n_cameras=n_cameras,
-        is_significant=is_likelier and n_cameras >= min(2, len(rig)),
+        n_cameras=int(detects_motion.sum()),
+        is_rigid=int(is_rigid.sum()) >= min_cameras,
+        is_significant=int(detects_motion.sum()) >= min_cameras,
         is_observable=fit.status is Status.OK and classify_observability(fit, radius)[0].status is Status.OK,
         failure_status=failure_status,
         inliers=[select_inliers(own, [w for w, _ in ws]) for own, ws in zip(moving, weights, strict=True)],
@@ -210,6 +218,8 @@ def _fit_consistent(reports: Sequence[MovingMatches], rng: np.random.Generator) 
     data = [report.term for report in reports]
     center, radius = locate_object(data)
     fit = fit_terms(data, center, radius, [], rng)
+    if fit.is_mixed:
+        fit = _separate_motions(data, center, radius, fit, rng)
     is_consistent = ~_find_poor_terms(fit, reports)
     if 2 <= is_consistent.sum() < len(is_consistent):
         # In the other cameras, inliers are static keypoints with the largest jitter.
@@ -217,6 +227,52 @@ def _fit_consistent(reports: Sequence[MovingMatches], rng: np.random.Generator) 
         center, radius = locate_object(consistent_terms)
         fit = _expand_fit(fit_terms(consistent_terms, center, radius, [], rng), data, is_consistent)
     return fit, center
+
+
+def _separate_motions(
+    data: Sequence[TermData], center: FloatArray, radius: float, mixed: Fit, rng: np.random.Generator
+) -> Fit:
+    """Return the larger one of two motions that a fit mixes; the fit itself if they cannot be separated.
+
+    Each camera sees two groups of matches: those that the fit explains, and those that a fit to the rest explains. Which
+    groups of two cameras belong to one body is what two motions explain better.
+    """
+
+    def fit_groups(groups: Sequence[BoolArray]) -> Fit:
+        chosen = [term.subset(group) for term, group in zip(data, groups, strict=True) if group.any()]
+        return _expand_to_matches(fit_terms(chosen, center, radius, [], rng), groups)
+
+    def fit_cost(groups: Mapping[int, BoolArray]) -> float:
+        fit = fit_groups([groups.get(t, np.zeros(len(term), bool)) for t, term in enumerate(data)])
+        return fit.cost if fit.status.has_pose else 0.0
+
+    first = [w > 0 for w in mixed.weights]
+    second = [w > 0 for w in fit_groups([~group for group in first]).weights]
+    # The camera that sees most of both.
+    reference = int(np.argmax([min(a.sum(), b.sum()) for a, b in zip(first, second, strict=True)]))
+    a, b = first[reference], second[reference]
+    for t in range(len(data)):
+        if t != reference and first[t].any() and b.any():
+            as_is = fit_cost({reference: a, t: first[t]}) + fit_cost({reference: b, t: second[t]})
+            exchanged = fit_cost({reference: a, t: second[t]}) + fit_cost({reference: b, t: first[t]})
+            if exchanged < as_is:
+                first[t], second[t] = second[t], first[t]
+    fits = fit_groups(first), fit_groups(second)
+    if not all(fit.status.has_pose for fit in fits):
+        return mixed
+    separated = fit_two_motions(data, center, radius, *fits)
+    if separated is not None and separated[1][1].sum() > separated[1][0].sum():
+        separated = fit_two_motions(data, center, radius, *fits[::-1])
+    return separated[0] if separated is not None and separated[0].status.has_pose else mixed
+
+
+def _expand_to_matches(fit: Fit, is_chosen: Sequence[BoolArray]) -> Fit:
+    """Extend a fit to the chosen matches to all matches; the others get no weight."""
+    weights, parts = [np.zeros(len(chosen)) for chosen in is_chosen], iter(fit.weights)
+    for w, chosen in zip(weights, is_chosen, strict=True):
+        if chosen.any():
+            w[chosen] = next(parts)
+    return fit.with_matches(weights, [np.zeros_like(w) for w in weights])
 
 
 def _find_poor_terms(fit: Fit, reports: Sequence[MovingMatches]) -> BoolArray:
@@ -240,17 +296,17 @@ def _expand_fit(fit: Fit, data: Sequence[TermData], is_chosen: BoolArray) -> Fit
     )
 
 
-def _test_significance(fit: Fit, reports: Sequence[MovingMatches]) -> tuple[BoolArray, bool]:
+def _test_significance(fit: Fit, reports: Sequence[MovingMatches]) -> tuple[BoolArray, BoolArray]:
     """Test whether a fit is significant against keypoint noise and random displacements.
 
     A displacement of length d in a random direction has the density 1 / (π √(d² - r²)) of a component r. A rigid
     motion, which predicts the match's epipolar line, has a Gaussian density of the residual r.
 
     Returns:
-        (T,) cameras that detect a motion beyond the noise of static keypoints; whether a rigid motion is likelier than
-        independent displacements of the matches.
+        (T,) cameras in which a rigid motion is likelier than independent displacements of the matches, none if it is not
+        in all of them together; (T,) those of them that detect a motion beyond the noise of static keypoints.
     """
-    log_gain, detects_motion = 0.0, np.zeros(len(reports), bool)
+    log_gain, (is_rigid, is_displaced) = 0.0, np.zeros((2, len(reports)), bool)
     for t, (record, w, across) in enumerate(zip(reports, fit.weights, fit.residuals, strict=True)):
         good = w > 0
         if not good.any():
@@ -260,36 +316,12 @@ def _test_significance(fit: Fit, reports: Sequence[MovingMatches]) -> tuple[Bool
         by_chance = 1.0 / (np.pi * np.sqrt(np.maximum(translation**2 - r**2, sigma**2)))
         motion = np.exp(-0.5 * (r / sigma) ** 2) / (np.sqrt(2.0 * np.pi) * sigma)
         gain = float(np.log(motion / by_chance).sum()) - MIN_LOG_GAIN_PER_UNKNOWN * SURFACE_UNKNOWNS
-        is_displaced = float(np.median(translation)) > max(
-            MIN_DISPLACEMENT_PX, MIN_DISPLACEMENT_SIGMAS * record.jitter_px
-        )
-        detects_motion[t] = good.sum() >= MIN_SIGNIFICANT_MATCHES and is_displaced and gain > 0
+        min_displacement = max(MIN_DISPLACEMENT_PX, MIN_DISPLACEMENT_SIGMAS * record.jitter_px)
+        is_displaced[t] = float(np.median(translation)) > min_displacement
+        is_rigid[t] = good.sum() >= MIN_SIGNIFICANT_MATCHES and gain > 0
         log_gain += gain
-    return detects_motion, log_gain > MIN_LOG_GAIN_PER_UNKNOWN * MOTION_UNKNOWNS
-
-
-def is_ambiguous(context: Context, pairs: CameraPairs, first_number: int, initial_motion: FirstMotion) -> bool:
-    """Return whether something else moved as a rigid body, with nearly as many inliers.
-
-    Args:
-        pairs: per camera, local: all matches since the frame with the number `first_number`.
-        initial_motion: the motion accepted as the object's.
-    """
-    others = [
-        [pair.subset(~np.isin(pair.indices[:, 0], _first_features(inliers))) for pair in own]
-        for own, inliers in zip(pairs, initial_motion.inliers, strict=True)
-    ]
-    other = estimate_first_motion(context, others, first_number)
-    return (
-        other.fit.status is Status.OK
-        and other.is_significant
-        and other.n_inliers > AMBIGUITY_RATIO * initial_motion.n_inliers
-    )
-
-
-def _first_features(pairs: Pairs) -> IntArray:
-    """Return the earlier frame's feature (n,) of each match."""
-    return np.concatenate([np.empty(0, np.int64), *(pair.indices[:, 0] for pair in pairs)])
+    is_rigid &= log_gain > MIN_LOG_GAIN_PER_UNKNOWN * MOTION_UNKNOWNS
+    return is_rigid, is_rigid & is_displaced
 
 
 # --- depth and background from the first motion -----------------------------------------------------------------------

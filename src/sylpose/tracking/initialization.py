@@ -17,6 +17,7 @@ from sylpose.features.sift import MAX_FEATURES, Features
 from sylpose.geometry.arrays import FloatArray
 from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.status import FrameStatus
+from sylpose.tracking.bodies import has_rival
 from sylpose.tracking.camera_side.camera import CameraTracker
 from sylpose.tracking.camera_side.frame import (
     CameraFrame,
@@ -30,12 +31,13 @@ from sylpose.tracking.camera_side.frame import (
 )
 from sylpose.tracking.context import Context, Frame, FrameResult, TrackedFrame, create_unsolved_frame
 from sylpose.tracking.first_motion import (
+    MAX_START_FEATURES,
+    MIN_FIRST_MOTION_PX,
     FirstMotion,
     count_center_features,
     estimate_first_motion,
     estimate_first_points,
     estimate_jitter,
-    is_ambiguous,
     is_continuing_motion,
 )
 from sylpose.tracking.joint_side.joint_state import Anchor, JointState, KnownMotion, MotionModel
@@ -48,18 +50,13 @@ from sylpose.tracking.reports import quantize_positions
 MAX_BUFFERED_FRAMES = 60
 # and with their images up to so many bytes (choice).
 MAX_BUFFERED_BYTES = 1 << 29
-# A motion that is not fully observable (length of a translation, small rotation) is replaced by a later one with this
-# median displacement, pixels, if possible (choice).
-MIN_FIRST_MOTION_PX = 8.0
 AMBIGUITY_NOTE = (
-    "Without boxes, the largest moving object is tracked, but another moved nearly as much. Provide a box or a mask "
-    "to select the object."
+    "Without boxes, the largest moving body is tracked, but another one moves as well. Provide a box or a mask to select "
+    "the object."
 )
 # Low-contrast features are detected too where boxes have fewer features in their center than this, averaged over
 # cameras: near the border most may be background (choice).
 MIN_CENTER_FEATURES = 40
-# Maximum number of features per camera while the object may be anywhere in the image (choice).
-MAX_START_FEATURES = 4000
 
 
 class BufferedFrame(NamedTuple):
@@ -83,6 +80,10 @@ def initialize_tracking(
     if state.object.center is not None:
         state, tracked = _initialize_from_boxes(context, state, frame, state.object.center)
         return state, [], [tracked]
+    candidate = context.candidate
+    if candidate is not None and frame.images.index < candidate.first:
+        nothing = [Features.empty() for _ in context.cameras]
+        return state, [], [_create_unmatched_frame(context, frame, FrameStatus.NO_MOTION, nothing)]
     features = context.detect_everywhere(frame.images, MAX_START_FEATURES, reduced=True)
     if not buffered and _count_features(context, features) < MIN_MATCHES:
         # Later frames need one to be compared with.
@@ -96,8 +97,10 @@ def initialize_tracking(
             is_clear = (
                 first_motion.is_observable or first_motion.displacement_px > MIN_FIRST_MOTION_PX
             ) and is_continuing_motion(buffered[-2].motion, first_motion.motion)
-            is_full = len(buffered) > MAX_BUFFERED_FRAMES
-            if (is_clear or is_full) and (started := _initialize_from_motion(context, buffered, pairs, first_motion)):
+            is_last = len(buffered) > MAX_BUFFERED_FRAMES
+            if candidate is not None:
+                is_last |= frame.images.index >= candidate.last
+            if (is_clear or is_last) and (started := _initialize_from_motion(context, buffered, pairs, first_motion)):
                 return replace(started[0], nudges=state.nudges), [], started[1]
         status = first_motion.failure_status
     if len(buffered) <= MAX_BUFFERED_FRAMES:
@@ -176,7 +179,17 @@ def _match_first_motion(
     first, current = buffered[0].frame, buffered[-1].frame
     matches = context.executor.run(partial(match_frames, first.number), first.cameras, current.cameras)
     pairs = [omit_empty([pair]) for pair in matches]
-    return pairs, estimate_first_motion(context, pairs, first.number)
+    selected = pairs
+    if context.candidate is not None:
+        outlines = context.candidate.outlines
+        selected = [
+            [
+                pair.subset(camera.find_inside(own.features, outlines[camera.index])[pair.indices[:, 0]])
+                for pair in of_camera
+            ]
+            for camera, own, of_camera in zip(context.cameras, first.cameras, pairs, strict=True)
+        ]
+    return pairs, estimate_first_motion(context, list(map(omit_empty, selected)), first.number)
 
 
 def _initialize_from_motion(
@@ -196,7 +209,11 @@ def _initialize_from_motion(
     first, *between, end_frame = (buffered_frame.frame for buffered_frame in buffered)
     first_pose = RigidTransform.from_translation(first_motion.inlier_center)
     end_pose = first_motion.motion * first_pose
-    state = JointState(_create_model(context, first_motion, first_pose, end_pose))
+    candidate = context.candidate
+    is_ambiguous = (
+        has_rival(context, pairs, first.number, first_motion) if candidate is None else candidate.is_ambiguous
+    )
+    state = JointState(_create_model(context, first_motion, first_pose, end_pose), is_ambiguous=is_ambiguous)
     frame = replace(first, regions=context.project_regions(state, first_pose))
     motion = KnownMotion({first.number: first_pose}, end_pose, first_motion.radius)
     sides = [
@@ -206,7 +223,7 @@ def _initialize_from_motion(
     frame = context.with_features(frame, [inside for inside, _ in sides])
     around = [outside for _, outside in sides]
     state, tracked = accept_first_frame(context, state, frame, around, first_motion.inlier_center)
-    decided, start = [tracked], state.last
+    decided, start = [replace(tracked, note=AMBIGUITY_NOTE if is_ambiguous else "")], state.last
     state, last_tracked = _solve_buffered_frame(context, state, end_frame, end_pose)
     if not (state.motion.has_moved and last_tracked.pose.is_observed):
         # No rigid motion that lasted: wait for another one.
@@ -232,8 +249,6 @@ def _initialize_from_motion(
         state = replace(state, frames=replace(state.frames, keyframes=keyframes, anchor=anchor))
     else:  # one of them determined the depth: the end frame, based on guessed depth, was discarded
         state, last_tracked = _solve_buffered_frame(context, state, end_frame, state.predict_pose(end_frame.time))
-    if is_ambiguous(context, pairs, first.number, first_motion):
-        decided[0] = replace(decided[0], note=AMBIGUITY_NOTE)
     return state, [*decided, last_tracked]
 
 

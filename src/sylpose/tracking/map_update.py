@@ -32,6 +32,7 @@ from sylpose.tracking.pose_search import PoseCandidate
 from sylpose.tracking.reports import Agreements, quantize_positions
 from sylpose.tracking.window import refine_window
 
+AMBIGUITY_REASON = "another body moves as well; select the object"
 # A single camera cannot distinguish a rotation from its mirror image, concave from convex. An object in a box is
 # assumed convex: the middle of its surface is nearer than its center by this share of its radius (choice).
 CONVEX_BULGE_RATIO = 0.5
@@ -154,6 +155,8 @@ def accept_frame(context: Context, state: JointState, candidate: PoseCandidate) 
         if not f_ratio > MAX_F_RATIO:
             reason = "tracked from frames in which the cameras see different motions"
         result = replace(result, status=FrameStatus.CONTRADICTED, reason=reason)
+    elif state.is_ambiguous:
+        result = replace(result, status=FrameStatus.AMBIGUOUS, reason=AMBIGUITY_REASON)
     matches, observations, detections = (context.spread(parts) for parts in zip(*records, strict=True))
     parts = matches, context.spread(frame.regions or ()), model.radius, observations, frame.time_offsets
     return new_state, TrackedFrame(result, frame.images, *parts, detections=detections)

@@ -6,6 +6,7 @@ import copy
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, islice
 from typing import NamedTuple, TypedDict, Unpack
 
 import numpy as np
@@ -17,10 +18,16 @@ from sylpose.geometry.validation import check_integer, check_number, check_type,
 from sylpose.input_limits import to_one_line
 from sylpose.methods import FEATURES, METHODS, resolve_features
 from sylpose.rig import Rig
+from sylpose.tracking.bodies import find_candidates, select_windows
 from sylpose.tracking.camera_side.camera import CameraTracker, create_anchor
 from sylpose.tracking.camera_side.frame import CameraFrame
-from sylpose.tracking.context import CameraExecutor, Context, Frame, LocalExecutor, TrackedFrame
-from sylpose.tracking.initialization import BufferedFrame, finish_initialization
+from sylpose.tracking.context import CameraExecutor, Candidate, Context, Frame, LocalExecutor, TrackedFrame
+from sylpose.tracking.initialization import (
+    MAX_BUFFERED_BYTES,
+    MAX_BUFFERED_FRAMES,
+    BufferedFrame,
+    finish_initialization,
+)
 from sylpose.tracking.joint_side.joint_state import JointState, SolvedFrame
 from sylpose.tracking.joint_side.object_model import ObjectModel
 from sylpose.tracking.known_object import (
@@ -119,6 +126,7 @@ class TrackerOptions(TypedDict, total=False):
     offsets: Mapping[str, float] | None
     seed: int
     known_object: KnownObject | None
+    candidate: Candidate | None
 
 
 def track(
@@ -132,6 +140,7 @@ def track(
     workers: int | None = None,
     seed: int = 0,
     known_object: KnownObject | None = None,
+    lookahead: int = MAX_BUFFERED_FRAMES,
 ) -> Iterator[TrackedFrame]:
     """Track one rigid object and yield its pose frame by frame.
 
@@ -150,6 +159,8 @@ def track(
         offsets: per camera, seconds by which its images are later than its time stamps.
         known_object: the object as learned from another recording (`load_object`); poses are expressed in its frame
             and start with the first frame in which it is found.
+        lookahead: number of frames that are read in advance to see which bodies move, without boxes; a sequence is
+            searched as a whole. 0 for live cameras.
         workers: threads for detection and matching; None: one per core, at most one per camera.
         seed: of outlier rejection. Equal input and seed give equal output for any number of threads.
 
@@ -165,9 +176,25 @@ def track(
     with Tracker(rig, boxes, workers=workers, **options) as tracker:
         if not isinstance(frames, Iterable) or isinstance(frames, (str, bytes, Mapping)):
             raise TypeError(f"frames must be a sequence of FrameSet, got {format_value(frames)}")
+        if check_integer(lookahead, "lookahead", minimum=0) and not boxes and known_object is None:
+            known, frames = _read_ahead(frames, lookahead)
+            tracker.select_candidate(known, workers)
         for frame_set in frames:
             yield from tracker.step(frame_set)
         yield from tracker.flush()
+
+
+def _read_ahead(frames: Iterable[FrameSet], count: int) -> tuple[Sequence[FrameSet], Iterable[FrameSet]]:
+    """Return all frames of a sequence, or the first ones of an iterator, and an iterable of all."""
+    if isinstance(frames, Sequence):
+        return frames, frames
+    iterator, known, n_bytes = iter(frames), list[FrameSet](), 0
+    for frame_set in islice(iterator, count):
+        known.append(frame_set)
+        n_bytes += sum(image.nbytes for image in getattr(frame_set, "images", ()) if image is not None)
+        if n_bytes > MAX_BUFFERED_BYTES:
+            break
+    return known, chain(known, iterator)
 
 
 class TrackerBase:
@@ -176,7 +203,7 @@ class TrackerBase:
     Args:
         cameras: per camera, local: its tracker.
         executor: connects the cameras.
-        rig, boxes, method, features, offsets, seed, known_object: see `track`.
+        rig, boxes, method, features, offsets, seed, known_object, candidate: see `track`.
 
     Raises:
         ValueError: as `track`.
@@ -194,6 +221,7 @@ class TrackerBase:
         offsets: Mapping[str, float] | None = None,
         seed: int = 0,
         known_object: KnownObject | None = None,
+        candidate: Candidate | None = None,
     ) -> None:
         uses_klt = resolve_features(method, features) == "klt"
         check_integer(seed, "seed")
@@ -207,7 +235,7 @@ class TrackerBase:
         for name, box in check_type({} if boxes is None else boxes, Mapping, "boxes").items():
             check_type(box, Box, f"boxes: {format_value(name)}")
         time_offsets = np.array([offsets.get(name, 0.0) for name in rig.names])
-        settings = method, uses_klt, method == METHODS[0], time_offsets, seed
+        settings = method, uses_klt, method == METHODS[0], time_offsets, seed, candidate
         self._context = Context(rig, cameras, executor, *settings)
         self._rig = rig
         self._state = JointState(ObjectModel.from_boxes(rig, boxes) if boxes else ObjectModel())
@@ -356,6 +384,14 @@ class Tracker(TrackerBase):
         self._executor = LocalExecutor(len(rig), workers or min(len(rig), os.cpu_count() or 1))
         cameras = [CameraTracker(c, camera) for c, camera in enumerate(rig)]
         super().__init__(rig, cameras, self._executor, boxes, **options)
+
+    def select_candidate(self, frames: Sequence[FrameSet], workers: int | None = None) -> None:
+        """Select the moving body with the most matches in some frames as the object, before the first step."""
+        for frame_set in frames:
+            check_frame_set(frame_set, self._rig)
+        windows = ([frames[k] for k in window] for window in select_windows(len(frames)))
+        candidates = find_candidates(self._rig, windows, seed=self._context.seed, workers=workers)
+        self._context = replace(self._context, candidate=candidates[0] if candidates else None)
 
     def __enter__(self) -> Tracker:
         return self

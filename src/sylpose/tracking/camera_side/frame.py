@@ -82,9 +82,13 @@ def project_outline(camera: Camera, points: FloatArray, margin_ratio: float) -> 
     pixels = pixels[((pixels > -size) & (pixels < 2 * size)).all(axis=1)]
     if len(pixels) < 3:
         return None
+    outline = widen_outline(pixels, margin_ratio)
+    return None if (outline.max(axis=0) < 0).any() or (outline.min(axis=0) > size - 1).any() else outline
+
+
+def widen_outline(pixels: FloatArray, margin_ratio: float) -> FloatArray:
+    """Return the dilated convex outline (k, 2) of pixels (n, 2); the margin is as in `project_outline`."""
     margin = max(12.0, margin_ratio * float(np.ptp(pixels, axis=0).max()))
-    if (pixels.max(axis=0) + margin < 0).any() or (pixels.min(axis=0) - margin > size - 1).any():
-        return None
     hull = cv2.convexHull(pixels.astype(np.float32)).reshape(-1, 2)
     widened = (hull[:, None] + margin * DILATION_DIRECTIONS).reshape(-1, 2).astype(np.float32)
     return np.asarray(cv2.convexHull(widened).reshape(-1, 2), dtype=float)

@@ -560,6 +560,7 @@ class JointState:
         refinement: state of the joint refinement.
         nudges: rotations of cameras, in order of time.
         is_feature_poor: whether features of normal contrast are barely enough for tracking.
+        is_ambiguous: whether another body that moves might be the object.
     """
 
     object: ObjectModel = field(default_factory=ObjectModel)
@@ -568,6 +569,7 @@ class JointState:
     refinement: Refinement = field(default_factory=Refinement)
     nudges: tuple[Nudge, ...] = ()
     is_feature_poor: bool = False
+    is_ambiguous: bool = False
 
     @property
     def last(self) -> SolvedFrame:

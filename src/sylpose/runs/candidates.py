@@ -1,0 +1,58 @@
+"""Which body of a recording is tracked where it has no boxes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+from sylpose.frames import FrameSet
+from sylpose.io.capture import Session
+from sylpose.runs.options import RunOptions
+from sylpose.tracking.bodies import find_candidates, select_windows
+from sylpose.tracking.context import Candidate
+
+
+def find_session_candidates(session: Session, options: RunOptions | None = None) -> list[Candidate]:
+    """Find the bodies that move in a recording, by decreasing number of matches.
+
+    Args:
+        session: the recording.
+        options: frames to search, seed and workers; None: all frames.
+    """
+    options = options or RunOptions()
+    return find_candidates(session.rig, _read_windows(session, options), seed=options.seed, workers=options.workers)
+
+
+def select_candidate(session: Session, options: RunOptions) -> Candidate | None:
+    """Select the body to be tracked: the requested one, or the one with the most matches; None if nothing moves.
+
+    Raises:
+        ValueError: fewer bodies move than the requested number.
+    """
+    candidates = find_session_candidates(session, options)
+    if options.candidate is None:
+        return candidates[0] if candidates else None
+    if options.candidate > len(candidates):
+        n = len(candidates)
+        moving = "no body moves" if not n else "one body moves" if n == 1 else f"{n} bodies move"
+        raise ValueError(f"object {options.candidate}: {moving} in {session.path}; `sylpose check` draws what moves")
+    # The user knows which one is meant.
+    return replace(candidates[options.candidate - 1], rival_ratio=0.0)
+
+
+def _read_windows(session: Session, options: RunOptions) -> Iterator[Sequence[FrameSet]]:
+    """Read windows of frames spread over the recording."""
+    start, every = options.start, options.every
+    end = session.n_frames if options.stop is None else min(options.stop, session.n_frames)
+    known = dict[int, FrameSet]()
+    for window in select_windows(len(range(start, end, every))):
+        known = {k: frames for k, frames in known.items() if k in window}
+        new = [k for k in window if k not in known]
+        if new:
+            frames = session.frames(start + new[0] * every, start + new[-1] * every + 1, every, _ignore)
+            known |= dict(zip(new, frames, strict=False))
+        yield [known[k] for k in window if k in known]
+
+
+def _ignore(_problem: str) -> None:
+    """Broken frames are reported when they are tracked."""

@@ -1,0 +1,296 @@
+"""Bodies that move in a recording: the candidates for the object where no boxes are given.
+
+A person who holds the object moves as well, and over a second a trunk is as rigid as a board. So all bodies
+are found, in windows of consecutive frames spread over the recording. In each window the motion with the most matches
+is fitted, its inliers are removed, and so on, while a motion is significant. A body is followed through the windows by
+the descriptors of its features. The one with the most matches is tracked. If another one that moves at the same time
+has a notable share of its matches, which of them is the object is the user's knowledge.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from sylpose.features.sift import match_features
+from sylpose.frames import FrameSet
+from sylpose.geometry.arrays import IntArray
+from sylpose.methods import METHODS
+from sylpose.relative_pose.terms import MIN_MATCHES
+from sylpose.rig import Rig
+from sylpose.status import Status
+from sylpose.tracking.camera_side.camera import CameraTracker
+from sylpose.tracking.camera_side.frame import (
+    CameraPairs,
+    FrameMatches,
+    Region,
+    match_frames,
+    omit_empty,
+    widen_outline,
+)
+from sylpose.tracking.context import MAX_RIVAL_RATIO, Candidate, Context, Frame, LocalExecutor
+from sylpose.tracking.first_motion import (
+    MAX_START_FEATURES,
+    MIN_FIRST_MOTION_PX,
+    FirstMotion,
+    estimate_first_motion,
+)
+
+# Number of motions fitted one after another: an object, and the trunk and arms of a person (choice).
+MAX_BODIES = 4
+# Windows are searched in at most so many places, at least so far from each other, each of up to so many frames (choice).
+MAX_WINDOWS, MIN_WINDOW_STEP, WINDOW_FRAMES = 8, 6, 17
+# Numbers of frames between the two that are compared (choice).
+GAPS = (1, 2, 4, 8, 16)
+# Displacements above this, pixels, are unnecessary: the next window's frames are nearer to each other (choice).
+MAX_DISPLACEMENT_PX = 32.0
+# Two bodies of different windows are one if this share of the smaller one's features match (choice).
+MIN_LINK_RATIO = 0.2
+# The motion of a body can be measured from an earlier frame if it keeps this share of its matches (choice).
+MIN_KEPT_RATIO = 0.4
+# Margin around a body's features, share of their extent (choice).
+OUTLINE_MARGIN = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class WindowBody:
+    """A body in one window.
+
+    Attributes:
+        last: the later of the two frames, with features.
+        motion: from the window's first frame to it.
+    """
+
+    last: Frame
+    motion: FirstMotion
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether tracking can start with this motion."""
+        motion = self.motion
+        is_large = motion.is_observable or motion.displacement_px > MIN_FIRST_MOTION_PX
+        return motion.is_significant and motion.fit.status is Status.OK and is_large
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """A window of consecutive frames.
+
+    Attributes:
+        first: its first frame, with features.
+        bodies: those that move in it, by decreasing number of matches.
+    """
+
+    first: Frame
+    bodies: Sequence[WindowBody]
+
+
+def find_bodies(context: Context, pairs: CameraPairs, first_number: int) -> list[FirstMotion]:
+    """Find the bodies that move between two frames.
+
+    Args:
+        pairs: per camera, local: matches with the frame of number `first_number`.
+
+    Returns:
+        the rigid motions, significant or not, by decreasing number of inliers.
+    """
+    bodies, rest = list[FirstMotion](), pairs
+    for _ in range(MAX_BODIES):
+        motion = estimate_first_motion(context, rest, first_number)
+        if motion.n_inliers < MIN_MATCHES:
+            break
+        if motion.is_rigid:
+            bodies.append(motion)
+        rest = _remove_inliers(rest, motion)
+    return sorted(bodies, key=lambda body: -body.n_inliers)
+
+
+def _remove_inliers(pairs: CameraPairs, motion: FirstMotion) -> list[list[FrameMatches]]:
+    return [
+        omit_empty(pair.subset(~np.isin(pair.indices[:, 0], _collect_indices(inliers, 0))) for pair in own)
+        for own, inliers in zip(pairs, motion.inliers, strict=True)
+    ]
+
+
+def find_candidates(
+    rig: Rig, windows: Iterable[Sequence[FrameSet]], *, seed: int = 0, workers: int | None = None
+) -> list[Candidate]:
+    """Find the bodies that might be the object.
+
+    Args:
+        rig: C cameras.
+        windows: consecutive frames from several places of a recording, in order of time; they may overlap.
+        seed: of outlier rejection.
+        workers: threads for detection and matching; None: one per camera.
+
+    Returns:
+        by decreasing number of matches; empty if nothing moves as a rigid body.
+    """
+    executor = LocalExecutor(len(rig), workers or len(rig))
+    try:
+        cameras = [CameraTracker(c, camera) for c, camera in enumerate(rig)]
+        context = Context(rig, cameras, executor, METHODS[0], True, True, np.zeros(len(rig)), seed)
+        found, gap = list[Window](), GAPS[0]
+        for frames in windows:
+            window, gap = _search_window(context, frames, gap)
+            found.append(window)
+        return _make_candidates(context, found)
+    finally:
+        executor.close()
+
+
+def has_rival(context: Context, pairs: CameraPairs, first_number: int, motion: FirstMotion) -> bool:
+    """Return whether another body moves as well between two frames.
+
+    Args:
+        pairs: per camera, local: all matches with the frame of number `first_number`.
+        motion: of the body that is tracked.
+    """
+    rest = _remove_inliers(pairs, motion)
+    return any(body.n_inliers > MAX_RIVAL_RATIO * motion.n_inliers for body in find_bodies(context, rest, first_number))
+
+
+def select_windows(n_frames: int) -> list[range]:
+    """Select the frames of windows spread over a recording of so many frames."""
+    if not n_frames:
+        return []
+    last = max(n_frames - MIN_WINDOW_STEP, 0)
+    n_windows = min(MAX_WINDOWS, 1 + last // MIN_WINDOW_STEP)
+    starts = np.unique(np.linspace(0, last, n_windows).round().astype(int)).tolist()
+    return [range(start, min(start + WINDOW_FRAMES, n_frames)) for start in starts]
+
+
+def _collect_indices(pairs: Sequence[FrameMatches], side: int) -> IntArray:
+    """Return the feature (n,) of each match, of the earlier frame (side 0) or the later one (side 1)."""
+    return np.concatenate([np.empty(0, np.int64), *(pair.indices[:, side] for pair in pairs)])
+
+
+def _search_window(context: Context, frames: Sequence[FrameSet], gap: int) -> tuple[Window, int]:
+    """Find the bodies of a window over the time that shows most of a second one, else the longest with enough matches.
+
+    Over a short time two bodies differ too little to be separated, over a long one their features change.
+
+    Args:
+        gap: number of frames to begin with.
+
+    Returns:
+        the window; the number of frames for the next one.
+    """
+    first, best, best_gap, max_matches, max_others = _detect(context, 0, frames[0]), list[WindowBody](), gap, 0, 0
+    longer, shorter = [g for g in GAPS if gap <= g < len(frames)], [g for g in GAPS[::-1] if g < gap]
+    for g in longer + shorter:
+        if g < gap and best:
+            break
+        last = _detect(context, g, frames[g])
+        motions = find_bodies(context, _match(context, first, last), 0)
+        n = sum(motion.n_inliers for motion in motions)
+        max_matches = max(n, max_matches)
+        if best and n < MIN_KEPT_RATIO * max_matches:
+            break
+        significant = [motion for motion in motions if motion.is_significant]
+        # Two motions may not be separable over some times.
+        n_others = sum(motion.n_inliers for motion in significant[1:]) - any(m.fit.is_mixed for m in significant)
+        if significant and (not best or n_others >= max_others):
+            best, best_gap, max_others = [WindowBody(last, motion) for motion in motions], g, n_others
+        if best and best[0].motion.displacement_px > MAX_DISPLACEMENT_PX:
+            break
+    return Window(first, best), max(best_gap // 2, GAPS[0])
+
+
+def _detect(context: Context, number: int, images: FrameSet) -> Frame:
+    """Create a frame with the features of the whole images."""
+    frame = context.create_frame(number, images)
+    return context.with_features(frame, context.detect_everywhere(images, MAX_START_FEATURES, reduced=True))
+
+
+def _match(context: Context, first: Frame, last: Frame) -> list[list[FrameMatches]]:
+    """Match two frames; per camera, local."""
+    matches = context.executor.run(partial(match_frames, first.number), first.cameras, last.cameras)
+    return [omit_empty([pair]) for pair in matches]
+
+
+# --- bodies of all windows ----------------------------------------------------------------------------------------------
+
+
+def _make_candidates(context: Context, windows: Sequence[Window]) -> list[Candidate]:
+    """Link the bodies of all windows and make the candidates."""
+    chains = list[dict[int, WindowBody]]()
+    for number, window in enumerate(windows):
+        open_chains = list(chains)
+        for body in window.bodies:
+            scores = [_measure_link(chain[max(chain)], window, body) for chain in open_chains]
+            if max(scores, default=0.0) > MIN_LINK_RATIO:
+                open_chains.pop(int(np.argmax(scores)))[number] = body
+            else:
+                chains.append({number: body})
+    moving = [chain for chain in chains if any(body.motion.is_significant for body in chain.values())]
+    candidates = [_make_candidate(context, windows, chain) for chain in moving]
+    return sorted(candidates, key=lambda candidate: -candidate.n_matches)
+
+
+def _measure_link(earlier: WindowBody, window: Window, body: WindowBody) -> float:
+    """Return which share of the smaller body's features match, of a body in an earlier window and one in this."""
+    n_matched = n_smaller = 0
+    sides = zip(earlier.last.cameras, window.first.cameras, earlier.motion.inliers, body.motion.inliers, strict=True)
+    for last, first, earlier_pairs, pairs in sides:
+        i, j = np.unique(_collect_indices(earlier_pairs, 1)), np.unique(_collect_indices(pairs, 0))
+        n_matched += len(match_features(last.features.subset(i), first.features.subset(j)))
+        n_smaller += min(len(i), len(j))
+    return n_matched / max(n_smaller, 1)
+
+
+def _make_candidate(context: Context, windows: Sequence[Window], chain: Mapping[int, WindowBody]) -> Candidate:
+    """Make the candidate of a body.
+
+    Args:
+        chain: the body by the number of the window.
+    """
+    n_rivals, n_matches = 0, sum(body.motion.n_inliers for body in chain.values())
+    for number, window in enumerate(windows):
+        others = [body.motion.n_inliers for body in window.bodies if body is not chain.get(number)]
+        # In a window without this body the largest one may be it, not recognized.
+        n_rivals += max(others if number in chain else others[1:], default=0)
+    clear = [number for number, body in chain.items() if body.is_clear]
+    number = clear[0] if clear else max(chain, key=lambda k: chain[k].motion.n_inliers * chain[k].motion.is_significant)
+    first, pairs = _find_first_frame(context, windows[: number + 1], chain[number])
+    last = chain[number].last.images.index
+    return Candidate(
+        first.images.index,
+        last,
+        tuple(map(_draw_outline, pairs)),
+        np.array([sum(map(len, own)) for own in pairs]),
+        np.array(list(map(_measure_displacement, pairs))),
+        n_matches,
+        n_rivals / n_matches,
+    )
+
+
+def _find_first_frame(context: Context, windows: Sequence[Window], body: WindowBody) -> tuple[Frame, CameraPairs]:
+    """Find the earliest frame from which the motion of a body in the last window can be measured: it may have rested.
+
+    Returns:
+        the frame; per camera, local: its matches on the body.
+    """
+    own = [_collect_indices(pairs, 1) for pairs in body.motion.inliers]
+    for window in windows[:-1]:
+        for motion in find_bodies(context, _match(context, window.first, body.last), 0):
+            both = zip(own, motion.inliers, strict=True)
+            n_kept = sum(len(np.intersect1d(indices, _collect_indices(pairs, 1))) for indices, pairs in both)
+            if n_kept > MIN_KEPT_RATIO * body.motion.n_inliers:
+                return window.first, motion.inliers
+    return windows[-1].first, body.motion.inliers
+
+
+def _measure_displacement(pairs: Sequence[FrameMatches]) -> float:
+    """Return the median displacement of one camera's matches, pixels; NaN without any."""
+    shifts = [np.linalg.norm(pair.pixels_j - pair.pixels_i, axis=1) for pair in pairs]
+    return float(np.median(np.concatenate(shifts))) if shifts else np.nan
+
+
+def _draw_outline(pairs: Sequence[FrameMatches]) -> Region:
+    """Return the outline (k, 2) of one camera's matches in the earlier frame; None without any."""
+    pixels = np.concatenate([np.empty((0, 2)), *(pair.pixels_i for pair in pairs)])
+    return widen_outline(pixels, OUTLINE_MARGIN) if len(pixels) else None

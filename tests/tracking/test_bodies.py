@@ -1,0 +1,156 @@
+"""What moves in a recording: late objects, several bodies, and which of them is tracked."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sylpose.frames import FrameSet
+from sylpose.simulate import Actor, Scene
+from sylpose.simulate.render import Path
+from sylpose.smoothing import Track, smooth
+from sylpose.status import FrameStatus
+from sylpose.tracking.bodies import MAX_WINDOWS, WINDOW_FRAMES, find_candidates, select_windows
+from sylpose.tracking.context import Candidate
+from sylpose.tracking.tracker import Tracker, track
+from tests.clips import Clip, compute_pose_errors, make_drifting_pose, make_slab, moving_scene, statuses
+
+AWAY = RigidTransform.from_translation([0, 100, 0])
+N_FRAMES, ARRIVAL = 14, 7
+
+
+def swing(frame: float) -> RigidTransform:
+    """Return the pose of a second body, above the object."""
+    return RigidTransform.from_components(
+        np.array([0.05, -0.26, 0.1]) + np.array([-0.009, 0.003, 0.0]) * frame,
+        Rotation.from_rotvec([0, 0, -0.04 * frame]),
+    )
+
+
+def make_two_bodies(frames: int) -> Scene:
+    """Make a scene of the object and another body."""
+    return moving_scene(make_drifting_pose, frames, [Actor(make_slab([0.26, 0.2, 0.1], 5), swing)], n_cameras=3)
+
+
+@cache
+def render(kind: str) -> Clip:
+    """Render the object: "late", "resting" at first, or "with another" body."""
+    paths = {
+        "late": lambda frame: make_drifting_pose(frame) if frame >= ARRIVAL else AWAY,
+        "resting": lambda frame: make_drifting_pose(max(frame - ARRIVAL, 0)),
+    }
+    if kind == "with another":
+        return Clip.render(make_two_bodies(N_FRAMES))
+    return Clip.render(moving_scene(paths[kind], N_FRAMES, n_cameras=3))
+
+
+def windows_of(frames: list[FrameSet]) -> list[list[FrameSet]]:
+    return [[frames[k] for k in window] for window in select_windows(len(frames))]
+
+
+@cache
+def candidates_of(kind: str) -> list[Candidate]:
+    clip = render(kind)
+    return find_candidates(clip.rig, windows_of(clip.frames()))
+
+
+@pytest.mark.parametrize("n", [0, 1, 2, 9, 17, 18, 40, 1000, 100_000])
+def test_windows_are_spread_over_the_recording(n: int) -> None:
+    windows = select_windows(n)
+    assert len(windows) <= MAX_WINDOWS
+    assert all(0 < len(window) <= WINDOW_FRAMES for window in windows)
+    assert (windows[0].start, windows[-1].stop) == (0, n) if n else not windows
+    starts = [window.start for window in windows]
+    assert starts == sorted(set(starts))
+
+
+def test_late_object_is_found_where_it_moves() -> None:
+    (candidate,) = candidates_of("late")
+    assert candidate.first >= ARRIVAL
+    assert not candidate.is_ambiguous
+    tracked = list(track(render("late").frames(), render("late").rig))
+    assert len(tracked) == N_FRAMES
+    assert set(statuses(tracked[: candidate.first])) == {FrameStatus.NO_MOTION}
+    assert statuses(tracked[candidate.first :]) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * (
+        N_FRAMES - candidate.first - 1
+    )
+
+
+def test_resting_object_has_a_pose_from_the_first_frame() -> None:
+    (candidate,) = candidates_of("resting")
+    assert candidate.first == 0
+    assert candidate.last > ARRIVAL
+    clip = render("resting")
+    tracked = list(track(clip.frames(), clip.rig))
+    assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * (N_FRAMES - 1)
+    assert compute_pose_errors(tracked, clip.truth)[:, 0].max() < 0.5
+
+
+def test_outlines_contain_the_body() -> None:
+    clip = render("with another")
+    for candidate in candidates_of("with another"):
+        path = min((make_drifting_pose, swing), key=lambda p: _offset(clip, candidate, p(candidate.first)))
+        for camera, outline in zip(clip.rig, candidate.outlines, strict=True):
+            assert outline is not None
+            x, y = camera.project(path(candidate.first).translation)[0]
+            assert (outline.min(axis=0) < [x, y]).all()
+            assert (outline.max(axis=0) > [x, y]).all()
+
+
+def _offset(clip: Clip, candidate: Candidate, pose: RigidTransform) -> float:
+    """Return the largest distance of an outline's center from that of a body, pixels."""
+    pixels = [camera.project(pose.translation)[0] for camera in clip.rig]
+    centers = [outline.mean(axis=0) for outline in candidate.outlines if outline is not None]
+    return float(np.linalg.norm(np.subtract(pixels, centers), axis=1).max())
+
+
+def test_of_two_bodies_none_is_tracked_silently() -> None:
+    clip, candidates = render("with another"), candidates_of("with another")
+    assert len(candidates) == 2
+    assert all(candidate.is_ambiguous for candidate in candidates)
+    assert candidates[0].n_matches >= candidates[1].n_matches
+    tracked = list(track(clip.frames(), clip.rig))
+    assert set(statuses(tracked)) == {FrameStatus.FIRST, FrameStatus.AMBIGUOUS}
+    assert "several bodies" in tracked[0].note.lower() or "another one moves" in tracked[0].note
+    refined = smooth([Track.from_tracked(frame) for frame in tracked], clip.rig).poses
+    assert {pose.status for pose in refined} == {FrameStatus.FIRST, FrameStatus.AMBIGUOUS}
+
+
+@pytest.mark.parametrize("path", [make_drifting_pose, swing])
+def test_chosen_body_is_tracked(path: Path) -> None:
+    clip = render("with another")
+    candidate = min(candidates_of("with another"), key=lambda c: _offset(clip, c, path(c.first)))
+    chosen = replace(candidate, rival_ratio=0.0)
+    with Tracker(clip.rig, candidate=chosen) as tracker:
+        tracked = [result for frames in clip.frames() for result in tracker.step(frames)]
+    assert set(statuses(tracked[candidate.first :])) == {FrameStatus.FIRST, FrameStatus.TRACKED}
+    start, end = tracked[candidate.first].pose.world_from_object, tracked[-1].pose.world_from_object
+    assert start is not None
+    assert end is not None
+    true = path(N_FRAMES - 1) * path(candidate.first).inv()
+    off = (end * start.inv()).rotation * true.rotation.inv()
+    assert np.degrees(off.magnitude()) < 0.5
+
+
+def test_iterator_is_searched_as_the_sequence() -> None:
+    clip = render("late")
+    frames = clip.frames()
+    for ahead, is_found in ((60, True), (0, False)):
+        tracked = list(track(iter(frames), clip.rig, lookahead=ahead))
+        assert (FrameStatus.TRACKED in statuses(tracked)) or not is_found
+        assert [frame.pose.index for frame in tracked] == list(range(N_FRAMES))
+    by_sequence = list(track(frames, clip.rig))
+    by_iterator = list(track(iter(frames), clip.rig))
+    for a, b in zip(by_sequence, by_iterator, strict=True):
+        np.testing.assert_array_equal(a.pose.covariance, b.pose.covariance)
+
+
+def test_nothing_moves() -> None:
+    clip = render("late")
+    frames = clip.frames()[:ARRIVAL]
+    assert not find_candidates(clip.rig, windows_of(frames))
+    assert set(statuses(track(frames, clip.rig))) == {FrameStatus.NO_MOTION}
