@@ -29,7 +29,7 @@ def check(options: CheckOptions) -> None:
     """
     from sylpose.atomic_io import make_output_folder
     from sylpose.io.calibration.world import save_world
-    from sylpose.report.drawing import draw_regions, draw_world_axes
+    from sylpose.report.drawing import draw_views, draw_world_axes
     from sylpose.report.rigview import describe_rig, plot_rig
     from sylpose.runs import check as checks
     from sylpose.runs import console_output, rig_evidence
@@ -55,7 +55,7 @@ def check(options: CheckOptions) -> None:
     views = [] if target is None else target.views
     if views:
         pictures.append(folder / "target.png")
-        draw_regions(pictures[-1], session.rig.names, [(label, its.images, outlines) for label, its, outlines in views])
+        draw_views(pictures[-1], session.rig.names, views)
     if session.world is not None:
         pictures.append(folder / "world.png")
         draw_world_axes(pictures[-1], views[0].frames.images if views else [None] * len(session.rig), session.rig)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.atomic_io import replace_atomically
+from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import FloatArray, Image, IntArray
 from sylpose.rig import Camera, Rig
 
@@ -157,32 +158,46 @@ TILE_HEIGHT = 360
 AXIS_RATIO, FLOOR_LINES = 0.15, 4
 
 
-def draw_regions(
-    path: Path,
-    names: Sequence[str],
-    rows: Sequence[tuple[str, Sequence[Image | None], Sequence[FloatArray | None]]],
-) -> None:
-    """Draw the images side by side, each with its region's outline, one row below the other.
+class View(NamedTuple):
+    """View of an object.
+
+    Attributes:
+        label: its number, or "" if it is the only one.
+        frames: images of C cameras.
+        outlines: by camera, outline (k, 2) in pixels, or None if the object is not visible or unknown.
+        features: by camera, features (n, 2) in pixels, or none at all.
+    """
+
+    label: str
+    frames: FrameSet
+    outlines: Sequence[FloatArray | None]
+    features: Sequence[FloatArray] = ()
+
+
+def draw_views(path: Path, names: Sequence[str], views: Sequence[View]) -> None:
+    """Draw views of an object, or of several, one row below the other.
 
     Args:
         path: path of the picture.
         names: names of C cameras.
-        rows: of each a label, images of the cameras, (h, w, 3) BGR or (h, w) gray, or None, and outlines (k, 2), pixels,
-            or None.
+        views: the rows.
 
     Raises:
         OSError: the file cannot be written; the message names it.
     """
     drawn = list[Image]()
-    for label, images, outlines in rows:
+    for label, frames, outlines, features in views:
         tiles = list[Image]()
-        for image, name, outline in zip(images, names, outlines, strict=True):
+        for c, (image, name, outline) in enumerate(zip(frames.images, names, outlines, strict=True)):
             tile, scale = _make_tile(image)
+            if features:
+                for x, y in np.round((features[c] + 0.5) * scale - 0.5).astype(int).tolist():
+                    cv2.circle(tile, (x, y), 2, AXIS_COLORS[1], -1, cv2.LINE_AA)
             if outline is not None:
                 pixels = (outline + 0.5) * scale - 0.5
                 draw_polyline(tile, pixels, AXIS_COLORS[1], 2, closed=True)
-                x, y = np.clip(pixels.mean(axis=0), 12, np.array(tile.shape[1::-1]) - 12)
-                draw_text(tile, label, (int(x) - 8, int(y) + 8), 1.0, WHITE)
+                x, y = np.clip(pixels.mean(axis=0), 12, np.array(tile.shape[1::-1]) - 12).astype(int).tolist()
+                draw_text(tile, label, (x - 8, y + 8), 1.0, WHITE)
             draw_text(tile, name, (8, 22), 0.6, WHITE)
             tiles.append(tile)
         drawn.append(np.hstack(tiles))

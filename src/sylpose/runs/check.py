@@ -5,16 +5,16 @@ from __future__ import annotations
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
 from sylpose.display import format_length
-from sylpose.frames import Box, FrameSet
+from sylpose.frames import Box
 from sylpose.geometry.arrays import FloatArray
 from sylpose.io.calibration import format_name
 from sylpose.io.capture import Session
 from sylpose.io.capture.live import LiveSession
+from sylpose.report.drawing import View
 from sylpose.report.rigview import describe_rig, find_axes_intersection
 from sylpose.rig import Camera, Rig
 from sylpose.runs.candidates import find_session_candidates
@@ -52,20 +52,6 @@ class ObjectLocation:
     radius: float | None
     source: str
     error: str = ""
-
-
-class View(NamedTuple):
-    """View of an object.
-
-    Attributes:
-        label: its number, or "" if it is the only one.
-        frames: images.
-        outlines: by camera, outline (k, 2) in pixels, or None if the object is not visible or unknown.
-    """
-
-    label: str
-    frames: FrameSet
-    outlines: Sequence[FloatArray | None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -289,8 +275,9 @@ def preview_moving_object(session: Session) -> Preview:
     views, lines = list[View](), list[str]()
     for number, candidate in enumerate(listed, start=1):
         frames = next(iter(session.frames(candidate.first)))
-        views.append(View(f"{number}" if len(listed) > 1 else "", frames, candidate.outlines))
-        columns = zip(names, candidate.counts.tolist(), candidate.displacements_px.tolist(), strict=True)
+        label = f"{number}" if len(listed) > 1 else ""
+        views.append(View(label, frames, candidate.outlines, candidate.features))
+        columns = zip(names, map(len, candidate.features), candidate.displacements_px.tolist(), strict=True)
         counts = ", ".join(f"{name} {n} features, {px:.0f} px" for name, n, px in columns if n)
         lines.append(f"from frame {candidate.first} to {candidate.last}: {counts}")
     if not candidates[0].is_ambiguous:

@@ -17,7 +17,7 @@ import numpy as np
 
 from sylpose.features.sift import match_features
 from sylpose.frames import FrameSet
-from sylpose.geometry.arrays import IntArray
+from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.methods import METHODS
 from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.rig import Rig
@@ -51,6 +51,9 @@ MAX_DISPLACEMENT_PX = 32.0
 MIN_LINK_RATIO = 0.2
 # The motion of a body can be measured from an earlier frame if it keeps this share of its matches (choice).
 MIN_KEPT_RATIO = 0.4
+# Features farther from their median position than this, in median distances, are mismatches (choice: of features spread
+# evenly over a disk the farthest is at 1.4).
+MAX_DISTANCE_RATIO = 2.5
 # Margin around a body's features, share of their extent (choice).
 OUTLINE_MARGIN = 0.1
 
@@ -257,11 +260,12 @@ def _make_candidate(context: Context, windows: Sequence[Window], chain: Mapping[
     number = clear[0] if clear else max(chain, key=lambda k: chain[k].motion.n_inliers * chain[k].motion.is_significant)
     first, pairs = _find_first_frame(context, windows[: number + 1], chain[number])
     last = chain[number].last.images.index
+    features = tuple(np.concatenate([np.empty((0, 2)), *(pair.pixels_i for pair in own)]) for own in pairs)
     return Candidate(
         first.images.index,
         last,
-        tuple(map(_draw_outline, pairs)),
-        np.array([sum(map(len, own)) for own in pairs]),
+        tuple(map(_draw_outline, features)),
+        features,
         np.array(list(map(_measure_displacement, pairs))),
         n_matches,
         n_rivals / n_matches,
@@ -290,7 +294,9 @@ def _measure_displacement(pairs: Sequence[FrameMatches]) -> float:
     return float(np.median(np.concatenate(shifts))) if shifts else np.nan
 
 
-def _draw_outline(pairs: Sequence[FrameMatches]) -> Region:
-    """Return the outline (k, 2) of one camera's matches in the earlier frame; None without any."""
-    pixels = np.concatenate([np.empty((0, 2)), *(pair.pixels_i for pair in pairs)])
-    return widen_outline(pixels, OUTLINE_MARGIN) if len(pixels) else None
+def _draw_outline(pixels: FloatArray) -> Region:
+    """Return the outline (k, 2) of features (n, 2), without the most distant ones; None without features."""
+    if not len(pixels):
+        return None
+    distances = np.linalg.norm(pixels - np.median(pixels, axis=0), axis=1)
+    return widen_outline(pixels[distances <= MAX_DISTANCE_RATIO * np.median(distances)], OUTLINE_MARGIN)

@@ -18,7 +18,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.features.sift import MAX_FEATURES, Features
 from sylpose.frames import FrameSet
-from sylpose.geometry.arrays import FloatArray, IntArray
+from sylpose.geometry.arrays import FloatArray
 from sylpose.landmarks.alignment import AlignmentResult, AlignmentStart, LandmarkMatches, align
 from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.results import FramePose
@@ -149,8 +149,8 @@ class Candidate:
     Attributes:
         first, last: indices of the frame sets between which its motion is known best, from the earliest one on.
         outlines: (C,) per camera its convex outline (k, 2) in the first of them, pixels; None where it is not seen.
-        counts: (C,) number of its matches between the two, per camera.
-        displacements_px: (C,) their median displacement, pixels; NaN without any.
+        features: (C,) per camera its features (n, 2) in the first of them, pixels.
+        displacements_px: (C,) their median displacement until the second one, pixels; NaN without any.
         n_matches: number of its matches, in all cameras and windows.
         rival_ratio: matches of the largest other body that moves at the same time, as a share of its own.
     """
@@ -158,7 +158,7 @@ class Candidate:
     first: int
     last: int
     outlines: tuple[Region, ...]
-    counts: IntArray
+    features: tuple[FloatArray, ...]
     displacements_px: FloatArray
     n_matches: int
     rival_ratio: float
