@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Protocol, TypeVar
+from typing import Protocol, TypeVar, Unpack
 
 import numpy as np
 
 from sylpose.frames import Box, FrameSet
 from sylpose.landmarks.alignment import AlignmentStart, LandmarkMatches
 from sylpose.landmarks.distributed_alignment import DistributedAligner
-from sylpose.methods import FEATURES, METHODS, MODES
+from sylpose.methods import MODES
 from sylpose.network.codec import (
     ABSENT,
     FRAME_PENDING,
@@ -28,7 +28,7 @@ from sylpose.rig import Rig
 from sylpose.tracking.camera_side.camera import CameraTracker
 from sylpose.tracking.context import Alignment, TrackedFrame
 from sylpose.tracking.joint_side.joint_state import JointState, SolvedFrame
-from sylpose.tracking.tracker import Handover, TrackerBase, check_handover
+from sylpose.tracking.tracker import Handover, TrackerBase, TrackerOptions, check_handover
 
 T = TypeVar("T")
 
@@ -201,10 +201,7 @@ def track_by_node(
     boxes: Mapping[str, Box] | None = None,
     *,
     must_join: bool = False,
-    method: str = METHODS[0],
-    features: str = FEATURES[0],
-    offsets: Mapping[str, float] | None = None,
-    seed: int = 0,
+    **options: Unpack[TrackerOptions],
 ) -> Iterator[TrackedFrame]:
     """Track the object as `track`, on one node with its own images only.
 
@@ -214,7 +211,7 @@ def track_by_node(
         frame_source: its frames.
         boxes: as `track`.
         must_join: whether the node has to join a group; else it begins in one.
-        method, features, offsets, seed: as `track`.
+        options: as `track`; no known object.
 
     Yields:
         As `track`, the frames in which it took part.
@@ -223,7 +220,7 @@ def track_by_node(
         ValueError: as `track`.
     """
     cameras = [CameraTracker(node.camera, rig.cameras[node.camera])]
-    tracking = TrackerBase(rig, cameras, node, boxes, method=method, features=features, offsets=offsets, seed=seed)
+    tracking = TrackerBase(rig, cameras, node, boxes, **options)
     wanted, admitted_at, found = 0, -1, list[TrackedFrame]()
     defining: SolvedFrame | None = None
     while True:

@@ -21,7 +21,7 @@ from sylpose.runs.candidates import find_session_candidates
 from sylpose.runs.console_output import select_solved_frames
 from sylpose.runs.run_result import Run
 from sylpose.status import DOUBTFUL, FrameStatus
-from sylpose.tracking.context import MAX_RIVAL_RATIO
+from sylpose.tracking.context import is_rival
 from sylpose.tracking.joint_side.object_model import carve_box_volume
 
 # Timestamps of one frame set that deviate more from their mean, frames, cause a warning (choice: cameras without a
@@ -271,7 +271,8 @@ def preview_moving_object(session: Session) -> Preview:
             f"boxes: {boxes_hint(session)}."
         )
         return Preview([] if first is None else [View("", first, (None,) * len(names))], "nothing yet", (description,))
-    listed = [c for c in candidates if c is candidates[0] or c.n_matches > MAX_RIVAL_RATIO * candidates[0].n_matches]
+    largest, *others = candidates
+    listed = [largest, *(c for c in others if is_rival(c.n_matches / largest.n_matches, len(session.rig)))]
     views, lines = list[View](), list[str]()
     for number, candidate in enumerate(listed, start=1):
         frames = next(iter(session.frames(candidate.first)))
@@ -350,7 +351,9 @@ def explain_failures(session: Session | LiveSession, run: Run) -> list[str]:
                 f"{prefix}no motion could be estimated: there is only the first frame, the reference of all poses"
             )
         else:
-            status = max(statuses, key=statuses.count)
+            # The others follow from these.
+            causes = [s for s in (FrameStatus.AMBIGUOUS, FrameStatus.CONTRADICTED) if s in statuses]
+            status = causes[0] if causes else max(statuses, key=statuses.count)
             sentence = f"{prefix}no frame could be solved. {status.text}"
             if status is FrameStatus.AMBIGUOUS:
                 sentence += f" `sylpose check` draws them: select one with --object N or boxes ({boxes_hint(session)})."

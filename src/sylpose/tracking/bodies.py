@@ -31,7 +31,7 @@ from sylpose.tracking.camera_side.frame import (
     omit_empty,
     widen_outline,
 )
-from sylpose.tracking.context import MAX_RIVAL_RATIO, Candidate, Context, Frame, LocalExecutor
+from sylpose.tracking.context import Candidate, Context, Frame, LocalExecutor, is_rival
 from sylpose.tracking.first_motion import (
     MAX_START_FEATURES,
     MIN_FIRST_MOTION_PX,
@@ -153,7 +153,8 @@ def has_rival(context: Context, pairs: CameraPairs, first_number: int, motion: F
         motion: of the body that is tracked.
     """
     rest = _remove_inliers(pairs, motion)
-    return any(body.n_inliers > MAX_RIVAL_RATIO * motion.n_inliers for body in find_bodies(context, rest, first_number))
+    others, n = find_bodies(context, rest, first_number), len(context.rig)
+    return any(is_rival(body.n_inliers / motion.n_inliers, n) for body in others)
 
 
 def select_windows(n_frames: int) -> list[range]:

@@ -40,6 +40,8 @@ from sylpose.tracking.joint_side.joint_state import JointState, Nudge
 # A body with more than this share of the matches of the largest one may be the object as well (choice: a single body
 # leaves none, see docs/history).
 MAX_RIVAL_RATIO = 0.1
+# The same for one camera, in which a part of the object fits another motion, as depth is unknown (choice).
+MAX_RIVAL_RATIO_MONOCULAR = 0.5
 T = TypeVar("T")
 # A pose and, per camera, local: (weights, residuals) of its observations.
 Alignment = tuple[AlignmentResult, list[tuple[FloatArray, FloatArray]]]
@@ -142,6 +144,11 @@ class Frame:
         return [own.features for own in self.cameras]
 
 
+def is_rival(ratio: float, n_cameras: int) -> bool:
+    """Return whether a body with this share of the largest one's matches may be the object as well."""
+    return ratio > (MAX_RIVAL_RATIO if n_cameras > 1 else MAX_RIVAL_RATIO_MONOCULAR)
+
+
 @dataclass(frozen=True, eq=False)
 class Candidate:
     """A body that moves and might be the object.
@@ -166,7 +173,7 @@ class Candidate:
     @property
     def is_ambiguous(self) -> bool:
         """Whether another body might be the object as well."""
-        return self.rival_ratio > MAX_RIVAL_RATIO
+        return is_rival(self.rival_ratio, len(self.outlines))
 
 
 @dataclass(frozen=True, eq=False)

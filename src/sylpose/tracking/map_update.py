@@ -149,14 +149,14 @@ def accept_frame(context: Context, state: JointState, candidate: PoseCandidate) 
         candidate.solution.faults,
         np.array([a.n_features for a in agreements], np.int64),
     ).mark_uncertain()
-    if accepted.solved.is_contradicted:
+    if state.is_ambiguous:
+        result = replace(result, status=FrameStatus.AMBIGUOUS, reason=AMBIGUITY_REASON)
+    elif accepted.solved.is_contradicted:
         f_ratio, _ = _compute_f_ratio(agreements)
         reason = f"the cameras see different motions (F ratio {f_ratio:.0f}; the limit is {MAX_F_RATIO:.0f})"
         if not f_ratio > MAX_F_RATIO:
             reason = "tracked from frames in which the cameras see different motions"
         result = replace(result, status=FrameStatus.CONTRADICTED, reason=reason)
-    elif state.is_ambiguous:
-        result = replace(result, status=FrameStatus.AMBIGUOUS, reason=AMBIGUITY_REASON)
     matches, observations, detections = (context.spread(parts) for parts in zip(*records, strict=True))
     parts = matches, context.spread(frame.regions or ()), model.radius, observations, frame.time_offsets
     return new_state, TrackedFrame(result, frame.images, *parts, detections=detections)
