@@ -38,8 +38,8 @@ from sylpose.rig import Rig, intersect_rays
 from sylpose.tracking.camera_side.camera import CameraTracker, compute_static_px
 from sylpose.tracking.camera_side.frame import CameraFrame, find_static, match_frames
 from sylpose.tracking.context import LocalExecutor
-from sylpose.tracking.first_motion import MIN_DISPLACEMENT_PX, estimate_jitter
-from sylpose.tracking.initialization import MAX_BUFFERED_FRAMES, MAX_START_FEATURES
+from sylpose.tracking.first_motion import MAX_START_FEATURES, MIN_DISPLACEMENT_PX, estimate_jitter
+from sylpose.tracking.initialization import MAX_BUFFERED_FRAMES
 
 # Pairs of frames that are compared (choice).
 MAX_PAIRS = 5
