@@ -14,6 +14,7 @@ from sylpose.geometry.arrays import Image
 from sylpose.rig import Camera
 from sylpose.simulate import render_frames
 from sylpose.status import FrameStatus
+from sylpose.tracking import initialization, state_machine
 from sylpose.tracking.camera_side import camera as camera_module
 from sylpose.tracking.camera_side.camera import CameraTracker
 from sylpose.tracking.tracker import track
@@ -34,7 +35,8 @@ PIXELS = SIZE[0] * SIZE[1] // 2
 
 @pytest.fixture
 def small_search_limit(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(camera_module, "MAX_SEARCH_PIXELS", PIXELS)
+    for module in (camera_module, initialization, state_machine):
+        monkeypatch.setattr(module, "MAX_SEARCH_PIXELS", PIXELS)
 
 
 @cache
@@ -100,7 +102,7 @@ def test_static_features_are_not_foreground() -> None:
     image, camera = render_picture()
     camera_tracker = CameraTracker(0, camera)
     assert camera_tracker.is_large
-    search = camera_tracker.detect((image, None), None, MAX_FEATURES, reduced=True)
+    search = camera_tracker.detect((image, None), None, MAX_FEATURES, max_pixels=PIXELS)
     outline = np.array([[60.0, 40.0], [260.0, 40.0], [260.0, 200.0], [60.0, 200.0]])
     images = FrameSet(0, 0.0, (None,), (image,), (None,))
     nothing, everything = np.zeros(len(search), bool), np.ones(len(search), bool)

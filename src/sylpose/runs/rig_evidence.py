@@ -35,7 +35,7 @@ from sylpose.relative_pose.rig_hypotheses import (
     summarize,
 )
 from sylpose.rig import Rig, intersect_rays
-from sylpose.tracking.camera_side.camera import CameraTracker, compute_static_px
+from sylpose.tracking.camera_side.camera import MAX_SEARCH_PIXELS, CameraTracker, compute_static_px
 from sylpose.tracking.camera_side.frame import CameraFrame, find_static, match_frames
 from sylpose.tracking.context import LocalExecutor
 from sylpose.tracking.first_motion import MAX_START_FEATURES, MIN_DISPLACEMENT_PX, estimate_jitter
@@ -291,7 +291,7 @@ def _make_executor(rig: Rig) -> LocalExecutor:
 
 
 def _detect(images: FrameSet, camera: CameraTracker) -> CameraFrame:
-    features = camera.detect(camera.view_of(images), None, MAX_START_FEATURES, reduced=True)
+    features = camera.detect(camera.view_of(images), None, MAX_START_FEATURES, max_pixels=MAX_SEARCH_PIXELS)
     return camera.create_frame(features)
 
 

@@ -47,6 +47,8 @@ MAX_WINDOWS, MIN_WINDOW_STEP, WINDOW_FRAMES = 8, 6, 17
 GAPS = (1, 2, 4, 8, 16)
 # Displacements above this, pixels, are unnecessary: the next window's frames are nearer to each other (choice).
 MAX_DISPLACEMENT_PX = 32.0
+# Larger images are downscaled to so many pixels (choice).
+MAX_PIXELS = 480 * 360
 # Two bodies of different windows are one if this share of the smaller one's features match (choice).
 MIN_LINK_RATIO = 0.2
 # The motion of a body can be measured from an earlier frame if it keeps this share of its matches (choice).
@@ -184,8 +186,9 @@ def _search_window(context: Context, frames: Sequence[FrameSet], gap: int) -> tu
         the window; the number of frames for the next one.
     """
     first, best, best_gap, max_matches, max_others = _detect(context, 0, frames[0]), list[WindowBody](), gap, 0, 0
-    longer, shorter = [g for g in GAPS if gap <= g < len(frames)], [g for g in GAPS[::-1] if g < gap]
-    for g in longer + shorter:
+    gap = min(gap, max(len(frames) - 1, GAPS[0]))
+    gaps = [*(g for g in GAPS if g >= gap), *(g for g in GAPS[::-1] if g < gap)]
+    for g in (g for g in gaps if g < len(frames)):
         if g < gap and best:
             break
         last = _detect(context, g, frames[g])
@@ -199,15 +202,16 @@ def _search_window(context: Context, frames: Sequence[FrameSet], gap: int) -> tu
         n_others = sum(motion.n_inliers for motion in significant[1:]) - any(m.fit.is_mixed for m in significant)
         if significant and (not best or n_others >= max_others):
             best, best_gap, max_others = [WindowBody(last, motion) for motion in motions], g, n_others
-        if best and best[0].motion.displacement_px > MAX_DISPLACEMENT_PX:
+        if n_others >= 0 and best and best[0].motion.displacement_px > MIN_FIRST_MOTION_PX:
             break
-    return Window(first, best), max(best_gap // 2, GAPS[0])
+    is_far = bool(best) and best[0].motion.displacement_px > MAX_DISPLACEMENT_PX
+    return Window(first, best), max(best_gap // 2, GAPS[0]) if is_far else best_gap
 
 
 def _detect(context: Context, number: int, images: FrameSet) -> Frame:
     """Create a frame with the features of the whole images."""
     frame = context.create_frame(number, images)
-    return context.with_features(frame, context.detect_everywhere(images, MAX_START_FEATURES, reduced=True))
+    return context.with_features(frame, context.detect_everywhere(images, MAX_START_FEATURES, max_pixels=MAX_PIXELS))
 
 
 def _match(context: Context, first: Frame, last: Frame) -> list[list[FrameMatches]]:

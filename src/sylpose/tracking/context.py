@@ -248,11 +248,13 @@ class Context:
         return self.executor.run(detect_in, self.cameras, frame.regions)
 
     def detect_everywhere(
-        self, images: FrameSet, max_features: int, *, faint: bool = False, reduced: bool
+        self, images: FrameSet, max_features: int, *, faint: bool = False, max_pixels: int | None
     ) -> list[Features]:
         """Detect features in the whole images; per camera, local. See `CameraTracker.detect`."""
         views = [camera.view_of(images) for camera in self.cameras]
-        detect_all = partial(CameraTracker.detect, area=None, max_features=max_features, faint=faint, reduced=reduced)
+        detect_all = partial(
+            CameraTracker.detect, area=None, max_features=max_features, faint=faint, max_pixels=max_pixels
+        )
         return self.executor.run(detect_all, self.cameras, views)
 
     def drop_static_matches(

@@ -18,7 +18,7 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.status import FrameStatus
 from sylpose.tracking.bodies import has_rival
-from sylpose.tracking.camera_side.camera import CameraTracker
+from sylpose.tracking.camera_side.camera import MAX_SEARCH_PIXELS, CameraTracker
 from sylpose.tracking.camera_side.frame import (
     CameraFrame,
     CameraPairs,
@@ -84,7 +84,7 @@ def initialize_tracking(
     if candidate is not None and frame.images.index < candidate.first:
         nothing = [Features.empty() for _ in context.cameras]
         return state, [], [_create_unmatched_frame(context, frame, FrameStatus.NO_MOTION, nothing)]
-    features = context.detect_everywhere(frame.images, MAX_START_FEATURES, reduced=True)
+    features = context.detect_everywhere(frame.images, MAX_START_FEATURES, max_pixels=MAX_SEARCH_PIXELS)
     if not buffered and _count_features(context, features) < MIN_MATCHES:
         # Later frames need one to be compared with.
         return state, [], [_create_unmatched_frame(context, frame, FrameStatus.TOO_FEW_MATCHES, features)]

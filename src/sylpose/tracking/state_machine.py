@@ -20,7 +20,7 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.features.sift import MAX_FEATURES, Features
 from sylpose.frames import FrameSet
 from sylpose.tracking.anchor_preparation import begin_preparation, can_prepare, join_anchor
-from sylpose.tracking.camera_side.camera import CameraTracker
+from sylpose.tracking.camera_side.camera import MAX_SEARCH_PIXELS, CameraTracker
 from sylpose.tracking.camera_side.camera_motion import PAUSE_FRAMES
 from sylpose.tracking.camera_side.frame import REGION_MARGIN
 from sylpose.tracking.context import Context, Frame, FrameResult, TrackedFrame
@@ -166,9 +166,10 @@ def _find_pose_by_fallback(
 
 def _find_pose_anywhere(context: Context, state: JointState, frame: Frame) -> SearchResult:
     """Search for the object in the whole images: by the strongest features, then by all."""
-    reduced = (state.motion.n_missed + 1) % FULL_SEARCH_INTERVAL != 0
+    is_full = (state.motion.n_missed + 1) % FULL_SEARCH_INTERVAL == 0
+    max_pixels = None if is_full else MAX_SEARCH_PIXELS
     for faint in (False, True):
-        features = context.detect_everywhere(frame.images, MAX_FEATURES, faint=faint, reduced=reduced)
+        features = context.detect_everywhere(frame.images, MAX_FEATURES, faint=faint, max_pixels=max_pixels)
         pose = relocalize(context, state, context.with_features(frame, features), faint=faint)
         if pose is not None:
             regions = context.project_regions(state, pose)

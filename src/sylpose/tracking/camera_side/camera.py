@@ -386,7 +386,7 @@ class CameraTracker:
         max_features: int = MAX_FEATURES,
         *,
         faint: bool = False,
-        reduced: bool = False,
+        max_pixels: int | None = None,
     ) -> Features:
         """Detect features inside an area and the object's mask.
 
@@ -395,7 +395,7 @@ class CameraTracker:
             area: (h, w) area; None: the whole image.
             max_features: maximum number of features, the strongest.
             faint: whether to keep low-contrast features and ignore `max_features`.
-            reduced: whether to downscale a large area.
+            max_pixels: larger areas are downscaled; None for full resolution.
         """
         image, mask = view
         if image is None:
@@ -404,7 +404,6 @@ class CameraTracker:
             area = np.ones(self.camera.size[::-1], bool)
         area = area if mask is None else area & mask
         max_features = MAX_FAINT_FEATURES if faint else max_features
-        max_pixels = MAX_SEARCH_PIXELS if reduced else None
         return detect_features(image, self.camera, area, max_features, faint=faint, max_pixels=max_pixels)
 
     def detect_in(self, region: Region, images: FrameSet, max_features: int, *, faint: bool) -> Features:
@@ -444,12 +443,12 @@ class CameraTracker:
     def detect_surroundings(self, region: Region, images: FrameSet, *, faint: bool) -> Features:
         """Detect features outside a region; in large images at full resolution near it."""
         area, view = ~self.rasterize(region), self.view_of(images)
-        detected = self.detect(view, area, faint=faint, reduced=True)
+        detected = self.detect(view, area, faint=faint, max_pixels=MAX_SEARCH_PIXELS)
         if region is None or not self.is_large:
             return detected
         middle = region.mean(axis=0)
         near_area = area & self.rasterize(middle + SURROUNDINGS_SCALE * (region - middle))
-        return Features.concatenate([detected, self.detect(view, near_area, faint=faint, reduced=True)])
+        return Features.concatenate([detected, self.detect(view, near_area, faint=faint, max_pixels=MAX_SEARCH_PIXELS)])
 
     def rasterize(self, region: Region) -> BoolArray:
         """Return a region's area (h, w)."""
