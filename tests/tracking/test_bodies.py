@@ -149,6 +149,32 @@ def test_iterator_is_searched_as_the_sequence() -> None:
         np.testing.assert_array_equal(a.pose.covariance, b.pose.covariance)
 
 
+def test_wrong_rig_is_contradicted_from_the_first_pose_on() -> None:
+    """Of a right rig the F ratio is about 1; images turned upside down contradict the calibration in every window."""
+    clip = render("resting")
+    (right,) = candidates_of("resting")
+    assert right.f_ratio < 3.0
+    assert not right.is_contradicted
+    frames = [
+        replace(frame, images=tuple(image[::-1, ::-1] for image in frame.images if image is not None))
+        for frame in clip.frames()
+    ]
+    wrong = find_candidates(clip.rig, windows_of(frames))[0]
+    assert wrong.is_contradicted
+    tracked = list(track(frames, clip.rig))
+    assert FrameStatus.TRACKED not in statuses(tracked)
+    assert FrameStatus.CONTRADICTED in statuses(tracked)
+
+
+def test_no_evidence_with_differing_time_stamps() -> None:
+    """Cameras that see the object at other times contradict each other's motion."""
+    clip = render("resting")
+    frames = [replace(frame, times=tuple(frame.time + 0.01 * c for c in range(3))) for frame in clip.frames()]
+    (candidate,) = find_candidates(clip.rig, windows_of(frames))
+    assert np.isnan(candidate.f_ratio)
+    assert not candidate.is_contradicted
+
+
 def test_nothing_moves() -> None:
     clip = render("late")
     frames = clip.frames()[:ARRIVAL]

@@ -19,14 +19,16 @@ from sylpose.features.sift import match_features
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.methods import METHODS
+from sylpose.relative_pose.rig_hypotheses import Hypothesis, compute_f_ratios
 from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.rig import Rig
 from sylpose.status import Status
-from sylpose.tracking.camera_side.camera import CameraTracker
+from sylpose.tracking.camera_side.camera import CameraTracker, compute_static_px
 from sylpose.tracking.camera_side.frame import (
     CameraPairs,
     FrameMatches,
     Region,
+    find_static,
     match_frames,
     omit_empty,
     widen_outline,
@@ -37,6 +39,7 @@ from sylpose.tracking.first_motion import (
     MIN_FIRST_MOTION_PX,
     FirstMotion,
     estimate_first_motion,
+    estimate_jitter,
 )
 
 # Number of motions fitted one after another: an object, and the trunk and arms of a person (choice).
@@ -87,10 +90,12 @@ class Window:
     Attributes:
         first: its first frame, with features.
         bodies: those that move in it, by decreasing number of matches.
+        f_ratio: by which the cameras contradict the motion of the largest one; NaN if unknown.
     """
 
     first: Frame
     bodies: Sequence[WindowBody]
+    f_ratio: float = np.nan
 
 
 def find_bodies(context: Context, pairs: CameraPairs, first_number: int) -> list[FirstMotion]:
@@ -186,13 +191,15 @@ def _search_window(context: Context, frames: Sequence[FrameSet], gap: int) -> tu
         the window; the number of frames for the next one.
     """
     first, best, best_gap, max_matches, max_others = _detect(context, 0, frames[0]), list[WindowBody](), gap, 0, 0
+    best_pairs: CameraPairs = ()
     gap = min(gap, max(len(frames) - 1, GAPS[0]))
     gaps = [*(g for g in GAPS if g >= gap), *(g for g in GAPS[::-1] if g < gap)]
     for g in (g for g in gaps if g < len(frames)):
         if g < gap and best:
             break
         last = _detect(context, g, frames[g])
-        motions = find_bodies(context, _match(context, first, last), 0)
+        pairs = _match(context, first, last)
+        motions = find_bodies(context, pairs, 0)
         n = sum(motion.n_inliers for motion in motions)
         max_matches = max(n, max_matches)
         if best and n < MIN_KEPT_RATIO * max_matches:
@@ -202,10 +209,30 @@ def _search_window(context: Context, frames: Sequence[FrameSet], gap: int) -> tu
         n_others = sum(motion.n_inliers for motion in significant[1:]) - any(m.fit.is_mixed for m in significant)
         if significant and (not best or n_others >= max_others):
             best, best_gap, max_others = [WindowBody(last, motion) for motion in motions], g, n_others
+            best_pairs = pairs
         if n_others >= 0 and best and best[0].motion.displacement_px > MIN_FIRST_MOTION_PX:
             break
     is_far = bool(best) and best[0].motion.displacement_px > MAX_DISPLACEMENT_PX
-    return Window(first, best), max(best_gap // 2, GAPS[0]) if is_far else best_gap
+    window = Window(first, best, _compare_cameras(context, best_pairs, best))
+    return window, max(best_gap // 2, GAPS[0]) if is_far else best_gap
+
+
+def _compare_cameras(context: Context, pairs: CameraPairs, bodies: Sequence[WindowBody]) -> float:
+    """Return the F ratio of all moving matches but those of smaller bodies; NaN without evidence.
+
+    Cameras with other time stamps than the frame's see the object elsewhere.
+    """
+    times = bodies[0].last.time_offsets if bodies else np.ones(1)
+    if times.any():
+        return np.nan
+    for body in bodies[1:]:
+        pairs = _remove_inliers(pairs, body.motion)
+    matches = []
+    for own in pairs:
+        moving = [pair.subset(~find_static(pair, compute_static_px(estimate_jitter(pair)))) for pair in own]
+        earlier, later = [pair.pixels_i for pair in moving], [pair.pixels_j for pair in moving]
+        matches.append((_concatenate(earlier), _concatenate(later)))
+    return float(compute_f_ratios(context.rig, [matches], Hypothesis())[0])
 
 
 def _detect(context: Context, number: int, images: FrameSet) -> Frame:
@@ -265,7 +292,7 @@ def _make_candidate(context: Context, windows: Sequence[Window], chain: Mapping[
     number = clear[0] if clear else max(chain, key=lambda k: chain[k].motion.n_inliers * chain[k].motion.is_significant)
     first, pairs = _find_first_frame(context, windows[: number + 1], chain[number])
     last = chain[number].last.images.index
-    features = tuple(np.concatenate([np.empty((0, 2)), *(pair.pixels_i for pair in own)]) for own in pairs)
+    features = tuple(_concatenate([pair.pixels_i for pair in own]) for own in pairs)
     return Candidate(
         first.images.index,
         last,
@@ -274,7 +301,17 @@ def _make_candidate(context: Context, windows: Sequence[Window], chain: Mapping[
         np.array(list(map(_measure_displacement, pairs))),
         n_matches,
         n_rivals / n_matches,
+        _pool_ratios([window.f_ratio for window in windows]),
     )
+
+
+def _pool_ratios(ratios: Sequence[float]) -> float:
+    """Return the median of the F ratios of all windows, of two in the middle the smaller one; NaN if none is known.
+
+    A camera that moves during the recording contradicts the others in some of them.
+    """
+    known = np.array(ratios)[~np.isnan(ratios)]
+    return float(np.quantile(known, 0.5, method="lower")) if len(known) else np.nan
 
 
 def _find_first_frame(context: Context, windows: Sequence[Window], body: WindowBody) -> tuple[Frame, CameraPairs]:
@@ -291,6 +328,10 @@ def _find_first_frame(context: Context, windows: Sequence[Window], body: WindowB
             if n_kept > MIN_KEPT_RATIO * body.motion.n_inliers:
                 return window.first, motion.inliers
     return windows[-1].first, body.motion.inliers
+
+
+def _concatenate(pixels: Sequence[FloatArray]) -> FloatArray:
+    return np.concatenate([np.empty((0, 2)), *pixels])
 
 
 def _measure_displacement(pairs: Sequence[FrameMatches]) -> float:

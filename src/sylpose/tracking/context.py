@@ -20,6 +20,7 @@ from sylpose.features.sift import MAX_FEATURES, Features
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import FloatArray
 from sylpose.landmarks.alignment import AlignmentResult, AlignmentStart, LandmarkMatches, align
+from sylpose.relative_pose.camera_evidence import MAX_F_RATIO
 from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.results import FramePose
 from sylpose.rig import Rig
@@ -160,6 +161,7 @@ class Candidate:
         displacements_px: (C,) their median displacement until the second one, pixels; NaN without any.
         n_matches: number of its matches, in all cameras and windows.
         rival_ratio: matches of the largest other body that moves at the same time, as a share of its own.
+        f_ratio: by which the cameras contradict each other, pooled over the recording; NaN if unknown.
     """
 
     first: int
@@ -169,6 +171,12 @@ class Candidate:
     displacements_px: FloatArray
     n_matches: int
     rival_ratio: float
+    f_ratio: float = np.nan
+
+    @property
+    def is_contradicted(self) -> bool:
+        """Whether the cameras contradict each other in most of the recording: then the rig is wrong in all frames."""
+        return self.f_ratio > MAX_F_RATIO
 
     @property
     def is_ambiguous(self) -> bool:

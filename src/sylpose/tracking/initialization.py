@@ -97,10 +97,8 @@ def initialize_tracking(
             is_clear = (
                 first_motion.is_observable or first_motion.displacement_px > MIN_FIRST_MOTION_PX
             ) and is_continuing_motion(buffered[-2].motion, first_motion.motion)
-            is_last = len(buffered) > MAX_BUFFERED_FRAMES
-            if candidate is not None:
-                is_last |= frame.images.index >= candidate.last
-            if (is_clear or is_last) and (started := _initialize_from_motion(context, buffered, pairs, first_motion)):
+            is_full = len(buffered) > MAX_BUFFERED_FRAMES
+            if (is_clear or is_full) and (started := _initialize_from_motion(context, buffered, pairs, first_motion)):
                 return replace(started[0], nudges=state.nudges), [], started[1]
         status = first_motion.failure_status
     if len(buffered) <= MAX_BUFFERED_FRAMES:

@@ -20,6 +20,7 @@ from sylpose.status import FrameStatus, Observability
 from sylpose.tracking.camera_side.camera import AcceptedPose, CameraTracker
 from sylpose.tracking.camera_side.frame import ReobservedFeatures, compute_full_weight_age, record_observations
 from sylpose.tracking.context import Context, Frame, FrameResult, TrackedFrame, create_unsolved_frame
+from sylpose.tracking.frame_solvers import MAXIMUM_LIKELIHOOD
 from sylpose.tracking.joint_side.joint_state import (
     Anchor,
     JointState,
@@ -156,6 +157,8 @@ def accept_frame(context: Context, state: JointState, candidate: PoseCandidate) 
         reason = f"the cameras see different motions (F ratio {f_ratio:.0f}; the limit is {MAX_F_RATIO:.0f})"
         if not f_ratio > MAX_F_RATIO:
             reason = "tracked from frames in which the cameras see different motions"
+        if _is_rig_contradicted(context):
+            reason = "in most of the recording the cameras see different motions"
         result = replace(result, status=FrameStatus.CONTRADICTED, reason=reason)
     matches, observations, detections = (context.spread(parts) for parts in zip(*records, strict=True))
     parts = matches, context.spread(frame.regions or ()), model.radius, observations, frame.time_offsets
@@ -183,7 +186,8 @@ def _accept_pose(context: Context, state: JointState, candidate: PoseCandidate, 
         compute_viewpoints(context.rig, pose),
         np.array([a.has_features for a in agreements]) & ~is_muted,
         compute_full_weight_age([a.ages for a in agreements]),
-        is_contradicted=is_contradicted(agreements, state.frames.by_number, state.last),
+        is_contradicted=_is_rig_contradicted(context)
+        or is_contradicted(agreements, state.frames.by_number, state.last),
     )
     return AcceptedPose(
         solved,
@@ -196,6 +200,12 @@ def _accept_pose(context: Context, state: JointState, candidate: PoseCandidate, 
         candidate.has_moved,
         frame.has_new_features,
     )
+
+
+def _is_rig_contradicted(context: Context) -> bool:
+    """Return whether the cameras contradict each other in most of the recording, which was searched in advance."""
+    candidate = context.candidate
+    return candidate is not None and candidate.is_contradicted and context.method in MAXIMUM_LIKELIHOOD
 
 
 def _compute_covariance(context: Context, state: JointState, candidate: PoseCandidate) -> FloatArray:
