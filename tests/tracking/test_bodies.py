@@ -17,7 +17,15 @@ from sylpose.status import FrameStatus
 from sylpose.tracking.bodies import MAX_WINDOWS, WINDOW_FRAMES, find_candidates, select_windows
 from sylpose.tracking.context import Candidate
 from sylpose.tracking.tracker import Tracker, track
-from tests.clips import Clip, compute_pose_errors, make_drifting_pose, make_slab, moving_scene, statuses
+from tests.clips import (
+    Clip,
+    compute_pose_errors,
+    make_drifting_pose,
+    make_rotated_pose,
+    make_slab,
+    moving_scene,
+    statuses,
+)
 
 AWAY = RigidTransform.from_translation([0, 100, 0])
 N_FRAMES, ARRIVAL = 14, 7
@@ -173,6 +181,14 @@ def test_no_evidence_with_differing_time_stamps() -> None:
     (candidate,) = find_candidates(clip.rig, windows_of(frames))
     assert np.isnan(candidate.f_ratio)
     assert not candidate.is_contradicted
+
+
+def test_fast_object_is_one_body() -> None:
+    """After 60 degrees its features are others, but it is at the same place."""
+    clip = Clip.render(moving_scene(lambda frame: make_rotated_pose(10 * frame), N_FRAMES, n_cameras=3))
+    candidates = find_candidates(clip.rig, windows_of(clip.frames()))
+    assert candidates[0].first == 0
+    assert candidates[0].n_matches > 0.9 * sum(candidate.n_matches for candidate in candidates)
 
 
 def test_nothing_moves() -> None:

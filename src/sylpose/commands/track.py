@@ -127,7 +127,7 @@ def track(options: TrackOptions) -> None:
 
     Writes trajectory.tum (time tx ty tz qx qy qz qw), trajectory.csv (with angles, uncertainty, status, inliers and
     residuals), report.html, report.png and overlay.mp4 into OUT; several objects get one folder each. Without boxes and
-    masks, whatever moves against the static background is tracked.
+    masks, the body that moves with the most features is tracked.
 
     Examples:
         sylpose track recording

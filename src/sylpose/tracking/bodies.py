@@ -3,7 +3,7 @@
 A person who holds the object moves as well, and over a second a trunk is as rigid as a board. So all bodies
 are found, in windows of consecutive frames spread over the recording. In each window the motion with the most matches
 is fitted, its inliers are removed, and so on, while a motion is significant. A body is followed through the windows by
-the descriptors of its features. The one with the most matches is tracked. If another one that moves at the same time
+the descriptors of its features and by its place. The one with the most matches is tracked. If another one that moves at the same time
 has a notable share of its matches, which of them is the object is the user's knowledge.
 """
 
@@ -48,12 +48,15 @@ MAX_BODIES = 4
 MAX_WINDOWS, MIN_WINDOW_STEP, WINDOW_FRAMES = 8, 6, 17
 # Numbers of frames between the two that are compared (choice).
 GAPS = (1, 2, 4, 8, 16)
-# Displacements above this, pixels, are unnecessary: the next window's frames are nearer to each other (choice).
+# If a body moves farther than this, pixels, the next window's frames are nearer to each other (choice).
 MAX_DISPLACEMENT_PX = 32.0
 # Larger images are downscaled to so many pixels (choice).
 MAX_PIXELS = 480 * 360
-# Two bodies of different windows are one if this share of the smaller one's features match (choice).
+# Two bodies of different windows are one if this share of the smaller one's features match (choice),
 MIN_LINK_RATIO = 0.2
+# or if their centers are nearer to each other than this, radii of the smaller one (derived: the side that is visible
+# changes, and is at most a radius away).
+MAX_DISTANCE_RADII = 1.0
 # The motion of a body can be measured from an earlier frame if it keeps this share of its matches (choice).
 MIN_KEPT_RATIO = 0.4
 # Features farther from their median position than this, in median distances, are mismatches (choice: of features spread
@@ -132,7 +135,8 @@ def find_candidates(
 
     Args:
         rig: C cameras.
-        windows: consecutive frames from several places of a recording, in order of time; they may overlap.
+        windows: consecutive frames from several places of a recording, in order of time; they may overlap. Empty ones,
+            of frames that cannot be read, are skipped.
         seed: of outlier rejection.
         workers: threads for detection and matching; None: one per camera.
 
@@ -144,7 +148,7 @@ def find_candidates(
         cameras = [CameraTracker(c, camera) for c, camera in enumerate(rig)]
         context = Context(rig, cameras, executor, METHODS[0], True, True, np.zeros(len(rig)), seed)
         found, gap = list[Window](), GAPS[0]
-        for frames in windows:
+        for frames in filter(len, windows):
             window, gap = _search_window(context, frames, gap)
             found.append(window)
         return _make_candidates(context, found)
@@ -256,14 +260,25 @@ def _make_candidates(context: Context, windows: Sequence[Window]) -> list[Candid
     for number, window in enumerate(windows):
         open_chains = list(chains)
         for body in window.bodies:
-            scores = [_measure_link(chain[max(chain)], window, body) for chain in open_chains]
-            if max(scores, default=0.0) > MIN_LINK_RATIO:
-                open_chains.pop(int(np.argmax(scores)))[number] = body
+            earlier = [chain[max(chain)] for chain in open_chains]
+            shares = [_measure_link(before, window, body) for before in earlier]
+            if not max(shares, default=0.0) > MIN_LINK_RATIO:
+                # A body that has turned shows other features, at the same place.
+                shares = [MIN_LINK_RATIO + 1.0 if _is_same_place(before, body) else 0.0 for before in earlier]
+            if max(shares, default=0.0) > MIN_LINK_RATIO:
+                open_chains.pop(int(np.argmax(shares)))[number] = body
             else:
                 chains.append({number: body})
     moving = [chain for chain in chains if any(body.motion.is_significant for body in chain.values())]
     candidates = [_make_candidate(context, windows, chain) for chain in moving]
     return sorted(candidates, key=lambda candidate: -candidate.n_matches)
+
+
+def _is_same_place(earlier: WindowBody, body: WindowBody) -> bool:
+    """Return whether a body is where another one was at the end of an earlier window."""
+    a, b = earlier.motion, body.motion
+    distance = np.linalg.norm(a.motion.apply(a.inlier_center) - b.inlier_center)
+    return bool(distance < MAX_DISTANCE_RADII * min(a.radius, b.radius))
 
 
 def _measure_link(earlier: WindowBody, window: Window, body: WindowBody) -> float:

@@ -148,8 +148,8 @@ def track(
         frames: of the recording, in order: `session.frames()`.
         rig: C cameras. With one camera the object is placed at distance 1 from it, and the status of every frame
             reports that the scale is not observable.
-        boxes: per camera, the object's box in the first frame, pixels; None: whatever moves against the static
-            background is tracked.
+        boxes: per camera, the object's box in the first frame, pixels; None: the body that moves with the most
+            features is tracked, with the status `ambiguous` if another one moves as well.
         method: "landmarks" (landmark positions on the object are refined over time; least drift), "epipolar" (epipolar
             geometry against several reference frames), one of the paper's frame-to-frame estimators (as in
             `estimate_motion`), or "known-depth" (Sylvester's equation for landmarks of known depth).
