@@ -1,10 +1,10 @@
 """Bodies that move in a recording: the candidates for the object where no boxes are given.
 
-A person who holds the object moves as well, and over a second a trunk is as rigid as a board. So all bodies
-are found, in windows of consecutive frames spread over the recording. In each window the motion with the most matches
-is fitted, its inliers are removed, and so on, while a motion is significant. A body is followed through the windows by
-the descriptors of its features and by its place. The one with the most matches is tracked. If another one that moves at the same time
-has a notable share of its matches, which of them is the object is the user's knowledge.
+A person who holds the object moves as well, and over a second a trunk is as rigid as a board. So all bodies are found,
+in windows of consecutive frames spread over the recording. In each window the motion with the most matches is fitted,
+its inliers are removed, and so on, while a motion is rigid. A body is followed through the windows by the descriptors of
+its features and by its place. The one with the most matches is tracked. If another one that moves at the same time has a
+notable share of its matches, which of them is the object is the user's knowledge.
 """
 
 from __future__ import annotations
