@@ -132,7 +132,7 @@ def test_of_two_bodies_none_is_tracked_silently() -> None:
 def test_chosen_body_is_tracked(path: Path) -> None:
     clip = render("with another")
     candidate = min(candidates_of("with another"), key=lambda c: _offset(clip, c, path(c.first)))
-    chosen = replace(candidate, rival_ratio=0.0)
+    chosen = replace(candidate, is_chosen=True)
     with Tracker(clip.rig, candidate=chosen) as tracker:
         tracked = [result for frames in clip.frames() for result in tracker.step(frames)]
     assert set(statuses(tracked[candidate.first :])) == {FrameStatus.FIRST, FrameStatus.TRACKED}

@@ -36,8 +36,7 @@ def select_candidate(session: Session, options: RunOptions) -> Candidate | None:
         n = len(candidates)
         moving = "no body moves" if not n else "one body moves" if n == 1 else f"{n} bodies move"
         raise ValueError(f"object {options.candidate}: {moving} in {session.path}; `sylpose check` draws what moves")
-    # The user knows which one is meant.
-    return replace(candidates[options.candidate - 1], rival_ratio=0.0)
+    return replace(candidates[options.candidate - 1], is_chosen=True)
 
 
 def _read_windows(session: Session, options: RunOptions) -> Iterator[Sequence[FrameSet]]:

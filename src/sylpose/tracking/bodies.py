@@ -63,7 +63,7 @@ MIN_KEPT_RATIO = 0.4
 # evenly over a disk the farthest is at 1.4).
 MAX_DISTANCE_RATIO = 2.5
 # Margin around a body's features, share of their extent (choice).
-OUTLINE_MARGIN = 0.1
+OUTLINE_MARGIN = 0.2
 
 
 @dataclass(frozen=True, eq=False)

@@ -162,6 +162,7 @@ class Candidate:
         n_matches: number of its matches, in all cameras and windows.
         rival_ratio: matches of the largest other body that moves at the same time, as a share of its own.
         f_ratio: by which the cameras contradict each other, pooled over the recording; NaN if unknown.
+        is_chosen: whether the user knows that it is the object.
     """
 
     first: int
@@ -172,6 +173,7 @@ class Candidate:
     n_matches: int
     rival_ratio: float
     f_ratio: float = np.nan
+    is_chosen: bool = False
 
     @property
     def is_contradicted(self) -> bool:
@@ -181,7 +183,7 @@ class Candidate:
     @property
     def is_ambiguous(self) -> bool:
         """Whether another body might be the object as well."""
-        return is_rival(self.rival_ratio, len(self.outlines))
+        return not self.is_chosen and is_rival(self.rival_ratio, len(self.outlines))
 
 
 @dataclass(frozen=True, eq=False)

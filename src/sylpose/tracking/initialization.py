@@ -178,7 +178,8 @@ def _match_first_motion(
     matches = context.executor.run(partial(match_frames, first.number), first.cameras, current.cameras)
     pairs = [omit_empty([pair]) for pair in matches]
     selected = pairs
-    if context.candidate is not None:
+    if context.candidate is not None and context.candidate.rival_ratio > 0:
+        # Other bodies move as well.
         outlines = context.candidate.outlines
         selected = [
             [
