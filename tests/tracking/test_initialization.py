@@ -280,9 +280,17 @@ def test_object_itself_is_not_ambiguous(executor: LocalExecutor, rig: Rig, noise
     pairs = make_pairs(rig, [OBJECT], noise_px=noise_px)
     found = estimate_motion(executor, rig, pairs)
     assert not has_rival(make_context(executor, rig, 1), pairs, FIRST, found)
-    # With its inliers included it would be.
-    blind = replace(found, inliers=[[] for _ in rig])
-    assert has_rival(make_context(executor, rig, 1), pairs, FIRST, blind)
+
+
+def test_faulty_camera_is_no_rival() -> None:
+    """One camera of three shows the object with another motion."""
+    rig = make_rig(3)
+    pairs = make_pairs(rig, [OBJECT])
+    pairs[2] = make_pairs(rig, [replace(OBJECT, motion=make_motion(AT, [-0.08, 0.03, 0.07], [0.0, 0.01, 0.0]))])[2]
+    executor = LocalExecutor(3, 1)
+    found = estimate_motion(executor, rig, pairs)
+    assert not has_rival(make_context(executor, rig, 1), pairs, FIRST, found)
+    executor.close()
 
 
 def test_buffered_frame_may_determine_depth() -> None:

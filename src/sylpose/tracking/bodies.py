@@ -20,6 +20,7 @@ from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.methods import METHODS
 from sylpose.relative_pose.rig_hypotheses import Hypothesis, compute_f_ratios
+from sylpose.relative_pose.second_motion import MIN_SHARED_RATIO
 from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.rig import Rig
 from sylpose.status import Status
@@ -57,6 +58,8 @@ MIN_LINK_RATIO = 0.2
 # or if their centers are nearer to each other than this, radii of the smaller one (derived: the side that is visible
 # changes, and is at most a radius away).
 MAX_DISTANCE_RADII = 1.0
+# Two motions whose centers are nearer to each other than this, radii of the smaller one, are of one body (choice).
+MIN_DISTANCE_RADII = 0.5
 # The motion of a body can be measured from an earlier frame if it keeps this share of its matches (choice).
 MIN_KEPT_RATIO = 0.4
 # Features farther from their median position than this, in median distances, are mismatches (choice: of features spread
@@ -165,7 +168,22 @@ def has_rival(context: Context, pairs: CameraPairs, first_number: int, motion: F
     """
     rest = _remove_inliers(pairs, motion)
     others, n = find_bodies(context, rest, first_number), len(context.rig)
-    return any(is_rival(body.n_inliers / motion.n_inliers, n) for body in others)
+    return any(is_rival(_count_rival(context, motion, body) / motion.n_inliers, n) for body in others)
+
+
+def _count_rival(context: Context, motion: FirstMotion, other: FirstMotion) -> int:
+    """Count the matches of another body in the cameras that see both; 0 if these are fewer than two.
+
+    A faulty camera has most of its matches on one side, and shows another motion at the object's place.
+    """
+    distance = np.linalg.norm(motion.inlier_center - other.inlier_center)
+    if distance < MIN_DISTANCE_RADII * min(motion.radius, other.radius):
+        return 0
+    counts = [
+        np.array(context.executor.gather([sum(map(len, own)) for own in its.inliers], 0)) for its in (motion, other)
+    ]
+    is_shared = np.minimum(*counts) > MIN_SHARED_RATIO * (counts[0] + counts[1])
+    return int(counts[1][is_shared].sum()) if is_shared.sum() >= min(2, len(is_shared)) else 0
 
 
 def select_windows(n_frames: int) -> list[range]:
@@ -300,9 +318,11 @@ def _make_candidate(context: Context, windows: Sequence[Window], chain: Mapping[
     """
     n_rivals, n_matches = 0, sum(body.motion.n_inliers for body in chain.values())
     for number, window in enumerate(windows):
-        others = [body.motion.n_inliers for body in window.bodies if body is not chain.get(number)]
-        # In a window without this body the largest one may be it, not recognized.
-        n_rivals += max(others if number in chain else others[1:], default=0)
+        if window.bodies:
+            # In a window without this body the largest one may be it, not recognized.
+            own = chain.get(number, window.bodies[0])
+            others = [body.motion for body in window.bodies if body is not own]
+            n_rivals += max((_count_rival(context, own.motion, other) for other in others), default=0)
     clear = [number for number, body in chain.items() if body.is_clear]
     number = clear[0] if clear else max(chain, key=lambda k: chain[k].motion.n_inliers * chain[k].motion.is_significant)
     first, pairs = _find_first_frame(context, windows[: number + 1], chain[number])
