@@ -263,8 +263,8 @@ def test_slider_moves_object(browser: Any, server: tuple[Any, str], result: Path
             last = scene.world_from_object[-1, :3, 3]
             np.testing.assert_allclose(nodes.axes.position, (last - scene.center) / scene.camera_distance, atol=1e-9)
             assert np.linalg.norm(nodes.axes.position - before) > 1e-3
-            assert nodes.axes.visible
-            assert nodes.ellipsoid.visible
+            # The nodes of a frame are updated one after another.
+            until(lambda: nodes.axes.visible and nodes.ellipsoid.visible)
             shown.page.get_by_text(f"{TRACKED} of {TRACKED}").wait_for(timeout=60_000)
             shown.page.wait_for_timeout(500)
             assert shown.page.screenshot(timeout=60_000) != first
