@@ -181,6 +181,10 @@ def test_no_evidence_with_differing_time_stamps() -> None:
     (candidate,) = find_candidates(clip.rig, windows_of(frames))
     assert np.isnan(candidate.f_ratio)
     assert not candidate.is_contradicted
+    # Nor with known offsets of cameras whose time stamps agree.
+    late = np.array([0.0, 0.01, 0.0])
+    (candidate,) = find_candidates(clip.rig, windows_of(clip.frames()), time_offsets=late)
+    assert np.isnan(candidate.f_ratio)
 
 
 def test_fast_object_is_one_body() -> None:

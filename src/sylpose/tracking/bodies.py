@@ -9,6 +9,7 @@ notable share of its matches, which of them is the object is the user's knowledg
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -132,7 +133,12 @@ def _remove_inliers(pairs: CameraPairs, motion: FirstMotion) -> list[list[FrameM
 
 
 def find_candidates(
-    rig: Rig, windows: Iterable[Sequence[FrameSet]], *, seed: int = 0, workers: int | None = None
+    rig: Rig,
+    windows: Iterable[Sequence[FrameSet]],
+    *,
+    time_offsets: FloatArray | None = None,
+    seed: int = 0,
+    workers: int | None = None,
 ) -> list[Candidate]:
     """Find the bodies that might be the object.
 
@@ -140,16 +146,18 @@ def find_candidates(
         rig: C cameras.
         windows: consecutive frames from several places of a recording, in order of time; they may overlap. Empty ones,
             of frames that cannot be read, are skipped.
+        time_offsets: (C,) seconds by which each camera's images are later than its time stamps; None: none.
         seed: of outlier rejection.
-        workers: threads for detection and matching; None: one per camera.
+        workers: threads for detection and matching; None: one per core, at most one per camera.
 
     Returns:
         by decreasing number of matches; empty if nothing moves as a rigid body.
     """
-    executor = LocalExecutor(len(rig), workers or len(rig))
+    offsets = np.zeros(len(rig)) if time_offsets is None else time_offsets
+    executor = LocalExecutor(len(rig), workers or min(len(rig), os.cpu_count() or 1))
     try:
         cameras = [CameraTracker(c, camera) for c, camera in enumerate(rig)]
-        context = Context(rig, cameras, executor, METHODS[0], True, True, np.zeros(len(rig)), seed)
+        context = Context(rig, cameras, executor, METHODS[0], True, True, offsets, seed)
         found, gap = list[Window](), GAPS[0]
         for frames in filter(len, windows):
             window, gap = _search_window(context, frames, gap)
@@ -227,7 +235,7 @@ def _search_window(context: Context, frames: Sequence[FrameSet], gap: int) -> tu
         if best and n < MIN_KEPT_RATIO * max_matches:
             break
         significant = [motion for motion in motions if motion.is_significant]
-        # Two motions may not be separable over some times.
+        # Two motions may not be separable over some times: a mixed fit is worse than one without a second body.
         n_others = sum(motion.n_inliers for motion in significant[1:]) - any(m.fit.is_mixed for m in significant)
         if significant and (not best or n_others >= max_others):
             best, best_gap, max_others = [WindowBody(last, motion) for motion in motions], g, n_others

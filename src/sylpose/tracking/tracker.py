@@ -390,8 +390,11 @@ class Tracker(TrackerBase):
         for frame_set in frames:
             check_frame_set(frame_set, self._rig)
         windows = ([frames[k] for k in window] for window in select_windows(len(frames)))
-        candidates = find_candidates(self._rig, windows, seed=self._context.seed, workers=workers)
-        self._context = replace(self._context, candidate=candidates[0] if candidates else None)
+        context = self._context
+        candidates = find_candidates(
+            self._rig, windows, time_offsets=context.time_offsets, seed=context.seed, workers=workers
+        )
+        self._context = replace(context, candidate=candidates[0] if candidates else None)
 
     def __enter__(self) -> Tracker:
         return self
