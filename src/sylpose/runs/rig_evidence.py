@@ -220,7 +220,7 @@ def collect_motion(rig: Rig, frames: Iterable[FrameSet]) -> MotionEvidence:
     each pair begins where the last one ends.
     """
     cameras = [CameraTracker(c, camera) for c, camera in enumerate(rig)]
-    chosen, tried = list[_Candidate](), list[_Candidate]()
+    chosen, tried = list[_TriedPair](), list[_TriedPair]()
     sees_motion, changes = np.zeros(len(rig), bool), list[list[bool]]()
     first: tuple[int, list[CameraFrame]] | None = None
     previous: FrameSet | None = None
@@ -252,7 +252,7 @@ def collect_motion(rig: Rig, frames: Iterable[FrameSet]) -> MotionEvidence:
     )
 
 
-class _Candidate(NamedTuple):
+class _TriedPair(NamedTuple):
     """Pair of frames that may be compared.
 
     Attributes:
@@ -270,7 +270,7 @@ class _Candidate(NamedTuple):
     information: float
 
 
-def _select_best(tried: Sequence[_Candidate]) -> list[_Candidate]:
+def _select_best(tried: Sequence[_TriedPair]) -> list[_TriedPair]:
     """Return the pair of frames with most information, if two cameras see the motion."""
     best = max(tried, key=lambda own: own.information, default=None)
     return [best] if best is not None and best.information > 0 else []
@@ -280,7 +280,7 @@ def _are_identical(image: Image | None, other: Image | None) -> bool:
     return image is not None and other is not None and np.array_equal(image, other)
 
 
-def _list_gaps(chosen: Sequence[_Candidate]) -> list[int]:
+def _list_gaps(chosen: Sequence[_TriedPair]) -> list[int]:
     """Return the numbers of frames between those of the next pair: what moves slowly does not become fast at once."""
     last = chosen[-1].frames[1] - chosen[-1].frames[0] if chosen else 0
     return [gap for gap in GAPS if 2 * gap >= last]
@@ -300,7 +300,7 @@ def _measure(
     frames: tuple[int, int],
     first: Sequence[CameraFrame],
     second: Sequence[CameraFrame],
-) -> _Candidate:
+) -> _TriedPair:
     """Match two frames and measure the motion between them."""
     matched = [
         _match_moving(camera, frames[0], *own)
@@ -312,7 +312,7 @@ def _measure(
             motion.append(float(np.median(np.linalg.norm(y - x, axis=1)) / np.hypot(*camera.camera.size)))
             information.append(len(x) * motion[-1] ** 2)
     pair, static = [matches for matches, _ in matched], [pixels for _, pixels in matched]
-    return _Candidate(frames, pair, static, sorted(motion)[-2], sorted(information)[-2])
+    return _TriedPair(frames, pair, static, sorted(motion)[-2], sorted(information)[-2])
 
 
 def _match_moving(

@@ -225,7 +225,8 @@ def _fit_consistent(reports: Sequence[MovingMatches], rng: np.random.Generator) 
         # In the other cameras, inliers are static keypoints with the largest jitter.
         consistent_terms = [term for term, consistent in zip(data, is_consistent, strict=True) if consistent]
         center, radius = locate_object(consistent_terms)
-        fit = _expand_fit(fit_terms(consistent_terms, center, radius, [], rng), data, is_consistent)
+        is_chosen = [np.full(len(term), consistent) for term, consistent in zip(data, is_consistent, strict=True)]
+        fit = _expand_fit(fit_terms(consistent_terms, center, radius, [], rng), is_chosen)
     return fit, center
 
 
@@ -240,7 +241,7 @@ def _separate_motions(
 
     def fit_groups(groups: Sequence[BoolArray]) -> Fit:
         chosen = [term.subset(group) for term, group in zip(data, groups, strict=True) if group.any()]
-        return _expand_to_matches(fit_terms(chosen, center, radius, [], rng), groups)
+        return _expand_fit(fit_terms(chosen, center, radius, [], rng), groups)
 
     def fit_cost(groups: Mapping[int, BoolArray]) -> float:
         fit = fit_groups([groups.get(t, np.zeros(len(term), bool)) for t, term in enumerate(data)])
@@ -266,13 +267,13 @@ def _separate_motions(
     return separated[0] if separated is not None and separated[0].status.has_pose else mixed
 
 
-def _expand_to_matches(fit: Fit, is_chosen: Sequence[BoolArray]) -> Fit:
-    """Extend a fit to the chosen matches to all matches; the others get no weight."""
-    weights, parts = [np.zeros(len(chosen)) for chosen in is_chosen], iter(fit.weights)
-    for w, chosen in zip(weights, is_chosen, strict=True):
-        if chosen.any():
-            w[chosen] = next(parts)
-    return fit.with_matches(weights, [np.zeros_like(w) for w in weights])
+def _expand_fit(fit: Fit, is_chosen: Sequence[BoolArray]) -> Fit:
+    """Extend a fit to the chosen matches (terms without any are not part of it) to all; the others get no weight."""
+    weights, residuals = ([np.zeros(len(chosen)) for chosen in is_chosen] for _ in range(2))
+    terms = [t for t, chosen in enumerate(is_chosen) if chosen.any()]
+    for t, w, r in zip(terms, fit.weights, fit.residuals, strict=True):
+        weights[t][is_chosen[t]], residuals[t][is_chosen[t]] = w, r
+    return fit.with_matches(weights, residuals)
 
 
 def _find_poor_terms(fit: Fit, reports: Sequence[MovingMatches]) -> BoolArray:
@@ -284,16 +285,6 @@ def _find_poor_terms(fit: Fit, reports: Sequence[MovingMatches]) -> BoolArray:
             rms = float(np.sqrt(np.mean(across[good] ** 2)))
             is_poor[t] = rms > MAX_RESIDUAL_RATIO * float(np.median(record.displacement_px[good]))
     return is_poor
-
-
-def _expand_fit(fit: Fit, data: Sequence[TermData], is_chosen: BoolArray) -> Fit:
-    """Extend a fit to the chosen terms (T,) to all terms; the others get no inliers."""
-    weights, residuals = iter(fit.weights), iter(fit.residuals)
-    zero_arrays = [np.zeros(len(term)) for term in data]
-    return fit.with_matches(
-        [next(weights) if chosen else zeros for zeros, chosen in zip(zero_arrays, is_chosen, strict=True)],
-        [next(residuals) if chosen else zeros for zeros, chosen in zip(zero_arrays, is_chosen, strict=True)],
-    )
 
 
 def _test_significance(fit: Fit, reports: Sequence[MovingMatches]) -> tuple[BoolArray, BoolArray]:
