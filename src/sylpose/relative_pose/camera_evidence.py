@@ -62,6 +62,10 @@ MAX_F_RATIO = 30.0
 KEPT_SHARE = 0.9
 # If the excess of these is more than so many times its number of unknowns, they may be chance (choice).
 MAX_OWN_RATIO = 10.0
+# An explanation of a contradiction reduces the F ratio at least by this factor (choice).
+MIN_REDUCTION = 3.0
+# The ratio without a contradiction: explanations with ratios below it are alike (derived).
+EXPECTED_RATIO = 1.0
 # Random quadruples of the outlier rejection of a second start, and its tolerance, pixels (choice).
 QUADRUPLES, SEED_PX = np.random.default_rng(0).random((300, 4)), 2.0
 # Rounds of trimming, and steps of each fit (choice).

@@ -1,9 +1,4 @@
-"""Diagnostics of a fit, computed in one compiled call: most fits pass them and need no further test.
-
-One of them is whether a camera is inconsistent with the common motion. Under weak perspective the inliers of one camera
-are near a hyperplane of (x, y), whatever its calibration (`affine_ransac`). The likelihood ratio between this hyperplane
-and the common motion measures, at any level of noise, whether the camera disagrees with the others.
-"""
+"""Diagnostics of a fit, computed in one compiled call: most fits pass them and need no further test."""
 
 from __future__ import annotations
 
@@ -13,21 +8,11 @@ import numpy as np
 
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.numba_linalg import kernel, symmetric_eigen
-from sylpose.relative_pose.irls import SIGMA_FLOOR_PX, IrlsFit, has_uniform_residuals
+from sylpose.relative_pose.irls import IrlsFit, has_uniform_residuals
 from sylpose.relative_pose.motion_mixture import correlate_neighbors, has_static_candidates, is_mixed
 from sylpose.relative_pose.observability import MIN_CERTAIN_SHARE, is_collinear, is_static
 from sylpose.relative_pose.terms import Stack
 from sylpose.relative_pose.uncertainty import compute_size_if_curved, is_narrow_baseline
-
-# Unknowns of a hyperplane, and the minimum number of inliers for the test (choice).
-HYPERPLANE_UNKNOWNS, MIN_TEST_INLIERS = 4, 8
-# The cameras are checked if the inconsistency of one exceeds the first value, or the sum over all the second: four
-# unknowns each (measured: docs/history/benchmarks.md#hard-pairs, 3 % of rigs of four without a fault exceed 22).
-MAX_INCONSISTENCY, MAX_TOTAL_INCONSISTENCY = 16.0, 26.0
-# Two variances are equal if their ratio exceeds 1 by at most this over the root of the number (choice).
-EIGENVALUE_SCATTER = 6.5
-# A camera is rejected as a whole if at most this share of its matches are inliers (choice).
-MAX_REJECTED_SHARE = 0.2
 
 
 class FitDiagnostics(NamedTuple):
@@ -46,7 +31,6 @@ class FitDiagnostics(NamedTuple):
         may_be_static: whether the motion may be zero, if the valley is straight (`is_static`).
 
         is_mixed: whether neighboring residuals are correlated (`is_mixed`).
-        cameras_consistent: whether no camera is inconsistent (`is_consistent_per_camera`).
         information_factor: factor of the information for the estimated noise: the covariance is that of Student's
             distribution.
         information, information_without_depth: (6, 6) with that factor, without the part that noise alone causes.
@@ -64,7 +48,6 @@ class FitDiagnostics(NamedTuple):
     may_be_static: bool
 
     is_mixed: bool
-    cameras_consistent: bool
     information_factor: float
     information: FloatArray
     information_without_depth: FloatArray
@@ -98,8 +81,7 @@ def diagnose(stack: Stack, usable: BoolArray, fit: IrlsFit, probabilities: Float
     certain, uniform = inliers >= MIN_CERTAIN_SHARE * usable_count, has_uniform_residuals(fit.weights)
     narrow, background = is_narrow_baseline(stack.a2), has_static_candidates(stack, usable)
     collinear = is_collinear(stack, fit.weights, fit.sigma_px, np.zeros((3, 3)))
-    static, consistent = is_static(stack, fit, information), is_consistent_per_camera(stack, fit)
-    shape = narrow, background, collinear, soft_assignment, curved, static, mixed, consistent
+    shape = narrow, background, collinear, soft_assignment, curved, is_static(stack, fit, information), mixed
     uniform = uniform and not soft_assignment
     return FitDiagnostics(inliers, finite, certain, uniform, *shape, information_factor, information, without_depth)
 
@@ -152,78 +134,3 @@ def subtract_information(information: FloatArray, part: FloatArray, power: float
                 out[i, j] += half[i, m] * half[j, m]
             out[j, i] = out[i, j]
     return out
-
-
-@kernel
-def is_consistent_per_camera(stack: Stack, fit: IrlsFit) -> bool:
-    """Return whether no term is inconsistent or rejected.
-
-    No further check is then needed.
-    """
-    inconsistencies = np.empty(len(stack.focal))
-    for t in range(len(stack.focal)):
-        first, last = stack.offsets[t], stack.offsets[t + 1]
-        x, y = stack.x[first:last], stack.y[first:last]
-        weights, residuals = fit.weights[first:last], fit.residuals_px[first:last]
-        inliers = 0
-        for i in range(last - first):
-            inliers += weights[i] > 0.0
-        if last - first >= MIN_TEST_INLIERS and inliers <= MAX_REJECTED_SHARE * (last - first):
-            return False
-        inconsistencies[t] = compute_inconsistency(x, y, weights, residuals, stack.focal[t])
-    return not is_inconsistent(inconsistencies)
-
-
-@kernel
-def is_inconsistent(inconsistencies: FloatArray) -> bool:
-    """Return whether one of the inconsistencies (T,), or their sum, exceeds its limit."""
-    largest, combined, n = -np.inf, 0.0, len(inconsistencies)
-    for t in range(n):
-        largest, combined = max(largest, inconsistencies[t]), combined + max(inconsistencies[t], 0.0)
-    is_one_inconsistent = largest >= MAX_INCONSISTENCY + compute_chance_margin(n)
-    return is_one_inconsistent or combined >= MAX_TOTAL_INCONSISTENCY * max(n / 4.0, 1.0)
-
-
-@kernel
-def compute_chance_margin(cameras: int) -> float:
-    """Return the expected excess of the largest inconsistency of so many cameras over that of four."""
-    return float(2.0 * np.log(max(cameras / 4.0, 1.0)))
-
-
-@kernel
-def compute_inconsistency(x: FloatArray, y: FloatArray, weights: FloatArray, errors: FloatArray, focal: float) -> float:
-    """Return the inconsistency of a camera's inliers with the common fit.
-
-    It is twice the logarithm of the likelihood ratio of their own hyperplane, with unknown noise, to the fit. It is
-    negative if perspective bends the hyperplane by more than the error of the fit, and 0 with too few inliers.
-    """
-    count, mass, squares = 0, 0.0, 0.0
-    mean, z, joint = np.zeros(4), np.empty(4), np.zeros((4, 4))
-    for i in range(len(weights)):
-        if weights[i] > 0.0:
-            count += 1
-            mass += weights[i]
-            squares += weights[i] * errors[i] ** 2
-            for a in range(2):
-                mean[a] += weights[i] * x[i, a]
-                mean[2 + a] += weights[i] * y[i, a]
-    if count < MIN_TEST_INLIERS:
-        return 0.0
-    for a in range(4):
-        mean[a] /= mass
-    for i in range(len(weights)):
-        if weights[i] > 0.0:
-            z[0], z[1], z[2], z[3] = x[i, 0] - mean[0], x[i, 1] - mean[1], y[i, 0] - mean[2], y[i, 1] - mean[3]
-            for a in range(4):
-                for b in range(a + 1):
-                    joint[a, b] += weights[i] * z[a] * z[b]
-    for a in range(4):
-        for b in range(a):
-            joint[b, a] = joint[a, b]
-    values, vectors = np.empty(4), np.empty((4, 4))
-    symmetric_eigen(joint, values, vectors)
-    least, second = values[0], values[1]
-    # Without parallax both eigenvalues are noise, and the smaller one underestimates it.
-    own_variance = second if second < (1.0 + EIGENVALUE_SCATTER / np.sqrt(count)) * least else least
-    floor = mass * SIGMA_FLOOR_PX**2
-    return float((count - HYPERPLANE_UNKNOWNS) * np.log(max(squares, floor) / max(focal * focal * own_variance, floor)))

@@ -17,7 +17,7 @@ from sylpose.geometry.numba_linalg import find_distinct_rows, kernel
 from sylpose.geometry.robust_loss import NoisePx, NoiseUnits, make_noise_units
 from sylpose.matches import Matches
 from sylpose.methods import MOTION_METHODS
-from sylpose.relative_pose.leave_one_out import solve_without_faulty_cameras
+from sylpose.relative_pose.faulty_cameras import solve_without_faulty_cameras
 from sylpose.relative_pose.observability import classify_observability
 from sylpose.relative_pose.second_motion import select_larger_body
 from sylpose.relative_pose.solver import fit_terms

@@ -26,15 +26,17 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.geometry.arrays import FloatArray
 from sylpose.relative_pose.camera_evidence import (
+    EXPECTED_RATIO,
     MAX_F_RATIO,
     MAX_OWN_RATIO,
     MIN_BASELINE,
     MIN_MATCHES,
-    compare_motions,
+    MIN_REDUCTION,
     compute_f_ratio,
 )
+from sylpose.relative_pose.faulty_cameras import measure_excess, transfer_motion
 from sylpose.relative_pose.solver import fit_terms
-from sylpose.relative_pose.terms import TermData, locate_object
+from sylpose.relative_pose.terms import Solution, TermData, locate_object
 from sylpose.rig import Camera, Rig
 
 # One camera's matches of moving features between two frames: pixels (n, 2) of both, as recorded.
@@ -44,11 +46,9 @@ FramePair = Sequence[CameraMatches]
 
 # All orders of up to so many cameras are tried; of more, pairwise exchanges and cyclic shifts (choice: 23 orders).
 MAX_PERMUTED = 4
-# A hypothesis explains a contradiction if it reduces the F ratio at least by this factor, to at most this value (choice:
-# right hypotheses have at most 1.4, others at least 3; docs/calibrating.md).
-MIN_REDUCTION, MAX_AGREEING = 3.0, 2.0
-# Ratios below this are alike (derived: the expected value without a contradiction).
-EXPECTED_RATIO = 1.0
+# A hypothesis explains a contradiction if it reduces the F ratio to at most this value (choice: right hypotheses have at
+# most 1.4, others at least 3; docs/calibrating.md).
+MAX_AGREEING = 2.0
 # A contradiction needs so many pairs of frames, and so does its explanation; that of a late camera needs more, since six
 # lags of each camera are tried (choice).
 MIN_PAIRS, MIN_LATE_PAIRS = 2, 3
@@ -244,13 +244,8 @@ def _compare_cameras(views: Sequence[tuple[Camera, CameraMatches]], without_wors
     fit = fit_terms(terms, center, radius, [], np.random.default_rng(0))
     if not fit.status.has_pose:
         return np.inf
-    excess = np.empty(len(terms))
-    for c, term in enumerate(terms):
-        offset = term.center - center
-        moved = (fit.rotation @ offset + fit.translation - offset) / np.linalg.norm(offset)
-        if not np.linalg.norm(moved) > MIN_BASELINE:
-            # Without a baseline every match fits, whatever the rig.
-            return np.inf
-        rotation = term.rotation @ fit.rotation @ term.rotation.T
-        *_, excess[c] = compare_motions(term.x, term.y, term.focal, rotation, term.rotation @ moved)
-    return float(compute_f_ratio(excess, without_worst)[0])
+    solution = Solution(fit, center, radius)
+    if not all(np.linalg.norm(transfer_motion(term, solution)[1]) > MIN_BASELINE for term in terms):
+        # Without a baseline every match fits, whatever the rig.
+        return np.inf
+    return float(compute_f_ratio(measure_excess(terms, solution), without_worst)[0])

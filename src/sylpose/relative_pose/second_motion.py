@@ -16,7 +16,7 @@ import numpy as np
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.numba_linalg import compute_median, kernel
 from sylpose.matches import STATIC_PX
-from sylpose.relative_pose.leave_one_out import solve_subset
+from sylpose.relative_pose.faulty_cameras import solve_subset
 from sylpose.relative_pose.solver import fit_two_motions
 from sylpose.relative_pose.terms import MIN_MATCHES, Solution, TermData, TermSolver
 from sylpose.status import Status

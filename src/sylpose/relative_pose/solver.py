@@ -107,8 +107,7 @@ def fit_terms(
     if sum(len(term) for term in data) < MIN_MATCHES:
         return make_failed_fit(data, Status.TOO_FEW_MATCHES)
     stack = stack_terms(data, center, radius, min_sigma_px)
-    usable = np.ones(len(stack.x), dtype=bool)
-    _exclude_background(stack, usable)
+    usable = np.concatenate([find_usable(term.x, term.y, term.focal) for term in data])
     problem, starts = _Problem(data, stack, radius, usable), stack_initial_motions(guesses)
     all_usable = usable.astype(float)
     result = draw_and_fit(stack, usable, starts, rng)
@@ -229,9 +228,9 @@ def _build_fit(
         information = remove_direction(information[0], rod_direction), remove_direction(information[1], rod_direction)
     weights = irls_fit.weights * (probabilities > 0.5) if checks.has_soft_assignment else irls_fit.weights
     matches = problem.split_by_term(weights), problem.split_by_term(irls_fit.residuals_px)
-    consistent, cost = checks.cameras_consistent and not checks.has_soft_assignment, float(minima.costs.min())
-    fit = Fit(status, rotation, translation, *matches, *information, 0, alternative=alternative, cost=cost)
-    return replace(fit, is_mixed=checks.is_mixed, cameras_consistent=consistent)
+    cost, is_mixed = float(minima.costs.min()), checks.is_mixed
+    pose = status, rotation, translation
+    return Fit(*pose, *matches, *information, 0, alternative=alternative, is_mixed=is_mixed, cost=cost)
 
 
 def _inflate_both(information: Information, columns: FloatArray) -> Information:
@@ -334,20 +333,20 @@ def _refine_from_alternatives(
 
 
 @kernel
-def _exclude_background(stack: Stack, usable: BoolArray) -> None:
-    """Set usable (N,): matches that may be on the object; static ones are not if their camera sees large motion."""
-    for t in range(stack.focal.shape[0]):
-        first, last = stack.offsets[t], stack.offsets[t + 1]
-        moving, count = np.empty(last - first), 0
-        for i in range(first, last):
-            dx, dy = stack.y[i, 0] - stack.x[i, 0], stack.y[i, 1] - stack.x[i, 1]
-            displacement = np.sqrt(dx * dx + dy * dy) * stack.focal[t]
-            usable[i] = displacement > STATIC_PX
-            if usable[i]:
-                moving[count] = displacement
-                count += 1
-        if count == 0 or compute_median(moving[:count]) <= FAR_MOTION_PX:
-            usable[first:last] = True
+def find_usable(x: FloatArray, y: FloatArray, focal: float) -> BoolArray:
+    """Return which of a term's matches (n,) may be on the object; static ones are not if the camera sees large motion."""
+    n, count = len(x), 0
+    usable, moving = np.empty(n, np.bool_), np.empty(n)
+    for i in range(n):
+        dx, dy = y[i, 0] - x[i, 0], y[i, 1] - x[i, 1]
+        displacement = np.sqrt(dx * dx + dy * dy) * focal
+        usable[i] = displacement > STATIC_PX
+        if usable[i]:
+            moving[count] = displacement
+            count += 1
+    if count == 0 or compute_median(moving[:count]) <= FAR_MOTION_PX:
+        usable[:] = True
+    return usable
 
 
 # --- compilation -------------------------------------------------------------------------------------------------------

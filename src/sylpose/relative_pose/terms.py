@@ -326,8 +326,6 @@ class Fit:
             camera. The motion then belongs to neither, and its covariance is meaningless.
         cost: negative log-likelihood of the matches, to compare fits of the same matches.
         static_ratio: share of the matches assigned to a static background while the object moves by little.
-        cameras_consistent: whether no camera is inconsistent or rejected (`is_consistent_per_camera`); False where this
-            was not checked.
     """
 
     status: Status
@@ -343,11 +341,10 @@ class Fit:
     is_mixed: bool = False
     cost: float = np.inf
     static_ratio: float = 0.0
-    cameras_consistent: bool = False
 
     def with_matches(self, weights: Sequence[FloatArray], residuals: Sequence[FloatArray]) -> Fit:
         """Return the same fit with the weights and residuals of other terms."""
-        return replace(self, weights=tuple(weights), residuals=tuple(residuals), cameras_consistent=False)
+        return replace(self, weights=tuple(weights), residuals=tuple(residuals))
 
 
 class Solution(NamedTuple):

@@ -1,0 +1,183 @@
+"""Detection of faulty cameras in two frames: wrong calibration, mismatches only, a frozen image.
+
+A camera contradicts the joint motion if its own best motion explains its matches much better (`camera_evidence`). A
+faulty camera biases the joint motion, so that others contradict it as well. So the fit is repeated without each camera:
+the faulty one is that without which the others agree, if there is only one. With more cameras several may be at fault;
+they are removed one after another. With two cameras the faulty one is unknown.
+
+Source: the leave-one-out test is Chow's (Econometrica 28, 1960); its use here is ours (docs/method/5-uncertainty.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
+from sylpose.geometry.matrices import essential_matrix, sampson_scale
+from sylpose.geometry.robust_loss import chi_squared_bound
+from sylpose.moments import PairMoments
+from sylpose.relative_pose.camera_evidence import (
+    EXPECTED_RATIO,
+    MIN_MATCHES,
+    MIN_REDUCTION,
+    N_OWN,
+    compare_motions,
+    compute_f_ratio,
+)
+from sylpose.relative_pose.solver import FAR_MOTION_PX, find_usable
+from sylpose.relative_pose.terms import Fit, Solution, TermData, TermSolver
+from sylpose.status import Status
+from sylpose.sylvester.camera_faults import find_faulty_cameras
+
+# A camera agrees while its excess is below this: without a contradiction it has the degrees of freedom of its own motion
+# (chi-squared, once in a thousand times).
+MAX_CONSISTENT_EXCESS = chi_squared_bound(N_OWN)
+# A camera is rejected as a whole if at most this share of its matches are inliers, and it may be at fault if more than the
+# second share of the others' are: otherwise two motions are about equally large (choice).
+MAX_REJECTED_SHARE, MIN_AGREEING_SHARE = 0.2, 0.66
+
+
+class _Agreement(NamedTuple):
+    """How well some of the cameras agree.
+
+    Attributes:
+        solution: of their matches alone.
+        f_ratio: of these cameras; NaN if it is unknown.
+        worst: largest excess of one of them.
+    """
+
+    solution: Solution
+    f_ratio: float
+    worst: float
+
+
+def solve_without_faulty_cameras(
+    data: Sequence[TermData], solution: Solution, names: Sequence[str], solve: TermSolver
+) -> Solution:
+    """Solve without the faulty cameras, each of which is named in `Fit.faults`.
+
+    Fewer than half of the cameras are removed, none of two.
+
+    Args:
+        data: the terms of the fit, one per camera, all in one reference frame.
+        solution: the solution of all of them.
+        names: of the rig's cameras.
+        solve: solver for a subset of the terms.
+    """
+    fit = solution.fit
+    if len(data) < 3 or not fit.status.has_pose or fit.status is Status.NO_MOTION or _is_small(data, fit):
+        return solution
+    removed, solution = _remove_cameras(data, solution, solve)
+    fit = solution.fit
+    inliers, matches = (np.array(n) for n in ([np.count_nonzero(w) for w in fit.weights], [len(t) for t in data]))
+    rejected = (matches >= MIN_MATCHES) & (inliers <= MAX_REJECTED_SHARE * matches)
+    rejected[removed] = True
+    if not rejected.any() or inliers.sum() < MIN_AGREEING_SHARE * matches[~rejected].sum():
+        return solution
+    return solution._replace(fit=replace(fit, faults=_describe_faults(data, fit, rejected, removed, names)))
+
+
+def _is_small(data: Sequence[TermData], fit: Fit) -> bool:
+    """Return whether a motion before a background is too small to be evidence against a camera."""
+    moved = [
+        term.focal * np.linalg.norm((term.y - term.x)[w > 0], axis=1) for term, w in zip(data, fit.weights, strict=True)
+    ]
+    return fit.static_ratio > 0.0 and not float(np.median(np.concatenate(moved))) > FAR_MOTION_PX
+
+
+def _remove_cameras(data: Sequence[TermData], solution: Solution, solve: TermSolver) -> tuple[list[int], Solution]:
+    """Remove the cameras without which the others agree.
+
+    Returns:
+        their terms, none if the cameras agree or if it is not clear which of them are at fault; the solution.
+    """
+    given = agreement = _compare(data, solution, np.arange(len(data)))
+    kept, removed, is_clear = [*range(len(data))], list[int](), True
+    while agreement.worst > MAX_CONSISTENT_EXCESS and len(removed) < (len(data) - 1) // 2:
+        trials = {k: _solve_part(data, [c for c in kept if c != k], solve) for k in kept}
+        order = sorted((k for k, trial in trials.items() if trial is not None), key=lambda k: trials[k].f_ratio)  # type: ignore[union-attr]
+        if not order:
+            break
+        best, *others = [trial for k in order if (trial := trials[k]) is not None]
+        # Several cameras may be at fault: only the last one must be the only explanation.
+        is_clear = not others or others[0].f_ratio > max(MIN_REDUCTION * best.f_ratio, EXPECTED_RATIO)
+        agreement = best
+        kept.remove(order[0])
+        removed.append(order[0])
+    is_explained = agreement.worst <= MAX_CONSISTENT_EXCESS and MIN_REDUCTION * agreement.f_ratio < given.f_ratio
+    return (removed, agreement.solution) if removed and is_clear and is_explained else ([], solution)
+
+
+def _solve_part(data: Sequence[TermData], kept: Sequence[int], solve: TermSolver) -> _Agreement | None:
+    """Solve with some of the terms; None without a motion or without evidence."""
+    masks = [np.full(len(term), c in kept) for c, term in enumerate(data)]
+    solution = solve_subset(data, masks, solve)
+    if solution is None or solution.fit.status is Status.NO_MOTION:
+        return None
+    agreement = _compare(data, solution, np.array(kept))
+    return agreement if np.isfinite(agreement.f_ratio) else None
+
+
+def _compare(data: Sequence[TermData], solution: Solution, kept: IntArray) -> _Agreement:
+    excess = measure_excess([data[c] for c in kept.tolist()], solution)
+    worst = np.nanmax(excess, initial=0.0, where=~np.isnan(excess))
+    return _Agreement(solution, float(compute_f_ratio(excess, without_worst=False)[0]), float(worst))
+
+
+def measure_excess(data: Sequence[TermData], solution: Solution) -> FloatArray:
+    """Compare the own motion of each term with that of a solution.
+
+    Returns:
+        (T,) the excess (`camera_evidence`); NaN without evidence.
+    """
+    excess = np.empty(len(data))
+    for c, term in enumerate(data):
+        usable = find_usable(term.x, term.y, term.focal)
+        *_, excess[c] = compare_motions(term.x[usable], term.y[usable], term.focal, *transfer_motion(term, solution))
+    return excess
+
+
+def transfer_motion(term: TermData, solution: Solution) -> tuple[FloatArray, FloatArray]:
+    """Return the motion of a solution in the axes of a camera, (3, 3) and (3,), in units of the object's distance."""
+    fit, offset = solution.fit, term.center - solution.center
+    moved = (fit.rotation @ offset + fit.translation - offset) / np.linalg.norm(offset)
+    return term.rotation @ fit.rotation @ term.rotation.T, term.rotation @ moved
+
+
+def solve_subset(data: Sequence[TermData], masks: Sequence[BoolArray], solve: TermSolver) -> Solution | None:
+    """Solve with the masked matches; weights and residuals cover all terms. None without a pose."""
+    indices = [i for i, mask in enumerate(masks) if mask.any()]
+    part = solve([data[i].subset(masks[i]) for i in indices])
+    if not part.fit.status.has_pose:
+        return None
+    weights, residuals = [np.zeros(len(term)) for term in data], [_compute_epipolar_px(term, part) for term in data]
+    for i, w, r in zip(indices, part.fit.weights, part.fit.residuals, strict=True):
+        weights[i][masks[i]], residuals[i][masks[i]] = w, r
+    return part._replace(fit=part.fit.with_matches(weights, residuals))
+
+
+def _compute_epipolar_px(term: TermData, solution: Solution) -> FloatArray:
+    """Return (n,) signed Sampson distances, pixels; 0 without epipolar geometry."""
+    fit, center = solution.fit, solution.center
+    tau = term.rotation @ (fit.rotation @ (term.center_x - center) - (term.center - center) + fit.translation)
+    E = essential_matrix(term.rotation @ fit.rotation @ term.rotation_x.T, tau)
+    x, y = (np.column_stack([points, np.ones(len(term))]) for points in (term.x, term.y))
+    return np.asarray(term.focal * np.einsum("ni,ni->n", y, x @ E.T) / sampson_scale(E, x, y))
+
+
+def _describe_faults(
+    data: Sequence[TermData], fit: Fit, rejected: BoolArray, removed: Sequence[int], names: Sequence[str]
+) -> tuple[str, ...]:
+    """Return a sentence for each rejected term; terms that were not removed may have none."""
+    labels = [names[term.camera] for term in data]
+    weights = [np.ones(len(w)) if reject else w for reject, w in zip(rejected, fit.weights, strict=True)]
+    moments = [PairMoments.from_matches(term.x, term.y, w) for term, w in zip(data, weights, strict=True)]
+    rotations, at_fault = np.array([term.rotation for term in data]), np.flatnonzero(rejected).tolist()
+    diagnosis = find_faulty_cameras(rotations, moments, fit.rotation, at_fault=at_fault, names=labels)
+    texts = {i: f.text for i, f in enumerate(diagnosis.faults) if rejected[i] and f is not None}
+    reported = sorted({*texts, *removed})
+    return tuple(texts.get(i, f"camera {labels[i]}: it disagrees with the others") for i in reported)
