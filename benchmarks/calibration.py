@@ -218,7 +218,7 @@ def main() -> None:
                 score_calibration(found.world_from_object, found.covariance, now, rig, true) for found, now in solutions
             ]
             sd = np.rad2deg(np.sqrt((refined.correction.sd[:, :3] ** 2).sum(axis=1).mean()))
-            rows.append([*np.concatenate(row), sd, given.calibration_scales[1]])
+            rows.append([*np.concatenate(row), sd, given.calibration_scale])
         before, after, (sd, share) = np.split(np.mean(rows, axis=0), [6, 12])
         cells = " | ".join(f"{a:.3g} → {b:.2g}" for a, b in zip(before, after, strict=True))
         print(f"| {name} | {degrees:g}° | {off:g}° | {cells} | {sd:.2g} | {share:.2f} |", flush=True)

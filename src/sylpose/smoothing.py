@@ -23,7 +23,7 @@ from sylpose.bundle_adjustment.calibration_refinement import (
     add_moved_cameras,
     compute_mean_camera_distance,
 )
-from sylpose.bundle_adjustment.scale_prior import bundle_adjust_with_scale, find_lost_frames, is_scale_unobservable
+from sylpose.bundle_adjustment.scale_prior import bundle_adjust_with_scale, find_lost_frames
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.validation import check_bool, check_integer, check_list, check_number, check_type, format_value
 from sylpose.results import FramePose
@@ -240,15 +240,16 @@ def _apply_result(
         covariance = covariance + inherit_covariance(result.world_from_object, tracked_covariance, is_fixed)
     is_refined, is_lost_frame = np.zeros((2, len(frames)), bool)
     is_refined[used], is_lost_frame[used] = result.connected & ~is_lost, result.connected & is_lost
-    scale = Observability.NO_TRANSLATION_SCALE if is_scale_unobservable(result) else Observability.ALL
     for i, k in enumerate(used[1:], start=1):
         if is_refined[k]:
-            has_scale = poses[k].observability is not Observability.NO_SCALE
+            observability = Observability.NO_TRANSLATION_SCALE if result.rests_on_prior[i] else Observability.ALL
+            if poses[k].observability is Observability.NO_SCALE:
+                observability = Observability.NO_SCALE
             poses[k] = replace(
                 poses[k],
                 world_from_object=result.world_from_object[i],
                 covariance=covariance[i],
-                observability=scale if has_scale else Observability.NO_SCALE,
+                observability=observability,
                 inliers=counts[i],
                 residuals=residuals[i],
             ).mark_uncertain()

@@ -130,7 +130,7 @@ _TEXTS: dict[_Described, str] = {
     FrameStatus.NO_CONSISTENT_POSE: "No single pose explains enough of the observations.",
     FrameStatus.NOT_CONSISTENT: "Nothing could be followed as one rigid body for long enough: the pose is unknown.",
     Observability.ALL: "The whole pose is observable.",
-    Observability.NO_TRANSLATION_SCALE: "The object has not rotated: the length of its translation rests on the "
-    "assumed distance and shape until it rotates.",
+    Observability.NO_TRANSLATION_SCALE: "The observations do not determine the length of the translation: it rests on "
+    "the assumed distance and shape of the object, until the object rotates.",
     Observability.NO_SCALE: "With one camera, lengths are in units of the object's initial distance.",
 }

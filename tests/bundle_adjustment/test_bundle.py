@@ -444,6 +444,7 @@ def test_length_of_a_slide_follows_the_prior() -> None:
             off_by.append(found.world_from_object.translation[-1] @ d / (d @ d) - 1.0)
             text.append(found.scale_sd)
             assert found.scale_variance_ratio > 0.9
+            assert found.rests_on_prior.tolist() == [False, *[True] * 7]
     assert 1.5 < np.mean(normalised) < 9.0
     assert max(normalised) < 30.0
     assert 0.01 < np.sqrt(np.mean(np.square(off_by))) < 0.06
@@ -453,6 +454,7 @@ def test_length_of_a_slide_follows_the_prior() -> None:
     )
     assert turning.scale_sd < 0.02
     assert turning.scale_variance_ratio < 0.6
+    assert not turning.rests_on_prior.any()
 
 
 def test_known_surface_depths() -> None:

@@ -144,11 +144,11 @@ def test_five_times_more_accurate_and_consistent() -> None:
             nees = np.einsum("ni,nij,nj->n", e, np.linalg.inv(found.covariance[1:]), e)
             (normalised if recalibrate else given).append(np.median(nees))
         ratios.append(compute_remaining_errors(reported) / compute_remaining_errors(now))
-        assert (found.calibration_scales[1:] > 0.3).all()
+        assert found.calibration_scale > 0.3
     assert np.median(ratios) > 5.0
     assert 0.5 < np.mean(normalised) < 25.0  # the similarity used for comparison has errors as well
     assert 0.2 < np.mean(given) < 25.0  # errors six times the prior are nearly recognized
-    assert (refine(RIG, seen, recalibrate=False).calibration_scales[0]) == 1.0
+    assert refine(RIG, seen, recalibrate=False).calibration_scale < 3.0
 
 
 def test_exact_calibration_is_recognized() -> None:
@@ -160,7 +160,7 @@ def test_exact_calibration_is_recognized() -> None:
         assert found.correction is not None
         assert compute_remaining_errors(found.correction.rig)[0] < 0.05
         given = refine(RIG, seen, recalibrate=False)
-        assert (given.calibration_scales[[1, 3]] < 0.25).all()
+        assert given.calibration_scale < 0.25
         e = compute_pose_errors(given.world_from_object, RIG, RIG, TRUE)[1:]
         normalised.append(float(np.median(np.einsum("ni,nij,nj->n", e, np.linalg.inv(given.covariance[1:]), e))))
     assert 0.1 < np.mean(normalised) < 17.0

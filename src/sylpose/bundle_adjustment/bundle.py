@@ -206,7 +206,7 @@ def bundle_adjust(
     if prior is not None and has_moved_cameras:
         # The poses of moved cameras must be free from the first iteration: otherwise all poses would diverge.
         added = calibration.add_calibration_errors(problem, state, rig, prior)
-        problem, state = calibration.rescale_calibration_prior(*added, calibration.NEAR_EXACT_SCALES)
+        problem, state = calibration.rescale_calibration_prior(*added, calibration.NEAR_EXACT_SCALE)
     if options.fix_depths:
         problem = problem.fix_depths()
     if setup.is_solvable:
@@ -223,7 +223,7 @@ def bundle_adjust(
         summary = problem.summarize(fit, connected)
     if prior is not None:
         if has_moved_cameras:
-            problem, state = calibration.rescale_calibration_prior(problem, fit.state, np.ones(4))
+            problem, state = calibration.rescale_calibration_prior(problem, fit.state, 1.0)
         else:
             problem, state = calibration.add_calibration_errors(problem, fit.state, rig, prior)
         fit = replace(fit, state=state)
@@ -446,17 +446,17 @@ def refine_with_calibration(
     problem, options = calibration.free_calibration(problem), replace(options, coarse=False)
     for _ in range(LENS_LINEARIZATIONS):
         fit = minimize(problem, fit.state, options)
-        scales = problem.summarize(fit, connected).calibration_scales
-        problem, state = calibration.rescale_calibration_prior(problem, fit.state, scales)
+        scale = problem.summarize(fit, connected).calibration_scale
+        problem, state = calibration.rescale_calibration_prior(problem, fit.state, scale)
         problem, fit = calibration.relinearize_lenses(problem, image, rig, state.z), replace(fit, state=state)
     fit = minimize(problem, fit.state, options)
-    summary, scales = problem.summarize(fit, connected), problem.camera_parameters.scales
+    summary, parameters = problem.summarize(fit, connected), problem.camera_parameters
     # The noise floor of the search already inflates the variance in part.
     inflation = np.median(summary.variance_inflation[problem.observations.free_index >= 0])
     inflation = inflation * np.mean((summary.sigma_px / fit.sigma) ** 2)
-    scale_factors = np.where(np.arange(4) > 0, max(inflation, 1.0) ** -0.5, 1.0)
-    fit = minimize(*calibration.rescale_calibration_prior(problem, fit.state, scales * scale_factors), options)
-    state = replace(fit.state, z=fit.state.z * scale_factors[problem.camera_parameters.kind])
+    factor = float(max(inflation, 1.0) ** -0.5)
+    fit = minimize(*calibration.rescale_calibration_prior(problem, fit.state, parameters.scale * factor), options)
+    state = replace(fit.state, z=fit.state.z * np.where(parameters.is_calibration, factor, 1.0))
     return problem, replace(fit, state=state), summary
 
 
@@ -515,7 +515,8 @@ def _scale_information(problem: Problem, state: State, scaled: FloatArray, conne
     weak_prior, moving = np.full(2, (LATERAL_SD_RADII * problem.radius) ** -2.0), problem.observations.free_index >= 0
     path = np.where(connected[:, None], state.translations - state.translations[problem.first_fixed_frame], 0.0)[moving]
     solver = problem.build_system(state, problem.linearize(state, scaled)._replace(prior=weak_prior)).factorize()
-    return float((path**2).sum()) ** 2 / solver.pattern_variance(np.hstack([np.zeros_like(path), path]))
+    pattern = np.hstack([np.zeros_like(path), path])
+    return float((path**2).sum()) ** 2 / solver.pattern_variance(pattern, solver.parameter_covariance())
 
 
 def _depth_information(problem: Problem, state: State, scaled: FloatArray) -> float:

@@ -29,8 +29,8 @@ ROTATION_SD_DEG, TRANSLATION_SD_RATIO, FOCAL_SD_RATIO, PRINCIPAL_POINT_SD_PX, RA
 TYPICAL_ERROR_PX, MIN_ERROR_RATIO = 1.0, 0.2
 # Rotation and translation of a moved camera, one standard deviation (choice).
 MOVED_ROTATION_SD_DEG, MOVED_TRANSLATION_RATIO = 5.0, 0.03
-# Scales of the prior for a calibration treated as exact (choice: scales of 0 could not be undone).
-NEAR_EXACT_SCALES = np.array([1.0, 1e-9, 1e-9, 1e-9])
+# Scale of the prior for a calibration treated as exact (choice: a scale of 0 could not be undone).
+NEAR_EXACT_SCALE = 1e-9
 # Finite difference steps of the lens parameters, in their units, and of the normalized point (choice).
 LENS_STEPS, POINT_STEP = np.array([1e-4, 1e-1, 1e-1, 1e-4]), 1e-4
 
@@ -149,9 +149,9 @@ def add_calibration_parameters(parameters: CameraParameters, rig: Rig, prior: Ca
     spread[:, :ROTATION, : parameters.basis.shape[2]] = parameters.basis[:, :ROTATION]
     spread[:, :, parameters.basis.shape[2] :] = own
     is_initial = np.repeat(prior.predecessor < 0, 6)
-    kind = np.concatenate([parameters.kind, is_initial * np.tile(np.repeat([1, 2], 3), n), np.full(k - 6 * n, 3)])
-    fixed = np.concatenate([parameters.fixed, kind[len(parameters.kind) :] > 0])
-    return CameraParameters(mean, spread, parameters.n_offsets, kind, np.ones(4), fixed)
+    added = np.concatenate([is_initial, np.ones(k - 6 * n, bool)])
+    is_calibration, fixed = (np.concatenate([x, added]) for x in (parameters.is_calibration, parameters.fixed))
+    return CameraParameters(mean, spread, parameters.n_offsets, is_calibration, 1.0, fixed)
 
 
 def _common_motion_projector(rig: Sequence[Camera], prior: CalibrationPrior, indices: IntArray) -> FloatArray:
@@ -250,14 +250,14 @@ def add_calibration_errors(problem: Problem, state: State, rig: Rig, prior: Cali
 def free_calibration(problem: Problem) -> Problem:
     """Return the problem with calibration errors estimated."""
     parameters = problem.camera_parameters
-    return replace(problem, camera_parameters=replace(parameters, fixed=parameters.fixed & (parameters.kind == 0)))
+    return replace(problem, camera_parameters=replace(parameters, fixed=parameters.fixed & ~parameters.is_calibration))
 
 
-def rescale_calibration_prior(problem: Problem, state: State, scales: FloatArray) -> tuple[Problem, State]:
-    """Scale the prior of each kind of parameters (4,), relative to the initial one, without changing the state."""
+def rescale_calibration_prior(problem: Problem, state: State, scale: float) -> tuple[Problem, State]:
+    """Scale the prior of calibration errors, relative to the initial one, without changing the state."""
     parameters = problem.camera_parameters
-    factors = (scales / parameters.scales)[parameters.kind]
-    parameters = replace(parameters, basis=parameters.basis * factors, scales=scales)
+    factors = np.where(parameters.is_calibration, scale / parameters.scale, 1.0)
+    parameters = replace(parameters, basis=parameters.basis * factors, scale=scale)
     return replace(problem, camera_parameters=parameters), replace(state, z=state.z / factors)
 
 

@@ -31,17 +31,16 @@ class CameraParameters:
         mean: (C, K), columns as in `kernels`.
         basis: (C, K, k) the parameters are mean + basis z, z standard normal.
         n_offsets: number of time offsets, which are the first elements of z; the next C are the surfaces' depths.
-        kind: (k,) 1 for rotations, 2 for translations and 3 for lenses of the calibration, whose errors have a common
-            scale within each kind; 0 for all else, and for the poses of moved cameras.
-        scales: (4,) scale of each kind's errors relative to the initial prior.
-        fixed: (k,) fixed elements of z: their uncertainty is only *considered*, in the covariance.
+        is_calibration: (k,) mask of the calibration errors in z, without the poses of moved cameras.
+        scale: their scale relative to the initial prior.
+        fixed: (k,) fixed elements of z: their uncertainty is only in the covariance.
     """
 
     mean: FloatArray
     basis: FloatArray
     n_offsets: int
-    kind: IntArray
-    scales: FloatArray
+    is_calibration: BoolArray
+    scale: float
     fixed: BoolArray
 
     def evaluate(self, z: FloatArray) -> FloatArray:
@@ -114,4 +113,4 @@ def make_camera_parameters(
     for j in (1, 2):
         parameter_basis[:, DEPTH + j, n + j * n_cameras : n + (j + 1) * n_cameras] = SLOPE_SD * np.eye(n_cameras)
     k = parameter_basis.shape[2]
-    return CameraParameters(mean, parameter_basis, n, np.zeros(k, np.int64), np.ones(4), np.zeros(k, bool))
+    return CameraParameters(mean, parameter_basis, n, np.zeros(k, bool), 1.0, np.zeros(k, bool))

@@ -135,7 +135,7 @@ def compute_variance_inflation(at: Linearization, system: System, solver: Solver
     centered = points - points.mean(axis=0)
     along = centered @ np.linalg.eigh(centered.T @ centered)[1]
     octant = (along > np.median(along, axis=0)) @ np.array([1, 2, 4])
-    excess, is_calibrated = np.zeros(frames), (system.parameters.kind > 0) & ~system.parameters.fixed
+    excess, is_calibrated = np.zeros(frames), system.parameters.is_calibration & ~system.parameters.fixed
     noise_ratio = CALIBRATED_SCATTER_RATIO if is_calibrated.any() else 1.0
     # All observations of a landmark are in one group, because they share its position; this includes those of a camera
     # that was moved.

@@ -30,9 +30,10 @@ from sylpose.bundle_adjustment.reduced_system import (
     System,
     back_substitute,
     eliminate_landmarks,
-    estimate_calibration_scales,
+    estimate_calibration,
 )
 from sylpose.geometry.arrays import BoolArray, FloatArray
+from sylpose.geometry.normal_equations import is_length_observable
 from sylpose.geometry.robust_loss import biquartic_losses, biquartic_noise_response, biquartic_weights, robust_sigma
 from sylpose.status import Status
 
@@ -100,8 +101,8 @@ class FitSummary:
         scale_sd: relative standard deviation of the path's length: of a common factor of all translations of the
             object's origin, which a motion without rotation does not determine. inf without any translation.
         scale_variance_ratio: in [0, 1], its fraction of the variance of all translations.
-        calibration_scales: (4,) 1, then the estimated size of calibration errors relative to their prior, for the
-            cameras' rotations, translations and lenses; 1 without a calibration prior.
+        rests_on_prior: (N,) frames in which only the prior on the surfaces' depths determines the translation's length.
+        calibration_scale: estimated size of calibration errors relative to their prior; 1 without one.
         surface_covariance: (N, 3, 3) covariance of the mean position of the observed surface relative to the object's
             origin (`add_second_order_terms`).
     """
@@ -112,7 +113,8 @@ class FitSummary:
     variance_inflation: FloatArray
     scale_sd: float
     scale_variance_ratio: float
-    calibration_scales: FloatArray
+    rests_on_prior: BoolArray
+    calibration_scale: float
     surface_covariance: FloatArray
 
 
@@ -283,29 +285,50 @@ class Problem:
         system = self.build_system(state, at._replace(points=shrink_depth_noise(at)))
         solver = system.factorize()
         frame_covariance = solver.frames.inverse_blocks()
-        # Disagreement of groups due to calibration errors is excluded: it is modeled as calibration uncertainty.
-        pose_solver = solver.with_fixed(solver.fixed & (self.camera_parameters.kind == 0))
+        # The observations determine calibration errors in part, even if they are not estimated.
+        is_calibration = self.camera_parameters.is_calibration
+        solver = solver.with_fixed(solver.fixed & ~is_calibration)
         rows = solver.gain.reshape(len(frame_covariance), 6, -1)
-        pose_covariance = pose_solver.parameter_covariance(include_fixed=False)
+        pose_covariance = solver.parameter_covariance(include_fixed=False)
         noise = frame_covariance + rows @ pose_covariance @ rows.transpose(0, 2, 1)
         excess = np.ones(len(moving))
-        excess[moving] = compute_variance_inflation(at, system, pose_solver, noise)
-        median_excess = float(np.median(excess[moving]))
-        scales = self._estimate_calibration_scales(state, at, median_excess)
-        if self.camera_parameters.fixed[self.camera_parameters.kind > 0].any():
-            solver = solver.rescale(scales[self.camera_parameters.kind])
+        excess[moving] = compute_variance_inflation(at, system, solver, noise)
+        median_excess, scale, held_change = float(np.median(excess[moving])), 1.0, np.zeros(len(is_calibration))
+        if is_calibration.any():
+            scale, held_change = self._estimate_calibration(state, at, median_excess)
+            is_held = is_calibration & self.camera_parameters.fixed
+            solver = solver.rescale(np.where(is_held, scale / self.camera_parameters.scale, 1.0))
             rows = solver.gain.reshape(rows.shape)
         # Inflates the information of the observations, not that of the prior.
         information = (np.linalg.inv(frame_covariance) - self.prior[moving]) / excess[moving, None, None]
         frame_covariance = np.asarray(np.linalg.inv(information + self.prior[moving]), float)
-        covariance, shared_covariance = np.zeros((len(moving), 6, 6)), solver.parameter_covariance(median_excess)
+        # The second moment of the errors: a fixed calibration is also wrong by the estimate of its error.
+        bias = np.outer(held_change, held_change)
+        shared_covariance, covariance = solver.parameter_covariance(median_excess) + bias, np.zeros((len(moving), 6, 6))
         covariance[moving] = frame_covariance + rows @ shared_covariance @ rows.transpose(0, 2, 1)
         covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
-        shared = self._parameter_covariance(solver, median_excess)
+        shared = self._parameter_covariance(solver, median_excess) + bias
         surface_covariance = self._surface_covariance(state, scaled, shared)
         covariance = add_second_order_terms(covariance, surface_covariance)
-        scale = self._scale_uncertainty(state, solver, median_excess, covariance, connected)
-        return FitSummary(sigma, covariance, shared, excess, *scale, scales, surface_covariance)
+        path = self._scale_uncertainty(state, solver, median_excess, shared_covariance, covariance, connected)
+        unaided = solver.parameter_covariance(median_excess, prior=self._weaken_depth_prior(state)) + bias
+        displacements, rests_on_prior = self._displacements(state), connected & moving
+        rests_on_prior[moving] &= is_length_observable(displacements[moving], covariance[moving])
+        rests_on_prior[moving] &= ~is_length_observable(
+            displacements[moving], frame_covariance + rows @ unaided @ rows.transpose(0, 2, 1)
+        )
+        return FitSummary(sigma, covariance, shared, excess, *path, rests_on_prior, scale, surface_covariance)
+
+    def _displacements(self, state: State) -> FloatArray:
+        """Return (N, 3) translations of the object's origin since the first fixed frame."""
+        return np.asarray(state.translations - state.translations[self.first_fixed_frame])
+
+    def _weaken_depth_prior(self, state: State) -> FloatArray:
+        """Return (k,) prior information of z if the surfaces' depths are as uncertain as the cameras' distances."""
+        spread = self.camera_parameters.basis[:, DEPTH][:, self.camera_parameters.depth_mask]
+        distances = self.centers - state.translations[self.first_fixed_frame]
+        ratio = float((spread**2).sum() / (distances**2).sum())
+        return np.where(self.camera_parameters.depth_mask, ratio, 1.0)
 
     def _surface_covariance(self, state: State, weights: FloatArray, shared: FloatArray) -> FloatArray:
         """Return (N, 3, 3) covariance of the mean position of the observed surface relative to the object's origin.
@@ -322,14 +345,12 @@ class Problem:
         depths = spread @ shared @ spread.T
         return np.asarray(np.einsum("kci,cd,kdj->kij", directions, depths, directions, optimize=True))
 
-    def _estimate_calibration_scales(self, state: State, at: Linearization, excess: float) -> FloatArray:
-        """Return `estimate_calibration_scales` for the landmarks at the minimum of the cost."""
-        if not self.camera_parameters.kind.any():
-            return np.ones(4)
+    def _estimate_calibration(self, state: State, at: Linearization, excess: float) -> tuple[float, FloatArray]:
+        """Return `estimate_calibration` for the landmarks at the minimum of the cost."""
         system = self.build_system(state, at)
         solver = system.factorize()
-        solver = solver.with_fixed(solver.fixed & (self.camera_parameters.kind == 0))
-        return estimate_calibration_scales(solver, system, excess)
+        solver = solver.with_fixed(solver.fixed & ~self.camera_parameters.is_calibration)
+        return estimate_calibration(solver, system, excess)
 
     def fix_depths(self) -> Problem:
         """Return the problem with the surfaces' depths fixed at their prior mean."""
@@ -337,16 +358,22 @@ class Problem:
         return replace(self, camera_parameters=replace(parameters, fixed=parameters.fixed | parameters.depth_mask))
 
     def _scale_uncertainty(
-        self, state: State, solver: Solver, excess: float, covariance: FloatArray, connected: BoolArray
+        self,
+        state: State,
+        solver: Solver,
+        excess: float,
+        shared_covariance: FloatArray,
+        covariance: FloatArray,
+        connected: BoolArray,
     ) -> tuple[float, float]:
         """Return the path length's relative standard deviation and its fraction of the translations' variance."""
         moving = self.observations.free_index >= 0
-        displacements = state.translations - state.translations[self.first_fixed_frame]
-        path = np.where(connected[:, None], displacements, 0.0)[moving]
+        path = np.where(connected[:, None], self._displacements(state), 0.0)[moving]
         square = float((path**2).sum())
         if not square > 0.0:
             return np.inf, 0.0
-        variance = solver.pattern_variance(np.hstack([np.zeros_like(path), path]), excess) / square
+        pattern = np.hstack([np.zeros_like(path), path])
+        variance = solver.pattern_variance(pattern, shared_covariance, excess) / square
         total = float(np.trace(covariance[connected & moving][:, 3:, 3:], axis1=1, axis2=2).sum())
         return float(np.sqrt(variance / square)), float(min(variance / total, 1.0))
 

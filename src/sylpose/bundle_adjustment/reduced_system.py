@@ -268,11 +268,9 @@ def back_substitute(at: Linearization, step: FloatArray, change: FloatArray, out
 
 # Systems of at most so many frames, or with this fill ratio, are solved as dense ones (choice).
 DENSE_FRAMES, DENSE_FILL_RATIO = 100, 0.25
-# Range of the scale of calibration errors relative to typical ones (choice), and the standard deviation of its
-# logarithm (choice: with 1.5 the uncertainty of the two recordings is underestimated).
-MIN_SCALE, MAX_SCALE, SCALE_LOG_SD = 0.05, 5.0, 1.0
-# Iterations of the scales of rotations, translations and lenses, which depend on each other (choice).
-SCALE_ITERATIONS = 5
+# Standard deviation of the logarithm of a rig's calibration errors relative to typical ones (choice; its half and twice
+# its value: docs/method/5-uncertainty.md, "Uncertainty").
+SCALE_LOG_SD = 0.5
 # Smallest relative enlargement of the diagonal, against rounding (choice).
 RIDGE = 1e-12
 
@@ -339,28 +337,38 @@ class Solver:
         information = self.information * factors * factors[:, None]
         return replace(self, border=self.border * factors, gain=self.gain * factors, information=information)
 
-    def parameter_covariance(self, excess: float = 1.0, *, include_fixed: bool = True) -> FloatArray:
+    def parameter_covariance(
+        self, excess: float = 1.0, *, include_fixed: bool = True, prior: FloatArray | None = None
+    ) -> FloatArray:
         """Return (k, k) covariance of z, with the variance of the observations multiplied by `excess`.
 
         Fixed elements keep their prior uncertainty, which propagates to the others (Schmidt's consider covariance: S.
         F. Schmidt, "Application of state-space methods to navigation problems", 1966), unless `include_fixed` is False.
+
+        Args:
+            prior: (k,) prior information of each element; None: 1.
         """
         free, out = ~self.fixed, np.zeros_like(self.information)
-        information = self.information[np.ix_(free, free)] / excess
-        own = np.linalg.inv(information + np.eye(len(information)))
+        prior = np.ones(len(free)) if prior is None else prior
+        own = np.linalg.inv(self.information[np.ix_(free, free)] / excess + np.diag(prior[free]))
         out[np.ix_(free, free)] = own
         if include_fixed and self.fixed.any():
-            propagation = np.eye(len(free))[:, self.fixed]
-            propagation[free] = -own @ self.information[np.ix_(free, self.fixed)] / excess
+            propagation = np.diag(prior**-0.5)[:, self.fixed]
+            propagation[free] = -own @ self.information[np.ix_(free, self.fixed)] @ propagation[self.fixed] / excess
             out += propagation @ propagation.T
         return out
 
-    def pattern_variance(self, pattern: FloatArray, excess: float = 1.0) -> float:
-        """Return the variance of a linear combination of the frames' unknowns with coefficients `pattern` (F, 6)."""
+    def pattern_variance(self, pattern: FloatArray, shared_covariance: FloatArray, excess: float = 1.0) -> float:
+        """Return the variance of a linear combination of the frames' unknowns with coefficients `pattern` (F, 6).
+
+        Args:
+            shared_covariance: (k, k) of z.
+            excess: factor of the variance of the observations.
+        """
         v = pattern.reshape(-1, 1)
         part = (self.gain.T @ v)[:, 0]
         own = excess * float(v[:, 0] @ self.frames.solve(v)[:, 0])
-        return own + float(part @ self.parameter_covariance(excess) @ part)
+        return own + float(part @ shared_covariance @ part)
 
 
 @dataclass(frozen=True, eq=False)
@@ -419,31 +427,44 @@ class System:
         return Factor(None, splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options))
 
 
-def estimate_calibration_scales(solver: Solver, system: System, excess: float) -> FloatArray:
-    """Estimate the scale (4,) of each kind of calibration error relative to its prior.
+def estimate_calibration(solver: Solver, system: System, excess: float) -> tuple[float, FloatArray]:
+    """Estimate the size of calibration errors, and what freeing a fixed calibration would change.
 
-    The first, unused kind has 1. Maximum likelihood with a common scale per kind: in the eigenvectors of the system's
-    information on them, each error has the variance of the system, inflated by `excess`, plus the squared scale; the
-    other kinds have their current scales. With little information the result is about 1, as in the prior.
+    All errors share one scale relative to their prior, whose logarithm is normal with a mean square scale of 1. In the
+    eigenvectors of the system's information on the errors, each estimate has the variance of the system, inflated by
+    `excess`, plus the squared scale.
+
+    Args:
+        solver: of the system, undamped, with the calibration free.
+        system: the reduced system at the minimum of the cost.
+        excess: variance inflation of the observations.
+
+    Returns:
+        root of the expected squared scale; the (k,) posterior mean of the change of z: of the fixed calibration errors,
+        with their prior scaled, and of what depends on them.
     """
-    kinds, current_scales, out = system.parameters.kind, system.parameters.scales, np.ones(4)
-    slope = solver.information @ system.z - (system.shared_gradient() - system.z)
-    slope += solver.border.T @ solver.frames.solve(system.reduced.gradient.reshape(-1, 1))[:, 0]
-    scales = np.geomspace(MIN_SCALE, MAX_SCALE, 60)
-    for kind in SCALE_ITERATIONS * np.unique(kinds[kinds > 0]).tolist():
-        is_kind = kinds == kind
-        is_other, scale = ~is_kind & ~solver.fixed, np.where(is_kind, 1.0, (out / current_scales)[kinds])
-        information, gradient = solver.information * scale * scale[:, None], slope * scale
-        inner = information[np.ix_(is_other, is_other)] + np.eye(int(is_other.sum()))
-        cross = np.linalg.solve(inner, information[np.ix_(is_other, is_kind)]).T
-        marginal = information[np.ix_(is_kind, is_kind)] - cross @ information[np.ix_(is_other, is_kind)]
-        values, vectors = np.linalg.eigh(0.5 * (marginal + marginal.T))
-        values, projections = np.maximum(values, 1e-12), vectors.T @ (gradient[is_kind] - cross @ gradient[is_other])
-        variance = (scales[:, None] / current_scales[kind]) ** 2 + excess / values
-        cost = (np.log(variance) + (projections / values) ** 2 / variance).sum(axis=1)
-        cost += (np.log(scales) / SCALE_LOG_SD) ** 2
-        out[kind] = scales[np.argmin(cost)]
-    return out
+    parameters, change = system.parameters, np.zeros(len(system.z))
+    own, other = parameters.is_calibration, ~parameters.is_calibration & ~solver.fixed
+    # Gradient of the log-likelihood with the frames free, and by the errors themselves instead of by their change.
+    score = system.z - system.shared_gradient()
+    score += solver.border.T @ solver.frames.solve(system.reduced.gradient.reshape(-1, 1))[:, 0]
+    slope, information = score + solver.information @ system.z, solver.information
+    inner = information[np.ix_(other, other)] + excess * np.eye(int(other.sum()))
+    cross = np.linalg.solve(inner, information[np.ix_(other, own)]).T
+    marginal = information[np.ix_(own, own)] - cross @ information[np.ix_(other, own)]
+    values, vectors = np.linalg.eigh(0.5 * (marginal + marginal.T))
+    values, projections = np.maximum(values, 1e-12), vectors.T @ (slope[own] - cross @ slope[other])
+    normal = np.linspace(-6.0, 6.0, 121)
+    scales = np.exp(SCALE_LOG_SD * normal - SCALE_LOG_SD**2)
+    variance = (scales[:, None] / parameters.scale) ** 2 + excess / values
+    cost = (np.log(variance) + (projections / values) ** 2 / variance).sum(axis=1) + normal**2
+    weights = np.exp(-0.5 * (cost - cost.min()))
+    scale = float(np.sqrt(weights @ scales**2 / weights.sum()))
+    factors = np.where(own, scale / parameters.scale, 1.0)
+    free = ~solver.fixed
+    inner = (information * factors * factors[:, None])[np.ix_(free, free)] / excess + np.eye(int(free.sum()))
+    change[free] = np.linalg.solve(inner, np.where(own & parameters.fixed, factors * score / excess, 0.0)[free])
+    return scale, change
 
 
 @kernel

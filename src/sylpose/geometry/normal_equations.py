@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sylpose.geometry.arrays import FloatArray
+from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.numba_linalg import cholesky, leaf
 
 # A rotation with a larger standard deviation, radians, is unobservable where there is no reference to compare with
@@ -146,6 +146,18 @@ def find_unobservable_directions(
     first = values.reshape(-1, values.shape[-1])[0]
     k = int(np.searchsorted(first, max(1.0, min_ratio * first[-1])))
     return vectors[..., :k].swapaxes(-1, -2)
+
+
+def is_length_observable(translations: FloatArray, covariance: FloatArray) -> BoolArray:
+    """Return (n,) whether the length of each translation is observable.
+
+    Args:
+        translations: (n, 3).
+        covariance: (n, 6, 6) of (w, d).
+    """
+    squares = (translations**2).sum(axis=1)
+    variance = np.einsum("ni,nij,nj->n", translations, covariance[:, 3:, 3:], translations)
+    return np.asarray(variance <= (UNOBSERVABLE_RATIO * squares) ** 2)
 
 
 def has_rotation_direction(directions: FloatArray) -> bool:

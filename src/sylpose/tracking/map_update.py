@@ -136,7 +136,7 @@ def accept_frame(context: Context, state: JointState, candidate: PoseCandidate) 
         new_state = refine_window(context, new_state)
     last = new_state.add_scale_uncertainty(new_state.last)
     new_state = replace(new_state, frames=replace(new_state.frames, last=last))
-    observable = Observability.NO_TRANSLATION_SCALE if new_state.refinement.path_scale_sd else Observability.ALL
+    observable = Observability.NO_TRANSLATION_SCALE if new_state.refinement.rests_on_prior else Observability.ALL
     result = FramePose(
         frame.images.index,
         frame.time,

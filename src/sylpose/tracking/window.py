@@ -121,9 +121,10 @@ def apply_refinement(context: Context, state: JointState) -> JointState:
     state, bundled = replace(state, refinement=refinement), _add_fixed_covariance(pending.result.value(), frames)
     if bundled.status is Status.TOO_FEW_MATCHES:
         return state
-    refinement = replace(refinement, path_scale_sd=bundled.scale_sd if is_scale_unobservable(bundled) else 0.0)
-    state = replace(state, refinement=refinement)
     at = [frame.number for frame in frames].index(pending.number)  # for buffered frames it is not the last one
+    path_scale_sd = bundled.scale_sd if is_scale_unobservable(bundled) else 0.0
+    refinement = replace(refinement, path_scale_sd=path_scale_sd, rests_on_prior=bool(bundled.rests_on_prior[at]))
+    state = replace(state, refinement=refinement)
     last, refined_to = frames[at], bundled.world_from_object[at]
     change = compute_pose_change(last, refined_to)
     is_near = (

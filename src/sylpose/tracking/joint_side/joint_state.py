@@ -518,6 +518,8 @@ class Refinement:
             a reset they are sent again.
         path_scale_sd: relative standard deviation of the path's scale, as long as no rotation has determined it; then
             0.
+        rests_on_prior: whether the prior on the object's shape alone determines the length of the last refined frame's
+            translation.
     """
 
     covariance: FloatArray | None = None
@@ -525,6 +527,7 @@ class Refinement:
     pending: PendingRefinement | None = None
     shared: tuple[NewObservations, ...] = ()
     path_scale_sd: float = 0.0
+    rests_on_prior: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -705,7 +708,7 @@ class JointState:
             frames=KnownFrames(
                 first, (first,), anchor=Anchor(first, anchor.age) if keeps_anchor and anchor is not None else None
             ),
-            refinement=Refinement(path_scale_sd=self.refinement.path_scale_sd),
+            refinement=replace(self.refinement, covariance=None, last=None, pending=None, shared=()),
         )
 
     # --- joint refinement ---------------------------------------------------------------------------------------------
