@@ -222,6 +222,7 @@ def bundle_adjust(
         fit = minimize(problem, state, options)
         summary = problem.summarize(fit, connected)
     if prior is not None:
+        path = summary.scale_sd, summary.scale_variance_ratio
         if has_moved_cameras:
             problem, state = calibration.rescale_calibration_prior(problem, fit.state, 1.0)
         else:
@@ -232,6 +233,8 @@ def bundle_adjust(
             problem, fit, summary = refine_with_calibration(problem, fit, rig, image, connected, options)
         else:
             summary = problem.summarize(fit, connected)
+        # Calibration errors do not concern the question whether a rotation has determined the path's length.
+        summary = replace(summary, scale_sd=path[0], scale_variance_ratio=path[1])
     return _make_result(rig, setup, problem, fit, summary, options)
 
 
@@ -515,8 +518,7 @@ def _scale_information(problem: Problem, state: State, scaled: FloatArray, conne
     weak_prior, moving = np.full(2, (LATERAL_SD_RADII * problem.radius) ** -2.0), problem.observations.free_index >= 0
     path = np.where(connected[:, None], state.translations - state.translations[problem.first_fixed_frame], 0.0)[moving]
     solver = problem.build_system(state, problem.linearize(state, scaled)._replace(prior=weak_prior)).factorize()
-    pattern = np.hstack([np.zeros_like(path), path])
-    return float((path**2).sum()) ** 2 / solver.pattern_variance(pattern, solver.parameter_covariance())
+    return float((path**2).sum()) ** 2 / solver.pattern_variance(np.hstack([np.zeros_like(path), path]))
 
 
 def _depth_information(problem: Problem, state: State, scaled: FloatArray) -> float:

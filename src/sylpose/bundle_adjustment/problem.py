@@ -310,7 +310,7 @@ class Problem:
         shared = self._parameter_covariance(solver, median_excess) + bias
         surface_covariance = self._surface_covariance(state, scaled, shared)
         covariance = add_second_order_terms(covariance, surface_covariance)
-        path = self._scale_uncertainty(state, solver, median_excess, shared_covariance, covariance, connected)
+        path = self._scale_uncertainty(state, solver, median_excess, covariance, connected)
         unaided = solver.parameter_covariance(median_excess, prior=self._weaken_depth_prior(state)) + bias
         displacements, rests_on_prior = self._displacements(state), connected & moving
         rests_on_prior[moving] &= is_length_observable(displacements[moving], covariance[moving])
@@ -358,13 +358,7 @@ class Problem:
         return replace(self, camera_parameters=replace(parameters, fixed=parameters.fixed | parameters.depth_mask))
 
     def _scale_uncertainty(
-        self,
-        state: State,
-        solver: Solver,
-        excess: float,
-        shared_covariance: FloatArray,
-        covariance: FloatArray,
-        connected: BoolArray,
+        self, state: State, solver: Solver, excess: float, covariance: FloatArray, connected: BoolArray
     ) -> tuple[float, float]:
         """Return the path length's relative standard deviation and its fraction of the translations' variance."""
         moving = self.observations.free_index >= 0
@@ -372,8 +366,7 @@ class Problem:
         square = float((path**2).sum())
         if not square > 0.0:
             return np.inf, 0.0
-        pattern = np.hstack([np.zeros_like(path), path])
-        variance = solver.pattern_variance(pattern, shared_covariance, excess) / square
+        variance = solver.pattern_variance(np.hstack([np.zeros_like(path), path]), excess) / square
         total = float(np.trace(covariance[connected & moving][:, 3:, 3:], axis1=1, axis2=2).sum())
         return float(np.sqrt(variance / square)), float(min(variance / total, 1.0))
 

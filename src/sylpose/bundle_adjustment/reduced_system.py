@@ -358,17 +358,12 @@ class Solver:
             out += propagation @ propagation.T
         return out
 
-    def pattern_variance(self, pattern: FloatArray, shared_covariance: FloatArray, excess: float = 1.0) -> float:
-        """Return the variance of a linear combination of the frames' unknowns with coefficients `pattern` (F, 6).
-
-        Args:
-            shared_covariance: (k, k) of z.
-            excess: factor of the variance of the observations.
-        """
+    def pattern_variance(self, pattern: FloatArray, excess: float = 1.0) -> float:
+        """Return the variance of a linear combination of the frames' unknowns with coefficients `pattern` (F, 6)."""
         v = pattern.reshape(-1, 1)
         part = (self.gain.T @ v)[:, 0]
         own = excess * float(v[:, 0] @ self.frames.solve(v)[:, 0])
-        return own + float(part @ shared_covariance @ part)
+        return own + float(part @ self.parameter_covariance(excess) @ part)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,6 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.features.sift import Features
 from sylpose.geometry.arrays import BoolArray, FloatArray
-from sylpose.landmarks.joint_step import MIN_SIGMA_PX
 from sylpose.matches import STATIC_PX
 from sylpose.relative_pose.camera_evidence import MAX_F_RATIO, compute_f_ratio
 from sylpose.relative_pose.terms import MIN_MATCHES
@@ -42,8 +41,6 @@ CONVEX_BULGE_RATIO = 0.5
 MAX_REJECTED_INLIER_RATIO, MIN_INLIER_RATIO_OTHERS = 0.2, 0.5
 # A camera whose variance inflation exceeds this does not update landmarks in that frame (choice).
 MAX_UPDATE_INFLATION = 30.0
-# No covariance is enlarged by more: beyond it nothing is known (derived: a pixel becomes a thousand).
-MAX_BIRGE_RATIO = 1e6
 # Relative error of a rotation while all depths are guesses (choice).
 MIRROR_ERROR_RATIO = 0.5
 
@@ -153,7 +150,7 @@ def accept_frame(context: Context, state: JointState, candidate: PoseCandidate) 
     if state.is_ambiguous:
         result = replace(result, status=FrameStatus.AMBIGUOUS, reason=AMBIGUITY_REASON)
     elif accepted.solved.is_contradicted:
-        f_ratio, _ = _compute_f_ratio(agreements)
+        f_ratio = _compute_f_ratio(agreements)
         reason = f"the cameras see different motions (F ratio {f_ratio:.0f}; the limit is {MAX_F_RATIO:.0f})"
         if not f_ratio > MAX_F_RATIO:
             reason = "tracked from frames in which the cameras see different motions"
@@ -216,7 +213,7 @@ def _compute_covariance(context: Context, state: JointState, candidate: PoseCand
     else:
         correlation = _compute_rotation_continuity(state, candidate) if solution.is_biased else 0.0
         covariance = add_reference_covariance(
-            solution.information / _compute_birge_ratio(candidate),
+            solution.information,
             pose,
             candidate.agreements,
             state.frames.by_number,
@@ -240,35 +237,16 @@ def is_contradicted(agreements: Agreements, known_frames: Mapping[int, SolvedFra
     A pose is as reliable as the earlier frames that the evidence connects it with. Where fewer than two cameras have
     evidence, as for an object that rests, it is as reliable as the last one.
     """
-    f_ratio, _ = _compute_f_ratio(agreements)
+    f_ratio = _compute_f_ratio(agreements)
     if not f_ratio <= MAX_F_RATIO:
         return f_ratio > MAX_F_RATIO or last.is_contradicted
     references = [known_frames[a.evidence_reference] for a in agreements if a.evidence_reference in known_frames]
     return sum(not frame.is_contradicted for frame in references) < 2
 
 
-def _compute_f_ratio(agreements: Agreements) -> tuple[float, int]:
-    """Return the F ratio of a pose and the number of constraints that it refers to; NaN and 0 without evidence."""
-    return compute_f_ratio(np.array([agreement.evidence.excess for agreement in agreements]))
-
-
-def _compute_birge_ratio(candidate: PoseCandidate) -> float:
-    """Return the factor by which a pose's covariance is too small according to the evidence of the cameras, at least 1.
-
-    The F ratio refers to each camera's own noise; the solver's noise and variance inflation already contain a part of it.
-    Where the cameras contradict each other, their errors have one cause: all constraints together are one measurement.
-    """
-    f_ratio, constraints = _compute_f_ratio(candidate.agreements)
-    if not f_ratio > 1.0:
-        return 1.0
-    if f_ratio > MAX_F_RATIO:
-        f_ratio *= constraints
-    own = used = 0.0
-    for a, inflation in zip(candidate.agreements, candidate.solution.variance_inflation, strict=True):
-        if a.evidence.n and np.isfinite(inflation) and np.isfinite(a.noise_px):
-            own += a.evidence.n / a.evidence.own_px**2
-            used += a.evidence.n / (max(a.noise_px, MIN_SIGMA_PX) ** 2 * inflation)
-    return min(max(f_ratio * used / own if own else f_ratio, 1.0), MAX_BIRGE_RATIO)
+def _compute_f_ratio(agreements: Agreements) -> float:
+    """Return the F ratio of a pose; NaN without evidence."""
+    return float(compute_f_ratio(np.array([agreement.evidence.excess for agreement in agreements]))[0])
 
 
 def find_muted_cameras(variance_inflation: FloatArray, has_matches: BoolArray) -> BoolArray:

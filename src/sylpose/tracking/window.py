@@ -24,6 +24,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.bundle_adjustment.bundle import BundleOptions, BundleResult, Observations
+from sylpose.bundle_adjustment.calibration_refinement import default_calibration_prior
 from sylpose.bundle_adjustment.scale_prior import SMALL_ROTATION, bundle_adjust_with_scale, is_scale_unobservable
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.future import BackgroundResult
@@ -316,7 +317,14 @@ def bundle_frames(
     radius: float,
 ) -> BundleResult:
     """Refine the frames jointly; see `_build_bundle_input`."""
-    options = BundleOptions(fixed=is_fixed, landmarks=landmarks, times=times, max_iterations=MAX_ROUNDS, coarse=True)
+    options = BundleOptions(
+        fixed=is_fixed,
+        landmarks=landmarks,
+        times=times,
+        calibration_prior=default_calibration_prior(rig),
+        max_iterations=MAX_ROUNDS,
+        coarse=True,
+    )
     # Fixed frames form no path, and determine the depth.
     alternative = find_alternative_path(rig, observations, poses, radius) if is_fixed is None else None
     return bundle_adjust_with_scale(rig, observations, poses, radius, options, alternative_start=alternative)
