@@ -28,7 +28,7 @@ def compute_match_errors(
 ) -> tuple[MatchErrors, MatchEquations]:
     """Allocate and run `build_match_equations` for term t; the errors are those of its own matches."""
     n = len(stack.x)
-    matches, equations = make_match_errors(n), make_match_equations(noise, False)
+    matches, equations = make_match_errors(n), make_match_equations(noise)
     usable_weights = np.ones(n) if usable is None else usable.astype(np.float64)
     build_match_equations(stack, make_term(stack, t, candidate, tolerance), usable_weights, matches, equations)
     rows = slice(stack.offsets[t], stack.offsets[t + 1])

@@ -12,7 +12,7 @@ from sylpose.relative_pose.irls import IrlsFit, has_uniform_residuals
 from sylpose.relative_pose.motion_mixture import correlate_neighbors, has_static_candidates, is_mixed
 from sylpose.relative_pose.observability import MIN_CERTAIN_SHARE, is_collinear, is_static
 from sylpose.relative_pose.terms import Stack
-from sylpose.relative_pose.uncertainty import compute_size_if_curved, is_narrow_baseline
+from sylpose.relative_pose.uncertainty import compute_size_if_curved
 
 
 class FitDiagnostics(NamedTuple):
@@ -23,7 +23,6 @@ class FitDiagnostics(NamedTuple):
         is_finite: whether the search converged to finite values.
         has_certain_inliers: whether the share of inliers exceeds chance without a further test (`is_consistent`).
         has_uniform_residuals: whether the inliers' residuals are uniform instead of noise: selected by the noise bound.
-        is_narrow_baseline: whether the cameras are close together (`is_narrow_baseline`).
         has_static_candidates: whether the matches may contain a background (`has_static_candidates`).
         is_collinear: whether the inliers are collinear (`is_collinear`).
         has_soft_assignment: whether some matches are assigned to the motion with uncertainty.
@@ -31,16 +30,14 @@ class FitDiagnostics(NamedTuple):
         may_be_static: whether the motion may be zero, if the valley is straight (`is_static`).
 
         is_mixed: whether neighboring residuals are correlated (`is_mixed`).
-        information_factor: factor of the information for the estimated noise: the covariance is that of Student's
-            distribution.
-        information, information_without_depth: (6, 6) with that factor, without the part that noise alone causes.
+        information, information_without_depth: (6, 6) without the part that noise alone causes. The covariance is that
+            of Student's distribution, as the noise is estimated.
     """
 
     inliers: int
     is_finite: bool
     has_certain_inliers: bool
     has_uniform_residuals: bool
-    is_narrow_baseline: bool
     has_static_candidates: bool
     is_collinear: bool
     has_soft_assignment: bool
@@ -48,7 +45,6 @@ class FitDiagnostics(NamedTuple):
     may_be_static: bool
 
     is_mixed: bool
-    information_factor: float
     information: FloatArray
     information_without_depth: FloatArray
 
@@ -72,27 +68,26 @@ def diagnose(stack: Stack, usable: BoolArray, fit: IrlsFit, probabilities: Float
         inliers += fit.weights[i] > 0.0
         soft_assignment = soft_assignment or (probabilities[i] > 0.0 and probabilities[i] < 1.0)
     freedom = max(inliers - 6, 1)
-    information_factor = max(freedom - 2, 1) / freedom
-    information = information_factor * subtract_information(fit.information, fit.noise_information, 2.0)
-    without_depth = information_factor * subtract_information(fit.information_without_depth, fit.noise_information, 2.0)
+    noise, student = fit.noise_information, max(freedom - 2, 1) / freedom
+    information = student * subtract_information(fit.information, noise)
+    without_depth = student * subtract_information(fit.information_without_depth, noise)
     curved = compute_size_if_curved(fit, radius) > 0.0
     uncertain = curved or soft_assignment
     mixed = is_mixed(*correlate_neighbors(stack, fit), uncertain)
     certain, uniform = inliers >= MIN_CERTAIN_SHARE * usable_count, has_uniform_residuals(fit.weights)
-    narrow, background = is_narrow_baseline(stack.a2), has_static_candidates(stack, usable)
+    background = has_static_candidates(stack, usable)
     collinear = is_collinear(stack, fit.weights, fit.sigma_px, np.zeros((3, 3)))
-    shape = narrow, background, collinear, soft_assignment, curved, is_static(stack, fit, information), mixed
+    shape = background, collinear, soft_assignment, curved, is_static(stack, fit, information), mixed
     uniform = uniform and not soft_assignment
-    return FitDiagnostics(inliers, finite, certain, uniform, *shape, information_factor, information, without_depth)
+    return FitDiagnostics(inliers, finite, certain, uniform, *shape, information, without_depth)
 
 
 @kernel
-def subtract_information(information: FloatArray, part: FloatArray, power: float) -> FloatArray:
+def subtract_information(information: FloatArray, part: FloatArray) -> FloatArray:
     """Subtract from information (6, 6) a part (6, 6) that carries no information.
 
-    In axes in which the information is the identity and the part has eigenvalues ν, each axis keeps (1 - ν) to the
-    power. For the part caused by noise the power is 2: the sandwich H J'J^-1 H of M-estimation with H = J'J - noise. A
-    small share always remains.
+    In axes in which the information is the identity and the part has eigenvalues ν, each axis keeps (1 - ν)²: the sandwich
+    H J'J^-1 H of M-estimation with H = J'J - part. A small share always remains.
     """
     n, largest = information.shape[0], 0.0
     for i in range(n):
@@ -122,7 +117,7 @@ def subtract_information(information: FloatArray, part: FloatArray, power: float
     symmetric_eigen(scaled, values, axes)
     half, out = np.empty((n, n)), np.empty((n, n))
     for m in range(n):
-        remaining = min(max(1.0 - values[m], 1e-3), 1.0) ** (0.5 * power)
+        remaining = min(max(1.0 - values[m], 1e-3), 1.0)
         for i in range(n):
             half[i, m] = 0.0
             for k in range(n):

@@ -202,7 +202,7 @@ def _make_workspace(fit: IrlsFit) -> _Workspace:
     """Allocate the work arrays for a fit."""
     n, m = fit.sigma_px.shape[0], fit.weights.shape[0]
     matches = MatchErrors(np.empty(m), fit.residuals_px, np.empty(m), np.empty(m), fit.weights)
-    equations, final_equations = make_match_equations(False, False), make_match_equations(True, False)
+    equations, final_equations = make_match_equations(False), make_match_equations(True)
     joint, without_depth = make_joint_system(n), make_joint_system(n)
     step, mass, active, sums = np.empty(7), np.zeros(n), np.ones(n, np.bool_), np.empty((2, m))
     return _Workspace(matches, equations, final_equations, joint, without_depth, step, mass, active, sums)

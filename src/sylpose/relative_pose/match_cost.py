@@ -108,8 +108,6 @@ class MatchEquations(NamedTuple):
         noise_information: (6, 6) the part of J'WJ in (w, d) that arises because J is evaluated at noisy points. It
             carries no information; without this correction a small motion, or a rod's rotation about itself, would
             appear known. (0, 0) if not requested.
-        missing_information: (12, 12) the part of J'WJ that is lost to uncertain match assignment: for a match of
-            probability p, p (1 - p) times the square of its contribution to (w, d, α). (0, 0) if not requested.
     """
 
     matrix: FloatArray
@@ -117,7 +115,6 @@ class MatchEquations(NamedTuple):
     parallax_gradient: FloatArray
     parallax_squares: FloatArray
     noise_information: FloatArray
-    missing_information: FloatArray
 
 
 @kernel
@@ -127,11 +124,11 @@ def make_match_errors(n: int) -> MatchErrors:
 
 
 @kernel
-def make_match_equations(noise: bool, missing: bool) -> MatchEquations:
-    """Allocate normal equations, with or without the noise part and the missing part."""
-    unknowns, size, lost = 6 + DEPTH_MODEL_SIZE, 6 if noise else 0, 6 + DEPTH_MODEL_SIZE if missing else 0
+def make_match_equations(noise: bool) -> MatchEquations:
+    """Allocate normal equations, with or without the noise part."""
+    unknowns, size = 6 + DEPTH_MODEL_SIZE, 6 if noise else 0
     hessian, gradient = np.zeros((unknowns, unknowns)), np.zeros(unknowns)
-    return MatchEquations(hessian, gradient, np.zeros(6), np.zeros(1), np.zeros((size, size)), np.zeros((lost, lost)))
+    return MatchEquations(hessian, gradient, np.zeros(6), np.zeros(1), np.zeros((size, size)))
 
 
 @kernel
@@ -185,9 +182,9 @@ def build_match_equations(
         matches: of all terms; the part of this term is filled.
         equations: filled.
     """
-    matrix, right, parallax_gradient, squares, noise, missing = equations
+    matrix, right, parallax_gradient, squares, noise = equations
     lanes, weighted = np.empty(VALUES_PER_MATCH * LANES), np.empty(LANES)
-    matrix[:], right[:], parallax_gradient[:], squares[:], noise[:], missing[:] = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    matrix[:], right[:], parallax_gradient[:], squares[:], noise[:] = 0.0, 0.0, 0.0, 0.0, 0.0
     along, across = np.zeros((13, 13, N_PARTIAL_SUMS)), np.zeros((7, 7, N_PARTIAL_SUMS))
     for start in range(term.first, term.last, LANES):
         count = min(LANES, term.last - start)
@@ -197,10 +194,6 @@ def build_match_equations(
         squares[0] += _add_parallax_gradient(lanes, count, term, parallax_gradient)
         if noise.shape[0] > 0:
             _add_noise_information(lanes, count, term, noise)
-        if missing.shape[0] > 0:
-            for k in range(count):
-                if lanes[9 * LANES + k] > 0.0:
-                    _add_missing_information(lanes[k::LANES], missing)
     for k in range(12):
         right[k] = _sum_parts(along[12, k])
         for j in range(k + 1):
@@ -348,20 +341,6 @@ def _add_parallax_gradient(lanes: FloatArray, count: int, term: Term, gradient: 
     gradient[4] += unit * h1
     gradient[5] += unit * h2
     return squares
-
-
-@kernel
-def _add_missing_information(lane: FloatArray, missing: FloatArray) -> None:
-    """Add the missing information of a match with uncertain assignment."""
-    score = np.empty(6 + DEPTH_MODEL_SIZE)
-    for k in range(6 + DEPTH_MODEL_SIZE):
-        score[k] = lane[10] * lane[ALONG_ROW + k] * lane[ALONG_ROW + 12]
-        if k < 6:
-            score[k] += lane[11] * lane[ACROSS_ROW + k] * lane[ACROSS_ROW + 6]
-    if lane[11] > 0.0:
-        for k in range(6 + DEPTH_MODEL_SIZE):
-            for j in range(6 + DEPTH_MODEL_SIZE):
-                missing[k, j] += (1.0 - lane[4]) / lane[4] * score[k] * score[j]
 
 
 @kernel

@@ -8,13 +8,10 @@ If both motions are known, many matches of one are near the epipolar lines of th
 one of them with a probability (`fit_motion_mixture`).
 
 If an object moves by a few pixels, static matches are near the epipolar lines of its motion, too. Each match is then
-static with some probability, and the motion is fitted to the others (`split_background`). Because the assignment is
-uncertain, the information is reduced: by the squared contribution of each match to the motion, times the probabilities
-that it belongs to the motion and that it does not.
+static with some probability, and the motion is fitted to the others (`split_background`).
 
 Source: contiguity, Moran, Biometrika 37, 1950; mixtures by expectation maximization, McLachlan & Krishnan, "The EM
-Algorithm and Extensions", chapters 2 and 4; missing information, Louis, Journal of the Royal
-Statistical Society B 44, 1982, equation 3.1.
+Algorithm and Extensions", chapters 2 and 4.
 """
 
 from __future__ import annotations
@@ -28,21 +25,15 @@ from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.numba_linalg import kernel, so3_exp, so3_log
 from sylpose.relative_pose.irls import (
     CUTOFF,
-    GAIN,
     SIGMA_FLOOR_PX,
     IrlsFit,
     make_empty_irls_fit,
     make_irls_start,
-    make_joint_system,
-    make_tolerance,
-    reduce_term,
     run_irls,
 )
 from sylpose.relative_pose.match_cost import (
     Tolerance,
-    build_match_equations,
     compute_distances,
-    make_match_equations,
     make_match_errors,
     make_term,
 )
@@ -170,23 +161,6 @@ def compute_cost(stack: Stack, usable: BoolArray, density: FloatArray) -> float:
             if usable[i] and density[i] > least:
                 cost -= np.log(density[i] / least)
     return cost
-
-
-def compute_missing_information(stack: Stack, fit: IrlsFit, probabilities: FloatArray) -> FloatArray:
-    """Return (6, 6) Louis's missing information about (w, d); the depth models follow the motion as in the fit."""
-    out, rotation_blocks, joint = np.zeros((6, 6)), np.zeros((6, 6)), make_joint_system(len(stack.focal))
-    matches, equations = make_match_errors(len(stack.x)), make_match_equations(False, True)
-    for t in range(len(stack.focal)):
-        mass = fit.weights[stack.offsets[t] : stack.offsets[t + 1]].sum()
-        term = make_term(stack, t, fit.candidate, make_tolerance(stack, t, fit, float(mass), CUTOFF))
-        build_match_equations(stack, term, probabilities, matches, equations)
-        if not reduce_term(stack, t, fit.candidate, fit.distance_offset[0], equations, 1.0, joint):
-            continue
-        # Derivative of motion and depth model, (12,), with respect to the motion in world axes.
-        rotation_blocks[:3, :3] = rotation_blocks[3:, 3:] = stack.qy[t]
-        jacobian = np.vstack([rotation_blocks, -joint.gains[t, :, :6]])
-        out += GAIN * (jacobian.T @ equations.missing_information @ jacobian)
-    return out
 
 
 class MotionMixture(NamedTuple):

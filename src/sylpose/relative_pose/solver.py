@@ -19,7 +19,7 @@ from sylpose.geometry.matrices import remove_direction
 from sylpose.geometry.numba_linalg import compute_median, kernel
 from sylpose.matches import STATIC_PX
 from sylpose.relative_pose import motion_mixture, observability, uncertainty
-from sylpose.relative_pose.diagnostics import FitDiagnostics, diagnose, subtract_information
+from sylpose.relative_pose.diagnostics import FitDiagnostics, diagnose
 from sylpose.relative_pose.irls import SIGMA_FLOOR_PX, IrlsFit, make_empty_irls_fit, make_irls_start, run_irls
 from sylpose.relative_pose.moments_cost import MomentSums, compute_moments
 from sylpose.relative_pose.robust_fit import RefinedMinima, RobustFit, draw_and_fit
@@ -112,13 +112,6 @@ def fit_terms(
     all_usable = usable.astype(float)
     result = draw_and_fit(stack, usable, starts, rng)
     checks = problem.diagnose(result.fit, all_usable)
-    planes = uncertainty.compute_second_planes(stack, result.fit) if checks.is_narrow_baseline else []
-    if planes:
-        refit = draw_and_fit(stack, usable, stack_initial_motions([*guesses, *((R, d) for R, d, _ in planes)]), rng)
-        better = refit if refit.minima.costs.min() < result.minima.costs.min() else result
-        iterations, minima = result.iterations + refit.iterations, uncertainty.merge_minima(result.minima, refit.minima)
-        result = better._replace(minima=minima, iterations=iterations)
-        checks = problem.diagnose(result.fit, all_usable)
     # If the search diverged, replace its result by the identity.
     single = result.fit if checks.is_finite else make_empty_irls_fit(stack)
     motion_factor, likelihood_gain, split = 1.0, -np.inf, None
@@ -202,7 +195,8 @@ def _build_fit(
         return problem.fail(Status.NOT_CONVERGED)
     information, may_be_static = (checks.information, checks.information_without_depth), checks.may_be_static
     if checks.may_be_curved or checks.has_soft_assignment:
-        information = _correct_information(problem, irls_fit, probabilities, checks)
+        curvature = uncertainty.compute_curvature_covariance(stack, probabilities, irls_fit, radius)
+        information = _inflate_both(information, curvature)
         may_be_static = observability.is_static(stack, irls_fit, information[0])
     if may_be_static:
         likeliest = uncertainty.find_likeliest_alternative(irls_fit, minima, information[0], radius)
@@ -236,18 +230,6 @@ def _build_fit(
 def _inflate_both(information: Information, columns: FloatArray) -> Information:
     """Inflate both covariances by F F', F (6, m)."""
     return uncertainty.inflate(information[0], columns), uncertainty.inflate(information[1], columns)
-
-
-def _correct_information(
-    problem: _Problem, irls_fit: IrlsFit, probabilities: FloatArray, checks: FitDiagnostics
-) -> Information:
-    """Return the information without what a curved valley and uncertain assignments lose."""
-    stack, both = problem.stack, (checks.information, checks.information_without_depth)
-    curvature = uncertainty.compute_curvature_covariance(stack, probabilities, irls_fit, problem.radius)
-    if checks.has_soft_assignment:
-        missing = checks.information_factor * motion_mixture.compute_missing_information(stack, irls_fit, probabilities)
-        both = subtract_information(both[0], missing, 1.0), subtract_information(both[1], missing, 1.0)
-    return _inflate_both(both, curvature)
 
 
 def _consider_alternatives(
@@ -380,7 +362,6 @@ def warm_up_diagnostics() -> None:
     stack = _make_stack()
     fit, usable = make_empty_irls_fit(stack), np.ones(len(stack.x))
     motion_mixture.correlate_neighbors(stack, fit)
-    motion_mixture.compute_missing_information(stack, fit, 0.5 * usable)
     uncertainty.minimize_across_valley(stack, usable, fit, np.zeros(6), np.zeros(6), np.zeros(6))
 
 

@@ -55,9 +55,6 @@ from sylpose.relative_pose.terms import COINCIDENCE_TOLERANCE, DEPTH_MODEL_SIZE,
 # An object is flat if residual depth and curvature displace points by less than this, in standard deviations of their
 # noise (choice).
 MAX_FLAT_SIGMAS = 3.0
-# Cameras are close together if the mean of their directions, as seen from the object, is longer: a cone of some 60
-# degrees (choice).
-MIN_CLOSE_MEAN = 0.85
 # Maximum number of cameras whose second plane is tried (choice).
 MAX_SECOND_PLANES = 4
 # A motion that is less likely by this is no alternative: the accuracy of a likelihood (measured:
@@ -109,17 +106,6 @@ def compute_second_planes(stack: Stack, fit: IrlsFit) -> list[Candidate]:
             plane = _transfer_plane(stack, t, other[2])
             out.append(Candidate(rotation, translation - rotation @ stack.a1[t] + stack.a2[t], plane))
     return out
-
-
-@kernel
-def is_narrow_baseline(centers: FloatArray) -> bool:
-    """Return whether cameras at `centers` (T, 3), relative to the object, are close together."""
-    mean = np.zeros(3)
-    for t in range(len(centers)):
-        length = np.sqrt(centers[t, 0] ** 2 + centers[t, 1] ** 2 + centers[t, 2] ** 2)
-        for k in range(3):
-            mean[k] += centers[t, k] / (max(length, 1e-300) * len(centers))
-    return bool(np.sqrt(mean[0] ** 2 + mean[1] ** 2 + mean[2] ** 2) >= MIN_CLOSE_MEAN)
 
 
 @kernel
@@ -410,7 +396,7 @@ def minimize_across_valley(
     n, distance_offset = stack.focal.shape[0], fit.distance_offset.copy()
     candidate = Candidate(np.empty((3, 3)), np.empty(3), np.empty((n, DEPTH_MODEL_SIZE)))
     copy_into(candidate, fit.candidate)
-    matches, equations = make_match_errors(len(stack.x)), make_match_equations(False, False)
+    matches, equations = make_match_errors(len(stack.x)), make_match_equations(False)
     joint, step = make_joint_system(n), np.zeros(7)
     total, right, gains = joint.total, joint.right, joint.gains
     step[:6] = start
