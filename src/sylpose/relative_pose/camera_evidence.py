@@ -27,6 +27,7 @@ L. Kish, Survey Sampling, 1965 (the design effect). Their use on epipolar geomet
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,6 +59,11 @@ MIN_BASELINE = 1e-4
 # Cameras contradict each other beyond this F ratio (choice: right motions have at most 4 without outliers, and 1 in 100 of
 # those with 30 to 60 % outliers more than 70; half of the mirrored, turned and exchanged pairs of frames have more than 30).
 MAX_F_RATIO = 30.0
+# So do they if the median of the last known F ratios, of two in the middle the smaller one, exceeds the second value, once
+# the least number is known (choice: right motions have at most 3 where three cameras or more see them; docs/history).
+N_POOLED, MAX_POOLED_RATIO, MIN_POOLED = 15, 10.0, 3
+# Of so many cameras none can be left out: any two others nearly agree (derived: 4 constraints of 10 unknowns).
+FEW_CAMERAS = 3
 # Of a camera's matches, this share that the joint motion explains best is compared (choice).
 KEPT_SHARE = 0.9
 # If the excess of these is more than so many times its number of unknowns, they may be chance (choice).
@@ -99,13 +105,23 @@ class CameraEvidence:
 def compute_f_ratio(excess: FloatArray, without_worst: bool = True) -> tuple[float, int]:
     """Return the F ratio of the cameras' excess (C,) and the number of constraints that it refers to; NaN and 0 without any.
 
-    An excess of NaN is a camera without evidence. With three or more, one camera may be at fault, and a robust joint
-    motion does not follow it: the ratio is that without the worst, unless all are to agree.
+    An excess of NaN is a camera without evidence. With four or more, one camera may be at fault, and a robust joint
+    motion does not follow it: the ratio is that without the worst, unless all are to agree. Of three cameras any two
+    nearly agree.
     """
     ordered = np.sort(excess[np.isfinite(excess)])
-    n = min(len(ordered), max(len(ordered) - 1, 2)) if without_worst else len(ordered)
+    n = len(ordered) - 1 if without_worst and len(ordered) > FEW_CAMERAS else len(ordered)
     constraints = N_OWN * n - N_JOINT
     return (ordered[:n].sum() / constraints, constraints) if constraints > 0 else (np.nan, 0)
+
+
+def pool_f_ratios(ratios: Sequence[float]) -> float:
+    """Return the median of F ratios, of two in the middle the smaller one; NaN if none is known.
+
+    A single pair of frames may have outliers, or show another body; a camera that moves contradicts some of them.
+    """
+    known = np.array(ratios)[~np.isnan(ratios)]
+    return float(np.quantile(known, 0.5, method="lower")) if len(known) else np.nan
 
 
 @kernel

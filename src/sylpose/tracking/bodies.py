@@ -20,6 +20,7 @@ from sylpose.features.sift import match_features
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.methods import METHODS
+from sylpose.relative_pose.camera_evidence import pool_f_ratios
 from sylpose.relative_pose.rig_hypotheses import Hypothesis, compute_f_ratios
 from sylpose.relative_pose.second_motion import MIN_SHARED_RATIO
 from sylpose.relative_pose.terms import MIN_MATCHES
@@ -344,17 +345,8 @@ def _make_candidate(context: Context, windows: Sequence[Window], chain: Mapping[
         np.array(list(map(_measure_displacement, pairs))),
         n_matches,
         n_rivals / n_matches,
-        _pool_ratios([window.f_ratio for window in windows]),
+        pool_f_ratios([window.f_ratio for window in windows]),
     )
-
-
-def _pool_ratios(ratios: Sequence[float]) -> float:
-    """Return the median of the F ratios of all windows, of two in the middle the smaller one; NaN if none is known.
-
-    A camera that moves during the recording contradicts the others in some of them.
-    """
-    known = np.array(ratios)[~np.isnan(ratios)]
-    return float(np.quantile(known, 0.5, method="lower")) if len(known) else np.nan
 
 
 def _find_first_frame(context: Context, windows: Sequence[Window], body: WindowBody) -> tuple[Frame, CameraPairs]:

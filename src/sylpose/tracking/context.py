@@ -20,7 +20,7 @@ from sylpose.features.sift import MAX_FEATURES, Features
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import FloatArray
 from sylpose.landmarks.alignment import AlignmentResult, AlignmentStart, LandmarkMatches, align
-from sylpose.relative_pose.camera_evidence import MAX_F_RATIO
+from sylpose.relative_pose.camera_evidence import MAX_POOLED_RATIO
 from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.results import FramePose
 from sylpose.rig import Rig
@@ -178,7 +178,7 @@ class Candidate:
     @property
     def is_contradicted(self) -> bool:
         """Whether the cameras contradict each other in most of the recording: then the rig is wrong in all frames."""
-        return self.f_ratio > MAX_F_RATIO
+        return self.f_ratio > MAX_POOLED_RATIO
 
     @property
     def is_ambiguous(self) -> bool:

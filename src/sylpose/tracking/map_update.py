@@ -102,7 +102,8 @@ def accept_frame(context: Context, state: JointState, candidate: PoseCandidate) 
         the state; the result.
     """
     frame, agreements = candidate.frame, candidate.agreements
-    inflation = _compute_inflation(candidate)
+    inflation, f_ratio = _compute_inflation(candidate), _compute_f_ratio(agreements)
+    state = state.add_f_ratio(f_ratio)
     accepted = _accept_pose(context, state, candidate, inflation)
     # Each camera: features that were observed before.
     reobserved = [
@@ -150,16 +151,23 @@ def accept_frame(context: Context, state: JointState, candidate: PoseCandidate) 
     if state.is_ambiguous:
         result = replace(result, status=FrameStatus.AMBIGUOUS, reason=AMBIGUITY_REASON)
     elif accepted.solved.is_contradicted:
-        f_ratio = _compute_f_ratio(agreements)
-        reason = f"the cameras see different motions (F ratio {f_ratio:.0f}; the limit is {MAX_F_RATIO:.0f})"
-        if not f_ratio > MAX_F_RATIO:
-            reason = "tracked from frames in which the cameras see different motions"
-        if _is_rig_contradicted(context):
-            reason = "in most of the recording the cameras see different motions"
-        result = replace(result, status=FrameStatus.CONTRADICTED, reason=reason)
+        result = replace(
+            result, status=FrameStatus.CONTRADICTED, reason=_describe_contradiction(context, state, f_ratio)
+        )
     matches, observations, detections = (context.spread(parts) for parts in zip(*records, strict=True))
     parts = matches, context.spread(frame.regions or ()), model.radius, observations, frame.time_offsets
     return new_state, TrackedFrame(result, frame.images, *parts, detections=detections)
+
+
+def _describe_contradiction(context: Context, state: JointState, f_ratio: float) -> str:
+    """Describe why a frame with an F ratio is contradicted."""
+    if _is_rig_contradicted(context):
+        return "in most of the recording the cameras see different motions"
+    if f_ratio > MAX_F_RATIO:
+        return f"the cameras see different motions (F ratio {f_ratio:.0f}; the limit is {MAX_F_RATIO:.0f})"
+    if state.is_contradicted:
+        return f"in most of the last {len(state.f_ratios)} frames with evidence the cameras see different motions"
+    return "tracked from frames in which the cameras see different motions"
 
 
 def _accept_pose(context: Context, state: JointState, candidate: PoseCandidate, inflation: FloatArray) -> AcceptedPose:
@@ -184,6 +192,7 @@ def _accept_pose(context: Context, state: JointState, candidate: PoseCandidate, 
         np.array([a.has_features for a in agreements]) & ~is_muted,
         compute_full_weight_age([a.ages for a in agreements]),
         is_contradicted=_is_rig_contradicted(context)
+        or state.is_contradicted
         or is_contradicted(agreements, state.frames.by_number, state.last),
     )
     return AcceptedPose(
