@@ -60,8 +60,8 @@ MIN_BASELINE = 1e-4
 # those with 30 to 60 % outliers more than 70; half of the mirrored, turned and exchanged pairs of frames have more than 30).
 MAX_F_RATIO = 30.0
 # So do they if the median of the last known F ratios, of two in the middle the smaller one, exceeds the second value, once
-# the least number is known (choice: right motions have at most 3 where three cameras or more see them; docs/history).
-N_POOLED, MAX_POOLED_RATIO, MIN_POOLED = 15, 10.0, 3
+# the least number is known (choice: sensitivity in docs/history/benchmarks.md#trust).
+N_POOLED, MAX_POOLED_RATIO, MIN_POOLED = 15, 5.0, 3
 # Of so many cameras none can be left out: any two others nearly agree (derived: 4 constraints of 10 unknowns).
 FEW_CAMERAS = 3
 # Of a camera's matches, this share that the joint motion explains best is compared (choice).
