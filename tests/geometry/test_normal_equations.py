@@ -9,7 +9,14 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.normal_equations import add_rotated, compute_image_row, eliminate_block, rotate_rows
+from sylpose.geometry.normal_equations import (
+    UNOBSERVABLE_RATIO,
+    add_rotated,
+    compute_image_row,
+    eliminate_block,
+    is_length_observable,
+    rotate_rows,
+)
 
 SEEDS = st.integers(0, 2**32 - 1)
 OWN = st.sampled_from([1, 3, 6, 7])
@@ -98,3 +105,11 @@ def test_row_is_directional_image_derivative(seed: int, scale: float) -> None:
     s0, s1, s2 = scale * s
     compute_image_row(n0, n1, x / z, y / z, scale * z, s0, s1, s2, scale, row)
     np.testing.assert_allclose(row, expected, rtol=1e-6, atol=1e-8)
+
+
+def test_length_is_judged_along_the_translation() -> None:
+    translations, covariance = np.array([[2.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 0.0]]), np.zeros((3, 6, 6))
+    covariance[:, 3, 3], covariance[:, 0, 0] = (2.01 * UNOBSERVABLE_RATIO) ** 2, 1e6
+    assert is_length_observable(translations, covariance).tolist() == [False, True, True]
+    covariance[:, 3, 3] = (1.99 * UNOBSERVABLE_RATIO) ** 2
+    assert is_length_observable(translations, covariance).all()
