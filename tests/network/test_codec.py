@@ -91,7 +91,7 @@ JOINT = JointState(
     MODEL,
     KnownFrames(SOLVED, (SOLVED, SOLVED), (SOLVED,), Anchor(SOLVED, 3, True), 6),
     ObjectMotion(VELOCITY, True, POSE, 2, 1, False, True),
-    Refinement(random_array(6, 6), SOLVED, path_scale_sd=0.1, rests_on_prior=True),
+    Refinement(random_array(6, 6), SOLVED, rests_on_prior=True),
     (NUDGE,),
 )
 WAITED = BufferedRecord(3, 0.1, np.array([0.1, np.nan, 0.1]), 2, random_array(3), POSE)

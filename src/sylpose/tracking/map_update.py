@@ -132,8 +132,7 @@ def accept_frame(context: Context, state: JointState, candidate: PoseCandidate) 
     records = context.executor.run(update, context.cameras, candidate.cameras, reobserved)
     if context.refines_window and new_state.is_refinement_due():
         new_state = refine_window(context, new_state)
-    last = new_state.add_scale_uncertainty(new_state.last)
-    new_state = replace(new_state, frames=replace(new_state.frames, last=last))
+    last = new_state.last
     observable = Observability.NO_TRANSLATION_SCALE if new_state.refinement.rests_on_prior else Observability.ALL
     result = FramePose(
         frame.images.index,

@@ -82,8 +82,7 @@ MAX_LINKS, LONG_LINK_FRAMES = 6, 8
 def refine_window(context: Context, state: JointState) -> JointState:
     """Refine the keyframes and the last frames jointly; each camera updates its landmarks.
 
-    With few frames, or if the refinement diverges, it only updates the uncertainty of the path's scale and of the last
-    frame's pose.
+    With few frames, or if the refinement diverges, it only updates the uncertainty of the last frame's pose.
 
     Where the object shows little that is new, the refinement runs in the background and is applied some frames later
     (`JointState.is_refinement_ready`).
@@ -123,8 +122,7 @@ def apply_refinement(context: Context, state: JointState) -> JointState:
     if bundled.status is Status.TOO_FEW_MATCHES:
         return state
     at = [frame.number for frame in frames].index(pending.number)  # for buffered frames it is not the last one
-    path_scale_sd = bundled.scale_sd if is_scale_unobservable(bundled) else 0.0
-    refinement = replace(refinement, path_scale_sd=path_scale_sd, rests_on_prior=bool(bundled.rests_on_prior[at]))
+    refinement = replace(refinement, rests_on_prior=bool(bundled.rests_on_prior[at]))
     state = replace(state, refinement=refinement)
     last, refined_to = frames[at], bundled.world_from_object[at]
     change = compute_pose_change(last, refined_to)

@@ -517,8 +517,6 @@ class Refinement:
         pending: the joint refinement in progress.
         shared: per camera, the observations it has shared of the known frames. Empty before the first refinement; after
             a reset they are sent again.
-        path_scale_sd: relative standard deviation of the path's scale, as long as no rotation has determined it; then
-            0.
         rests_on_prior: whether the prior on the object's shape alone determines the length of the last refined frame's
             translation.
     """
@@ -527,7 +525,6 @@ class Refinement:
     last: SolvedFrame | None = None
     pending: PendingRefinement | None = None
     shared: tuple[NewObservations, ...] = ()
-    path_scale_sd: float = 0.0
     rests_on_prior: bool = False
 
 
@@ -638,18 +635,6 @@ class JointState:
         moved, features = sum(a.n_moved for a in agreements), sum(a.n_inlier_features for a in agreements)
         return self.motion.has_moved and moved < max(MIN_MOVED_FEATURES, min_ratio * features)
 
-    def add_scale_uncertainty(self, solved: SolvedFrame) -> SolvedFrame:
-        """Return a solved frame whose covariance includes the uncertain scale of the path."""
-        path = solved.world_from_object.translation - self.frames.first.world_from_object.translation
-        distance = float(np.linalg.norm(path))
-        direction = np.concatenate([np.zeros(3), path / max(distance, 1e-300)])
-        missing_variance = (self.refinement.path_scale_sd * distance) ** 2 - float(
-            direction @ solved.covariance @ direction
-        )
-        return replace(
-            solved, covariance=solved.covariance + max(missing_variance, 0.0) * np.outer(direction, direction)
-        )
-
     # --- the next state -----------------------------------------------------------------------------------------------
 
     def add_solved_frame(
@@ -720,7 +705,7 @@ class JointState:
             frames=KnownFrames(
                 first, (first,), anchor=Anchor(first, anchor.age) if keeps_anchor and anchor is not None else None
             ),
-            refinement=replace(self.refinement, covariance=None, last=None, pending=None, shared=()),
+            refinement=Refinement(rests_on_prior=self.refinement.rests_on_prior),
         )
 
     # --- joint refinement ---------------------------------------------------------------------------------------------
