@@ -36,6 +36,7 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.numba_linalg import apply_rotvec, cholesky_solve, compute_median, dot, kernel, symmetric_eigen
 from sylpose.geometry.robust_loss import SIGMA_OF_MEDIAN
 from sylpose.relative_pose.affine_ransac import find_inliers
+from sylpose.relative_pose.terms import TermData, find_usable
 
 # Calibration errors that are no contradiction, standard deviations: rotation, radians, and relative focal length (choice:
 # 0.3 degrees and 1 %, as a good calibration may be off).
@@ -127,8 +128,11 @@ def pool_f_ratios(ratios: Sequence[float]) -> float:
 @kernel
 def compare_motions(
     x: FloatArray, y: FloatArray, focal: float, rotation: FloatArray, translation: FloatArray
-) -> tuple[int, float, float, float]:
-    """Compare a camera's own motion with the joint one; return the fields of `CameraEvidence`.
+) -> tuple[int, float, float, float, float]:
+    """Compare a camera's own motion with the joint one.
+
+    Returns:
+        the fields of `CameraEvidence`; the excess if neither calibration errors nor a design effect are allowed for.
 
     Args:
         x, y: (n, 2) its matches, normalized; inliers of the joint motion or not.
@@ -137,7 +141,7 @@ def compare_motions(
             the object's distance.
     """
     if len(x) < MIN_MATCHES or not np.sqrt(dot(translation, translation)) > MIN_BASELINE:
-        return 0, np.nan, np.nan, np.nan
+        return 0, np.nan, np.nan, np.nan, np.nan
     n = len(x)
     own, residuals = np.empty(n), np.empty(n)
     own_rotation, own_translation = rotation.copy(), translation.copy()
@@ -157,6 +161,36 @@ def compare_motions(
     return other if not other[3] <= best[3] else best
 
 
+def measure_excess(
+    data: Sequence[TermData], center: FloatArray, rotation: FloatArray, translation: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Compare the own motion of each term with the joint one.
+
+    Args:
+        data: T terms.
+        center: (3,) g, the point that the joint motion is about.
+        rotation, translation: (3, 3) R and (3,) d of the joint motion.
+
+    Returns:
+        (T,) the excess; (T,) the same without allowance (`compare_motions`); NaN without evidence.
+    """
+    excess, plain = np.empty((2, len(data)))
+    for k, term in enumerate(data):
+        usable = find_usable(term.x, term.y, term.focal)
+        motion = transfer_motion(term, center, rotation, translation)
+        *_, excess[k], plain[k] = compare_motions(term.x[usable], term.y[usable], term.focal, *motion)
+    return excess, plain
+
+
+def transfer_motion(
+    term: TermData, center: FloatArray, rotation: FloatArray, translation: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the joint motion in the axes of a camera, (3, 3) and (3,), in units of the object's distance."""
+    before, after = term.center_x - center, term.center - center
+    moved = (rotation @ before - after + translation) / np.linalg.norm(after)
+    return term.rotation @ rotation @ term.rotation_x.T, term.rotation @ moved
+
+
 @kernel
 def _measure_excess(
     x: FloatArray,
@@ -167,15 +201,19 @@ def _measure_excess(
     own_translation: FloatArray,
     rotation: FloatArray,
     translation: FloatArray,
-) -> tuple[int, float, float, float]:
-    """Fit a camera's own motion, beginning with the weighted matches; return the fields of `CameraEvidence`."""
+) -> tuple[int, float, float, float, float]:
+    """Fit a camera's own motion, beginning with the weighted matches; return what `compare_motions` does."""
     residuals = np.empty(len(x))
+    before = np.empty(len(x))
     for _ in range(N_TRIMS):
         _fit_motion(x, y, own, own_rotation, own_translation)
+        before[:] = own
         if not _trim(x, y, focal, own, own_rotation, own_translation, residuals):
-            return 0, np.nan, np.nan, np.nan
+            return 0, np.nan, np.nan, np.nan, np.nan
+        if (own == before).all():
+            break
     if own.sum() < MIN_MATCHES:
-        return 0, np.nan, np.nan, np.nan
+        return 0, np.nan, np.nan, np.nan, np.nan
     _fit_motion(x, y, own, own_rotation, own_translation)
     _compute_residuals(x, y, focal, own_rotation, own_translation, residuals)
     count, squares = 0, 0.0
@@ -184,7 +222,7 @@ def _measure_excess(
             count += 1
             squares += residuals[i] ** 2
     sigma = max(np.sqrt(squares / (count - N_OWN)), MIN_SIGMA_PX)
-    effective = sigma * sigma * _compute_design_effect(y, own, residuals)
+    effective = sigma * sigma * compute_design_effect(y, own, residuals)
     # Outliers that the own motion happens to explain are the worst of the joint one.
     joint = np.empty(len(x))
     _compute_residuals(x, y, focal, rotation, translation, joint)
@@ -195,7 +233,8 @@ def _measure_excess(
         own_squares += own[i] * residuals[i] ** 2
     joint_squares, joint_cost = _marginalize_calibration(x, y, focal, own, rotation, translation, effective)
     excess = min(max(joint_cost - own_squares / effective, 0.0), MAX_EXCESS)
-    return count, sigma, np.sqrt(joint_squares / own.sum()), excess
+    plain = max(joint_squares - own_squares, 0.0) / sigma**2
+    return count, sigma, np.sqrt(joint_squares / own.sum()), excess, min(plain, MAX_EXCESS)
 
 
 @kernel
@@ -373,7 +412,7 @@ def _trim(
 
 
 @kernel
-def _compute_design_effect(y: FloatArray, weights: FloatArray, residuals: FloatArray) -> float:
+def compute_design_effect(y: FloatArray, weights: FloatArray, residuals: FloatArray) -> float:
     """Return the variance of cells' sums relative to independent residuals, at least 1."""
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
     for i in range(len(y)):

@@ -25,11 +25,10 @@ from sylpose.relative_pose.camera_evidence import (
     MIN_MATCHES,
     MIN_REDUCTION,
     N_OWN,
-    compare_motions,
     compute_f_ratio,
+    measure_excess,
 )
-from sylpose.relative_pose.solver import FAR_MOTION_PX, find_usable
-from sylpose.relative_pose.terms import Fit, Solution, TermData, TermSolver
+from sylpose.relative_pose.terms import FAR_MOTION_PX, Fit, Solution, TermData, TermSolver
 from sylpose.status import Status
 from sylpose.sylvester.camera_faults import find_faulty_cameras
 
@@ -71,14 +70,14 @@ def solve_without_faulty_cameras(
     fit = solution.fit
     if len(data) < 3 or not fit.status.has_pose or fit.status is Status.NO_MOTION or _is_small(data, fit):
         return solution
-    removed, solution = _remove_cameras(data, solution, solve)
-    fit = solution.fit
+    removed, agreement = _remove_cameras(data, solution, solve)
+    fit = agreement.solution.fit
     inliers, matches = (np.array(n) for n in ([np.count_nonzero(w) for w in fit.weights], [len(t) for t in data]))
     rejected = (matches >= MIN_MATCHES) & (inliers <= MAX_REJECTED_SHARE * matches)
     rejected[removed] = True
-    if not rejected.any() or inliers.sum() < MIN_AGREEING_SHARE * matches[~rejected].sum():
-        return solution
-    return solution._replace(fit=replace(fit, faults=_describe_faults(data, fit, rejected, removed, names)))
+    if rejected.any() and inliers.sum() >= MIN_AGREEING_SHARE * matches[~rejected].sum():
+        fit = replace(fit, faults=_describe_faults(data, fit, rejected, removed, names))
+    return agreement.solution._replace(fit=fit)
 
 
 def _is_small(data: Sequence[TermData], fit: Fit) -> bool:
@@ -89,11 +88,11 @@ def _is_small(data: Sequence[TermData], fit: Fit) -> bool:
     return fit.static_ratio > 0.0 and not float(np.median(np.concatenate(moved))) > FAR_MOTION_PX
 
 
-def _remove_cameras(data: Sequence[TermData], solution: Solution, solve: TermSolver) -> tuple[list[int], Solution]:
+def _remove_cameras(data: Sequence[TermData], solution: Solution, solve: TermSolver) -> tuple[list[int], _Agreement]:
     """Remove the cameras without which the others agree.
 
     Returns:
-        their terms, none if the cameras agree or if it is not clear which of them are at fault; the solution.
+        their terms, none if the cameras agree or if it is not clear which of them are at fault; the others' agreement.
     """
     given = agreement = _compare(data, solution, np.arange(len(data)))
     kept, removed, is_clear = [*range(len(data))], list[int](), True
@@ -109,7 +108,7 @@ def _remove_cameras(data: Sequence[TermData], solution: Solution, solve: TermSol
         kept.remove(order[0])
         removed.append(order[0])
     is_explained = agreement.worst <= MAX_CONSISTENT_EXCESS and MIN_REDUCTION * agreement.f_ratio < given.f_ratio
-    return (removed, agreement.solution) if removed and is_clear and is_explained else ([], solution)
+    return (removed, agreement) if removed and is_clear and is_explained else ([], given)
 
 
 def _solve_part(data: Sequence[TermData], kept: Sequence[int], solve: TermSolver) -> _Agreement | None:
@@ -123,29 +122,10 @@ def _solve_part(data: Sequence[TermData], kept: Sequence[int], solve: TermSolver
 
 
 def _compare(data: Sequence[TermData], solution: Solution, kept: IntArray) -> _Agreement:
-    excess = measure_excess([data[c] for c in kept.tolist()], solution)
-    worst = np.nanmax(excess, initial=0.0, where=~np.isnan(excess))
-    return _Agreement(solution, float(compute_f_ratio(excess, without_worst=False)[0]), float(worst))
-
-
-def measure_excess(data: Sequence[TermData], solution: Solution) -> FloatArray:
-    """Compare the own motion of each term with that of a solution.
-
-    Returns:
-        (T,) the excess (`camera_evidence`); NaN without evidence.
-    """
-    excess = np.empty(len(data))
-    for c, term in enumerate(data):
-        usable = find_usable(term.x, term.y, term.focal)
-        *_, excess[c] = compare_motions(term.x[usable], term.y[usable], term.focal, *transfer_motion(term, solution))
-    return excess
-
-
-def transfer_motion(term: TermData, solution: Solution) -> tuple[FloatArray, FloatArray]:
-    """Return the motion of a solution in the axes of a camera, (3, 3) and (3,), in units of the object's distance."""
-    fit, offset = solution.fit, term.center - solution.center
-    moved = (fit.rotation @ offset + fit.translation - offset) / np.linalg.norm(offset)
-    return term.rotation @ fit.rotation @ term.rotation.T, term.rotation @ moved
+    motion = solution.center, solution.fit.rotation, solution.fit.translation
+    excess, _ = measure_excess([data[c] for c in kept.tolist()], *motion)
+    worst = float(np.nanmax(excess, initial=0.0, where=~np.isnan(excess)))
+    return _Agreement(solution, float(compute_f_ratio(excess, without_worst=False)[0]), worst)
 
 
 def solve_subset(data: Sequence[TermData], masks: Sequence[BoolArray], solve: TermSolver) -> Solution | None:

@@ -33,10 +33,11 @@ from sylpose.relative_pose.camera_evidence import (
     MIN_MATCHES,
     MIN_REDUCTION,
     compute_f_ratio,
+    measure_excess,
+    transfer_motion,
 )
-from sylpose.relative_pose.faulty_cameras import measure_excess, transfer_motion
 from sylpose.relative_pose.solver import fit_terms
-from sylpose.relative_pose.terms import Solution, TermData, locate_object
+from sylpose.relative_pose.terms import TermData, locate_object
 from sylpose.rig import Camera, Rig
 
 # One camera's matches of moving features between two frames: pixels (n, 2) of both, as recorded.
@@ -244,8 +245,8 @@ def _compare_cameras(views: Sequence[tuple[Camera, CameraMatches]], without_wors
     fit = fit_terms(terms, center, radius, [], np.random.default_rng(0))
     if not fit.status.has_pose:
         return np.inf
-    solution = Solution(fit, center, radius)
-    if not all(np.linalg.norm(transfer_motion(term, solution)[1]) > MIN_BASELINE for term in terms):
+    motion = center, fit.rotation, fit.translation
+    if not all(np.linalg.norm(transfer_motion(term, *motion)[1]) > MIN_BASELINE for term in terms):
         # Without a baseline every match fits, whatever the rig.
         return np.inf
-    return float(compute_f_ratio(measure_excess(terms, solution), without_worst)[0])
+    return float(compute_f_ratio(measure_excess(terms, *motion)[0], without_worst)[0])

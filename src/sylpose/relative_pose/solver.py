@@ -16,9 +16,13 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.matrices import remove_direction
-from sylpose.geometry.numba_linalg import compute_median, kernel
-from sylpose.matches import STATIC_PX
 from sylpose.relative_pose import motion_mixture, observability, uncertainty
+from sylpose.relative_pose.camera_evidence import (
+    MIN_REDUCTION,
+    compute_design_effect,
+    compute_f_ratio,
+    measure_excess,
+)
 from sylpose.relative_pose.diagnostics import FitDiagnostics, diagnose
 from sylpose.relative_pose.irls import SIGMA_FLOOR_PX, IrlsFit, make_empty_irls_fit, make_irls_start, run_irls
 from sylpose.relative_pose.moments_cost import MomentSums, compute_moments
@@ -29,6 +33,7 @@ from sylpose.relative_pose.terms import (
     Fit,
     Stack,
     TermData,
+    find_usable,
     locate_object,
     make_failed_fit,
     stack_initial_motions,
@@ -40,8 +45,6 @@ Hypothesis = tuple[FloatArray, FloatArray]
 # The information of a fit, and the same without the prior on the depth models: (6, 6) each.
 Information = tuple[FloatArray, FloatArray]
 
-# If the moving matches of a camera are displaced by more than this, pixels, its static matches are background (choice).
-FAR_MOTION_PX = 6.0
 # A solver whose last step was one standard deviation long has not converged: half its square (derived).
 MAX_PREDICTED_DECREASE = 0.5
 # Standard deviation along a nearby alternative motion, as a share of the distance to it (choice: two standard
@@ -60,12 +63,14 @@ class _Problem(NamedTuple):
 
     Attributes:
         data, stack: the terms, with at least one match each.
+        center: (3,) g, the object's center at the motion's start.
         radius: of the object.
         usable: (N,) matches that may be inliers.
     """
 
     data: Sequence[TermData]
     stack: Stack
+    center: FloatArray
     radius: float
     usable: BoolArray
 
@@ -108,7 +113,7 @@ def fit_terms(
         return make_failed_fit(data, Status.TOO_FEW_MATCHES)
     stack = stack_terms(data, center, radius, min_sigma_px)
     usable = np.concatenate([find_usable(term.x, term.y, term.focal) for term in data])
-    problem, starts = _Problem(data, stack, radius, usable), stack_initial_motions(guesses)
+    problem, starts = _Problem(data, stack, center, radius, usable), stack_initial_motions(guesses)
     all_usable = usable.astype(float)
     result = draw_and_fit(stack, usable, starts, rng)
     checks = problem.diagnose(result.fit, all_usable)
@@ -163,7 +168,7 @@ def fit_two_motions(
     rotation, translation, _ = mixture.fits[0].candidate
     minima = RefinedMinima(rotation[None], translation[None], np.array([mixture.cost]), counts[:1])
     result = RobustFit(mixture.fits[0], minima, mixture.iterations, mixture.predicted_decrease)
-    problem = _Problem(data, stack, radius, np.ones(len(stack.x), dtype=bool))
+    problem = _Problem(data, stack, center, radius, np.ones(len(stack.x), dtype=bool))
     fit = _build_fit(problem, result, probabilities[0], problem.diagnose(result.fit, probabilities[0]))
     return replace(fit, iterations=mixture.iterations), np.add.reduceat(probabilities, stack.offsets[:-1], axis=1)
 
@@ -179,7 +184,7 @@ def _build_fit(
         checks: diagnostics of the fit.
         motion_factor: factor by which the motion may be larger (`bound_hidden_motion`).
     """
-    _, stack, radius, usable = problem
+    stack, radius, usable = problem.stack, problem.radius, problem.usable
     if checks.inliers < MIN_MATCHES:
         return problem.fail(Status.NOT_CONSISTENT)
     rod_direction = observability.find_rod_axis(stack, result.fit) if checks.is_collinear else None
@@ -193,6 +198,8 @@ def _build_fit(
     has_converged = result.decrease < MAX_PREDICTED_DECREASE or rod_direction is not None
     if not (has_converged and np.isfinite(irls_fit.information).all()):
         return problem.fail(Status.NOT_CONVERGED)
+    if checks.is_mixed and not checks.has_soft_assignment:
+        checks = _explain_correlation(problem, irls_fit, checks)
     information, may_be_static = (checks.information, checks.information_without_depth), checks.may_be_static
     if checks.may_be_curved or checks.has_soft_assignment:
         curvature = uncertainty.compute_curvature_covariance(stack, probabilities, irls_fit, radius)
@@ -230,6 +237,26 @@ def _build_fit(
 def _inflate_both(information: Information, columns: FloatArray) -> Information:
     """Inflate both covariances by F F', F (6, m)."""
     return uncertainty.inflate(information[0], columns), uncertainty.inflate(information[1], columns)
+
+
+def _explain_correlation(problem: _Problem, irls_fit: IrlsFit, checks: FitDiagnostics) -> FitDiagnostics:
+    """Return the diagnostics of a fit with correlated residuals of neighbors.
+
+    If the cameras' own motions agree with it, it is no mixture: neighbors share an error, and the matches are fewer
+    measurements. The covariance is multiplied by the design effect, or by the Birge ratio of the cameras if it is larger:
+    the F ratio without any allowance for such errors.
+    """
+    rotation, translation, _ = irls_fit.candidate
+    excess, plain = measure_excess(problem.data, problem.center, rotation, translation)
+    f_ratio, _ = compute_f_ratio(excess, without_worst=False)
+    if not f_ratio <= MIN_REDUCTION:
+        return checks
+    weights, residuals = problem.split_by_term(irls_fit.weights), problem.split_by_term(irls_fit.residuals_px)
+    parts = zip(problem.data, weights, residuals, strict=True)
+    design_effect = float(np.mean([compute_design_effect(term.y, w, r) for term, w, r in parts]))
+    effect = max(design_effect, compute_f_ratio(plain, without_worst=False)[0])
+    information = checks.information / effect, checks.information_without_depth / effect
+    return checks._replace(is_mixed=False, information=information[0], information_without_depth=information[1])
 
 
 def _consider_alternatives(
@@ -312,23 +339,6 @@ def _refine_from_alternatives(
         costs[-1] = cost
     # A likelier minimum is treated as an alternative like the others.
     return RefinedMinima(rotations, translations, np.maximum(costs, cost), inliers)
-
-
-@kernel
-def find_usable(x: FloatArray, y: FloatArray, focal: float) -> BoolArray:
-    """Return which of a term's matches (n,) may be on the object; static ones are not if the camera sees large motion."""
-    n, count = len(x), 0
-    usable, moving = np.empty(n, np.bool_), np.empty(n)
-    for i in range(n):
-        dx, dy = y[i, 0] - x[i, 0], y[i, 1] - x[i, 1]
-        displacement = np.sqrt(dx * dx + dy * dy) * focal
-        usable[i] = displacement > STATIC_PX
-        if usable[i]:
-            moving[count] = displacement
-            count += 1
-    if count == 0 or compute_median(moving[:count]) <= FAR_MOTION_PX:
-        usable[:] = True
-    return usable
 
 
 # --- compilation -------------------------------------------------------------------------------------------------------

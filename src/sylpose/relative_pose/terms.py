@@ -26,10 +26,13 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.numba_linalg import apply_rotvec, compute_median, kernel, leaf, symmetric_eigen
+from sylpose.matches import STATIC_PX
 from sylpose.status import Status
 
 # Eight matches over all cameras leave two more equations than unknowns; fewer give no redundancy (choice).
 MIN_MATCHES = 8
+# If the moving matches of a camera are displaced by more than this, pixels, its static matches are background (choice).
+FAR_MOTION_PX = 6.0
 # Coefficients of a term's depth model. The inverse depth, in units of that of g, is α·(1, p, q, p², pq, q²) with (p, q)
 # the image position relative to the anchor, in units of the spread (derived).
 DEPTH_MODEL_SIZE = 6
@@ -515,3 +518,20 @@ def _compute_distance_sd(a1: FloatArray, qx: FloatArray, out: FloatArray) -> Non
     excess_sd = OFFSET_SD * np.sqrt(max(1.0 / values[0] - 1.0, 0.0))
     for t in range(n):
         out[t] = -excess_sd * (qx[t, 2, 0] * vectors[0, 0] + qx[t, 2, 1] * vectors[1, 0] + qx[t, 2, 2] * vectors[2, 0])
+
+
+@kernel
+def find_usable(x: FloatArray, y: FloatArray, focal: float) -> BoolArray:
+    """Return which of a term's matches (n,) may be on the object; static ones are not if the camera sees large motion."""
+    n, count = len(x), 0
+    usable, moving = np.empty(n, np.bool_), np.empty(n)
+    for i in range(n):
+        dx, dy = y[i, 0] - x[i, 0], y[i, 1] - x[i, 1]
+        displacement = np.sqrt(dx * dx + dy * dy) * focal
+        usable[i] = displacement > STATIC_PX
+        if usable[i]:
+            moving[count] = displacement
+            count += 1
+    if count == 0 or compute_median(moving[:count]) <= FAR_MOTION_PX:
+        usable[:] = True
+    return usable

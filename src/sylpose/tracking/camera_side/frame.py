@@ -616,9 +616,8 @@ def add_evidence(
     motion, shift = pose * earlier.inv(), camera.center - earlier.translation
     rotation = camera.rotation @ rotation_matrix_of(motion) @ camera.rotation.T
     translation = camera.rotation @ (motion.apply(camera.center) - camera.center) / np.linalg.norm(shift)
-    evidence = CameraEvidence(
-        *compare_motions(pair.normalized_i, pair.normalized_j, camera.focal, rotation, translation)
-    )
+    compared = compare_motions(pair.normalized_i, pair.normalized_j, camera.focal, rotation, translation)
+    evidence = CameraEvidence(*compared[:4])
     return replace(agreement, evidence=evidence, evidence_reference=pair.reference if evidence.n else -1)
 
 
