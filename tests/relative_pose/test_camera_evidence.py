@@ -242,10 +242,12 @@ def test_evidence_needs_matches_and_cameras() -> None:
     assert measure_evidence(make_terms(rig, matches)[0], np.zeros(3), np.eye(3), np.zeros(3)).n == 0
     assert np.isnan(get_f_ratio([nothing, CameraEvidence(20, 0.3, 0.4, 12.0)]))
     assert np.isnan(get_f_ratio([]))
-    # Two cameras have four constraints, three have nine; of four the worst does not count.
+    # Two cameras have four constraints, three have nine; of three the worst does not count, unless three are to remain.
     two = [CameraEvidence(20, 0.3, 0.4, 12.0), CameraEvidence(20, 0.3, 0.4, 8.0)]
     assert get_f_ratio([*two, nothing]) == pytest.approx(20.0 / 4.0)
     assert get_f_ratio(two) == pytest.approx(20.0 / 4.0)
     worst = CameraEvidence(20, 0.3, 9.0, 1e6)
-    assert get_f_ratio([*two, worst]) > 1e5
-    assert get_f_ratio([*two, two[0], worst]) == pytest.approx(32.0 / 9.0)
+    assert get_f_ratio([*two, worst]) == pytest.approx(20.0 / 4.0)
+    excess = np.array([12.0, 8.0, 1e6])
+    assert compute_f_ratio(excess, True, 3)[0] > 1e5
+    assert compute_f_ratio(np.append(excess, 12.0), True, 3)[0] == pytest.approx(32.0 / 9.0)

@@ -63,8 +63,9 @@ MAX_F_RATIO = 30.0
 # So do they if the median of the last known F ratios, of two in the middle the smaller one, exceeds the second value, once
 # the least number is known (choice: sensitivity in docs/history/benchmarks.md#trust).
 N_POOLED, MAX_POOLED_RATIO, MIN_POOLED = 15, 5.0, 3
-# Of so many cameras none can be left out: any two others nearly agree (derived: 4 constraints of 10 unknowns).
-FEW_CAMERAS = 3
+# For this at least so many cameras have to remain without the worst: any two nearly agree (derived: 4 constraints of 10
+# unknowns).
+MIN_KEPT_POOLED = 3
 # Of a camera's matches, this share that the joint motion explains best is compared (choice).
 KEPT_SHARE = 0.9
 # If the excess of these is more than so many times its number of unknowns, they may be chance (choice).
@@ -103,26 +104,27 @@ class CameraEvidence:
 
 
 @kernel
-def compute_f_ratio(excess: FloatArray, without_worst: bool = True) -> tuple[float, int]:
+def compute_f_ratio(excess: FloatArray, without_worst: bool = True, min_kept: int = 2) -> tuple[float, int]:
     """Return the F ratio of the cameras' excess (C,) and the number of constraints that it refers to; NaN and 0 without any.
 
-    An excess of NaN is a camera without evidence. With four or more, one camera may be at fault, and a robust joint
-    motion does not follow it: the ratio is that without the worst, unless all are to agree. Of three cameras any two
-    nearly agree.
+    An excess of NaN is a camera without evidence. One camera may be at fault, or see another body for a while, and a robust
+    joint motion does not follow it: the ratio is that without the worst, if as many as `min_kept` remain, unless all are to
+    agree.
     """
     ordered = np.sort(excess[np.isfinite(excess)])
-    n = len(ordered) - 1 if without_worst and len(ordered) > FEW_CAMERAS else len(ordered)
+    n = len(ordered) - 1 if without_worst and len(ordered) > min_kept else len(ordered)
     constraints = N_OWN * n - N_JOINT
     return (ordered[:n].sum() / constraints, constraints) if constraints > 0 else (np.nan, 0)
 
 
-def pool_f_ratios(ratios: Sequence[float]) -> float:
+@kernel
+def pool_f_ratios(ratios: FloatArray) -> float:
     """Return the median of F ratios, of two in the middle the smaller one; NaN if none is known.
 
     A single pair of frames may have outliers, or show another body; a camera that moves contradicts some of them.
     """
-    known = np.array(ratios)[~np.isnan(ratios)]
-    return float(np.quantile(known, 0.5, method="lower")) if len(known) else np.nan
+    known = np.sort(ratios[~np.isnan(ratios)])
+    return known[(len(known) - 1) // 2] if len(known) else np.nan
 
 
 @kernel

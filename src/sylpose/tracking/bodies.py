@@ -345,7 +345,7 @@ def _make_candidate(context: Context, windows: Sequence[Window], chain: Mapping[
         np.array(list(map(_measure_displacement, pairs))),
         n_matches,
         n_rivals / n_matches,
-        pool_f_ratios([window.f_ratio for window in windows]),
+        float(pool_f_ratios(np.array([window.f_ratio for window in windows]))),
     )
 
 

@@ -12,7 +12,15 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.features.sift import Features
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.matches import STATIC_PX
-from sylpose.relative_pose.camera_evidence import MAX_F_RATIO, compute_f_ratio
+from sylpose.relative_pose.camera_evidence import (
+    MAX_F_RATIO,
+    MAX_POOLED_RATIO,
+    MIN_KEPT_POOLED,
+    MIN_POOLED,
+    N_POOLED,
+    compute_f_ratio,
+    pool_f_ratios,
+)
 from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.results import FramePose
 from sylpose.status import FrameStatus, Observability
@@ -103,7 +111,8 @@ def accept_frame(context: Context, state: JointState, candidate: PoseCandidate) 
     """
     frame, agreements = candidate.frame, candidate.agreements
     inflation, f_ratio = _compute_inflation(candidate), _compute_f_ratio(agreements)
-    state = state.add_f_ratio(f_ratio)
+    f_ratios = add_f_ratio(state.f_ratios, _compute_f_ratio(agreements, MIN_KEPT_POOLED))
+    state = replace(state, f_ratios=f_ratios)
     accepted = _accept_pose(context, state, candidate, inflation)
     # Each camera: features that were observed before.
     reobserved = [
@@ -164,7 +173,7 @@ def _describe_contradiction(context: Context, state: JointState, f_ratio: float)
         return "in most of the recording the cameras see different motions"
     if f_ratio > MAX_F_RATIO:
         return f"the cameras see different motions (F ratio {f_ratio:.0f}; the limit is {MAX_F_RATIO:.0f})"
-    if state.is_contradicted:
+    if is_mostly_contradicted(state.f_ratios):
         return f"in most of the last {len(state.f_ratios)} frames with evidence the cameras see different motions"
     return "tracked from frames in which the cameras see different motions"
 
@@ -191,7 +200,7 @@ def _accept_pose(context: Context, state: JointState, candidate: PoseCandidate, 
         np.array([a.has_features for a in agreements]) & ~is_muted,
         compute_full_weight_age([a.ages for a in agreements]),
         is_contradicted=_is_rig_contradicted(context)
-        or state.is_contradicted
+        or is_mostly_contradicted(state.f_ratios)
         or is_contradicted(agreements, state.frames.by_number, state.last),
     )
     return AcceptedPose(
@@ -252,9 +261,20 @@ def is_contradicted(agreements: Agreements, known_frames: Mapping[int, SolvedFra
     return sum(not frame.is_contradicted for frame in references) < 2
 
 
-def _compute_f_ratio(agreements: Agreements) -> float:
+def add_f_ratio(f_ratios: tuple[float, ...], f_ratio: float) -> tuple[float, ...]:
+    """Return the last known F ratios with that of one more frame, if it is known."""
+    return f_ratios if np.isnan(f_ratio) else (*f_ratios, f_ratio)[-N_POOLED:]
+
+
+def is_mostly_contradicted(f_ratios: tuple[float, ...]) -> bool:
+    """Return whether the cameras contradict each other in most of the last frames."""
+    return len(f_ratios) >= MIN_POOLED and pool_f_ratios(np.array(f_ratios)) > MAX_POOLED_RATIO
+
+
+def _compute_f_ratio(agreements: Agreements, min_kept: int = 2) -> float:
     """Return the F ratio of a pose; NaN without evidence."""
-    return float(compute_f_ratio(np.array([agreement.evidence.excess for agreement in agreements]))[0])
+    excess = np.array([agreement.evidence.excess for agreement in agreements])
+    return float(compute_f_ratio(excess, True, min_kept)[0])
 
 
 def find_muted_cameras(variance_inflation: FloatArray, has_matches: BoolArray) -> BoolArray:

@@ -23,7 +23,6 @@ from sylpose.geometry.future import BackgroundResult
 from sylpose.geometry.matrices import invert_information, relative_rotvec, rotation_matrix_of, rotvec
 from sylpose.geometry.numba_linalg import apply_rotvec
 from sylpose.geometry.robust_loss import chi_squared_bound
-from sylpose.relative_pose.camera_evidence import MAX_POOLED_RATIO, MIN_POOLED, N_POOLED, pool_f_ratios
 from sylpose.results import MAX_ROTATION_SD
 from sylpose.rig import Rig
 from sylpose.tracking.joint_side.object_model import ObjectModel
@@ -664,15 +663,6 @@ class JointState:
             motion=ObjectMotion(velocity, has_moved, self.motion.first_motion),
             is_feature_poor=is_poor,
         )
-
-    def add_f_ratio(self, f_ratio: float) -> JointState:
-        """Return the state with the F ratio of one more frame, if it is known."""
-        return self if np.isnan(f_ratio) else replace(self, f_ratios=(*self.f_ratios, f_ratio)[-N_POOLED:])
-
-    @property
-    def is_contradicted(self) -> bool:
-        """Whether the cameras contradict each other in most of the last frames."""
-        return len(self.f_ratios) >= MIN_POOLED and pool_f_ratios(self.f_ratios) > MAX_POOLED_RATIO
 
     def coast(self, time: float) -> tuple[JointState, FloatArray]:
         """Return the state after a frame in which the object was not found.
