@@ -104,17 +104,16 @@ class CameraEvidence:
 
 
 @kernel
-def compute_f_ratio(excess: FloatArray, without_worst: bool = True, min_kept: int = 2) -> tuple[float, int]:
-    """Return the F ratio of the cameras' excess (C,) and the number of constraints that it refers to; NaN and 0 without any.
+def compute_f_ratio(excess: FloatArray, min_kept: int = 2) -> float:
+    """Return the F ratio of the cameras' excess (C,); NaN if fewer than two have evidence.
 
     An excess of NaN is a camera without evidence. One camera may be at fault, or see another body for a while, and a robust
-    joint motion does not follow it: the ratio is that without the worst, if as many as `min_kept` remain, unless all are to
-    agree.
+    joint motion does not follow it: the ratio is that without the worst, if as many as `min_kept` remain. With C all count.
     """
     ordered = np.sort(excess[np.isfinite(excess)])
-    n = len(ordered) - 1 if without_worst and len(ordered) > min_kept else len(ordered)
+    n = len(ordered) - 1 if len(ordered) > min_kept else len(ordered)
     constraints = N_OWN * n - N_JOINT
-    return (ordered[:n].sum() / constraints, constraints) if constraints > 0 else (np.nan, 0)
+    return float(ordered[:n].sum() / constraints) if constraints > 0 else np.nan
 
 
 @kernel
@@ -133,14 +132,14 @@ def compare_motions(
 ) -> tuple[int, float, float, float, float]:
     """Compare a camera's own motion with the joint one.
 
-    Returns:
-        the fields of `CameraEvidence`; the excess if neither calibration errors nor a design effect are allowed for.
-
     Args:
         x, y: (n, 2) its matches, normalized; inliers of the joint motion or not.
         focal: focal length, pixels.
         rotation, translation: (3, 3) R and (3,) t of the joint motion in its axes, y ~ R x + t / depth, in units of
             the object's distance.
+
+    Returns:
+        the fields of `CameraEvidence`; the unadjusted excess: with neither calibration errors nor a design effect.
     """
     if len(x) < MIN_MATCHES or not np.sqrt(dot(translation, translation)) > MIN_BASELINE:
         return 0, np.nan, np.nan, np.nan, np.nan
@@ -174,14 +173,14 @@ def measure_excess(
         rotation, translation: (3, 3) R and (3,) d of the joint motion.
 
     Returns:
-        (T,) the excess; (T,) the same without allowance (`compare_motions`); NaN without evidence.
+        (T,) the excess; (T,) the unadjusted excess (`compare_motions`); NaN without evidence.
     """
-    excess, plain = np.empty((2, len(data)))
+    excess, unadjusted = np.empty((2, len(data)))
     for k, term in enumerate(data):
         usable = find_usable(term.x, term.y, term.focal)
         motion = transfer_motion(term, center, rotation, translation)
-        *_, excess[k], plain[k] = compare_motions(term.x[usable], term.y[usable], term.focal, *motion)
-    return excess, plain
+        *_, excess[k], unadjusted[k] = compare_motions(term.x[usable], term.y[usable], term.focal, *motion)
+    return excess, unadjusted
 
 
 def transfer_motion(
@@ -235,8 +234,8 @@ def _measure_excess(
         own_squares += own[i] * residuals[i] ** 2
     joint_squares, joint_cost = _marginalize_calibration(x, y, focal, own, rotation, translation, effective)
     excess = min(max(joint_cost - own_squares / effective, 0.0), MAX_EXCESS)
-    plain = max(joint_squares - own_squares, 0.0) / sigma**2
-    return count, sigma, np.sqrt(joint_squares / own.sum()), excess, min(plain, MAX_EXCESS)
+    unadjusted = max(joint_squares - own_squares, 0.0) / sigma**2
+    return count, sigma, np.sqrt(joint_squares / own.sum()), excess, min(unadjusted, MAX_EXCESS)
 
 
 @kernel

@@ -27,6 +27,7 @@ from sylpose.relative_pose.camera_evidence import (
     N_OWN,
     compute_f_ratio,
     measure_excess,
+    transfer_motion,
 )
 from sylpose.relative_pose.terms import FAR_MOTION_PX, Fit, Solution, TermData, TermSolver
 from sylpose.status import Status
@@ -97,16 +98,17 @@ def _remove_cameras(data: Sequence[TermData], solution: Solution, solve: TermSol
     given = agreement = _compare(data, solution, np.arange(len(data)))
     kept, removed, is_clear = [*range(len(data))], list[int](), True
     while agreement.worst > MAX_CONSISTENT_EXCESS and len(removed) < (len(data) - 1) // 2:
-        trials = {k: _solve_part(data, [c for c in kept if c != k], solve) for k in kept}
-        order = sorted((k for k, trial in trials.items() if trial is not None), key=lambda k: trials[k].f_ratio)  # type: ignore[union-attr]
-        if not order:
+        parts = {k: _solve_part(data, [c for c in kept if c != k], solve) for k in kept}
+        trials = sorted(
+            ((k, part) for k, part in parts.items() if part is not None), key=lambda trial: trial[1].f_ratio
+        )
+        if not trials:
             break
-        best, *others = [trial for k in order if (trial := trials[k]) is not None]
+        (faulty, agreement), *others = trials
         # Several cameras may be at fault: only the last one must be the only explanation.
-        is_clear = not others or others[0].f_ratio > max(MIN_REDUCTION * best.f_ratio, EXPECTED_RATIO)
-        agreement = best
-        kept.remove(order[0])
-        removed.append(order[0])
+        is_clear = not others or others[0][1].f_ratio > max(MIN_REDUCTION * agreement.f_ratio, EXPECTED_RATIO)
+        kept.remove(faulty)
+        removed.append(faulty)
     is_explained = agreement.worst <= MAX_CONSISTENT_EXCESS and MIN_REDUCTION * agreement.f_ratio < given.f_ratio
     return (removed, agreement) if removed and is_clear and is_explained else ([], given)
 
@@ -125,7 +127,7 @@ def _compare(data: Sequence[TermData], solution: Solution, kept: IntArray) -> _A
     motion = solution.center, solution.fit.rotation, solution.fit.translation
     excess, _ = measure_excess([data[c] for c in kept.tolist()], *motion)
     worst = float(np.nanmax(excess, initial=0.0, where=~np.isnan(excess)))
-    return _Agreement(solution, float(compute_f_ratio(excess, without_worst=False)[0]), worst)
+    return _Agreement(solution, compute_f_ratio(excess, len(excess)), worst)
 
 
 def solve_subset(data: Sequence[TermData], masks: Sequence[BoolArray], solve: TermSolver) -> Solution | None:
@@ -142,9 +144,7 @@ def solve_subset(data: Sequence[TermData], masks: Sequence[BoolArray], solve: Te
 
 def _compute_epipolar_px(term: TermData, solution: Solution) -> FloatArray:
     """Return (n,) signed Sampson distances, pixels; 0 without epipolar geometry."""
-    fit, center = solution.fit, solution.center
-    tau = term.rotation @ (fit.rotation @ (term.center_x - center) - (term.center - center) + fit.translation)
-    E = essential_matrix(term.rotation @ fit.rotation @ term.rotation_x.T, tau)
+    E = essential_matrix(*transfer_motion(term, solution.center, solution.fit.rotation, solution.fit.translation))
     x, y = (np.column_stack([points, np.ones(len(term))]) for points in (term.x, term.y))
     return np.asarray(term.focal * np.einsum("ni,ni->n", y, x @ E.T) / sampson_scale(E, x, y))
 

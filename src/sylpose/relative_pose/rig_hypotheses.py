@@ -249,4 +249,5 @@ def _compare_cameras(views: Sequence[tuple[Camera, CameraMatches]], without_wors
     if not all(np.linalg.norm(transfer_motion(term, *motion)[1]) > MIN_BASELINE for term in terms):
         # Without a baseline every match fits, whatever the rig.
         return np.inf
-    return float(compute_f_ratio(measure_excess(terms, *motion)[0], without_worst)[0])
+    excess, _ = measure_excess(terms, *motion)
+    return compute_f_ratio(excess) if without_worst else compute_f_ratio(excess, len(excess))

@@ -247,14 +247,14 @@ def _explain_correlation(problem: _Problem, irls_fit: IrlsFit, checks: FitDiagno
     the F ratio without any allowance for such errors.
     """
     rotation, translation, _ = irls_fit.candidate
-    excess, plain = measure_excess(problem.data, problem.center, rotation, translation)
-    f_ratio, _ = compute_f_ratio(excess, without_worst=False)
+    excess, unadjusted = measure_excess(problem.data, problem.center, rotation, translation)
+    f_ratio = compute_f_ratio(excess, len(excess))
     if not f_ratio <= MIN_REDUCTION:
         return checks
     weights, residuals = problem.split_by_term(irls_fit.weights), problem.split_by_term(irls_fit.residuals_px)
     parts = zip(problem.data, weights, residuals, strict=True)
     design_effect = float(np.mean([compute_design_effect(term.y, w, r) for term, w, r in parts]))
-    effect = max(design_effect, compute_f_ratio(plain, without_worst=False)[0])
+    effect = max(design_effect, compute_f_ratio(unadjusted, len(excess)))
     information = checks.information / effect, checks.information_without_depth / effect
     return checks._replace(is_mixed=False, information=information[0], information_without_depth=information[1])
 

@@ -274,7 +274,7 @@ def is_mostly_contradicted(f_ratios: tuple[float, ...]) -> bool:
 def _compute_f_ratio(agreements: Agreements, min_kept: int = 2) -> float:
     """Return the F ratio of a pose; NaN without evidence."""
     excess = np.array([agreement.evidence.excess for agreement in agreements])
-    return float(compute_f_ratio(excess, True, min_kept)[0])
+    return float(compute_f_ratio(excess, min_kept))
 
 
 def find_muted_cameras(variance_inflation: FloatArray, has_matches: BoolArray) -> BoolArray:
