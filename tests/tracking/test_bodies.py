@@ -15,7 +15,7 @@ from sylpose.simulate.render import Path
 from sylpose.smoothing import Track, smooth
 from sylpose.status import FrameStatus
 from sylpose.tracking.bodies import MAX_WINDOWS, WINDOW_FRAMES, find_candidates, select_windows
-from sylpose.tracking.context import Candidate
+from sylpose.tracking.context import MAX_LATER_RATIO, MAX_RIVAL_RATIO, Candidate
 from sylpose.tracking.tracker import Tracker, track
 from tests.clips import (
     Clip,
@@ -56,6 +56,12 @@ def render(kind: str) -> Clip:
     return Clip.render(moving_scene(paths[kind], N_FRAMES, n_cameras=3))
 
 
+def render_successive(begin: int, end: int = 9, frames: int = 24) -> Clip:
+    """Render a body that moves until a frame, and the object, which moves from another one on."""
+    first = Actor(make_slab([0.26, 0.2, 0.1], 5), lambda frame: swing(min(frame, end)))
+    return Clip.render(moving_scene(lambda f: make_drifting_pose(max(f - begin, 0)), frames, [first], n_cameras=3))
+
+
 def windows_of(frames: list[FrameSet]) -> list[list[FrameSet]]:
     return [[frames[k] for k in window] for window in select_windows(len(frames))]
 
@@ -83,6 +89,8 @@ def test_late_object_is_found_where_it_moves() -> None:
     tracked = list(track(render("late").frames(), render("late").rig))
     assert len(tracked) == N_FRAMES
     assert set(statuses(tracked[: candidate.first])) == {FrameStatus.NO_MOTION}
+    reason = f"the object is not seen to move before frame {candidate.first}"
+    assert {frame.pose.reason for frame in tracked[: candidate.first]} == {reason}
     assert statuses(tracked[candidate.first :]) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * (
         N_FRAMES - candidate.first - 1
     )
@@ -126,6 +134,28 @@ def test_of_two_bodies_none_is_tracked_silently() -> None:
     assert "several bodies" in tracked[0].note.lower() or "another one moves" in tracked[0].note
     refined = smooth([Track.from_tracked(frame) for frame in tracked], clip.rig).poses
     assert {pose.status for pose in refined} == {FrameStatus.FIRST, FrameStatus.AMBIGUOUS}
+
+
+def test_bodies_that_move_one_after_the_other_are_two() -> None:
+    """They never move in the same window, and each rests in sight while the other moves."""
+    clip = render_successive(12)
+    candidates = find_candidates(clip.rig, windows_of(clip.frames()))
+    assert len(candidates) == 2
+    larger, smaller = candidates
+    assert larger.rival_ratio == smaller.rival_ratio == 0.0
+    assert larger.later_ratio == pytest.approx(smaller.n_matches / larger.n_matches)
+    assert smaller.later_ratio == pytest.approx(larger.n_matches / smaller.n_matches)
+    assert smaller.is_ambiguous
+    assert larger.is_ambiguous == (larger.later_ratio > MAX_LATER_RATIO)
+    assert not replace(smaller, is_chosen=True).is_ambiguous
+
+
+def test_rival_is_measured_where_both_move() -> None:
+    """A body that moves all the time has a rival, however short the time of that."""
+    clip = render_successive(16, end=24)
+    candidates = find_candidates(clip.rig, windows_of(clip.frames()))
+    assert len(candidates) == 2
+    assert min(candidate.rival_ratio for candidate in candidates) > 3 * MAX_RIVAL_RATIO
 
 
 @pytest.mark.parametrize("path", [make_drifting_pose, swing])

@@ -21,7 +21,6 @@ from sylpose.runs.candidates import find_session_candidates
 from sylpose.runs.console_output import select_solved_frames
 from sylpose.runs.run_result import Run
 from sylpose.status import DOUBTFUL, FrameStatus
-from sylpose.tracking.context import is_rival
 from sylpose.tracking.joint_side.object_model import carve_box_volume
 
 # Timestamps of one frame set that deviate more from their mean, frames, cause a warning (choice: cameras without a
@@ -271,18 +270,17 @@ def preview_moving_object(session: Session) -> Preview:
             f"boxes: {boxes_hint(session)}."
         )
         return Preview([] if first is None else [View("", first, (None,) * len(names))], "nothing yet", (description,))
-    largest, *others = candidates
-    listed = [largest, *(c for c in others if is_rival(c.n_matches / largest.n_matches, len(session.rig)))]
+    is_ambiguous = candidates[0].is_ambiguous
     views, lines = list[View](), list[str]()
-    for number, candidate in enumerate(listed, start=1):
+    for number, candidate in enumerate(candidates if is_ambiguous else candidates[:1], start=1):
         frames = next(iter(session.frames(candidate.first)))
-        label = f"{number}" if len(listed) > 1 else ""
+        label = f"{number}" if is_ambiguous else ""
         views.append(View(label, frames, candidate.outlines, candidate.features))
         columns = zip(names, map(len, candidate.features), candidate.displacements_px.tolist(), strict=True)
         counts = ", ".join(f"{name} {n} features, {px:.0f} px" for name, n, px in columns if n)
         lines.append(f"from frame {candidate.first} to {candidate.last}: {counts}")
-    if not candidates[0].is_ambiguous:
-        return Preview(views[:1], f"what moves {lines[0]}")
+    if not is_ambiguous:
+        return Preview(views, f"what moves {lines[0]}")
     description = "\n".join(f"body {number}, which moves {line}" for number, line in enumerate(lines, start=1))
     warning = (
         f"{FrameStatus.AMBIGUOUS.text} Select it with `--object N`, N the number in the picture, or with boxes: "

@@ -62,7 +62,7 @@ MIN_LINK_RATIO = 0.2
 MAX_DISTANCE_RADII = 1.0
 # Two motions whose centers are nearer to each other than this, radii of the smaller one, are of one body (choice).
 MIN_DISTANCE_RADII = 0.5
-# The motion of a body can be measured from an earlier frame if it keeps this share of its matches (choice).
+# A body can be measured from an earlier frame if it has this share of its matches there (choice).
 MIN_KEPT_RATIO = 0.4
 # Features farther from their median position than this, in median distances, are mismatches (choice: of features spread
 # evenly over a disk the farthest is at 1.4).
@@ -89,6 +89,10 @@ class WindowBody:
         motion = self.motion
         is_large = motion.is_observable or motion.displacement_px > MIN_FIRST_MOTION_PX
         return motion.is_significant and motion.fit.status is Status.OK and is_large
+
+
+# A body in several windows, by number of the window.
+Chain = Mapping[int, WindowBody]
 
 
 @dataclass(frozen=True, eq=False)
@@ -297,7 +301,7 @@ def _make_candidates(context: Context, windows: Sequence[Window]) -> list[Candid
             else:
                 chains.append({number: body})
     moving = [chain for chain in chains if any(body.motion.is_significant for body in chain.values())]
-    candidates = [_make_candidate(context, windows, chain) for chain in moving]
+    candidates = [_make_candidate(context, windows, chain, moving) for chain in moving]
     return sorted(candidates, key=lambda candidate: -candidate.n_matches)
 
 
@@ -319,21 +323,19 @@ def _measure_link(earlier: WindowBody, window: Window, body: WindowBody) -> floa
     return n_matched / max(n_smaller, 1)
 
 
-def _make_candidate(context: Context, windows: Sequence[Window], chain: Mapping[int, WindowBody]) -> Candidate:
-    """Make the candidate of a body.
-
-    Args:
-        chain: the body by the number of the window.
-    """
-    n_rivals, n_matches = 0, sum(body.motion.n_inliers for body in chain.values())
-    for number, window in enumerate(windows):
-        if window.bodies:
-            # In a window without this body the largest one may be it, not recognized.
-            own = chain.get(number, window.bodies[0])
-            others = [body.motion for body in window.bodies if body is not own]
-            n_rivals += max((_count_rival(context, own.motion, other) for other in others), default=0)
-    clear = [number for number, body in chain.items() if body.is_clear]
-    number = clear[0] if clear else max(chain, key=lambda k: chain[k].motion.n_inliers * chain[k].motion.is_significant)
+def _make_candidate(context: Context, windows: Sequence[Window], chain: Chain, moving: Sequence[Chain]) -> Candidate:
+    """Make the candidate of a body, one of those that are moving."""
+    n_matches = _count_matches(chain)
+    n_shared = n_rivals = 0
+    for number, body in chain.items():
+        others = [other.motion for other in windows[number].bodies if other is not body]
+        n = max((_count_rival(context, body.motion, other) for other in others), default=0)
+        n_shared, n_rivals = n_shared + (body.motion.n_inliers if n else 0), n_rivals + n
+    n_later = max((_count_matches(other) for other in moving if _are_different(windows, chain, other)), default=0)
+    sizes = {k: body.motion.n_inliers * body.motion.is_significant for k, body in chain.items()}
+    clear = {k: sizes[k] for k, body in chain.items() if body.is_clear} or sizes
+    # While a body comes in, little of it is visible.
+    number = next(k for k, n in clear.items() if n >= MIN_KEPT_RATIO * max(clear.values()))
     first, pairs = _find_first_frame(context, windows[: number + 1], chain[number])
     last = chain[number].last.images.index
     features = tuple(_concatenate([pair.pixels_i for pair in own]) for own in pairs)
@@ -344,9 +346,39 @@ def _make_candidate(context: Context, windows: Sequence[Window], chain: Mapping[
         features,
         np.array(list(map(_measure_displacement, pairs))),
         n_matches,
-        n_rivals / n_matches,
+        n_rivals / max(n_shared, 1),
+        n_later / n_matches,
         float(pool_f_ratios(np.array([window.f_ratio for window in windows]))),
     )
+
+
+def _count_matches(chain: Chain) -> int:
+    return sum(body.motion.n_inliers for body in chain.values())
+
+
+def _are_different(windows: Sequence[Window], chain: Chain, other: Chain) -> bool:
+    """Return whether two bodies never move in the same window, and one of them rests while the other moves.
+
+    Otherwise they may be one body that was not recognized.
+    """
+    if set(chain) & set(other):
+        return False
+    early, late = (chain, other) if min(chain) < min(other) else (other, chain)
+    before, after = early[max(early)], late[min(late)]
+    rests_after = _measure_rest(before.last, before, 1, windows[max(late)].first)
+    rests_before = _measure_rest(windows[min(late)].first, after, 0, windows[min(early)].first)
+    return max(rests_after, rests_before) > MIN_LINK_RATIO
+
+
+def _measure_rest(frame: Frame, body: WindowBody, side: int, other: Frame) -> float:
+    """Return which share of a body's features in a frame, on a side of its matches, is at the same place in another."""
+    n_still = n = 0
+    for own, at, pairs in zip(frame.cameras, other.cameras, body.motion.inliers, strict=True):
+        features = own.features.subset(np.unique(_collect_indices(pairs, side)))
+        i, j = match_features(features, at.features).T
+        n_still += int((np.linalg.norm(features.pixels[i] - at.features.pixels[j], axis=1) < own.static_px).sum())
+        n += len(features)
+    return n_still / max(n, 1)
 
 
 def _find_first_frame(context: Context, windows: Sequence[Window], body: WindowBody) -> tuple[Frame, CameraPairs]:

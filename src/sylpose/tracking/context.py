@@ -43,6 +43,8 @@ from sylpose.tracking.joint_side.joint_state import JointState, Nudge
 MAX_RIVAL_RATIO = 0.1
 # The same for one camera, in which a part of the object fits another motion, as depth is unknown (choice).
 MAX_RIVAL_RATIO_MONOCULAR = 0.5
+# The same for a body that moves at other times: a person who leaves the scene first is not the object (choice).
+MAX_LATER_RATIO = 0.5
 T = TypeVar("T")
 # A pose and, per camera, local: (weights, residuals) of its observations.
 Alignment = tuple[AlignmentResult, list[tuple[FloatArray, FloatArray]]]
@@ -160,7 +162,8 @@ class Candidate:
         features: (C,) per camera its features (n, 2) in the first of them, pixels.
         displacements_px: (C,) their median displacement until the second one, pixels; NaN without any.
         n_matches: number of its matches, in all cameras and windows.
-        rival_ratio: matches of the largest other body that moves at the same time, as a share of its own.
+        rival_ratio: matches of the largest other body in the windows in which both move, as a share of its own there.
+        later_ratio: matches of the largest body that moves before or after it and rests otherwise, as a share of its own.
         f_ratio: by which the cameras contradict each other, pooled over the recording; NaN if unknown.
         is_chosen: whether the user knows that it is the object.
     """
@@ -172,6 +175,7 @@ class Candidate:
     displacements_px: FloatArray
     n_matches: int
     rival_ratio: float
+    later_ratio: float = 0.0
     f_ratio: float = np.nan
     is_chosen: bool = False
 
@@ -183,7 +187,8 @@ class Candidate:
     @property
     def is_ambiguous(self) -> bool:
         """Whether another body might be the object as well."""
-        return not self.is_chosen and is_rival(self.rival_ratio, len(self.outlines))
+        has_rival = is_rival(self.rival_ratio, len(self.outlines)) or self.later_ratio > MAX_LATER_RATIO
+        return has_rival and not self.is_chosen
 
 
 @dataclass(frozen=True, eq=False)

@@ -83,7 +83,9 @@ def initialize_tracking(
     candidate = context.candidate
     if candidate is not None and frame.images.index < candidate.first:
         nothing = [Features.empty() for _ in context.cameras]
-        return state, [], [_create_unmatched_frame(context, frame, FrameStatus.NO_MOTION, nothing)]
+        tracked = _create_unmatched_frame(context, frame, FrameStatus.NO_MOTION, nothing)
+        reason = f"the object is not seen to move before frame {candidate.first}"
+        return state, [], [replace(tracked, pose=replace(tracked.pose, reason=reason))]
     features = context.detect_everywhere(frame.images, MAX_START_FEATURES, max_pixels=MAX_SEARCH_PIXELS)
     if not buffered and _count_features(context, features) < MIN_MATCHES:
         # Later frames need one to be compared with.
@@ -97,8 +99,9 @@ def initialize_tracking(
             is_clear = (
                 first_motion.is_observable or first_motion.displacement_px > MIN_FIRST_MOTION_PX
             ) and is_continuing_motion(buffered[-2].motion, first_motion.motion)
-            is_full = len(buffered) > MAX_BUFFERED_FRAMES
-            if (is_clear or is_full) and (started := _initialize_from_motion(context, buffered, pairs, first_motion)):
+            is_due = len(buffered) > MAX_BUFFERED_FRAMES
+            is_due |= candidate is not None and frame.images.index >= candidate.last
+            if (is_clear or is_due) and (started := _initialize_from_motion(context, buffered, pairs, first_motion)):
                 return replace(started[0], nudges=state.nudges), [], started[1]
         status = first_motion.failure_status
     if len(buffered) <= MAX_BUFFERED_FRAMES:
