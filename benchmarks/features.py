@@ -35,7 +35,7 @@ from sylpose.geometry.arrays import FloatArray, Image, IntArray
 from sylpose.rig import Camera
 from sylpose.simulate import TexturedBody
 from sylpose.status import Status
-from sylpose.tracking.pose_search import LOOSE_DESCRIPTOR_RATIO, MAX_ERROR_PX, MIN_INLIERS
+from sylpose.tracking.relocalization import DESCRIPTOR_RATIO, MAX_ERROR_PX, MIN_INLIERS
 
 # Largest error of a true match, pixels.
 MAX_TRUE_ERROR_PX = 2.0
@@ -67,7 +67,7 @@ def detect_with_faint(image: Image, camera: Camera) -> Features:
 KINDS: dict[str, Kind] = {
     "sift": Kind(detect_features, match_features),
     "faint": Kind(detect_with_faint, match_features),
-    "loose": Kind(detect_with_faint, partial(match_features, ratio=LOOSE_DESCRIPTOR_RATIO)),
+    "loose": Kind(detect_with_faint, partial(match_features, ratio=DESCRIPTOR_RATIO)),
 }
 METHODS: dict[str, Method] = {
     "SIFT": Method(("sift",)),

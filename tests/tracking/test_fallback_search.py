@@ -69,7 +69,7 @@ def test_low_contrast_texture(low_contrast_clip: Clip) -> None:
 
 
 def test_usual_search_with_low_contrast_features(low_contrast_clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(state_machine, "search_with_all_features", lambda _team, joint, *_: (joint, None))
+    monkeypatch.setattr(state_machine, "find_pose_with_all_features", lambda _team, joint, *_: (joint, None))
     tracked = list(track(low_contrast_clip.frames(), low_contrast_clip.rig, low_contrast_clip.boxes, features="sift"))
     assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * (FRAMES - 1)
     assert compute_pose_errors(tracked, low_contrast_clip.truth)[:, 0].max() < 2.0
@@ -108,7 +108,7 @@ def test_slow_object_with_weak_pose_is_searched_again(monkeypatch: pytest.Monkey
         context: Context, state: JointState, frame: Frame, *args: Any, **kwargs: Any
     ) -> tuple[JointState, PoseCandidate | None]:
         state, found = usual(context, state, frame, *args, **kwargs)
-        if found is None or frame.number != FRAMES - 1:
+        if found is None or frame.number != FRAMES - 1 or frame.has_new_features:
             return state, found
         slips.append(frame.number)
         motion = make_rotated_pose(6.0) * found.motion

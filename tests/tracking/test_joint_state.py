@@ -252,8 +252,8 @@ def test_unknown_velocity_means_lost() -> None:
 def test_lost_object_stays_lost_until_found() -> None:
     state, _ = with_motion(set_velocity_change(make_state_after(3), 1e-9, 1e-9), is_lost=True).coast(4 * DT)
     assert state.motion.is_lost
-    found = with_motion(state, n_reobserved=2).add_solved_frame(make_solved(5), STEP * STEP, has_new_features=True)
-    assert (found.motion.is_lost, found.motion.n_missed, found.motion.n_reobserved) == (False, 0, 0)
+    found = with_motion(state, next_hypothesis=9).add_solved_frame(make_solved(5), STEP * STEP, has_new_features=True)
+    assert (found.motion.is_lost, found.motion.n_missed, found.motion.next_hypothesis) == (False, 0, 0)
 
 
 def test_velocity_after_missed_and_lost_frames() -> None:
@@ -439,4 +439,4 @@ def test_default_state_is_empty() -> None:
     assert not state.frames.keyframes
     assert isinstance(state.motion.velocity, MotionModel)
     assert state.motion.velocity.n_frames == 0
-    assert (state.motion.n_missed, state.motion.n_reobserved, state.motion.is_lost) == (0, 0, False)
+    assert (state.motion.n_missed, state.motion.is_lost) == (0, False)

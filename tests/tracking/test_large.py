@@ -14,7 +14,7 @@ from sylpose.geometry.arrays import Image
 from sylpose.rig import Camera
 from sylpose.simulate import render_frames
 from sylpose.status import FrameStatus
-from sylpose.tracking import initialization, state_machine
+from sylpose.tracking import initialization
 from sylpose.tracking.camera_side import camera as camera_module
 from sylpose.tracking.camera_side.camera import CameraTracker
 from sylpose.tracking.tracker import track
@@ -35,7 +35,7 @@ PIXELS = SIZE[0] * SIZE[1] // 2
 
 @pytest.fixture
 def small_search_limit(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (camera_module, initialization, state_machine):
+    for module in (camera_module, initialization):
         monkeypatch.setattr(module, "MAX_SEARCH_PIXELS", PIXELS)
 
 

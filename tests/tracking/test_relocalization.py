@@ -18,9 +18,7 @@ from sylpose.rig import Camera, Rig
 from sylpose.simulate import Actor, chamfered_box, make_demo_scene
 from sylpose.tracking.camera_side.frame import CameraFrame
 from sylpose.tracking.joint_side.joint_state import SolvedFrame, compute_viewpoints
-from sylpose.tracking.pose_search import (
-    DESCRIPTOR_RATIO,
-    LOOSE_DESCRIPTOR_RATIO,
+from sylpose.tracking.relocalization import (
     N_NEAREST_KEYFRAMES,
     N_OTHER_KEYFRAMES,
     estimate_relocalized_pose,
@@ -56,14 +54,13 @@ def relocalize_frame(
     last: Keyframe,
     radius: float,
     missed: int,
-    ratio: float = DESCRIPTOR_RATIO,
 ) -> RigidTransform | None:
     """Relocalize as the tracker does: per-camera matching with keyframes, then a joint pose."""
     solved, by_number = [k.solved for k in keyframes], {k.solved.number: k.cameras for k in keyframes}
     records = []
     for c in range(len(rig)):
         tried = select_keyframes(solved, c, last.solved, missed)
-        records.append(match_keyframes([by_number[k.number][c] for k in tried], current[c], radius, ratio))
+        records.append(match_keyframes([by_number[k.number][c] for k in tried], current[c], radius))
     return estimate_relocalized_pose(rig, records)
 
 
@@ -161,25 +158,24 @@ def make_other_body(path_of: Sequence[RigidTransform], seed: int) -> Clip:
 
 
 @pytest.mark.parametrize(("texels", "turn"), [(4.5, 45.0), (6.0, 35.0)])
-def test_loose_ratio_relocalizes_blurred_texture(texels: float, turn: float) -> None:
+def test_relocalizes_blurred_texture(texels: float, turn: float) -> None:
     poses = [make_rotated_pose(0), make_rotated_pose(turn, [0.1, 0.05, 0])]
     scene = moving_scene(lambda frame: poses[round(frame)], 2, n_cameras=N_CAMERAS)
     body, path = scene.actors[0].body, scene.actors[0].path
     soft = tuple(np.asarray(cv2.GaussianBlur(t, (0, 0), texels), np.uint8) for t in body.textures)
     clip = Clip.render(replace(scene, actors=(Actor(replace(body, textures=soft), path),)))
     first, current = make_keyframe(clip, 0, faint=True), detect_in_frames(clip.rig, clip.images[1], faint=True)
-    assert relocalize_frame(clip.rig, [first], current, first, RADIUS, 0) is None
-    found = relocalize_frame(clip.rig, [first], current, first, RADIUS, 0, LOOSE_DESCRIPTOR_RATIO)
+    found = relocalize_frame(clip.rig, [first], current, first, RADIUS, 0)
     assert pose_errors(found, clip.truth.world_from_object[1])[0] < 1.5
 
 
-def test_loose_ratio_does_not_find_other_body(clip: Clip) -> None:
+def test_all_features_do_not_find_other_body(clip: Clip) -> None:
     known = [make_keyframe(clip, k, faint=True) for k in range(len(ROTATIONS_DEG))]
     for seed in (11, 12):
         other = make_other_body([make_rotated_pose(0), make_rotated_pose(24, [0.1, 0, 0])], seed)
         for images in other.images:
             current = detect_in_frames(clip.rig, images, faint=True)
-            assert relocalize_frame(clip.rig, known, current, known[0], RADIUS, 0, LOOSE_DESCRIPTOR_RATIO) is None
+            assert relocalize_frame(clip.rig, known, current, known[0], RADIUS, 0) is None
 
 
 def test_absent_object_is_not_found(clip: Clip, keyframes: list[Keyframe]) -> None:

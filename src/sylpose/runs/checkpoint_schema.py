@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from sylpose.bundle_adjustment.bundle import Observations
 from sylpose.features.klt import Tracks
+from sylpose.features.search_windows import SearchWindows
 from sylpose.features.sift import Features
 from sylpose.features.static_background import CameraRotation, RotationRectifier, StaticBackground
 from sylpose.frames import FrameSet
@@ -71,6 +72,7 @@ _CAMERA_TRACKER_FIELDS = {
     "table": LandmarkTable,
     "noise_px": float,
     "view": View,
+    "windows": SearchWindows | None,
     "motion_detector": CameraMotionDetector,
 }
 _MOTION_DETECTOR_FIELDS = {
@@ -132,6 +134,7 @@ RECORDS = (
     RecordType(StaticBackground, {"small_image": ("h", "w"), "pixels": ("n", 2), "patches": ("n", "s")}),
     RecordType(CameraRotation, {"rotation": (3, 3)}),
     RecordType(RotationRectifier, {"rotation": (3, 3)}, {"camera": Camera, "rotation": FloatArray}),
+    RecordType(SearchWindows, {"bounds": ("n", 4), "ages": ("n",), "thumbnail": ("h", "w")}),
     RecordType(Features, _FEATURES),
     RecordType(Tracks, _TRACKS),
     RecordType(Landmarks, _LANDMARKS),

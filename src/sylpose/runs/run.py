@@ -31,6 +31,7 @@ from sylpose.runs.run_result import Run, StageTimer
 from sylpose.sync.offsets import apply_offsets, find_offsets
 from sylpose.tracking.context import Candidate, TrackedFrame
 from sylpose.tracking.known_object import KnownObject
+from sylpose.tracking.search_clock import SearchClock
 from sylpose.tracking.tracker import Tracker
 from sylpose.units import INITIAL_DISTANCES
 
@@ -217,6 +218,8 @@ class _SessionRun:
                 self.trackers[name] = stack.enter_context(nodes)
                 continue
             known = self.known.get(name)
+            if isinstance(self.session, LiveSession) and self.session.is_real_time:
+                arguments["search_clock"] = SearchClock()
             tracker = Tracker(self.session.rig, boxes, workers=options.workers, known_object=known, **arguments)
             self.trackers[name] = stack.enter_context(tracker)
             learned = tracker.transferred_object

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Protocol, TypeVar, cast
+from typing import Any, Protocol, TypeVar, cast
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -37,6 +38,7 @@ from sylpose.tracking.camera_side.frame import (
     project_outline,
 )
 from sylpose.tracking.joint_side.joint_state import JointState, Nudge
+from sylpose.tracking.search_clock import SearchClock
 
 # A body with more than this share of the matches of the largest one may be the object as well (choice: a single body
 # leaves none, see docs/history).
@@ -205,6 +207,7 @@ class Context:
         time_offsets: (C,) seconds by which each camera's images are later than its time stamps.
         seed: random seed of outlier rejection.
         candidate: the body to be tracked; None: with boxes, or the largest one.
+        search_clock: limits the time of searches during live tracking; None: results do not depend on time.
     """
 
     rig: Rig
@@ -216,6 +219,15 @@ class Context:
     time_offsets: FloatArray
     seed: int
     candidate: Candidate | None = None
+    search_clock: SearchClock | None = None
+
+    def share_of_search(self, kind: str) -> float:
+        """Return the share of a search's pixels for which there is time. See `SearchClock.share`."""
+        return 1.0 if self.search_clock is None else self.search_clock.share(kind)
+
+    def measure_search(self, kind: str, share: float) -> AbstractContextManager[None]:
+        """Measure a search during live tracking. See `SearchClock.measure`."""
+        return nullcontext() if self.search_clock is None else self.search_clock.measure(kind, share)
 
     def create_rng(self) -> np.random.Generator:
         """Create a random generator that gives each frame the same sequence."""
@@ -256,10 +268,13 @@ class Context:
         depths = [max(float(camera.camera_from_world.apply(center)[2]), 1e-12) for camera in self.rig]
         return [state.object.radius / depth * camera.focal for camera, depth in zip(self.rig, depths, strict=True)]
 
-    def detect(self, frame: Frame, max_features: int = MAX_FEATURES, *, faint: bool) -> list[Features]:
+    def detect(
+        self, frame: Frame, max_features: int = MAX_FEATURES, *, faint: bool, max_pixels: int | None = None
+    ) -> list[Features]:
         """Detect features in a frame's regions; per camera, local. See `CameraTracker.detect`."""
         assert frame.regions is not None
-        detect_in = partial(CameraTracker.detect_in, images=frame.images, max_features=max_features, faint=faint)
+        settings: dict[str, Any] = {"max_features": max_features, "faint": faint, "max_pixels": max_pixels}
+        detect_in = partial(CameraTracker.detect_in, images=frame.images, **settings)
         return self.executor.run(detect_in, self.cameras, frame.regions)
 
     def detect_everywhere(

@@ -43,7 +43,6 @@ from sylpose.tracking.joint_side.joint_state import (
     compute_viewpoints,
 )
 from sylpose.tracking.joint_side.object_model import ObjectModel
-from sylpose.tracking.pose_search import MAX_WAIT_FRAMES
 from sylpose.units import INITIAL_DISTANCES
 
 # Minimum number of keyframes of a usable object model (choice).
@@ -502,7 +501,6 @@ def initialize_from_object(
         MotionModel(n_frames=1, interval=1.0),
         has_moved=True,
         n_missed=1,
-        n_reobserved=MAX_WAIT_FRAMES,  # poses are required from the first frame on, even if little is visible
         is_lost=True,
     )
     model = ObjectModel(None, transferred.known_object.radius, transferred.known_object._points)

@@ -1,4 +1,4 @@
-"""Pose search in one frame: near the prediction or anywhere. Landmarks are not updated here.
+"""Pose search in one frame near the prediction. Landmarks are not updated here.
 
 Each camera uses only its own images; all arrive at the same pose because it depends on exchanged reports alone.
 
@@ -16,13 +16,11 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.absolute_pose.pose import estimate_pose
-from sylpose.features.sift import MAX_FEATURES, match_features
+from sylpose.features.sift import MAX_FEATURES
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.matrices import invert_information, make_motion_about, relative_rotvec, rotation_matrix_of
+from sylpose.geometry.matrices import make_motion_about, relative_rotvec, rotation_matrix_of
 from sylpose.landmarks.landmark_filter import Landmarks, LandmarkTable
 from sylpose.rig import Rig
-from sylpose.status import Status
 from sylpose.tracking.camera_side.camera import (
     N_ANCHOR_FEATURES,
     CameraSolution,
@@ -31,9 +29,7 @@ from sylpose.tracking.camera_side.camera import (
     append_new_features,
 )
 from sylpose.tracking.camera_side.frame import (
-    CameraFrame,
     CameraPairs,
-    DetectedFeatures,
     SearchArea,
     add_evidence,
     measure_agreement,
@@ -44,23 +40,19 @@ from sylpose.tracking.frame_solvers import MAXIMUM_LIKELIHOOD, SOLVERS, PoseProb
 from sylpose.tracking.joint_side.joint_state import (
     PREPARATION_MARGIN,
     JointState,
-    SolvedFrame,
     compute_viewpoints,
     find_nearest_views,
     has_enough_tracks,
     is_mostly_moving,
     select_references,
 )
-from sylpose.tracking.reports import Agreements, PoseAgreement, RelocalizationMatches, TrackingReport
+from sylpose.tracking.reports import Agreements, PoseAgreement, TrackingReport
 
 # Maximum number of features detected per camera while features are tracked by KLT (choice).
 MAX_KLT_FEATURES = 400
 # An object that rotates by more than this per frame, radians, shows another side each time (measured:
 # benchmarks/loops.py, where more features at 7.6 degrees per frame were no gain) (choice).
 FAST_ROTATION = np.radians(10.0)
-# A missing object is not accepted again while its rotation is less certain than this, radians, for at most so many
-# frames (choice).
-MAX_RELOCALIZED_SD, MAX_WAIT_FRAMES = 0.005, 2
 # The pose solved after relocalization must agree with the relocalized one within this rotation and share of the radius
 # (choice).
 MAX_START_ROTATION, MAX_START_TRANSLATION = 0.17, 0.3
@@ -82,18 +74,6 @@ ZERO_WEIGHT_NOISE_RATIO, ZERO_WEIGHT_NOISE_PX = 0.4 * SOLVED_RADIUS, 0.58 * MIN_
 # (measured: tests/tracking/test_relocalization.py). Minimum weight of a camera's features, and minimum number of
 # features for a camera to count (choice).
 MIN_SCORE, MIN_GOOD_WEIGHT, MIN_CAMERA_FEATURES = 20.0, 0.5, 15
-# Number of keyframes compared per camera for relocalization: those nearest to its last viewpoint, and others from all
-# sides in rotation (choice).
-N_NEAREST_KEYFRAMES, N_OTHER_KEYFRAMES = 6, 6
-# Largest depth standard deviation of a relocalized landmark, as a share of the object's radius (choice).
-MAX_DEPTH_SD_RATIO = 0.3
-# Minimum number of inliers of a relocalized pose: a body of the same outline in the same place, or an unknown side of
-# the object, gives about twenty, the object itself hundreds (measured: tests/tracking/test_relocalization.py) (choice).
-MIN_INLIERS = 24
-MAX_ERROR_PX = 8.0
-# Largest ratio of the descriptor distances to the best and the second-best match: as elsewhere, and where that failed.
-# The robust pose solver tolerates half of the matches being wrong (measured: benchmarks/features.py) (choice).
-DESCRIPTOR_RATIO, LOOSE_DESCRIPTOR_RATIO = 0.8, 0.9
 # Maximum number of keyframes per camera, in addition to the last solved frame, and their maximum angle around the
 # object, radians (choice).
 MAX_REFERENCE_KEYFRAMES, MAX_VIEW_ANGLE = 4, np.radians(50.0)
@@ -218,6 +198,13 @@ def is_fast(state: JointState, predicted_pose: RigidTransform) -> bool:
     """
     angle = np.linalg.norm(relative_rotvec(state.last.world_from_object, predicted_pose))
     return bool(not state.motion.velocity.n_frames or state.motion.n_missed > 0 or angle > FAST_ROTATION)
+
+
+def is_jumping(state: JointState) -> bool:
+    """Return whether the object rotates by more than KLT can track per frame, or whether its motion is unknown."""
+    velocity = state.motion.velocity
+    is_known = bool(velocity.change_variance.any())
+    return not is_known or bool(np.linalg.norm(velocity.twist[:3]) * velocity.interval > FAST_ROTATION)
 
 
 def detect_in_regions(context: Context, state: JointState, frame: Frame, predicted_pose: RigidTransform) -> Frame:
@@ -390,113 +377,23 @@ def is_near_start(state: JointState, candidate: PoseCandidate, pose: RigidTransf
     return bool(not is_far and difference.rotation.magnitude() <= MAX_START_ROTATION)
 
 
-def is_partly_visible(state: JointState, candidate: PoseCandidate) -> bool:
-    """Return whether too little of a missing object is visible to accept its pose yet.
-
-    Landmarks learned from an uncertain pose would remain wrong.
-    """
-    covariance = invert_information(candidate.solution.information)
-    is_uncertain = bool(np.sqrt(np.diag(covariance)[:3].max()) > MAX_RELOCALIZED_SD)
-    return state.motion.n_missed > 0 and is_uncertain and state.motion.n_reobserved < MAX_WAIT_FRAMES
-
-
-# --- relocalization ---------------------------------------------------------------------------------------------------
-
-
-def relocalize(context: Context, state: JointState, frame: Frame, *, faint: bool) -> RigidTransform | None:
-    """Relocalize the object anywhere in the images, from the keyframes' landmarks alone.
-
-    Args:
-        frame: with the features of the whole images.
-        faint: whether low-contrast features are included; then a looser descriptor ratio is used.
-
-    Returns:
-        world_from_object; None if not found.
-    """
-    keyframes = [
-        select_keyframes(state.frames.keyframes, c, state.last, state.motion.n_missed) for c in context.executor.local
-    ]
-    ratio = LOOSE_DESCRIPTOR_RATIO if faint else DESCRIPTOR_RATIO
-    match = partial(_match_keyframes_of, radius=state.object.radius, ratio=ratio)
-    matches = context.executor.run(match, context.cameras, keyframes, frame.cameras)
-    return estimate_relocalized_pose(context.rig, context.executor.gather(matches, RelocalizationMatches()))
-
-
-def _match_keyframes_of(
-    camera: CameraTracker, keyframes: Sequence[SolvedFrame], current: CameraFrame, radius: float, ratio: float
-) -> RelocalizationMatches:
-    """Match a camera's features with its keyframes; record what was detected."""
-    found = match_keyframes([camera.frames[k.number] for k in keyframes], current, radius, ratio)
-    if not len(camera.detections.rejected):
-        camera.detections = DetectedFeatures(current.features.pixels, found.pixels)
-    return found
-
-
-def match_keyframes(
-    keyframes: Sequence[CameraFrame], current: CameraFrame, radius: float, ratio: float = DESCRIPTOR_RATIO
-) -> RelocalizationMatches:
-    """Match a camera's features with the landmarks of its keyframes.
-
-    Args:
-        current: with the features of the whole image.
-        radius: of the object.
-        ratio: see `match_features`.
-    """
-    points, pixels = [np.empty((0, 3))], [np.empty((0, 2))]
-    for keyframe in keyframes:
-        features, landmarks = keyframe.features, keyframe.landmarks
-        is_usable = (landmarks.depth_sd < MAX_DEPTH_SD_RATIO * radius) & ~keyframe.background
-        index = match_features(features.subset(is_usable), current.features, ratio)
-        points.append(landmarks.mean[is_usable][index[:, 0]])
-        pixels.append(current.features.pixels[index[:, 1]])
-    # A feature matched in several keyframes counts once.
-    _, first = np.unique(np.round(np.concatenate(pixels), 1), axis=0, return_index=True)
-    return RelocalizationMatches(np.concatenate(points)[first], np.concatenate(pixels)[first])
-
-
-def estimate_relocalized_pose(rig: Rig, records: Sequence[RelocalizationMatches]) -> RigidTransform | None:
-    """Estimate world_from_object from all cameras' matches; None with too few inliers."""
-    points, pixels = [record.points for record in records], [record.pixels for record in records]
-    pose = estimate_pose(rig, points, pixels, max_error_px=MAX_ERROR_PX)
-    usable = (Status.OK, Status.NOT_CONVERGED) if len(rig) > 1 else (Status.OK, Status.SCALE_NOT_OBSERVABLE)
-    if pose.status not in usable or pose.motion is None or pose.n_inliers.sum() < MIN_INLIERS:
-        return None
-    return pose.motion
-
-
-def select_keyframes(
-    keyframes: Sequence[SolvedFrame], camera: int, last: SolvedFrame, n_missed: int
-) -> list[SolvedFrame]:
-    """Select the keyframes to compare a camera's image with.
-
-    Args:
-        keyframes: in order of time.
-        last: the last solved frame.
-        n_missed: number of frames since the object was lost; each uses other keyframes.
-    """
-    nearest = find_nearest_views(keyframes, camera, last.viewpoints[camera], N_NEAREST_KEYFRAMES)
-    tried = {k.number for k in nearest}
-    others = [k for k in keyframes if k.is_visible[camera] and k.number not in tried]
-    # Each frame uses other keyframes, so that all are covered after a few.
-    stride = max(len(others) // N_OTHER_KEYFRAMES, 1)
-    return nearest + others[n_missed % stride :: stride]
-
-
 # --- all features -----------------------------------------------------------------------------------------------------
 
 
-def search_with_all_features(
+def find_pose_with_all_features(
     context: Context, state: JointState, frame: Frame, predicted_pose: RigidTransform
 ) -> SearchResult:
     """Search for the frame's pose with all features, from matches and from the prediction.
 
     Args:
-        frame: with all features in the regions.
+        frame: with regions.
         predicted_pose: predicted world_from_object.
 
     Returns:
         the state; the best candidate, or None.
     """
+    frame = replace(frame, tracked=None, has_new_features=True)
+    frame = context.with_features(frame, context.detect(frame, faint=True))
     _add_remaining_features(context, state)
     references = _select_nearby(context, state, predicted_pose)
     matches = context.executor.run(CameraTracker.match, context.cameras, frame.cameras, references)

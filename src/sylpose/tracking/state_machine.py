@@ -12,44 +12,33 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.features.sift import MAX_FEATURES, Features
 from sylpose.frames import FrameSet
 from sylpose.tracking.anchor_preparation import begin_preparation, can_prepare, join_anchor
-from sylpose.tracking.camera_side.camera import MAX_SEARCH_PIXELS, CameraTracker
 from sylpose.tracking.camera_side.camera_motion import PAUSE_FRAMES
-from sylpose.tracking.camera_side.frame import REGION_MARGIN
 from sylpose.tracking.context import Context, Frame, FrameResult, TrackedFrame
 from sylpose.tracking.initialization import BufferedFrame, initialize_tracking
 from sylpose.tracking.joint_side.joint_state import MIN_TRACKED_RATIO, JointState, Nudge
 from sylpose.tracking.map_update import accept_frame, handle_missing_object
 from sylpose.tracking.pose_search import (
     PoseCandidate,
-    SearchResult,
     detect_in_regions,
     find_pose,
+    find_pose_with_all_features,
     is_fast,
     is_near_start,
-    is_partly_visible,
     is_weakly_supported,
-    relocalize,
-    search_with_all_features,
     track_from_anchor,
 )
+from sylpose.tracking.relocalization import search_lost_object
 from sylpose.tracking.reports import CameraMotionReport
 from sylpose.tracking.window import apply_refinement
 
 # A first motion with little support is accepted up to this rotation, radians (choice).
 MAX_FIRST_ROTATION = np.radians(3.0)
-# Interval of frames in which large images are searched at full resolution for a lost object, which may be small
-# (choice).
-FULL_SEARCH_INTERVAL = 4
-# The margin of the search region grows while the object is lost, up to this share of its size (choice).
-MAX_REGION_MARGIN = 1.0
 
 
 def process_frame(
@@ -77,7 +66,7 @@ def process_frame(
 
 
 def track_frame(context: Context, state: JointState, frame: Frame) -> FrameResult:
-    """Track an object that was found in the previous frame: near the prediction, else anywhere."""
+    """Track an object that was found in the previous frame: near the prediction."""
     predicted_pose = state.predict_pose(frame.time)
     frame = replace(frame, regions=context.project_regions(state, predicted_pose))
     candidate, needs_anchor_soon = None, False
@@ -85,19 +74,22 @@ def track_frame(context: Context, state: JointState, frame: Frame) -> FrameResul
         frame, n_tracked, is_enough, needs_anchor_soon = track_from_anchor(context, state, frame, predicted_pose)
         if is_enough:
             state, candidate = find_pose(context, state, frame, predicted_pose)
-        if candidate is not None and sum(a.n_inlier_matches for a in candidate.agreements) <= (
-            MIN_TRACKED_RATIO * n_tracked
+        if candidate is not None and (
+            sum(a.n_inlier_matches for a in candidate.agreements) <= MIN_TRACKED_RATIO * n_tracked
+            or is_weakly_supported(context, state, candidate)
         ):
             candidate = None
     if candidate is None:
         frame = detect_in_regions(context, state, frame, predicted_pose)
         state, candidate = find_pose(context, state, frame, predicted_pose)
     if candidate is None or is_weakly_supported(context, state, candidate):
-        state, fallback = _find_pose_by_fallback(context, state, frame, predicted_pose)
+        fallback = None
+        is_costly = is_fast(state, predicted_pose) or (state.is_feature_poor and candidate is not None)
+        if is_costly and context.share_of_search("all features") >= 1.0:
+            with context.measure_search("all features", 1.0):
+                state, fallback = find_pose_with_all_features(context, state, frame, predicted_pose)
         if fallback is not None or not _is_plausible(state, candidate, predicted_pose):
             candidate = fallback
-    if candidate is None:
-        state, candidate = _find_pose_anywhere(context, state, frame)
     if candidate is None:
         return handle_missing_object(context, state, frame, predicted_pose)
     state, tracked = accept_frame(context, state, candidate)
@@ -131,73 +123,12 @@ def has_known_references(state: JointState, candidate: PoseCandidate) -> bool:
 
 
 def recover(context: Context, state: JointState, frame: Frame) -> FrameResult:
-    """Search for an object missed in the previous frame: near the prediction, else anywhere.
-
-    A pose is accepted only if solving again from it confirms it.
-    """
+    """Search for an object missed in the previous frame, with bounded work (`relocalization`)."""
     predicted_pose = state.predict_pose(frame.time)
-    candidate = None
-    if not state.motion.is_lost or not state.motion.velocity.n_frames:  # before its first motion it may be nearby
-        margin = min(REGION_MARGIN * (1 + state.motion.n_missed), MAX_REGION_MARGIN)
-        frame = replace(frame, regions=context.project_regions(state, predicted_pose, margin))
-        current = detect_in_regions(context, state, frame, predicted_pose)
-        state, near = find_pose(context, state, current, predicted_pose)
-        if near is not None:
-            state, candidate = _confirm_pose(context, state, frame, current.features, near.pose)
-        if candidate is None:
-            state, near = _find_pose_by_fallback(context, state, frame, predicted_pose)
-            if near is not None:
-                state, candidate = _confirm_pose(context, state, frame, near.frame.features, near.pose)
-    if candidate is None:
-        state, candidate = _find_pose_anywhere(context, state, frame)
+    state, candidate = search_lost_object(context, state, frame, predicted_pose)
     if candidate is None:
         return handle_missing_object(context, state, frame, predicted_pose)
     return accept_frame(context, state, candidate)
-
-
-def _find_pose_by_fallback(
-    context: Context, state: JointState, frame: Frame, predicted_pose: RigidTransform
-) -> SearchResult:
-    """Search for the frame's pose with all features, by `search_with_all_features`."""
-    frame = replace(frame, tracked=None, has_new_features=True)
-    frame = context.with_features(frame, context.detect(frame, faint=True))
-    return search_with_all_features(context, state, frame, predicted_pose)
-
-
-def _find_pose_anywhere(context: Context, state: JointState, frame: Frame) -> SearchResult:
-    """Search for the object in the whole images: by the strongest features, then by all."""
-    is_full = (state.motion.n_missed + 1) % FULL_SEARCH_INTERVAL == 0
-    max_pixels = None if is_full else MAX_SEARCH_PIXELS
-    for faint in (False, True):
-        features = context.detect_everywhere(frame.images, MAX_FEATURES, faint=faint, max_pixels=max_pixels)
-        pose = relocalize(context, state, context.with_features(frame, features), faint=faint)
-        if pose is not None:
-            regions = context.project_regions(state, pose)
-            detect_inside = partial(CameraTracker.detect_at_full_res, images=frame.images, faint=faint)
-            features = context.executor.run(detect_inside, context.cameras, features, regions)
-            state, candidate = _confirm_pose(context, state, frame, features, pose)
-            # If it was detected, but not well enough, wait for the next frame.
-            if candidate is not None or state.motion.n_reobserved:
-                return state, candidate
-    return state, None
-
-
-def _confirm_pose(
-    context: Context, state: JointState, frame: Frame, features: Sequence[Features], pose: RigidTransform
-) -> SearchResult:
-    """Solve the frame again from a relocalized pose, with features inside the object's region only."""
-    regions = context.project_regions(state, pose)
-    inside = [
-        own.subset(camera.find_inside(own, region))
-        for camera, own, region in zip(context.cameras, features, regions, strict=True)
-    ]
-    frame = context.with_features(replace(frame, regions=regions, tracked=None, has_new_features=True), inside)
-    state, candidate = find_pose(context, state, frame, pose)
-    if candidate is None or not is_near_start(state, candidate, pose) or is_weakly_supported(context, state, candidate):
-        return state, None
-    if is_partly_visible(state, candidate):
-        return replace(state, motion=replace(state.motion, n_reobserved=state.motion.n_reobserved + 1)), None
-    return state, candidate
 
 
 # --- motion of the cameras --------------------------------------------------------------------------------------------

@@ -37,6 +37,7 @@ from sylpose.tracking.known_object import (
     initialize_from_object,
     transfer_object,
 )
+from sylpose.tracking.search_clock import SearchClock
 from sylpose.tracking.state_machine import add_nudge_faults, process_frame
 
 MAX_TIME_OFFSET = 1e6  # seconds: cameras of one recording start within days of each other (choice)
@@ -127,6 +128,7 @@ class TrackerOptions(TypedDict, total=False):
     seed: int
     known_object: KnownObject | None
     candidate: Candidate | None
+    search_clock: SearchClock | None
 
 
 def track(
@@ -204,6 +206,8 @@ class TrackerBase:
         cameras: per camera, local: its tracker.
         executor: connects the cameras.
         rig, boxes, method, features, offsets, seed, known_object, candidate: see `track`.
+        search_clock: for live cameras, so that a search for a lost object does not delay poses; None: results do not
+            depend on the machine's speed.
 
     Raises:
         ValueError: as `track`.
@@ -222,6 +226,7 @@ class TrackerBase:
         seed: int = 0,
         known_object: KnownObject | None = None,
         candidate: Candidate | None = None,
+        search_clock: SearchClock | None = None,
     ) -> None:
         uses_klt = resolve_features(method, features) == "klt"
         check_integer(seed, "seed")
@@ -235,7 +240,7 @@ class TrackerBase:
         for name, box in check_type({} if boxes is None else boxes, Mapping, "boxes").items():
             check_type(box, Box, f"boxes: {format_value(name)}")
         time_offsets = np.array([offsets.get(name, 0.0) for name in rig.names])
-        settings = method, uses_klt, method == METHODS[0], time_offsets, seed, candidate
+        settings = method, uses_klt, method == METHODS[0], time_offsets, seed, candidate, search_clock
         self._context = Context(rig, cameras, executor, *settings)
         self._rig = rig
         self._state = JointState(ObjectModel.from_boxes(rig, boxes) if boxes else ObjectModel())
@@ -260,6 +265,8 @@ class TrackerBase:
             all buffered frames and this one.
         """
         check_frame_set(frames, self._rig)
+        if self._context.search_clock is not None:
+            self._context.search_clock.begin_frame(frames.time)
         transferred, note = self.transferred_object, ""
         if transferred is not None and not self.next_number:
             note = transferred.note
@@ -365,6 +372,7 @@ class Tracker(TrackerBase):
 
     Args:
         rig, boxes, method, features, offsets, known_object, workers, seed: see `track`.
+        search_clock: see `TrackerBase`.
 
     Raises:
         ValueError: as `track`.

@@ -58,11 +58,13 @@ class LiveSession(SessionBase):
 
     Attributes:
         rate: frames per second, if given.
+        is_real_time: whether late frame sets are dropped and times are seconds of the clock.
         dropped: by camera, frames of the latest `frames` call that are in no frame set.
         missed: by camera, frame sets of the latest `frames` call without this camera because it was delayed or dead.
     """
 
     rate: float | None
+    is_real_time: bool
     dropped: dict[str, int]
     missed: dict[str, int]
     _reader: ReadFrames = field(repr=False)
@@ -207,6 +209,7 @@ def open_live(
             objects=merge_object_names(object_boxes, object_masks, boxes, masks),
             masks=masks,
             rate=rate,
+            is_real_time=not follow or (not lossless and rate is not None),
             warnings=warnings,
             dropped=counter.dropped,
             missed=counter.missed,

@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.features.klt import Tracks, start_tracks, to_gray, track_features
+from sylpose.features.search_windows import SearchWindows
 from sylpose.features.sift import MAX_FAINT_FEATURES, MAX_FEATURES, Features, detect_features, find_static_features
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import BoolArray, FloatArray, Image, IntArray
@@ -331,6 +332,7 @@ class CameraTracker:
         noise_px: running estimate of keypoint noise.
         view: image and mask of the last solved frame, until all features have been detected in it.
         motion_detector: detects motion of the camera itself.
+        windows: those searched since the object was lost; None while it is not.
         detections: features detected in the current frame.
     """
 
@@ -349,6 +351,7 @@ class CameraTracker:
         self.table = LandmarkTable()
         self.noise_px = 0.0
         self.view: View = (None, None)
+        self.windows: SearchWindows | None = None
 
     @property
     def static_px(self) -> float:
@@ -371,7 +374,16 @@ class CameraTracker:
         anchor, watch = self.anchor, self.motion_detector
         of_anchor = () if anchor is None else (anchor.tracks, anchor.image, anchor.frame.features)
         features = (self.background_features, *(frame.features for frame in self.frames.values()))
-        return [self.camera, self.view, self.next_anchor, watch.background, watch.stabilizer, *of_anchor, *features]
+        return [
+            self.camera,
+            self.view,
+            self.windows,
+            self.next_anchor,
+            watch.background,
+            watch.stabilizer,
+            *of_anchor,
+            *features,
+        ]
 
     # --- detection: state is not changed ------------------------------------------------------------------------------
 
@@ -406,9 +418,28 @@ class CameraTracker:
         max_features = MAX_FAINT_FEATURES if faint else max_features
         return detect_features(image, self.camera, area, max_features, faint=faint, max_pixels=max_pixels)
 
-    def detect_in(self, region: Region, images: FrameSet, max_features: int, *, faint: bool) -> Features:
+    def detect_in(
+        self, region: Region, images: FrameSet, max_features: int, *, faint: bool, max_pixels: int | None = None
+    ) -> Features:
         """Detect features inside a region. See `detect`."""
-        return self.detect(self.view_of(images), self.rasterize(region), max_features, faint=faint)
+        area = self.rasterize(region)
+        return self.detect(self.view_of(images), area, max_features, faint=faint, max_pixels=max_pixels)
+
+    def search_window(self, side_px: float, images: FrameSet, *, oldest: bool, max_pixels: int) -> Features:
+        """Detect all features in one window of the image, the next one in which a lost object is searched for.
+
+        Args:
+            side_px: side of the windows, pixels; later calls until the object is found keep that of the first.
+            oldest, max_pixels: see `SearchWindows.select` and `detect`.
+        """
+        image, mask = self.view_of(images)
+        if image is None:
+            return Features.empty()
+        if self.windows is None:
+            # Changes count from the last image with the object on.
+            self.windows = SearchWindows.create(side_px, image if self.view[0] is None else self.view[0])
+        self.windows, area = self.windows.select(image, oldest=oldest)
+        return self.detect((image, mask), area, faint=True, max_pixels=max_pixels)
 
     def detect_at_full_res(self, features: Features, region: Region, images: FrameSet, *, faint: bool) -> Features:
         """Return the features inside a region, detected at full resolution.
@@ -574,7 +605,7 @@ class CameraTracker:
             is_judged = accepted.has_moved and not is_muted
             self.anchor = advance_anchor(tracked, solution.pairs if is_judged else [], weights if is_judged else [])
         self.update_landmarks(current, accepted.rig.cameras[self.index], pose, reobserved, model)
-        self.frames[number], self.view = current, self.view_of(accepted.images)
+        self.frames[number], self.view, self.windows = current, self.view_of(accepted.images), None
         self.frames = {k: frame for k, frame in self.frames.items() if k in kept}
         self.table.prune(np.concatenate([frame.landmark_ids for frame in self.frames.values()]))
         if begins_anchor:

@@ -472,18 +472,20 @@ class ObjectMotion:
         has_moved: whether the object was ever observed to move against the static background.
         first_motion: motion since the first frame as of the last frame, while its depth is known from boxes only.
         n_missed: frames since the last solved one.
-        n_reobserved: frames in which a missing object was detected, but not well enough to accept the pose.
         is_lost: whether the predicted pose is no longer usable.
         is_background_only: whether in the current frame only features that never moved agreed with a pose.
+        hypothesis: world_from_object by which a missing object was relocalized, to be confirmed in the next frame.
+        next_hypothesis: number of missed frames from which on the next one may be confirmed.
     """
 
     velocity: MotionModel = field(default_factory=MotionModel)
     has_moved: bool = False
     first_motion: RigidTransform | None = None
     n_missed: int = 0
-    n_reobserved: int = 0
     is_lost: bool = False
     is_background_only: bool = False
+    hypothesis: RigidTransform | None = None
+    next_hypothesis: int = 0
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,272 @@
+"""Search for a lost object: near the prediction or anywhere, with bounded work per frame.
+
+A lost frame must not cost much more than a tracked one, so that live tracking is not late when the object returns. Nearly
+all of a search is the detection of features, whose time is proportional to the number of pixels. So each lost frame
+examines one region per camera, downscaled to `SEARCH_PIXELS`, in an order that depends on images and frame numbers only:
+
+1. While the pose can be predicted, every other frame: the object's region at the predicted pose.
+2. Else a window as large as the object (`features.search_windows`), in turn the one that has changed most and the one
+   searched longest ago.
+3. After a pose was found, but not confirmed: its region in all cameras.
+
+The features are matched with some keyframes, in rotation (`relocalize`), and the pose is solved again from the result.
+During live tracking `search_clock` limits the pixels further.
+
+The search with all features takes as long as several usual ones. It is only done for objects whose tracked frames take
+as long: those that jump.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from sylpose.absolute_pose.pose import estimate_pose
+from sylpose.features.sift import Features, match_features
+from sylpose.rig import Rig
+from sylpose.status import Status
+from sylpose.tracking.camera_side.camera import CameraTracker
+from sylpose.tracking.camera_side.frame import CameraFrame, DetectedFeatures
+from sylpose.tracking.context import Context, Frame
+from sylpose.tracking.joint_side.joint_state import JointState, SolvedFrame, find_nearest_views
+from sylpose.tracking.pose_search import (
+    SearchResult,
+    detect_in_regions,
+    find_pose,
+    find_pose_with_all_features,
+    is_jumping,
+    is_near_start,
+    is_weakly_supported,
+)
+from sylpose.tracking.reports import RelocalizationMatches
+
+# Pixels per camera examined in a lost frame: SIFT takes 0.4 us for each, a frame tracked by KLT 10 ms for a camera
+# (measured: benchmarks/lost_frames.py) (choice).
+SEARCH_PIXELS = 50_000
+# The same where the object is likely: in the first lost frame, and where it was relocalized, but not
+# confirmed, in the previous frame; the latter at most once in so many frames
+# (choice: as long as a tracked frame with new features takes, on the average half a search).
+LIKELY_PIXELS, HYPOTHESIS_INTERVAL = 4 * SEARCH_PIXELS, 8
+# Number of keyframes compared per camera and frame: those nearest to its last viewpoint, and others from all sides in
+# rotation (choice).
+N_NEAREST_KEYFRAMES, N_OTHER_KEYFRAMES = 3, 3
+# Successive multiples of it, modulo 1, are spread evenly (derived).
+GOLDEN_RATIO = 0.5 * (1.0 + np.sqrt(5.0))
+# Largest depth standard deviation of a relocalized landmark, as a share of the object's radius (choice).
+MAX_DEPTH_SD_RATIO = 0.3
+# Minimum number of inliers of a relocalized pose: a body of the same outline in the same place, or an unknown side of
+# the object, gives about twenty, the object itself hundreds (measured: tests/tracking/test_relocalization.py) (choice).
+MIN_INLIERS = 24
+MAX_ERROR_PX = 8.0
+# Largest ratio of the descriptor distances to the best and the second-best match. The robust pose solver tolerates half of
+# the matches being wrong (measured: benchmarks/features.py) (choice).
+DESCRIPTOR_RATIO = 0.9
+
+
+def search_lost_object(
+    context: Context, state: JointState, frame: Frame, predicted_pose: RigidTransform
+) -> SearchResult:
+    """Search for an object that was missed in the previous frame.
+
+    A pose is accepted only if solving again from it confirms it.
+
+    Args:
+        frame: without regions.
+        predicted_pose: predicted world_from_object.
+    """
+    # Before its first motion it may be nearby.
+    has_prediction = not state.motion.is_lost or not state.motion.velocity.n_frames
+    is_costly, candidate = has_prediction and is_jumping(state), None
+    if is_costly and context.share_of_search("all features") >= 1.0:
+        with context.measure_search("all features", 1.0):
+            state, candidate = _search_thoroughly(context, state, frame, predicted_pose)
+    if candidate is not None:
+        return state, candidate
+    near_pose = predicted_pose if has_prediction and not is_costly else None
+    # A known object is searched for from the first frame on, in the whole images.
+    is_likely = state.motion.hypothesis is not None or state.motion.n_missed == 1
+    kind, n_pixels = ("likely region", LIKELY_PIXELS) if is_likely else ("region", SEARCH_PIXELS)
+    share = context.share_of_search(kind)
+    if not share:
+        return state, None
+    with context.measure_search(kind, share):
+        if state.motion.hypothesis is not None:
+            return _search_at_hypothesis(context, state, frame, round(share * n_pixels))
+        return _search_next_region(context, state, frame, near_pose, round(share * n_pixels))
+
+
+def _search_next_region(
+    context: Context, state: JointState, frame: Frame, predicted_pose: RigidTransform | None, max_pixels: int
+) -> SearchResult:
+    """Search the next region of each camera's image.
+
+    Args:
+        predicted_pose: predicted world_from_object, near which every other frame is searched; None: search anywhere.
+        max_pixels: number of pixels per camera.
+    """
+    n, candidate = state.motion.n_missed, None
+    is_near, count = predicted_pose is not None and n % 2 == 1, n if predicted_pose is None else n // 2
+    if is_near and predicted_pose is not None:
+        frame = replace(frame, regions=context.project_regions(state, predicted_pose))
+        features = context.detect(frame, faint=state.is_feature_poor, max_pixels=max_pixels)
+        current = context.with_features(frame, features)
+        state, near = find_pose(context, state, current, predicted_pose)
+        if near is not None:
+            state, candidate = _confirm_pose(context, state, frame, features, near.pose)
+    else:
+        features = _detect_in_windows(context, state, frame, count, max_pixels)
+    if candidate is not None:
+        return state, candidate
+    return _confirm_relocalized(context, state, frame, features, count)
+
+
+def _search_at_hypothesis(context: Context, state: JointState, frame: Frame, max_pixels: int) -> SearchResult:
+    """Search where the previous frame indicated the object, in all cameras, with more pixels."""
+    assert state.motion.hypothesis is not None
+    frame = replace(frame, regions=context.project_regions(state, state.motion.hypothesis))
+    features = context.detect(frame, faint=False, max_pixels=max_pixels)
+    motion = replace(state.motion, next_hypothesis=state.motion.n_missed + HYPOTHESIS_INTERVAL, hypothesis=None)
+    return _confirm_relocalized(context, replace(state, motion=motion), frame, features, state.motion.n_missed)
+
+
+def _confirm_relocalized(
+    context: Context, state: JointState, frame: Frame, features: Sequence[Features], count: int
+) -> SearchResult:
+    """Relocalize the object and confirm the pose, or leave it to the next frame as a hypothesis."""
+    pose = relocalize(context, state, context.with_features(frame, features), count)
+    if pose is None:
+        return state, None
+    state, candidate = _confirm_pose(context, state, frame, features, pose)
+    if candidate is None and state.motion.n_missed >= state.motion.next_hypothesis:
+        state = replace(state, motion=replace(state.motion, hypothesis=pose))
+    return state, candidate
+
+
+def _search_thoroughly(
+    context: Context, state: JointState, frame: Frame, predicted_pose: RigidTransform
+) -> SearchResult:
+    """Search near the prediction at full resolution, with the usual features and with all."""
+    frame = replace(frame, regions=context.project_regions(state, predicted_pose))
+    current, candidate = detect_in_regions(context, state, frame, predicted_pose), None
+    state, near = find_pose(context, state, current, predicted_pose)
+    if near is not None:
+        state, candidate = _confirm_pose(context, state, frame, current.features, near.pose)
+    if candidate is None:
+        state, near = find_pose_with_all_features(context, state, frame, predicted_pose)
+        if near is not None:
+            state, candidate = _confirm_pose(context, state, frame, near.frame.features, near.pose)
+    return state, candidate
+
+
+def _detect_in_windows(
+    context: Context, state: JointState, frame: Frame, count: int, max_pixels: int
+) -> list[Features]:
+    """Detect features in the next window of each camera's image; per camera, local.
+
+    Args:
+        count: number of searches of windows since the object was lost.
+        max_pixels: number of pixels per camera.
+    """
+    sides = [2.0 * radius for radius in context.object_radius_px(state, state.last.world_from_object)]
+    search = partial(CameraTracker.search_window, images=frame.images, oldest=count % 2 == 0, max_pixels=max_pixels)
+    return context.executor.run(search, context.cameras, [sides[c] for c in context.executor.local])
+
+
+def _confirm_pose(
+    context: Context, state: JointState, frame: Frame, features: Sequence[Features], pose: RigidTransform
+) -> SearchResult:
+    """Solve the frame again from a relocalized pose, with features inside the object's region only.
+
+    Args:
+        features: per camera, local: those detected.
+        pose: world_from_object.
+    """
+    regions = context.project_regions(state, pose)
+    inside = [
+        own.subset(camera.find_inside(own, region))
+        for camera, own, region in zip(context.cameras, features, regions, strict=True)
+    ]
+    frame = context.with_features(replace(frame, regions=regions, tracked=None, has_new_features=True), inside)
+    state, candidate = find_pose(context, state, frame, pose)
+    if candidate is None or not is_near_start(state, candidate, pose) or is_weakly_supported(context, state, candidate):
+        return state, None
+    return state, candidate
+
+
+# --- relocalization ---------------------------------------------------------------------------------------------------
+
+
+def relocalize(context: Context, state: JointState, frame: Frame, count: int) -> RigidTransform | None:
+    """Relocalize the object from the keyframes' landmarks alone.
+
+    Args:
+        frame: with the features of the examined windows.
+        count: number of searches since the object was lost; each uses other keyframes.
+
+    Returns:
+        world_from_object; None if not found.
+    """
+    keyframes = [select_keyframes(state.frames.keyframes, c, state.last, count) for c in context.executor.local]
+    match = partial(_match_keyframes_of, radius=state.object.radius)
+    matches = context.executor.run(match, context.cameras, keyframes, frame.cameras)
+    return estimate_relocalized_pose(context.rig, context.executor.gather(matches, RelocalizationMatches()))
+
+
+def _match_keyframes_of(
+    camera: CameraTracker, keyframes: Sequence[SolvedFrame], current: CameraFrame, radius: float
+) -> RelocalizationMatches:
+    """Match a camera's features with its keyframes; record what was detected."""
+    found = match_keyframes([camera.frames[k.number] for k in keyframes], current, radius)
+    if not len(camera.detections.rejected):
+        camera.detections = DetectedFeatures(current.features.pixels, found.pixels)
+    return found
+
+
+def match_keyframes(keyframes: Sequence[CameraFrame], current: CameraFrame, radius: float) -> RelocalizationMatches:
+    """Match a camera's features with the landmarks of its keyframes.
+
+    Args:
+        current: with the examined features.
+        radius: of the object.
+    """
+    points, pixels = [np.empty((0, 3))], [np.empty((0, 2))]
+    for keyframe in keyframes:
+        features, landmarks = keyframe.features, keyframe.landmarks
+        is_usable = (landmarks.depth_sd < MAX_DEPTH_SD_RATIO * radius) & ~keyframe.background
+        index = match_features(features.subset(is_usable), current.features, DESCRIPTOR_RATIO)
+        points.append(landmarks.mean[is_usable][index[:, 0]])
+        pixels.append(current.features.pixels[index[:, 1]])
+    # A feature matched in several keyframes counts once.
+    _, first = np.unique(np.round(np.concatenate(pixels), 1), axis=0, return_index=True)
+    return RelocalizationMatches(np.concatenate(points)[first], np.concatenate(pixels)[first])
+
+
+def estimate_relocalized_pose(rig: Rig, records: Sequence[RelocalizationMatches]) -> RigidTransform | None:
+    """Estimate world_from_object from all cameras' matches; None with too few inliers."""
+    points, pixels = [record.points for record in records], [record.pixels for record in records]
+    pose = estimate_pose(rig, points, pixels, max_error_px=MAX_ERROR_PX)
+    usable = (Status.OK, Status.NOT_CONVERGED) if len(rig) > 1 else (Status.OK, Status.SCALE_NOT_OBSERVABLE)
+    if pose.status not in usable or pose.motion is None or pose.n_inliers.sum() < MIN_INLIERS:
+        return None
+    return pose.motion
+
+
+def select_keyframes(keyframes: Sequence[SolvedFrame], camera: int, last: SolvedFrame, count: int) -> list[SolvedFrame]:
+    """Select the keyframes to compare a camera's image with.
+
+    Args:
+        keyframes: in order of time.
+        last: the last solved frame.
+        count: number of searches since the object was lost; each uses other keyframes.
+    """
+    nearest = find_nearest_views(keyframes, camera, last.viewpoints[camera], N_NEAREST_KEYFRAMES)
+    tried = {k.number for k in nearest}
+    others = [k for k in keyframes if k.is_visible[camera] and k.number not in tried]
+    # Successive searches use keyframes far from each other, so that all sides are covered after a few.
+    stride = max(len(others) // N_OTHER_KEYFRAMES, 1)
+    order = np.argsort(np.argsort(np.arange(stride) * GOLDEN_RATIO % 1.0))
+    return nearest + others[order[count % stride] :: stride]

@@ -1,0 +1,75 @@
+"""Time for a search during live tracking: no pose is more than two frame intervals late because of one.
+
+Lateness is measured on the local clock, against the earliest frame so far. What does not fit is left to the
+next frames. Recordings are tracked without a clock, so that their results do not depend on the machine's speed.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import numpy as np
+
+# A search may delay a pose by so many frame intervals (choice: the promise of docs/live.md).
+MAX_LATE_INTERVALS = 2.0
+# Number of frames over which the interval is measured (choice: two seconds).
+N_RECENT = 64
+# The clocks of cameras and of this computer drift apart by at most this share (choice: twice that of usual crystals).
+MAX_DRIFT = 2e-4
+# Quantile of the recent differences between frame times that is the interval: dropped frames lengthen them (choice).
+INTERVAL_QUANTILE = 0.25
+# Seconds that a search is assumed to take before one was measured (choice: several times that of a desktop computer).
+ASSUMED_SECONDS = 0.1
+# A search is not worth doing on fewer than this share of its pixels (choice).
+MIN_SHARE = 0.25
+# Where a search would make even a punctual frame late, its duration is forgotten at this rate per frame, as the machine
+# may have been busy: it is tried again after a second or two (choice).
+FORGETTING = 0.98
+
+
+class SearchClock:
+    """Measures how long searches take, and whether one still fits before a frame is late.
+
+    Args:
+        clock: monotonic time, seconds.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._seconds: dict[str, float] = {}
+        self._times: deque[float] = deque(maxlen=N_RECENT)
+        self._least_delay = self._allowance = np.inf
+        self._deadline = np.inf
+
+    def begin_frame(self, frame_time: float) -> None:
+        """Begin the next frame, whose images are of this time, seconds."""
+        elapsed = frame_time - self._times[-1] if self._times else 0.0
+        self._times.append(frame_time)
+        self._least_delay = min(self._least_delay + MAX_DRIFT * abs(elapsed), self._clock() - frame_time)
+        intervals = np.diff(self._times)
+        if (intervals > 0).any():
+            interval = float(np.quantile(intervals[intervals > 0], INTERVAL_QUANTILE))
+            self._allowance = MAX_LATE_INTERVALS * interval
+            self._deadline = frame_time + self._least_delay + self._allowance
+
+    def share(self, kind: str) -> float:
+        """Return the share of a search's pixels for which there is time: 0, or `MIN_SHARE` to 1.
+
+        Args:
+            kind: of the search; each has its own duration.
+        """
+        seconds = self._seconds.get(kind, ASSUMED_SECONDS)
+        if MIN_SHARE * seconds > self._allowance:
+            self._seconds[kind] = FORGETTING * seconds
+        share = (self._deadline - self._clock()) / seconds
+        return 0.0 if share < MIN_SHARE else min(share, 1.0)
+
+    @contextmanager
+    def measure(self, kind: str, share: float) -> Iterator[None]:
+        """Measure a search on this share of its pixels."""
+        begin = self._clock()
+        yield
+        self._seconds[kind] = max((self._clock() - begin) / share, 1e-9)
