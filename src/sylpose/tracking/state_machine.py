@@ -84,7 +84,7 @@ def track_frame(context: Context, state: JointState, frame: Frame) -> FrameResul
         state, candidate = find_pose(context, state, frame, predicted_pose)
     if candidate is None or is_weakly_supported(context, state, candidate):
         fallback = None
-        is_costly = is_fast(state, predicted_pose) or (state.is_feature_poor and candidate is not None)
+        is_costly = state.is_feature_poor or is_fast(state, predicted_pose)
         if is_costly and context.share_of_search("all features") >= 1.0:
             with context.measure_search("all features", 1.0):
                 state, fallback = find_pose_with_all_features(context, state, frame, predicted_pose)
