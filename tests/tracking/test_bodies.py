@@ -138,7 +138,7 @@ def test_of_two_bodies_none_is_tracked_silently() -> None:
 
 def test_bodies_that_move_one_after_the_other_are_two() -> None:
     """They never move in the same window, and each rests in sight while the other moves."""
-    clip = render_successive(12)
+    clip = render_successive(30, frames=48)
     candidates = find_candidates(clip.rig, windows_of(clip.frames()))
     assert len(candidates) == 2
     larger, smaller = candidates

@@ -242,10 +242,13 @@ def _search_window(context: Context, frames: Sequence[FrameSet], gap: int) -> tu
         significant = [motion for motion in motions if motion.is_significant]
         # Two motions may not be separable over some times: a mixed fit is worse than one without a second body.
         n_others = sum(motion.n_inliers for motion in significant[1:]) - any(m.fit.is_mixed for m in significant)
-        if significant and (not best or n_others >= max_others):
+        is_enough = bool(best) and best[0].motion.displacement_px > MIN_FIRST_MOTION_PX
+        if significant and (not best or n_others >= max_others + is_enough):
             best, best_gap, max_others = [WindowBody(last, motion) for motion in motions], g, n_others
             best_pairs = pairs
-        if n_others >= 0 and best and best[0].motion.displacement_px > MIN_FIRST_MOTION_PX:
+        # A second body may be slower than the largest one.
+        limit = MIN_FIRST_MOTION_PX if max_others > 0 else MAX_DISPLACEMENT_PX
+        if n_others >= 0 and best and best[0].motion.displacement_px > limit:
             break
     is_far = bool(best) and best[0].motion.displacement_px > MAX_DISPLACEMENT_PX
     window = Window(first, best, _compare_cameras(context, best_pairs, best))
