@@ -34,7 +34,6 @@ from sylpose.tracking.context import TrackedFrame
 from sylpose.tracking.joint_side.joint_state import Nudge, inherit_covariance
 from sylpose.tracking.known_object import TransferredObject
 from sylpose.tracking.reports import quantize_positions
-from sylpose.tracking.window import find_alternative_path
 
 # Landmarks with fewer observations contain little information on the motion, and biased: features that slide along an
 # edge or were mismatched are soon lost. They are used, the longer tracks first, by frames with fewer than so many
@@ -169,9 +168,7 @@ def smooth(
         on_iteration=on_iteration,
     )
     extended = replace(observations, camera=camera)
-    # Fixed frames belong to no path and determine the surface.
-    alternative = None if is_fixed.any() else find_alternative_path(extended_rig, extended, start, radius)
-    result = bundle_adjust_with_scale(extended_rig, extended, start, radius, options, alternative_start=alternative)
+    result = bundle_adjust_with_scale(extended_rig, extended, start, radius, options)
     if result.status is not Status.OK:  # no estimate: everything remains as tracked
         poses = _extend_contradiction(poses, frames)
         return SmoothedTrajectory(tuple(poses), result.status, zeros, zeros, result.sigma_px[:n], result.iterations)

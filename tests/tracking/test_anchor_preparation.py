@@ -17,7 +17,7 @@ from sylpose.geometry.future import BackgroundResult
 from sylpose.tracking import anchor_preparation
 from sylpose.tracking.camera_side.camera import CameraTracker
 from sylpose.tracking.context import TrackedFrame
-from sylpose.tracking.joint_side.joint_state import JOIN_DELAY, JointState, SolvedFrame
+from sylpose.tracking.joint_side.joint_state import RESULT_DELAY, JointState, SolvedFrame
 from sylpose.tracking.joint_side.joint_state import RESULT_DELAY as REFINED_LATER
 from sylpose.tracking.tracker import Tracker
 from tests.clips import Clip, compute_pose_errors, frame_sets, make_rotated_pose, moving_scene
@@ -58,8 +58,8 @@ def test_next_anchor_joins_after_fixed_delay(tracked_and_states: tuple[list[Trac
         ):
             assert after.frames.anchor is not None
             assert after.frames.anchor.frame.number == before.frames.next_anchor_number
-            assert after.last.number == before.frames.next_anchor_number + JOIN_DELAY
-            assert after.frames.anchor.age == JOIN_DELAY
+            assert after.last.number == before.frames.next_anchor_number + RESULT_DELAY
+            assert after.frames.anchor.age == RESULT_DELAY
             joined += 1
     assert joined >= 2
     # From then on no detection in the foreground is needed while the object is visible: no frame is its own anchor.

@@ -12,6 +12,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose.features.sift import Features
 from sylpose.geometry.arrays import Image
 from sylpose.landmarks.landmark_filter import LandmarkTable, initialize_landmarks
+from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.rig import Camera
 from sylpose.simulate import Actor, arc, make_demo_scene, render_frames
 from sylpose.status import FrameStatus
@@ -25,7 +26,7 @@ from sylpose.tracking.camera_side.frame import (
 from sylpose.tracking.context import Context, LocalExecutor
 from sylpose.tracking.first_motion import FirstMotion, estimate_first_motion, estimate_jitter, is_continuing_motion
 from sylpose.tracking.initialization import MAX_BUFFERED_FRAMES
-from sylpose.tracking.joint_side.joint_state import MIN_MOVED_FEATURES, JointState, ObjectMotion
+from sylpose.tracking.joint_side.joint_state import JointState, ObjectMotion
 from sylpose.tracking.reports import PoseAgreement
 from sylpose.tracking.tracker import track
 from tests.clips import HALF_DEGREE, SIZE, Clip, compute_pose_errors, frame_sets, prepend_rest, statuses
@@ -137,7 +138,7 @@ def test_static_features_support_no_pose_after_motion() -> None:
     assert before.is_motion_verified(board)
     # Motion in front of one of several cameras is not enough; a single camera cannot be checked against others.
     assert not before.is_motion_verified([make_agreement(80, 60), make_agreement(70, 0)])
-    assert before.is_motion_verified([make_agreement(80, MIN_MOVED_FEATURES)])
+    assert before.is_motion_verified([make_agreement(80, MIN_MATCHES)])
 
 
 # --- rendered

@@ -12,7 +12,6 @@ from sylpose.geometry.arrays import Image
 from sylpose.rig import Camera, Rig
 from sylpose.simulate import Actor, chamfered_box
 from sylpose.status import FrameStatus
-from sylpose.tracking.map_update import find_muted_cameras
 from sylpose.tracking.tracker import track
 from tests.clips import (
     BLACK,
@@ -196,20 +195,3 @@ def test_unknown_side_is_rejected() -> None:
     tracked = list(track(clip.frames(), clip.rig, clip.boxes))
     assert statuses(tracked[1:6]) == [FrameStatus.TRACKED] * 5
     assert set(statuses(tracked[6:])) <= {FrameStatus.COASTING, FrameStatus.LOST, FrameStatus.BACKGROUND_ONLY}
-
-
-@pytest.mark.parametrize(
-    ("doubt", "silent"),
-    [
-        ([1.0, 71.0, 1.0, 1.0], [False, True, False, False]),
-        ([1.0, 71.0, 40.0, 1.0], [False, True, True, False]),
-        # The last camera would confirm its own observations.
-        ([71.0, 37.0, 61.0, 7.0], [False] * 4),
-        ([np.nan, 37.0, 61.0, 7.0], [False] * 4),
-        ([np.nan, 2.0, np.inf, 7.0], [False, False, True, False]),
-        ([50.0], [False]),
-    ],
-)
-def test_majority_of_cameras_is_never_muted(doubt: list[float], silent: list[bool]) -> None:
-    on_it = ~np.isnan(doubt)
-    assert find_muted_cameras(np.array(doubt), on_it).tolist() == silent

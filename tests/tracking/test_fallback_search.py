@@ -73,7 +73,7 @@ def test_usual_search_with_low_contrast_features(low_contrast_clip: Clip, monkey
     tracked = list(track(low_contrast_clip.frames(), low_contrast_clip.rig, low_contrast_clip.boxes, features="sift"))
     assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * (FRAMES - 1)
     assert compute_pose_errors(tracked, low_contrast_clip.truth)[:, 0].max() < 2.0
-    monkeypatch.setattr(initialization, "MIN_CENTER_FEATURES", 0)
+    monkeypatch.setattr(initialization, "MIN_STRONG_INLIERS", 0)
     monkeypatch.setattr(joint_module, "MIN_STRONG_INLIERS", 0)
     tracked = list(track(low_contrast_clip.frames(), low_contrast_clip.rig, low_contrast_clip.boxes, features="sift"))
     assert statuses(tracked).count(FrameStatus.TRACKED) < FRAMES - 1

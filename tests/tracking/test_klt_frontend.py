@@ -13,10 +13,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose.features.klt import start_tracks
 from sylpose.features.sift import Features
 from sylpose.geometry.arrays import BoolArray, FloatArray, Image
-from sylpose.landmarks.landmark_filter import LandmarkTable, initialize_landmarks
+from sylpose.landmarks.landmark_filter import KNOWN_DEPTH_RATIO, LandmarkTable, initialize_landmarks
 from sylpose.rig import Camera
 from sylpose.tracking.camera_side.camera import (
-    MAX_DEPTH_SD_RATIO,
     MAX_TRACKED,
     MIN_NEW_FEATURES,
     MIN_TRACK_DISTANCE_PX,
@@ -405,7 +404,7 @@ def test_missing_images_or_features_keep_tracks(missing: str) -> None:
 
 @pytest.mark.parametrize(("share", "found"), [(0.9, True), (1.1, False)])
 def test_lost_features_with_known_depth_are_searched_again(share: float, found: bool) -> None:
-    anchor = make_anchor(depth_sd=share * MAX_DEPTH_SD_RATIO * RADIUS)
+    anchor = make_anchor(depth_sd=share * KNOWN_DEPTH_RATIO * RADIUS)
     lost = np.zeros(60, bool)
     lost[::2] = True
     anchor = replace(anchor, tracks=anchor.tracks.keep(~lost))

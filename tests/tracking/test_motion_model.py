@@ -15,7 +15,6 @@ from sylpose.tracking.joint_side.joint_state import (
     AVERAGING_FRAMES,
     MAX_PREDICTION_ERROR,
     MIN_INTERVAL_RATIO,
-    MIN_STEADY_FRAMES,
     PREDICTION_SDS,
     MotionModel,
 )
@@ -37,7 +36,7 @@ def about_center(turn: FloatArray, translation: FloatArray) -> RigidTransform:
     return RigidTransform.from_components(CENTER + translation - rotation.apply(CENTER), rotation)
 
 
-def make_steady_model(frames: int = MIN_STEADY_FRAMES) -> MotionModel:
+def make_steady_model(frames: int = AVERAGING_FRAMES) -> MotionModel:
     """At TWIST, which changes by 0.01 rad/s and 0.002 length units/s per frame, in one direction each."""
     return MotionModel(TWIST, np.array([0.0, 0.01, 0.0, 0.0, 0.0, 0.002]) ** 2, frames, DT)
 
@@ -98,7 +97,7 @@ def test_update_does_not_modify_old_model() -> None:
     assert forgotten is not old
     for a, b in zip((old.twist, old.change_variance), before, strict=True):
         np.testing.assert_array_equal(a, b)
-    assert (old.n_frames, old.interval) == (MIN_STEADY_FRAMES, DT)
+    assert (old.n_frames, old.interval) == (AVERAGING_FRAMES, DT)
     with pytest.raises(FrozenInstanceError):
         old.n_frames = 0  # type: ignore[misc]
 
@@ -210,7 +209,7 @@ def test_covariance_is_variance_of_next_motion() -> None:
 # --- fusion with the prediction
 
 
-@pytest.mark.parametrize(("frames", "counts"), [(0, False), (MIN_STEADY_FRAMES - 1, False), (MIN_STEADY_FRAMES, True)])
+@pytest.mark.parametrize(("frames", "counts"), [(0, False), (AVERAGING_FRAMES - 1, False), (AVERAGING_FRAMES, True)])
 def test_prediction_is_used_after_steady_frames(frames: int, counts: bool) -> None:
     velocity = make_steady_model(frames)
     rotation, translation = add_error(velocity, np.full(6, 1e-4))

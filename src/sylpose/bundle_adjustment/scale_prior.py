@@ -62,8 +62,6 @@ def bundle_adjust_with_scale(
     world_from_object: RigidTransform,
     radius: float,
     options: BundleOptions = DEFAULT_OPTIONS,
-    *,
-    alternative_start: RigidTransform | None = None,
 ) -> BundleResult:
     """Run `bundle_adjust`, with a scale prior if the path's length is not observable.
 
@@ -71,13 +69,8 @@ def bundle_adjust_with_scale(
 
     Args:
         rig, observations, world_from_object, radius, options: as of `bundle_adjust`.
-        alternative_start: another initial path, which may be more likely.
     """
     result, alternative_covariance = _bundle_from_two_starts(rig, observations, world_from_object, radius, options)
-    if alternative_start is not None:
-        alternative = bundle_adjust(rig, observations, alternative_start, radius, replace(options, landmarks=None))
-        if _is_better(alternative, result, observations):
-            result, alternative_covariance = alternative, np.zeros_like(alternative_covariance)
     fixed_mask = resolve_fixed_frames(options.fixed, len(alternative_covariance))
     start = relocalize_lost_frames(rig, observations, result, fixed_mask)
     if start is not None:

@@ -10,6 +10,7 @@ import typer
 
 from sylpose.commands.app import CommandOptions, app, command, option
 from sylpose.commands.options import PlotFormat
+from sylpose.landmarks.landmark_filter import KNOWN_DEPTH_RATIO
 from sylpose.units import INITIAL_DISTANCES, METERS
 
 if TYPE_CHECKING:
@@ -57,7 +58,7 @@ def show(options: ShowOptions) -> None:
     rows = []
     for name, memory in known._cameras.items():
         sd = memory.landmarks.depth_sd
-        precise = sd[sd < object_frames.MAX_DEPTH_SD_RATIO * known.radius]
+        precise = sd[sd < KNOWN_DEPTH_RATIO * known.radius]
         views = sum(len(features) > 0 for features in memory.features)
         median_sd = format_length(float(np.median(precise)), known.unit) if len(precise) else "-"
         rows.append([name, str(len(sd)), str(len(precise)), median_sd, str(views)])

@@ -19,6 +19,7 @@ import numpy as np
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.matrices import essential_matrix, sampson_scale
 from sylpose.geometry.robust_loss import chi_squared_bound
+from sylpose.matches import MAX_STATIC_PX
 from sylpose.moments import PairMoments
 from sylpose.relative_pose.camera_evidence import (
     EXPECTED_RATIO,
@@ -29,7 +30,7 @@ from sylpose.relative_pose.camera_evidence import (
     measure_excess,
     transfer_motion,
 )
-from sylpose.relative_pose.terms import FAR_MOTION_PX, Fit, Solution, TermData, TermSolver
+from sylpose.relative_pose.terms import Fit, Solution, TermData, TermSolver
 from sylpose.status import Status
 from sylpose.sylvester.camera_faults import find_faulty_cameras
 
@@ -86,7 +87,7 @@ def _is_small(data: Sequence[TermData], fit: Fit) -> bool:
     moved = [
         term.focal * np.linalg.norm((term.y - term.x)[w > 0], axis=1) for term, w in zip(data, fit.weights, strict=True)
     ]
-    return fit.static_ratio > 0.0 and not float(np.median(np.concatenate(moved))) > FAR_MOTION_PX
+    return fit.static_ratio > 0.0 and not float(np.median(np.concatenate(moved))) > MAX_STATIC_PX
 
 
 def _remove_cameras(data: Sequence[TermData], solution: Solution, solve: TermSolver) -> tuple[list[int], _Agreement]:

@@ -29,7 +29,7 @@ from sylpose.relative_pose.match_cost import (
     make_match_equations,
     make_term,
 )
-from sylpose.relative_pose.terms import DEPTH_MODEL_SIZE, Candidate, Stack, apply_step, copy_into
+from sylpose.relative_pose.terms import DEPTH_MODEL_SIZE, MIN_MATCHES, Candidate, Stack, apply_step, copy_into
 
 # Cutoff of d: 94 % efficient with Gaussian noise in both directions, where d² is chi-squared with two degrees of
 # freedom (choice); the resulting deficits of the weighted mean square and of the information (derived).
@@ -91,7 +91,7 @@ MIN_RESIDUAL_DEPTH_RATIO = 1e-3
 INDEPENDENT_MATCHES = 6.0
 # A camera with at least so many matches of which fewer than this share agree is excluded; junk alone reaches about a
 # tenth. This requires another camera with high agreement, or it is undecided which one is right (choice).
-MIN_JUDGED_MATCHES, CAMERA_MIN_SHARE = 6, 0.3
+CAMERA_MIN_SHARE = 0.3
 HIGH_AGREEMENT = 2.0 * CAMERA_MIN_SHARE
 
 
@@ -434,7 +434,7 @@ def _exclude_terms(stack: Stack, usable: InlierPrior, weights: FloatArray, activ
         for i in range(stack.offsets[t], stack.offsets[t + 1]):
             usable_mass += usable[i]
             agreeing_mass += usable[i] if weights[i] > 0.0 else 0.0
-        if usable_mass >= MIN_JUDGED_MATCHES:
+        if usable_mass >= MIN_MATCHES:
             share[t] = agreeing_mass / usable_mass
             best = max(best, share[t])
     for t in range(n):

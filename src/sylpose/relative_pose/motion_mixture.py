@@ -23,8 +23,10 @@ import numpy as np
 
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.numba_linalg import kernel, so3_exp, so3_log
+from sylpose.matches import MAX_STATIC_PX
 from sylpose.relative_pose.irls import (
     CUTOFF,
+    MISMATCH_RANGE,
     SIGMA_FLOOR_PX,
     IrlsFit,
     make_empty_irls_fit,
@@ -41,14 +43,12 @@ from sylpose.relative_pose.observability import is_consistent
 from sylpose.relative_pose.robust_fit import RefinedMinima, RobustFit, draw_and_fit
 from sylpose.relative_pose.terms import MIN_MATCHES, Candidate, InitialMotions, Stack, copy_into
 
-# With this probability a match is anywhere in a square of so many spreads (choice).
-MISMATCH_RANGE, MISMATCH_PROBABILITY = 4.0, 0.05
+# Probability of a mismatch (choice).
+MISMATCH_PROBABILITY = 0.05
 # Number of image neighbors that a match's residual is compared with, and maximum number of matches per camera (choice).
 N_NEIGHBORS, MAX_COMPARED = 3, 120
 # Least weight for the comparison; matches below may belong to another motion (choice).
 MIN_COMPARED_WEIGHT = 0.3
-# Cameras with fewer matches are skipped (choice).
-MIN_JUDGED_MATCHES = 8
 # Residuals are correlated if their correlation exceeds zero by so many standard deviations, of about 1.3 (measured: 150
 # scenes of each of ten settings of benchmarks/nees.py, 4.2 at most), and the second value: with many matches, small
 # calibration errors are detected too (choice).
@@ -87,7 +87,7 @@ def correlate_neighbors(stack: Stack, fit: IrlsFit) -> tuple[float, float, float
                     k -= 1
                 index[k], u[k], v[k] = i, stack.x[i, 0], stack.x[i, 1]
                 n += 1
-        if n < MIN_JUDGED_MATCHES:
+        if n < MIN_MATCHES:
             continue
         for k in range(n):
             i = index[k]
@@ -218,9 +218,8 @@ def fit_motion_mixture(
 MIN_MOVED_SQUARE, MAX_MOVED_SQUARE, MAX_CHANCE_SHARE, MIN_MOVED_MATCHES = 9.2, 200.0, 0.03, 6
 # A background is assumed possible if at least this share of the matches may be static (choice).
 MIN_BACKGROUND_SHARE = 0.08
-# Larger displacements are not static whatever the noise; those beyond the second value are ignored by the static model,
-# pixels (choice).
-MAX_STATIC_PX, MAX_MODELED_PX = 6.0, 18.0
+# Displacements beyond this are ignored by the static model, pixels (choice).
+MAX_MODELED_PX = 18.0
 # Bounds of the noise of static matches, pixels, and of their share of all matches, some of which are mismatches
 # (choice).
 SIGMA_RANGE_PX, SHARE_RANGE = (0.02, 3.0), (1e-3, 0.999 - MISMATCH_PROBABILITY)

@@ -17,6 +17,7 @@ from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.numba_linalg import compute_median, kernel
 from sylpose.matches import STATIC_PX
 from sylpose.relative_pose.faulty_cameras import solve_subset
+from sylpose.relative_pose.motion_mixture import MAX_COMPARED
 from sylpose.relative_pose.solver import fit_two_motions
 from sylpose.relative_pose.terms import MIN_MATCHES, Solution, TermData, TermSolver
 from sylpose.status import Status
@@ -27,12 +28,8 @@ MIN_OUTLIER_RATIO, MIN_BODY_RATIO = 0.1, 0.25
 # Neighbors move alike if their displacements differ by less than this share of the difference between any two matches,
 # in the median: mismatches have about 1 ± 0.2 (choice).
 MAX_NEIGHBOR_RATIO = 0.5
-# Maximum number of matches compared per camera (choice).
-MAX_COMPARED = 100
 # If the first motion keeps its matches except for this share, the second keeps its own (choice).
 SAME_INLIERS_SHARE = 0.05
-# A camera sees both bodies if each has at least this share of its matches (choice).
-MIN_SHARED_RATIO = 0.1
 # A body with more than this share of the other's matches might be the object as well (choice).
 AMBIGUOUS_RATIO = 0.8
 
@@ -85,7 +82,7 @@ def select_larger_body(
         larger, probabilities = larger._replace(fit=mixture[0]), mixture[1]
         share = float(probabilities[1].sum() / probabilities[0].sum())
         # A faulty camera has most of its matches on one side; a second body must share those of at least two cameras.
-        is_shared = probabilities.min(axis=0) > MIN_SHARED_RATIO * probabilities.sum(axis=0)
+        is_shared = probabilities.min(axis=0) > MIN_OUTLIER_RATIO * probabilities.sum(axis=0)
         has_second_body = int(is_shared.sum()) >= min_cameras
     else:
         has_second_body = _count_true(outliers) > MIN_BODY_RATIO * _count_true(inliers)

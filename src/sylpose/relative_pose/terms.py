@@ -26,13 +26,11 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.numba_linalg import apply_rotvec, compute_median, kernel, leaf, symmetric_eigen
-from sylpose.matches import STATIC_PX
+from sylpose.matches import MAX_STATIC_PX, STATIC_PX
 from sylpose.status import Status
 
 # Eight matches over all cameras leave two more equations than unknowns; fewer give no redundancy (choice).
 MIN_MATCHES = 8
-# If the moving matches of a camera are displaced by more than this, pixels, its static matches are background (choice).
-FAR_MOTION_PX = 6.0
 # Coefficients of a term's depth model. The inverse depth, in units of that of g, is α·(1, p, q, p², pq, q²) with (p, q)
 # the image position relative to the anchor, in units of the spread (derived).
 DEPTH_MODEL_SIZE = 6
@@ -532,6 +530,6 @@ def find_usable(x: FloatArray, y: FloatArray, focal: float) -> BoolArray:
         if usable[i]:
             moving[count] = displacement
             count += 1
-    if count == 0 or compute_median(moving[:count]) <= FAR_MOTION_PX:
+    if count == 0 or compute_median(moving[:count]) <= MAX_STATIC_PX:
         usable[:] = True
     return usable

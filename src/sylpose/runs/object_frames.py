@@ -35,6 +35,7 @@ from sylpose.input_limits import to_one_line
 from sylpose.io import calibration
 from sylpose.io.capture import open_session
 from sylpose.io.object_files import OBJECT_FILE, load_object
+from sylpose.landmarks.landmark_filter import KNOWN_DEPTH_RATIO
 from sylpose.results import FramePose, Trajectory
 from sylpose.rig import Camera, Rig, intersect_rays
 from sylpose.runs.view import find_calibration, read_result
@@ -43,8 +44,6 @@ from sylpose.sync.offsets import apply_offsets, find_offsets
 from sylpose.tracking.known_object import KnownObject
 from sylpose.units import INITIAL_DISTANCES
 
-# Landmarks whose depth sd is below this share of the object's radius are precise (choice).
-MAX_DEPTH_SD_RATIO = 0.1
 # Standard deviation of a clicked pixel (choice).
 CLICK_SD_PX = 1.5
 # Rays that miss each other by more than this many click sds do not see the same point (choice).
@@ -145,7 +144,7 @@ def read_object_run(path: Path, known: KnownObject) -> ObjectRun:
 
 def precise_landmarks(known: KnownObject) -> FloatArray:
     """Return the positions (n, 3) of the landmarks with a small depth sd, in the object's frame."""
-    return np.asarray(known.positions[known.depth_sd < MAX_DEPTH_SD_RATIO * known.radius])
+    return np.asarray(known.positions[known.depth_sd < KNOWN_DEPTH_RATIO * known.radius])
 
 
 def parse_point(text: str, known: KnownObject, result: ObjectRun | None) -> PickedPoint:
@@ -192,7 +191,7 @@ def _parse_numbers(word: str, n: int) -> list[float]:
 
 def _nearest_landmark(position: FloatArray, known: KnownObject) -> PickedPoint:
     """Return the landmark nearest to a position, of those with a small depth sd."""
-    precise = known.depth_sd < MAX_DEPTH_SD_RATIO * known.radius
+    precise = known.depth_sd < KNOWN_DEPTH_RATIO * known.radius
     if not precise.any():
         raise ValueError("no landmark of the object is precise enough")
     places = known.positions[precise]
@@ -299,7 +298,7 @@ def _visible_landmarks(
     view = (center_in_object - origin) / np.linalg.norm(center_in_object - origin)
     near = np.flatnonzero(views @ view > np.cos(MAX_VIEW_ANGLE)).tolist()
     landmarks = memory.landmarks.subset(np.isin(memory.landmarks.id, [n for k in near for n in memory.landmark_ids[k]]))
-    landmarks = landmarks.subset(landmarks.depth_sd < MAX_DEPTH_SD_RATIO * known.radius)
+    landmarks = landmarks.subset(landmarks.depth_sd < KNOWN_DEPTH_RATIO * known.radius)
     covariances = rotation @ np.linalg.inv(landmarks.information) @ rotation.T
     return from_learned.apply(landmarks.mean).reshape(-1, 3), covariances
 
@@ -471,7 +470,7 @@ def change_object_frame(pose: FramePose, new_from_object: RigidTransform) -> Fra
 def describe_object(known: KnownObject) -> list[tuple[str, str]]:
     """Return the labeled facts that are printed about an object."""
     precise, unit, object_frame = precise_landmarks(known), known.unit, known.frame
-    bound = format_length(MAX_DEPTH_SD_RATIO * known.radius, unit)
+    bound = format_length(KNOWN_DEPTH_RATIO * known.radius, unit)
     rotations = Rotation.concatenate([k.world_from_object.rotation for k in known._keyframes])
     angle = np.degrees((rotations * rotations[0].inv()).magnitude().max())
     counts = f"{len(known.positions)} landmarks, {len(precise)} of them with a depth sd below {bound}"

@@ -20,8 +20,7 @@ import numpy as np
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import BoolArray, FloatArray, Image
 from sylpose.io.capture import Session
-from sylpose.relative_pose.affine_ransac import find_inliers
-from sylpose.relative_pose.camera_evidence import MAX_F_RATIO, MAX_OWN_RATIO, MIN_MATCHES, QUADRUPLES
+from sylpose.relative_pose.camera_evidence import MAX_F_RATIO, MAX_OWN_RATIO, MIN_MATCHES
 from sylpose.relative_pose.rig_hypotheses import (
     MIN_PAIRS,
     CameraMatches,
@@ -35,10 +34,11 @@ from sylpose.relative_pose.rig_hypotheses import (
     summarize,
 )
 from sylpose.rig import Rig, intersect_rays
-from sylpose.tracking.camera_side.camera import MAX_SEARCH_PIXELS, CameraTracker, compute_static_px
-from sylpose.tracking.camera_side.frame import CameraFrame, find_static, match_frames
+from sylpose.tracking.bodies import find_rigid_motion
+from sylpose.tracking.camera_side.camera import MAX_SEARCH_PIXELS, CameraTracker
+from sylpose.tracking.camera_side.frame import CameraFrame, match_frames
 from sylpose.tracking.context import LocalExecutor
-from sylpose.tracking.first_motion import MAX_START_FEATURES, MIN_DISPLACEMENT_PX, estimate_jitter
+from sylpose.tracking.first_motion import MAX_START_FEATURES
 from sylpose.tracking.initialization import MAX_BUFFERED_FRAMES
 
 # Pairs of frames that are compared (choice).
@@ -46,9 +46,6 @@ MAX_PAIRS = 5
 # Median displacement of what moves between the frames of a pair, as a share of the image's diagonal, and numbers of frames
 # between them that are tried (choice: 24 pixels of 640x480; the rotation of a small one shows nothing of the rig).
 MIN_MOTION, GAPS = 0.03, (1, 2, 4, 6, 8, 12, 16)
-# A camera's matches are mismatches unless this share of them has common affine epipolar lines, within this share of the
-# image's diagonal (choice).
-MIN_RIGID_RATIO, RIGID_TOLERANCE = 0.5, 0.005
 # A camera may be late or early by so many frames (choice).
 MAX_LAG = 3
 # Images are compared in so many frames; so many identical ones in a row are a frozen picture (choice).
@@ -324,14 +321,9 @@ def _match_moving(
         the matches, none if they are mismatches or displaced by little; pixels (m, 2) of static features.
     """
     pair = match_frames(number, first, second)
-    is_static = find_static(pair, compute_static_px(estimate_jitter(pair)))
-    x, y = pair.pixels_i[~is_static], pair.pixels_j[~is_static]
-    nothing, static = (np.empty((0, 2)), np.empty((0, 2))), pair.pixels_i[is_static]
-    if len(x) < MIN_MATCHES or np.median(np.linalg.norm(y - x, axis=1)) < MIN_DISPLACEMENT_PX:
-        return nothing, static
-    is_rigid = np.empty(len(x))
-    find_inliers(x, y, RIGID_TOLERANCE * float(np.hypot(*camera.camera.size)), QUADRUPLES, is_rigid)
-    return ((x, y) if is_rigid.mean() >= MIN_RIGID_RATIO else nothing), static
+    is_static, is_rigid = find_rigid_motion(camera.camera, pair)
+    moving = pair.subset(~is_static if is_rigid else np.zeros(len(pair), bool))
+    return (moving.pixels_i, moving.pixels_j), pair.pixels_i[is_static]
 
 
 def _match_shifted(

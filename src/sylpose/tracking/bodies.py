@@ -18,16 +18,18 @@ import numpy as np
 
 from sylpose.features.sift import match_features
 from sylpose.frames import FrameSet
-from sylpose.geometry.arrays import FloatArray, IntArray
+from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.methods import METHODS
-from sylpose.relative_pose.camera_evidence import pool_f_ratios
-from sylpose.relative_pose.rig_hypotheses import Hypothesis, compute_f_ratios
-from sylpose.relative_pose.second_motion import MIN_SHARED_RATIO
+from sylpose.relative_pose.affine_ransac import find_inliers
+from sylpose.relative_pose.camera_evidence import QUADRUPLES, pool_f_ratios
+from sylpose.relative_pose.rig_hypotheses import CameraMatches, Hypothesis, compute_f_ratios
+from sylpose.relative_pose.second_motion import MIN_OUTLIER_RATIO
 from sylpose.relative_pose.terms import MIN_MATCHES
-from sylpose.rig import Rig
+from sylpose.rig import Camera, Rig
 from sylpose.status import Status
 from sylpose.tracking.camera_side.camera import CameraTracker, compute_static_px
 from sylpose.tracking.camera_side.frame import (
+    REGION_MARGIN,
     CameraPairs,
     FrameMatches,
     Region,
@@ -39,6 +41,7 @@ from sylpose.tracking.camera_side.frame import (
 from sylpose.tracking.context import Candidate, Context, Frame, LocalExecutor, is_rival
 from sylpose.tracking.first_motion import (
     MAX_START_FEATURES,
+    MIN_DISPLACEMENT_PX,
     MIN_FIRST_MOTION_PX,
     FirstMotion,
     estimate_first_motion,
@@ -67,8 +70,9 @@ MIN_KEPT_RATIO = 0.4
 # Features farther from their median position than this, in median distances, are mismatches (choice: of features spread
 # evenly over a disk the farthest is at 1.4).
 MAX_DISTANCE_RATIO = 2.5
-# Margin around a body's features, share of their extent (choice).
-OUTLINE_MARGIN = 0.2
+# A camera's matches are mismatches unless most of them have common affine epipolar lines, within this share of the
+# image's diagonal (choice).
+RIGID_TOLERANCE = 0.005
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,7 +199,7 @@ def _count_rival(context: Context, motion: FirstMotion, other: FirstMotion) -> i
     counts = [
         np.array(context.executor.gather([sum(map(len, own)) for own in its.inliers], 0)) for its in (motion, other)
     ]
-    is_shared = np.minimum(*counts) > MIN_SHARED_RATIO * (counts[0] + counts[1])
+    is_shared = np.minimum(*counts) > MIN_OUTLIER_RATIO * (counts[0] + counts[1])
     return int(counts[1][is_shared].sum()) if is_shared.sum() >= min(2, len(is_shared)) else 0
 
 
@@ -265,12 +269,33 @@ def _compare_cameras(context: Context, pairs: CameraPairs, bodies: Sequence[Wind
         return np.nan
     for body in bodies[1:]:
         pairs = _remove_inliers(pairs, body.motion)
-    matches = []
-    for own in pairs:
-        moving = [pair.subset(~find_static(pair, compute_static_px(estimate_jitter(pair)))) for pair in own]
-        earlier, later = [pair.pixels_i for pair in moving], [pair.pixels_j for pair in moving]
-        matches.append((_concatenate(earlier), _concatenate(later)))
+    matches = [_select_rigid(context.rig.cameras[c], own) for c, own in zip(context.executor.local, pairs, strict=True)]
     return float(compute_f_ratios(context.rig, [matches], Hypothesis())[0])
+
+
+def find_rigid_motion(camera: Camera, pair: FrameMatches) -> tuple[BoolArray, bool]:
+    """Find what moves between two frames of a camera.
+
+    Returns:
+        (n,) the static matches; whether the others move as a rigid body, by more than the noise. Of mismatches, and of
+        keypoints that scatter with compression, at most a few have common epipolar lines.
+    """
+    is_static = find_static(pair, compute_static_px(estimate_jitter(pair)))
+    x, y = pair.pixels_i[~is_static], pair.pixels_j[~is_static]
+    if len(x) < MIN_MATCHES or np.median(np.linalg.norm(y - x, axis=1)) < MIN_DISPLACEMENT_PX:
+        return is_static, False
+    is_inlier = np.empty(len(x))
+    find_inliers(x, y, RIGID_TOLERANCE * float(np.hypot(*camera.size)), QUADRUPLES, is_inlier)
+    return is_static, bool(is_inlier.mean() > 0.5)
+
+
+def _select_rigid(camera: Camera, pairs: Sequence[FrameMatches]) -> CameraMatches:
+    """Return the pixels (n, 2) of a camera's matches in the earlier and the later frame, if they move as a rigid body."""
+    for pair in pairs:
+        is_static, is_rigid = find_rigid_motion(camera, pair)
+        if is_rigid:
+            return pair.pixels_i[~is_static], pair.pixels_j[~is_static]
+    return np.empty((0, 2)), np.empty((0, 2))
 
 
 def _detect(context: Context, number: int, images: FrameSet) -> Frame:
@@ -415,4 +440,4 @@ def _draw_outline(pixels: FloatArray) -> Region:
     if not len(pixels):
         return None
     distances = np.linalg.norm(pixels - np.median(pixels, axis=0), axis=1)
-    return widen_outline(pixels[distances <= MAX_DISTANCE_RATIO * np.median(distances)], OUTLINE_MARGIN)
+    return widen_outline(pixels[distances <= MAX_DISTANCE_RATIO * np.median(distances)], REGION_MARGIN)

@@ -17,6 +17,7 @@ from sylpose.features.sift import Features
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.matrices import make_motion_about
 from sylpose.landmarks.landmark_filter import Landmarks
+from sylpose.relative_pose.motion_mixture import MISMATCH_PROBABILITY
 from sylpose.relative_pose.observability import classify_observability
 from sylpose.relative_pose.solver import fit_terms, fit_two_motions
 from sylpose.relative_pose.terms import MIN_MATCHES, Fit, TermData, locate_object, make_failed_fit
@@ -24,6 +25,7 @@ from sylpose.rig import Camera
 from sylpose.status import FrameStatus, Status
 from sylpose.tracking.camera_side.camera import CameraTracker, compute_static_px
 from sylpose.tracking.camera_side.frame import (
+    BACKGROUND_PX,
     CameraFrame,
     CameraPairs,
     FrameMatches,
@@ -39,7 +41,8 @@ from sylpose.tracking.camera_side.frame import (
 )
 from sylpose.tracking.context import Context, Frame
 from sylpose.tracking.frame_solvers import scatter_fit
-from sylpose.tracking.joint_side.joint_state import MIN_MOVED_FEATURES, JointState, KnownMotion
+from sylpose.tracking.joint_side.joint_state import JointState, KnownMotion
+from sylpose.tracking.joint_side.object_model import MIN_SURFACE_POINTS
 from sylpose.tracking.reports import BoxMotionReport, InitialMatches, MovingMatches, quantize_positions
 
 # Maximum number of features per camera while the object may be anywhere in the image (choice).
@@ -47,14 +50,14 @@ MAX_START_FEATURES = 4000
 # A motion that is not fully observable (length of a translation, small rotation) is replaced by a later one with this
 # median displacement, pixels, if possible (choice).
 MIN_FIRST_MOTION_PX = 8.0
-# Keypoints displaced by less than this, pixels, may be static. They define the noise if more than this share of them is
+# Keypoints displaced by less than `BACKGROUND_PX` may be static. They define the noise if more than this share of them is
 # displaced by less than half of it (choice).
-MAX_STATIC_PX, MIN_STATIC_RATIO = 4.0, 0.65
+MIN_STATIC_RATIO = 0.65
 # Median of the Rayleigh distribution in standard deviations (derived).
 RAYLEIGH_MEDIAN = float(np.sqrt(2.0 * np.log(2.0)))
-# A camera detects a motion with at least so many inliers, whose median displacement exceeds this, pixels, and so many
-# times the noise of static keypoints (choice).
-MIN_SIGNIFICANT_MATCHES, MIN_DISPLACEMENT_PX, MIN_DISPLACEMENT_SIGMAS = 6, 3.5, 7.0
+# A camera detects a motion with enough inliers, whose median displacement exceeds this, pixels, and so many times the
+# noise of static keypoints (choice).
+MIN_DISPLACEMENT_PX, MIN_DISPLACEMENT_SIGMAS = 3.5, 7.0
 # A rigid motion must exceed the log-likelihood of displacements in random directions by this much per unknown (choice:
 # Akaike's criterion requires 1, Bayes' half the logarithm of the number of matches).
 MIN_LOG_GAIN_PER_UNKNOWN = 5.0
@@ -63,14 +66,10 @@ MOTION_UNKNOWNS, SURFACE_UNKNOWNS = 6, 6
 # Between consecutive frames, the rotation since the first frame changes by at most this share, or this angle, radians
 # (choice).
 MAX_ROTATION_CHANGE_RATIO, MAX_ROTATION_CHANGE = 0.6, np.radians(0.75)
-# This share of all matches is wrong without any motion (choice).
-OUTLIER_RATIO = 0.05
 # Largest rms residual of moving matches as a share of their displacement (choice).
 MAX_RESIDUAL_RATIO = 0.35
 # Minimum keypoint noise, pixels (choice).
 MIN_NOISE_PX = 0.15
-# Minimum number of points that describe an object's surface (choice).
-MIN_SURFACE_POINTS = 20
 # The center of a box is this share of its width and height (choice).
 CENTER_RATIO = 0.5
 # The center is static if its displacement is within the noise and below this share of that of moving features, both
@@ -137,9 +136,9 @@ def is_continuing_motion(earlier: RigidTransform | None, later: RigidTransform |
 def estimate_jitter(pair: FrameMatches) -> float:
     """Estimate the scatter of static keypoints in each direction, pixels; a minimum if almost none is static."""
     displacement = np.linalg.norm(pair.pixels_i - pair.pixels_j, axis=1)
-    near = displacement[displacement < MAX_STATIC_PX]
+    near = displacement[displacement < BACKGROUND_PX]
     # A slowly moving object shows all these displacements equally often.
-    is_slow = np.count_nonzero(near < MAX_STATIC_PX / 2) <= MIN_STATIC_RATIO * len(near)
+    is_slow = np.count_nonzero(near < BACKGROUND_PX / 2) <= MIN_STATIC_RATIO * len(near)
     return MIN_NOISE_PX if is_slow else max(float(np.median(near)) / RAYLEIGH_MEDIAN, MIN_NOISE_PX)
 
 
@@ -172,7 +171,7 @@ def estimate_first_motion(context: Context, pairs: CameraPairs, first_number: in
     by_camera = [found.reports for found in executor.gather(own_reports, InitialMatches())]
     reports = [report for of_camera in by_camera for report in of_camera]
     failure_status = FrameStatus.TOO_FEW_MATCHES if n_matches < MIN_MATCHES else FrameStatus.NO_MOTION
-    if sum(len(report.term) for report in reports) > max(MIN_MATCHES, OUTLIER_RATIO * n_matches):
+    if sum(len(report.term) for report in reports) > max(MIN_MATCHES, MISMATCH_PROBABILITY * n_matches):
         failure_status = FrameStatus.NOT_CONSISTENT
     if not reports:
         undefined, fit = np.full(3, np.nan), make_failed_fit([], Status.TOO_FEW_MATCHES)
@@ -309,7 +308,7 @@ def _test_significance(fit: Fit, reports: Sequence[MovingMatches]) -> tuple[Bool
         gain = float(np.log(motion / by_chance).sum()) - MIN_LOG_GAIN_PER_UNKNOWN * SURFACE_UNKNOWNS
         min_displacement = max(MIN_DISPLACEMENT_PX, MIN_DISPLACEMENT_SIGMAS * record.jitter_px)
         is_displaced[t] = float(np.median(translation)) > min_displacement
-        is_rigid[t] = good.sum() >= MIN_SIGNIFICANT_MATCHES and gain > 0
+        is_rigid[t] = good.sum() >= MIN_MATCHES and gain > 0
         log_gain += gain
     is_rigid &= log_gain > MIN_LOG_GAIN_PER_UNKNOWN * MOTION_UNKNOWNS
     return is_rigid, is_rigid & is_displaced
@@ -445,8 +444,8 @@ def is_box_center_static(context: Context, state: JointState, frame: Frame, pair
         for camera, own, current in zip(context.cameras, pairs, frame.cameras, strict=True)
     ]
     reports = context.executor.gather(own_reports, BoxMotionReport())
-    displacements = [report.moving_displacement_px for report in reports if report.n_moving >= MIN_MOVED_FEATURES]
-    usable = [report for report in reports if report.n_center >= MIN_MOVED_FEATURES]
+    displacements = [report.moving_displacement_px for report in reports if report.n_moving >= MIN_MATCHES]
+    usable = [report for report in reports if report.n_center >= MIN_MATCHES]
     max_displacement = MAX_CENTER_MOTION_RATIO * float(np.median(displacements)) if displacements else 0.0
     return 2 * sum(
         report.is_center_static and report.center_displacement_px < max_displacement for report in usable

@@ -11,8 +11,8 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.matrices import rotvec
 from sylpose.landmarks.alignment import FIRST_PX, LandmarkMatches, select_hypothesis, subtract_uncertainty
+from sylpose.landmarks.landmark_filter import KNOWN_DEPTH_RATIO
 from sylpose.relative_pose.solver import fit_terms
 from sylpose.relative_pose.sylvester_methods import ESTIMATORS, UNBIASED_METHODS, apply_estimator
 from sylpose.relative_pose.terms import MIN_MATCHES, Fit, TermData
@@ -41,19 +41,12 @@ from sylpose.tracking.reports import CameraTerms, InlierStatistics, KnownDepthMa
 
 Hypothesis = tuple[FloatArray, FloatArray]
 
-# Above this mean robust cost most landmarks contradict the pose from this start, and other starts are tried (choice).
-MAX_GOOD_COST = 0.6
-# Initial noise levels for alternative starts, pixels. Such a start was fitted to the same matches, and a tolerant
-# solver may slide back (choice).
-ALTERNATIVE_START_PX = (4.0, 1.0)
-# The first rounds, at large assumed noise, may converge to another minimum even from the true pose: 32 degrees off
-# after a jump, where most depths are guesses (measured: benchmarks/kinds.py, jumps-25), or in one camera that views a
-# board edge-on (stands-fast 31). So smaller initial noise levels are tried too, pixels: the last one where depths are
-# known, all of them after a rotation larger than this since the last solved frame, radians (choice).
-LARGE_ROTATION, NARROW_START_PX = np.radians(8.0), (8.0, 2.0)
-# A landmark's depth counts as a guess after so many observations or fewer, or while it is not known better than this
-# share of the object's radius: observations of an object at rest add nothing (choice).
-MAX_YOUNG_AGE, GUESSED_DEPTH_RATIO = 3, 0.1
+# Initial noise level of another start, pixels: the first rounds at large assumed noise may converge to another minimum
+# even from the true pose (choice).
+NARROW_START_PX = 2.0
+# A landmark's depth counts as a guess after so many observations or fewer, or while it is not known better than
+# `KNOWN_DEPTH_RATIO`: observations of an object at rest add nothing (choice).
+MAX_YOUNG_AGE = 3
 # A depth is known if its standard deviation moves the landmark's image by less than this, pixels. The 2D-3D equation
 # needs so many such landmarks (choice).
 MAX_DEPTH_SMEAR_PX, MIN_KNOWN_LANDMARKS = 1.0, 30
@@ -209,7 +202,7 @@ def solve_paper(method: str, executor: CameraExecutor, problem: PoseProblem) -> 
 def solve_landmarks(executor: CameraExecutor, problem: PoseProblem) -> PoseSolution | None:
     """Solve by alignment with the landmarks of all references.
 
-    Other starts are tried if the guess fits badly.
+    Where depths are known, a start at low assumed noise is tried too.
     """
     solved = _align_landmarks(executor, problem)
     return None if solved is None else solved[0]
@@ -228,24 +221,17 @@ def _align_landmarks(
     if not sum(a.counts.sum() for a in ages) >= MIN_MATCHES:
         return None
     is_depth_guessed = (
-        max(a.oldest for a in ages) <= MAX_YOUNG_AGE or _median_depth_sd(ages) > GUESSED_DEPTH_RATIO * problem.radius
+        max(a.oldest for a in ages) <= MAX_YOUNG_AGE or _median_depth_sd(ages) > KNOWN_DEPTH_RATIO * problem.radius
     )
-    # Where depths are guesses, so are the fit and the prediction.
-    start_px = (FIRST_PX,) if is_depth_guessed else (FIRST_PX, NARROW_START_PX[-1])
-    alignments = executor.align(observations, [(*problem.guess, px) for px in start_px])
+    alignments = executor.align(observations, [(*problem.guess, px) for px in (FIRST_PX, NARROW_START_PX)])
     best, offset = select_hypothesis([candidate for candidate, _ in alignments], *problem.guess)
     pose, found = alignments[best]
-    # While all depths are guesses, the opposite rotation with reversed depths fits nearly as well (mirrored solution of
-    # few cameras and small rotations). Epipolar geometry provides an independent start.
-    angles = [float(np.linalg.norm(rotvec(rotation))) for rotation in (problem.guess[0], pose.rotation)]
-    is_large_rotation = max(angles) > LARGE_ROTATION
-    if is_depth_guessed or pose.cost > MAX_GOOD_COST or is_large_rotation:
-        starts = _create_epipolar_starts(executor, problem)
-        starts += [(*problem.guess, px) for px in NARROW_START_PX if px not in start_px] if is_large_rotation else []
-        tried = executor.align(observations, starts) + (alignments[1:] if is_large_rotation else [])
-        # Support uses epipolar distances alone, independent of guessed depths.
-        support, *others = _sum_support(executor, observations, [(pose, found), *tried])
-        for (other, weights), other_support in zip(tried, others, strict=True):
+    if is_depth_guessed:
+        # The opposite rotation with reversed depths fits nearly as well. Epipolar geometry is independent of depths: it
+        # provides another start, and its distances decide.
+        tried = executor.align(observations, _create_epipolar_starts(executor, problem))
+        support, *others = _sum_support(executor, observations, [(pose, found), *alignments, *tried])
+        for (other, weights), other_support in zip([*alignments, *tried], others, strict=True):
             if other_support > support:
                 pose, found, support, offset = other, weights, other_support, np.zeros(6)
     if not pose.converged:
@@ -290,9 +276,9 @@ def _exchange_observations(
 def _create_epipolar_starts(
     executor: CameraExecutor, problem: PoseProblem
 ) -> list[tuple[FloatArray, FloatArray, float]]:
-    """Create starts of the alignment from epipolar geometry; none if it fails."""
+    """Create the start of the alignment from epipolar geometry; none if that fails."""
     fit = _fit_epipolar(problem, gather_terms(_exchange_terms(executor, problem)))
-    return [(fit.rotation, fit.translation, px) for px in ALTERNATIVE_START_PX if fit.status is Status.OK]
+    return [(fit.rotation, fit.translation, NARROW_START_PX)] if fit.status is Status.OK else []
 
 
 def _sum_support(

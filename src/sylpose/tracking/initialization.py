@@ -40,7 +40,7 @@ from sylpose.tracking.first_motion import (
     estimate_jitter,
     is_continuing_motion,
 )
-from sylpose.tracking.joint_side.joint_state import Anchor, JointState, KnownMotion, MotionModel
+from sylpose.tracking.joint_side.joint_state import MIN_STRONG_INLIERS, Anchor, JointState, KnownMotion, MotionModel
 from sylpose.tracking.joint_side.object_model import ObjectModel
 from sylpose.tracking.map_update import accept_first_frame, accept_frame, handle_missing_object
 from sylpose.tracking.pose_search import find_pose
@@ -54,9 +54,6 @@ AMBIGUITY_NOTE = (
     "Without boxes, the largest moving body is tracked, but another one moves as well. Provide a box or a mask to select "
     "the object."
 )
-# Low-contrast features are detected too where boxes have fewer features in their center than this, averaged over
-# cameras: near the border most may be background (choice).
-MIN_CENTER_FEATURES = 40
 
 
 class BufferedFrame(NamedTuple):
@@ -145,7 +142,7 @@ def _initialize_from_boxes(context: Context, state: JointState, frame: Frame, ce
     features = context.detect(frame, MAX_FEATURES, faint=False)
     own_counts = [count_center_features(*own) for own in zip(context.cameras, features, regions, strict=True)]
     n_center = sum(context.executor.gather(own_counts, 0))
-    state = replace(state, is_feature_poor=n_center < MIN_CENTER_FEATURES * len(context.rig))
+    state = replace(state, is_feature_poor=n_center < MIN_STRONG_INLIERS * len(context.rig))
     if state.is_feature_poor:
         features = context.detect(frame, faint=True)
     if _count_features(context, features) < MIN_MATCHES:

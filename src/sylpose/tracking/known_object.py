@@ -27,6 +27,7 @@ from sylpose.geometry.matrices import rotation_matrix_of
 from sylpose.geometry.validation import check_finite, check_number, check_type
 from sylpose.input_limits import to_one_line
 from sylpose.landmarks.landmark_filter import Landmarks, LandmarkTable
+from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.results import FramePose
 from sylpose.rig import MAX_LENGTH, Rig, check_single_pose
 from sylpose.status import Observability
@@ -52,8 +53,6 @@ MAX_DESCRIPTION_CHARS = 200
 # A camera is unchanged if the median reprojection error of its landmarks is at most this, pixels: after a new
 # calibration it is one or two, after moving a camera by hand tens (choice).
 SAME_RIG_PX = 5.0
-# Keyframes with fewer landmarks of a camera are not transferred (choice).
-MIN_LANDMARKS = 8
 # Number of keyframes reserved for the new recording (choice).
 N_RESERVED_KEYFRAMES = 30
 # Factor by which the spacing of views grows while there are too many (choice).
@@ -525,7 +524,7 @@ def transfer_keyframes(known: KnownObject, rig: Rig) -> tuple[tuple[SolvedFrame,
     Returns:
         keyframes, each of one camera of the rig; by camera name, its landmarks in them.
     """
-    views = _select_views(known, max((MAX_KEYFRAMES - N_RESERVED_KEYFRAMES) // len(rig), MIN_LANDMARKS))
+    views = _select_views(known, max((MAX_KEYFRAMES - N_RESERVED_KEYFRAMES) // len(rig), MIN_MATCHES))
     all_landmarks, first_ids = _merge_landmarks(known)
     keyframes = list[SolvedFrame]()
     features: dict[str, list[Features]] = {name: [] for name in rig.names}
@@ -559,7 +558,7 @@ def _select_views(known: KnownObject, max_views: int) -> list[_View]:
     candidates = list[_View]()
     for name, memory in known._cameras.items():
         for k, (frame, features) in enumerate(zip(known._keyframes, memory.features, strict=True)):
-            if len(features) >= MIN_LANDMARKS:
+            if len(features) >= MIN_MATCHES:
                 eye = frame.world_from_object.inv().apply(known.rig[name].center)
                 candidates.append(_View(name, k, eye / np.linalg.norm(eye), len(features)))
     candidates.sort(key=lambda view: -view.landmarks)

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.features.sift import Features
-from sylpose.geometry.arrays import BoolArray, FloatArray
+from sylpose.geometry.arrays import FloatArray
 from sylpose.matches import STATIC_PX
 from sylpose.relative_pose.camera_evidence import (
     MAX_F_RATIO,
@@ -21,6 +21,7 @@ from sylpose.relative_pose.camera_evidence import (
     compute_f_ratio,
     pool_f_ratios,
 )
+from sylpose.relative_pose.faulty_cameras import MAX_REJECTED_SHARE, MIN_AGREEING_SHARE
 from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.results import FramePose
 from sylpose.status import FrameStatus, Observability
@@ -44,11 +45,6 @@ AMBIGUITY_REASON = "another body moves as well; select the object"
 # A single camera cannot distinguish a rotation from its mirror image, concave from convex. An object in a box is
 # assumed convex: the middle of its surface is nearer than its center by this share of its radius (choice).
 CONVEX_BULGE_RATIO = 0.5
-# A camera is rejected as a whole if at most this share of its matches are inliers, while in another camera at least
-# this share are (choice).
-MAX_REJECTED_INLIER_RATIO, MIN_INLIER_RATIO_OTHERS = 0.2, 0.5
-# A camera whose variance inflation exceeds this does not update landmarks in that frame (choice).
-MAX_UPDATE_INFLATION = 30.0
 # Relative error of a rotation while all depths are guesses (choice).
 MIRROR_ERROR_RATIO = 0.5
 
@@ -113,7 +109,7 @@ def accept_frame(context: Context, state: JointState, candidate: PoseCandidate) 
     inflation, f_ratio = _compute_inflation(candidate), _compute_f_ratio(agreements)
     f_ratios = add_f_ratio(state.f_ratios, _compute_f_ratio(agreements, MIN_KEPT_POOLED))
     state = replace(state, f_ratios=f_ratios)
-    accepted = _accept_pose(context, state, candidate, inflation)
+    accepted = _accept_pose(context, state, candidate)
     # Each camera: features that were observed before.
     reobserved = [
         camera.collect_reobserved(own, accepted) for camera, own in zip(context.cameras, candidate.cameras, strict=True)
@@ -158,7 +154,7 @@ def accept_frame(context: Context, state: JointState, candidate: PoseCandidate) 
     ).mark_uncertain()
     if state.is_ambiguous:
         result = replace(result, status=FrameStatus.AMBIGUOUS, reason=AMBIGUITY_REASON)
-    elif accepted.solved.is_contradicted:
+    elif accepted.solved.is_contradicted or _is_rig_contradicted(context, state):
         result = replace(
             result, status=FrameStatus.CONTRADICTED, reason=_describe_contradiction(context, state, f_ratio)
         )
@@ -169,7 +165,7 @@ def accept_frame(context: Context, state: JointState, candidate: PoseCandidate) 
 
 def _describe_contradiction(context: Context, state: JointState, f_ratio: float) -> str:
     """Describe why a frame with an F ratio is contradicted."""
-    if _is_rig_contradicted(context):
+    if _is_rig_contradicted(context, state):
         return "in most of the recording the cameras see different motions"
     if f_ratio > MAX_F_RATIO:
         return f"the cameras see different motions (F ratio {f_ratio:.0f}; the limit is {MAX_F_RATIO:.0f})"
@@ -178,18 +174,9 @@ def _describe_contradiction(context: Context, state: JointState, f_ratio: float)
     return "tracked from frames in which the cameras see different motions"
 
 
-def _accept_pose(context: Context, state: JointState, candidate: PoseCandidate, inflation: FloatArray) -> AcceptedPose:
-    """Decide which cameras update their landmarks, and compute the pose's covariance.
-
-    Args:
-        inflation: (C,) variance inflation as in `FramePose`.
-    """
+def _accept_pose(context: Context, state: JointState, candidate: PoseCandidate) -> AcceptedPose:
+    """Accept a pose, with its covariance and the evidence against it."""
     agreements, pose, frame = candidate.agreements, candidate.pose, candidate.frame
-    # Landmarks of a rejected camera would agree with its own images, and it would be accepted again. Nor are landmarks
-    # updated while all may still be background: they would follow a slowly moving object halfway. Cameras with few
-    # matches may see another object.
-    has_matches = np.array([a.n_known_moved for a in agreements]) >= MIN_MATCHES
-    is_muted = find_muted_cameras(inflation, has_matches) | (not candidate.has_moved)
     solved = SolvedFrame(
         frame.number,
         frame.time,
@@ -197,10 +184,9 @@ def _accept_pose(context: Context, state: JointState, candidate: PoseCandidate, 
         pose,
         _compute_covariance(context, state, candidate),
         compute_viewpoints(context.rig, pose),
-        np.array([a.has_features for a in agreements]) & ~is_muted,
+        np.array([a.has_features for a in agreements]) & candidate.has_moved,
         compute_full_weight_age([a.ages for a in agreements]),
-        is_contradicted=_is_rig_contradicted(context)
-        or is_mostly_contradicted(state.f_ratios)
+        is_contradicted=is_mostly_contradicted(state.f_ratios)
         or is_contradicted(agreements, state.frames.by_number, state.last),
     )
     return AcceptedPose(
@@ -210,16 +196,20 @@ def _accept_pose(context: Context, state: JointState, candidate: PoseCandidate, 
         state.motion_to(pose),
         state.last.number,
         agreements,
-        is_muted,
         candidate.has_moved,
         frame.has_new_features,
     )
 
 
-def _is_rig_contradicted(context: Context) -> bool:
-    """Return whether the cameras contradict each other in most of the recording, which was searched in advance."""
+def _is_rig_contradicted(context: Context, state: JointState) -> bool:
+    """Return whether the cameras contradict each other in most of the recording, which was searched in advance.
+
+    That is known of all that moves, of a camera that was nudged or of other bodies as well, and replaced by what the
+    frames that were tracked show of the object.
+    """
     candidate = context.candidate
-    return candidate is not None and candidate.is_contradicted and context.method in MAXIMUM_LIKELIHOOD
+    is_contradicted = candidate is not None and candidate.is_contradicted and context.method in MAXIMUM_LIKELIHOOD
+    return is_contradicted and len(state.f_ratios) < MIN_POOLED
 
 
 def _compute_covariance(context: Context, state: JointState, candidate: PoseCandidate) -> FloatArray:
@@ -277,21 +267,6 @@ def _compute_f_ratio(agreements: Agreements, min_kept: int = 2) -> float:
     return float(compute_f_ratio(excess, min_kept))
 
 
-def find_muted_cameras(variance_inflation: FloatArray, has_matches: BoolArray) -> BoolArray:
-    """Find cameras (C,) whose landmarks are not updated in a frame.
-
-    If most cameras disagree it is unclear which are wrong, so none is muted. Otherwise the remaining one would confirm
-    its own observations with false certainty.
-
-    Args:
-        variance_inflation: (C,) variance inflation as in `FramePose`.
-        has_matches: (C,) which cameras have enough matches to be judged.
-    """
-    is_inflated = has_matches & (variance_inflation > MAX_UPDATE_INFLATION)
-    is_majority = 2 * np.count_nonzero(is_inflated) > np.count_nonzero(has_matches)
-    return np.zeros_like(is_inflated) if is_majority else is_inflated
-
-
 def _undetected_motion_covariance(context: Context, pose: RigidTransform, radius: float) -> FloatArray:
     """Return the covariance (6, 6) of (w, d) of an undetected motion.
 
@@ -320,7 +295,7 @@ def _compute_inflation(candidate: PoseCandidate) -> FloatArray:
     """Return the variance inflation (C,) as in `FramePose`; NaN for cameras with too few matches to judge."""
     shares = np.array([a.n_inlier_matches / max(a.n_matches, 1) for a in candidate.agreements])
     is_judged = np.array([a.n_matches for a in candidate.agreements]) >= MIN_MATCHES
-    is_rejected = is_judged & (shares < MAX_REJECTED_INLIER_RATIO) & (shares.max() > MIN_INLIER_RATIO_OTHERS)
+    is_rejected = is_judged & (shares < MAX_REJECTED_SHARE) & (shares.max() > MIN_AGREEING_SHARE)
     return np.where(is_rejected, np.inf, np.where(is_judged, candidate.solution.variance_inflation, np.nan))
 
 

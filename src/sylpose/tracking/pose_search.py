@@ -56,11 +56,6 @@ FAST_ROTATION = np.radians(10.0)
 # The pose solved after relocalization must agree with the relocalized one within this rotation and share of the radius
 # (choice).
 MAX_START_ROTATION, MAX_START_TRANSLATION = 0.17, 0.3
-# The velocity is known after so many consecutive frames (choice).
-MIN_VELOCITY_FRAMES = 1
-# Matches whose rms residual exceeds this share of the object's radius in the image, and so many pixels, agree with any
-# pose (choice).
-MAX_NOISE_RATIO, MAX_NOISE_PX = 0.03, 3.0
 # Number of solutions of a frame whose cameras have different time stamps, each with the velocity of the previous one
 # (choice).
 VELOCITY_ROUNDS = 2
@@ -178,7 +173,7 @@ def track_from_anchor(
         replace(frame, tracked=tracked, has_new_features=False), [own.features for own in tracked]
     )
     # The first motion is unknown: features that are tracked easily may be static.
-    is_usable = state.motion.velocity.n_frames > 0 and not state.is_matched_with_first(frame.number)
+    is_usable = state.motion.velocity.n_frames > 0 and not state.object.is_depth_guessed
     # While the next anchor is prepared, less is enough.
     min_margin = 1.0 if state.frames.next_anchor_number is None else 1.0 / PREPARATION_MARGIN
     is_enough, is_enough_for_long = (
@@ -251,7 +246,7 @@ def _match_references(context: Context, state: JointState, frame: Frame, guess: 
         for c, own in zip(context.executor.local, references, strict=True):
             own += [] if last is None else [last.number]
             own += [k.number for k in select_references(state.frames.keyframes, c, viewpoints[c], last)]
-    motion = None if state.motion.velocity.n_frames < MIN_VELOCITY_FRAMES else state.motion_to(guess)
+    motion = None if not state.motion.velocity.n_frames else state.motion_to(guess)
     match = partial(CameraTracker.match_all, motion=motion)
     return context.executor.run(match, context.cameras, frame.cameras, tracked, references)
 
@@ -314,17 +309,8 @@ def solve_pose(
             for agreement, camera, c in zip(own_agreements, cameras, context.executor.local, strict=True)
         ]
     agreements = context.executor.gather(own_agreements, PoseAgreement())
-    if not solution.is_static and _is_noise(context, state, guess, agreements):
-        return None
     has_moved = state.is_motion_verified(agreements)
     return PoseCandidate(frame, rig, solution, motion, guess, agreements, has_moved, cameras)
-
-
-def _is_noise(context: Context, state: JointState, pose: RigidTransform, agreements: Agreements) -> bool:
-    """Return whether in no camera the matches fit a pose (world_from_object) better than any other pose."""
-    limits = [max(MAX_NOISE_RATIO * radius, MAX_NOISE_PX) for radius in context.object_radius_px(state, pose)]
-    residuals_px = np.array([a.residual_px for a in agreements])
-    return bool((np.isnan(residuals_px) | (residuals_px > limits)).all())
 
 
 def _replace_first_landmarks(pairs: CameraPairs, number: int, landmarks: Sequence[Landmarks]) -> CameraPairs:

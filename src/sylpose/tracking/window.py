@@ -18,19 +18,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import pairwise
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
 from sylpose.bundle_adjustment.bundle import BundleOptions, BundleResult, Observations
 from sylpose.bundle_adjustment.calibration_refinement import default_calibration_prior
 from sylpose.bundle_adjustment.scale_prior import SMALL_ROTATION, bundle_adjust_with_scale, is_scale_unobservable
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.future import BackgroundResult
-from sylpose.geometry.robust_loss import chi_squared_bound
-from sylpose.matches import Matches
-from sylpose.relative_pose.motion import estimate_motion
 from sylpose.results import MAX_ROTATION_SD
 from sylpose.rig import Rig
 from sylpose.status import Status
@@ -47,16 +43,13 @@ from sylpose.tracking.joint_side.joint_state import (
     find_nearest_views,
     inherit_covariance,
 )
+from sylpose.tracking.joint_side.object_model import MIN_SURFACE_POINTS
 from sylpose.tracking.reports import NewObservations, quantize_positions
 
 # Maximum number of frames refined jointly, the first one and the last included (choice).
 MAX_FRAMES = 32
 # Maximum number of landmarks used per camera, those observed most often first (choice).
 MAX_LANDMARKS = 150
-# With at least so many moved landmarks, those that never moved are omitted (choice).
-MIN_MOVED_LANDMARKS = 20
-# Minimum number of frames for a refinement (choice).
-MIN_FRAMES = 2
 # If the last refinement is at least so many frames ago, the next one runs in the background (choice).
 BACKGROUND_INTERVAL = 8
 # A refinement is valid if it changes the last pose by less than this rotation (radians) and share of the object's
@@ -66,17 +59,6 @@ MAX_ROTATION_CHANGE, MAX_TRANSLATION_CHANGE = 0.1, 0.3
 MAX_ROUNDS = 12
 # Upper limit of landmark numbers (derived).
 MAX_LANDMARK_ID = 2**32
-# Shorter paths are not checked: the next frames may contradict what few frames agree on (choice).
-MIN_PATH_FRAMES = 16
-# Two frames are compared if so many landmarks are observed in both, by at least two cameras; the motion is valid if
-# this share of them are inliers (choice).
-MIN_SHARED_LANDMARKS, MIN_CAMERAS, MIN_INLIER_RATIO = 60, 2, 0.75
-# A motion contradicts a path if it excludes the path's (chi-squared, once in a thousand times) and differs by more than
-# this rotation, radians, or share of the object's radius. Smaller differences are left to the refinement (choice).
-MAX_CHI_SQUARED = chi_squared_bound(6)
-MIN_ROTATION, MIN_TRANSLATION = np.deg2rad(0.5), 0.03
-# Approximate number of links of a path that are checked; links over so many frames are split in halves (choice).
-MAX_LINKS, LONG_LINK_FRAMES = 6, 8
 
 
 def refine_window(context: Context, state: JointState) -> JointState:
@@ -88,7 +70,7 @@ def refine_window(context: Context, state: JointState) -> JointState:
     (`JointState.is_refinement_ready`).
     """
     frames, last, before = _select_frames(state), state.last, state.refinement.last
-    if len(frames) < MIN_FRAMES:
+    if len(frames) < 2:
         return state
     numbers = [frame.number for frame in frames]
     is_urgent = before is None or last.number - before.number < BACKGROUND_INTERVAL
@@ -257,7 +239,7 @@ def _collect_new_observations(
     # Once the object has moved, landmarks that never did may be background, which a path with less rotation explains as
     # well.
     moved = camera.table.get(known).has_moved
-    is_usable = moved if np.count_nonzero(moved) >= MIN_MOVED_LANDMARKS else np.ones(len(known), bool)
+    is_usable = moved if np.count_nonzero(moved) >= MIN_SURFACE_POINTS else np.ones(len(known), bool)
     # Observations of landmarks merged with others since are partly invalid.
     shared_here = shared.select(numbers)
     invalid = shared_here.landmark[~np.isin(_compute_keys(shared_here.frame, shared_here.landmark), keys)]
@@ -323,110 +305,4 @@ def bundle_frames(
         max_iterations=MAX_ROUNDS,
         coarse=True,
     )
-    # Fixed frames form no path, and determine the depth.
-    alternative = find_alternative_path(rig, observations, poses, radius) if is_fixed is None else None
-    return bundle_adjust_with_scale(rig, observations, poses, radius, options, alternative_start=alternative)
-
-
-# --- alternative path ---------------------------------------------------------------------------------------------------
-
-
-def find_alternative_path(
-    rig: Rig, observations: Observations, path: RigidTransform, radius: float
-) -> RigidTransform | None:
-    """Return the path bent to agree with motions between distant frames, or None.
-
-    From the last frame backward, each link leads to the earliest frame that shares enough landmarks; the frame halfway
-    is checked as well. None means that these motions do not contradict the path.
-
-    Args:
-        observations: landmark observations of all frames.
-        path: N poses.
-        radius: of the object.
-    """
-    if len(path) < MIN_PATH_FRAMES:
-        return None
-    nodes = [len(path) - 1]
-    while nodes[-1] > 0 and len(nodes) <= MAX_LINKS:
-        earlier = _find_earliest(observations, nodes[-1])
-        if earlier is None:
-            break
-        if nodes[-1] - earlier >= LONG_LINK_FRAMES:
-            nodes.append((earlier + nodes[-1]) // 2)
-        nodes.append(earlier)
-    pairs = list(pairwise(reversed(nodes)))
-    deviations = [_compute_deviation(rig, observations, path, *pair, radius) for pair in pairs]
-    if all(deviation is None for deviation in deviations):
-        return None
-    poses = list(path)
-    # Poses before the first link stay.
-    for (earlier, later), deviation in zip(pairs, deviations, strict=True):
-        poses[earlier + 1 :] = _bend_path(path, poses[earlier], earlier, later, deviation)
-    return RigidTransform.concatenate(poses)
-
-
-def _find_shared(observations: Observations, first: int, second: int) -> list[tuple[IntArray, IntArray]]:
-    """Return per camera the observations of common landmarks in two frames."""
-    out = []
-    for camera in range(int(observations.camera.max(initial=-1)) + 1):
-        indices = [np.flatnonzero((observations.frame == k) & (observations.camera == camera)) for k in (first, second)]
-        _, a, b = np.intersect1d(
-            observations.landmark[indices[0]], observations.landmark[indices[1]], return_indices=True
-        )
-        out.append((indices[0][a], indices[1][b]))
-    return out
-
-
-def _find_earliest(observations: Observations, later: int) -> int | None:
-    """Return the earliest frame that shares enough landmarks with a later one."""
-    is_later = observations.frame == later
-    is_shared = (observations.frame < later) & np.isin(observations.landmark, observations.landmark[is_later])
-    counts = np.bincount(observations.frame[is_shared], minlength=later)
-    for k in np.flatnonzero(counts >= MIN_SHARED_LANDMARKS).tolist():
-        if len(np.unique(observations.camera[is_shared & (observations.frame == k)])) >= MIN_CAMERAS:
-            return int(k)
-    return None
-
-
-def _compute_deviation(
-    rig: Rig, observations: Observations, path: RigidTransform, earlier: int, later: int, radius: float
-) -> FloatArray | None:
-    """Compare the later pose with the motion between two frames.
-
-    Returns:
-        (6,) (w, d) from the later pose to the one by that motion, about the object's center; None if the motion is
-        unknown or does not contradict the path.
-    """
-    pairs = _find_shared(observations, earlier, later)
-    matches = [Matches(observations.image[a], observations.image[b]) for a, b in pairs]
-    matches += [Matches.empty()] * (len(rig) - len(matches))
-    found = estimate_motion(rig, matches, center=path[earlier].translation, radius=radius)
-    if found.status is not Status.OK or found.motion is None or found.faults or found.second_body_ratio > 0.0:
-        return None
-    if found.n_inliers.sum() < MIN_INLIER_RATIO * sum(len(m) for m in matches):
-        return None
-    corrected = found.motion * path[earlier]
-    rotation = (corrected.rotation * path[later].rotation.inv()).as_rotvec()
-    deviation = np.concatenate([rotation, corrected.translation - path[later].translation])
-    is_relevant = np.linalg.norm(rotation) > MIN_ROTATION or np.linalg.norm(deviation[3:]) > MIN_TRANSLATION * radius
-    return deviation if is_relevant and deviation @ found.information @ deviation > MAX_CHI_SQUARED else None
-
-
-def _bend_path(
-    path: RigidTransform, start: RigidTransform, earlier: int, later: int, deviation: FloatArray | None
-) -> list[RigidTransform]:
-    """Bend the poses after the earlier frame, which gets a new pose.
-
-    Up to the later frame an increasing share of its correction is applied, in proportion to the rotation.
-    """
-    correction = start * path[earlier].inv()
-    angles = (path.rotation * path[earlier].rotation.inv()).magnitude()
-    total_angle, out = max(float(angles[later]), 1e-9), []
-    for k in range(earlier + 1, len(path)):
-        pose = correction * path[k]
-        if deviation is not None:
-            share = min(float(angles[k]) / total_angle, 1.0) if k < later else 1.0
-            rotation = Rotation.from_rotvec(share * deviation[:3])
-            pose = RigidTransform.from_components(pose.translation + share * deviation[3:], rotation * pose.rotation)
-        out.append(pose)
-    return out
+    return bundle_adjust_with_scale(rig, observations, poses, radius, options)

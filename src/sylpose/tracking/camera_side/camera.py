@@ -24,12 +24,18 @@ from sylpose.features.sift import MAX_FAINT_FEATURES, MAX_FEATURES, Features, de
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 from sylpose.geometry.future import BackgroundResult
-from sylpose.landmarks.landmark_filter import DepthPrior, Landmarks, LandmarkTable, create_landmarks, update_landmarks
-from sylpose.matches import STATIC_PX
+from sylpose.landmarks.landmark_filter import (
+    KNOWN_DEPTH_RATIO,
+    DepthPrior,
+    Landmarks,
+    LandmarkTable,
+    create_landmarks,
+    update_landmarks,
+)
+from sylpose.matches import MAX_STATIC_PX, STATIC_PX
 from sylpose.rig import Camera, Rig
 from sylpose.tracking.camera_side.camera_motion import CameraMotionDetector, View
 from sylpose.tracking.camera_side.frame import (
-    SURFACE_DEPTH_SD_RATIO,
     CameraFrame,
     DetectedFeatures,
     FrameMatches,
@@ -51,19 +57,14 @@ from sylpose.tracking.camera_side.frame import (
     record_observations,
     select_shown_matches,
 )
-from sylpose.tracking.joint_side.joint_state import KnownMotion, SolvedFrame
-from sylpose.tracking.joint_side.object_model import ObjectModel
+from sylpose.tracking.joint_side.joint_state import AVERAGING_FRAMES, KnownMotion, SolvedFrame
+from sylpose.tracking.joint_side.object_model import MIN_SURFACE_POINTS, ObjectModel
 from sylpose.tracking.reports import PoseAgreement, TrackingReport
 
-# With so many landmarks of known depth they describe the surface better than the volume inside the boxes (choice).
-MIN_SURFACE_LANDMARKS = 20
-# A feature has moved if displaced by so many standard deviations of the camera's keypoint noise, which is limited to
-# this maximum, pixels (choice).
-STATIC_SIGMAS, MAX_STATIC_PX = 5.0, 6.0
+# A feature has moved if displaced by so many standard deviations of the camera's keypoint noise (choice).
+STATIC_SIGMAS = 5.0
 # Maximum number of remembered background features (choice).
 MAX_BACKGROUND_FEATURES = 8000
-# The noise is averaged over about so many frames (choice).
-NOISE_AVERAGING_FRAMES = 5
 # Offsets at which matches occur by chance only, in search radii from the expected place (choice).
 CHANCE_OFFSETS = ((6.0, 0.0), (0.0, 6.0), (-6.0, 0.0), (0.0, -6.0))
 # Larger images than Full HD are downscaled where the whole image is searched; detection is repeated at full resolution
@@ -78,8 +79,6 @@ DUPLICATE_PX = 1.5
 N_ANCHOR_FEATURES, MAX_TRACKED, MIN_NEW_FEATURES = 350, 170, 40
 # A new feature closer than this to a tracked one, pixels, is the same (choice).
 MIN_TRACK_DISTANCE_PX = 4.0
-# Lost features are searched again where their depth is known to this share of the object's radius (choice).
-MAX_DEPTH_SD_RATIO = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,7 +217,7 @@ def track_anchor(
     landmarks, tracked = anchor.frame.table.get(anchor.frame.landmark_ids[alive]), tracks.tracked[alive]
     last_pixels, expected = (camera.project(pose.apply(landmarks.mean)) for pose in poses)
     lost = np.flatnonzero(~tracked)
-    is_uncertain = landmarks.subset(lost).depth_sd >= MAX_DEPTH_SD_RATIO * radius
+    is_uncertain = landmarks.subset(lost).depth_sd >= KNOWN_DEPTH_RATIO * radius
     # A feature's last pixel is known better than its landmark's projection; the projection gives the expected motion
     # only.
     image, guess = to_gray(image), np.full((len(tracks), 2), np.nan)
@@ -260,7 +259,7 @@ def compute_static_px(noise_px: float) -> float:
 
 def _make_depth_prior(surface: FloatArray, model: ObjectModel) -> DepthPrior:
     """Make the prior of new features from points (n, 3) on the surface, or the model's while they are few."""
-    return DepthPrior(surface if len(surface) >= MIN_SURFACE_LANDMARKS else model.points, model.radius)
+    return DepthPrior(surface if len(surface) >= MIN_SURFACE_POINTS else model.points, model.radius)
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,8 +292,8 @@ class AcceptedPose:
         motion: motion of the object from the solved frames before it.
         last_number: number of the last solved frame before it.
         agreements: per camera of the rig, how its matches agree with the pose.
-        is_muted: (C,) cameras whose landmarks are not updated.
-        has_moved: whether the object has been observed to move.
+        has_moved: whether the object has been observed to move. Until then no landmark is updated: all may be background,
+            and would follow a slowly moving object halfway.
         has_new_features: whether the frame has newly detected features.
     """
 
@@ -304,7 +303,6 @@ class AcceptedPose:
     motion: KnownMotion
     last_number: int
     agreements: Sequence[PoseAgreement]
-    is_muted: BoolArray
     has_moved: bool
     has_new_features: bool
 
@@ -569,7 +567,7 @@ class CameraTracker:
         """Collect the features that were observed before, and learn background and noise."""
         if solution.first_landmarks is not None:
             self.table.update(solution.first_landmarks)
-        if accepted.is_muted[self.index]:
+        if not accepted.has_moved:
             return ReobservedFeatures.empty()
         current = solution.current
         if accepted.has_new_features:
@@ -597,19 +595,18 @@ class CameraTracker:
             kept: numbers of the frames to keep.
             begins_anchor: whether the frame becomes the anchor.
         """
-        number, is_muted = accepted.solved.number, accepted.is_muted[self.index]
-        current, tracked = self.create_empty_frame() if is_muted else solution.current, solution.tracked
+        number, has_moved = accepted.solved.number, accepted.has_moved
+        current, tracked = solution.current if has_moved else self.create_empty_frame(), solution.tracked
         pose, weights = accepted.solved.world_from_object, [w for w, _ in solution.weights]
         if tracked is not None and not accepted.has_new_features:
             # Until the object has moved, disagreeing features may be the object's and the others background.
-            is_judged = accepted.has_moved and not is_muted
-            self.anchor = advance_anchor(tracked, solution.pairs if is_judged else [], weights if is_judged else [])
+            self.anchor = advance_anchor(tracked, solution.pairs if has_moved else [], weights if has_moved else [])
         self.update_landmarks(current, accepted.rig.cameras[self.index], pose, reobserved, model)
         self.frames[number], self.view, self.windows = current, self.view_of(accepted.images), None
         self.frames = {k: frame for k, frame in self.frames.items() if k in kept}
         self.table.prune(np.concatenate([frame.landmark_ids for frame in self.frames.values()]))
         if begins_anchor:
-            self.set_anchor(number, accepted.images, None if is_muted else tracked)
+            self.set_anchor(number, accepted.images, tracked if has_moved else None)
         before = None if tracked is None else tracked.previous_pixels
         detected = collect_detected_features(solution.current.features, solution.pairs, weights)
         return CameraRecord(
@@ -630,7 +627,7 @@ class CameraTracker:
     def update_noise(self, noise_px: float) -> None:
         """Update the keypoint noise with another frame's; NaN: unchanged."""
         if np.isfinite(noise_px):
-            self.noise_px += (noise_px - self.noise_px) / (NOISE_AVERAGING_FRAMES if self.noise_px else 1)
+            self.noise_px += (noise_px - self.noise_px) / (AVERAGING_FRAMES if self.noise_px else 1)
 
     def update_landmarks(
         self,
@@ -678,7 +675,7 @@ class CameraTracker:
         if not len(detected):
             return
         known, new = old.landmarks, self.create_frame(detected)
-        prior = _make_depth_prior(known.mean[known.depth_sd < SURFACE_DEPTH_SD_RATIO * model.radius], model)
+        prior = _make_depth_prior(known.mean[known.depth_sd < KNOWN_DEPTH_RATIO * model.radius], model)
         new.landmark_ids = self.table.update(create_landmarks(detected, self.camera, last.world_from_object, prior))
         self.frames[last.number] = old.append(new)
 

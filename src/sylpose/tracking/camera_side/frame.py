@@ -20,10 +20,11 @@ from sylpose.geometry.matrices import rotation_matrix_of
 from sylpose.geometry.robust_loss import SIGMA_OF_MEDIAN
 from sylpose.landmarks.alignment import AlignmentResult, LandmarkMatches
 from sylpose.landmarks.camera_terms import CUTOFF, REFERENCE_NOISE_PX
-from sylpose.landmarks.landmark_filter import Landmarks, LandmarkTable
+from sylpose.landmarks.landmark_filter import KNOWN_DEPTH_RATIO, Landmarks, LandmarkTable
 from sylpose.matches import STATIC_PX
 from sylpose.relative_pose.camera_evidence import MIN_MATCHES as MIN_EVIDENCE_MATCHES
 from sylpose.relative_pose.camera_evidence import CameraEvidence, compare_motions
+from sylpose.relative_pose.motion_mixture import MISMATCH_PROBABILITY
 from sylpose.relative_pose.observability import is_more_than_chance
 from sylpose.relative_pose.terms import MIN_MATCHES, TermData
 from sylpose.rig import Camera
@@ -32,9 +33,9 @@ from sylpose.tracking.reports import InlierStatistics, LandmarkAges, PoseAgreeme
 
 # A feature that is static where the object's surface moved by this many pixels is background (choice).
 BACKGROUND_PX = 4.0
-# Low-contrast features are localized less precisely: they are static within this many pixels, if that is at most this
-# share of the motion of a point on the object (choice).
-MAX_FAINT_STATIC_PX, MAX_STATIC_RATIO = 4.0, 0.2
+# Low-contrast features are localized less precisely: they are static within as many pixels, if that is at most this share
+# of the motion of a point on the object (choice).
+MAX_STATIC_RATIO = 0.2
 # Half length of a landmark's search range, in standard deviations of its depth (choice).
 DEPTH_SEARCH_SDS = 2.0
 # Points are added to the object's cloud once their depth is known to this relative precision (choice).
@@ -53,14 +54,10 @@ MatchWeights = list[tuple[FloatArray, FloatArray]]
 # Weight of a static landmark that never moved, while others move: boxes may contain ten times as much wall as object
 # (choice).
 STATIC_WEIGHT = 0.005
-# Motion is more than noise if this share of all landmarks moves (choice).
-MIN_MOVING_RATIO = 0.06
 # Landmarks with less weight, such as young ones among old, do not support a pose (choice).
 MIN_EVIDENCE_WEIGHT = 0.06
 # An inlier share this large does not occur by chance (choice).
 MIN_CERTAIN_INLIER_RATIO = 0.8
-# Landmarks whose depth is known to this share of the object's radius describe its surface (choice).
-SURFACE_DEPTH_SD_RATIO = 0.1
 # A landmark has moved with the object if the pose leaves at most this share of its displacement since its first
 # observation unexplained (choice).
 MAX_UNEXPLAINED_RATIO = 0.5
@@ -316,7 +313,7 @@ def drop_background(pairs: Pairs, current: CameraFrame, camera: Camera, motion: 
     remaining = []
     for pair in pairs:
         displacement = np.linalg.norm(pair.pixels_i - pair.pixels_j, axis=1)
-        background = (displacement < MAX_FAINT_STATIC_PX) & ~pair.landmarks.has_moved
+        background = (displacement < BACKGROUND_PX) & ~pair.landmarks.has_moved
         if not background.any():
             remaining.append(pair)
             continue
@@ -466,7 +463,8 @@ def has_enough_motion(ages_by_camera: Sequence[LandmarkAges]) -> bool:
     total = [float(ages.counts.sum()) for ages in ages_by_camera]
     seeing = [ages.n_moving for ages, n in zip(ages_by_camera, total, strict=True) if n >= MIN_MATCHES]
     cameras = sum(2 * moving >= MIN_MATCHES for moving in seeing)
-    return sum(seeing) >= max(MIN_MATCHES, MIN_MOVING_RATIO * sum(total)) and cameras >= min(2, len(seeing))
+    # Half of what moves may be mismatches.
+    return sum(seeing) >= max(MIN_MATCHES, 2 * MISMATCH_PROBABILITY * sum(total)) and cameras >= min(2, len(seeing))
 
 
 # --- agreement with a pose ----------------------------------------------------------------------------------------------
@@ -689,7 +687,7 @@ class ReobservedFeatures:
             has_moved=has_feature_moved[index[pick]],
             origin=_find_oldest_origins(index, landmarks)[index[pick]],
         )
-        return cls(inliers, index[pick], best, best.mean[sd[pick] < SURFACE_DEPTH_SD_RATIO * radius])
+        return cls(inliers, index[pick], best, best.mean[sd[pick] < KNOWN_DEPTH_RATIO * radius])
 
 
 def find_moved(inliers: Pairs, landmarks: Landmarks, match_weights: MatchWeights, static_px: float) -> BoolArray:

@@ -23,6 +23,8 @@ from sylpose.geometry.future import BackgroundResult
 from sylpose.geometry.matrices import invert_information, relative_rotvec, rotation_matrix_of, rotvec
 from sylpose.geometry.numba_linalg import apply_rotvec
 from sylpose.geometry.robust_loss import chi_squared_bound
+from sylpose.relative_pose.motion_mixture import MISMATCH_PROBABILITY
+from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.results import MAX_ROTATION_SD
 from sylpose.rig import Rig
 from sylpose.tracking.joint_side.object_model import ObjectModel
@@ -34,20 +36,14 @@ MAX_COASTING_FRAMES, MAX_COASTING_ROTATION_SD, MAX_COASTING_POSITION_SD = 15, MA
 # Low-contrast features are detected too where fewer features of normal contrast than this agreed with the last pose,
 # averaged over cameras. board4, rich in texture, has 90 and more (measured: benchmarks/kinds.py, faint) (choice).
 MIN_STRONG_INLIERS = 60
-# A pose belongs to the object rather than the background if so many of its inlier features, and this share of them,
-# have moved with it (choice).
-MIN_MOVED_FEATURES, MIN_MOVED_RATIO = 8, 0.04
-# While depth is known from boxes only, the first so many frames are matched with the first one, then every
-# `FIRST_MATCH_INTERVAL`th (choice).
-N_FIRST_MATCHED, FIRST_MATCH_INTERVAL = 6, 4
-# After the first frames, a refinement is due once the object has rotated by this since the last one (radians) or moved
-# by this share of its radius, as less motion shows little new; at the earliest after `MIN_INTERVAL` frames, at the
-# latest after `MAX_INTERVAL` (choice).
-MIN_NEW_ROTATION, MIN_NEW_TRANSLATION, MIN_INTERVAL, MAX_INTERVAL = np.radians(10.0), 0.3, 4, 12
+# After the first frames, a refinement is due once the object has rotated by this since the last one (radians), as less
+# shows little new; at the earliest after `MIN_INTERVAL` frames, at the latest after `MAX_INTERVAL` (choice).
+MIN_NEW_ROTATION, MIN_INTERVAL, MAX_INTERVAL = np.radians(10.0), 4, 12
 # Minimum number of frames for a refinement that changes poses, as fewer do not determine depths well enough (choice).
 MIN_FRAMES_TO_APPLY = 9
-# A refinement in the background is applied so many frames later (choice).
-RESULT_DELAY = 5
+# The result of work in the background is used so many frames later: at 30 frames per second the time needed on a busy
+# processor (choice).
+RESULT_DELAY = 7
 # Maximum number of keyframes: a few for every side of the object (choice).
 MAX_KEYFRAMES = 100
 # A frame becomes a keyframe when the object has rotated by this much relative to the nearest one, or its distance has
@@ -66,18 +62,15 @@ MIN_TRACKED_RATIO, MIN_CAMERA_RATIO, MIN_TRACKED, MAX_ANCHOR_ROTATION = 0.4, 0.2
 PREPARATION_MARGIN = 1.5
 # Number of frames after which a camera without tracks is searched again (choice).
 RETRY_FRAMES = 8
-# Delay in frames until the next anchor's new features are added: at 30 frames per second the time needed on a busy
-# processor (choice).
-JOIN_DELAY = 7
 # Number of frames for which a sparse anchor is used: by then it is clear which features move with the object (choice).
 MAX_SPARSE_AGE = 2
-# Standard deviation of the constant-velocity prior, in units of the usual change of velocity. The prior is used once so
-# many consecutive frames were solved (choice).
-PREDICTION_SDS, MIN_STEADY_FRAMES = 5.0, 5
+# Standard deviation of the constant-velocity prior, in units of the usual change of velocity. The prior is used once
+# `AVERAGING_FRAMES` consecutive frames were solved (choice).
+PREDICTION_SDS = 5.0
 # Largest accepted difference between prediction and fit (chi-squared of six: chance exceeds it once in a thousand
 # times).
 MAX_PREDICTION_ERROR = chi_squared_bound(6)
-# Number of frames over which the usual change is averaged (choice).
+# Number of frames over which the usual change and a camera's noise are averaged (choice).
 AVERAGING_FRAMES = 5
 # The velocity is not updated from an interval shorter than this share of the usual one (choice).
 MIN_INTERVAL_RATIO = 0.2
@@ -164,7 +157,7 @@ class MotionModel:
             the three, corrected.
         """
         # An object that has been static so far gives no information on its motion.
-        if self.n_frames < MIN_STEADY_FRAMES or not self.change_variance.any():
+        if self.n_frames < AVERAGING_FRAMES or not self.change_variance.any():
             return rotation, translation, information
         error = self._compute_prediction_error(rotation, translation, center, elapsed)
         sd = np.maximum(PREDICTION_SDS * elapsed * np.sqrt(_sum_by_parts(self.change_variance)), 1e-12)
@@ -297,7 +290,7 @@ class KnownFrames:
     def is_next_anchor_due(self, number: int) -> bool:
         """Return whether the next anchor is to be used from the frame with this number on."""
         due = self.next_anchor_number
-        return due is not None and number >= due + JOIN_DELAY and due in self.by_number
+        return due is not None and number >= due + RESULT_DELAY and due in self.by_number
 
     def add(self, solved: SolvedFrame, *, has_new_features: bool) -> KnownFrames:
         """Add a solved frame; with new features it may become a keyframe, and its features are tracked no longer."""
@@ -606,25 +599,11 @@ class JointState:
         Args:
             agreements: per camera, how its matches agree with the frame's pose.
         """
-        moved_counts = [a.n_moved for a in agreements if a.n_inlier_features >= MIN_MOVED_FEATURES]
-        n_cameras = sum(2 * moved >= MIN_MOVED_FEATURES for moved in moved_counts)
-        return self.motion.has_moved or (
-            sum(moved_counts) >= MIN_MOVED_FEATURES and n_cameras >= min(2, len(moved_counts))
-        )
+        moved_counts = [a.n_moved for a in agreements if a.n_inlier_features >= MIN_MATCHES]
+        n_cameras = sum(2 * moved >= MIN_MATCHES for moved in moved_counts)
+        return self.motion.has_moved or (sum(moved_counts) >= MIN_MATCHES and n_cameras >= min(2, len(moved_counts)))
 
-    def is_matched_with_first(self, number: int) -> bool:
-        """Return whether a frame is matched with the first one even if enough features are tracked.
-
-        Only matches with the first frame determine depth, and until depth is known a pose is uncertain.
-        """
-        age = number - self.frames.first.number
-        # A motion that two cameras detect needs confirmation by the next frame.
-        needs_confirmation = self.motion.first_motion is not None
-        return self.object.is_depth_guessed and (
-            age <= N_FIRST_MATCHED or age % FIRST_MATCH_INTERVAL == 0 or needs_confirmation
-        )
-
-    def may_be_background(self, agreements: Agreements, min_ratio: float = MIN_MOVED_RATIO) -> bool:
+    def may_be_background(self, agreements: Agreements, min_ratio: float = MISMATCH_PROBABILITY) -> bool:
         """Return whether a pose may be the background's: almost none of its inliers ever moved.
 
         Always False before the object has moved: no other evidence exists then.
@@ -634,7 +613,7 @@ class JointState:
             min_ratio: smallest share of inlier features that must have moved.
         """
         moved, features = sum(a.n_moved for a in agreements), sum(a.n_inlier_features for a in agreements)
-        return self.motion.has_moved and moved < max(MIN_MOVED_FEATURES, min_ratio * features)
+        return self.motion.has_moved and moved < max(MIN_MATCHES, min_ratio * features)
 
     # --- the next state -----------------------------------------------------------------------------------------------
 
@@ -713,10 +692,7 @@ class JointState:
         if before is None or last.number - self.frames.first.number <= MIN_FRAMES_TO_APPLY:
             return True
         change, since = compute_pose_change(before, last.world_from_object), last.number - before.number
-        is_new = (
-            np.linalg.norm(change[:3]) > MIN_NEW_ROTATION
-            or np.linalg.norm(change[3:]) > MIN_NEW_TRANSLATION * self.object.radius
-        )
+        is_new = np.linalg.norm(change[:3]) > MIN_NEW_ROTATION
         return since >= MAX_INTERVAL or (since >= MIN_INTERVAL and bool(is_new))
 
     def is_refinement_ready(self, number: int) -> bool:
@@ -727,7 +703,7 @@ class JointState:
 
 def is_mostly_moving(agreements: Agreements) -> bool:
     """Return whether most of what one camera sees in its box moves, unlike with a person passing behind the object."""
-    return any(a.n_moved >= MIN_MOVED_FEATURES and 2 * a.n_moved > a.n_matches for a in agreements)
+    return any(a.n_moved >= MIN_MATCHES and 2 * a.n_moved > a.n_matches for a in agreements)
 
 
 def compute_pose_change(last: SolvedFrame, refined_pose: RigidTransform) -> FloatArray:

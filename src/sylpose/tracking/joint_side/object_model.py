@@ -13,6 +13,8 @@ from sylpose.rig import Camera, Rig, intersect_rays
 
 # Maximum number of object points that define the search region (choice).
 MAX_CLOUD_POINTS = 600
+# So many points of known depth describe the object's surface (choice).
+MIN_SURFACE_POINTS = 20
 # Points per axis of the grids carved by the boxes; number of grids, each fitted to what the previous one has left
 # (choice).
 GRID_POINTS, N_GRIDS = 15, 3
