@@ -107,8 +107,9 @@ def accept_frame(context: Context, state: JointState, candidate: PoseCandidate) 
     """
     frame, agreements = candidate.frame, candidate.agreements
     inflation, f_ratio = _compute_inflation(candidate), _compute_f_ratio(agreements)
-    f_ratios = add_f_ratio(state.f_ratios, _compute_f_ratio(agreements, MIN_KEPT_POOLED))
-    state = replace(state, f_ratios=f_ratios)
+    if not state.object.is_depth_guessed:  # else the guess is contradicted, not the rig
+        f_ratios = add_f_ratio(state.f_ratios, _compute_f_ratio(agreements, MIN_KEPT_POOLED))
+        state = replace(state, f_ratios=f_ratios)
     accepted = _accept_pose(context, state, candidate)
     # Each camera: features that were observed before.
     reobserved = [
