@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.commands.main import main
 from sylpose.geometry.arrays import Image
-from sylpose.relative_pose.camera_evidence import MAX_F_RATIO, MIN_POOLED, CameraEvidence
+from sylpose.relative_pose.camera_evidence import MAX_F_RATIO, N_POOLED, CameraEvidence
 from sylpose.simulate import make_demo_scene, render_frames
 from sylpose.simulate.recordings import create_session_folder, write_videos
 from sylpose.smoothing import Track, smooth
@@ -72,7 +72,7 @@ def test_tracked_frames_replace_the_evidence_of_the_recording(clip: Clip, monkey
     monkeypatch.setattr(Candidate, "is_contradicted", True)
     found = statuses(track(clip.frames(), clip.rig))[1:]
     n = found.index(FrameStatus.TRACKED)
-    assert 1 <= n <= 2 * MIN_POOLED
+    assert n >= N_POOLED - 1
     assert found == [FrameStatus.CONTRADICTED] * n + [FrameStatus.TRACKED] * (len(found) - n)
 
 

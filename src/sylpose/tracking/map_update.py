@@ -11,6 +11,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.features.sift import Features
 from sylpose.geometry.arrays import FloatArray
+from sylpose.geometry.matrices import invert_information
 from sylpose.matches import STATIC_PX
 from sylpose.relative_pose.camera_evidence import (
     MAX_F_RATIO,
@@ -45,6 +46,8 @@ AMBIGUITY_REASON = "another body moves as well; select the object"
 # A single camera cannot distinguish a rotation from its mirror image, concave from convex. An object in a box is
 # assumed convex: the middle of its surface is nearer than its center by this share of its radius (choice).
 CONVEX_BULGE_RATIO = 0.5
+# Nothing is learned from the first pose of a missing object whose rotation is less certain than this, radians (choice).
+MAX_RELOCALIZED_SD = 0.005
 # Relative error of a rotation while all depths are guesses (choice).
 MIRROR_ERROR_RATIO = 0.5
 
@@ -178,6 +181,9 @@ def _describe_contradiction(context: Context, state: JointState, f_ratio: float)
 def _accept_pose(context: Context, state: JointState, candidate: PoseCandidate) -> AcceptedPose:
     """Accept a pose, with its covariance and the evidence against it."""
     agreements, pose, frame = candidate.agreements, candidate.pose, candidate.frame
+    # Landmarks learned from an uncertain pose would remain wrong.
+    rotation_sd = np.sqrt(np.diag(invert_information(candidate.solution.information))[:3].max())
+    updates_map = candidate.has_moved and not (state.motion.n_missed and rotation_sd > MAX_RELOCALIZED_SD)
     solved = SolvedFrame(
         frame.number,
         frame.time,
@@ -185,7 +191,7 @@ def _accept_pose(context: Context, state: JointState, candidate: PoseCandidate) 
         pose,
         _compute_covariance(context, state, candidate),
         compute_viewpoints(context.rig, pose),
-        np.array([a.has_features for a in agreements]) & candidate.has_moved,
+        np.array([a.has_features for a in agreements]) & updates_map,
         compute_full_weight_age([a.ages for a in agreements]),
         is_contradicted=is_mostly_contradicted(state.f_ratios)
         or is_contradicted(agreements, state.frames.by_number, state.last),
@@ -197,7 +203,7 @@ def _accept_pose(context: Context, state: JointState, candidate: PoseCandidate) 
         state.motion_to(pose),
         state.last.number,
         agreements,
-        candidate.has_moved,
+        updates_map,
         frame.has_new_features,
     )
 
@@ -210,7 +216,7 @@ def _is_rig_contradicted(context: Context, state: JointState) -> bool:
     """
     candidate = context.candidate
     is_contradicted = candidate is not None and candidate.is_contradicted and context.method in MAXIMUM_LIKELIHOOD
-    return is_contradicted and len(state.f_ratios) < MIN_POOLED
+    return is_contradicted and len(state.f_ratios) < N_POOLED
 
 
 def _compute_covariance(context: Context, state: JointState, candidate: PoseCandidate) -> FloatArray:

@@ -292,8 +292,8 @@ class AcceptedPose:
         motion: motion of the object from the solved frames before it.
         last_number: number of the last solved frame before it.
         agreements: per camera of the rig, how its matches agree with the pose.
-        has_moved: whether the object has been observed to move. Until then no landmark is updated: all may be background,
-            and would follow a slowly moving object halfway.
+        updates_map: whether landmarks and background are updated. Not until the object has been observed to move: all
+            features may be background, and would follow a slowly moving object halfway. Nor with an uncertain pose.
         has_new_features: whether the frame has newly detected features.
     """
 
@@ -303,7 +303,7 @@ class AcceptedPose:
     motion: KnownMotion
     last_number: int
     agreements: Sequence[PoseAgreement]
-    has_moved: bool
+    updates_map: bool
     has_new_features: bool
 
 
@@ -567,7 +567,7 @@ class CameraTracker:
         """Collect the features that were observed before, and learn background and noise."""
         if solution.first_landmarks is not None:
             self.table.update(solution.first_landmarks)
-        if not accepted.has_moved:
+        if not accepted.updates_map:
             return ReobservedFeatures.empty()
         current = solution.current
         if accepted.has_new_features:
@@ -595,18 +595,18 @@ class CameraTracker:
             kept: numbers of the frames to keep.
             begins_anchor: whether the frame becomes the anchor.
         """
-        number, has_moved = accepted.solved.number, accepted.has_moved
-        current, tracked = solution.current if has_moved else self.create_empty_frame(), solution.tracked
+        number, updates_map = accepted.solved.number, accepted.updates_map
+        current, tracked = solution.current if updates_map else self.create_empty_frame(), solution.tracked
         pose, weights = accepted.solved.world_from_object, [w for w, _ in solution.weights]
         if tracked is not None and not accepted.has_new_features:
             # Until the object has moved, disagreeing features may be the object's and the others background.
-            self.anchor = advance_anchor(tracked, solution.pairs if has_moved else [], weights if has_moved else [])
+            self.anchor = advance_anchor(tracked, solution.pairs if updates_map else [], weights if updates_map else [])
         self.update_landmarks(current, accepted.rig.cameras[self.index], pose, reobserved, model)
         self.frames[number], self.view, self.windows = current, self.view_of(accepted.images), None
         self.frames = {k: frame for k, frame in self.frames.items() if k in kept}
         self.table.prune(np.concatenate([frame.landmark_ids for frame in self.frames.values()]))
         if begins_anchor:
-            self.set_anchor(number, accepted.images, tracked if has_moved else None)
+            self.set_anchor(number, accepted.images, tracked if updates_map else None)
         before = None if tracked is None else tracked.previous_pixels
         detected = collect_detected_features(solution.current.features, solution.pairs, weights)
         return CameraRecord(
