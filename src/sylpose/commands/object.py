@@ -10,7 +10,6 @@ import typer
 
 from sylpose.commands.app import CommandOptions, app, command, option
 from sylpose.commands.options import PlotFormat
-from sylpose.landmarks.landmark_filter import KNOWN_DEPTH_RATIO
 from sylpose.units import INITIAL_DISTANCES, METERS
 
 if TYPE_CHECKING:
@@ -51,6 +50,7 @@ def show(options: ShowOptions) -> None:
 
     from sylpose.display import format_length
     from sylpose.io.object_files import load_object
+    from sylpose.landmarks.landmark_filter import KNOWN_DEPTH_RATIO
     from sylpose.runs import console_output, object_frames
 
     known, console = load_object(options.file), console_output.make_console()

@@ -43,7 +43,7 @@ Hypothesis = tuple[FloatArray, FloatArray]
 
 # Initial noise level of another start, pixels: the first rounds at large assumed noise may converge to another minimum
 # even from the true pose (choice).
-NARROW_START_PX = 2.0
+NARROW_START_PX = 1.0
 # A landmark's depth counts as a guess after so many observations or fewer, or while it is not known better than
 # `KNOWN_DEPTH_RATIO`: observations of an object at rest add nothing (choice).
 MAX_YOUNG_AGE = 3

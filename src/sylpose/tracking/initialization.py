@@ -97,7 +97,7 @@ def initialize_tracking(
                 first_motion.is_observable or first_motion.displacement_px > MIN_FIRST_MOTION_PX
             ) and is_continuing_motion(buffered[-2].motion, first_motion.motion)
             is_due = len(buffered) > MAX_BUFFERED_FRAMES
-            is_due |= candidate is not None and frame.images.index >= candidate.last
+            is_due |= candidate is not None and frame.images.index > candidate.last
             if (is_clear or is_due) and (started := _initialize_from_motion(context, buffered, pairs, first_motion)):
                 return replace(started[0], nudges=state.nudges), [], started[1]
         status = first_motion.failure_status

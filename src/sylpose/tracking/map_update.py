@@ -46,7 +46,8 @@ AMBIGUITY_REASON = "another body moves as well; select the object"
 # A single camera cannot distinguish a rotation from its mirror image, concave from convex. An object in a box is
 # assumed convex: the middle of its surface is nearer than its center by this share of its radius (choice).
 CONVEX_BULGE_RATIO = 0.5
-# Nothing is learned from the first pose of a missing object whose rotation is less certain than this, radians (choice).
+# Except at the start with a known object, nothing is learned from the first pose of a missing object whose rotation is
+# less certain than this, radians (choice).
 MAX_RELOCALIZED_SD = 0.005
 # Relative error of a rotation while all depths are guesses (choice).
 MIRROR_ERROR_RATIO = 0.5
@@ -183,7 +184,8 @@ def _accept_pose(context: Context, state: JointState, candidate: PoseCandidate) 
     agreements, pose, frame = candidate.agreements, candidate.pose, candidate.frame
     # Landmarks learned from an uncertain pose would remain wrong.
     rotation_sd = np.sqrt(np.diag(invert_information(candidate.solution.information))[:3].max())
-    updates_map = candidate.has_moved and not (state.motion.n_missed and rotation_sd > MAX_RELOCALIZED_SD)
+    is_uncertain = state.motion.n_missed > 0 and not state.last.is_fixed and rotation_sd > MAX_RELOCALIZED_SD
+    updates_map = candidate.has_moved and not is_uncertain
     solved = SolvedFrame(
         frame.number,
         frame.time,
