@@ -73,6 +73,20 @@ def test_lens_slopes(lens: FloatArray) -> None:
     )  # a pixel's size is proportional to the focal length
 
 
+def test_lens_that_folds_has_slopes() -> None:
+    """A step too far in the distortion turns the image inside out near its border: no slope becomes NaN."""
+    image = np.column_stack([np.linspace(0.42, 0.47, 40_000), np.zeros(40_000)])
+    lens = np.array([0.0, 0.0, 0.0, -1.5])
+    areas = np.diff(
+        correct_rig(RIG, np.tile(np.concatenate([np.zeros(10), lens]), (4, 1))).cameras[0].denormalize(image)[:, 0]
+    )
+    assert (areas > 0).any()
+    assert (areas < 0).any()
+    moved, slopes = linearize_lenses(RIG, np.zeros(len(image), np.int64), image, [lens] * 4)
+    assert np.isfinite(slopes).all()
+    assert np.isfinite(moved).all()
+
+
 def test_common_rotation_is_not_an_error() -> None:
     prior = default_calibration_prior(RIG)
     shared = add_calibration_parameters(

@@ -228,7 +228,9 @@ def linearize_lenses(
             jacobians[own, :2, j] = -np.linalg.solve(point_jacobian, lens_jacobian[..., None])[..., 0]
         # A pixel's area depends on the focal length by its square and, of the other parameters, only on the last one.
         area = [np.linalg.det(_pixel_jacobian(camera, x)) for camera in (upper, lower)]
-        jacobians[own, 2, 0], jacobians[own, 2, -1] = 1.0, np.log(area[0] / area[1]) / (4 * LENS_STEPS[-1])
+        # Half the derivative of its logarithm; where a lens folds, the area is negative.
+        jacobians[own, 2, 0] = 1.0
+        jacobians[own, 2, -1] = (area[0] - area[1]) / ((area[0] + area[1]) * 2 * LENS_STEPS[-1])
         jacobians[own, :, 0] /= 1.0 + lens[c][0]  # relative to the corrected focal length
         points[own] = x - jacobians[own, :2] @ lens[c]
     return points, jacobians
