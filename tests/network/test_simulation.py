@@ -53,7 +53,7 @@ def assert_same(found: Sequence[TrackedFrame], wanted: Sequence[TrackedFrame], a
     """Compare with one process up to rounding, since matrix products depend on the memory layout."""
     assert [f.pose.status for f in found] == [f.pose.status for f in wanted]
     for a, b in zip(found, wanted, strict=True):
-        np.testing.assert_allclose(a.pose.covariance, b.pose.covariance, rtol=1e5 * apart, atol=0)
+        np.testing.assert_allclose(a.pose.covariance, b.pose.covariance, rtol=1e4 * apart, atol=0)
         np.testing.assert_array_equal(a.pose.inliers, b.pose.inliers)
         if b.pose.world_from_object is not None:
             assert a.pose.world_from_object is not None
@@ -89,7 +89,7 @@ def test_nodes_reproduce_single_process_poses(
     assert sum(f.pose.is_measured for f in expected) >= FRAMES - 2
     outcome = track_by_nodes(frames, clip.rig, boxes, network_faults=network_faults, method=method)
     assert outcome.members == [(0, 1, 2)] * 3
-    assert_same(outcome.frames[0], expected, 1e-11)
+    assert_same(outcome.frames[0], expected, 1e-10)
     assert_agreed(outcome, range(3))
     assert outcome.refused == [{}] * 3
     for c, found in enumerate(outcome.frames):
@@ -117,7 +117,7 @@ def test_all_nodes_request_faint_features() -> None:
     expected = list(track(frames, clip.rig, clip.boxes, features="sift"))
     assert sum(f.pose.is_measured for f in expected) >= len(frames) - 1
     outcome = track_by_nodes(frames, clip.rig, clip.boxes, features="sift")
-    assert_same(outcome.frames[0], expected, 1e-11)
+    assert_same(outcome.frames[0], expected, 1e-10)
     assert_agreed(outcome, range(len(clip.rig)))
     assert outcome.refused == [{}] * len(clip.rig)
 
@@ -134,7 +134,7 @@ def test_camera_motion_is_shared(clip: Clip) -> None:
     (message,) = expected[-1].pose.faults
     assert message == "camera cam_1 was nudged at frame 4: the background turned by 1.5 degrees"
     outcome = track_by_nodes(frames, clip.rig, clip.boxes)
-    assert_same(outcome.frames[0], expected, 1e-11)
+    assert_same(outcome.frames[0], expected, 1e-10)
     assert_agreed(outcome, range(3))
     for found in outcome.frames:
         assert [f.pose.faults for f in found] == [f.pose.faults for f in expected]
