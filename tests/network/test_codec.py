@@ -105,7 +105,7 @@ SAMPLES = [
     AGES,
     InlierStatistics(30, 20, 25, 1.25, 3),
     KnownDepthMatches(SIGHTS, random_array(5)),
-    PoseAgreement(9, 12, (0, 3), (1.5, 2.0), AGES, 8, 7, 6, 0.5, True, 5, 4, 0.25, 10, EVIDENCE, 3),
+    PoseAgreement(9, 12, (0, 3), (1.5, 2.0), AGES, 8, 7, 0.5, True, 5, 4, 0.25, 10, EVIDENCE, 3),
     EVIDENCE,
     RelocalizationMatches(random_array(6, 3), random_array(6, 2)),
     CameraMotionReport(True, random_array(3), 0.01, 17, True),

@@ -119,7 +119,6 @@ def make_agreement(features: int, moved: int) -> PoseAgreement:
         count_ages(np.ones(features)),
         features,
         moved,
-        moved,
         0.3,
         True,
     )

@@ -296,7 +296,7 @@ def test_known_size_resets_state() -> None:
 def make_inliers(**weights: float) -> PoseAgreement:
     """One camera's inliers per reference: `_3` is the frame 3."""
     numbers = tuple(int(name[1:]) for name in weights)
-    return PoseAgreement(50, 60, numbers, tuple(weights.values()), count_ages(np.ones(50)), 50, 50, 50, 0.3, True)
+    return PoseAgreement(50, 60, numbers, tuple(weights.values()), count_ages(np.ones(50)), 50, 50, 0.3, True)
 
 
 def random_covariance(rng: np.random.Generator) -> FloatArray:
@@ -384,7 +384,7 @@ def test_correlated_reference_errors_are_not_averaged_away() -> None:
     rng = np.random.default_rng(3)
     C = random_covariance(rng)
     many = {k: make_solved(k, pose_at(5), C) for k in range(10)}
-    ten = PoseAgreement(50, 60, tuple(range(10)), (5.0,) * 10, count_ages(np.ones(50)), 50, 50, 50, 0.3, True)
+    ten = PoseAgreement(50, 60, tuple(range(10)), (5.0,) * 10, count_ages(np.ones(50)), 50, 50, 0.3, True)
     found = add_reference_covariance(INFORMATION, pose_at(5), [ten], many, RADIUS) - inverse_bounded(INFORMATION)
     np.testing.assert_allclose(found, C, rtol=1e-9, atol=1e-18)
     for share in (0.1, 0.5, 0.8):

@@ -96,6 +96,24 @@ def test_search_makes_live_poses_at_most_two_frames_late(seconds: float) -> None
     assert np.mean([share > 0 for share in shares[begin:]]) > 0.2
 
 
+@pytest.mark.parametrize(("seconds", "is_searched"), [(0.02, True), (0.2, False)])
+def test_search_that_cannot_be_shortened(seconds: float, is_searched: bool) -> None:
+    """It is tried although its duration is unknown, and again if it fits."""
+    now, count = 0.0, 0
+    clock = SearchClock(lambda: now)
+    for k in range(40):
+        now = max(now, k * INTERVAL)
+        clock.begin_frame(k * INTERVAL)
+        if clock.share("all features", 1.0):
+            with clock.measure("all features", 1.0):
+                now += seconds
+            count += 1
+    if is_searched:
+        assert count > 30
+    else:
+        assert 1 <= count < 4
+
+
 def test_search_is_tried_again_after_a_busy_time() -> None:
     """A duration measured while the machine was busy does not end the search."""
     now = 0.0

@@ -23,9 +23,9 @@ from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.numba_linalg import cholesky_solve, kernel, symmetric_eigen
 from sylpose.rig import Camera
 
-# Image noise of a ray, pixels. It is larger than a keypoint's noise: the poses of the rays have errors as well, which
 # A landmark's depth is known if its standard deviation is at most this share of the object's radius (choice).
 KNOWN_DEPTH_RATIO = 0.1
+# Image noise of a ray, pixels. It is larger than a keypoint's noise: the poses of the rays have errors as well, which
 # do not average out over the features of one frame (choice).
 RAY_SIGMA_PX = 2.0
 # Neighbors in the image from which a new feature's depth is predicted (choice).

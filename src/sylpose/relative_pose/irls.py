@@ -89,7 +89,7 @@ MIN_FREEDOM_SHARE, MIN_FREEDOM_SHARE_ALONG = 0.15, 0.1
 MIN_RESIDUAL_DEPTH_RATIO = 1e-3
 # Neighbors have similar residual depths: only this many of a term's matches are independent in this respect (choice).
 INDEPENDENT_MATCHES = 6.0
-# A camera with at least so many matches of which fewer than this share agree is excluded; junk alone reaches about a
+# A camera with `MIN_MATCHES` or more, of which fewer than this share agree, is excluded; junk alone reaches about a
 # tenth. This requires another camera with high agreement, or it is undecided which one is right (choice).
 CAMERA_MIN_SHARE = 0.3
 HIGH_AGREEMENT = 2.0 * CAMERA_MIN_SHARE

@@ -225,6 +225,10 @@ class Context:
         """Return the share of a search's pixels for which there is time. See `SearchClock.share`."""
         return 1.0 if self.search_clock is None else self.search_clock.share(kind)
 
+    def has_time_for(self, kind: str) -> bool:
+        """Return whether there is time for a search that cannot be shortened."""
+        return self.search_clock is None or self.search_clock.share(kind, 1.0) >= 1.0
+
     def measure_search(self, kind: str, share: float) -> AbstractContextManager[None]:
         """Measure a search during live tracking. See `SearchClock.measure`."""
         return nullcontext() if self.search_clock is None else self.search_clock.measure(kind, share)

@@ -202,7 +202,7 @@ def solve_paper(method: str, executor: CameraExecutor, problem: PoseProblem) -> 
 def solve_landmarks(executor: CameraExecutor, problem: PoseProblem) -> PoseSolution | None:
     """Solve by alignment with the landmarks of all references.
 
-    Where depths are known, a start at low assumed noise is tried too.
+    A start at low assumed noise is tried too, and one from epipolar geometry while depths are guesses.
     """
     solved = _align_landmarks(executor, problem)
     return None if solved is None else solved[0]

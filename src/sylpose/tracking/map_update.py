@@ -182,10 +182,8 @@ def _describe_contradiction(context: Context, state: JointState, f_ratio: float)
 def _accept_pose(context: Context, state: JointState, candidate: PoseCandidate) -> AcceptedPose:
     """Accept a pose, with its covariance and the evidence against it."""
     agreements, pose, frame = candidate.agreements, candidate.pose, candidate.frame
-    # Landmarks learned from an uncertain pose would remain wrong.
     rotation_sd = np.sqrt(np.diag(invert_information(candidate.solution.information))[:3].max())
     is_uncertain = state.motion.n_missed > 0 and not state.last.is_fixed and rotation_sd > MAX_RELOCALIZED_SD
-    updates_map = candidate.has_moved and not is_uncertain
     solved = SolvedFrame(
         frame.number,
         frame.time,
@@ -193,7 +191,7 @@ def _accept_pose(context: Context, state: JointState, candidate: PoseCandidate) 
         pose,
         _compute_covariance(context, state, candidate),
         compute_viewpoints(context.rig, pose),
-        np.array([a.has_features for a in agreements]) & updates_map,
+        np.array([a.has_features for a in agreements]) & (candidate.has_moved and not is_uncertain),
         compute_full_weight_age([a.ages for a in agreements]),
         is_contradicted=is_mostly_contradicted(state.f_ratios)
         or is_contradicted(agreements, state.frames.by_number, state.last),
@@ -205,7 +203,8 @@ def _accept_pose(context: Context, state: JointState, candidate: PoseCandidate) 
         state.motion_to(pose),
         state.last.number,
         agreements,
-        updates_map,
+        candidate.has_moved,
+        is_uncertain,
         frame.has_new_features,
     )
 

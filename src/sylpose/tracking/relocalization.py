@@ -81,13 +81,13 @@ def search_lost_object(
     # Before its first motion it may be nearby.
     has_prediction = not state.motion.is_lost or not state.motion.velocity.n_frames
     is_costly, candidate = has_prediction and is_jumping(state), None
-    if is_costly and context.share_of_search("all features") >= 1.0:
+    if is_costly and context.has_time_for("all features"):
         with context.measure_search("all features", 1.0):
             state, candidate = _search_thoroughly(context, state, frame, predicted_pose)
     if candidate is not None:
         return state, candidate
     near_pose = predicted_pose if has_prediction and not is_costly else None
-    # A known object is searched for from the first frame on, in the whole images.
+    # In the first missed frame it is near; a known object is required from the first frame on.
     is_likely = state.motion.hypothesis is not None or state.motion.n_missed == 1
     kind, n_pixels = ("likely region", LIKELY_PIXELS) if is_likely else ("region", SEARCH_PIXELS)
     share = context.share_of_search(kind)
@@ -128,7 +128,7 @@ def _search_at_hypothesis(context: Context, state: JointState, frame: Frame, max
     """Search where the previous frame indicated the object, in all cameras, with more pixels."""
     assert state.motion.hypothesis is not None
     frame = replace(frame, regions=context.project_regions(state, state.motion.hypothesis))
-    features = context.detect(frame, faint=False, max_pixels=max_pixels)
+    features = context.detect(frame, faint=state.is_feature_poor, max_pixels=max_pixels)
     motion = replace(state.motion, next_hypothesis=state.motion.n_missed + HYPOTHESIS_INTERVAL, hypothesis=None)
     return _confirm_relocalized(context, replace(state, motion=motion), frame, features, state.motion.n_missed)
 

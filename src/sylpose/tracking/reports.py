@@ -165,7 +165,6 @@ class PoseAgreement:
         ages: of the inliers' landmarks.
         n_inlier_features: number of inlier features.
         n_moved: number of inlier features that move, or have moved, with the object.
-        n_known_moved: number of features, inliers or not, whose landmark has moved with the object before.
         n_moving: number of inlier features that are not static in the image.
         residual_px: rms of the inliers' residuals, NaN without any.
         has_features: whether the camera has any feature in this frame.
@@ -183,7 +182,6 @@ class PoseAgreement:
     ages: LandmarkAges = field(default_factory=LandmarkAges)
     n_inlier_features: int = 0
     n_moved: int = 0
-    n_known_moved: int = 0
     residual_px: float = np.nan
     has_features: bool = False
     n_moving: int = 0

@@ -55,17 +55,19 @@ class SearchClock:
             self._allowance = MAX_LATE_INTERVALS * interval
             self._deadline = frame_time + self._least_delay + self._allowance
 
-    def share(self, kind: str) -> float:
-        """Return the share of a search's pixels for which there is time: 0, or `MIN_SHARE` to 1.
+    def share(self, kind: str, min_share: float = MIN_SHARE) -> float:
+        """Return the share of a search's pixels for which there is time: 0, or `min_share` to 1.
 
         Args:
             kind: of the search; each has its own duration.
+            min_share: smallest share worth searching; 1 for a search that cannot be shortened.
         """
-        seconds = self._seconds.get(kind, ASSUMED_SECONDS)
-        if MIN_SHARE * seconds > self._allowance:
+        # Unmeasured, half of the time is assumed to be enough: else it would never be tried.
+        seconds = self._seconds.get(kind, min(ASSUMED_SECONDS, 0.5 * self._allowance))
+        if min_share * seconds > self._allowance:
             self._seconds[kind] = FORGETTING * seconds
         share = (self._deadline - self._clock()) / seconds
-        return 0.0 if share < MIN_SHARE else min(share, 1.0)
+        return 0.0 if share < min_share else min(share, 1.0)
 
     @contextmanager
     def measure(self, kind: str, share: float) -> Iterator[None]:

@@ -85,7 +85,7 @@ def track_frame(context: Context, state: JointState, frame: Frame) -> FrameResul
     if candidate is None or is_weakly_supported(context, state, candidate):
         fallback = None
         is_costly = state.is_feature_poor or is_fast(state, predicted_pose)
-        if is_costly and context.share_of_search("all features") >= 1.0:
+        if is_costly and context.has_time_for("all features"):
             with context.measure_search("all features", 1.0):
                 state, fallback = find_pose_with_all_features(context, state, frame, predicted_pose)
         if fallback is not None or not _is_plausible(state, candidate, predicted_pose):

@@ -292,8 +292,9 @@ class AcceptedPose:
         motion: motion of the object from the solved frames before it.
         last_number: number of the last solved frame before it.
         agreements: per camera of the rig, how its matches agree with the pose.
-        updates_map: whether landmarks and background are updated. Not until the object has been observed to move: all
-            features may be background, and would follow a slowly moving object halfway. Nor with an uncertain pose.
+        has_moved: whether the object has been observed to move. Until then all features may be background, and would follow
+            a slowly moving object halfway.
+        is_uncertain: whether landmarks learned from the pose would remain wrong.
         has_new_features: whether the frame has newly detected features.
     """
 
@@ -303,8 +304,14 @@ class AcceptedPose:
     motion: KnownMotion
     last_number: int
     agreements: Sequence[PoseAgreement]
-    updates_map: bool
+    has_moved: bool
+    is_uncertain: bool
     has_new_features: bool
+
+    @property
+    def updates_map(self) -> bool:
+        """Whether landmarks and background are updated."""
+        return self.has_moved and not self.is_uncertain
 
 
 class CameraRecord(NamedTuple):
@@ -602,7 +609,9 @@ class CameraTracker:
             # Until the object has moved, disagreeing features may be the object's and the others background.
             self.anchor = advance_anchor(tracked, solution.pairs if updates_map else [], weights if updates_map else [])
         self.update_landmarks(current, accepted.rig.cameras[self.index], pose, reobserved, model)
-        self.frames[number], self.view, self.windows = current, self.view_of(accepted.images), None
+        # No more features of an uncertain pose are added later.
+        self.view = (None, None) if accepted.is_uncertain else self.view_of(accepted.images)
+        self.frames[number], self.windows = current, None
         self.frames = {k: frame for k, frame in self.frames.items() if k in kept}
         self.table.prune(np.concatenate([frame.landmark_ids for frame in self.frames.values()]))
         if begins_anchor:

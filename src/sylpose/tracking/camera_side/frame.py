@@ -575,7 +575,6 @@ def measure_agreement(pairs: Pairs, match_weights: MatchWeights, current: Camera
         ages=count_ages(inlier_landmarks.n_observations.astype(float)),
         n_inlier_features=_count_unique(indices),
         n_moved=_count_unique(indices[find_moved(inliers, inlier_landmarks, match_weights, current.static_px)]),
-        n_known_moved=_count_unique(tried[all_landmarks.has_moved]),
         residual_px=float(np.sqrt(squares.mean())) if len(squares) else np.nan,
         has_features=len(current.features) > 0,
         n_strong=_count_unique(indices[~current.features.faint[indices]]),
