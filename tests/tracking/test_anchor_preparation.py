@@ -18,7 +18,6 @@ from sylpose.tracking import anchor_preparation
 from sylpose.tracking.camera_side.camera import CameraTracker
 from sylpose.tracking.context import TrackedFrame
 from sylpose.tracking.joint_side.joint_state import RESULT_DELAY, JointState, SolvedFrame
-from sylpose.tracking.joint_side.joint_state import RESULT_DELAY as REFINED_LATER
 from sylpose.tracking.tracker import Tracker
 from tests.clips import Clip, compute_pose_errors, frame_sets, make_rotated_pose, moving_scene
 from tests.stored import dump_state, restore_state
@@ -71,7 +70,7 @@ def test_joint_refinement_runs_in_background(tracked_and_states: tuple[list[Trac
     joints, finished = tracked_and_states[1], 0
     for before, after in pairwise(joints):
         if before.refinement.pending is not None and after.refinement.pending is not before.refinement.pending:
-            assert after.last.number == before.refinement.pending.number + REFINED_LATER
+            assert after.last.number == before.refinement.pending.number + RESULT_DELAY
             finished += 1
     assert finished >= 1
 

@@ -1,4 +1,4 @@
-"""Windows of an image in which an object is searched for that may be anywhere, one window per frame.
+"""Search windows: parts of an image, one of which is searched for a lost object in each frame.
 
 Cameras are static: where the picture has not changed since it was searched, nothing new can be found. So the likeliest
 window is the one that has changed most. Every now and then the window is taken that was searched longest ago, so that

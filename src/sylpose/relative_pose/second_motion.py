@@ -22,8 +22,8 @@ from sylpose.relative_pose.solver import fit_two_motions
 from sylpose.relative_pose.terms import MIN_MATCHES, Solution, TermData, TermSolver
 from sylpose.status import Status
 
-# Outliers are examined if they are more than this share of the inliers, in at least two cameras; a second body has more
-# than the second share (choice).
+# Outliers are examined if they are more than this share of the inliers, in at least two cameras; a camera sees both
+# bodies if each has more than this share of its matches. A second body has more than the second share (choice).
 MIN_OUTLIER_RATIO, MIN_BODY_RATIO = 0.1, 0.25
 # Neighbors move alike if their displacements differ by less than this share of the difference between any two matches,
 # in the median: mismatches have about 1 ± 0.2 (choice).

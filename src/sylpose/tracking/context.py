@@ -252,19 +252,14 @@ class Context:
         times = [images.time if time is None else time for time in images.times]
         return Frame(number, images, np.array(times) - images.time + self.time_offsets)
 
-    def project_regions(
-        self, state: JointState, world_from_object: RigidTransform, growth: float = REGION_MARGIN
-    ) -> list[Region]:
+    def project_regions(self, state: JointState, world_from_object: RigidTransform) -> list[Region]:
         """Project the object at a pose into each camera.
-
-        Args:
-            growth: margin as a share of the object's size in the image.
 
         Returns:
             per camera, local: its region; None if out of view.
         """
         points = world_from_object.apply(state.object.points)
-        return [project_outline(camera.camera, points, growth) for camera in self.cameras]
+        return [project_outline(camera.camera, points, REGION_MARGIN) for camera in self.cameras]
 
     def object_radius_px(self, state: JointState, world_from_object: RigidTransform) -> list[float]:
         """Return per camera of the rig the object's radius in its image at a pose, pixels."""

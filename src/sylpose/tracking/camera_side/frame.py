@@ -33,7 +33,7 @@ from sylpose.tracking.reports import InlierStatistics, LandmarkAges, PoseAgreeme
 
 # A feature that is static where the object's surface moved by this many pixels is background (choice).
 BACKGROUND_PX = 4.0
-# Low-contrast features are localized less precisely: they are static within as many pixels, if that is at most this share
+# Low-contrast features are localized less precisely: they are static within `BACKGROUND_PX`, if that is at most this share
 # of the motion of a point on the object (choice).
 MAX_STATIC_RATIO = 0.2
 # Half length of a landmark's search range, in standard deviations of its depth (choice).

@@ -33,8 +33,9 @@ from sylpose.tracking.reports import Agreements, NewObservations, TrackingReport
 # The pose of a missing object is extrapolated for at most so many frames, and only while its rotation (radians) and its
 # position (object's radii) are more certain than this (choice).
 MAX_COASTING_FRAMES, MAX_COASTING_ROTATION_SD, MAX_COASTING_POSITION_SD = 15, MAX_ROTATION_SD, 1.0
-# Low-contrast features are detected too where fewer features of normal contrast than this agreed with the last pose,
-# averaged over cameras. board4, rich in texture, has 90 and more (measured: benchmarks/kinds.py, faint) (choice).
+# Low-contrast features are detected too where fewer features of normal contrast than this agreed with the last pose, or
+# are in the middle of the first frame's boxes, averaged over cameras. board4, rich in texture, has 90 and more (measured:
+# benchmarks/kinds.py, faint) (choice).
 MIN_STRONG_INLIERS = 60
 # After the first frames, a refinement is due once the object has rotated by this since the last one (radians), as less
 # shows little new; at the earliest after `MIN_INTERVAL` frames, at the latest after `MAX_INTERVAL` (choice).
