@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -9,12 +10,20 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.frames import FrameSet
+from sylpose.frames import Box, FrameSet
+from sylpose.relative_pose.camera_evidence import MAX_POOLED_RATIO
 from sylpose.simulate import Actor, Scene
 from sylpose.simulate.render import Path
 from sylpose.smoothing import Track, smooth
 from sylpose.status import FrameStatus
-from sylpose.tracking.bodies import MAX_WINDOWS, WINDOW_FRAMES, find_candidates, find_rigid_motion, select_windows
+from sylpose.tracking.bodies import (
+    MAX_WINDOWS,
+    WINDOW_FRAMES,
+    compare_cameras,
+    find_candidates,
+    find_rigid_motion,
+    select_windows,
+)
 from sylpose.tracking.context import MAX_LATER_RATIO, MAX_RIVAL_RATIO, Candidate
 from sylpose.tracking.tracker import Tracker, track
 from tests.clips import (
@@ -188,19 +197,37 @@ def test_iterator_is_searched_as_the_sequence() -> None:
         np.testing.assert_array_equal(a.pose.covariance, b.pose.covariance)
 
 
+def turn_upside_down(frames: Sequence[FrameSet]) -> list[FrameSet]:
+    return [
+        replace(frame, images=tuple(image[::-1, ::-1] for image in frame.images if image is not None))
+        for frame in frames
+    ]
+
+
 def test_wrong_rig_is_contradicted_from_the_first_pose_on() -> None:
     """Of a right rig the F ratio is about 1; images turned upside down contradict the calibration in every window."""
     clip = render("resting")
     (right,) = candidates_of("resting")
     assert right.f_ratio < 3.0
-    assert not right.is_contradicted
-    frames = [
-        replace(frame, images=tuple(image[::-1, ::-1] for image in frame.images if image is not None))
-        for frame in clip.frames()
-    ]
+    frames = turn_upside_down(clip.frames())
     wrong = find_candidates(clip.rig, windows_of(frames))[0]
-    assert wrong.is_contradicted
+    assert wrong.f_ratio > MAX_POOLED_RATIO
     tracked = list(track(frames, clip.rig))
+    assert FrameStatus.TRACKED not in statuses(tracked)
+    assert FrameStatus.CONTRADICTED in statuses(tracked)
+
+
+def test_wrong_rig_is_contradicted_with_boxes() -> None:
+    """From the first pose on, though the depths are guessed then."""
+    clip = Clip.render(moving_scene(make_drifting_pose, N_FRAMES, n_cameras=3))
+    frames, boxes = clip.frames(), clip.boxes
+    (width, height), turned = clip.rig.cameras[0].size, dict[str, Box]()
+    for name, box in boxes.items():
+        turned[name] = Box(width - 1 - box.x - box.width, height - 1 - box.y - box.height, box.width, box.height)
+    assert compare_cameras(clip.rig, frames, boxes) < 3.0
+    assert compare_cameras(clip.rig, turn_upside_down(frames), turned) > MAX_POOLED_RATIO
+    assert np.isnan(compare_cameras(clip.rig, frames[:2], boxes))  # one pair of frames may have outliers
+    tracked = list(track(turn_upside_down(frames), clip.rig, turned))
     assert FrameStatus.TRACKED not in statuses(tracked)
     assert FrameStatus.CONTRADICTED in statuses(tracked)
 
@@ -228,7 +255,6 @@ def test_no_evidence_with_differing_time_stamps() -> None:
     frames = [replace(frame, times=tuple(frame.time + 0.01 * c for c in range(3))) for frame in clip.frames()]
     (candidate,) = find_candidates(clip.rig, windows_of(frames))
     assert np.isnan(candidate.f_ratio)
-    assert not candidate.is_contradicted
     # Nor with known offsets of cameras whose time stamps agree.
     late = np.array([0.0, 0.01, 0.0])
     (candidate,) = find_candidates(clip.rig, windows_of(clip.frames()), time_offsets=late)

@@ -8,7 +8,7 @@ from dataclasses import replace
 from sylpose.frames import FrameSet
 from sylpose.io.capture import Session
 from sylpose.runs.options import RunOptions
-from sylpose.tracking.bodies import find_candidates, select_windows
+from sylpose.tracking.bodies import WINDOW_FRAMES, compare_cameras, find_candidates, select_windows
 from sylpose.tracking.context import Candidate
 
 
@@ -37,6 +37,14 @@ def select_candidate(session: Session, options: RunOptions) -> Candidate | None:
         moving = "no body moves" if not n else "one body moves" if n == 1 else f"{n} bodies move"
         raise ValueError(f"object {options.candidate}: {moving} in {session.path}; `sylpose check` draws what moves")
     return replace(candidates[options.candidate - 1], is_chosen=True)
+
+
+def compare_session_cameras(session: Session, name: str, options: RunOptions) -> float:
+    """Return the F ratio of an object that boxes or masks select, in the first frames. See `compare_cameras`."""
+    every = options.every
+    stop = min(session.n_frames if options.stop is None else options.stop, options.start + WINDOW_FRAMES * every)
+    frames = [own.for_object(name) for own in session.frames(options.start, stop, every, _ignore)]
+    return compare_cameras(session.rig, frames, session.select_object(name).boxes, workers=options.workers)
 
 
 def _read_windows(session: Session, options: RunOptions) -> Iterator[Sequence[FrameSet]]:

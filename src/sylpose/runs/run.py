@@ -17,7 +17,7 @@ from sylpose.io.object_files import object_checksum
 from sylpose.methods import METHODS
 from sylpose.network.simulation import NodesTracker
 from sylpose.rig import Rig
-from sylpose.runs.candidates import select_candidate
+from sylpose.runs.candidates import compare_session_cameras, select_candidate
 from sylpose.runs.check import check_session
 from sylpose.runs.checkpoint import CheckpointWriter
 from sylpose.runs.checkpoint_schema import OutputState, RunState
@@ -29,10 +29,10 @@ from sylpose.runs.results_folder import ResultsFolder, check_output_folder, lock
 from sylpose.runs.run_metadata import SETTINGS, USED_CALIBRATION, WORLD, write_run_metadata
 from sylpose.runs.run_result import Run, StageTimer
 from sylpose.sync.offsets import apply_offsets, find_offsets
-from sylpose.tracking.context import Candidate, TrackedFrame
+from sylpose.tracking.context import TrackedFrame
 from sylpose.tracking.known_object import KnownObject
 from sylpose.tracking.search_clock import SearchClock
-from sylpose.tracking.tracker import Tracker
+from sylpose.tracking.tracker import Tracker, TrackerOptions
 from sylpose.units import INITIAL_DISTANCES
 
 # Frame rate of the overlay if the recording has none, frames per second.
@@ -208,19 +208,19 @@ class _SessionRun:
     def open_trackers(self, stack: ExitStack) -> None:
         """Create a tracker for each object."""
         options = self.options
-        arguments: dict[str, Any] = {"method": options.method, "features": options.features, "seed": options.seed}
+        arguments: TrackerOptions = {"method": options.method, "features": options.features, "seed": options.seed}
         arguments["offsets"] = self._time_offsets
         for name in self.session.objects:
             boxes = None if name in self.known else self.session.select_object(name).boxes or None
-            arguments["candidate"] = self._select_candidate(name, boxes)
+            own: TrackerOptions = {**arguments, **self._look_ahead(name, boxes)}
             if options.distributed is not None:
-                nodes = NodesTracker(self.session.rig, boxes, mode=options.distributed, **arguments)
+                nodes = NodesTracker(self.session.rig, boxes, mode=options.distributed, **own)
                 self.trackers[name] = stack.enter_context(nodes)
                 continue
-            known = self.known.get(name)
+            own["known_object"] = self.known.get(name)
             if isinstance(self.session, LiveSession) and self.session.is_real_time:
-                arguments["search_clock"] = SearchClock()
-            tracker = Tracker(self.session.rig, boxes, workers=options.workers, known_object=known, **arguments)
+                own["search_clock"] = SearchClock()
+            tracker = Tracker(self.session.rig, boxes, workers=options.workers, **own)
             self.trackers[name] = stack.enter_context(tracker)
             learned = tracker.transferred_object
             if options.refine_calibration and learned is not None and learned.is_other_rig:
@@ -228,16 +228,19 @@ class _SessionRun:
                     f"refine_calibration: {name} was learned with another rig, which does not constrain this one"
                 )
 
-    def _select_candidate(self, name: str, boxes: Mapping[str, Box] | None) -> Candidate | None:
-        """Select the moving body to be tracked where neither boxes nor masks nor a known object select it."""
+    def _look_ahead(self, name: str, boxes: Mapping[str, Box] | None) -> TrackerOptions:
+        """Search a recording: do the cameras agree, and which moving body is tracked if nothing else selects it?"""
         is_selected = bool(boxes) or name in self.known or self.session.masks is not None
         if self.options.candidate is not None and (is_selected or not isinstance(self.session, Session)):
             reason = "boxes or masks select the object" if is_selected else "live cameras are not searched in advance"
             raise ValueError(f"object {self.options.candidate}: {reason}; omit the number")
-        if is_selected or not isinstance(self.session, Session):
-            return None
+        if name in self.known or not isinstance(self.session, Session):
+            return {}
         with self.clock.measure("search for what moves"):
-            return select_candidate(self.session, self.options)
+            if is_selected:
+                return {"f_ratio": compare_session_cameras(self.session, name, self.options)}
+            candidate = select_candidate(self.session, self.options)
+            return {} if candidate is None else {"candidate": candidate, "f_ratio": candidate.f_ratio}
 
     def begin(self, stack: ExitStack) -> dict[str, OutputState]:
         """Move earlier results away, which return if no frame is tracked, and write the first files."""

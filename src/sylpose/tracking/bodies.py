@@ -10,14 +10,15 @@ notable share of its matches, which of them is the object is the user's knowledg
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
 from sylpose.features.sift import match_features
-from sylpose.frames import FrameSet
+from sylpose.frames import Box, FrameSet
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.methods import METHODS
 from sylpose.relative_pose.affine_ransac import find_inliers
@@ -162,16 +163,68 @@ def find_candidates(
     Returns:
         by decreasing number of matches; empty if nothing moves as a rigid body.
     """
-    offsets = np.zeros(len(rig)) if time_offsets is None else time_offsets
-    executor = LocalExecutor(len(rig), workers or min(len(rig), os.cpu_count() or 1))
-    try:
-        cameras = [CameraTracker(c, camera) for c, camera in enumerate(rig)]
-        context = Context(rig, cameras, executor, METHODS[0], True, True, offsets, seed)
+    with _open_context(rig, time_offsets, seed, workers) as context:
         found, gap = list[Window](), GAPS[0]
         for frames in filter(len, windows):
             window, gap = _search_window(context, frames, gap)
             found.append(window)
         return _make_candidates(context, found)
+
+
+def compare_cameras(
+    rig: Rig,
+    frames: Sequence[FrameSet],
+    boxes: Mapping[str, Box] | None = None,
+    *,
+    time_offsets: FloatArray | None = None,
+    workers: int | None = None,
+) -> float:
+    """Compare the motions that the cameras see of what is in the boxes, between the first frame and some later ones.
+
+    Args:
+        rig: C cameras.
+        frames: the first ones of a recording.
+        boxes: per camera, the object's box in the first frame, pixels; None: it is all that moves.
+        time_offsets, workers: as `find_candidates`.
+
+    Returns:
+        the F ratio pooled over the later frames, see `pool_f_ratios`; NaN unless it is known for several.
+    """
+    with _open_context(rig, time_offsets, 0, workers) as context:
+        gaps = [gap for gap in GAPS if gap < len(frames)]
+        if not gaps:
+            return np.nan
+        first, ratios = _detect(context, 0, frames[0]), list[float]()
+        for gap in gaps:
+            last = _detect(context, gap, frames[gap])
+            pairs = _match(context, first, last)
+            if boxes:
+                local = [rig.cameras[c] for c in context.executor.local]
+                pairs = [_select_boxed(own, boxes.get(its.name)) for its, own in zip(local, pairs, strict=True)]
+            ratios.append(_compute_f_ratio(context, last, pairs))
+        return float(pool_f_ratios(np.array(ratios))) if np.count_nonzero(~np.isnan(ratios)) > 1 else np.nan
+
+
+def _select_boxed(pairs: Sequence[FrameMatches], box: Box | None) -> list[FrameMatches]:
+    """Return a camera's matches of features that are in the box in the earlier frame; none without a box."""
+    if box is None:
+        return []
+    first, last = np.array([box.x, box.y]), np.array([box.x + box.width, box.y + box.height])
+    selected = list[FrameMatches]()
+    for pair in pairs:
+        is_inside: BoolArray = np.all((pair.pixels_i >= first) & (pair.pixels_i <= last), axis=1)
+        selected.append(pair.subset(is_inside))
+    return omit_empty(selected)
+
+
+@contextmanager
+def _open_context(rig: Rig, time_offsets: FloatArray | None, seed: int, workers: int | None) -> Iterator[Context]:
+    """Create cameras for a search, on worker threads of its own."""
+    offsets = np.zeros(len(rig)) if time_offsets is None else time_offsets
+    executor = LocalExecutor(len(rig), workers or min(len(rig), os.cpu_count() or 1))
+    try:
+        cameras = [CameraTracker(c, camera) for c, camera in enumerate(rig)]
+        yield Context(rig, cameras, executor, METHODS[0], True, True, offsets, seed)
     finally:
         executor.close()
 
@@ -255,20 +308,19 @@ def _search_window(context: Context, frames: Sequence[FrameSet], gap: int) -> tu
         if n_others >= 0 and best and best[0].motion.displacement_px > limit:
             break
     is_far = bool(best) and best[0].motion.displacement_px > MAX_DISPLACEMENT_PX
-    window = Window(first, best, _compare_cameras(context, best_pairs, best))
+    for body in best[1:]:
+        best_pairs = _remove_inliers(best_pairs, body.motion)
+    window = Window(first, best, _compute_f_ratio(context, best[0].last, best_pairs) if best else np.nan)
     return window, max(best_gap // 2, GAPS[0]) if is_far else best_gap
 
 
-def _compare_cameras(context: Context, pairs: CameraPairs, bodies: Sequence[WindowBody]) -> float:
-    """Return the F ratio of all moving matches but those of smaller bodies; NaN without evidence.
+def _compute_f_ratio(context: Context, last: Frame, pairs: CameraPairs) -> float:
+    """Return the F ratio of moving matches with the last frame; NaN without evidence.
 
     Cameras with other time stamps than the frame's see the object elsewhere.
     """
-    times = bodies[0].last.time_offsets if bodies else np.ones(1)
-    if times.any():
+    if last.time_offsets.any():
         return np.nan
-    for body in bodies[1:]:
-        pairs = _remove_inliers(pairs, body.motion)
     matches = [_select_rigid(context.rig.cameras[c], own) for c, own in zip(context.executor.local, pairs, strict=True)]
     return float(compute_f_ratios(context.rig, [matches], Hypothesis())[0])
 

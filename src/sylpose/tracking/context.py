@@ -182,11 +182,6 @@ class Candidate:
     is_chosen: bool = False
 
     @property
-    def is_contradicted(self) -> bool:
-        """Whether the cameras contradict each other in most of the recording: then the rig is wrong in all frames."""
-        return self.f_ratio > MAX_POOLED_RATIO
-
-    @property
     def is_ambiguous(self) -> bool:
         """Whether another body might be the object as well."""
         has_rival = is_rival(self.rival_ratio, len(self.outlines)) or self.later_ratio > MAX_LATER_RATIO
@@ -207,6 +202,7 @@ class Context:
         time_offsets: (C,) seconds by which each camera's images are later than its time stamps.
         seed: random seed of outlier rejection.
         candidate: the body to be tracked; None: with boxes, or the largest one.
+        f_ratio: by which the cameras contradict each other in what was searched in advance; NaN if unknown.
         search_clock: limits the time of searches during live tracking; None: results do not depend on time.
     """
 
@@ -219,7 +215,13 @@ class Context:
     time_offsets: FloatArray
     seed: int
     candidate: Candidate | None = None
+    f_ratio: float = np.nan
     search_clock: SearchClock | None = None
+
+    @property
+    def is_contradicted(self) -> bool:
+        """Whether the cameras contradict each other in most of what was searched: then the rig is wrong in all frames."""
+        return self.f_ratio > MAX_POOLED_RATIO
 
     def share_of_search(self, kind: str) -> float:
         """Return the share of a search's pixels for which there is time. See `SearchClock.share`."""

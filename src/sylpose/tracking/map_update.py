@@ -215,9 +215,7 @@ def _is_rig_contradicted(context: Context, state: JointState) -> bool:
     That is known of all that moves, of a camera that was nudged or of other bodies as well, and replaced by what the
     frames that were tracked show of the object.
     """
-    candidate = context.candidate
-    is_contradicted = candidate is not None and candidate.is_contradicted and context.method in MAXIMUM_LIKELIHOOD
-    return is_contradicted and len(state.f_ratios) < N_POOLED
+    return context.is_contradicted and context.method in MAXIMUM_LIKELIHOOD and len(state.f_ratios) < N_POOLED
 
 
 def _compute_covariance(context: Context, state: JointState, candidate: PoseCandidate) -> FloatArray:

@@ -18,7 +18,7 @@ from sylpose.geometry.validation import check_integer, check_number, check_type,
 from sylpose.input_limits import to_one_line
 from sylpose.methods import FEATURES, METHODS, resolve_features
 from sylpose.rig import Rig
-from sylpose.tracking.bodies import find_candidates, select_windows
+from sylpose.tracking.bodies import WINDOW_FRAMES, compare_cameras, find_candidates, select_windows
 from sylpose.tracking.camera_side.camera import CameraTracker, create_anchor
 from sylpose.tracking.camera_side.frame import CameraFrame
 from sylpose.tracking.context import CameraExecutor, Candidate, Context, Frame, LocalExecutor, TrackedFrame
@@ -128,6 +128,7 @@ class TrackerOptions(TypedDict, total=False):
     seed: int
     known_object: KnownObject | None
     candidate: Candidate | None
+    f_ratio: float
     search_clock: SearchClock | None
 
 
@@ -161,8 +162,8 @@ def track(
         offsets: per camera, seconds by which its images are later than its time stamps.
         known_object: the object as learned from another recording (`load_object`); poses are expressed in its frame
             and start with the first frame in which it is found.
-        lookahead: number of frames that are read in advance to see which bodies move, without boxes; a sequence is
-            searched as a whole. 0 for live cameras.
+        lookahead: number of frames that are read in advance to see which bodies move and whether the cameras agree,
+            with boxes fewer; a sequence is searched as a whole. 0 for live cameras.
         workers: threads for detection and matching; None: one per core, at most one per camera.
         seed: of outlier rejection. Equal input and seed give equal output for any number of threads.
 
@@ -178,9 +179,9 @@ def track(
     with Tracker(rig, boxes, workers=workers, **options) as tracker:
         if not isinstance(frames, Iterable) or isinstance(frames, (str, bytes, Mapping)):
             raise TypeError(f"frames must be a sequence of FrameSet, got {format_value(frames)}")
-        if check_integer(lookahead, "lookahead", minimum=0) and not boxes and known_object is None:
-            known, frames = _read_ahead(frames, lookahead)
-            tracker.select_candidate(known, workers)
+        if check_integer(lookahead, "lookahead", minimum=0) and known_object is None:
+            known, frames = _read_ahead(frames, min(lookahead, WINDOW_FRAMES) if boxes else lookahead)
+            tracker.look_ahead(known, boxes, workers)
         for frame_set in frames:
             yield from tracker.step(frame_set)
         yield from tracker.flush()
@@ -205,7 +206,8 @@ class TrackerBase:
     Args:
         cameras: per camera, local: its tracker.
         executor: connects the cameras.
-        rig, boxes, method, features, offsets, seed, known_object, candidate: see `track`.
+        rig, boxes, method, features, offsets, seed, known_object: see `track`.
+        candidate, f_ratio: found in advance, see `Context`.
         search_clock: for live cameras, so that a search for a lost object does not delay poses; None: results do not
             depend on the machine's speed.
 
@@ -226,6 +228,7 @@ class TrackerBase:
         seed: int = 0,
         known_object: KnownObject | None = None,
         candidate: Candidate | None = None,
+        f_ratio: float = np.nan,
         search_clock: SearchClock | None = None,
     ) -> None:
         uses_klt = resolve_features(method, features) == "klt"
@@ -240,7 +243,7 @@ class TrackerBase:
         for name, box in check_type({} if boxes is None else boxes, Mapping, "boxes").items():
             check_type(box, Box, f"boxes: {format_value(name)}")
         time_offsets = np.array([offsets.get(name, 0.0) for name in rig.names])
-        settings = method, uses_klt, method == METHODS[0], time_offsets, seed, candidate, search_clock
+        settings = method, uses_klt, method == METHODS[0], time_offsets, seed, candidate, f_ratio, search_clock
         self._context = Context(rig, cameras, executor, *settings)
         self._rig = rig
         self._state = JointState(ObjectModel.from_boxes(rig, boxes) if boxes else ObjectModel())
@@ -393,16 +396,21 @@ class Tracker(TrackerBase):
         cameras = [CameraTracker(c, camera) for c, camera in enumerate(rig)]
         super().__init__(rig, cameras, self._executor, boxes, **options)
 
-    def select_candidate(self, frames: Sequence[FrameSet], workers: int | None = None) -> None:
-        """Select the moving body with the most matches in some frames as the object, before the first step."""
+    def look_ahead(
+        self, frames: Sequence[FrameSet], boxes: Mapping[str, Box] | None, workers: int | None = None
+    ) -> None:
+        """Search frames before the first step: do the cameras agree and, without boxes, which moving body is largest?"""
         for frame_set in frames:
             check_frame_set(frame_set, self._rig)
+        context, offsets = self._context, self._context.time_offsets
+        if boxes:
+            f_ratio = compare_cameras(self._rig, frames, boxes, time_offsets=offsets, workers=workers)
+            self._context = replace(context, f_ratio=f_ratio)
+            return
         windows = ([frames[k] for k in window] for window in select_windows(len(frames)))
-        context = self._context
-        candidates = find_candidates(
-            self._rig, windows, time_offsets=context.time_offsets, seed=context.seed, workers=workers
-        )
-        self._context = replace(context, candidate=candidates[0] if candidates else None)
+        candidates = find_candidates(self._rig, windows, time_offsets=offsets, seed=context.seed, workers=workers)
+        if candidates:
+            self._context = replace(context, candidate=candidates[0], f_ratio=candidates[0].f_ratio)
 
     def __enter__(self) -> Tracker:
         return self
