@@ -241,6 +241,70 @@ def test_caliscope(tmp_path: Path) -> None:
     assert same_pose(rig["cam_12"].camera_from_world, [0, 0, np.pi / 2], [1, 2, 3])
 
 
+CALISCOPE_CONFIG = """CALISCOPE_VERSION = "0.2.1"
+creation_date = "2023-09-27"
+fps_recording = 20
+[charuco]
+columns = 4
+rows = 5
+[cam_0]
+port = 0
+size = [1280, 720]
+rotation_count = 0
+error = 0.19
+matrix = [[900.0, 0.0, 639.5], [0.0, 901.0, 359.5], [0.0, 0.0, 1.0]]
+distortions = [0.1, -0.2, 0.0, 0.0, 0.01]
+exposure = "null"
+grid_count = 20
+ignore = false
+verified_resolutions = [[1280, 720]]
+rotation = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+translation = [1.0, 2.0, 3.0]
+[cam_3]
+port = 3
+size = [640, 480]
+rotation_count = 1
+error = 0.0
+matrix = [[800.0, 0.0, 319.5], [0.0, 801.0, 239.5], [0.0, 0.0, 1.0]]
+distortions = [0.1, -0.2, 0.0, 0.0, 0.01]
+ignore = false
+rotation = [0.1, 0.2, 0.3]
+translation = [1.0, 2.0, 3.0]
+[cam_4]
+port = 4
+size = [640, 480]
+rotation_count = 0
+ignore = true
+[stereo_0_3]
+rotation = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+translation = [[1.0], [2.0], [3.0]]
+RMSE = 0.5
+"""
+
+
+def test_caliscope_config(tmp_path: Path) -> None:
+    """Read config.toml of older versions, with other tables, and without pairs of cameras."""
+    rig = calibration.load(write_file(tmp_path / "config.toml", CALISCOPE_CONFIG))
+    assert rig.names == ("cam_0", "cam_3")
+    assert [camera.error_px for camera in rig] == [0.19, None]
+    assert same_pose(rig["cam_0"].camera_from_world, [0, 0, 0], [1, 2, 3])
+    assert same_pose(rig["cam_3"].camera_from_world, [0.1, 0.2, 0.3], [1, 2, 3])
+    text = CALISCOPE_CONFIG.replace("rotation = [0.1, 0.2, 0.3]\n", "")
+    with pytest.raises(ValueError, match="camera cam_3: no rotation and translation: calibrate its pose"):
+        calibration.load(write_file(tmp_path / "config.toml", text))
+
+
+@pytest.mark.parametrize(("error", "known"), [("0.0", None), ("0", None), ("0.25", 0.25)])
+def test_error_of_zero_is_unknown(error: str, known: float | None, tmp_path: Path) -> None:
+    """Pose2Sim writes `error = 0.0` into every calibration, OpenCV's users 0 for none."""
+    rig = calibration.load(
+        write_file(tmp_path / "a.toml", ANIPOSE.replace("[metadata]", f"[metadata]\nerror = {error}"))
+    )
+    assert [camera.error_px for camera in rig] == [known, known]
+    text = next(iter(STORAGE.values())) + f"avg_reprojection_error: {error}\n"
+    assert calibration.load(write_file(tmp_path / "a.yml", text)).cameras[0].error_px == known
+
+
 def test_rounded_rotation_becomes_the_nearest_one(tmp_path: Path) -> None:
     exact = Rotation.from_rotvec([0.3, -0.5, 0.7])
     rows = np.round(exact.as_matrix(), 4).tolist()
@@ -547,7 +611,7 @@ def test_bad_toml(bad: str, tmp_path: Path) -> None:
         ("a.yml", "", "not a calibration of a known format"),
         ("a.xml", "<opencv_storage><a>", "not valid XML"),
         ("a.xml", "<html></html>", "not a calibration of a known format"),
-        ("a.txt", "hello there", "not a calibration of a known format; known are sylpose, Anipose and Caliscope TOML"),
+        ("a.txt", "hello there", "not a calibration of a known format; known are sylpose, Anipose, Caliscope"),
     ],
 )
 def test_bad_files(name: str, text: str, message: str, tmp_path: Path) -> None:
@@ -655,7 +719,7 @@ def test_unsupported_files_name_alternatives(name: str, message: str, tmp_path: 
 
 
 def test_known_formats_are_listed_completely(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"known are sylpose, .* NeRF and DeepLabCut$"):
+    with pytest.raises(ValueError, match=r"known are sylpose, .* and CMU Panoptic$"):
         calibration.load(write_file(tmp_path / "a.txt", "hello there"))
 
 

@@ -210,3 +210,57 @@ def test_camera_info_alone(folder: Path) -> None:
     (folder / "right.yaml").unlink()
     with pytest.raises(ValueError, match="ROS transforms without a camera_info next to them"):
         calibration.load(folder)
+
+
+BINNED = """header: {frame_id: left_optical_frame}
+width: 1280
+height: 960
+distortion_model: plumb_bob
+d: [-0.1, 0.02, 0.0, 0.0, 0.0]
+k: [1664.0, 0.0, 639.5, 0.0, 1660.0, 479.5, 0.0, 0.0, 1.0]
+r: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+p: [1664.0, 0.0, 639.5, 0.0, 0.0, 1664.0, 479.5, 0.0, 0.0, 0.0, 1.0, 0.0]
+binning_x: 2
+binning_y: 4
+roi: {x_offset: 0, y_offset: 0, height: 0, width: 0, do_rectify: false}
+"""
+
+
+def load_binned(folder: Path, left: str) -> Rig:
+    write_file(folder / "left.yaml", left)
+    right = left.replace("left", "right").replace("639.5, 0.0, 0.0, 1664.0", "639.5, -332.8, 0.0, 1664.0")
+    write_file(folder / "right.yaml", right)
+    return calibration.load(folder / "left.yaml")
+
+
+def test_binning_and_region_of_interest(tmp_path: Path) -> None:
+    """K is that of the full sensor; a binned pixel's center is the middle of its pixels."""
+    rig = load_binned(tmp_path, BINNED)
+    assert [camera.size for camera in rig] == [(640, 240)] * 2
+    expected = np.array([[832.0, 0, 319.5], [0, 415.0, 119.5], [0, 0, 1]])
+    np.testing.assert_allclose(rig["left"].matrix, expected, rtol=1e-15)
+    np.testing.assert_allclose(rig["right"].center - rig["left"].center, [0.2, 0, 0], atol=1e-12)
+    region = "roi: {x_offset: 100, y_offset: 40, height: 800, width: 1001, do_rectify: true}"
+    rig = load_binned(tmp_path, BINNED.replace(BINNED.splitlines()[-1], region))
+    assert rig["left"].size == (500, 200)
+    np.testing.assert_allclose(rig["left"].matrix[:2, 2], [269.5, 109.5], rtol=1e-15)
+    full = calibration.load(write_file(tmp_path / "left.yaml", BINNED.replace("binning_x: 2\nbinning_y: 4", "")))
+    assert full["left"].size == (1280, 960)
+    # The same ray, seen by full sensor and region.
+    ray = np.array([[0.1, -0.2, 3.0]])
+    pixel = full["left"].project(ray) - [100, 40]
+    np.testing.assert_allclose(rig["left"].project(ray), (pixel + 0.5) / [2, 4] - 0.5, atol=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("binning_x: 2", "binning_x: 1.5", "binning_x and binning_y must be whole numbers"),
+        ("width: 0", "width: 1300", "must be a region in the image of 1280x960"),
+        ("x_offset: 0", "x_offset: 1280", "must be a region in the image of 1280x960"),
+        ("x_offset: 0", "x_offset: a", "roi.x_offset, y_offset, width and height must be numbers"),
+    ],
+)
+def test_invalid_regions_are_rejected(old: str, new: str, message: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=message):
+        load_binned(tmp_path, BINNED.replace(old, new))

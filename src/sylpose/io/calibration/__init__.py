@@ -20,6 +20,7 @@
 | Matlab | `stereo` | stereoParameters as JSON |
 | Metashape | `photogrammetry` | cameras exported as XML |
 | NeRF | `photogrammetry` | transforms.json |
+| MC-Calib, CMU Panoptic | `opencv_programs` | a node per camera; a list with distCoef |
 | DeepLabCut | `folders` | stereo_params.pickle |
 
 `formats` lists the formats that are read and those that are written. In any case a `Rig` has poses

@@ -1,18 +1,20 @@
 """TOML with one table per camera: Anipose's `calibration.toml` and Caliscope's `camera_array.toml`.
 
 Anipose's (aniposelib, Pose2Sim, Caliscope's export) has tables `[cam_0]`, `[cam_1]`, ... and `[metadata]`; Caliscope's
-has `[cameras.N]`, N a number.
+has `[cameras.N]`, N a number. Older versions of Caliscope (pyxy3d) have `[cam_N]` in `config.toml`, next to tables of
+boards, recording rates and pairs of cameras.
 """
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from sylpose.atomic_io import format_toml_string
-from sylpose.io.calibration.camera_builder import CameraEntry, make_rig
+from sylpose.io.calibration.camera_builder import CameraEntry, drop_zero_error, make_rig
 from sylpose.rig import Camera, LensModel, Rig
 
 
@@ -58,9 +60,18 @@ def read(data: dict[str, Any], path: Path) -> Rig:
 
 
 def is_caliscope(data: dict[str, Any]) -> bool:
-    """Return whether decoded TOML looks like Caliscope's: a table `cameras` whose keys are numbers."""
+    """Return whether decoded TOML looks like Caliscope's: a table `cameras` whose keys are numbers, or older ones."""
     cameras = data.get("cameras")
-    return isinstance(cameras, dict) and all(key.isdecimal() for key in cameras)
+    if isinstance(cameras, dict):
+        return all(key.isdecimal() for key in cameras)
+    # Only Caliscope numbers its cameras by `port` and turns its display by `rotation_count`.
+    return any({"port", "rotation_count"} <= table.keys() for table in _find_config_tables(data).values())
+
+
+def _find_config_tables(data: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return the tables `[cam_N]` of Caliscope's older config.toml by N."""
+    found = {match[1]: table for key, table in data.items() if (match := re.fullmatch(r"cam_([0-9]+)", key))}
+    return {number: table for number, table in found.items() if isinstance(table, dict)}
 
 
 def read_caliscope(data: dict[str, Any], path: Path) -> Rig:
@@ -73,7 +84,7 @@ def read_caliscope(data: dict[str, Any], path: Path) -> Rig:
         ValueError: invalid content; the message names file and camera.
     """
     cameras = []
-    for number, table in data["cameras"].items():
+    for number, table in data.get("cameras", _find_config_tables(data)).items():
         entry = CameraEntry(path, f"cam_{number}")
         if not isinstance(table, dict):
             raise entry.error(f"expected a table [cameras.{number}]")
@@ -114,4 +125,4 @@ fisheye = {str(camera.lens == "fisheye").lower()}
 def _make_table_camera(entry: CameraEntry, table: _CameraTable) -> Camera:
     pose = entry.make_pose(table.rotation, table.translation)
     lens: LensModel = "fisheye" if table.fisheye else "opencv"
-    return entry.make_camera(table.size, table.matrix, table.distortions, pose, lens, table.error)
+    return entry.make_camera(table.size, table.matrix, table.distortions, pose, lens, drop_zero_error(table.error))

@@ -251,6 +251,11 @@ class CameraEntry(Entry):
             raise ValueError(f"{self.path}: {error}") from None
 
 
+def drop_zero_error(error_px: float | None) -> float | None:
+    """Return a reprojection error; None for 0, which programs write where they measured none (Pose2Sim always)."""
+    return None if error_px == 0 else error_px
+
+
 def intrinsic_matrix(fx: float, fy: float, cx: float, cy: float) -> FloatArray:
     """Return the intrinsic matrix (3, 3)."""
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])

@@ -28,6 +28,7 @@ from sylpose.io.calibration.camera_builder import (
     CameraEntry,
     Entry,
     SizeLookup,
+    drop_zero_error,
     lookup_sizes,
     make_rig,
 )
@@ -38,7 +39,7 @@ _NAMES = {
     "matrix": ("camera_matrix", "cameraMatrix", "K", "intrinsic_matrix", "intrinsics", "intrinsic", "matrix", "mtx"),
     "distortion": (
         *("distortion_coefficients", "distCoeffs", "dist_coeffs", "distortion_coeffs", "distortion_vector"),
-        *("distortion", "distortions", "dist", "D"),
+        *("distortion", "distortions", "distCoef", "dist", "D"),
     ),
     "size": ("image_size", "imageSize", "size", "resolution", "img_size"),
     "width": ("image_width", "imageWidth", "width", "img_width"),
@@ -197,7 +198,7 @@ def parse_error_px(node: dict[str, Any], where: Entry) -> float | None:
     """Return the reprojection error of a camera, or of all, in pixels; None if missing."""
     value = get_value(node, "error", where)
     if value is None or (isinstance(value, (int, float)) and not isinstance(value, bool)):
-        return value
+        return drop_zero_error(value)
     raise where.error(f"the reprojection error must be a number of pixels, got {value!r}")
 
 

@@ -16,6 +16,7 @@ from sylpose.io.calibration import (
     kalibr,
     motion_capture,
     native,
+    opencv_programs,
     photogrammetry,
     ros,
     stereo,
@@ -67,6 +68,8 @@ FORMATS_BY_KIND: dict[str, tuple[Format, ...]] = {
         Format("EasyMocap", folders.is_easymocap, folders.read_easymocap, has_sizes=False),
         Format("ROS camera_info", ros.is_ros, ros.read),
         Format("Kalibr camchain", kalibr.is_kalibr, kalibr.read),
+        Format("MC-Calib", opencv_programs.is_mc_calib, opencv_programs.read_mc_calib, has_sizes=False),
+        Format("CMU Panoptic", opencv_programs.is_panoptic, opencv_programs.read_panoptic, has_sizes=False),
         Format("OpenCV stereo", stereo.is_stereo, stereo.read, has_sizes=False),
         Format("OpenCV FileStorage", filestorage.is_calibration, filestorage.read, has_sizes=False),
     ),
@@ -79,8 +82,8 @@ FORMATS_BY_KIND: dict[str, tuple[Format, ...]] = {
     "unknown": (),
 }
 KNOWN_FORMATS = (
-    "known are sylpose, Anipose and Caliscope TOML, OpenCV (nodes of cameras, or stereo), Kalibr, COLMAP, ROS, JARVIS, "
-    "Qualisys, Vicon, OptiTrack, EasyMocap, MultiCamSelfCal, Matlab, Metashape, NeRF and DeepLabCut"
+    "known are sylpose, Anipose, Caliscope, OpenCV, Kalibr, COLMAP, ROS, JARVIS, Qualisys, Vicon, OptiTrack, EasyMocap, "
+    "MultiCamSelfCal, Matlab, Metashape, NeRF, DeepLabCut, MC-Calib and CMU Panoptic"
 )
 # Unsupported file types, by suffix, of programs with a supported alternative.
 _UNSUPPORTED_SUFFIXES = {

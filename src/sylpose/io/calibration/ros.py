@@ -3,7 +3,8 @@
 camera_info is written by camera_calibration (left.yaml, ost.yaml) or printed as a message by `ros2 topic echo`.
 Transforms give the frames' poses: /tf_static, or any TransformStamped, printed likewise. X_parent = R X_child + t; a
 camera's frame is its optical one (x right, y down, z forward). Without transforms, the poses of a stereo pair follow
-from its projection and rectification matrices.
+from its projection and rectification matrices. Images have the size of the region of interest (roi), divided by the
+binning.
 """
 
 from __future__ import annotations
@@ -187,7 +188,35 @@ def _require_value(data: dict[str, Any], key: str, entry: CameraEntry) -> Any:
 
 
 def _parse_camera(entry: CameraEntry, data: dict[str, Any], pose: RigidTransform) -> Camera:
-    size = [_get_value(data, "width"), _get_value(data, "height")]
     matrix, distortion = _parse_info_matrix(data, "K", entry), _require_value(data, "D", entry)
+    full_size = entry.parse_numbers([_get_value(data, "width"), _get_value(data, "height")], 2, "width and height")
+    first, size, binning = _parse_region(data, full_size, entry)
+    # The center of a binned pixel is the mean of those of its pixels.
+    matrix[:2, 2] = (matrix[:2, 2] - first + 0.5) / binning - 0.5
+    matrix[[0, 1], [0, 1]] /= binning
     lens = entry.parse_lens_model(data["distortion_model"], "distortion_model")
-    return entry.make_camera(size, matrix, distortion, pose, lens)
+    return entry.make_camera(size // binning, matrix, distortion, pose, lens)
+
+
+def _parse_region(
+    data: dict[str, Any], full_size: FloatArray, entry: CameraEntry
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the first pixel (x, y) and the size of the region of interest, unbinned, and the binning.
+
+    By sensor_msgs/CameraInfo, K is that of the full sensor, and 0 means no binning, or the whole image.
+    """
+    region = data.get("roi")
+    values = region if isinstance(region, dict) else {}
+    what = "roi.x_offset, y_offset, width and height"
+    numbers = [values.get(key, 0) for key in ("x_offset", "y_offset", "width", "height")]
+    first, size = entry.parse_numbers(numbers, 4, what).reshape(2, 2)
+    size = np.where(size == 0, full_size - first, size)
+    if (first < 0).any() or (first + size > full_size).any() or (size < 1).any() or (first != first.round()).any():
+        raise entry.error(f"{what} must be a region in the image of {full_size[0]:g}x{full_size[1]:g}")
+    binning = entry.parse_numbers(
+        [data.get(key, 1) for key in ("binning_x", "binning_y")], 2, "binning_x and binning_y"
+    )
+    binning = np.maximum(binning, 1.0)
+    if (binning != binning.round()).any():
+        raise entry.error("binning_x and binning_y must be whole numbers")
+    return first, size, binning
