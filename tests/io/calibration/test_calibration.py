@@ -297,9 +297,7 @@ def test_caliscope_config(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("error", "known"), [("0.0", None), ("0", None), ("0.25", 0.25)])
 def test_error_of_zero_is_unknown(error: str, known: float | None, tmp_path: Path) -> None:
     """Pose2Sim writes `error = 0.0` into every calibration, OpenCV's users 0 for none."""
-    rig = calibration.load(
-        write_file(tmp_path / "a.toml", ANIPOSE.replace("error = 0.0", f"error = {error}"))
-    )
+    rig = calibration.load(write_file(tmp_path / "a.toml", ANIPOSE.replace("error = 0.0", f"error = {error}")))
     assert [camera.error_px for camera in rig] == [known, known]
     text = next(iter(STORAGE.values())) + f"avg_reprojection_error: {error}\n"
     assert calibration.load(write_file(tmp_path / "a.yml", text)).cameras[0].error_px == known

@@ -143,6 +143,92 @@ def test_pycolmap_agrees(model: Path, tmp_path: Path) -> None:
     check(calibration.load(tmp_path / "binary"))
 
 
+# Rigs and frames of COLMAP 3.12 and newer
+
+RIGS = """# Rig calib list with one line of data per calib:
+1 3 CAMERA 1 IMU 9 0 CAMERA 2 1 0.8 0.4 -0.2 0.4 0.1 -0.2 0.5
+2 1 CAMERA 7
+"""
+FRAMES = """# Frame list with one line of data per frame:
+1 1 -0.5 0.1 0.7 0.5 -1.0 0.3 2.0 3 CAMERA 1 1 IMU 9 77 CAMERA 2 2
+5 2 0.1 0.5 -0.5 0.7 0.3 1.2 -0.4 1 CAMERA 7 3
+"""
+
+
+@pytest.fixture
+def rig_model(model: Path) -> Path:
+    """Return a model whose images file has stale poses: rigs and frames contain the right ones."""
+    stale = {"left/0.png": 1, "right/0.png": 2, "top/0.png": 7}
+    write_file(model / "images.txt", format_images(stale))
+    write_file(model / "rigs.txt", RIGS)
+    write_file(model / "frames.txt", FRAMES)
+    return model
+
+
+def to_matrix(quaternion: list[float], translation: list[float]) -> FloatArray:
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = Rotation.from_quat(np.roll(quaternion, -1)).as_matrix(), translation
+    return matrix
+
+
+def test_poses_are_composed_from_rigs_and_frames(rig_model: Path) -> None:
+    """The sensor's pose in the rig times the rig's in the world replaces the stale pose of each image."""
+    rig = calibration.load(rig_model)
+    assert rig.names == ("left", "right", "top")
+    world = to_matrix([-0.5, 0.1, 0.7, 0.5], [-1.0, 0.3, 2.0])
+    sensor = to_matrix([0.8, 0.4, -0.2, 0.4], [0.1, -0.2, 0.5])
+    for name, expected in (("left", world), ("right", sensor @ world), ("top", to_matrix(*POSES[7]))):
+        np.testing.assert_allclose(rig[name].camera_from_world.as_matrix(), expected, atol=1e-14)
+
+
+def test_pycolmap_composes_the_same_poses(rig_model: Path, tmp_path: Path) -> None:
+    pycolmap = pytest.importorskip("pycolmap")
+    reconstruction = pycolmap.Reconstruction(rig_model)
+    expected = {
+        image.name.partition("/")[0]: image.cam_from_world().matrix() for image in reconstruction.images.values()
+    }
+    (tmp_path / "binary").mkdir()
+    reconstruction.write_binary(tmp_path / "binary")
+    # Stale poses in images.bin as well: those of the camera at the origin.
+    data = (tmp_path / "binary" / "images.bin").read_bytes()
+    for image in reconstruction.images.values():
+        pose = image.cam_from_world()
+        x, y, z, w = pose.rotation.quat
+        data = data.replace(struct.pack("<7d", w, x, y, z, *pose.translation), struct.pack("<7d", 1, *[0] * 6))
+    (tmp_path / "binary" / "images.bin").write_bytes(data)
+    for folder in (rig_model, tmp_path / "binary"):
+        rig = calibration.load(folder)
+        assert set(rig.names) == set(expected)
+        for camera in rig:
+            np.testing.assert_allclose(camera.camera_from_world.as_matrix()[:3], expected[camera.name], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "message"),
+    [
+        ("rigs.txt", "2 1 0.8 0.4 -0.2 0.4 0.1 -0.2 0.5", "2 0", "camera 2 of rig 1 has no pose"),
+        ("rigs.txt", "0.1 -0.2 0.5", "0.1 -0.2", "rigs.txt: line 2: expected RIG_ID NUM_SENSORS"),
+        ("rigs.txt", "0.8", "8", "camera 2 of rig 1: its pose is not a unit quaternion"),
+        ("frames.txt", "CAMERA 7 3", "CAMERA 7", "frames.txt: line 3: expected FRAME_ID RIG_ID"),
+        ("frames.txt", "CAMERA 7 3", "CAMERA 7 4", "image top/0 is in no frame"),
+        ("frames.txt", "5 2", "5 4", "camera 7 of rig 4 has no pose in rigs.txt"),
+        ("frames.txt", "0.3 1.2", "nan 1.2", "a frame of rig 2: its pose"),
+    ],
+)  # fmt: skip
+def test_invalid_rigs_are_rejected(file: str, old: str, new: str, message: str, rig_model: Path) -> None:
+    text = (rig_model / file).read_text()
+    assert old in text
+    write_file(rig_model / file, text.replace(old, new, 1))
+    with pytest.raises(ValueError, match=message):
+        calibration.load(rig_model)
+
+
+def test_rigs_without_frames_are_rejected(rig_model: Path) -> None:
+    (rig_model / "frames.txt").unlink()
+    with pytest.raises(ValueError, match=r"this COLMAP model has rigs\.txt without the other one"):
+        calibration.load(rig_model)
+
+
 # Assignment of images to cameras
 
 

@@ -1,7 +1,8 @@
 """COLMAP models, text or binary: a folder with cameras.txt and images.txt, or .bin; and rig_config.json.
 
 A camera's lens is in `cameras`, its pose in `images`, with one entry per image: `find_static_cameras` groups them by
-camera. Points are skipped.
+camera. Points are skipped. Models of COLMAP 3.12 and newer also have `rigs` and `frames`; an image's pose is then that
+of its sensor in the rig times that of the rig in its frame, and the pose in `images` is not used, as in pycolmap.
 
 In COLMAP, the center of the top-left pixel is (0.5, 0.5), quaternions begin with w, and lengths have no unit.
 """
@@ -14,7 +15,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.geometry.arrays import FloatArray
 from sylpose.input_limits import MAX_TABLE_BYTES, input_errors, open_regular_file, to_one_line
@@ -39,6 +40,8 @@ from sylpose.rig import MAX_LENGTH, Camera, LensModel, Rig
 MAX_IMAGES = 100_000
 # Bytes of a line with an image's pose and name (choice: eight numbers with all digits, and the longest path).
 MAX_LINE = 8192
+# Bytes of a line with a rig's or frame's sensors (choice: a thousand cameras with all digits).
+MAX_RIG_LINE = 2**18
 # Maximum number of parameters in a line of cameras.txt or a binary entry (choice: COLMAP's models have 16).
 MAX_PARAMS = 100
 _FILES = ("cameras", "images", "points3d", "rigs", "frames")
@@ -210,8 +213,10 @@ def _read_model(path: Path) -> _Model:
         )
     with input_errors(cameras):
         lenses = _read_text_lenses(cameras) if suffix == ".txt" else _read_binary_lenses(cameras)
+    poses = _read_frame_poses(path, found, suffix)
     with input_errors(images):
-        return _Model(lenses, _read_text_images(images) if suffix == ".txt" else _read_binary_images(images))
+        read_images = _read_text_images if suffix == ".txt" else _read_binary_images
+        return _Model(lenses, [_replace_pose(image, number, poses) for number, image in read_images(images)])
 
 
 def _read_text_lenses(path: Path) -> dict[str, _Lens]:
@@ -233,7 +238,7 @@ def _read_text_lenses(path: Path) -> dict[str, _Lens]:
     return lenses
 
 
-def _read_text_images(path: Path) -> list[PosedImage]:
+def _read_text_images(path: Path) -> list[tuple[int, PosedImage]]:
     images = []
     with open_regular_file(path, MAX_TABLE_BYTES) as file:
         lines = _iterate_lines(file)
@@ -242,10 +247,11 @@ def _read_text_images(path: Path) -> list[PosedImage]:
             if not words or words[0].startswith("#"):
                 continue
             try:
-                values, camera, name = [float(word) for word in words[1:8]], int(words[8]), words[9].strip()
+                image_id, camera, name = int(float(words[0])), int(words[8]), words[9].strip()
+                values = [float(word) for word in words[1:8]]
             except (ValueError, IndexError):
                 raise ValueError(f"line {number}: expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME") from None
-            images.append(_make_image(name, camera, np.array(values), f"line {number}: "))
+            images.append((image_id, _make_image(name, camera, np.array(values), f"line {number}: ")))
             next(lines, None)  # its points, possibly none
             if len(images) > MAX_IMAGES:
                 raise ValueError(f"more than {MAX_IMAGES} images")
@@ -275,23 +281,147 @@ def _read_binary_lenses(path: Path) -> dict[str, _Lens]:
     return lenses
 
 
-def _read_binary_images(path: Path) -> list[PosedImage]:
+def _read_binary_images(path: Path) -> list[tuple[int, PosedImage]]:
     images = []
     with open_regular_file(path, MAX_TABLE_BYTES) as file:
         for _ in range(_read_count(file)):
-            _, *values, camera = _unpack(file, "<I7dI")
+            image_id, *values, camera = _unpack(file, "<I7dI")
             name = bytearray()
             while (byte := file.read(1)) != b"\0":
                 name += byte
                 if not byte or len(name) > MAX_LINE:
                     raise ValueError("the file is truncated in an image's name")
-            images.append(_make_image(name.decode("utf-8", "replace"), camera, np.array(values)))
+            images.append((image_id, _make_image(name.decode("utf-8", "replace"), camera, np.array(values))))
             (points,) = _unpack(file, "<Q")
             # Each point has x, y and the ID of a 3D point.
             if points > MAX_TABLE_BYTES:
                 raise ValueError(f"an image has an implausible number of points, {points}")
             file.seek(24 * points, 1)
     return images
+
+
+# Rigs and frames
+
+
+class _FrameEntry(NamedTuple):
+    """Frame: its rig, pose rig_from_world (7,), and (camera ID, image ID) of each image."""
+
+    rig: int
+    rig_from_world: FloatArray
+    images: list[tuple[int, int]]
+
+
+_CAMERA_SENSOR = 0
+
+
+def _read_frame_poses(path: Path, found: dict[tuple[str, str], Path], suffix: str) -> dict[int, RigidTransform] | None:
+    """Compose camera_from_world of each image from rigs and frames; None for models without.
+
+    Raises:
+        ValueError: one of the two files alone; a frame without its rig; a sensor whose pose in the rig is unknown.
+    """
+    present = [name for name in ("rigs", "frames") if (name, suffix) in found]
+    if not present:
+        return None
+    if len(present) == 1:
+        raise ValueError(
+            f"{path}: this COLMAP model has {present[0]}{suffix} without the other one of rigs{suffix} and "
+            f"frames{suffix}, which contain the poses of its images together"
+        )
+    rigs, frames = found["rigs", suffix], found["frames", suffix]
+    with input_errors(rigs):
+        sensors = dict(_iterate_text_sensors(rigs) if suffix == ".txt" else _iterate_binary_sensors(rigs))
+    poses = {}
+    with input_errors(frames):
+        for frame in _iterate_text_frames(frames) if suffix == ".txt" else _iterate_binary_frames(frames):
+            rig_from_world = _to_pose(frame.rig_from_world, f"a frame of rig {frame.rig}")
+            for camera, image in frame.images:
+                what = f"camera {camera} of rig {frame.rig}"
+                if (values := sensors.get((frame.rig, camera))) is None:
+                    raise ValueError(f"{what} has no pose in rigs{suffix}")
+                poses[image] = _to_pose(values, what) * rig_from_world
+                if len(poses) > MAX_IMAGES:
+                    raise ValueError(f"more than {MAX_IMAGES} images")
+    return poses
+
+
+def _to_pose(values: FloatArray, what: str) -> RigidTransform:
+    """Build the pose of a quaternion, w first, and a translation."""
+    _check_pose(values, what)
+    return RigidTransform.from_components(values[4:], Rotation.from_quat(np.roll(values[:4], -1)))
+
+
+def _replace_pose(image: PosedImage, number: int, poses: dict[int, RigidTransform] | None) -> PosedImage:
+    """Return an image with its pose by rigs and frames, if the model has these."""
+    if poses is None:
+        return image
+    if number not in poses:
+        raise ValueError(f"image {to_one_line(str(image.path), 100)} is in no frame of the model's frames file")
+    return image._replace(quaternion=poses[number].rotation.as_quat(), translation=poses[number].translation)
+
+
+_IDENTITY = np.array([1.0, 0, 0, 0, 0, 0, 0])
+
+
+def _iterate_text_rows(path: Path, what: str) -> Iterator[tuple[Iterator[str], str]]:
+    """Yield the words of each line that is no comment, and the error for a malformed one."""
+    with open_regular_file(path, MAX_TABLE_BYTES) as file:
+        for number, line in enumerate(iter(lambda: file.readline(MAX_RIG_LINE), b""), start=1):
+            words = line.decode("utf-8", "replace").split()
+            if words and not words[0].startswith("#"):
+                yield iter(words), f"line {number}: expected {what} of a COLMAP model"
+
+
+def _iterate_text_sensors(path: Path) -> Iterator[tuple[tuple[int, int], FloatArray | None]]:
+    rows = _iterate_text_rows(path, "RIG_ID NUM_SENSORS REF_SENSOR_TYPE REF_SENSOR_ID SENSORS[]")
+    for words, problem in rows:
+        try:
+            rig, count = int(next(words)), int(next(words))
+            for k in range(count):
+                kind, sensor = next(words), int(next(words))
+                values: FloatArray | None = _IDENTITY
+                if k:
+                    has_pose = int(next(words))
+                    values = np.array([float(next(words)) for _ in range(7)]) if has_pose else None
+                if kind == "CAMERA":
+                    yield (rig, sensor), values
+        except (ValueError, StopIteration):
+            raise ValueError(problem) from None
+
+
+def _iterate_text_frames(path: Path) -> Iterator[_FrameEntry]:
+    rows = _iterate_text_rows(path, "FRAME_ID RIG_ID QW QX QY QZ TX TY TZ NUM_DATA_IDS DATA_IDS[]")
+    for words, problem in rows:
+        try:
+            _, rig, values = next(words), int(next(words)), np.array([float(next(words)) for _ in range(7)])
+            items = [(next(words), int(next(words)), int(next(words))) for _ in range(int(next(words)))]
+        except (ValueError, StopIteration, RuntimeError):  # StopIteration in a comprehension is a RuntimeError
+            raise ValueError(problem) from None
+        yield _FrameEntry(rig, values, [(sensor, image) for kind, sensor, image in items if kind == "CAMERA"])
+
+
+def _iterate_binary_sensors(path: Path) -> Iterator[tuple[tuple[int, int], FloatArray | None]]:
+    with open_regular_file(path, MAX_TABLE_BYTES) as file:
+        for _ in range(_read_count(file)):
+            rig, count = _unpack(file, "<II")
+            for k in range(count):
+                kind, sensor = _unpack(file, "<iI")
+                values: FloatArray | None = _IDENTITY
+                if k:
+                    (has_pose,) = _unpack(file, "<B")
+                    values = np.array(_unpack(file, "<7d")) if has_pose else None
+                if kind == _CAMERA_SENSOR:
+                    yield (rig, sensor), values
+
+
+def _iterate_binary_frames(path: Path) -> Iterator[_FrameEntry]:
+    with open_regular_file(path, MAX_TABLE_BYTES) as file:
+        for _ in range(_read_count(file)):
+            _, rig, *values, count = _unpack(file, "<II7dI")
+            items = [_unpack(file, "<iIQ") for _ in range(count)]
+            yield _FrameEntry(
+                rig, np.array(values), [(sensor, image) for kind, sensor, image in items if kind == _CAMERA_SENSOR]
+            )
 
 
 def _read_count(file: BinaryIO) -> int:
@@ -310,8 +440,10 @@ def _unpack(file: BinaryIO, layout: str) -> tuple[Any, ...]:
 
 def _make_image(name: str, camera: int, values: FloatArray, where: str = "") -> PosedImage:
     """Build an image from quaternion, w first, and translation."""
-    if not np.abs(values).max() <= MAX_LENGTH or not abs(np.linalg.norm(values[:4]) - 1.0) < 1e-3:
-        raise ValueError(
-            f"{where}image {to_one_line(name, 100)}: its pose is not a unit quaternion, w first, and a translation"
-        )
+    _check_pose(values, f"{where}image {to_one_line(name, 100)}")
     return PosedImage(image_path(name), str(camera), np.roll(values[:4], -1), values[4:])
+
+
+def _check_pose(values: FloatArray, what: str) -> None:
+    if not np.abs(values).max() <= MAX_LENGTH or not abs(np.linalg.norm(values[:4]) - 1.0) < 1e-3:
+        raise ValueError(f"{what}: its pose is not a unit quaternion, w first, and a translation")
