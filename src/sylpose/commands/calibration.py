@@ -52,7 +52,8 @@ def convert(options: ConvertOptions) -> None:
     """Convert a calibration to another format, length unit or world frame.
 
     Reads the formats of sylpose, Anipose, Caliscope, OpenCV (FileStorage, stereo), Kalibr, COLMAP, ROS, JARVIS,
-    Qualisys, Vicon, OptiTrack, EasyMocap, MultiCamSelfCal, Matlab, Metashape, NeRF and DeepLabCut.
+    Qualisys, Vicon, OptiTrack, EasyMocap, MultiCamSelfCal, Matlab, Metashape, NeRF, DeepLabCut, DANNCE, Label3D, OpenCap,
+    MC-Calib, CMU Panoptic, mrcal, BOP, 3D Gaussian splatting, XMALab, DLTdv, Argus, OpenPTV, KWIVER and VIAME.
 
     Examples:
         sylpose calibration convert camera_array.toml calibration.yml
@@ -86,7 +87,8 @@ def convert(options: ConvertOptions) -> None:
             raise ValueError(f"--only: a camera is given twice ({', '.join(only)})")
         rig = rig.subset(only)
     lost = calibration.save(rig, target, options.to)
-    summary = "; ".join([f"{len(rig)} cameras ({', '.join(rig.names)})", *lost])
+    read_as = f"read from {source}, {calibration.format_name(source)}"
+    summary = "; ".join([f"{len(rig)} cameras ({', '.join(rig.names)})", *lost, read_as])
     print(f"{target}, {calibration.format_name(target)}: {summary}")
     for note in notes:
         print_message(note)

@@ -21,6 +21,13 @@
 | Metashape | `photogrammetry` | cameras exported as XML |
 | NeRF | `photogrammetry` | transforms.json |
 | MC-Calib, CMU Panoptic | `opencv_programs` | a node per camera; a list with distCoef |
+| DANNCE, Label3D | `dannce` | hires_cam1_params.mat, ...; .mat with params |
+| OpenCap | `opencap` | cameraIntrinsicsExtrinsics.pickle of each camera |
+| mrcal | `mrcal` | .cameramodel of each camera |
+| KWIVER, VIAME | `kwiver` | .krtd of each camera; calibration.json |
+| BOP, 3D Gaussian splatting | `posed_images` | scene_camera.json; cameras.json |
+| XMALab, DLTdv, Argus | `biomechanics` | MayaCam .txt and .csv; DLT coefficients as .csv |
+| OpenPTV | `openptv` | .ori and .addpar of each camera |
 | DeepLabCut | `folders` | stereo_params.pickle |
 
 `formats` lists the formats that are read and those that are written. In any case a `Rig` has poses

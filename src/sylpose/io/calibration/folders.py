@@ -136,7 +136,7 @@ def read_multicamselfcal(_: object, path: Path, sizes: SizeLookup | None = None)
     for name, (i, file) in zip(names, matrices.items(), strict=True):
         with input_errors(file):
             projection = Entry(file).parse_matrix(read_text(file), "the projection matrix", columns=4)
-            matrix, pose = _decompose(projection, f"{file}: camera {i}")
+            matrix, pose = decompose_projection(projection, f"{file}: camera {i}")
         lens = _fit_lens(lenses.get(i), matrix, known_sizes[name], f"{lenses.get(i, file)}: camera {name}")
         cameras.append(CameraEntry(file, name).make_camera(known_sizes[name], lens.matrix, lens.distortion, pose))
     return make_rig(folder, cameras)
@@ -161,8 +161,12 @@ def _read_sizes(folder: Path, names: list[str], sizes: SizeLookup | None) -> dic
     return {name: (int(row[0]), int(row[1])) for name, row in zip(names, rows, strict=True)}
 
 
-def _decompose(projection: FloatArray, where: str) -> tuple[FloatArray, RigidTransform]:
-    """Decompose P = K [R t], up to its scale, into K and the pose camera_from_world."""
+def decompose_projection(projection: FloatArray, where: str) -> tuple[FloatArray, RigidTransform]:
+    """Decompose (3, 4) P = K [R t], up to its scale, into K, possibly with skew, and the pose camera_from_world.
+
+    Raises:
+        ValueError: beginning with `where`, for a matrix that is not that of a camera with a center.
+    """
     left = projection[:, :3]
     if not abs(np.linalg.det(left)) > 1e-12 * np.abs(left).max() ** 3:
         raise ValueError(f"{where}: the projection matrix is invalid: its left 3x3 part is singular")

@@ -10,14 +10,21 @@ from typing import Any, NamedTuple
 from sylpose.input_limits import input_errors
 from sylpose.io.calibration import (
     anipose,
+    biomechanics,
     colmap,
+    dannce,
     filestorage,
     folders,
     kalibr,
+    kwiver,
     motion_capture,
+    mrcal,
     native,
+    opencap,
     opencv_programs,
+    openptv,
     photogrammetry,
+    posed_images,
     ros,
     stereo,
 )
@@ -51,7 +58,13 @@ class Format(NamedTuple):
 FORMATS_BY_FILE_NAME = (
     Format("COLMAP model", colmap.is_model, colmap.read),
     Format("MultiCamSelfCal", folders.is_multicamselfcal, folders.read_multicamselfcal, has_sizes=False),
+    Format("OpenCap pickle", opencap.is_opencap, opencap.read_opencap),
     Format("DeepLabCut pickle", folders.is_pickle, folders.read_deeplabcut, has_sizes=False),
+    Format("DANNCE", dannce.is_dannce, dannce.read_dannce, has_sizes=False),
+    Format("Label3D", dannce.is_label3d, dannce.read_label3d, has_sizes=False),
+    Format("mrcal cameramodel", mrcal.is_mrcal, mrcal.read_mrcal),
+    Format("KWIVER KRTD", kwiver.is_krtd, kwiver.read_krtd, has_sizes=False),
+    Format("OpenPTV", openptv.is_openptv, openptv.read_openptv),
 )
 # Formats by kind of content, the more specific ones first.
 FORMATS_BY_KIND: dict[str, tuple[Format, ...]] = {
@@ -63,6 +76,9 @@ FORMATS_BY_KIND: dict[str, tuple[Format, ...]] = {
     "plain": (
         Format("COLMAP rig_config", colmap.is_rig_config, colmap.read_rig_config, has_sizes=False),
         Format("NeRF transforms", photogrammetry.is_nerf, photogrammetry.read_nerf, has_sizes=False),
+        Format("BOP scene_camera", posed_images.is_bop, posed_images.read_bop, has_sizes=False),
+        Format("3D Gaussian splatting", posed_images.is_splat, posed_images.read_splat),
+        Format("VIAME stereo", kwiver.is_viame, kwiver.read_viame, has_sizes=False),
         Format("Matlab stereoParameters", stereo.is_matlab, stereo.read_matlab, has_sizes=False),
         Format("JARVIS", folders.is_jarvis, folders.read_jarvis, has_sizes=False),
         Format("EasyMocap", folders.is_easymocap, folders.read_easymocap, has_sizes=False),
@@ -79,21 +95,27 @@ FORMATS_BY_KIND: dict[str, tuple[Format, ...]] = {
         Format("OptiTrack MCAL", motion_capture.is_optitrack, motion_capture.read_optitrack),
         Format("Metashape XML", photogrammetry.is_metashape, photogrammetry.read_metashape),
     ),
-    "unknown": (),
+    "unknown": (
+        Format("XMALab MayaCam", biomechanics.is_mayacam, biomechanics.read_mayacam),
+        Format("DLT coefficients", biomechanics.is_dlt, biomechanics.read_dlt, has_sizes=False),
+    ),
 }
 KNOWN_FORMATS = (
     "known are sylpose, Anipose, Caliscope, OpenCV, Kalibr, COLMAP, ROS, JARVIS, Qualisys, Vicon, OptiTrack, EasyMocap, "
-    "MultiCamSelfCal, Matlab, Metashape, NeRF, DeepLabCut, MC-Calib and CMU Panoptic"
+    "MultiCamSelfCal, Matlab, Metashape, NeRF, DeepLabCut, DANNCE, OpenCap, MC-Calib, Panoptic, mrcal, BOP, 3DGS, XMALab, "
+    "DLT, OpenPTV and KWIVER"
 )
 # Unsupported file types, by suffix, of programs with a supported alternative.
 _UNSUPPORTED_SUFFIXES = {
     ".mat": "Matlab files are not supported; write stereoParams as JSON, jsonencode(toStruct(stereoParams))",
     ".cal": ".cal is not supported; use OptiTrack's .mcal (Motive 3.2 or newer), or MultiCamSelfCal's camera1.Pmat.cal, ...",
-    ".csv": "tables are not supported as calibrations; use OptiTrack's .mcal (Motive 3.2 or newer)",
     **dict.fromkeys(
         (".npy", ".npz"), "NumPy arrays have no standard names and are not supported; write a calibration.toml"
     ),
 }
+_UNKNOWN_TABLE = (
+    "no table of DLT coefficients or MayaCam; other tables are not supported: of Motive, use OptiTrack's .mcal"
+)
 
 
 class DetectedFormat(NamedTuple):
@@ -110,6 +132,13 @@ FOLDER_PATTERNS = (
     (r"cameras\.(?:bin|txt)", True),
     (r"camera[0-9]+\.Pmat\.cal", True),
     (r"stereo_params\.pickle", False),
+    (r"cameraIntrinsicsExtrinsics\.pickle", False),
+    (r"(?:.*_)?cam(?:era)?_?[0-9]+_params\.mat", True),
+    (r".*label3d.*\.mat", False),
+    (r".*\.(?:cameramodel|krtd|ori)", True),
+    (r".*mayacam.*\.(?:txt|csv)", True),
+    (r".*dlt_?coef.*\.csv", False),
+    (r"scene_camera.*\.json", True),
     (r"(?:.*[_-])?calib.*\.(?:toml|ya?ml|json|xml)", False),
     (r".*intri.*\.(?:ya?ml|json|xml)", False),
     (r".*camchain.*\.ya?ml", False),
@@ -147,7 +176,8 @@ def find_folder_file(folder: Path) -> Path | None:
             if len(found) > 1 and not allows_several:
                 raise ValueError(f"{folder}: {', '.join(file.name for file in found)}; specify which one to use")
             return found[0]
-    return None
+    # OpenCap's folder of videos has a folder of each camera.
+    return next(iter(sorted(folder.glob(f"*/{opencap.CAMERA_FILE}"))), None)
 
 
 def _detect_file_format(path: Path) -> DetectedFormat:
@@ -160,6 +190,8 @@ def _detect_file_format(path: Path) -> DetectedFormat:
     for format_ in FORMATS_BY_KIND[kind]:
         if format_.matches(data):
             return DetectedFormat(format_, path, data)
+    if path.suffix.lower() == ".csv":
+        raise ValueError(_UNKNOWN_TABLE)
     if (hint := describe_incomplete(kind, data)) is not None:
         raise ValueError(f"no calibration: this looks like a file of {hint}")
     raise ValueError(f"not a calibration of a known format; {KNOWN_FORMATS}")
