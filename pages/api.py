@@ -31,6 +31,8 @@ GROUPS: dict[str, tuple[str, ...]] = {
     ),
     "Results": (
         "Trajectory",
+        "Kinematics",
+        "Derivatives",
         "FramePose",
         "FrameStatus",
         "Observability",

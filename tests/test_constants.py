@@ -16,6 +16,7 @@ ROOMS = (
     "absolute_pose",
     "bundle_adjustment",
     "smoothing",
+    "kinematics",
     "sylvester",
     "landmarks",
     "tracking",

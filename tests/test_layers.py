@@ -25,6 +25,7 @@ NOUNS = {
     "frames",
     "matches",
     "moments",
+    "kinematics",
     "results",
     "status",
     "display",

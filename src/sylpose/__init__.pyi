@@ -20,6 +20,8 @@ from sylpose.io.capture.live import open_live as open_live
 from sylpose.io.capture.streams import Device as Device
 from sylpose.io.object_files import load_object as load_object
 from sylpose.io.object_files import save_object as save_object
+from sylpose.kinematics import Derivatives as Derivatives
+from sylpose.kinematics import Kinematics as Kinematics
 from sylpose.matches import Matches as Matches
 from sylpose.moments import PairMoments as PairMoments
 from sylpose.packets import NetworkFaults as NetworkFaults

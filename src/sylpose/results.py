@@ -13,6 +13,7 @@ from sylpose.display import Printable
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.matrices import invert_information, propagate_covariance
 from sylpose.geometry.validation import check_list, check_type
+from sylpose.kinematics import Kinematics, estimate_kinematics, fill_frames
 from sylpose.rig import check_single_pose
 from sylpose.status import DOUBTFUL, PREDICTED, FrameStatus, Observability, Status
 
@@ -259,6 +260,22 @@ class Trajectory(Printable):
     def positions(self) -> FloatArray:
         """(N, 3) the object's center in the world; NaN rows where there is no pose."""
         return np.array([f.position for f in self.frames]).reshape(-1, 3)
+
+    def differentiate(self) -> Kinematics:
+        """Estimate velocities and accelerations in every frame, with standard deviations (`sylpose.kinematics`).
+
+        Frames without a measured pose are not used, and have NaN rows.
+
+        Raises:
+            ValueError: too few measured poses; times that do not increase.
+        """
+        mask = self.measured_mask
+        frames = [frame for frame, is_measured in zip(self.frames, mask, strict=True) if is_measured]
+        matrices = np.array([f.world_from_object.as_matrix() for f in frames if f.world_from_object is not None])
+        poses = RigidTransform.from_matrix(matrices.reshape(-1, 4, 4))
+        covariance = np.array([frame.covariance for frame in frames]).reshape(-1, 6, 6)
+        counts = np.array([frame.inliers.sum() for frame in frames], float)
+        return fill_frames(estimate_kinematics(self.times[mask], poses, covariance, counts), mask)
 
     @property
     def rotation_angles(self) -> FloatArray:

@@ -20,6 +20,7 @@ class ExportOptions(CommandOptions):
         to: Set the format; default: from FILE's name.
         name: Set the object's name in FILE; default: its own.
         start: Start at this frame; default: RESULT's first.
+        velocity: Add velocities and accelerations with their standard deviations (csv and parquet).
     """
 
     result: ResultPath
@@ -28,6 +29,7 @@ class ExportOptions(CommandOptions):
     name: Annotated[str | None, option("--name NAME", OUTPUT)] = None
     start: Annotated[int | None, option("--start N", INPUT)] = None
     stop: StopFrame = None
+    velocity: Annotated[bool, option("--velocity", OUTPUT)] = False
 
 
 @command("Export a trajectory to another program's format.")
@@ -40,6 +42,7 @@ def export(options: ExportOptions) -> None:
 
     Examples:
         sylpose export recording/sylpose --out object.c3d
+        sylpose export recording/sylpose --out velocity.csv --velocity
         sylpose export recording/sylpose --to rosbag --out bag
         sylpose export recording/sylpose --out object.bvh --start 10 --stop 200
     """
@@ -51,8 +54,12 @@ def export(options: ExportOptions) -> None:
     result, out = options.result, options.out
     folder = result if result.is_dir() else result.parent
     name = options.name or (folder.name if find_run_folder(folder) != folder else "object")
-    selected = select_frames(read_result(result), options.start, options.stop)
-    notes = export_trajectory(selected, out, options.to, name=name, z_up=read_world_definition(result) is not None)
+    trajectory, z_up = read_result(result), read_world_definition(result) is not None
+    selected = select_frames(trajectory, options.start, options.stop)
+    start, stop, velocity = options.start, options.stop, options.velocity
+    notes = export_trajectory(
+        trajectory, out, options.to, name=name, start=start, stop=stop, z_up=z_up, velocity=velocity
+    )
     console = console_output.make_console()
     console.print(f"{sum(frame.is_measured for frame in selected)} of {len(selected)} frames have a measured pose.")
     for note in notes:

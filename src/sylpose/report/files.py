@@ -20,8 +20,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose.atomic_io import GrowingFile, make_output_folder, partial_path, replace_atomically
 from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.geometry.euler_angles import EulerAngles
-from sylpose.geometry.validation import check_type
+from sylpose.geometry.validation import check_bool, check_type
 from sylpose.input_limits import MAX_TABLE_BYTES, input_errors, read_text
+from sylpose.kinematics import Kinematics
 from sylpose.results import FramePose, Trajectory
 from sylpose.status import FrameStatus, Observability
 
@@ -32,14 +33,21 @@ POSE_COLUMNS = ("tx", "ty", "tz", "qx", "qy", "qz", "qw")
 ANGLE_COLUMNS = ("pan_deg", "tilt_deg", "roll_deg")
 SD_COLUMNS = ("rx_sd_deg", "ry_sd_deg", "rz_sd_deg", "tx_sd", "ty_sd", "tz_sd")
 COLUMNS = ("index", "time", "status", "observability", "unit", *POSE_COLUMNS, *ANGLE_COLUMNS, *SD_COLUMNS)
+# Per second and per second squared, in world axes; each with its standard deviation.
+VELOCITY_COLUMNS = ("vx", "vy", "vz", "ax", "ay", "az")
+ANGULAR_COLUMNS = ("wx_deg", "wy_deg", "wz_deg", "dwx_deg", "dwy_deg", "dwz_deg")
 # Prefixes of the per-camera columns, followed by the camera's name.
 CAMERA_COLUMNS = ("inliers", "residual_px", "variance_inflation", "matches")
 
 
-def build_columns(trajectory: Trajectory) -> dict[str, list[Any]]:
+def build_columns(trajectory: Trajectory, kinematics: Kinematics | None = None) -> dict[str, list[Any]]:
     """Build the columns of trajectory.csv (docs/formats.md), not rounded.
 
     Values are text, integers or floats; NaN where there is no value, infinity for an unbounded standard deviation.
+
+    Args:
+        trajectory: the poses of all frames.
+        kinematics: their velocities and accelerations, for more columns.
     """
     names = trajectory.camera_names
     per_camera = [f"{what}_{name}" for what in CAMERA_COLUMNS for name in names]
@@ -55,24 +63,44 @@ def build_columns(trajectory: Trajectory) -> dict[str, list[Any]]:
             cells += (values if len(values) else missing).tolist()
         rows.append([*cells, "; ".join(f.faults), f.reason])
     columns = [list(column) for column in zip(*rows, strict=True)] or [[] for _ in (*COLUMNS, *per_camera, 0, 0)]
-    return dict(zip((*COLUMNS, *per_camera, "faults", "reason"), columns, strict=True))
+    table = dict(zip((*COLUMNS, *per_camera, "faults", "reason"), columns, strict=True))
+    return table if kinematics is None else table | build_velocity_columns(kinematics)
 
 
-def to_dataframe(trajectory: Trajectory) -> Any:
+def build_velocity_columns(kinematics: Kinematics) -> dict[str, list[float]]:
+    """Build the columns of velocities, accelerations and their standard deviations; angles in degrees."""
+    table: dict[str, list[float]] = {}
+    for d, names, factor in (
+        (kinematics.linear, VELOCITY_COLUMNS, 1.0),
+        (kinematics.angular, ANGULAR_COLUMNS, np.degrees(1.0)),
+    ):
+        values = factor * np.hstack([d.velocity, d.acceleration])
+        sds = factor * np.hstack([d.velocity_sd, d.acceleration_sd])
+        sd_names = [f"{n.removesuffix('_deg')}_sd{'_deg' * n.endswith('_deg')}" for n in names]
+        table |= {name: column.tolist() for name, column in zip(names, values.T, strict=True)}
+        table |= {name: column.tolist() for name, column in zip(sd_names, sds.T, strict=True)}
+    return table
+
+
+def to_dataframe(trajectory: Trajectory, *, velocity: bool = False) -> Any:
     """Return the columns of trajectory.csv (docs/formats.md) as a `pandas.DataFrame`, not rounded; NaN for no value.
 
     Args:
         trajectory: the poses of all frames.
+        velocity: add velocities and accelerations (`Trajectory.differentiate`).
 
     Raises:
         ModuleNotFoundError: pandas is not installed.
+        ValueError: as `Trajectory.differentiate`.
     """
     try:
         import pandas
     except ModuleNotFoundError as error:
         message = "a DataFrame needs pandas: python3 -m pip install 'sylpose[export]'"
         raise ModuleNotFoundError(message, name=error.name) from None
-    return pandas.DataFrame(build_columns(check_type(trajectory, Trajectory, "trajectory")))
+    check_type(trajectory, Trajectory, "trajectory")
+    kinematics = trajectory.differentiate() if check_bool(velocity, "velocity") else None
+    return pandas.DataFrame(build_columns(trajectory, kinematics))
 
 
 def align_quaternion_sign(quaternion: FloatArray, previous: FloatArray | None) -> FloatArray:

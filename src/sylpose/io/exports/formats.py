@@ -49,6 +49,7 @@ def export_trajectory(
     start: int | None = None,
     stop: int | None = None,
     z_up: bool = False,
+    velocity: bool = False,
 ) -> list[str]:
     """Write a trajectory in another format.
 
@@ -59,13 +60,15 @@ def export_trajectory(
         name: name of the object, for formats that contain one.
         start, stop: first frame, and first frame that is omitted; None for no limit.
         z_up: the world's z axis is known to point up, as in a user-defined world.
+        velocity: add velocities and accelerations, estimated from all frames (`Trajectory.differentiate`).
 
     Returns:
         notes on differences between the file and the trajectory.
 
     Raises:
         ValueError: an unknown format, or a file name that does not match it; a required package is not installed; no
-            frames between `start` and `stop`, or no poses in them; content that the format does not support.
+            frames between `start` and `stop`, or no poses in them; content that the format does not support; too few poses
+            for velocities.
         OSError: the file cannot be written; the message names it.
     """
     suffix = out.suffix.lower()
@@ -80,10 +83,24 @@ def export_trajectory(
         raise ValueError(f"{out}: the file name of {to} must end in one of {', '.join(suffixes)}")
     if package and find_spec(package) is None:
         raise ValueError(f"--to {to} needs {package}, which is not installed: pip install 'sylpose[{extra}]'")
+    if velocity and to not in _TABLES:
+        raise ValueError(f"--velocity: {to} has no columns for velocities; {' and '.join(_TABLES)} do")
     from sylpose.io.exports.poses import Poses
+    from sylpose.kinematics import describe_filter
+    from sylpose.report.files import build_columns
 
-    selected = select_frames(trajectory, start, stop)
-    return _load_writer(to)(selected if to in _TABLES else Poses.from_trajectory(selected, name, z_up), out)
+    selected, write = select_frames(trajectory, start, stop), _load_writer(to)
+    if to not in _TABLES:
+        return write(Poses.from_trajectory(selected, name, z_up), out)
+    if not velocity:
+        return write(build_columns(selected), out)
+    kinematics, kept = trajectory.differentiate(), {frame.index for frame in selected}
+    rows = [k for k, frame in enumerate(trajectory) if frame.index in kept]
+    table = {name: [column[k] for k in rows] for name, column in build_columns(trajectory, kinematics).items()}
+    notes = [*write(table, out), describe_filter(kinematics, trajectory.unit)]
+    if all(frame.time == frame.index for frame in trajectory):
+        notes.append("times are numbers of frames, so velocities are per frame (sylpose track --rate sets the rate)")
+    return notes
 
 
 def select_frames(trajectory: Trajectory, start: int | None, stop: int | None) -> Trajectory:

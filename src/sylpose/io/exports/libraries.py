@@ -5,14 +5,12 @@ from __future__ import annotations
 import re
 import shutil
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sylpose.atomic_io import make_output_folder, output_errors, partial_path, replace_atomically
 from sylpose.io.exports.poses import UP_UNKNOWN_NOTE, Poses
-from sylpose.report.files import build_columns
-from sylpose.results import Trajectory
 from sylpose.units import METERS
 
 if TYPE_CHECKING:
@@ -104,12 +102,12 @@ def write_c3d(poses: Poses, path: Path) -> list[str]:
     return poses.note_unit("mm")
 
 
-def write_parquet(trajectory: Trajectory, path: Path) -> list[str]:
-    """Write all columns of `report.files`."""
+def write_parquet(table: dict[str, list[Any]], path: Path) -> list[str]:
+    """Write the columns of `report.files`."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    columns = {name: pa.array(column, from_pandas=True) for name, column in build_columns(trajectory).items()}
+    columns = {name: pa.array(column, from_pandas=True) for name, column in table.items()}
     with replace_atomically(path) as part:
         pq.write_table(pa.table(columns), part)
     return []

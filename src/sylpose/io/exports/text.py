@@ -14,13 +14,10 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.atomic_io import replace_atomically
 from sylpose.io.exports.poses import UP_UNKNOWN_NOTE, Poses, find_runs
-from sylpose.report.files import build_columns
-from sylpose.results import Trajectory
 
 
-def write_csv(trajectory: Trajectory, path: Path) -> list[str]:
-    """Write all frames and columns (`report.files`); cells are empty for missing values."""
-    columns = build_columns(trajectory)
+def write_csv(columns: dict[str, list[Any]], path: Path) -> list[str]:
+    """Write the columns of `report.files`; cells are empty for missing values."""
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
     table.writerow(columns)
