@@ -14,6 +14,7 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.io.calibration import format_name
 from sylpose.io.capture import Session
 from sylpose.io.capture.live import LiveSession
+from sylpose.io.capture.timeline import Timeline
 from sylpose.report.drawing import View
 from sylpose.report.rigview import describe_rig, find_axes_intersection
 from sylpose.rig import Camera, Rig
@@ -32,6 +33,8 @@ MIN_BASELINE_RATIO = 1e-3
 # Optical axes intersect if they miss each other by at most this share of the cameras' distance (choice: aimed by hand,
 # a degree).
 MAX_AXIS_MISS_RATIO = 0.02
+# Frames are listed in messages up to this number (choice).
+MAX_LISTED = 6
 # Larger distances are unlikely to be in meters (choice).
 MAX_PLAUSIBLE_METERS = 200.0
 
@@ -110,20 +113,37 @@ def collect_facts(session: Session, locations: Mapping[str, ObjectLocation]) -> 
     if session.world is not None:
         entries.append(("World", session.world.description or "from a file"))
     entries.append(("Recorded", " and ".join(sorted({kinds[source.kind] for source in session.sources}))))
-    stamps = np.isfinite(session.timeline.stamps).any()
-    if stamps:
-        times = f"timestamps.csv, {session.timeline.times[-1] - session.timeline.times[0]:.2f} s"
+    if session.timeline.origin:
+        times = f"{session.timeline.origin}, {session.timeline.times[-1] - session.timeline.times[0]:.2f} s"
     elif session.rate:
         times = f"from the frame rate, {session.n_frames / session.rate:.2f} s"
     else:
         times = "none: frame numbers serve as times"
     entries.append(("Time", times))
+    clocks = describe_clocks(session.timeline, rig.names)
+    entries += [("Clocks" if k == 0 else "", text) for k, text in enumerate(clocks)]
     for name in session.objects:
         boxes = session.select_object(name).boxes.items()
         text = ", ".join(f"{camera} {box.width:.0f}x{box.height:.0f}" for camera, box in boxes)
         entries.append((f"Boxes{label(name)}", text or "none: whatever moves is tracked"))
     entries.append(("Masks", "none" if session.masks is None else str(session.masks)))
     return entries + [(f"Object{label(name)}", _describe_location(rig, where)) for name, where in locations.items()]
+
+
+def describe_clocks(timeline: Timeline, names: Sequence[str]) -> list[str]:
+    """Describe the time stamps of each camera: rate, lost frames, and deviation from even intervals."""
+    texts = []
+    for name, column in zip(names, timeline.stamps.T, strict=True):
+        intervals = np.diff(column[np.isfinite(column)])
+        if not len(intervals):
+            continue
+        usual = float(np.median(intervals))
+        n_steps = np.rint(intervals / usual)
+        jitter = 1e3 * float(np.std(intervals - n_steps * usual))
+        n_lost = int(np.maximum(n_steps - 1, 0).sum())
+        lost = f"{n_lost} lost, the longest gap {intervals.max():.3g} s" if n_lost else "none lost"
+        texts.append(f"{name} {1 / usual:.4g} frames per second, {lost}, jitter {jitter:.1f} ms")
+    return texts
 
 
 def _describe_location(rig: Rig, location: ObjectLocation) -> str:
@@ -310,8 +330,9 @@ def find_session_warnings(session: Session | LiveSession, start: int = 0) -> lis
         if not len(present):
             parts.append(f"{name} has none of them")
         elif len(present) < n:
-            missing = int(present[-1] - present[0] + 1 - len(present))
-            gap_text = f" without {missing} in between" if missing else ""
+            missing = present[0] + np.flatnonzero(column[present[0] : present[-1] + 1] < 0)
+            listed = ", ".join(map(str, missing[:MAX_LISTED])) + (", ..." if len(missing) > MAX_LISTED else "")
+            gap_text = f" without {len(missing)} in between ({listed})" if len(missing) else ""
             parts.append(f"{name} has {present[0]} to {present[-1]}{gap_text}")
     if parts:
         warnings.append(f"Not every camera has all frames 0 to {n - 1}: {', '.join(parts)}.")

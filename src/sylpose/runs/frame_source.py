@@ -12,8 +12,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from statistics import fmean
 
+import numpy as np
+
 from sylpose.frames import FrameSet
-from sylpose.geometry.arrays import Image
+from sylpose.geometry.arrays import FloatArray, Image
 from sylpose.io.capture.frame_assembly import StreamClock
 from sylpose.io.capture.frame_readers import CameraReader
 from sylpose.io.capture.sources import Source, open_source
@@ -51,6 +53,8 @@ class RecordedSource:
         self._camera, self._source, self._speed = camera, source, speed
         self._rate = rate or source.rate or DEFAULT_RATE
         self._pace = speed if rate or source.rate else 0.0
+        self._frames = number_frames(source.stamps, self._rate) if rate is None else {}
+        self._n_frames = max(self._frames, default=source.n_frames - 1) + 1
         self._reader = CameraReader(source, {})
         self._start_time: float | None = None  # monotonic time of frame 0, shown or not
         self._last_requested = 0  # number of the last requested frame
@@ -58,7 +62,7 @@ class RecordedSource:
 
     def newest(self, wanted: int) -> tuple[int, float | None]:
         """See `CameraFrames`."""
-        if wanted >= self._source.n_frames:
+        if wanted >= self._n_frames:
             return NO_FRAME, None
         if self._pace:
             elapsed = wanted / (self._rate * self._pace)
@@ -77,12 +81,25 @@ class RecordedSource:
 
     def frame_set(self, number: int, times: Sequence[float | None]) -> FrameSet:
         """See `CameraFrames`."""
-        image = self._reader.read(number).image if number < self._source.n_frames else None
+        frame = self._frames.get(number, -1) if self._frames else number
+        image = self._reader.read(frame).image if frame < self._source.n_frames else None
         return _make_frame_set(self._camera, number, times, number / self._rate, image)
 
     def close(self) -> None:
         """Close the recording."""
         self._reader.close()
+
+
+def number_frames(stamps: FloatArray | None, rate: float) -> dict[int, int]:
+    """Number the frames of a video by its time stamps (n,), seconds, so that lost ones do not shift later ones.
+
+    Returns:
+        the first frame of each number; empty without time stamps.
+    """
+    if stamps is None:
+        return {}
+    numbers = np.rint((stamps - stamps[0]) * rate).astype(int).tolist()
+    return {number: k for k, number in reversed([*enumerate(numbers)])}
 
 
 class LiveSource:

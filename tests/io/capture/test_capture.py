@@ -241,27 +241,6 @@ def test_offsets(folder: Path) -> None:
         open_session(folder, offsets={"cam_0": -4, "cam_1": -5})
 
 
-def test_variable_frame_rate_numbers_frames_consecutively(folder: Path) -> None:
-    write_video(folder / "cam_0.mkv", 0, range(6), "ffv1", pts=[0, 1, 3, 4, 6, 7])
-    write_video(folder / "cam_1.mkv", 1, range(6), "ffv1")
-    assert [painted_numbers(f) for f in open_session(folder).frames()] == [(k, k) for k in range(6)]
-
-
-def test_clock_jump_is_reported(folder: Path) -> None:
-    write_video(folder / "cam_0.mkv", 0, range(6), "ffv1", pts=[0, 1, 2, 30, 31, 32])
-    write_video(folder / "cam_1.mkv", 1, range(6), "ffv1")
-    frames, problems = read_with_problems(open_session(folder))
-    assert frames == [(k, k) for k in range(6)]
-    assert len(problems) == 1
-    assert "cam_0.mkv jumps by 2.80 s after frame 2" in problems[0]
-
-
-def test_different_rates_are_reported(folder: Path) -> None:
-    write_video(folder / "cam_0.mp4", 0, range(4), rate=10)
-    write_video(folder / "cam_1.mp4", 1, range(4), rate=15)
-    assert "cam_0 10, cam_1 15" in " ".join(open_session(folder).warnings)
-
-
 def test_frames_hidden_by_edit_list_are_not_counted(folder: Path) -> None:
     write_video(folder / "whole.mp4", 0, range(9))
     with av.open(str(folder / "whole.mp4")) as whole, av.open(str(folder / "cam_0.mp4"), "w") as cut:

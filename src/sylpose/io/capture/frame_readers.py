@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Generator, Mapping
 from contextlib import closing
 from dataclasses import dataclass
+from typing import cast
 
 import av.error
 import numpy as np
@@ -16,9 +18,8 @@ from sylpose.io.capture.boxes import Masks
 from sylpose.io.capture.images import read_image, read_mask
 from sylpose.io.capture.sources import Source, open_video
 
-# Jumps of a video's timestamps by more than this many frames are reported: the recorder or a damaged file lost frames
-# (choice: one or two frames are negligible).
-MAX_CLOCK_JUMP_FRAMES = 3.5
+# Packets in a row that cannot be decoded, after which a video is not read on (choice: several seconds).
+MAX_UNDECODABLE = 250
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,75 +94,91 @@ class CameraReader:
 
 
 class _VideoReader(FrameReader):
-    """Reader of a video's frames, by increasing numbers."""
+    """Reader of a video's frames, by increasing numbers. The time stamps show which one a decoded frame is."""
 
     def __init__(self, source: Source) -> None:
         super().__init__(source)
         self._container, self._stream = open_video(source.path)
         self._reformatter = VideoReformatter()
         self._frames = self._decode()
-        self._position = 0
-        self._time: float | None = None
+        self._number, self._frame = -1, cast(VideoFrame | None, None)  # the last one that was decoded
         self._failure: str | None = None
         self._reported_kinds: set[str] = set()
 
     def read(self, k: int) -> Image | None:
-        frame = None
-        while self._position <= k and not self.ended:
-            frame = next(self._frames, None)
-            if frame is None:
+        while not self.ended and self._number < k:
+            decoded = next(self._frames, None)
+            if decoded is None:
                 self._finish()
                 return None
-            self._check_clock(frame)
-            self._position += 1
-        return None if frame is None else self._convert(frame)
+            self._number, self._frame = decoded
+        if self._number < k:
+            return None
+        if self._number > k or self._frame is None or self._frame.is_corrupt:
+            where = f"{self._source.camera}: {self._source.path.name}, frame {k}"
+            self._report_once("damaged", f"{where} is damaged; damaged frames are skipped.")
+            return None
+        return self._convert(k, self._frame)
 
     def close(self) -> None:
         self._frames.close()
         self._container.close()
 
-    def _decode(self) -> Generator[VideoFrame, None, None]:
-        """Decode all frames up to the first unreadable one: later frames would be out of sync by an unknown gap."""
-        try:
-            for packet in self._container.demux(self._stream):
-                if packet.is_corrupt:  # truncated by the end of the file
-                    yield from self._stream.decode(None)
-                    self._failure = "the file is truncated or damaged there"
+    def _decode(self) -> Generator[tuple[int, VideoFrame], None, None]:
+        """Decode all frames, with their numbers.
+
+        Packets that cannot be decoded are skipped if the time stamps show which frames are missing, together with the
+        frames up to the next keyframe, which are predicted from them.
+        """
+        n_bad, number, is_broken, is_intra = 0, -1, False, self._stream.codec_context.codec.intra_only
+        packets = self._container.demux(self._stream)
+        while n_bad <= MAX_UNDECODABLE:
+            try:
+                packet = next(packets, None)
+                if packet is None:
+                    self._failure = None
                     return
-                yield from packet.decode()
-        except av.error.FFmpegError as error:
-            self._failure = error.strerror
+                is_bad = packet.is_corrupt  # truncated by the end of the file, or lost in transmission
+                frames = self._stream.decode(None) if is_bad and self._source.pts is None else packet.decode()
+            except av.error.InvalidDataError as error:
+                is_bad, frames, self._failure = True, [], error.strerror
+            except av.error.FFmpegError as error:
+                self._failure = error.strerror
+                return
+            n_bad = n_bad + 1 if is_bad else 0
+            for frame in frames if self._source.pts is None or not is_bad else ():
+                last, number = number, self._find_number(frame, number + 1)
+                is_broken = (is_broken or number > last + 1) and not (is_intra or frame.key_frame)
+                if not is_broken:
+                    yield number, frame
+                is_broken |= frame.is_corrupt and not is_intra
+            if is_bad and self._source.pts is None:
+                self._failure = self._failure or "the file is truncated or damaged there"
+                return
+
+    def _find_number(self, frame: VideoFrame, first: int) -> int:
+        """Return the number of a decoded frame: the next one with its time stamp or a later one, from `first` on."""
+        if self._source.pts is None or frame.pts is None:
+            return first
+        return bisect_left(self._source.pts, frame.pts, lo=min(first, len(self._source.pts)))
 
     def _finish(self) -> None:
         self.ended = True
-        if self._failure or self._position < self._source.n_frames:
+        n_read = self._number + 1
+        if self._failure or n_read < self._source.n_frames:
             self.problems.append(
-                f"{self._source.camera}: {self._source.path.name} is cut off after {self._position} of "
+                f"{self._source.camera}: {self._source.path.name} is cut off after {n_read} of "
                 f"{self._source.n_frames} frames ({self._failure or 'the file ends'}); this camera has no more frames."
             )
 
-    def _convert(self, frame: VideoFrame) -> Image | None:
-        where = f"{self._source.camera}: {self._source.path.name}, frame {self._position - 1}"
-        if frame.is_corrupt:
-            self._report_once("damaged", f"{where} is damaged; damaged frames are skipped.")
-            return None
+    def _convert(self, k: int, frame: VideoFrame) -> Image | None:
+        where = f"{self._source.camera}: {self._source.path.name}, frame {k}"
         if (frame.width, frame.height) != self._source.size:
             size = "{}x{}".format(*self._source.size)
             problem = f"is {frame.width}x{frame.height}, not {size}; frames of another size are skipped."
             self._report_once("size", f"{where} {problem}")
             return None
         return np.asarray(self._reformatter.reformat(frame, format="bgr24").to_ndarray(), dtype=np.uint8)
-
-    def _check_clock(self, frame: VideoFrame) -> None:
-        if self._source.rate and self._time is not None and frame.time is not None:
-            jump = frame.time - self._time
-            if jump * self._source.rate > MAX_CLOCK_JUMP_FRAMES:
-                self._report_once(
-                    "clock",
-                    f"{self._source.camera}: {self._source.path.name} jumps by {jump:.2f} s after frame "
-                    f"{self._position - 1}: frames may be lost there; later frames are numbered consecutively.",
-                )
-        self._time = frame.time
 
     def _report_once(self, kind: str, message: str) -> None:
         """Report a problem once per kind; a damaged recording can have thousands."""

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Generator
 from contextlib import ExitStack, closing, suppress
 from types import TracebackType
-from typing import Self
+from typing import Self, cast
 
 import av.error
 import numpy as np
 from av.video.frame import VideoFrame
 
-from sylpose.geometry.arrays import Image, IntArray
+from sylpose.geometry.arrays import Image
 from sylpose.io.capture.frame_readers import FrameReader
 from sylpose.io.capture.session import Session
 from sylpose.io.capture.sources import Source, open_video
@@ -65,83 +66,59 @@ class RandomAccessReader:
 
 
 class _SeekableVideo:
-    """Random access to a video: frame k has the k-th presentation timestamp of all packets, also after seeking."""
+    """Random access to a video; the time stamps show which frame a decoded one is, also after seeking."""
 
     def __init__(self, source: Source) -> None:
         self._source = source
-        self._container, self._stream = open_video(source.path)
-        self._decoded = self._decode()
-        self._last: tuple[int, VideoFrame | None] = (-1, None)
-        self._times: IntArray | None = None
+        self._restart()
 
     def close(self) -> None:
         self._decoded.close()
         self._container.close()
 
     def read(self, k: int) -> Image | None:
-        if k != self._last[0]:
-            frame = None
-            if not self._last[0] < k <= self._last[0] + MAX_SEQUENTIAL_FRAMES:
-                frame = self._seek(k)
-            self._last = (k, frame if frame is not None else self._decode_until(k))
-        frame = self._last[1]
-        if frame is None or frame.is_corrupt or (frame.width, frame.height) != self._source.size:
+        if not self._number <= k <= self._number + MAX_SEQUENTIAL_FRAMES:
+            self.close()
+            self._restart()
+            self._seek(k)
+        self._advance(k)
+        frame = self._frame
+        if self._number != k or frame is None or frame.is_corrupt or (frame.width, frame.height) != self._source.size:
             return None
         return np.asarray(frame.to_ndarray(format="bgr24"), dtype=np.uint8)
 
-    def _decode_until(self, k: int) -> VideoFrame | None:
-        """Decode sequentially up to frame k, from the last frame or from the first."""
-        position = self._last[0]
-        if position >= k:
+    def _seek(self, k: int) -> None:
+        """Seek to the keyframe before frame k if there is one, else to the start."""
+        pts = self._source.pts
+        if pts is None or not MAX_SEQUENTIAL_FRAMES < k < len(pts):
+            return
+        with suppress(av.error.FFmpegError):
+            self._container.seek(pts[k], stream=self._stream)
+            self._frame = next(self._decoded, None)
+        if self._frame is not None and self._frame.pts is not None and self._frame.pts <= pts[k]:
+            self._number = bisect_left(pts, self._frame.pts)
+        else:
+            self.close()
             self._restart()
-            position = -1
-        frame = None
-        while position < k:
-            frame = next(self._decoded, None)
-            if frame is None:
-                return None
-            position += 1
-        return frame
 
-    def _seek(self, k: int) -> VideoFrame | None:
-        """Seek to the keyframe before frame k and decode; None if the timestamps are unusable."""
-        if self._times is None:
-            self._times = self._read_packet_times()
-        if k >= len(self._times):
-            return None
-        target = int(self._times[k])
-        self._restart()
-        with suppress(av.error.FFmpegError):
-            self._container.seek(target, stream=self._stream)
-            for frame in self._decoded:
-                if frame.pts is None or frame.pts > target:
-                    break
-                if frame.pts == target:
-                    return frame
-        self._restart()
-        self._last = (-1, None)
-        return None
-
-    def _read_packet_times(self) -> IntArray:
-        """Return the sorted timestamps of all shown packets; empty if any is missing or repeated."""
-        times = []
-        self._restart()
-        with suppress(av.error.FFmpegError):
-            for packet in self._container.demux(self._stream):
-                if packet.size and not packet.is_discard:
-                    times.append(packet.pts)
-        self._last = (-1, None)
-        known_times = [time for time in times if time is not None]
-        if len(known_times) < len(times) or len(set(known_times)) < len(known_times):
-            return np.empty(0, np.int64)
-        return np.array(sorted(known_times), np.int64)
+    def _advance(self, k: int) -> None:
+        """Decode up to frame k, or to a later one if it cannot be decoded."""
+        while self._number < k:
+            self._frame = next(self._decoded, None)
+            if self._frame is None:
+                self._number = self._source.n_frames
+                return
+            self._number += 1
+            if self._source.pts is not None and self._frame.pts is not None:
+                self._number = bisect_left(self._source.pts, self._frame.pts, lo=self._number)
 
     def _restart(self) -> None:
-        self.close()
         self._container, self._stream = open_video(self._source.path)
         self._decoded = self._decode()
+        self._number, self._frame = -1, cast(VideoFrame | None, None)  # the last one that was decoded
 
     def _decode(self) -> Generator[VideoFrame, None, None]:
         with suppress(av.error.FFmpegError):
             for packet in self._container.demux(self._stream):
-                yield from packet.decode()
+                with suppress(av.error.InvalidDataError):
+                    yield from packet.decode()

@@ -9,9 +9,11 @@ from typing import Any, Literal
 
 import av
 import av.error
+import numpy as np
 from av.container import InputContainer
 from av.video.stream import VideoStream
 
+from sylpose.geometry.arrays import FloatArray
 from sylpose.input_limits import UnreadableFileError, resolve_path
 from sylpose.io.calibration.files import is_calibration_name
 from sylpose.io.capture.images import read_image, read_image_size
@@ -23,6 +25,7 @@ from sylpose.io.capture.names import (
     invert_unique,
     match_names,
 )
+from sylpose.io.capture.presentation import read_presentation
 from sylpose.rig import Camera, Rig
 
 VIDEO_SUFFIXES = frozenset(
@@ -54,6 +57,9 @@ class Source:
         rate: average frame rate in frames per second; None for images and for videos without one.
         files: the images in order; empty for videos.
         numbers: the numbers in the image names; None for videos and if the names have no usable numbers.
+        pts: presentation time stamp of each frame of a video, increasing, units of `time_base`; None for images and if
+            the file has none.
+        time_base: seconds.
     """
 
     camera: str
@@ -64,6 +70,13 @@ class Source:
     rate: float | None = None
     files: tuple[Path, ...] = field(default=(), repr=False)
     numbers: tuple[int, ...] | None = field(default=None, repr=False)
+    pts: tuple[int, ...] | None = field(default=None, repr=False)
+    time_base: float = 1.0
+
+    @property
+    def stamps(self) -> FloatArray | None:
+        """(n_frames,) presentation times of a video's frames on the file's clock, seconds; None if unknown."""
+        return None if self.pts is None else np.array(self.pts) * self.time_base
 
     def frame_number(self, k: int) -> int:
         """Return the number in the name of image `k`, or `k` if the names have no numbers."""
@@ -256,10 +269,10 @@ def _probe(path: Path, camera: Camera, warnings: list[str]) -> Source:
     container, stream = open_video(path)
     with container:
         _check_size(path, camera, (stream.width, stream.height))
-        rate = stream.average_rate or stream.guessed_rate
-        rate_s = float(rate) if rate else None
-        n_frames = _count_declared_frames(path, stream)
-    return Source(camera.name, path, "video", camera.size, n_frames or _count_frames(path, rate_s, warnings), rate_s)
+        shown = read_presentation(path, container, stream, warnings)
+    return Source(
+        camera.name, path, "video", camera.size, shown.n_frames, shown.rate, pts=shown.pts, time_base=shown.time_base
+    )
 
 
 def _check_size(path: Path, camera: Camera, size: tuple[int, int]) -> None:
@@ -268,39 +281,6 @@ def _check_size(path: Path, camera: Camera, size: tuple[int, int]) -> None:
             f"{path}: images of {size[0]}x{size[1]}, but camera {camera.name} "
             f"is calibrated at {camera.size[0]}x{camera.size[1]}"
         )
-
-
-def _count_declared_frames(path: Path, stream: VideoStream) -> int:
-    """Return the number of frames that the container declares, minus those hidden by its edit list.
-
-    Stream-copied cuts have edit lists.
-    """
-    entries = stream.index_entries
-    hidden = sum(entry.is_discard for entry in entries) if len(entries) == stream.frames else 0
-    # More frames than bytes: the header is damaged or malicious, so the frames are counted instead.
-    return stream.frames - hidden if stream.frames < path.stat().st_size else 0
-
-
-def _count_frames(path: Path, rate: float | None, warnings: list[str]) -> int:
-    """Count the frames of a container that does not declare them (Matroska, WebM, MPEG-TS, fragmented MP4)."""
-    n_frames, end = 0, 0.0
-    container, stream = open_video(path)
-    with container:
-        declared = float(stream.duration * stream.time_base) if stream.duration and stream.time_base else 0.0
-        if not declared and len(container.streams) == 1 and container.duration:
-            declared = container.duration / av.time_base
-        try:
-            for packet in container.demux(stream):
-                if packet.size and not packet.is_discard:
-                    n_frames += 1
-                    if packet.pts is not None:
-                        end = max(end, float((packet.pts + (packet.duration or 0)) * packet.time_base))
-        except av.error.FFmpegError as error:
-            warnings.append(f"{path.name} is cut off after {n_frames} frames ({error.strerror}).")
-            return n_frames
-    if end < declared - max(0.1, 2.5 / (rate or 25.0)):
-        warnings.append(f"{path.name} is cut off: {n_frames} frames, {end:.2f} s of the declared {declared:.2f} s.")
-    return n_frames
 
 
 def open_source(path: Path, camera: Camera) -> Source:

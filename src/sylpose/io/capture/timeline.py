@@ -12,6 +12,7 @@ import numpy as np
 
 from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.input_limits import MAX_TABLE_BYTES, input_errors, read_text
+from sylpose.io.capture.alignment import MAX_RATE_RATIO, align, read_clocks
 from sylpose.io.capture.names import match_all_names
 from sylpose.io.capture.sources import Source
 
@@ -26,6 +27,7 @@ class Timeline:
         stamps: (n, C) timestamp of each camera, seconds; NaN for none.
         rate: average number of frame sets per second, or None.
         offsets: given frame offsets by camera, positive for a camera that starts late.
+        origin: where the timestamps are from; "" without.
     """
 
     frames: IntArray
@@ -33,6 +35,7 @@ class Timeline:
     stamps: FloatArray
     rate: float | None
     offsets: Mapping[str, int] = field(default_factory=dict)
+    origin: str = ""
 
 
 def load_timestamps(path: Path, cameras: Sequence[str], without: Sequence[str] = ()) -> FloatArray:
@@ -104,7 +107,9 @@ def build_timeline(
     """Build the timeline of a session.
 
     With timestamps, each row is a frame set, and a camera's next frame belongs to its next non-empty row. Otherwise
-    frame k of a camera belongs to frame set k + offset; image folders with common numbers are aligned by them.
+    videos are aligned by the time stamps in the files, if these differ from a constant rate that all have in common:
+    frames are lost, rates or starts differ. Else frame k of a camera belongs to frame set k + offset; image folders with
+    common numbers are aligned by them.
 
     Args:
         sources: one per camera.
@@ -130,6 +135,10 @@ def build_timeline(
         if offsets:
             raise ValueError("offsets cannot be combined with timestamps, which already contain the time of each frame")
         frames = _assign_by_timestamps(sources, stamps, warnings)
+    elif (clocks := read_clocks(sources, _check_offsets(sources, offsets or {}, warnings), warnings)) is not None:
+        frames, times, stamps = align(sources, clocks, warnings)
+        frame_rate = (len(times) - 1) / float(times[-1]) if len(times) > 1 else None
+        return Timeline(frames, times, stamps, frame_rate, dict(offsets or {}), "the videos' time stamps"), warnings
     else:
         frames = _assign_by_count(sources, offsets or {}, warnings)
     used = np.flatnonzero((frames >= 0).any(axis=1))
@@ -144,13 +153,14 @@ def build_timeline(
         stamps = np.full(frames.shape, np.nan)
         rates = {source.camera: source.rate for source in sources if source.rate}
         frame_rate = next(iter(rates.values()), rate)
-        if rates and max(rates.values()) > 1.01 * min(rates.values()):
+        if rates and max(rates.values()) > MAX_RATE_RATIO * min(rates.values()):
             listed = ", ".join(f"{camera} {value:.6g}" for camera, value in rates.items())
             warnings.append(
                 f"The videos' frame rates differ ({listed}); {frame_rate:.6g} per second is used for the times."
             )
         times = np.arange(len(frames)) / (frame_rate or 1.0)
-    return Timeline(frames, times, stamps, frame_rate, dict(offsets or {})), warnings
+    origin = "" if np.isnan(stamps).all() else "timestamps.csv"
+    return Timeline(frames, times, stamps, frame_rate, dict(offsets or {}), origin), warnings
 
 
 def _parse_row(row: list[str], frame: int, columns: int, where: str) -> FloatArray:
@@ -178,7 +188,7 @@ def _assign_by_timestamps(sources: tuple[Source, ...], stamps: FloatArray, warni
     return frames
 
 
-def _assign_by_count(sources: tuple[Source, ...], offsets: Mapping[str, int], warnings: list[str]) -> IntArray:
+def _check_offsets(sources: tuple[Source, ...], offsets: Mapping[str, int], warnings: list[str]) -> Mapping[str, int]:
     names = [source.camera for source in sources]
     for camera, offset in offsets.items():
         if camera not in names:
@@ -190,6 +200,11 @@ def _assign_by_count(sources: tuple[Source, ...], offsets: Mapping[str, int], wa
             raise ValueError(f"offsets: the offset of {camera}, {offset}, exceeds the number of frames, {longest}")
         if offset < 0:
             warnings.append(f"{camera}: its first {-offset} frames precede frame set 0 and are not used.")
+    return offsets
+
+
+def _assign_by_count(sources: tuple[Source, ...], offsets: Mapping[str, int], warnings: list[str]) -> IntArray:
+    names = [source.camera for source in sources]
     if len({source.n_frames for source in sources}) > 1:
         counts = ", ".join(f"{source.camera} {source.n_frames}" for source in sources)
         warnings.append(f"The cameras have different numbers of frames: {counts}.")

@@ -1,0 +1,129 @@
+"""Alignment of videos by the time stamps of their frames."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from sylpose.geometry.arrays import FloatArray, IntArray
+from sylpose.io.capture.sources import Source
+
+# Frame rates that differ by less than this factor are one (choice: 29.97 and 30, which recorders confuse).
+MAX_RATE_RATIO = 1.01
+# Time stamps are as precise as this, seconds, or as the file's unit if that is larger (derived: Matroska's unit).
+MIN_RESOLUTION = 1e-3
+# Clocks are one if this share of the shortest recording's time is common to all cameras (choice).
+MIN_OVERLAP = 0.5
+
+
+def read_clocks(sources: Sequence[Source], offsets: Mapping[str, int], warnings: list[str]) -> list[FloatArray] | None:
+    """Return when each camera's frames were taken by the files' time stamps.
+
+    Args:
+        sources: one per camera.
+        offsets: given frame offsets by camera, which replace the differences of the first time stamps.
+        warnings: messages are appended.
+
+    Returns:
+        per camera its times, seconds since frame set 0, which is where the last camera starts; None if a file has no
+        time stamps, or if all are at one constant rate and start together: then they are nominal.
+    """
+    clocks = [source.stamps for source in sources]
+    known = [clock for clock in clocks if clock is not None]
+    if len(known) < len(sources) or len(sources) < 2:
+        return None
+    resolution = _resolution(sources)
+    is_uniform = [_is_uniform(clock, resolution) for clock in known]
+    intervals = [_measure_interval(clock, uniform) for clock, uniform in zip(known, is_uniform, strict=True)]
+    interval = min(intervals)
+    if not np.isfinite(interval):
+        return None
+    if offsets:
+        starts = [offsets.get(source.camera, 0) * interval for source in sources]
+        known = [clock - clock[0] + start for clock, start in zip(known, starts, strict=True)]
+    elif not _do_overlap(known):
+        warnings.append("The videos' time stamps have no time in common; their first frames are taken as simultaneous.")
+        known = [clock - clock[0] for clock in known]
+    begin = 0.0 if offsets else max(float(clock[0]) for clock in known)
+    is_together = bool(offsets) or begin - min(float(clock[0]) for clock in known) < interval / 2
+    if is_together and max(intervals) <= MAX_RATE_RATIO * interval and all(is_uniform):
+        return None
+    return [clock - begin for clock in known]
+
+
+def align(
+    sources: Sequence[Source], clocks: Sequence[FloatArray], warnings: list[str]
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Form frame sets by time.
+
+    They are at the times of the camera with most frames per second. Another camera's frame belongs to the nearest of
+    them, unless it is farther away than half an interval: where that camera has lost frames, a set is added.
+
+    Args:
+        sources: C cameras.
+        clocks: of `read_clocks`; earlier frames than 0 are not used.
+        warnings: messages are appended.
+
+    Returns:
+        (n, C) frame number of each camera in each frame set, -1 for none; (n,) times and (n, C) stamps, NaN for none,
+        seconds since the first frame set.
+    """
+    resolution = _resolution(sources)
+    intervals = [_measure_interval(clock, _is_uniform(clock, resolution)) for clock in clocks]
+    reach = min(intervals) / 2
+    fastest = [c for c, interval in enumerate(intervals) if interval <= MAX_RATE_RATIO * min(intervals)]
+    times = clocks[max(fastest, key=lambda c: len(clocks[c]))]
+    for clock in clocks:
+        times = np.union1d(times, clock[np.abs(clock - times[_find_nearest(times, clock)]) > reach])
+    shape = len(times), len(clocks)
+    frames, stamps = np.full(shape, -1, np.int64), np.full(shape, np.nan)
+    for c, (source, clock) in enumerate(zip(sources, clocks, strict=True)):
+        nearest = _find_nearest(times, clock)
+        distances = np.abs(clock - times[nearest])
+        order = np.lexsort((distances, nearest))
+        taken = order[np.unique(nearest[order], return_index=True)[1]]  # of several frames the nearest one
+        frames[nearest[taken], c], stamps[nearest[taken], c] = taken, clock[taken]
+        if len(taken) < len(clock):
+            text = f"{source.camera}: {len(clock) - len(taken)} frames are not used"
+            warnings.append(f"{text}: others of it are nearer in time to those of the other cameras.")
+    begun = times >= -reach
+    early = [f"{source.camera} {n}" for source, n in zip(sources, (frames[~begun] >= 0).sum(axis=0), strict=True) if n]
+    if early:
+        listed = ", ".join(early)
+        warnings.append(
+            f"The videos start at different times; frames before the last one starts are not used: {listed}."
+        )
+    frames, stamps, times = frames[begun], stamps[begun], times[begun]
+    # Stamps of one instant differ by their rounding.
+    stamps = np.where(np.abs(stamps - times[:, None]) <= resolution, times[:, None], stamps)
+    return frames, times - times[0], stamps - times[0]
+
+
+def _measure_interval(clock: FloatArray, is_uniform: bool) -> float:
+    """Return the usual time between frames, seconds; infinity for a single one."""
+    if len(clock) < 2:
+        return np.inf
+    return float(np.ptp(clock)) / (len(clock) - 1) if is_uniform else float(np.median(np.diff(clock)))
+
+
+def _resolution(sources: Sequence[Source]) -> float:
+    return max(MIN_RESOLUTION, *(source.time_base for source in sources))
+
+
+def _is_uniform(clock: FloatArray, resolution: float) -> bool:
+    """Return whether frames are at a constant rate, up to the resolution of their time stamps."""
+    return bool(np.abs(clock - np.linspace(clock[0], clock[-1], len(clock))).max() <= resolution)
+
+
+def _do_overlap(clocks: Sequence[FloatArray]) -> bool:
+    """Return whether the cameras' time stamps can be of one clock."""
+    common = min(clock[-1] for clock in clocks) - max(clock[0] for clock in clocks)
+    return bool(common >= MIN_OVERLAP * min(np.ptp(clock) for clock in clocks))
+
+
+def _find_nearest(times: FloatArray, stamps: FloatArray) -> IntArray:
+    """Return the index (n,) of the nearest of increasing times (m,) to each stamp (n,)."""
+    after = np.clip(np.searchsorted(times, stamps), 0, len(times) - 1)
+    before = np.maximum(after - 1, 0)
+    return np.where(np.abs(stamps - times[before]) <= np.abs(times[after] - stamps), before, after)
