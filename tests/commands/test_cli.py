@@ -676,6 +676,14 @@ def test_coincident_cameras_and_suspicious_unit() -> None:
     assert "Only one camera" in alone
 
 
+def test_camera_in_another_unit_is_named() -> None:
+    """A translation in mm among those in m: named, and not taken for a rig in millimeters."""
+    origin = (0.0, 0.0, 0.0)
+    eyes = {"a": (0.0, 0.0, -2.0), "b": (2.0, 0.0, 0.0), "c": (0.0, 0.5, 2.0), "d": (-2000.0, 0.0, 10.0)}
+    (output,) = rig_warnings([camera(name, eye, origin) for name, eye in eyes.items()], "m")
+    assert output.startswith("d: its distance from the world's origin is about 1000 times")
+
+
 def session_warnings(session: Session) -> str:
     """Return all warnings and errors of `check` about a session."""
     places = {name: checks.locate_object(session.select_object(name)) for name in session.objects}
@@ -727,6 +735,7 @@ def test_calibration_convert(run: Command, recording: Path, tmp_path: Path) -> N
     result = run("calibration", "convert", source, target)
     assert result.code == 0
     assert "3 cameras" in result.out
+    assert f"read from {source}, sylpose TOML" in result.out
     for a, b in zip(calibration.load(source), calibration.load(target), strict=True):
         assert np.array_equal(a.matrix, b.matrix)
         assert np.array_equal(a.camera_from_world.as_matrix(), b.camera_from_world.as_matrix())

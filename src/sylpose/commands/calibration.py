@@ -63,6 +63,7 @@ def convert(options: ConvertOptions) -> None:
         sylpose calibration convert colmap/sparse/0 calibration.toml
     """
     from sylpose.io import calibration
+    from sylpose.io.calibration.unit_consistency import describe_unit_outlier
     from sylpose.io.calibration.world import transform_rig
     from sylpose.rig import Rig
     from sylpose.runs.world import resolve_world
@@ -75,9 +76,10 @@ def convert(options: ConvertOptions) -> None:
         if is_in not in METERS:
             raise ValueError(f"--is-in must be one of {', '.join(METERS)}, got {is_in!r}")
         rig = Rig(rig.cameras, is_in)
-    notes: list[str] = []
+    notes = [note] if (note := describe_unit_outlier(rig)) else []
     if (world_spec := options.world_spec) is not None:
-        found, notes = resolve_world(rig, world_spec)
+        found, world_notes = resolve_world(rig, world_spec)
+        notes += world_notes
         rig = transform_rig(rig, found)
     rig = rig if options.unit is None else rig.in_unit(options.unit)
     if only:

@@ -12,6 +12,7 @@ from sylpose.display import format_length
 from sylpose.frames import Box
 from sylpose.geometry.arrays import FloatArray
 from sylpose.io.calibration import format_name
+from sylpose.io.calibration.unit_consistency import describe_unit_outlier
 from sylpose.io.capture import Session
 from sylpose.io.capture.live import LiveSession
 from sylpose.io.capture.timeline import Timeline
@@ -220,7 +221,9 @@ def check_rig_geometry(rig: Rig, location: ObjectLocation) -> list[str]:
             f"At the same position: {', '.join(pairs[:5])}{', ...' if len(pairs) > 5 else ''}. Without a baseline the "
             "object's distance is not observable."
         )
-    if reach > MAX_PLAUSIBLE_METERS and rig.unit in ("", "m"):
+    if unit_outlier := describe_unit_outlier(rig):
+        found.append(unit_outlier)
+    elif reach > MAX_PLAUSIBLE_METERS and rig.unit in ("", "m"):
         found.append(
             f"Distances of {reach:.0f} {'m' if rig.unit else 'units'}: the calibration is probably in millimeters; "
             "all results use its unit."

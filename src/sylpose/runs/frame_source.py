@@ -18,6 +18,7 @@ from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import FloatArray, Image
 from sylpose.io.capture.frame_assembly import StreamClock
 from sylpose.io.capture.frame_readers import CameraReader
+from sylpose.io.capture.image_sizes import describe_size_mismatch
 from sylpose.io.capture.sources import Source, open_source
 from sylpose.io.capture.streams import Device, open_device
 from sylpose.network.codec import FRAME_PENDING, NO_FRAME
@@ -150,7 +151,10 @@ class LiveSource:
             if grab is None:
                 break
             if grab.size != self._size:
-                self._error = f"{self._name}: images of {grab.size[0]}x{grab.size[1]}, the calibration has {self._size}"
+                self._error = (
+                    f"{self._name}: images of {grab.size[0]}x{grab.size[1]}, the calibration has {self._size}: "
+                    f"{describe_size_mismatch(grab.size, self._size)}"
+                )
                 break
             host_time = clock.to_host_time(grab.pts, time.time())
             if host_time is None:

@@ -443,7 +443,7 @@ def test_sizes_must_match_calibration(folder: Path, kind: str) -> None:
     else:
         (folder / "cam_1").mkdir()
         cv2.imwrite(str(folder / "cam_1" / "0.png"), paint(1, 0, (80, 48)))
-    with pytest.raises(ValueError, match=r"80x48, but camera cam_1 is calibrated at 160x48"):
+    with pytest.raises(ValueError, match=r"80x48, but camera cam_1 is calibrated at 160x48: they are neither"):
         open_session(folder)
 
 

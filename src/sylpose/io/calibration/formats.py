@@ -114,7 +114,8 @@ _UNSUPPORTED_SUFFIXES = {
     ),
 }
 _UNKNOWN_TABLE = (
-    "no table of DLT coefficients or MayaCam; other tables are not supported: of Motive, use OptiTrack's .mcal"
+    "tables are not supported as calibrations, apart from DLT coefficients and MayaCam; use OptiTrack's .mcal "
+    "(Motive 3.2 or newer)"
 )
 
 

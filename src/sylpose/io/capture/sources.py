@@ -16,6 +16,7 @@ from av.video.stream import VideoStream
 from sylpose.geometry.arrays import FloatArray
 from sylpose.input_limits import UnreadableFileError, resolve_path
 from sylpose.io.calibration.files import is_calibration_name
+from sylpose.io.capture.image_sizes import describe_size_mismatch
 from sylpose.io.capture.images import read_image, read_image_size
 from sylpose.io.capture.names import (
     IMAGE_SUFFIXES,
@@ -279,7 +280,7 @@ def _check_size(path: Path, camera: Camera, size: tuple[int, int]) -> None:
     if size != camera.size:
         raise ValueError(
             f"{path}: images of {size[0]}x{size[1]}, but camera {camera.name} "
-            f"is calibrated at {camera.size[0]}x{camera.size[1]}"
+            f"is calibrated at {camera.size[0]}x{camera.size[1]}: {describe_size_mismatch(size, camera.size)}"
         )
 
 

@@ -21,6 +21,7 @@ from av.video.reformatter import VideoReformatter
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import Image
 from sylpose.io.capture.frame_assembly import POLL_INTERVAL, FrameAssembler, Grab, TimedFrame
+from sylpose.io.capture.image_sizes import describe_size_mismatch
 from sylpose.io.capture.sources import METADATA_OPTIONS
 from sylpose.rig import Camera
 
@@ -193,7 +194,8 @@ class _CameraThread:
                     if grab.size != self._camera.size:
                         self.rejection = (
                             f"{self._camera.name}: frames of {grab.size[0]}x{grab.size[1]}, but this camera is "
-                            f"calibrated at {self._camera.size[0]}x{self._camera.size[1]}"
+                            f"calibrated at {self._camera.size[0]}x{self._camera.size[1]}: "
+                            f"{describe_size_mismatch(grab.size, self._camera.size)}"
                         )
                         return ""
                     self._hub.add(self._camera.name, grab)
