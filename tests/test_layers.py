@@ -25,6 +25,7 @@ NOUNS = {
     "frames",
     "matches",
     "moments",
+    "joint_motion",
     "kinematics",
     "results",
     "status",
