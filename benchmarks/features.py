@@ -35,7 +35,7 @@ from sylpose.geometry.arrays import FloatArray, Image, IntArray
 from sylpose.rig import Camera
 from sylpose.simulate import TexturedBody
 from sylpose.status import Status
-from sylpose.tracking.relocalization import DESCRIPTOR_RATIO, MAX_ERROR_PX, MIN_INLIERS
+from sylpose.tracking.options import TrackingOptions
 
 # Largest error of a true match, pixels.
 MAX_TRUE_ERROR_PX = 2.0
@@ -67,7 +67,9 @@ def detect_with_faint(image: Image, camera: Camera) -> Features:
 KINDS: dict[str, Kind] = {
     "sift": Kind(detect_features, match_features),
     "faint": Kind(detect_with_faint, match_features),
-    "loose": Kind(detect_with_faint, partial(match_features, ratio=DESCRIPTOR_RATIO)),
+    "loose": Kind(
+        detect_with_faint, partial(match_features, ratio=TrackingOptions.max_relocalization_descriptor_ratio)
+    ),
 }
 METHODS: dict[str, Method] = {
     "SIFT": Method(("sift",)),
@@ -173,8 +175,11 @@ def evaluate_matches(variation: Variation, points: list[FloatArray], pixels: lis
     ]
     errors = np.concatenate(camera_errors)
     true_errors = errors[errors < MAX_TRUE_ERROR_PX]
-    pose = estimate_pose(rig, points, pixels, max_error_px=MAX_ERROR_PX)
-    is_localized = pose.status in (Status.OK, Status.NOT_CONVERGED) and int(pose.n_inliers.sum()) >= MIN_INLIERS
+    pose = estimate_pose(rig, points, pixels, max_error_px=TrackingOptions.max_relocalization_error_px)
+    is_localized = (
+        pose.status in (Status.OK, Status.NOT_CONVERGED)
+        and int(pose.n_inliers.sum()) >= TrackingOptions.min_relocalization_inliers
+    )
     if is_localized and pose.motion is not None:
         pose_error = pose.motion * true_pose.inv()
         is_too_far = (

@@ -186,10 +186,15 @@ def calls() -> dict[str, Call]:
                 "plot_format": "svg",
                 "angles": "XYZ",
                 "seed": 3,
+                "tracking": sylpose.TrackingOptions(),
                 "workers": 2,
                 "resume": True,
                 "checkpoint_seconds": 2.0,
             },
+        ),
+        "TrackingOptions": Call(
+            sylpose.TrackingOptions,
+            {"max_f_ratio": 20.0, "max_rival_ratio": 0.2, "min_keyframe_rotation": 0.1, "max_keyframes": 50},
         ),
         "NetworkFaults": Call(
             sylpose.NetworkFaults,
@@ -383,6 +388,7 @@ def calls() -> dict[str, Call]:
                 "offsets": {"cam_0": 0.0},
                 "workers": 1,
                 "seed": 0,
+                "options": sylpose.TrackingOptions(),
             },
             20,
         ),

@@ -24,7 +24,7 @@ from sylpose.relative_pose.sylvester_methods import ESTIMATORS
 from sylpose.runs.options import RunOptions
 from sylpose.status import FrameStatus
 from sylpose.tracking.frame_solvers import SOLVERS
-from sylpose.tracking.tracker import Tracker, TrackerBase, TrackerOptions
+from sylpose.tracking.tracker import Tracker, TrackerArguments, TrackerBase
 from tests.conftest import FRAMES
 from tests.paths import REPOSITORY
 
@@ -38,7 +38,7 @@ def test_code_has_the_methods_of_the_table() -> None:
         defaults = {name: p.default for name, p in inspect.signature(function).parameters.items()}
         assert (defaults["method"], defaults["features"]) == (METHODS[0], FEATURES[0])
     keywords = [name for name, p in inspect.signature(TrackerBase).parameters.items() if p.kind is p.KEYWORD_ONLY]
-    assert keywords == list(TrackerOptions.__annotations__)  # `Tracker` passes them on
+    assert keywords == list(TrackerArguments.__annotations__)  # `Tracker` passes them on
     assert inspect.signature(sylpose.estimate_motion).parameters["method"].default == MOTION_METHODS[0]
 
 

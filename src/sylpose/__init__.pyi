@@ -69,6 +69,7 @@ from sylpose.tracking.context import TrackedFrame as TrackedFrame
 from sylpose.tracking.joint_side.joint_state import Nudge as Nudge
 from sylpose.tracking.known_object import KnownObject as KnownObject
 from sylpose.tracking.known_object import ObjectFrame as ObjectFrame
+from sylpose.tracking.options import TrackingOptions as TrackingOptions
 from sylpose.tracking.tracker import track as track
 from sylpose.view import MotionView as MotionView
 from sylpose.view import RotationView as RotationView

@@ -30,6 +30,7 @@ from sylpose.runs.run import track_session
 from sylpose.runs.run_result import Run
 from sylpose.status import FrameStatus, Observability
 from sylpose.sync.offsets import load_offsets
+from sylpose.tracking.context import Candidate
 from tests.saved import TURN_RESULT
 
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -122,7 +123,7 @@ def test_result_is_smoothed_by_default(session: Path, tmp_path: Path) -> None:
 def test_notes_of_frames_become_problems_of_the_run(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sylpose.tracking.context.MAX_RIVAL_RATIO", -1.0)
+    monkeypatch.setattr(Candidate, "is_ambiguous", lambda *_: True)
     run = track_session(
         replace(open_session(recording), _boxes={}), tmp_path, RunOptions(stop=3, overlay=False, smooth=False)
     )

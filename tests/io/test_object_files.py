@@ -28,6 +28,7 @@ from sylpose.runs.run import track_session
 from sylpose.simulate import Actor, Scene, arc, chamfered_box
 from sylpose.status import Observability
 from sylpose.tracking.known_object import KnownObject, transfer_object
+from sylpose.tracking.options import TrackingOptions
 from sylpose.tracking.tracker import Tracker
 from sylpose.units import INITIAL_DISTANCES
 from tests.recordings import NEXT, RIG, Path_, compute_pose_error, moved_path, slide, write_box_recording
@@ -166,12 +167,12 @@ def moved(name: str, angle: float) -> Rig:
 def test_matching_cameras_of_known_rig(known: KnownObject) -> None:
     """Match relative camera poses in any world; unmatched ones get none; if most are, it is another rig."""
     with pytest.raises(ValueError, match="its lengths are in m, those of the calibration in mm"):
-        transfer_object(known, Rig(RIG.cameras, "mm"))
+        transfer_object(known, Rig(RIG.cameras, "mm"), TrackingOptions())
     with pytest.raises(ValueError, match="a single camera learned it"):
-        transfer_object(replace(known, rig=Rig(RIG.cameras, INITIAL_DISTANCES)), RIG)
+        transfer_object(replace(known, rig=Rig(RIG.cameras, INITIAL_DISTANCES)), RIG, TrackingOptions())
     world = RigidTransform.from_components([3.0, -2.0, 1.0], Rotation.from_rotvec([1.0, 2.0, -0.5]))
     for rig in (RIG, RIG.subset(["cam_0", "cam_2"]), RIG.subset(["cam_1"]), moved("cam_1", 0.002), RIG.in_world(world)):
-        here = transfer_object(known, rig)
+        here = transfer_object(known, rig, TrackingOptions())
         assert not here.is_other_rig
         assert not here.note
         assert tuple(here.landmarks) == rig.names
@@ -179,11 +180,13 @@ def test_matching_cameras_of_known_rig(known: KnownObject) -> None:
         for pose, keyframe in zip(seen, known._keyframes, strict=True):
             before = known.rig[rig.names[0]].camera_from_world * keyframe.world_from_object
             np.testing.assert_allclose(pose.as_matrix(), before.as_matrix(), atol=2e-3)
-    here = transfer_object(known, moved("cam_1", 0.1))
+    here = transfer_object(known, moved("cam_1", 0.1), TrackingOptions())
     assert not here.is_other_rig
     assert set(here.landmarks) == {"cam_0", "cam_2", "cam_3"}
     assert "Moved since the object was learned: cam_1," in here.note
-    other = transfer_object(known, Rig([replace(c, name=n) for c, n in zip(RIG.cameras, "ab", strict=False)], "m"))
+    other = transfer_object(
+        known, Rig([replace(c, name=n) for c, n in zip(RIG.cameras, "ab", strict=False)], "m"), TrackingOptions()
+    )
     assert other.is_other_rig
     assert "Other cameras learned the object" in other.note
     # A camera gets the landmarks that another one saw from that direction.
@@ -213,7 +216,7 @@ def test_known_object_transfers_to_other_rig(
     rig = OTHERS.subset(names)
     take = write_box_recording(tmp_path / "take", moved_path, NEXT, seed=5, rig=rig)
     run = track_session(open_session(take), options=RunOptions(overlay=False, smooth=smooth, known=known))
-    assert run.problems == (transfer_object(known, rig).note,)
+    assert run.problems == (transfer_object(known, rig, TrackingOptions()).note,)
     assert run.trajectory.unit == "m"
     assert all(pose.is_measured and pose.observability is Observability.ALL for pose in run.trajectory)
     wrong = np.array([compute_pose_error(pose, moved_path(pose.index) * actor_from_object) for pose in run.trajectory])

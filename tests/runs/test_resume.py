@@ -221,6 +221,7 @@ def test_other_options_or_another_session(session: Path, capsys: pytest.CaptureF
         ("--seed", 1, "seed 0, not 1"),
         ("--stop", 9, "stop none, not 9"),
         ("--features", "klt", "features auto, not klt"),
+        ("--set", "max_keyframes=50", "tracking none, not "),
     ):
         message = refused(capsys, session, option, value)
         assert words in message

@@ -25,8 +25,8 @@ from sylpose.tracking.camera_side.frame import (
 )
 from sylpose.tracking.context import Context, LocalExecutor
 from sylpose.tracking.first_motion import FirstMotion, estimate_first_motion, estimate_jitter, is_continuing_motion
-from sylpose.tracking.initialization import MAX_BUFFERED_FRAMES
 from sylpose.tracking.joint_side.joint_state import JointState, ObjectMotion
+from sylpose.tracking.options import TrackingOptions
 from sylpose.tracking.reports import PoseAgreement
 from sylpose.tracking.tracker import track
 from tests.clips import HALF_DEGREE, SIZE, Clip, compute_pose_errors, frame_sets, prepend_rest, statuses
@@ -157,7 +157,7 @@ def test_long_static_object_in_compressed_images() -> None:
     )
     frames = frame_sets([tuple(compress(image) for image in images) for images in clip.images])
     tracked = list(track(frames, clip.rig))
-    assert stands < MAX_BUFFERED_FRAMES
+    assert stands < TrackingOptions.max_buffered_frames
     assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * (len(frames) - 1)
     assert compute_pose_errors(tracked, clip.truth)[:, 0].max() < 2 * HALF_DEGREE
     # The pose of a static object is estimated, not defined.

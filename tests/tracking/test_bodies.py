@@ -11,7 +11,6 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.frames import Box, FrameSet
-from sylpose.relative_pose.camera_evidence import MAX_POOLED_RATIO
 from sylpose.simulate import Actor, Scene
 from sylpose.simulate.render import Path
 from sylpose.smoothing import Track, smooth
@@ -24,7 +23,8 @@ from sylpose.tracking.bodies import (
     find_rigid_motion,
     select_windows,
 )
-from sylpose.tracking.context import MAX_LATER_RATIO, MAX_RIVAL_RATIO, Candidate
+from sylpose.tracking.context import Candidate
+from sylpose.tracking.options import TrackingOptions
 from sylpose.tracking.tracker import Tracker, track
 from tests.clips import (
     Clip,
@@ -95,7 +95,7 @@ def test_windows_are_spread_over_the_recording(n: int) -> None:
 def test_late_object_is_found_where_it_moves() -> None:
     (candidate,) = candidates_of("late")
     assert candidate.first >= ARRIVAL
-    assert not candidate.is_ambiguous
+    assert not candidate.is_ambiguous(TrackingOptions())
     tracked = list(track(render("late").frames(), render("late").rig))
     assert len(tracked) == N_FRAMES
     assert set(statuses(tracked[: candidate.first])) == {FrameStatus.NO_MOTION}
@@ -137,7 +137,7 @@ def _offset(clip: Clip, candidate: Candidate, pose: RigidTransform) -> float:
 def test_of_two_bodies_none_is_tracked_silently() -> None:
     clip, candidates = render("with another"), candidates_of("with another")
     assert len(candidates) == 2
-    assert all(candidate.is_ambiguous for candidate in candidates)
+    assert all(candidate.is_ambiguous(TrackingOptions()) for candidate in candidates)
     assert candidates[0].n_matches >= candidates[1].n_matches
     tracked = list(track(clip.frames(), clip.rig))
     assert set(statuses(tracked)) == {FrameStatus.FIRST, FrameStatus.AMBIGUOUS}
@@ -155,9 +155,9 @@ def test_bodies_that_move_one_after_the_other_are_two() -> None:
     assert larger.rival_ratio == smaller.rival_ratio == 0.0
     assert larger.later_ratio == pytest.approx(smaller.n_matches / larger.n_matches)
     assert smaller.later_ratio == pytest.approx(larger.n_matches / smaller.n_matches)
-    assert smaller.is_ambiguous
-    assert larger.is_ambiguous == (larger.later_ratio > MAX_LATER_RATIO)
-    assert not replace(smaller, is_chosen=True).is_ambiguous
+    assert smaller.is_ambiguous(TrackingOptions())
+    assert larger.is_ambiguous(TrackingOptions()) == (larger.later_ratio > TrackingOptions.max_later_ratio)
+    assert not replace(smaller, is_chosen=True).is_ambiguous(TrackingOptions())
 
 
 def test_rival_is_measured_where_both_move() -> None:
@@ -165,7 +165,7 @@ def test_rival_is_measured_where_both_move() -> None:
     clip = render_successive(16, end=24)
     candidates = find_candidates(clip.rig, windows_of(clip.frames()))
     assert len(candidates) == 2
-    assert min(candidate.rival_ratio for candidate in candidates) > 3 * MAX_RIVAL_RATIO
+    assert min(candidate.rival_ratio for candidate in candidates) > 3 * TrackingOptions.max_rival_ratio
 
 
 @pytest.mark.parametrize("path", [make_drifting_pose, swing])
@@ -211,7 +211,7 @@ def test_wrong_rig_is_contradicted_from_the_first_pose_on() -> None:
     assert right.f_ratio < 3.0
     frames = turn_upside_down(clip.frames())
     wrong = find_candidates(clip.rig, windows_of(frames))[0]
-    assert wrong.f_ratio > MAX_POOLED_RATIO
+    assert wrong.f_ratio > TrackingOptions.max_pooled_f_ratio
     tracked = list(track(frames, clip.rig))
     assert FrameStatus.TRACKED not in statuses(tracked)
     assert FrameStatus.CONTRADICTED in statuses(tracked)
@@ -225,7 +225,7 @@ def test_wrong_rig_is_contradicted_with_boxes() -> None:
     for name, box in boxes.items():
         turned[name] = Box(width - 1 - box.x - box.width, height - 1 - box.y - box.height, box.width, box.height)
     assert compare_cameras(clip.rig, frames, boxes) < 3.0
-    assert compare_cameras(clip.rig, turn_upside_down(frames), turned) > MAX_POOLED_RATIO
+    assert compare_cameras(clip.rig, turn_upside_down(frames), turned) > TrackingOptions.max_pooled_f_ratio
     assert np.isnan(compare_cameras(clip.rig, frames[:2], boxes))  # one pair of frames may have outliers
     tracked = list(track(turn_upside_down(frames), clip.rig, turned))
     assert FrameStatus.TRACKED not in statuses(tracked)
@@ -241,12 +241,12 @@ def test_scattered_keypoints_are_no_rigid_motion() -> None:
         RigidTransform.from_rotation(Rotation.from_rotvec([0, 0.1, 0])),
     )
     before, after = camera.project(points), camera.project(turn.apply(points))
-    is_static, is_rigid = find_rigid_motion(camera, make_pair(before, after))
+    is_static, is_rigid = find_rigid_motion(camera, make_pair(before, after), TrackingOptions())
     assert is_rigid
     assert is_static.mean() < 0.2
     scattered = before + rng.normal(0, 8.0, before.shape)
-    assert not find_rigid_motion(camera, make_pair(before, scattered))[1]
-    assert not find_rigid_motion(camera, make_pair(before, before))[1]
+    assert not find_rigid_motion(camera, make_pair(before, scattered), TrackingOptions())[1]
+    assert not find_rigid_motion(camera, make_pair(before, before), TrackingOptions())[1]
 
 
 def test_no_evidence_with_differing_time_stamps() -> None:

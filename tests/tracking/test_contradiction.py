@@ -17,10 +17,10 @@ from sylpose.simulate import make_demo_scene, render_frames
 from sylpose.simulate.recordings import create_session_folder, write_videos
 from sylpose.smoothing import Track, smooth
 from sylpose.status import FrameStatus
-from sylpose.tracking import map_update
-from sylpose.tracking.context import Candidate
+from sylpose.tracking.context import Context
 from sylpose.tracking.joint_side.joint_state import SolvedFrame
 from sylpose.tracking.map_update import add_f_ratio, is_contradicted, is_mostly_contradicted
+from sylpose.tracking.options import TrackingOptions
 from sylpose.tracking.reports import PoseAgreement
 from sylpose.tracking.tracker import track
 from tests.clips import Clip, frame_sets, statuses, turning_clip
@@ -70,9 +70,8 @@ def test_right_rig_is_tracked(clip: Clip) -> None:
 
 def test_tracked_frames_replace_the_evidence_of_the_recording(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
     """Other bodies, or a camera that was nudged, may have contradicted the rig in the recording."""
-    monkeypatch.setattr(Candidate, "is_contradicted", True)
-    monkeypatch.setattr(map_update, "N_POOLED", 3)
-    found = statuses(track(clip.frames(), clip.rig))[1:]
+    monkeypatch.setattr(Context, "is_contradicted", True)
+    found = statuses(track(clip.frames(), clip.rig, options=TrackingOptions(n_pooled_f_ratios=3)))[1:]
     n = found.index(FrameStatus.TRACKED)
     assert n >= 2
     assert found == [FrameStatus.CONTRADICTED] * n + [FrameStatus.TRACKED] * (len(found) - n)
@@ -89,26 +88,28 @@ def test_frame_is_as_reliable_as_those_that_support_it() -> None:
     known = {frame.number: frame for frame in (good, bad)}
     agreeing = PoseAgreement(evidence=CameraEvidence(20, 0.3, 0.4, 5.0))
     on_good, on_bad = (replace(agreeing, evidence_reference=frame.number) for frame in (good, bad))
-    assert not is_contradicted([on_good, on_good], known, good)
-    assert not is_contradicted([on_good, on_good, on_bad], known, bad)  # two cameras connect it with a reliable frame
-    assert is_contradicted([on_good, on_bad], known, good)
-    assert is_contradicted([on_bad, on_bad], known, good)
+    assert not is_contradicted([on_good, on_good], known, good, TrackingOptions())
+    assert not is_contradicted(
+        [on_good, on_good, on_bad], known, bad, TrackingOptions()
+    )  # two cameras connect it with a reliable frame
+    assert is_contradicted([on_good, on_bad], known, good, TrackingOptions())
+    assert is_contradicted([on_bad, on_bad], known, good, TrackingOptions())
     # Without evidence it is as reliable as the last frame.
-    assert is_contradicted([PoseAgreement(), PoseAgreement()], known, bad)
-    assert is_contradicted([PoseAgreement(), on_good], known, bad)
-    assert not is_contradicted([PoseAgreement(), PoseAgreement()], known, good)
+    assert is_contradicted([PoseAgreement(), PoseAgreement()], known, bad, TrackingOptions())
+    assert is_contradicted([PoseAgreement(), on_good], known, bad, TrackingOptions())
+    assert not is_contradicted([PoseAgreement(), PoseAgreement()], known, good, TrackingOptions())
     # Two cameras that disagree contradict any pose.
     other = replace(on_good, evidence=CameraEvidence(20, 0.3, 9.0, 4.5 * MAX_F_RATIO))
-    assert is_contradicted([on_good, other], known, good)
+    assert is_contradicted([on_good, other], known, good, TrackingOptions())
     # Of three, one may be at fault: the pose rests on the others.
-    assert not is_contradicted([on_good, on_good, other], known, good)
+    assert not is_contradicted([on_good, on_good, other], known, good, TrackingOptions())
 
 
 def test_last_frames_are_pooled() -> None:
     ratios: tuple[float, ...] = ()
     for f_ratio, expected in [(12.0, False), (1.0, False), (12.0, True), (np.nan, True), (1.0, False), (200.0, True)]:
-        ratios = add_f_ratio(ratios, f_ratio)
-        assert is_mostly_contradicted(ratios) is expected
+        ratios = add_f_ratio(ratios, f_ratio, TrackingOptions())
+        assert is_mostly_contradicted(ratios, TrackingOptions()) is expected
     for _ in range(8):
-        ratios = add_f_ratio(ratios, 1.0)
-    assert not is_mostly_contradicted(ratios)
+        ratios = add_f_ratio(ratios, 1.0, TrackingOptions())
+    assert not is_mostly_contradicted(ratios, TrackingOptions())

@@ -17,12 +17,12 @@ from sylpose.landmarks.landmark_filter import LandmarkTable, initialize_landmark
 from sylpose.rig import Camera
 from sylpose.simulate import Actor, Scene, TexturedBody
 from sylpose.status import FrameStatus
-from sylpose.tracking import initialization, state_machine
+from sylpose.tracking import state_machine
 from sylpose.tracking.camera_side import camera as camera_module
 from sylpose.tracking.camera_side.frame import CameraFrame, FrameMatches, drop_background
 from sylpose.tracking.context import Context, Frame
-from sylpose.tracking.joint_side import joint_state as joint_module
 from sylpose.tracking.joint_side.joint_state import JointState, KnownMotion
+from sylpose.tracking.options import TrackingOptions
 from sylpose.tracking.pose_search import PoseCandidate, find_pose
 from sylpose.tracking.tracker import track
 from tests.clips import Clip, compute_pose_errors, make_rotated_pose, moving_scene, statuses
@@ -73,9 +73,8 @@ def test_usual_search_with_low_contrast_features(low_contrast_clip: Clip, monkey
     tracked = list(track(low_contrast_clip.frames(), low_contrast_clip.rig, low_contrast_clip.boxes, features="sift"))
     assert statuses(tracked) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * (FRAMES - 1)
     assert compute_pose_errors(tracked, low_contrast_clip.truth)[:, 0].max() < 2.0
-    monkeypatch.setattr(initialization, "MIN_STRONG_INLIERS", 0)
-    monkeypatch.setattr(joint_module, "MIN_STRONG_INLIERS", 0)
-    tracked = list(track(low_contrast_clip.frames(), low_contrast_clip.rig, low_contrast_clip.boxes, features="sift"))
+    clip, options = low_contrast_clip, TrackingOptions(min_strong_inliers=0)
+    tracked = list(track(clip.frames(), clip.rig, clip.boxes, features="sift", options=options))
     assert statuses(tracked).count(FrameStatus.TRACKED) < FRAMES - 1
 
 

@@ -21,8 +21,9 @@ from sylpose.simulate import arc, ellipsoid
 from sylpose.status import FrameStatus, Status
 from sylpose.tracking.bodies import find_bodies, has_rival
 from sylpose.tracking.camera_side.frame import CameraFrame, FrameMatches
-from sylpose.tracking.context import MAX_RIVAL_RATIO, Context, LocalExecutor
+from sylpose.tracking.context import Context, LocalExecutor
 from sylpose.tracking.first_motion import FirstMotion, estimate_first_motion
+from sylpose.tracking.options import TrackingOptions
 from sylpose.tracking.tracker import track
 from tests.clips import statuses
 
@@ -271,7 +272,7 @@ def test_rival_threshold(executor: LocalExecutor, rig: Rig, more: int) -> None:
     rival = estimate_motion(executor, rig, make_pairs(rig, [Body(40, ELSEWHERE, OTHER)]))
     assert rival.fit.status is Status.OK
     assert rival.n_inliers > 0.9 * 40 * len(rig)
-    larger = replace(found, n_inliers=round(rival.n_inliers / MAX_RIVAL_RATIO) + more)
+    larger = replace(found, n_inliers=round(rival.n_inliers / TrackingOptions.max_rival_ratio) + more)
     assert has_rival(make_context(executor, rig, 1), pairs, FIRST, larger) == (more < 0)
 
 

@@ -13,10 +13,8 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.simulate import ring
 from sylpose.tracking.camera_side.frame import count_ages, expand_ages
 from sylpose.tracking.joint_side.joint_state import (
-    MAX_COASTING_FRAMES,
     MAX_COASTING_POSITION_SD,
     MAX_COASTING_ROTATION_SD,
-    MIN_STRONG_INLIERS,
     Anchor,
     JointState,
     KnownFrames,
@@ -26,6 +24,7 @@ from sylpose.tracking.joint_side.joint_state import (
     compute_viewpoints,
 )
 from sylpose.tracking.joint_side.object_model import ObjectModel
+from sylpose.tracking.options import TrackingOptions
 from sylpose.tracking.reports import PoseAgreement
 
 RIG = ring(3, 1.5, 1000.0, height=(0.4, -0.1, 0.2))
@@ -34,6 +33,7 @@ TWIST = np.array([1.0, -2.0, 0.5, 0.3, 0.1, -0.4])
 START = RigidTransform.from_components([0.03, -0.02, 0.05], Rotation.from_rotvec([0.2, 0.1, -0.3]))
 STEP = RigidTransform.from_exp_coords(TWIST * DT)
 RADIUS = 0.2
+N_STRONG = TrackingOptions.min_strong_inliers
 
 
 def pose_at(frames: float) -> RigidTransform:
@@ -67,7 +67,7 @@ def make_state_after(frames: int) -> JointState:
     """Return the state after frames at constant velocity, all solved from tracked features."""
     state = with_frames(make_first_state(), anchor=Anchor(make_solved(0)))
     for k in range(1, frames + 1):
-        state = state.add_solved_frame(make_solved(k), STEP, has_new_features=False)
+        state = state.add_solved_frame(make_solved(k), STEP, TrackingOptions(), has_new_features=False)
     return state
 
 
@@ -95,7 +95,7 @@ def test_constant_velocity_prediction_is_exact(ahead: float) -> None:
 
 def test_velocity_uses_elapsed_time() -> None:
     """A skipped frame means twice the time and twice the motion."""
-    state = make_first_state().add_solved_frame(make_solved(2), STEP * STEP, has_new_features=False)
+    state = make_first_state().add_solved_frame(make_solved(2), STEP * STEP, TrackingOptions(), has_new_features=False)
     np.testing.assert_allclose(state.predict_pose(3 * DT).as_matrix(), pose_at(3).as_matrix(), atol=1e-12)
 
 
@@ -105,7 +105,7 @@ def test_changing_rotation_about_center_is_no_translation() -> None:
         turn = Rotation.from_rotvec([0, 0, angle])
         motion = RigidTransform.from_components(START.translation - turn.apply(START.translation), turn)
         pose = motion * pose
-        state = state.add_solved_frame(make_solved(k, pose), motion, has_new_features=False)
+        state = state.add_solved_frame(make_solved(k, pose), motion, TrackingOptions(), has_new_features=False)
     assert state.motion.velocity.change_variance[3:].max() < 1e-20
     assert state.motion.velocity.change_variance[2] > 1
 
@@ -114,7 +114,7 @@ def test_accepted_frame_does_not_modify_old_state() -> None:
     old = make_state_after(3)
     keyframes, anchor, twist = old.frames.keyframes, old.frames.anchor, old.motion.velocity.twist.copy()
     far = RigidTransform.from_rotation(Rotation.from_rotvec([0, 1.0, 0]))
-    new = old.add_solved_frame(make_solved(4, far * pose_at(3)), far, has_new_features=True)
+    new = old.add_solved_frame(make_solved(4, far * pose_at(3)), far, TrackingOptions(), has_new_features=True)
     assert (old.last.number, old.frames.keyframes, old.frames.anchor) == (3, keyframes, anchor)
     np.testing.assert_array_equal(old.motion.velocity.twist, twist)
     assert new.last.number == 4
@@ -126,7 +126,9 @@ def test_accepted_frame_does_not_modify_old_state() -> None:
 @pytest.mark.parametrize(("anew", "turn", "kept"), [(True, 0.5, True), (False, 0.5, False), (True, 0.01, False)])
 def test_keyframes_need_new_features_and_new_views(anew: bool, turn: float, kept: bool) -> None:
     motion = RigidTransform.from_rotation(Rotation.from_rotvec([0, turn, 0]))
-    state = make_first_state().add_solved_frame(make_solved(1, motion * START), motion, has_new_features=anew)
+    state = make_first_state().add_solved_frame(
+        make_solved(1, motion * START), motion, TrackingOptions(), has_new_features=anew
+    )
     assert [k.number for k in state.frames.keyframes] == ([0, 1] if kept else [0])
     assert state.last.number == 1
 
@@ -138,25 +140,27 @@ def make_agreement(features: int, strong: int) -> PoseAgreement:
 @pytest.mark.parametrize(
     ("seen", "starves"),
     [
-        ([(MIN_STRONG_INLIERS, MIN_STRONG_INLIERS)] * 3, False),
-        ([(MIN_STRONG_INLIERS, MIN_STRONG_INLIERS - 1)] * 3, True),
-        ([(MIN_STRONG_INLIERS + 200, 0)] * 3, True),  # low-contrast features do not count
-        ([(3 * MIN_STRONG_INLIERS, 3 * MIN_STRONG_INLIERS), (0, 0), (0, 0)], False),
-        ([(3 * MIN_STRONG_INLIERS, 3 * MIN_STRONG_INLIERS - 1), (0, 0), (5, 0)], True),
+        ([(N_STRONG, N_STRONG)] * 3, False),
+        ([(N_STRONG, N_STRONG - 1)] * 3, True),
+        ([(N_STRONG + 200, 0)] * 3, True),  # low-contrast features do not count
+        ([(3 * N_STRONG, 3 * N_STRONG), (0, 0), (0, 0)], False),
+        ([(3 * N_STRONG, 3 * N_STRONG - 1), (0, 0), (5, 0)], True),
     ],
 )
 def test_state_is_feature_poor_with_few_strong_inliers(seen: list[tuple[int, int]], starves: bool) -> None:
     agreements = [make_agreement(*one) for one in seen]
     proven = with_motion(make_first_state(), has_moved=True)
     assert (
-        proven.add_solved_frame(make_solved(1), STEP, has_new_features=True, agreements=agreements).is_feature_poor
+        proven.add_solved_frame(
+            make_solved(1), STEP, TrackingOptions(), has_new_features=True, agreements=agreements
+        ).is_feature_poor
         == starves
     )
     for was in (False, True):
         # Tracked features are a selection of many: they do not count.
         assert (
             replace(proven, is_feature_poor=was)
-            .add_solved_frame(make_solved(1), STEP, has_new_features=False, agreements=agreements)
+            .add_solved_frame(make_solved(1), STEP, TrackingOptions(), has_new_features=False, agreements=agreements)
             .is_feature_poor
             == was
         )
@@ -164,7 +168,7 @@ def test_state_is_feature_poor_with_few_strong_inliers(seen: list[tuple[int, int
         still = [replace(a, n_moved=0) for a in agreements]
         assert (
             replace(make_first_state(), is_feature_poor=was)
-            .add_solved_frame(make_solved(1), STEP, has_new_features=True, agreements=still)
+            .add_solved_frame(make_solved(1), STEP, TrackingOptions(), has_new_features=True, agreements=still)
             .is_feature_poor
             == was
         )
@@ -175,8 +179,13 @@ def test_anchor_ages_until_new_features_are_detected() -> None:
     assert state.frames.anchor is not None
     assert state.frames.anchor.age == 4
     assert state.frames.anchor.frame.number == 0
-    assert state.add_solved_frame(make_solved(5), STEP, has_new_features=True).frames.anchor is None
-    assert make_first_state().add_solved_frame(make_solved(1), STEP, has_new_features=False).frames.anchor is None
+    assert state.add_solved_frame(make_solved(5), STEP, TrackingOptions(), has_new_features=True).frames.anchor is None
+    assert (
+        make_first_state()
+        .add_solved_frame(make_solved(1), STEP, TrackingOptions(), has_new_features=False)
+        .frames.anchor
+        is None
+    )
 
 
 def test_known_frames_are_keyframes_anchor_and_recent() -> None:
@@ -206,7 +215,7 @@ def test_missed_frames_are_counted_and_extrapolated() -> None:
     state = set_velocity_change(make_state_after(3), 1e-6, 1e-6)
     for missed in range(1, 4):
         before = state
-        state, covariance = state.coast((3 + missed) * DT)
+        state, covariance = state.coast((3 + missed) * DT, TrackingOptions())
         assert (before.motion.n_missed, state.motion.n_missed, state.motion.is_lost) == (missed - 1, missed, False)
         np.testing.assert_allclose(covariance, state.motion.velocity.predict_covariance(missed * DT, missed))
         # The prediction still starts at the last solved frame.
@@ -219,16 +228,16 @@ def test_prediction_includes_last_covariance() -> None:
     known = np.diag([1, 2, 3, 4, 5, 6.0]) * 1e-6
     state = with_frames(state, last=replace(state.last, covariance=known))
     state = with_motion(state, velocity=replace(state.motion.velocity, change_variance=np.full(6, 0.01)))
-    _, covariance = state.coast(4 * DT)
+    _, covariance = state.coast(4 * DT, TrackingOptions())
     np.testing.assert_allclose(covariance, known + 0.01 * DT**2 * np.eye(6))
 
 
 def test_too_many_missed_frames_mean_lost() -> None:
     state = set_velocity_change(make_state_after(3), 1e-9, 1e-9)
-    for _ in range(MAX_COASTING_FRAMES):
-        state, _ = state.coast(4 * DT)
+    for _ in range(TrackingOptions.max_coasting_frames):
+        state, _ = state.coast(4 * DT, TrackingOptions())
         assert not state.motion.is_lost
-    state, _ = state.coast(4 * DT)
+    state, _ = state.coast(4 * DT, TrackingOptions())
     assert state.motion.is_lost
 
 
@@ -239,37 +248,43 @@ def test_too_many_missed_frames_mean_lost() -> None:
 def test_uncertain_rotation_or_position_means_lost(turn: float, shift: float, lost: bool) -> None:
     state, _ = set_velocity_change(
         make_state_after(3), turn * MAX_COASTING_ROTATION_SD, shift * MAX_COASTING_POSITION_SD * RADIUS
-    ).coast(4 * DT)
+    ).coast(4 * DT, TrackingOptions())
     assert state.motion.is_lost == lost
 
 
 def test_unknown_velocity_means_lost() -> None:
-    state, covariance = make_first_state().coast(DT)
+    state, covariance = make_first_state().coast(DT, TrackingOptions())
     assert state.motion.is_lost
     assert np.isposinf(np.diag(covariance)).all()
 
 
 def test_lost_object_stays_lost_until_found() -> None:
-    state, _ = with_motion(set_velocity_change(make_state_after(3), 1e-9, 1e-9), is_lost=True).coast(4 * DT)
+    state, _ = with_motion(set_velocity_change(make_state_after(3), 1e-9, 1e-9), is_lost=True).coast(
+        4 * DT, TrackingOptions()
+    )
     assert state.motion.is_lost
-    found = with_motion(state, next_hypothesis=9).add_solved_frame(make_solved(5), STEP * STEP, has_new_features=True)
+    found = with_motion(state, next_hypothesis=9).add_solved_frame(
+        make_solved(5), STEP * STEP, TrackingOptions(), has_new_features=True
+    )
     assert (found.motion.is_lost, found.motion.n_missed, found.motion.next_hypothesis) == (False, 0, 0)
 
 
 def test_velocity_after_missed_and_lost_frames() -> None:
     """While the object is lost only the ends of its path are known."""
     state = make_state_after(6)
-    missed, _ = set_velocity_change(state, 1e-6, 1e-6).coast(7 * DT)
-    found = missed.add_solved_frame(make_solved(8), STEP * STEP, has_new_features=True)
+    missed, _ = set_velocity_change(state, 1e-6, 1e-6).coast(7 * DT, TrackingOptions())
+    found = missed.add_solved_frame(make_solved(8), STEP * STEP, TrackingOptions(), has_new_features=True)
     assert found.motion.velocity.n_frames == 1
     np.testing.assert_allclose(found.motion.velocity.twist, TWIST, atol=1e-10)
     np.testing.assert_array_equal(found.motion.velocity.change_variance, missed.motion.velocity.change_variance)
-    again = with_motion(missed, is_lost=True).add_solved_frame(make_solved(8), STEP * STEP, has_new_features=True)
+    again = with_motion(missed, is_lost=True).add_solved_frame(
+        make_solved(8), STEP * STEP, TrackingOptions(), has_new_features=True
+    )
     assert again.motion.velocity.n_frames == 0
     assert not again.motion.velocity.twist.any()
     # Without missed frames the velocity is kept.
     assert (
-        state.add_solved_frame(make_solved(7), STEP, has_new_features=True).motion.velocity.n_frames
+        state.add_solved_frame(make_solved(7), STEP, TrackingOptions(), has_new_features=True).motion.velocity.n_frames
         == state.motion.velocity.n_frames + 1
     )
 

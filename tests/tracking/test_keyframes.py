@@ -14,8 +14,6 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Rig
 from sylpose.simulate import ring
 from sylpose.tracking.joint_side.joint_state import (
-    MAX_KEYFRAMES,
-    MIN_KEYFRAME_ROTATION,
     MIN_KEYFRAME_SCALE,
     RING_ANGLES,
     SolvedFrame,
@@ -24,8 +22,10 @@ from sylpose.tracking.joint_side.joint_state import (
     find_nearest_views,
     select_references,
 )
+from sylpose.tracking.options import TrackingOptions
 
 UP = np.array([0.0, 1.0, 0.0])
+DEFAULTS = TrackingOptions()
 START = RigidTransform.from_components([0.02, -0.03, 0.05], Rotation.from_rotvec([0.2, -0.1, 0.3]))
 
 
@@ -50,10 +50,10 @@ def make_frame(rig: Rig, index: int, pose: RigidTransform, without_features: tup
     )
 
 
-def try_keyframe(kept: list[SolvedFrame], current: SolvedFrame) -> bool:
+def try_keyframe(kept: list[SolvedFrame], current: SolvedFrame, options: TrackingOptions = DEFAULTS) -> bool:
     """Return whether the frame became a keyframe."""
     before = tuple(kept)
-    kept[:] = add_keyframe(before, current)
+    kept[:] = add_keyframe(before, current, options)
     assert all(isinstance(k, SolvedFrame) for k in kept)
     return len(kept) > len(before) or tuple(kept) != before
 
@@ -158,7 +158,7 @@ def test_nearest_views_are_sorted_with_older_first(rig: Rig) -> None:
 
 def test_new_side_makes_keyframe(rig: Rig) -> None:
     kept: list[SolvedFrame] = []
-    limit = float(np.degrees(MIN_KEYFRAME_ROTATION))
+    limit = float(np.degrees(DEFAULTS.min_keyframe_rotation))
     assert try_keyframe(kept, make_frame(rig, 0, make_rotated(0.0)))
     assert not try_keyframe(kept, make_frame(rig, 1, make_rotated(0.9 * limit)))
     assert try_keyframe(kept, make_frame(rig, 2, make_rotated(1.1 * limit)))
@@ -208,28 +208,28 @@ def test_cameras_without_features_give_no_warning(rig: Rig) -> None:
     assert not any(k.number % 4 == 3 for k in kept)  # those have no features
 
 
-def test_most_redundant_keyframe_is_removed(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sylpose.tracking.joint_side.joint_state.MAX_KEYFRAMES", 4)
+def test_most_redundant_keyframe_is_removed(rig: Rig) -> None:
+    options = TrackingOptions(max_keyframes=4)
     kept = make_frames(rig, 0, 40, 80, 93)
-    assert try_keyframe(kept, make_frame(rig, 4, make_rotated(120.0)))
+    assert try_keyframe(kept, make_frame(rig, 4, make_rotated(120.0)), options)
     assert indices(kept) == [0, 1, 2, 4]  # 80 and 93 were most similar
     # The newest itself, if it is redundant: then no other is removed.
-    try_keyframe(kept, make_frame(rig, 5, make_rotated(50.0)))
+    try_keyframe(kept, make_frame(rig, 5, make_rotated(50.0)), options)
     assert indices(kept) == [0, 1, 2, 4]
     # The first one stays, even if another is similar.
-    try_keyframe(kept, make_frame(rig, 6, make_rotated(-7.0)))
+    try_keyframe(kept, make_frame(rig, 6, make_rotated(-7.0)), options)
     assert indices(kept) == [0, 1, 2, 4]
 
 
 def test_number_of_keyframes_is_bounded_and_first_kept(rig: Rig) -> None:
     rng = np.random.default_rng(0)
     kept: list[SolvedFrame] = []
-    turns = Rotation.random(2 * MAX_KEYFRAMES, rng=rng)
+    turns = Rotation.random(2 * DEFAULTS.max_keyframes, rng=rng)
     for k, turn in enumerate(turns):
         pose = RigidTransform.from_components(START.translation, turn * START.rotation)
         try_keyframe(kept, make_frame(rig, k, pose))
-        assert len(kept) <= MAX_KEYFRAMES
-    assert len(kept) == MAX_KEYFRAMES
+        assert len(kept) <= DEFAULTS.max_keyframes
+    assert len(kept) == DEFAULTS.max_keyframes
     assert kept[0].number == 0
     assert indices(kept) == sorted(indices(kept))
 
@@ -246,20 +246,19 @@ def test_every_view_stays_covered(steps: list[tuple[float, int]], most: int) -> 
     rig = ring(3, 1.5, target=START.translation)
     kept: list[SolvedFrame] = []
     pose, met = START, []
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sylpose.tracking.joint_side.joint_state.MAX_KEYFRAMES", most)
-        for k, (degrees, axis) in enumerate(steps):
-            turn = Rotation.from_rotvec(np.radians(degrees) * np.eye(3)[axis])
-            pose = RigidTransform.from_components(pose.translation, turn * pose.rotation)
-            met.append(make_frame(rig, k, pose))
-            try_keyframe(kept, met[-1])
-            assert len(kept) <= most
-            assert kept[0] is met[0]
-            assert indices(kept) == sorted(set(indices(kept)))
+    options = TrackingOptions(max_keyframes=most)
+    for k, (degrees, axis) in enumerate(steps):
+        turn = Rotation.from_rotvec(np.radians(degrees) * np.eye(3)[axis])
+        pose = RigidTransform.from_components(pose.translation, turn * pose.rotation)
+        met.append(make_frame(rig, k, pose))
+        try_keyframe(kept, met[-1], options)
+        assert len(kept) <= most
+        assert kept[0] is met[0]
+        assert indices(kept) == sorted(set(indices(kept)))
     if len(kept) < most:
         for current in met:
             near = [
-                min(angle(current.viewpoints[c], k.viewpoints[c]) for k in kept) < MIN_KEYFRAME_ROTATION + 1e-6
+                min(angle(current.viewpoints[c], k.viewpoints[c]) for k in kept) < DEFAULTS.min_keyframe_rotation + 1e-6
                 for c in range(3)
             ]
             assert sum(near) >= 2

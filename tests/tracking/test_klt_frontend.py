@@ -19,7 +19,6 @@ from sylpose.tracking.camera_side.camera import (
     MAX_TRACKED,
     MIN_NEW_FEATURES,
     MIN_TRACK_DISTANCE_PX,
-    N_ANCHOR_FEATURES,
     CameraAnchor,
     TrackedFeatures,
     advance_anchor,
@@ -38,9 +37,11 @@ from sylpose.tracking.joint_side.joint_state import (
     SolvedFrame,
     has_enough_tracks,
 )
+from sylpose.tracking.options import TrackingOptions
 from sylpose.tracking.reports import TrackingReport
 
 SIZE, FOCAL, DEPTH, RADIUS = (260, 200), 300.0, 1.5, 0.2
+N_ANCHOR_FEATURES = TrackingOptions.n_anchor_features
 MATRIX = np.array([[FOCAL, 0, (SIZE[0] - 1) / 2], [0, FOCAL, (SIZE[1] - 1) / 2], [0, 0, 1]])
 CAMERA = Camera("cam_0", SIZE, MATRIX, np.zeros(4), RigidTransform.identity())
 START = RigidTransform.from_translation([0, 0, DEPTH])
@@ -225,7 +226,7 @@ def test_next_anchor_keeps_tracks_and_adds_new_ones(followed_ones: int) -> None:
     k = len(before)
     assert 0.9 * followed_ones < k <= followed_ones + 20
     fresh = make_grid(450, margin=25.0)[:120]
-    both = append_new_features(before, make_features(fresh, 1000), np.zeros(120, bool))
+    both = append_new_features(before, make_features(fresh, 1000), np.zeros(120, bool), N_ANCHOR_FEATURES)
     anchor = create_anchor(9, make_camera_frame(both), render_picture(50.0, 50.0), before)
     # Kept tracks preserve their order, patches and pixels, not those of any other image.
     assert anchor.number == 9
@@ -293,7 +294,7 @@ def make_tracked(pixels: FloatArray) -> TrackedFeatures:
 def test_new_feature_near_a_tracked_one_is_dropped(share: float, kept: bool) -> None:
     known = make_grid(30)
     new = known[:5] + share * MIN_TRACK_DISTANCE_PX * np.array([0.6, -0.8])
-    both = append_new_features(make_tracked(known), make_features(new, 1000), np.zeros(5, bool))
+    both = append_new_features(make_tracked(known), make_features(new, 1000), np.zeros(5, bool), N_ANCHOR_FEATURES)
     assert len(both) == (35 if kept else 30)
     np.testing.assert_array_equal(both.pixels[:30], known)
     np.testing.assert_array_equal(both.descriptors[:30, 0], np.arange(30))
@@ -301,7 +302,9 @@ def test_new_feature_near_a_tracked_one_is_dropped(share: float, kept: bool) -> 
 
 def test_background_features_are_omitted() -> None:
     background = np.arange(60) % 3 == 0
-    both = append_new_features(make_tracked(np.empty((0, 2))), make_features(make_grid(60), 1000), background)
+    both = append_new_features(
+        make_tracked(np.empty((0, 2))), make_features(make_grid(60), 1000), background, N_ANCHOR_FEATURES
+    )
     assert both.descriptors[:, 0].tolist() == (1000 + np.flatnonzero(~background)).tolist()
     np.testing.assert_array_equal(both.pixels, make_grid(60)[~background])
     np.testing.assert_array_equal(both.normalized, CAMERA.normalize(both.pixels))
@@ -313,11 +316,13 @@ def test_background_features_are_omitted() -> None:
 def test_number_of_new_features(known: int) -> None:
     apart = np.random.default_rng(0).uniform(1e4, 2e4, (known, 2))
     for n in (10, 500):
-        both = append_new_features(make_tracked(apart), make_features(make_grid(n), 1000), np.zeros(n, bool))
+        both = append_new_features(
+            make_tracked(apart), make_features(make_grid(n), 1000), np.zeros(n, bool), N_ANCHOR_FEATURES
+        )
         new = both.descriptors[known:, 0].astype(float) - 1000
         wanted = max(N_ANCHOR_FEATURES - known, MIN_NEW_FEATURES)
         assert_spread(new, n, min(n, wanted))
-    none = append_new_features(make_tracked(apart), Features.empty(), np.zeros(0, bool))
+    none = append_new_features(make_tracked(apart), Features.empty(), np.zeros(0, bool), N_ANCHOR_FEATURES)
     assert len(none) == known
 
 

@@ -11,6 +11,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.status import FrameStatus
 from sylpose.tracking.context import TrackedFrame, explain_missing_pose
+from sylpose.tracking.options import TrackingOptions
 from sylpose.tracking.tracker import track
 from tests.clips import (
     HALF_DEGREE,
@@ -62,8 +63,7 @@ def test_all_cameras_covered_for_a_few_frames(features: str, back: int, most_deg
     assert not any(f.pose.is_measured for f in coasting)
 
 
-def test_all_cameras_covered_for_long(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sylpose.tracking.joint_side.joint_state.MAX_COASTING_FRAMES", 2)
+def test_all_cameras_covered_for_long() -> None:
     first, last = 5, 8
     frames = last + 5
     rig = moving_scene(make_drifting_pose, 1, n_cameras=3).rig
@@ -73,7 +73,7 @@ def test_all_cameras_covered_for_long(monkeypatch: pytest.MonkeyPatch) -> None:
 
     boards = [make_occluding_board(camera, first, last) for camera in rig]
     clip = Clip.render(moving_scene(path, frames, boards, n_cameras=3))
-    tracked = list(track(clip.frames(), clip.rig, clip.boxes))
+    tracked = list(track(clip.frames(), clip.rig, clip.boxes, options=TrackingOptions(max_coasting_frames=2)))
     hidden = statuses(tracked)[first : last + 1]
     n = hidden.index(FrameStatus.LOST)
     assert n == 2
@@ -111,10 +111,9 @@ def leaving_path(frame: float) -> RigidTransform:
 
 
 @pytest.mark.slow
-def test_leaving_and_coming_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sylpose.tracking.joint_side.joint_state.MAX_COASTING_FRAMES", 2)
+def test_leaving_and_coming_back() -> None:
     clip = Clip.render(moving_scene(leaving_path, 23, n_cameras=3))
-    tracked = list(track(clip.frames(), clip.rig, clip.boxes))
+    tracked = list(track(clip.frames(), clip.rig, clip.boxes, options=TrackingOptions(max_coasting_frames=2)))
     found = statuses(tracked)
     assert found[:7] == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * 6
     assert FrameStatus.LOST in found[10:14]

@@ -18,6 +18,7 @@ from sylpose.rig import Camera, Rig
 from sylpose.simulate import Actor, chamfered_box, make_demo_scene
 from sylpose.tracking.camera_side.frame import CameraFrame
 from sylpose.tracking.joint_side.joint_state import SolvedFrame, compute_viewpoints
+from sylpose.tracking.options import TrackingOptions
 from sylpose.tracking.relocalization import (
     N_NEAREST_KEYFRAMES,
     N_OTHER_KEYFRAMES,
@@ -60,8 +61,8 @@ def relocalize_frame(
     records = []
     for c in range(len(rig)):
         tried = select_keyframes(solved, c, last.solved, missed)
-        records.append(match_keyframes([by_number[k.number][c] for k in tried], current[c], radius))
-    return estimate_relocalized_pose(rig, records)
+        records.append(match_keyframes([by_number[k.number][c] for k in tried], current[c], radius, TrackingOptions()))
+    return estimate_relocalized_pose(rig, records, TrackingOptions())
 
 
 @pytest.fixture(scope="module")

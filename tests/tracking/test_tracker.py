@@ -20,7 +20,7 @@ from sylpose.simulate import arc, make_demo_scene
 from sylpose.status import FrameStatus, Observability
 from sylpose.tracking.camera_side.frame import CameraFrame, project_outline, rasterize_outline
 from sylpose.tracking.context import TrackedFrame
-from sylpose.tracking.joint_side.joint_state import N_RECENT_FRAMES
+from sylpose.tracking.options import TrackingOptions
 from sylpose.tracking.tracker import Tracker, track
 from tests.clips import (
     FRAMES,
@@ -182,10 +182,9 @@ def test_initially_static_object(n_cameras: int) -> None:
     assert_valid(tracked)
 
 
-def test_long_static_object(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sylpose.tracking.initialization.MAX_BUFFERED_FRAMES", 3)
+def test_long_static_object(clip: Clip) -> None:
     images = [clip.images[0]] * 6 + clip.images[1:4]
-    with Tracker(clip.rig) as tracker:
+    with Tracker(clip.rig, options=TrackingOptions(max_buffered_frames=3)) as tracker:
         given = [tracker.step(frame) for frame in frame_sets(images)]
     tracked = [f for g in given for f in g]
     assert [f.pose.index for f in tracked] == list(range(9))
@@ -400,11 +399,9 @@ def test_fewer_cameras_are_less_certain(clip: Clip, tracked: Sequence[TrackedFra
 # --- memory
 
 
-def test_images_are_released_and_references_bounded(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sylpose.tracking.joint_side.joint_state.MAX_KEYFRAMES", 3)
-    monkeypatch.setattr(
-        "sylpose.tracking.joint_side.joint_state.MIN_KEYFRAME_ROTATION", np.radians(1.0)
-    )  # nearly every frame is a keyframe
+def test_images_are_released_and_references_bounded(clip: Clip) -> None:
+    # Nearly every frame is a keyframe.
+    options = TrackingOptions(max_keyframes=3, min_keyframe_rotation=np.radians(1.0))
     alive: list[list[weakref.ref[Any]]] = []
     references = []
 
@@ -420,18 +417,17 @@ def test_images_are_released_and_references_bounded(clip: Clip, monkeypatch: pyt
                 assert not any(ref() is not None for refs in alive[: k - 1] for ref in refs)
                 references.append(sum(isinstance(o, CameraFrame) for o in gc.get_objects()))
 
-    for f in track(frames(), clip.rig, clip.boxes):
+    for f in track(frames(), clip.rig, clip.boxes, options=options):
         del f
     assert len(alive) == 2 * FRAMES - 4
     # The keyframes, the last frames and the current one, in each of three cameras.
-    assert max(references) <= 3 * (3 + N_RECENT_FRAMES + 1)
+    assert max(references) <= 3 * (3 + options.n_recent_frames + 1)
     assert references[-1] >= 3 * 3
 
 
-def test_number_of_buffered_frames_is_bounded(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sylpose.tracking.initialization.MAX_BUFFERED_FRAMES", 2)
+def test_number_of_buffered_frames_is_bounded(clip: Clip) -> None:
     refs: list[weakref.ref[Any]] = []
-    with Tracker(clip.rig) as tracker:
+    with Tracker(clip.rig, options=TrackingOptions(max_buffered_frames=2)) as tracker:
         for k in range(6):
             images = tuple(image.copy() for image in clip.images[0])
             refs.append(weakref.ref(images[0]))

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from sylpose.commands.app import ADVANCED, INPUT, LIVE, OBJECT, command, exit_with_failures, option, pick
 from sylpose.commands.options import (
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from sylpose.io.capture import Session
     from sylpose.io.capture.live import LiveSession
     from sylpose.runs.options import RunOptions
+    from sylpose.tracking.options import TrackingOptions
 
 
 # Options that do not apply to live cameras and growing folders.
@@ -57,6 +59,7 @@ class TrackOptions(DisplayOptions, MethodOptions, WorldOptions, RangeOptions, Re
             rounds.
         resume: Continue an interrupted run; requires the same options.
         checkpoint_seconds: Set the time between checkpoints for --resume.
+        limit: Set a limit or size of the tracker, a field of TrackingOptions. Repeatable.
     """
 
     boxes: BoxesFile = None
@@ -75,6 +78,7 @@ class TrackOptions(DisplayOptions, MethodOptions, WorldOptions, RangeOptions, Re
     distributed: Annotated[str | None, option(f"--simulate-nodes {'|'.join(MODES)}", ADVANCED)] = None
     resume: Annotated[bool, option("--resume", ADVANCED)] = False
     checkpoint_seconds: Annotated[float, option("--checkpoint SEC", ADVANCED, min=0)] = 20.0
+    limit: Annotated[tuple[str, ...], option("--set NAME=VALUE", ADVANCED)] = ()
     seed: Seed = 0
 
     def open_session(self) -> Session | LiveSession:
@@ -118,7 +122,30 @@ class TrackOptions(DisplayOptions, MethodOptions, WorldOptions, RangeOptions, Re
             raise ValueError(f"--object: expected one number from 1 on, or files, got {' '.join(self.known)}")
         known = load_known_objects(() if numbers else self.known, session.objects, session.rig)
         candidate = int(numbers[0]) if numbers else None
-        return pick(self, RunOptions, offsets=find_offsets(session, self.offsets), known=known, candidate=candidate)
+        tracking = parse_tracking_options(self.limit)
+        offsets = find_offsets(session, self.offsets)
+        return pick(self, RunOptions, offsets=offsets, known=known, candidate=candidate, tracking=tracking)
+
+
+def parse_tracking_options(texts: Sequence[str]) -> TrackingOptions:
+    """Parse values of `--set`, NAME=VALUE.
+
+    Raises:
+        ValueError: an unknown name, or a value that is no number or out of its range.
+    """
+    from sylpose.tracking.options import TrackingOptions
+
+    kinds = {field.name: int if isinstance(field.default, int) else float for field in fields(TrackingOptions)}
+    values = dict[str, Any]()
+    for text in texts:
+        name, _, number = text.partition("=")
+        if name not in kinds:
+            raise ValueError(f"--set: {name!r} is not one of {', '.join(kinds)}")
+        try:
+            values[name] = kinds[name](number)
+        except ValueError:
+            raise ValueError(f"--set {name}: {number!r} is not a number") from None
+    return TrackingOptions(**values)
 
 
 @command("Track an object in a recording or live cameras.", notes=f"\b\n{format_methods_table()}\n")

@@ -28,7 +28,7 @@ from sylpose.rig import Rig
 from sylpose.tracking.camera_side.camera import CameraTracker
 from sylpose.tracking.context import Alignment, TrackedFrame
 from sylpose.tracking.joint_side.joint_state import JointState, SolvedFrame
-from sylpose.tracking.tracker import Handover, TrackerBase, TrackerOptions, check_handover
+from sylpose.tracking.tracker import Handover, TrackerArguments, TrackerBase, check_handover
 
 T = TypeVar("T")
 
@@ -201,7 +201,7 @@ def track_by_node(
     boxes: Mapping[str, Box] | None = None,
     *,
     must_join: bool = False,
-    **options: Unpack[TrackerOptions],
+    **arguments: Unpack[TrackerArguments],
 ) -> Iterator[TrackedFrame]:
     """Track the object as `track`, on one node with its own images only.
 
@@ -211,7 +211,7 @@ def track_by_node(
         frame_source: its frames.
         boxes: as `track`.
         must_join: whether the node has to join a group; else it begins in one.
-        options: as `track`; no known object.
+        arguments: as `track`; no known object.
 
     Yields:
         As `track`, the frames in which it took part.
@@ -220,7 +220,7 @@ def track_by_node(
         ValueError: as `track`.
     """
     cameras = [CameraTracker(node.camera, rig.cameras[node.camera])]
-    tracking = TrackerBase(rig, cameras, node, boxes, **options)
+    tracking = TrackerBase(rig, cameras, node, boxes, **arguments)
     wanted, admitted_at, found = 0, -1, list[TrackedFrame]()
     defining: SolvedFrame | None = None
     while True:

@@ -62,7 +62,7 @@ MIN_BASELINE = 1e-4
 MAX_F_RATIO = 30.0
 # So do they if the median of the last known F ratios, of two in the middle the smaller one, exceeds the second value, once
 # the least number is known (choice: sensitivity in docs/history/benchmarks.md#trust).
-N_POOLED, MAX_POOLED_RATIO, MIN_POOLED = 15, 5.0, 3
+MIN_POOLED = 3
 # For this at least so many cameras have to remain without the worst: any two nearly agree (derived: 4 constraints of 10
 # unknowns).
 MIN_KEPT_POOLED = 3

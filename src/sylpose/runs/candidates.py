@@ -17,10 +17,11 @@ def find_session_candidates(session: Session, options: RunOptions | None = None)
 
     Args:
         session: the recording.
-        options: frames to search, seed and workers; None: all frames.
+        options: frames to search, seed, limits and workers; None: all frames.
     """
     options = options or RunOptions()
-    return find_candidates(session.rig, _read_windows(session, options), seed=options.seed, workers=options.workers)
+    windows = _read_windows(session, options)
+    return find_candidates(session.rig, windows, seed=options.seed, workers=options.workers, options=options.tracking)
 
 
 def select_candidate(session: Session, options: RunOptions) -> Candidate | None:
@@ -44,7 +45,8 @@ def compare_session_cameras(session: Session, name: str, options: RunOptions) ->
     every = options.every
     stop = min(session.n_frames if options.stop is None else options.stop, options.start + WINDOW_FRAMES * every)
     frames = [own.for_object(name) for own in session.frames(options.start, stop, every, _ignore)]
-    return compare_cameras(session.rig, frames, session.select_object(name).boxes, workers=options.workers)
+    boxes = session.select_object(name).boxes
+    return compare_cameras(session.rig, frames, boxes, workers=options.workers, options=options.tracking)
 
 
 def _read_windows(session: Session, options: RunOptions) -> Iterator[Sequence[FrameSet]]:

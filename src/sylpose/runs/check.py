@@ -24,6 +24,7 @@ from sylpose.runs.console_output import select_solved_frames
 from sylpose.runs.run_result import Run
 from sylpose.status import DOUBTFUL, FrameStatus
 from sylpose.tracking.joint_side.object_model import carve_box_volume
+from sylpose.tracking.options import TrackingOptions
 
 # Timestamps of one frame set that deviate more from their mean, frames, cause a warning (choice: cameras without a
 # common trigger reach one frame in either direction).
@@ -293,7 +294,7 @@ def preview_moving_object(session: Session) -> Preview:
             f"boxes: {boxes_hint(session)}."
         )
         return Preview([] if first is None else [View("", first, (None,) * len(names))], "nothing yet", (description,))
-    is_ambiguous = candidates[0].is_ambiguous
+    is_ambiguous = candidates[0].is_ambiguous(TrackingOptions())
     views, lines = list[View](), list[str]()
     for number, candidate in enumerate(candidates if is_ambiguous else candidates[:1], start=1):
         frames = next(iter(session.frames(candidate.first)))

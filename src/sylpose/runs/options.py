@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from sylpose.geometry.euler_angles import parse_euler_angles
 from sylpose.geometry.validation import check_bool, check_choice, check_integer, check_type, format_value
@@ -11,6 +11,7 @@ from sylpose.io.capture.session import check_frame_range
 from sylpose.methods import FEATURES, METHODS, MODES, resolve_features
 from sylpose.report import PICTURE_FORMATS
 from sylpose.tracking.known_object import KnownObject
+from sylpose.tracking.options import TrackingOptions
 
 # Seconds between two checkpoints (choice: acceptable loss of work).
 CHECKPOINT_SECONDS = 20.0
@@ -35,6 +36,7 @@ class RunOptions:
             frame. Boxes of these objects are not used.
         candidate: number of the moving body to be tracked where there are no boxes, 1 for the one with the most matches,
             in the order of `sylpose check`; None: that one, with the status `ambiguous` if another one moves as well.
+        tracking: limits and sizes, `options` of `track`.
         workers: as in `track`; the result does not depend on it.
         distributed: None for one process; "exact" or "compact" for one node per camera over a simulated network
             (`network.simulation`), for recordings only.
@@ -59,6 +61,7 @@ class RunOptions:
     known: KnownObject | Mapping[str, KnownObject] | None = None
     candidate: int | None = None
     seed: int = 0
+    tracking: TrackingOptions = field(default_factory=TrackingOptions)
     workers: int | None = None
     distributed: str | None = None
     resume: bool = False
@@ -74,6 +77,7 @@ class RunOptions:
         for name in ("start", "every", *(["stop"] if self.stop is not None else [])):
             check_integer(getattr(self, name), name, minimum=-(2**62))
         check_integer(self.seed, "seed")
+        check_type(self.tracking, TrackingOptions, "tracking")
         for name in ("workers", "candidate"):
             if getattr(self, name) is not None:
                 check_integer(getattr(self, name), name, minimum=1)

@@ -38,8 +38,7 @@ from sylpose.tracking.bodies import find_rigid_motion
 from sylpose.tracking.camera_side.camera import MAX_SEARCH_PIXELS, CameraTracker
 from sylpose.tracking.camera_side.frame import CameraFrame, match_frames
 from sylpose.tracking.context import LocalExecutor
-from sylpose.tracking.first_motion import MAX_START_FEATURES
-from sylpose.tracking.initialization import MAX_BUFFERED_FRAMES
+from sylpose.tracking.options import TrackingOptions
 
 # Pairs of frames that are compared (choice).
 MAX_PAIRS = 5
@@ -223,7 +222,7 @@ def collect_motion(rig: Rig, frames: Iterable[FrameSet]) -> MotionEvidence:
     previous: FrameSet | None = None
     with closing(_make_executor(rig)) as executor:
         for k, images in enumerate(frames):
-            if k >= (MAX_COMPARED_FRAMES if len(chosen) == MAX_PAIRS else MAX_BUFFERED_FRAMES):
+            if k >= (MAX_COMPARED_FRAMES if len(chosen) == MAX_PAIRS else TrackingOptions.max_buffered_frames):
                 break
             if previous is not None:
                 changes.append([not _are_identical(*own) for own in zip(previous.images, images.images, strict=True)])
@@ -288,7 +287,8 @@ def _make_executor(rig: Rig) -> LocalExecutor:
 
 
 def _detect(images: FrameSet, camera: CameraTracker) -> CameraFrame:
-    features = camera.detect(camera.view_of(images), None, MAX_START_FEATURES, max_pixels=MAX_SEARCH_PIXELS)
+    max_features = TrackingOptions.max_start_features
+    features = camera.detect(camera.view_of(images), None, max_features, max_pixels=MAX_SEARCH_PIXELS)
     return camera.create_frame(features)
 
 
@@ -321,7 +321,7 @@ def _match_moving(
         the matches, none if they are mismatches or displaced by little; pixels (m, 2) of static features.
     """
     pair = match_frames(number, first, second)
-    is_static, is_rigid = find_rigid_motion(camera.camera, pair)
+    is_static, is_rigid = find_rigid_motion(camera.camera, pair, TrackingOptions())
     moving = pair.subset(~is_static if is_rigid else np.zeros(len(pair), bool))
     return (moving.pixels_i, moving.pixels_j), pair.pixels_i[is_static]
 

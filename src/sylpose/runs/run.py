@@ -32,7 +32,7 @@ from sylpose.sync.offsets import apply_offsets, find_offsets
 from sylpose.tracking.context import TrackedFrame
 from sylpose.tracking.known_object import KnownObject
 from sylpose.tracking.search_clock import SearchClock
-from sylpose.tracking.tracker import Tracker, TrackerOptions
+from sylpose.tracking.tracker import Tracker, TrackerArguments
 from sylpose.units import INITIAL_DISTANCES
 
 # Frame rate of the overlay if the recording has none, frames per second.
@@ -203,16 +203,17 @@ class _SessionRun:
             "smooth": self.options.smooth,
             "refine_calibration": self.options.refine_calibration or None,
             "offsets": self.options.offsets,
+            "tracking": dict(self.options.tracking.changes) or None,
         }
 
     def open_trackers(self, stack: ExitStack) -> None:
         """Create a tracker for each object."""
         options = self.options
-        arguments: TrackerOptions = {"method": options.method, "features": options.features, "seed": options.seed}
-        arguments["offsets"] = self._time_offsets
+        arguments: TrackerArguments = {"method": options.method, "features": options.features, "seed": options.seed}
+        arguments |= {"offsets": self._time_offsets, "options": options.tracking}
         for name in self.session.objects:
             boxes = None if name in self.known else self.session.select_object(name).boxes or None
-            own: TrackerOptions = {**arguments, **self._look_ahead(name, boxes)}
+            own: TrackerArguments = {**arguments, **self._look_ahead(name, boxes)}
             if options.distributed is not None:
                 nodes = NodesTracker(self.session.rig, boxes, mode=options.distributed, **own)
                 self.trackers[name] = stack.enter_context(nodes)
@@ -228,7 +229,7 @@ class _SessionRun:
                     f"refine_calibration: {name} was learned with another rig, which does not constrain this one"
                 )
 
-    def _look_ahead(self, name: str, boxes: Mapping[str, Box] | None) -> TrackerOptions:
+    def _look_ahead(self, name: str, boxes: Mapping[str, Box] | None) -> TrackerArguments:
         """Search a recording: do the cameras agree, and which moving body is tracked if nothing else selects it?"""
         is_selected = bool(boxes) or name in self.known or self.session.masks is not None
         if self.options.candidate is not None and (is_selected or not isinstance(self.session, Session)):

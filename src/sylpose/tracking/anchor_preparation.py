@@ -21,7 +21,6 @@ from sylpose.landmarks.alignment import make_camera_state, stack_matches
 from sylpose.landmarks.camera_terms import compute_camera_terms
 from sylpose.rig import Camera
 from sylpose.tracking.camera_side.camera import (
-    N_ANCHOR_FEATURES,
     CameraAnchor,
     CameraTracker,
     NextAnchor,
@@ -41,7 +40,8 @@ from sylpose.tracking.camera_side.frame import (
 )
 from sylpose.tracking.context import Context
 from sylpose.tracking.joint_side.joint_state import Anchor, JointState, SolvedFrame, add_keyframe, select_references
-from sylpose.tracking.pose_search import MAX_KLT_FEATURES, PoseCandidate
+from sylpose.tracking.options import TrackingOptions
+from sylpose.tracking.pose_search import PoseCandidate
 
 # Minimum noise by which a match is judged, pixels (choice).
 MIN_NOISE_PX = 1.0
@@ -74,6 +74,7 @@ def begin_preparation(context: Context, state: JointState, candidate: PoseCandid
             camera.background_features,
             camera.static_px,
             {k.number: camera.frames[k.number].features for k in keyframes},
+            context.options,
         )
         frame_camera = candidate.rig.cameras[camera.index]
         camera.next_anchor = NextAnchor(last.number, tracked.image, frame_camera, len(tracked), tracked.rows, detection)
@@ -89,6 +90,7 @@ def find_new_features(
     background_features: Features,
     static_px: float,
     references: dict[int, Features],
+    options: TrackingOptions,
 ) -> tuple[Features, dict[int, IntArray]]:
     """Detect new features in an area (h, w) of an image and match them with earlier frames.
 
@@ -97,13 +99,15 @@ def find_new_features(
         tracked: tracked features, which are not detected again.
         background_features: known background features.
         references: features of earlier frames, by number.
+        options: numbers of features.
 
     Returns:
         the new features; by frame number, match indices (m, 2).
     """
-    detected = detect_features(image, camera, area, MAX_FAINT_FEATURES if faint else MAX_KLT_FEATURES, faint=faint)
+    max_features = MAX_FAINT_FEATURES if faint else options.max_klt_features
+    detected = detect_features(image, camera, area, max_features, faint=faint)
     new = append_new_features(
-        tracked, detected, find_static_features(detected, background_features, static_px), N_ANCHOR_FEATURES
+        tracked, detected, find_static_features(detected, background_features, static_px), options.n_anchor_features
     )
     new = new.subset(np.arange(len(tracked), len(new)))
     return new, {number: match_features(features, new) for number, features in references.items()}
@@ -114,7 +118,7 @@ def join_anchor(context: Context, state: JointState) -> JointState:
     assert state.frames.next_anchor_number is not None
     frame = state.frames.by_number[state.frames.next_anchor_number]
     context.executor.run(partial(_join_camera, state=state, frame=frame), context.cameras)
-    keyframes = tuple(sorted(add_keyframe(state.frames.keyframes, frame), key=lambda k: k.number))
+    keyframes = tuple(sorted(add_keyframe(state.frames.keyframes, frame, context.options), key=lambda k: k.number))
     anchor = Anchor(frame, state.last.number - frame.number)
     return replace(state, frames=replace(state.frames, anchor=anchor, keyframes=keyframes, next_anchor_number=None))
 

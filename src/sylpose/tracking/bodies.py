@@ -41,13 +41,11 @@ from sylpose.tracking.camera_side.frame import (
 )
 from sylpose.tracking.context import Candidate, Context, Frame, LocalExecutor, is_rival
 from sylpose.tracking.first_motion import (
-    MAX_START_FEATURES,
-    MIN_DISPLACEMENT_PX,
-    MIN_FIRST_MOTION_PX,
     FirstMotion,
     estimate_first_motion,
     estimate_jitter,
 )
+from sylpose.tracking.options import TrackingOptions
 
 # Number of motions fitted one after another: an object, and the trunk and arms of a person (choice).
 MAX_BODIES = 4
@@ -88,11 +86,10 @@ class WindowBody:
     last: Frame
     motion: FirstMotion
 
-    @property
-    def is_clear(self) -> bool:
-        """Whether tracking can start with this motion."""
+    def is_clear(self, options: TrackingOptions) -> bool:
+        """Return whether tracking can start with this motion."""
         motion = self.motion
-        is_large = motion.is_observable or motion.displacement_px > MIN_FIRST_MOTION_PX
+        is_large = motion.is_observable or motion.displacement_px > options.min_first_motion_px
         return motion.is_significant and motion.fit.status is Status.OK and is_large
 
 
@@ -149,6 +146,7 @@ def find_candidates(
     time_offsets: FloatArray | None = None,
     seed: int = 0,
     workers: int | None = None,
+    options: TrackingOptions | None = None,
 ) -> list[Candidate]:
     """Find the bodies that might be the object.
 
@@ -159,11 +157,12 @@ def find_candidates(
         time_offsets: (C,) seconds by which each camera's images are later than its time stamps; None: none.
         seed: of outlier rejection.
         workers: threads for detection and matching; None: one per core, at most one per camera.
+        options: limits and sizes; None: the default ones.
 
     Returns:
         by decreasing number of matches; empty if nothing moves as a rigid body.
     """
-    with _open_context(rig, time_offsets, seed, workers) as context:
+    with _open_context(rig, time_offsets, seed, workers, options) as context:
         found, gap = list[Window](), GAPS[0]
         for frames in filter(len, windows):
             window, gap = _search_window(context, frames, gap)
@@ -178,6 +177,7 @@ def compare_cameras(
     *,
     time_offsets: FloatArray | None = None,
     workers: int | None = None,
+    options: TrackingOptions | None = None,
 ) -> float:
     """Compare the motions that the cameras see of what is in the boxes, between the first frame and some later ones.
 
@@ -185,12 +185,12 @@ def compare_cameras(
         rig: C cameras.
         frames: the first ones of a recording.
         boxes: per camera, the object's box in the first frame, pixels; None: it is all that moves.
-        time_offsets, workers: as `find_candidates`.
+        time_offsets, workers, options: as `find_candidates`.
 
     Returns:
         the F ratio pooled over the later frames, see `pool_f_ratios`; NaN unless it is known for several.
     """
-    with _open_context(rig, time_offsets, 0, workers) as context:
+    with _open_context(rig, time_offsets, 0, workers, options) as context:
         gaps = [gap for gap in GAPS if gap < len(frames)]
         if not gaps:
             return np.nan
@@ -218,13 +218,15 @@ def _select_boxed(pairs: Sequence[FrameMatches], box: Box | None) -> list[FrameM
 
 
 @contextmanager
-def _open_context(rig: Rig, time_offsets: FloatArray | None, seed: int, workers: int | None) -> Iterator[Context]:
+def _open_context(
+    rig: Rig, time_offsets: FloatArray | None, seed: int, workers: int | None, options: TrackingOptions | None
+) -> Iterator[Context]:
     """Create cameras for a search, on worker threads of its own."""
     offsets = np.zeros(len(rig)) if time_offsets is None else time_offsets
     executor = LocalExecutor(len(rig), workers or min(len(rig), os.cpu_count() or 1))
     try:
         cameras = [CameraTracker(c, camera) for c, camera in enumerate(rig)]
-        yield Context(rig, cameras, executor, METHODS[0], True, True, offsets, seed)
+        yield Context(rig, cameras, executor, METHODS[0], True, True, offsets, seed, options or TrackingOptions())
     finally:
         executor.close()
 
@@ -238,7 +240,8 @@ def has_rival(context: Context, pairs: CameraPairs, first_number: int, motion: F
     """
     rest = _remove_inliers(pairs, motion)
     others, n = find_bodies(context, rest, first_number), len(context.rig)
-    return any(is_rival(_count_rival(context, motion, body) / motion.n_inliers, n) for body in others)
+    ratios = (_count_rival(context, motion, body) / motion.n_inliers for body in others)
+    return any(is_rival(ratio, n, context.options) for ratio in ratios)
 
 
 def _count_rival(context: Context, motion: FirstMotion, other: FirstMotion) -> int:
@@ -299,12 +302,12 @@ def _search_window(context: Context, frames: Sequence[FrameSet], gap: int) -> tu
         significant = [motion for motion in motions if motion.is_significant]
         # Two motions may not be separable over some times: a mixed fit is worse than one without a second body.
         n_others = sum(motion.n_inliers for motion in significant[1:]) - any(m.fit.is_mixed for m in significant)
-        is_enough = bool(best) and best[0].motion.displacement_px > MIN_FIRST_MOTION_PX
+        is_enough = bool(best) and best[0].motion.displacement_px > context.options.min_first_motion_px
         if significant and (not best or n_others >= max_others + is_enough):
             best, best_gap, max_others = [WindowBody(last, motion) for motion in motions], g, n_others
             best_pairs = pairs
         # A second body may be slower than the largest one.
-        limit = MIN_FIRST_MOTION_PX if max_others > 0 else MAX_DISPLACEMENT_PX
+        limit = context.options.min_first_motion_px if max_others > 0 else MAX_DISPLACEMENT_PX
         if n_others >= 0 and best and best[0].motion.displacement_px > limit:
             break
     is_far = bool(best) and best[0].motion.displacement_px > MAX_DISPLACEMENT_PX
@@ -321,11 +324,14 @@ def _compute_f_ratio(context: Context, last: Frame, pairs: CameraPairs) -> float
     """
     if last.time_offsets.any():
         return np.nan
-    matches = [_select_rigid(context.rig.cameras[c], own) for c, own in zip(context.executor.local, pairs, strict=True)]
+    matches = [
+        _select_rigid(context.rig.cameras[c], own, context.options)
+        for c, own in zip(context.executor.local, pairs, strict=True)
+    ]
     return float(compute_f_ratios(context.rig, [matches], Hypothesis())[0])
 
 
-def find_rigid_motion(camera: Camera, pair: FrameMatches) -> tuple[BoolArray, bool]:
+def find_rigid_motion(camera: Camera, pair: FrameMatches, options: TrackingOptions) -> tuple[BoolArray, bool]:
     """Find what moves between two frames of a camera.
 
     Returns:
@@ -334,17 +340,17 @@ def find_rigid_motion(camera: Camera, pair: FrameMatches) -> tuple[BoolArray, bo
     """
     is_static = find_static(pair, compute_static_px(estimate_jitter(pair)))
     x, y = pair.pixels_i[~is_static], pair.pixels_j[~is_static]
-    if len(x) < MIN_MATCHES or np.median(np.linalg.norm(y - x, axis=1)) < MIN_DISPLACEMENT_PX:
+    if len(x) < MIN_MATCHES or np.median(np.linalg.norm(y - x, axis=1)) < options.min_displacement_px:
         return is_static, False
     is_inlier = np.empty(len(x))
     find_inliers(x, y, RIGID_TOLERANCE * float(np.hypot(*camera.size)), QUADRUPLES, is_inlier)
     return is_static, bool(is_inlier.mean() > 0.5)
 
 
-def _select_rigid(camera: Camera, pairs: Sequence[FrameMatches]) -> CameraMatches:
+def _select_rigid(camera: Camera, pairs: Sequence[FrameMatches], options: TrackingOptions) -> CameraMatches:
     """Return the pixels (n, 2) of a camera's matches in the earlier and the later frame, if they move as a rigid body."""
     for pair in pairs:
-        is_static, is_rigid = find_rigid_motion(camera, pair)
+        is_static, is_rigid = find_rigid_motion(camera, pair, options)
         if is_rigid:
             return pair.pixels_i[~is_static], pair.pixels_j[~is_static]
     return np.empty((0, 2)), np.empty((0, 2))
@@ -353,7 +359,8 @@ def _select_rigid(camera: Camera, pairs: Sequence[FrameMatches]) -> CameraMatche
 def _detect(context: Context, number: int, images: FrameSet) -> Frame:
     """Create a frame with the features of the whole images."""
     frame = context.create_frame(number, images)
-    return context.with_features(frame, context.detect_everywhere(images, MAX_START_FEATURES, max_pixels=MAX_PIXELS))
+    features = context.detect_everywhere(images, context.options.max_start_features, max_pixels=MAX_PIXELS)
+    return context.with_features(frame, features)
 
 
 def _match(context: Context, first: Frame, last: Frame) -> list[list[FrameMatches]]:
@@ -413,7 +420,7 @@ def _make_candidate(context: Context, windows: Sequence[Window], chain: Chain, m
         n_shared, n_rivals = n_shared + (body.motion.n_inliers if n else 0), n_rivals + n
     n_later = max((_count_matches(other) for other in moving if _are_different(windows, chain, other)), default=0)
     sizes = {k: body.motion.n_inliers * body.motion.is_significant for k, body in chain.items()}
-    clear = {k: sizes[k] for k, body in chain.items() if body.is_clear} or sizes
+    clear = {k: sizes[k] for k, body in chain.items() if body.is_clear(context.options)} or sizes
     # While a body comes in, little of it is visible.
     number = next(k for k, n in clear.items() if n >= MIN_KEPT_RATIO * max(clear.values()))
     first, pairs = _find_first_frame(context, windows[: number + 1], chain[number])

@@ -17,11 +17,10 @@ from typing import Any, Protocol, TypeVar, cast
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.features.sift import MAX_FEATURES, Features
+from sylpose.features.sift import Features
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import FloatArray
 from sylpose.landmarks.alignment import AlignmentResult, AlignmentStart, LandmarkMatches, align
-from sylpose.relative_pose.camera_evidence import MAX_POOLED_RATIO
 from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.results import FramePose
 from sylpose.rig import Rig
@@ -38,15 +37,9 @@ from sylpose.tracking.camera_side.frame import (
     project_outline,
 )
 from sylpose.tracking.joint_side.joint_state import JointState, Nudge
+from sylpose.tracking.options import TrackingOptions
 from sylpose.tracking.search_clock import SearchClock
 
-# A body with more than this share of the matches of the largest one may be the object as well (choice: a single body
-# leaves none, see docs/history).
-MAX_RIVAL_RATIO = 0.1
-# The same for one camera, in which a part of the object fits another motion, as depth is unknown (choice).
-MAX_RIVAL_RATIO_MONOCULAR = 0.5
-# The same for a body that moves at other times: a person who leaves the scene first is not the object (choice).
-MAX_LATER_RATIO = 0.5
 T = TypeVar("T")
 # A pose and, per camera, local: (weights, residuals) of its observations.
 Alignment = tuple[AlignmentResult, list[tuple[FloatArray, FloatArray]]]
@@ -149,9 +142,9 @@ class Frame:
         return [own.features for own in self.cameras]
 
 
-def is_rival(ratio: float, n_cameras: int) -> bool:
+def is_rival(ratio: float, n_cameras: int, options: TrackingOptions) -> bool:
     """Return whether a body with this share of the largest one's matches may be the object as well."""
-    return ratio > (MAX_RIVAL_RATIO if n_cameras > 1 else MAX_RIVAL_RATIO_MONOCULAR)
+    return ratio > (options.max_rival_ratio if n_cameras > 1 else options.max_rival_ratio_monocular)
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,11 +174,10 @@ class Candidate:
     f_ratio: float = np.nan
     is_chosen: bool = False
 
-    @property
-    def is_ambiguous(self) -> bool:
-        """Whether another body might be the object as well."""
-        has_rival = is_rival(self.rival_ratio, len(self.outlines)) or self.later_ratio > MAX_LATER_RATIO
-        return has_rival and not self.is_chosen
+    def is_ambiguous(self, options: TrackingOptions) -> bool:
+        """Return whether another body might be the object as well."""
+        has_rival = is_rival(self.rival_ratio, len(self.outlines), options)
+        return (has_rival or self.later_ratio > options.max_later_ratio) and not self.is_chosen
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,6 +193,7 @@ class Context:
         refines_window: whether recent frames are refined jointly during tracking (`window`).
         time_offsets: (C,) seconds by which each camera's images are later than its time stamps.
         seed: random seed of outlier rejection.
+        options: limits and sizes.
         candidate: the body to be tracked; None: with boxes, or the largest one.
         f_ratio: by which the cameras contradict each other in what was searched in advance; NaN if unknown.
         search_clock: limits the time of searches during live tracking; None: results do not depend on time.
@@ -214,6 +207,7 @@ class Context:
     refines_window: bool
     time_offsets: FloatArray
     seed: int
+    options: TrackingOptions = field(default_factory=TrackingOptions)
     candidate: Candidate | None = None
     f_ratio: float = np.nan
     search_clock: SearchClock | None = None
@@ -221,7 +215,7 @@ class Context:
     @property
     def is_contradicted(self) -> bool:
         """Whether the cameras contradict each other in most of what was searched: then the rig is wrong in all frames."""
-        return self.f_ratio > MAX_POOLED_RATIO
+        return self.f_ratio > self.options.max_pooled_f_ratio
 
     def share_of_search(self, kind: str) -> float:
         """Return the share of a search's pixels for which there is time. See `SearchClock.share`."""
@@ -270,10 +264,11 @@ class Context:
         return [state.object.radius / depth * camera.focal for camera, depth in zip(self.rig, depths, strict=True)]
 
     def detect(
-        self, frame: Frame, max_features: int = MAX_FEATURES, *, faint: bool, max_pixels: int | None = None
+        self, frame: Frame, max_features: int | None = None, *, faint: bool, max_pixels: int | None = None
     ) -> list[Features]:
         """Detect features in a frame's regions; per camera, local. See `CameraTracker.detect`."""
         assert frame.regions is not None
+        max_features = max_features or self.options.max_features
         settings: dict[str, Any] = {"max_features": max_features, "faint": faint, "max_pixels": max_pixels}
         detect_in = partial(CameraTracker.detect_in, images=frame.images, **settings)
         return self.executor.run(detect_in, self.cameras, frame.regions)

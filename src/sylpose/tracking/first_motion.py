@@ -43,31 +43,19 @@ from sylpose.tracking.context import Context, Frame
 from sylpose.tracking.frame_solvers import scatter_fit
 from sylpose.tracking.joint_side.joint_state import JointState, KnownMotion
 from sylpose.tracking.joint_side.object_model import MIN_SURFACE_POINTS
+from sylpose.tracking.options import TrackingOptions
 from sylpose.tracking.reports import BoxMotionReport, InitialMatches, MovingMatches, quantize_positions
 
-# Maximum number of features per camera while the object may be anywhere in the image (choice).
-MAX_START_FEATURES = 4000
-# A motion that is not fully observable (length of a translation, small rotation) is replaced by a later one with this
-# median displacement, pixels, if possible (choice).
-MIN_FIRST_MOTION_PX = 8.0
 # Keypoints displaced by less than `BACKGROUND_PX` may be static. They define the noise if more than this share of them is
 # displaced by less than half of it (choice).
 MIN_STATIC_RATIO = 0.65
 # Median of the Rayleigh distribution in standard deviations (derived).
 RAYLEIGH_MEDIAN = float(np.sqrt(2.0 * np.log(2.0)))
-# A camera detects a motion with enough inliers, whose median displacement exceeds this, pixels, and so many times the
-# noise of static keypoints (choice).
-MIN_DISPLACEMENT_PX, MIN_DISPLACEMENT_SIGMAS = 3.5, 7.0
-# A rigid motion must exceed the log-likelihood of displacements in random directions by this much per unknown (choice:
-# Akaike's criterion requires 1, Bayes' half the logarithm of the number of matches).
-MIN_LOG_GAIN_PER_UNKNOWN = 5.0
 # Unknowns of a motion, and of each camera's surface (derived).
 MOTION_UNKNOWNS, SURFACE_UNKNOWNS = 6, 6
 # Between consecutive frames, the rotation since the first frame changes by at most this share, or this angle, radians
 # (choice).
 MAX_ROTATION_CHANGE_RATIO, MAX_ROTATION_CHANGE = 0.6, np.radians(0.75)
-# Largest rms residual of moving matches as a share of their displacement (choice).
-MAX_RESIDUAL_RATIO = 0.35
 # Minimum keypoint noise, pixels (choice).
 MIN_NOISE_PX = 0.15
 # The center of a box is this share of its width and height (choice).
@@ -179,8 +167,8 @@ def estimate_first_motion(context: Context, pairs: CameraPairs, first_number: in
         return FirstMotion(
             fit, undefined, undefined, np.nan, 0, np.nan, 0, False, False, False, failure_status, nothing
         )
-    fit, center = _fit_consistent(reports, context.create_rng())
-    is_rigid, detects_motion = _test_significance(fit, reports)
+    fit, center = _fit_consistent(reports, context.create_rng(), context.options)
+    is_rigid, detects_motion = _test_significance(fit, reports, context.options)
     weights = scatter_fit(executor, fit, [[report.term for report in of_camera] for of_camera in by_camera])
     inliers = [
         (report.term.subset(w > 0), report.displacement_px[w > 0])
@@ -212,14 +200,16 @@ def _report_moving(part: FrameMatches, pair: FrameMatches, jitter_px: float, c: 
     return MovingMatches(part.to_term(c, camera), displacement_px, jitter_px, len(pair) - len(part))
 
 
-def _fit_consistent(reports: Sequence[MovingMatches], rng: np.random.Generator) -> tuple[Fit, FloatArray]:
+def _fit_consistent(
+    reports: Sequence[MovingMatches], rng: np.random.Generator, options: TrackingOptions
+) -> tuple[Fit, FloatArray]:
     """Fit a motion to the cameras that show one; return the fit and the center (3,) that the motion is about."""
     data = [report.term for report in reports]
     center, radius = locate_object(data)
     fit = fit_terms(data, center, radius, [], rng)
     if fit.is_mixed:
         fit = _separate_motions(data, center, radius, fit, rng)
-    is_consistent = ~_find_poor_terms(fit, reports)
+    is_consistent = ~_find_poor_terms(fit, reports, options)
     if 2 <= is_consistent.sum() < len(is_consistent):
         # In the other cameras, inliers are static keypoints with the largest jitter.
         consistent_terms = [term for term, consistent in zip(data, is_consistent, strict=True) if consistent]
@@ -275,18 +265,20 @@ def _expand_fit(fit: Fit, is_chosen: Sequence[BoolArray]) -> Fit:
     return fit.with_matches(weights, residuals)
 
 
-def _find_poor_terms(fit: Fit, reports: Sequence[MovingMatches]) -> BoolArray:
+def _find_poor_terms(fit: Fit, reports: Sequence[MovingMatches], options: TrackingOptions) -> BoolArray:
     """Return the cameras (T,) in which a fit leaves much of its inliers' displacement unexplained."""
     is_poor = np.zeros(len(reports), bool)
     for t, (record, w, across) in enumerate(zip(reports, fit.weights, fit.residuals, strict=True)):
         good = w > 0
         if good.any():
             rms = float(np.sqrt(np.mean(across[good] ** 2)))
-            is_poor[t] = rms > MAX_RESIDUAL_RATIO * float(np.median(record.displacement_px[good]))
+            is_poor[t] = rms > options.max_residual_ratio * float(np.median(record.displacement_px[good]))
     return is_poor
 
 
-def _test_significance(fit: Fit, reports: Sequence[MovingMatches]) -> tuple[BoolArray, BoolArray]:
+def _test_significance(
+    fit: Fit, reports: Sequence[MovingMatches], options: TrackingOptions
+) -> tuple[BoolArray, BoolArray]:
     """Test whether a fit is significant against keypoint noise and random displacements.
 
     A displacement of length d in a random direction has the density 1 / (π √(d² - r²)) of a component r. A rigid
@@ -305,12 +297,12 @@ def _test_significance(fit: Fit, reports: Sequence[MovingMatches]) -> tuple[Bool
         sigma = max(MIN_NOISE_PX, record.jitter_px, float(np.sqrt(np.mean(r**2))))
         by_chance = 1.0 / (np.pi * np.sqrt(np.maximum(translation**2 - r**2, sigma**2)))
         motion = np.exp(-0.5 * (r / sigma) ** 2) / (np.sqrt(2.0 * np.pi) * sigma)
-        gain = float(np.log(motion / by_chance).sum()) - MIN_LOG_GAIN_PER_UNKNOWN * SURFACE_UNKNOWNS
-        min_displacement = max(MIN_DISPLACEMENT_PX, MIN_DISPLACEMENT_SIGMAS * record.jitter_px)
+        gain = float(np.log(motion / by_chance).sum()) - options.min_log_gain_per_unknown * SURFACE_UNKNOWNS
+        min_displacement = max(options.min_displacement_px, options.min_displacement_sds * record.jitter_px)
         is_displaced[t] = float(np.median(translation)) > min_displacement
         is_rigid[t] = good.sum() >= MIN_MATCHES and gain > 0
         log_gain += gain
-    is_rigid &= log_gain > MIN_LOG_GAIN_PER_UNKNOWN * MOTION_UNKNOWNS
+    is_rigid &= log_gain > options.min_log_gain_per_unknown * MOTION_UNKNOWNS
     return is_rigid, is_rigid & is_displaced
 
 

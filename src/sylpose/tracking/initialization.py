@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.features.sift import MAX_FEATURES, Features
+from sylpose.features.sift import Features
 from sylpose.geometry.arrays import FloatArray
 from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.status import FrameStatus
@@ -31,8 +31,6 @@ from sylpose.tracking.camera_side.frame import (
 )
 from sylpose.tracking.context import Context, Frame, FrameResult, TrackedFrame, create_unsolved_frame
 from sylpose.tracking.first_motion import (
-    MAX_START_FEATURES,
-    MIN_FIRST_MOTION_PX,
     FirstMotion,
     count_center_features,
     estimate_first_motion,
@@ -40,15 +38,14 @@ from sylpose.tracking.first_motion import (
     estimate_jitter,
     is_continuing_motion,
 )
-from sylpose.tracking.joint_side.joint_state import MIN_STRONG_INLIERS, Anchor, JointState, KnownMotion, MotionModel
+from sylpose.tracking.joint_side.joint_state import Anchor, JointState, KnownMotion, MotionModel
 from sylpose.tracking.joint_side.object_model import ObjectModel
 from sylpose.tracking.map_update import accept_first_frame, accept_frame, handle_missing_object
 from sylpose.tracking.pose_search import find_pose
 from sylpose.tracking.reports import quantize_positions
 
-# Without boxes the object is unknown until it moves: up to so many frames are buffered with their features (choice),
-MAX_BUFFERED_FRAMES = 60
-# and with their images up to so many bytes (choice).
+# Without boxes the object is unknown until it moves: frames are buffered with their features, and with their images up
+# to so many bytes (choice).
 MAX_BUFFERED_BYTES = 1 << 29
 AMBIGUITY_NOTE = (
     "Without boxes, the largest moving body is tracked, but another one moves as well. Provide a box or a mask to select "
@@ -83,7 +80,7 @@ def initialize_tracking(
         tracked = _create_unmatched_frame(context, frame, FrameStatus.NO_MOTION, nothing)
         reason = f"the object is not seen to move before frame {candidate.first}"
         return state, [], [replace(tracked, pose=replace(tracked.pose, reason=reason))]
-    features = context.detect_everywhere(frame.images, MAX_START_FEATURES, max_pixels=MAX_SEARCH_PIXELS)
+    features = context.detect_everywhere(frame.images, context.options.max_start_features, max_pixels=MAX_SEARCH_PIXELS)
     if not buffered and _count_features(context, features) < MIN_MATCHES:
         # Later frames need one to be compared with.
         return state, [], [_create_unmatched_frame(context, frame, FrameStatus.TOO_FEW_MATCHES, features)]
@@ -94,14 +91,14 @@ def initialize_tracking(
         if first_motion.is_significant:
             buffered[-1] = buffered[-1]._replace(motion=first_motion.motion)
             is_clear = (
-                first_motion.is_observable or first_motion.displacement_px > MIN_FIRST_MOTION_PX
+                first_motion.is_observable or first_motion.displacement_px > context.options.min_first_motion_px
             ) and is_continuing_motion(buffered[-2].motion, first_motion.motion)
-            is_due = len(buffered) > MAX_BUFFERED_FRAMES
+            is_due = len(buffered) > context.options.max_buffered_frames
             is_due |= candidate is not None and frame.images.index > candidate.last
             if (is_clear or is_due) and (started := _initialize_from_motion(context, buffered, pairs, first_motion)):
                 return replace(started[0], nudges=state.nudges), [], started[1]
         status = first_motion.failure_status
-    if len(buffered) <= MAX_BUFFERED_FRAMES:
+    if len(buffered) <= context.options.max_buffered_frames:
         return state, _limit_memory(buffered), []
     # Motions since the dropped frame are no longer defined.
     remaining = [buffered_frame._replace(motion=None) for buffered_frame in buffered[1:]]
@@ -139,10 +136,10 @@ def _initialize_from_boxes(context: Context, state: JointState, frame: Frame, ce
     """Accept the first frame with enough features in the boxes; center (3,) of the object, world."""
     regions = context.project_regions(state, RigidTransform.from_translation(center))
     frame = replace(frame, regions=regions)
-    features = context.detect(frame, MAX_FEATURES, faint=False)
+    features = context.detect(frame, faint=False)
     own_counts = [count_center_features(*own) for own in zip(context.cameras, features, regions, strict=True)]
     n_center = sum(context.executor.gather(own_counts, 0))
-    state = replace(state, is_feature_poor=n_center < MIN_STRONG_INLIERS * len(context.rig))
+    state = replace(state, is_feature_poor=n_center < context.options.min_strong_inliers * len(context.rig))
     if state.is_feature_poor:
         features = context.detect(frame, faint=True)
     if _count_features(context, features) < MIN_MATCHES:
@@ -210,7 +207,9 @@ def _initialize_from_motion(
     end_pose = first_motion.motion * first_pose
     candidate = context.candidate
     is_ambiguous = (
-        has_rival(context, pairs, first.number, first_motion) if candidate is None else candidate.is_ambiguous
+        has_rival(context, pairs, first.number, first_motion)
+        if candidate is None
+        else candidate.is_ambiguous(context.options)
     )
     state = JointState(_create_model(context, first_motion, first_pose, end_pose), is_ambiguous=is_ambiguous)
     frame = replace(first, regions=context.project_regions(state, first_pose))
@@ -239,7 +238,7 @@ def _initialize_from_motion(
         decided.append(tracked)
     if end.number in state.frames.by_number:
         motion = end.world_from_object * state.last.world_from_object.inv()
-        state = state.add_solved_frame(end, motion, has_new_features=False)
+        state = state.add_solved_frame(end, motion, context.options, has_new_features=False)
         if context.uses_klt:
             for camera in context.cameras:
                 camera.set_anchor(end.number, end_frame.images, None)

@@ -34,8 +34,6 @@ from sylpose.status import Observability
 from sylpose.tracking.camera_side.camera import CameraTracker
 from sylpose.tracking.camera_side.frame import CameraFrame
 from sylpose.tracking.joint_side.joint_state import (
-    MAX_KEYFRAMES,
-    MIN_KEYFRAME_ROTATION,
     JointState,
     KnownFrames,
     MotionModel,
@@ -44,6 +42,7 @@ from sylpose.tracking.joint_side.joint_state import (
     compute_viewpoints,
 )
 from sylpose.tracking.joint_side.object_model import ObjectModel
+from sylpose.tracking.options import TrackingOptions
 from sylpose.units import INITIAL_DISTANCES
 
 # Minimum number of keyframes of a usable object model (choice).
@@ -349,7 +348,7 @@ class TransferredObject:
         return f"Moved since the object was learned: {', '.join(moved)}, without landmarks so far." if moved else ""
 
 
-def transfer_object(known: KnownObject, rig: Rig) -> TransferredObject:
+def transfer_object(known: KnownObject, rig: Rig, options: TrackingOptions) -> TransferredObject:
     """Transfer a known object to the cameras of a rig.
 
     These may be cameras that observed it, in the same arrangement and any world frame, or others.
@@ -363,7 +362,10 @@ def transfer_object(known: KnownObject, rig: Rig) -> TransferredObject:
         landmarks = {name: known._cameras[name] for name in unchanged}
         position_sd = _estimate_position_sd(rig, keyframes, {name: errors_px[name] for name in unchanged})
     else:
-        (keyframes, landmarks), position_sd = transfer_keyframes(known, rig), estimate_calibration_sd(known, rig)
+        (keyframes, landmarks), position_sd = (
+            transfer_keyframes(known, rig, options),
+            estimate_calibration_sd(known, rig),
+        )
     converter = PoseConverter(
         known.frame.from_learned,
         np.diag(np.repeat([(position_sd / known.radius) ** 2, position_sd**2], 3)),
@@ -518,13 +520,16 @@ class _View(NamedTuple):
     landmarks: int
 
 
-def transfer_keyframes(known: KnownObject, rig: Rig) -> tuple[tuple[SolvedFrame, ...], dict[str, CameraLandmarks]]:
+def transfer_keyframes(
+    known: KnownObject, rig: Rig, options: TrackingOptions
+) -> tuple[tuple[SolvedFrame, ...], dict[str, CameraLandmarks]]:
     """Transfer the keyframes to another rig.
 
     Returns:
         keyframes, each of one camera of the rig; by camera name, its landmarks in them.
     """
-    views = _select_views(known, max((MAX_KEYFRAMES - N_RESERVED_KEYFRAMES) // len(rig), MIN_MATCHES))
+    max_views = max((options.max_keyframes - N_RESERVED_KEYFRAMES) // len(rig), MIN_MATCHES)
+    views = _select_views(known, max_views, options.min_keyframe_rotation)
     all_landmarks, first_ids = _merge_landmarks(known)
     keyframes = list[SolvedFrame]()
     features: dict[str, list[Features]] = {name: [] for name in rig.names}
@@ -553,7 +558,7 @@ def transfer_keyframes(known: KnownObject, rig: Rig) -> tuple[tuple[SolvedFrame,
     return tuple(keyframes), landmarks_by_camera
 
 
-def _select_views(known: KnownObject, max_views: int) -> list[_View]:
+def _select_views(known: KnownObject, max_views: int, min_angle: float) -> list[_View]:
     """Select the views to transfer: from all sides, those with most landmarks first."""
     candidates = list[_View]()
     for name, memory in known._cameras.items():
@@ -562,7 +567,6 @@ def _select_views(known: KnownObject, max_views: int) -> list[_View]:
                 eye = frame.world_from_object.inv().apply(known.rig[name].center)
                 candidates.append(_View(name, k, eye / np.linalg.norm(eye), len(features)))
     candidates.sort(key=lambda view: -view.landmarks)
-    min_angle = MIN_KEYFRAME_ROTATION
     while True:
         chosen = list[_View]()
         for view in candidates:

@@ -14,11 +14,8 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.matrices import invert_information
 from sylpose.matches import STATIC_PX
 from sylpose.relative_pose.camera_evidence import (
-    MAX_F_RATIO,
-    MAX_POOLED_RATIO,
     MIN_KEPT_POOLED,
     MIN_POOLED,
-    N_POOLED,
     compute_f_ratio,
     pool_f_ratios,
 )
@@ -38,6 +35,7 @@ from sylpose.tracking.joint_side.joint_state import (
     compute_viewpoints,
     enlarge_covariance,
 )
+from sylpose.tracking.options import TrackingOptions
 from sylpose.tracking.pose_search import PoseCandidate
 from sylpose.tracking.reports import Agreements, quantize_positions
 from sylpose.tracking.window import refine_window
@@ -46,9 +44,6 @@ AMBIGUITY_REASON = "another body moves as well; select the object"
 # A single camera cannot distinguish a rotation from its mirror image, concave from convex. An object in a box is
 # assumed convex: the middle of its surface is nearer than its center by this share of its radius (choice).
 CONVEX_BULGE_RATIO = 0.5
-# Except at the start with a known object, nothing is learned from the first pose of a missing object whose rotation is
-# less certain than this, radians (choice).
-MAX_RELOCALIZED_SD = 0.005
 # Relative error of a rotation while all depths are guesses (choice).
 MIRROR_ERROR_RATIO = 0.5
 
@@ -112,7 +107,7 @@ def accept_frame(context: Context, state: JointState, candidate: PoseCandidate) 
     frame, agreements = candidate.frame, candidate.agreements
     inflation, f_ratio = _compute_inflation(candidate), _compute_f_ratio(agreements)
     if not state.object.is_depth_guessed:  # else the guess is contradicted, not the rig
-        f_ratios = add_f_ratio(state.f_ratios, _compute_f_ratio(agreements, MIN_KEPT_POOLED))
+        f_ratios = add_f_ratio(state.f_ratios, _compute_f_ratio(agreements, MIN_KEPT_POOLED), context.options)
         state = replace(state, f_ratios=f_ratios)
     accepted = _accept_pose(context, state, candidate)
     # Each camera: features that were observed before.
@@ -127,7 +122,11 @@ def accept_frame(context: Context, state: JointState, candidate: PoseCandidate) 
     # All cameras: the next state.
     status = FrameStatus.RELOCALIZED if state.motion.n_missed else FrameStatus.TRACKED
     new_state = replace(state, object=model).add_solved_frame(
-        accepted.solved, candidate.motion, has_new_features=frame.has_new_features, agreements=agreements
+        accepted.solved,
+        candidate.motion,
+        context.options,
+        has_new_features=frame.has_new_features,
+        agreements=agreements,
     )
     # After relocalization little is known of the other features: the next frame is matched with the keyframes too.
     begins_anchor = frame.has_new_features and context.uses_klt and status is FrameStatus.TRACKED
@@ -140,7 +139,7 @@ def accept_frame(context: Context, state: JointState, candidate: PoseCandidate) 
     kept = set(new_state.frames.by_number)
     update = partial(CameraTracker.update_map, accepted=accepted, model=model, kept=kept, begins_anchor=begins_anchor)
     records = context.executor.run(update, context.cameras, candidate.cameras, reobserved)
-    if context.refines_window and new_state.is_refinement_due():
+    if context.refines_window and new_state.is_refinement_due(context.options):
         new_state = refine_window(context, new_state)
     last = new_state.last
     observable = Observability.NO_TRANSLATION_SCALE if new_state.refinement.rests_on_prior else Observability.ALL
@@ -172,9 +171,10 @@ def _describe_contradiction(context: Context, state: JointState, f_ratio: float)
     """Describe why a frame with an F ratio is contradicted."""
     if _is_rig_contradicted(context, state):
         return "in most of the recording the cameras see different motions"
-    if f_ratio > MAX_F_RATIO:
-        return f"the cameras see different motions (F ratio {f_ratio:.0f}; the limit is {MAX_F_RATIO:.0f})"
-    if is_mostly_contradicted(state.f_ratios):
+    limit = context.options.max_f_ratio
+    if f_ratio > limit:
+        return f"the cameras see different motions (F ratio {f_ratio:.0f}; the limit is {limit:.0f})"
+    if is_mostly_contradicted(state.f_ratios, context.options):
         return f"in most of the last {len(state.f_ratios)} frames with evidence the cameras see different motions"
     return "tracked from frames in which the cameras see different motions"
 
@@ -183,7 +183,9 @@ def _accept_pose(context: Context, state: JointState, candidate: PoseCandidate) 
     """Accept a pose, with its covariance and the evidence against it."""
     agreements, pose, frame = candidate.agreements, candidate.pose, candidate.frame
     rotation_sd = np.sqrt(np.diag(invert_information(candidate.solution.information))[:3].max())
-    is_uncertain = state.motion.n_missed > 0 and not state.last.is_fixed and rotation_sd > MAX_RELOCALIZED_SD
+    # Except at the start with a known object, little is learned from the first pose of a missing object.
+    is_relocalized = state.motion.n_missed > 0 and not state.last.is_fixed
+    is_uncertain = is_relocalized and rotation_sd > context.options.max_relocalized_rotation_sd
     solved = SolvedFrame(
         frame.number,
         frame.time,
@@ -193,8 +195,8 @@ def _accept_pose(context: Context, state: JointState, candidate: PoseCandidate) 
         compute_viewpoints(context.rig, pose),
         np.array([a.has_features for a in agreements]) & (candidate.has_moved and not is_uncertain),
         compute_full_weight_age([a.ages for a in agreements]),
-        is_contradicted=is_mostly_contradicted(state.f_ratios)
-        or is_contradicted(agreements, state.frames.by_number, state.last),
+        is_contradicted=is_mostly_contradicted(state.f_ratios, context.options)
+        or is_contradicted(agreements, state.frames.by_number, state.last, context.options),
     )
     return AcceptedPose(
         solved,
@@ -215,7 +217,8 @@ def _is_rig_contradicted(context: Context, state: JointState) -> bool:
     That is known of all that moves, of a camera that was nudged or of other bodies as well, and replaced by what the
     frames that were tracked show of the object.
     """
-    return context.is_contradicted and context.method in MAXIMUM_LIKELIHOOD and len(state.f_ratios) < N_POOLED
+    is_possible = context.method in MAXIMUM_LIKELIHOOD and len(state.f_ratios) < context.options.n_pooled_f_ratios
+    return is_possible and context.is_contradicted
 
 
 def _compute_covariance(context: Context, state: JointState, candidate: PoseCandidate) -> FloatArray:
@@ -244,27 +247,29 @@ def _compute_covariance(context: Context, state: JointState, candidate: PoseCand
     return covariance
 
 
-def is_contradicted(agreements: Agreements, known_frames: Mapping[int, SolvedFrame], last: SolvedFrame) -> bool:
+def is_contradicted(
+    agreements: Agreements, known_frames: Mapping[int, SolvedFrame], last: SolvedFrame, options: TrackingOptions
+) -> bool:
     """Return whether the cameras contradict a pose, or those of all earlier frames that support it.
 
     A pose is as reliable as the earlier frames that the evidence connects it with. Where fewer than two cameras have
     evidence, as for an object that rests, it is as reliable as the last one.
     """
     f_ratio = _compute_f_ratio(agreements)
-    if not f_ratio <= MAX_F_RATIO:
-        return f_ratio > MAX_F_RATIO or last.is_contradicted
+    if not f_ratio <= options.max_f_ratio:
+        return f_ratio > options.max_f_ratio or last.is_contradicted
     references = [known_frames[a.evidence_reference] for a in agreements if a.evidence_reference in known_frames]
     return sum(not frame.is_contradicted for frame in references) < 2
 
 
-def add_f_ratio(f_ratios: tuple[float, ...], f_ratio: float) -> tuple[float, ...]:
+def add_f_ratio(f_ratios: tuple[float, ...], f_ratio: float, options: TrackingOptions) -> tuple[float, ...]:
     """Return the last known F ratios with that of one more frame, if it is known."""
-    return f_ratios if np.isnan(f_ratio) else (*f_ratios, f_ratio)[-N_POOLED:]
+    return f_ratios if np.isnan(f_ratio) else (*f_ratios, f_ratio)[-options.n_pooled_f_ratios :]
 
 
-def is_mostly_contradicted(f_ratios: tuple[float, ...]) -> bool:
+def is_mostly_contradicted(f_ratios: tuple[float, ...], options: TrackingOptions) -> bool:
     """Return whether the cameras contradict each other in most of the last frames."""
-    return len(f_ratios) >= MIN_POOLED and pool_f_ratios(np.array(f_ratios)) > MAX_POOLED_RATIO
+    return len(f_ratios) >= MIN_POOLED and pool_f_ratios(np.array(f_ratios)) > options.max_pooled_f_ratio
 
 
 def _compute_f_ratio(agreements: Agreements, min_kept: int = 2) -> float:
@@ -321,7 +326,7 @@ def handle_missing_object(
         the state; the result.
     """
     is_background_only = state.motion.is_background_only
-    state, covariance = state.coast(frame.time)
+    state, covariance = state.coast(frame.time, context.options)
     detections, radius = [camera.detections for camera in context.cameras], state.object.radius
     if is_background_only or state.motion.is_lost:
         status = FrameStatus.BACKGROUND_ONLY if is_background_only else FrameStatus.LOST

@@ -16,13 +16,11 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.features.sift import MAX_FEATURES
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.matrices import make_motion_about, relative_rotvec, rotation_matrix_of
 from sylpose.landmarks.landmark_filter import Landmarks, LandmarkTable
 from sylpose.rig import Rig
 from sylpose.tracking.camera_side.camera import (
-    N_ANCHOR_FEATURES,
     CameraSolution,
     CameraTracker,
     TrackedFeatures,
@@ -48,8 +46,6 @@ from sylpose.tracking.joint_side.joint_state import (
 )
 from sylpose.tracking.reports import Agreements, PoseAgreement, TrackingReport
 
-# Maximum number of features detected per camera while features are tracked by KLT (choice).
-MAX_KLT_FEATURES = 400
 # An object that rotates by more than this per frame, radians, shows another side each time (measured:
 # benchmarks/loops.py, where more features at 7.6 degrees per frame were no gain) (choice).
 FAST_ROTATION = np.radians(10.0)
@@ -65,13 +61,10 @@ SOLVED_RADIUS, MIN_RADIUS_PX = 0.03, 3.0
 # Noise at which inliers of a pose count nothing, as a share of the object's radius in the image, and minimum pixels.
 # Features near a wrong pose are spread evenly over the search radius: their rms distance is six tenths of it (derived).
 ZERO_WEIGHT_NOISE_RATIO, ZERO_WEIGHT_NOISE_PX = 0.4 * SOLVED_RADIUS, 0.58 * MIN_RADIUS_PX
-# With a lower score another pose may be equally good: a different body of the same outline scores about twenty
-# (measured: tests/tracking/test_relocalization.py). Minimum weight of a camera's features, and minimum number of
-# features for a camera to count (choice).
-MIN_SCORE, MIN_GOOD_WEIGHT, MIN_CAMERA_FEATURES = 20.0, 0.5, 15
-# Maximum number of keyframes per camera, in addition to the last solved frame, and their maximum angle around the
-# object, radians (choice).
-MAX_REFERENCE_KEYFRAMES, MAX_VIEW_ANGLE = 4, np.radians(50.0)
+# Minimum weight of a camera's features, and minimum number of features for a camera to count (choice).
+MIN_GOOD_WEIGHT, MIN_CAMERA_FEATURES = 0.5, 15
+# Maximum angle around the object of keyframes that a frame is matched with, radians (choice).
+MAX_VIEW_ANGLE = np.radians(50.0)
 # Search radius around a landmark's projection at a predicted pose, as a share of the object's radius in the image
 # (choice).
 PREDICTED_RADII = (0.15, 0.07)
@@ -214,10 +207,11 @@ def detect_in_regions(context: Context, state: JointState, frame: Frame, predict
         the frame with the tracked features first, then new ones.
     """
     # Where features disappear quickly, KLT tracking helps little, and every frame needs enough detected features.
+    options = context.options
     n_detected, n_total = (
-        (MAX_KLT_FEATURES, N_ANCHOR_FEATURES)
+        (options.max_klt_features, options.n_anchor_features)
         if context.uses_klt and not is_fast(state, predicted_pose)
-        else (MAX_FEATURES, MAX_FEATURES)
+        else (options.max_features, options.max_features)
     )
     features = context.detect(frame, n_detected, faint=state.is_feature_poor)
     if frame.tracked is not None:
@@ -352,7 +346,8 @@ def is_weakly_supported(context: Context, state: JointState, candidate: PoseCand
     noise_weights = compute_noise_weights(context, state, candidate)
     is_good, is_enough = noise_weights > MIN_GOOD_WEIGHT, features >= MIN_CAMERA_FEATURES
     n_agreeing, n_seeing = int((is_enough & is_good).sum()), int(is_enough.sum())
-    return bool((features * noise_weights)[is_good].sum() < MIN_SCORE or n_agreeing < min(2, n_seeing))
+    score = (features * noise_weights)[is_good].sum()
+    return bool(score < context.options.min_score or n_agreeing < min(2, n_seeing))
 
 
 def is_near_start(state: JointState, candidate: PoseCandidate, pose: RigidTransform) -> bool:
@@ -428,7 +423,7 @@ def _select_nearby(context: Context, state: JointState, guess: RigidTransform) -
     """Return per camera, local: the numbers of the last solved frame and of nearby keyframes."""
     viewpoints, last, keyframes = compute_viewpoints(context.rig, guess), state.last.number, state.frames.keyframes
     near = [
-        find_nearest_views(keyframes, c, viewpoints[c], MAX_REFERENCE_KEYFRAMES, MAX_VIEW_ANGLE)
+        find_nearest_views(keyframes, c, viewpoints[c], context.options.max_reference_keyframes, MAX_VIEW_ANGLE)
         for c in context.executor.local
     ]
     return [[last, *(k.number for k in own if k.number != last)] for own in near]

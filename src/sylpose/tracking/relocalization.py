@@ -1,8 +1,9 @@
 """Search for a lost object: near the prediction or anywhere, with bounded work per frame.
 
 A lost frame must not cost much more than a tracked one, so that live tracking is not late when the object returns. Nearly
-all of a search is the detection of features, whose time is proportional to the number of pixels. So each lost frame
-examines one region per camera, downscaled to `SEARCH_PIXELS`, in an order that depends on images and frame numbers only:
+all of a search is the detection of features, whose time is proportional to the number of pixels: SIFT takes 0.4 us for
+each, a frame tracked by KLT 10 ms for a camera (benchmarks/lost_frames.py). So each lost frame examines one region per
+camera, downscaled to `TrackingOptions.search_pixels`, in an order that depends on images and frame numbers only:
 
 1. While the pose can be predicted, every other frame: the object's region at the predicted pose.
 2. Else a window as large as the object (`features.search_windows`), in turn the one that has changed most and the one
@@ -33,6 +34,7 @@ from sylpose.tracking.camera_side.camera import CameraTracker
 from sylpose.tracking.camera_side.frame import CameraFrame, DetectedFeatures
 from sylpose.tracking.context import Context, Frame
 from sylpose.tracking.joint_side.joint_state import JointState, SolvedFrame, find_nearest_views
+from sylpose.tracking.options import TrackingOptions
 from sylpose.tracking.pose_search import (
     SearchResult,
     detect_in_regions,
@@ -44,13 +46,9 @@ from sylpose.tracking.pose_search import (
 )
 from sylpose.tracking.reports import RelocalizationMatches
 
-# Pixels per camera examined in a lost frame: SIFT takes 0.4 us for each, a frame tracked by KLT 10 ms for a camera
-# (measured: benchmarks/lost_frames.py) (choice).
-SEARCH_PIXELS = 50_000
-# The same where the object is likely: in the first lost frame, and where it was relocalized, but not
-# confirmed, in the previous frame; the latter at most once in so many frames
-# (choice: as long as a tracked frame with new features takes, on the average half a search).
-LIKELY_PIXELS, HYPOTHESIS_INTERVAL = 4 * SEARCH_PIXELS, 8
+# Where the object was relocalized, but not confirmed, in the previous frame, more pixels are examined at most once in so
+# many frames (choice).
+HYPOTHESIS_INTERVAL = 8
 # Number of keyframes compared per camera and frame: those nearest to its last viewpoint, and others from all sides in
 # rotation (choice).
 N_NEAREST_KEYFRAMES, N_OTHER_KEYFRAMES = 3, 3
@@ -58,13 +56,6 @@ N_NEAREST_KEYFRAMES, N_OTHER_KEYFRAMES = 3, 3
 GOLDEN_RATIO = 0.5 * (1.0 + np.sqrt(5.0))
 # Largest depth standard deviation of a relocalized landmark, as a share of the object's radius (choice).
 MAX_DEPTH_SD_RATIO = 0.3
-# Minimum number of inliers of a relocalized pose: a body of the same outline in the same place, or an unknown side of
-# the object, gives about twenty, the object itself hundreds (measured: tests/tracking/test_relocalization.py) (choice).
-MIN_INLIERS = 24
-MAX_ERROR_PX = 8.0
-# Largest ratio of the descriptor distances to the best and the second-best match. The robust pose solver tolerates half of
-# the matches being wrong (measured: benchmarks/features.py) (choice).
-DESCRIPTOR_RATIO = 0.9
 
 
 def search_lost_object(
@@ -89,7 +80,8 @@ def search_lost_object(
     near_pose = predicted_pose if has_prediction and not is_costly else None
     # In the first missed frame it is near; a known object is required from the first frame on.
     is_likely = state.motion.hypothesis is not None or state.motion.n_missed == 1
-    kind, n_pixels = ("likely region", LIKELY_PIXELS) if is_likely else ("region", SEARCH_PIXELS)
+    options = context.options
+    kind, n_pixels = ("likely region", options.likely_search_pixels) if is_likely else ("region", options.search_pixels)
     share = context.share_of_search(kind)
     if not share:
         return state, None
@@ -211,33 +203,43 @@ def relocalize(context: Context, state: JointState, frame: Frame, count: int) ->
         world_from_object; None if not found.
     """
     keyframes = [select_keyframes(state.frames.keyframes, c, state.last, count) for c in context.executor.local]
-    match = partial(_match_keyframes_of, radius=state.object.radius)
+    match = partial(_match_keyframes_of, radius=state.object.radius, options=context.options)
     matches = context.executor.run(match, context.cameras, keyframes, frame.cameras)
-    return estimate_relocalized_pose(context.rig, context.executor.gather(matches, RelocalizationMatches()))
+    gathered = context.executor.gather(matches, RelocalizationMatches())
+    return estimate_relocalized_pose(context.rig, gathered, context.options)
 
 
 def _match_keyframes_of(
-    camera: CameraTracker, keyframes: Sequence[SolvedFrame], current: CameraFrame, radius: float
+    camera: CameraTracker,
+    keyframes: Sequence[SolvedFrame],
+    current: CameraFrame,
+    radius: float,
+    options: TrackingOptions,
 ) -> RelocalizationMatches:
     """Match a camera's features with its keyframes; record what was detected."""
-    found = match_keyframes([camera.frames[k.number] for k in keyframes], current, radius)
+    found = match_keyframes([camera.frames[k.number] for k in keyframes], current, radius, options)
     if not len(camera.detections.rejected):
         camera.detections = DetectedFeatures(current.features.pixels, found.pixels)
     return found
 
 
-def match_keyframes(keyframes: Sequence[CameraFrame], current: CameraFrame, radius: float) -> RelocalizationMatches:
+def match_keyframes(
+    keyframes: Sequence[CameraFrame], current: CameraFrame, radius: float, options: TrackingOptions
+) -> RelocalizationMatches:
     """Match a camera's features with the landmarks of its keyframes.
 
     Args:
         current: with the examined features.
         radius: of the object.
+        options: limits of matches.
     """
     points, pixels = [np.empty((0, 3))], [np.empty((0, 2))]
     for keyframe in keyframes:
         features, landmarks = keyframe.features, keyframe.landmarks
         is_usable = (landmarks.depth_sd < MAX_DEPTH_SD_RATIO * radius) & ~keyframe.background
-        index = match_features(features.subset(is_usable), current.features, DESCRIPTOR_RATIO)
+        # The robust pose solver tolerates half of the matches being wrong.
+        max_ratio = options.max_relocalization_descriptor_ratio
+        index = match_features(features.subset(is_usable), current.features, max_ratio)
         points.append(landmarks.mean[is_usable][index[:, 0]])
         pixels.append(current.features.pixels[index[:, 1]])
     # A feature matched in several keyframes counts once.
@@ -245,14 +247,15 @@ def match_keyframes(keyframes: Sequence[CameraFrame], current: CameraFrame, radi
     return RelocalizationMatches(np.concatenate(points)[first], np.concatenate(pixels)[first])
 
 
-def estimate_relocalized_pose(rig: Rig, records: Sequence[RelocalizationMatches]) -> RigidTransform | None:
+def estimate_relocalized_pose(
+    rig: Rig, records: Sequence[RelocalizationMatches], options: TrackingOptions
+) -> RigidTransform | None:
     """Estimate world_from_object from all cameras' matches; None with too few inliers."""
     points, pixels = [record.points for record in records], [record.pixels for record in records]
-    pose = estimate_pose(rig, points, pixels, max_error_px=MAX_ERROR_PX)
+    pose = estimate_pose(rig, points, pixels, max_error_px=options.max_relocalization_error_px)
     usable = (Status.OK, Status.NOT_CONVERGED) if len(rig) > 1 else (Status.OK, Status.SCALE_NOT_OBSERVABLE)
-    if pose.status not in usable or pose.motion is None or pose.n_inliers.sum() < MIN_INLIERS:
-        return None
-    return pose.motion
+    is_supported = pose.n_inliers.sum() >= options.min_relocalization_inliers
+    return pose.motion if pose.status in usable and is_supported else None
 
 
 def select_keyframes(keyframes: Sequence[SolvedFrame], camera: int, last: SolvedFrame, count: int) -> list[SolvedFrame]:

@@ -24,7 +24,6 @@ from sylpose.tracking.camera_side.frame import CameraFrame
 from sylpose.tracking.context import CameraExecutor, Candidate, Context, Frame, LocalExecutor, TrackedFrame
 from sylpose.tracking.initialization import (
     MAX_BUFFERED_BYTES,
-    MAX_BUFFERED_FRAMES,
     BufferedFrame,
     finish_initialization,
 )
@@ -37,6 +36,7 @@ from sylpose.tracking.known_object import (
     initialize_from_object,
     transfer_object,
 )
+from sylpose.tracking.options import TrackingOptions
 from sylpose.tracking.search_clock import SearchClock
 from sylpose.tracking.state_machine import add_nudge_faults, process_frame
 
@@ -119,13 +119,14 @@ def check_handover(handover: Handover, cameras: int) -> None:
         raise ValueError(f"the shared state is not that of {n} cameras")
 
 
-class TrackerOptions(TypedDict, total=False):
-    """Options of a tracker besides its cameras, see `track`."""
+class TrackerArguments(TypedDict, total=False):
+    """Arguments of a tracker besides its cameras, see `track`."""
 
     method: str
     features: str
     offsets: Mapping[str, float] | None
     seed: int
+    options: TrackingOptions | None
     known_object: KnownObject | None
     candidate: Candidate | None
     f_ratio: float
@@ -143,7 +144,8 @@ def track(
     workers: int | None = None,
     seed: int = 0,
     known_object: KnownObject | None = None,
-    lookahead: int = MAX_BUFFERED_FRAMES,
+    lookahead: int = TrackingOptions.max_buffered_frames,
+    options: TrackingOptions | None = None,
 ) -> Iterator[TrackedFrame]:
     """Track one rigid object and yield its pose frame by frame.
 
@@ -166,6 +168,7 @@ def track(
             with boxes fewer; a sequence is searched as a whole. 0 for live cameras.
         workers: threads for detection and matching; None: one per core, at most one per camera.
         seed: of outlier rejection. Equal input and seed give equal output for any number of threads.
+        options: limits and sizes; None: the default ones.
 
     Yields:
         One `TrackedFrame` per frame. Without boxes the first ones are held back until the object has moved.
@@ -175,8 +178,10 @@ def track(
             space; a known object observed by other cameras, combined with boxes or with another method than
             "landmarks".
     """
-    options = TrackerOptions(method=method, features=features, offsets=offsets, seed=seed, known_object=known_object)
-    with Tracker(rig, boxes, workers=workers, **options) as tracker:
+    arguments = TrackerArguments(
+        method=method, features=features, offsets=offsets, seed=seed, options=options, known_object=known_object
+    )
+    with Tracker(rig, boxes, workers=workers, **arguments) as tracker:
         if not isinstance(frames, Iterable) or isinstance(frames, (str, bytes, Mapping)):
             raise TypeError(f"frames must be a sequence of FrameSet, got {format_value(frames)}")
         if check_integer(lookahead, "lookahead", minimum=0) and known_object is None:
@@ -206,7 +211,7 @@ class TrackerBase:
     Args:
         cameras: per camera, local: its tracker.
         executor: connects the cameras.
-        rig, boxes, method, features, offsets, seed, known_object: see `track`.
+        rig, boxes, method, features, offsets, seed, options, known_object: see `track`.
         candidate, f_ratio: found in advance, see `Context`.
         search_clock: for live cameras, so that a search for a lost object does not delay poses; None: results do not
             depend on the machine's speed.
@@ -226,6 +231,7 @@ class TrackerBase:
         features: str = FEATURES[0],
         offsets: Mapping[str, float] | None = None,
         seed: int = 0,
+        options: TrackingOptions | None = None,
         known_object: KnownObject | None = None,
         candidate: Candidate | None = None,
         f_ratio: float = np.nan,
@@ -243,7 +249,8 @@ class TrackerBase:
         for name, box in check_type({} if boxes is None else boxes, Mapping, "boxes").items():
             check_type(box, Box, f"boxes: {format_value(name)}")
         time_offsets = np.array([offsets.get(name, 0.0) for name in rig.names])
-        settings = method, uses_klt, method == METHODS[0], time_offsets, seed, candidate, f_ratio, search_clock
+        options = TrackingOptions() if options is None else check_type(options, TrackingOptions, "options")
+        settings = method, uses_klt, method == METHODS[0], time_offsets, seed, options, candidate, f_ratio, search_clock
         self._context = Context(rig, cameras, executor, *settings)
         self._rig = rig
         self._state = JointState(ObjectModel.from_boxes(rig, boxes) if boxes else ObjectModel())
@@ -255,7 +262,7 @@ class TrackerBase:
                 raise ValueError(f"method: a known object needs {METHODS[0]!r}, got {method!r}")
         # The known object as these cameras would have observed it.
         self.transferred_object: TransferredObject | None = (
-            None if known_object is None else transfer_object(known_object, rig)
+            None if known_object is None else transfer_object(known_object, rig, options)
         )
         self._buffered: Sequence[BufferedFrame] = []
         self.next_number = 0  # of the next frame
@@ -374,7 +381,7 @@ class Tracker(TrackerBase):
     """Single-process tracker of one rigid object; a context manager for its worker threads.
 
     Args:
-        rig, boxes, method, features, offsets, known_object, workers, seed: see `track`.
+        rig, boxes, method, features, offsets, known_object, workers, seed, options: see `track`.
         search_clock: see `TrackerBase`.
 
     Raises:
@@ -387,14 +394,14 @@ class Tracker(TrackerBase):
         boxes: Mapping[str, Box] | None = None,
         *,
         workers: int | None = None,
-        **options: Unpack[TrackerOptions],
+        **arguments: Unpack[TrackerArguments],
     ) -> None:
         check_type(rig, Rig, "rig")
         if workers is not None:
             check_integer(workers, "workers", minimum=0)
         self._executor = LocalExecutor(len(rig), workers or min(len(rig), os.cpu_count() or 1))
         cameras = [CameraTracker(c, camera) for c, camera in enumerate(rig)]
-        super().__init__(rig, cameras, self._executor, boxes, **options)
+        super().__init__(rig, cameras, self._executor, boxes, **arguments)
 
     def look_ahead(
         self, frames: Sequence[FrameSet], boxes: Mapping[str, Box] | None, workers: int | None = None
@@ -404,11 +411,15 @@ class Tracker(TrackerBase):
             check_frame_set(frame_set, self._rig)
         context, offsets = self._context, self._context.time_offsets
         if boxes:
-            f_ratio = compare_cameras(self._rig, frames, boxes, time_offsets=offsets, workers=workers)
+            f_ratio = compare_cameras(
+                self._rig, frames, boxes, time_offsets=offsets, workers=workers, options=context.options
+            )
             self._context = replace(context, f_ratio=f_ratio)
             return
         windows = ([frames[k] for k in window] for window in select_windows(len(frames)))
-        candidates = find_candidates(self._rig, windows, time_offsets=offsets, seed=context.seed, workers=workers)
+        candidates = find_candidates(
+            self._rig, windows, time_offsets=offsets, seed=context.seed, workers=workers, options=context.options
+        )
         if candidates:
             self._context = replace(context, candidate=candidates[0], f_ratio=candidates[0].f_ratio)
 

@@ -44,12 +44,9 @@ from sylpose.tracking.joint_side.joint_state import (
     inherit_covariance,
 )
 from sylpose.tracking.joint_side.object_model import MIN_SURFACE_POINTS
+from sylpose.tracking.options import TrackingOptions
 from sylpose.tracking.reports import NewObservations, quantize_positions
 
-# Maximum number of frames refined jointly, the first one and the last included (choice).
-MAX_FRAMES = 32
-# Maximum number of landmarks used per camera, those observed most often first (choice).
-MAX_LANDMARKS = 150
 # If the last refinement is at least so many frames ago, the next one runs in the background (choice).
 BACKGROUND_INTERVAL = 8
 # A refinement is valid if it changes the last pose by less than this rotation (radians) and share of the object's
@@ -69,14 +66,14 @@ def refine_window(context: Context, state: JointState) -> JointState:
     Where the object shows little that is new, the refinement runs in the background and is applied some frames later
     (`JointState.is_refinement_ready`).
     """
-    frames, last, before = _select_frames(state), state.last, state.refinement.last
+    frames, last, before = _select_frames(state, context.options.max_window_frames), state.last, state.refinement.last
     if len(frames) < 2:
         return state
     numbers = [frame.number for frame in frames]
     is_urgent = before is None or last.number - before.number < BACKGROUND_INTERVAL
     earlier = state.refinement.shared or (NewObservations(),) * len(context.rig)
     own_new = [
-        _collect_new_observations(camera, numbers, earlier[camera.index], state.object.radius)
+        _collect_new_observations(camera, numbers, earlier[camera.index], state.object.radius, context.options)
         for camera in context.cameras
     ]
     new = context.executor.gather(own_new, NewObservations())
@@ -200,7 +197,7 @@ def _has_known_depth(bundled: BundleResult, landmark_cameras: IntArray) -> bool:
     )
 
 
-def _select_frames(state: JointState) -> list[SolvedFrame]:
+def _select_frames(state: JointState, max_frames: int) -> list[SolvedFrame]:
     """Select the frames to refine, in order of time.
 
     These are the first keyframe, the last frame, the recent ones and evenly spaced others; of fixed keyframes those
@@ -212,20 +209,20 @@ def _select_frames(state: JointState) -> list[SolvedFrame]:
     frames = [moving[number] for number in sorted(moving)]
     if fixed:
         views = last.viewpoints
-        near = [find_nearest_views(fixed, c, view, MAX_FRAMES // (2 * len(views)) + 1) for c, view in enumerate(views)]
+        near = [find_nearest_views(fixed, c, view, max_frames // (2 * len(views)) + 1) for c, view in enumerate(views)]
         nearest_frames = {frame.number: frame for its in near for frame in its}
-        return [*(nearest_frames[number] for number in sorted(nearest_frames)), *frames[-MAX_FRAMES // 2 :]]
-    if len(frames) <= MAX_FRAMES:
+        return [*(nearest_frames[number] for number in sorted(nearest_frames)), *frames[-max_frames // 2 :]]
+    if len(frames) <= max_frames:
         return frames
-    recent = frames[-MAX_FRAMES // 2 :]
-    older = frames[: -MAX_FRAMES // 2]
-    spread = np.unique(np.linspace(0, len(older) - 1, MAX_FRAMES - len(recent)).astype(int))
+    recent = frames[-max_frames // 2 :]
+    older = frames[: -max_frames // 2]
+    spread = np.unique(np.linspace(0, len(older) - 1, max_frames - len(recent)).astype(int))
     chosen = {frame.number: frame for frame in (*(older[k] for k in spread), *recent, last)}
     return [chosen[number] for number in sorted(chosen)]
 
 
 def _collect_new_observations(
-    camera: CameraTracker, numbers: Sequence[int], shared: NewObservations, radius: float
+    camera: CameraTracker, numbers: Sequence[int], shared: NewObservations, radius: float, options: TrackingOptions
 ) -> NewObservations:
     """Select a camera's landmarks and its observations not shared before, in given frames."""
     frames = [camera.frames[number] for number in numbers]
@@ -244,7 +241,7 @@ def _collect_new_observations(
     shared_here = shared.select(numbers)
     invalid = shared_here.landmark[~np.isin(_compute_keys(shared_here.frame, shared_here.landmark), keys)]
     good = np.flatnonzero((counts > 1) & is_usable & ~np.isin(known, invalid))
-    good = np.sort(good[np.argsort(-counts[good], kind="stable")[:MAX_LANDMARKS]])
+    good = np.sort(good[np.argsort(-counts[good], kind="stable")[: options.max_window_landmarks]])
     is_new = first[np.isin(inverse, good) & ~np.isin(keys, _compute_keys(shared_here.frame, shared_here.landmark))]
     # Initial positions need little precision.
     positions = quantize_positions(camera.table.get(known[good]).mean, radius)

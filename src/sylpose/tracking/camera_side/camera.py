@@ -76,7 +76,7 @@ SURROUNDINGS_SCALE = 2.0
 DUPLICATE_PX = 1.5
 # Features per camera of an anchor (they are also used for matching, as anchors become keyframes); how many of them are
 # tracked; minimum number of new ones among those (choice).
-N_ANCHOR_FEATURES, MAX_TRACKED, MIN_NEW_FEATURES = 350, 170, 40
+MAX_TRACKED, MIN_NEW_FEATURES = 170, 40
 # A new feature closer than this to a tracked one, pixels, is the same (choice).
 MIN_TRACK_DISTANCE_PX = 4.0
 
@@ -235,7 +235,7 @@ def track_anchor(
 
 
 def append_new_features(
-    tracked: TrackedFeatures, detected: Features, background: BoolArray, max_features: int = N_ANCHOR_FEATURES
+    tracked: TrackedFeatures, detected: Features, background: BoolArray, max_features: int
 ) -> Features:
     """Append detected features that are not near tracked ones.
 

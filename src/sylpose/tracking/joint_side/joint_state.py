@@ -28,33 +28,26 @@ from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.results import MAX_ROTATION_SD
 from sylpose.rig import Rig
 from sylpose.tracking.joint_side.object_model import ObjectModel
+from sylpose.tracking.options import TrackingOptions
 from sylpose.tracking.reports import Agreements, NewObservations, TrackingReport
 
 # The pose of a missing object is extrapolated for at most so many frames, and only while its rotation (radians) and its
 # position (object's radii) are more certain than this (choice).
-MAX_COASTING_FRAMES, MAX_COASTING_ROTATION_SD, MAX_COASTING_POSITION_SD = 15, MAX_ROTATION_SD, 1.0
-# Low-contrast features are detected too where fewer features of normal contrast than this agreed with the last pose, or
-# are in the middle of the first frame's boxes, averaged over cameras. board4, rich in texture, has 90 and more (measured:
-# benchmarks/kinds.py, faint) (choice).
-MIN_STRONG_INLIERS = 60
+MAX_COASTING_ROTATION_SD, MAX_COASTING_POSITION_SD = MAX_ROTATION_SD, 1.0
 # After the first frames, a refinement is due once the object has rotated by this since the last one (radians), as less
 # shows little new; at the earliest after `MIN_INTERVAL` frames, at the latest after `MAX_INTERVAL` (choice).
-MIN_NEW_ROTATION, MIN_INTERVAL, MAX_INTERVAL = np.radians(10.0), 4, 12
+MIN_INTERVAL, MAX_INTERVAL = 4, 12
 # Minimum number of frames for a refinement that changes poses, as fewer do not determine depths well enough (choice).
 MIN_FRAMES_TO_APPLY = 9
 # The result of work in the background is used so many frames later: at 30 frames per second the time needed on a busy
 # processor (choice).
 RESULT_DELAY = 7
-# Maximum number of keyframes: a few for every side of the object (choice).
-MAX_KEYFRAMES = 100
 # A frame becomes a keyframe when the object has rotated by this much relative to the nearest one, or its distance has
 # changed by this factor, in a camera's view (choice).
-MIN_KEYFRAME_ROTATION, MIN_KEYFRAME_SCALE = np.radians(6.0), 1.2
+MIN_KEYFRAME_SCALE = 1.2
 # One reference is taken from each ring of angles between viewpoints: near ones match well, far ones limit drift
 # (choice).
 RING_ANGLES = np.radians([0.0, 10.0, 18.0, 28.0])
-# Number of recent frames that are refined with the keyframes (choice).
-N_RECENT_FRAMES = 8
 # An anchor is used while these shares of its features are still tracked, overall and per camera, at least so many in
 # total, and the object has rotated by less than this (radians) since (choice).
 MIN_TRACKED_RATIO, MIN_CAMERA_RATIO, MIN_TRACKED, MAX_ANCHOR_ROTATION = 0.4, 0.25, 60, np.radians(30.0)
@@ -293,14 +286,14 @@ class KnownFrames:
         due = self.next_anchor_number
         return due is not None and number >= due + RESULT_DELAY and due in self.by_number
 
-    def add(self, solved: SolvedFrame, *, has_new_features: bool) -> KnownFrames:
+    def add(self, solved: SolvedFrame, options: TrackingOptions, *, has_new_features: bool) -> KnownFrames:
         """Add a solved frame; with new features it may become a keyframe, and its features are tracked no longer."""
         anchor = self.anchor
         return replace(
             self,
             last=solved,
-            keyframes=add_keyframe(self.keyframes, solved) if has_new_features else self.keyframes,
-            recent=(*self.recent, solved)[-N_RECENT_FRAMES:],
+            keyframes=add_keyframe(self.keyframes, solved, options) if has_new_features else self.keyframes,
+            recent=(*self.recent, solved)[-options.n_recent_frames :],
             anchor=None if has_new_features or anchor is None else replace(anchor, age=anchor.age + 1),
             next_anchor_number=None if has_new_features else self.next_anchor_number,
         )
@@ -371,15 +364,17 @@ def find_nearest_views(
     return [keyframes[i] for i in order if np.isfinite(angle[i]) and angle[i] <= max_angle]
 
 
-def add_keyframe(keyframes: tuple[SolvedFrame, ...], current: SolvedFrame) -> tuple[SolvedFrame, ...]:
+def add_keyframe(
+    keyframes: tuple[SolvedFrame, ...], current: SolvedFrame, options: TrackingOptions
+) -> tuple[SolvedFrame, ...]:
     """Add a solved frame (in order of time) if it shows the object from a new side.
 
     If there are too many keyframes, the most redundant one is removed.
     """
-    if keyframes and not _is_new(keyframes, current):
+    if keyframes and not _is_new(keyframes, current, options):
         return keyframes
     kept = [*keyframes, current]
-    if len(kept) > MAX_KEYFRAMES:
+    if len(kept) > options.max_keyframes:
         rotations = np.array([k.world_from_object.rotation.as_matrix().ravel() for k in kept])
         # tr(A'B) = 1 + 2 cos: the larger, the more similar. Of the most similar pair the newer is removed; the first
         # one stays.
@@ -405,14 +400,14 @@ def inherit_covariance(poses: RigidTransform, covariances: FloatArray, is_fixed:
     return np.asarray(rotations @ mean @ rotations.transpose(0, 2, 1))
 
 
-def _is_new(keyframes: Sequence[SolvedFrame], current: SolvedFrame) -> bool:
+def _is_new(keyframes: Sequence[SolvedFrame], current: SolvedFrame, options: TrackingOptions) -> bool:
     """Return whether most cameras with features have a view unlike that in any keyframe."""
     new = []
     for camera in np.flatnonzero(current.is_visible).tolist():
         views, viewpoint = _get_viewpoints(keyframes, camera), current.viewpoints[camera]
         scale = np.linalg.norm(views, axis=1) / np.linalg.norm(viewpoint)
         is_similar = (
-            (_compute_angles(viewpoint[None], views)[0] < MIN_KEYFRAME_ROTATION)
+            (_compute_angles(viewpoint[None], views)[0] < options.min_keyframe_rotation)
             & (scale < MIN_KEYFRAME_SCALE)
             & (scale > 1.0 / MIN_KEYFRAME_SCALE)
         )
@@ -619,13 +614,20 @@ class JointState:
     # --- the next state -----------------------------------------------------------------------------------------------
 
     def add_solved_frame(
-        self, solved: SolvedFrame, motion: RigidTransform, *, has_new_features: bool, agreements: Agreements = ()
+        self,
+        solved: SolvedFrame,
+        motion: RigidTransform,
+        options: TrackingOptions,
+        *,
+        has_new_features: bool,
+        agreements: Agreements = (),
     ) -> JointState:
         """Return the state after a solved frame.
 
         Args:
             solved: the frame.
             motion: of the object since the last solved frame.
+            options: limits and sizes.
             has_new_features: whether the frame has newly detected features, to be matched by descriptors.
             agreements: per camera, how its matches agree with the pose.
         """
@@ -638,15 +640,15 @@ class JointState:
         is_poor = self.is_feature_poor
         if has_new_features and has_moved and agreements:
             # Tracked features are only a selection; and until the object has moved, all may be background.
-            is_poor = strong < MIN_STRONG_INLIERS * len(agreements)
+            is_poor = strong < options.min_strong_inliers * len(agreements)
         return replace(
             self,
-            frames=self.frames.add(solved, has_new_features=has_new_features),
+            frames=self.frames.add(solved, options, has_new_features=has_new_features),
             motion=ObjectMotion(velocity, has_moved, self.motion.first_motion),
             is_feature_poor=is_poor,
         )
 
-    def coast(self, time: float) -> tuple[JointState, FloatArray]:
+    def coast(self, time: float, options: TrackingOptions) -> tuple[JointState, FloatArray]:
         """Return the state after a frame in which the object was not found.
 
         The object is assumed to continue at constant velocity, until the prediction becomes too uncertain.
@@ -660,7 +662,7 @@ class JointState:
         is_certain = (
             sd[:3].max() < MAX_COASTING_ROTATION_SD and sd[3:].max() < MAX_COASTING_POSITION_SD * self.object.radius
         )
-        is_lost = self.motion.is_lost or n_missed > MAX_COASTING_FRAMES or not is_certain
+        is_lost = self.motion.is_lost or n_missed > options.max_coasting_frames or not is_certain
         motion = replace(self.motion, n_missed=n_missed, is_lost=is_lost, is_background_only=False)
         return replace(self, motion=motion, frames=replace(self.frames, next_anchor_number=None)), covariance
 
@@ -682,7 +684,7 @@ class JointState:
 
     # --- joint refinement ---------------------------------------------------------------------------------------------
 
-    def is_refinement_due(self) -> bool:
+    def is_refinement_due(self, options: TrackingOptions) -> bool:
         """Return whether the last solved frame is to be refined with others.
 
         The first frames always are; later ones are after enough new motion.
@@ -693,7 +695,7 @@ class JointState:
         if before is None or last.number - self.frames.first.number <= MIN_FRAMES_TO_APPLY:
             return True
         change, since = compute_pose_change(before, last.world_from_object), last.number - before.number
-        is_new = np.linalg.norm(change[:3]) > MIN_NEW_ROTATION
+        is_new = np.linalg.norm(change[:3]) > options.min_refinement_rotation
         return since >= MAX_INTERVAL or (since >= MIN_INTERVAL and bool(is_new))
 
     def is_refinement_ready(self, number: int) -> bool:
