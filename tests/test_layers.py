@@ -25,6 +25,7 @@ NOUNS = {
     "frames",
     "matches",
     "moments",
+    "hand_eye",
     "joint_motion",
     "kinematics",
     "results",

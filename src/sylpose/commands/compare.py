@@ -71,8 +71,8 @@ def compare(options: CompareOptions) -> None:
     from sylpose.runs import console_output
 
     a, b, align, step = options.a, options.b, options.align, options.step
-    times, poses, unit_a = _read_motion(a)
-    reference_times, reference, unit_b = _read_motion(b)
+    times, poses, unit_a = read_motion(a)
+    reference_times, reference, unit_b = read_motion(b)
     unit, alignment = unit_b or unit_a, cast("Alignment", align)
     if unit_a in METERS and unit_b in METERS:
         scale = METERS[unit_a] / METERS[unit_b]
@@ -102,7 +102,7 @@ def compare(options: CompareOptions) -> None:
     console_output.print_files(console, "Files", files)
 
 
-def _read_motion(path: Path) -> tuple[FloatArray, RigidTransform, str]:
+def read_motion(path: Path) -> tuple[FloatArray, RigidTransform, str]:
     """Read the measured poses of a run's folder, a trajectory.csv or a TUM file.
 
     Returns:

@@ -1,0 +1,213 @@
+"""Hand-eye calibration: where a robot's base and flange are in the frames of the tracker.
+
+A tracked object is mounted on the robot's flange, world_from_object_k = X base_from_flange_k Y, or the rig is, with the
+inverse of the robot's poses. X and Y are solved linearly from relative motions, A X = X B (F. Park, B. Martin, "Robot
+sensor calibration: solving AX = XB on the Euclidean group", 1994), then by least squares weighted with the covariances
+of the tracked poses.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import RigidTransform, Rotation, Slerp
+
+from sylpose.geometry.arrays import FloatArray, IntArray
+
+# Fewer poses leave no redundancy (choice).
+MIN_POSES = 4
+# Pairs of poses whose motions are compared: steps of 1, 2, 3, 5, ... poses, and since the first one (choice).
+PAIR_STEPS = (1, 2, 3, 5, 8, 13, 21, 34)
+# Second over first singular value of the rotation vectors: below, the axes are parallel (measured: docs/calibrating.md,
+# 0.001 to 0.005 for one axis, above 0.08 otherwise).
+MIN_AXIS_SPREAD = 0.03
+# Rotations of the robot below, radians, are none (choice: 5 degrees).
+MIN_ROTATION = np.radians(5.0)
+# Rotation angles of robot and object differ by more in failures: radians, fraction, and the fraction of pairs (choice).
+ANGLE_TOLERANCE, RELATIVE_ANGLE_TOLERANCE, MAX_DIFFERENT = np.radians(2.0), 0.12, 0.5
+# Squared residuals that fit so many times better with inverse robot poses show that these are meant (choice).
+INVERSE_RATIO = 0.05
+# Poses of the robot are interpolated over at most so many of the tracker's steps (choice).
+MAX_GAP = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class HandEye:
+    """The two constant transforms of a robot and a tracker, with their uncertainty.
+
+    Attributes:
+        world_from_robot: world_from_base; of a rig on the flange, world_from_flange.
+        robot_from_object: flange_from_object; of a rig on the flange, base_from_object.
+        world_covariance, object_covariance: (6, 6) of (w, d) of these transforms (docs/conventions.md).
+        rotation_residual, position_residual: (n,) radians and units, of each pose.
+        variance_factor: mean squared residual, divided by its covariance, per degree of freedom. If it is above 1,
+            covariances include it.
+        axis_spread: second over first singular value of the rotation axes; 0 if they are parallel.
+    """
+
+    world_from_robot: RigidTransform
+    robot_from_object: RigidTransform
+    world_covariance: FloatArray
+    object_covariance: FloatArray
+    rotation_residual: FloatArray
+    position_residual: FloatArray
+    variance_factor: float
+    axis_spread: float
+
+
+def solve_hand_eye(tracked: RigidTransform, covariance: FloatArray, robot: RigidTransform) -> HandEye:
+    """Solve tracked_k = X robot_k Y for X and Y.
+
+    Args:
+        tracked: n poses world_from_object.
+        covariance: (n, 6, 6) of them. Those that are not positive definite, as of the first frame, are replaced by the
+            mean.
+        robot: n poses base_from_flange, or flange_from_base of a rig on the flange, in the same unit.
+
+    Raises:
+        ValueError: too few poses; motions that do not determine the transforms; motions that differ.
+    """
+    if len(tracked) != len(robot) or len(tracked) < MIN_POSES:
+        raise ValueError(f"hand-eye calibration needs at least {MIN_POSES} poses of both, got {len(robot)}")
+    pairs = _select_pairs(len(tracked))
+    spread = _check_motions(tracked, robot, pairs)
+    weights = np.linalg.inv(np.linalg.cholesky(_repair_covariances(np.asarray(covariance, float))))
+    start = _solve_linearly(tracked, robot, pairs)
+    inverse = _solve_linearly(tracked, robot.inv(), pairs)
+    squares, inverse_squares = (
+        np.median(np.sum(_whiten(tracked, poses, *x, weights) ** 2, axis=1))
+        for poses, x in ((robot, start), (robot.inv(), inverse))
+    )
+    if inverse_squares < INVERSE_RATIO * squares:
+        raise ValueError(
+            "the robot's poses fit only as their inverses: give base_from_flange, with --eye-in-hand if and only if the "
+            "cameras are on the flange"
+        )
+
+    def residuals(x: FloatArray) -> FloatArray:
+        return _whiten(tracked, robot, _move(start[0], x[:6]), _move(start[1], x[6:]), weights).ravel()
+
+    scale = np.repeat([1.0, max(float(np.ptp(tracked.translation, axis=0).max()), 1e-9), 1.0, 1.0], 3)
+    scale[9:] = scale[3:6]
+    result = least_squares(residuals, np.zeros(12), x_scale=scale, method="trf")
+    world, moved = _move(start[0], result.x[:6]), _move(start[1], result.x[6:])
+    factor = float(2.0 * result.cost / (6 * len(tracked) - 12))
+    # Scaled, since rotations and lengths may differ by orders of magnitude.
+    total = np.linalg.inv((result.jac * scale).T @ (result.jac * scale)) * np.outer(scale, scale) * max(factor, 1.0)
+    errors = _subtract(tracked, world * robot * moved)
+    rotation, position = np.linalg.norm(errors[:, :3], axis=1), np.linalg.norm(errors[:, 3:], axis=1)
+    return HandEye(world, moved, total[:6, :6], total[6:, 6:], rotation, position, factor, spread)
+
+
+def interpolate_robot(
+    times: FloatArray, robot_times: FloatArray, robot: RigidTransform
+) -> tuple[IntArray, RigidTransform]:
+    """Interpolate the robot's poses at the times of the tracker.
+
+    Args:
+        times: (n,) increasing.
+        robot_times: (m,) increasing.
+        robot: m poses.
+
+    Returns:
+        the indices of the times that are between two poses of the robot, not far apart, and the poses there.
+
+    Raises:
+        ValueError: none is.
+    """
+    if len(robot_times) < 2 or (np.diff(robot_times) <= 0).any():
+        raise ValueError("the robot's file needs two poses or more, at increasing times")
+    right = np.clip(np.searchsorted(robot_times, times), 1, len(robot_times) - 1)
+    left = right - 1
+    limit = MAX_GAP * float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    inside = (robot_times[left] <= times) & (times <= robot_times[right])
+    exact = (robot_times[left] == times) | (robot_times[right] == times)
+    found = np.asarray(np.flatnonzero(inside & (exact | (robot_times[right] - robot_times[left] <= limit))), np.int64)
+    if not len(found):
+        span = [f"{row[0]:g} to {row[-1]:g} s" for row in (times, robot_times)]
+        raise ValueError(
+            f"no tracked pose (times {span[0]}) is between two poses of the robot (times {span[1]}): both need one clock"
+        )
+    positions = np.stack([np.interp(times[found], robot_times, column) for column in robot.translation.T], axis=1)
+    return found, RigidTransform.from_components(positions, Slerp(robot_times, robot.rotation)(times[found]))
+
+
+def _select_pairs(n: int) -> IntArray:
+    pairs = [(i, i + step) for step in PAIR_STEPS for i in range(n - step)] + [(0, k) for k in range(1, n)]
+    return np.unique(np.array(pairs), axis=0)
+
+
+def _check_motions(tracked: RigidTransform, robot: RigidTransform, pairs: IntArray) -> float:
+    """Return the spread of the robot's rotation axes; refuse degenerate and different motions."""
+    i, j = pairs.T
+    vectors, others = ((poses[j] * poses[i].inv()).rotation.as_rotvec() for poses in (robot, tracked))
+    angles, tracked_angles = np.linalg.norm(vectors, axis=1), np.linalg.norm(others, axis=1)
+    if angles.max() < MIN_ROTATION:
+        raise ValueError(
+            f"the robot rotates by {np.degrees(angles.max()):.1f} degrees only: rotate it by 30 degrees and more about two "
+            "axes"
+        )
+    tolerance = np.maximum(ANGLE_TOLERANCE, RELATIVE_ANGLE_TOLERANCE * angles)
+    moved = (angles > MIN_ROTATION) & (angles < np.pi - MIN_ROTATION)
+    different = np.abs(angles - tracked_angles) > tolerance
+    if moved.any() and different[moved].mean() > MAX_DIFFERENT:
+        raise ValueError(
+            f"robot and object rotate by different angles in {100 * different[moved].mean():.0f} % of the pairs of poses: "
+            "check that their times are of one clock, and the order and unit of the robot's angles"
+        )
+    values = np.linalg.svd(vectors, compute_uv=False)
+    spread = float(values[1] / values[0])
+    if spread < MIN_AXIS_SPREAD:
+        raise ValueError(
+            "the robot rotates about parallel axes only, which leaves a translation along them undetermined: rotate it "
+            "about a second axis as well"
+        )
+    return spread
+
+
+def _repair_covariances(covariance: FloatArray) -> FloatArray:
+    """Replace covariances that are not finite and positive definite by the mean of the others, or the identity."""
+    valid = np.asarray(np.isfinite(covariance).all(axis=(1, 2)))
+    scale = np.sqrt(np.where(valid[:, None], np.diagonal(covariance, axis1=1, axis2=2), 0.0))
+    valid &= (scale > 0).all(axis=1)
+    for k in np.flatnonzero(valid):
+        valid[k] = np.linalg.eigvalsh(covariance[k] / np.outer(scale[k], scale[k]))[0] > 1e-9
+    mean = covariance[valid].mean(axis=0) if valid.any() else np.eye(6)
+    return np.where(valid[:, None, None], covariance, mean)
+
+
+def _solve_linearly(
+    tracked: RigidTransform, robot: RigidTransform, pairs: IntArray
+) -> tuple[RigidTransform, RigidTransform]:
+    """Solve A X = X B over pairs of poses, then Y as the mean of the poses' differences."""
+    i, j = pairs.T
+    A, B = tracked[j] * tracked[i].inv(), robot[j] * robot[i].inv()
+    a, b = A.rotation.as_rotvec(), B.rotation.as_rotvec()
+    # Near half a turn the sign of the axis is that of rounding.
+    used = np.linalg.norm(b, axis=1) < np.pi - MIN_ROTATION
+    rotation = Rotation.align_vectors(a[used], b[used])[0]
+    # (I - R_A) x = t_A - R_X t_B; with Y the equation of all poses is better conditioned.
+    matrices = A.rotation.as_matrix() - np.eye(3)
+    x = np.linalg.lstsq(matrices.reshape(-1, 3), (rotation.apply(B.translation) - A.translation).ravel(), rcond=None)[0]
+    world = RigidTransform.from_components(x, rotation)
+    rest = (world * robot).inv() * tracked
+    return world, RigidTransform.from_components(np.median(rest.translation, axis=0), rest.rotation.mean())
+
+
+def _move(pose: RigidTransform, error: FloatArray) -> RigidTransform:
+    return RigidTransform.from_components(pose.translation + error[3:], Rotation.from_rotvec(error[:3]) * pose.rotation)
+
+
+def _subtract(a: RigidTransform, b: RigidTransform) -> FloatArray:
+    """Return (n, 6) errors (w, d) from b to a."""
+    return np.hstack([(a.rotation * b.rotation.inv()).as_rotvec(), a.translation - b.translation])
+
+
+def _whiten(
+    tracked: RigidTransform, robot: RigidTransform, world: RigidTransform, moved: RigidTransform, weights: FloatArray
+) -> FloatArray:
+    """Return (n, 6) residuals of unit variance."""
+    errors = _subtract(tracked, world * robot * moved)
+    return np.asarray((weights @ errors[:, :, None])[:, :, 0])
