@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import pickle
 import struct
@@ -10,6 +11,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
 __all__ = ["SAMPLES", "Sample"]
@@ -83,10 +85,12 @@ IMAGES = f"""# images
 CAMERAS_BIN = struct.pack("<Q", 2) + b"".join(
     struct.pack("<IiQQ4d", i, 1, 64, 48, 80.5, 81.0, 32.0, 24.0) for i in (1, 2)
 )
+COLMAP_MODEL = {"cameras.txt": CAMERAS, "images.txt": IMAGES}
 IMAGES_BIN = struct.pack("<Q", 2) + b"".join(
     struct.pack("<I7dI", i, W, X, Y, Z, *TRANSLATION, i) + name + struct.pack("<Qddq", 1, 1.5, 2.5, -1)
     for i, name in ((1, b"left/0.png\0"), (2, b"right/0.png\0"))
 )
+COLMAP_BINARY_MODEL = {"cameras.bin": CAMERAS_BIN, "images.bin": IMAGES_BIN}
 RIG_CONFIG = json.dumps(
     [
         {
@@ -206,7 +210,87 @@ STEREO = {
 }
 PICKLES = tuple(pickle.dumps({"camera-1-camera-2": STEREO}, protocol=protocol) for protocol in (2, 3, 4, 5))
 
+# MC-Calib has a pose of each camera, KWIVER, mrcal, MayaCam and OpenPTV a file of each.
+MC_CALIB = (
+    "%YAML:1.0\n---\nnb_camera: 1\ncamera_0:\n"
+    + "".join(
+        "   " + line + "\n"
+        for name, values in (("camera_matrix", K), ("distortion_vector", [D]), ("camera_pose_matrix", POSE))
+        for line in _format_matrix(name, values).splitlines()
+    )
+    + "   distortion_type: 0\n   camera_group: 0\n   img_width: 64\n   img_height: 48\n"
+).encode()
+PANOPTIC_CAMERA = {"name": "00_00", "type": "hd", "resolution": [64, 48], "panel": 0, "node": 0, "K": K, "distCoef": D}
+PANOPTIC_CAMERA |= {"R": MATRIX.tolist(), "t": [[x] for x in TRANSLATION]}
+BOP_IMAGE = {"cam_K": np.ravel(K).tolist(), "cam_R_w2c": np.ravel(MATRIX).tolist(), "cam_t_w2c": TRANSLATION}
+SPLAT_IMAGE = {
+    "id": 0,
+    "img_name": "a/0",
+    "width": 64,
+    "height": 48,
+    "position": TRANSLATION,
+    "rotation": MATRIX.tolist(),
+}
+VIAME = {"R": np.ravel(MATRIX).tolist(), "T": TRANSLATION, "image_width": 64, "image_height": 48}
+for _side in ("left", "right"):
+    VIAME |= {
+        f"{_key}_{_side}": 80.5 if _key[0] == "f" else 0.1 for _key in ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
+    }
+RIGS = f"1 2 CAMERA 1 CAMERA 2 1 {W} {X} {Y} {Z} {_join_numbers(TRANSLATION)}\n".encode()
+FRAMES = b"1 1 1 0 0 0 0 0 1 2 CAMERA 1 1 CAMERA 2 2\n"
+RIGS_BIN = struct.pack("<QIIiIiIB7d", 1, 1, 2, 0, 1, 0, 2, 1, W, X, Y, Z, *TRANSLATION)
+FRAMES_BIN = struct.pack("<QII7dIiIQiIQ", 1, 1, 1, 1, 0, 0, 0, 0, 0, 1, 2, 0, 1, 1, 0, 2, 2)
+MRCAL = f"""# mrcal
+{{
+    'lensmodel': 'LENSMODEL_OPENCV5',
+    'intrinsics': {[80.5, 81.0, 31.5, 23.5, *D]},
+    'extrinsics': {[*ROTATION.as_rotvec().tolist(), *TRANSLATION]},
+    'imagersize': [ 64, 48,],
+    'optimization_inputs': b'X7K&W',
+}}
+""".encode()
+KRTD = "\n".join(map(_join_numbers, (K, MATRIX, TRANSLATION, D))).encode()
+MAYACAM = ("image size\n64,48\n\ncamera matrix\n" + "\n".join(",".join(map(str, row)) for row in K)).encode()
+MAYACAM += ("\n\nrotation\n" + "\n".join(",".join(map(str, row)) for row in MATRIX.tolist())).encode()
+MAYACAM += ("\n\ntranslation\n" + "\n".join(map(str, TRANSLATION)) + "\n").encode()
+_PROJECTION = np.array(K) @ POSE[:3]
+DLT = "".join(f"{x},{x}\n" for x in (_PROJECTION / _PROJECTION[2, 3]).ravel()[:11].tolist()).encode()
+ORI = f"{_join_numbers(TRANSLATION)}\n0 0 0\n\n{_join_numbers(MATRIX)}\n\n0.01 0\n5.5\n\n0 0 50\n".encode()
+ADDPAR, PTV = b"0.001 0 0 0 0 1 0\n", b"1\nimg\ncal/cam1.tif\n1\n0\n1\n64\n48\n0.07\n0.07\n0\n1\n1\n1\n0\n"
+OPENCAP = {"intrinsicMat": np.array(K), "distortion": np.array([D]), "imageSize": np.array([[48.0], [64.0]])}
+OPENCAP |= {"rotation": MATRIX, "translation": np.array([TRANSLATION]).T}
+
+
+def _save_matlab(compress: bool, **values: Any) -> bytes:
+    file = io.BytesIO()
+    savemat(file, values, do_compression=compress)
+    return file.getvalue()
+
+
+_PARAMETERS = {"K": np.array(K).T, "r": MATRIX.T, "t": np.array([TRANSLATION])}
+_PARAMETERS |= {"RDistort": np.array([D[:2]]), "TDistort": np.array([D[2:4]])}
+_CELLS = np.empty((2, 1), dtype=object)
+_CELLS[:, 0] = [_PARAMETERS, _PARAMETERS]
+
 SAMPLES: dict[str, Sample] = {
+    "MC-Calib": Sample("calibrated_cameras_data.yml", (MC_CALIB,)),
+    "CMU Panoptic": Sample("calibration.json", (json.dumps({"cameras": [PANOPTIC_CAMERA]}).encode(),)),
+    "BOP": Sample("scene_camera.json", (json.dumps({"0": BOP_IMAGE, "1": BOP_IMAGE}).encode(),)),
+    "3D Gaussian splatting": Sample("cameras.json", (json.dumps([SPLAT_IMAGE | {"fx": 80.5, "fy": 81.0}]).encode(),)),
+    "VIAME": Sample("stereo.json", (json.dumps(VIAME).encode(),)),
+    "COLMAP rigs.txt": Sample("rigs.txt", (RIGS,), COLMAP_MODEL | {"frames.txt": FRAMES}),
+    "COLMAP frames.txt": Sample("frames.txt", (FRAMES,), COLMAP_MODEL | {"rigs.txt": RIGS}),
+    "COLMAP rigs.bin": Sample("rigs.bin", (RIGS_BIN,), COLMAP_BINARY_MODEL | {"frames.bin": FRAMES_BIN}, False),
+    "COLMAP frames.bin": Sample("frames.bin", (FRAMES_BIN,), COLMAP_BINARY_MODEL | {"rigs.bin": RIGS_BIN}, False),
+    "mrcal": Sample("a.cameramodel", (MRCAL,)),
+    "KWIVER": Sample("a.krtd", (KRTD,)),
+    "XMALab": Sample("mayacam.txt", (MAYACAM,)),
+    "DLT": Sample("dltCoefs.csv", (DLT,)),
+    "OpenPTV .ori": Sample("cam1.tif.ori", (ORI,), {"cam1.tif.addpar": ADDPAR, "ptv.par": PTV}),
+    "OpenPTV .addpar": Sample("cam1.tif.addpar", (ADDPAR,), {"cam1.tif.ori": ORI, "ptv.par": PTV}),
+    "OpenCap": Sample("cam0.pickle", tuple(pickle.dumps(OPENCAP, protocol=k) for k in (2, 3, 4, 5)), {}, False),
+    "DANNCE": Sample("hires_cam1_params.mat", tuple(_save_matlab(b, **_PARAMETERS) for b in (True, False)), {}, False),
+    "Label3D": Sample("a_dannce.mat", tuple(_save_matlab(b, params=_CELLS) for b in (True, False)), {}, False),
     "stereo": Sample("intrinsics.yml", (LENSES,), {"extrinsics.yml": EXTRINSICS}),
     "stereo, poses": Sample("extrinsics.yml", (EXTRINSICS,), {"intrinsics.yml": LENSES}),
     "stereo, json": Sample("stereo.json", (json.dumps(PAIR).encode(),)),

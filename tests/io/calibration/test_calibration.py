@@ -690,6 +690,23 @@ def test_find_by_program_names(name: str, tmp_path: Path) -> None:
     assert calibration.find(tmp_path) == tmp_path / "calibration.toml"
 
 
+@pytest.mark.parametrize(
+    "names",
+    [
+        *(("hires_cam1_params.mat", "hires_cam2_params.mat"), ("a.cameramodel", "b.cameramodel"), ("a.krtd", "b.krtd")),
+        *(("cam1.tif.ori", "cam2.tif.ori"), ("mayaCam_1.csv", "mayaCam_2.csv"), ("scene_camera_a.json",)),
+        *(("wand_dltCoefs.csv",), ("20210101_Label3D_dannce.mat",), ("scene_camera.json",)),
+    ],
+)
+def test_find_files_of_other_programs(names: tuple[str, ...], tmp_path: Path) -> None:
+    """Files of one camera each are one calibration, represented by the first one."""
+    for name in names:
+        write_file(tmp_path / name, "")
+    assert calibration.find(tmp_path) == tmp_path / names[0]
+    write_file(tmp_path / "calibration.toml", "")
+    assert calibration.find(tmp_path) == tmp_path / "calibration.toml"
+
+
 @pytest.mark.parametrize("name", ["calibration", "calib_2024", "sparse/0"])
 def test_find_folders(name: str, tmp_path: Path) -> None:
     rig = random_rig()

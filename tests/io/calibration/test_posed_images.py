@@ -56,6 +56,15 @@ def test_bop(tmp_path: Path) -> None:
     check_bop(path, ("000000", "000012"), with_sizes=False)
 
 
+def test_bop_of_static_cameras_without_names(tmp_path: Path) -> None:
+    """Images of the same lens and pose are one camera, named by the number of its lens."""
+    other = [500.0, 0, 320, 0, 500, 240, 0, 0, 1]
+    scene = {str(image): make_bop(image % 2, **({"cam_K": other} if image % 2 else {})) for image in range(4)}
+    rig = calibration.load(write_file(tmp_path / "scene_camera.json", json.dumps(scene)), known_sizes)
+    assert rig.names == ("0", "1")
+    np.testing.assert_allclose(rig["1"].camera_from_world.translation, SHIFTS[1], atol=1e-12)
+
+
 def test_bop_of_several_sensors(tmp_path: Path) -> None:
     """Scenes with a file of each sensor have static cameras, with any number of images."""
     for k, sensor in enumerate(("cam1", "cam2")):

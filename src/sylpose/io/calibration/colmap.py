@@ -314,8 +314,11 @@ class _FrameEntry(NamedTuple):
 _CAMERA_SENSOR = 0
 
 
-def _read_frame_poses(path: Path, found: dict[tuple[str, str], Path], suffix: str) -> dict[int, RigidTransform] | None:
+def _read_frame_poses(path: Path, found: dict[tuple[str, str], Path], suffix: str) -> dict[int, FloatArray] | None:
     """Compose camera_from_world of each image from rigs and frames; None for models without.
+
+    Returns:
+        (7,) quaternion, w last, and translation, by image ID.
 
     Raises:
         ValueError: one of the two files alone; a frame without its rig; a sensor whose pose in the rig is unknown.
@@ -331,33 +334,41 @@ def _read_frame_poses(path: Path, found: dict[tuple[str, str], Path], suffix: st
     rigs, frames = found["rigs", suffix], found["frames", suffix]
     with input_errors(rigs):
         sensors = dict(_iterate_text_sensors(rigs) if suffix == ".txt" else _iterate_binary_sensors(rigs))
-    poses = {}
+        for (rig, camera), pose in sensors.items():
+            if pose is not None:
+                _check_pose(pose, f"camera {camera} of rig {rig}")
+    in_rig, in_world, images = list[FloatArray](), list[FloatArray](), list[int]()
     with input_errors(frames):
         for frame in _iterate_text_frames(frames) if suffix == ".txt" else _iterate_binary_frames(frames):
-            rig_from_world = _to_pose(frame.rig_from_world, f"a frame of rig {frame.rig}")
+            _check_pose(frame.rig_from_world, f"a frame of rig {frame.rig}")
             for camera, image in frame.images:
-                what = f"camera {camera} of rig {frame.rig}"
-                if (values := sensors.get((frame.rig, camera))) is None:
-                    raise ValueError(f"{what} has no pose in rigs{suffix}")
-                poses[image] = _to_pose(values, what) * rig_from_world
-                if len(poses) > MAX_IMAGES:
+                if (pose := sensors.get((frame.rig, camera))) is None:
+                    raise ValueError(f"camera {camera} of rig {frame.rig} has no pose in rigs{suffix}")
+                in_rig.append(pose)
+                in_world.append(frame.rig_from_world)
+                images.append(image)
+                if len(images) > MAX_IMAGES:
                     raise ValueError(f"more than {MAX_IMAGES} images")
-    return poses
+    if not images:
+        return {}
+    composed = _to_poses(in_rig) * _to_poses(in_world)
+    values = np.column_stack([composed.rotation.as_quat(), composed.translation])
+    return dict(zip(images, values, strict=True))
 
 
-def _to_pose(values: FloatArray, what: str) -> RigidTransform:
-    """Build the pose of a quaternion, w first, and a translation."""
-    _check_pose(values, what)
-    return RigidTransform.from_components(values[4:], Rotation.from_quat(np.roll(values[:4], -1)))
+def _to_poses(values: list[FloatArray]) -> RigidTransform:
+    """Build the (n,) poses of quaternions, w first, and translations."""
+    array = np.array(values)
+    return RigidTransform.from_components(array[:, 4:], Rotation.from_quat(np.roll(array[:, :4], -1, axis=1)))
 
 
-def _replace_pose(image: PosedImage, number: int, poses: dict[int, RigidTransform] | None) -> PosedImage:
+def _replace_pose(image: PosedImage, number: int, poses: dict[int, FloatArray] | None) -> PosedImage:
     """Return an image with its pose by rigs and frames, if the model has these."""
     if poses is None:
         return image
     if number not in poses:
         raise ValueError(f"image {to_one_line(str(image.path), 100)} is in no frame of the model's frames file")
-    return image._replace(quaternion=poses[number].rotation.as_quat(), translation=poses[number].translation)
+    return image._replace(quaternion=poses[number][:4], translation=poses[number][4:])
 
 
 _IDENTITY = np.array([1.0, 0, 0, 0, 0, 0, 0])

@@ -22,6 +22,18 @@ _PROGRAM_PATTERNS = (
     r"cameras\.bin",
     r"stereo_params\.pickle",
     r"camera1\.Pmat\.cal",
+    r".*(?:label3d|dannce).*\.mat",
+    r".*dlt_?coef.*\.csv",
+    r"scene_camera\.json",
+)
+# Names of files of one camera each, which are read together.
+_SINGLE_CAMERA_PATTERNS = (
+    r"(?:.*_)?cam(?:era)?_?[0-9]+_params\.mat",
+    r".*\.cameramodel",
+    r".*\.krtd",
+    r".*\.ori",
+    r".*mayacam.*\.(?:txt|csv)",
+    r"scene_camera_.+\.json",
 )
 SUFFIXES = (".toml", ".yml", ".yaml", ".json", ".xml")
 
@@ -31,7 +43,8 @@ def find(folder: str | os.PathLike[str]) -> Path:
 
     A calibration is named `camera_array`, `cameras` or `rig`, or its name begins or ends with `calib` or `calibration`
     (calibration.toml, Calib_scene.toml, camera_calibration.yml); it is TOML, YAML, JSON or XML. Otherwise, names of
-    other programs are accepted (camchain.yaml, take.xcp, intri.yml), then a folder `calib...` or `sparse/0`.
+    other programs are accepted (camchain.yaml, take.xcp, intri.yml), then the first file of a program that has one for
+    each camera (hires_cam1_params.mat, a.cameramodel), then a folder `calib...` or `sparse/0`.
 
     Args:
         folder: folder of the session.
@@ -50,6 +63,12 @@ def find(folder: str | os.PathLike[str]) -> Path:
     found = [path for path in files if _has_calibration_name(path)] or [
         path for path in files if _has_program_name(path)
     ]
+    if not found:
+        of_each_camera = (
+            [path for path in files if re.fullmatch(pattern, path.name, re.IGNORECASE)]
+            for pattern in _SINGLE_CAMERA_PATTERNS
+        )
+        found = [paths[0] for paths in of_each_camera if paths]
     if not found:
         inner = sorted(path for path in folder.iterdir() if path.is_dir() and path.name.lower().startswith("calib"))
         found = [path for path in (*inner, folder / "sparse" / "0") if find_folder_file(path)]

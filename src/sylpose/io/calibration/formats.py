@@ -135,7 +135,7 @@ FOLDER_PATTERNS = (
     (r"stereo_params\.pickle", False),
     (r"cameraIntrinsicsExtrinsics\.pickle", False),
     (r"(?:.*_)?cam(?:era)?_?[0-9]+_params\.mat", True),
-    (r".*label3d.*\.mat", False),
+    (r".*(?:label3d|dannce).*\.mat", False),
     (r".*\.(?:cameramodel|krtd|ori)", True),
     (r".*mayacam.*\.(?:txt|csv)", True),
     (r".*dlt_?coef.*\.csv", False),

@@ -24,7 +24,6 @@ from sylpose.io.calibration.photogrammetry import (
     MAX_FRAMES,
     PIXEL_CENTER,
     PosedImage,
-    StaticCamera,
     find_static_cameras,
     image_path,
 )
@@ -60,25 +59,27 @@ def read_bop(data: dict[str, Any], path: Path, sizes: SizeLookup | None = None) 
         ]
         files = dict([(sensor, file) for sensor, file in named if sensor][:MAX_FILES])
     images: list[PosedImage] = []
-    matrices: dict[str, Any] = {}
+    # Lenses are numbered in order of appearance.
+    keys, lenses = dict[str, str](), dict[str, tuple[str | None, Any]]()
     for sensor, file in files.items():
         scene = data if file == path else read_plain(file)
         if not is_bop(scene):
             raise ValueError(f"{file}: BOP's scene_camera has cam_K of each image")
         for number, node in scene.items():
             entry = CameraEntry(file, f"{int(number):06d}")
-            lens = json.dumps([sensor, node["cam_K"]])
-            matrices.setdefault(lens, entry.parse_matrix(node["cam_K"], "cam_K"))
+            lens = keys.setdefault(json.dumps([sensor, node["cam_K"]]), str(len(keys)))
+            lenses.setdefault(lens, (sensor, entry.parse_matrix(node["cam_K"], "cam_K")))
             folder = PurePosixPath(sensor) if sensor else PurePosixPath()
             images.append(_read_bop_image(node, folder / entry.place, lens, entry))
             if len(images) > MAX_FRAMES:
                 raise ValueError(f"{path}: more than {MAX_FRAMES} images")
     static_cameras = find_static_cameras(images, path)
-    given = {camera.name: size for camera in static_cameras if (size := _find_bop_size(path, camera))}
+    sizes_in_dataset = {sensor: _find_bop_size(path, sensor) for sensor in files}
+    given = {c.name: size for c in static_cameras if (size := sizes_in_dataset[lenses[c.lens][0]])}
     known_sizes = lookup_sizes(path, [camera.name for camera in static_cameras], sizes, given)
     cameras = [
         CameraEntry(path, camera.name).make_camera(
-            known_sizes[camera.name], matrices[camera.lens], [], camera.camera_from_world
+            known_sizes[camera.name], lenses[camera.lens][1], [], camera.camera_from_world
         )
         for camera in static_cameras
     ]
@@ -93,9 +94,8 @@ def _read_bop_image(node: dict[str, Any], path: PurePosixPath, lens: str, entry:
     return PosedImage(path, lens, pose.rotation.as_quat(), pose.translation)
 
 
-def _find_bop_size(path: Path, camera: StaticCamera) -> list[Any] | None:
+def _find_bop_size(path: Path, sensor: str | None) -> list[Any] | None:
     """Find the image size in the dataset's camera file: next to the folder of its images, or of its scenes."""
-    sensor = json.loads(camera.lens)[0]
     name = f"camera_{sensor}.json" if sensor else "camera.json"
     for folder in list(path.resolve().parents)[:3]:
         if (file := folder / name).is_file() and file != path:
@@ -121,14 +121,15 @@ def read_splat(data: Sequence[dict[str, Any]], path: Path) -> Rig:
     """
     if len(data) > MAX_FRAMES:
         raise ValueError(f"{path}: more than {MAX_FRAMES} images")
-    lenses, images = dict[str, tuple[Any, Any]](), []
+    # Lenses are numbered in order of appearance.
+    keys, lenses, images = dict[str, str](), dict[str, tuple[Any, Any]](), []
     for node in data:
         image = image_path(str(node["img_name"]))
         entry = CameraEntry(path, str(image))
         if missing := [key for key in ("width", "height") if key not in node]:
             raise entry.error(f"missing {', '.join(missing)}")
         values = [entry.parse_number(node[key], key) for key in ("fx", "fy", "width", "height")]
-        lens = json.dumps(values)
+        lens = keys.setdefault(json.dumps(values), str(len(keys)))
         lenses[lens] = values[2:], intrinsic_matrix(*values[:2], *(0.5 * np.array(values[2:]) - PIXEL_CENTER))
         rotation, position = (
             entry.parse_matrix(node["rotation"], "rotation"),

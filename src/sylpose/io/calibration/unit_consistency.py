@@ -30,7 +30,7 @@ def describe_unit_outlier(rig: Rig) -> str:
     # A camera that is the origin has no unit.
     away = np.flatnonzero(distances > distances.max() * ROUNDING_RATIO)
     found = []
-    for k in away if len(away) > 2 else ():
+    for k in away.tolist() if len(away) > 2 else []:
         camera = rig.cameras[k]
         ratio = distances[k] / float(np.median(distances[away[away != k]]))
         if not MIN_DISTANCE_RATIO <= max(ratio, 1.0 / ratio) <= MAX_DISTANCE_RATIO:
