@@ -82,6 +82,7 @@ def test_bop_of_several_sensors(tmp_path: Path) -> None:
     ("changes", "message"),
     [
         ({"cam_R_w2c": None}, "000001: missing cam_R_w2c: this BOP scene has no poses of its cameras"),
+        ({"cam_K": None}, "000001: missing cam_K"),
         ({"cam_K": [1, 2]}, "000001: cam_K must be 9 numbers"),
         ({"cam_t_w2c": ["a", 0, 0]}, "000001: cam_t_w2c must be numbers"),
     ],
@@ -127,9 +128,16 @@ def test_splat(names: tuple[str, str], tmp_path: Path) -> None:
         ({"rotation": np.ones((3, 3)).tolist()}, "camera b: the rotation is not a rotation matrix"),
         ({"position": [1, 2]}, "camera b: position must be 3 numbers"),
         ({"width": "wide"}, "camera b: width must be numbers"),
+        ({"position": None}, "camera b: position has values that are not finite"),
     ],
 )
 def test_invalid_splat_is_rejected(changes: dict[str, Any], message: str, tmp_path: Path) -> None:
     nodes = [make_splat(0, "a"), make_splat(1, "b", **changes)]
     with pytest.raises(ValueError, match=message):
+        calibration.load(write_file(tmp_path / "cameras.json", json.dumps(nodes)))
+
+
+def test_splat_without_poses_is_rejected(tmp_path: Path) -> None:
+    nodes = [{"img_name": "a", "width": 640, "height": 480}]
+    with pytest.raises(ValueError, match=r"cameras\.json: image 0: missing fx, fy, rotation, position"):
         calibration.load(write_file(tmp_path / "cameras.json", json.dumps(nodes)))

@@ -48,10 +48,10 @@ def read_mc_calib(data: dict[str, Any], path: Path, sizes: SizeLookup | None = N
 
 
 def is_panoptic(data: Any) -> bool:
-    """Return whether decoded JSON has CMU Panoptic's cameras, with panel, node and distCoef."""
+    """Return whether decoded JSON has a list of cameras with CMU Panoptic's distCoef."""
     cameras = data.get("cameras") if isinstance(data, dict) else None
     return isinstance(cameras, list) and any(
-        isinstance(camera, dict) and {"panel", "node", "distCoef"} <= camera.keys() for camera in cameras
+        isinstance(camera, dict) and {"K", "distCoef"} <= camera.keys() for camera in cameras
     )
 
 

@@ -30,15 +30,15 @@ from sylpose.io.calibration.photogrammetry import (
 from sylpose.rig import Rig
 
 _SCENE_FILE = re.compile(r"scene_camera(?:_(.+))?\.json", re.IGNORECASE)
-_SPLAT_KEYS = {"img_name", "position", "rotation", "fx", "fy"}
+_SPLAT_KEYS = ("img_name", "width", "height", "fx", "fy", "rotation", "position")
 
 
 def is_bop(data: Any) -> bool:
     """Return whether decoded JSON has cam_K by image IDs."""
     return (
         isinstance(data, dict)
-        and bool(data)
-        and all(key.isdecimal() and isinstance(node, dict) and "cam_K" in node for key, node in data.items())
+        and all(key.isdecimal() and isinstance(node, dict) for key, node in data.items())
+        and any("cam_K" in node for node in data.values())
     )
 
 
@@ -66,7 +66,9 @@ def read_bop(data: dict[str, Any], path: Path, sizes: SizeLookup | None = None) 
         if not is_bop(scene):
             raise ValueError(f"{file}: BOP's scene_camera has cam_K of each image")
         for number, node in scene.items():
-            entry = CameraEntry(file, f"{int(number):06d}")
+            entry = CameraEntry(file, number.zfill(6))
+            if "cam_K" not in node:
+                raise entry.error("missing cam_K")
             lens = keys.setdefault(json.dumps([sensor, node["cam_K"]]), str(len(keys)))
             lenses.setdefault(lens, (sensor, entry.parse_matrix(node["cam_K"], "cam_K")))
             folder = PurePosixPath(sensor) if sensor else PurePosixPath()
@@ -109,8 +111,8 @@ def _find_bop_size(path: Path, sensor: str | None) -> list[Any] | None:
 
 
 def is_splat(data: Any) -> bool:
-    """Return whether decoded JSON is a list of images with the keys of 3D Gaussian splatting."""
-    return isinstance(data, list) and bool(data) and all(isinstance(n, dict) and n.keys() >= _SPLAT_KEYS for n in data)
+    """Return whether decoded JSON is a list of images with the names of 3D Gaussian splatting."""
+    return isinstance(data, list) and any(isinstance(node, dict) and "img_name" in node for node in data)
 
 
 def read_splat(data: Sequence[dict[str, Any]], path: Path) -> Rig:
@@ -123,11 +125,11 @@ def read_splat(data: Sequence[dict[str, Any]], path: Path) -> Rig:
         raise ValueError(f"{path}: more than {MAX_FRAMES} images")
     # Lenses are numbered in order of appearance.
     keys, lenses, images = dict[str, str](), dict[str, tuple[Any, Any]](), []
-    for node in data:
+    for number, node in enumerate(data):
+        if missing := [key for key in _SPLAT_KEYS if not isinstance(node, dict) or key not in node]:
+            raise ValueError(f"{path}: image {number}: missing {', '.join(missing)}")
         image = image_path(str(node["img_name"]))
         entry = CameraEntry(path, str(image))
-        if missing := [key for key in ("width", "height") if key not in node]:
-            raise entry.error(f"missing {', '.join(missing)}")
         values = [entry.parse_number(node[key], key) for key in ("fx", "fy", "width", "height")]
         lens = keys.setdefault(json.dumps(values), str(len(keys)))
         lenses[lens] = values[2:], intrinsic_matrix(*values[:2], *(0.5 * np.array(values[2:]) - PIXEL_CENTER))
