@@ -16,16 +16,18 @@ from sylpose.frames import FrameSet
 from sylpose.geometry.euler_angles import PAN_TILT_ROLL, parse_euler_angles
 from sylpose.input_limits import input_errors
 from sylpose.io import calibration
+from sylpose.io.exports.poses import Surroundings
 from sylpose.io.object_files import MAX_DRAWN_DEPTH_SD, OBJECT_FILE, load_object
 from sylpose.report.drawing import encode_thumbnail
 from sylpose.report.files import PAGE_FILE
 from sylpose.report.page import PageHeader, render_page
+from sylpose.report.plots import camera_colors
 from sylpose.report.scene import PointCloud, Scene, Thumbnails, build_scene
 from sylpose.results import Trajectory
 from sylpose.rig import Rig
 from sylpose.runs import console_output
 from sylpose.runs.calibration_refinement import REFINED
-from sylpose.runs.run_metadata import find_run_folder, find_settings, read_settings, settings_table
+from sylpose.runs.run_metadata import USED_CALIBRATION, find_run_folder, find_settings, read_settings, settings_table
 from sylpose.runs.view import find_calibration, read_result
 from sylpose.tracking.known_object import KnownObject
 
@@ -49,7 +51,7 @@ def write_report_page(folder: Path, stills: Thumbnails) -> Path:
         ValueError: a trajectory without frames; invalid files.
         OSError: the file cannot be written; the message names it.
     """
-    (trajectory, rig, cloud), settings = _read_run(folder), read_settings(folder)
+    (trajectory, rig, cloud), settings = read_run(folder), read_settings(folder)
     scene = build_scene(trajectory, rig, cloud, stills)
     axes = settings.get("options", {}).get("angles")
     with input_errors(find_settings(folder)):
@@ -122,7 +124,7 @@ def read_scene(result: Path, calibration_file: Path | None = None, stills: Thumb
         FileNotFoundError: no trajectory.
         ValueError: invalid files, or files of other cameras.
     """
-    return build_scene(*_read_run(result, calibration_file), stills)
+    return build_scene(*read_run(result, calibration_file), stills)
 
 
 def read_scenes(result: Path, calibration_file: Path | None = None) -> dict[str, Scene]:
@@ -148,7 +150,7 @@ def read_scenes(result: Path, calibration_file: Path | None = None) -> dict[str,
     return scenes
 
 
-def _read_run(result: Path, calibration_file: Path | None = None) -> tuple[Trajectory, Rig, PointCloud | None]:
+def read_run(result: Path, calibration_file: Path | None = None) -> tuple[Trajectory, Rig, PointCloud | None]:
     """Read the trajectory of a run, its cameras and the object's landmarks, if there are any.
 
     The calibration is the given one, or the refined one, or the one used. The rig has the trajectory's unit, which with
@@ -171,6 +173,25 @@ def _read_run(result: Path, calibration_file: Path | None = None) -> tuple[Traje
             raise ValueError(f"{object_file}: it has the cameras {cameras}, which the calibration lacks")
         cloud = make_cloud(known, names)
     return trajectory, Rig(rig.cameras, trajectory.unit), cloud
+
+
+def read_surroundings(result: Path) -> Surroundings:
+    """Read the cameras and the object's points of a run, for exports; nothing if the run has no calibration.
+
+    Raises:
+        FileNotFoundError: no trajectory.
+        ValueError: invalid files, or files of other cameras.
+    """
+    folder = result if result.is_dir() else result.parent
+    if not any((run / USED_CALIBRATION).is_file() for run in (folder, folder.parent)):
+        return Surroundings()
+    if not read_result(result).camera_names:
+        return Surroundings()
+    _, rig, cloud = read_run(result)
+    if cloud is None:
+        return Surroundings(rig.cameras)
+    palette = [[int(color[k : k + 2], 16) / 255.0 for k in (1, 3, 5)] for color in camera_colors(len(rig))]
+    return Surroundings(rig.cameras, cloud.points, np.array(palette)[cloud.cameras].reshape(-1, 3))
 
 
 def make_cloud(known: KnownObject, names: tuple[str, ...]) -> PointCloud:

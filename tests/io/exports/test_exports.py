@@ -6,6 +6,7 @@ import base64
 import csv
 import json
 import struct
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +16,10 @@ from scipy.spatial.transform import Rotation
 
 from sylpose.commands.main import main
 from sylpose.io.exports.formats import EXPORT_FORMATS, export_trajectory
-from sylpose.io.exports.poses import UP_UNKNOWN_NOTE, Poses
+from sylpose.io.exports.poses import UP_UNKNOWN_NOTE, Poses, Surroundings
 from sylpose.report.files import read_tum, write_trajectory
 from sylpose.results import FramePose, Trajectory
+from sylpose.simulate import ring
 from sylpose.status import FrameStatus
 from tests.io.exports.paths import COASTING, FOUND, MISSING, RATE, N, make_trajectory, markers_at, pose_at
 
@@ -255,15 +257,113 @@ def test_usd(name: str, tmp_path: Path) -> None:
     assert export_trajectory(make_trajectory("cm"), tmp_path / name, name="2 mugs") == [UP_UNKNOWN_NOTE]
     stage = Usd.Stage.Open(str(tmp_path / name))
     assert UsdGeom.GetStageMetersPerUnit(stage) == 0.01
+    assert stage.GetTimeCodesPerSecond() == stage.GetFramesPerSecond() == pytest.approx(RATE)
     node = UsdGeom.Xformable(stage.GetPrimAtPath("/world/_2_mugs"))
     shown = UsdGeom.Imageable(node.GetPrim())
     for k in range(N):
-        time = k / RATE
-        visible = shown.ComputeVisibility(Usd.TimeCode(time + 1e-9))
+        visible = shown.ComputeVisibility(Usd.TimeCode(k + 1e-6))  # a time code per frame
         assert visible == ("inherited" if k in FOUND else "invisible")
         if k in FOUND:
-            matrix = np.array(node.GetLocalTransformation(Usd.TimeCode(time))).T  # rows of points, in USD
+            matrix = np.array(node.GetLocalTransformation(Usd.TimeCode(k))).T  # rows of points, in USD
             np.testing.assert_allclose(matrix, pose_at(k).as_matrix(), atol=1e-12)
+
+
+# Cameras and points
+
+
+def make_surroundings() -> Surroundings:
+    rng = np.random.default_rng(0)
+    cameras = ring(3, size=(640, 480), focal=700.0).cameras
+    lens = np.array([[700.0, 0.0, 300.0], [0.0, 650.0, 260.0], [0.0, 0.0, 1.0]])
+    return Surroundings((replace(cameras[1], matrix=lens), cameras[2]), rng.normal(size=(9, 3)), rng.random((9, 3)))
+
+
+def test_gltf_with_cameras_and_points(tmp_path: Path) -> None:
+    """An independent reader loads it; cameras look at what they see; lengths in mm become meters."""
+    given = make_surroundings()
+    export_trajectory(make_trajectory("mm"), tmp_path / "a.glb", name="mug", surroundings=given)
+    content, data = parse_gltf(tmp_path / "a.glb")
+    lines, points = content["meshes"][0]["primitives"]
+    assert (lines["mode"], points["mode"]) == (1, 0)
+    found = accessor(content, data, points["attributes"]["POSITION"])
+    np.testing.assert_allclose(1000 * found, given.points, atol=1e-5)
+    np.testing.assert_allclose(accessor(content, data, points["attributes"]["COLOR_0"]), given.colors, atol=1e-6)
+    nodes = content["nodes"]
+    assert nodes[0]["children"] == [1, 2, 3]
+    for node, camera in zip(nodes[2:], given.cameras, strict=True):
+        np.testing.assert_allclose(1000 * np.array(node["translation"]), camera.center, atol=1e-9)
+        forward = Rotation.from_quat(node["rotation"]).apply([0.0, 0.0, -1.0])
+        np.testing.assert_allclose(forward, camera.camera_from_world.rotation.inv().apply([0.0, 0.0, 1.0]), atol=1e-9)
+        down = Rotation.from_quat(node["rotation"]).apply([0.0, -1.0, 0.0])
+        np.testing.assert_allclose(down, camera.camera_from_world.rotation.inv().apply([0.0, 1.0, 0.0]), atol=1e-9)
+        lens = content["cameras"][node["camera"]]["perspective"]
+        assert lens["yfov"] == pytest.approx(2 * np.arctan(240 / camera.matrix[1, 1]))
+    trimesh = pytest.importorskip("trimesh")
+    loaded = trimesh.load(tmp_path / "a.glb")
+    clouds = [g for g in loaded.geometry.values() if isinstance(g, trimesh.PointCloud)]
+    np.testing.assert_allclose(1000 * clouds[0].vertices, given.points, atol=1e-5)
+
+
+def test_usd_with_cameras_and_points(tmp_path: Path) -> None:
+    """USD's own projection of points agrees with the cameras' pixels."""
+    pytest.importorskip("pxr")
+    from pxr import Gf, Usd, UsdGeom
+
+    given = make_surroundings()
+    export_trajectory(make_trajectory(), tmp_path / "a.usda", name="mug", surroundings=given)
+    stage = Usd.Stage.Open(str(tmp_path / "a.usda"))
+    points = UsdGeom.Points(stage.GetPrimAtPath("/world/mug/points")).GetPointsAttr().Get()
+    np.testing.assert_allclose(np.array(points), given.points, atol=1e-6)
+    targets = 0.1 * given.points
+    for camera in given.cameras:
+        prim = UsdGeom.Camera(stage.GetPrimAtPath(f"/world/cameras/{camera.name}"))
+        frustum = prim.GetCamera(Usd.TimeCode(0)).frustum
+        matrix = frustum.ComputeViewMatrix() * frustum.ComputeProjectionMatrix()
+        screen = np.array([matrix.Transform(Gf.Vec3d(*row)) for row in targets.tolist()])
+        width, height = camera.size
+        pixels = np.column_stack([0.5 * width * (1 + screen[:, 0]), 0.5 * height * (1 - screen[:, 1])]) - 0.5
+        np.testing.assert_allclose(pixels, camera.project(targets), atol=0.01)
+
+
+# OpenSim
+
+
+def read_storage(path: Path) -> tuple[dict[str, str], list[str], Any]:
+    """Read a storage file by OpenSim's documentation: header, labels, table."""
+    head, _, body = path.read_text().partition("endheader\n")
+    name, *lines = head.splitlines()
+    labels, *rows = body.splitlines()
+    table = np.array([[float(cell) for cell in row.split("\t")] for row in rows])
+    return {"name": name} | dict(line.split("=") for line in lines), labels.split("\t"), table
+
+
+@pytest.mark.parametrize(("name", "kind"), [("a.mot", "Coordinates"), ("a.sto", "Position")])
+def test_opensim(name: str, kind: str, tmp_path: Path) -> None:
+    """Body-fixed x, y, z in degrees, meters, no rows in gaps."""
+    assert export_trajectory(make_trajectory("mm"), tmp_path / name, name="my tibia") == [UP_UNKNOWN_NOTE]
+    header, labels, table = read_storage(tmp_path / name)
+    assert header == {"name": kind, "version": "1", "nRows": "6", "nColumns": "7", "inDegrees": "yes"}
+    assert labels == ["time", *(f"my_tibia_{k}" for k in ("rx", "ry", "rz", "tx", "ty", "tz"))]
+    np.testing.assert_allclose(table[:, 0], [2 + k / RATE for k in FOUND])
+    angles = np.radians(table[:, 1:4])
+    x, y, z = (Rotation.from_rotvec(angles[:, [k]] * np.eye(3)[k]) for k in range(3))
+    found = matrices(1000 * table[:, 4:], (x * y * z).as_quat())
+    np.testing.assert_allclose(found, EXPECTED, atol=1e-9)
+
+
+def test_opensim_up_and_joint_angles(tmp_path: Path) -> None:
+    (note,) = export_trajectory(make_trajectory(), tmp_path / "z.mot", z_up=True)
+    assert "z up becomes y up" in note
+    export_trajectory(make_trajectory(), tmp_path / "a.mot")
+    up, plain = read_storage(tmp_path / "z.mot")[2], read_storage(tmp_path / "a.mot")[2]
+    np.testing.assert_allclose(up[:, 4:], plain[:, [4, 6, 5]] * [1, 1, -1], atol=1e-12)
+    assert export_trajectory(make_trajectory(), tmp_path / "b.mot", angles="ZXY") == []
+    _, labels, table = read_storage(tmp_path / "b.mot")
+    assert labels[1:4] == ["object_angle1_Z", "object_angle2_X", "object_angle3_Y"]
+    found = Rotation.from_euler("ZXY", table[:, 1:4], degrees=True).as_matrix()
+    np.testing.assert_allclose(found, EXPECTED[:, :3, :3], atol=1e-9)
+    with pytest.raises(ValueError, match="--euler: trc has no angles of chosen axes; mot and sto do"):
+        export_trajectory(make_trajectory(), tmp_path / "b.trc", angles="ZXY")
 
 
 # What cannot be exported

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
+    from sylpose.io.exports.poses import Surroundings
     from sylpose.results import Trajectory
 
 
@@ -29,6 +31,8 @@ EXPORT_FORMATS: dict[str, ExportFormat] = {
     "csv": ExportFormat((".csv",)),
     "tum": ExportFormat((".tum", ".txt")),
     "trc": ExportFormat((".trc",)),
+    "mot": ExportFormat((".mot",)),
+    "sto": ExportFormat((".sto",)),
     "bvh": ExportFormat((".bvh",)),
     "gltf": ExportFormat((".glb", ".gltf")),
     "c3d": ExportFormat((".c3d",), "ezc3d", "export"),
@@ -50,6 +54,8 @@ def export_trajectory(
     stop: int | None = None,
     z_up: bool = False,
     velocity: bool = False,
+    angles: str | None = None,
+    surroundings: Surroundings | None = None,
 ) -> list[str]:
     """Write a trajectory in another format.
 
@@ -61,6 +67,8 @@ def export_trajectory(
         start, stop: first frame, and first frame that is omitted; None for no limit.
         z_up: the world's z axis is known to point up, as in a user-defined world.
         velocity: add velocities and accelerations, estimated from all frames (`Trajectory.differentiate`).
+        angles: axes of the angles (`parse_euler_angles`), for mot and sto; None for XYZ.
+        surroundings: cameras and points, for gltf and usd.
 
     Returns:
         notes on differences between the file and the trajectory.
@@ -85,13 +93,18 @@ def export_trajectory(
         raise ValueError(f"--to {to} needs {package}, which is not installed: pip install 'sylpose[{extra}]'")
     if velocity and to not in _TABLES:
         raise ValueError(f"--velocity: {to} has no columns for velocities; {' and '.join(_TABLES)} do")
+    if angles is not None and to not in ("mot", "sto"):
+        raise ValueError(f"--euler: {to} has no angles of chosen axes; mot and sto do")
+    from sylpose.geometry.euler_angles import parse_euler_angles
     from sylpose.io.exports.poses import Poses
     from sylpose.kinematics import describe_filter
     from sylpose.report.files import build_columns
 
     selected, write = select_frames(trajectory, start, stop), _load_writer(to)
     if to not in _TABLES:
-        return write(Poses.from_trajectory(selected, name, z_up), out)
+        poses = Poses.from_trajectory(selected, name, z_up)
+        axes = None if angles is None else parse_euler_angles(angles)
+        return write(replace(poses, angles=axes, surroundings=surroundings or poses.surroundings), out)
     if not velocity:
         return write(build_columns(selected), out)
     kinematics, kept = trajectory.differentiate(), {frame.index for frame in selected}
@@ -121,8 +134,8 @@ def _load_writer(to: str) -> Callable[[Any, Path], list[str]]:
     """Import the writer of a format."""
     from sylpose.io.exports.gltf import write_gltf
     from sylpose.io.exports.libraries import write_c3d, write_parquet, write_rosbag, write_usd
-    from sylpose.io.exports.text import write_bvh, write_csv, write_trc, write_tum
+    from sylpose.io.exports.text import write_bvh, write_csv, write_mot, write_sto, write_trc, write_tum
 
     writers: tuple[Callable[[Any, Path], list[str]], ...] = (write_csv, write_tum, write_trc, write_bvh, write_gltf)
-    writers += (write_c3d, write_parquet, write_rosbag, write_usd)
+    writers += (write_mot, write_sto, write_c3d, write_parquet, write_rosbag, write_usd)
     return next(write for write in writers if write.__name__ == f"write_{to}")

@@ -1,4 +1,4 @@
-"""glTF 2.0 export, .glb or .gltf: an animated node with the object's axes, hidden in gaps.
+"""glTF 2.0 export, .glb or .gltf: an animated node with the object's axes and points, hidden in gaps; cameras.
 
 Key frames are the frames with a pose, and viewers interpolate between them; in gaps a step of the scale to 0 hides it.
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import base64
 import json
+import math
 import struct
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,9 +18,9 @@ from numpy.typing import NDArray
 
 from sylpose.atomic_io import replace_atomically
 from sylpose.geometry.arrays import FloatArray
-from sylpose.io.exports.poses import UP_UNKNOWN_NOTE, Poses, find_runs
+from sylpose.io.exports.poses import UP_UNKNOWN_NOTE, Poses, find_runs, look_along_minus_z
 
-FLOAT, LINES = 5126, 1
+FLOAT, LINES, POINTS = 5126, 1, 0
 _COLORS = np.eye(3)
 # In glTF, y is up: a world with z up is rotated about x by -90 degrees; x y z w.
 _Y_UP_FROM_Z_UP = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]
@@ -38,6 +39,11 @@ def write_gltf(poses: Poses, path: Path) -> list[str]:
         "POSITION": buffer.add_accessor(points, "VEC3", bounds=True),
         "COLOR_0": buffer.add_accessor(np.repeat(_COLORS, 2, 0), "VEC3"),
     }
+    primitives = [{"attributes": mesh, "mode": LINES}]
+    if len(cloud := poses.surroundings.points):
+        attributes = {"POSITION": buffer.add_accessor(cloud, "VEC3", bounds=True)}
+        attributes["COLOR_0"] = buffer.add_accessor(poses.surroundings.colors, "VEC3")
+        primitives.append({"attributes": attributes, "mode": POINTS})
     has_pose, times = poses.has_pose, poses.times - poses.times[0]
     moved = times[has_pose], {"translation": poses.positions[has_pose], "rotation": poses.quaternions[has_pose]}
     animation = _build_animation(buffer, *moved, "LINEAR")
@@ -46,23 +52,43 @@ def write_gltf(poses: Poses, path: Path) -> list[str]:
         scales = np.where(has_pose[changes], 1.0, 0.0)[:, None] * np.ones(3)
         animation |= _build_animation(buffer, times[changes], {"scale": scales}, "STEP")
     channels = [{"sampler": k, "target": {"node": 1, "path": path}} for k, path in enumerate(animation)]
-    world = {"name": "world", "children": [1]} | ({"rotation": _Y_UP_FROM_Z_UP} if poses.z_up else {})
+    cameras, camera_nodes = _build_cameras(poses)
+    children = [*range(1, 2 + len(cameras))]
+    world = {"name": "world", "children": children} | ({"rotation": _Y_UP_FROM_Z_UP} if poses.z_up else {})
     content: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": "sylpose"},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [world, {"name": poses.name, "mesh": 0}],
-        "meshes": [{"name": "axes", "primitives": [{"attributes": mesh, "mode": LINES}]}],
+        "nodes": [world, {"name": poses.name, "mesh": 0}, *camera_nodes],
+        "meshes": [{"name": "axes", "primitives": primitives}],
         "animations": [{"name": "trajectory", "samplers": [*animation.values()], "channels": channels}],
         "accessors": buffer.accessors,
         "bufferViews": buffer.views,
         "buffers": [{"byteLength": len(buffer.data)}],
     }
+    if cameras:
+        content["cameras"] = cameras
     is_binary = path.suffix.lower() == ".glb"
     with replace_atomically(path) as part:
         part.write_bytes((_encode_binary if is_binary else _encode_text)(content, bytes(buffer.data)))
     notes = poses.note_unit("m")
     return notes if poses.z_up else [*notes, UP_UNKNOWN_NOTE]
+
+
+def _build_cameras(poses: Poses) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Build the cameras and their nodes; the format has neither principal points nor distortion."""
+    cameras, nodes = [], []
+    near, far = 0.1 * poses.axis_length, 1000.0 * poses.axis_length
+    for k, camera in enumerate(poses.surroundings.cameras):
+        (width, height), fx, fy = camera.size, float(camera.matrix[0, 0]), float(camera.matrix[1, 1])
+        lens = {"yfov": 2.0 * math.atan(0.5 * height / fy), "aspectRatio": (width / fx) / (height / fy)}
+        cameras.append(
+            {"name": camera.name, "type": "perspective", "perspective": {**lens, "znear": near, "zfar": far}}
+        )
+        pose = look_along_minus_z(camera)
+        at = {"translation": pose.translation.tolist(), "rotation": pose.rotation.as_quat().tolist()}
+        nodes.append({"name": camera.name, "camera": k, **at})
+    return cameras, nodes
 
 
 def _build_animation(

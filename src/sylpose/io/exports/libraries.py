@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sylpose.atomic_io import make_output_folder, output_errors, partial_path, replace_atomically
-from sylpose.io.exports.poses import UP_UNKNOWN_NOTE, Poses
+from sylpose.io.exports.poses import UP_UNKNOWN_NOTE, Poses, look_along_minus_z
 from sylpose.units import METERS
 
 if TYPE_CHECKING:
@@ -114,7 +114,7 @@ def write_parquet(table: dict[str, list[Any]], path: Path) -> list[str]:
 
 
 def write_usd(poses: Poses, path: Path) -> list[str]:
-    """Write a USD stage with times since the first frame, and return notes on it.
+    """Write a USD stage with one time code per frame from the first one on, and return notes on it.
 
     Poses keep the world's axes; upAxis is z if z is known to be up.
     """
@@ -122,22 +122,26 @@ def write_usd(poses: Poses, path: Path) -> list[str]:
 
     with replace_atomically(path) as part:
         stage = Usd.Stage.CreateNew(str(part))
-        stage.SetTimeCodesPerSecond(1.0)
+        # Time codes are frames: importers such as Blender's ignore fractions of a code.
+        rate = poses.typical_rate
+        codes = np.round(rate * (poses.times - poses.times[0]), 6)
+        stage.SetTimeCodesPerSecond(rate)
+        stage.SetFramesPerSecond(rate)
         stage.SetStartTimeCode(0.0)
-        stage.SetEndTimeCode(float(poses.times[-1] - poses.times[0]))
+        stage.SetEndTimeCode(float(codes[-1]))
         UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z if poses.z_up else UsdGeom.Tokens.y)
         UsdGeom.SetStageMetersPerUnit(stage, METERS.get(poses.unit, 1.0))
         world = UsdGeom.Xform.Define(stage, "/world")
         stage.SetDefaultPrim(world.GetPrim())
-        name = "".join(c if c.isascii() and (c.isalnum() or c == "_") else "_" for c in poses.name)
-        node = UsdGeom.Xform.Define(stage, f"/world/{name if name[0].isalpha() else f'_{name}'}")
+        node = UsdGeom.Xform.Define(stage, f"/world/{_make_identifier(poses.name)}")
         _add_axes(stage, node.GetPath(), poses.axis_length)
+        _add_surroundings(stage, node.GetPath(), poses)
         precision = UsdGeom.XformOp.PrecisionDouble
         translate_op, orient_op = node.AddTranslateOp(precision), node.AddOrientOp(precision)
         visibility = node.CreateVisibilityAttr()
         previous = None
         for time, has_pose, position, (x, y, z, w) in zip(
-            poses.times - poses.times[0], poses.has_pose, poses.positions, poses.quaternions, strict=True
+            codes, poses.has_pose, poses.positions, poses.quaternions, strict=True
         ):
             if has_pose:
                 translate_op.Set(Gf.Vec3d(*position.tolist()), float(time))
@@ -149,6 +153,39 @@ def write_usd(poses: Poses, path: Path) -> list[str]:
         del stage
     notes = [] if poses.unit else ["lengths are assumed to be meters: the calibration has no unit"]
     return notes if poses.z_up else [*notes, UP_UNKNOWN_NOTE]
+
+
+def _add_surroundings(stage: Usd.Stage, parent: Sdf.Path, poses: Poses) -> None:
+    """Add points to the object, and cameras to the world; they have no lens distortion."""
+    from pxr import Gf, UsdGeom, Vt
+
+    cloud = poses.surroundings
+    if len(cloud.points):
+        points = UsdGeom.Points.Define(stage, parent.AppendChild("points"))
+        points.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(cloud.points.astype(np.float32)))
+        points.CreateWidthsAttr([0.02 * poses.axis_length])
+        points.SetWidthsInterpolation(UsdGeom.Tokens.constant)
+        colors = points.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex)
+        colors.Set(Vt.Vec3fArray.FromNumpy(cloud.colors.astype(np.float32)))
+    for camera in cloud.cameras:
+        prim = UsdGeom.Camera.Define(stage, f"/world/cameras/{_make_identifier(camera.name)}")
+        prim.AddTransformOp().Set(Gf.Matrix4d(look_along_minus_z(camera).as_matrix().T.tolist()))
+        (width, height), (fx, fy) = camera.size, camera.matrix[[0, 1], [0, 1]].tolist()
+        # Lengths of the lens have an own unit, of which only ratios matter: a width of 36 (choice: full frame, mm).
+        scale = 36.0 / width
+        prim.CreateFocalLengthAttr(fx * scale)
+        prim.CreateHorizontalApertureAttr(36.0)
+        prim.CreateVerticalApertureAttr(height * scale * fx / fy)
+        # Pixel centers are whole numbers, so that the image's middle is half a pixel less than half its size.
+        prim.CreateHorizontalApertureOffsetAttr((0.5 * (width - 1) - camera.matrix[0, 2]) * scale)
+        prim.CreateVerticalApertureOffsetAttr((camera.matrix[1, 2] - 0.5 * (height - 1)) * scale * fx / fy)
+        prim.CreateClippingRangeAttr(Gf.Vec2f(0.1 * poses.axis_length, 1000.0 * poses.axis_length))
+
+
+def _make_identifier(name: str) -> str:
+    """Return the name of a prim: letters, digits and underscores."""
+    text = "".join(c if c.isascii() and (c.isalnum() or c == "_") else "_" for c in name)
+    return text if text[0].isalpha() else f"_{text}"
 
 
 def _add_axes(stage: Usd.Stage, parent: Sdf.Path, length: float) -> None:

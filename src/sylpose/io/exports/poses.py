@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Self
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.geometry.arrays import BoolArray, FloatArray
+from sylpose.geometry.euler_angles import EulerAngles
 from sylpose.results import Trajectory
+from sylpose.rig import Camera
 from sylpose.units import METERS
 
 # Length of the object's axes where a format draws them, meters, or units if unknown (choice: size of a hand).
@@ -26,6 +28,30 @@ MAX_STEP_DEVIATION = 0.15
 
 
 @dataclass(frozen=True, eq=False)
+class Surroundings:
+    """What formats for viewing contain besides the trajectory, in the trajectory's world and unit.
+
+    Attributes:
+        cameras: cameras of the recording.
+        points: (n, 3) points on the object, in its own frame.
+        colors: (n, 3) of them, in [0, 1].
+    """
+
+    cameras: tuple[Camera, ...] = ()
+    points: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    colors: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+
+    def scale(self, factor: float) -> Self:
+        """Multiply all lengths by a factor."""
+        cameras = []
+        for camera in self.cameras:
+            old = camera.camera_from_world
+            new = RigidTransform.from_components(factor * old.translation, old.rotation)
+            cameras.append(replace(camera, camera_from_world=new))
+        return replace(self, cameras=tuple(cameras), points=factor * self.points)
+
+
+@dataclass(frozen=True, eq=False)
 class Poses:
     """Poses world_from_object in N frames.
 
@@ -37,6 +63,8 @@ class Poses:
         quaternions: (N, 4) w last, continuous in sign; NaN in gaps.
         unit: unit of lengths, or "".
         z_up: whether the world's z axis is known to be up; otherwise the up direction is unknown.
+        surroundings: cameras and points, for formats for viewing.
+        angles: axes of the angles, for formats that have angles; None for the format's own.
     """
 
     name: str
@@ -46,6 +74,8 @@ class Poses:
     quaternions: FloatArray
     unit: str
     z_up: bool = False
+    surroundings: Surroundings = field(default_factory=Surroundings)
+    angles: EulerAngles | None = None
 
     @classmethod
     def from_trajectory(cls, trajectory: Trajectory, name: str = "object", z_up: bool = False) -> Self:
@@ -93,7 +123,8 @@ class Poses:
         """Convert lengths to a format's unit; unchanged if the own unit is unknown."""
         if self.unit not in METERS:
             return self
-        return replace(self, positions=self.positions * (METERS[self.unit] / METERS[unit]), unit=unit)
+        factor = METERS[self.unit] / METERS[unit]
+        return replace(self, positions=self.positions * factor, unit=unit, surroundings=self.surroundings.scale(factor))
 
     def note_unit(self, expected: str) -> list[str]:
         """Return a note if lengths are not in a format's unit, since the own one is unknown."""
@@ -126,6 +157,11 @@ class Poses:
             )
         return float((len(self) - 1) / (self.times[-1] - self.times[0]))
 
+    @property
+    def typical_rate(self) -> float:
+        """Return the frame rate by the median step, also of unsteady times; 1 for a single frame."""
+        return round(1.0 / float(np.median(np.diff(self.times))), 6) if len(self) > 1 else 1.0
+
     def compute_markers(self) -> tuple[list[str], FloatArray]:
         """Compute four points on the object, its center and axis ends: names, and positions (N, 4, 3); NaN in gaps."""
         points = self.axis_length * np.vstack([np.zeros(3), np.eye(3)])
@@ -141,6 +177,12 @@ class Poses:
         selection = slice(int(valid[0]), int(valid[-1]) + 1)
         columns = {name: getattr(self, name)[selection] for name in ("indices", "times", "positions", "quaternions")}
         return replace(self, **columns)
+
+
+def look_along_minus_z(camera: Camera) -> RigidTransform:
+    """Return world_from_camera with x right, y up and z backwards, as in glTF, USD and OpenGL."""
+    backwards = RigidTransform.from_rotation(Rotation.from_euler("x", 180.0, degrees=True))
+    return camera.camera_from_world.inv() * backwards
 
 
 def find_runs(has_pose: BoolArray) -> list[tuple[int, int]]:

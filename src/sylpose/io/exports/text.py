@@ -1,4 +1,4 @@
-"""Text exports: CSV with all columns, TUM, TRC (OpenSim, Mokka) and BVH (Blender, Maya)."""
+"""Text exports: CSV with all columns, TUM, TRC (OpenSim, Mokka), MOT and STO (OpenSim), BVH (Blender, Maya)."""
 
 from __future__ import annotations
 
@@ -66,6 +66,39 @@ def write_trc(poses: Poses, path: Path) -> list[str]:
         lines.append("\t".join([str(k), f"{time:.6f}", *cells]))
     _write_text(path, "\n".join(lines) + "\n")
     return poses.note_unit("mm")
+
+
+def write_mot(poses: Poses, path: Path) -> list[str]:
+    """Write the coordinates of an OpenSim free joint: three angles, degrees, and positions, meters; no rows in gaps."""
+    return _write_storage(poses, path, "Coordinates")
+
+
+def write_sto(poses: Poses, path: Path) -> list[str]:
+    """Write the same table as an OpenSim storage file."""
+    return _write_storage(poses, path, "Position")
+
+
+def _write_storage(poses: Poses, path: Path, kind: str) -> list[str]:
+    """Write an OpenSim storage file with the names of a free joint, body-fixed x, y, z by default.
+
+    OpenSim's y is up, so a world with z up is rotated. Angles about given axes are joint angles and not rotated.
+    """
+    poses = poses.in_unit("m")
+    is_rotated, prefix = poses.z_up and poses.angles is None, poses.identifier
+    poses = poses.with_y_up() if is_rotated else poses
+    found = poses.has_pose
+    rotations = Rotation.from_quat(poses.quaternions[found])
+    if poses.angles is None:
+        names, angles = ["rx", "ry", "rz"], rotations.as_euler("XYZ", suppress_warnings=True)
+    else:
+        names, angles = list(poses.angles.names), poses.angles.from_rotation(rotations)
+    angles = np.degrees(np.unwrap(angles, axis=0))
+    rows = np.column_stack([poses.times[found], angles, poses.positions[found]]) + 0.0  # no -0
+    columns = ["time", *(f"{prefix}_{name}" for name in (*names, "tx", "ty", "tz"))]
+    head = [kind, "version=1", f"nRows={len(rows)}", f"nColumns={len(columns)}", "inDegrees=yes", "endheader"]
+    _write_text(path, "\n".join([*head, "\t".join(columns)]) + "\n" + _format_lines(rows.tolist(), "\t"))
+    up = "its world is rotated: z up becomes y up" if is_rotated else UP_UNKNOWN_NOTE
+    return [*poses.note_unit("m"), *([up] if poses.angles is None else [])]
 
 
 def write_bvh(poses: Poses, path: Path) -> list[str]:
