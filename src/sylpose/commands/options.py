@@ -47,12 +47,14 @@ class CameraOptions(CommandOptions):
         video: Assign a video or image folder to a camera if its name does not match. Repeatable.
         exclude_camera: Leave out a camera, for example one without a video. Repeatable.
         rate: Set the frame rate of image folders, for times in seconds.
+        as_coded: Do not turn frames as their files specify, if the calibration fits both; default: as the cameras agree.
     """
 
     calibration: Annotated[Path | None, option("--calibration PATH", INPUT)] = None
     video: Annotated[tuple[str, ...], option("--video NAME=FILE", INPUT)] = ()
     exclude_camera: Annotated[tuple[str, ...], option("--exclude-camera CAM", INPUT)] = ()
     rate: Annotated[float | None, option("--rate HZ", INPUT)] = None
+    as_coded: Annotated[bool, option("--as-coded", INPUT)] = False
 
     def open_recording(self, path: Path, frame_offset: Sequence[str] = (), **files: Path | None) -> Session:
         """Open the recording in a folder.
@@ -67,15 +69,21 @@ class CameraOptions(CommandOptions):
         """
         from sylpose.io.capture import open_session
 
-        return open_session(
+        session = open_session(
             path,
             calibration=self.calibration,
             cameras=parse_video_option(self.video),
             offsets=_parse_frame_offsets(frame_offset),
             rate=self.rate,
             without=self.exclude_camera,
+            as_coded=self.as_coded,
             **files,
         )
+        if self.as_coded or not session.has_ambiguous_orientation:
+            return session
+        from sylpose.runs.rig_evidence import resolve_orientation
+
+        return resolve_orientation(session)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -115,6 +115,9 @@ def collect_facts(session: Session, locations: Mapping[str, ObjectLocation]) -> 
     if session.world is not None:
         entries.append(("World", session.world.description or "from a file"))
     entries.append(("Recorded", " and ".join(sorted({kinds[source.kind] for source in session.sources}))))
+    turned = [source.camera for source in session.sources if source.orientation > 1]
+    if turned:
+        entries.append(("Turned", f"as the files specify (display matrix or EXIF): {', '.join(turned)}"))
     if session.timeline.origin:
         times = f"{session.timeline.origin}, {session.timeline.times[-1] - session.timeline.times[0]:.2f} s"
     elif session.rate:

@@ -10,7 +10,7 @@ import os
 import shlex
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice, pairwise
 from typing import NamedTuple
@@ -20,6 +20,7 @@ import numpy as np
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import BoolArray, FloatArray, Image
 from sylpose.io.capture import Session
+from sylpose.io.capture.session import use_frames_as_coded
 from sylpose.relative_pose.camera_evidence import MAX_F_RATIO, MAX_OWN_RATIO, MIN_MATCHES
 from sylpose.relative_pose.rig_hypotheses import (
     MIN_PAIRS,
@@ -135,6 +136,20 @@ def examine_rig(rig: Rig, read_frames: Callable[[], Iterable[FrameSet]]) -> RigF
         given = compute_f_ratios(rig, evidence.pairs, Hypothesis(), without_worst=True)
     is_contradicted = bool(explanations) or summarize(Hypothesis(), given, given).given_ratio > MAX_F_RATIO
     return RigFindings(span, is_contradicted, tuple(explanations), frozen, still)
+
+
+def resolve_orientation(session: Session) -> Session:
+    """Return a recording with its frames as coded if the cameras agree only then, else turned as the files specify.
+
+    Calibration programs that are not based on OpenCV or FFmpeg ignore what the files specify.
+    """
+    coded = use_frames_as_coded(session)
+    if not examine_rig(session.rig, session.frames).is_contradicted:
+        return session
+    if examine_rig(coded.rig, coded.frames).is_contradicted:
+        return session
+    text = "The files' rotation is not applied: the cameras agree only without it."
+    return replace(coded, warnings=(*coded.warnings, text))
 
 
 def _evaluate_lags(

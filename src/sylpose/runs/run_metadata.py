@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -63,7 +64,7 @@ def write_run_metadata(
     }
     tables: dict[str, _Values] = {}
     if isinstance(session, Session):
-        inputs |= {"rate": session.rate, "without": [*session.without] or None}
+        inputs |= {"rate": session.rate, "without": [*session.without] or None, "as_coded": session.as_coded or None}
         tables["frame_offsets"] = session.timeline.offsets
         tables["cameras"] = {source.camera: str(source.path.resolve()) for source in session.sources}
         tables["checksums"] = compute_fingerprint(session)
@@ -187,6 +188,7 @@ class _Settings(msgspec.Struct, frozen=True):
     cameras: dict[str, str] = {}
     rate: float | None = None
     without: list[str] = []
+    as_coded: bool = False
     frame_offsets: dict[str, int] = {}
     offsets: dict[str, float] = {}
     checksums: dict[str, str] = {}
@@ -218,10 +220,18 @@ def open_source_recording(result: Path, recording: Path | None = None) -> Sessio
     elif any(name.startswith(("\\\\", "//")) for name in (settings.recording, *cameras.values())):
         # Access would send the user's credentials to a computer that the result's author has chosen.
         raise ValueError(f"{run / SETTINGS}: the recording is on another computer; give --recording DIR if it is yours")
-    session = reopen_session(path, run / USED_CALIBRATION, settings.frame_offsets, cameras, None, settings.without)
+    reopen = partial(
+        reopen_session,
+        path,
+        run / USED_CALIBRATION,
+        settings.frame_offsets,
+        cameras,
+        without=settings.without,
+        as_coded=settings.as_coded,
+    )
+    session = reopen(rate=None)
     if session.rate is None and settings.rate is not None:  # given by --rate, for image folders
-        rate = settings.rate
-        session = reopen_session(path, run / USED_CALIBRATION, settings.frame_offsets, cameras, rate, settings.without)
+        session = reopen(rate=settings.rate)
     session = apply_offsets(session, [settings.offsets.get(name, 0.0) for name in session.rig.names])
     now = compute_fingerprint(session)
     for name in ("images", "timestamps or offsets"):

@@ -15,7 +15,7 @@ from av.video.reformatter import VideoReformatter
 
 from sylpose.geometry.arrays import BoolArray, Image
 from sylpose.io.capture.boxes import Masks
-from sylpose.io.capture.images import read_image, read_mask
+from sylpose.io.capture.images import orient, read_image, read_mask
 from sylpose.io.capture.sources import Source, open_video
 
 # Packets in a row that cannot be decoded, after which a video is not read on (choice: several seconds).
@@ -43,7 +43,7 @@ class FrameReader:
     def read(self, k: int) -> Image | None:
         """Read image k of a folder; None if it is unreadable."""
         try:
-            return read_image(self._source.files[k], self._source.size)
+            return read_image(self._source.files[k], self._source.size, self._source.orientation)
         except (ValueError, OSError) as error:
             self.problems.append(f"{self._source.camera}: {error}; this frame is missing.")
             return None
@@ -173,12 +173,13 @@ class _VideoReader(FrameReader):
 
     def _convert(self, k: int, frame: VideoFrame) -> Image | None:
         where = f"{self._source.camera}: {self._source.path.name}, frame {k}"
-        if (frame.width, frame.height) != self._source.size:
-            size = "{}x{}".format(*self._source.size)
+        if (frame.width, frame.height) != self._source.coded_size:
+            size = "{}x{}".format(*self._source.coded_size)
             problem = f"is {frame.width}x{frame.height}, not {size}; frames of another size are skipped."
             self._report_once("size", f"{where} {problem}")
             return None
-        return np.asarray(self._reformatter.reformat(frame, format="bgr24").to_ndarray(), dtype=np.uint8)
+        image = np.asarray(self._reformatter.reformat(frame, format="bgr24").to_ndarray(), dtype=np.uint8)
+        return orient(image, self._source.orientation)
 
     def _report_once(self, kind: str, message: str) -> None:
         """Report a problem once per kind; a damaged recording can have thousands."""

@@ -29,6 +29,8 @@ from sylpose.rig import MAX_PIXELS
 
 # Bit depths of cameras; the smallest that contains an image's values is assumed.
 BIT_DEPTHS = (8, 10, 12, 14, 16)
+# Tag of EXIF and TIFF.
+ORIENTATION_TAG = 274
 # Largest tile of a TIFF in pixels; tiles are decoded as a whole, however small the image (choice: 16 times the largest
 # in use).
 MAX_TILE_PIXELS = 2**24
@@ -106,15 +108,38 @@ def read_image_size(path: Path) -> tuple[int, int]:
         return size
 
 
-def read_image(path: Path, size: tuple[int, int]) -> Image:
-    """Read an image as BGR (h, w, 3), as coded: EXIF orientation is not applied.
+def read_orientation(path: Path) -> int:
+    """Read the EXIF orientation of a JPEG, PNG or WebP: 1 to 8; 1 (as coded) for other files and without one.
+
+    Raises:
+        OSError, ValueError: the file cannot be read.
+    """
+    data = read_bytes(path, _max_file_size(MAX_PIXELS))
+    header = next((header for start, header in _HEADERS.items() if data.startswith(start)), None)
+    with suppress(Exception):  # damaged bytes can raise any exception
+        value = 1 if header is None else header(BytesIO(data)).getexif().get(ORIENTATION_TAG, 1)
+        return int(value) if value in range(1, 9) else 1
+    return 1
+
+
+def orient(image: Image, orientation: int) -> Image:
+    """Turn and mirror an image (h, w, 3) by its EXIF orientation (1 to 8); (w, h, 3) from 5 on."""
+    if orientation >= 5:
+        image = image.transpose(1, 0, 2)
+    rows, columns = (slice(None, None, -1 if orientation in those else 1) for those in ((3, 4, 7, 8), (2, 3, 6, 7)))
+    return np.ascontiguousarray(image[rows, columns])
+
+
+def read_image(path: Path, size: tuple[int, int], orientation: int = 1) -> Image:
+    """Read an image as BGR (h, w, 3).
 
     Gray images get three equal channels. 16-bit images are scaled by the smallest depth of 8, 10, 12, 14 or 16 bits
     that contains their values, since 12-bit cameras write 16-bit files.
 
     Args:
         path: the image file.
-        size: required (width, height); a file with another size is not decoded.
+        size: required (width, height), as turned; a file with another size is not decoded.
+        orientation: EXIF orientation to be applied, whatever the file contains; 1 for the image as coded.
 
     Raises:
         OSError: the file cannot be read.
@@ -122,6 +147,7 @@ def read_image(path: Path, size: tuple[int, int]) -> Image:
             names it.
     """
     data = read_bytes(path, _max_file_size(size[0] * size[1]))
+    size = size[::-1] if orientation >= 5 else size
     with input_errors(path):
         header_size = image_size_from_header(data)
     if header_size is not None and header_size != size:
@@ -140,7 +166,7 @@ def read_image(path: Path, size: tuple[int, int]) -> Image:
         image = np.right_shift(image, depth - 8)
     elif image.dtype != np.uint8:
         raise UnreadableFileError(f"{path}: pixels of type {image.dtype}; 8-bit or 16-bit images are expected")
-    return image.astype(np.uint8, copy=False)
+    return orient(image.astype(np.uint8, copy=False), orientation)
 
 
 def _max_file_size(pixels: int) -> int:

@@ -14,6 +14,7 @@ from av.video.frame import VideoFrame
 
 from sylpose.geometry.arrays import Image
 from sylpose.io.capture.frame_readers import FrameReader
+from sylpose.io.capture.images import orient
 from sylpose.io.capture.session import Session
 from sylpose.io.capture.sources import Source, open_video
 
@@ -83,9 +84,11 @@ class _SeekableVideo:
             self._seek(k)
         self._advance(k)
         frame = self._frame
-        if self._number != k or frame is None or frame.is_corrupt or (frame.width, frame.height) != self._source.size:
+        if self._number != k or frame is None or frame.is_corrupt:
             return None
-        return np.asarray(frame.to_ndarray(format="bgr24"), dtype=np.uint8)
+        if (frame.width, frame.height) != self._source.coded_size:
+            return None
+        return orient(np.asarray(frame.to_ndarray(format="bgr24"), dtype=np.uint8), self._source.orientation)
 
     def _seek(self, k: int) -> None:
         """Seek to the keyframe before frame k if there is one, else to the start."""

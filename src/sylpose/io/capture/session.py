@@ -112,10 +112,17 @@ class Session(SessionBase):
     Attributes:
         sources: one per camera, in the rig's order.
         timeline: frame of each camera and time of each frame set.
+        as_coded: whether frames are not turned as their files specify where the calibration fits both.
     """
 
     sources: tuple[Source, ...]
     timeline: Timeline
+    as_coded: bool = field(default=False, kw_only=True)
+
+    @property
+    def has_ambiguous_orientation(self) -> bool:
+        """Whether the calibration fits frames as coded and as turned."""
+        return any(source.is_orientation_ambiguous for source in self.sources)
 
     def select_cameras(self, names: Sequence[str]) -> Self:
         """Return the session restricted to some of its cameras; numbers and times of the frame sets remain.
@@ -222,12 +229,14 @@ def open_session(
     cameras: Mapping[str, Path | str] | None = None,
     rate: float | None = None,
     without: Sequence[str] = (),
+    as_coded: bool = False,
 ) -> Session:
     """Open a recording: a folder with one video (`cam_0.mp4`) or one image folder (`cam_0/`) per camera.
 
     File names are matched to the calibration's cameras, tolerantly if that is unambiguous (`0.avi` is `cam_0`). Frames
-    are used as coded, without the rotation in the file's metadata; their size must equal the calibration's. The folder
-    may also contain the calibration, boxes.toml, masks/ and timestamps.csv, which are found automatically.
+    are turned as their files specify (display matrix, EXIF), as OpenCV does, if the calibration has the size of the turned
+    image; else their size must equal the calibration's. The folder may also contain the calibration, boxes.toml, masks/
+    and timestamps.csv, which are found automatically.
 
     Args:
         path: the session folder.
@@ -239,6 +248,7 @@ def open_session(
         cameras: video or image folder by camera (relative to `path`), if the names do not identify them.
         rate: frame rate of image folders without timestamps, frames per second.
         without: cameras of the calibration to exclude, whether they have images or not.
+        as_coded: whether frames are not turned where the calibration fits them as coded too.
 
     Returns:
         The session; its `warnings` list suspicious input.
@@ -247,7 +257,7 @@ def open_session(
         FileNotFoundError: no such folder or file.
         ValueError: the message names the file or camera and the expected content.
     """
-    files = _InputFiles(calibration, boxes, masks, offsets or {}, cameras or {}, rate, without)
+    files = _InputFiles(calibration, boxes, masks, offsets or {}, cameras or {}, rate, without, as_coded)
     return _open_session(Path(path), files)
 
 
@@ -258,13 +268,14 @@ def reopen_session(
     cameras: Mapping[str, Path | str],
     rate: float | None,
     without: Sequence[str],
+    as_coded: bool,
 ) -> Session:
     """Open the images of a recording by the calibration of an earlier run, which lacks the excluded cameras.
 
     Raises:
         FileNotFoundError, ValueError: as `open_session`.
     """
-    files = _InputFiles(calibration, None, None, offsets, cameras, rate, without)
+    files = _InputFiles(calibration, None, None, offsets, cameras, rate, without, as_coded)
     return _open_session(path, files, is_reopened=bool(without))
 
 
@@ -278,6 +289,7 @@ class _InputFiles(NamedTuple):
     cameras: Mapping[str, Path | str]
     rate: float | None
     without: Sequence[str]
+    as_coded: bool
 
 
 def _open_session(path: Path, given: _InputFiles, is_reopened: bool = False) -> Session:
@@ -288,7 +300,8 @@ def _open_session(path: Path, given: _InputFiles, is_reopened: bool = False) -> 
             raise ValueError(f"{path}: a folder with one video or image folder per camera is expected, not a file")
         calibration = calibrations.find(path) if given.calibration is None else Path(given.calibration)
         boxes, masks = find_boxes_and_masks(path, given.boxes, given.masks, search=not is_reopened)
-        recording = RecordingFolder(path, calibration, [masks] if masks else [], given.cameras, given.without)
+        others = [masks] if masks else []
+        recording = RecordingFolder(path, calibration, others, given.cameras, given.without, given.as_coded)
         full_rig = calibrations.load(calibration, recording.read_image_sizes)
         rig = full_rig if is_reopened else _exclude_cameras(full_rig, given.without, calibration)
         sources, warnings = recording.find_sources(rig)
@@ -314,9 +327,16 @@ def _open_session(path: Path, given: _InputFiles, is_reopened: bool = False) -> 
             timeline=timeline,
             warnings=(*warnings, *timeline_warnings, *mask_warnings),
             without=tuple(given.without),
+            as_coded=given.as_coded,
             _boxes=object_boxes,
             _masks=by_object,
         )
+
+
+def use_frames_as_coded(session: Session) -> Session:
+    """Return a session without the turns that files specify where the calibration fits both."""
+    sources = (replace(its, orientation=1) if its.is_orientation_ambiguous else its for its in session.sources)
+    return replace(session, sources=tuple(sources), as_coded=True)
 
 
 def find_boxes_and_masks(

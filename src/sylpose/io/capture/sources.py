@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePath
 from typing import Any, Literal
 
@@ -17,7 +18,7 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.input_limits import UnreadableFileError, resolve_path
 from sylpose.io.calibration.files import is_calibration_name
 from sylpose.io.capture.image_sizes import describe_size_mismatch
-from sylpose.io.capture.images import read_image, read_image_size
+from sylpose.io.capture.images import read_image, read_image_size, read_orientation
 from sylpose.io.capture.names import (
     IMAGE_SUFFIXES,
     find_repeated_recordings,
@@ -41,6 +42,8 @@ DEMUXER_OPTIONS = {
 # A title that is not UTF-8 must not make a video unreadable. PyAV >= 19 accepts any title; earlier versions need this
 # option.
 METADATA_OPTIONS: dict[str, Any] = {} if int(av.__version__.partition(".")[0]) >= 19 else {"metadata_errors": "replace"}
+# EXIF orientation of a video whose pictures are to be turned counterclockwise by so many quarter turns.
+EXIF_ORIENTATIONS = (1, 8, 3, 6)
 # Folder names that sylpose itself writes or reads, and which are never cameras.
 NON_CAMERA_NAMES = frozenset({"sylpose", "masks", "overlay"})
 
@@ -53,7 +56,7 @@ class Source:
         camera: the camera's name in the calibration.
         path: the video or the folder.
         kind: "video" or "images".
-        size: (width, height) in pixels, as coded: rotation metadata of videos and photographs is not applied.
+        size: (width, height) in pixels, of the camera.
         n_frames: number of frames that the video declares; counted if it declares none.
         rate: average frame rate in frames per second; None for images and for videos without one.
         files: the images in order; empty for videos.
@@ -61,6 +64,9 @@ class Source:
         pts: presentation time stamp of each frame of a video, increasing, units of `time_base`; None for images and if
             the file has none.
         time_base: seconds.
+        orientation: EXIF orientation that is applied to each frame: the display matrix of videos and EXIF of images, if the
+            calibration fits the turned image; 1 for frames as coded.
+        is_orientation_ambiguous: whether the calibration fits the image as coded as well.
     """
 
     camera: str
@@ -73,6 +79,13 @@ class Source:
     numbers: tuple[int, ...] | None = field(default=None, repr=False)
     pts: tuple[int, ...] | None = field(default=None, repr=False)
     time_base: float = 1.0
+    orientation: int = 1
+    is_orientation_ambiguous: bool = False
+
+    @property
+    def coded_size(self) -> tuple[int, int]:
+        """(width, height) of the frames in the file."""
+        return self.size[::-1] if self.orientation >= 5 else self.size
 
     @property
     def stamps(self) -> FloatArray | None:
@@ -95,6 +108,7 @@ class RecordingFolder:
         source_by_camera: video or image folder by camera, if the names do not identify it; the others are found by
             name.
         without: excluded cameras that are not in the rig; their sources are optional.
+        as_coded: whether frames are not turned as their files specify where the calibration fits both.
     """
 
     path: Path
@@ -102,6 +116,7 @@ class RecordingFolder:
     other_folders: Sequence[Path] = ()
     source_by_camera: Mapping[str, Path | str] = field(default_factory=dict)
     without: Sequence[str] = ()
+    as_coded: bool = False
 
     def find_sources(self, rig: Rig) -> tuple[tuple[Source, ...], list[str]]:
         """Find the image source of each camera.
@@ -116,7 +131,7 @@ class RecordingFolder:
         """
         by_camera = self._match_entries(rig.names)
         warnings: list[str] = []
-        return tuple(_probe(by_camera[camera.name], camera, warnings) for camera in rig), warnings
+        return tuple(_probe(by_camera[camera.name], camera, warnings, self.as_coded) for camera in rig), warnings
 
     def read_image_sizes(self, cameras: Sequence[str]) -> dict[str, tuple[int, int]]:
         """Read the image sizes of cameras whose calibration does not contain them.
@@ -129,12 +144,8 @@ class RecordingFolder:
         """
         sizes = {}
         for name, entry in self._match_entries([name for name in cameras if name not in self.without]).items():
-            if entry.is_dir():
-                sizes[name] = read_image_size(image_files(entry)[0])
-                continue
-            container, stream = open_video(entry)
-            with container:
-                sizes[name] = (stream.width, stream.height)
+            size, orientation = _read_format(entry)
+            sizes[name] = size[::-1] if orientation >= 5 else size
         return sizes
 
     def _match_entries(self, cameras: Sequence[str]) -> dict[str, Path]:
@@ -260,28 +271,59 @@ def _is_source(entry: Path, cameras: Sequence[str]) -> bool:
     return entry.suffix.lower() in VIDEO_SUFFIXES
 
 
-def _probe(path: Path, camera: Camera, warnings: list[str]) -> Source:
+def _probe(path: Path, camera: Camera, warnings: list[str], as_coded: bool = False) -> Source:
     """Return the source in a video or image folder, after checking its size."""
+    size, orientation = _read_format(path)
+    applied = _fit_orientation(path, camera, size, orientation, warnings)
+    is_ambiguous = applied > 1 and size == camera.size
+    applied = 1 if is_ambiguous and as_coded else applied
     if path.is_dir():
         files = image_files(path)
-        _check_size(files[0], camera, read_image_size(files[0]))
-        read_image(files[0], camera.size)
-        return Source(camera.name, path, "images", camera.size, len(files), None, tuple(files), image_numbers(files))
+        read_image(files[0], camera.size, applied)
+        source = Source(camera.name, path, "images", camera.size, len(files), None, tuple(files), image_numbers(files))
+    else:
+        container, stream = open_video(path)
+        with container:
+            shown = read_presentation(path, container, stream, warnings)
+        times = shown.pts, shown.time_base
+        source = Source(camera.name, path, "video", camera.size, shown.n_frames, shown.rate, (), None, *times)
+    return replace(source, orientation=applied, is_orientation_ambiguous=is_ambiguous)
+
+
+def _read_format(path: Path) -> tuple[tuple[int, int], int]:
+    """Return (width, height), as coded, and the EXIF orientation of a video or of the first image of a folder."""
+    if path.is_dir():
+        first = image_files(path)[0]
+        return read_image_size(first), read_orientation(first)
     container, stream = open_video(path)
     with container:
-        _check_size(path, camera, (stream.width, stream.height))
-        shown = read_presentation(path, container, stream, warnings)
-    return Source(
-        camera.name, path, "video", camera.size, shown.n_frames, shown.rate, pts=shown.pts, time_base=shown.time_base
+        size, rotation = (stream.width, stream.height), 0
+        with suppress(av.error.FFmpegError):  # reported when it is read
+            rotation = next((frame.rotation for frame in container.decode(stream)), 0)
+    quarter_turns = round(rotation / 90)
+    return size, EXIF_ORIENTATIONS[quarter_turns % 4] if rotation == 90 * quarter_turns else 1
+
+
+def _fit_orientation(path: Path, camera: Camera, size: tuple[int, int], orientation: int, warnings: list[str]) -> int:
+    """Return the orientation to be applied so that images of a size, as coded, fit the calibration.
+
+    OpenCV and FFmpeg apply the rotation of a file, and so does every program for calibration that is based on them.
+
+    Raises:
+        ValueError: the calibration has another size.
+    """
+    turned = size[::-1] if orientation >= 5 else size
+    if turned == camera.size:
+        return orientation
+    if size == camera.size:
+        text = f"{path.name} has a rotation that is not applied: the calibration has the size of the frames as coded"
+        warnings.append(f"{camera.name}: {text}.")
+        return 1
+    as_turned = "" if turned == size else f" ({turned[0]}x{turned[1]} with the file's rotation)"
+    raise ValueError(
+        f"{path}: images of {size[0]}x{size[1]}{as_turned}, but camera {camera.name} "
+        f"is calibrated at {camera.size[0]}x{camera.size[1]}: {describe_size_mismatch(turned, camera.size)}"
     )
-
-
-def _check_size(path: Path, camera: Camera, size: tuple[int, int]) -> None:
-    if size != camera.size:
-        raise ValueError(
-            f"{path}: images of {size[0]}x{size[1]}, but camera {camera.name} "
-            f"is calibrated at {camera.size[0]}x{camera.size[1]}: {describe_size_mismatch(size, camera.size)}"
-        )
 
 
 def open_source(path: Path, camera: Camera) -> Source:
