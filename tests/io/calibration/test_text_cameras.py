@@ -238,10 +238,10 @@ def test_invalid_mayacam_is_rejected(old: str, new: str, message: str, tmp_path:
 
 
 def make_dlt(turn: FloatArray, from_bottom: bool, skew: float = 0.0) -> Any:
-    """Compute eleven coefficients, of pixels from (1, 1), v from the top, or from 0 at the bottom."""
+    """Compute eleven coefficients, of pixels from (1, 1) at the top left, or (0.5, 0.5) at the bottom left."""
     matrix = np.array([[500.5, skew, 321.25], [0, 501.5, 241.5], [0, 0, 1]])
     if from_bottom:
-        matrix[1] = [0, -501.5, 480 - 1 - 240.5]
+        matrix[:2] = [[500.5, skew, 320.75], [0, -501.5, 480 - 0.5 - 240.5]]
     projection = matrix @ np.column_stack([turn, SHIFT])
     return (projection / projection[2, 3]).ravel()[:11]
 

@@ -5,8 +5,9 @@
   Z, the principal point and focal length in pixels from (1, 1), v0 from the bottom; scale, width, height. The camera
   looks along -z with y up.
 - DLT: eleven rows L1 ... L11, a column of each camera: u = (L1 X + L2 Y + L3 Z + L4) / (L9 X + L10 Y + L11 Z + 1), v
-  likewise of L5 ... L8. Columns u count from 1. Rows v count from the top in DLTdv 8, and from the bottom in DLTdv 1 to 7,
-  easyWand and Argus; it follows from the coefficients, provided that the origin is in front of all cameras.
+  likewise of L5 ... L8. The first pixel is (1, 1) at the top left in DLTdv 8. At the bottom left, it is (1, 1) in DLTdv 1
+  to 7 and easyWand, and (0, 0) in Argus; which of these is not stated, so that (0.5, 0.5) is used. Top or bottom follows
+  from the coefficients, provided that the origin is in front of all cameras.
 """
 
 from __future__ import annotations
@@ -135,8 +136,10 @@ def read_dlt(data: str, path: Path, sizes: SizeLookup | None = None) -> Rig:
     cameras = []
     for name, projection in zip(names, projections, strict=True):
         size = known_sizes[name]
-        rows = [0.0, -1.0, size[1] - 1.0] if counts_from_bottom[0] else [0.0, 1.0, -1.0]
-        pixels = np.array([[1.0, 0.0, -1.0], rows, [0.0, 0.0, 1.0]]) @ projection
+        to_pixels = [[1.0, 0.0, -1.0], [0.0, 1.0, -1.0], [0.0, 0.0, 1.0]]
+        if counts_from_bottom[0]:
+            to_pixels[:2] = [[1.0, 0.0, -0.5], [0.0, -1.0, size[1] - 0.5]]
+        pixels = np.array(to_pixels) @ projection
         matrix, pose = decompose_projection(pixels, f"{path}: camera {name}")
         cameras.append(_make_camera_without_skew(matrix, pose, CameraEntry(path, name), size))
     return make_rig(path, cameras)
