@@ -80,7 +80,7 @@ _FEATURES = {"pixels": "feature_pixels", "normalized": "feature_normalized", "de
 # A file of numbers or text in an archive, as NumPy writes it: type and shape, then the content.
 _N = rb"(?:0|[1-9]\d{0,9})"
 _NPY = re.compile(
-    rb"\x93NUMPY\x01\x00..\{'descr': '(\|[biu]1|<[iuf][248]|<U[1-9]\d{0,6})', 'fortran_order': False, "
+    rb"\x93NUMPY\x01\x00..\{'descr': '(\|[biu]1|<[iuf][248]|<U[1-9]\d{0,6})', 'fortran_order': (False|True), "
     rb"'shape': \(((?:%b,)?|(?:%b, )+%b)\), \} *\n" % (_N, _N, _N),
     re.DOTALL,
 )
@@ -203,35 +203,40 @@ def load_object(path: Path | str) -> KnownObject:
         return _decode_object(header, arrays)
 
 
-def read_npz(file: BinaryIO) -> dict[str, NDArray[Any]]:
+def read_npz(file: BinaryIO, max_bytes: int = MAX_BYTES, by_columns: bool = False) -> dict[str, NDArray[Any]]:
     """Read an archive of arrays of numbers and text, as `numpy.savez` writes them; anything else is refused.
+
+    Args:
+        file: the archive.
+        max_bytes: maximum size, unpacked.
+        by_columns: also read arrays that are stored by columns.
 
     NumPy's own reader evaluates the arrays' headers before their checksums, and raises many kinds of errors.
 
     Raises:
-        ValueError: damaged, not such an archive, or of more than `MAX_BYTES`. To be converted by `input_errors`.
+        ValueError: damaged, not such an archive, or of more than `max_bytes` unpacked. To be converted by `input_errors`.
     """
     try:
         with zipfile.ZipFile(file) as archive:
             infos = archive.infolist()
-            if sum(info.file_size for info in infos) > MAX_BYTES:
-                raise ValueError(f"more than {MAX_BYTES >> 20} MB")
+            if sum(info.file_size for info in infos) > max_bytes:
+                raise ValueError(f"more than {max_bytes >> 20} MB")
             # Reading so many bytes, and no more, unpacks no others, and verifies the checksum.
             contents = {info.filename: archive.open(info).read(info.file_size) for info in infos}
-        return {name.removesuffix(".npy"): _decode_array(content) for name, content in contents.items()}
+        return {name.removesuffix(".npy"): _decode_array(content, by_columns) for name, content in contents.items()}
     except Exception as error:
         # A damaged archive can raise anything.
         raise ValueError(f"not a sylpose object file, or damaged ({str(error) or type(error).__name__})") from None
 
 
-def _decode_array(data: bytes) -> NDArray[Any]:
+def _decode_array(data: bytes, by_columns: bool) -> NDArray[Any]:
     head = _NPY.match(data)
-    if head is None:
+    if head is None or (head[2] == b"True" and not by_columns):
         raise ValueError("an array with elements that are not numbers")
-    kind, shape = np.dtype(head[1].decode()), [int(n) for n in head[2].split(b",") if n.strip()]
+    kind, shape = np.dtype(head[1].decode()), [int(n) for n in head[3].split(b",") if n.strip()]
     if prod(shape) * kind.itemsize != len(data) - head.end():
         raise ValueError("an array whose shape and size disagree")
-    return np.frombuffer(data, kind, offset=head.end()).reshape(shape).copy()
+    return np.frombuffer(data, kind, offset=head.end()).reshape(shape, order="F" if head[2] == b"True" else "C").copy()
 
 
 def _decode_header(text: NDArray[Any]) -> _Header:

@@ -9,6 +9,8 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from scipy.io import savemat
+from scipy.spatial.transform import Rotation
 
 from sylpose.geometry.arrays import FloatArray
 from sylpose.io import calibration
@@ -174,3 +176,76 @@ def test_fisheye(tmp_path: Path) -> None:
     data = dictionary() | {"D1": [0.1, 0.01, 0, 0], "D2": [0.1, 0, 0, 0.02], "fisheye": True}
     rig = calibration.load(write_file(tmp_path / "a.json", json.dumps(data)))
     assert [camera.lens for camera in rig] == ["fisheye", "fisheye"]
+
+
+# Arrays of NumPy and Matlab
+
+
+def make_arrays(**changes: Any) -> dict[str, Any]:
+    """Return VIAME's arrays: calibration_matrices.npz."""
+    matrix = np.array([[500.5, 0, 320.25], [0, 501.5, 240.5], [0, 0, 1]])
+    arrays = {"cameraMatrixL": matrix, "cameraMatrixR": matrix + np.diag([10, 20, 0]), "R": TURN}
+    lens = np.array([[-0.1, 0.02, 0.001, -0.002, 0.01]])
+    arrays |= {"distCoeffsL": lens, "distCoeffsR": -lens, "T": np.array([[-0.5], [0.25], [0.1]])}
+    return {key: value for key, value in (arrays | changes).items() if value is not None}
+
+
+def make_bouguet(**changes: Any) -> dict[str, Any]:
+    """Return the variables of Calib_Results_stereo.mat."""
+    data = {"nx": 640, "ny": 480, "om": Rotation.from_matrix(TURN).as_rotvec().reshape(3, 1), "dX": 30.0}
+    for side, k, sign in (("left", 0, 1), ("right", 1, -1)):
+        data |= {
+            f"fc_{side}": np.array([[500.5 + 10 * k], [501.5 + 20 * k]]),
+            f"cc_{side}": np.array([[320.25], [240.5]]),
+        }
+        data |= {f"kc_{side}": sign * np.array([[-0.1], [0.02], [0.001], [-0.002], [0.01]]), f"alpha_c_{side}": 0.0}
+    data |= {"T": np.array([[-0.5], [0.25], [0.1]])}
+    return {key: value for key, value in (data | changes).items() if value is not None}
+
+
+def check_arrays(path: Path) -> None:
+    rig = calibration.load(path, lambda names: dict.fromkeys(names, (640, 480)))
+    assert (calibration.format_name(path), rig.names) == ("stereo arrays", ("left", "right"))
+    shift = np.array([-0.5, 0.25, 0.1])
+    for k, (name, turn, t, sign) in enumerate((("left", np.eye(3), np.zeros(3), 1), ("right", TURN, shift, -1))):
+
+        def pixel(point: FloatArray, k: int = k, turn: Any = turn, t: Any = t, sign: int = sign) -> tuple[float, float]:
+            a, b, c = turn @ point + t
+            x, y = apply_brown(a / c, b / c, [-sign * 0.1, sign * 0.02, sign * 0.01], [sign * 0.001, -sign * 0.002])
+            return (500.5 + 10 * k) * x + 320.25, (501.5 + 20 * k) * y + 240.5
+
+        assert rig[name].size == (640, 480)
+        assert_projects(rig[name], points_in_front(turn, t), pixel)
+
+
+def test_arrays_of_numpy_and_matlab(tmp_path: Path) -> None:
+    np.savez(tmp_path / "calibration_matrices.npz", **make_arrays())
+    by_columns: dict[str, Any] = {key: np.asfortranarray(value) for key, value in make_arrays().items()}
+    np.savez_compressed(tmp_path / "by_columns.npz", **by_columns)
+    savemat(tmp_path / "calibration.mat", make_arrays())
+    savemat(tmp_path / "Calib_Results_stereo.mat", make_bouguet(), do_compression=True)
+    savemat(tmp_path / "viame.mat", {"Cal": make_bouguet()})
+    for path in sorted(tmp_path.iterdir()):
+        check_arrays(path)
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (make_arrays(T=None), "camera matrices without R and T|it requires R and T"),
+        (make_arrays(distCoeffsR=None), "camera right: no distortion next to"),
+        (make_bouguet(alpha_c_left=0.01), "camera left: the matrix has skew"),
+        (make_bouguet(fc_left=np.ones(3)), "fc_left must be 2 numbers"),
+        (make_bouguet(om=None), "camera matrices without R and T|it requires R and T"),
+    ],
+)
+def test_invalid_arrays_are_rejected(data: dict[str, Any], message: str, tmp_path: Path) -> None:
+    savemat(tmp_path / "a.mat", data)
+    with pytest.raises(ValueError, match=message):
+        calibration.load(tmp_path / "a.mat", lambda names: dict.fromkeys(names, (640, 480)))
+
+
+def test_arrays_of_objects_are_not_loaded(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", **make_arrays(R=np.array([{}], dtype=object)))
+    with pytest.raises(ValueError, match="NumPy arrays have no standard names"):
+        calibration.load(tmp_path / "a.npz")

@@ -10,6 +10,7 @@
 | Caliscope TOML | `anipose` | `[cameras.0]`, `[cameras.1]`, ... |
 | OpenCV FileStorage YAML, JSON, XML | `filestorage` | one node per camera, or a sequence `cameras` |
 | OpenCV stereo | `stereo` | M1 D1 M2 D2 in intrinsics.yml, R T in extrinsics.yml, or all in one |
+| stereo arrays | `stereo_arrays` | .npz or .mat of OpenCV's names; Bouguet's Calib_Results_stereo.mat |
 | Kalibr | `kalibr` | camchain.yaml: cam0, cam1, ... with T_cn_cnm1 |
 | COLMAP | `colmap` | a folder with cameras.txt and images.txt, or .bin; rig_config.json |
 | ROS | `ros` | camera_info of each camera, and transforms |

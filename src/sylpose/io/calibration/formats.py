@@ -27,6 +27,7 @@ from sylpose.io.calibration import (
     posed_images,
     ros,
     stereo,
+    stereo_arrays,
 )
 from sylpose.io.calibration.camera_builder import SizeLookup
 from sylpose.io.calibration.incomplete_files import describe_incomplete
@@ -60,6 +61,7 @@ FORMATS_BY_FILE_NAME = (
     Format("MultiCamSelfCal", folders.is_multicamselfcal, folders.read_multicamselfcal, has_sizes=False),
     Format("OpenCap pickle", opencap.is_opencap, opencap.read_opencap),
     Format("DeepLabCut pickle", folders.is_pickle, folders.read_deeplabcut, has_sizes=False),
+    Format("stereo arrays", stereo_arrays.is_stereo_arrays, stereo_arrays.read_stereo_arrays, has_sizes=False),
     Format("DANNCE", dannce.is_dannce, dannce.read_dannce, has_sizes=False),
     Format("Label3D", dannce.is_label3d, dannce.read_label3d, has_sizes=False),
     Format("mrcal cameramodel", mrcal.is_mrcal, mrcal.read_mrcal),
@@ -110,7 +112,8 @@ _UNSUPPORTED_SUFFIXES = {
     ".mat": "Matlab files are not supported; write stereoParams as JSON, jsonencode(toStruct(stereoParams))",
     ".cal": ".cal is not supported; use OptiTrack's .mcal (Motive 3.2 or newer), or MultiCamSelfCal's camera1.Pmat.cal, ...",
     **dict.fromkeys(
-        (".npy", ".npz"), "NumPy arrays have no standard names and are not supported; write a calibration.toml"
+        (".npy", ".npz"),
+        "NumPy arrays have no standard names; with OpenCV's of two cameras (cameraMatrix1, ...) they are read",
     ),
 }
 _UNKNOWN_TABLE = (

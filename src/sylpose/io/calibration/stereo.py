@@ -40,10 +40,15 @@ def is_stereo(data: Any) -> bool:
     """Return whether a decoded file has numbered camera matrices, or R and T without a camera they belong to."""
     if not isinstance(data, dict):
         return False
-    if len(_collect_numbered(data, _MATRIX)) > 1:
+    if count_matrices(data) > 1:
         return True
     cameras = any(isinstance(node, dict) and has_values(node, "matrix") for node in (data, *data.values()))
     return has_values(data, "rotation", "translation") and not cameras and "cameras" not in data
+
+
+def count_matrices(data: dict[str, Any]) -> int:
+    """Return the number of numbered camera matrices."""
+    return len(_collect_numbered(data, _MATRIX))
 
 
 def read(data: dict[str, Any], path: Path, sizes: SizeLookup | None = None) -> Rig:
