@@ -267,6 +267,21 @@ def _save_matlab(compress: bool, **values: Any) -> bytes:
     return file.getvalue()
 
 
+def _save_arrays() -> bytes:
+    file = io.BytesIO()
+    lenses = {f"cameraMatrix{side}": np.array(K) for side in "LR"} | {f"distCoeffs{side}": np.array(D) for side in "LR"}
+    arrays: dict[str, Any] = lenses | {"R": MATRIX, "T": np.array(TRANSLATION)}
+    np.savez(file, **arrays)
+    return file.getvalue()
+
+
+BOUGUET: dict[str, Any] = {"R": MATRIX, "T": np.array([TRANSLATION]).T, "nx": 64.0, "ny": 48.0}
+for _side in ("left", "right"):
+    BOUGUET |= {
+        f"fc_{_side}": np.array([80.5, 81.0]),
+        f"cc_{_side}": np.array([31.5, 23.5]),
+        f"kc_{_side}": np.array(D),
+    }
 _PARAMETERS = {"K": np.array(K).T, "r": MATRIX.T, "t": np.array([TRANSLATION])}
 _PARAMETERS |= {"RDistort": np.array([D[:2]]), "TDistort": np.array([D[2:4]])}
 _CELLS = np.empty((2, 1), dtype=object)
@@ -289,6 +304,8 @@ SAMPLES: dict[str, Sample] = {
     "OpenPTV .ori": Sample("cam1.tif.ori", (ORI,), {"cam1.tif.addpar": ADDPAR, "ptv.par": PTV}),
     "OpenPTV .addpar": Sample("cam1.tif.addpar", (ADDPAR,), {"cam1.tif.ori": ORI, "ptv.par": PTV}),
     "OpenCap": Sample("cam0.pickle", tuple(pickle.dumps(OPENCAP, protocol=k) for k in (2, 3, 4, 5)), {}, False),
+    "stereo, npz": Sample("stereo.npz", (_save_arrays(),), {}, False),
+    "Bouguet": Sample("Calib_Results_stereo.mat", tuple(_save_matlab(b, **BOUGUET) for b in (True, False)), {}, False),
     "DANNCE": Sample("hires_cam1_params.mat", tuple(_save_matlab(b, **_PARAMETERS) for b in (True, False)), {}, False),
     "Label3D": Sample("a_dannce.mat", tuple(_save_matlab(b, params=_CELLS) for b in (True, False)), {}, False),
     "stereo": Sample("intrinsics.yml", (LENSES,), {"extrinsics.yml": EXTRINSICS}),

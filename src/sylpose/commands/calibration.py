@@ -90,7 +90,9 @@ def convert(options: ConvertOptions) -> None:
         rig = rig.subset(only)
     lost = calibration.save(rig, target, options.to)
     read_as = f"read from {source}, {calibration.format_name(source)}"
-    summary = "; ".join([f"{len(rig)} cameras ({', '.join(rig.names)})", *lost, read_as])
+    errors_px = [camera.error_px for camera in rig if camera.error_px is not None]
+    error = [f"reprojection error up to {max(errors_px):.2g} px"] if errors_px else []
+    summary = "; ".join([f"{len(rig)} cameras ({', '.join(rig.names)})", *error, *lost, read_as])
     print(f"{target}, {calibration.format_name(target)}: {summary}")
     for note in notes:
         print_message(note)

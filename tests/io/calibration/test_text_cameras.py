@@ -194,6 +194,7 @@ def test_mayacam_2(newline: str, tmp_path: Path) -> None:
     for name, turn in TURNS.items():
         (tmp_path / f"{name}.txt").write_bytes(format_mayacam(turn).replace("\n", newline).encode())
     write_file(tmp_path / "notes.txt", "hello")
+    (tmp_path / "other.txt").write_bytes(b"\xff\xfe\x00")
     path = tmp_path / "b.txt"
     assert calibration.format_name(path) == "XMALab MayaCam"
     check_brown(calibration.load(path), [], [0, 0])

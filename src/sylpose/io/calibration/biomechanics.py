@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -52,22 +53,30 @@ def is_mayacam(data: str) -> bool:
     return data.lower().startswith(_SECTIONS[0]) or _has_shape(data, 5, (3,))
 
 
-def read_mayacam(data: str, path: Path) -> Rig:
+def read_mayacam(_: str, path: Path) -> Rig:
     """Read the rig of all MayaCam files of the same suffix in the folder, named by their files.
 
     Raises:
         ValueError: naming the file, for a section that is missing or invalid.
     """
-    files = [file for file in sorted(path.parent.iterdir()) if file.suffix.lower() == path.suffix.lower()]
     cameras = []
-    for file in files[:MAX_FILES]:
+    for file in _find_mayacams(path):
         with input_errors(file):
-            text = data if file == path else read_text(file).lstrip()
-            if is_mayacam(text):
-                entry = CameraEntry(file, file.stem)
-                is_second = text.lower().startswith(_SECTIONS[0])
-                cameras.append(_parse_mayacam_2(text, entry) if is_second else _parse_mayacam_1(text, entry))
+            text, entry = read_text(file).lstrip(), CameraEntry(file, file.stem)
+            is_second = text.lower().startswith(_SECTIONS[0])
+            cameras.append(_parse_mayacam_2(text, entry) if is_second else _parse_mayacam_1(text, entry))
     return make_rig(path.parent, cameras)
+
+
+def _find_mayacams(path: Path) -> list[Path]:
+    """Find the MayaCam files in the folder of `path`; other files, readable or not, are left out."""
+    found = list[Path]()
+    for file in sorted(path.parent.iterdir()):
+        if file.suffix.lower() == path.suffix.lower() and file.is_file() and len(found) < MAX_FILES:
+            with suppress(ValueError):
+                if is_mayacam(read_text(file).lstrip()):
+                    found.append(file)
+    return found
 
 
 def _parse_mayacam_2(text: str, entry: CameraEntry) -> Camera:
