@@ -105,6 +105,23 @@ def test_covariances_that_do_not_fit_the_noise_are_not_used() -> None:
     assert_between(np.mean(nees, axis=0), 0.3, 1.3)
 
 
+def test_correlated_noise() -> None:
+    """Errors of tracked features last for some frames; taken for white, velocities would be off by 1.6 sd."""
+    nees, correlations = [], []
+    for seed in range(6):
+        times, poses, truth = simulate(seed)
+        errors = np.random.default_rng(seed).normal(size=(len(times), 6)) @ NOISE.T
+        for k in range(1, len(errors)):
+            errors[k] = 0.6 * errors[k - 1] + 0.8 * errors[k]
+        rotation = Rotation.from_rotvec(errors[:, :3]) * poses.rotation
+        disturbed = RigidTransform.from_components(poses.translation + errors[:, 3:], rotation)
+        kinematics = estimate_kinematics(times, disturbed, np.tile(COVARIANCE, (len(times), 1, 1)))
+        nees.append(mean_nees(kinematics, truth))
+        correlations += [kinematics.linear.correlation, kinematics.angular.correlation]
+    assert_between(np.mean(nees, axis=0), 0.4, 1.6)
+    assert 0.3 < np.mean(correlations) < 0.7
+
+
 def test_jerky_motion() -> None:
     """White-noise jerk, the roughest motion with a finite acceleration: errors are as large as stated."""
     rate, n, sub, nees = 50.0, 150, 40, []

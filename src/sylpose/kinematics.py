@@ -1,13 +1,15 @@
 """Velocities and accelerations of a trajectory, with standard deviations: a Kalman smoother of continuous time.
 
 A derivative of the position, and one of the rotation, is modeled as white noise of density q: the third, fourth or
-fifth. The measured poses have independent noise. Both are estimated by restricted maximum likelihood, so a common error
-of all poses, such as that of the calibration, does not count. The posterior mean for the m-th derivative is a smoothing
-spline of degree 2 m - 1 (G. Wahba, "Improper priors, spline smoothing", JRSS B 1978; H. Woltring's GCVSPL in
-biomechanics). For a steady rate 1/T and noise of variance r, its gain is 1 / (1 + (f / f_c)^2m) without phase, with
-(2 pi f_c)^2m = q / (r T): a Butterworth filter of order m, forwards and backwards. For noise of covariance C it is the
-inverse of I + (f / f_c)^2m C / r, with r = tr C / 3: noisy axes are smoothed more. The results are means over m, weighted
-by the likelihood (Akaike weights: K. Burnham, D. Anderson, "Model selection and multimodel inference", 2002).
+fifth. The measured poses have white noise, or noise whose correlation decays exponentially. All are estimated by
+restricted maximum likelihood, so a common error of all poses, such as that of the calibration, does not count. The
+posterior mean for the m-th derivative is a smoothing spline of degree 2 m - 1 (G. Wahba, "Improper priors, spline
+smoothing", JRSS B 1978; H. Woltring's GCVSPL in biomechanics). For a steady rate 1/T and noise of variance r, its gain
+is 1 / (1 + (f / f_c)^2m) without phase, with (2 pi f_c)^2m = q / (r T): a Butterworth filter of order m, forwards and
+backwards. For noise of covariance C it is the inverse of I + (f / f_c)^2m C / r, with r = tr C / 3: noisy axes are
+smoothed more. For correlated noise (f / f_c)^2m gets the factor (1 - ρ²) / (1 - 2 ρ cos(2 pi f T) + ρ²). The results
+are means over m, weighted by the likelihood (Akaike weights: K. Burnham, D. Anderson, "Model selection and multimodel
+inference", 2002).
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import factorial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -41,6 +43,8 @@ SHAPE_PENALTY = 10.0
 # Smallest standard deviation of the noise, relative to the path, and along an axis, to that of the others: rounding in
 # files of 12 digits (choice).
 MIN_RELATIVE_NOISE, MIN_AXIS_NOISE = 1e-12, 1e-2
+# Correlations of the noise that are tried, and the white part of its variance then, against rounding (choice).
+CORRELATIONS, WHITE_PART = (0.3, 0.5, 0.65, 0.8, 0.9), 1e-6
 FACTORIALS = np.array([factorial(k) for k in range(max(ORDERS) + 1)], float)
 
 
@@ -53,8 +57,9 @@ class Derivatives:
         acceleration: (N, 3) likewise.
         covariance: (N, 6, 6) of (velocity, acceleration), likewise.
         noise_sd: standard deviation of the poses' independent noise, rms over axes and frames.
-        half_gain: frequency f_c at which the gain of the smoother with the largest weight is 1/2.
+        half_gain: frequency f_c of the smoother with the largest weight, at which its gain is 1/2 for white noise.
         order: its m.
+        correlation: of the noise of two poses at the median step; 0 for white noise.
         uses_stated_shape: whether the noise is proportional to the poses' covariances. Otherwise the covariance of the
             noise was estimated, inversely proportional to the number of observations.
     """
@@ -65,6 +70,7 @@ class Derivatives:
     noise_sd: float
     half_gain: float
     order: int
+    correlation: float
     uses_stated_shape: bool
 
     @property
@@ -101,7 +107,7 @@ def estimate_kinematics(
         poses: n poses world_from_object.
         covariance: (n, 6, 6) of the poses. Only its shape and its change over time are used, and only if the poses'
             noise agrees with it better than with a constant covariance; its scale is estimated.
-        observations: (n,) numbers of observations of each pose; None for equal ones.
+        observations: (n,) numbers of observations of each pose, 0 for an ordinary one; None for equal ones.
 
     Raises:
         ValueError: fewer than `MIN_POSES` poses; times that do not increase.
@@ -112,7 +118,9 @@ def estimate_kinematics(
     if not np.isfinite(times).all() or (np.diff(times) <= 0).any():
         raise ValueError("velocities need times that increase, but two frames have the same or a decreasing time")
     counts = np.ones(len(times)) if observations is None else np.asarray(observations, float)
-    variances = np.median(counts) / counts if (counts > 0).all() else np.ones(len(times))
+    # The first frame, which defines the object's frame, has no matches.
+    typical = float(np.median(counts[counts > 0])) if (counts > 0).any() else 1.0
+    variances = typical / np.where(counts > 0, counts, typical)
     positions = np.asarray(poses.translation)
     return Kinematics(
         _differentiate(times, positions - positions[0], covariance[:, 3:, 3:], variances),
@@ -142,7 +150,10 @@ def describe_filter(kinematics: Kinematics, unit: str = "") -> str:
         ("position", kinematics.linear, format_length(kinematics.linear.noise_sd, unit)),
         ("rotation", kinematics.angular, f"{np.degrees(kinematics.angular.noise_sd):.2g}°"),
     ):
-        parts.append(f"{name}: gain 1/(1+(f/{d.half_gain:.3g})^{2 * d.order}), f in Hz, noise {noise} (1 sd)")
+        correlation = f", correlation {d.correlation:g} from frame to frame" if d.correlation else ""
+        parts.append(
+            f"{name}: gain 1/(1+(f/{d.half_gain:.3g})^{2 * d.order}), f in Hz, noise {noise} (1 sd){correlation}"
+        )
     return f"velocities are those of a smoothing spline without phase; {'; '.join(parts)}"
 
 
@@ -176,15 +187,28 @@ def _differentiate(
         other = _fit(states, repaired, fit.log_ratio)
         if is_stated := other.deviance < fit.deviance + SHAPE_PENALTY:
             noise, fit, states = repaired, other, states.move(other.means)
-    fits = [(fit, states)]
-    for order in ORDERS[1:]:
-        states = states.extend(order)
-        fit = _fit(states, noise, fit.log_ratio * order / (order - 1), 3.0)
-        states = states.move(fit.means)
-        fit = _fit(states, noise, fit.log_ratio)
-        states = states.move(fit.means)
-        fits.append((fit, states))
+    ratio = fit.log_ratio / ORDERS[0]
+    fits = [_refine(states.extend(order), noise, ratio * order, 0.0) for order in ORDERS]
+    middle = CORRELATIONS[len(CORRELATIONS) // 2]
+    probes = [_fit(at, noise, white.log_ratio, 3.0, middle) for white, at in fits]
+    probe = min(range(len(ORDERS)), key=lambda k: probes[k].deviance)
+    if probes[probe].deviance < min(white.deviance for white, _ in fits):
+        at, ratio = fits[probe][1], probes[probe].log_ratio
+        tried = [_refine(at, noise, ratio, correlation) for correlation in CORRELATIONS]
+        best = min((fit for fit, _ in tried), key=lambda fit: fit.deviance)
+        ratio = best.log_ratio / at.order
+        others = [states for k, (_, states) in enumerate(fits) if k != probe]
+        tried += [_refine(states, noise, ratio * states.order, best.correlation) for states in others]
+        fits += tried
     return _average(fits, unit, is_stated)
+
+
+def _refine(states: _States, noise: FloatArray, log_ratio: float, correlation: float) -> tuple[_Fit, _States]:
+    """Fit twice, the second time linearized at the result; return the fit and its states."""
+    first = _fit(states, noise, log_ratio, 3.0, correlation)
+    states = states.move(first.means)
+    second = _fit(states, noise, first.log_ratio, 0.5, correlation)
+    return second, states.move(second.means)
 
 
 def _average(fits: Sequence[tuple[_Fit, _States]], unit: float, is_stated: bool) -> Derivatives:
@@ -201,9 +225,10 @@ def _average(fits: Sequence[tuple[_Fit, _States]], unit: float, is_stated: bool)
         within = fit.covariances[:, 3:9, 3:9] / np.outer(powers, powers)
         covariance += weight * (within + difference[:, :, None] * difference[:, None])
     best, states = fits[int(np.argmin(deviances))]
-    order = states.derivatives.shape[1] + 1
+    order = states.order
     half_gain = float(10.0 ** (best.log_ratio / (2.0 * order)) / (2.0 * np.pi * unit))
-    return Derivatives(mean[:, :3], mean[:, 3:], covariance, best.noise_sd, half_gain, order, is_stated)
+    found = mean[:, :3], mean[:, 3:], covariance, best.noise_sd
+    return Derivatives(*found, half_gain, order, best.correlation, is_stated)
 
 
 def _repair_covariance(stated: FloatArray) -> FloatArray | None:
@@ -233,6 +258,11 @@ class _States:
     derivatives: FloatArray
     steps: FloatArray
 
+    @property
+    def order(self) -> int:
+        """The number m of values and derivatives."""
+        return int(self.derivatives.shape[1]) + 1
+
     def move(self, means: FloatArray) -> _States:
         """Return the states moved by means (n, 3 m) of their errors."""
         v = self.values
@@ -252,7 +282,7 @@ class _States:
         Returns:
             (n - 1, 3 m, 3 m), (n - 1, 3 m) and (n - 1, 3 m, 3 m).
         """
-        h, order = self.steps[:, None, None], self.derivatives.shape[1] + 1
+        h, order = self.steps[:, None, None], self.order
         rows, columns = np.indices((order, order))
         taylor = np.where(columns >= rows, h ** np.maximum(columns - rows, 0) / FACTORIALS[np.abs(columns - rows)], 0.0)
         rest = order - 1 - np.arange(order)
@@ -306,6 +336,7 @@ class _Fit:
 
     Attributes:
         log_ratio: log10 of q T^2m / r.
+        correlation: of the noise.
         deviance: Akaike's criterion, minus twice the log-likelihood plus twice the number of parameters.
         noise_sd: standard deviation of the noise.
         means: (n, 3 m).
@@ -313,13 +344,16 @@ class _Fit:
     """
 
     log_ratio: float
+    correlation: float
     deviance: float
     noise_sd: float
     means: FloatArray
     covariances: FloatArray
 
 
-def _fit(states: _States, noise: FloatArray, log_ratio: float | None = None, width: float = 1.0) -> _Fit:
+def _fit(
+    states: _States, noise: FloatArray, log_ratio: float | None = None, width: float = 1.0, correlation: float = 0.0
+) -> _Fit:
     """Estimate q and the scale of the noise (n, 3, 3), and smooth.
 
     Args:
@@ -327,72 +361,117 @@ def _fit(states: _States, noise: FloatArray, log_ratio: float | None = None, wid
         noise: shape of the noise.
         log_ratio: an earlier estimate; None for any.
         width: its largest change.
+        correlation: of the noise.
     """
-    model = states.linearize()
+    model = _build_model(states, noise, correlation)
     innovations = _subtract(states.measured, states.values)
-    n, size = model[1].shape[0] + 1, model[1].shape[1]
+    n, size = len(innovations), 3 * states.order
     scale = float(np.trace(noise, axis1=1, axis2=2).mean()) / 3.0
     derivative = np.repeat(np.arange(size // 3), 3)
 
     def start(log_ratios: FloatArray) -> FloatArray:
         # Smoothed derivatives have variances in powers of the cutoff; with larger ones rounding would exceed them.
         cutoff = 10.0 ** (np.minimum(log_ratios[:, None], 0.0) * 3.0 / size)
-        return np.asarray(DIFFUSE * scale * (np.ones((1, size)) if log_ratio is None else cutoff ** (2.0 * derivative)))
+        powers = np.ones((len(cutoff), size)) if log_ratio is None else cutoff ** (2.0 * derivative)
+        return np.hstack([DIFFUSE * scale * powers, np.ones((len(cutoff), model.offset.shape[1] - size))])
 
     low, high = MIN_LOG_RATIO * size / 3.0, MAX_LOG_RATIO
     if log_ratio is not None:
         low, high = max(low, log_ratio - width), min(high, log_ratio + width)
     while True:
         grid = np.linspace(low, high, N_RATIOS)
-        variances = np.broadcast_to(start(grid), (N_RATIOS, size))
-        k = int(np.argmin(_filter(model, innovations, noise, scale * 10.0**grid, variances)[0]))
+        variances = start(grid)
+        k = int(np.argmin(_filter(model, innovations, scale * 10.0**grid, variances, size)[0]))
         low, high = grid[max(k - 1, 0)], grid[min(k + 1, N_RATIOS - 1)]
         if high - low < 1.0:
             break
     best = grid[k : k + 1]
-    (deviance,), (variance,), filtered = _filter(model, innovations, noise, scale * 10.0**best, variances[k : k + 1])
-    means, covariances = _smooth(model[0], *filtered)
+    (deviance,), (variance,), filtered = _filter(model, innovations, scale * 10.0**best, variances[k : k + 1], size)
+    means, covariances = _smooth(model.transition, *filtered)
+    means, covariances = means[:, :size], covariances[:, :size, :size]
     # The likelihood is the restricted one less the determinant of the start's information (D. Harville, 1977).
     deviance += size * np.log(variance) + 3 * n * np.log(1.0 - size / (3 * n)) + np.linalg.slogdet(covariances[0])[1]
     noise_sd = float(np.sqrt(variance * scale))
-    return _Fit(float(best[0]), float(deviance) + 2.0 * size, noise_sd, means, variance * covariances)
+    deviance += 2.0 * (size + (correlation > 0))
+    return _Fit(float(best[0]), correlation, float(deviance), noise_sd, means, variance * covariances)
+
+
+class _Model(NamedTuple):
+    """Linear model of errors e and, if it is correlated, of the noise u of unit variance.
+
+    Attributes:
+        transition: (n - 1, D, D) F.
+        offset: (n - 1, D) of F e.
+        density_noise: (n - 1, D, D) process noise per density q.
+        fixed_noise: (n - 1, D, D) process noise of u.
+        observation: (n, 3, D) H.
+        noise: (n, 3, 3) white noise of the measured values.
+    """
+
+    transition: FloatArray
+    offset: FloatArray
+    density_noise: FloatArray
+    fixed_noise: FloatArray
+    observation: FloatArray
+    noise: FloatArray
+
+
+def _build_model(states: _States, noise: FloatArray, correlation: float) -> _Model:
+    """Linearize at states; noise of correlation ρ is ρ u_k + sqrt(1 - ρ²) times white noise, to the power of steps."""
+    transition, offset, density_noise = states.linearize()
+    n, size = len(noise), offset.shape[1]
+    observation = np.tile(np.eye(3, size), (n, 1, 1))
+    if not correlation:
+        return _Model(transition, offset, density_noise, np.zeros((n - 1, size, size)), observation, noise)
+    values, vectors = np.linalg.eigh(noise)
+    roots = vectors * np.sqrt(values)[:, None] @ transpose(vectors)
+    kept = correlation**states.steps
+    padding = ((0, 0), (0, 3), (0, 3))
+    transition, density_noise = np.pad(transition, padding), np.pad(density_noise, padding)
+    fixed_noise = np.zeros_like(transition)
+    transition[:, size:, size:] = kept[:, None, None] * np.eye(3)
+    fixed_noise[:, size:, size:] = (1.0 - kept**2)[:, None, None] * np.eye(3)
+    observation = np.concatenate([observation, roots], axis=2)
+    return _Model(
+        transition, np.pad(offset, ((0, 0), (0, 3))), density_noise, fixed_noise, observation, WHITE_PART * noise
+    )
 
 
 Filtered = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
 
 def _filter(
-    model: tuple[FloatArray, FloatArray, FloatArray],
-    measured: FloatArray,
-    noise: FloatArray,
-    densities: FloatArray,
-    start: FloatArray,
+    model: _Model, measured: FloatArray, densities: FloatArray, start: FloatArray, n_diffuse: int
 ) -> tuple[FloatArray, FloatArray, Filtered]:
-    """Run Kalman filters of errors measured as (n, 3), one per density q of B, with variances `start` (B, 3 m).
+    """Run Kalman filters of errors measured as (n, 3), one per density q of B, with variances `start` (B, D).
+
+    The first `n_diffuse` of these are diffuse.
 
     Returns:
         (B,) deviances of the restricted likelihood; (B,) factors of the variances; means and covariances of the first
         one, filtered and predicted.
     """
-    transition, offset, unit_noise = model
     n, (b, size) = len(measured), start.shape
     mean, covariance = np.zeros((b, size)), start[:, :, None] * np.eye(size)
     filtered = np.empty((n, size)), np.empty((n, size, size)), np.empty((n, size)), np.empty((n, size, size))
     residuals, spreads = np.empty((n, b, 3)), np.empty((n, b, 3, 3))
     for k in range(n):
         if k:
-            mean = mean @ transition[k - 1].T + offset[k - 1]
-            covariance = transition[k - 1] @ covariance @ transition[k - 1].T
-            covariance = covariance + densities[:, None, None] * unit_noise[k - 1]
+            transition = model.transition[k - 1]
+            mean = mean @ transition.T + model.offset[k - 1]
+            covariance = transition @ covariance @ transition.T + model.fixed_noise[k - 1]
+            covariance = covariance + densities[:, None, None] * model.density_noise[k - 1]
         filtered[2][k], filtered[3][k] = mean[0], covariance[0]
-        residuals[k], spreads[k] = measured[k] - mean[:, :3], covariance[:, :3, :3] + noise[k]
-        gain = covariance[:, :, :3] @ np.linalg.inv(spreads[k])
+        observed = model.observation[k] @ covariance
+        residuals[k] = measured[k] - mean @ model.observation[k].T
+        spreads[k] = observed @ model.observation[k].T + model.noise[k]
+        gain = transpose(observed) @ np.linalg.inv(spreads[k])
         mean = mean + (gain @ residuals[k][:, :, None])[:, :, 0]
-        covariance = covariance - gain @ covariance[:, :3]
+        covariance = covariance - gain @ observed
         covariance = 0.5 * (covariance + transpose(covariance))
         filtered[0][k], filtered[1][k] = mean[0], covariance[0]
     squares = np.einsum("kbi,kbi->b", residuals, np.linalg.solve(spreads, residuals[..., None])[..., 0])
-    degrees = 3 * n - size
+    degrees = 3 * n - n_diffuse
     variances = np.maximum(squares / degrees, np.finfo(float).tiny)
     deviances = degrees * np.log(variances) + np.linalg.slogdet(spreads)[1].sum(axis=0) - np.log(start).sum(axis=1)
     return deviances, variances, filtered
