@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 import struct
+import sys
 import zlib
 from contextlib import suppress
 from pathlib import Path
@@ -81,7 +82,7 @@ def test_label3d(compressed: bool, tmp_path: Path) -> None:
     data = {"labelData": labels, "params": cells, "camnames": names, "sync": labels}
     savemat(tmp_path / "recording_dannce.mat", data, do_compression=compressed)
     check(tmp_path / "recording_dannce.mat", "Label3D")
-    savemat(tmp_path / "recording_dannce.mat", {"params": cells}, do_compression=compressed)
+    savemat(tmp_path / "recording_dannce.mat", {"camParams": cells}, do_compression=compressed)
     check(tmp_path / "recording_dannce.mat", "Label3D")
 
 
@@ -102,7 +103,74 @@ def test_invalid_dannce_is_rejected(changes: dict[str, Any], message: str, tmp_p
         calibration.load(tmp_path, known_sizes)
 
 
-def test_unreadable_matlab_files(tmp_path: Path) -> None:
+def write_hdf5(path: Path, struct_array: bool = False) -> None:
+    """Write Label3D's own file as Matlab does with -v7.3: transposed arrays, cells of references, text as numbers."""
+    h5py = pytest.importorskip("h5py", reason="the extra `matlab`")
+    with h5py.File(path, "w", userblock_size=512) as file:
+        refs = file.create_group("#refs#")
+
+        def put(group: Any, key: str, value: Any) -> Any:
+            data = group.create_dataset(key, data=np.asarray(value, dtype=float).T)
+            data.attrs["MATLAB_class"] = np.bytes_("double")
+            return data
+
+        def put_cell(key: str, items: list[Any]) -> None:
+            cell = file.create_dataset(key, (1, len(items)), h5py.ref_dtype)
+            cell.attrs["MATLAB_class"] = np.bytes_("cell")
+            for k, item in enumerate(items):
+                cell[0, k] = item.ref
+
+        names = [
+            refs.create_dataset(f"name{k}", data=np.array([[ord(c)] for c in f"Camera{k}"], np.uint16)) for k in (1, 2)
+        ]
+        for name in names:
+            name.attrs["MATLAB_class"] = np.bytes_("char")
+        put_cell("camnames", names)
+        put(file, "imageSize", [[480, 640], [480, 640]])
+        put(file, "data_3D", np.zeros((400, 300)))
+        if struct_array:
+            group = file.create_group("camParams")
+            group.attrs["MATLAB_class"] = np.bytes_("struct")
+            for key in make_parameters(1):
+                values = [put(refs, f"{key}{k}", make_parameters(k)[key]) for k in (1, 2)]
+                field = group.create_dataset(key, (2, 1), h5py.ref_dtype)
+                field[0, 0], field[1, 0] = values[0].ref, values[1].ref
+        else:
+            structs = [refs.create_group(f"struct{k}") for k in (1, 2)]
+            for k, group in enumerate(structs, start=1):
+                group.attrs["MATLAB_class"] = np.bytes_("struct")
+                for key, value in make_parameters(k).items():
+                    put(group, key, value)
+            put_cell("camParams", structs)
+    with path.open("r+b") as raw:
+        raw.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\0\2IM")
+
+
+@pytest.mark.parametrize("struct_array", [False, True])
+def test_label3d_of_version_73(struct_array: bool, tmp_path: Path) -> None:
+    path = tmp_path / "20200623_174153_Label3D.mat"
+    write_hdf5(path, struct_array)
+    check(path, "Label3D")
+    assert [camera.size for camera in calibration.load(path)] == [SIZE, SIZE]
+
+
+def test_damaged_hdf5_gives_one_sentence(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py", reason="the extra `matlab`")
+    path = tmp_path / "a_Label3D.mat"
+    write_hdf5(path)
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2])
+    with pytest.raises(ValueError, match=r"a_Label3D\.mat: not a valid Matlab file of version 7\.3"):
+        calibration.load(path)
+    (tmp_path / "other.mat").write_bytes(data)
+    with h5py.File(path, "w") as file:
+        file["camParams"] = h5py.ExternalLink("other.mat", "/camParams")
+    with pytest.raises(ValueError, match="params or camParams must be a cell of structs"):
+        calibration.load(path)
+
+
+def test_unreadable_matlab_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "h5py", None)
     path = tmp_path / "hires_cam1_params.mat"
     savemat(path, make_parameters(1))
     with pytest.raises(ValueError, match="no image size of Camera1"):
@@ -111,7 +179,10 @@ def test_unreadable_matlab_files(tmp_path: Path) -> None:
     header = data[:128]
     bomb = zlib.compress(struct.pack("<II", 14, 2**28 - 8) + bytes(2**28 - 8))
     for content, message in (
-        (b"MATLAB 7.3 MAT-file, Platform: GLNXA64" + bytes(600), r"version 7\.3 \(HDF5\), .* save it with '-v7'"),
+        (
+            b"MATLAB 7.3 MAT-file, Platform: GLNXA64" + bytes(600),
+            r"7\.3 \(HDF5\), which needs h5py: .*; or save it with '-v7'",
+        ),
         (b"hello", "not a Matlab file of version 6 or 7"),
         (data[:200], "missing K, t"),
         (header + struct.pack("<II", 15, len(bomb)) + bomb, "missing K, t"),
