@@ -20,8 +20,7 @@ from sylpose.tracking.camera_side.frame import CameraFrame
 from sylpose.tracking.joint_side.joint_state import SolvedFrame, compute_viewpoints
 from sylpose.tracking.options import TrackingOptions
 from sylpose.tracking.relocalization import (
-    N_NEAREST_KEYFRAMES,
-    N_OTHER_KEYFRAMES,
+    N_KEYFRAMES,
     estimate_relocalized_pose,
     match_keyframes,
     select_keyframes,
@@ -247,7 +246,7 @@ def test_all_keyframes_are_tried_over_time(clip: Clip, keyframes: list[Keyframe]
     good = Keyframe(
         replace(keyframes[2].solved, number=n, viewpoints=-keyframes[2].solved.viewpoints), keyframes[2].cameras
     )
-    stride = (n + 1 - N_NEAREST_KEYFRAMES) // N_OTHER_KEYFRAMES
+    stride = (n + 1 - N_KEYFRAMES) // N_KEYFRAMES
     for place in (0, 17, 60):
         many = [*kept[:place], good, *kept[place:]]
         current = detect_in_frames(rig, clip.images[k])

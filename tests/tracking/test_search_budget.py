@@ -13,7 +13,7 @@ from sylpose.status import FrameStatus
 from sylpose.tracking import relocalization
 from sylpose.tracking.camera_side import camera as camera_module
 from sylpose.tracking.options import TrackingOptions
-from sylpose.tracking.relocalization import N_NEAREST_KEYFRAMES, N_OTHER_KEYFRAMES
+from sylpose.tracking.relocalization import N_KEYFRAMES
 from sylpose.tracking.search_clock import MAX_DRIFT, MAX_LATE_INTERVALS, SearchClock
 from sylpose.tracking.tracker import Tracker, track
 from tests.clips import compute_pose_errors, hidden_clip, statuses
@@ -56,7 +56,7 @@ def test_work_of_lost_frames_is_bounded(work: dict[str, list[int]]) -> None:
     assert set(statuses(found)[8:]) <= {FrameStatus.COASTING, FrameStatus.LOST, FrameStatus.BACKGROUND_ONLY}
     assert all(len(one) <= n and sum(one) <= n * TrackingOptions.likely_search_pixels for one in pixels[8:])
     assert np.median([sum(one) for one in pixels[8:]]) <= n * TrackingOptions.search_pixels
-    assert max(keyframes[8:]) <= n * (N_NEAREST_KEYFRAMES + N_OTHER_KEYFRAMES)
+    assert max(keyframes[8:]) <= n * 2 * N_KEYFRAMES
     assert sum(map(len, pixels[9:])) > 0
 
 

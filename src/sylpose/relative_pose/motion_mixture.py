@@ -60,7 +60,7 @@ MIN_SIGMAS_UNCERTAIN = 2.5
 # Their shared error must also exceed this, pixels: smaller ones are rounding, lenses and keypoints (choice).
 MIN_SHARED_ERROR_PX = 0.1
 # Maximum number of EM rounds, and the largest change of an assignment at convergence; one motion's noise is at least
-# the last share of the other's (choice).
+# the last share of the other's, or of the static matches' (choice).
 MAX_ROUNDS, CONVERGED_CHANGE = 40, 0.02
 MIN_SIGMA_RATIO = 0.9
 
@@ -238,9 +238,8 @@ MIN_LIKELIHOOD_GAIN, MIN_MOVING_MATCHES = 3.0, 2 * MIN_MATCHES
 # Factors by which the motion of a part may exceed that of all matches; rounds to estimate the static share; and the
 # largest loss of log-likelihood, two standard deviations (choice).
 MOTION_FACTORS, SHARE_ROUNDS, MAX_LIKELIHOOD_LOSS = (1.25, 1.5, 2.0, 3.0, 5.0, 8.0), 8, 2.0
-# Lower bound of the noise of moving matches relative to static ones, and upper bound of the latter relative to all
-# matches (choice).
-MIN_MOVING_SIGMA_RATIO, MAX_STATIC_SIGMA_RATIO = 0.9, 1.2
+# Upper bound of the noise of static matches relative to all matches (choice).
+MAX_STATIC_SIGMA_RATIO = 1.2
 
 
 class BackgroundSplit(NamedTuple):
@@ -512,7 +511,7 @@ def _fit_mixture(
         change = float(np.abs(probabilities[1] - moving_probability).max())
         moving_probability = probabilities[1]
         # Otherwise a few accidental matches, nearly without noise, would become the motion.
-        done, decrease, _ = run_irls(stack, moving_probability, fit, MIN_MOVING_SIGMA_RATIO * sigma)
+        done, decrease, _ = run_irls(stack, moving_probability, fit, MIN_SIGMA_RATIO * sigma)
         iterations += done
         if change < CONVERGED_CHANGE or not decrease < np.inf:
             break

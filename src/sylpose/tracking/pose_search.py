@@ -19,6 +19,7 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.matrices import make_motion_about, relative_rotvec, rotation_matrix_of
 from sylpose.landmarks.landmark_filter import Landmarks, LandmarkTable
+from sylpose.relative_pose.observability import SELECTED_PER_UNKNOWN
 from sylpose.rig import Rig
 from sylpose.tracking.camera_side.camera import (
     CameraSolution,
@@ -49,8 +50,8 @@ from sylpose.tracking.reports import Agreements, PoseAgreement, TrackingReport
 # An object that rotates by more than this per frame, radians, shows another side each time (measured:
 # benchmarks/loops.py, where more features at 7.6 degrees per frame were no gain) (choice).
 FAST_ROTATION = np.radians(10.0)
-# The pose solved after relocalization must agree with the relocalized one within this rotation and share of the radius
-# (choice).
+# A pose must agree with the one that its solution started from, by relocalization, within this rotation and share of the
+# radius (choice).
 MAX_START_ROTATION, MAX_START_TRANSLATION = 0.17, 0.3
 # Number of solutions of a frame whose cameras have different time stamps, each with the velocity of the previous one
 # (choice).
@@ -70,8 +71,8 @@ MAX_VIEW_ANGLE = np.radians(50.0)
 PREDICTED_RADII = (0.15, 0.07)
 # Maximum number of reference frames for comparing a pose's support with chance (choice).
 MAX_EVIDENCE_REFERENCES = 2
-# Excess features of a wrong pose over chance, since it was fitted to them: two for each of its six unknowns (choice).
-SELECTION_BIAS = 12.0
+# Excess features of a wrong pose over chance, since it was fitted to them (derived).
+SELECTION_BIAS = 6 * SELECTED_PER_UNKNOWN
 # With all features, static ones in the regions agree with each other, and only those once the object has left: this
 # share of a pose's inliers must be moving (measured: 0.97 and more of true poses of benchmarks/kinds.py faint-jumps and
 # jumps-25, 0.05 to 0.18 of an empty room's in back) (choice).

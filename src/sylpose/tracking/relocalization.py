@@ -33,7 +33,7 @@ from sylpose.status import Status
 from sylpose.tracking.camera_side.camera import CameraTracker
 from sylpose.tracking.camera_side.frame import CameraFrame, DetectedFeatures
 from sylpose.tracking.context import Context, Frame
-from sylpose.tracking.joint_side.joint_state import JointState, SolvedFrame, find_nearest_views
+from sylpose.tracking.joint_side.joint_state import RETRY_FRAMES, JointState, SolvedFrame, find_nearest_views
 from sylpose.tracking.options import TrackingOptions
 from sylpose.tracking.pose_search import (
     SearchResult,
@@ -46,12 +46,9 @@ from sylpose.tracking.pose_search import (
 )
 from sylpose.tracking.reports import RelocalizationMatches
 
-# Where the object was relocalized, but not confirmed, in the previous frame, more pixels are examined at most once in so
-# many frames (choice).
-HYPOTHESIS_INTERVAL = 8
-# Number of keyframes compared per camera and frame: those nearest to its last viewpoint, and others from all sides in
-# rotation (choice).
-N_NEAREST_KEYFRAMES, N_OTHER_KEYFRAMES = 3, 3
+# Number of keyframes compared per camera and frame: so many nearest to its last viewpoint, and as many others from all
+# sides in rotation (choice).
+N_KEYFRAMES = 3
 # Successive multiples of it, modulo 1, are spread evenly (derived).
 GOLDEN_RATIO = 0.5 * (1.0 + np.sqrt(5.0))
 # Largest depth standard deviation of a relocalized landmark, as a share of the object's radius (choice).
@@ -121,7 +118,7 @@ def _search_at_hypothesis(context: Context, state: JointState, frame: Frame, max
     assert state.motion.hypothesis is not None
     frame = replace(frame, regions=context.project_regions(state, state.motion.hypothesis))
     features = context.detect(frame, faint=state.is_feature_poor, max_pixels=max_pixels)
-    motion = replace(state.motion, next_hypothesis=state.motion.n_missed + HYPOTHESIS_INTERVAL, hypothesis=None)
+    motion = replace(state.motion, next_hypothesis=state.motion.n_missed + RETRY_FRAMES, hypothesis=None)
     return _confirm_relocalized(context, replace(state, motion=motion), frame, features, state.motion.n_missed)
 
 
@@ -266,10 +263,10 @@ def select_keyframes(keyframes: Sequence[SolvedFrame], camera: int, last: Solved
         last: the last solved frame.
         count: number of searches since the object was lost; each uses other keyframes.
     """
-    nearest = find_nearest_views(keyframes, camera, last.viewpoints[camera], N_NEAREST_KEYFRAMES)
+    nearest = find_nearest_views(keyframes, camera, last.viewpoints[camera], N_KEYFRAMES)
     tried = {k.number for k in nearest}
     others = [k for k in keyframes if k.is_visible[camera] and k.number not in tried]
     # Successive searches use keyframes far from each other, so that all sides are covered after a few.
-    stride = max(len(others) // N_OTHER_KEYFRAMES, 1)
+    stride = max(len(others) // N_KEYFRAMES, 1)
     order = np.argsort(np.argsort(np.arange(stride) * GOLDEN_RATIO % 1.0))
     return nearest + others[order[count % stride] :: stride]

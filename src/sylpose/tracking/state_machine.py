@@ -37,9 +37,6 @@ from sylpose.tracking.relocalization import search_lost_object
 from sylpose.tracking.reports import CameraMotionReport
 from sylpose.tracking.window import apply_refinement
 
-# A first motion with little support is accepted up to this rotation, radians (choice).
-MAX_FIRST_ROTATION = np.radians(3.0)
-
 
 def process_frame(
     context: Context, state: JointState, buffered: Sequence[BufferedFrame], number: int, images: FrameSet
@@ -99,14 +96,9 @@ def track_frame(context: Context, state: JointState, frame: Frame) -> FrameResul
 
 
 def _is_plausible(state: JointState, candidate: PoseCandidate | None, predicted_pose: RigidTransform) -> bool:
-    """Return whether a weakly supported pose is plausible nevertheless.
-
-    That is a very small first motion, or a slow object near its predicted pose.
-    """
+    """Return whether a weakly supported pose is plausible nevertheless: that of a slow object near its predicted pose."""
     if candidate is None or not has_known_references(state, candidate):
         return False
-    if not state.motion.velocity.n_frames:
-        return bool(candidate.motion.rotation.magnitude() < MAX_FIRST_ROTATION)
     return not is_fast(state, predicted_pose) and is_near_start(state, candidate, predicted_pose)
 
 

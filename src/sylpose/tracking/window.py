@@ -45,13 +45,14 @@ from sylpose.tracking.joint_side.joint_state import (
 )
 from sylpose.tracking.joint_side.object_model import MIN_SURFACE_POINTS
 from sylpose.tracking.options import TrackingOptions
+from sylpose.tracking.pose_search import MAX_START_TRANSLATION
 from sylpose.tracking.reports import NewObservations, quantize_positions
 
 # If the last refinement is at least so many frames ago, the next one runs in the background (choice).
 BACKGROUND_INTERVAL = 8
-# A refinement is valid if it changes the last pose by less than this rotation (radians) and share of the object's
-# radius (choice).
-MAX_ROTATION_CHANGE, MAX_TRANSLATION_CHANGE = 0.1, 0.3
+# A refinement is valid if it changes the last pose by less than this rotation, radians, and by less than
+# `MAX_START_TRANSLATION` (choice).
+MAX_ROTATION_CHANGE = 0.1
 # Maximum number of solver iterations: it starts near the solution (choice).
 MAX_ROUNDS = 12
 # Upper limit of landmark numbers (derived).
@@ -107,7 +108,7 @@ def apply_refinement(context: Context, state: JointState) -> JointState:
     change = compute_pose_change(last, refined_to)
     is_near = (
         np.linalg.norm(change[:3]) < MAX_ROTATION_CHANGE
-        and np.linalg.norm(change[3:]) < MAX_TRANSLATION_CHANGE * state.object.radius
+        and np.linalg.norm(change[3:]) < MAX_START_TRANSLATION * state.object.radius
     )
     is_settled = len(frames) >= MIN_FRAMES_TO_APPLY and bundled.status is Status.OK and is_near
     if is_settled and _has_known_depth(bundled, pending.landmark_cameras):

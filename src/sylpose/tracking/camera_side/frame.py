@@ -56,7 +56,8 @@ MatchWeights = list[tuple[FloatArray, FloatArray]]
 STATIC_WEIGHT = 0.005
 # Landmarks with less weight, such as young ones among old, do not support a pose (choice).
 MIN_EVIDENCE_WEIGHT = 0.06
-# An inlier share this large does not occur by chance (choice).
+# An inlier share this large does not occur by chance; at 0.7 another body in the same place is tracked (measured:
+# tests/tracking/test_disturbed.py) (choice).
 MIN_CERTAIN_INLIER_RATIO = 0.8
 # A landmark has moved with the object if the pose leaves at most this share of its displacement since its first
 # observation unexplained (choice).

@@ -54,7 +54,8 @@ MIN_TRACKED_RATIO, MIN_CAMERA_RATIO, MIN_TRACKED, MAX_ANCHOR_ROTATION = 0.4, 0.2
 # Preparation of the next anchor starts when the tracked shares fall below these times this factor, or the rotation
 # exceeds that divided by it (choice).
 PREPARATION_MARGIN = 1.5
-# Number of frames after which a camera without tracks is searched again (choice).
+# Number of frames after which a costly search is repeated: of a camera without tracks, and where the object was
+# relocalized, but not confirmed (choice).
 RETRY_FRAMES = 8
 # Number of frames for which a sparse anchor is used: by then it is clear which features move with the object (choice).
 MAX_SPARSE_AGE = 2
