@@ -206,6 +206,22 @@ def test_default_output_folder_and_removal_of_old_files(run: Command, session: P
     assert run("check", session).code == 0  # the outputs are not mistaken for cameras
 
 
+def test_velocities(run: Command, recording: Path, tmp_path: Path) -> None:
+    """Of refined poses; too few of them are reported, and the rest is written."""
+    result = run("track", recording, "--no-overlay", "--velocity", "--out", tmp_path)
+    assert result.code == 0, result.err
+    assert "velocity.csv" in result.out
+    header, *rows = (tmp_path / "velocity.csv").read_text().splitlines()
+    columns = [dict(zip(header.split(","), row.split(","), strict=True)) for row in rows]
+    trajectory = read_trajectory(tmp_path / "trajectory.csv")
+    expected = trajectory.differentiate().linear
+    found = [[float(row[name]) for name in ("vx", "vy", "vz")] for row in columns]
+    assert (np.abs(found - expected.velocity) < 4.0 * expected.velocity_sd).all()
+    result = run("track", recording, "--no-overlay", "--velocity", "--stop", 3, "--out", tmp_path / "short")
+    assert "No velocity.csv: velocities need at least 12 measured poses, got 3" in " ".join(result.out.split())
+    assert (tmp_path / "short" / "trajectory.csv").exists()
+
+
 def test_every_reduces_the_overlay_frame_rate(run: Command, recording: Path, tmp_path: Path) -> None:
     assert run("track", recording, "--every", 3, "--no-smooth", "--out", tmp_path).code == 0
     assert n_video_frames(tmp_path / "overlay.mp4") == 4

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from sylpose.commands.app import ADVANCED, INPUT, LIVE, OBJECT, command, exit_with_failures, option, pick
+from sylpose.commands.app import ADVANCED, INPUT, LIVE, OBJECT, OUTPUT, command, exit_with_failures, option, pick
 from sylpose.commands.options import (
     BoxesFile,
     DisplayOptions,
@@ -57,6 +57,7 @@ class TrackOptions(DisplayOptions, MethodOptions, WorldOptions, RangeOptions, Re
         no_drop: With --follow, track all frames, regardless of the delay.
         distributed: Run one node per camera over a simulated network: exact as in one process, or compact in fewer
             rounds.
+        velocity: Write velocity.csv: also velocities and accelerations, with standard deviations.
         resume: Continue an interrupted run; requires the same options.
         checkpoint_seconds: Set the time between checkpoints for --resume.
         limit: Set a limit or size of the tracker, a field of TrackingOptions. Repeatable.
@@ -70,6 +71,7 @@ class TrackOptions(DisplayOptions, MethodOptions, WorldOptions, RangeOptions, Re
     out: OutFolder = None
     overlay: Overlay = True
     angles: EulerAxes = None
+    velocity: Annotated[bool, option("--velocity", OUTPUT)] = False
     plot_format: PlotFormat = "png"
     follow: Annotated[bool, option("--follow", LIVE)] = False
     no_drop: Annotated[bool, option("--no-drop", LIVE)] = False

@@ -29,6 +29,7 @@ class RunOptions:
         smooth: refine all poses jointly at the end (`sylpose.smoothing`); the poses as tracked go to `tracked.tum` and
             `tracked.csv`. None: for recordings of up to 10,000 frames, with the method "landmarks".
         refine_calibration: smooth, and refine the calibration with the poses; it goes to `calibration.refined.toml`.
+        velocity: write velocity.csv, the trajectory with velocities and accelerations (`Trajectory.differentiate`).
         plot_format: file format of the report: "png", "svg" or "pdf".
         angles: Euler angles in the report and additionally in trajectory.csv: "XYZ" (intrinsic axes), "xyz" (extrinsic
             axes), or three vectors, "0,0,1 1,0,0 0,1,0" (intrinsic).
@@ -56,6 +57,7 @@ class RunOptions:
     overlay: bool = True
     smooth: bool | None = None
     refine_calibration: bool = False
+    velocity: bool = False
     plot_format: str = "png"
     angles: str | None = None
     known: KnownObject | Mapping[str, KnownObject] | None = None
@@ -69,7 +71,7 @@ class RunOptions:
 
     def __post_init__(self) -> None:
         resolve_features(self.method, self.features)
-        for name in ("overlay", "refine_calibration", "resume"):
+        for name in ("overlay", "refine_calibration", "velocity", "resume"):
             check_bool(getattr(self, name), name)
         if self.smooth is not None:
             check_bool(self.smooth, "smooth")

@@ -11,8 +11,9 @@ from sylpose.atomic_io import make_output_folder
 from sylpose.bundle_adjustment.calibration_refinement import default_calibration_prior
 from sylpose.geometry.euler_angles import PAN_TILT_ROLL, parse_euler_angles
 from sylpose.input_limits import MAX_TABLE_BYTES
+from sylpose.io.exports.text import write_csv
 from sylpose.io.object_files import CLOUD_FILE, OBJECT_FILE, save_object, write_cloud
-from sylpose.report.files import PAGE_FILE, TrajectoryWriter, write_trajectory
+from sylpose.report.files import PAGE_FILE, TrajectoryWriter, build_columns, write_trajectory
 from sylpose.results import FramePose, Trajectory
 from sylpose.rig import Rig
 from sylpose.runs.calibration_refinement import describe_changes, find_moved_cameras, write_refined
@@ -33,6 +34,8 @@ TRACKS = "tracks.bin"
 # Names of the trajectory files: the result, and the poses as tracked if the result is smoothed.
 RESULT = "trajectory"
 TRACKED = "tracked"
+# The result with velocities.
+VELOCITY = "velocity.csv"
 SUFFIXES: tuple[str, ...] = (".tum", ".csv")
 # Frames that may wait for the overlay's thread before the tracker is blocked.
 OVERLAY_QUEUE = 4
@@ -72,6 +75,7 @@ class ObjectOutput:
     ) -> None:
         self.folder, self._rig, self._clock = make_output_folder(folder), rig, clock
         self.changes: list[str] = []
+        self._has_velocity = options.velocity
         self._recalibrate, self._note, self._known = options.refine_calibration, note, known
         self._angles = None if options.angles is None else parse_euler_angles(options.angles)
         self._album, self._warnings = album, warnings
@@ -135,12 +139,26 @@ class ObjectOutput:
             on_round: called with the number of each round of the refinement.
 
         Returns:
-            A message if smoothing failed, else None.
+            A message if smoothing or velocities failed, else None.
         """
         self._writer.truncate()
-        message = None if self._tracks is None else self._smooth(self._tracks, on_round)
+        messages = [None if self._tracks is None else self._smooth(self._tracks, on_round)]
+        if self._has_velocity:
+            messages.append(self._write_velocity())
         self._finished = True
-        return message
+        return " ".join(filter(None, messages)) or None
+
+    def _write_velocity(self) -> str | None:
+        """Write velocity.csv; return a message if there are too few poses."""
+        trajectory = self.trajectory
+        try:
+            with self._clock.measure("velocities"):
+                kinematics = trajectory.differentiate()
+        except ValueError as error:
+            return f"No {VELOCITY}: {error}."
+        write_csv(build_columns(trajectory, kinematics), self.folder / VELOCITY)
+        self.files.append(self.folder / VELOCITY)
+        return None
 
     def _smooth(self, track_file: FrameFile[Track], on_round: Callable[[int], None] | None) -> str | None:
         if self.n_frames > MAX_SMOOTHED_FRAMES:

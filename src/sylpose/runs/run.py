@@ -202,6 +202,7 @@ class _SessionRun:
             "angles": self.options.angles,
             "smooth": self.options.smooth,
             "refine_calibration": self.options.refine_calibration or None,
+            "velocity": self.options.velocity or None,
             "offsets": self.options.offsets,
             "tracking": dict(self.options.tracking.changes) or None,
         }
