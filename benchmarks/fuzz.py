@@ -45,7 +45,7 @@ from sylpose.io import calibration
 from sylpose.io.capture.boxes import load_boxes
 from sylpose.io.capture.images import read_image, read_image_size
 from sylpose.io.capture.live import open_live
-from sylpose.io.capture.timeline import load_timestamps
+from sylpose.io.capture.time_tables import find_time_table
 from sylpose.io.object_files import load_object, save_object
 from sylpose.io.point_files import load_image_points, load_points
 from sylpose.landmarks.alignment import LandmarkMatches
@@ -204,7 +204,9 @@ def make_kinds() -> dict[str, Kind]:
         "live": Kind("live.toml", (LIVE,), _open_live),
         "manifest": Kind("manifest.toml", (MANIFEST,), _find_recordings),
         "manifest, csv": Kind("manifest.csv", (MANIFEST_CSV,), _find_recordings),
-        "time stamps": Kind("timestamps.csv", (STAMPS,), partial(load_timestamps, cameras=RIG.names)),
+        "time stamps": Kind(
+            "timestamps.csv", (STAMPS, STAMPS_BY_FRAME), lambda path: find_time_table(path.parent, RIG.names)
+        ),
         "trajectory.csv": Kind("trajectory.csv", (table,), read_trajectory),
         "trajectory.tum": Kind("trajectory.tum", (tum,), read_tum),
         "points, csv": Kind("points.csv", (POINTS,), load_points),
@@ -470,6 +472,10 @@ def _load_pixels(file: Path) -> object:
     return load_image_points([file], RIG.names)
 
 
+def _load_time_table(path: Path) -> object:
+    return find_time_table(path.parent, RIG.names)
+
+
 def _find_recordings(file: Path) -> object:
     return find_recordings([str(file)], TrackingOptions())
 
@@ -653,6 +659,7 @@ PIXELS = b"camera,frame,name,u,v,likelihood,time\n" + b"".join(
 DEEPLABCUT = b"scorer,net,net,net,net,net,net\nbodyparts,a,a,a,b,b,b\ncoords,x,y,likelihood,x,y,likelihood\n"
 DEEPLABCUT += b"".join(b"%d,1.5,2,0.99,%d,4,0.1\n" % (k, k) for k in range(6))
 STAMPS = b"frame,cam_0,cam_1,cam_2\n" + b"".join(b"%d,%.3f,%.3f,\n" % (k, k / 30, k / 30 + 0.001) for k in range(9))
+STAMPS_BY_FRAME = b"cam_id,frame_time\n" + b"".join(b"%d,%.4f\n" % (k % 3, 900 + k / 90) for k in range(27))
 # Messages of a camera.
 OBSERVATIONS = LandmarkMatches(
     np.ones((5, 3)), np.ones((5, 3)), np.ones((5, 2)), np.arange(5), np.ones(5), np.eye(3), np.zeros(3), 700.0

@@ -22,7 +22,8 @@ from sylpose.io import calibration
 from sylpose.io.capture import Session, open_session
 from sylpose.io.capture.names import find_repeated_recordings, image_files, image_numbers, match_names
 from sylpose.io.capture.sources import Source
-from sylpose.io.capture.timeline import build_timeline, load_timestamps
+from sylpose.io.capture.time_tables import find_time_table
+from sylpose.io.capture.timeline import build_timeline
 from sylpose.rig import Camera, Rig
 from tests.paths import DATA
 
@@ -666,7 +667,7 @@ def test_invalid_timestamps_are_rejected(tmp_path: Path, text: str, match: str) 
     path = tmp_path / "timestamps.csv"
     path.write_text(text)
     with pytest.raises(ValueError, match=match):
-        load_timestamps(path, ["cam_0", "cam_1"])
+        find_time_table(tmp_path, ["cam_0", "cam_1"])
 
 
 def test_timeline_without_files() -> None:

@@ -8,11 +8,14 @@ import numpy as np
 
 from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.io.capture.sources import Source
+from sylpose.io.capture.time_tables import EPOCH
 
 # Frame rates that differ by less than this factor are one (choice: 29.97 and 30, which recorders confuse).
 MAX_RATE_RATIO = 1.01
 # Time stamps are as precise as this, seconds, or as the file's unit if that is larger (derived: Matroska's unit).
 MIN_RESOLUTION = 1e-3
+# Units of time stamps in the names of images, seconds.
+NAME_UNITS = (1e-3, 1e-6, 1e-9)
 # Clocks are one if this share of the shortest recording's time is common to all cameras (choice).
 MIN_OVERLAP = 0.5
 
@@ -50,6 +53,25 @@ def read_clocks(sources: Sequence[Source], offsets: Mapping[str, int], warnings:
     if is_together and max(intervals) <= MAX_RATE_RATIO * interval and all(is_uniform):
         return None
     return [clock - begin for clock in known]
+
+
+def read_name_clocks(sources: Sequence[Source]) -> list[FloatArray] | None:
+    """Return when each camera's images were taken if the numbers in their names are time stamps.
+
+    Returns:
+        per camera its times, seconds since the last camera's first image; None for other numbers, and for videos.
+    """
+    known = [source.numbers for source in sources if source.numbers is not None and len(source.numbers) > 1]
+    if len(known) < len(sources):
+        return None
+    units = [
+        unit for unit in NAME_UNITS if all(EPOCH[0] <= its[0] * unit and its[-1] * unit <= EPOCH[1] for its in known)
+    ]
+    if not units:
+        return None
+    # Differences first: nanoseconds since 1970 have more digits than floating-point numbers.
+    begin = max(its[0] for its in known)
+    return [np.array([number - begin for number in its], float) * units[0] for its in known]
 
 
 def align(

@@ -9,13 +9,14 @@ from dataclasses import dataclass
 from typing import cast
 
 import av.error
+import cv2
 import numpy as np
 from av.video.frame import VideoFrame
 from av.video.reformatter import VideoReformatter
 
 from sylpose.geometry.arrays import BoolArray, Image
 from sylpose.io.capture.boxes import Masks
-from sylpose.io.capture.images import orient, read_image, read_mask
+from sylpose.io.capture.images import orient, read_image, read_mask, reduce_depth
 from sylpose.io.capture.sources import Source, open_video
 
 # Packets in a row that cannot be decoded, after which a video is not read on (choice: several seconds).
@@ -63,6 +64,25 @@ def check_readable(source: Source) -> None:
             reader.read(0)
         if reader.ended:
             raise ValueError(f"{source.path}: no frame of this video is readable")
+
+
+def convert_frame(frame: VideoFrame, reformatter: VideoReformatter) -> Image:
+    """Convert a decoded frame to BGR (h, w, 3).
+
+    Gray frames of 16 bits, which cameras of 10 to 14 bits write, are scaled as `read_image` does. Of interlaced frames,
+    whose two fields show different moments, the upper field is used, and interpolated in between.
+    """
+    if frame.format.name in ("gray16le", "gray16be"):
+        gray = reduce_depth(np.asarray(frame.reformat(format="gray16le").to_ndarray(), dtype=np.uint16))
+        image = np.repeat(gray[:, :, None], 3, axis=2)
+    else:
+        image = np.asarray(reformatter.reformat(frame, format="bgr24").to_ndarray(), dtype=np.uint8)
+    if frame.interlaced_frame:
+        upper, lower = image[::2], image[1::2]
+        following = np.concatenate([upper[1:], upper[-1:]])[: len(lower)]
+        image = image.copy()
+        image[1::2] = cv2.addWeighted(upper[: len(lower)], 0.5, following, 0.5, 0.0)
+    return image
 
 
 class CameraReader:
@@ -178,8 +198,7 @@ class _VideoReader(FrameReader):
             problem = f"is {frame.width}x{frame.height}, not {size}; frames of another size are skipped."
             self._report_once("size", f"{where} {problem}")
             return None
-        image = np.asarray(self._reformatter.reformat(frame, format="bgr24").to_ndarray(), dtype=np.uint8)
-        return orient(image, self._source.orientation)
+        return orient(convert_frame(frame, self._reformatter), self._source.orientation)
 
     def _report_once(self, kind: str, message: str) -> None:
         """Report a problem once per kind; a damaged recording can have thousands."""

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from PIL.BmpImagePlugin import BmpImageFile
 from PIL.Image import DecompressionBombError
 from PIL.ImageFile import ImageFile
@@ -162,11 +163,16 @@ def read_image(path: Path, size: tuple[int, int], orientation: int = 1) -> Image
     if image is None or image.shape[1::-1] != size:
         raise UnreadableFileError(f"{path}: cannot be read as an image")
     if image.dtype == np.uint16:
-        depth = next(bits for bits in BIT_DEPTHS if int(image.max()) < 1 << bits)
-        image = np.right_shift(image, depth - 8)
+        image = reduce_depth(np.asarray(image, np.uint16))
     elif image.dtype != np.uint8:
         raise UnreadableFileError(f"{path}: pixels of type {image.dtype}; 8-bit or 16-bit images are expected")
     return orient(image.astype(np.uint8, copy=False), orientation)
+
+
+def reduce_depth(image: NDArray[np.uint16]) -> Image:
+    """Scale 16-bit pixels to 8 bits by the smallest depth of `BIT_DEPTHS` that contains them."""
+    depth = next(bits for bits in BIT_DEPTHS if int(image.max()) < 1 << bits)
+    return np.right_shift(image, depth - 8).astype(np.uint8)
 
 
 def _max_file_size(pixels: int) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -145,6 +146,6 @@ def _split_digits(stem: str) -> list[str]:
 
 
 def _normalize_name(name: str) -> str:
-    lower = name.lower().strip()
+    lower = unicodedata.normalize("NFC", name).lower().strip()  # macOS decomposes letters in file names
     bare = re.sub(r"^(camera|cam|port|video|view)[\s_.-]*", "", lower) or lower
     return str(int(bare)) if re.fullmatch(r"[0-9]+", bare) else re.sub(r"[\s_.-]+", "_", bare)

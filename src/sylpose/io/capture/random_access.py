@@ -9,11 +9,11 @@ from types import TracebackType
 from typing import Self, cast
 
 import av.error
-import numpy as np
 from av.video.frame import VideoFrame
+from av.video.reformatter import VideoReformatter
 
 from sylpose.geometry.arrays import Image
-from sylpose.io.capture.frame_readers import FrameReader
+from sylpose.io.capture.frame_readers import FrameReader, convert_frame
 from sylpose.io.capture.images import orient
 from sylpose.io.capture.session import Session
 from sylpose.io.capture.sources import Source, open_video
@@ -88,7 +88,7 @@ class _SeekableVideo:
             return None
         if (frame.width, frame.height) != self._source.coded_size:
             return None
-        return orient(np.asarray(frame.to_ndarray(format="bgr24"), dtype=np.uint8), self._source.orientation)
+        return orient(convert_frame(frame, VideoReformatter()), self._source.orientation)
 
     def _seek(self, k: int) -> None:
         """Seek to the keyframe before frame k if there is one, else to the start."""

@@ -15,15 +15,17 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from sylpose.frames import Box, FrameSet
-from sylpose.geometry.arrays import BoolArray
+from sylpose.geometry.arrays import BoolArray, Image
 from sylpose.geometry.validation import check_list
 from sylpose.input_limits import input_errors
 from sylpose.io import calibration as calibrations
 from sylpose.io.calibration.world import World, transform_rig
 from sylpose.io.capture.boxes import Masks, check_first_masks, find_masks, load_boxes, merge_object_names
 from sylpose.io.capture.frame_readers import CameraReader, FrameReading, check_readable
+from sylpose.io.capture.repetitions import RepetitionFilter
 from sylpose.io.capture.sources import RecordingFolder, Source
-from sylpose.io.capture.timeline import Timeline, build_timeline, load_timestamps
+from sylpose.io.capture.time_tables import find_time_table
+from sylpose.io.capture.timeline import Timeline, build_timeline
 from sylpose.rig import Rig
 
 # Decoded images that a reversed recording holds at once, bytes (choice: seconds of video on usual machines).
@@ -201,6 +203,9 @@ class Session(SessionBase):
                 return [pool.submit(reader.read, k) for reader, k in zip(readers, row, strict=True)]
 
             last = [max(np.flatnonzero(column >= 0).tolist(), default=-1) for column in self.timeline.frames.T]
+            # The frame set before the first one shows which pictures of the first one are repeated.
+            first, repetitions = indices.start, RepetitionFilter(self.rig.names)
+            indices = range(first - indices.step if first >= indices.step else first, indices.stop, indices.step)
             pending = submit(indices[0])
             for i, next_index in zip_longest(indices, indices[1:]):
                 readings = [future.result() for future in pending]
@@ -210,13 +215,21 @@ class Session(SessionBase):
                         on_problem(problem)
                 if all(reading.ended or end < i for reading, end in zip(readings, last, strict=True)):
                     return
-                yield self._frame_set(i, readings)
+                images, repeated = repetitions.remove(i, [reading.image for reading in readings])
+                if i < first:
+                    continue
+                for problem in repeated:
+                    on_problem(problem)
+                yield self._frame_set(i, readings, images)
 
-    def _frame_set(self, i: int, readings: list[FrameReading]) -> FrameSet:
+    def _frame_set(self, i: int, readings: list[FrameReading], images: list[Image | None]) -> FrameSet:
         times = (None if np.isnan(stamp) else float(stamp) for stamp in self.timeline.stamps[i])
-        images, no_masks = tuple(reading.image for reading in readings), (None,) * len(readings)
-        masks = {name: tuple(reading.masks[name] for reading in readings) for name in self._masks}
-        return add_masks(FrameSet(i, float(self.timeline.times[i]), tuple(times), images, no_masks), masks)
+        masks = {
+            name: tuple(None if image is None else its.masks[name] for its, image in zip(readings, images, strict=True))
+            for name in self._masks
+        }
+        no_masks = (None,) * len(readings)
+        return add_masks(FrameSet(i, float(self.timeline.times[i]), tuple(times), tuple(images), no_masks), masks)
 
 
 def open_session(
@@ -307,9 +320,8 @@ def _open_session(path: Path, given: _InputFiles, is_reopened: bool = False) -> 
         sources, warnings = recording.find_sources(rig)
         for source in sources:
             check_readable(source)
-        stamps_file = path / "timestamps.csv"
-        stamps = load_timestamps(stamps_file, rig.names, given.without) if stamps_file.is_file() else None
-        timeline, timeline_warnings = build_timeline(sources, stamps, given.offsets, given.rate)
+        table = find_time_table(path, rig.names, given.without)
+        timeline, timeline_warnings = build_timeline(sources, table, given.offsets, given.rate)
         by_object, mask_warnings = ({}, []) if masks is None else find_masks(masks, full_rig, sources)
         for camera_masks in by_object.values():
             check_first_masks(camera_masks, sources, timeline.frames)

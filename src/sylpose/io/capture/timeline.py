@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from sylpose.geometry.arrays import FloatArray, IntArray
-from sylpose.input_limits import MAX_TABLE_BYTES, input_errors, read_text
-from sylpose.io.capture.alignment import MAX_RATE_RATIO, align, read_clocks
-from sylpose.io.capture.names import match_all_names
+from sylpose.io.capture.alignment import MAX_RATE_RATIO, align, read_clocks, read_name_clocks
 from sylpose.io.capture.sources import Source
+from sylpose.io.capture.time_tables import TimeTable
+
+# Equal numbers of images are one moment if this share of the smallest folder's is common to all (choice).
+MIN_COMMON = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,69 +38,9 @@ class Timeline:
     origin: str = ""
 
 
-def load_timestamps(path: Path, cameras: Sequence[str], without: Sequence[str] = ()) -> FloatArray:
-    """Read timestamps.csv: a column `frame`, counted from 0, and one column of seconds per camera.
-
-    Empty cells mean no frame.
-
-    Args:
-        path: the CSV file.
-        cameras: the cameras, in the order of the result.
-        without: excluded cameras, whose columns are optional; rows with no other camera are dropped.
-
-    Returns:
-        (n, C) seconds in the order of `cameras`; NaN if a camera has no frame.
-
-    Raises:
-        ValueError: unexpected columns, invalid numbers, times that do not increase, or a row without times; the message
-            names the file and line.
-    """
-    text = read_text(path, MAX_TABLE_BYTES)
-    with input_errors(path):
-        try:
-            return _parse_timestamps(text, cameras, path)
-        except ValueError:
-            if not without:
-                raise
-        stamps = _parse_timestamps(text, [*cameras, *without], path)[:, : len(cameras)]
-        return np.asarray(stamps[np.isfinite(stamps).any(axis=1)])
-
-
-def _parse_timestamps(text: str, cameras: Sequence[str], path: Path) -> FloatArray:
-    try:
-        reader = csv.reader(io.StringIO(text, newline=""))
-        rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
-    except csv.Error as error:
-        raise ValueError(f"cannot be read as CSV ({error})") from None
-    header = [name.strip() for name in rows[0][1]] if rows else []
-    if header[:1] != ["frame"] or len(header) > len(cameras) + 100:
-        raise ValueError(f"{path}: line 1: the columns frame, {', '.join(cameras)} are expected")
-    matched = match_all_names(header[1:], cameras, f"{path}: line 1")
-    if len(set(header)) < len(header) or set(matched.values()) != set(cameras):
-        raise ValueError(f"{path}: line 1: one column for each of {', '.join(cameras)} is expected")
-    order = [list(cameras).index(matched[name]) for name in header[1:]]
-    if not rows[1:]:
-        raise ValueError(f"{path}: no timestamps in this file")
-
-    stamps = np.full((len(rows) - 1, len(cameras)), np.nan)
-    last, last_mean = np.full(len(cameras), -np.inf), -np.inf
-    for i, (line, row) in enumerate(rows[1:]):
-        where = f"{path}: line {line}"
-        stamps[i, order] = _parse_row(row, i, len(header), where)
-        is_present = np.isfinite(stamps[i])
-        if not is_present.any():
-            raise ValueError(f"{where}: no camera has a timestamp")
-        # The mean is the frame set's time. It can decrease if the clocks differ and one camera is missing.
-        mean = stamps[i, is_present].mean()
-        if (stamps[i, is_present] <= last[is_present]).any() or mean <= last_mean:
-            raise ValueError(f"{where}: the timestamps must increase from row to row")
-        last[is_present], last_mean = stamps[i, is_present], mean
-    return stamps
-
-
 def build_timeline(
     sources: tuple[Source, ...],
-    stamps: FloatArray | None = None,
+    table: TimeTable | None = None,
     offsets: Mapping[str, int] | None = None,
     rate: float | None = None,
 ) -> tuple[Timeline, list[str]]:
@@ -113,7 +53,7 @@ def build_timeline(
 
     Args:
         sources: one per camera.
-        stamps: (n, C) of `load_timestamps`.
+        table: time stamps in a file; None without.
         offsets: frames by camera; positive for a camera that starts late.
         rate: frames per second of image folders.
 
@@ -128,17 +68,22 @@ def build_timeline(
     if rate is not None:
         if not (np.isfinite(rate) and rate > 0):
             raise ValueError(f"rate: frames per second, a positive number, are expected, got {rate}")
-        if stamps is not None or any(source.kind == "video" for source in sources):
-            origin = "timestamps.csv" if stamps is not None else "the videos"
+        if table is not None or any(source.kind == "video" for source in sources):
+            origin = table.origin if table is not None else "the videos"
             raise ValueError(f"rate: only for image folders without timestamps; here the times come from {origin}")
+    if table is not None and offsets:
+        raise ValueError(
+            f"offsets cannot be combined with {table.origin}, which already contains the time of each frame"
+        )
+    if table is not None and table.warning:
+        warnings.append(table.warning)
+    stamps = None if table is None else table.stamps
     if stamps is not None:
-        if offsets:
-            raise ValueError("offsets cannot be combined with timestamps, which already contain the time of each frame")
         frames = _assign_by_timestamps(sources, stamps, warnings)
-    elif (clocks := read_clocks(sources, _check_offsets(sources, offsets or {}, warnings), warnings)) is not None:
-        frames, times, stamps = align(sources, clocks, warnings)
+    elif (clocks := _find_clocks(sources, table, offsets, rate, warnings)) is not None:
+        frames, times, stamps = align(sources, clocks.stamps, warnings)
         frame_rate = (len(times) - 1) / float(times[-1]) if len(times) > 1 else None
-        return Timeline(frames, times, stamps, frame_rate, dict(offsets or {}), "the videos' time stamps"), warnings
+        return Timeline(frames, times, stamps, frame_rate, dict(offsets or {}), clocks.origin), warnings
     else:
         frames = _assign_by_count(sources, offsets or {}, warnings)
     used = np.flatnonzero((frames >= 0).any(axis=1))
@@ -159,22 +104,41 @@ def build_timeline(
                 f"The videos' frame rates differ ({listed}); {frame_rate:.6g} per second is used for the times."
             )
         times = np.arange(len(frames)) / (frame_rate or 1.0)
-    origin = "" if np.isnan(stamps).all() else "timestamps.csv"
+    origin = "" if table is None else table.origin
     return Timeline(frames, times, stamps, frame_rate, dict(offsets or {}), origin), warnings
 
 
-def _parse_row(row: list[str], frame: int, columns: int, where: str) -> FloatArray:
-    if len(row) != columns:
-        raise ValueError(f"{where}: {columns} columns are expected, got {len(row)}")
-    if row[0].strip() != str(frame):
-        raise ValueError(f"{where}: frame {frame} is expected, got {row[0]!r}")
-    try:
-        numbers = np.array([float(cell) if cell.strip() else np.nan for cell in row[1:]])
-    except ValueError:
-        raise ValueError(f"{where}: timestamps in seconds are expected, got {', '.join(row[1:])}") from None
-    if any(cell.strip() and not np.isfinite(n) for cell, n in zip(row[1:], numbers, strict=True)):
-        raise ValueError(f"{where}: timestamps must be finite, got {', '.join(row[1:])}")
-    return numbers
+class _Clocks(NamedTuple):
+    """Times of each camera's frames, seconds since frame set 0, and where they are from."""
+
+    stamps: Sequence[FloatArray]
+    origin: str
+
+
+def _find_clocks(
+    sources: tuple[Source, ...],
+    table: TimeTable | None,
+    offsets: Mapping[str, int] | None,
+    rate: float | None,
+    warnings: list[str],
+) -> _Clocks | None:
+    """Find when each camera's frames were taken; None if they are numbered."""
+    given = _check_offsets(sources, offsets or {}, warnings)
+    if table is not None and table.clocks is not None:
+        return _Clocks(_fit_clocks(sources, table.clocks, warnings), table.origin)
+    if rate is None and not given and (names := read_name_clocks(sources)) is not None:
+        return _Clocks(names, "the images' names")
+    videos = read_clocks(sources, given, warnings)
+    return None if videos is None else _Clocks(videos, "the videos' time stamps")
+
+
+def _fit_clocks(sources: Sequence[Source], clocks: Sequence[FloatArray], warnings: list[str]) -> list[FloatArray]:
+    """Return clocks that begin where the last camera starts, with a time for each frame of a camera at most."""
+    for source, clock in zip(sources, clocks, strict=True):
+        if len(clock) != source.n_frames:
+            warnings.append(f"{source.camera} has {len(clock)} timestamps and {source.n_frames} frames.")
+    begin = max(float(clock[0]) for clock in clocks)
+    return [clock[: source.n_frames] - begin for source, clock in zip(sources, clocks, strict=True)]
 
 
 def _assign_by_timestamps(sources: tuple[Source, ...], stamps: FloatArray, warnings: list[str]) -> IntArray:
@@ -224,8 +188,9 @@ def _align_slots(sources: tuple[Source, ...], warnings: list[str]) -> list[IntAr
     usable = [set(values) for values in numbers.values() if values is not None]
     if len(numbers) < 2 or not usable:
         return slots
-    if len(usable) < len(numbers) or not set.intersection(*usable):
-        warnings.append("The image folders have no common frame numbers: their images are numbered in order.")
+    # Some numbers may be equal by chance, and the first ones of clocks that were started together are.
+    if len(usable) < len(numbers) or len(set.intersection(*usable)) < MIN_COMMON * min(map(len, usable)):
+        warnings.append("The image folders have few common frame numbers: their images are numbered in order.")
         return slots
     # Equal numbers are one frame set, so that an image missing from one folder does not shift later ones.
     union = sorted(set.union(*usable))
