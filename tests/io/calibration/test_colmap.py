@@ -203,6 +203,33 @@ def test_pycolmap_composes_the_same_poses(rig_model: Path, tmp_path: Path) -> No
             np.testing.assert_allclose(camera.camera_from_world.as_matrix()[:3], expected[camera.name], atol=1e-12)
 
 
+def test_moving_rig_is_read_in_its_own_frame(rig_model: Path) -> None:
+    """A rig that was moved for its calibration: only the poses of its cameras in the rig matter."""
+    names = {"left/0.png": 1, "right/0.png": 2, "left/1.png": 1, "right/1.png": 2}
+    write_file(rig_model / "images.txt", format_images(names))
+    write_file(rig_model / "rigs.txt", RIGS.splitlines()[1])
+    frame = FRAMES.splitlines()[1]
+    moved = frame.replace("1 1 -0.5 0.1 0.7 0.5 -1.0", "2 1 0.5 0.5 0.5 0.5 -9.0")
+    write_file(rig_model / "frames.txt", f"{frame}\n{moved.replace('CAMERA 1 1', 'CAMERA 1 3').replace('2 2', '2 4')}")
+    rig = calibration.load(rig_model)
+    assert rig.names == ("left", "right")
+    np.testing.assert_array_equal(rig["left"].camera_from_world.as_matrix(), np.eye(4))
+    expected = to_matrix([0.8, 0.4, -0.2, 0.4], [0.1, -0.2, 0.5])
+    np.testing.assert_allclose(rig["right"].camera_from_world.as_matrix(), expected, atol=1e-14)
+    # Without rigs, such images are those of moving cameras.
+    write_file(rig_model / "rigs.txt", "1 1 CAMERA 1\n2 1 CAMERA 2\n")
+    two_rigs = (rig_model / "frames.txt").read_text().replace("3 CAMERA 1", "1 CAMERA 1")
+    lines = [line.partition(" IMU")[0] for line in two_rigs.splitlines()]
+    seconds = [
+        line.replace("CAMERA 1 1", "CAMERA 2 2").replace("CAMERA 1 3", "CAMERA 2 4").replace("1 1 -0.5", "3 2 -0.5")
+        for line in lines
+    ]
+    seconds[1] = seconds[1].replace("2 1 0.5", "4 2 0.5")
+    write_file(rig_model / "frames.txt", "\n".join([*lines, *seconds]))
+    with pytest.raises(ValueError, match="images do not have one pose"):
+        calibration.load(rig_model)
+
+
 @pytest.mark.parametrize(
     ("file", "old", "new", "message"),
     [

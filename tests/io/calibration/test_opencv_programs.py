@@ -68,6 +68,15 @@ def test_mc_calib(tmp_path: Path) -> None:
     np.testing.assert_allclose(rig["camera_1"].center, SHIFT, atol=1e-12)
 
 
+def test_mc_calib_folder(tmp_path: Path) -> None:
+    """The files of boards next to it are not calibrations of cameras."""
+    path = write_file(tmp_path / "calibrated_cameras_data.yml", format_mc_calib())
+    for name in ("calibrated_objects_data.yml", "calibrated_objects_pose_data.yml", "detected_keypoints_data.yml"):
+        write_file(tmp_path / name, "%YAML:1.0\n---\nobject_0:\n   points: 3\n")
+    assert calibration.find(tmp_path) == path
+    assert calibration.load(tmp_path).names == ("camera_0", "camera_1")
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -30,6 +30,7 @@ from sylpose.io.calibration.camera_builder import (
 from sylpose.io.calibration.photogrammetry import (
     PIXEL_CENTER,
     PosedImage,
+    StaticCamera,
     find_static_cameras,
     image_path,
     make_unique_names,
@@ -77,11 +78,16 @@ class _Lens(NamedTuple):
     params: Any
 
 
+# Poses sensor_from_rig, as quaternion, w first, and translation (7,), by IDs of rig and camera; None if unknown.
+_Sensors = dict[tuple[int, int], FloatArray | None]
+
+
 class _Model(NamedTuple):
-    """Lenses by ID, and images whose `lens` is such an ID."""
+    """Lenses by ID, images whose `lens` is such an ID, and the rigs' sensors of a model that has them."""
 
     lenses: dict[str, _Lens]
     images: list[PosedImage]
+    sensors: _Sensors
 
 
 def is_model(path: Path) -> bool:
@@ -101,12 +107,31 @@ def read(_: object, path: Path) -> Rig:
     if not model.images:
         raise ValueError(f"{path}: no image of this COLMAP model has a pose")
     cameras = []
-    for static_camera in find_static_cameras(model.images, path):
+    for static_camera in _find_cameras(model, path):
         lens, entry = model.lenses.get(static_camera.lens), CameraEntry(path, static_camera.name)
         if lens is None:
             raise entry.error(f"its images have a lens, {static_camera.lens}, that is not in COLMAP's cameras")
         cameras.append(_parse_camera(entry, lens, static_camera.camera_from_world))
     return make_rig(path, cameras)
+
+
+def _find_cameras(model: _Model, path: Path) -> list[StaticCamera]:
+    """Find the cameras in the world, or, if the model is of one rig that moves, in the rig."""
+    try:
+        return find_static_cameras(model.images, path)
+    except ValueError:
+        in_rig = {str(camera): pose for (_, camera), pose in model.sensors.items()}
+        is_one_rig = len({rig for rig, _ in model.sensors}) == 1 < len({image.lens for image in model.images})
+        if not is_one_rig or any(in_rig.get(image.lens) is None for image in model.images):
+            raise
+    poses = {lens: pose for lens, pose in in_rig.items() if pose is not None}
+    return find_static_cameras(
+        [
+            image._replace(quaternion=np.roll(poses[image.lens][:4], -1), translation=poses[image.lens][4:])
+            for image in model.images
+        ],
+        path,
+    )
 
 
 def _parse_camera(entry: CameraEntry, lens: _Lens, pose: RigidTransform) -> Camera:
@@ -213,10 +238,12 @@ def _read_model(path: Path) -> _Model:
         )
     with input_errors(cameras):
         lenses = _read_text_lenses(cameras) if suffix == ".txt" else _read_binary_lenses(cameras)
-    poses = _read_frame_poses(path, found, suffix)
+    sensors = _read_sensors(path, found, suffix)
+    poses = _compose_poses(found["frames", suffix], sensors, suffix) if sensors else None
     with input_errors(images):
         read_images = _read_text_images if suffix == ".txt" else _read_binary_images
-        return _Model(lenses, [_replace_pose(image, number, poses) for number, image in read_images(images)])
+        posed = [_replace_pose(image, number, poses) for number, image in read_images(images)]
+    return _Model(lenses, posed, sensors)
 
 
 def _read_text_lenses(path: Path) -> dict[str, _Lens]:
@@ -314,29 +341,40 @@ class _FrameEntry(NamedTuple):
 _CAMERA_SENSOR = 0
 
 
-def _read_frame_poses(path: Path, found: dict[tuple[str, str], Path], suffix: str) -> dict[int, FloatArray] | None:
-    """Compose camera_from_world of each image from rigs and frames; None for models without.
-
-    Returns:
-        (7,) quaternion, w last, and translation, by image ID.
+def _read_sensors(path: Path, found: dict[tuple[str, str], Path], suffix: str) -> _Sensors:
+    """Read the poses of cameras in their rigs; empty for models without rigs and frames.
 
     Raises:
-        ValueError: one of the two files alone; a frame without its rig; a sensor whose pose in the rig is unknown.
+        ValueError: one of the two files alone, or an invalid pose.
     """
     present = [name for name in ("rigs", "frames") if (name, suffix) in found]
     if not present:
-        return None
+        return {}
     if len(present) == 1:
         raise ValueError(
             f"{path}: this COLMAP model has {present[0]}{suffix} without the other one of rigs{suffix} and "
             f"frames{suffix}, which contain the poses of its images together"
         )
-    rigs, frames = found["rigs", suffix], found["frames", suffix]
+    rigs = found["rigs", suffix]
     with input_errors(rigs):
         sensors = dict(_iterate_text_sensors(rigs) if suffix == ".txt" else _iterate_binary_sensors(rigs))
         for (rig, camera), pose in sensors.items():
             if pose is not None:
                 _check_pose(pose, f"camera {camera} of rig {rig}")
+        if not sensors:
+            raise ValueError("no rig with a camera")
+    return sensors
+
+
+def _compose_poses(frames: Path, sensors: _Sensors, suffix: str) -> dict[int, FloatArray]:
+    """Compose camera_from_world of each image from rigs and frames.
+
+    Returns:
+        (7,) quaternion, w last, and translation, by image ID.
+
+    Raises:
+        ValueError: naming the file: a frame whose rig, or a sensor whose pose in the rig, is unknown.
+    """
     in_rig, in_world, images = list[FloatArray](), list[FloatArray](), list[int]()
     with input_errors(frames):
         for frame in _iterate_text_frames(frames) if suffix == ".txt" else _iterate_binary_frames(frames):

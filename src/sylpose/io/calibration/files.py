@@ -44,7 +44,7 @@ def find(folder: str | os.PathLike[str]) -> Path:
     A calibration is named `camera_array`, `cameras` or `rig`, or its name begins or ends with `calib` or `calibration`
     (calibration.toml, Calib_scene.toml, camera_calibration.yml); it is TOML, YAML, JSON or XML. Otherwise, names of
     other programs are accepted (camchain.yaml, take.xcp, intri.yml), then the first file of a program that has one for
-    each camera (hires_cam1_params.mat, a.cameramodel), then a folder `calib...` or `sparse/0`.
+    each camera (hires_cam1_params.mat, a.cameramodel), then a folder `calib...`, `cal` or `sparse/0`.
 
     Args:
         folder: folder of the session.
@@ -70,7 +70,7 @@ def find(folder: str | os.PathLike[str]) -> Path:
         )
         found = [paths[0] for paths in of_each_camera if paths]
     if not found:
-        inner = sorted(path for path in folder.iterdir() if path.is_dir() and path.name.lower().startswith("calib"))
+        inner = sorted(path for path in folder.iterdir() if path.is_dir() and _is_calibration_folder(path.name.lower()))
         found = [path for path in (*inner, folder / "sparse" / "0") if find_folder_file(path)]
     if not found:
         nested = next(
@@ -159,6 +159,11 @@ def is_calibration_name(path: Path) -> bool:
     return _has_calibration_name(path) or _has_program_name(path)
 
 
+def _is_calibration_folder(name: str) -> bool:
+    """Return whether a folder has the name of a calibration; OpenPTV's is cal."""
+    return name == "cal" or name.startswith("calib")
+
+
 def _has_program_name(path: Path) -> bool:
     """Return whether this is the calibration file of another program; intri.yml and intrinsics.yml represent pairs."""
     return any(re.fullmatch(pattern, path.name, re.IGNORECASE) for pattern in _PROGRAM_PATTERNS)
@@ -167,4 +172,7 @@ def _has_program_name(path: Path) -> bool:
 def _has_calibration_name(path: Path) -> bool:
     stem = path.stem.lower()
     has_known_stem = stem in ("camera_array", "cameras", "rig") or stem.startswith("calib")
-    return path.suffix.lower() in SUFFIXES and (has_known_stem or stem.endswith(("calib", "calibration")))
+    # MC-Calib writes calibrated_objects_data.yml, with its boards, next to calibrated_cameras_data.yml.
+    is_board = stem.startswith("calibrated_objects")
+    is_named = has_known_stem or stem.endswith(("calib", "calibration"))
+    return path.suffix.lower() in SUFFIXES and is_named and not is_board

@@ -143,6 +143,8 @@ FOLDER_PATTERNS = (
     (r".*mayacam.*\.(?:txt|csv)", True),
     (r".*dlt_?coef.*\.csv", False),
     (r"scene_camera.*\.json", True),
+    # MC-Calib's folder also has the poses of its boards.
+    (r"calibrated_cameras_data\.ya?ml", False),
     (r"(?:.*[_-])?calib.*\.(?:toml|ya?ml|json|xml)", False),
     (r".*intri.*\.(?:ya?ml|json|xml)", False),
     (r".*camchain.*\.ya?ml", False),
