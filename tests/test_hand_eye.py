@@ -155,6 +155,25 @@ def test_degenerate_motions_are_refused(robot: RigidTransform, tracked: RigidTra
         solve(track(robot, 0) if tracked is None else tracked, robot)
 
 
+def test_wrong_poses_do_not_bend_the_solution() -> None:
+    robot = move_robot(TIMES)
+    matrices = track(robot, 5).as_matrix()
+    wrong = RigidTransform.from_components([0.3, -0.2, 0.1], Rotation.from_rotvec([0.3, 0.2, -0.4]))
+    matrices[[7, 20, 33]] = matrices[[7, 20, 33]] @ wrong.as_matrix()
+    found = solve(RigidTransform.from_matrix(matrices), robot)
+    error = subtract(found.world_from_robot, WORLD)
+    assert error @ np.linalg.solve(found.world_covariance, error) < 22.5
+    assert np.flatnonzero(~found.used).tolist() == [7, 20, 33]
+
+
+def test_robot_that_stops() -> None:
+    """Few poses of the robot, not at the times of frames."""
+    times, stops = np.arange(0.0, 60.0, 1 / 30), np.arange(2.0, 58.0, 4.0) + 0.011
+    found, poses = interpolate_robot(times, stops, move_robot(stops))
+    np.testing.assert_allclose(times[found], stops, atol=0.017)
+    np.testing.assert_allclose(poses.as_matrix(), move_robot(stops).as_matrix(), atol=1e-12)
+
+
 def test_interpolation() -> None:
     times = np.array([0.31, 0.5, 2.0, 9.0])
     dense = np.arange(0.0, 5.0, 0.01)

@@ -14,7 +14,8 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform, Rotation, Slerp
 
-from sylpose.geometry.arrays import FloatArray, IntArray
+from sylpose.comparison import associate_timestamps
+from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 
 # Fewer poses leave no redundancy (choice).
 MIN_POSES = 4
@@ -29,6 +30,11 @@ MIN_ROTATION = np.radians(5.0)
 ANGLE_TOLERANCE, RELATIVE_ANGLE_TOLERANCE, MAX_DIFFERENT = np.radians(2.0), 0.12, 0.5
 # Squared residuals that fit so many times better with inverse robot poses show that these are meant (choice).
 INVERSE_RATIO = 0.05
+# Whitened residuals above so many standard deviations count linearly (choice).
+HUBER_CUTOFF = 3.0
+# Squared distance of six components above which a pose was tracked wrongly, and its median (chi-squared, probability of
+# 0.001).
+MAX_SQUARE, MEDIAN_SQUARE = 22.46, 5.35
 # Poses of the robot are interpolated over at most so many of the tracker's steps (choice).
 MAX_GAP = 3.0
 
@@ -42,6 +48,7 @@ class HandEye:
         robot_from_object: flange_from_object; of a rig on the flange, base_from_object.
         world_covariance, object_covariance: (6, 6) of (w, d) of these transforms (docs/conventions.md).
         rotation_residual, position_residual: (n,) radians and units, of each pose.
+        used: (n,) mask of the poses that agree; the others are not used.
         variance_factor: mean squared residual, divided by its covariance, per degree of freedom. If it is above 1,
             covariances include it.
         axis_spread: second over first singular value of the rotation axes; 0 if they are parallel.
@@ -53,6 +60,7 @@ class HandEye:
     object_covariance: FloatArray
     rotation_residual: FloatArray
     position_residual: FloatArray
+    used: BoolArray
     variance_factor: float
     axis_spread: float
 
@@ -86,25 +94,45 @@ def solve_hand_eye(tracked: RigidTransform, covariance: FloatArray, robot: Rigid
             "cameras are on the flange"
         )
 
+    (world, moved), _, _ = _optimize(start, tracked, robot, weights, "huber")
+    squares = np.sum(_whiten(tracked, robot, world, moved, weights) ** 2, axis=1)
+    used = np.asarray(squares < MAX_SQUARE * max(1.0, float(np.median(squares)) / MEDIAN_SQUARE))
+    (world, moved), total, factor = _optimize((world, moved), tracked[used], robot[used], weights[used], "linear")
+    errors = _subtract(tracked, world * robot * moved)
+    rotation, position = np.linalg.norm(errors[:, :3], axis=1), np.linalg.norm(errors[:, 3:], axis=1)
+    return HandEye(world, moved, total[:6, :6], total[6:, 6:], rotation, position, used, factor, spread)
+
+
+def _optimize(
+    start: tuple[RigidTransform, RigidTransform],
+    tracked: RigidTransform,
+    robot: RigidTransform,
+    weights: FloatArray,
+    loss: str,
+) -> tuple[tuple[RigidTransform, RigidTransform], FloatArray, float]:
+    """Minimize whitened residuals; return X and Y, their covariance (12, 12), and the variance factor."""
+
     def residuals(x: FloatArray) -> FloatArray:
         return _whiten(tracked, robot, _move(start[0], x[:6]), _move(start[1], x[6:]), weights).ravel()
 
-    scale = np.repeat([1.0, max(float(np.ptp(tracked.translation, axis=0).max()), 1e-9), 1.0, 1.0], 3)
-    scale[9:] = scale[3:6]
-    result = least_squares(residuals, np.zeros(12), x_scale=scale, method="trf")
-    world, moved = _move(start[0], result.x[:6]), _move(start[1], result.x[6:])
+    extent = max(float(np.ptp(tracked.translation, axis=0).max()), 1e-9)
+    scale = np.repeat([1.0, extent, 1.0, extent], 3)
+    # Robust to a spread that is larger than stated.
+    cutoff = HUBER_CUTOFF * max(1.0, 1.4826 * float(np.median(np.abs(residuals(np.zeros(12))))))
+    result = least_squares(residuals, np.zeros(12), x_scale=scale, loss=loss, f_scale=cutoff)
     factor = float(2.0 * result.cost / (6 * len(tracked) - 12))
     # Scaled, since rotations and lengths may differ by orders of magnitude.
-    total = np.linalg.inv((result.jac * scale).T @ (result.jac * scale)) * np.outer(scale, scale) * max(factor, 1.0)
-    errors = _subtract(tracked, world * robot * moved)
-    rotation, position = np.linalg.norm(errors[:, :3], axis=1), np.linalg.norm(errors[:, 3:], axis=1)
-    return HandEye(world, moved, total[:6, :6], total[6:, 6:], rotation, position, factor, spread)
+    jacobian = result.jac * scale
+    total = np.linalg.inv(jacobian.T @ jacobian) * np.outer(scale, scale) * max(factor, 1.0)
+    return (_move(start[0], result.x[:6]), _move(start[1], result.x[6:])), total, factor
 
 
 def interpolate_robot(
     times: FloatArray, robot_times: FloatArray, robot: RigidTransform
 ) -> tuple[IntArray, RigidTransform]:
-    """Interpolate the robot's poses at the times of the tracker.
+    """Return the robot's poses at the times of the tracker, interpolated.
+
+    A robot that stops has few poses, far apart; each then belongs to the tracked pose that is nearest in time.
 
     Args:
         times: (n,) increasing.
@@ -112,7 +140,7 @@ def interpolate_robot(
         robot: m poses.
 
     Returns:
-        the indices of the times that are between two poses of the robot, not far apart, and the poses there.
+        the indices of the times that have a pose of the robot, and these poses.
 
     Raises:
         ValueError: none is.
@@ -125,10 +153,15 @@ def interpolate_robot(
     inside = (robot_times[left] <= times) & (times <= robot_times[right])
     exact = (robot_times[left] == times) | (robot_times[right] == times)
     found = np.asarray(np.flatnonzero(inside & (exact | (robot_times[right] - robot_times[left] <= limit))), np.int64)
+    if not len(found) and len(times) > 1:
+        rows, robot_rows = associate_timestamps(times, robot_times, limit / MAX_GAP)
+        rows, first = np.unique(rows, return_index=True)
+        if len(rows):
+            return np.asarray(rows, np.int64), robot[robot_rows[first]]
     if not len(found):
         span = [f"{row[0]:g} to {row[-1]:g} s" for row in (times, robot_times)]
         raise ValueError(
-            f"no tracked pose (times {span[0]}) is between two poses of the robot (times {span[1]}): both need one clock"
+            f"no tracked pose (times {span[0]}) has a pose of the robot (times {span[1]}): both need one clock"
         )
     positions = np.stack([np.interp(times[found], robot_times, column) for column in robot.translation.T], axis=1)
     return found, RigidTransform.from_components(positions, Slerp(robot_times, robot.rotation)(times[found]))

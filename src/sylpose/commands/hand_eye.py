@@ -89,9 +89,10 @@ def hand_eye(options: HandEyeOptions) -> None:
         rows.append(["  sd", *(" ".join(f"{v:.2g}" for v in values) for values in (sd[3:], np.degrees(sd[:3])))])
     header = ("Transform", f"position, {trajectory.unit or 'units'}", "rotation vector, °")
     console_output.print_table(console, header, rows)
-    rms = [float(np.sqrt(np.mean(r**2))) for r in (solution.rotation_residual, solution.position_residual)]
+    used = solution.used
+    rms = [float(np.sqrt(np.mean(r[used] ** 2))) for r in (solution.rotation_residual, solution.position_residual)]
     position = format_length(rms[1], trajectory.unit)
-    facts = [("Poses", f"{len(found)} of {len(frames)} tracked ones, at times of the robot")]
+    facts = [("Poses", f"{len(found)} of {len(frames)} tracked ones, at times of the robot; {used.sum()} agree")]
     facts.append(
         ("Residual", f"{np.degrees(rms[0]):.3g}°, {position} (rms); variance factor {solution.variance_factor:.3g}")
     )

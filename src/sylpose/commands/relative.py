@@ -45,7 +45,7 @@ def relative(options: RelativeOptions) -> None:
     """Compute the poses of B in the frame of A, with standard deviations, joint angles and helical axes.
 
     Writes relative.csv and relative.tum (a_from_b, as trajectory.csv) and joint.csv (angles and helical axes). Both
-    objects must come from one recording. All other commands accept relative.csv.
+    objects must come from one recording. sylpose export and sylpose compare accept relative.csv.
 
     Examples:
         sylpose relative recording/sylpose/thigh recording/sylpose/shank
