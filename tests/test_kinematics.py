@@ -207,6 +207,23 @@ def test_objects_at_rest_and_exact_data() -> None:
     np.testing.assert_allclose(found.angular.velocity, truth[2], atol=2e-3)
 
 
+def test_gaps_and_bursts() -> None:
+    """Two parts long apart, and one of a few frames, which has no result; two frames at almost one time."""
+    times, poses, truth = simulate(4, n=80)
+    noisy, stated = disturb(poses, 4), np.tile(COVARIANCE, (80, 1, 1))
+    apart = times + np.where(np.arange(80) >= 40, 500.0, 0.0) + np.where(np.arange(80) >= 75, 500.0, 0.0)
+    found = estimate_kinematics(apart, noisy, stated)
+    assert np.isnan(found.linear.velocity[75:]).all()
+    for d, velocity in ((found.linear, truth[0]), (found.angular, truth[2])):
+        assert_between(np.abs(d.velocity - velocity)[:75] / d.velocity_sd[:75], -1.0, 6.0)
+    alone = estimate_kinematics(times[:40], noisy[:40], stated[:40])
+    np.testing.assert_allclose(found.linear.velocity[:40], alone.linear.velocity, rtol=1e-6)
+    burst = np.sort(np.r_[times[:-1], times[40] + 1e-7])
+    found = estimate_kinematics(burst, noisy, stated)
+    assert np.isfinite(found.angular.covariance).all()
+    assert np.abs(found.angular.velocity).max() < 20.0
+
+
 def make_trajectory(n: int = 40) -> tuple[Trajectory, Truth]:
     times, poses, truth = simulate(5, n=n)
     noisy, frames = disturb(poses, 5), []

@@ -28,6 +28,8 @@ from sylpose.geometry.matrices import kron, transpose
 
 # Fewer poses hardly determine nine unknowns and two variances (choice).
 MIN_POSES = 12
+# Parts of a recording that are so many steps apart are independent; a gap's states would be rounding (choice).
+MAX_GAP = 100.0
 # Derivatives m that are modeled as white noise: the acceleration's derivative is the first one that leaves it finite,
 # and splines of degree nine fit sums of sines (choice).
 ORDERS = (3, 4, 5)
@@ -102,6 +104,8 @@ def estimate_kinematics(
 ) -> Kinematics:
     """Estimate velocities and accelerations from n poses, with their covariance.
 
+    Parts between long gaps are independent, and NaN if they are short. The noise and the filter are those of the longest.
+
     Args:
         times: (n,) increasing, not necessarily regular.
         poses: n poses world_from_object.
@@ -110,7 +114,7 @@ def estimate_kinematics(
         observations: (n,) numbers of observations of each pose, 0 for an ordinary one; None for equal ones.
 
     Raises:
-        ValueError: fewer than `MIN_POSES` poses; times that do not increase.
+        ValueError: fewer than `MIN_POSES` poses without long gaps between them; times that do not increase.
     """
     times, covariance = np.asarray(times, float), np.asarray(covariance, float)
     if len(times) < MIN_POSES:
@@ -121,10 +125,31 @@ def estimate_kinematics(
     # The first frame, which defines the object's frame, has no matches.
     typical = float(np.median(counts[counts > 0])) if (counts > 0).any() else 1.0
     variances = typical / np.where(counts > 0, counts, typical)
-    positions = np.asarray(poses.translation)
-    return Kinematics(
-        _differentiate(times, positions - positions[0], covariance[:, 3:, 3:], variances),
-        _differentiate(times, poses.rotation, covariance[:, :3, :3], variances),
+    steps = np.diff(times)
+    parts = np.split(np.arange(len(times)), np.flatnonzero(steps > MAX_GAP * np.median(steps)) + 1)
+    parts = [part for part in parts if len(part) >= MIN_POSES]
+    if not parts:
+        raise ValueError(f"velocities need at least {MIN_POSES} measured poses without a long gap between them")
+    has_result = np.zeros(len(times), bool)
+    has_result[np.concatenate(parts)] = True
+    found = []
+    for k in parts:
+        positions = poses[k].translation
+        linear = _differentiate(times[k], positions - positions[0], covariance[k, 3:, 3:], variances[k])
+        found.append(
+            Kinematics(linear, _differentiate(times[k], poses[k].rotation, covariance[k, :3, :3], variances[k]))
+        )
+    joined = Kinematics(_join([part.linear for part in found]), _join([part.angular for part in found]))
+    return fill_frames(joined, has_result)
+
+
+def _join(parts: Sequence[Derivatives]) -> Derivatives:
+    """Join the derivatives of consecutive parts of a recording; noise and filter are those of the longest."""
+    return replace(
+        max(parts, key=lambda part: len(part.velocity)),
+        velocity=np.concatenate([part.velocity for part in parts]),
+        acceleration=np.concatenate([part.acceleration for part in parts]),
+        covariance=np.concatenate([part.covariance for part in parts]),
     )
 
 
@@ -307,11 +332,10 @@ class _States:
 
 
 def _initialize_states(measured: FloatArray | Rotation, steps: FloatArray) -> _States:
-    """Return the measured values with two derivatives by finite differences."""
-    slopes = _subtract(measured[1:], measured[:-1]) / steps[:, None]
+    """Return the measured values with two derivatives by finite differences, of very short steps too small ones."""
+    slopes = _subtract(measured[1:], measured[:-1]) / np.maximum(steps, 0.5)[:, None]
     velocity = np.vstack([slopes[:1], 0.5 * (slopes[1:] + slopes[:-1]), slopes[-1:]])
-    acceleration = np.gradient(velocity, np.concatenate([[0.0], np.cumsum(steps)]), axis=0)
-    return _States(measured, measured, np.stack([velocity, acceleration], axis=1), steps)
+    return _States(measured, measured, np.stack([velocity, np.gradient(velocity, axis=0)], axis=1), steps)
 
 
 def _subtract(a: Any, b: Any) -> FloatArray:
