@@ -417,7 +417,7 @@ def test_images_are_released_and_references_bounded(clip: Clip) -> None:
                 assert not any(ref() is not None for refs in alive[: k - 1] for ref in refs)
                 references.append(sum(isinstance(o, CameraFrame) for o in gc.get_objects()))
 
-    for f in track(frames(), clip.rig, clip.boxes, options=options):
+    for f in track(frames(), clip.rig, clip.boxes, lookahead=0, options=options):
         del f
     assert len(alive) == 2 * FRAMES - 4
     # The keyframes, the last frames and the current one, in each of three cameras.
@@ -468,7 +468,7 @@ def test_single_frame(clip: Clip) -> None:
 
 
 def test_results_are_streamed(clip: Clip) -> None:
-    """No frame is read ahead, and results are available when a recording ends abruptly."""
+    """Without lookahead no frame is read in advance, and results are available when a recording ends abruptly."""
     taken = 0
 
     def frames() -> Iterable[FrameSet]:
@@ -481,7 +481,7 @@ def test_results_are_streamed(clip: Clip) -> None:
 
     found = []
     with pytest.raises(OSError, match="broken off"):  # noqa: PT012
-        for f in track(frames(), clip.rig, clip.boxes):
+        for f in track(frames(), clip.rig, clip.boxes, lookahead=0):
             found.append(f)
             assert f.pose.index == taken - 1
     assert statuses(found) == [FrameStatus.FIRST] + [FrameStatus.TRACKED] * 3

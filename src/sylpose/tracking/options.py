@@ -16,8 +16,8 @@ from sylpose.relative_pose.camera_evidence import MAX_F_RATIO
 class TrackingOptions:
     """Limits and sizes of the tracker, checked when they are made.
 
-    The defaults suit all recordings of the benchmarks; docs/history/benchmarks.md#trust has the effect of half and twice
-    each value. A larger limit (`max_`) accepts more, a larger minimum (`min_`) less.
+    All benchmarks have the defaults; docs/history/benchmarks.md#trust has the effect of half and twice the values. A larger
+    limit (`max_`) accepts more, a larger minimum (`min_`) less.
 
     Attributes:
         max_f_ratio: largest F ratio of a frame in which cameras do not contradict each other
