@@ -184,7 +184,7 @@ def test_invalid_manifests_raise_one_sentence(tmp_path: Path, name: str, content
         (["nothing"], "no such folder"),
         (["none.toml"], "no such manifest"),
         (["lab/notes"], "no recording in it (a folder with videos or images and a calibration)"),
-        (["lab/day2"], "but video without a calibration: set one with --calibration"),
+        (["uncalibrated"], "but video without a calibration: set one with --calibration"),
         (["lab/day1", "other"], "use their common parent folder"),
         (["gopher://x/y"], "gopher://x/y: "),
     ],
@@ -194,6 +194,7 @@ def test_invalid_sources_raise_one_sentence(
 ) -> None:
     archive(tmp_path / "lab", *LAB)
     archive(tmp_path / "other/a", "calibration.toml", "cam_0.mp4")
+    archive(tmp_path / "uncalibrated", "video/c.avi")
     monkeypatch.chdir(tmp_path)
     with pytest.raises((ValueError, FileNotFoundError)) as error:
         by_name(*sources)

@@ -418,7 +418,8 @@ def test_track_session_from_python(recording: Path, tmp_path: Path) -> None:
     assert seen == [0, 1, 2]
     assert len(result.trajectory) == 3
     assert {file.name for file in result.files} == OUTPUTS - {"overlay.mp4"}
-    assert set(result.seconds) == {"reading", "tracking", "saving", "smoothing", "plots"}
+    stages = {"search for what moves", "reading", "tracking", "saving", "smoothing", "plots"}
+    assert set(result.seconds) == stages
     assert min(result.seconds.values()) >= 0
     with pytest.raises(ValueError, match="magic"):
         track_session(open_session(recording), tmp_path, RunOptions(method="magic"))

@@ -15,6 +15,7 @@ import msgspec
 from sylpose import __version__
 from sylpose.input_limits import MAX_TABLE_BYTES, input_errors, parse_toml, to_one_line
 from sylpose.io.calibration.files import is_calibration_name
+from sylpose.io.capture.layouts import list_takes
 from sylpose.io.capture.sources import find_recording_folders
 from sylpose.io.stores import ObjectStore, Store, StoredFile, open_store, resolve_location
 from sylpose.methods import FEATURES, METHODS, resolve_features
@@ -59,6 +60,7 @@ class Recording(TrackingOptions, frozen=True, kw_only=True):
 
     name: str = ""
     path: str
+    take: str = ""
     calibration: str | None = None
     boxes: str | None = None
     masks: str | None = None
@@ -72,10 +74,10 @@ class Recording(TrackingOptions, frozen=True, kw_only=True):
     @property
     def digest(self) -> str:
         """Return a digest of everything that determines the result: inputs, options, version."""
-        return _digest([__version__, self.inputs, self.options])
+        return _digest([__version__, self.inputs, self.take, self.options])
 
 
-COLUMNS = ("path", "name", *FILE_KINDS, *TrackingOptions.__struct_fields__)
+COLUMNS = ("path", "name", "take", *FILE_KINDS, *TrackingOptions.__struct_fields__)
 
 
 def find_recordings(
@@ -155,8 +157,25 @@ def _find_below(
         url = source.join(folder.as_posix()).url
         recording = Recording(name=name, path=url, **msgspec.structs.asdict(options))
         found.append(_complete(recording, inside[folder], calibration))
+    if not found and not isinstance(source, ObjectStore):
+        found = _find_takes(source, options, files, calibration)
     names = ["the folder itself" if name == SOURCE else str(name) for name in uncalibrated]
     return found, ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
+
+
+def _find_takes(
+    source: Store, options: TrackingOptions, files: Sequence[StoredFile], calibration: str | None
+) -> list[Recording]:
+    """Find the takes in the folder of another program."""
+    try:
+        takes = list_takes(Path(source.url), None if calibration is None else Path(calibration))
+    except ValueError:
+        return []
+    name = source.url.rpartition("/")[2]
+    defaults = msgspec.structs.asdict(options)
+    return [
+        _complete(Recording(name=take or name, path=source.url, take=take, **defaults), files, None) for take in takes
+    ]
 
 
 def _list_files(store: Store, label: str) -> list[StoredFile]:

@@ -50,7 +50,7 @@ def track_recording(recording: Recording, folder: Path, threads: int) -> Summary
         given = (local(getattr(recording, kind), f"given_{kind}") for kind in FILE_KINDS)
         calibration, boxes, masks, offsets = given
         path = local(recording.path, "recording") or folder
-        session = open_session(path, calibration=calibration, boxes=boxes, masks=masks)
+        session = open_session(path, calibration=calibration, boxes=boxes, masks=masks, take=recording.take)
         if world is not None:
             world = WorldSpec(world if is_world_text(world) else str(local(world, "given_world.toml")))
         session = apply_world_and_unit(session, world, unit)

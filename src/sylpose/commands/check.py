@@ -34,10 +34,11 @@ def check(options: CheckOptions) -> None:
     from sylpose.runs import check as checks
     from sylpose.runs import console_output, rig_evidence
     from sylpose.runs.results_folder import check_output_folder
+    from sylpose.runs.run import output_path
     from sylpose.runs.run_metadata import WORLD
 
     session = options.apply_to(options.open(options.boxes, options.frame_offset))
-    folder = session.path / "sylpose" if options.out is None else options.out
+    folder = output_path(session, options.out)
     check_output_folder(session, folder)
     pictures = [make_output_folder(folder) / "rig.png"]
     locations = {name: checks.locate_object(session.select_object(name)) for name in session.objects}

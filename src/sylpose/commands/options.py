@@ -47,6 +47,7 @@ class CameraOptions(CommandOptions):
         video: Assign a video or image folder to a camera if its name does not match. Repeatable.
         exclude_camera: Leave out a camera, for example one without a video. Repeatable.
         rate: Set the frame rate of image folders, for times in seconds.
+        take: Open this take of a folder with several.
         as_coded: Do not turn frames as their files specify, if the calibration fits both; default: as the cameras agree.
     """
 
@@ -54,6 +55,7 @@ class CameraOptions(CommandOptions):
     video: Annotated[tuple[str, ...], option("--video NAME=FILE", INPUT)] = ()
     exclude_camera: Annotated[tuple[str, ...], option("--exclude-camera CAM", INPUT)] = ()
     rate: Annotated[float | None, option("--rate HZ", INPUT)] = None
+    take: Annotated[str, option("--take NAME", INPUT)] = ""
     as_coded: Annotated[bool, option("--as-coded", INPUT)] = False
 
     def open_recording(self, path: Path, frame_offset: Sequence[str] = (), **files: Path | None) -> Session:
@@ -77,6 +79,7 @@ class CameraOptions(CommandOptions):
             rate=self.rate,
             without=self.exclude_camera,
             as_coded=self.as_coded,
+            take=self.take,
             **files,
         )
         if self.as_coded or not session.has_ambiguous_orientation:

@@ -40,8 +40,9 @@ DEFAULT_OVERLAY_RATE = 2.0
 
 
 def output_path(session: Session | LiveSession, out: Path | str | None = None) -> Path:
-    """Return the folder of a run's files; the default is `sylpose` in the session's folder."""
-    return session.path / "sylpose" if out is None else Path(out)
+    """Return the folder of a run's files; the default is `sylpose` in the session's folder, with a folder for each take."""
+    take = session.take if isinstance(session, Session) else ""
+    return session.path / "sylpose" / take if out is None else Path(out)
 
 
 def result_units(session: Session | LiveSession, known: Mapping[str, KnownObject]) -> dict[str, str]:

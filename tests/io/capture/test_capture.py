@@ -20,11 +20,12 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.frames import Box, FrameSet
 from sylpose.io import calibration
 from sylpose.io.capture import Session, open_session
-from sylpose.io.capture.names import find_repeated_recordings, image_files, image_numbers, match_names
+from sylpose.io.capture.names import image_files, image_numbers, match_names, split_takes
 from sylpose.io.capture.sources import Source
 from sylpose.io.capture.time_tables import find_time_table
 from sylpose.io.capture.timeline import build_timeline
 from sylpose.rig import Camera, Rig
+from sylpose.runs.run import output_path
 from tests.paths import DATA
 
 SIZE = (160, 48)
@@ -695,7 +696,7 @@ def test_names_are_matched_by_distinguishing_words(files: list[str], cameras: li
     assert match_names(["run a", "run b"], ["top", "side"]) == {}
 
 
-def test_several_recordings_in_one_folder_are_reported(folder: Path) -> None:
+def test_takes_in_one_folder(folder: Path) -> None:
     two_videos(folder)
     text = (folder / "calibration.toml").read_text()
     (folder / "calibration.toml").write_text(text.replace("cam_0", "A").replace("cam_1", "B"))
@@ -704,14 +705,24 @@ def test_several_recordings_in_one_folder_are_reported(folder: Path) -> None:
         for take in (1, 2):
             shutil.copy(video, folder / f"vid{take}-cam{letter}.mp4")
         video.unlink()
-    with pytest.raises(
-        ValueError, match=r"several recordings in one folder \(vid1-camA.mp4, vid2-camA.mp4 are all of camera A\)"
-    ):
+    with pytest.raises(ValueError, match=r"several takes \(vid1, vid2\); select one with --take NAME"):
         open_session(folder)
+    with pytest.raises(ValueError, match=r"no take 'vid3' \(vid1, vid2\)"):
+        open_session(folder, take="vid3")
+    session = open_session(folder, take="vid2")
+    assert [source.path.name for source in session.sources] == ["vid2-camA.mp4", "vid2-camB.mp4"]
+    assert output_path(session) == folder / "sylpose" / "vid2"
     session = open_session(folder, cameras={"A": "vid2-camA.mp4", "B": "vid2-camB.mp4"})
     assert [source.path.name for source in session.sources] == ["vid2-camA.mp4", "vid2-camB.mp4"]
-    assert find_repeated_recordings(["a1", "b1"], ["a", "b"]) == []
-    assert find_repeated_recordings(["x_a", "y_a", "x_b"], ["a", "b"]) == []
+
+
+def test_splitting_of_names_into_takes() -> None:
+    assert split_takes(["a1", "b1"], ["a", "b"]) == {}
+    assert split_takes(["x_a", "y_a", "x_b"], ["a", "b"]) == {"x": {"a": "x_a", "b": "x_b"}}
+    names = [f"mouse_{take}_cam_{c}_day-3" for take in "pq" for c in range(2)]
+    expected = {f"mouse_{t}_day-3": {f"cam_{c}": f"mouse_{t}_cam_{c}_day-3" for c in range(2)} for t in "pq"}
+    assert split_takes(names, ["cam_0", "cam_1"]) == expected
+    assert split_takes(["cam0 a", "cam1 a", "cam0 b", "cam1 b"], ["cam_0", "cam_1"]).keys() == {"a", "b"}
 
 
 def test_cameras_can_be_assigned_explicitly(folder: Path) -> None:

@@ -35,6 +35,6 @@
 `camera_from_world` and OpenCV's pixel convention (docs/conventions.md).
 """
 
-from sylpose.io.calibration.files import find, format_name, load, save
+from sylpose.io.calibration.files import find, format_name, load, save, search
 
-__all__ = ["find", "format_name", "load", "save"]
+__all__ = ["find", "format_name", "load", "save", "search"]

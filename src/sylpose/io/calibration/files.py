@@ -59,19 +59,7 @@ def find(folder: str | os.PathLike[str]) -> Path:
     folder = Path(folder)
     if not folder.is_dir():
         raise FileNotFoundError(f"{folder}: no such folder")
-    files = sorted(path for path in folder.iterdir() if path.is_file())
-    found = [path for path in files if _has_calibration_name(path)] or [
-        path for path in files if _has_program_name(path)
-    ]
-    if not found:
-        of_each_camera = (
-            [path for path in files if re.fullmatch(pattern, path.name, re.IGNORECASE)]
-            for pattern in _SINGLE_CAMERA_PATTERNS
-        )
-        found = [paths[0] for paths in of_each_camera if paths]
-    if not found:
-        inner = sorted(path for path in folder.iterdir() if path.is_dir() and _is_calibration_folder(path.name.lower()))
-        found = [path for path in (*inner, folder / "sparse" / "0") if find_folder_file(path)]
+    found = search(folder)
     if not found:
         nested = next(
             (path for path in sorted(folder.glob("*/*")) if path.is_file() and is_calibration_name(path)), None
@@ -87,6 +75,24 @@ def find(folder: str | os.PathLike[str]) -> Path:
             f"{folder}: {len(found)} calibrations ({', '.join(p.name for p in found)}); specify which one to use"
         )
     return found[0]
+
+
+def search(folder: Path) -> list[Path]:
+    """Return the calibrations in a folder by name, as `find`: of the kind that comes first, all."""
+    files = sorted(path for path in folder.iterdir() if path.is_file())
+    found = [path for path in files if _has_calibration_name(path)] or [
+        path for path in files if _has_program_name(path)
+    ]
+    if not found:
+        of_each_camera = (
+            [path for path in files if re.fullmatch(pattern, path.name, re.IGNORECASE)]
+            for pattern in _SINGLE_CAMERA_PATTERNS
+        )
+        found = [paths[0] for paths in of_each_camera if paths]
+    if not found:
+        inner = sorted(path for path in folder.iterdir() if path.is_dir() and _is_calibration_folder(path.name.lower()))
+        found = [path for path in (*inner, folder / "sparse" / "0") if find_folder_file(path)]
+    return found
 
 
 def load(path: str | os.PathLike[str], sizes: SizeLookup | None = None) -> Rig:

@@ -88,26 +88,28 @@ def _match_distinct_words(names: Sequence[str], cameras: Sequence[str]) -> dict[
     return {name: by_word[word] for name, word in zip(names, file_words, strict=True)}
 
 
-def find_repeated_recordings(names: Sequence[str], cameras: Sequence[str]) -> list[str]:
-    """Detect several recordings in one folder.
+def split_takes(names: Sequence[str], cameras: Sequence[str]) -> dict[str, dict[str, str]]:
+    """Split names such as `vid1-camA` into takes, those that have a file for each camera.
 
     Returns:
-        The file names of the first camera if every camera matches the same number (>= 2) of files; otherwise empty.
+        by take, by camera: the file's name; empty unless each name contains one camera's.
     """
-    n_recordings, rest = divmod(len(names), max(len(cameras), 1))
-    if n_recordings < 2 or rest:
-        return []
-    names_by_word: dict[str, list[str]] = {}
+    words = dict(zip(_distinct_words(cameras), cameras, strict=True)) | {
+        _normalize_name(name): name for name in cameras
+    }
+    takes = dict[str, dict[str, str]]()
     for name in names:
-        for word in {_normalize_name(word) for word in re.split(r"[\s_.-]+", name)}:
-            names_by_word.setdefault(word, []).append(name)
-    names_by_camera = [names_by_word.get(word, []) for word in _distinct_words(cameras)]
-    return (
-        names_by_camera[0]
-        if {len(those) for those in names_by_camera} == {n_recordings}
-        and len(set().union(*names_by_camera)) == len(names)
-        else []
-    )
+        parts = re.split(r"([\s_.-]+)", name)
+        # A camera's name may have several words.
+        spans = [(i, j) for i in range(0, len(parts), 2) for j in range(i + 1, len(parts) + 1, 2)]
+        found = [span for span in spans if _normalize_name("".join(parts[slice(*span)])) in words]
+        if not found:
+            return {}
+        i, j = max(found, key=lambda span: (span[1] - span[0], span[0]))
+        camera = words[_normalize_name("".join(parts[i:j]))]
+        rest = "".join(parts[: max(i - 1, 0)]) + "".join(parts[j if i else j + 1 :])
+        takes.setdefault(rest, {})[camera] = name
+    return {take: by_camera for take, by_camera in takes.items() if len(by_camera) == len(cameras)}
 
 
 def _distinct_words(names: Sequence[str]) -> list[str]:

@@ -22,6 +22,7 @@ from sylpose.io import calibration as calibrations
 from sylpose.io.calibration.world import World, transform_rig
 from sylpose.io.capture.boxes import Masks, check_first_masks, find_masks, load_boxes, merge_object_names
 from sylpose.io.capture.frame_readers import CameraReader, FrameReading, check_readable
+from sylpose.io.capture.layouts import Layout, find_layouts
 from sylpose.io.capture.repetitions import RepetitionFilter
 from sylpose.io.capture.sources import RecordingFolder, Source
 from sylpose.io.capture.time_tables import find_time_table
@@ -115,11 +116,13 @@ class Session(SessionBase):
         sources: one per camera, in the rig's order.
         timeline: frame of each camera and time of each frame set.
         as_coded: whether frames are not turned as their files specify where the calibration fits both.
+        take: the take that was selected of several in one folder; "" else.
     """
 
     sources: tuple[Source, ...]
     timeline: Timeline
     as_coded: bool = field(default=False, kw_only=True)
+    take: str = field(default="", kw_only=True)
 
     @property
     def has_ambiguous_orientation(self) -> bool:
@@ -243,8 +246,12 @@ def open_session(
     rate: float | None = None,
     without: Sequence[str] = (),
     as_coded: bool = False,
+    take: str = "",
 ) -> Session:
     """Open a recording: a folder with one video (`cam_0.mp4`) or one image folder (`cam_0/`) per camera.
+
+    Folders of other programs are opened as they are: projects and recordings of Pose2Sim, Anipose, FreeMoCap, Caliscope,
+    DANNCE, DeepLabCut, Multical, EasyMocap and OpenCap (`layouts.find_layouts`).
 
     File names are matched to the calibration's cameras, tolerantly if that is unambiguous (`0.avi` is `cam_0`). Frames
     are turned as their files specify (display matrix, EXIF), as OpenCV does, if the calibration has the size of the turned
@@ -262,6 +269,7 @@ def open_session(
         rate: frame rate of image folders without timestamps, frames per second.
         without: cameras of the calibration to exclude, whether they have images or not.
         as_coded: whether frames are not turned where the calibration fits them as coded too.
+        take: the take to open, of a folder with several.
 
     Returns:
         The session; its `warnings` list suspicious input.
@@ -270,7 +278,7 @@ def open_session(
         FileNotFoundError: no such folder or file.
         ValueError: the message names the file or camera and the expected content.
     """
-    files = _InputFiles(calibration, boxes, masks, offsets or {}, cameras or {}, rate, without, as_coded)
+    files = _InputFiles(calibration, boxes, masks, offsets or {}, cameras or {}, rate, without, as_coded, take)
     return _open_session(Path(path), files)
 
 
@@ -288,7 +296,7 @@ def reopen_session(
     Raises:
         FileNotFoundError, ValueError: as `open_session`.
     """
-    files = _InputFiles(calibration, None, None, offsets, cameras, rate, without, as_coded)
+    files = _InputFiles(calibration, None, None, offsets, cameras, rate, without, as_coded, "")
     return _open_session(path, files, is_reopened=bool(without))
 
 
@@ -303,6 +311,7 @@ class _InputFiles(NamedTuple):
     rate: float | None
     without: Sequence[str]
     as_coded: bool
+    take: str
 
 
 def _open_session(path: Path, given: _InputFiles, is_reopened: bool = False) -> Session:
@@ -311,16 +320,22 @@ def _open_session(path: Path, given: _InputFiles, is_reopened: bool = False) -> 
             raise FileNotFoundError(f"{path}: no such folder")
         if not path.is_dir():
             raise ValueError(f"{path}: a folder with one video or image folder per camera is expected, not a file")
-        calibration = calibrations.find(path) if given.calibration is None else Path(given.calibration)
+        layout = _find_layout(path, given)
+        path, calibration = layout.path, layout.calibration
         boxes, masks = find_boxes_and_masks(path, given.boxes, given.masks, search=not is_reopened)
         others = [masks] if masks else []
-        recording = RecordingFolder(path, calibration, others, given.cameras, given.without, given.as_coded)
+        take = "" if layout.take else given.take
+        recording = RecordingFolder(
+            layout.sources, calibration, others, given.cameras, given.without, given.as_coded, take
+        )
         full_rig = calibrations.load(calibration, recording.read_image_sizes)
         rig = full_rig if is_reopened else _exclude_cameras(full_rig, given.without, calibration)
         sources, warnings = recording.find_sources(rig)
         for source in sources:
             check_readable(source)
-        table = find_time_table(path, rig.names, given.without)
+        places = dict.fromkeys((path, layout.sources))
+        tables = (find_time_table(place, rig.names, given.without) for place in places)
+        table = next((table for table in tables if table is not None), None)
         timeline, timeline_warnings = build_timeline(sources, table, given.offsets, given.rate)
         by_object, mask_warnings = ({}, []) if masks is None else find_masks(masks, full_rig, sources)
         for camera_masks in by_object.values():
@@ -340,6 +355,7 @@ def _open_session(path: Path, given: _InputFiles, is_reopened: bool = False) -> 
             warnings=(*warnings, *timeline_warnings, *mask_warnings),
             without=tuple(given.without),
             as_coded=given.as_coded,
+            take=take,
             _boxes=object_boxes,
             _masks=by_object,
         )
@@ -349,6 +365,21 @@ def use_frames_as_coded(session: Session) -> Session:
     """Return a session without the turns that files specify where the calibration fits both."""
     sources = (replace(its, orientation=1) if its.is_orientation_ambiguous else its for its in session.sources)
     return replace(session, sources=tuple(sources), as_coded=True)
+
+
+def _find_layout(path: Path, given: _InputFiles) -> Layout:
+    """Find the recording in a folder, of several takes the selected one."""
+    calibration = None if given.calibration is None else Path(given.calibration)
+    if given.cameras:  # relative to the folder
+        return Layout(path, path, calibration or calibrations.find(path))
+    layouts = find_layouts(path, calibration)
+    if len(layouts) == 1 and given.take in ("", layouts[0].take):
+        return layouts[0]
+    names = [layout.take for layout in layouts]
+    if len(layouts) > 1 and given.take not in names:
+        problem = f"no take {given.take!r}" if given.take else "several takes"
+        raise ValueError(f"{path}: {problem} ({', '.join(names)}); select one with --take NAME")
+    return layouts[names.index(given.take)] if given.take in names else layouts[0]
 
 
 def find_boxes_and_masks(

@@ -21,11 +21,11 @@ from sylpose.io.capture.image_sizes import describe_size_mismatch
 from sylpose.io.capture.images import read_image, read_image_size, read_orientation
 from sylpose.io.capture.names import (
     IMAGE_SUFFIXES,
-    find_repeated_recordings,
     image_files,
     image_numbers,
     invert_unique,
     match_names,
+    split_takes,
 )
 from sylpose.io.capture.presentation import read_presentation
 from sylpose.rig import Camera, Rig
@@ -46,6 +46,8 @@ METADATA_OPTIONS: dict[str, Any] = {} if int(av.__version__.partition(".")[0]) >
 EXIF_ORIENTATIONS = (1, 8, 3, 6)
 # Folder names that sylpose itself writes or reads, and which are never cameras.
 NON_CAMERA_NAMES = frozenset({"sylpose", "masks", "overlay"})
+# Beginnings of the names of folders and videos for calibration: Pose2Sim, Anipose, DANNCE, DeepLabCut.
+CALIBRATION_PREFIXES = ("calib", "camera_matrix")
 
 
 @dataclass(frozen=True)
@@ -109,6 +111,7 @@ class RecordingFolder:
             name.
         without: excluded cameras that are not in the rig; their sources are optional.
         as_coded: whether frames are not turned as their files specify where the calibration fits both.
+        take: the take of which the sources are, if the folder has several.
     """
 
     path: Path
@@ -117,6 +120,7 @@ class RecordingFolder:
     source_by_camera: Mapping[str, Path | str] = field(default_factory=dict)
     without: Sequence[str] = ()
     as_coded: bool = False
+    take: str = ""
 
     def find_sources(self, rig: Rig) -> tuple[tuple[Source, ...], list[str]]:
         """Find the image source of each camera.
@@ -153,13 +157,12 @@ class RecordingFolder:
         path, by_camera = self.path, self._resolve_given(cameras)
         unassigned = [name for name in cameras if name not in by_camera]
         others = {resolve_path(folder) for folder in (*self.other_folders, *by_camera.values())}
-        known = (*cameras, *self.without)
-        found = [
-            entry for entry in sorted(path.iterdir()) if _is_source(entry, known) and resolve_path(entry) not in others
-        ]
-        if not found and unassigned:
-            raise ValueError(f"{path}: no videos and no folders of images, one per camera, in this folder")
+        found = [entry for entry in find_entries(path, (*cameras, *self.without)) if resolve_path(entry) not in others]
         names = {entry: entry.name if entry.is_dir() else entry.stem for entry in found}
+        if not found and unassigned:
+            found, names = self._select_folders()
+        selected = self._select_take(names, unassigned)
+        found, names = [entry for entry in found if entry in selected], selected
         try:
             matched = match_names(dict.fromkeys(names.values()), [*unassigned, *self.without])
         except ValueError as error:
@@ -171,12 +174,6 @@ class RecordingFolder:
         missing = [name for name in cameras if name not in by_camera]
         # If sources were named explicitly, the folder may contain others.
         extra = [entry.name for entry in found if names[entry] not in matched and not self.source_by_camera]
-        if missing and (first := find_repeated_recordings(list(names.values()), unassigned)):
-            several = ", ".join(entry.name for entry in found if names[entry] in first)
-            raise ValueError(
-                f"{path}: several recordings in one folder ({several} are all of camera {unassigned[0]}); select one "
-                "with --video NAME=FILE for each camera"
-            )
         if missing or extra:
             calibration = self.calibration.name
             problems = [f"no video or image folder for camera {', '.join(missing)} of {calibration}"] if missing else []
@@ -188,6 +185,30 @@ class RecordingFolder:
             )
             raise ValueError(f"{path}: {'; '.join(problems)}{found_text}; assign them with --video NAME=FILE{hint}")
         return by_camera
+
+    def _select_folders(self) -> tuple[list[Path], dict[Path, str]]:
+        """Return the video in each camera's folder, of the selected take, and the folder's name."""
+        folders = find_camera_folders(self.path)
+        if not folders:
+            raise ValueError(f"{self.path}: no videos and no folders of images, one per camera, in this folder")
+        takes = list(dict.fromkeys(file.stem for files in folders.values() for file in files))
+        take = takes[0] if len(takes) == 1 and not self.take else self._check_take(takes)
+        names = {file: name for name, files in folders.items() for file in files if file.stem == take}
+        return list(names), names
+
+    def _select_take(self, names: dict[Path, str], cameras: Sequence[str]) -> dict[Path, str]:
+        """Return the files of the selected take with the camera's part of their names, if there are several takes."""
+        by_name = {name: entry for entry, name in names.items()}
+        takes = split_takes(list(by_name), cameras)
+        if len(takes) < 2 or any(name in cameras for name in by_name):
+            return names
+        return {by_name[name]: camera for camera, name in takes[self._check_take(list(takes))].items()}
+
+    def _check_take(self, takes: Sequence[str]) -> str:
+        if self.take not in takes:
+            problem = f"no take {self.take!r}" if self.take else "several takes"
+            raise ValueError(f"{self.path}: {problem} ({', '.join(takes)}); select one with --take NAME")
+        return self.take
 
     def _resolve_given(self, cameras: Sequence[str]) -> dict[str, Path]:
         """Return the sources that are given by camera."""
@@ -220,6 +241,10 @@ def find_recording_folders(files: Collection[PurePath], calibrated: bool) -> tup
     videos, images, calibrations = set(), set(), set()
     for path in files:
         if NON_CAMERA_NAMES & set(path.parts[:-1]):
+            continue
+        # Videos of boards with the calibration that was made from them are no recording.
+        is_for_calibration = any(part.lower().startswith(CALIBRATION_PREFIXES) for part in path.parts[:-1])
+        if is_for_calibration and path.suffix.lower() in VIDEO_SUFFIXES | IMAGE_SUFFIXES:
             continue
         if path.suffix.lower() in VIDEO_SUFFIXES and path.stem not in NON_CAMERA_NAMES:
             videos.add(path.parent)
@@ -260,9 +285,27 @@ def open_video(path: Path) -> tuple[InputContainer, VideoStream]:
     return container, stream
 
 
+def find_entries(folder: Path, cameras: Sequence[str] = ()) -> list[Path]:
+    """Return the videos and the image folders in a folder; names of cameras may be any."""
+    return [entry for entry in sorted(folder.iterdir()) if _is_source(entry, cameras)]
+
+
+def find_camera_folders(folder: Path) -> dict[str, list[Path]]:
+    """Return the videos in each folder of a folder, of one camera each (DANNCE, OpenCap), by the folder's name."""
+    found = dict[str, list[Path]]()
+    for path in sorted(folder.iterdir()):
+        if path.is_dir() and not path.name.startswith(".") and path.name.lower() not in NON_CAMERA_NAMES:
+            files = [file for pattern in ("*", "InputMedia/*/*") for file in path.glob(pattern)]
+            videos = sorted(file for file in files if file.suffix.lower() in VIDEO_SUFFIXES and file.is_file())
+            if videos:
+                found[path.name] = videos
+    return found
+
+
 def _is_source(entry: Path, cameras: Sequence[str]) -> bool:
     name = entry.name if entry.is_dir() else entry.stem
-    if entry.name.startswith(".") or (name.lower() in NON_CAMERA_NAMES and name not in cameras):
+    is_other = name.lower() in NON_CAMERA_NAMES or name.lower().startswith(CALIBRATION_PREFIXES)
+    if entry.name.startswith(".") or (is_other and name not in cameras):
         return False
     if entry.is_dir():
         # A folder with a trajectory or a picture of the rig is the output of an earlier run.
