@@ -31,7 +31,7 @@ from sylpose.frames import Box
 from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Rig
 from sylpose.simulate import arc, box, compute_demo_truth, make_demo_scene, render_frames, ring
-from sylpose.smoothing import Track, smooth
+from sylpose.smoothing import Track, smooth_tracks
 
 LENS = (-0.11, 0.03, 0.0004, -0.0003, 0)
 RIGS = {
@@ -149,7 +149,7 @@ def score_rendered(seed: int, degrees: float) -> FloatArray:
     tracks, perturbed, rig, true = track_rendered(seed, degrees)
     rows = []
     for recalibrate in (False, True):
-        smoothed = smooth(
+        smoothed = smooth_tracks(
             tracks, perturbed, calibration_prior=default_calibration_prior(perturbed), recalibrate=recalibrate
         )
         poses = [pose for pose in smoothed.poses if pose.is_measured]

@@ -38,7 +38,7 @@ from sylpose.frames import Box
 from sylpose.geometry.arrays import FloatArray, Image
 from sylpose.report.camera_consistency import find_disagreements
 from sylpose.simulate import DemoTruth, Scene, compute_demo_truth, make_demo_scene, render_frames
-from sylpose.smoothing import SmoothedTrajectory, Track, smooth
+from sylpose.smoothing import SmoothedTrajectory, Track, smooth_tracks
 from sylpose.tracking.tracker import track
 
 FRAMES, MOTION_FRAME, TURN_DEG, SIZE = 60, 25, 70.0, (320, 240)
@@ -141,7 +141,7 @@ def evaluate_scene(scene: Scene, camera_motion: CameraMotion) -> SceneResult:
     """Track, smooth and refine a scene and score the results."""
     tracks = track_scene(scene, camera_motion)
     smoothed, refined = (
-        smooth(tracks, scene.rig, calibration_prior=default_calibration_prior(scene.rig), recalibrate=r)
+        smooth_tracks(tracks, scene.rig, calibration_prior=default_calibration_prior(scene.rig), recalibrate=r)
         for r in (False, True)
     )
     poses = [t.pose for t in tracks]

@@ -63,7 +63,7 @@ from sylpose.runs.certify import (
 )
 from sylpose.simulate import Actor, Scene, arc, chamfered_box, compute_demo_truth, render_frames
 from sylpose.simulate.recordings import create_session_folder, write_boxes, write_videos
-from sylpose.smoothing import Track, smooth
+from sylpose.smoothing import Track, smooth_tracks
 
 # Kinds of `benchmarks/trust.py`.
 BORROWED = (
@@ -201,7 +201,7 @@ def track_frames(frames: Sequence[FrameSet], rig: Rig, boxes: Mapping[str, Box] 
             radius = frame.radius if frame.pose.is_measured else radius
     except ValueError:
         pass
-    poses = smooth(tracks, rig, calibration_prior=default_calibration_prior(rig)).poses if tracks else ()
+    poses = smooth_tracks(tracks, rig, calibration_prior=default_calibration_prior(rig)).poses if tracks else ()
     return Trajectory(poses, rig.names, rig.unit), radius
 
 

@@ -36,7 +36,7 @@ from benchmarks.kinds_solvable import find_solvable_frames
 from sylpose import FramePose, FrameStatus, track
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import FloatArray
-from sylpose.smoothing import Track, smooth
+from sylpose.smoothing import Track, smooth_tracks
 
 GROUPS = {**SCENES, "thorough": FALLBACK_SEARCH, "starving": FEATURE_POOR, "large": LARGE}
 KINDS: dict[str, Kind] = {name: kind for group in GROUPS.values() for name, kind in group.items()}
@@ -103,7 +103,7 @@ def track_variation(kind: str, seed: int, features: str, *, smoothed: bool = Fal
     tracked = list(track(frames, variation.scene.rig, variation.boxes, features=features, seed=seed))
     runs = [evaluate_poses(kind, seed, features, variation, frames, [frame.pose for frame in tracked])]
     if smoothed:
-        poses = list(smooth([Track.from_tracked(frame) for frame in tracked], variation.scene.rig).poses)
+        poses = list(smooth_tracks([Track.from_tracked(frame) for frame in tracked], variation.scene.rig).poses)
         runs.append(evaluate_poses(kind, seed, f"{features}, smoothed", variation, frames, poses))
     return runs
 

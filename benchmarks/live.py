@@ -25,7 +25,7 @@ from benchmarks.loops import RenderedSequence, render_demo, render_sequence
 from sylpose import FramePose, open_session, track
 from sylpose.geometry.arrays import FloatArray
 from sylpose.report.files import read_tum
-from sylpose.smoothing import Track, smooth
+from sylpose.smoothing import Track, smooth_tracks
 from sylpose.tracking.window import refine_window
 
 SCENES = (
@@ -92,8 +92,8 @@ def compare_live(scene: RenderedSequence, n_frames: int) -> LiveComparison:
     measured = [k for k, t in enumerate(tracks) if t.pose.is_measured]
     chosen = [measured[i] for i in np.unique(np.linspace(1, len(measured) - 1, n_frames).astype(int))]
     live = [t.pose for t in tracks]
-    past = {k: smooth(tracks[: k + 1], scene.rig).poses[k] for k in chosen}
-    smoothed = smooth(tracks, scene.rig).poses
+    past = {k: smooth_tracks(tracks[: k + 1], scene.rig).poses[k] for k in chosen}
+    smoothed = smooth_tracks(tracks, scene.rig).poses
     first = measured[0]
     errors = [
         np.median([compute_error_norms(scene, first, live[first], k, poses[k]) for k in chosen], axis=0)

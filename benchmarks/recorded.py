@@ -18,7 +18,7 @@ import numpy as np
 from benchmarks.live import compute_error_vector, load_scene
 from sylpose import track
 from sylpose.bundle_adjustment.calibration_refinement import default_calibration_prior
-from sylpose.smoothing import Track, smooth
+from sylpose.smoothing import Track, smooth_tracks
 
 
 def main() -> None:
@@ -41,7 +41,7 @@ def main() -> None:
             "refined": {"calibration_prior": doubt, "recalibrate": True},
         }
         for label, smooth_options in settings.items():
-            poses = smooth(tracks, scene.rig, **smooth_options).poses
+            poses = smooth_tracks(tracks, scene.rig, **smooth_options).poses
             first, *found = [k for k, pose in enumerate(poses) if pose.is_measured]
             rows = []
             for k in found:

@@ -24,7 +24,7 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Rig
 from sylpose.simulate import Actor, Scene, arc, box, chamfered_box, compute_demo_truth, ellipsoid, render_frames, ring
 from sylpose.simulate.bodies import Body
-from sylpose.smoothing import Track, smooth
+from sylpose.smoothing import Track, smooth_tracks
 
 BODIES = {
     "ellipsoid": ellipsoid((0.15, 0.1, 0.12)),
@@ -147,7 +147,7 @@ def refine_rendered(
         )
     no_values = (None,) * len(rig)
     sets = [FrameSet(k, k / 30, no_values, images, no_values) for k, images in enumerate(render_frames(scene))]
-    found = smooth([Track.from_tracked(f) for f in track(sets, rig, boxes)], rig)
+    found = smooth_tracks([Track.from_tracked(f) for f in track(sets, rig, boxes)], rig)
     last, first = found.poses[-1], found.poses[0].world_from_object
     if last.world_from_object is None or first is None:
         return []

@@ -43,7 +43,7 @@ from sylpose import FramePose, track
 from sylpose.bundle_adjustment.calibration_refinement import default_calibration_prior
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.robust_loss import chi_squared_bound
-from sylpose.smoothing import Track, smooth
+from sylpose.smoothing import Track, smooth_tracks
 from sylpose.status import Status
 
 # Squared error of three unknowns in standard deviations that 95 % stay below.
@@ -126,7 +126,7 @@ def run_take(kind: str, seed: int) -> Run:
             tracked.append(frame.pose)
             tracks.append(Track.from_tracked(frame))
         if tracks:
-            result = smooth(tracks, rig, calibration_prior=default_calibration_prior(rig))
+            result = smooth_tracks(tracks, rig, calibration_prior=default_calibration_prior(rig))
             refined, refinement = list(result.poses), result.status
     except Exception as error:  # a crash ends a take, not the benchmark
         refusal = f"{type(error).__name__}: {error}"

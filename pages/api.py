@@ -15,12 +15,24 @@ __all__ = ["GROUPS", "markdown"]
 
 # All of `sylpose.__all__`, by purpose.
 GROUPS: dict[str, tuple[str, ...]] = {
-    "Recordings": ("open_session", "Session", "Source", "Timeline", "open_live", "LiveSession", "Device", "Grab"),
+    "Recordings": (
+        "open_session",
+        "Session",
+        "Source",
+        "Timeline",
+        "open_live",
+        "LiveSession",
+        "Device",
+        "Grab",
+        "load_calibration",
+    ),
     "Tracking": (
         "track_session",
         "RunOptions",
+        "TrackingOptions",
         "Run",
         "track",
+        "smooth",
         "TrackedFrame",
         "LandmarkObservations",
         "Nudge",
@@ -39,6 +51,8 @@ GROUPS: dict[str, tuple[str, ...]] = {
         "Motion",
         "Status",
         "RotationEstimate",
+        "load_trajectory",
+        "save_trajectory",
         "plot_trajectory",
         "to_dataframe",
     ),

@@ -22,7 +22,7 @@ import sylpose
 from sylpose import results, rig, simulate, view
 from sylpose.bundle_adjustment.calibration_refinement import MovedCamera, default_calibration_prior
 from sylpose.results import FramePose, RotationEstimate
-from sylpose.smoothing import Track, smooth
+from sylpose.smoothing import Track, smooth_tracks
 from sylpose.status import FrameStatus, Status
 from sylpose.sylvester import camera_faults, one_camera, translation
 from sylpose.units import INITIAL_DISTANCES
@@ -41,7 +41,7 @@ MORE: tuple[Any, ...] = (
     one_camera.solve_unconstrained,
     results.pan_tilt_roll,
     rig.make_look_at_camera,
-    smooth,
+    smooth_tracks,
     rig.intersect_rays,
     view.resolve_viewpoint,
     *(getattr(simulate, name) for name in simulate.__all__ if inspect.isfunction(getattr(simulate, name))),
@@ -53,6 +53,10 @@ NOT_CALLED = {
     "track_session": "the same; its options: commands/",
     "load_object": "reads a file: commands/test_object_files.py",
     "save_object": "writes it: the same",
+    "load_calibration": "reads a file: io/test_rig_files.py",
+    "load_trajectory": "the same: report/test_files.py",
+    "save_trajectory": "writes it: the same",
+    "smooth": "takes what the tracker yields: tests/test_smoothing.py",
     "Session.frames": "the same",
     "Session.select_cameras": "the same",
     "Session.select_object": "the same",
@@ -377,6 +381,10 @@ def calls() -> dict[str, Call]:
             },
             message_pattern="camera a: its center|camera's name",
         ),
+        "FrameSet.of": Call(
+            sylpose.FrameSet.of,
+            {"images": [frames[0].images[0]], "time": 0.5, "masks": [np.ones((48, 64), bool)]},
+        ),
         "track": Call(
             lambda **given: list(sylpose.track(**given)),
             {
@@ -392,8 +400,8 @@ def calls() -> dict[str, Call]:
             },
             20,
         ),
-        "smooth": Call(
-            smooth,
+        "smooth_tracks": Call(
+            smooth_tracks,
             {
                 "frames": [Track(pose, (), np.zeros(3), 0.1)],
                 "rig": three,

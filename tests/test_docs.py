@@ -209,6 +209,11 @@ def _matrices() -> dict[str, Any]:
     return {name: rng.normal(size=(3, 3)) for name in ("A", "B", "C", "A1", "A2", "B1", "B2")}
 
 
+def _images() -> dict[str, Any]:
+    frames = list(sylpose.open_session("recording").frames())
+    return {"times": [frame.time for frame in frames], "images": [frame.images for frame in frames]}
+
+
 def _labels() -> dict[str, Any]:
     """Write labels into the folder that the block runs in."""
     for folder in ("labels/cam_0", "masks/mug/cam_0"):
@@ -220,6 +225,7 @@ def _labels() -> dict[str, Any]:
 # Names that a block assumes, by the words that identify it.
 GIVEN: dict[str, Callable[[], dict[str, Any]]] = {
     "from sylpose import Matches, estimate_motion": _pixels,
+    "from sylpose import FrameSet": _images,
     "from sylpose import estimate_pose": _known_points,
     "from sylpose import PairMoments, solve_centralized": _matches,
     "from sylpose import solve_generalized_sylvester": _matrices,

@@ -185,6 +185,24 @@ def test_rig() -> None:
         rig["back"]
 
 
+def test_cameras_are_selected_by_number_name_and_slice() -> None:
+    rig = Rig([camera(name=name) for name in ("left", "right", "top")], "mm")
+    assert (rig[0].name, rig[-1].name, rig[np.int64(1)].name) == ("left", "top", "right")
+    assert (rig[:2].names, rig[::-1].names, rig[1:].unit) == (("left", "right"), ("top", "right", "left"), "mm")
+    assert "top" in rig
+    assert "back" not in rig
+    assert rig[1] in rig
+    assert 1 not in rig
+    for number in (3, -4):
+        with pytest.raises(IndexError, match=rf"no camera {number} in the rig of 3 \(left, right, top\)"):
+            rig[number]
+    with pytest.raises(IndexError, match="no camera in this slice"):
+        rig[3:]
+    for key in (True, 1.0, None, ("left",)):
+        with pytest.raises(TypeError, match="by its name or number"):
+            rig[key]  # type: ignore[index]
+
+
 def test_bad_rig() -> None:
     with pytest.raises(ValueError, match="at least one camera"):
         Rig([])

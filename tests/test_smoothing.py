@@ -19,11 +19,13 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.results import FramePose
 from sylpose.rig import Rig
 from sylpose.simulate import ellipsoid, ring
-from sylpose.smoothing import SmoothedTrajectory, Track, _select_observations, smooth
+from sylpose.smoothing import SmoothedTrajectory, Track, _select_observations, smooth, smooth_tracks
 from sylpose.status import FrameStatus, Status
 from sylpose.tracking.camera_side.frame import LandmarkObservations
 from sylpose.tracking.context import TrackedFrame
 from sylpose.tracking.joint_side.joint_state import Nudge
+from sylpose.tracking.tracker import track
+from tests.clips import RATE, track_turning_clip, turning_clip
 
 RIG = ring(3, 1.5, 1000.0, height=(0.4, -0.1, 0.3))
 RADIUS = 0.15
@@ -127,7 +129,7 @@ def with_uncertain_rotation(frame: Track, degrees: float) -> Track:
 
 def test_smoothing_recovers_uncertain_rotations_without_raising_their_status() -> None:
     frames = [with_uncertain_rotation(f, 8.0) if 8 <= k < 16 else f for k, f in enumerate(make_tracks())]
-    found = smooth(frames, RIG)
+    found = smooth_tracks(frames, RIG)
     assert [p.status for p in found.poses] == [f.pose.status for f in frames]
     assert np.rad2deg(np.abs(errors(found)[:, :3])).max() < 0.2
 
@@ -139,7 +141,7 @@ def test_refinement_that_does_not_converge_is_discarded(monkeypatch: pytest.Monk
         return replace(refine(*arguments, **options), status=Status.NOT_CONVERGED)
 
     monkeypatch.setattr(smoothing, "bundle_adjust_with_scale", fail)
-    found = smooth(frames, RIG)
+    found = smooth_tracks(frames, RIG)
     assert found.status is Status.NOT_CONVERGED
     assert found.poses == tuple(f.pose for f in frames)
 
@@ -153,7 +155,7 @@ def test_disconnected_uncertain_frame_is_unchanged() -> None:
         replace(with_uncertain_rotation(f, 8.0), observations=blind) if 8 <= k < 16 else f
         for k, f in enumerate(make_tracks())
     ]
-    found = smooth(frames, RIG)
+    found = smooth_tracks(frames, RIG)
     for k in range(8, 16):
         assert found.poses[k].status is FrameStatus.UNCERTAIN
         np.testing.assert_array_equal(found.poses[k].covariance, frames[k].pose.covariance)
@@ -166,7 +168,7 @@ def test_disconnected_uncertain_frame_is_unchanged() -> None:
 
 def test_exact_without_noise() -> None:
     frames = make_tracks(noise_px=0.0)
-    found = smooth(frames, RIG)
+    found = smooth_tracks(frames, RIG)
     assert found.status is Status.OK
     assert np.abs(errors(found)).max() < 1e-5
     assert [p.status for p in found.poses] == [f.pose.status for f in frames]
@@ -177,7 +179,7 @@ def test_exact_without_noise() -> None:
 
 def test_more_accurate_and_consistent() -> None:
     frames = make_tracks()
-    found = smooth(frames, RIG)
+    found = smooth_tracks(frames, RIG)
     assert found.status is Status.OK
     e = errors(found)
     assert np.abs(e[:, :3]).max() < np.deg2rad(0.15)
@@ -197,29 +199,29 @@ def test_camera_motion_is_estimated() -> None:
     values[1, 7:10] = shift = np.array([0.012, -0.015, 0.009])
     nudge, prior = Nudge(1, 10, np.deg2rad([0.5, 1.5, -1.0]), 1e-4), default_calibration_prior(RIG)
     frames = make_tracks(nudged=(nudge, correct_rig(RIG, values)), seed=2)
-    without_motion = smooth([replace(frame, nudges=()) for frame in frames], RIG, calibration_prior=prior)
-    found = smooth(frames, RIG, calibration_prior=prior)
+    without_motion = smooth_tracks([replace(frame, nudges=()) for frame in frames], RIG, calibration_prior=prior)
+    found = smooth_tracks(frames, RIG, calibration_prior=prior)
     assert [(m.camera, m.frame) for m in found.moved_cameras] == [(1, 10)]
     assert found.correction is None
     wrong, e = (np.abs(errors(s)[10:]) for s in (without_motion, found))
     assert e[:, :3].max() < min(np.deg2rad(0.15), 0.1 * wrong[:, :3].max())
     assert e[:, 3:].max() < min(1.5e-3, 0.1 * wrong[:, 3:].max())
     # Hardly less certain than without a camera motion.
-    sigmas = [s.poses[-1].sigma for s in (found, smooth(make_tracks(seed=2), RIG, calibration_prior=prior))]
+    sigmas = [s.poses[-1].sigma for s in (found, smooth_tracks(make_tracks(seed=2), RIG, calibration_prior=prior))]
     assert (sigmas[0] < 2.0 * sigmas[1]).all()
-    text = smooth(frames, RIG, calibration_prior=prior, recalibrate=True).correction
+    text = smooth_tracks(frames, RIG, calibration_prior=prior, recalibrate=True).correction
     assert text is not None
     off, sd, prior_sd = text.values[3] - np.concatenate([np.zeros(3), shift, np.zeros(4)]), text.sd[3], text.prior_sd[3]
     assert (np.abs(off[:6]) < 4.0 * sd[:6]).all()
     assert (sd[3:6] < 0.3 * prior_sd[3:6]).all()
     assert not text.values[3, 6:].any()  # one lens, before and after
     np.testing.assert_array_equal(text.rig.cameras[3].matrix, text.rig.cameras[1].matrix)
-    assert smooth(frames, RIG).moved_cameras == ()  # without a calibration prior
+    assert smooth_tracks(frames, RIG).moved_cameras == ()  # without a calibration prior
 
 
 def test_one_camera() -> None:
     rig = Rig(RIG.cameras[:1])
-    found = smooth(make_tracks(rig=rig, noise_px=0.1), rig)
+    found = smooth_tracks(make_tracks(rig=rig, noise_px=0.1), rig)
     assert found.status is Status.OK
     # The scale is that of the initial poses and positions: the remaining rotation error is small.
     assert np.rad2deg(np.abs(errors(found)[:, :3])).max() < 0.3
@@ -227,7 +229,7 @@ def test_one_camera() -> None:
 
 def test_coasting_frames_are_interpolated() -> None:
     gap = (9, 10, 11, 12)
-    found = smooth(make_tracks(coasting=gap), RIG)
+    found = smooth_tracks(make_tracks(coasting=gap), RIG)
     assert [found.poses[k].status for k in gap] == [FrameStatus.INTERPOLATED] * 4
     e = errors(found)
     assert np.abs(e[list(gap), :3]).max() < np.deg2rad(0.1)  # the tracker's were off by 0.3 degrees
@@ -238,7 +240,7 @@ def test_coasting_frames_are_interpolated() -> None:
 
 def test_coasting_at_the_end_follows_the_last_pose() -> None:
     frames = make_tracks(coasting=(22, 23))
-    found = smooth(frames, RIG)
+    found = smooth_tracks(frames, RIG)
     last, was = found.poses[21].world_from_object, frames[21].pose.world_from_object
     then, now = frames[23].pose.world_from_object, found.poses[23].world_from_object
     assert last is not None
@@ -251,7 +253,7 @@ def test_coasting_at_the_end_follows_the_last_pose() -> None:
 
 def test_lost_frames_stay_lost() -> None:
     frames = make_tracks(coasting=(8, 9), lost=(10, 11, 12))
-    found = smooth(frames, RIG)
+    found = smooth_tracks(frames, RIG)
     assert [p.world_from_object is None for p in found.poses] == [k in (10, 11, 12) for k in range(FRAMES)]
     e = errors(found)
     assert np.nanmax(np.abs(np.delete(e, (8, 9), axis=0)[:, :3])) < np.deg2rad(0.15)
@@ -267,7 +269,7 @@ def test_lost_frames_stay_lost() -> None:
 
 def test_disconnected_part_is_unchanged() -> None:
     frames = make_tracks(apart_from=14, coasting=(12, 13))
-    found = smooth(frames, RIG)
+    found = smooth_tracks(frames, RIG)
     assert found.status is Status.OK
     assert np.abs(errors(found)[:12, :3]).max() < np.deg2rad(0.15)
     for k in range(14, FRAMES):
@@ -279,10 +281,10 @@ def test_time_offsets() -> None:
     frames = make_tracks(40, noise_px=0.0)
     own = [make_delayed_tracks(k, late) for k in range(40)]
     frames = [replace(f, observations=s) for f, s in zip(frames, own, strict=True)]
-    found = smooth(frames, RIG, offsets_sd=0.02)
+    found = smooth_tracks(frames, RIG, offsets_sd=0.02)
     assert found.status is Status.OK
     np.testing.assert_allclose(found.offsets, late, atol=3e-4)
-    stamped = smooth([replace(f, time_offsets=late) for f in frames], RIG)
+    stamped = smooth_tracks([replace(f, time_offsets=late) for f in frames], RIG)
     assert np.abs(errors(stamped)[:, :3]).max() < np.deg2rad(0.15)
 
 
@@ -296,7 +298,7 @@ def make_delayed_tracks(k: int, late: FloatArray) -> tuple[LandmarkObservations,
 @pytest.mark.parametrize("n", [0, 1])
 def test_nothing_to_refine(n: int) -> None:
     frames = make_tracks(n)
-    found = smooth(frames, RIG)
+    found = smooth_tracks(frames, RIG)
     assert found.status is Status.TOO_FEW_MATCHES
     assert found.poses == tuple(f.pose for f in frames)
     assert found.iterations == 0
@@ -308,7 +310,7 @@ def test_no_landmark_twice() -> None:
         replace(f, observations=tuple(replace(s, landmark_ids=s.landmark_ids + 10**6 * k) for s in f.observations))
         for k, f in enumerate(frames)
     ]
-    found = smooth(frames, RIG)
+    found = smooth_tracks(frames, RIG)
     assert found.status is Status.TOO_FEW_MATCHES
     assert found.poses == tuple(f.pose for f in frames)
 
@@ -346,7 +348,7 @@ def test_contradicted_frame_keeps_its_tracked_pose_as_contradicted() -> None:
     frames, k, rng = make_tracks(), 14, np.random.default_rng(5)
     junk = [replace(s, normalized=rng.uniform(-0.1, 0.1, s.normalized.shape)) for s in frames[k].observations]
     frames[k] = replace(frames[k], observations=tuple(junk))
-    found = smooth(frames, RIG)
+    found = smooth_tracks(frames, RIG)
     assert found.status is Status.OK
     before, now = frames[k - 1].pose.world_from_object, found.poses[k - 1].world_from_object
     reported, kept = frames[k].pose.world_from_object, found.poses[k].world_from_object
@@ -373,3 +375,32 @@ def test_track_keeps_no_images() -> None:
     assert kept.observations is yielded.observations
     sights = sum(len(s.landmark_ids) for s in kept.observations)
     assert len(pickle.dumps(kept)) < 48 * sights + 4000  # a number, two and three coordinates of eight bytes each
+
+
+def test_images_in_memory_are_tracked_and_smoothed() -> None:
+    """The README's way: frame sets of arrays, numbered by the tracker, and a trajectory as `track_session` makes it."""
+    clip, known = turning_clip(), track_turning_clip(with_boxes=True)
+    frames = [FrameSet.of(images, k / RATE) for k, images in enumerate(clip.images)]
+    found = smooth(track(frames, clip.rig, clip.boxes), clip.rig)
+    prior = default_calibration_prior(clip.rig)
+    expected = smooth_tracks([Track.from_tracked(frame) for frame in known], clip.rig, calibration_prior=prior)
+    assert (found.camera_names, found.unit, [pose.index for pose in found]) == (clip.rig.names, "m", [*range(8)])
+    for pose, reference in zip(found, expected.poses, strict=True):
+        assert pose.world_from_object is not None
+        assert reference.world_from_object is not None
+        assert np.array_equal(pose.world_from_object.as_matrix(), reference.world_from_object.as_matrix())
+        assert np.array_equal(pose.covariance, reference.covariance)
+
+
+def test_frames_that_cannot_be_smoothed_are_returned_with_a_warning() -> None:
+    clip, known = turning_clip(), track_turning_clip(with_boxes=True)
+    with pytest.warns(UserWarning, match=r"The poses are as tracked\."):
+        found = smooth(known[:1], clip.rig)
+    assert found[0] is known[0].pose
+    with pytest.raises(ValueError, match=r"frames\[0\]: tracked with 3 cameras, the rig has 2"):
+        smooth(known, clip.rig[:2])
+    with pytest.raises(TypeError, match=r"frames\[0\] must be TrackedFrame, got 3"):
+        smooth([3], clip.rig)  # type: ignore[list-item]
+    learned = replace(known[0], learned_pose=known[0].pose)
+    with pytest.raises(ValueError, match="known from another recording; use `track_session`"):
+        smooth([learned], clip.rig)

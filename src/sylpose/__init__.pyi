@@ -20,6 +20,7 @@ from sylpose.io.capture.live import open_live as open_live
 from sylpose.io.capture.streams import Device as Device
 from sylpose.io.object_files import load_object as load_object
 from sylpose.io.object_files import save_object as save_object
+from sylpose.io.rig_files import load_calibration as load_calibration
 from sylpose.kinematics import Derivatives as Derivatives
 from sylpose.kinematics import Kinematics as Kinematics
 from sylpose.matches import Matches as Matches
@@ -27,6 +28,7 @@ from sylpose.moments import PairMoments as PairMoments
 from sylpose.packets import NetworkFaults as NetworkFaults
 from sylpose.relative_pose.motion import estimate_motion as estimate_motion
 from sylpose.relative_pose.motion import estimate_motions as estimate_motions
+from sylpose.report.files import save_trajectory as save_trajectory
 from sylpose.report.files import to_dataframe as to_dataframe
 from sylpose.report.plots import plot_trajectory as plot_trajectory
 from sylpose.results import FramePose as FramePose
@@ -38,6 +40,8 @@ from sylpose.rig import Rig as Rig
 from sylpose.runs.options import RunOptions as RunOptions
 from sylpose.runs.run import track_session as track_session
 from sylpose.runs.run_result import Run as Run
+from sylpose.runs.view import load_trajectory as load_trajectory
+from sylpose.smoothing import smooth as smooth
 from sylpose.status import FrameStatus as FrameStatus
 from sylpose.status import Observability as Observability
 from sylpose.status import Status as Status

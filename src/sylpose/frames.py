@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from sylpose.geometry.arrays import BoolArray, Image
-from sylpose.geometry.validation import check_number, check_type, format_value
+from sylpose.geometry.validation import check_number, check_sequence, check_type, format_value
 from sylpose.rig import Camera
+
+# Index of frame sets without a number of their own; the tracker numbers them consecutively.
+UNNUMBERED = -1
 
 
 @dataclass(frozen=True)
@@ -38,7 +41,7 @@ class FrameSet:
     Tuples are in the rig's order.
 
     Attributes:
-        index: number of the timestamp in the session.
+        index: number of the timestamp in the session; -1: the tracker numbers the frames consecutively.
         time: seconds; the mean of the cameras' time stamps, else index / rate, else the index itself.
         times: each camera's time stamp, seconds; None without one.
         images: BGR (h, w, 3) as recorded; None for a camera without a frame at this timestamp.
@@ -53,6 +56,31 @@ class FrameSet:
     images: tuple[Image | None, ...]
     masks: tuple[BoolArray | None, ...]
     object_masks: Mapping[str, tuple[BoolArray | None, ...]] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls, images: Sequence[Image | None], time: float, masks: Sequence[BoolArray | None] | None = None
+    ) -> FrameSet:
+        """Make a frame set of images in memory, taken at one time.
+
+        Args:
+            images: per camera, in the rig's order: (h, w, 3) BGR or (h, w), uint8, as recorded; None without an image.
+            time: seconds.
+            masks: per camera: (h, w) bool, True on the object, or None; None without any masks.
+
+        Raises:
+            TypeError, ValueError: naming the argument: not a sequence of images or masks, or not one mask for each image;
+                a time that is not finite.
+        """
+        check_number(time, "time", maximum=np.inf)
+        of_images = check_sequence(images, "images", description="list with one image for each camera")
+        n = len(of_images)
+        of_masks = [None] * n if masks is None else check_sequence(masks, "masks", n, "images")
+        for name, arrays, dtype in (("images", of_images, np.uint8), ("masks", of_masks, np.bool_)):
+            for k, array in enumerate(arrays):
+                if array is not None and not (isinstance(array, np.ndarray) and array.dtype == dtype):
+                    raise ValueError(f"{name}[{k}] must be an array of {dtype.__name__}, got {format_value(array)}")
+        return cls(UNNUMBERED, float(time), (None,) * n, tuple(of_images), tuple(of_masks))
 
     def for_object(self, name: str) -> FrameSet:
         """Return these images with the masks of one object.

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Literal
+from operator import index
+from typing import Any, Literal, SupportsIndex, overload
 
 import cv2
 import numpy as np
@@ -251,6 +252,8 @@ class Camera(Printable):
 class Rig(Printable):
     """Rig of cameras in a fixed order.
 
+    `rig["cam_0"]` and `rig[0]` are cameras, `rig[:2]` is a rig, and `"cam_0" in rig` looks for a name.
+
     Args:
         cameras: at least one, with unique names.
         unit: the calibration's length unit if known ("m", "mm"), else "".
@@ -279,10 +282,38 @@ class Rig(Printable):
     def __iter__(self) -> Iterator[Camera]:
         return iter(self.cameras)
 
-    def __getitem__(self, name: str) -> Camera:
-        if name not in self._index:
-            raise KeyError(f"no camera {format_value(name)} in the rig ({to_one_line(', '.join(self.names), 200)})")
-        return self.cameras[self._index[name]]
+    def __contains__(self, camera: object) -> bool:
+        """Return whether a camera, or one of this name, is in the rig."""
+        return camera in (self._index if isinstance(camera, str) else self.cameras)
+
+    @overload
+    def __getitem__(self, key: str | SupportsIndex) -> Camera: ...
+
+    @overload
+    def __getitem__(self, key: slice) -> Rig: ...
+
+    def __getitem__(self, key: str | SupportsIndex | slice) -> Camera | Rig:
+        """Return a camera by its name or number, or the rig of a slice.
+
+        Raises:
+            KeyError: a name that is not in the rig.
+            IndexError: a number that is not in the rig, or a slice without cameras.
+            TypeError: another type of key.
+        """
+        names = to_one_line(", ".join(self.names), 200)
+        if isinstance(key, slice):
+            if not (cameras := self.cameras[key]):
+                raise IndexError(f"no camera in this slice of the rig's {len(self)} ({names})")
+            return Rig(cameras, self.unit)
+        if isinstance(key, str):
+            if key not in self._index:
+                raise KeyError(f"no camera {format_value(key)} in the rig ({names})")
+            return self.cameras[self._index[key]]
+        if isinstance(key, bool) or not hasattr(key, "__index__"):
+            raise TypeError(f"a camera is selected by its name or number, got {format_value(key)}")
+        if not -len(self) <= (number := index(key)) < len(self):
+            raise IndexError(f"no camera {number} in the rig of {len(self)} ({names}); numbers begin at 0")
+        return self.cameras[number]
 
     @property
     def names(self) -> tuple[str, ...]:

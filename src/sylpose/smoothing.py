@@ -7,7 +7,8 @@ depth undetermined (docs/history/benchmarks.md, "Smoothing", has the figures).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import warnings
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,11 +23,12 @@ from sylpose.bundle_adjustment.calibration_refinement import (
     MovedCamera,
     add_moved_cameras,
     compute_mean_camera_distance,
+    default_calibration_prior,
 )
 from sylpose.bundle_adjustment.scale_prior import bundle_adjust_with_scale, find_lost_frames
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.validation import check_bool, check_integer, check_list, check_number, check_type, format_value
-from sylpose.results import FramePose
+from sylpose.results import FramePose, Trajectory
 from sylpose.rig import Rig
 from sylpose.status import FrameStatus, Observability, Status
 from sylpose.tracking.camera_side.frame import LandmarkObservations
@@ -34,6 +36,7 @@ from sylpose.tracking.context import TrackedFrame
 from sylpose.tracking.joint_side.joint_state import Nudge, inherit_covariance
 from sylpose.tracking.known_object import TransferredObject
 from sylpose.tracking.reports import quantize_positions
+from sylpose.units import INITIAL_DISTANCES
 
 # Landmarks with fewer observations contain little information on the motion, and biased: features that slide along an
 # edge or were mismatched are soon lost. They are used, the longer tracks first, by frames with fewer than so many
@@ -107,7 +110,38 @@ class SmoothedTrajectory:
     moved_cameras: tuple[MovedCamera, ...] = ()
 
 
-def smooth(
+def smooth(frames: Iterable[TrackedFrame], rig: Rig) -> Trajectory:
+    """Refine the poses of all tracked frames jointly, as `track_session` does.
+
+    Args:
+        frames: all frames that `track` yields, in order of time. Pass its iterator rather than a list: the images are
+            dropped frame by frame.
+        rig: the rig that they were tracked with.
+
+    Returns:
+        the refined trajectory; the poses as tracked, with a warning (`warnings.warn`), if they cannot be refined.
+
+    Raises:
+        TypeError: naming the argument: other frames, or no rig.
+        ValueError: frames of another rig, or of an object known from another recording, which only `track_session`
+            refines.
+    """
+    n, tracks = len(check_type(rig, Rig, "rig")), list[Track]()
+    if not isinstance(frames, Iterable):
+        raise TypeError(f"frames must be what `track` yields, got {format_value(frames)}")
+    for k, frame in enumerate(frames):
+        if check_type(frame, TrackedFrame, f"frames[{k}]").learned_pose is not None:
+            raise ValueError(f"frames[{k}]: of an object known from another recording; use `track_session`")
+        if len(frame.observations) != n:
+            raise ValueError(f"frames[{k}]: tracked with {len(frame.observations)} cameras, the rig has {n}")
+        tracks.append(Track.from_tracked(frame))
+    result = smooth_tracks(tracks, rig, calibration_prior=default_calibration_prior(rig))
+    if result.status is not Status.OK:
+        warnings.warn(f"smoothing: {result.status.text} The poses are as tracked.", stacklevel=2)
+    return Trajectory(result.poses, rig.names, rig.unit if n > 1 else INITIAL_DISTANCES)
+
+
+def smooth_tracks(
     frames: Sequence[Track],
     rig: Rig,
     *,
@@ -196,7 +230,7 @@ def _check_arguments(
     recalibrate: bool,
     on_iteration: Callable[[int], None] | None,
 ) -> tuple[list[Track], list[MovedCamera]]:
-    """Check the arguments of `smooth`; return its frames and moved cameras as lists."""
+    """Check the arguments of `smooth_tracks`; return its frames and moved cameras as lists."""
     n = len(check_type(rig, Rig, "rig"))
     frames, moved_cameras = check_list(frames, Track, "frames"), check_list(moved_cameras, MovedCamera, "moved_cameras")
     for k, frame in enumerate(frames):

@@ -31,7 +31,7 @@ from sylpose.bundle_adjustment.camera_parameters import default_depth_prior, mak
 from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Rig
 from sylpose.simulate import box, ring
-from sylpose.smoothing import smooth
+from sylpose.smoothing import smooth_tracks
 from sylpose.status import Status
 from sylpose.tracking.window import bundle_frames
 
@@ -225,7 +225,9 @@ def test_correlated_errors_do_not_change_the_calibration(degrees: float, seed: i
     """Tracked images, with correlated errors of neighboring features: an exact rig stays nearly exact, a wrong one is
     corrected."""
     tracked_frames, reported, rig, true = track_rendered(seed, degrees, frames=22)
-    found = smooth(tracked_frames, reported, calibration_prior=default_calibration_prior(reported), recalibrate=True)
+    found = smooth_tracks(
+        tracked_frames, reported, calibration_prior=default_calibration_prior(reported), recalibrate=True
+    )
     assert found.correction is not None
     poses = [pose for pose in found.poses if pose.is_measured]
     stacked = RigidTransform.concatenate([p.world_from_object for p in poses if p.world_from_object is not None])

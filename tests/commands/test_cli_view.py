@@ -88,7 +88,7 @@ def test_invalid_arguments_are_rejected(
 
 def test_missing_results_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["view", str(tmp_path), "cam_1"]) == 2
-    assert "trajectory.csv: no such file" in capsys.readouterr().err
+    assert ": no result in it; expected a recording that was tracked" in capsys.readouterr().err
 
 
 def test_calibration_is_required(session: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -21,7 +21,7 @@ from sylpose.network.smoothing import _unpack_observations
 from sylpose.network.wire_format import HEADER, Hello, encode_hello
 from sylpose.packets import Inbox, NetworkFaults, Packet
 from sylpose.simulate import make_demo_scene
-from sylpose.smoothing import Track, smooth
+from sylpose.smoothing import Track, smooth_tracks
 from sylpose.status import FrameStatus, Status
 from sylpose.tracking.context import TrackedFrame
 from sylpose.tracking.reports import CameraObservations
@@ -399,7 +399,7 @@ def test_unknown_mode_is_rejected(clip: Clip) -> None:
 
 def test_nodes_smooth_like_one_process(clip: Clip, by_one: list[TrackedFrame], by_nodes: SimulationResult) -> None:
     """From each camera's observations, sent once."""
-    expected = smooth([Track.from_tracked(f) for f in by_one], clip.rig)
+    expected = smooth_tracks([Track.from_tracked(f) for f in by_one], clip.rig)
     assert expected.status is Status.OK
     reported = by_nodes.payload_sizes
     outcome = track_by_nodes(clip.frames(), clip.rig, clip.boxes, smooth=True)

@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.report.files import build_columns, to_dataframe, write_trajectory
+from sylpose.report.files import build_columns, read_tum, save_trajectory, to_dataframe, write_trajectory
 from sylpose.results import FramePose, Trajectory
+from sylpose.runs.view import load_trajectory
 from sylpose.status import FrameStatus, Observability
 
 
@@ -89,3 +90,30 @@ def test_missing_pandas_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(ModuleNotFoundError, match=r"needs pandas: python3 -m pip install 'sylpose\[export\]'"):
         to_dataframe(trajectory())
+
+
+def test_saved_trajectories_are_those_of_a_run(tmp_path: Path) -> None:
+    path, folder = trajectory(), tmp_path / "recording" / "sylpose"
+    tum, table = write_trajectory(folder, path)
+    for name, expected in (("a.csv", table), ("b.TUM", tum)):
+        save_trajectory(path, tmp_path / "new" / name)
+        assert (tmp_path / "new" / name).read_bytes() == expected.read_bytes()
+    assert len(read_tum(tmp_path / "new" / "b.TUM")[0]) == path.measured_mask.sum()
+    for place in (tmp_path / "recording", folder, table, str(tmp_path / "new" / "a.csv")):
+        loaded = load_trajectory(place)
+        assert (loaded.unit, [pose.status for pose in loaded]) == (path.unit, [pose.status for pose in path])
+    with pytest.raises(ValueError, match=r"must end in \.csv or \.tum; `sylpose export` writes other formats"):
+        save_trajectory(path, tmp_path / "a.c3d")
+
+
+def test_results_that_are_not_there_are_named(tmp_path: Path) -> None:
+    for name in ("cup", "mug"):
+        write_trajectory(tmp_path / "two" / "sylpose" / name, trajectory())
+    (tmp_path / "two" / "sylpose" / "settings.toml").touch()
+    (tmp_path / "none").mkdir()
+    with pytest.raises(FileNotFoundError, match=r"several results; select one of .*cup, .*mug"):
+        load_trajectory(tmp_path / "two")
+    with pytest.raises(FileNotFoundError, match="none: no result in it; expected a recording that was tracked"):
+        load_trajectory(tmp_path / "none")
+    with pytest.raises(FileNotFoundError, match="gone: no such file or folder"):
+        load_trajectory(tmp_path / "gone")

@@ -488,7 +488,7 @@ def test_results_of_other_objects_are_rejected(
     assert main([*at, "--result", str(first / "sylpose")]) == 2
     assert "the run has another object, or learned this one again" in capsys.readouterr().err
     assert main(at) == 2  # no trajectory next to it
-    assert "trajectory.csv: no such file" in capsys.readouterr().err
+    assert ": no result in it; expected a recording that was tracked" in capsys.readouterr().err
     assert main(["object", "frame", file, str(tmp_path / "tool.txt"), "--extent"]) == 2
     assert "tool.txt: the suffix of an object file must be .npz" in capsys.readouterr().err
     save_object(replace(known, rig=Rig(RIG.cameras, "mm")), tmp_path / "mm.npz")

@@ -21,7 +21,7 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.io.capture import Session, open_session
 from sylpose.results import FramePose
 from sylpose.simulate import Actor, Scene, arc, chamfered_box
-from sylpose.smoothing import SmoothedTrajectory, Track, smooth
+from sylpose.smoothing import SmoothedTrajectory, Track, smooth_tracks
 from sylpose.status import FrameStatus, Status
 from sylpose.sync import estimation
 from sylpose.sync.estimation import OffsetPrecision, TimeOffsets, sync_session, write_offsets
@@ -285,7 +285,7 @@ def test_retracking_if_frame_offsets_change(
         return SmoothedTrajectory((), Status.OK, change / RATE * np.array([1.0, -1.0, 0.0]), sd, np.ones(3), 3)
 
     times_tracked = count_tracking(monkeypatch, lambda *_, **__: iter(()))
-    monkeypatch.setattr(estimation, "smooth", smoothed)
+    monkeypatch.setattr(estimation, "smooth_tracks", smoothed)
     monkeypatch.setattr(estimation, "_image_speeds", lambda *_: np.full(3, 300.0))
     found = sync_session(open_session(recording))
     assert len(times_tracked) == times
@@ -409,12 +409,12 @@ def test_untrackable_recording_keeps_whole_frame_offsets(recording: Path, monkey
 
 
 def test_refinement_that_does_not_converge_gives_no_offsets(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    refine = smooth
+    refine = smooth_tracks
 
     def fail(*arguments: Any, **options: Any) -> SmoothedTrajectory:
         return replace(refine(*arguments, **options), status=Status.NOT_CONVERGED)
 
-    monkeypatch.setattr(estimation, "smooth", fail)
+    monkeypatch.setattr(estimation, "smooth_tracks", fail)
     monkeypatch.setattr(estimation, "MAX_TRACKED_FRAMES", 8)
     found = sync_session(open_session(recording))
     assert OffsetPrecision.FINE not in found.precision

@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose.frames import Box, FrameSet
 from sylpose.simulate import Actor, Scene
 from sylpose.simulate.render import Path
-from sylpose.smoothing import Track, smooth
+from sylpose.smoothing import Track, smooth_tracks
 from sylpose.status import FrameStatus
 from sylpose.tracking.bodies import (
     MAX_WINDOWS,
@@ -142,7 +142,7 @@ def test_of_two_bodies_none_is_tracked_silently() -> None:
     tracked = list(track(clip.frames(), clip.rig))
     assert set(statuses(tracked)) == {FrameStatus.FIRST, FrameStatus.AMBIGUOUS}
     assert "several bodies" in tracked[0].note.lower() or "another one moves" in tracked[0].note
-    refined = smooth([Track.from_tracked(frame) for frame in tracked], clip.rig).poses
+    refined = smooth_tracks([Track.from_tracked(frame) for frame in tracked], clip.rig).poses
     assert {pose.status for pose in refined} == {FrameStatus.FIRST, FrameStatus.AMBIGUOUS}
 
 

@@ -15,7 +15,7 @@ from sylpose.geometry.arrays import Image
 from sylpose.relative_pose.camera_evidence import MAX_F_RATIO, CameraEvidence
 from sylpose.simulate import make_demo_scene, render_frames
 from sylpose.simulate.recordings import create_session_folder, write_videos
-from sylpose.smoothing import Track, smooth
+from sylpose.smoothing import Track, smooth_tracks
 from sylpose.status import FrameStatus
 from sylpose.tracking.context import Context
 from sylpose.tracking.joint_side.joint_state import SolvedFrame
@@ -46,7 +46,7 @@ def exchange(images: Sequence[Image]) -> list[Image]:
 @pytest.mark.parametrize("corrupt", [mirror, turn_upside_down, exchange])
 def test_wrong_rig_is_not_tracked(clip: Clip, corrupt: Callable[[Sequence[Image]], list[Image]]) -> None:
     tracked = list(track(frame_sets([tuple(corrupt(images)) for images in clip.images]), clip.rig))
-    refined = smooth([Track.from_tracked(frame) for frame in tracked], clip.rig).poses
+    refined = smooth_tracks([Track.from_tracked(frame) for frame in tracked], clip.rig).poses
     sure = FrameStatus.TRACKED, FrameStatus.RELOCALIZED
     assert not [pose for pose in refined if pose.status in sure]
     contradicted = [pose for pose in refined if pose.status is FrameStatus.CONTRADICTED]

@@ -106,7 +106,7 @@ class CommandOptions:
         refine_calibration: Smooth and also estimate the calibration's errors; write calibration.refined.toml.
         seed: Set the random seed; equal seeds give equal results.
         plot_format: Set the file format of plots.
-        result: Folder that sylpose track wrote, or its trajectory.csv.
+        result: Recording that was tracked, the folder that sylpose track wrote, or its trajectory.csv.
 
     Raises:
         TypeError, ValueError: naming the field: another type, or out of its range.

@@ -31,7 +31,7 @@ class CompareOptions(CommandOptions):
     """Options of `sylpose compare`.
 
     Attributes:
-        a: Trajectory: a folder of sylpose track, a trajectory.csv or a .tum.
+        a: Trajectory: a recording that was tracked, a folder of sylpose track, a trajectory.csv or a .tum.
         b: Reference trajectory, in the same formats.
         align: Align A to B before comparing. first: the object's frame (motion since the first common pose); none; se3,
             sim3: the world frame, rigidly or with scale, fitted to positions; both: the world and the object's frame.
@@ -56,7 +56,7 @@ def compare(options: CompareOptions) -> None:
     Prints a table and writes compare.png and compare.json. Errors are expressed in B's frames.
 
     Examples:
-        sylpose compare recording/sylpose truth.tum
+        sylpose compare recording truth.tum
         sylpose compare first/sylpose second/sylpose --align none --out compared
     """
     import json
@@ -69,8 +69,9 @@ def compare(options: CompareOptions) -> None:
     from sylpose.display import format_length
     from sylpose.report.plots import plot_comparison
     from sylpose.runs import console_output
+    from sylpose.runs.run_metadata import find_result
 
-    a, b, align, step = options.a, options.b, options.align, options.step
+    a, b, align, step = find_result(options.a), find_result(options.b), options.align, options.step
     times, poses, unit_a = read_motion(a)
     reference_times, reference, unit_b = read_motion(b)
     unit, alignment = unit_b or unit_a, cast("Alignment", align)
@@ -116,12 +117,12 @@ def read_motion(path: Path) -> tuple[FloatArray, RigidTransform, str]:
     from scipy.spatial.transform import RigidTransform
 
     from sylpose.report.files import read_tum
-    from sylpose.runs.view import read_result
+    from sylpose.runs.view import load_trajectory
 
     if path.is_file() and path.suffix.lower() in (".tum", ".txt"):
         (times, poses), unit = read_tum(path), ""
     else:
-        trajectory = read_result(path)
+        trajectory = load_trajectory(path)
         frames = [frame for frame in trajectory if frame.is_measured]
         matrices = [f.world_from_object.as_matrix() for f in frames if f.world_from_object is not None]
         poses = RigidTransform.from_matrix(np.array(matrices).reshape(-1, 4, 4))

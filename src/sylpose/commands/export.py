@@ -43,22 +43,22 @@ def export(options: ExportOptions) -> None:
     rosbag, parquet and usd require extras: pip install 'sylpose[export,usd]'.
 
     Examples:
-        sylpose export recording/sylpose --out object.c3d
-        sylpose export recording/sylpose --out velocity.csv --velocity
+        sylpose export recording --out object.c3d
+        sylpose export recording --out velocity.csv --velocity
         sylpose export relative.csv --out knee.mot --euler ZXY
-        sylpose export recording/sylpose --to rosbag --out bag
-        sylpose export recording/sylpose --out object.bvh --start 10 --stop 200
+        sylpose export recording --to rosbag --out bag
+        sylpose export recording --out object.bvh --start 10 --stop 200
     """
     from sylpose.io.exports.formats import export_trajectory, select_frames
     from sylpose.runs import console_output
     from sylpose.runs.page import read_surroundings
-    from sylpose.runs.run_metadata import find_run_folder, read_world_definition
-    from sylpose.runs.view import read_result
+    from sylpose.runs.run_metadata import find_result, find_run_folder, read_world_definition
+    from sylpose.runs.view import load_trajectory
 
-    result, out = options.result, options.out
+    result, out = find_result(options.result), options.out
     folder = result if result.is_dir() else result.parent
     name = options.name or (folder.name if find_run_folder(folder) != folder else "object")
-    trajectory, z_up = read_result(result), read_world_definition(result) is not None
+    trajectory, z_up = load_trajectory(result), read_world_definition(result) is not None
     selected = select_frames(trajectory, options.start, options.stop)
     suffixes = EXPORT_FORMATS["gltf"].suffixes + EXPORT_FORMATS["usd"].suffixes
     surroundings = read_surroundings(result) if out.suffix.lower() in suffixes else None

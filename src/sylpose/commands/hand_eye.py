@@ -51,8 +51,8 @@ def hand_eye(options: HandEyeOptions) -> None:
     and the object stands still. The robot must rotate about two axes. Writes hand_eye.toml.
 
     Examples:
-        sylpose hand-eye recording/sylpose robot.tum
-        sylpose hand-eye recording/sylpose robot.tum --eye-in-hand --robot-unit mm
+        sylpose hand-eye recording robot.tum
+        sylpose hand-eye recording robot.tum --eye-in-hand --robot-unit mm
     """
     import numpy as np
 
@@ -61,9 +61,9 @@ def hand_eye(options: HandEyeOptions) -> None:
     from sylpose.display import format_length
     from sylpose.hand_eye import interpolate_robot, solve_hand_eye
     from sylpose.runs import console_output
-    from sylpose.runs.view import read_result
+    from sylpose.runs.view import load_trajectory
 
-    trajectory = read_result(options.result)
+    trajectory = load_trajectory(options.result)
     times, robot, unit = read_motion(options.robot)
     robot = _convert_unit(robot, options.robot_unit or unit, trajectory.unit)
     frames = [frame for frame in trajectory if frame.is_measured]

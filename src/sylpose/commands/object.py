@@ -277,7 +277,7 @@ def apply(options: ApplyOptions) -> None:
     The standard deviations of positions are upper bounds: trajectory files contain no correlations.
 
     Examples:
-        sylpose object apply tool.npz recording/sylpose results_of_tool
+        sylpose object apply tool.npz recording results_of_tool
     """
     from dataclasses import replace
 
@@ -289,9 +289,9 @@ def apply(options: ApplyOptions) -> None:
     from sylpose.results import Trajectory
     from sylpose.runs import console_output
     from sylpose.runs.object_frames import change_object_frame, read_object_run
-    from sylpose.runs.run_metadata import SETTINGS, USED_CALIBRATION
+    from sylpose.runs.run_metadata import SETTINGS, USED_CALIBRATION, find_result
 
-    file, result, out = options.file, options.result, options.out
+    file, result, out = options.file, find_result(options.result), options.out
     known = load_object(file)
     run = read_object_run(result, known)
     if out.resolve() == file.resolve().parent or (out / SETTINGS).exists():

@@ -58,15 +58,15 @@ def relative(options: RelativeOptions) -> None:
     from sylpose.joint_motion import compute_helical_axes, relate_trajectories
     from sylpose.report.files import write_trajectory
     from sylpose.runs import console_output
-    from sylpose.runs.run_metadata import read_settings, read_world_definition, settings_table
-    from sylpose.runs.view import read_result
+    from sylpose.runs.run_metadata import find_result, read_settings, read_world_definition, settings_table
+    from sylpose.runs.view import load_trajectory
 
-    a, b = options.a, options.b
+    a, b = find_result(options.a), find_result(options.b)
     angles = parse_euler_angles(options.angles or "XYZ")
     worlds = [read_world_definition(path) or "its calibration's" for path in (a, b)]
     if worlds[0] != worlds[1]:
         raise ValueError(f"{a} and {b} use different worlds ({worlds[0]}; {worlds[1]}): track both with one --world")
-    trajectory = relate_trajectories(read_result(a), read_result(b), options.within)
+    trajectory = relate_trajectories(load_trajectory(a), load_trajectory(b), options.within)
     indices = [frame.index for frame in trajectory]
     if options.reference is not None and options.reference not in indices:
         raise ValueError(f"--reference: frame {options.reference} has no measured pose of both objects")

@@ -19,7 +19,7 @@ class ReportOptions(CommandOptions):
     """Options of `sylpose report`.
 
     Attributes:
-        result: Folder that sylpose track wrote.
+        result: Recording that was tracked, or the folder that sylpose track wrote.
     """
 
     result: Annotated[Path, typer.Argument(metavar="RESULT")]
@@ -32,15 +32,16 @@ def report(options: ReportOptions) -> None:
     It is built from the files in the folder; images come from the existing page, or else from the recording.
 
     Examples:
-        sylpose report recording/sylpose
+        sylpose report recording
     """
     from sylpose.runs import console_output
     from sylpose.runs.page import write_report_page
-    from sylpose.runs.run_metadata import SETTINGS
+    from sylpose.runs.run_metadata import SETTINGS, TRAJECTORY, find_result
 
-    folder = options.result if options.result.is_dir() else options.result.parent
-    objects = sorted(file.parent for file in folder.glob("*/trajectory.csv") if (folder / SETTINGS).is_file())
-    folders = [folder] if (folder / "trajectory.csv").exists() or not objects else objects
+    result = find_result(options.result)
+    folder = result if result.is_dir() else result.parent
+    objects = sorted(file.parent for file in folder.glob(f"*/{TRAJECTORY}") if (folder / SETTINGS).is_file())
+    folders = [folder] if (folder / TRAJECTORY).exists() or not objects else objects
     console, pages = console_output.make_console(), list[Path]()
     for folder_of_object in folders:
         stills, warning = _collect_stills(folder_of_object)

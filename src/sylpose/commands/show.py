@@ -17,7 +17,7 @@ class ShowOptions(PageOptions):
     """Options of `sylpose show`.
 
     Attributes:
-        result: Folder that sylpose track wrote.
+        result: Recording that was tracked, or the folder that sylpose track wrote.
         calibration: Read this calibration; default: the one of the run.
         recording: Read the images from here if the recording was moved.
         save: Write a self-contained page and exit.
@@ -38,8 +38,8 @@ def show(options: ShowOptions) -> None:
     Requires the extra `viewer`: pip install 'sylpose[viewer]'.
 
     Examples:
-        sylpose show recording/sylpose
-        sylpose show recording/sylpose --save scene.html
+        sylpose show recording
+        sylpose show recording --save scene.html
     """
     import time
     from contextlib import ExitStack, suppress
@@ -51,10 +51,10 @@ def show(options: ShowOptions) -> None:
     from sylpose.io.capture.random_access import RandomAccessReader
     from sylpose.runs import console_output
     from sylpose.runs.page import read_scenes
-    from sylpose.runs.run_metadata import open_source_recording
+    from sylpose.runs.run_metadata import find_result, open_source_recording
     from sylpose.runs.view import find_calibration
 
-    console, result = console_output.make_console(), options.result
+    console, result = console_output.make_console(), find_result(options.result)
     scenes = read_scenes(result, options.calibration)
     rig = calibration.load(find_calibration(result, options.calibration))
     session, warnings = None, list[str]()

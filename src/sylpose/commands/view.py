@@ -51,17 +51,17 @@ def view(options: ViewOptions) -> None:
     Writes view_CAMERA.tum (camera_from_object), view_CAMERA.csv and view_CAMERA.png.
 
     Examples:
-        sylpose view recording/sylpose cam_2
+        sylpose view recording cam_2
         sylpose view results top --calibration virtual.toml
         sylpose view results top --from 0 -2 0 --at 0 0 0
     """
     from sylpose.geometry.euler_angles import parse_euler_angles
     from sylpose.runs import console_output
     from sylpose.runs import view as views
-    from sylpose.runs.run_metadata import read_world_definition
+    from sylpose.runs.run_metadata import find_result, read_world_definition
 
-    result, name = options.result, options.camera
-    trajectory = views.read_result(result)
+    result, name = find_result(options.result), options.camera
+    trajectory = views.load_trajectory(result)
     if options.eye is not None:
         z_up = read_world_definition(result) is not None
         camera = views.make_virtual_camera(name, options.eye, options.at, trajectory, z_up)

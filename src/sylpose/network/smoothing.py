@@ -14,7 +14,7 @@ import numpy as np
 
 from sylpose.network.node import Node, Rollback
 from sylpose.rig import Rig
-from sylpose.smoothing import SmoothedTrajectory, Track, smooth
+from sylpose.smoothing import SmoothedTrajectory, Track, smooth_tracks
 from sylpose.tracking.camera_side.frame import LandmarkObservations
 from sylpose.tracking.context import TrackedFrame
 from sylpose.tracking.reports import CameraObservations, quantize_positions
@@ -24,12 +24,12 @@ FRAMES_PER_MESSAGE = 200
 
 
 def smooth_by_node(node: Node, rig: Rig, frames: Sequence[TrackedFrame], **options: Any) -> SmoothedTrajectory | None:
-    """Refine a node's tracked frames as `smooth`; the result is the same at all nodes that tracked the same frames.
+    """Refine a node's tracked frames as `smooth_tracks`; the result is the same at all nodes that tracked the same frames.
 
     Args:
         node, rig: as in `track_by_node`, after the last frame.
         frames: the frames that it yielded; those are refined that all nodes tracked, after the last node joined.
-        options: options of `smooth`.
+        options: options of `smooth_tracks`.
 
     Returns:
         The refined trajectory; None if this node was excluded as faulty or suspect.
@@ -55,7 +55,7 @@ def _smooth_common_frames(node: Node, rig: Rig, frames: Sequence[TrackedFrame], 
             sightings = tuple(of[k] for of in by_camera) if track.observations else ()
             tracks[start + k] = Track(track.pose, sightings, track.time_offsets, track.radius, track.nudges)
     node.confirm()
-    return smooth(tracks, rig, **options)
+    return smooth_tracks(tracks, rig, **options)
 
 
 def _pack_observations(block: Sequence[Track], c: int, radius: float) -> CameraObservations:

@@ -6,10 +6,12 @@ import csv
 import io
 import json
 import math
+import shutil
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import Any, Self
 
@@ -360,6 +362,28 @@ def write_trajectory(
             for pose in trajectory:
                 writer.write(pose)
     return paths
+
+
+def save_trajectory(trajectory: Trajectory, path: Path | str) -> None:
+    """Save a trajectory as a table (.csv, all frames) or as TUM text (.tum, measured frames).
+
+    The formats are those of `trajectory.csv` and `trajectory.tum`; `load_trajectory` reads the table.
+
+    Args:
+        trajectory: the trajectory.
+        path: replaced if it exists.
+
+    Raises:
+        TypeError, ValueError: naming the argument: no trajectory, or another ending of the file's name.
+        OSError: the file cannot be written; the message names it.
+    """
+    check_type(trajectory, Trajectory, "trajectory")
+    path = Path(path)
+    if path.suffix.lower() not in (".csv", ".tum"):
+        raise ValueError(f"path: {path} must end in .csv or .tum; `sylpose export` writes other formats")
+    with TemporaryDirectory() as folder, replace_atomically(path) as part:
+        tum, table = write_trajectory(folder, trajectory)
+        shutil.copyfile(tum if path.suffix.lower() == tum.suffix else table, part)
 
 
 def write_tum(path: Path | str, times: ArrayLike, world_from_object: RigidTransform, unit: str = "") -> None:

@@ -38,7 +38,7 @@ from sylpose.io.object_files import OBJECT_FILE, load_object
 from sylpose.landmarks.landmark_filter import KNOWN_DEPTH_RATIO
 from sylpose.results import FramePose, Trajectory
 from sylpose.rig import Camera, Rig, intersect_rays
-from sylpose.runs.view import find_calibration, read_result
+from sylpose.runs.view import find_calibration, load_trajectory
 from sylpose.status import Status
 from sylpose.sync.offsets import apply_offsets, find_offsets
 from sylpose.tracking.known_object import KnownObject
@@ -131,7 +131,7 @@ def read_object_run(path: Path, known: KnownObject) -> ObjectRun:
     Raises:
         FileNotFoundError, ValueError: naming the missing file; a run of another object.
     """
-    trajectory, run_object = read_result(path), load_object(path / OBJECT_FILE)
+    trajectory, run_object = load_trajectory(path), load_object(path / OBJECT_FILE)
     if run_object.fingerprint != known.fingerprint:
         raise ValueError(f"{path}: the run has another object, or learned this one again")
     if run_object.unit != known.unit:

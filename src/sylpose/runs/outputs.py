@@ -22,7 +22,7 @@ from sylpose.runs.checkpoint_schema import OutputState
 from sylpose.runs.options import RunOptions
 from sylpose.runs.page import ThumbnailAlbum
 from sylpose.runs.run_result import StageTimer
-from sylpose.smoothing import Track, make_keyframe_tracks, smooth
+from sylpose.smoothing import Track, make_keyframe_tracks, smooth_tracks
 from sylpose.status import Status
 from sylpose.tracking.context import TrackedFrame
 from sylpose.tracking.known_object import KnownObject, TransferredObject
@@ -168,7 +168,7 @@ class ObjectOutput:
             corrections = tracks[-1].nudges if tracks else ()
             moved = find_moved_cameras(self.trajectory, corrections) if self._recalibrate else []
             inflation = default_calibration_prior(self._rig)
-            result = smooth(
+            result = smooth_tracks(
                 tracks,
                 self._rig,
                 calibration_prior=inflation,

@@ -28,7 +28,7 @@ from sylpose.rig import Rig
 from sylpose.runs import console_output
 from sylpose.runs.calibration_refinement import REFINED
 from sylpose.runs.run_metadata import USED_CALIBRATION, find_run_folder, find_settings, read_settings, settings_table
-from sylpose.runs.view import find_calibration, read_result
+from sylpose.runs.view import find_calibration, load_trajectory
 from sylpose.tracking.known_object import KnownObject
 
 # Packages of settings.toml whose versions the page's header shows.
@@ -160,7 +160,7 @@ def read_run(result: Path, calibration_file: Path | None = None) -> tuple[Trajec
         FileNotFoundError: no trajectory.
         ValueError: no calibration; a calibration or an object of other cameras, or another file than an object.
     """
-    trajectory, folder = read_result(result), result if result.is_dir() else result.parent
+    trajectory, folder = load_trajectory(result), result if result.is_dir() else result.parent
     refined, object_file, cloud = folder / REFINED, folder / OBJECT_FILE, None
     file = calibration_file or (refined if refined.is_file() else find_calibration(folder, None))
     rig, names = calibration.load(file), trajectory.camera_names
@@ -185,7 +185,7 @@ def read_surroundings(result: Path) -> Surroundings:
     folder = result if result.is_dir() else result.parent
     if not any((run / USED_CALIBRATION).is_file() for run in (folder, folder.parent)):
         return Surroundings()
-    if not read_result(result).camera_names:
+    if not load_trajectory(result).camera_names:
         return Surroundings()
     _, rig, cloud = read_run(result)
     if cloud is None:

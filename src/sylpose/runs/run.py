@@ -11,8 +11,9 @@ from typing import Any
 
 from sylpose import __version__
 from sylpose.frames import Box, FrameSet
-from sylpose.io.capture import Session
-from sylpose.io.capture.live import LiveSession
+from sylpose.geometry.validation import check_type
+from sylpose.io.capture import Session, open_session
+from sylpose.io.capture.live import LiveSession, is_live, open_live
 from sylpose.io.object_files import object_checksum
 from sylpose.methods import METHODS
 from sylpose.network.simulation import NodesTracker
@@ -26,7 +27,7 @@ from sylpose.runs.outputs import MAX_SMOOTHED_FRAMES, ObjectOutput, Overlay
 from sylpose.runs.page import ThumbnailAlbum, thumbnail_step
 from sylpose.runs.progress import Progress, ProgressCallback, show_progress
 from sylpose.runs.results_folder import ResultsFolder, check_output_folder, lock_folder
-from sylpose.runs.run_metadata import SETTINGS, USED_CALIBRATION, WORLD, write_run_metadata
+from sylpose.runs.run_metadata import DEFAULT_FOLDER, SETTINGS, USED_CALIBRATION, WORLD, write_run_metadata
 from sylpose.runs.run_result import Run, StageTimer
 from sylpose.sync.offsets import apply_offsets, find_offsets
 from sylpose.tracking.context import TrackedFrame
@@ -42,7 +43,7 @@ DEFAULT_OVERLAY_RATE = 2.0
 def output_path(session: Session | LiveSession, out: Path | str | None = None) -> Path:
     """Return the folder of a run's files; the default is `sylpose` in the session's folder, with a folder for each take."""
     take = session.take if isinstance(session, Session) else ""
-    return session.path / "sylpose" / take if out is None else Path(out)
+    return session.path / DEFAULT_FOLDER / take if out is None else Path(out)
 
 
 def result_units(session: Session | LiveSession, known: Mapping[str, KnownObject]) -> dict[str, str]:
@@ -71,7 +72,7 @@ def _make_results_folder(session: Session | LiveSession, out: Path | str | None)
 
 
 def track_session(
-    session: Session | LiveSession,
+    session: Session | LiveSession | Path | str,
     out: Path | str | None = None,
     options: RunOptions | None = None,
     *,
@@ -90,7 +91,7 @@ def track_session(
     `tracked.csv`. Resuming continues from the last checkpoint and yields the same trajectories as an uninterrupted run.
 
     Args:
-        session: session from `open_session` or `open_live`.
+        session: session from `open_session` or `open_live`; or their path, to open it without options.
         out: folder for the files, which are replaced; None for `sylpose` in the session's folder.
         options: method, frames, outputs and so on; None for the defaults.
         progress: True for a progress bar in a terminal or a notebook; or a function that is called with the number of
@@ -105,11 +106,15 @@ def track_session(
         The trajectories, the files written and the problems found.
 
     Raises:
-        ValueError: frames outside the session, or boxes whose rays do not meet; resuming with other options or another
-            session than the interrupted run, or a live session.
+        TypeError: no session.
+        ValueError: as `open_session` and `open_live`; frames outside the session, or boxes whose rays do not meet;
+            resuming with other options or another session than the interrupted run, or a live session.
         FileNotFoundError: resuming without an interrupted run.
         OSError: a file or folder cannot be written or read; the message names it.
     """
+    if isinstance(session, Path | str):
+        session = open_live(session) if is_live(session) else open_session(session)
+    check_type(session, (Session, LiveSession), "session")
     events = _Events(
         on_resume or _ignore, on_frame or _ignore, on_smoothing or _ignore, on_problem or _ignore, interrupted
     )

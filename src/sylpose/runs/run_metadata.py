@@ -27,7 +27,9 @@ from sylpose.rig import Rig
 from sylpose.runs.checkpoint import compute_fingerprint, compute_rig_checksum
 from sylpose.sync.offsets import apply_offsets
 
-SETTINGS, USED_CALIBRATION, WORLD = "settings.toml", "calibration.used.toml", "world.toml"
+SETTINGS, USED_CALIBRATION, WORLD, TRAJECTORY = "settings.toml", "calibration.used.toml", "world.toml", "trajectory.csv"
+# Folder of the results in a recording's folder.
+DEFAULT_FOLDER = "sylpose"
 # Packages whose versions may change results by rounding; OpenCV in any of its variants.
 _OPENCV = ("opencv-python-headless", "opencv-python", "opencv-contrib-python-headless", "opencv-contrib-python")
 _PACKAGES = ("numpy", "scipy", "numba", "av", *_OPENCV)
@@ -121,6 +123,16 @@ def _write_metadata(
         part.write_text(text, encoding="utf-8")
     calibration.save(rig, folder / USED_CALIBRATION)
     return [folder / SETTINGS, folder / USED_CALIBRATION]
+
+
+def find_result(path: Path) -> Path:
+    """Return the folder of the results in a recording's folder; other paths are returned as they are."""
+    if (path / SETTINGS).is_file() or (path / TRAJECTORY).is_file():
+        return path
+    inner = path / DEFAULT_FOLDER
+    # A recording of several takes has only their folders in it.
+    is_result = (inner / SETTINGS).is_file() or any(inner.glob(TRAJECTORY)) or any(inner.glob(f"*/{TRAJECTORY}"))
+    return inner if is_result else path
 
 
 def find_run_folder(result: Path) -> Path:

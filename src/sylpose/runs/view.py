@@ -17,7 +17,7 @@ from sylpose.report.files import read_trajectory, write_trajectory
 from sylpose.report.plots import save_trajectory_plot
 from sylpose.results import Trajectory
 from sylpose.rig import Camera, Rig, make_look_at_camera
-from sylpose.runs.run_metadata import USED_CALIBRATION, WORLD
+from sylpose.runs.run_metadata import TRAJECTORY, USED_CALIBRATION, WORLD, find_result
 from sylpose.units import METERS
 from sylpose.view import trajectory_view
 
@@ -26,21 +26,25 @@ Point = tuple[float, float, float]
 VIRTUAL_FOCAL, VIRTUAL_SIZE = 1000.0, (1280, 960)
 
 
-def read_result(path: Path) -> Trajectory:
-    """Read the trajectory of a run.
+def load_trajectory(path: Path | str) -> Trajectory:
+    """Load the trajectory of a run.
 
     Args:
-        path: folder that `sylpose track` wrote, or its trajectory.csv.
+        path: folder that `sylpose track` wrote, the recording's folder with it, or a trajectory.csv. Covariances have
+            only their diagonal.
 
     Raises:
-        FileNotFoundError: a file is missing; the message names it.
+        FileNotFoundError: a file is missing; the message names it, and the folders of several objects or takes.
         ValueError: not a trajectory.
     """
-    file = path / "trajectory.csv" if path.is_dir() else path
+    path = find_result(Path(path))
+    file = path / TRAJECTORY if path.is_dir() else path
     if not file.is_file():
-        raise FileNotFoundError(
-            f"{file}: no such file; expected a folder that sylpose track wrote, or its trajectory.csv"
-        )
+        if objects := [str(folder.parent) for folder in sorted(path.glob(f"*/{TRAJECTORY}"))]:
+            raise FileNotFoundError(f"{path}: has several results; select one of {', '.join(objects)}")
+        problem = "no result in it" if path.is_dir() else "no such file or folder"
+        expected = f"a recording that was tracked, the folder that sylpose track wrote, or a {TRAJECTORY}"
+        raise FileNotFoundError(f"{path}: {problem}; expected {expected}")
     return read_trajectory(file)
 
 

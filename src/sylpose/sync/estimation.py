@@ -16,7 +16,7 @@ from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import FloatArray, Image
 from sylpose.io.capture import Session
 from sylpose.rig import Rig
-from sylpose.smoothing import Track, smooth
+from sylpose.smoothing import Track, smooth_tracks
 from sylpose.status import Status
 from sylpose.sync.offsets import apply_offsets
 from sylpose.sync.speed_correlation import (
@@ -183,13 +183,13 @@ def _refine_offsets(
             tracked_frames = [Track.from_tracked(tracked) for tracked in tracking]
         change = offsets - tracking_offsets
         tracks = [replace(t, time_offsets=t.time_offsets + change[: len(t.time_offsets)]) for t in tracked_frames]
-        refined = smooth(tracks, shifted.rig, offsets_sd=PRIOR_SD_FRAMES / rate)
+        refined = smooth_tracks(tracks, shifted.rig, offsets_sd=PRIOR_SD_FRAMES / rate)
         is_tracked = refined.status is not Status.TOO_FEW_MATCHES
         if refined.status is not Status.OK:
             sd = np.full(len(session.rig), np.inf)
             break
         if k == 0:
-            before = smooth(tracks, shifted.rig).sigma_px
+            before = smooth_tracks(tracks, shifted.rig).sigma_px
         after = refined.sigma_px
         offsets, sd = offsets + refined.offsets, refined.offsets_sd
         converged = bool((np.abs(refined.offsets) < np.maximum(CONVERGENCE_SECONDS, sd)).all())
@@ -210,7 +210,7 @@ def _scatter_ratio(tracks: Sequence[Track], rig: Rig, prior_sd: float) -> float:
     if n < 2:
         return 1.0
     edges = np.linspace(0, len(tracks), n + 1).astype(int)
-    parts = [smooth(tracks[i:j], rig, offsets_sd=prior_sd) for i, j in pairwise(edges)]
+    parts = [smooth_tracks(tracks[i:j], rig, offsets_sd=prior_sd) for i, j in pairwise(edges)]
     parts = [part for part in parts if part.status is Status.OK]
     if len(parts) < 2:
         return 1.0

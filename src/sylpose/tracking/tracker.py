@@ -12,7 +12,7 @@ from typing import NamedTuple, TypedDict, Unpack
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.frames import Box, FrameSet, check_frame_set
+from sylpose.frames import UNNUMBERED, Box, FrameSet, check_frame_set
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.validation import check_integer, check_number, check_type, format_value
 from sylpose.input_limits import to_one_line
@@ -150,7 +150,7 @@ def track(
     """Track one rigid object and yield its pose frame by frame.
 
     Args:
-        frames: of the recording, in order: `session.frames()`.
+        frames: of the recording, in order: `session.frames()`, or `FrameSet.of(images, time)` for images in memory.
         rig: C cameras. With one camera the object is placed at distance 1 from it, and the status of every frame
             reports that the scale is not observable.
         boxes: per camera, the object's box in the first frame, pixels; None: the body that moves with the most
@@ -283,6 +283,8 @@ class TrackerBase:
             self._state = initialize_from_object(transferred, self._rig, self._context.cameras, frames.time)
             self.next_number = len(transferred.keyframes)
         index, self.next_number = self.next_number, self.next_number + 1
+        if frames.index == UNNUMBERED:
+            frames = replace(frames, index=index - (0 if transferred is None else len(transferred.keyframes)))
         self._state, self._buffered, decided = process_frame(self._context, self._state, self._buffered, index, frames)
         if transferred is None:
             return decided
