@@ -6,7 +6,7 @@ import hashlib
 import pickle
 from pathlib import Path
 from types import GenericAlias, SimpleNamespace
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar, get_type_hints
 
 import msgspec
 import numpy as np
@@ -26,6 +26,8 @@ from sylpose.runs.run import track_session
 from sylpose.smoothing import Track
 from sylpose.status import FrameStatus
 from sylpose.tracking.context import TrackedFrame
+from sylpose.tracking.options import TrackingOptions
+from tests.test_public import types_in
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -277,3 +279,13 @@ def test_tampered_tracks(checkpoint: Path, at: int, bit: int, cut: bool) -> None
         with pytest.raises(ValueError, match="is damaged; omit --resume to start over"):
             list(file.read())
     file.close()
+
+
+def test_arguments_of_background_work_can_be_written() -> None:
+    """A checkpoint while background work is pending contains its arguments."""
+    for function in SERIALIZER.functions.values():
+        for name, hint in get_type_hints(function).items():
+            ours = {kind for kind in types_in(hint) if kind.__module__.startswith("sylpose.")}
+            assert name == "return" or ours <= {*SERIALIZER.records}, f"{function.__name__}: {name}"
+    options = TrackingOptions(max_keyframes=7)
+    assert through(options, TrackingOptions) == options

@@ -25,6 +25,7 @@ from sylpose.tracking.camera_side.frame import CameraFrame, LandmarkObservations
 from sylpose.tracking.context import Frame
 from sylpose.tracking.initialization import BufferedFrame
 from sylpose.tracking.joint_side.joint_state import PendingRefinement
+from sylpose.tracking.options import TrackingOptions
 from sylpose.tracking.tracker import TrackerSnapshot
 from sylpose.tracking.window import bundle_frames
 
@@ -120,6 +121,7 @@ RECORDS = (
     RecordType(OutputState, check=_check_output),
     RecordType(WriterState, {"quaternion": (4,)}),
     RecordType(TrackerSnapshot),
+    RecordType(TrackingOptions),
     RecordType(PendingRefinement, {"landmark_cameras": ("m",)}),
     RecordType(Observations, {"frame": ("n",), "camera": ("n",), "landmark": ("n",), "image": ("n", 2)}),
     RecordType(BufferedFrame),
