@@ -156,12 +156,12 @@ def accept_frame(context: Context, state: JointState, candidate: PoseCandidate) 
         candidate.solution.faults,
         np.array([a.n_features for a in agreements], np.int64),
     ).mark_uncertain()
-    if state.is_ambiguous:
+    is_rig_contradicted = _is_rig_contradicted(context, state)
+    if state.is_ambiguous and not is_rig_contradicted:  # under a wrong rig one body looks like several
         result = replace(result, status=FrameStatus.AMBIGUOUS, reason=AMBIGUITY_REASON)
-    elif accepted.solved.is_contradicted or _is_rig_contradicted(context, state):
-        result = replace(
-            result, status=FrameStatus.CONTRADICTED, reason=_describe_contradiction(context, state, f_ratio)
-        )
+    elif accepted.solved.is_contradicted or is_rig_contradicted:
+        reason = _describe_contradiction(context, state, f_ratio)
+        result = replace(result, status=FrameStatus.CONTRADICTED, reason=reason)
     matches, observations, detections = (context.spread(parts) for parts in zip(*records, strict=True))
     parts = matches, context.spread(frame.regions or ()), model.radius, observations, frame.time_offsets
     return new_state, TrackedFrame(result, frame.images, *parts, detections=detections)
