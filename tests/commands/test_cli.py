@@ -728,6 +728,9 @@ def test_demo(run: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     result = run("demo", *args)
     assert result.code == 0, result.err
     assert "Against ground truth, motion since the first of 3 frames" in result.out
+    assert re.search(r"stated sd +noise alone\nrotation( +[\d.]+°){4}\nposition( +[\d.]+ [mµ]m){4}\n", result.out)
+    page = Path("sylpose_demo", "sylpose", "report.html")
+    assert result.out.splitlines()[-1] == f"Open {page} in a browser."
     assert {file.name for file in (tmp_path / "sylpose_demo" / "sylpose").iterdir()} >= OUTPUTS
 
     # Run again with fewer cameras into the same folder; an inaccurate result gives exit code 1.

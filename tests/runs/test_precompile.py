@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -51,10 +53,10 @@ def test_outdated_kernels_count_as_missing(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_each_part_is_compiled_once(installed: list[str]) -> None:
-    seconds: list[float] = []
-    precompile.compile_all(seconds.append)
+    done: list[float] = []
+    precompile.compile_all(done.append)
     assert sorted(installed) == sorted(precompile.PARTS)
-    assert sum(seconds) == pytest.approx(precompile.TOTAL_SECONDS)
+    assert done[-1] == 1.0
     precompile.compile_all()
     assert len(installed) == len(precompile.PARTS)
 
@@ -69,9 +71,35 @@ def test_single_core_compiles_in_one_process(installed: list[str], monkeypatch: 
     ran: list[str] = []
     monkeypatch.setattr(precompile, "available_cores", lambda: 1)
     monkeypatch.setattr(precompile, "PARTS", {"a": (1.0, lambda: ran.append("a")), "b": (2.0, lambda: ran.append("b"))})
-    seconds: list[float] = []
-    precompile.compile_all(seconds.append)
-    assert (ran, seconds, installed) == (["a", "b"], [1.0, 2.0, precompile.REST_SECONDS], [])
+    precompile.compile_all()
+    assert (ran, installed) == (["a", "b"], [])
+
+
+@pytest.mark.parametrize("name", ["__pycache__", "chosen"])
+def test_progress_is_the_new_machine_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    """It grows from kernel to kernel, also where outdated ones are replaced, and ends before all is compiled."""
+    monkeypatch.setattr(precompile, "CODE_BYTES", 1000.0)
+    monkeypatch.setattr(precompile, "WATCH_SECONDS", 0.01)
+    monkeypatch.setattr(precompile, "display_folder", lambda _: tmp_path)
+    folder = tmp_path / "features" / name if name == "__pycache__" else tmp_path / name
+    folder.mkdir(parents=True)
+    (folder / "old.nbc").write_bytes(bytes(400))
+    (folder / "used.nbc").write_bytes(bytes(300))
+    done, reported = list[float](), threading.Event()
+
+    def report(share: float) -> None:
+        done.append(share)
+        reported.set()
+
+    with precompile._watch_cache(folder, report):
+        for kernel, size, expected in (("a", 200, 0.2), ("old", 401, 0.601), ("b", 900, 0.99)):
+            (folder / f"{kernel}.nbc").write_bytes(bytes(size))
+            deadline = time.monotonic() + 60.0
+            while (not done or done[-1] < expected) and time.monotonic() < deadline:
+                reported.wait(0.1)
+            assert done[-1] == pytest.approx(expected)
+    assert done == sorted(done)
+    assert done[-1] == 1.0
 
 
 @pytest.mark.parametrize("kept", [True, False])

@@ -37,7 +37,13 @@ _UDP = re.compile(r"udp://(\[[0-9a-fA-F:.%\w]+\]|[^\[\]/:]+):(\d{1,5})")
 
 
 def track_in_terminal(
-    session: Session | LiveSession, out: Path | None, options: RunOptions, shown: DisplayOptions
+    session: Session | LiveSession,
+    out: Path | None,
+    options: RunOptions,
+    shown: DisplayOptions,
+    *,
+    on_frame: Callable[[TrackedFrame], None] | None = None,
+    on_end: Callable[[Run], None] | None = None,
 ) -> Run:
     """Run `track_session` with terminal output.
 
@@ -47,6 +53,8 @@ def track_in_terminal(
     Args:
         session, out, options: as in `track_session`.
         shown: what is shown, and where.
+        on_frame: called with each frame of each object.
+        on_end: called with the run after its summary; the last line, after that, names the page to open.
 
     Returns:
         The result of `track_session`.
@@ -57,6 +65,12 @@ def track_in_terminal(
     """
     with ExitStack() as stack:
         display = _RunDisplay(session, output_path(session, out), options, shown)
+
+        def show_frame(name: str, tracked: TrackedFrame) -> None:
+            display.on_frame(name, tracked)
+            if on_frame is not None:
+                on_frame(tracked)
+
         if shown.stream is not None:
             display.send = stack.enter_context(open_pose_stream(shown.stream))
         if shown.show:
@@ -69,7 +83,7 @@ def track_in_terminal(
                     out,
                     options,
                     on_resume=display.on_resume,
-                    on_frame=display.on_frame,
+                    on_frame=show_frame,
                     on_smoothing=display.on_smoothing,
                     on_problem=display.on_problem,
                     interrupted=is_interrupted,
@@ -78,6 +92,9 @@ def track_in_terminal(
                 display.print_stop(error)
                 raise
         display.print_end(run)
+        if on_end is not None:
+            on_end(run)
+        display.print_page_hint(run)
     return run
 
 
@@ -207,6 +224,10 @@ class _RunDisplay:
         console_output.print_summary(self._console, run, self.progress.tracked)
         if self._shown.quiet and not self._is_live:
             self._print_warnings(run.problems)
+
+    def print_page_hint(self, run: Run) -> None:
+        """Print which file to open."""
+        console_output.print_page_hint(self._console, run.files)
 
 
 @contextmanager

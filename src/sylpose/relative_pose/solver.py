@@ -22,6 +22,7 @@ from sylpose.relative_pose.camera_evidence import (
     compute_design_effect,
     compute_f_ratio,
     measure_excess,
+    pool_f_ratios,
 )
 from sylpose.relative_pose.diagnostics import FitDiagnostics, diagnose
 from sylpose.relative_pose.irls import SIGMA_FLOOR_PX, IrlsFit, make_empty_irls_fit, make_irls_start, run_irls
@@ -373,6 +374,13 @@ def warm_up_diagnostics() -> None:
     fit, usable = make_empty_irls_fit(stack), np.ones(len(stack.x))
     motion_mixture.correlate_neighbors(stack, fit)
     uncertainty.minimize_across_valley(stack, usable, fit, np.zeros(6), np.zeros(6), np.zeros(6))
+
+
+def warm_up_evidence() -> None:
+    """Compile the comparison of the cameras' own motions with the joint one only."""
+    excess, _ = measure_excess(_make_terms(), np.zeros(3), np.eye(3), np.array([0.1, 0.0, 0.0]))
+    compute_f_ratio(excess)
+    pool_f_ratios(excess)
 
 
 def _make_terms() -> list[TermData]:

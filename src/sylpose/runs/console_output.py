@@ -17,6 +17,7 @@ from rich.text import Text
 from sylpose.display import format_length
 from sylpose.input_limits import MAX_SENTENCE_LENGTH, to_one_line
 from sylpose.report.camera_consistency import describe_camera_problems
+from sylpose.report.files import PAGE_FILE
 from sylpose.results import FramePose, Trajectory
 from sylpose.status import FrameStatus, Observability
 from sylpose.units import INITIAL_DISTANCES
@@ -130,6 +131,14 @@ def print_summary(console: Console, run: Run, n_tracked: int) -> None:
     parts = ", ".join(f"{name} {seconds:.1f}" for name, seconds in run.seconds.items())
     print_facts(console, [("Time", f"{total:.1f} s, {n_tracked / total:.1f} frames/s ({parts})")])
     print_files(console, "Files", run.files)
+
+
+def print_page_hint(console: Console, files: Sequence[Path]) -> None:
+    """Print which of a run's files to open first: its report, or those of its objects."""
+    pages = [str(file) for file in files if file.name == PAGE_FILE and file.is_file()]
+    if pages:
+        console.print()
+        console.print(Text.assemble("Open ", (" or ".join(pages), "bold"), " in a browser."), soft_wrap=True)
 
 
 def select_solved_frames(trajectory: Trajectory) -> list[FramePose]:

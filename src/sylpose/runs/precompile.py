@@ -12,15 +12,18 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 from filelock import FileLock
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.bundle_adjustment.bundle import BundleOptions, Observations, bundle_adjust
@@ -28,11 +31,13 @@ from sylpose.features import klt, static_background
 from sylpose.features.sift import Features
 from sylpose.geometry.kernel_cache import CACHE_DIR_VARIABLE, cache_folder, display_folder, is_cached, mark_announced
 from sylpose.geometry.matrices import invert_information
+from sylpose.input_limits import print_message
 from sylpose.landmarks.alignment import LandmarkMatches, align
 from sylpose.landmarks.landmark_filter import add_observations, initialize_landmarks
 from sylpose.relative_pose import robust_fit
-from sylpose.relative_pose.solver import warm_up, warm_up_diagnostics, warm_up_irls, warm_up_search
+from sylpose.relative_pose.solver import warm_up, warm_up_diagnostics, warm_up_evidence, warm_up_irls, warm_up_search
 from sylpose.runs.console_output import make_console
+from sylpose.runs.progress import SECONDS_BETWEEN_LINES
 from sylpose.runs.system_resources import available_cores
 from sylpose.simulate import ring
 
@@ -85,15 +90,18 @@ def compile_bundle_adjustment() -> None:
 # the total time is that of the longest.
 PARTS: dict[str, tuple[float, Callable[[], None]]] = {
     "search": (33.0, warm_up_search),
+    "evidence": (23.0, warm_up_evidence),
     "landmarks": (18.0, compile_landmarks),
     "reweighting": (16.0, warm_up_irls),
     "verdicts": (16.0, warm_up_diagnostics),
     "refining": (12.0, compile_bundle_adjustment),
     "following": (2.0, compile_klt),
 }
-# Processor seconds of the remaining kernel, the complete fit, which this process compiles last.
-REST_SECONDS = 10.0
-TOTAL_SECONDS = REST_SECONDS + sum(seconds for seconds, _ in PARTS.values())
+# Machine code of all kernels in the cache, bytes: it grows in proportion to the time, within a tenth (measured: x86-64,
+# two cores). On another processor the last step of the progress is longer or shorter.
+CODE_BYTES = 28.4e6
+# Seconds between two looks at the cache, and largest progress before all is compiled (choice).
+WATCH_SECONDS, MAX_PROGRESS = 0.5, 0.99
 
 
 def is_compiled() -> bool:
@@ -115,19 +123,56 @@ def compile_all(on_progress: Callable[[float], None] | None = None) -> None:
     Without a cache folder, processes cannot share their results, and everything is compiled in this process.
 
     Args:
-        on_progress: called after each part with its seconds, which add up to `TOTAL_SECONDS`.
+        on_progress: called twice a second, in another thread, with the share of the machine code that is in the cache,
+            in [0, 1]; not without a cache folder.
     """
-    on_progress = on_progress or (lambda _: None)
-    if find_kernel_cache() is not None and not is_compiled():
+    folder = find_kernel_cache()
+    if folder is None or is_compiled():
+        warm_up()
+        return
+    with _watch_cache(folder, on_progress or (lambda _: None)):
         # With a single core, one process avoids repeated imports.
         run = _compile_in_subprocess if available_cores() > 1 else (lambda part: PARTS[part][1]())
         with ThreadPoolExecutor(min(available_cores(), len(PARTS))) as pool:
-            seconds_by_future = {pool.submit(run, part): seconds for part, (seconds, _) in PARTS.items()}
-            for done in as_completed(seconds_by_future):
+            for done in as_completed([pool.submit(run, part) for part in PARTS]):
                 done.result()
-                on_progress(seconds_by_future[done])
-    warm_up()
-    on_progress(REST_SECONDS)
+        warm_up()  # the remaining kernel, the complete fit, needs all others
+
+
+@contextmanager
+def _watch_cache(folder: Path, on_progress: Callable[[float], None]) -> Iterator[None]:
+    """Report how much machine code is new in the cache of all kernels.
+
+    Args:
+        folder: cache folder of one kernel.
+        on_progress: called with the share of `CODE_BYTES`.
+    """
+    root, pattern = display_folder(folder), "**/__pycache__/*.nbc" if folder.name == "__pycache__" else "*/*.nbc"
+
+    def look() -> dict[Path, tuple[int, int]]:
+        found = dict[Path, tuple[int, int]]()
+        with suppress(OSError):  # a file that another process replaces
+            for file in root.glob(pattern):
+                state = file.stat()
+                found[file] = state.st_mtime_ns, state.st_size
+        return found
+
+    def watch() -> None:
+        done = 0.0
+        while not is_ended.wait(WATCH_SECONDS):
+            new = sum(size for file, (time_ns, size) in look().items() if before.get(file) != (time_ns, size))
+            done = max(done, min(new / CODE_BYTES, MAX_PROGRESS))
+            on_progress(done)
+
+    before, is_ended = look(), threading.Event()
+    thread = threading.Thread(target=watch, name="sylpose-compiling", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        is_ended.set()
+        thread.join()
+    on_progress(1.0)
 
 
 @cache
@@ -153,9 +198,19 @@ def compile_with_progress(console: Console) -> None:
     if not is_announced:  # a kernel that was needed earlier has announced it
         console.print(f"Compiling for one to two minutes, {occasion}; {location}.", soft_wrap=True)
     columns = (TextColumn("Compiling"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task("", total=None if folder is None else TOTAL_SECONDS)
-        compile_all(lambda seconds: progress.advance(task, seconds))
+    remaining = TimeRemainingColumn(compact=True)
+    with Progress(*columns, remaining, console=console, transient=True, disable=not console.is_terminal) as progress:
+        task, last_line = progress.add_task("", total=None if folder is None else 1.0), time.monotonic()
+
+        def show(done: float) -> None:
+            nonlocal last_line
+            progress.update(task, completed=done)
+            now = time.monotonic()
+            if progress.disable and not console.quiet and now - last_line >= SECONDS_BETWEEN_LINES:
+                last_line = now
+                print_message(f"compiled {done:.0%}")
+
+        compile_all(show)
 
 
 def _compile_in_subprocess(part: str) -> None:

@@ -91,7 +91,7 @@ class TrackingProgress(Progress):
         hidden = quiet or not console.is_terminal
         remaining = TimeRemainingColumn(compact=True)
         self._progress = Bar(*columns, remaining, console=console, transient=True, disable=hidden)
-        self._task = self._progress.add_task("Tracking", total=frames, rate="", inliers="")
+        self._task = self._progress.add_task("Searching", total=frames, rate="", inliers="")
 
     def __enter__(self) -> TrackingProgress:
         self._progress.start()
@@ -118,8 +118,8 @@ class TrackingProgress(Progress):
         measured = pose.is_measured and pose.status is not FrameStatus.FIRST
         inliers = f"{int(pose.inliers.sum())} inliers" if measured else pose.reason or pose.status.value
         elapsed = self._progress.tasks[0].elapsed
-        rate = f"{self.tracked / elapsed:.1f} frames/s" if elapsed else ""
-        self._progress.update(self._task, rate=rate, inliers=inliers)
+        rate = f"{self.tracked / elapsed:.1f} frames/s" if elapsed and self.tracked > 1 else ""
+        self._progress.update(self._task, description="Tracking", rate=rate, inliers=inliers)
         now = time.monotonic()
         if self._progress.disable and not self._last_activity and now - self._last_line_time >= SECONDS_BETWEEN_LINES:
             self._last_line_time = now
