@@ -209,3 +209,13 @@ def test_drifting_clocks_keep_all_frames_of_the_slower_camera() -> None:
     assert np.count_nonzero(frames[:, 1] >= 0) > 930
     both = (frames >= 0).all(axis=1)
     assert np.abs(np.diff(stamps[both], axis=1)).max() <= 0.0165
+
+
+def test_a_single_camera_with_a_variable_rate() -> None:
+    sources = make_sources([[0, 33, 100, 133, 166]])
+    clocks = read_clocks(sources, {}, [])
+    assert clocks is not None
+    frames, times, _ = align(sources, clocks, [])
+    assert frames[:, 0].tolist() == [0, 1, 2, 3, 4]
+    np.testing.assert_allclose(times, [0, 0.033, 0.1, 0.133, 0.166])
+    assert read_clocks(make_sources([[0, 33, 67, 100]]), {}, []) is None

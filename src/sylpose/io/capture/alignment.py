@@ -34,7 +34,7 @@ def read_clocks(sources: Sequence[Source], offsets: Mapping[str, int], warnings:
     """
     clocks = [source.stamps for source in sources]
     known = [clock for clock in clocks if clock is not None]
-    if len(known) < len(sources) or len(sources) < 2:
+    if len(known) < len(sources):
         return None
     resolution = _resolution(sources)
     is_uniform = [_is_uniform(clock, resolution) for clock in known]
