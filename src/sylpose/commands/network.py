@@ -14,9 +14,11 @@ from sylpose.commands.node import require_zenoh
 from sylpose.commands.options import SeedOptions
 from sylpose.methods import MODES
 
-# Share of the frames after which a node is killed; seconds until it is restarted; seconds after which the nodes are
-# considered stuck (choice).
-KILL_FRAME_RATIO, DOWN_SECONDS, STALL_TIMEOUT = 0.35, 1.0, 180.0
+# Share of the frames after which a node is killed; seconds until it is restarted; seconds without a frame of any node
+# after which they are considered stuck, which includes their start; seconds that a node waits for the others (choice).
+KILL_FRAME_RATIO, DOWN_SECONDS, STALL_TIMEOUT, NODE_PATIENCE = 0.35, 1.0, 300.0, 120.0
+# Duration of the frames after the kill, in starts of a single process, as three nodes run meanwhile (choice).
+STARTS_AFTER_KILL = 8.0
 CAMERAS, RATE = tuple(f"cam_{c}" for c in range(4)), 30.0
 KILLED = CAMERAS[1]
 
@@ -68,7 +70,7 @@ class DemoOptions(SeedOptions):
     Attributes:
         out: Write the recording and the results here.
         frames: Render N frames.
-        speed: Set the playback speed; 0: as fast as possible.
+        speed: Set the playback speed, less where nodes start slowly; 0: as fast as possible.
     """
 
     out: Annotated[Path, option("--out DIR")] = Path("sylpose_network_demo")
@@ -88,7 +90,10 @@ def network_demo(options: DemoOptions) -> None:
     """
     require_zenoh()
     from sylpose.commands.demo import render_demo
+    from sylpose.runs.console_output import make_console
+    from sylpose.runs.precompile import compile_with_progress
 
+    compile_with_progress(make_console())  # otherwise all nodes would wait for the first one
     render_demo(options.out, frames=options.frames, turn_deg=90.0, n_cameras=len(CAMERAS), seed=options.seed)
     downtime = _run_nodes(options)
     if failures := _evaluate(options, downtime):
@@ -96,12 +101,31 @@ def network_demo(options: DemoOptions) -> None:
 
 
 def build_node_command(
-    camera: str, recording: Path, out: Path, network: str, speed: float, wait: float = 60.0, mode: str = MODES[0]
+    camera: str,
+    recording: Path,
+    out: Path,
+    network: str,
+    speed: float,
+    wait: float = STALL_TIMEOUT,
+    mode: str = MODES[0],
+    patience: float = NODE_PATIENCE,
 ) -> list[str]:
     """Return the command line of a node on a recording, as a user would type it."""
     options = ["--calibration", recording / "calibration.toml", "--source", recording / f"{camera}.mp4", "--out", out]
-    options += ["--network", network, "--speed", speed, "--wait", wait, "--mode", mode]
+    options += ["--network", network, "--speed", speed, "--wait", wait, "--mode", mode, "--patience", patience]
     return [sys.executable, "-m", "sylpose", "node", camera, *map(str, options)]
+
+
+def _choose_speed(options: DemoOptions) -> float:
+    """Return a playback speed at which the restarted node rejoins before the recording ends."""
+    import subprocess
+    import time
+
+    begin = time.monotonic()
+    program = "from sylpose.relative_pose.solver import warm_up; from sylpose.network import node; warm_up()"
+    subprocess.run([sys.executable, "-c", program], stdin=subprocess.DEVNULL, capture_output=True, check=False)
+    needed = DOWN_SECONDS + STARTS_AFTER_KILL * (time.monotonic() - begin)
+    return min(options.speed, (1.0 - KILL_FRAME_RATIO) * options.frames / (RATE * needed))
 
 
 def _run_nodes(options: DemoOptions) -> tuple[float, float] | None:
@@ -128,18 +152,22 @@ def _run_nodes(options: DemoOptions) -> tuple[float, float] | None:
         results = out / "nodes" / folder
         results.mkdir(parents=True, exist_ok=True)
         with (results / "output.txt").open("wb") as log:
-            line = build_node_command(name, out, results, network, options.speed)
+            line = build_node_command(name, out, results, network, speed)
             return subprocess.Popen(line, stdout=log, stderr=subprocess.STDOUT)
 
     session = watch_network(LinkSettings(), network, lambda *_: None, on_pose)
-    console.print(f"{len(CAMERAS)} nodes, a process each; {KILLED} is killed at frame {kill_frame}")
+    speed = _choose_speed(options)
+    pace = f"{speed:.2g} times the recording's speed" if speed else "full speed"
+    console.print(f"{len(CAMERAS)} nodes, a process each, at {pace}; {KILLED} is killed at frame {kill_frame}")
     processes = {name: start(name, name) for name in CAMERAS}
     killed: tuple[int, float] | None = None  # frame and time
     restarted, rejoined = False, None
     try:
-        deadline = time.monotonic() + STALL_TIMEOUT
-        while any(p.poll() is None for p in processes.values()) and time.monotonic() < deadline:
+        last_news, known = time.monotonic(), dict[str, int]()
+        while any(p.poll() is None for p in processes.values()) and time.monotonic() - last_news < STALL_TIMEOUT:
             time.sleep(0.02)
+            if known != seen:
+                last_news, known = time.monotonic(), dict(seen)
             if killed is None and seen.get(KILLED, 0) >= KILL_FRAME_RATIO * options.frames:
                 processes[KILLED].kill()
                 processes[KILLED].wait()

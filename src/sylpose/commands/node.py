@@ -50,6 +50,8 @@ MAX_CLOCK_OFFSET = 0.2
 MAX_TEXT_LENGTH = 40
 # A view: seconds without a pose after which tracking is considered ended, and largest wait for the first pose (choice).
 END_TIMEOUT, START_TIMEOUT = 5.0, 60.0
+# Seconds without a packet after which a camera counts as disconnected, and more for more patience (choice).
+MIN_INACTIVE = 1.0
 # Numbers of a node's state that `sylpose nodes` prints, with their format.
 _COLUMNS = (("rate", ".1f"), ("latency_ms", ".0f"), ("bytes_per_frame", ".0f"), ("rounds_per_frame", ".1f"))
 _HEADER = ("node", "state", "with", "frames", "per s", "ms", "bytes/frame", "rounds/frame", "clock ms")
@@ -94,7 +96,7 @@ class NodeOptions(MethodOptions, NetworkOptions):
         rate: Set the frame rate, identical on all nodes.
         speed: Set the playback speed of a recording: 2 is twice as fast, 0 as fast as possible.
         wait: Wait for the other cameras before starting without them.
-        patience: Wait for a connected camera that makes no progress.
+        patience: Wait for a connected camera that makes no progress; a tenth of it, at least 1 s, for a silent one.
         mode: Get the same result as one process (exact), or nearly the same in fewer rounds (compact).
     """
 
@@ -169,7 +171,8 @@ def _run_node(options: NodeOptions, camera: str, source_name: str) -> None:
     # Options that must be the same at all nodes.
     shared = (__version__, options.method, options.features, options.mode, options.seed, options.rate)
     digest = compute_rig_digest(rig, repr((*shared, sorted((boxes or {}).items()))))
-    timeouts = Timeouts(round(1.0 / TICK_SECONDS), round(options.patience / TICK_SECONDS))
+    inactive = max(MIN_INACTIVE, options.patience / 10.0)
+    timeouts = Timeouts(round(inactive / TICK_SECONDS), round(options.patience / TICK_SECONDS))
     wait = round(options.wait / TICK_SECONDS)
     present = Membership(c, len(rig), incarnation=time.time_ns() & 0xFFFFFFFF, wait=wait, timeouts=timeouts)
 

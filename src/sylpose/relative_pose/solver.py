@@ -380,6 +380,7 @@ def warm_up_evidence() -> None:
     """Compile the comparison of the cameras' own motions with the joint one only."""
     excess, _ = measure_excess(_make_terms(), np.zeros(3), np.eye(3), np.array([0.1, 0.0, 0.0]))
     compute_f_ratio(excess)
+    compute_f_ratio(excess, len(excess))
     pool_f_ratios(excess)
 
 
