@@ -99,11 +99,14 @@ def test_limits_of_size_digits_and_encoding(tmp_path: Path) -> None:
     file.write_text("a = " + "9" * 309)
     with pytest.raises(UnreadableFileError, match=r"a\.toml: it has a number of more than 308 digits"):
         read_text(file)
-    file.write_bytes(b"\xff\xfe")
+    file.write_bytes(b"\xff\xfea")
     with pytest.raises(UnreadableFileError, match=r"a\.toml: not text in UTF-8"):
         read_text(file)
     file.write_bytes(b"\xef\xbb\xbfa = 1")
     assert read_text(file) == "a = 1"
+    for encoding in ("utf-16-le", "utf-16-be"):  # as PowerShell and spreadsheets write tables
+        file.write_bytes("\ufeffa = 1".encode(encoding))
+        assert read_text(file) == "a = 1"
 
 
 @pytest.mark.parametrize(

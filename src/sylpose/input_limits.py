@@ -119,9 +119,7 @@ def _size_error(size: int, limit: int) -> str:
 
 
 def read_text(path: Path, limit: int = MAX_TEXT_BYTES) -> str:
-    """Return the content of a text file in UTF-8, with or without byte order mark.
-
-    XML may be in UTF-16 with a byte order mark.
+    """Return the content of a text file in UTF-8, with or without byte order mark, or in UTF-16 with one.
 
     Raises:
         OSError, UnreadableFileError: as `read_bytes`; not text, or with a number of more than 308 digits.
@@ -129,9 +127,10 @@ def read_text(path: Path, limit: int = MAX_TEXT_BYTES) -> str:
     data = read_bytes(path, limit)
     with input_errors(path):
         try:
-            text = data.decode("utf-16" if data.startswith(_UTF16) else "utf-8-sig")
+            is_utf16 = data.startswith(_UTF16) and not data.startswith(codecs.BOM_UTF32_LE)
+            text = data.decode("utf-16" if is_utf16 else "utf-8-sig")
         except UnicodeDecodeError:
-            raise ValueError("not text in UTF-8") from None
+            raise ValueError("not text in UTF-8; save it with this encoding") from None
         if _DIGITS.search(text):
             raise ValueError("it has a number of more than 308 digits")
         return text
@@ -161,7 +160,7 @@ def resolve_path(path: Path) -> Path:
     return Path(os.path.realpath(path))
 
 
-_UTF16 = (codecs.BOM_UTF16_LE + b"<\0", codecs.BOM_UTF16_BE + b"\0<")
+_UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 # Unicode categories of control characters, bidirectional marks, surrogates, line separators and unassigned characters.
 _CONTROL_CATEGORIES = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"})
 
