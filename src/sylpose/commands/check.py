@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 from sylpose.commands.app import command
 from sylpose.commands.options import BoxesFile, FrameOffset, OutFolder, RecordingOptions, WorldOptions
@@ -67,7 +68,9 @@ def check(options: CheckOptions) -> None:
         console.print(f"Target: {target.description}.", highlight=False)
     problems, is_rig_wrong = checks.list_warnings(session, locations), False
     if target is not None:
-        findings = rig_evidence.examine_rig(session.rig, session.frames)
+        unusable = list[str]()
+        findings = rig_evidence.examine_rig(session.rig, partial(session.frames, on_problem=unusable.append))
+        problems += dict.fromkeys(unusable)
         problems += rig_evidence.describe_findings(session, findings)
         is_rig_wrong = findings.is_rig_wrong
         # What was or was not found to move under a wrong rig is no problem of its own.

@@ -33,9 +33,9 @@ BITS = 10
 
 
 def paint(camera: int, frame: int, size: tuple[int, int] = SIZE) -> NDArray[np.uint8]:
-    """Draw ten black or white fields: the bits of 256 * camera + frame."""
+    """Draw ten dark or white fields: the bits of 256 * camera + frame."""
     bits = [(camera * 256 + frame) >> b & 1 for b in range(BITS)]
-    row = np.repeat(np.array(bits, np.uint8) * 220 + 16, size[0] // BITS)
+    row = np.repeat(np.array(bits, np.uint8) * 208 + 28, size[0] // BITS)
     return np.ascontiguousarray(np.broadcast_to(row[None, :, None], (size[1], size[0], 3)))
 
 
