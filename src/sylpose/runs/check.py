@@ -79,7 +79,7 @@ def find_tracking_target(session: Session) -> Preview:
     boxes = session.boxes if name is None else session.select_object(name).boxes
     if not boxes:
         return preview_moving_object(session)
-    first = next(iter(session.frames()), None)
+    first = next(iter(session.frames(on_problem=_ignore)), None)
     views = [] if first is None else [View("", first, box_outlines(session, boxes))]
     return Preview(views, f"the object in the boxes of {', '.join(boxes)}")
 
@@ -111,7 +111,7 @@ def collect_facts(session: Session, locations: Mapping[str, ObjectLocation]) -> 
     inside = calibration.parent.resolve() == session.path.resolve()
     name = calibration.name if inside else str(calibration)
     entries = [("Calibration", f"{name}, {format_name(calibration)}, length unit {unit}")]
-    kinds = {"video": "videos", "images": "folders of images"}
+    kinds = {"video": "videos", "images": "folders of images", "pages": "page stacks"}
     if session.world is not None:
         entries.append(("World", session.world.description or "from a file"))
     entries.append(("Recorded", " and ".join(sorted({kinds[source.kind] for source in session.sources}))))
@@ -291,7 +291,7 @@ def preview_moving_object(session: Session) -> Preview:
     """Find the bodies that move in a recording, as `track` does, and draw those that may be the object."""
     candidates, names = find_session_candidates(session), session.rig.names
     if not candidates:
-        first = next(iter(session.frames()), None)
+        first = next(iter(session.frames(on_problem=_ignore)), None)
         description = (
             "Without boxes, the moving object is tracked, but no rigid body was found to move. Select the object with "
             f"boxes: {boxes_hint(session)}."
@@ -300,7 +300,7 @@ def preview_moving_object(session: Session) -> Preview:
     is_ambiguous = candidates[0].is_ambiguous(TrackingOptions())
     views, lines = list[View](), list[str]()
     for number, candidate in enumerate(candidates if is_ambiguous else candidates[:1], start=1):
-        frames = next(iter(session.frames(candidate.first)))
+        frames = next(iter(session.frames(candidate.first, on_problem=_ignore)))
         label = f"{number}" if is_ambiguous else ""
         views.append(View(label, frames, candidate.outlines, candidate.features))
         columns = zip(names, map(len, candidate.features), candidate.displacements_px.tolist(), strict=True)
@@ -399,3 +399,7 @@ def explain_failures(session: Session | LiveSession, run: Run) -> list[str]:
                 )
             reasons.append(sentence)
     return reasons
+
+
+def _ignore(_: str) -> None:
+    """Ignore a problem of a frame that is only drawn."""

@@ -240,7 +240,7 @@ def compute_fingerprint(session: Session) -> dict[str, str]:
     files: list[object] = []
     for source in session.sources:
         names = [file.name for file in source.files]
-        size = source.path.stat().st_size if source.kind == "video" else names
+        size = source.path.stat().st_size if source.kind != "images" else names
         files += [source.camera, source.path.name, source.n_frames, size]
     timeline = session.timeline
     boxes = [(name, sorted(session.select_object(name).boxes.items())) for name in session.objects]

@@ -18,7 +18,8 @@ from sylpose.io.capture.image_sizes import describe_size_mismatch
         ((854, 480), (1920, 1080), "are scaled by 0.444792;"),
         ((540, 960), (1920, 1080), "turned by 90 degrees and scaled by 0.5;"),
         ((1440, 1080), (1920, 1080), "neither scaled nor turned"),
-        ((1920, 1088), (1920, 1080), "neither scaled nor turned"),
+        ((1920, 1088), (1920, 1080), "0 more columns and 8 more rows: an encoder"),
+        ((638, 478), (639, 479), "1 fewer columns and 1 fewer rows: an encoder"),
         ((960, 960), (480, 480), "are scaled by 2;"),
     ],
 )

@@ -17,6 +17,7 @@ from av.video.reformatter import VideoReformatter
 from sylpose.geometry.arrays import BoolArray, Image
 from sylpose.io.capture.boxes import Masks
 from sylpose.io.capture.images import orient, read_image, read_mask, reduce_depth
+from sylpose.io.capture.page_stacks import PageStack
 from sylpose.io.capture.sources import Source, open_video
 
 # Packets in a row that cannot be decoded, after which a video is not read on (choice: several seconds).
@@ -50,7 +51,27 @@ class FrameReader:
             return None
 
     def close(self) -> None:
-        """Close the video; image files are not kept open."""
+        """Close the video or the page stack; image files are not kept open."""
+
+
+class StackReader(FrameReader):
+    """Reader of the pages of a stack in any order."""
+
+    def __init__(self, source: Source) -> None:
+        super().__init__(source)
+        self._stack = PageStack(source.path)
+
+    def read(self, k: int) -> Image | None:
+        """Read page k; None if it is unreadable."""
+        try:
+            return self._stack.read(k)
+        except ValueError as error:
+            self.problems.append(f"{self._source.camera}: {error}; this frame is missing.")
+            return None
+
+    def close(self) -> None:
+        """Close the page stack."""
+        self._stack.close()
 
 
 def check_readable(source: Source) -> None:
@@ -90,7 +111,7 @@ class CameraReader:
 
     def __init__(self, source: Source, masks: Mapping[str, Masks]) -> None:
         self._source, self._masks = source, masks
-        self._reader = _VideoReader(source) if source.kind == "video" else FrameReader(source)
+        self._reader = READERS[source.kind](source)
 
     def read(self, k: int) -> FrameReading:
         """Read frame k and its masks; nothing for a negative k."""
@@ -156,7 +177,8 @@ class _VideoReader(FrameReader):
             try:
                 packet = next(packets, None)
                 if packet is None:
-                    self._failure = None
+                    broken = f"frame {self._number + 1} is damaged, and the later ones are predicted from it"
+                    self._failure = broken if is_broken else None
                     return
                 is_bad = packet.is_corrupt  # truncated by the end of the file, or lost in transmission
                 frames = self._stream.decode(None) if is_bad and self._source.pts is None else packet.decode()
@@ -205,3 +227,7 @@ class _VideoReader(FrameReader):
         if kind not in self._reported_kinds:
             self._reported_kinds.add(kind)
             self.problems.append(message)
+
+
+# Readers by the kind of source.
+READERS: dict[str, type[FrameReader]] = {"video": _VideoReader, "images": FrameReader, "pages": StackReader}

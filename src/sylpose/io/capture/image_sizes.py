@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+# Rows or columns that encoders cut off or add to reach a multiple of 2, 8 or 16.
+MAX_PADDING = 15
+
 
 def describe_size_mismatch(size: tuple[int, int], calibrated: tuple[int, int]) -> str:
     """Describe how images of another size relate to those that a camera was calibrated with.
@@ -10,9 +13,16 @@ def describe_size_mismatch(size: tuple[int, int], calibrated: tuple[int, int]) -
         size, calibrated: (width, height) in pixels, which differ.
 
     Returns:
-        clause that names a rotation by 90 degrees and a common factor of both sides, to within rounding; "" if there
-        is neither.
+        clause that names a rotation by 90 degrees, a common factor of both sides, to within rounding, or rows and columns
+        that an encoder cut off or added.
     """
+    difference = size[0] - calibrated[0], size[1] - calibrated[1]
+    if max(map(abs, difference)) <= MAX_PADDING and max(calibrated) > 4 * MAX_PADDING:
+        columns, rows = (f"{abs(n)} {'fewer' if n < 0 else 'more'}" for n in difference)
+        return (
+            f"{columns} columns and {rows} rows: an encoder cuts off or adds some at the right and below; calibrate with "
+            "such videos, or enter their size in the calibration"
+        )
     turned = (calibrated[1], calibrated[0])
     if size == turned:
         return "they are turned by 90 degrees; turn them back, or calibrate with turned images"

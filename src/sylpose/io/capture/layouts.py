@@ -9,7 +9,15 @@ from pathlib import Path
 
 from sylpose.io import calibration as calibrations
 from sylpose.io.capture.names import match_names, split_takes
-from sylpose.io.capture.sources import CALIBRATION_PREFIXES, NON_CAMERA_NAMES, find_camera_folders, find_entries
+from sylpose.io.capture.sources import (
+    CALIBRATION_PREFIXES,
+    NON_CAMERA_NAMES,
+    THUMBNAIL_NAMES,
+    describe_missing_sources,
+    find_camera_folders,
+    find_entries,
+    list_folder_takes,
+)
 
 # Folders with the videos or image folders of a recording, by preference: FreeMoCap, Pose2Sim, DANNCE, EasyMocap, Anipose,
 # OpenCap.
@@ -81,19 +89,19 @@ def list_takes(folder: Path, calibration: Path | None = None) -> list[str]:
     if len(layouts) > 1:
         return [layout.take for layout in layouts]
     sources = layouts[0].sources
-    by_camera = find_camera_folders(sources).values()
+    by_camera = find_camera_folders(sources)
     names = [entry.name if entry.is_dir() else entry.stem for entry in find_entries(sources)]
     if not names and not by_camera:
-        raise ValueError(f"{folder}: no videos and no folders of images, one per camera, in this folder")
+        raise ValueError(describe_missing_sources(folder))
     takes = list(split_takes(names, _read_camera_names(layouts[0].calibration)))
     if not names:
-        takes = list(dict.fromkeys(file.stem for files in by_camera for file in files))
+        takes = list_folder_takes(by_camera)
     return takes if len(takes) > 1 else [layouts[0].take]
 
 
 def _may_be_take(path: Path) -> bool:
-    name = path.name.lower()
-    return path.is_dir() and not name.startswith((".", *CALIBRATION_PREFIXES)) and name not in NON_CAMERA_NAMES
+    name, others = path.name.lower(), NON_CAMERA_NAMES | THUMBNAIL_NAMES
+    return path.is_dir() and not name.startswith((".", *CALIBRATION_PREFIXES)) and name not in others
 
 
 def _has_all_cameras(sources: Path, cameras: Sequence[str]) -> bool:

@@ -8,6 +8,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 
+# Length of names of cameras that are recognized within words (choice: serial numbers; shorter ones are in other numbers).
+MIN_CONTAINED_LENGTH = 4
+# Images of one folder are two series if this share of the smaller one's numbers is common to both (choice).
+MIN_COMMON_NUMBERS = 0.5
+# Name that ends with a time of the years 2001 to 2033: seconds, and their fraction or nanoseconds.
+_EPOCH = re.compile(r"(.*?)(1[0-9]{9})([._-])([0-9]{1,9})")
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".pgm", ".ppm", ".jp2"})
 
 
@@ -15,8 +21,8 @@ def match_names(found: Iterable[str], cameras: Sequence[str], where: Path | str 
     """Match file names to camera names: exactly, then tolerantly (`cam_0`, `0`, `Cam0`, `cam-00`, `port_0`).
 
     If that finds none, words common to all file names are ignored, and words common to all cameras: Pose2Sim's
-    `int_cam01_img` and `cam01`, Anipose's `A` and `vid1-camA`. This applies only if it assigns one file to every
-    camera.
+    `int_cam01_img` and `cam01`, Anipose's `A` and `vid1-camA`; at last, names within words (`Video110374` and the serial
+    number `10374`). This applies only if it assigns one file to every camera.
 
     Args:
         found: the file names.
@@ -47,7 +53,7 @@ def match_names(found: Iterable[str], cameras: Sequence[str], where: Path | str 
             raise ValueError(f"{where}: {problem}" if where else problem)
         if candidates:
             matched[name] = candidates[0]
-    return matched or _match_distinct_words(names, cameras)
+    return matched or _match_distinct_words(names, cameras) or _match_contained(names, cameras)
 
 
 def match_all_names(found: Iterable[str], cameras: Sequence[str], where: Path | str) -> dict[str, str]:
@@ -88,6 +94,17 @@ def _match_distinct_words(names: Sequence[str], cameras: Sequence[str]) -> dict[
     return {name: by_word[word] for name, word in zip(names, file_words, strict=True)}
 
 
+def _match_contained(names: Sequence[str], cameras: Sequence[str]) -> dict[str, str]:
+    """Match names that contain a camera's name, such as its serial number; empty unless each does, and all match."""
+    if len(names) != len(cameras) or any(len(_normalize_name(camera)) < MIN_CONTAINED_LENGTH for camera in cameras):
+        return {}
+    keys = {camera: _normalize_name(camera) for camera in cameras}
+    found = {name: [c for c, key in keys.items() if key in _normalize_name(name)] for name in names}
+    if sorted(c for its in found.values() for c in its) != sorted(cameras) or not all(found.values()):
+        return {}
+    return {name: its[0] for name, its in found.items()}
+
+
 def split_takes(names: Sequence[str], cameras: Sequence[str]) -> dict[str, dict[str, str]]:
     """Split names such as `vid1-camA` into takes, those that have a file for each camera.
 
@@ -120,21 +137,55 @@ def _distinct_words(names: Sequence[str]) -> list[str]:
 
 
 def image_files(folder: Path) -> list[Path]:
-    """List the images of a folder in natural order (2 before 10), without hidden files.
+    """List the images of a folder in natural order (2 before 10) or by the times in their names, without hidden files.
 
     Raises:
-        ValueError: two images whose names differ only in the suffix.
+        ValueError: two images whose names differ only in the suffix, or two series such as color and depth.
     """
     files = [f for f in folder.iterdir() if f.suffix.lower() in IMAGE_SUFFIXES and f.name[0] != "." and f.is_file()]
     files.sort(key=lambda f: ([int(part) if i % 2 else part for i, part in enumerate(_split_digits(f.stem))], f.name))
     for first, second in pairwise(files):
         if first.stem == second.stem:
             raise ValueError(f"{folder}: {first.name} and {second.name} are two images with the same name")
+    _check_one_series(files, folder)
+    if (times := _epoch_times(files)) is not None:
+        files = [file for _, file in sorted(zip(times, files, strict=True))]
     return files
 
 
+def _check_one_series(files: Sequence[Path], folder: Path) -> None:
+    """Check that names do not repeat the same numbers with other words: color_001 and depth_001."""
+    series = dict[tuple[str, ...], dict[tuple[str, ...], Path]]()
+    for file in files:
+        parts = _split_digits(file.stem)
+        series.setdefault(tuple(parts[::2]), {})[tuple(parts[1::2])] = file
+    (first, *others) = sorted(series.values(), key=len, reverse=True) or [{}]
+    for other in others:
+        if len(other) > 1 and len(first.keys() & other.keys()) >= MIN_COMMON_NUMBERS * len(other):
+            names = f"{next(iter(first.values())).name} and {next(iter(other.values())).name}"
+            raise ValueError(f"{folder}: {names} are of two series of images; one for each folder is expected")
+
+
+def _epoch_times(files: Sequence[Path]) -> list[int] | None:
+    """Return the times in names such as `image_1738133056.145716000`, nanoseconds since 1970; None for other names.
+
+    Nanoseconds may lack their leading zeros (`1738133056.9658000`), as some exporters of ROS write them.
+    """
+    matches = [match for file in files if (match := _EPOCH.fullmatch(file.stem))]
+    if len(matches) < len(files) or len({match[1] for match in matches}) != 1:
+        return None
+    n_digits = max(len(match[4]) for match in matches)
+    if matches[0][3] != "." and n_digits < 9 and len({match[2] for match in matches}) == 1:
+        return None  # a serial number and a counter
+    is_decimal = matches[0][3] == "." and n_digits < 9
+    fractions = [match[4].ljust(9, "0") if is_decimal else match[4] + "0" * (9 - n_digits) for match in matches]
+    return [int(match[2]) * 10**9 + int(fraction) for match, fraction in zip(matches, fractions, strict=True)]
+
+
 def image_numbers(files: Sequence[Path]) -> tuple[int, ...] | None:
-    """Return the frame numbers of naturally sorted files: the last number in the names that increases."""
+    """Return the frame numbers of sorted files: times since 1970, or the last number in the names that increases."""
+    if (times := _epoch_times(files)) is not None and all(a < b for a, b in pairwise(times)):
+        return tuple(times)
     rows = [[int(part) for part in _split_digits(file.stem)[1::2]] for file in files]
     if len({len(row) for row in rows}) != 1:
         return None

@@ -13,7 +13,7 @@ from av.video.frame import VideoFrame
 from av.video.reformatter import VideoReformatter
 
 from sylpose.geometry.arrays import Image
-from sylpose.io.capture.frame_readers import FrameReader, convert_frame
+from sylpose.io.capture.frame_readers import READERS, FrameReader, convert_frame
 from sylpose.io.capture.images import orient
 from sylpose.io.capture.session import Session
 from sylpose.io.capture.sources import Source, open_video
@@ -33,7 +33,9 @@ class RandomAccessReader:
         self._frames = session.timeline.frames
         with ExitStack() as stack:
             self._cameras = [
-                stack.enter_context(closing((_SeekableVideo if source.kind == "video" else FrameReader)(source)))
+                stack.enter_context(
+                    closing((_SeekableVideo if source.kind == "video" else READERS[source.kind])(source))
+                )
                 for source in session.sources
             ]
             self._open = stack.pop_all()

@@ -1,4 +1,4 @@
-"""Image sources of a session folder: one video or image folder per camera."""
+"""Image sources of a session folder: one video, image folder or page stack per camera."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import av
 import av.error
 import numpy as np
 from av.container import InputContainer
+from av.stream import Disposition
 from av.video.stream import VideoStream
 
 from sylpose.geometry.arrays import FloatArray
@@ -27,7 +28,9 @@ from sylpose.io.capture.names import (
     match_names,
     split_takes,
 )
+from sylpose.io.capture.page_stacks import STACK_SUFFIXES, PageStack, is_page_stack
 from sylpose.io.capture.presentation import read_presentation
+from sylpose.io.capture.unusable_files import describe_unusable_files, describe_unusable_video
 from sylpose.rig import Camera, Rig
 
 VIDEO_SUFFIXES = frozenset(
@@ -46,6 +49,8 @@ METADATA_OPTIONS: dict[str, Any] = {} if int(av.__version__.partition(".")[0]) >
 EXIF_ORIENTATIONS = (1, 8, 3, 6)
 # Folder names that sylpose itself writes or reads, and which are never cameras.
 NON_CAMERA_NAMES = frozenset({"sylpose", "masks", "overlay"})
+# Folder names of network drives, archives and viewers, whose images are thumbnails or copies.
+THUMBNAIL_NAMES = frozenset({"@eadir", "__macosx", "thumbnails", "thumbs", "#recycle", "$recycle.bin"})
 # Beginnings of the names of folders and videos for calibration: Pose2Sim, Anipose, DANNCE, DeepLabCut.
 CALIBRATION_PREFIXES = ("calib", "camera_matrix")
 
@@ -56,8 +61,8 @@ class Source:
 
     Attributes:
         camera: the camera's name in the calibration.
-        path: the video or the folder.
-        kind: "video" or "images".
+        path: the video, the folder or the page stack.
+        kind: "video", "images" or "pages".
         size: (width, height) in pixels, of the camera.
         n_frames: number of frames that the video declares; counted if it declares none.
         rate: average frame rate in frames per second; None for images and for videos without one.
@@ -73,7 +78,7 @@ class Source:
 
     camera: str
     path: Path
-    kind: Literal["video", "images"]
+    kind: Literal["video", "images", "pages"]
     size: tuple[int, int]
     n_frames: int
     rate: float | None = None
@@ -183,15 +188,29 @@ class RecordingFolder:
             hint = (
                 f", or exclude a camera with --exclude-camera {missing[0]}" if 0 < len(missing) < len(cameras) else ""
             )
-            raise ValueError(f"{path}: {'; '.join(problems)}{found_text}; assign them with --video NAME=FILE{hint}")
+            unusable = describe_unusable_files(path)
+            reason = f". {unusable}" if missing and unusable else ""
+            raise ValueError(
+                f"{path}: {'; '.join(problems)}{found_text}; assign them with --video NAME=FILE{hint}{reason}"
+            )
         return by_camera
 
     def _select_folders(self) -> tuple[list[Path], dict[Path, str]]:
         """Return the video in each camera's folder, of the selected take, and the folder's name."""
         folders = find_camera_folders(self.path)
         if not folders:
-            raise ValueError(f"{self.path}: no videos and no folders of images, one per camera, in this folder")
-        takes = list(dict.fromkeys(file.stem for files in folders.values() for file in files))
+            raise ValueError(describe_missing_sources(self.path))
+        takes = list_folder_takes(folders)
+        if not takes and all(len(files) == 1 for files in folders.values()):
+            names = {files[0]: name for name, files in folders.items()}
+            return list(names), names
+        if not takes:
+            name, files = max(folders.items(), key=lambda item: len(item[1]))
+            listed = ", ".join(file.name for file in files[:4])
+            raise ValueError(
+                f"{self.path}: {len(files)} videos in {name} ({listed}), with names that the other cameras' videos do not "
+                "have: parts of one recording? Join those of each camera (ffmpeg -f concat), or keep one in each folder"
+            )
         take = takes[0] if len(takes) == 1 and not self.take else self._check_take(takes)
         names = {file: name for name, files in folders.items() for file in files if file.stem == take}
         return list(names), names
@@ -240,7 +259,7 @@ def find_recording_folders(files: Collection[PurePath], calibrated: bool) -> tup
     """
     videos, images, calibrations = set(), set(), set()
     for path in files:
-        if NON_CAMERA_NAMES & set(path.parts[:-1]):
+        if (NON_CAMERA_NAMES | THUMBNAIL_NAMES) & {part.lower() for part in path.parts[:-1]}:
             continue
         # Videos of boards with the calibration that was made from them are no recording.
         is_for_calibration = any(part.lower().startswith(CALIBRATION_PREFIXES) for part in path.parts[:-1])
@@ -265,7 +284,7 @@ def open_video(path: Path) -> tuple[InputContainer, VideoStream]:
     """Open a video; the caller closes the container.
 
     Returns:
-        The container and its first video stream.
+        The container and its video stream, of several that with the largest images.
 
     Raises:
         ValueError: the file is not a video, or its header is missing.
@@ -275,18 +294,21 @@ def open_video(path: Path) -> tuple[InputContainer, VideoStream]:
     try:
         container = av.open(str(path.absolute()), options=DEMUXER_OPTIONS, **METADATA_OPTIONS)
     except av.error.FFmpegError as error:
-        raise ValueError(f"{path}: cannot be opened as a video ({error.strerror})") from None
+        reason = describe_unusable_video(path) or error.strerror
+        raise ValueError(f"{path}: cannot be opened as a video ({reason})") from None
     if not container.streams.video:
         container.close()
-        raise ValueError(f"{path}: cannot be opened as a video (it contains no video stream)")
-    stream = container.streams.video[0]
+        raise ValueError(f"{path}: cannot be opened as a video (it contains no video stream: nothing was recorded)")
+    # Files can have a preview or a cover picture besides; OpenCV takes the first stream.
+    streams = [its for its in container.streams.video if not its.disposition & Disposition.attached_pic]
+    stream = max(streams or container.streams.video, key=lambda its: its.width * its.height)
     # Cameras are decoded in parallel; additional threads per camera would each buffer frames.
     stream.codec_context.thread_count = 1
     return container, stream
 
 
 def find_entries(folder: Path, cameras: Sequence[str] = ()) -> list[Path]:
-    """Return the videos and the image folders in a folder; names of cameras may be any."""
+    """Return the videos, image folders and page stacks in a folder; names of cameras may be any."""
     return [entry for entry in sorted(folder.iterdir()) if _is_source(entry, cameras)]
 
 
@@ -294,7 +316,11 @@ def find_camera_folders(folder: Path) -> dict[str, list[Path]]:
     """Return the videos in each folder of a folder, of one camera each (DANNCE, OpenCap), by the folder's name."""
     found = dict[str, list[Path]]()
     for path in sorted(folder.iterdir()):
-        if path.is_dir() and not path.name.startswith(".") and path.name.lower() not in NON_CAMERA_NAMES:
+        if (
+            path.is_dir()
+            and not path.name.startswith(".")
+            and path.name.lower() not in NON_CAMERA_NAMES | THUMBNAIL_NAMES
+        ):
             files = [file for pattern in ("*", "InputMedia/*/*") for file in path.glob(pattern)]
             videos = sorted(file for file in files if file.suffix.lower() in VIDEO_SUFFIXES and file.is_file())
             if videos:
@@ -304,14 +330,27 @@ def find_camera_folders(folder: Path) -> dict[str, list[Path]]:
 
 def _is_source(entry: Path, cameras: Sequence[str]) -> bool:
     name = entry.name if entry.is_dir() else entry.stem
-    is_other = name.lower() in NON_CAMERA_NAMES or name.lower().startswith(CALIBRATION_PREFIXES)
+    is_other = name.lower() in NON_CAMERA_NAMES | THUMBNAIL_NAMES or name.lower().startswith(CALIBRATION_PREFIXES)
     if entry.name.startswith(".") or (is_other and name not in cameras):
         return False
     if entry.is_dir():
         # A folder with a trajectory or a picture of the rig is the output of an earlier run.
         output = any(entry.glob("trajectory.*")) or (entry / "rig.png").exists()
         return not output and bool(image_files(entry))
-    return entry.suffix.lower() in VIDEO_SUFFIXES
+    return entry.suffix.lower() in VIDEO_SUFFIXES or is_page_stack(entry)
+
+
+def list_folder_takes(folders: Mapping[str, Sequence[Path]]) -> list[str]:
+    """Return the takes of which each camera's folder has a video: the names common to all folders."""
+    names = [dict.fromkeys(file.stem for file in files) for files in folders.values()]
+    return [name for name in names[0] if all(name in others for others in names)]
+
+
+def describe_missing_sources(folder: Path) -> str:
+    """Return the message on a folder without videos and images."""
+    unusable = describe_unusable_files(folder)
+    message = f"{folder}: no videos and no folders of images, one per camera, in this folder"
+    return f"{message}. {unusable}" if unusable else message
 
 
 def _probe(path: Path, camera: Camera, warnings: list[str], as_coded: bool = False) -> Source:
@@ -324,9 +363,17 @@ def _probe(path: Path, camera: Camera, warnings: list[str], as_coded: bool = Fal
         files = image_files(path)
         read_image(files[0], camera.size, applied)
         source = Source(camera.name, path, "images", camera.size, len(files), None, tuple(files), image_numbers(files))
+    elif path.suffix.lower() in STACK_SUFFIXES:
+        with PageStack(path) as stack:
+            stack.read(0)
+            source = Source(camera.name, path, "pages", camera.size, stack.n_pages)
     else:
         container, stream = open_video(path)
         with container:
+            n_streams = len(container.streams.video)
+            if n_streams > 1:
+                used = f"that of {stream.width}x{stream.height}"
+                warnings.append(f"{camera.name}: {path.name} has {n_streams} video streams; {used} is used.")
             shown = read_presentation(path, container, stream, warnings)
         times = shown.pts, shown.time_base
         source = Source(camera.name, path, "video", camera.size, shown.n_frames, shown.rate, (), None, *times)
@@ -334,10 +381,13 @@ def _probe(path: Path, camera: Camera, warnings: list[str], as_coded: bool = Fal
 
 
 def _read_format(path: Path) -> tuple[tuple[int, int], int]:
-    """Return (width, height), as coded, and the EXIF orientation of a video or of the first image of a folder."""
+    """Return (width, height), as coded, and the EXIF orientation of a video, a stack or the first image of a folder."""
     if path.is_dir():
         first = image_files(path)[0]
         return read_image_size(first), read_orientation(first)
+    if path.suffix.lower() in STACK_SUFFIXES:
+        with PageStack(path) as stack:
+            return stack.size, 1
     container, stream = open_video(path)
     with container:
         size, rotation = (stream.width, stream.height), 0
@@ -362,6 +412,8 @@ def _fit_orientation(path: Path, camera: Camera, size: tuple[int, int], orientat
         text = f"{path.name} has a rotation that is not applied: the calibration has the size of the frames as coded"
         warnings.append(f"{camera.name}: {text}.")
         return 1
+    if display := _describe_display_size(path, camera.size):
+        raise ValueError(f"{path}: images of {size[0]}x{size[1]}, but camera {camera.name} {display}")
     as_turned = "" if turned == size else f" ({turned[0]}x{turned[1]} with the file's rotation)"
     raise ValueError(
         f"{path}: images of {size[0]}x{size[1]}{as_turned}, but camera {camera.name} "
@@ -369,8 +421,26 @@ def _fit_orientation(path: Path, camera: Camera, size: tuple[int, int], orientat
     )
 
 
+def _describe_display_size(path: Path, calibrated: tuple[int, int]) -> str:
+    """Describe a calibration at the size in which players show a video whose pixels are not square; "" for others."""
+    if path.is_dir() or path.suffix.lower() in STACK_SUFFIXES:
+        return ""
+    container, stream = open_video(path)
+    with container:
+        aspect = stream.sample_aspect_ratio
+        ratio = float(aspect or 1)
+        width, height = stream.width, stream.height
+    shown = [(width * ratio, height), (width, height / ratio)]
+    if ratio == 1 or not any(max(abs(w - calibrated[0]), abs(h - calibrated[1])) <= 2 for w, h in shown):
+        return ""
+    return (
+        f"is calibrated at {calibrated[0]}x{calibrated[1]}, the size in which players show them: their pixels are not "
+        f"square ({aspect}); calibrate with the frames as stored, as OpenCV reads them"
+    )
+
+
 def open_source(path: Path, camera: Camera) -> Source:
-    """Open one camera's recording: a video or an image folder.
+    """Open one camera's recording: a video, an image folder or a page stack.
 
     Raises:
         FileNotFoundError: the path does not exist.

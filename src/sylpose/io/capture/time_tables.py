@@ -144,10 +144,21 @@ def _read_rows(path: Path) -> list[_Row]:
     text = read_text(path, MAX_TABLE_BYTES)
     with input_errors(path):
         try:
-            reader = csv.reader(io.StringIO(text, newline=""))
-            return [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
+            delimiter = _find_delimiter(text)
+            reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter)
+            rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
         except csv.Error as error:
             raise ValueError(f"cannot be read as CSV ({error})") from None
+    if delimiter == ",":
+        return rows
+    # Spreadsheets of other languages write decimal commas.
+    return [*rows[:1], *((line, [cell.replace(",", ".") for cell in row]) for line, row in rows[1:])]
+
+
+def _find_delimiter(text: str) -> str:
+    """Return what separates the columns in the first line: a semicolon or a tab if it has no comma."""
+    header = text.lstrip().partition("\n")[0]
+    return next((delimiter for delimiter in (",", ";", "\t") if delimiter in header), ",")
 
 
 def _parse_long(rows: Sequence[_Row], header: Sequence[str], cameras: Sequence[str], path: Path) -> list[FloatArray]:
@@ -223,8 +234,14 @@ def _parse_time(text: str, where: str) -> float:
 def _check_clock(times: FloatArray, where: str) -> FloatArray:
     if not len(times):
         raise ValueError(f"{where}: no times in this file")
-    if not np.isfinite(times).all() or (np.diff(times) <= 0).any():
+    if not np.isfinite(times).all():
         raise ValueError(f"{where}: times that increase from frame to frame are expected")
+    if (late := np.flatnonzero(np.diff(times) <= 0)).size:
+        k = int(late[0]) + 1
+        raise ValueError(
+            f"{where}: times that increase from frame to frame are expected, but frame {k} has {times[k]:.16g} after "
+            f"{times[k - 1]:.16g}; remove what is there twice"
+        )
     return times
 
 
