@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import textwrap
+import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -27,6 +28,9 @@ from sylpose.report.camera_consistency import describe_camera_problems, find_dis
 from sylpose.report.failure_reasons import explain_missing_poses
 from sylpose.results import FramePose, Trajectory
 from sylpose.status import DOUBTFUL, PREDICTED, FrameStatus, Observability
+
+# Letters that the font lacks, of names of folders, are drawn as boxes.
+warnings.filterwarnings("ignore", message=r"Glyph \d+ .* missing from", category=UserWarning)
 
 # Okabe & Ito's colors, distinguishable for the color-blind. An axis has the same color in both upper panels: tilt
 # rotates about x, pan about y, roll about z.
