@@ -97,3 +97,13 @@ def test_calibration_is_required(session: Path, capsys: pytest.CaptureFixture[st
     assert "--calibration FILE" in capsys.readouterr().err
     given = str(session / "rig_of_last_week.toml")
     assert main(["view", str(session / "sylpose"), "cam_1", "--calibration", given]) == 0
+
+
+def test_commands_accept_the_recording(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The folder of the recording stands for the results in it."""
+    results = session / "sylpose"
+    for words in (["view", session, "cam_1"], ["export", session, "--out", session / "a.csv"], ["report", session]):
+        assert main(list(map(str, words))) == 0, capsys.readouterr()
+    assert (results / "view_cam_1.csv").is_file()
+    assert str(results / "report.html") in capsys.readouterr().out
+    assert main(["compare", str(session), str(results), "--out", str(session / "compared")]) == 0

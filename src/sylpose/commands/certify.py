@@ -109,6 +109,7 @@ def certify(options: CertifyOptions) -> None:
     files = certificate_page.write_certificate(certificate, session, folder)
     console.print("Not seen by these tests: errors that all cameras share, such as a wrong scale of the calibration.")
     console_output.print_files(console, "Files", files)
+    console_output.print_page_hint(console, files)
     if all(item.rotation is None or item.rotation.is_lower_bound for item in certificate.objects):
         exit_with_failures(["nothing could be certified: no part of the cameras followed the object"])
 

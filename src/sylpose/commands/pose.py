@@ -133,6 +133,7 @@ def solve_poses(options: PoseOptions) -> Run:
         results.end()
     run = Run({"object": trajectory}, tuple(files), (), clock.seconds)
     console_output.print_summary(console, run, len(poses))
+    console_output.print_page_hint(console, run.files)
     return run
 
 

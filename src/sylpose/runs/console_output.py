@@ -17,7 +17,6 @@ from rich.text import Text
 from sylpose.display import format_length
 from sylpose.input_limits import MAX_SENTENCE_LENGTH, to_one_line
 from sylpose.report.camera_consistency import describe_camera_problems
-from sylpose.report.files import PAGE_FILE
 from sylpose.results import FramePose, Trajectory
 from sylpose.status import FrameStatus, Observability
 from sylpose.units import INITIAL_DISTANCES
@@ -134,8 +133,8 @@ def print_summary(console: Console, run: Run, n_tracked: int) -> None:
 
 
 def print_page_hint(console: Console, files: Sequence[Path]) -> None:
-    """Print which of a run's files to open first: its report, or those of its objects."""
-    pages = [str(file) for file in files if file.name == PAGE_FILE and file.is_file()]
+    """Print which of the written files to open first: the page, or those of several objects."""
+    pages = [str(file) for file in files if file.suffix == ".html" and file.is_file()]
     if pages:
         console.print()
         console.print(Text.assemble("Open ", (" or ".join(pages), "bold"), " in a browser."), soft_wrap=True)
