@@ -404,3 +404,16 @@ def test_frames_that_cannot_be_smoothed_are_returned_with_a_warning() -> None:
     learned = replace(known[0], learned_pose=known[0].pose)
     with pytest.raises(ValueError, match="known from another recording; use `track_session`"):
         smooth([learned], clip.rig)
+
+
+def test_frame_sets_of_wrong_images_are_rejected() -> None:
+    clip = turning_clip()
+    image = clip.images[0][0]
+    with pytest.raises(TypeError, match="images must be a list with one image for each camera, got an array of uint8"):
+        FrameSet.of(image, 0.0)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"images\[1\] must be an array of uint8, got an array of float32"):
+        FrameSet.of([image, image.astype(np.float32)], 0.0)
+    with pytest.raises(ValueError, match="masks: 1 for 2 images"):
+        FrameSet.of([image, None], 0.0, [None])
+    with pytest.raises(ValueError, match="2 images for 3 cameras"):
+        list(track([FrameSet.of([image, image], 0.0)], clip.rig))

@@ -73,7 +73,10 @@ class FrameSet:
                 a time that is not finite.
         """
         check_number(time, "time", maximum=np.inf)
-        of_images = check_sequence(images, "images", description="list with one image for each camera")
+        description = "list with one image for each camera"
+        if getattr(images, "ndim", 4) < 4:  # an image, whose rows would count as images
+            raise TypeError(f"images must be a {description}, got {format_value(images)}")
+        of_images = check_sequence(images, "images", description=description)
         n = len(of_images)
         of_masks = [None] * n if masks is None else check_sequence(masks, "masks", n, "images")
         for name, arrays, dtype in (("images", of_images, np.uint8), ("masks", of_masks, np.bool_)):
@@ -106,7 +109,7 @@ def check_frame_set(frames: Any, cameras: Iterable[Camera]) -> None:
     check_type(frames, FrameSet, "frames")
     check_number(frames.time, "frames: time", maximum=np.inf)
     camera_list = list(cameras)
-    for name, parts in (("times", frames.times), ("images", frames.images), ("masks", frames.masks)):
+    for name, parts in (("images", frames.images), ("times", frames.times), ("masks", frames.masks)):
         if len(check_type(parts, (tuple, list), f"frames: {name}")) != len(camera_list):
             raise ValueError(
                 f"frames: {len(parts)} {name} for {len(camera_list)} cameras; give one for each, in the rig's order"

@@ -38,8 +38,7 @@ def report(options: ReportOptions) -> None:
     from sylpose.runs.page import write_report_page
     from sylpose.runs.run_metadata import SETTINGS, TRAJECTORY, find_result
 
-    result = find_result(options.result)
-    folder = result if result.is_dir() else result.parent
+    folder = find_result(options.result if options.result.is_dir() else options.result.parent)
     objects = sorted(file.parent for file in folder.glob(f"*/{TRAJECTORY}") if (folder / SETTINGS).is_file())
     folders = [folder] if (folder / TRAJECTORY).exists() or not objects else objects
     console, pages = console_output.make_console(), list[Path]()

@@ -11,7 +11,7 @@ from typing import Any
 
 from sylpose import __version__
 from sylpose.frames import Box, FrameSet
-from sylpose.geometry.validation import check_type
+from sylpose.geometry.validation import format_value
 from sylpose.io.capture import Session, open_session
 from sylpose.io.capture.live import LiveSession, is_live, open_live
 from sylpose.io.object_files import object_checksum
@@ -114,7 +114,8 @@ def track_session(
     """
     if isinstance(session, Path | str):
         session = open_live(session) if is_live(session) else open_session(session)
-    check_type(session, (Session, LiveSession), "session")
+    elif not isinstance(session, Session | LiveSession):
+        raise TypeError(f"session must be a Session, a LiveSession or a path, got {format_value(session)}")
     events = _Events(
         on_resume or _ignore, on_frame or _ignore, on_smoothing or _ignore, on_problem or _ignore, interrupted
     )
