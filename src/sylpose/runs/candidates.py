@@ -50,7 +50,10 @@ def compare_session_cameras(session: Session, name: str, options: RunOptions) ->
 
 
 def _read_windows(session: Session, options: RunOptions) -> Iterator[Sequence[FrameSet]]:
-    """Read windows of frames spread over the recording."""
+    """Read windows of frames spread over the recording.
+
+    In its first half, a window begins where most cameras have an image: some start late, or with black pictures.
+    """
     start, every = options.start, options.every
     end = session.n_frames if options.stop is None else min(options.stop, session.n_frames)
     known = dict[int, FrameSet]()
@@ -60,7 +63,9 @@ def _read_windows(session: Session, options: RunOptions) -> Iterator[Sequence[Fr
         if new:
             frames = session.frames(start + new[0] * every, start + new[-1] * every + 1, every, _ignore)
             known |= dict(zip(new, frames, strict=False))
-        yield [known[k] for k in window if k in known]
+        read = [known[k] for k in window if k in known]
+        n_images = [sum(image is not None for image in frames.images) for frames in read[: len(read) // 2 + 1]]
+        yield read[n_images.index(max(n_images)) :] if read else []
 
 
 def _ignore(_problem: str) -> None:
