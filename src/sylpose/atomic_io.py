@@ -22,7 +22,9 @@ def output_errors(path: Path | str) -> Iterator[None]:
     except OSError as error:
         if str(error).startswith("cannot write "):  # already converted
             raise
-        raise OSError(f"cannot write {path}: {(error.strerror or str(error)).lower()}") from error
+        is_forbidden = error.errno in (errno.EACCES, errno.EPERM, errno.EROFS)
+        remedy = "; choose another folder, for results with --out" if is_forbidden else ""
+        raise OSError(f"cannot write {path}: {(error.strerror or str(error)).lower()}{remedy}") from error
 
 
 def make_output_folder(path: Path | str) -> Path:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import errno
 import shutil
 import tomllib
 from dataclasses import replace
@@ -20,7 +21,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.atomic_io import make_output_folder
+from sylpose.atomic_io import make_output_folder, output_errors
 from sylpose.geometry.arrays import FloatArray, Image
 from sylpose.geometry.euler_angles import parse_euler_angles
 from sylpose.report import drawing, overlay, plots
@@ -223,6 +224,9 @@ def test_unwritable_output_is_reported(tmp_path: Path) -> None:
         TrajectoryWriter(blocker, NAMES)
     with pytest.raises(OSError, match=r"cannot write .*file\.txt/out: not a directory"):
         make_output_folder(blocker / "out")
+    message = r"^cannot write out: permission denied; choose another folder, for results with --out$"
+    with pytest.raises(OSError, match=message), output_errors("out"):
+        raise PermissionError(errno.EACCES, "Permission denied")
     (tmp_path / "taken" / "trajectory.csv").mkdir(parents=True)
     with pytest.raises(OSError, match=r"cannot write .*trajectory\.csv: is a directory"):
         TrajectoryWriter(tmp_path / "taken", NAMES)
