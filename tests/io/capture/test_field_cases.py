@@ -16,6 +16,8 @@ from sylpose.io.capture.layouts import list_takes
 from sylpose.io.capture.names import image_files, image_numbers, match_names
 from sylpose.io.capture.repetitions import RepetitionFilter
 from sylpose.rig import Camera, Rig
+from sylpose.runs.candidates import _read_windows
+from sylpose.runs.options import RunOptions
 from tests.io.capture.test_capture import (
     SIZE,
     make_calibration,
@@ -203,6 +205,17 @@ def test_tables_of_spreadsheets(folder: Path, delimiter: str, encoding: str) -> 
     np.testing.assert_allclose(session.timeline.stamps, [[k / 10, k / 10 + 0.001] for k in range(4)])
 
 
+def test_time_codes_of_each_camera(folder: Path) -> None:
+    """As rpicam-vid and mkvextract write them, milliseconds."""
+    two_videos(folder, 4, 4)
+    for c in range(2):
+        rows = ["# timecode format v2", *(f"{33.333 * k + c:.3f}" for k in range(4))]
+        (folder / f"cam_{c}_timestamps.txt").write_text("\n".join(rows) + "\n")
+    session = open_session(folder)
+    np.testing.assert_allclose(np.diff(session.timeline.times), 0.033333, atol=1e-9)
+    assert read_with_problems(session)[0] == [(k, k) for k in range(4)]
+
+
 def test_time_that_is_there_twice(folder: Path) -> None:
     two_videos(folder, 4, 4)
     rows = [f"{c},{k}" for k in (0, 1, 1, 2) for c in range(2)]
@@ -240,3 +253,19 @@ def test_damage_without_a_later_keyframe(folder: Path) -> None:
     (folder / "cam_1.mp4").write_bytes(data)
     problems = read_with_problems(open_session(folder))[1]
     assert any("is damaged, and the later ones are predicted from it" in problem for problem in problems)
+
+
+def test_search_for_motion_begins_with_all_cameras(folder: Path) -> None:
+    """One camera is black at first; where all have images, the window begins at the first frame."""
+    for c in range(2):
+        write_video(folder / f"cam_{c}.mkv", c, range(16), "ffv1")
+    assert next(window[0].index for window in _read_windows(open_session(folder), RunOptions())) == 0
+    with av.open(str(folder / "cam_1.mkv"), "w") as container:
+        stream = container.add_stream("ffv1", rate=10)
+        stream.width, stream.height, stream.pix_fmt = *SIZE, "bgr0"
+        for k in range(16):
+            image = paint(1, k) if k >= 3 else np.zeros_like(paint(1, k))
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="bgr24")))
+        container.mux(stream.encode(None))
+    windows = list(_read_windows(open_session(folder), RunOptions()))
+    assert [frames.index for frames in windows[0]] == [*range(3, 16)]

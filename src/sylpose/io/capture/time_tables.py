@@ -66,7 +66,7 @@ def find_time_table(folder: Path, cameras: Sequence[str], without: Sequence[str]
 
     Read are timestamps.csv with a column `frame` and a column for each camera, or with a row for each frame of each
     camera (Caliscope), else a file for each camera in the folder or in its folder timestamps (FreeMoCap: .csv,
-    DeepLabCut-live: .npy).
+    DeepLabCut-live: .npy, Raspberry Pi and mkvmerge: .txt).
 
     Args:
         folder: of the recording.
@@ -147,6 +147,8 @@ def _read_rows(path: Path) -> list[_Row]:
             delimiter = _find_delimiter(text)
             reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter)
             rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
+            while len(rows) > 1 and rows[0][1][0].startswith("# timecode format"):
+                rows = rows[1:]
         except csv.Error as error:
             raise ValueError(f"cannot be read as CSV ({error})") from None
     if delimiter == ",":
@@ -184,8 +186,8 @@ def _find_camera_files(folder: Path, cameras: Sequence[str]) -> dict[str, Path]:
     for file in sorted(folder.iterdir()):
         words = file.stem.replace("-", "_").split("_")
         kept = [word for word in words if word.lower() not in TABLE_WORDS]
-        is_table = file.suffix.lower() in (".csv", ".npy") and (len(kept) < len(words) or folder.name == TABLE_FOLDER)
-        if is_table and file.is_file():
+        is_named = len(kept) < len(words) or folder.name == TABLE_FOLDER
+        if is_named and file.suffix.lower() in (".csv", ".txt", ".npy") and file.is_file():
             found["_".join(kept)] = file
     matched = match_names(found, cameras, folder)
     return {camera: found[name] for name, camera in matched.items()}
