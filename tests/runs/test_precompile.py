@@ -144,3 +144,13 @@ def test_compile_part_by_name() -> None:
     command = [sys.executable, "-m", "sylpose.runs.precompile", "following"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+@pytest.mark.usefixtures("installed")
+def test_progress_lines_without_a_terminal(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(precompile, "SECONDS_BETWEEN_LINES", 0.0)
+    monkeypatch.setattr(precompile, "compile_all", lambda on_progress: on_progress(0.37))
+    precompile.compile_with_progress(make_console(quiet=True))
+    assert capsys.readouterr().err == ""
+    precompile.compile_with_progress(make_console())
+    assert capsys.readouterr().err == "sylpose: compiled 37%\n"
