@@ -11,7 +11,7 @@ from sylpose.commands import network
 from sylpose.commands.network import RATE, DemoOptions
 
 
-@pytest.mark.parametrize(("start_seconds", "speed"), [(1.0, 0.1), (20.0, 39.0 / RATE / 161.0)])
+@pytest.mark.parametrize(("start_seconds", "speed"), [(1.0, 0.1), (20.0, 39.0 / RATE / 241.0)])
 def test_restarted_node_has_time_to_rejoin(monkeypatch: pytest.MonkeyPatch, start_seconds: float, speed: float) -> None:
     clock = [100.0]
     monkeypatch.setattr(time, "monotonic", lambda: clock[0])

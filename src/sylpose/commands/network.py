@@ -18,7 +18,7 @@ from sylpose.methods import MODES
 # after which they are considered stuck, which includes their start; seconds that a node waits for the others (choice).
 KILL_FRAME_RATIO, DOWN_SECONDS, STALL_TIMEOUT, NODE_PATIENCE = 0.35, 1.0, 300.0, 120.0
 # Duration of the frames after the kill, in starts of a single process, as three nodes run meanwhile (choice).
-STARTS_AFTER_KILL = 8.0
+STARTS_AFTER_KILL = 12.0
 CAMERAS, RATE = tuple(f"cam_{c}" for c in range(4)), 30.0
 KILLED = CAMERAS[1]
 
