@@ -14,6 +14,7 @@ from sylpose.input_limits import UnreadableFileError
 from sylpose.io.capture import open_session
 from sylpose.io.capture.page_stacks import PageStack, is_page_stack
 from sylpose.io.capture.random_access import RandomAccessReader
+from sylpose.io.capture.sources import find_recording_folders
 from sylpose.runs.checkpoint import compute_fingerprint
 from tests.io.capture.test_capture import (
     SIZE,
@@ -21,6 +22,7 @@ from tests.io.capture.test_capture import (
     paint,
     painted_numbers,
     read_with_problems,
+    write_images,
     write_video,
 )
 
@@ -68,6 +70,23 @@ def test_stack_beside_a_video_and_a_single_picture(folder: Path) -> None:
     PIL.Image.fromarray(paint(0, 0)).save(folder / "poster.tif")
     PIL.Image.fromarray(paint(0, 0)).save(folder / "poster.png")
     assert read_with_problems(open_session(folder))[0] == [(k, k) for k in range(4)]
+
+
+def test_batch_finds_page_stacks(tmp_path: Path) -> None:
+    """Beside the calibration; videos with a picture beside them and folders of TIFF images remain what they are."""
+    for name in ("a", "b", "c"):
+        (tmp_path / name).mkdir()
+        make_calibration(tmp_path / name)
+        for c in range(2):
+            if name == "a":
+                write_stack(tmp_path / name / f"cam_{c}.tif", c, 3)
+            elif name == "b":
+                write_video(tmp_path / name / f"cam_{c}.mp4", c, range(3))
+            else:
+                write_images(tmp_path / name / f"cam_{c}", c, range(3), "{:04d}.tif")
+    PIL.Image.fromarray(paint(0, 0)).save(tmp_path / "b" / "poster.tif")
+    files = [path.relative_to(tmp_path) for path in tmp_path.rglob("*") if path.is_file()]
+    assert find_recording_folders(files, False)[0] == [Path(name) for name in "abc"]
 
 
 def test_pages_without_directories(folder: Path) -> None:

@@ -58,7 +58,10 @@ class PageStack:
                     f"its pages have different sizes ({listed}); one picture of a camera per page is expected"
                 )
         self.size, self.n_pages = sizes[0], len(sizes)
-        self._image = TiffImageFile(path)
+        try:
+            self._image = TiffImageFile(path)
+        except Exception:  # damaged bytes can raise any exception
+            raise UnreadableFileError(f"{path}: page 0 cannot be read, or has pixels of an unusual type") from None
 
     def __enter__(self) -> Self:
         return self
@@ -124,9 +127,11 @@ def _read_directories(file: _LimitedFile, limit: int) -> tuple[list[tuple[int, i
         ValueError: damaged, or with directories that overlap or with too many of them.
     """
     head = file.read(8)
-    if head[:4] not in _SIGNATURES:
+    length = 16 if head[:4] in _BIG_SIGNATURES else 8
+    head += file.read(length - 8)
+    if head[:4] not in _SIGNATURES or len(head) < length:
         raise ValueError("cannot be read as a TIFF file")
-    tags = ImageFileDirectory_v2(head + (file.read(8) if head[:4] in _BIG_SIGNATURES else b""))
+    tags = ImageFileDirectory_v2(head)
     sizes, seen, n_declared, at = list[tuple[int, int]](), set[int](), 1, tags.next
     while at and at not in seen:
         if len(sizes) == limit:

@@ -257,7 +257,7 @@ def find_recording_folders(files: Collection[PurePath], calibrated: bool) -> tup
     Returns:
         The folders of recordings, outer ones only, and those that only lack a calibration; both sorted.
     """
-    videos, images, calibrations = set(), set(), set()
+    videos, images, stacks, calibrations = set(), set(), set(), set()
     for path in files:
         if (NON_CAMERA_NAMES | THUMBNAIL_NAMES) & {part.lower() for part in path.parts[:-1]}:
             continue
@@ -269,8 +269,10 @@ def find_recording_folders(files: Collection[PurePath], calibrated: bool) -> tup
             videos.add(path.parent)
         elif path.suffix.lower() in IMAGE_SUFFIXES and len(path.parts) > 1:
             images.add(path.parent.parent)
+            stacks |= {path.parent} if path.suffix.lower() in STACK_SUFFIXES else set()
         elif is_calibration_name(Path(path.name)):
             calibrations.add(path.parent)
+    videos |= stacks & calibrations
     # An image folder next to recordings does not make their common parent a recording.
     outer = {parent for folder in videos | images for parent in folder.parents}
     candidates = {folder for folder in videos | images if folder in videos | calibrations or folder not in outer}
@@ -299,12 +301,17 @@ def open_video(path: Path) -> tuple[InputContainer, VideoStream]:
     if not container.streams.video:
         container.close()
         raise ValueError(f"{path}: cannot be opened as a video (it contains no video stream: nothing was recorded)")
-    # Files can have a preview or a cover picture besides; OpenCV takes the first stream.
-    streams = [its for its in container.streams.video if not its.disposition & Disposition.attached_pic]
-    stream = max(streams or container.streams.video, key=lambda its: its.width * its.height)
+    # Files can have a preview besides; OpenCV takes the first stream.
+    stream = max(list_video_streams(container), key=lambda its: its.width * its.height)
     # Cameras are decoded in parallel; additional threads per camera would each buffer frames.
     stream.codec_context.thread_count = 1
     return container, stream
+
+
+def list_video_streams(container: InputContainer) -> list[VideoStream]:
+    """Return the video streams of a file, without cover pictures unless there is nothing else."""
+    streams = [its for its in container.streams.video if not its.disposition & Disposition.attached_pic]
+    return streams or list(container.streams.video)
 
 
 def find_entries(folder: Path, cameras: Sequence[str] = ()) -> list[Path]:
@@ -370,7 +377,7 @@ def _probe(path: Path, camera: Camera, warnings: list[str], as_coded: bool = Fal
     else:
         container, stream = open_video(path)
         with container:
-            n_streams = len(container.streams.video)
+            n_streams = len(list_video_streams(container))
             if n_streams > 1:
                 used = f"that of {stream.width}x{stream.height}"
                 warnings.append(f"{camera.name}: {path.name} has {n_streams} video streams; {used} is used.")
