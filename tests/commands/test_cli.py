@@ -530,12 +530,12 @@ def test_offsets(run: Command, session: Path) -> None:
 
 
 def test_different_frame_counts_are_reported(run: Command, session: Path) -> None:
-    remux(session / "cam_2.mp4", session / "short.mp4", frames=8)
+    remux(session / "cam_2.mp4", session / "short.mp4", frames=9)
     (session / "short.mp4").replace(session / "cam_2.mp4")
     result = run("track", session, "--no-overlay", "--stop", 2)
     assert result.code == 0, result.err
     assert "different numbers of frames" in result.out
-    assert "cam_2 has 0 to 7" in result.out
+    assert "cam_2 has 0 to 8" in result.out
 
 
 def test_out_that_cannot_be_written(run: Command, recording: Path, tmp_path: Path) -> None:
