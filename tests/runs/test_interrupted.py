@@ -199,7 +199,7 @@ def test_failing_resumed_run_keeps_the_files(
     before = read_texts(tmp_path)
     assert before == whole[True]
     with monkeypatch.context() as patch:
-        patch.setattr("sylpose.runs.outputs.smooth", breaks)
+        patch.setattr("sylpose.runs.outputs.smooth_tracks", breaks)
         with pytest.raises(RuntimeError):
             run(opened, tmp_path, True, resume=True)
     assert read_texts(tmp_path) == before

@@ -144,4 +144,4 @@ def test_page_without_settings(whole: Path, tmp_path: Path) -> None:
 
 def test_missing_trajectory(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["report", str(tmp_path)]) == 2
-    assert "trajectory.csv: no such file" in capsys.readouterr().err
+    assert "no result in it; expected a recording that was tracked" in capsys.readouterr().err
