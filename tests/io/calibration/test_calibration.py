@@ -619,7 +619,7 @@ def test_bad_files(name: str, text: str, message: str, tmp_path: Path) -> None:
 
 
 def test_not_text(tmp_path: Path) -> None:
-    (tmp_path / "calibration.toml").write_bytes(b"\xff\xfe\x00\x80")
+    (tmp_path / "calibration.toml").write_bytes(b"\xfa\xfe\x00\x80")
     with pytest.raises(ValueError, match=r"calibration\.toml: not text in UTF-8"):
         calibration.load(tmp_path / "calibration.toml")
 
