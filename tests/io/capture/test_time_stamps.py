@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
@@ -80,9 +81,21 @@ def test_different_rates(folder: Path) -> None:
     write_video(folder / "cam_1.mp4", 1, range(4), rate=15)
     session = open_session(folder)
     rows, _ = read_with_problems(session)
-    assert rows == [(k, k // 2 if k % 2 == 0 else None) for k in range(8)]
-    np.testing.assert_allclose(session.timeline.times, np.arange(8) / 30, atol=1e-4)
-    assert session.rate == pytest.approx(30, rel=1e-3)
+    assert rows == [(2 * k, k) for k in range(4)]  # one camera alone shows nothing of the other's moments
+    np.testing.assert_allclose(session.timeline.times, np.arange(4) / 15, atol=1e-4)
+    assert session.rate == pytest.approx(15, rel=1e-3)
+    assert "cam_0: 4 frames are not used" in " ".join(session.warnings)
+
+
+def test_rates_of_two_pairs() -> None:
+    """The slower cameras are in every second frame set."""
+    sources = make_sources([[k * 1000 // 15 for k in range(6)], [k * 1000 // 30 for k in range(12)]] * 2)
+    clocks = read_clocks(sources, {}, [])
+    assert clocks is not None
+    frames, times, _ = align(sources, clocks, [])
+    assert frames[:, 1].tolist() == list(range(12))
+    assert frames[:, 0].tolist() == [k // 2 if k % 2 == 0 else -1 for k in range(12)]
+    np.testing.assert_allclose(times, np.arange(12) / 30, atol=1e-3)
 
 
 def test_constant_rates_are_numbered(folder: Path) -> None:
@@ -219,3 +232,30 @@ def test_a_single_camera_with_a_variable_rate() -> None:
     assert frames[:, 0].tolist() == [0, 1, 2, 3, 4]
     np.testing.assert_allclose(times, [0, 0.033, 0.1, 0.133, 0.166])
     assert read_clocks(make_sources([[0, 33, 67, 100]]), {}, []) is None
+
+
+def test_a_single_lost_frame_is_not_rounding() -> None:
+    """Also in AVI, whose unit is the interval, and in long recordings, where the mean rate hardly changes."""
+    sources = [
+        replace(its, time_base=0.1)
+        for its in make_sources([[k for k in range(1000) if k != 500], [k for k in range(1000) if k != 200]])
+    ]
+    clocks = read_clocks(sources, {}, [])
+    assert clocks is not None
+    frames, _, _ = align(sources, clocks, [])
+    assert len(frames) == 1000
+    assert frames[800].tolist() == [799, 799]
+    assert frames[300].tolist() == [300, 299]
+
+
+def test_offsets_between_cameras_are_kept() -> None:
+    """Beyond the rounding of time stamps, whatever the file's unit."""
+    tables = [np.arange(10) / 30, np.arange(10) / 30 + 0.004]
+    _, times, stamps = align(make_sources([range(10), range(10)]), tables, [])
+    np.testing.assert_allclose(stamps[:, 1] - times, 0.004, atol=1e-9)
+
+
+def test_a_single_frame_of_each_camera() -> None:
+    frames, times, stamps = align(make_sources([[5], [7]]), [np.array([0.0]), np.array([0.002])], [])
+    assert frames.tolist() == [[0, 0]]
+    np.testing.assert_allclose(stamps - times[:, None], [[0.0, 0.002]])

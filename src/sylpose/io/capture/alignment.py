@@ -12,8 +12,8 @@ from sylpose.io.capture.time_tables import EPOCH
 
 # Frame rates that differ by less than this factor are one (choice: 29.97 and 30, which recorders confuse).
 MAX_RATE_RATIO = 1.01
-# Time stamps are as precise as this, seconds, or as the file's unit if that is larger (derived: Matroska's unit).
-MIN_RESOLUTION = 1e-3
+# Time stamps are as precise as this, seconds (derived: the unit of Matroska and of names in milliseconds).
+RESOLUTION = 1e-3
 # Units of time stamps in the names of images, seconds.
 NAME_UNITS = (1e-3, 1e-6, 1e-9)
 # Clocks are one if this share of the shortest recording's time is common to all cameras (choice).
@@ -36,9 +36,7 @@ def read_clocks(sources: Sequence[Source], offsets: Mapping[str, int], warnings:
     known = [clock for clock in clocks if clock is not None]
     if len(known) < len(sources):
         return None
-    resolution = _resolution(sources)
-    is_uniform = [_is_uniform(clock, resolution) for clock in known]
-    intervals = [_measure_interval(clock, uniform) for clock, uniform in zip(known, is_uniform, strict=True)]
+    intervals = [_measure_interval(clock) for clock in known]
     interval = min(intervals)
     if not np.isfinite(interval):
         return None
@@ -50,7 +48,7 @@ def read_clocks(sources: Sequence[Source], offsets: Mapping[str, int], warnings:
         known = [clock - clock[0] for clock in known]
     begin = 0.0 if offsets else max(float(clock[0]) for clock in known)
     is_together = bool(offsets) or begin - min(float(clock[0]) for clock in known) < interval / 2
-    if is_together and max(intervals) <= MAX_RATE_RATIO * interval and all(is_uniform):
+    if is_together and max(intervals) <= MAX_RATE_RATIO * interval and all(map(_is_uniform, known)):
         return None
     return [clock - begin for clock in known]
 
@@ -79,8 +77,9 @@ def align(
 ) -> tuple[IntArray, FloatArray, FloatArray]:
     """Form frame sets by time.
 
-    They are at the times of the camera with most frames per second. Another camera's frame belongs to the nearest of
-    them, unless it is farther away than half an interval: where that camera has lost frames, a set is added.
+    They are at the times of a camera with most frames per second, of several cameras the second fastest: what one camera
+    alone shows in between is not used. Another camera's frame belongs to the nearest of them, unless it is farther away
+    than half an interval: where that camera has lost frames, a set is added.
 
     Args:
         sources: C cameras.
@@ -91,10 +90,13 @@ def align(
         (n, C) frame number of each camera in each frame set, -1 for none; (n,) times and (n, C) stamps, NaN for none,
         seconds since the first frame set.
     """
-    resolution = _resolution(sources)
-    intervals = [_measure_interval(clock, _is_uniform(clock, resolution)) for clock in clocks]
-    reach = min(intervals) / 2
-    fastest = [c for c, interval in enumerate(intervals) if interval <= MAX_RATE_RATIO * min(intervals)]
+    intervals = [_measure_interval(clock) for clock in clocks]
+    interval = sorted(intervals)[min(1, len(intervals) - 1)]
+    interval = interval if np.isfinite(interval) else min(intervals)
+    reach = MAX_RATE_RATIO * interval / 2
+    fastest = [
+        c for c, own in enumerate(intervals) if interval <= own * MAX_RATE_RATIO and own <= interval * MAX_RATE_RATIO
+    ]
     times = clocks[max(fastest, key=lambda c: len(clocks[c]))]
     for clock in clocks:
         times = np.union1d(times, clock[np.abs(clock - times[_find_nearest(times, clock)]) > reach])
@@ -118,24 +120,23 @@ def align(
         )
     frames, stamps, times = frames[begun], stamps[begun], times[begun]
     # Stamps of one instant differ by their rounding.
-    stamps = np.where(np.abs(stamps - times[:, None]) <= resolution, times[:, None], stamps)
+    stamps = np.where(np.abs(stamps - times[:, None]) <= min(RESOLUTION, interval / 4), times[:, None], stamps)
     return frames, times - times[0], stamps - times[0]
 
 
-def _measure_interval(clock: FloatArray, is_uniform: bool) -> float:
+def _measure_interval(clock: FloatArray) -> float:
     """Return the usual time between frames, seconds; infinity for a single one."""
     if len(clock) < 2:
         return np.inf
-    return float(np.ptp(clock)) / (len(clock) - 1) if is_uniform else float(np.median(np.diff(clock)))
+    return float(np.ptp(clock)) / (len(clock) - 1) if _is_uniform(clock) else float(np.median(np.diff(clock)))
 
 
-def _resolution(sources: Sequence[Source]) -> float:
-    return max(MIN_RESOLUTION, *(source.time_base for source in sources))
-
-
-def _is_uniform(clock: FloatArray, resolution: float) -> bool:
-    """Return whether frames are at a constant rate, up to the resolution of their time stamps."""
-    return bool(np.abs(clock - np.linspace(clock[0], clock[-1], len(clock))).max() <= resolution)
+def _is_uniform(clock: FloatArray) -> bool:
+    """Return whether frames are at a constant rate, up to the rounding of their time stamps; not if one is missing."""
+    if len(clock) < 3:
+        return True
+    tolerance = min(RESOLUTION, float(np.median(np.diff(clock))) / 4)
+    return bool(np.abs(clock - np.linspace(clock[0], clock[-1], len(clock))).max() <= tolerance)
 
 
 def _do_overlap(clocks: Sequence[FloatArray]) -> bool:
