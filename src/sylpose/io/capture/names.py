@@ -10,7 +10,8 @@ from pathlib import Path
 
 # Length of names of cameras that are recognized within words (choice: serial numbers; shorter ones are in other numbers).
 MIN_CONTAINED_LENGTH = 4
-# Images of one folder are two series if this share of the smaller one's numbers is common to both (choice).
+# Images have numbers in common if these are this share of the smaller set's (choice): two series in one folder are, and
+# folders whose equal numbers are one moment.
 MIN_COMMON_NUMBERS = 0.5
 # Name that ends with a time of the years 2001 to 2033: seconds, and their fraction or nanoseconds.
 _EPOCH = re.compile(r"(.*?)(1[0-9]{9})([._-])([0-9]{1,9})")
@@ -136,13 +137,18 @@ def _distinct_words(names: Sequence[str]) -> list[str]:
     return ["_".join(word for word in words if word not in common) for words in split]
 
 
+def has_images(folder: Path) -> bool:
+    """Return whether a folder has any image, without listing all of them."""
+    return any(_is_image(file) for file in folder.iterdir())
+
+
 def image_files(folder: Path) -> list[Path]:
     """List the images of a folder in natural order (2 before 10) or by the times in their names, without hidden files.
 
     Raises:
         ValueError: two images whose names differ only in the suffix, or two series such as color and depth.
     """
-    files = [f for f in folder.iterdir() if f.suffix.lower() in IMAGE_SUFFIXES and f.name[0] != "." and f.is_file()]
+    files = [file for file in folder.iterdir() if _is_image(file)]
     files.sort(key=lambda f: ([int(part) if i % 2 else part for i, part in enumerate(_split_digits(f.stem))], f.name))
     for first, second in pairwise(files):
         if first.stem == second.stem:
@@ -151,6 +157,10 @@ def image_files(folder: Path) -> list[Path]:
     if (times := _epoch_times(files)) is not None:
         files = [file for _, file in sorted(zip(times, files, strict=True))]
     return files
+
+
+def _is_image(file: Path) -> bool:
+    return file.suffix.lower() in IMAGE_SUFFIXES and file.name[0] != "." and file.is_file()
 
 
 def _check_one_series(files: Sequence[Path], folder: Path) -> None:

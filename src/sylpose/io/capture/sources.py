@@ -22,6 +22,7 @@ from sylpose.io.capture.image_sizes import describe_size_mismatch
 from sylpose.io.capture.images import read_image, read_image_size, read_orientation
 from sylpose.io.capture.names import (
     IMAGE_SUFFIXES,
+    has_images,
     image_files,
     image_numbers,
     invert_unique,
@@ -238,7 +239,7 @@ class RecordingFolder:
             entry = self.path / file
             if not entry.exists():
                 raise FileNotFoundError(f"{entry}: no such video or image folder, for camera {name}")
-            if entry.is_dir() and not image_files(entry):
+            if entry.is_dir() and not has_images(entry):
                 raise ValueError(f"{entry}: no images in this folder, for camera {name}")
             for other, other_entry in entries.items():
                 if resolve_path(other_entry) == resolve_path(entry):
@@ -343,7 +344,7 @@ def _is_source(entry: Path, cameras: Sequence[str]) -> bool:
     if entry.is_dir():
         # A folder with a trajectory or a picture of the rig is the output of an earlier run.
         output = any(entry.glob("trajectory.*")) or (entry / "rig.png").exists()
-        return not output and bool(image_files(entry))
+        return not output and has_images(entry)
     return entry.suffix.lower() in VIDEO_SUFFIXES or is_page_stack(entry)
 
 
@@ -455,6 +456,6 @@ def open_source(path: Path, camera: Camera) -> Source:
     """
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file or folder")
-    if path.is_dir() and not image_files(path):
+    if path.is_dir() and not has_images(path):
         raise ValueError(f"{path}: no images in this folder")
     return _probe(path, camera, [])

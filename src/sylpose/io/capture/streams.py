@@ -19,8 +19,8 @@ from av.video.frame import VideoFrame
 from av.video.reformatter import VideoReformatter
 
 from sylpose.frames import FrameSet
-from sylpose.geometry.arrays import Image
 from sylpose.io.capture.frame_assembly import POLL_INTERVAL, FrameAssembler, Grab, TimedFrame
+from sylpose.io.capture.frame_readers import MAX_UNDECODABLE, convert_frame
 from sylpose.io.capture.image_sizes import describe_size_mismatch
 from sylpose.io.capture.sources import METADATA_OPTIONS
 from sylpose.rig import Camera
@@ -38,8 +38,6 @@ FFMPEG_OPTIONS = {
     "flags": "low_delay",
     "analyzeduration": "500000",
 }
-# Consecutive undecodable packets after which a stream counts as broken.
-MAX_UNDECODABLE = 250
 
 
 class Device(Protocol):
@@ -77,7 +75,7 @@ class _NetworkStream:
             raise OSError(_error_reason(error)) from None
         if frame is None:
             return None
-        return Grab((frame.width, frame.height), partial(self._convert, frame), frame.time)
+        return Grab((frame.width, frame.height), partial(convert_frame, frame, self._reformatter), frame.time)
 
     def close(self) -> None:
         self._frames.close()
@@ -95,9 +93,6 @@ class _NetworkStream:
                 continue
             bad = 0 if frames else bad
             yield from (frame for frame in frames if not frame.is_corrupt)
-
-    def _convert(self, frame: VideoFrame) -> Image:
-        return np.asarray(self._reformatter.reformat(frame, format="bgr24").to_ndarray(), dtype=np.uint8)
 
 
 class _LocalCamera:

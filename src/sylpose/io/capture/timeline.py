@@ -10,11 +10,9 @@ import numpy as np
 
 from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.io.capture.alignment import MAX_RATE_RATIO, align, read_clocks, read_name_clocks
+from sylpose.io.capture.names import MIN_COMMON_NUMBERS
 from sylpose.io.capture.sources import Source
 from sylpose.io.capture.time_tables import TimeTable
-
-# Equal numbers of images are one moment if this share of the smallest folder's is common to all (choice).
-MIN_COMMON = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,7 +187,7 @@ def _align_slots(sources: tuple[Source, ...], warnings: list[str]) -> list[IntAr
     if len(numbers) < 2 or not usable:
         return slots
     # Some numbers may be equal by chance, and the first ones of clocks that were started together are.
-    if len(usable) < len(numbers) or len(set.intersection(*usable)) < MIN_COMMON * min(map(len, usable)):
+    if len(usable) < len(numbers) or len(set.intersection(*usable)) < MIN_COMMON_NUMBERS * min(map(len, usable)):
         warnings.append("The image folders have few common frame numbers: their images are numbered in order.")
         return slots
     # Equal numbers are one frame set, so that an image missing from one folder does not shift later ones.
