@@ -99,13 +99,6 @@ def make_calibration(path: Path, n: int = 2) -> None:
     calibration.save(make_rig(n), path / "calibration.toml")
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    """A session folder with a calibration of two cameras and nothing else."""
-    make_calibration(tmp_path)
-    return tmp_path
-
-
 def two_videos(folder: Path, n0: int = 8, n1: int = 8) -> None:
     write_video(folder / "cam_0.mp4", 0, range(n0))
     write_video(folder / "cam_1.mp4", 1, range(n1))

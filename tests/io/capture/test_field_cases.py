@@ -20,7 +20,6 @@ from sylpose.runs.candidates import _read_windows
 from sylpose.runs.options import RunOptions
 from tests.io.capture.test_capture import (
     SIZE,
-    make_calibration,
     make_rig,
     paint,
     read_with_problems,
@@ -29,12 +28,6 @@ from tests.io.capture.test_capture import (
     write_images,
     write_video,
 )
-
-
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    make_calibration(tmp_path)
-    return tmp_path
 
 
 @pytest.mark.parametrize(

@@ -27,12 +27,6 @@ from tests.io.capture.test_capture import (
 )
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    make_calibration(tmp_path)
-    return tmp_path
-
-
 def write_stack(
     path: Path, camera: int, n: int, shift: int = 0, compression: str | None = None, big_tiff: bool = False
 ) -> None:

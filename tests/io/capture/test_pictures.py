@@ -14,13 +14,7 @@ from sylpose.io import calibration
 from sylpose.io.capture import open_session
 from sylpose.io.capture.repetitions import RepetitionFilter
 from sylpose.rig import Camera, Rig
-from tests.io.capture.test_capture import SIZE, make_calibration, make_rig, paint, read_with_problems, write_video
-
-
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    make_calibration(tmp_path)
-    return tmp_path
+from tests.io.capture.test_capture import SIZE, make_rig, paint, read_with_problems, write_video
 
 
 def add_noise(image: Image, rng: np.random.Generator, sigma: float = 2.0) -> Image:

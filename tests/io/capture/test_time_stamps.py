@@ -19,19 +19,12 @@ from sylpose.io.capture.sources import Source
 from sylpose.runs.check import describe_clocks, find_session_warnings
 from tests.io.capture.test_capture import (
     SIZE,
-    make_calibration,
     paint,
     painted_numbers,
     read_with_problems,
     write_images,
     write_video,
 )
-
-
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    make_calibration(tmp_path)
-    return tmp_path
 
 
 def write_timed(path: Path, camera: int, frames: Sequence[int], codec: str = "ffv1", rate: int = 10) -> None:

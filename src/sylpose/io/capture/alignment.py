@@ -116,7 +116,7 @@ def align(
     if early:
         listed = ", ".join(early)
         warnings.append(
-            f"The videos start at different times; frames before the last one starts are not used: {listed}."
+            f"The cameras start at different times; frames before the last one starts are not used: {listed}."
         )
     frames, stamps, times = frames[begun], stamps[begun], times[begun]
     # Stamps of one instant differ by their rounding.

@@ -97,7 +97,7 @@ def _read_packets(
     """Read the time stamps of all packets that are shown.
 
     Returns:
-        They, in the order of the file; a message if the file is cut off.
+        the time stamps in the order of the file; a message if the file is cut off.
     """
     stamps, end = list[int | None](), 0.0
     declared = float(stream.duration * stream.time_base) if stream.duration and stream.time_base else 0.0
