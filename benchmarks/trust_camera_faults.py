@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -101,12 +103,27 @@ def six_per_second(rng: np.random.Generator) -> Take:
     return replace(draw_take(rng, speed=(1.0, 2.0), pace=lambda frame: 5.0 * frame, travel=0.3), rate=6.0)
 
 
+def staggered(rng: np.random.Generator) -> Take:
+    """Cameras that run freely and have correct time stamps: each up to half a frame off."""
+    take = draw_take(rng)
+    delays = rng.uniform(-0.5, 0.5, len(take.scene.rig))
+    delays -= delays.mean()  # frame sets have the mean time
+    clocks = {c: partial(operator.add, float(delay)) for c, delay in enumerate(delays)}
+    return replace(take, clocks=clocks, stamped=True)
+
+
 # --- whole rig ------------------------------------------------------------------------------------------------------------
 
 
 def all_mirrored(rng: np.random.Generator) -> Take:
     """All images mirrored."""
     take = draw_take(rng)
+    return replace(flip_boxes(take, True, False), effects=(flip(True, False),))
+
+
+def staggered_mirrored(rng: np.random.Generator) -> Take:
+    """All images mirrored, of cameras that run freely and have correct time stamps."""
+    take = staggered(rng)
     return replace(flip_boxes(take, True, False), effects=(flip(True, False),))
 
 
@@ -375,11 +392,23 @@ def noisy_camera(rng: np.random.Generator) -> Take:
 
 
 REGULAR = index_by_name(
-    [turn_in_place, free_motion, hand_board, carried, slow_turn, fast_turn, long_lens, wide_angle, six_per_second]
+    [
+        turn_in_place,
+        free_motion,
+        hand_board,
+        carried,
+        slow_turn,
+        fast_turn,
+        long_lens,
+        wide_angle,
+        six_per_second,
+        staggered,
+    ]
 )
 WHOLE_RIG = index_by_name(
     [
         all_mirrored,
+        staggered_mirrored,
         all_upside_down,
         all_exchanged,
         poses_inverted,

@@ -72,6 +72,7 @@ class Take(Variation):
             agrees with best as a whole. Empty: that of the scene's first actor.
         first: first frame in which the object can be seen.
         clocks: by camera, the time (frames) at which its frame k was exposed.
+        stamped: whether the time stamps of the images are those of the clocks, else those of the frame sets.
         stand_ins: by camera, the scene that it sees instead.
         photos: by camera, the photograph on the wall behind the scene; None: rooms that are drawn.
         slices: exposure times of the parts of an image, relative to its frame: bands of rows, or fields.
@@ -84,6 +85,7 @@ class Take(Variation):
     truths: tuple[Path, ...] = ()
     first: int = 0
     clocks: Mapping[int, Clock] = field(default_factory=dict)
+    stamped: bool = False
     stand_ins: Mapping[int, Scene] = field(default_factory=dict)
     photos: tuple[Image, ...] | None = None
     slices: tuple[float, ...] = (0.0,)
@@ -109,7 +111,9 @@ class Take(Variation):
             film = effect(self, film)
         no_values = (None,) * len(film)
         for k, images in enumerate(zip(*film, strict=True)):
-            yield FrameSet(k, k / self.rate, no_values, tuple(images), no_values)
+            clocks = [self.clocks.get(c, float) for c in range(len(images))]
+            times = tuple(clock(float(k)) / self.rate for clock in clocks) if self.stamped else no_values
+            yield FrameSet(k, k / self.rate, times, tuple(images), no_values)
 
     def outlines(self, c: int, k: int, actors: tuple[Actor, ...] | None = None) -> list[FloatArray]:
         """Return the convex outlines (n, 2), pixels, of the actors (None: of all) that camera c sees in frame k."""

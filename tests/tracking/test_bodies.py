@@ -249,16 +249,13 @@ def test_scattered_keypoints_are_no_rigid_motion() -> None:
     assert not find_rigid_motion(camera, make_pair(before, before), TrackingOptions())[1]
 
 
-def test_no_evidence_with_differing_time_stamps() -> None:
-    """Cameras that see the object at other times contradict each other's motion."""
+@pytest.mark.parametrize(("offset", "is_known"), [(0.01, True), (0.2, False)])
+def test_evidence_needs_time_offsets_that_are_small_against_the_motion(offset: float, is_known: bool) -> None:
+    """Cameras that see an accelerating object at other times see other motions."""
     clip = render("resting")
-    frames = [replace(frame, times=tuple(frame.time + 0.01 * c for c in range(3))) for frame in clip.frames()]
+    frames = [replace(frame, times=tuple(frame.time + offset * c for c in range(3))) for frame in clip.frames()]
     (candidate,) = find_candidates(clip.rig, windows_of(frames))
-    assert np.isnan(candidate.f_ratio)
-    # Nor with known offsets of cameras whose time stamps agree.
-    late = np.array([0.0, 0.01, 0.0])
-    (candidate,) = find_candidates(clip.rig, windows_of(clip.frames()), time_offsets=late)
-    assert np.isnan(candidate.f_ratio)
+    assert np.isfinite(candidate.f_ratio) == is_known
 
 
 def test_fast_object_is_one_body() -> None:

@@ -17,6 +17,8 @@ from sylpose.tracking.joint_side.joint_state import (
     MIN_INTERVAL_RATIO,
     PREDICTION_SDS,
     MotionModel,
+    SolvedFrame,
+    synchronize_rig,
 )
 
 CENTER = np.array([0.1, -0.2, 0.3])
@@ -292,18 +294,21 @@ MOTION = RigidTransform.from_exp_coords(TWIST * DT)
 
 
 def test_zero_offsets_keep_cameras(rig: Rig) -> None:
-    assert make_steady_model().synchronize_rig(rig, np.zeros(3), CENTER, MOTION, DT) is rig
+    assert synchronize_rig(rig, np.zeros(3), TWIST) is rig
 
 
 def test_static_object_needs_no_time_correction(rig: Rig) -> None:
-    assert make_steady_model().synchronize_rig(rig, TIME_OFFSETS, CENTER, RigidTransform.identity(), DT) is rig
+    twist = make_steady_model().estimate_twist(CENTER, RigidTransform.identity(), DT)
+    assert synchronize_rig(rig, TIME_OFFSETS, twist) is rig
 
 
 @pytest.mark.parametrize("elapsed", [DT, 0.2])
 def test_time_correction_is_exact_for_uniform_motion(rig: Rig, elapsed: float) -> None:
     """Exactly, while no velocity change has been observed."""
     motion = RigidTransform.from_exp_coords(TWIST * elapsed)
-    at_once = MotionModel(n_frames=9).synchronize_rig(rig, TIME_OFFSETS, CENTER, motion, elapsed)
+    twist = MotionModel(n_frames=9).estimate_twist(CENTER, motion, elapsed)
+    np.testing.assert_allclose(twist, TWIST, atol=1e-9)
+    at_once = synchronize_rig(rig, TIME_OFFSETS, twist)
     points = CENTER + ellipsoid((0.15, 0.1, 0.12), n=50).points
     assert at_once.names == rig.names
     assert at_once.unit == rig.unit
@@ -315,7 +320,7 @@ def test_time_correction_is_exact_for_uniform_motion(rig: Rig, elapsed: float) -
 
 
 def test_only_cameras_with_offset_are_corrected(rig: Rig) -> None:
-    at_once = MotionModel().synchronize_rig(rig, np.array([0.0, 0.01, 0.0]), CENTER, MOTION, DT)
+    at_once = synchronize_rig(rig, np.array([0.0, 0.01, 0.0]), TWIST)
     gaps = [np.linalg.norm(a.center - b.center) for a, b in zip(rig, at_once, strict=True)]
     assert max(gaps[0], gaps[2]) < 1e-12
     assert gaps[1] > 1e-3
@@ -324,8 +329,8 @@ def test_only_cameras_with_offset_are_corrected(rig: Rig) -> None:
 def test_velocity_equal_to_its_change_has_half_weight(rig: Rig) -> None:
     speed = np.concatenate([TWIST[:3], np.cross(TWIST[:3], CENTER) + TWIST[3:]])
     unsteady = replace(make_steady_model(), change_variance=speed[[1, 2, 0, 5, 3, 4]] ** 2)
-    found = unsteady.synchronize_rig(rig, TIME_OFFSETS, CENTER, MOTION, DT)
-    half = MotionModel().synchronize_rig(rig, TIME_OFFSETS / 2, CENTER, MOTION, DT)
+    found = synchronize_rig(rig, TIME_OFFSETS, unsteady.estimate_twist(CENTER, MOTION, DT))
+    half = synchronize_rig(rig, TIME_OFFSETS / 2, TWIST)
     for a, b in zip(found, half, strict=True):
         np.testing.assert_allclose(a.camera_from_world.as_matrix(), b.camera_from_world.as_matrix(), atol=1e-12)
 
@@ -334,7 +339,35 @@ def test_weight_decreases_with_velocity_change(rig: Rig) -> None:
     moved = []
     for change in (0.0, 0.3, 1.0, 3.0, 30.0):
         velocity = MotionModel(change_variance=np.full(6, change**2))
-        at_once = velocity.synchronize_rig(rig, TIME_OFFSETS, CENTER, MOTION, DT)
+        at_once = synchronize_rig(rig, TIME_OFFSETS, velocity.estimate_twist(CENTER, MOTION, DT))
         moved.append(np.linalg.norm(at_once.cameras[1].center - rig.cameras[1].center))
     assert (np.diff(moved) < 0).all()
     assert moved[-1] < 0.01 * moved[0]
+
+
+def test_offset_error_is_the_distance_by_which_a_prediction_fails() -> None:
+    """The points of an object that changes its velocity by one standard deviation move by about as much more."""
+    change = np.array([0.3, -0.2, 0.1, 0.02, 0.01, -0.03])
+    model = replace(make_steady_model(), change_variance=change**2, n_frames=9)
+    predicted = model.predict_offset_error(TIME_OFFSETS, 0.1)
+    points = 0.1 * ellipsoid((1.0, 1.0, 1.0), n=500).points
+    for seconds, error in zip(TIME_OFFSETS, predicted, strict=True):
+        moved = RigidTransform.from_exp_coords(change * seconds).apply(points)
+        assert 0.5 * error < np.linalg.norm(moved - points, axis=1).mean() < error
+
+
+def test_offset_error_is_unknown_before_several_motions() -> None:
+    np.testing.assert_array_equal(MotionModel().predict_offset_error(np.array([0.0, 0.01]), 0.1), [0.0, np.inf])
+
+
+def test_pose_in_a_camera_is_that_at_its_own_time(rig: Rig) -> None:
+    pose = RigidTransform.from_translation(CENTER)
+    empty = np.empty((3, 3))
+    solved = SolvedFrame(0, 0.0, TIME_OFFSETS, pose, np.eye(6), empty, np.ones(3, bool), twist=TWIST)
+    for c, camera in enumerate(rig):
+        moved = RigidTransform.from_exp_coords(TWIST * TIME_OFFSETS[c]) * pose
+        found = solved.camera_from_object(camera, c)
+        assert found is not None
+        expected = camera.camera_from_world * moved
+        np.testing.assert_allclose(found.as_matrix(), expected.as_matrix(), atol=1e-12)
+        assert replace(solved, twist=np.full(6, np.nan)).camera_from_object(camera, c) is None

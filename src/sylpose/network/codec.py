@@ -118,7 +118,8 @@ RECORDS = (
     RecordType(JointState),
     RecordType(ObjectModel, {"center": (3,), "points": ("n", 3)}),
     RecordType(
-        SolvedFrame, {"time_offsets": ("n",), "covariance": (6, 6), "viewpoints": ("n", 3), "is_visible": ("n",)}
+        SolvedFrame,
+        {"time_offsets": ("n",), "covariance": (6, 6), "viewpoints": ("n", 3), "is_visible": ("n",), "twist": (6,)},
     ),
     RecordType(Anchor),
     RecordType(MotionModel, {"twist": (6,), "change_variance": (6,)}),

@@ -22,7 +22,7 @@ from sylpose.frames import Box, FrameSet
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.methods import METHODS
 from sylpose.relative_pose.affine_ransac import find_inliers
-from sylpose.relative_pose.camera_evidence import QUADRUPLES, pool_f_ratios
+from sylpose.relative_pose.camera_evidence import QUADRUPLES, TREMBLE_SD, pool_f_ratios
 from sylpose.relative_pose.rig_hypotheses import CameraMatches, Hypothesis, compute_f_ratios
 from sylpose.relative_pose.second_motion import MIN_OUTLIER_RATIO
 from sylpose.relative_pose.terms import MIN_MATCHES
@@ -201,7 +201,7 @@ def compare_cameras(
             if boxes:
                 local = [rig.cameras[c] for c in context.executor.local]
                 pairs = [_select_boxed(own, boxes.get(its.name)) for its, own in zip(local, pairs, strict=True)]
-            ratios.append(_compute_f_ratio(context, last, pairs))
+            ratios.append(_compute_f_ratio(context, first, last, pairs))
         return float(pool_f_ratios(np.array(ratios))) if np.count_nonzero(~np.isnan(ratios)) > 1 else np.nan
 
 
@@ -313,21 +313,24 @@ def _search_window(context: Context, frames: Sequence[FrameSet], gap: int) -> tu
     is_far = bool(best) and best[0].motion.displacement_px > MAX_DISPLACEMENT_PX
     for body in best[1:]:
         best_pairs = _remove_inliers(best_pairs, body.motion)
-    window = Window(first, best, _compute_f_ratio(context, best[0].last, best_pairs) if best else np.nan)
+    window = Window(first, best, _compute_f_ratio(context, first, best[0].last, best_pairs) if best else np.nan)
     return window, max(best_gap // 2, GAPS[0]) if is_far else best_gap
 
 
-def _compute_f_ratio(context: Context, last: Frame, pairs: CameraPairs) -> float:
-    """Return the F ratio of moving matches with the last frame; NaN without evidence.
+def _compute_f_ratio(context: Context, first: Frame, last: Frame, pairs: CameraPairs) -> float:
+    """Return the F ratio of the moving matches between two frames; NaN without evidence.
 
-    Cameras with other time stamps than the frame's see the object elsewhere.
+    A camera with time offsets sees the motion between other times. It is evidence if the object moves by no more within
+    them than what a camera may tremble: it may accelerate.
     """
-    if last.time_offsets.any():
-        return np.nan
-    matches = [
-        _select_rigid(context.rig.cameras[c], own, context.options)
-        for c, own in zip(context.executor.local, pairs, strict=True)
-    ]
+    offsets = np.maximum(*(np.abs(frame.time_offsets - np.median(frame.time_offsets)) for frame in (first, last)))
+    shares = offsets / max(last.time - first.time, 1e-9)
+    matches = list[CameraMatches]()
+    for c, own in zip(context.executor.local, pairs, strict=True):
+        x, y = _select_rigid(context.rig.cameras[c], own, context.options)
+        limit = TREMBLE_SD * context.rig.cameras[c].focal
+        is_evidence = len(x) and shares[c] * float(np.median(np.linalg.norm(y - x, axis=1))) <= limit
+        matches.append((x, y) if is_evidence else (x[:0], y[:0]))
     return float(compute_f_ratios(context.rig, [matches], Hypothesis())[0])
 
 

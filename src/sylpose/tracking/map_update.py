@@ -197,6 +197,7 @@ def _accept_pose(context: Context, state: JointState, candidate: PoseCandidate) 
         compute_full_weight_age([a.ages for a in agreements]),
         is_contradicted=is_mostly_contradicted(state.f_ratios, context.options)
         or is_contradicted(agreements, state.frames.by_number, state.last, context.options),
+        twist=candidate.twist,
     )
     return AcceptedPose(
         solved,

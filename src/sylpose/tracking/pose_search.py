@@ -19,6 +19,7 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.matrices import make_motion_about, relative_rotvec, rotation_matrix_of
 from sylpose.landmarks.landmark_filter import Landmarks, LandmarkTable
+from sylpose.relative_pose.camera_evidence import TREMBLE_SD
 from sylpose.relative_pose.observability import SELECTED_PER_UNKNOWN
 from sylpose.rig import Rig
 from sylpose.tracking.camera_side.camera import (
@@ -44,6 +45,7 @@ from sylpose.tracking.joint_side.joint_state import (
     has_enough_tracks,
     is_mostly_moving,
     select_references,
+    synchronize_rig,
 )
 from sylpose.tracking.reports import Agreements, PoseAgreement, TrackingReport
 
@@ -89,6 +91,7 @@ class PoseCandidate:
         solution: of the pose solver.
         motion: of the object since the last solved frame.
         pose: world_from_object.
+        twist: (6,) of the object, as of `SolvedFrame`.
         agreements: per camera, how its matches agree with the pose.
         has_moved: whether the object has been observed to move, in this frame at the latest.
         cameras: per camera, local: its part.
@@ -99,6 +102,7 @@ class PoseCandidate:
     solution: PoseSolution
     motion: RigidTransform
     pose: RigidTransform
+    twist: FloatArray
     agreements: Agreements
     has_moved: bool
     cameras: Sequence[CameraSolution]
@@ -265,11 +269,12 @@ def solve_pose(
     center, elapsed = last.world_from_object.translation, frame.time - last.time
     known_frames, seed, radius = state.frames.by_number, context.seed, state.object.radius
     motion = velocity.predict_motion(elapsed)
-    rig, none = context.rig, [None] * len(context.cameras)
+    rig, twist, none = context.rig, np.zeros(6), [None] * len(context.cameras)
     first_landmarks: list[Landmarks] | None = None
     for _ in range(VELOCITY_ROUNDS):
         if frame.time_offsets.any():
-            rig = velocity.synchronize_rig(context.rig, frame.time_offsets, center, motion, elapsed)
+            twist = velocity.estimate_twist(center, motion, elapsed)
+            rig = synchronize_rig(context.rig, frame.time_offsets, twist)
         guessed = guess * last.world_from_object.inv()
         hypothesis = (rotation_matrix_of(guessed), guessed.apply(center) - center)
         problem = PoseProblem(rig, last, known_frames, radius, hypothesis, seed, frame.cameras, pairs)
@@ -287,7 +292,9 @@ def solve_pose(
         # Time offsets were corrected with the previous frame's velocity. Now this frame's is known, and after the first
         # motion also the first frame's.
         if last.number == state.frames.first.number and len(state.frames.keyframes) == 1:
-            first_rig = velocity.synchronize_rig(context.rig, last.time_offsets, center, motion, elapsed)
+            first_rig = synchronize_rig(
+                context.rig, last.time_offsets, velocity.estimate_twist(center, motion, elapsed)
+            )
             first_landmarks = [
                 camera.reinitialize_landmarks(last, first_rig.cameras[camera.index], state.object)
                 for camera in context.cameras
@@ -297,15 +304,19 @@ def solve_pose(
     own = (frame.cameras, pairs, solution.match_weights, frame.tracked or none, first_landmarks or none)
     cameras = [CameraSolution(*parts) for parts in zip(*own, strict=True)]
     own_agreements = [measure_agreement(camera.pairs, camera.weights, camera.current) for camera in cameras]
-    # Where cameras take their images at different times, the earlier frame's velocity is needed as well: no evidence.
-    if context.method in MAXIMUM_LIKELIHOOD and not (solution.is_static or frame.time_offsets.any()):
+    if frame.time_offsets.any():
+        distances = np.linalg.norm([camera.center - guess.translation for camera in rig], axis=1)
+        if (velocity.predict_offset_error(frame.time_offsets, radius) > TREMBLE_SD * distances).any():
+            twist = np.full(6, np.nan)
+    if context.method in MAXIMUM_LIKELIHOOD and not solution.is_static:
+        solved = replace(last, time_offsets=frame.time_offsets, world_from_object=guess, twist=twist)
         own_agreements = [
-            add_evidence(agreement, camera.pairs, camera.current, rig.cameras[c], guess, known_frames)
+            add_evidence(agreement, camera.pairs, camera.current, context.rig.cameras[c], c, solved, known_frames)
             for agreement, camera, c in zip(own_agreements, cameras, context.executor.local, strict=True)
         ]
     agreements = context.executor.gather(own_agreements, PoseAgreement())
     has_moved = state.is_motion_verified(agreements)
-    return PoseCandidate(frame, rig, solution, motion, guess, agreements, has_moved, cameras)
+    return PoseCandidate(frame, rig, solution, motion, guess, twist, agreements, has_moved, cameras)
 
 
 def _replace_first_landmarks(pairs: CameraPairs, number: int, landmarks: Sequence[Landmarks]) -> CameraPairs:

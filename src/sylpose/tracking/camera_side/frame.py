@@ -590,7 +590,8 @@ def add_evidence(
     pairs: Pairs,
     current: CameraFrame,
     camera: Camera,
-    pose: RigidTransform,
+    c: int,
+    solved: SolvedFrame,
     known_frames: Mapping[int, SolvedFrame],
 ) -> PoseAgreement:
     """Compare a camera's own motion with that of a pose, from the earlier frame since which its features moved most.
@@ -601,20 +602,25 @@ def add_evidence(
         agreement: with the pose, without evidence.
         pairs: the camera's matches with earlier frames, inliers or not.
         current: its data of the frame.
-        camera: with its pose at this frame.
-        pose: world_from_object.
+        camera, c: as calibrated, and its index.
+        solved: the frame with its pose.
         known_frames: the earlier frames by number.
     """
-    moving = [pair.subset(~find_static(pair, current.static_px)) for pair in pairs]
+    pose = solved.camera_from_object(camera, c)
+    earlier = {pair.reference: known_frames[pair.reference].camera_from_object(camera, c) for pair in pairs}
+    moving = [
+        pair.subset(~find_static(pair, current.static_px)) for pair in pairs if earlier[pair.reference] is not None
+    ]
     usable = [pair for pair in moving if len(pair) >= MIN_EVIDENCE_MATCHES]
-    if not usable:
+    if pose is None or not usable:
         return agreement
     pair = max(usable, key=lambda pair: float(((pair.pixels_j - pair.pixels_i) ** 2).sum()))
-    earlier = known_frames[pair.reference].world_from_object
-    motion, shift = pose * earlier.inv(), camera.center - earlier.translation
-    rotation = camera.rotation @ rotation_matrix_of(motion) @ camera.rotation.T
-    translation = camera.rotation @ (motion.apply(camera.center) - camera.center) / np.linalg.norm(shift)
-    compared = compare_motions(pair.normalized_i, pair.normalized_j, camera.focal, rotation, translation)
+    first = earlier[pair.reference]
+    assert first is not None
+    motion = pose * first.inv()
+    translation = motion.translation / np.linalg.norm(first.translation)
+    matches = pair.normalized_i, pair.normalized_j, camera.focal
+    compared = compare_motions(*matches, rotation_matrix_of(motion), translation)
     evidence = CameraEvidence(*compared[:4])
     return replace(agreement, evidence=evidence, evidence_reference=pair.reference if evidence.n else -1)
 

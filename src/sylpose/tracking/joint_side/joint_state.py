@@ -26,7 +26,7 @@ from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.relative_pose.motion_mixture import MISMATCH_PROBABILITY
 from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.results import MAX_ROTATION_SD
-from sylpose.rig import Rig
+from sylpose.rig import Camera, Rig
 from sylpose.tracking.joint_side.object_model import ObjectModel
 from sylpose.tracking.options import TrackingOptions
 from sylpose.tracking.reports import Agreements, NewObservations, TrackingReport
@@ -167,33 +167,33 @@ class MotionModel:
         apply_rotvec(np.asarray(step[:3], float), rotation, corrected)
         return corrected, translation + step[3:], fused_information
 
-    def synchronize_rig(
-        self, rig: Rig, time_offsets: FloatArray, center: FloatArray, motion: RigidTransform, elapsed: float
-    ) -> Rig:
-        """Return the rig with camera poses corrected for their time offsets.
-
-        With these poses, the moving object appears as if all images were taken at the same time.
+    def estimate_twist(self, center: FloatArray, motion: RigidTransform, elapsed: float) -> FloatArray:
+        """Estimate the twist (6,) per second at a frame: at most that of the motion to it.
 
         Args:
-            time_offsets: (C,) time offsets, seconds.
             center: (3,) of the object.
-            motion: of the object within `elapsed` seconds, which gives its velocity.
+            motion: of the object within `elapsed` seconds, up to the frame.
         """
         twist = motion.as_exp_coords() / max(elapsed, 1e-9)
-        if not time_offsets.any() or not twist.any():
-            return rig
         # A velocity that changes between frames by its own size is no estimate for the times between.
         velocity = np.concatenate([twist[:3], np.cross(twist[:3], center) + twist[3:]])
         square, change = _sum_by_parts(velocity**2), _sum_by_parts(self.change_variance)
         velocity = velocity * square / np.maximum(square + change, 1e-300)
-        twist = np.concatenate([velocity[:3], velocity[3:] - np.cross(velocity[:3], center)])
-        cameras = [
-            replace(
-                camera, camera_from_world=camera.camera_from_world * RigidTransform.from_exp_coords(twist * seconds)
-            )
-            for camera, seconds in zip(rig, time_offsets, strict=True)
-        ]
-        return Rig(cameras, rig.unit)
+        return np.concatenate([velocity[:3], velocity[3:] - np.cross(velocity[:3], center)])
+
+    def predict_offset_error(self, time_offsets: FloatArray, radius: float) -> FloatArray:
+        """Predict how far the object's surface is from where `synchronize_rig` assumes it, (C,) units.
+
+        The standard deviation; infinite while it is unknown.
+
+        Args:
+            time_offsets: (C,) seconds.
+            radius: of the object.
+        """
+        if self.n_frames < AVERAGING_FRAMES:
+            return np.where(time_offsets == 0.0, 0.0, np.inf)
+        variance = self.change_variance[3:].sum() + self.change_variance[:3].sum() * radius**2
+        return np.asarray(np.abs(time_offsets) * np.sqrt(variance))
 
     def _compute_prediction_error(
         self, rotation: FloatArray, translation: FloatArray, center: FloatArray, elapsed: float
@@ -202,6 +202,29 @@ class MotionModel:
         predicted_pose = self.predict_motion(elapsed)
         rotation_error = rotvec(rotation @ rotation_matrix_of(predicted_pose).T)
         return np.concatenate([rotation_error, translation - (predicted_pose.apply(center) - center)])
+
+
+def synchronize_rig(rig: Rig, time_offsets: FloatArray, twist: FloatArray) -> Rig:
+    """Return the rig with camera poses corrected for their time offsets.
+
+    With these poses, the moving object appears as if all images were taken at the same time.
+
+    Args:
+        time_offsets: (C,) seconds.
+        twist: (6,) of the object, per second.
+    """
+    if not time_offsets.any() or not twist.any():
+        return rig
+    cameras = [
+        replace(camera, camera_from_world=_synchronize(camera.camera_from_world, seconds, twist))
+        for camera, seconds in zip(rig, time_offsets, strict=True)
+    ]
+    return Rig(cameras, rig.unit)
+
+
+def _synchronize(camera_from_world: RigidTransform, seconds: float, twist: FloatArray) -> RigidTransform:
+    """Return camera_from_world with which the object appears as `seconds` later."""
+    return camera_from_world * RigidTransform.from_exp_coords(twist * seconds)
 
 
 def _sum_by_parts(squares: FloatArray) -> FloatArray:
@@ -222,6 +245,7 @@ class SolvedFrame:
         landmark_age: typical number of frames in which the landmarks used for its pose were observed.
         is_fixed: whether joint refinement keeps its pose fixed, as for keyframes transferred from another rig.
         is_contradicted: whether the cameras contradict its pose, or those of all earlier frames that support it.
+        twist: (6,) per second, of the object at `time`; NaN if it is unknown or changes too much for the time offsets.
     """
 
     number: int
@@ -234,6 +258,16 @@ class SolvedFrame:
     landmark_age: float = 1.0
     is_fixed: bool = False
     is_contradicted: bool = False
+    twist: FloatArray = field(default_factory=lambda: np.full(6, np.nan))
+
+    def camera_from_object(self, camera: Camera, c: int) -> RigidTransform | None:
+        """Return the object's pose in camera c when it took its image; None if the time offset is too large for that."""
+        seconds = self.time_offsets[c] if len(self.time_offsets) else 0.0
+        if seconds == 0.0:
+            return camera.camera_from_world * self.world_from_object
+        if np.isnan(self.twist).any():
+            return None
+        return _synchronize(camera.camera_from_world, seconds, self.twist) * self.world_from_object
 
 
 @dataclass(frozen=True, eq=False)
