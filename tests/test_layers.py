@@ -50,6 +50,7 @@ ALLOWED: dict[str, set[str]] = {
     "relative_pose": NOUNS | {"sylvester"},
     "landmarks": NOUNS | {"features"},
     "boards": NOUNS | {"absolute_pose"},
+    "rig_calibration": NOUNS | PARTS | {"boards"},
     "bundle_adjustment": NOUNS | {"features", "absolute_pose", "landmarks"},
     "tracking": NOUNS | PARTS | {"relative_pose", "landmarks", "bundle_adjustment"},
     "smoothing": NOUNS | PARTS | {"relative_pose", "landmarks", "bundle_adjustment", "tracking"},

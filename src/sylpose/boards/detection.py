@@ -58,6 +58,7 @@ def detect(image: Image, camera: Camera, board: Board) -> Detection:
         ValueError: this OpenCV has no detector for it.
     """
     gray = image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+    gray = 255 - gray if board.is_inverted else gray
     if board.kind == "chessboard":
         return _detect_chessboard(board, gray)
     if board.kind in ("circles", "acircles"):
@@ -133,7 +134,7 @@ def _detect_charuco(board: Board, gray: Image, camera: Camera) -> Detection:
     dictionary = _load_dictionary(aruco, board.dictionary)
     square = float(board.points[:, 0].min())
     marker_indices, marker_corners, problem = _detect_tags(board, gray, camera, board.size[0] * board.size[1] // 2)
-    centers, plane = np.empty((0, 2)), _PlaneFit(np.empty(0, bool), np.eye(3))
+    between, start = np.empty(0, np.int64), np.empty((0, 2))
     # Before OpenCV 4.6, boards with an even number of rows began with a square of the other color.
     for legacy in (False, True)[: 2 - board.size[1] % 2]:
         drawn = aruco.CharucoBoard(board.size, square, board.marker_ratio * square, dictionary)
@@ -142,21 +143,46 @@ def _detect_charuco(board: Board, gray: Image, camera: Camera) -> Detection:
         # OpenCV's coordinates begin at the upper left, with y down the page.
         flat = np.array(drawn.getObjPoints(), dtype=float).reshape(-1, 4, 3)[..., :2]
         flat = np.stack([flat[..., 0], board.size[1] * square - flat[..., 1]], axis=-1)[marker_indices]
-        fitted = _fit_plane(flat, marker_corners, camera)
-        if np.count_nonzero(fitted.is_inlier) > len(centers):
-            centers, plane = flat[fitted.is_inlier].mean(axis=1), fitted
-    # A corner lies between two markers, half a square's diagonal from the middle of each.
-    distances = np.linalg.norm(board.points[:, None, :2] - centers, axis=2)
-    between = np.flatnonzero((distances < 0.9 * square).sum(axis=1) == 2)
+        indices, pixels = _interpolate_corners(board.points[:, :2], square, flat, marker_corners)
+        if len(indices) > len(between):
+            between, start = indices, pixels
     if not len(between):
         return Detection(problem=problem)
-    projected = np.column_stack([board.points[between, :2], np.ones(len(between))]) @ plane.image_from_board.T
-    start = camera.denormalize(projected[:, :2] / projected[:, 2:])
     # The window must not reach the markers' corners.
     side = float(np.linalg.norm(marker_corners - np.roll(marker_corners, 1, axis=1), axis=2).min())
     found = _refine_corners(gray, start, side * (1.0 / board.marker_ratio - 1.0) / 2.0)
     is_stable = np.linalg.norm(found - start, axis=1) <= MAX_REFINEMENT_PX
     return Detection(between[is_stable], found[is_stable], problem)
+
+
+def _interpolate_corners(
+    corners: FloatArray, square: float, board_markers: FloatArray, image_markers: FloatArray
+) -> tuple[IntArray, FloatArray]:
+    """Interpolate the corners of squares between two markers each, whatever the lens: it hardly bends so small a part.
+
+    Args:
+        corners: (N, 2) on the board.
+        square: side of a square.
+        board_markers, image_markers: (m, 4, 2) corners of the markers.
+
+    Returns:
+        Indices (n,) of corners whose two markers are in one plane, and their pixels (n, 2).
+    """
+    # A corner lies half a square's diagonal from the middle of each of its markers.
+    distances = np.linalg.norm(corners[:, None] - board_markers.mean(axis=1), axis=2)
+    is_near = distances < 0.9 * square
+    found, pixels = [], []
+    for k in np.flatnonzero(is_near.sum(axis=1) == 2):
+        flat, seen = (markers[is_near[k]].reshape(-1, 2) for markers in (board_markers, image_markers))
+        matrix: Any = cv2.findHomography(flat, seen)[0]
+        if matrix is None:
+            continue
+        places = np.concatenate([flat, corners[k : k + 1]])
+        projected = cv2.perspectiveTransform(places.reshape(-1, 1, 2), matrix)[:, 0]
+        if np.linalg.norm(projected[:-1] - seen, axis=1).max() <= MAX_FIT_ERROR_PX:
+            found.append(int(k))
+            pixels.append(projected[-1])
+    return np.array(found, dtype=np.int64), np.array(pixels, dtype=float).reshape(-1, 2)
 
 
 @dataclass(frozen=True, eq=False)

@@ -70,6 +70,7 @@ class Board:
         border: width of the black border around a marker's code, in bits.
         is_upside_down: whether the marker is printed upside down relative to OpenCV's.
         diameter: diameter of its circles.
+        is_inverted: whether black and white of a ChArUco board are exchanged.
 
     Raises:
         TypeError, ValueError: naming an argument that is invalid or does not fit the others.
@@ -86,6 +87,7 @@ class Board:
     border: int = 1
     is_upside_down: bool = False
     diameter: float = 0.0
+    is_inverted: bool = False
 
     def __post_init__(self) -> None:
         sides = check_sequence(self.size, "size", 2, "sides")
@@ -108,6 +110,7 @@ class Board:
         if check_type(self.dictionary, str, "dictionary") not in ("", *DICTIONARIES.values()):
             raise ValueError(f"dictionary: {format_value(self.dictionary)} is not one of OpenCV's")
         check_bool(self.is_upside_down, "is_upside_down")
+        check_bool(self.is_inverted, "is_inverted")
         check_integer(self.first_id, "first_id", maximum=MAX_TAGS)
         check_integer(self.border, "border", minimum=1, maximum=MAX_BORDER)
         check_number(self.marker_ratio, "marker_ratio", above=0.0, maximum=1.0)
@@ -202,7 +205,9 @@ def _build_charuco(layout: str, text: str, settings: _Settings) -> Board:
     # OpenCV counts the inner corners from the top row of the page.
     column, row = (grid.ravel() for grid in np.meshgrid(np.arange(1, columns), np.arange(1, rows)))
     points = _make_planar_points(square * column, square * (rows - row))
-    return Board("charuco", text, (columns, rows), points, _identity_symmetry(points), dictionary, 0, marker / square)
+    is_inverted = bool(settings.integer("inverted", 0, 1))
+    sides, ways = (columns, rows), _identity_symmetry(points)
+    return Board("charuco", text, sides, points, ways, dictionary, 0, marker / square, is_inverted=is_inverted)
 
 
 def _build_chessboard(layout: str, text: str, settings: _Settings) -> Board:

@@ -75,7 +75,7 @@ class CameraOptions(CommandOptions):
             path,
             calibration=self.calibration,
             cameras=parse_video_option(self.video),
-            offsets=_parse_frame_offsets(frame_offset),
+            offsets=parse_frame_offsets(frame_offset),
             rate=self.rate,
             without=self.exclude_camera,
             as_coded=self.as_coded,
@@ -241,7 +241,12 @@ def parse_video_option(values: Sequence[str]) -> dict[str, str] | None:
     return cameras or None
 
 
-def _parse_frame_offsets(values: Sequence[str]) -> dict[str, int] | None:
+def parse_frame_offsets(values: Sequence[str]) -> dict[str, int] | None:
+    """Parse the values of `--frame-offset CAM=N` into offsets by camera.
+
+    Raises:
+        ValueError: a value of another form.
+    """
     offsets = {}
     for text in values:
         camera, _, frames = text.rpartition("=")

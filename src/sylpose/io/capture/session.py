@@ -17,17 +17,17 @@ import numpy as np
 from sylpose.frames import Box, FrameSet
 from sylpose.geometry.arrays import BoolArray, Image
 from sylpose.geometry.validation import check_list
-from sylpose.input_limits import input_errors
+from sylpose.input_limits import input_errors, resolve_path
 from sylpose.io import calibration as calibrations
 from sylpose.io.calibration.world import World, transform_rig
 from sylpose.io.capture.boxes import Masks, check_first_masks, find_masks, load_boxes, merge_object_names
 from sylpose.io.capture.frame_readers import CameraReader, FrameReading, check_readable
 from sylpose.io.capture.layouts import Layout, find_layouts
 from sylpose.io.capture.repetitions import RepetitionFilter
-from sylpose.io.capture.sources import RecordingFolder, Source
+from sylpose.io.capture.sources import RecordingFolder, Source, describe_missing_sources, find_entries
 from sylpose.io.capture.time_tables import find_time_table
 from sylpose.io.capture.timeline import Timeline, build_timeline
-from sylpose.rig import Rig
+from sylpose.rig import Rig, make_look_at_camera
 
 # Decoded images that a reversed recording holds at once, bytes (choice: seconds of video on usual machines).
 MAX_CHUNK_BYTES = 400_000_000
@@ -298,6 +298,55 @@ def reopen_session(
     """
     files = _InputFiles(calibration, None, None, offsets, cameras, rate, without, as_coded, "")
     return _open_session(path, files, is_reopened=bool(without))
+
+
+def open_uncalibrated(
+    path: Path | str,
+    *,
+    cameras: Mapping[str, Path | str] | None = None,
+    offsets: Mapping[str, int] | None = None,
+    rate: float | None = None,
+    without: Sequence[str] = (),
+) -> Session:
+    """Open a recording whose cameras are not calibrated; a calibration in the folder is ignored.
+
+    Args:
+        path: folder with one video or image folder per camera, named like the camera.
+        cameras: video or image folder by camera (relative to `path`), instead of all in the folder.
+        offsets, rate, without: as of `open_session`.
+
+    Returns:
+        The session. Its rig has names and image sizes only: focal lengths are image widths, and all poses are equal.
+
+    Raises:
+        FileNotFoundError, ValueError: as `open_session`.
+    """
+    path = Path(path)
+    with input_errors(path):
+        if not path.is_dir():
+            raise FileNotFoundError(f"{path}: no such folder")
+        layout = find_layouts(path, path)[0]
+        entries = cameras or {
+            entry.stem if entry.is_file() else entry.name: entry for entry in find_entries(layout.sources)
+        }
+        if not entries:
+            raise ValueError(describe_missing_sources(path))
+        names = [name for name in entries if name not in without]
+        if unknown := [name for name in without if name not in entries]:
+            raise ValueError(f"without: {unknown[0]!r} is not a camera of {path} ({', '.join(entries)})")
+        if not names:
+            raise ValueError(f"without: no camera of {path} remains")
+        files = {name: resolve_path(path / entries[name]) for name in names}
+        recording = RecordingFolder(path, path, source_by_camera=files)
+        sizes = recording.read_image_sizes(names)
+        rig = Rig([make_look_at_camera(name, np.zeros(3), (0, 0, 1), sizes[name][0], sizes[name]) for name in names])
+        sources, warnings = recording.find_sources(rig)
+        for source in sources:
+            check_readable(source)
+        table = find_time_table(layout.sources, rig.names, without)
+        timeline, timeline_warnings = build_timeline(sources, table, offsets, rate)
+        texts = (*warnings, *timeline_warnings)
+        return Session(path, rig, path, ("object",), None, texts, {}, {}, sources, timeline, without=tuple(without))
 
 
 class _InputFiles(NamedTuple):

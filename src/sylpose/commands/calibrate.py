@@ -1,0 +1,150 @@
+"""`sylpose calibrate`: calibrate a rig from a recording."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from sylpose.commands.app import INPUT, OUTPUT, command, exit_with_failures, option
+from sylpose.commands.options import FrameOffset, RangeOptions, WorldOptions, parse_frame_offsets, parse_video_option
+from sylpose.input_limits import print_message
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from sylpose.io.capture import Session
+    from sylpose.rig import Camera
+    from sylpose.rig_calibration.result import RigCalibration
+
+FILE = "calibration.toml"
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibrateOptions(WorldOptions, RangeOptions):
+    """Options of `sylpose calibrate`.
+
+    Attributes:
+        session: Folder with one video (cam_0.mp4) or one folder of images per camera.
+        board: Calibrate from this board, such as charuco:5x7,square=40mm,marker=30mm,dict=4X4_50.
+        every: Use every N-th frame.
+        video: Assign a video or image folder to a camera, instead of all in SESSION. Repeatable.
+        exclude_camera: Leave out a camera. Repeatable.
+        unit: Set the length unit of the calibration; default: m if the board's lengths have units.
+        out: Write the calibration here; default: SESSION/calibration.toml if that does not exist.
+    """
+
+    session: Annotated[Path, typer.Argument(metavar="SESSION")]
+    board: Annotated[str | None, option("--board BOARD", INPUT)] = None
+    every: Annotated[int, option("--every N", INPUT, min=1)] = 1
+    frame_offset: FrameOffset = ()
+    video: Annotated[tuple[str, ...], option("--video NAME=FILE", INPUT)] = ()
+    exclude_camera: Annotated[tuple[str, ...], option("--exclude-camera CAM", INPUT)] = ()
+    out: Annotated[Path | None, option("--out FILE", OUTPUT)] = None
+
+    def open_uncalibrated(self) -> Session:
+        """Open the recording without a calibration."""
+        from sylpose.io.capture.session import open_uncalibrated
+
+        return open_uncalibrated(
+            self.session,
+            cameras=parse_video_option(self.video),
+            offsets=parse_frame_offsets(self.frame_offset),
+            without=self.exclude_camera,
+        )
+
+    @property
+    def file(self) -> Path:
+        """Return the file to write; an existing one is replaced only if it was named."""
+        if self.out is not None:
+            return self.out
+        if (file := self.session / FILE).exists():
+            raise ValueError(f"{file} exists; name the file to write with --out FILE")
+        return file
+
+
+@command("Calibrate the cameras from a recording of a board.")
+def calibrate(options: CalibrateOptions) -> None:
+    """Calibrate all cameras from a recording in which a calibration board is carried about.
+
+    Lenses, places and orientations of all cameras are estimated together, with standard deviations. Each camera must see
+    the board, tilted in several directions, and share views of it with another one. Exit code 1, and no file, if the views
+    do not determine a calibration.
+
+    Examples:
+        sylpose calibrate recording --board charuco:5x7,square=40mm,marker=30mm,dict=4X4_50
+        sylpose calibrate recording --board chessboard:9x6,square=25mm --every 3 --out rig.toml
+    """
+    from rich.progress import Progress
+
+    from sylpose.atomic_io import make_output_folder
+    from sylpose.boards.specification import parse_board
+    from sylpose.rig_calibration.result import CalibrationRefusedError
+    from sylpose.runs import calibrate as runs
+    from sylpose.runs import console_output
+
+    if options.board is None:
+        raise ValueError("--board: a description of the board is missing")
+    file, unit = options.file, runs.choose_unit(options.board, options.unit)
+    board, session = parse_board(options.board, unit), options.open_uncalibrated()
+    make_output_folder(file.parent)
+    console, stderr = console_output.make_console(), console_output.make_console(stderr=True)
+    console.print(console_output.format_headline(session))
+    problems = [*session.warnings]
+    last = session.n_frames if options.stop is None else min(options.stop, session.n_frames)
+    with Progress(console=stderr, transient=True, disable=not stderr.is_terminal) as bar:
+        task = bar.add_task("Detecting the board", total=len(range(options.start, last, options.every)))
+        try:
+            calibration = runs.calibrate_session(
+                session,
+                board,
+                unit=unit,
+                start=options.start,
+                stop=options.stop,
+                every=options.every,
+                on_problem=problems.append,
+                on_frame=lambda: bar.advance(task),
+            )
+        except CalibrationRefusedError as error:
+            console_output.print_warnings(console, problems)
+            exit_with_failures([f"{error}; nothing was written"])
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(f"interrupted; {file} is unchanged") from None
+    located = options.apply_to(session.with_rig(calibration.rig))
+    calibration = replace(calibration, rig=located.rig)
+    _print_calibration(console, calibration)
+    notes = [note for note in located.warnings if note not in session.warnings]
+    console_output.print_warnings(console, [*problems, *calibration.unobservable, *calibration.warnings, *notes])
+    lost = runs.write_calibration(calibration, file)
+    console_output.print_files(console, "Calibration", [file])
+    if lost:
+        print_message(f"{file}: {lost}")
+
+
+def _print_calibration(console: Console, calibration: RigCalibration) -> None:
+    import numpy as np
+
+    from sylpose.display import format_length
+    from sylpose.runs import console_output
+
+    unit, rows = calibration.rig.unit, []
+    for c, camera in enumerate(calibration.rig):
+        lens_sd = np.sqrt(np.diag(calibration.intrinsics_covariance[c]))
+        pose_sd = np.sqrt(np.diag(calibration.extrinsics_covariance[c]))
+        values = [f"{value:.1f} ± {sd:.2g}" for value, sd in zip(_list_pinhole(camera), lens_sd, strict=False)]
+        rows.append([camera.name, str(calibration.n_views[c]), str(calibration.n_points[c])])
+        rows[-1] += [f"{calibration.rms_px[c]:.2f} px", *values]
+        rows[-1] += [
+            f"± {np.degrees(np.linalg.norm(pose_sd[:3])):.2g}°",
+            f"± {format_length(float(np.linalg.norm(pose_sd[3:])), unit)}",
+        ]
+    console.print()
+    header = ("Camera", "views", "corners", "residual", "fx", "fy", "cx", "cy", "rotation", "position")
+    console_output.print_table(console, header, rows)
+    console.print()
+
+
+def _list_pinhole(camera: Camera) -> list[float]:
+    return [float(camera.matrix[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2))]
