@@ -144,17 +144,25 @@ def _compute_center_offsets(
 
     They differ because the nearer part of a circle looks larger.
     """
-    ring_angles = 2 * np.pi * np.arange(CIRCLE_SAMPLES) / CIRCLE_SAMPLES
-    ring = diameter / 2 * np.column_stack([np.cos(ring_angles), np.sin(ring_angles), np.zeros(CIRCLE_SAMPLES)])
-    places = world_from_board.apply((centers[:, None] + ring).reshape(-1, 3))
+    places = world_from_board.apply((centers[:, None] + make_circle(diameter)).reshape(-1, 3))
     middles = camera.project(world_from_board.apply(centers).reshape(-1, 3))
-    offsets = camera.project(places).reshape(-1, CIRCLE_SAMPLES, 2) - middles[:, None]
-    next_offsets = np.roll(offsets, -1, axis=1)
+    return compute_centroids(camera.project(places).reshape(-1, CIRCLE_SAMPLES, 2), middles)
+
+
+def make_circle(diameter: float) -> FloatArray:
+    """Return points (K, 3) of a circle around the origin of a board."""
+    angles = 2 * np.pi * np.arange(CIRCLE_SAMPLES) / CIRCLE_SAMPLES
+    return diameter / 2 * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(CIRCLE_SAMPLES)])
+
+
+def compute_centroids(vertices: FloatArray, origins: FloatArray) -> FloatArray:
+    """Return the centroids (..., 2) of polygons (..., K, 2) relative to points (..., 2) within them."""
+    offsets = vertices - origins[..., None, :]
+    next_offsets = np.roll(offsets, -1, axis=-2)
     areas = offsets[..., 0] * next_offsets[..., 1] - offsets[..., 1] * next_offsets[..., 0]
     # The centroid of a polygon is the area-weighted mean of its triangles' centroids.
-    return np.asarray(
-        (areas[..., None] * (offsets + next_offsets)).sum(axis=1) / (3 * areas.sum(axis=1, keepdims=True))
-    )
+    weighted = (areas[..., None] * (offsets + next_offsets)).sum(axis=-2)
+    return np.asarray(weighted / (3 * areas.sum(axis=-1, keepdims=True)))
 
 
 def _choose_orientation(

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from sylpose.boards.specification import Board
-from sylpose.geometry.arrays import BoolArray, FloatArray, Image, IntArray
+from sylpose.geometry.arrays import FloatArray, Image, IntArray
 from sylpose.rig import Camera
 
 # Chessboard squares are sampled in this share of their middle (choice); this share of neighbors must differ like black
@@ -23,9 +23,11 @@ SAMPLE_RATIO, MIN_CONTRAST_SHARE = 0.25, 0.8
 # Half width of corner refinement windows: a share of the corners' distance, with minimum and maximum in pixels
 # (choice).
 WINDOW_RATIO, MIN_WINDOW, MAX_WINDOW = 0.35, 2, 5
-# Markers whose corners deviate more from the fitted plane, pixels, do not belong to the board; a corner between two
-# markers that moves further in refinement is hidden (choice: a lens is calibrated to one).
+# Two markers whose corners deviate more from a common plane, pixels, do not belong to one board; a corner between two
+# markers that moves further in refinement is hidden (choice: a lens bends so small a part by less).
 MAX_FIT_ERROR_PX, MAX_REFINEMENT_PX = 2.0, 1.5
+# Tags of a grid that are compared with each: one of them may not belong to it (choice).
+N_NEAREST_TAGS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,40 +175,21 @@ def _interpolate_corners(
     is_near = distances < 0.9 * square
     found, pixels = [], []
     for k in np.flatnonzero(is_near.sum(axis=1) == 2):
-        flat, seen = (markers[is_near[k]].reshape(-1, 2) for markers in (board_markers, image_markers))
-        matrix: Any = cv2.findHomography(flat, seen)[0]
-        if matrix is None:
-            continue
-        places = np.concatenate([flat, corners[k : k + 1]])
-        projected = cv2.perspectiveTransform(places.reshape(-1, 1, 2), matrix)[:, 0]
-        if np.linalg.norm(projected[:-1] - seen, axis=1).max() <= MAX_FIT_ERROR_PX:
+        matrix = _fit_plane(board_markers[is_near[k]], image_markers[is_near[k]])
+        if matrix is not None:
             found.append(int(k))
-            pixels.append(projected[-1])
+            pixels.append(cv2.perspectiveTransform(corners[k].reshape(1, 1, 2), matrix)[0, 0])
     return np.array(found, dtype=np.int64), np.array(pixels, dtype=float).reshape(-1, 2)
 
 
-@dataclass(frozen=True, eq=False)
-class _PlaneFit:
-    """Mask (n,) of markers in the board's plane, and homography (3, 3) from the board to normalized coordinates."""
-
-    is_inlier: BoolArray
-    image_from_board: FloatArray
-
-
-def _fit_plane(board_corners: FloatArray, image_corners: FloatArray, camera: Camera) -> _PlaneFit:
-    """Fit a plane to marker corners (n, 4, 2) on the board and in the image; outliers are not of this board."""
-    no_fit = _PlaneFit(np.zeros(len(board_corners), bool), np.eye(3))
-    if not len(board_corners):
-        return no_fit
-    normalized = camera.normalize(image_corners.reshape(-1, 2))
-    matrix: Any = cv2.findHomography(
-        board_corners.reshape(-1, 2), normalized, cv2.RANSAC, MAX_FIT_ERROR_PX / camera.focal
-    )[0]
+def _fit_plane(board_markers: FloatArray, image_markers: FloatArray) -> FloatArray | None:
+    """Fit a homography (3, 3) to the corners (2, 4, 2) of two markers on the board and in the image; None if none fits."""
+    flat, seen = board_markers.reshape(-1, 1, 2), image_markers.reshape(-1, 2)
+    matrix: Any = cv2.findHomography(flat, seen)[0]
     if matrix is None:
-        return no_fit
-    projected = cv2.perspectiveTransform(board_corners.reshape(-1, 1, 2), matrix)[:, 0]
-    errors = np.linalg.norm(projected - normalized, axis=1).reshape(-1, 4).max(axis=1) * camera.focal
-    return _PlaneFit(errors <= MAX_FIT_ERROR_PX, np.asarray(matrix, dtype=float))
+        return None
+    errors = np.linalg.norm(cv2.perspectiveTransform(flat, matrix)[:, 0] - seen, axis=1)
+    return np.asarray(matrix, dtype=float) if errors.max() <= MAX_FIT_ERROR_PX else None
 
 
 def _detect_board_markers(board: Board, gray: Image, camera: Camera) -> Detection:
@@ -214,7 +197,7 @@ def _detect_board_markers(board: Board, gray: Image, camera: Camera) -> Detectio
     if board.is_upside_down:
         corners = np.roll(corners, 2, axis=1)
     if board.kind == "aprilgrid":
-        indices, corners, grid_problem = _match_grid_tags(board, camera, indices, corners)
+        indices, corners, grid_problem = _match_grid_tags(board, indices, corners)
         problem = problem or grid_problem
     return Detection((4 * indices[:, None] + np.arange(4)).ravel(), corners.reshape(-1, 2), problem)
 
@@ -240,25 +223,28 @@ def _detect_tags(board: Board, gray: Image, camera: Camera, n: int) -> tuple[Int
     return indices[is_unique], np.array(refined).reshape(-1, 4, 2), problem
 
 
-def _match_grid_tags(
-    board: Board, camera: Camera, indices: IntArray, corners: FloatArray
-) -> tuple[IntArray, FloatArray, str]:
+def _match_grid_tags(board: Board, indices: IntArray, corners: FloatArray) -> tuple[IntArray, FloatArray, str]:
     """Select the grid's tags (n,), and their corners (n, 4, 2) in the order of `Board.points`.
 
-    Printed grids differ in the tags' orientation: of the four, the one with most tags in one plane is taken.
+    Printed grids differ in the tags' orientation: of the four, the one with most tags in one plane is taken. A tag is in
+    the plane of one of its nearest tags, whatever the lens.
     """
     no_tags = np.empty(0, np.int64), np.empty((0, 4, 2))
     if len(indices) < 2:
         return *no_tags, "the tags' orientation in the grid is ambiguous from a single tag" if len(indices) else ""
     flat = board.points[:, :2].reshape(-1, 4, 2)[indices]
+    distances = np.linalg.norm(flat.mean(axis=1)[:, None] - flat.mean(axis=1), axis=2)
+    nearest = np.argsort(distances, axis=1)[:, 1 : 1 + N_NEAREST_TAGS]
     # Counterclockwise in the image.
     orientations = [np.roll(corners[:, ::-1], turn, axis=1) for turn in range(4)]
-    planes = [_fit_plane(flat, way, camera) for way in orientations]
-    best = int(np.argmax([np.count_nonzero(plane.is_inlier) for plane in planes]))
-    is_inlier = planes[best].is_inlier
-    if np.count_nonzero(is_inlier) < 2:
+    masks = [
+        np.array([any(_fit_plane(flat[[i, j]], way[[i, j]]) is not None for j in nearest[i]) for i in range(len(flat))])
+        for way in orientations
+    ]
+    best = int(np.argmax([np.count_nonzero(mask) for mask in masks]))
+    if np.count_nonzero(masks[best]) < 2:
         return *no_tags, "its tags are not in one plane"
-    return indices[is_inlier], orientations[best][is_inlier], ""
+    return indices[masks[best]], orientations[best][masks[best]], ""
 
 
 def _refine_corners(gray: Image, corners: FloatArray, window: float) -> FloatArray:

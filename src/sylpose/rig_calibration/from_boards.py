@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from sylpose.boards.board_pose import compute_centroids, make_circle
 from sylpose.boards.detection import Detection
 from sylpose.boards.specification import Board
 from sylpose.geometry.arrays import FloatArray
@@ -29,6 +30,7 @@ from sylpose.rig_calibration.board_bundle import (
     Unknowns,
     Views,
     optimize,
+    project,
 )
 from sylpose.rig_calibration.board_checks import (
     Coverage,
@@ -136,6 +138,9 @@ def calibrate_from_boards(
     freedom = Freedom(*(np.concatenate([getattr(its, name) for its in lenses]) for name in ("free", "mean", "prior")))
     relative = np.array([its.sigma for its in poses])
     optimum = optimize(views, start, freedom, relative=relative)
+    if board.diameter:
+        views = _center_circles(views, optimum.at, board.diameter)
+        optimum = optimize(views, optimum.at, freedom, relative=relative)
     covariance = compute_covariance(views, optimum, freedom)
     _check_focal(optimum, covariance, rig.names)
     halves = compare_halves(views, optimum, freedom)
@@ -181,6 +186,13 @@ def _apply_symmetries(views: Views, board: Board, ways: dict[tuple[int, int], in
         way = board.symmetries[ways[c, f]]
         pixels[v, way], seen[v, way] = views.pixels[v], views.seen[v]
     return replace(views, pixels=pixels, seen=seen)
+
+
+def _center_circles(views: Views, at: Unknowns, diameter: float) -> Views:
+    """Replace the centroids of circles' images by the images of their centers: the nearer half looks larger."""
+    circle = [project(replace(views, points=views.points + arm), at) for arm in make_circle(diameter)]
+    offsets = compute_centroids(np.stack(circle, axis=2), project(views, at))
+    return replace(views, pixels=views.pixels - np.where(np.isfinite(offsets), offsets, 0.0))
 
 
 def _check_focal(optimum: Optimum, covariance: FloatArray, names: Sequence[str]) -> None:
