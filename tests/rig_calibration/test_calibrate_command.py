@@ -53,7 +53,7 @@ def test_rendered_board_gives_the_rig(recording: Path, tmp_path: Path, capsys: p
     file = tmp_path / "rig.toml"
     assert run(recording, "--board", BOARD, "--out", file) == 0
     out = capsys.readouterr().out
-    assert "Calibration" in out
+    assert "Files" in out
     assert "cam_1" in out
     found, truth = load_calibration(file), load_calibration(recording.parent / "truth.toml")
     assert found.unit == "m"
@@ -66,6 +66,9 @@ def test_rendered_board_gives_the_rig(recording: Path, tmp_path: Path, capsys: p
         assert abs(a.focal / b.focal - 1) < 0.01
         assert a.error_px is not None
         assert a.error_px < 0.3
+    page = file.with_suffix(".html").read_text(encoding="utf-8")
+    assert page.count("<svg") == 2 + len(found)
+    assert "Two halves of the frames" in page
     assert open_session(recording, calibration=file).rig.names == found.names
 
 

@@ -13,11 +13,7 @@ from sylpose.commands.options import FrameOffset, RangeOptions, WorldOptions, pa
 from sylpose.input_limits import print_message
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from sylpose.io.capture import Session
-    from sylpose.rig import Camera
-    from sylpose.rig_calibration.result import RigCalibration
 
 FILE = "calibration.toml"
 
@@ -70,7 +66,8 @@ def calibrate(options: CalibrateOptions) -> None:
     """Calibrate all cameras from a recording in which a calibration board is carried about.
 
     Lenses, places and orientations of all cameras are estimated together, with standard deviations. Each camera must see
-    the board, tilted in several directions, and share views of it with another one. Exit code 1, and no file, if the views
+    the board, tilted in several directions, and share views of it with another one. Writes the calibration, and a
+    page with coverage, residuals and cross-validation next to it. Exit code 1, and no file, if the views
     do not determine a calibration.
 
     Examples:
@@ -83,7 +80,7 @@ def calibrate(options: CalibrateOptions) -> None:
     from sylpose.boards.specification import parse_board
     from sylpose.rig_calibration.result import CalibrationRefusedError
     from sylpose.runs import calibrate as runs
-    from sylpose.runs import console_output
+    from sylpose.runs import calibration_page, console_output
 
     if options.board is None:
         raise ValueError("--board: a description of the board is missing")
@@ -114,37 +111,14 @@ def calibrate(options: CalibrateOptions) -> None:
             raise KeyboardInterrupt(f"interrupted; {file} is unchanged") from None
     located = options.apply_to(session.with_rig(calibration.rig))
     calibration = replace(calibration, rig=located.rig)
-    _print_calibration(console, calibration)
+    console.print()
+    console_output.print_table(console, calibration_page.HEADER, calibration_page.build_camera_rows(calibration))
+    console.print()
     notes = [note for note in located.warnings if note not in session.warnings]
     console_output.print_warnings(console, [*problems, *calibration.unobservable, *calibration.warnings, *notes])
     lost = runs.write_calibration(calibration, file)
-    console_output.print_files(console, "Calibration", [file])
+    page = file.with_suffix(".html")
+    calibration_page.write_calibration_page(calibration, session.path.resolve().name, options.board, page)
+    console_output.print_files(console, "Files", [file, page])
     if lost:
         print_message(f"{file}: {lost}")
-
-
-def _print_calibration(console: Console, calibration: RigCalibration) -> None:
-    import numpy as np
-
-    from sylpose.display import format_length
-    from sylpose.runs import console_output
-
-    unit, rows = calibration.rig.unit, []
-    for c, camera in enumerate(calibration.rig):
-        lens_sd = np.sqrt(np.diag(calibration.intrinsics_covariance[c]))
-        pose_sd = np.sqrt(np.diag(calibration.extrinsics_covariance[c]))
-        values = [f"{value:.1f} ± {sd:.2g}" for value, sd in zip(_list_pinhole(camera), lens_sd, strict=False)]
-        rows.append([camera.name, str(calibration.n_views[c]), str(calibration.n_points[c])])
-        rows[-1] += [f"{calibration.rms_px[c]:.2f} px", *values]
-        rows[-1] += [
-            f"± {np.degrees(np.linalg.norm(pose_sd[:3])):.2g}°",
-            f"± {format_length(float(np.linalg.norm(pose_sd[3:])), unit)}",
-        ]
-    console.print()
-    header = ("Camera", "views", "corners", "residual", "fx", "fy", "cx", "cy", "rotation", "position")
-    console_output.print_table(console, header, rows)
-    console.print()
-
-
-def _list_pinhole(camera: Camera) -> list[float]:
-    return [float(camera.matrix[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2))]
