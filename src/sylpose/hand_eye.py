@@ -1,9 +1,8 @@
 """Hand-eye calibration: where a robot's base and flange are in the frames of the tracker.
 
 A tracked object is mounted on the robot's flange, world_from_object_k = X base_from_flange_k Y, or the rig is, with the
-inverse of the robot's poses. X and Y are solved linearly from relative motions, A X = X B (F. Park, B. Martin, "Robot
-sensor calibration: solving AX = XB on the Euclidean group", 1994), then by least squares weighted with the covariances
-of the tracked poses.
+inverse of the robot's poses. X and Y are solved linearly from relative motions, A X = X B (`sylvester.hand_eye`), then
+by least squares weighted with the covariances of the tracked poses.
 """
 
 from __future__ import annotations
@@ -16,14 +15,16 @@ from scipy.spatial.transform import RigidTransform, Rotation, Slerp
 
 from sylpose.comparison import associate_timestamps
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
+from sylpose.sylvester.hand_eye import (
+    MIN_AXIS_SPREAD,
+    measure_axis_spread,
+    select_pairs,
+    solve_hand_eye_rotation,
+    solve_hand_eye_translations,
+)
 
 # Fewer poses leave no redundancy (choice).
 MIN_POSES = 4
-# Pairs of poses whose motions are compared: steps of 1, 2, 3, 5, ... poses, and since the first one (choice).
-PAIR_STEPS = (1, 2, 3, 5, 8, 13, 21, 34)
-# Second over first singular value of the rotation vectors: below, the axes are parallel (measured: docs/calibrating.md,
-# 0.001 to 0.005 for one axis, above 0.08 otherwise).
-MIN_AXIS_SPREAD = 0.03
 # Rotations of the robot below, radians, are none (choice: 5 degrees).
 MIN_ROTATION = np.radians(5.0)
 # Rotation angles of robot and object differ by more in failures: radians, fraction, and the fraction of pairs (choice).
@@ -79,7 +80,7 @@ def solve_hand_eye(tracked: RigidTransform, covariance: FloatArray, robot: Rigid
     """
     if len(tracked) != len(robot) or len(tracked) < MIN_POSES:
         raise ValueError(f"hand-eye calibration needs at least {MIN_POSES} poses of both, got {len(robot)}")
-    pairs = _select_pairs(len(tracked))
+    pairs = select_pairs(len(tracked))
     spread = _check_motions(tracked, robot, pairs)
     weights = np.linalg.inv(np.linalg.cholesky(_repair_covariances(np.asarray(covariance, float))))
     start = _solve_linearly(tracked, robot, pairs)
@@ -167,11 +168,6 @@ def interpolate_robot(
     return found, RigidTransform.from_components(positions, Slerp(robot_times, robot.rotation)(times[found]))
 
 
-def _select_pairs(n: int) -> IntArray:
-    pairs = [(i, i + step) for step in PAIR_STEPS for i in range(n - step)] + [(0, k) for k in range(1, n)]
-    return np.unique(np.array(pairs), axis=0)
-
-
 def _check_motions(tracked: RigidTransform, robot: RigidTransform, pairs: IntArray) -> float:
     """Return the spread of the robot's rotation axes; refuse degenerate and different motions."""
     i, j = pairs.T
@@ -190,8 +186,7 @@ def _check_motions(tracked: RigidTransform, robot: RigidTransform, pairs: IntArr
             f"robot and object rotate by different angles in {100 * different[moved].mean():.0f} % of the pairs of poses: "
             "check that their times are of one clock, and the order and unit of the robot's angles"
         )
-    values = np.linalg.svd(vectors, compute_uv=False)
-    spread = float(values[1] / values[0])
+    spread = measure_axis_spread(vectors)
     if spread < MIN_AXIS_SPREAD:
         raise ValueError(
             "the robot rotates about parallel axes only, which leaves a translation along them undetermined: rotate it "
@@ -214,19 +209,20 @@ def _repair_covariances(covariance: FloatArray) -> FloatArray:
 def _solve_linearly(
     tracked: RigidTransform, robot: RigidTransform, pairs: IntArray
 ) -> tuple[RigidTransform, RigidTransform]:
-    """Solve A X = X B over pairs of poses, then Y as the mean of the poses' differences."""
+    """Solve A X = X B over pairs of poses, and the translations of X and Y over all poses."""
     i, j = pairs.T
-    A, B = tracked[j] * tracked[i].inv(), robot[j] * robot[i].inv()
-    a, b = A.rotation.as_rotvec(), B.rotation.as_rotvec()
-    # Near half a turn the sign of the axis is that of rounding.
-    used = np.linalg.norm(b, axis=1) < np.pi - MIN_ROTATION
-    rotation = Rotation.align_vectors(a[used], b[used])[0]
-    # (I - R_A) x = t_A - R_X t_B; with Y the equation of all poses is better conditioned.
-    matrices = A.rotation.as_matrix() - np.eye(3)
-    x = np.linalg.lstsq(matrices.reshape(-1, 3), (rotation.apply(B.translation) - A.translation).ravel(), rcond=None)[0]
-    world = RigidTransform.from_components(x, rotation)
+    a, b = ((poses[j].rotation * poses[i].rotation.inv()).as_matrix() for poses in (tracked, robot))
+    rotation = solve_hand_eye_rotation(a, b, np.ones(len(pairs))).rotation
+    solution = solve_hand_eye_translations(
+        np.stack([np.eye(3), rotation]),
+        robot.rotation.as_matrix(),
+        np.stack([robot.translation, tracked.translation]),
+        np.broadcast_to(np.eye(3), (2, len(robot), 3, 3)),
+        has_known_scales=True,
+    )
+    world = RigidTransform.from_components(solution.translations[1], Rotation.from_matrix(rotation))
     rest = (world * robot).inv() * tracked
-    return world, RigidTransform.from_components(np.median(rest.translation, axis=0), rest.rotation.mean())
+    return world, RigidTransform.from_components(solution.offsets[1], rest.rotation.mean())
 
 
 def _move(pose: RigidTransform, error: FloatArray) -> RigidTransform:

@@ -1,1 +1,1 @@
-"""Calibration of a rig: intrinsics and extrinsics of all cameras from what they see together."""
+"""Calibration of a rig: intrinsics and extrinsics of all cameras, from a board or from any moving object."""
