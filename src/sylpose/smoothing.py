@@ -178,7 +178,7 @@ def smooth_tracks(
     tracks = [frames[k] for k in used]
     if len(used) < 2 or all(track.is_fixed for track in tracks):
         return SmoothedTrajectory(tuple(poses), Status.TOO_FEW_MATCHES, zeros, zeros, np.full(n, np.nan), 0)
-    observations, landmarks = _collect_observations(tracks)
+    observations, landmarks = collect_observations(tracks)
     landmarks = quantize_positions(landmarks, tracks[-1].radius)  # the precision that nodes exchange
     time_offsets, extended_rig, camera = np.array([track.time_offsets for track in tracks]), rig, observations.camera
     all_moved: tuple[MovedCamera, ...] = ()
@@ -190,7 +190,7 @@ def smooth_tracks(
         for i, m in enumerate(all_moved):
             camera = np.where((observations.camera == m.camera) & (index >= m.frame), n + i, camera)
         time_offsets = np.hstack([time_offsets, time_offsets[:, [m.camera for m in all_moved]]])
-    start, radius = _stack_poses([track.pose for track in tracks]), tracks[-1].radius
+    start, radius = stack_poses([track.pose for track in tracks]), tracks[-1].radius
     is_fixed = np.array([track.is_fixed for track in tracks])
     options = BundleOptions(
         fixed=is_fixed if is_fixed.any() else None,
@@ -316,11 +316,11 @@ def _detected_moved_cameras(last: Track, rig: Rig) -> list[MovedCamera]:
     return [MovedCamera(n.camera, n.frame, sd, n.rotation) for n, sd in zip(last.nudges, sds, strict=True)]
 
 
-def _stack_poses(poses: Sequence[FramePose]) -> RigidTransform:
+def stack_poses(poses: Sequence[FramePose]) -> RigidTransform:
     return RigidTransform.concatenate([p.world_from_object for p in poses if p.world_from_object is not None])
 
 
-def _collect_observations(frames: Sequence[Track]) -> tuple[Observations, FloatArray]:
+def collect_observations(frames: Sequence[Track]) -> tuple[Observations, FloatArray]:
     """Return the observations of usable landmarks, renumbered from 0, and each landmark's last estimated position."""
     counts = [[len(s.landmark_ids) for s in f.observations] for f in frames]
     cameras = np.concatenate([np.repeat(np.arange(len(n)), n) for n in counts])
@@ -402,7 +402,7 @@ def _fill_gaps(
 
 def _interpolate_poses(poses: Sequence[FramePose], times: Sequence[float]) -> RigidTransform:
     """Interpolate poses at times (n,) by cubic splines."""
-    stacked, known_times = _stack_poses(poses), np.array([pose.time for pose in poses])
+    stacked, known_times = stack_poses(poses), np.array([pose.time for pose in poses])
     translations = CubicSpline(known_times, stacked.translation)(times)
     return RigidTransform.from_components(translations, RotationSpline(known_times, stacked.rotation)(times))
 

@@ -61,7 +61,7 @@ def test_descriptions_of_changes() -> None:
     sd = 0.1 * prior_sd
     values[0, 0], values[0, 6] = 0.0087, 0.008
     sd[1, 3:6] = prior_sd[1, 3:6]
-    one, two = describe_changes(CalibrationCorrection(rig, values, sd, prior_sd), rig, [])
+    one, two = describe_changes(CalibrationCorrection(rig, values, sd, prior_sd, np.diag(sd.ravel() ** 2)), rig, [])
     assert one == "cam_0: rotated by 0.50° (9 standard deviations), focal length +0.80 % (8 standard deviations)."
     assert two == "cam_1: no significant change; not observable in this recording: position."
 
@@ -81,7 +81,7 @@ def test_moved_camera_is_described_and_written_with_its_final_pose(tmp_path: Pat
         )
         for name, place in zip("ab", places, strict=True)
     ]
-    correction = CalibrationCorrection(Rig([*rig, *later], "m"), values, sd, prior_sd)
+    correction = CalibrationCorrection(Rig([*rig, *later], "m"), values, sd, prior_sd, np.diag(sd.ravel() ** 2))
     moved = [MovedCamera(1, 25, 0.01, turn), MovedCamera(1, 40, 0.01, then)]
     *_, one, other = describe_changes(correction, rig, moved)
     assert one == "cam_1 was moved at frame 25: rotated by 2.10° ± 0.06°, translated by 0.008 ± 0.001 m."

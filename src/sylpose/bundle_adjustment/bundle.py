@@ -38,6 +38,9 @@ from sylpose.status import Status
 WEAK_ROTATION_SD, WEAK_TRANSLATION_RADII = np.pi, 10.0
 # The noise is re-estimated until it changes by less than this, or for so many iterations; then it is fixed (choice).
 SIGMA_TOLERANCE, MAX_SIGMA_ITERATIONS = 0.05, 8
+# A rough start's lower limit of the noise falls by this factor per iteration (choice: from ten pixels to the noise floor
+# in five).
+GRADUATION = 3.0
 # Weights are updated until the step's square, in standard deviations and per frame, is less than this, or for so many
 # iterations; then they are fixed: each weight that still changes moves the rest slightly, in ever more iterations
 # (choice).
@@ -132,6 +135,9 @@ class BundleOptions:
         calibration_prior: prior of calibration errors. They are included in the covariance, scaled to the size that the
             recording shows; None: no errors. The poses of cameras that were moved are always estimated.
         recalibrate: estimate the calibration errors, instead of only including them in the covariance.
+        rough_px: lower limit of the noise at first, pixels, which falls to none in a few iterations: graduated
+            non-convexity, for starts so far off that robust weights would lose frames (A. Blake, A. Zisserman, "Visual
+            Reconstruction", 1987). Then errors of the calibration are estimated from the first iteration.
         max_iterations: maximum number of iterations.
         coarse: stop a seventh of a standard deviation per frame before the optimum, after half of the iterations; not
             for `recalibrate`.
@@ -147,6 +153,7 @@ class BundleOptions:
     fix_depths: bool = False
     calibration_prior: CalibrationPrior | None = None
     recalibrate: bool = False
+    rough_px: float = 0.0
     max_iterations: int = 30
     coarse: bool = False
     on_iteration: Callable[[int], None] | None = None
@@ -207,6 +214,11 @@ def bundle_adjust(
         # The poses of moved cameras must be free from the first iteration: otherwise all poses would diverge.
         added = calibration.add_calibration_errors(problem, state, rig, prior)
         problem, state = calibration.rescale_calibration_prior(*added, calibration.NEAR_EXACT_SCALE)
+    is_rough = prior is not None and options.recalibrate and options.rough_px > 0
+    if prior is not None and is_rough and not has_moved_cameras:
+        # Held at a rough calibration, poses would be a compromise in which whole cameras are outliers.
+        problem, state = calibration.add_calibration_errors(problem, state, rig, prior)
+        problem = calibration.free_calibration(problem)
     if options.fix_depths:
         problem = problem.fix_depths()
     if setup.is_solvable:
@@ -223,7 +235,7 @@ def bundle_adjust(
         summary = problem.summarize(fit, connected)
     if prior is not None:
         path = summary.scale_sd, summary.scale_variance_ratio
-        if has_moved_cameras:
+        if has_moved_cameras or is_rough:
             problem, state = calibration.rescale_calibration_prior(problem, fit.state, 1.0)
         else:
             problem, state = calibration.add_calibration_errors(problem, fit.state, rig, prior)
@@ -397,16 +409,18 @@ def minimize(problem: Problem, state: State, options: BundleOptions) -> Fit:
     sigma = np.full(len(problem.focals), np.inf)
     leverage = np.full(len(e), min(1.0, 3.0 * len(state.points) / max(len(e), 1)))
     n_frames, damping, is_sigma_fixed, fixed_weights = len(state.rotations), 0.0, False, None
+    floor = options.rough_px
     max_size = WEIGHTS_TOLERANCE * n_frames if options.coarse else STEP_TOLERANCE
     for iteration in range(1, options.max_iterations + 1):
         if options.on_iteration is not None:
             options.on_iteration(iteration)
         if not is_sigma_fixed:
-            previous_sigma, sigma = sigma, problem.estimate_noise(e, leverage)
+            previous_sigma, sigma = sigma, np.maximum(problem.estimate_noise(e, leverage), floor)
             state = problem.reset_stray_landmarks(state, e, sigma)
             e = problem.compute_residuals(state)
             is_stable = bool(np.all(np.abs(sigma - previous_sigma) < SIGMA_TOLERANCE * sigma))
             is_sigma_fixed = is_stable or iteration >= MAX_SIGMA_ITERATIONS
+            floor /= GRADUATION
         cost = problem.compute_cost(e, sigma, state, fixed_weights)
         weights = problem.compute_weights(e, sigma) if fixed_weights is None else fixed_weights
         at = problem.linearize(state, weights / sigma[problem.observations.camera] ** 2)
@@ -446,7 +460,7 @@ def refine_with_calibration(
     Args:
         image: (n, 2) points as normalized by the rig.
     """
-    problem, options = calibration.free_calibration(problem), replace(options, coarse=False)
+    problem, options = calibration.free_calibration(problem), replace(options, coarse=False, rough_px=0.0)
     for _ in range(LENS_LINEARIZATIONS):
         fit = minimize(problem, fit.state, options)
         scale = problem.summarize(fit, connected).calibration_scale

@@ -82,12 +82,14 @@ class CalibrationCorrection:
             the center (length units, world's axes), then the lens as in `CalibrationPrior`. For a moved camera relative
             to its predecessor.
         prior_sd: (C, 10) prior standard deviations, without the rotation and translation common to all cameras.
+        covariance: (10 C, 10 C) of the values.
     """
 
     rig: Rig
     values: FloatArray
     sd: FloatArray
     prior_sd: FloatArray
+    covariance: FloatArray
 
 
 def compute_mean_camera_distance(rig: Iterable[Camera]) -> float:
@@ -283,6 +285,8 @@ def make_correction(
     """
     basis = parameters.basis[:, ROTATION:]
     spread = basis - (predecessor >= 0)[:, None, None] * basis[predecessor]
-    sd = np.sqrt(np.maximum(np.einsum("cik,kl,cil->ci", spread, covariance, spread), 0.0))
+    flat = spread.reshape(-1, spread.shape[2])
+    total = flat @ covariance @ flat.T
+    sd = np.sqrt(np.maximum(np.diag(total), 0.0)).reshape(spread.shape[:2])
     corrected = correct_rig(rig, parameters.evaluate(z))
-    return CalibrationCorrection(corrected, spread @ z, sd, np.linalg.norm(spread, axis=2))
+    return CalibrationCorrection(corrected, spread @ z, sd, np.linalg.norm(spread, axis=2), total)
