@@ -3,42 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
-from sylpose.commands.app import INPUT, OUTPUT, command, exit_with_failures, option
-from sylpose.commands.options import FrameOffset, RangeOptions, WorldOptions, parse_frame_offsets, parse_video_option
+from sylpose.commands.app import INPUT, command, exit_with_failures, option
+from sylpose.commands.motion_calibration import MotionOptions, calibrate_without_board
+from sylpose.commands.options import parse_frame_offsets, parse_video_option
 from sylpose.input_limits import print_message
 
 if TYPE_CHECKING:
     from sylpose.io.capture import Session
 
-FILE = "calibration.toml"
-
 
 @dataclass(frozen=True, kw_only=True)
-class CalibrateOptions(WorldOptions, RangeOptions):
+class CalibrateOptions(MotionOptions):
     """Options of `sylpose calibrate`.
 
     Attributes:
-        session: Folder with one video (cam_0.mp4) or one folder of images per camera.
         board: Calibrate from this board, such as charuco:5x7,square=40mm,marker=30mm,dict=4X4_50.
-        every: Use every N-th frame.
-        video: Assign a video or image folder to a camera, instead of all in SESSION. Repeatable.
-        exclude_camera: Leave out a camera. Repeatable.
-        unit: Set the length unit of the calibration; default: m if the board's lengths have units.
-        out: Write the calibration here; default: SESSION/calibration.toml if that does not exist.
+        every: Use every N-th frame, with a board.
     """
 
-    session: Annotated[Path, typer.Argument(metavar="SESSION")]
     board: Annotated[str | None, option("--board BOARD", INPUT)] = None
     every: Annotated[int, option("--every N", INPUT, min=1)] = 1
-    frame_offset: FrameOffset = ()
-    video: Annotated[tuple[str, ...], option("--video NAME=FILE", INPUT)] = ()
-    exclude_camera: Annotated[tuple[str, ...], option("--exclude-camera CAM", INPUT)] = ()
-    out: Annotated[Path | None, option("--out FILE", OUTPUT)] = None
 
     def open_uncalibrated(self) -> Session:
         """Open the recording without a calibration."""
@@ -51,28 +37,23 @@ class CalibrateOptions(WorldOptions, RangeOptions):
             without=self.exclude_camera,
         )
 
-    @property
-    def file(self) -> Path:
-        """Return the file to write; an existing one is replaced only if it was named."""
-        if self.out is not None:
-            return self.out
-        if (file := self.session / FILE).exists():
-            raise ValueError(f"{file} exists; name the file to write with --out FILE")
-        return file
 
-
-@command("Calibrate the cameras from a recording of a board.")
+@command("Calibrate the cameras from a recording of a board or of any moving object.")
 def calibrate(options: CalibrateOptions) -> None:
-    """Calibrate all cameras from a recording in which a calibration board is carried about.
+    """Calibrate all cameras from a recording in which a calibration board, or any rigid object, is carried about.
 
     Lenses, places and orientations of all cameras are estimated together, with standard deviations. Each camera must see
     the board, tilted in several directions, and share views of it with another one. Writes the calibration, and a
     page with coverage, residuals and cross-validation next to it. Exit code 1, and no file, if the views
     do not determine a calibration.
 
+    Without a board, any rigid object that moves is enough: each camera tracks it alone, and its motion, which all cameras
+    share, gives their poses. Rotate it about several axes and carry it about.
+
     Examples:
         sylpose calibrate recording --board charuco:5x7,square=40mm,marker=30mm,dict=4X4_50
         sylpose calibrate recording --board chessboard:9x6,square=25mm --every 3 --out rig.toml
+        sylpose calibrate recording --intrinsics lenses.toml --distance cam_0:cam_1=1.52m --out rig.toml
     """
     from rich.progress import Progress
 
@@ -82,8 +63,15 @@ def calibrate(options: CalibrateOptions) -> None:
     from sylpose.runs import calibrate as runs
     from sylpose.runs import calibration_page, console_output
 
+    if options.board is None and options.intrinsics is None:
+        raise ValueError(
+            "--board: a description of the board is missing, or --intrinsics, to calibrate without a board"
+        )
+    if options.board is None and options.every > 1:
+        raise ValueError("--every: only with --board; tracking needs all frames")
     if options.board is None:
-        raise ValueError("--board: a description of the board is missing")
+        calibrate_without_board(options)
+        return
     file, unit = options.file, runs.choose_unit(options.board, options.unit)
     board, session = parse_board(options.board, unit), options.open_uncalibrated()
     make_output_folder(file.parent)

@@ -16,6 +16,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.geometry.robust_loss import biquartic_weights
+from sylpose.rig_calibration.result import CalibrationRefusedError
 from sylpose.sylvester.hand_eye import (
     CUTOFF_SIGMAS,
     MEDIAN_SQUARE,
@@ -89,7 +90,7 @@ class MotionTest:
     remedy: str
 
 
-class MotionRefusedError(ValueError):
+class MotionRefusedError(CalibrationRefusedError):
     """A recording that does not determine the rig: what failed, and what to do.
 
     Attributes:
@@ -145,19 +146,22 @@ class _Pair:
     agreeing: float
 
 
-def solve_relative_extrinsics(tracks: Sequence[CameraTrack]) -> RelativeExtrinsics:
+def solve_relative_extrinsics(
+    tracks: Sequence[CameraTrack], *, min_agreeing: float = MIN_AGREEING
+) -> RelativeExtrinsics:
     """Solve the extrinsics of cameras from their tracks of one object.
 
     Args:
         tracks: of two cameras or more, with frame numbers in common.
+        min_agreeing: share of the pairs of frames in which two cameras must rotate by the same angle.
 
     Raises:
         MotionRefusedError: the motion does not determine the rig, or the tracks disagree.
     """
     tests: list[MotionTest] = []
     pairs = {(a, b): _relate(tracks[a], tracks[b]) for a, b in combinations(range(len(tracks)), 2)}
-    cameras, left_out = _select_cameras(tracks, pairs)
-    _add_test(
+    cameras, left_out = _select_cameras(tracks, pairs, min_agreeing)
+    add_test(
         tests,
         "cameras that rotate alike",
         len(cameras) > 1,
@@ -167,7 +171,7 @@ def solve_relative_extrinsics(tracks: Sequence[CameraTrack]) -> RelativeExtrinsi
         "that their times agree, and rotate it by 30 degrees and more",
     )
     spread = min(_measure_spread(tracks[c]) for c in cameras)
-    _add_test(
+    add_test(
         tests,
         "spread of rotation axes",
         spread > MIN_AXIS_SPREAD,
@@ -177,7 +181,7 @@ def solve_relative_extrinsics(tracks: Sequence[CameraTrack]) -> RelativeExtrinsi
     )
     _check_times([tracks[c] for c in cameras], tests)
     while True:
-        rotations, sds = _average_rotations(pairs, cameras, tests)
+        rotations, sds = _average_rotations(pairs, cameras, min_agreeing, tests)
         frames, body, axes = _average_body_rotations([tracks[c] for c in cameras], rotations)
         placed, ratios = _solve_places([tracks[c] for c in cameras], rotations, frames, body)
         worst = int(np.argmax(ratios))
@@ -185,7 +189,7 @@ def solve_relative_extrinsics(tracks: Sequence[CameraTrack]) -> RelativeExtrinsi
             break
         left_out[tracks[cameras[worst]].name] = "its track fits as well with reversed depth"
         cameras = [c for k, c in enumerate(cameras) if k != worst]
-    _add_test(
+    add_test(
         tests,
         "depth of the tracks",
         ratios[worst] < MAX_REVERSAL_RATIO,
@@ -195,7 +199,7 @@ def solve_relative_extrinsics(tracks: Sequence[CameraTrack]) -> RelativeExtrinsi
     )
     scale_sd = np.full(len(cameras), np.inf) if placed is None else _scale_sds(placed)
     worst = int(np.argmax(scale_sd))
-    _add_test(
+    add_test(
         tests,
         "scales of the tracks",
         scale_sd[worst] < MAX_SCALE_SD,
@@ -210,7 +214,7 @@ def solve_relative_extrinsics(tracks: Sequence[CameraTrack]) -> RelativeExtrinsi
     return RelativeExtrinsics(tuple(cameras), left_out, X, placed.scales, O, frames, poses, sds, scale_sd, tuple(tests))
 
 
-def _add_test(tests: list[MotionTest], name: str, passed: bool, value: str, limit: str, remedy: str) -> None:
+def add_test(tests: list[MotionTest], name: str, passed: bool, value: str, limit: str, remedy: str) -> None:
     """Add a test.
 
     Raises:
@@ -230,7 +234,7 @@ def _check_times(tracks: Sequence[CameraTrack], tests: list[MotionTest]) -> None
     for track in tracks[1:]:
         shift, ratio = find_time_offset(tracks[0], track)
         order = "late" if shift > 0 else "early"
-        _add_test(
+        add_test(
             tests,
             f"time offset of {track.name}",
             shift == 0.0 or ratio > MAX_SHIFT_RATIO,
@@ -273,14 +277,14 @@ def _relate(a: CameraTrack, b: CameraTrack) -> _Pair | None:
 
 
 def _select_cameras(
-    tracks: Sequence[CameraTrack], pairs: dict[tuple[int, int], _Pair | None]
+    tracks: Sequence[CameraTrack], pairs: dict[tuple[int, int], _Pair | None], min_agreeing: float
 ) -> tuple[list[int], dict[str, str]]:
     """Return the cameras that rotate alike, and why the others do not: those with the most contradictions leave."""
     kept, left_out = list(range(len(tracks))), dict[str, str]()
     while len(kept) > 1:
         known = [(a, b, p.agreeing) for (a, b), p in pairs.items() if p is not None and a in kept and b in kept]
-        bad = [(a, b) for a, b, share in known if share < MIN_AGREEING]
-        linked = {c for a, b, share in known if share >= MIN_AGREEING for c in (a, b)}
+        bad = [(a, b) for a, b, share in known if share < min_agreeing]
+        linked = {c for a, b, share in known if share >= min_agreeing for c in (a, b)}
         lonely = [c for c in kept if c not in linked]
         if not bad and not lonely:
             break
@@ -316,22 +320,22 @@ def find_time_offset(a: CameraTrack, b: CameraTrack) -> tuple[float, float]:
         _, rows_a, rows_b = np.intersect1d(a.frames, b.frames - shift, return_indices=True)
         if len(rows_a) >= MIN_COMMON_FRAMES:
             pairs = select_pairs(len(rows_a))
-            angles = [_relative_rotations(t, r, pairs)[0].magnitude() for t, r in ((a, rows_a), (b, rows_b))]
-            residuals[k] = float(np.sqrt(np.median((angles[0] - angles[1]) ** 2)))
-    best = int(np.argmin(residuals))
-    at_zero = residuals[MAX_SHIFT]
-    if best == MAX_SHIFT or not np.isfinite(at_zero):
+            (A, variance), (B, other) = (_relative_rotations(t, r, pairs) for t, r in ((a, rows_a), (b, rows_b)))
+            residuals[k] = np.median(np.abs(A.magnitude() - B.magnitude()) / np.sqrt(variance + other))
+    best, at_zero = int(np.argmin(residuals)), residuals[MAX_SHIFT]
+    around = residuals[max(best - 1, 0) : best + 2] ** 2
+    # Neither a minimum of the noise, nor one beyond the search range.
+    if best == MAX_SHIFT or not ANGLE_SDS < at_zero < np.inf or len(around) < 3 or not np.isfinite(around).all():
         return 0.0, 1.0
-    offset = float(best - MAX_SHIFT)
-    if 0 < best < 2 * MAX_SHIFT and np.isfinite(residuals[[best - 1, best + 1]]).all():
-        before, at, after = residuals[best - 1 : best + 2] ** 2
-        offset += float(0.5 * (before - after) / (before - 2.0 * at + after))
-    return offset, float(residuals[best] / at_zero)
+    before, at, after = around
+    offset = best - MAX_SHIFT + 0.5 * (before - after) / (before - 2.0 * at + after)
+    return float(offset), float(residuals[best] / at_zero)
 
 
 def _average_rotations(
     pairs: dict[tuple[int, int], _Pair | None],
     cameras: Sequence[int],
+    min_agreeing: float,
     tests: list[MotionTest],
 ) -> tuple[FloatArray, FloatArray]:
     """Average the rotations of all pairs of cameras: the leading eigenvectors of their block matrix.
@@ -347,7 +351,7 @@ def _average_rotations(
     edges = []
     for p, q in combinations(range(n), 2):
         pair = pairs[cameras[p], cameras[q]]
-        if pair is None or not pair.agreeing >= MIN_AGREEING:
+        if pair is None or not pair.agreeing >= min_agreeing:
             continue
         weight = float(np.linalg.eigvalsh(pair.information)[0])
         blocks[q, :, p] = weight * pair.rotation
@@ -365,7 +369,7 @@ def _average_rotations(
         float(Rotation.from_matrix(rotations[q] @ rotations[p].T @ pair.rotation.T).magnitude())
         for p, q, pair, _ in edges
     )
-    _add_test(
+    add_test(
         tests,
         "closure of the rotations",
         closure < MAX_CLOSURE,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
@@ -103,8 +103,13 @@ def calibrate_session(
     return calibrate_from_boards(rig, board, found)
 
 
-def write_calibration(calibration: RigCalibration, file: Path) -> str:
+def write_calibration(calibration: RigCalibration, file: Path, comments: Sequence[str] = ()) -> str:
     """Write a calibration in the format of the file's name; sylpose's own has the standard deviations as comments.
+
+    Args:
+        calibration: the calibration.
+        file: output file.
+        comments: further lines of comments in sylpose's own format.
 
     Returns:
         a sentence on what the format cannot hold, or "".
@@ -115,8 +120,10 @@ def write_calibration(calibration: RigCalibration, file: Path) -> str:
     """
     if file.suffix != ".toml":
         return "; ".join(calibrations.save(calibration.rig, file))
+    text = native.to_text(calibration.rig) + format_deviations(calibration)
+    text += "".join(f"# {to_one_line(comment)}\n" for comment in comments)
     with replace_atomically(file) as part:
-        part.write_text(native.to_text(calibration.rig) + format_deviations(calibration), encoding="utf-8")
+        part.write_text(text, encoding="utf-8")
     return ""
 
 

@@ -1,0 +1,188 @@
+"""Joint bundle adjustment of cameras that calibrate themselves from one object: extrinsics, lenses, poses, landmarks.
+
+It is the bundle adjustment of smoothing with a wide prior of the extrinsics. Cameras share the object's poses, not its
+landmarks. Its result is expressed in the first camera's axes, without the common scale, which nothing determines.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sylpose.bundle_adjustment.bundle import BundleOptions, Observations, bundle_adjust
+from sylpose.bundle_adjustment.calibration_refinement import N_LENS_PARAMETERS, CalibrationPrior
+from sylpose.geometry.arrays import FloatArray, IntArray
+from sylpose.rig import Camera, Rig
+from sylpose.rig_calibration.camera_tracks import ROUGH_PX, RefinedTrack
+from sylpose.rig_calibration.relative_motions import RelativeExtrinsics
+from sylpose.status import Status
+
+# Parameters of a camera in a covariance: rotation, center, lens (derived).
+N_CAMERA_PARAMETERS = 6 + N_LENS_PARAMETERS
+# Prior of the extrinsics from relative motions: radians, and share of the distance to the object (choice: several times
+# their errors, docs/calibrating.md, so that it hardly matters).
+ROTATION_SD, PLACE_SD = np.radians(10.0), 0.3
+# Prior of a lens that is estimated: relative focal length, principal point as share of the image's width, first radial
+# coefficient (choice: a focal length known to 5 %).
+LENS_SD = {"focal": 0.05, "principal": 0.02, "distortion": 0.1}
+# Prior of a lens that is not estimated: small enough not to matter (derived).
+FIXED_SD = 1e-9
+# Prior of time offsets, in frames (choice: more would be found by `find_time_offset`).
+OFFSET_SD = 0.3
+# Factor of all standard deviations beyond the inflation of the bundle adjustment (measured: benchmarks/self_calibration.py,
+# errors are 1.15 times the standard deviations in the rms of 90 components, and one camera of ten is beyond three of them).
+SD_FACTOR = 1.3
+# Iterations at most (choice).
+MAX_ITERATIONS = 50
+# The object's length is measured by points with so many observations between these quantiles, in so many directions
+# (choice).
+MIN_OBSERVATIONS, EXTENT_QUANTILES, EXTENT_DIRECTIONS = 5, (0.005, 0.995), 200
+
+
+@dataclass(frozen=True, eq=False)
+class JointBundle:
+    """Result of the joint refinement.
+
+    Attributes:
+        status: OK if it converged.
+        rig: C cameras in the axes of the first.
+        covariance: (10 C, 10 C) of (w, d) of each camera's pose in the first camera's axes, R = exp(w) R̂ and d of its
+            center, and of its lens (`CalibrationPrior`); for the scale that keeps the rms distance of the cameras from
+            the first.
+        noise_ratio, inlier_ratio: (C,) noise, and share of inliers, relative to each camera's own track.
+        n_points: (C,) number of inliers.
+        sigma_px: (C,) noise, pixels.
+        distance: mean distance of the first camera from the object.
+        object_length: longest extent of the object's observed surface.
+        reference_from_object: N poses of the object.
+    """
+
+    status: Status
+    rig: Rig
+    covariance: FloatArray
+    noise_ratio: FloatArray
+    inlier_ratio: FloatArray
+    n_points: IntArray
+    sigma_px: FloatArray
+    distance: float
+    object_length: float
+    reference_from_object: RigidTransform
+
+
+def bundle_jointly(
+    cameras: Sequence[Camera], tracks: Sequence[RefinedTrack], start: RelativeExtrinsics, free: Sequence[str] = ()
+) -> JointBundle:
+    """Refine extrinsics, and lenses on request, with all poses and landmarks.
+
+    Args:
+        cameras: C cameras with their lenses; their poses are not used.
+        tracks: C tracks, in the order of `start.cameras`.
+        start: extrinsics from relative motions.
+        free: what else is estimated: of each lens, some of `LENS_SD`, and time "offsets".
+
+    Raises:
+        ValueError: a lens becomes implausible.
+    """
+    n = len(cameras)
+    rig = Rig([replace(c, camera_from_world=X) for c, X in zip(cameras, start.camera_from_reference, strict=True)])
+    observations, landmarks = _merge_observations(tracks, start)
+    place_sd = PLACE_SD * float(np.linalg.norm(start.reference_from_object.translation, axis=1).mean())
+    lenses = np.array([_lens_prior(camera, free) for camera in cameras])
+    times = _collect_times(tracks, start)
+    options = BundleOptions(
+        landmarks=landmarks,
+        times=times,
+        offsets_sd=OFFSET_SD * float(np.median(np.diff(times.mean(axis=1)))) if "offsets" in free else None,
+        calibration_prior=CalibrationPrior(np.full(n, ROTATION_SD), np.full(n, place_sd), lenses, np.full(n, -1)),
+        recalibrate=True,
+        rough_px=ROUGH_PX,
+        max_iterations=MAX_ITERATIONS,
+    )
+    radius = float(np.median([s * t.track.radius for s, t in zip(start.scales, tracks, strict=True)]))
+    result = bundle_adjust(rig, observations, start.reference_from_object, radius, options)
+    assert result.correction is not None
+    corrected = result.correction.rig
+    poses = corrected[0].camera_from_world * result.world_from_object
+    is_inlier = result.weights > 0
+    total, inliers = (np.bincount(observations.camera[mask], minlength=n) for mask in (slice(None), is_inlier))
+    counts = np.bincount(observations.landmark[is_inlier], minlength=len(landmarks))
+    return JointBundle(
+        result.status,
+        Rig(
+            [
+                replace(c, camera_from_world=c.camera_from_world * corrected[0].camera_from_world.inv())
+                for c in corrected
+            ]
+        ),
+        SD_FACTOR**2 * transform_covariance(corrected, result.correction.covariance),
+        result.sigma_px / np.array([t.sigma_px for t in tracks]),
+        inliers / total / np.array([t.inlier_ratio for t in tracks]),
+        np.asarray(inliers, np.int64),
+        result.sigma_px,
+        float(np.linalg.norm(poses.translation, axis=1).mean()),
+        _measure_extent(result.landmarks[counts >= MIN_OBSERVATIONS]),
+        poses,
+    )
+
+
+def _merge_observations(tracks: Sequence[RefinedTrack], start: RelativeExtrinsics) -> tuple[Observations, FloatArray]:
+    """Return all cameras' observations, and landmarks in the reference's axes of the object."""
+    parts, landmarks, offset = [], [], 0
+    for c, its in enumerate(tracks):
+        rows, own = np.searchsorted(start.frames, its.track.frames), its.observations
+        parts.append((rows[own.frame], np.full(len(own), c), own.landmark + offset, own.image))
+        landmarks.append(start.object_axes[c].apply(start.scales[c] * its.landmarks))
+        offset += len(its.landmarks)
+    frame, camera, landmark, image = (np.concatenate(values) for values in zip(*parts, strict=True))
+    kept = frame < len(start.frames)
+    return Observations(frame[kept], camera[kept], landmark[kept], image[kept]), np.concatenate(landmarks)
+
+
+def _collect_times(tracks: Sequence[RefinedTrack], start: RelativeExtrinsics) -> FloatArray:
+    """Return (N, C) seconds, when each camera took each frame; the mean of the others where it has none."""
+    times = np.full((len(start.frames), len(tracks)), np.nan)
+    for c, its in enumerate(tracks):
+        times[np.searchsorted(start.frames, its.track.frames), c] = its.times
+    return np.where(np.isfinite(times), times, np.nanmean(times, axis=1, keepdims=True))
+
+
+def _lens_prior(camera: Camera, free: Sequence[str]) -> FloatArray:
+    """Return (4,) standard deviations of a lens, as in `CalibrationPrior`."""
+    focal, principal, distortion = (LENS_SD[name] if name in free else FIXED_SD for name in LENS_SD)
+    return np.array([focal, principal * camera.size[0], principal * camera.size[0], distortion])
+
+
+def transform_covariance(rig: Rig, covariance: FloatArray) -> FloatArray:
+    """Return the covariance of a rig's errors in the first camera's axes, without the common scale.
+
+    Args:
+        rig: C cameras in any world.
+        covariance: (10 C, 10 C) as of `CalibrationCorrection`: rotations in the camera's axes, centers in the world's.
+    """
+    n, width = len(rig), N_CAMERA_PARAMETERS
+    J, stretch = np.eye(n * width), np.zeros(n * width)
+    Q, origin = rig[0].rotation, rig[0].center
+    for c, camera in enumerate(rig):
+        w, d = slice(c * width, c * width + 3), slice(c * width + 3, c * width + 6)
+        center = Q @ (camera.center - origin)
+        # Pose in the first camera's axes: R = Q_c Q', o = Q (o_c - o_0).
+        J[w, :3] -= camera.rotation @ Q.T
+        J[d, d] = Q
+        J[d, 3:6] -= Q
+        J[d, :3] -= np.cross(np.eye(3), center)
+        stretch[d] = center
+    scale_free = np.eye(n * width) - np.outer(stretch, stretch) / (stretch @ stretch)
+    J = scale_free @ J
+    return np.asarray(J @ covariance @ J.T)
+
+
+def _measure_extent(points: FloatArray) -> float:
+    """Return the longest extent of points (n, 3); NaN without any."""
+    if not len(points):
+        return np.nan
+    directions = Rotation.random(EXTENT_DIRECTIONS, rng=np.random.default_rng(0)).apply([0.0, 0.0, 1.0])
+    low, high = np.quantile(points @ directions.T, EXTENT_QUANTILES, axis=0)
+    return float((high - low).max())

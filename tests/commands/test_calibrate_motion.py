@@ -1,0 +1,108 @@
+"""`sylpose calibrate` without a board, as typed: a rendered tumbling block, refusals, and wrong options."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform
+
+from benchmarks.self_calibration import KINDS, make_scene
+from sylpose.commands.main import main
+from sylpose.io import calibration
+from sylpose.runs.self_calibration import parse_distance, parse_free
+from sylpose.simulate import Scene, arc, write_sequence
+from tests.conftest import make_once
+
+FRAMES = 36
+
+
+def write_tumbling(folder: Path) -> None:
+    """Render a block that tumbles by 200 degrees before two cameras."""
+    kind = KINDS["near"]
+    whole = make_scene(kind, 3)
+    target = whole.object_poses().translation.mean(axis=0)
+    rig = arc(2, 50.0, 1.2, 420.0, (320, 240), height=[0.1, 0.35], target=target)
+
+    def path(frame: float) -> RigidTransform:
+        return whole.actors[0].path(1.4 * frame)
+
+    actor = type(whole.actors[0])(whole.actors[0].body, path)
+    write_sequence(folder, Scene(rig, (actor,), FRAMES, 0, 1.0), boxes=True)
+
+
+@pytest.fixture(scope="session")
+def tumbling(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a recording with the true calibration; read-only."""
+    return make_once(tmp_path_factory, "tumbling", write_tumbling)
+
+
+def test_calibrate_writes_the_rig(tumbling: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    truth = calibration.load(tumbling / "calibration.toml")
+    distance = float(np.linalg.norm(truth[0].center - truth[1].center))
+    # Poses of the file are ignored.
+    lenses = tmp_path / "lenses.toml"
+    calibration.save(truth.subset(["cam_0", "cam_1"]), lenses)
+    out = tmp_path / "rig.toml"
+    arguments = ["calibrate", str(tumbling), "--intrinsics", str(lenses), "--out", str(out)]
+    assert main([*arguments, "--distance", f"cam_0:cam_1={1000 * distance:.3f}mm", "--unit", "m"]) == 0
+    printed = capsys.readouterr().out
+    assert "passed" in printed
+    assert "failed" not in printed
+    assert "scale is unknown" not in printed
+    found = calibration.load(out)
+    assert found.unit == "m"
+    expected = truth[1].camera_from_world * truth[0].camera_from_world.inv()
+    error = found[1].camera_from_world * expected.inv()
+    assert np.degrees(error.rotation.magnitude()) < 0.5
+    assert np.linalg.norm(found[1].center - expected.inv().translation) < 0.02 * distance
+    assert np.linalg.norm(found[1].center) == pytest.approx(distance, rel=1e-6)
+    assert "# cam_1: fx fy" in out.read_text()
+    assert "# spread of rotation axes" in out.read_text()
+
+
+def test_refused_recording_writes_no_file(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Twelve frames of a rotation about one axis do not determine the cameras."""
+    out = session / "rig.toml"
+    assert main(["calibrate", str(session), "--intrinsics", str(session / "calibration.toml"), "--out", str(out)]) == 1
+    printed = capsys.readouterr()
+    assert "failed" in printed.out
+    assert "nothing was written" in printed.err
+    assert "rotate" in printed.err
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (["--free", "focal,skew"], "--free must be some of focal,principal,distortion, got 'skew'"),
+        (["--distance", "cam_0=1m"], "--distance must be CAM:CAM=LENGTH"),
+        (["--distance", "cam_0:cam_9=1m"], "two of the cameras cam_0, cam_1, cam_2"),
+        (["--distance", "cam_0:cam_1=far"], "--distance must be a positive length"),
+        (["--distance", "cam_0:cam_1=1m", "--object-length", "1m"], "exclude each other"),
+    ],
+)
+def test_wrong_options(change: list[str], message: str, session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = session / "rig.toml"
+    lenses = str(session / "calibration.toml")
+    assert main(["calibrate", str(session), "--intrinsics", lenses, "--out", str(out), *change]) == 2
+    assert message in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_missing_lenses_and_cameras(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = ["--out", str(tmp_path / "rig.toml")]
+    assert main(["calibrate", str(session), *out]) == 2
+    assert "--intrinsics" in capsys.readouterr().err
+    alone = Path(shutil.copytree(session, tmp_path / "alone"))
+    without = ["--exclude-camera", "cam_1", "--exclude-camera", "cam_2"]
+    assert main(["calibrate", str(alone), "--intrinsics", str(alone / "calibration.toml"), *without, *out]) == 2
+    assert "two cameras or more" in capsys.readouterr().err
+
+
+def test_option_values() -> None:
+    assert parse_free(" focal, distortion") == ("focal", "distortion")
+    assert parse_free("") == ()
+    assert parse_distance("a:b=1.5m", ["a", "b"]) == ("a", "b", 1.5, "m")
