@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -11,6 +12,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.boards.detection import Detection
 from sylpose.boards.specification import parse_board
+from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Camera, Rig
 from sylpose.rig_calibration.board_bundle import N_CAMERA, Unknowns, Views, linearize, project
 from sylpose.rig_calibration.board_views import choose_frames, collect_views
@@ -96,16 +98,31 @@ def test_covariances_hold() -> None:
     assert max(*poses, *lenses) < 6.0
 
 
+def shift_view(rng: np.random.Generator, _f: int, _c: int, pixels: FloatArray) -> FloatArray:
+    return np.asarray(pixels + rng.normal(0, 0.5, 2) + rng.normal(0, 0.1, pixels.shape))
+
+
 @pytest.mark.slow
-def test_errors_that_a_view_has_in_common_enlarge_the_covariance() -> None:
-    """Blur shifts all corners of a view: the errors are larger than independent noise of the same size gives."""
-    rng, board, rig = np.random.default_rng(1), parse_board(CHARUCO, "m"), make_cameras(2)
-    poses = draw_poses(board, 24, rng)
-    independent = observe(rig, board, poses, lambda _f, _c, pixels: pixels + rng.normal(0, 0.3, pixels.shape))
-    common = observe(rig, board, poses, lambda _f, _c, p: p + rng.normal(0, 0.3, 2) + rng.normal(0, 0.05, p.shape))
-    found = [calibrate_from_boards(rig, board, its) for its in (independent, common)]
-    sds = [np.sqrt(np.diag(its.extrinsics_covariance[1])) / its.rms_px[1] for its in found]
-    assert (sds[1] > 1.3 * sds[0]).all()
+def test_shifts_of_views_do_not_bend_the_lenses() -> None:
+    """Blur shifts all corners of a view: lenses are as exact as without it, and covariances hold (measured: 0.5, 0.8)."""
+    poses, lenses, focal = [], [], []
+    for seed in range(4):
+        rng, board, rig = np.random.default_rng(seed), parse_board(CHARUCO, "m"), make_cameras(2)
+        truth = rig.in_world(rig[0].camera_from_world)
+        places = draw_poses(board, 24, rng)
+        corners = observe(rig, board, places, partial(shift_view, rng))
+        found = calibrate_from_boards(rig, board, corners)
+        error = subtract_pose(found.rig[1], truth[1])
+        poses.append(error @ np.linalg.solve(found.extrinsics_covariance[1], error) / 6)
+        for c, (a, b) in enumerate(zip(found.rig, truth, strict=True)):
+            lens = list_lens(a)[:4] - list_lens(b)[:4]
+            lenses.append(lens @ np.linalg.solve(found.intrinsics_covariance[c][:4, :4], lens) / 4)
+            focal.append(abs(a.focal / b.focal - 1))
+        assert any("All corners of a view share an error" in text for text in found.warnings)
+    assert 0.2 < np.mean(poses) < 2.0
+    assert 0.2 < np.mean(lenses) < 2.0
+    # A shift of 0.5 px moves the board by a pixel of 800; noise alone gives 0.1 % with so many views.
+    assert np.median(focal) < 2e-3
 
 
 def test_lengths_scale_with_the_board() -> None:

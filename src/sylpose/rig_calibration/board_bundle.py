@@ -4,6 +4,12 @@ The unknowns of a camera are its lens, (fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, 
 camera_from_world, and the delay of its images in frames; those of a frame are world_from_board. Poses change by (w, d):
 R -> exp(w) R, t -> t + d. Board poses are eliminated (Schur complement), so that the linear system has the cameras'
 unknowns only.
+
+Corners of a view share errors: blur, motion between the exposures of two cameras, a bent board. They are modeled as a
+random shift of each view, whose standard deviation is estimated by restricted maximum likelihood. Otherwise the lenses
+would be bent to explain differences between the cameras.
+
+Source: H. D. Patterson, R. Thompson, "Recovery of inter-block information when block sizes are unequal", 1971.
 """
 
 from __future__ import annotations
@@ -11,6 +17,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
@@ -32,6 +39,11 @@ MIN_SIGMA_PX = 1e-6
 MAX_ROUNDS, MAX_ITERATIONS, SIGMA_TOLERANCE, COST_TOLERANCE = 10, 60, 1e-2, 1e-6
 # Regularization of board poses that corners do not determine, in units of the diagonal (derived: of rounding).
 RIDGE = 1e-12
+# Residuals of poses behind the camera, pixels (choice: beyond any image).
+MAX_RESIDUAL_PX = 1e6
+# Rounds of weights and shift of a view (choice), and the range of the shifts' standard deviation in those of the noise
+# (choice: below, the mean of a view's corners hides it; above, the cameras do not see one board).
+SHIFT_ROUNDS, SHIFT_RANGE = 3, (0.01, 300.0)
 # Smallest and largest damping of Levenberg-Marquardt, relative to the diagonal (choice).
 MIN_DAMPING, MAX_DAMPING = 1e-12, 1e8
 
@@ -134,6 +146,7 @@ class Optimum:
         weights: (V, N) weight of each corner, 1 for a perfect one, 0 for outliers and where not seen.
         residuals: (V, N, 2) pixels.
         cost: robust cost in units of the noise.
+        shift_sd: standard deviation of the shift of a view in each coordinate, pixels.
     """
 
     at: Unknowns
@@ -141,6 +154,7 @@ class Optimum:
     weights: FloatArray
     residuals: FloatArray
     cost: float
+    shift_sd: float = 0.0
 
 
 def _rotate(w: FloatArray, rotation: FloatArray) -> FloatArray:
@@ -355,12 +369,74 @@ def compute_weights(views: Views, residuals: FloatArray, noise: FloatArray) -> F
     return np.where(views.seen & np.isfinite(q), biquartic_weights(q), 0.0)
 
 
+def estimate_shifts(views: Views, residuals: FloatArray, noise: FloatArray, shift_sd: float) -> FloatArray:
+    """Return the likeliest shift (V, 1, 2) of each view with noise (V,), robustly; 0 without a standard deviation."""
+    shifts = np.zeros((len(residuals), 1, 2))
+    if not shift_sd:
+        return shifts
+    bounded = np.clip(np.where(views.seen[..., None], residuals, np.nan), -MAX_RESIDUAL_PX, MAX_RESIDUAL_PX)
+    shifts[:, 0] = np.nanmedian(bounded, axis=1)
+    bounded, variances = np.nan_to_num(bounded), noise[:, None] ** 2
+    for _ in range(SHIFT_ROUNDS):
+        weights = (compute_weights(views, bounded - shifts, noise) / variances)[..., None]
+        shifts = (weights * bounded).sum(axis=1, keepdims=True) / (weights.sum(axis=1, keepdims=True) + shift_sd**-2)
+    return shifts
+
+
+def whiten_shifts(lin: Linearization, weights: FloatArray, shift_sd: float) -> Linearization:
+    """Return residuals and derivatives whose squares, with weights (V, N), are those with the shifts eliminated.
+
+    With the sum of weights w of a view and s = 1 / sd², the shift's elimination subtracts w² / (w + s) times the product
+    of means; the same follows if a part 1 - sqrt(s / (w + s)) of each mean is subtracted.
+    """
+    if not shift_sd:
+        return lin
+    total = weights.sum(axis=1)
+    part = 1.0 - 1.0 / np.sqrt(1.0 + total * shift_sd**2)
+    share = weights * (part / np.maximum(total, 1e-300))[:, None]
+
+    def center(rows: FloatArray) -> FloatArray:
+        each = rows.reshape(*weights.shape, 2, -1)
+        return np.asarray(each - np.einsum("vn,vnij->vij", share, each)[:, None]).reshape(rows.shape)
+
+    return Linearization(center(lin.residuals), center(lin.camera_jacobian), center(lin.board_jacobian))
+
+
+def estimate_shift_sd(views: Views, at: Unknowns, freedom: Freedom, noise: FloatArray, shift_sd: float) -> float:
+    """Estimate the standard deviation of the shifts with noise (V,) at an optimum, pixels; 0 if none is likelier."""
+    lin = linearize(views, at)
+    shifts = estimate_shifts(views, lin.residuals, noise, shift_sd)
+    weights = compute_weights(views, lin.residuals - shifts, noise) / noise[:, None] ** 2
+    total = weights.sum(axis=1)
+
+    def compute_deviance(sd: float) -> float:
+        """Return -2 times the restricted log likelihood, of the problem as linearized here."""
+        whitened = whiten_shifts(lin, weights, sd)
+        equations = NormalEquations.build(views, whitened, weights, at, freedom)
+        matrix, gradient, _, inverse = equations.eliminate_boards()
+        chosen = np.flatnonzero(freedom.free)
+        matrix, gradient = matrix[np.ix_(chosen, chosen)], gradient[chosen]
+        squares = float((weights[..., None] * whitened.residuals**2).sum())
+        squares -= float(np.einsum("fi,fij,fj->", equations.board_gradient, inverse, equations.board_gradient))
+        squares -= float(gradient @ solve_scaled(matrix, gradient))
+        scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+        determinants = 2.0 * float(np.log(scale).sum()) + float(np.linalg.slogdet(matrix / np.outer(scale, scale))[1])
+        determinants -= float(np.linalg.slogdet(inverse)[1].sum())
+        return squares + determinants + 2.0 * float(np.log1p(total * sd**2).sum())
+
+    logs = np.log(float(np.median(noise))) + np.log(SHIFT_RANGE)
+    found = minimize_scalar(lambda log: compute_deviance(float(np.exp(log))), bounds=tuple(logs), method="bounded")
+    return float(np.exp(found.x)) if found.fun < compute_deviance(0.0) else 0.0
+
+
 def optimize(
     views: Views,
     at: Unknowns,
     freedom: Freedom,
     quantile: float = ROBUST_QUANTILE,
     relative: FloatArray | None = None,
+    *,
+    with_shifts: bool = False,
 ) -> Optimum:
     """Minimize the robust reprojection error by Levenberg-Marquardt.
 
@@ -370,32 +446,45 @@ def optimize(
         freedom: which unknowns are estimated.
         quantile: of the residuals, measures the noise; from the start on, so that gross errors of the start are tolerated.
         relative: (C,) ratios of the cameras' noise; None for equal noise.
+        with_shifts: whether views are shifted at random; only differences between cameras show that.
     """
     relative = np.ones(len(at.lens)) if relative is None else relative
-    residuals = compute_residuals(views, at)
+    residuals, shift_sd = compute_residuals(views, at), 0.0
     sigma = estimate_sigma(views, residuals, relative, quantile)
     for _ in range(MAX_ROUNDS):
-        noise = sigma
-        at, cost = _minimize(views, at, freedom, noise[views.camera])
+        noise, old_sd = sigma, shift_sd
+        at, cost = _minimize(views, at, freedom, noise[views.camera], shift_sd)
         residuals = compute_residuals(views, at)
-        sigma = estimate_sigma(views, residuals, relative, quantile)
-        if (np.abs(sigma - noise) <= SIGMA_TOLERANCE * noise).all():
+        if with_shifts:
+            shift_sd = estimate_shift_sd(views, at, freedom, noise[views.camera], old_sd)
+        shifts = estimate_shifts(views, residuals, noise[views.camera], shift_sd)
+        sigma = estimate_sigma(views, np.where(views.seen[..., None], residuals - shifts, 0.0), relative, quantile)
+        is_converged = (np.abs(sigma - noise) <= SIGMA_TOLERANCE * noise).all()
+        if is_converged and abs(shift_sd - old_sd) <= SIGMA_TOLERANCE * (shift_sd + float(noise.min())):
             break
-    return Optimum(at, noise, compute_weights(views, residuals, noise[views.camera]), residuals, cost)
+    shifts = estimate_shifts(views, residuals, noise[views.camera], old_sd)
+    weights = compute_weights(views, residuals - shifts, noise[views.camera])
+    return Optimum(at, noise, weights, residuals, cost, old_sd)
 
 
-def _minimize(views: Views, at: Unknowns, freedom: Freedom, noise: FloatArray) -> tuple[Unknowns, float]:
+def _minimize(
+    views: Views, at: Unknowns, freedom: Freedom, noise: FloatArray, shift_sd: float
+) -> tuple[Unknowns, float]:
     """Minimize with a constant noise (V,) of each view; return the optimum and its cost."""
 
     def compute_cost(at: Unknowns) -> float:
-        loss = compute_loss(views, compute_residuals(views, at), noise)
-        return float(loss.sum() + (freedom.prior * (at.lens - freedom.mean) ** 2).sum())
+        residuals = compute_residuals(views, at)
+        shifts = estimate_shifts(views, residuals, noise, shift_sd)
+        cost = float(compute_loss(views, residuals - shifts, noise).sum())
+        cost += float((shifts**2).sum()) / shift_sd**2 if shift_sd else 0.0
+        return cost + float((freedom.prior * (at.lens - freedom.mean) ** 2).sum())
 
     cost, damping = compute_cost(at), 1e-3
     for _ in range(MAX_ITERATIONS):
         lin = linearize(views, at)
-        weights = compute_weights(views, lin.residuals, noise) / noise[:, None] ** 2
-        equations = NormalEquations.build(views, lin, weights, at, freedom)
+        shifts = estimate_shifts(views, lin.residuals, noise, shift_sd)
+        weights = compute_weights(views, lin.residuals - shifts, noise) / noise[:, None] ** 2
+        equations = NormalEquations.build(views, whiten_shifts(lin, weights, shift_sd), weights, at, freedom)
         while damping <= MAX_DAMPING:
             moved = at.move(*equations.solve(freedom.free, damping))
             moved_cost = compute_cost(moved)

@@ -27,6 +27,7 @@ from sylpose.rig_calibration.board_bundle import (
     optimize,
     project,
     solve_scaled,
+    whiten_shifts,
 )
 
 # Cells of an image, columns and rows, in which corners are counted (choice).
@@ -45,9 +46,14 @@ def compute_covariance(views: Views, optimum: Optimum, freedom: Freedom) -> Floa
     n_frames, free = len(optimum.at.board_rotation), freedom.free
     chosen = np.flatnonzero(free)
     used = views.seen & (optimum.weights > 0)
-    n_rows, n_unknowns = 2 * int(used.sum()), len(chosen) + 6 * n_frames
-    lin = linearize(views, optimum.at)
     weights = optimum.weights / optimum.sigma[views.camera][:, None] ** 2
+    # A shift counts as an unknown in so far as the corners determine it.
+    precision = weights.sum(axis=1) * optimum.shift_sd**2
+    n_rows, n_unknowns = (
+        2 * int(used.sum()),
+        len(chosen) + 6 * n_frames + 2.0 * float((precision / (1 + precision)).sum()),
+    )
+    lin = whiten_shifts(linearize(views, optimum.at), weights, optimum.shift_sd)
     equations = NormalEquations.build(views, lin, weights, optimum.at, freedom)
     matrix, _, through, _ = equations.eliminate_boards()
     covariance = invert_information(matrix[np.ix_(chosen, chosen)])
@@ -118,7 +124,7 @@ def compare_halves(views: Views, optimum: Optimum, freedom: Freedom) -> HalvesTe
         own, boards = views.select(half), np.unique(views.frame[half])
         own = replace(own, frame=np.searchsorted(boards, own.frame))
         start = replace(at, board_rotation=at.board_rotation[boards], board_translation=at.board_translation[boards])
-        found = optimize(own, start, freedom, relative=optimum.sigma)
+        found = optimize(own, start, freedom, relative=optimum.sigma, with_shifts=True)
         covariance = compute_covariance(own, found, freedom)
         if not np.isfinite(covariance).all():
             return None

@@ -18,6 +18,7 @@ from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.rig_calibration.board_bundle import (
     MAX_DAMPING,
     MAX_ITERATIONS,
+    MAX_RESIDUAL_PX,
     MIN_DAMPING,
     N_CAMERA,
     N_LENS,
@@ -39,8 +40,6 @@ from sylpose.rig_calibration.board_bundle import (
 FOCAL_STARTS = (0.6, 2.4)
 # Noise of a coordinate from the start's quantile of lengths of two (derived: Rayleigh).
 RAYLEIGH_START = float(np.sqrt(-2.0 * np.log(1.0 - START_QUANTILE)))
-# Residuals of poses behind the camera, pixels (choice: beyond any image).
-MAX_RESIDUAL_PX = 1e6
 # Rounds of noise and pose of a view, and the relative change of its cost at convergence (choice).
 POSE_ROUNDS, POSE_TOLERANCE = 3, 1e-4
 # Distortion coefficients, as numbers of the lens: k1, k2, p1, p2, k3 (choice: OpenCV's default), and with k4 to k6, for wide

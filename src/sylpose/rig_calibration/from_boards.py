@@ -137,10 +137,10 @@ def calibrate_from_boards(
     )
     freedom = Freedom(*(np.concatenate([getattr(its, name) for its in lenses]) for name in ("free", "mean", "prior")))
     relative = np.array([its.sigma for its in poses])
-    optimum = optimize(views, start, freedom, relative=relative)
+    optimum = optimize(views, start, freedom, relative=relative, with_shifts=True)
     if board.diameter:
         views = _center_circles(views, optimum.at, board.diameter)
-        optimum = optimize(views, optimum.at, freedom, relative=relative)
+        optimum = optimize(views, optimum.at, freedom, relative=relative, with_shifts=True)
     covariance = compute_covariance(views, optimum, freedom)
     _check_focal(optimum, covariance, rig.names)
     halves = compare_halves(views, optimum, freedom)
@@ -285,6 +285,12 @@ def _describe_problems(
                 f"{name}: the board covered only {100 * coverage[c].share:.0f} % of its image; the lens is extrapolated "
                 "elsewhere: show it the board in all corners."
             )
+    if fit.optimum.shift_sd > fit.optimum.sigma.max():
+        found.append(
+            f"All corners of a view share an error of {fit.optimum.shift_sd:.2g} px, and their noise is "
+            f"{fit.optimum.sigma.max():.2g} px: images blur or are taken at different times; hold the board still in each "
+            "place, or synchronize the cameras."
+        )
     if fit.halves is None:
         found.append("The views are too few to compare two halves: record more, in other places and tilts.")
     elif fit.halves.is_significant.any():
