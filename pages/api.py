@@ -67,6 +67,16 @@ GROUPS: dict[str, tuple[str, ...]] = {
         "find_board",
         "BoardObservation",
     ),
+    "Calibrating a rig": (
+        "calibrate_session",
+        "calibrate_from_boards",
+        "Detection",
+        "RigCalibration",
+        "BoardCalibration",
+        "Coverage",
+        "HalvesTest",
+        "CalibrationRefusedError",
+    ),
     "Two frames, known points": ("estimate_motion", "estimate_motions", "estimate_pose"),
     "Another camera's view": (
         "view_of_motion",

@@ -50,6 +50,8 @@ MORE: tuple[Any, ...] = (
 NOT_CALLED = {
     "open_session": "reads files: test_fuzz_readers.py, calibration/, capture/",
     "open_live": "the same",
+    "calibrate_session": "the same: rig_calibration/test_calibrate_command.py",
+    "calibrate_from_boards": "takes seconds: rig_calibration/test_from_boards.py",
     "track_session": "the same; its options: commands/",
     "load_object": "reads a file: commands/test_object_files.py",
     "save_object": "writes it: the same",

@@ -3,6 +3,7 @@
 from sylpose.absolute_pose.pose import estimate_pose as estimate_pose
 from sylpose.boards.board_pose import BoardObservation as BoardObservation
 from sylpose.boards.board_pose import find_board as find_board
+from sylpose.boards.detection import Detection as Detection
 from sylpose.boards.specification import Board as Board
 from sylpose.boards.specification import parse_board as parse_board
 from sylpose.frames import Box as Box
@@ -37,6 +38,13 @@ from sylpose.results import RotationEstimate as RotationEstimate
 from sylpose.results import Trajectory as Trajectory
 from sylpose.rig import Camera as Camera
 from sylpose.rig import Rig as Rig
+from sylpose.rig_calibration.board_checks import Coverage as Coverage
+from sylpose.rig_calibration.board_checks import HalvesTest as HalvesTest
+from sylpose.rig_calibration.from_boards import BoardCalibration as BoardCalibration
+from sylpose.rig_calibration.from_boards import calibrate_from_boards as calibrate_from_boards
+from sylpose.rig_calibration.result import CalibrationRefusedError as CalibrationRefusedError
+from sylpose.rig_calibration.result import RigCalibration as RigCalibration
+from sylpose.runs.calibrate import calibrate_session as calibrate_session
 from sylpose.runs.options import RunOptions as RunOptions
 from sylpose.runs.run import track_session as track_session
 from sylpose.runs.run_result import Run as Run
