@@ -35,6 +35,8 @@ KINDS = {
 # Those that others resemble.
 SIMILAR = ("chessboard:5x5,square=25mm", "chessboard:4x4,square=25mm")
 SEEDS = 2
+# Boards in strongly distorted images, with the largest error in pixels where the lens is unknown (measured: a half of it).
+DISTORTED = {"aprilgrid:4x4,size=88mm,gap=0.3": 0.4, "charuco:7x8,square=40mm,marker=28mm,dict=4X4_50": 0.1}
 
 
 def frame_after_symmetry(board: Board, turn: int) -> RigidTransform:
@@ -274,3 +276,28 @@ def test_opencv_without_detectors_is_reported(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.delattr(cv2, "aruco")
     with pytest.raises(ValueError, match=r"need OpenCV 4\.8 or newer"):
         detect(np.zeros((360, 480), np.uint8), rig.cameras[0], board)
+
+
+@pytest.mark.parametrize("text", DISTORTED)
+def test_detection_does_not_need_the_lens(text: str) -> None:
+    """Markers at the border of a strongly distorted image are not in the plane that a pinhole camera expects."""
+    board, rng = parse_board(text, "m"), np.random.default_rng(0)
+    lens = (-0.35, 0.12, 0.0, 0.0, -0.01)
+    rig, pose = make_rig_above(board, 1, rng, size=(800, 600), distance=1.5, tilt_deg=25, distortion=lens)
+    image = render_target(rig, board, pose)[0]
+    pinhole = replace(rig[0], distortion=np.zeros(5), matrix=np.diag([2.0, 2.0, 1.0]) @ rig[0].matrix)
+    found, truth = detect(image, pinhole, board), rig[0].project(pose.apply(board.points).reshape(-1, 3))
+    assert len(found.indices) > 0.9 * len(board.points)
+    assert np.linalg.norm(found.pixels - truth[found.indices], axis=1).max() < DISTORTED[text]
+
+
+def test_inverted_board_is_detected_in_the_negative() -> None:
+    board, rng = parse_board(CHARUCO, "m"), np.random.default_rng(0)
+    rig, pose = make_rig_above(board, 1, rng)
+    image = render_target(rig, board, pose)[0]
+    inverted = parse_board(f"{CHARUCO},inverted=1", "m")
+    found, negative = detect(image, rig[0], board), detect(255 - image, rig[0], inverted)
+    assert len(found.indices) > 0.5 * len(board.points)
+    np.testing.assert_array_equal(negative.indices, found.indices)
+    np.testing.assert_allclose(negative.pixels, found.pixels, atol=0.05)
+    assert not len(detect(image, rig[0], inverted).indices)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -15,6 +16,7 @@ from sylpose.io.capture import open_session
 from sylpose.io.capture.session import open_uncalibrated
 from sylpose.io.rig_files import load_calibration
 from sylpose.rig import Rig
+from sylpose.runs.calibrate import choose_unit
 from sylpose.simulate import Actor, Scene, arc
 from sylpose.simulate.recordings import write_sequence
 from tests.boards.drawing import compute_middle, make_plate
@@ -141,3 +143,25 @@ def test_real_camera_without_the_board(tmp_path: Path, capsys: pytest.CaptureFix
         pytest.skip("the recording board4 is not here (../shared/data/board4)")
     assert run(folder, "--board", REAL_BOARD, "--stop", 12, "--out", tmp_path / "rig.toml") == 1
     assert "cam_1 sees the board in no frame" in capsys.readouterr().err
+
+
+def test_sources_may_be_image_folders_with_names(recording: Path, tmp_path: Path) -> None:
+    images = next(iter(open_uncalibrated(recording).frames(0, 1))).images
+    for name in ("first", "second"):
+        folder = tmp_path / "images" / name
+        folder.mkdir(parents=True)
+        for k, image in enumerate(images):
+            assert image is not None
+            cv2.imwrite(str(folder / f"{k:03}.png"), image)
+    session = open_uncalibrated(tmp_path / "images", cameras={"left": "first", "right": "second"}, rate=5.0)
+    assert (session.rig.names, session.n_frames, session.rate) == (("left", "right"), 2, 5.0)
+    assert [camera.size for camera in session.rig] == [(480, 360)] * 2
+    assert open_uncalibrated(tmp_path / "images", without=["first"]).rig.names == ("second",)
+    with pytest.raises(ValueError, match=r"without: no camera of .* remains"):
+        open_uncalibrated(tmp_path / "images", without=["first", "second"])
+
+
+def test_units_are_those_of_the_board() -> None:
+    assert choose_unit(BOARD, None) == "m"
+    assert choose_unit(BOARD, "mm") == "mm"
+    assert choose_unit("chessboard:9x6,square=25", None) == ""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -14,7 +13,7 @@ import numpy as np
 
 from sylpose.atomic_io import replace_atomically
 from sylpose.boards.detection import Detection, detect
-from sylpose.boards.specification import Board
+from sylpose.boards.specification import Board, parse_board
 from sylpose.frames import FrameSet
 from sylpose.input_limits import to_one_line
 from sylpose.io import calibration as calibrations
@@ -30,14 +29,20 @@ MAX_PENDING = 4
 
 
 def choose_unit(text: str, unit: str | None) -> str:
-    """Return the unit of a calibration from a board: the requested one, else that of the board's lengths, or "".
+    """Return the unit of a calibration from a board: the requested one, meters if its lengths have units, or "".
 
     Raises:
         ValueError: an unknown unit.
     """
     if unit is not None and unit not in METERS:
         raise ValueError(f"unit must be one of {', '.join(METERS)}, got {unit!r}")
-    return unit or ("m" if re.search(r"=\s*[0-9.eE+-]+\s*[a-z]+\s*(,|$)", text) else "")
+    if unit is not None:
+        return unit
+    try:
+        parse_board(text)
+    except ValueError:  # its lengths have units; anything else is reported when it is parsed with one
+        return "m"
+    return ""
 
 
 def detect_boards(
