@@ -138,11 +138,13 @@ class _Pair:
     Attributes:
         rotation: (3, 3).
         information: (3, 3) of w in the axes of b, exp(w) R̂.
+        certified: whether the rotation is proved to be the best of all (`sylvester.hand_eye`).
         agreeing: share of the pairs of frames in which both rotate by the same angle; NaN with too few.
     """
 
     rotation: FloatArray
     information: FloatArray
+    certified: bool
     agreeing: float
 
 
@@ -167,8 +169,8 @@ def solve_relative_extrinsics(
         len(cameras) > 1,
         f"{len(cameras)} of {len(tracks)}",
         "2",
-        f"the rotation angles of {_list_names(tracks, range(len(tracks)))} differ: check that all observe the same object, "
-        "that their times agree, and rotate it by 30 degrees and more",
+        "".join(f"{name}: {reason}; " for name, reason in left_out.items())
+        + "check that all observe the same object and that their times agree, and rotate it by 30 degrees and more",
     )
     spread = min(_measure_spread(tracks[c]) for c in cameras)
     add_test(
@@ -178,6 +180,15 @@ def solve_relative_extrinsics(
         f"{spread:.3f}",
         f"{MIN_AXIS_SPREAD:g}",
         "rotate the object about a second axis",
+    )
+    related = [pair for (a, b), pair in pairs.items() if pair is not None and a in cameras and b in cameras]
+    add_test(
+        tests,
+        "certificate of rotations",
+        all(pair.certified for pair in related),
+        f"{sum(pair.certified for pair in related)} of {len(related)} pairs",
+        "all",
+        "rotate the object about a second axis, by 30 degrees and more",
     )
     _check_times([tracks[c] for c in cameras], tests)
     while True:
@@ -273,7 +284,7 @@ def _relate(a: CameraTrack, b: CameraTrack) -> _Pair | None:
     agrees = different < np.maximum(ANGLE_SDS * sd, RELATIVE_ANGLE_TOLERANCE * angles)
     agreeing = float(agrees[moved].mean()) if moved.sum() >= MIN_PAIRS else np.nan
     # Of k frames k - 1 motions are independent.
-    return _Pair(found.rotation, found.information * (len(rows_a) - 1) / len(pairs), agreeing)
+    return _Pair(found.rotation, found.information * (len(rows_a) - 1) / len(pairs), found.certified, agreeing)
 
 
 def _select_cameras(
