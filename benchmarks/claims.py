@@ -75,7 +75,7 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=24)
     parser.add_argument("--shares", type=float, nargs="+", default=[0, 30, 60, 90, 100])
     options = parser.parse_args()
-    scene = render_demo(frames=options.frames, turn_deg=1.5 * options.frames)
+    scene = render_demo(frames=options.frames, angle_deg=1.5 * options.frames)
     print(
         "| occluded in two of four cameras | tracked by | frames measured | rotation error, deg: median, worst "
         "| position error, mm: median, worst | difference of views, rad |"

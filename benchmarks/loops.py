@@ -48,7 +48,7 @@ def render_demo(**options: Any) -> RenderedSequence:
 def render_sequence(seed: int) -> RenderedSequence:
     """Render the sequence of a seed."""
     return render_demo(
-        frames=FRAMES, turn_deg=ROTATION_DEG, size=SIZE, n_cameras=CAMERAS[seed % len(CAMERAS)], seed=seed
+        frames=FRAMES, angle_deg=ROTATION_DEG, size=SIZE, n_cameras=CAMERAS[seed % len(CAMERAS)], seed=seed
     )
 
 

@@ -140,7 +140,7 @@ def test_refinement_that_does_not_converge_is_discarded(monkeypatch: pytest.Monk
     def fail(*arguments: Any, **options: Any) -> BundleResult:
         return replace(refine(*arguments, **options), status=Status.NOT_CONVERGED)
 
-    monkeypatch.setattr(smoothing, "bundle_adjust_with_scale", fail)
+    monkeypatch.setattr(smoothing, "bundle_adjust_by_keyframes", fail)
     found = smooth_tracks(frames, RIG)
     assert found.status is Status.NOT_CONVERGED
     assert found.poses == tuple(f.pose for f in frames)

@@ -25,6 +25,7 @@ from sylpose.bundle_adjustment.calibration_refinement import (
     compute_mean_camera_distance,
     default_calibration_prior,
 )
+from sylpose.bundle_adjustment.keyframes import bundle_adjust_by_keyframes
 from sylpose.bundle_adjustment.scale_prior import bundle_adjust_with_scale, find_lost_frames
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.validation import check_bool, check_integer, check_list, check_number, check_type, format_value
@@ -202,7 +203,10 @@ def smooth_tracks(
         on_iteration=on_iteration,
     )
     extended = replace(observations, camera=camera)
-    result = bundle_adjust_with_scale(extended_rig, extended, start, radius, options)
+    # Time offsets are reached along a curve through neighboring poses, and calibration errors show in all frames.
+    needs_all = bool(time_offsets.any() or all_moved) or recalibrate or offsets_sd is not None
+    adjust = bundle_adjust_with_scale if needs_all else bundle_adjust_by_keyframes
+    result = adjust(extended_rig, extended, start, radius, options)
     if result.status is not Status.OK:  # no estimate: everything remains as tracked
         poses = _extend_contradiction(poses, frames)
         return SmoothedTrajectory(tuple(poses), result.status, zeros, zeros, result.sigma_px[:n], result.iterations)

@@ -71,12 +71,7 @@ def bundle_adjust_with_scale(
         rig, observations, world_from_object, radius, options: as of `bundle_adjust`.
     """
     result, alternative_covariance = _bundle_from_two_starts(rig, observations, world_from_object, radius, options)
-    fixed_mask = resolve_fixed_frames(options.fixed, len(alternative_covariance))
-    start = relocalize_lost_frames(rig, observations, result, fixed_mask)
-    if start is not None:
-        alternative = bundle_adjust(rig, observations, start, radius, replace(options, landmarks=result.landmarks))
-        if _is_better(alternative, result, observations):
-            result = alternative
+    result = relocalize(rig, observations, result, radius, options)
     depth_prior = None
     if len(rig) > 1 and is_scale_unobservable(result):
         depth_prior = _estimate_depth_prior(rig, observations, result, radius)
@@ -202,6 +197,22 @@ def find_lost_frames(result: BundleResult, observations: Observations) -> BoolAr
     """Return (N,) mask of the lost frames."""
     inliers, totals = count_inliers(result, observations, find_repeated_observations(observations))
     return np.asarray((totals >= MIN_OBSERVATIONS) & (inliers <= MAX_INLIER_RATIO * totals))
+
+
+def relocalize(
+    rig: Rig, observations: Observations, result: BundleResult, radius: float, options: BundleOptions
+) -> BundleResult:
+    """Return a result with its lost frames relocalized and refined with all others, if that explains more.
+
+    Args:
+        rig, observations, radius, options: as of `bundle_adjust`.
+    """
+    fixed_mask = resolve_fixed_frames(options.fixed, len(result.covariance))
+    start = relocalize_lost_frames(rig, observations, result, fixed_mask)
+    if start is None:
+        return result
+    alternative = bundle_adjust(rig, observations, start, radius, replace(options, landmarks=result.landmarks))
+    return alternative if _is_better(alternative, result, observations) else result
 
 
 def relocalize_lost_frames(

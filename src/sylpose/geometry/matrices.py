@@ -156,3 +156,17 @@ def sampson_scale(E: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
     gradient_y, gradient_x = np.einsum("...ij,...j->...i", E, x), np.einsum("...ji,...j->...i", E, y)
     squared_gradient = (gradient_y[..., :2] ** 2).sum(axis=-1) + (gradient_x[..., :2] ** 2).sum(axis=-1)
     return np.asarray(np.sqrt(np.maximum(squared_gradient, MIN_SQUARED_GRADIENT)))
+
+
+def enlarge_covariance(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return a covariance (6, 6) not smaller than either input in any direction.
+
+    Args:
+        a: positive definite; enlarged wherever it is smaller than b.
+        b: lower bound.
+    """
+    root = np.linalg.cholesky(a)
+    inverse = np.linalg.inv(root)
+    values, vectors = np.linalg.eigh(inverse @ b @ inverse.T)
+    out = root @ vectors @ np.diag(np.maximum(values, 1.0)) @ vectors.T @ root.T
+    return np.asarray(0.5 * (out + out.T))

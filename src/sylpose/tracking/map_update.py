@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.features.sift import Features
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.matrices import invert_information
+from sylpose.geometry.matrices import enlarge_covariance, invert_information
 from sylpose.matches import STATIC_PX
 from sylpose.relative_pose.camera_evidence import (
     MIN_KEPT_POOLED,
@@ -33,7 +33,6 @@ from sylpose.tracking.joint_side.joint_state import (
     SolvedFrame,
     add_reference_covariance,
     compute_viewpoints,
-    enlarge_covariance,
 )
 from sylpose.tracking.options import TrackingOptions
 from sylpose.tracking.pose_search import PoseCandidate

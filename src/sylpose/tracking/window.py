@@ -27,6 +27,7 @@ from sylpose.bundle_adjustment.calibration_refinement import default_calibration
 from sylpose.bundle_adjustment.scale_prior import SMALL_ROTATION, bundle_adjust_with_scale, is_scale_unobservable
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.future import BackgroundResult
+from sylpose.geometry.matrices import enlarge_covariance
 from sylpose.results import MAX_ROTATION_SD
 from sylpose.rig import Rig
 from sylpose.status import Status
@@ -39,7 +40,6 @@ from sylpose.tracking.joint_side.joint_state import (
     SolvedFrame,
     compute_pose_change,
     compute_viewpoints,
-    enlarge_covariance,
     find_nearest_views,
     inherit_covariance,
 )

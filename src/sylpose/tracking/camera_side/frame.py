@@ -614,7 +614,7 @@ def add_evidence(
     usable = [pair for pair in moving if len(pair) >= MIN_EVIDENCE_MATCHES]
     if pose is None or not usable:
         return agreement
-    pair = max(usable, key=lambda pair: float(((pair.pixels_j - pair.pixels_i) ** 2).sum()))
+    pair = usable[int(np.argmax([((pair.pixels_j - pair.pixels_i) ** 2).sum() for pair in usable]))]
     first = earlier[pair.reference]
     assert first is not None
     motion = pose * first.inv()

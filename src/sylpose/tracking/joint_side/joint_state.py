@@ -750,20 +750,6 @@ def compute_pose_change(last: SolvedFrame, refined_pose: RigidTransform) -> Floa
     return np.concatenate([relative_rotvec(before, refined_pose), refined_pose.translation - before.translation])
 
 
-def enlarge_covariance(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return a covariance (6, 6) not smaller than either input in any direction.
-
-    Args:
-        a: positive definite; enlarged wherever it is smaller than b.
-        b: lower bound.
-    """
-    root = np.linalg.cholesky(a)
-    inverse = np.linalg.inv(root)
-    values, vectors = np.linalg.eigh(inverse @ b @ inverse.T)
-    out = root @ vectors @ np.diag(np.maximum(values, 1.0)) @ vectors.T @ root.T
-    return np.asarray(0.5 * (out + out.T))
-
-
 def add_reference_covariance(
     information: FloatArray,
     world_from_object: RigidTransform,

@@ -1,0 +1,235 @@
+"""Bundle adjustment of a long trajectory by key frames, in time proportional to its length.
+
+Key frames are refined jointly. The frames between them are refined in segments, with the poses of the nearest key frames
+fixed. Neighboring frames observe nearly the same from nearly the same side, and a tracked patch has nearly the same error in
+them: they add next to nothing to the key frames. That is tested: where the errors of successive key frames are independent,
+all frames are refined jointly.
+
+Source: G. Klein, D. Murray, "Parallel tracking and mapping for small AR workspaces", 2007 (key frames).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sylpose.bundle_adjustment.bundle import (
+    BundleOptions,
+    BundleResult,
+    Observations,
+    bundle_adjust,
+    resolve_fixed_frames,
+)
+from sylpose.bundle_adjustment.scale_prior import bundle_adjust_with_scale, relocalize
+from sylpose.geometry.arrays import BoolArray, IntArray
+from sylpose.geometry.matrices import enlarge_covariance
+from sylpose.rig import Rig
+from sylpose.status import Status
+
+# Shorter recordings are refined as a whole (choice: a second or two).
+MIN_FRAMES = 100
+# A frame becomes a key frame if the object has rotated by this since the last one, radians; if this share of its
+# observations is of landmarks that the last one does not observe; or if the last one is so many frames ago
+# (choice: docs/history/benchmarks.md, "Key frames", half and twice).
+MIN_ROTATION, MIN_NEW_RATIO, MAX_STEP = np.radians(4.0), 0.2, 8
+# With more key frames than this these limits are doubled (choice: their system is dense if the object shows the same sides
+# again and again; a factorization takes 1.5 s at so many).
+MAX_KEYFRAMES = 600
+# Correlation of the errors of successive key frames with which they have at most 1.1 times the standard deviation of all
+# frames (derived: 8 (1 + r^8) (1 - r) < 1.1^2 (1 - r^8) (1 + r) with errors that are correlated by r from frame to frame).
+MIN_CORRELATION = 0.2
+# Frames of a segment between key frames, at most, and number of the nearest key frames, with fixed poses (choice:
+# docs/history/benchmarks.md, "Key frames", half and twice).
+SEGMENT_FRAMES = 32
+
+
+def select_keyframes(observations: Observations, world_from_object: RigidTransform, fixed: BoolArray) -> BoolArray:
+    """Select the key frames (N,) of a trajectory; all of a short one.
+
+    Args:
+        observations: in the frames.
+        world_from_object: N poses.
+        fixed: (N,) frames with fixed poses, which are key frames.
+    """
+    n, factor = len(fixed), 1
+    if n < MIN_FRAMES:
+        return np.ones_like(fixed)
+    order = np.argsort(observations.frame, kind="stable")
+    landmarks = np.split(observations.landmark[order], np.cumsum(np.bincount(observations.frame, minlength=n))[:-1])
+    while True:
+        is_key = _select_keyframes(landmarks, world_from_object.rotation, fixed, factor)
+        if is_key.sum() <= MAX_KEYFRAMES or factor * MAX_STEP > n:
+            return is_key
+        factor *= 2
+
+
+def _select_keyframes(landmarks: list[IntArray], rotations: Rotation, fixed: BoolArray, factor: int) -> BoolArray:
+    """Select key frames (N,) from the landmarks that each frame observes, with limits enlarged by a factor."""
+    is_key, last = fixed.copy(), 0
+    is_key[[0, -1]] = True
+    min_rotation, min_new_ratio = factor * MIN_ROTATION, min(factor * MIN_NEW_RATIO, 1.0)
+    for k in range(1, len(fixed)):
+        is_new = ~np.isin(landmarks[k], landmarks[last])
+        is_key[k] |= k - last >= factor * MAX_STEP or (rotations[k] * rotations[last].inv()).magnitude() >= min_rotation
+        is_key[k] |= not len(is_new) or bool(is_new.mean() >= min_new_ratio)
+        last = k if is_key[k] else last
+    return is_key
+
+
+def bundle_adjust_by_keyframes(
+    rig: Rig,
+    observations: Observations,
+    world_from_object: RigidTransform,
+    radius: float,
+    options: BundleOptions,
+) -> BundleResult:
+    """Run `bundle_adjust_with_scale` on key frames, then refine the frames between them.
+
+    Args:
+        rig, observations, world_from_object, radius: as of `bundle_adjust`.
+        options: without time offsets, to be estimated or known, and without calibration errors to be estimated.
+
+    Returns:
+        the refined trajectory. Landmarks, noise, path and calibration are those of the key frames. The covariance of a
+        frame between them is at least its own with the key frames fixed, and that of the nearest key frame.
+    """
+    fixed = resolve_fixed_frames(options.fixed, len(world_from_object))
+    is_key = select_keyframes(observations, world_from_object, fixed)
+    if is_key.all():
+        return bundle_adjust_with_scale(rig, observations, world_from_object, radius, options)
+    own = _select_observations(observations, is_key[observations.frame], is_key)
+    key_options = _select_options(options, is_key, fixed)
+    result = bundle_adjust_with_scale(rig, own, world_from_object[is_key], radius, key_options)
+    out = _spread_result(result, world_from_object, observations, is_key)
+    if _correlate_errors(rig, own, result) < MIN_CORRELATION:
+        all_options = replace(options, landmarks=result.landmarks)
+        return bundle_adjust_with_scale(rig, observations, out.world_from_object, radius, all_options)
+    for frames in _make_segments(is_key):
+        if out.status is Status.OK:
+            out = _refine_segment(rig, observations, out, radius, options, is_key, frames)
+    return out
+
+
+def _correlate_errors(rig: Rig, observations: Observations, result: BundleResult) -> float:
+    """Return the correlation of the errors of a landmark's observations in successive frames; 0 without any."""
+    order = np.lexsort((observations.frame, observations.camera, observations.landmark))
+    frame, camera, landmark = (x[order] for x in (observations.frame, observations.camera, observations.landmark))
+    points, errors = result.world_from_object[frame].apply(result.landmarks[landmark]), np.empty((len(order), 2))
+    for c, its in enumerate(rig):
+        at = camera == c
+        local = its.camera_from_world.apply(points[at])
+        errors[at] = (local[:, :2] / local[:, 2:] - observations.image[order][at]) * its.focal
+    is_next = (np.diff(frame) == 1) & (np.diff(camera) == 0) & (np.diff(landmark) == 0)
+    is_next &= np.minimum(result.weights[order][1:], result.weights[order][:-1]) > 0
+    first, second = errors[:-1][is_next], errors[1:][is_next]
+    return float((first * second).sum() / max(np.sqrt((first**2).sum() * (second**2).sum()), 1e-300))
+
+
+def _select_options(options: BundleOptions, is_used: BoolArray, fixed: BoolArray) -> BundleOptions:
+    """Return the options for some frames (N,), with these fixed (N,)."""
+    times = None if options.times is None else np.asarray(options.times)[is_used]
+    return replace(options, fixed=fixed[is_used], times=times)
+
+
+def _select_observations(observations: Observations, used: BoolArray, is_used: BoolArray) -> Observations:
+    """Return some observations (n,), in some frames (N,), which are renumbered."""
+    number = np.cumsum(is_used) - 1
+    parts = (observations.camera[used], observations.landmark[used], observations.image[used])
+    return Observations(number[observations.frame[used]], *parts)
+
+
+def _make_segments(is_key: BoolArray) -> list[IntArray]:
+    """Return the frames between key frames, in order, in segments that end at key frames."""
+    runs = np.split(np.arange(len(is_key)), np.flatnonzero(is_key))
+    segments = list[IntArray]()
+    for run in runs:
+        frames = run[~is_key[run]]
+        if segments and len(segments[-1]) + len(frames) <= SEGMENT_FRAMES:
+            segments[-1] = np.concatenate([segments[-1], frames])
+        elif len(frames):
+            segments.append(frames)
+    return segments
+
+
+def _spread_result(
+    result: BundleResult, world_from_object: RigidTransform, observations: Observations, is_key: BoolArray
+) -> BundleResult:
+    """Return the key frames' result for all frames (N,); the others move along with the nearest one, unconnected."""
+    used, keys = is_key[observations.frame], np.flatnonzero(is_key)
+    index = np.abs(np.arange(len(is_key))[:, None] - keys).argmin(axis=1)
+    weights, residuals = np.zeros(len(observations)), np.zeros(len(observations))
+    weights[used], residuals[used] = result.weights, result.residuals
+    correction = result.world_from_object * world_from_object[keys].inv()
+    return replace(
+        result,
+        world_from_object=correction[index] * world_from_object,
+        covariance=result.covariance[index],
+        connected=result.connected[index] & is_key,
+        weights=weights,
+        residuals=residuals,
+        variance_inflation=result.variance_inflation[index],
+        rests_on_prior=result.rests_on_prior[index],
+        surface_covariance=result.surface_covariance[index],
+    )
+
+
+def _refine_segment(
+    rig: Rig,
+    observations: Observations,
+    result: BundleResult,
+    radius: float,
+    options: BundleOptions,
+    is_key: BoolArray,
+    frames: IntArray,
+) -> BundleResult:
+    """Refine some frames between key frames, whose poses are fixed.
+
+    Returns:
+        the result with these frames; of another status if they have not converged.
+    """
+    is_free, is_seen = np.zeros(len(is_key), bool), np.zeros(len(result.landmarks), bool)
+    is_free[frames] = True
+    is_seen[observations.landmark[is_free[observations.frame]]] = True
+    keys = np.flatnonzero(is_key & result.connected)
+    is_near = is_free.copy()
+    is_near[keys[np.argsort(np.abs(keys - frames.mean()), kind="stable")[:SEGMENT_FRAMES]]] = True
+    used = is_seen[observations.landmark] & is_near[observations.frame]
+    is_used = np.bincount(observations.frame[used], minlength=len(is_key)) > 0
+    chosen, n_free = np.flatnonzero(is_used), int((is_used & is_free).sum())
+    if not 0 < n_free < len(chosen):
+        return result
+    own = _select_observations(observations, used, is_used)
+    part_options = _select_options(options, is_used, ~is_free)
+    part_options = replace(part_options, landmarks=result.landmarks, calibration_prior=None, on_iteration=None)
+    part = bundle_adjust(rig, own, result.world_from_object[chosen], radius, part_options)
+    part = relocalize(rig, own, part, radius, part_options)
+    if part.status is Status.NOT_CONVERGED:
+        return replace(result, status=part.status)
+
+    # All of the segment's frames, and the observations in key frames of landmarks that no other key frame observes.
+    where = is_free[chosen] & part.connected
+    poses, covariance, connected = (
+        result.world_from_object.as_matrix(),
+        result.covariance.copy(),
+        result.connected.copy(),
+    )
+    poses[chosen[where]], connected[chosen[where]] = part.world_from_object.as_matrix()[where], True
+    for k, i in zip(chosen[where].tolist(), np.flatnonzero(where).tolist(), strict=True):
+        covariance[k] = enlarge_covariance(part.covariance[i], covariance[k])
+    weights, residuals = result.weights.copy(), result.residuals.copy()
+    changed = np.flatnonzero(used)[part.weights > weights[used]]
+    weights[used] = np.maximum(weights[used], part.weights)
+    is_new = is_free[observations.frame] & used
+    is_new[changed] = True
+    residuals[is_new] = part.residuals[is_new[used]]
+    return replace(
+        result,
+        world_from_object=RigidTransform.from_matrix(poses),
+        covariance=covariance,
+        connected=connected,
+        weights=weights,
+        residuals=residuals,
+        iterations=result.iterations + part.iterations,
+    )
