@@ -44,6 +44,7 @@ ROTATION_ERROR_SD, FOCAL_ERROR_SD = 0.0052, 0.01
 # Rotation of a camera between the two images, standard deviation, radians, if it trembles or its clock is a little off
 # (choice: 0.1 degrees).
 TREMBLE_SD = 0.0017
+# Unknowns of these errors: a rotation, the focal length, another rotation (derived).
 N_NUISANCES = 7
 # Unknowns of a camera's own motion, and of the joint one (derived).
 N_OWN, N_JOINT = 5, 6

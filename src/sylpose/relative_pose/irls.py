@@ -35,9 +35,9 @@ from sylpose.relative_pose.terms import DEPTH_MODEL_SIZE, MIN_MATCHES, Candidate
 # freedom (choice); the resulting deficits of the weighted mean square and of the information (derived).
 CUTOFF = 5.0
 SHRINKAGE, GAIN = bisquare_noise_response(CUTOFF).shrinkage, bisquare_noise_response(CUTOFF).gain
-# Mean weight of residuals that are uniform up to the cutoff, and the midpoint between it and the mean weight of noise
-# (derived).
+# Mean weight of residuals that are uniform up to the cutoff (derived).
 UNIFORM_MEAN_WEIGHT = 8.0 / 15.0
+# The midpoint between it and the mean weight of noise (derived).
 MAX_UNIFORM_WEIGHT = 0.5 * (UNIFORM_MEAN_WEIGHT + bisquare_noise_response(CUTOFF).weight)
 # Cutoffs of the first rounds are wider by these factors: the initial motion comes from contaminated matches (choice).
 EARLY_CUTOFF_FACTORS = (2.0, 1.5, 1.2)
@@ -81,7 +81,7 @@ WEAK_PRIOR_SCALE = 1e-6
 # plane of a flat object, for example.
 COARSE_SIGMA_FACTOR = 5.0
 COARSE_KEYPOINT_COST = float(2.0 * np.log(COARSE_SIGMA_FACTOR) + np.log(10.0))
-# A mismatch is anywhere in a square of this many spreads (choice).
+# A mismatch is anywhere in a square around the object's image, as wide as its diameter: this many spreads (derived).
 MISMATCH_RANGE = 4.0
 # Smallest share of the squares left after fitting the unknowns, across the epipolar lines and along them (choice).
 MIN_FREEDOM_SHARE, MIN_FREEDOM_SHARE_ALONG = 0.15, 0.1

@@ -30,8 +30,7 @@ from sylpose.relative_pose.terms import DEPTH_MODEL_SIZE, Candidate, Stack, tran
 # Matches of a batch, and the values of each: x, y, usable; distance, across, along, parallax, weight; the weights of
 # its two rows; h of `compute_image_row` along the line and |Jρ|, h across it, standard deviation of ρ due to noise; the
 # row along the line with its residual, and that across (derived).
-LANES, N_PARTIAL_SUMS, ALONG_ROW, ACROSS_ROW = 32, 8, 20, 33
-VALUES_PER_MATCH = ACROSS_ROW + 7
+LANES, N_PARTIAL_SUMS, ALONG_ROW, ACROSS_ROW, VALUES_PER_MATCH = 32, 8, 20, 33, 40
 # Mask of usable matches, or the probability of each match to be one.
 InlierPrior = BoolArray | FloatArray
 

@@ -235,9 +235,10 @@ SAME_MOTION_SQUARE = 9.0
 # Least log-likelihood gain of a mixture over one motion (measured: docs/history/benchmarks.md#hard-pairs; for motions of 1
 # to 4 px without a background 2.1 at most in 24 scenes), and the least number of moving matches (choice).
 MIN_LIKELIHOOD_GAIN, MIN_MOVING_MATCHES = 3.0, 2 * MIN_MATCHES
-# Factors by which the motion of a part may exceed that of all matches; rounds to estimate the static share; and the
-# largest loss of log-likelihood, two standard deviations (choice).
-MOTION_FACTORS, SHARE_ROUNDS, MAX_LIKELIHOOD_LOSS = (1.25, 1.5, 2.0, 3.0, 5.0, 8.0), 8, 2.0
+# Factors by which the motion of a part may exceed that of all matches, and rounds to estimate the static share (choice).
+MOTION_FACTORS, SHARE_ROUNDS = (1.25, 1.5, 2.0, 3.0, 5.0, 8.0), 8
+# Largest loss of log-likelihood of such a motion: two standard deviations, 2² / 2 (derived).
+MAX_LIKELIHOOD_LOSS = 2.0
 # Upper bound of the noise of static matches relative to all matches (choice).
 MAX_STATIC_SIGMA_RATIO = 1.2
 

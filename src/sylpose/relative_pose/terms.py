@@ -52,7 +52,9 @@ MAX_INVERSE_DEPTH_SD = 0.3
 # Prior of the quadric in radii of the object, without the 1 of its inverse depth; slopes are per spread and are scaled
 # separately (derived).
 _PRIOR_MEAN = np.array([OFFSET_PER_BULGE, 0.0, 0.0, -1.0, 0.0, -1.0]) * BULGE
+# The scatter of the deviations from it, in the same units (derived).
 _PRIOR_SCATTER = np.array([OFFSET_SD, 1.0, 1.0, CURVATURE_SD, CURVATURE_SD, CURVATURE_SD])
+# The information of the mean's own scatter and of these deviations (derived).
 _PRIOR_INFORMATION = np.linalg.inv(np.outer(_PRIOR_MEAN, _PRIOR_MEAN) + np.diag(_PRIOR_SCATTER**2))
 
 # Location of the object, where the cameras' rays meet: the least sum of squared distances to lines is that of

@@ -55,8 +55,6 @@ from sylpose.relative_pose.terms import COINCIDENCE_TOLERANCE, DEPTH_MODEL_SIZE,
 # An object is flat if residual depth and curvature displace points by less than this, in standard deviations of their
 # noise (choice).
 MAX_FLAT_SIGMAS = 3.0
-# Maximum number of cameras whose second plane is tried (choice).
-MAX_SECOND_PLANES = 4
 # A motion that is less likely by this is no alternative: the accuracy of a likelihood (measured:
 # docs/history/benchmarks.md#hard-pairs; deficits of the truth of 0.7 to 11 occurred). The second value is added for each
 # inlier that the likelier motion has in excess. It may explain mismatches by chance, and real images' keypoints have longer
@@ -101,7 +99,7 @@ def compute_second_planes(stack: Stack, fit: IrlsFit) -> list[Candidate]:
         anchor = np.append(stack.anchor[t], 1.0)
         normal = unit * np.array([a, b, depth_model[t, 0] - a * anchor[0] - b * anchor[1]])
         other = _compute_second_plane(qy @ R @ qx.T + np.outer(tau, normal), normal, anchor)
-        if other is not None and len(out) < MAX_SECOND_PLANES:
+        if other is not None:
             rotation, translation = qy.T @ other[0] @ qx, qy.T @ other[1]
             plane = _transfer_plane(stack, t, other[2])
             out.append(Candidate(rotation, translation - rotation @ stack.a1[t] + stack.a2[t], plane))
