@@ -185,6 +185,11 @@ def _accept_pose(context: Context, state: JointState, candidate: PoseCandidate) 
     # Except at the start with a known object, little is learned from the first pose of a missing object.
     is_relocalized = state.motion.n_missed > 0 and not state.last.is_fixed
     is_uncertain = is_relocalized and rotation_sd > context.options.max_relocalized_rotation_sd
+    contradicts = is_mostly_contradicted(state.f_ratios, context.options)
+    if frame.time_offsets.any():  # few frames are no evidence: the object may just have started or stopped
+        contradicts &= len(state.f_ratios) >= context.options.n_pooled_f_ratios
+    else:
+        contradicts |= is_contradicted(agreements, state.frames.by_number, state.last, context.options)
     solved = SolvedFrame(
         frame.number,
         frame.time,
@@ -194,8 +199,7 @@ def _accept_pose(context: Context, state: JointState, candidate: PoseCandidate) 
         compute_viewpoints(context.rig, pose),
         np.array([a.has_features for a in agreements]) & (candidate.has_moved and not is_uncertain),
         compute_full_weight_age([a.ages for a in agreements]),
-        is_contradicted=is_mostly_contradicted(state.f_ratios, context.options)
-        or is_contradicted(agreements, state.frames.by_number, state.last, context.options),
+        is_contradicted=contradicts,
         twist=candidate.twist,
     )
     return AcceptedPose(
