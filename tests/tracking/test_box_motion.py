@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.features.sift import Features
-from sylpose.frames import FrameSet
+from sylpose.frames import Box, FrameSet
 from sylpose.geometry.arrays import FloatArray
 from sylpose.landmarks.landmark_filter import Landmarks, LandmarkTable
 from sylpose.rig import Rig
@@ -16,7 +16,7 @@ from sylpose.status import FrameStatus
 from sylpose.tracking.camera_side.camera import CameraTracker
 from sylpose.tracking.camera_side.frame import CameraFrame, FrameMatches
 from sylpose.tracking.context import Context, Frame, LocalExecutor
-from sylpose.tracking.first_motion import is_box_center_static, select_static_matches
+from sylpose.tracking.first_motion import OUTSIDE_REASON, is_box_center_static, select_static_matches
 from sylpose.tracking.joint_side.joint_state import JointState, KnownFrames, SolvedFrame
 from sylpose.tracking.joint_side.object_model import ObjectModel
 from sylpose.tracking.tracker import track
@@ -112,3 +112,19 @@ def test_person_passing_behind_static_object() -> None:
     assert error[: rest - 1, 0].max() < 0.1
     assert error[: rest - 1, 1].max() < 1.0
     assert error[:, 0].max() < 1.0
+
+
+def test_body_that_continues_outside_of_the_boxes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Boxes hold the whole object: what fills them and more is another body, or they are too small."""
+    clip = Clip.render(moving_scene(lambda frame: make_rotated_pose(4.0 * frame), 5))
+    assert clip.boxes is not None
+    small = {
+        name: Box(box.x + 0.35 * box.width, box.y + 0.35 * box.height, 0.3 * box.width, 0.3 * box.height)
+        for name, box in clip.boxes.items()
+    }
+    inside = list(track(clip.frames(), clip.rig, clip.boxes))
+    assert statuses(inside)[1:] == [FrameStatus.TRACKED] * 4
+    monkeypatch.setattr(Context, "is_contradicted", False)  # in so small boxes
+    outside = list(track(clip.frames(), clip.rig, small))
+    assert set(statuses(outside)[1:]) == {FrameStatus.AMBIGUOUS}
+    assert outside[-1].pose.reason == OUTSIDE_REASON

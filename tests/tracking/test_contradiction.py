@@ -103,6 +103,10 @@ def test_frame_is_as_reliable_as_those_that_support_it() -> None:
     assert is_contradicted([on_good, other], known, good, TrackingOptions())
     # Of three, one may be at fault: the pose rests on the others.
     assert not is_contradicted([on_good, on_good, other], known, good, TrackingOptions())
+    # So it may where the object hardly moves as seen from others, which agree without evidence.
+    resting = PoseAgreement(n_matches=30, n_inlier_matches=30)
+    assert not is_contradicted([on_good, other, resting], known, good, TrackingOptions())
+    assert is_contradicted([on_good, other, replace(resting, n_inlier_matches=3)], known, good, TrackingOptions())
 
 
 def test_last_frames_are_pooled() -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -63,6 +64,10 @@ CENTER_RATIO = 0.5
 # The center is static if its displacement is within the noise and below this share of that of moving features, both
 # medians (choice: a body rotating about itself moves its center by about a third).
 MAX_CENTER_MOTION_RATIO = 0.15
+
+
+# Reason for an ambiguous object in boxes.
+OUTSIDE_REASON = "most of what moves like the content of the boxes is outside of them: another body, or too small boxes"
 
 
 @dataclass(frozen=True, eq=False)
@@ -464,6 +469,24 @@ def _report_box_motion(camera: Camera, points: FloatArray, pairs: Pairs, static_
     counts = [len(np.unique(feature[some])) for some in (is_center, is_moving)]
     pixels = [float(np.median(displacement[some])) if some.any() else np.nan for some in (is_center, is_moving)]
     return BoxMotionReport(counts[0], pixels[0], pixels[0] <= static_px, counts[1], pixels[1])
+
+
+def is_mostly_outside(context: Context, state: JointState, frame: Frame, pose: RigidTransform) -> bool:
+    """Return whether most of what follows the first motion was outside of the boxes: in all and in most cameras.
+
+    Boxes hold the whole object: a body that fills them and continues outside is another one, as a person behind an object
+    without texture. The epipolar geometry of the motion needs no depths.
+
+    Args:
+        frame: in which the object has moved.
+        pose: its world_from_object.
+    """
+    count = partial(CameraTracker.count_following, images=frame.images, first=state.frames.first, pose=pose)
+    own_counts = context.executor.run(count, context.cameras)
+    inside, outside = np.maximum(context.executor.gather(own_counts, (0.0, 0.0)), 0.0).T
+    # Three standard deviations of what a coin decides: too few matches may be another body that moves alike.
+    is_significant = (outside - inside).sum() > 3.0 * np.sqrt((outside + inside).sum())
+    return bool(is_significant and 2 * np.sum(outside > inside) > np.sum(np.maximum(inside, outside) > 0.0))
 
 
 def count_center_features(camera: CameraTracker, features: Features, region: Region) -> int:

@@ -47,6 +47,7 @@ from sylpose.tracking.reports import quantize_positions
 # Without boxes the object is unknown until it moves: frames are buffered with their features, and with their images up
 # to so many bytes (choice).
 MAX_BUFFERED_BYTES = 1 << 29
+AMBIGUITY_REASON = "another body moves as well; select the object"
 AMBIGUITY_NOTE = (
     "Without boxes, the largest moving body is tracked, but another one moves as well. Provide a box or a mask to select "
     "the object."
@@ -211,7 +212,8 @@ def _initialize_from_motion(
         if candidate is None
         else candidate.is_ambiguous(context.options)
     )
-    state = JointState(_create_model(context, first_motion, first_pose, end_pose), is_ambiguous=is_ambiguous)
+    ambiguity = AMBIGUITY_REASON if is_ambiguous else ""
+    state = JointState(_create_model(context, first_motion, first_pose, end_pose), ambiguity=ambiguity)
     frame = replace(first, regions=context.project_regions(state, first_pose))
     motion = KnownMotion({first.number: first_pose}, end_pose, first_motion.radius)
     sides = [

@@ -26,6 +26,7 @@ from sylpose.status import FrameStatus, Observability
 from sylpose.tracking.camera_side.camera import AcceptedPose, CameraTracker
 from sylpose.tracking.camera_side.frame import ReobservedFeatures, compute_full_weight_age, record_observations
 from sylpose.tracking.context import Context, Frame, FrameResult, TrackedFrame, create_unsolved_frame
+from sylpose.tracking.first_motion import OUTSIDE_REASON, is_mostly_outside
 from sylpose.tracking.frame_solvers import MAXIMUM_LIKELIHOOD
 from sylpose.tracking.joint_side.joint_state import (
     Anchor,
@@ -39,7 +40,6 @@ from sylpose.tracking.pose_search import PoseCandidate
 from sylpose.tracking.reports import Agreements, quantize_positions
 from sylpose.tracking.window import refine_window
 
-AMBIGUITY_REASON = "another body moves as well; select the object"
 # A single camera cannot distinguish a rotation from its mirror image, concave from convex. An object in a box is
 # assumed convex: the middle of its surface is nearer than its center by this share of its radius (choice).
 CONVEX_BULGE_RATIO = 0.5
@@ -104,6 +104,9 @@ def accept_frame(context: Context, state: JointState, candidate: PoseCandidate) 
         the state; the result.
     """
     frame, agreements = candidate.frame, candidate.agreements
+    moves_first = candidate.has_moved and not state.motion.has_moved
+    if moves_first and state.object.is_bounded and is_mostly_outside(context, state, frame, candidate.pose):
+        state = replace(state, ambiguity=OUTSIDE_REASON)
     inflation, f_ratio = _compute_inflation(candidate), _compute_f_ratio(agreements)
     if not state.object.is_depth_guessed:  # else the guess is contradicted, not the rig
         f_ratios = add_f_ratio(state.f_ratios, _compute_f_ratio(agreements, MIN_KEPT_POOLED), context.options)
@@ -156,9 +159,10 @@ def accept_frame(context: Context, state: JointState, candidate: PoseCandidate) 
         np.array([a.n_features for a in agreements], np.int64),
     ).mark_uncertain()
     is_rig_contradicted = _is_rig_contradicted(context, state)
-    if state.is_ambiguous and not is_rig_contradicted:  # under a wrong rig one body looks like several
-        result = replace(result, status=FrameStatus.AMBIGUOUS, reason=AMBIGUITY_REASON)
-    elif accepted.solved.is_contradicted or is_rig_contradicted:
+    is_mostly = is_mostly_contradicted(state.f_ratios, context.options)
+    if state.ambiguity and not is_rig_contradicted:  # under a wrong rig one body looks like several
+        result = replace(result, status=FrameStatus.AMBIGUOUS, reason=state.ambiguity)
+    elif accepted.solved.is_contradicted or is_mostly or is_rig_contradicted:
         reason = _describe_contradiction(context, state, f_ratio)
         result = replace(result, status=FrameStatus.CONTRADICTED, reason=reason)
     matches, observations, detections = (context.spread(parts) for parts in zip(*records, strict=True))
@@ -185,11 +189,6 @@ def _accept_pose(context: Context, state: JointState, candidate: PoseCandidate) 
     # Except at the start with a known object, little is learned from the first pose of a missing object.
     is_relocalized = state.motion.n_missed > 0 and not state.last.is_fixed
     is_uncertain = is_relocalized and rotation_sd > context.options.max_relocalized_rotation_sd
-    contradicts = is_mostly_contradicted(state.f_ratios, context.options)
-    if frame.time_offsets.any():  # few frames are no evidence: the object may just have started or stopped
-        contradicts &= len(state.f_ratios) >= context.options.n_pooled_f_ratios
-    else:
-        contradicts |= is_contradicted(agreements, state.frames.by_number, state.last, context.options)
     solved = SolvedFrame(
         frame.number,
         frame.time,
@@ -199,7 +198,7 @@ def _accept_pose(context: Context, state: JointState, candidate: PoseCandidate) 
         compute_viewpoints(context.rig, pose),
         np.array([a.has_features for a in agreements]) & (candidate.has_moved and not is_uncertain),
         compute_full_weight_age([a.ages for a in agreements]),
-        is_contradicted=contradicts,
+        is_contradicted=is_contradicted(agreements, state.frames.by_number, state.last, context.options),
         twist=candidate.twist,
     )
     return AcceptedPose(
@@ -277,9 +276,15 @@ def is_mostly_contradicted(f_ratios: tuple[float, ...], options: TrackingOptions
 
 
 def _compute_f_ratio(agreements: Agreements, min_kept: int = 2) -> float:
-    """Return the F ratio of a pose; NaN without evidence."""
+    """Return the F ratio of a pose; NaN without evidence.
+
+    Where the object hardly moves as seen from some cameras, they have no evidence but agree: a camera that sees another
+    body is then one of more than `min_kept`.
+    """
     excess = np.array([agreement.evidence.excess for agreement in agreements])
-    return float(compute_f_ratio(excess, min_kept))
+    counts = np.array([(agreement.n_inlier_matches, agreement.n_matches) for agreement in agreements])
+    agrees = (counts[:, 0] >= MIN_MATCHES) & (counts[:, 0] > MIN_AGREEING_SHARE * counts[:, 1])
+    return float(compute_f_ratio(excess, max(1, min_kept - int(np.count_nonzero(agrees & np.isnan(excess))))))
 
 
 def _undetected_motion_covariance(context: Context, pose: RigidTransform, radius: float) -> FloatArray:

@@ -20,10 +20,18 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.features.klt import Tracks, start_tracks, to_gray, track_features
 from sylpose.features.search_windows import SearchWindows
-from sylpose.features.sift import MAX_FAINT_FEATURES, MAX_FEATURES, Features, detect_features, find_static_features
+from sylpose.features.sift import (
+    MAX_FAINT_FEATURES,
+    MAX_FEATURES,
+    Features,
+    detect_features,
+    find_static_features,
+    match_features,
+)
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 from sylpose.geometry.future import BackgroundResult
+from sylpose.geometry.matrices import essential_matrix, rotation_matrix_of, sampson_scale
 from sylpose.landmarks.landmark_filter import (
     KNOWN_DEPTH_RATIO,
     DepthPrior,
@@ -562,6 +570,32 @@ class CameraTracker:
             len(np.unique(collect_features(self.match_near(current, references, own)))) for own in areas
         )
         return near, float(np.mean(by_chance))
+
+    def count_following(self, images: FrameSet, first: SolvedFrame, pose: RigidTransform) -> tuple[float, float]:
+        """Count the matches with the first frame that moved as the object did: inside, and outside of its region there.
+
+        Those expected by chance, displaced in random directions, are subtracted.
+
+        Args:
+            pose: world_from_object of the images.
+        """
+        if first.number not in self.frames:
+            return 0.0, 0.0
+        camera_from_world = self.camera.camera_from_world
+        motion = camera_from_world * pose * first.world_from_object.inv() * camera_from_world.inv()
+        essential = essential_matrix(rotation_matrix_of(motion), motion.translation)
+        current = self.detect(self.view_of(images), None, max_pixels=MAX_SEARCH_PIXELS)
+        counts = []
+        for earlier in (self.frames[first.number].features, self.background_features):
+            i, j = match_features(earlier, current).T
+            before_px, after_px = earlier.pixels[i], current.pixels[j]
+            x, y = (np.insert(self.camera.normalize(pixels), 2, 1.0, axis=1) for pixels in (before_px, after_px))
+            residual_px = np.abs((y @ essential * x).sum(axis=1)) / sampson_scale(essential, x, y) * self.camera.focal
+            displacement_px = np.linalg.norm(after_px - before_px, axis=1)
+            has_moved = displacement_px > self.static_px
+            by_chance = np.arcsin(self.static_px / displacement_px[has_moved]) * (2.0 / np.pi)
+            counts.append(float(((residual_px[has_moved] < self.static_px) - by_chance).sum()))
+        return counts[0], counts[1]
 
     # --- update after a frame is accepted -----------------------------------------------------------------------------
 

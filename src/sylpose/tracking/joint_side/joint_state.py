@@ -586,7 +586,7 @@ class JointState:
         refinement: state of the joint refinement.
         nudges: rotations of cameras, in order of time.
         is_feature_poor: whether features of normal contrast are barely enough for tracking.
-        is_ambiguous: whether another body that moves might be the object.
+        ambiguity: why another body might be the object; empty if it is certain.
         f_ratios: the last known F ratios (`camera_evidence`).
     """
 
@@ -596,7 +596,7 @@ class JointState:
     refinement: Refinement = field(default_factory=Refinement)
     nudges: tuple[Nudge, ...] = ()
     is_feature_poor: bool = False
-    is_ambiguous: bool = False
+    ambiguity: str = ""
     f_ratios: tuple[float, ...] = ()
 
     @property
