@@ -248,6 +248,8 @@ def _check_arguments(
             raise ValueError(f"calibration_prior: not for the rig's {n} cameras")
     if check_bool(recalibrate, "recalibrate") and calibration_prior is None:
         raise ValueError("recalibrate: requires a calibration_prior")
+    if recalibrate and calibration_prior is not None and calibration_prior.covariance is not None:
+        raise ValueError("recalibrate: the calibration_prior is of a calibration from the same observations")
     for m in moved_cameras:
         check_integer(m.camera, "moved_cameras: camera", maximum=n - 1)
     if on_iteration is not None and not callable(on_iteration):

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from sylpose.bundle_adjustment.calibration_refinement import CalibrationPrior
 from sylpose.geometry.arrays import FloatArray
+from sylpose.io.calibration.world import World, transform_rig
 from sylpose.results import FramePose
 from sylpose.rig import Rig
 from sylpose.rig_calibration.camera_tracks import RefinedTrack, refine_track, reverse_depth
@@ -17,7 +19,7 @@ from sylpose.rig_calibration.from_motion import MotionCalibration, calibrate_fro
 from sylpose.rig_calibration.motion_bundle import N_CAMERA_PARAMETERS, transform_covariance
 from sylpose.rig_calibration.relative_motions import MotionRefusedError
 from sylpose.simulate import arc, box
-from sylpose.smoothing import Track
+from sylpose.smoothing import Track, smooth_tracks
 from sylpose.status import FrameStatus
 from sylpose.tracking.camera_side.frame import LandmarkObservations
 from tests.rig_calibration.test_relative_motions import RADIUS, tumble
@@ -124,6 +126,89 @@ def test_scale_is_free_and_can_be_set() -> None:
     truth = float(np.linalg.norm(RIG[0].center - RIG[1].center))
     metric = found.rescale(truth / float(np.linalg.norm(found.calibration.rig[1].center)), "m")
     assert metric.object_length == pytest.approx(np.linalg.norm([0.2, 0.15, 0.17]), rel=0.15)
+
+
+def test_known_distance_is_exact_in_the_covariance() -> None:
+    """The sd of a known distance is 0, that of the others in another world the same; a length's is relative."""
+    found = calibrate()
+
+    def distance_sd(its: MotionCalibration, a: int, b: int) -> float:
+        rig, g = its.calibration.rig, np.zeros((len(RIG), N_CAMERA_PARAMETERS))
+        between = rig[a].center - rig[b].center
+        g[a, 3:6] = between / np.linalg.norm(between)
+        g[b, 3:6] = -g[a, 3:6]
+        return float(np.sqrt(max(float(g.ravel() @ its.covariance @ g.ravel()), 0.0)) / np.linalg.norm(between))
+
+    names = found.calibration.rig.names
+    known = found.rescale(3.0, "m", exact=(names[1], names[2]))
+    assert distance_sd(known, 1, 2) < 1e-3 * distance_sd(known, 0, 1)
+    rough = found.rescale(3.0, "m", sd=0.1)
+    assert distance_sd(rough, 0, 1) == pytest.approx(0.1, rel=0.01)
+    world = transform_rig(
+        known.calibration.rig, World(RigidTransform.from_rotation(Rotation.random(rng=0)), unit="m", world_unit="m")
+    )
+    located = known.locate(world)
+    assert distance_sd(located, 0, 2) == pytest.approx(distance_sd(known, 0, 2))
+    turned, straight = (its.calibration.extrinsics_covariance for its in (located, known))
+    np.testing.assert_allclose(turned, straight, rtol=1e-6, atol=1e-12 * np.abs(straight).max())
+
+
+def observe_jointly(found: MotionCalibration, path: RigidTransform, seed: int) -> list[Track]:
+    """Return what a tracker of all cameras would yield: landmarks in the object's frame, rough poses."""
+    rig, rng = found.calibration.rig, np.random.default_rng(seed)
+    alone = observe(RIG, path, seed)
+    tracks = []
+    scale = float(np.linalg.norm(rig[1].center) / np.linalg.norm(RIG[1].center - RIG[0].center))
+    poses = true_poses(path, scale)
+    for k in range(len(path)):
+        observations = []
+        for c, camera in enumerate(RIG):
+            its = alone[c][k].observations[0]
+            # A camera's own landmarks are in its axes of the first frame, in units of the first distance.
+            pose = camera.camera_from_world * path[0]
+            points = pose.rotation.inv().apply(its.positions * float(np.linalg.norm(pose.translation)))
+            points = poses[0].rotation.apply(points * scale)
+            observations.append(replace(its, positions=points))
+        R = poses[k].rotation * poses[0].rotation.inv()
+        rough = Rotation.from_rotvec(0.01 * rng.normal(size=3) * (k > 0)) * R
+        pose = RigidTransform.from_components(poses[k].translation, rough)
+        frame = replace(alone[0][k].pose, world_from_object=pose, inliers=np.full(3, 100), residuals=np.full(3, 0.3))
+        tracks.append(Track(frame, tuple(observations), np.zeros(3), RADIUS * scale))
+    return tracks
+
+
+def true_poses(path: RigidTransform, scale: float) -> RigidTransform:
+    """Return the object's poses in the axes of the first camera, in the calibration's lengths."""
+    poses = RIG[0].camera_from_world * path
+    return RigidTransform.from_components(scale * poses.translation, poses.rotation)
+
+
+def test_poses_include_the_errors_of_the_calibration() -> None:
+    """Squared errors over covariances are about 1 with the calibration's covariance, and far more without it."""
+    squares: dict[bool, list[FloatArray]] = {True: [], False: []}
+    for seed in range(3):
+        path = make_path(seed)
+        found = calibrate(seed)
+        names = found.calibration.rig.names
+        found = found.rescale(1.0, "", exact=(names[0], names[1]))
+        tracks, rig = observe_jointly(found, path, seed), found.calibration.rig
+        truth = true_poses(path, float(np.linalg.norm(rig[1].center) / np.linalg.norm(RIG[1].center - RIG[0].center)))
+        for is_included, its in squares.items():
+            prior = CalibrationPrior.from_covariance(found.covariance * (1.0 if is_included else 1e-12))
+            poses = smooth_tracks(tracks, rig, calibration_prior=prior).poses
+            first = poses[0].world_from_object
+            assert first is not None
+            for k, pose in enumerate(poses[1:], start=1):
+                assert pose.world_from_object is not None
+                R = truth[k].rotation * truth[0].rotation.inv()
+                w = (R * pose.world_from_object.rotation.inv()).as_rotvec()
+                d = truth[k].translation - truth[0].translation
+                d = d - pose.world_from_object.translation + first.translation
+                blocks = zip((w, d), (slice(0, 3), slice(3, 6)), strict=True)
+                its.append(np.array([e @ np.linalg.solve(pose.covariance[s, s], e) / 3.0 for e, s in blocks]))
+    included, ignored = (np.mean(its, axis=0) for its in squares.values())
+    assert ((included > 0.3) & (included < 1.5)).all()
+    assert ignored[1] > 10.0 * included[1]
 
 
 def test_wrong_focal_lengths_are_estimated() -> None:

@@ -47,12 +47,23 @@ class CalibrationPrior:
         predecessor: (C,) a camera that was moved becomes two, one after the other: index of its predecessor, -1 without
             one. The predecessor's errors still apply; rotation and translation are relative to it, and its lens is
             shared.
+        covariance: (10 C, 10 C) of the errors of the C cameras that were not moved, columns as in
+            `CalibrationCorrection.values`, in place of the standard deviations; None: errors are independent. The
+            calibration came from the same observations, which therefore do not change its uncertainty.
     """
 
     rotation_sd: FloatArray
     translation_sd: FloatArray
     lens: FloatArray
     predecessor: IntArray
+    covariance: FloatArray | None = None
+
+    @classmethod
+    def from_covariance(cls, covariance: FloatArray) -> CalibrationPrior:
+        """Return the uncertainty of C cameras that were calibrated from the same observations, (10 C, 10 C)."""
+        variances = np.maximum(np.diag(covariance), 0.0).reshape(-1, 6 + N_LENS_PARAMETERS)
+        rotation, translation = (np.sqrt(variances[:, k : k + 3].mean(axis=1)) for k in (0, 3))
+        return cls(rotation, translation, np.sqrt(variances[:, 6:]), np.full(len(variances), -1), covariance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,6 +134,7 @@ def add_moved_cameras(rig: Rig, prior: CalibrationPrior, moved: Sequence[MovedCa
         np.append(prior.translation_sd, np.full(len(moved), translation_sd)),
         np.vstack([prior.lens, prior.lens[[m.camera for m in moved]]]),
         np.append(prior.predecessor, np.array(predecessors, np.int64)),
+        prior.covariance,
     )
 
 
@@ -138,11 +150,17 @@ def add_calibration_parameters(parameters: CameraParameters, rig: Rig, prior: Ca
         own[c, ROTATION:TRANSLATION, 6 * c : 6 * c + 3] = prior.rotation_sd[c] * np.eye(3)
         own[c, TRANSLATION:LENS, 6 * c + 3 : 6 * c + 6] = prior.translation_sd[c] * np.eye(3)
     pose_columns = (6 * first[:, None] + np.arange(6)).ravel()
-    projector = _common_motion_projector([rig.cameras[c] for c in first], prior, first)
-    own[:, :, pose_columns] = own[:, :, pose_columns] @ projector
-    for i, c in enumerate(first.tolist()):
-        lens = 6 * n + N_LENS_PARAMETERS * i
-        own[c, LENS:, lens : lens + N_LENS_PARAMETERS] = np.diag(prior.lens[c])
+    if prior.covariance is None:
+        projector = _common_motion_projector([rig.cameras[c] for c in first], prior, first)
+        own[:, :, pose_columns] = own[:, :, pose_columns] @ projector
+        for i, c in enumerate(first.tolist()):
+            lens = 6 * n + N_LENS_PARAMETERS * i
+            own[c, LENS:, lens : lens + N_LENS_PARAMETERS] = np.diag(prior.lens[c])
+    else:
+        values, vectors = np.linalg.eigh(prior.covariance)
+        columns = np.concatenate([pose_columns, np.arange(6 * n, k)])
+        root = (vectors * np.sqrt(np.maximum(values, 0.0))).reshape(len(first), -1, len(columns))
+        own[np.ix_(first, np.arange(ROTATION, width), columns)] = root
     for c, predecessor in enumerate(prior.predecessor.tolist()):
         if predecessor >= 0:
             own[c] += own[predecessor]
@@ -152,7 +170,9 @@ def add_calibration_parameters(parameters: CameraParameters, rig: Rig, prior: Ca
     spread[:, :, parameters.basis.shape[2] :] = own
     is_initial = np.repeat(prior.predecessor < 0, 6)
     added = np.concatenate([is_initial, np.ones(k - 6 * n, bool)])
-    is_calibration, fixed = (np.concatenate([x, added]) for x in (parameters.is_calibration, parameters.fixed))
+    fixed = np.concatenate([parameters.fixed, added])
+    # What the same observations determined, they neither scale nor update.
+    is_calibration = np.concatenate([parameters.is_calibration, added & (prior.covariance is None)])
     return CameraParameters(mean, spread, parameters.n_offsets, is_calibration, 1.0, fixed)
 
 

@@ -3,28 +3,76 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from sylpose.commands.app import INPUT, command, exit_with_failures, option
-from sylpose.commands.motion_calibration import MotionOptions, calibrate_without_board
-from sylpose.commands.options import parse_frame_offsets, parse_video_option
+import typer
+
+from sylpose.commands.app import INPUT, OUTPUT, command, exit_with_failures, option
+from sylpose.commands.options import (
+    BoxesFile,
+    FrameOffset,
+    RangeOptions,
+    WorldOptions,
+    parse_frame_offsets,
+    parse_video_option,
+)
+from sylpose.commands.self_calibration import SelfCalibrationOptions, calibrate_recording, print_calibration
 from sylpose.input_limits import print_message
 
 if TYPE_CHECKING:
     from sylpose.io.capture import Session
 
 
+FILE = "calibration.toml"
+
+
 @dataclass(frozen=True, kw_only=True)
-class CalibrateOptions(MotionOptions):
+class CalibrateOptions(SelfCalibrationOptions, WorldOptions, RangeOptions):
     """Options of `sylpose calibrate`.
 
     Attributes:
+        session: Folder with one video (cam_0.mp4) or one folder of images per camera.
         board: Calibrate from this board, such as charuco:5x7,square=40mm,marker=30mm,dict=4X4_50.
         every: Use every N-th frame, with a board.
+        boxes: Without a board: read the object's boxes in the first frame from this file; default: boxes.toml in SESSION,
+            else what moves.
+        video: Assign a video or image folder to a camera, instead of all in SESSION. Repeatable.
+        exclude_camera: Leave out a camera. Repeatable.
+        unit: Set the length unit of the calibration; default: that of the board or of the known length.
+        out: Write the calibration here; default: SESSION/calibration.toml if that does not exist.
     """
 
+    session: Annotated[Path, typer.Argument(metavar="SESSION")]
+    boxes: BoxesFile = None
+    frame_offset: FrameOffset = ()
+    video: Annotated[tuple[str, ...], option("--video NAME=FILE", INPUT)] = ()
+    exclude_camera: Annotated[tuple[str, ...], option("--exclude-camera CAM", INPUT)] = ()
+    out: Annotated[Path | None, option("--out FILE", OUTPUT)] = None
     board: Annotated[str | None, option("--board BOARD", INPUT)] = None
     every: Annotated[int, option("--every N", INPUT, min=1)] = 1
+
+    @property
+    def file(self) -> Path:
+        """Return the file to write; an existing one is replaced only if it was named."""
+        if self.out is not None:
+            return self.out
+        if (file := self.session / FILE).exists():
+            raise ValueError(f"{file} exists; name the file to write with --out FILE")
+        return file
+
+    def open_with_lenses(self) -> Session:
+        """Open the recording with the intrinsics."""
+        from sylpose.io.capture import open_session
+
+        return open_session(
+            self.session,
+            calibration=self.intrinsics,
+            boxes=self.boxes,
+            cameras=parse_video_option(self.video),
+            offsets=parse_frame_offsets(self.frame_offset),
+            without=self.exclude_camera,
+        )
 
     def open_uncalibrated(self) -> Session:
         """Open the recording without a calibration."""
@@ -70,7 +118,7 @@ def calibrate(options: CalibrateOptions) -> None:
     if options.board is None and options.every > 1:
         raise ValueError("--every: only with --board; tracking needs all frames")
     if options.board is None:
-        calibrate_without_board(options)
+        _calibrate_without_board(options)
         return
     file, unit = options.file, runs.choose_unit(options.board, options.unit)
     board, session = parse_board(options.board, unit), options.open_uncalibrated()
@@ -108,5 +156,27 @@ def calibrate(options: CalibrateOptions) -> None:
     page = file.with_suffix(".html")
     calibration_page.write_calibration_page(calibration, session.path.resolve().name, options.board, page)
     console_output.print_files(console, "Files", [file, page])
+    if lost:
+        print_message(f"{file}: {lost}")
+
+
+def _calibrate_without_board(options: CalibrateOptions) -> None:
+    """Calibrate all cameras from an object that moves in the recording, print and write the result."""
+    from sylpose.atomic_io import make_output_folder
+    from sylpose.runs import console_output
+    from sylpose.runs.calibrate import write_calibration
+    from sylpose.runs.self_calibration import describe_tests
+
+    file, session, console = options.file, options.open_with_lenses(), console_output.make_console()
+    make_output_folder(file.parent)
+    console.print(console_output.format_headline(session))
+    console_output.print_warnings(console, session.warnings)
+    found = calibrate_recording(session, options, (options.start, options.stop), options.unit, console)
+    rig = found.calibration.rig
+    located = options.apply_to(session.select_cameras(rig.names).with_rig(rig))
+    found = found.locate(located.rig)
+    print_calibration(console, found)
+    lost = write_calibration(found.calibration, file, describe_tests(found))
+    console_output.print_files(console, "Calibration", [file])
     if lost:
         print_message(f"{file}: {lost}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -24,13 +24,17 @@ from sylpose.commands.options import (
     Smooth,
     WorldOptions,
 )
+from sylpose.commands.self_calibration import SelfCalibrationOptions, calibrate_recording, print_calibration
 from sylpose.input_limits import print_message
 from sylpose.methods import MODES, format_methods_table
 
 if TYPE_CHECKING:
+    from sylpose.bundle_adjustment.calibration_refinement import CalibrationPrior
     from sylpose.io.capture import Session
     from sylpose.io.capture.live import LiveSession
+    from sylpose.rig_calibration.from_motion import MotionCalibration
     from sylpose.runs.options import RunOptions
+    from sylpose.runs.run_result import Run
     from sylpose.tracking.options import TrackingOptions
 
 
@@ -39,16 +43,19 @@ _NOT_LIVE = {
     "exclude_camera": "of live cameras and growing folders, all cameras of the calibration are used",
     "video": "live.toml assigns live cameras, and growing folders are assigned by name",
     "frame_offset": "frames of live cameras are matched by their timestamps; set delays with --offsets FILE",
+    "self_calibrate": "only recordings can be tracked twice",
     "resume": "a live session cannot be resumed",
 }
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrackOptions(DisplayOptions, MethodOptions, WorldOptions, RangeOptions, RecordingOptions):
+class TrackOptions(SelfCalibrationOptions, DisplayOptions, MethodOptions, WorldOptions, RangeOptions, RecordingOptions):
     """Options of `sylpose track`.
 
     Attributes:
         method: Select the estimation method; see below.
+        self_calibrate: First calibrate the cameras from the object that moves, as sylpose calibrate does, with the lenses
+            of --intrinsics, or of --calibration; its poses are ignored.
         known: Without boxes, track body N of those that `sylpose check` draws; or express poses in the frame of an
             object.npz from another recording; for several objects, repeat with NAME=FILE.
         offsets: Read the cameras' time offsets in seconds (TOML); default: SESSION/offsets.toml if present.
@@ -63,6 +70,7 @@ class TrackOptions(DisplayOptions, MethodOptions, WorldOptions, RangeOptions, Re
         limit: Set a limit or size of the tracker, a field of TrackingOptions. Repeatable.
     """
 
+    self_calibrate: Annotated[bool, option("--self-calibrate", INPUT)] = False
     boxes: BoxesFile = None
     known: Annotated[tuple[str, ...], option("--object N|[NAME=]FILE", OBJECT)] = ()
     frame_offset: FrameOffset = ()
@@ -83,8 +91,19 @@ class TrackOptions(DisplayOptions, MethodOptions, WorldOptions, RangeOptions, Re
     limit: Annotated[tuple[str, ...], option("--set NAME=VALUE", ADVANCED)] = ()
     seed: Seed = 0
 
+    def __post_init__(self) -> None:
+        """Check that options of the calibration come with it."""
+        super().__post_init__()
+        if self.self_calibrate:
+            return
+        for name in ("intrinsics", "free", "distance", "object_length"):
+            if getattr(self, name):
+                raise ValueError(f"--{name.replace('_', '-')}: only with --self-calibrate")
+
     def open_session(self) -> Session | LiveSession:
         """Open the recording, or with `follow` or a live.toml the live session, in the requested world and unit.
+
+        A recording whose cameras are still to be calibrated keeps the world and unit of its file.
 
         Raises:
             ValueError, OSError: as `open_session` and `open_live`; options that do not apply to the kind of session.
@@ -94,6 +113,9 @@ class TrackOptions(DisplayOptions, MethodOptions, WorldOptions, RangeOptions, Re
         if not (self.follow or is_live(self.session)):
             if self.no_drop:
                 raise ValueError("--no-drop requires --follow (growing folders)")
+            if self.self_calibrate:
+                lenses = replace(self, calibration=self.intrinsics or self.calibration)
+                return lenses.open(self.boxes, self.frame_offset)
             return self.apply_to(self.open(self.boxes, self.frame_offset))
         for name, reason in _NOT_LIVE.items():
             if getattr(self, name):
@@ -109,7 +131,30 @@ class TrackOptions(DisplayOptions, MethodOptions, WorldOptions, RangeOptions, Re
         )
         return self.apply_to(live)
 
-    def run_options(self, session: Session | LiveSession) -> RunOptions:
+    def calibrate(self, session: Session) -> tuple[Session, MotionCalibration]:
+        """Calibrate a recording's cameras from the object that moves; return it in the requested world and unit.
+
+        Raises:
+            typer.Exit: the motion does not determine the cameras.
+            ValueError: as `calibrate_recording` and `apply_to`; options that cannot go with it.
+        """
+        from sylpose.commands.track_display import STDOUT
+        from sylpose.runs import console_output
+
+        if self.resume or self.refine_calibration:
+            name = "--resume" if self.resume else "--refine-calibration"
+            raise ValueError(f"{name}: not with --self-calibrate, which calibrates from all frames")
+        console = console_output.make_console(stderr=self.stream == STDOUT, quiet=self.quiet)
+        found = calibrate_recording(session, self, (self.start, self.stop), self.unit, console)
+        rig = found.calibration.rig
+        session = self.apply_to(session.select_cameras(rig.names).with_rig(rig))
+        found = found.locate(session.rig)
+        print_calibration(console, found)
+        return session, found
+
+    def run_options(
+        self, session: Session | LiveSession, calibration_prior: CalibrationPrior | None = None
+    ) -> RunOptions:
         """Return the options of the run, with the files of objects and time offsets read.
 
         Raises:
@@ -126,7 +171,8 @@ class TrackOptions(DisplayOptions, MethodOptions, WorldOptions, RangeOptions, Re
         candidate = int(numbers[0]) if numbers else None
         tracking = parse_tracking_options(self.limit)
         offsets = find_offsets(session, self.offsets)
-        return pick(self, RunOptions, offsets=offsets, known=known, candidate=candidate, tracking=tracking)
+        changes = {"offsets": offsets, "known": known, "candidate": candidate, "tracking": tracking}
+        return pick(self, RunOptions, calibration_prior=calibration_prior, **changes)
 
 
 def parse_tracking_options(texts: Sequence[str]) -> TrackingOptions:
@@ -161,17 +207,32 @@ def track(options: TrackOptions) -> None:
     Examples:
         sylpose track recording
         sylpose track recording --boxes first_frame.toml --out results
+        sylpose track recording --self-calibrate --intrinsics lenses.toml --distance cam_0:cam_1=1.52m
         sylpose track recording --start 100 --stop 400 --every 2 --frame-offset cam_2=5
     """
+    from sylpose.bundle_adjustment.calibration_refinement import CalibrationPrior
     from sylpose.commands.track_display import track_in_terminal
+    from sylpose.io.capture import Session
+    from sylpose.runs.calibrate import write_calibration
     from sylpose.runs.check import check_session, describe_axis_miss, explain_failures
     from sylpose.runs.run import has_finished, output_path
+    from sylpose.runs.self_calibration import CALIBRATION, describe_tests
 
-    session = options.open_session()
+    session, prior, found = options.open_session(), None, None
+    if options.self_calibrate:
+        assert isinstance(session, Session)
+        session, found = options.calibrate(session)
+        prior = CalibrationPrior.from_covariance(found.covariance)
     if options.resume and has_finished(session, options.out):
         print(f"{output_path(session, options.out)}: the run there has ended; there is nothing to resume")
         return
-    run = track_in_terminal(session, options.out, options.run_options(session), options)
+
+    def write_found(_: Run) -> None:
+        if found is not None:
+            folder = output_path(session, options.out)
+            write_calibration(found.calibration, folder / CALIBRATION, describe_tests(found))
+
+    run = track_in_terminal(session, options.out, options.run_options(session, prior), options, on_end=write_found)
     missing = explain_failures(session, run)
     # Warnings from the start of the run may be the cause and have scrolled away: repeat them.
     hints = (*check_session(session, options.start), describe_axis_miss(session.rig)) if missing else ()

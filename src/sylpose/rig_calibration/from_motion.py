@@ -50,6 +50,9 @@ class MotionCalibration:
         distance: mean distance of the first camera from the object.
         object_length: longest extent of the object's observed surface, in the same unit.
         freed: what was estimated of the lenses.
+        covariance: (10 C, 10 C) of all cameras' errors relative to the first: by camera (w, d) of its pose, R = exp(w) R̂
+            and d of its center in world axes, and its lens (`CalibrationPrior`); for the scale that keeps the rms distance
+            of the cameras from the first, or as `rescale` sets it.
     """
 
     calibration: RigCalibration
@@ -58,19 +61,57 @@ class MotionCalibration:
     distance: float
     object_length: float
     freed: tuple[str, ...]
+    covariance: FloatArray
 
-    def rescale(self, factor: float, unit: str) -> MotionCalibration:
-        """Return the same with lengths times a factor, in a unit."""
+    def rescale(
+        self, factor: float, unit: str, *, exact: tuple[str, str] | None = None, sd: float = 0.0
+    ) -> MotionCalibration:
+        """Return the same with lengths times a factor, in a unit.
+
+        Args:
+            factor: the factor.
+            unit: unit of the result.
+            exact: names of two cameras whose distance is known.
+            sd: relative standard deviation of the factor.
+        """
         cameras = []
         for camera in self.calibration.rig:
             pose = camera.camera_from_world
             scaled = RigidTransform.from_components(factor * pose.translation, pose.rotation)
             cameras.append(replace(camera, camera_from_world=scaled))
-        lengths = np.repeat([1.0, factor], 3)
-        covariance = self.calibration.extrinsics_covariance * np.outer(lengths, lengths)
-        calibration = replace(self.calibration, rig=Rig(cameras, unit), extrinsics_covariance=covariance)
+        rig, n = Rig(cameras, unit), len(cameras)
+        lengths = np.ones((n, N_CAMERA_PARAMETERS))
+        lengths[:, 3:6] = factor
+        stretch = np.zeros((n, N_CAMERA_PARAMETERS))
+        stretch[:, 3:6] = [camera.center for camera in rig]
+        J = np.diag(lengths.ravel())
+        if exact is not None:
+            a, b = map(rig.names.index, exact)
+            gradient = np.zeros((n, N_CAMERA_PARAMETERS))
+            gradient[a, 3:6] = rig[a].center - rig[b].center
+            gradient[b, 3:6] = -gradient[a, 3:6]
+            J = J - np.outer(stretch, gradient.ravel() @ J) / (gradient.ravel() @ stretch.ravel())
+        covariance = J @ self.covariance @ J.T + sd**2 * np.outer(stretch, stretch)
+        blocks = _extrinsics_covariance(rig, covariance)
+        calibration = replace(self.calibration, rig=rig, extrinsics_covariance=blocks)
         distance, length = factor * self.distance, factor * self.object_length
-        return replace(self, calibration=calibration, distance=distance, object_length=length)
+        return replace(self, calibration=calibration, distance=distance, object_length=length, covariance=covariance)
+
+    def locate(self, rig: Rig) -> MotionCalibration:
+        """Return the same with its rig in another world, and the axes and unit of the covariance as well.
+
+        Args:
+            rig: the same cameras there.
+        """
+        old, new = (np.array([camera.center for camera in its]) for its in (self.calibration.rig, rig))
+        factor = float(np.linalg.norm(new - new[0]) / np.linalg.norm(old - old[0]))
+        J, axes = np.eye(len(self.covariance)), factor * rig[0].rotation.T @ self.calibration.rig[0].rotation
+        for k in range(3, len(J), N_CAMERA_PARAMETERS):
+            J[k : k + 3, k : k + 3] = axes
+        covariance = J @ self.covariance @ J.T
+        calibration = replace(self.calibration, rig=rig, extrinsics_covariance=_extrinsics_covariance(rig, covariance))
+        distance, length = factor * self.distance, factor * self.object_length
+        return replace(self, calibration=calibration, distance=distance, object_length=length, covariance=covariance)
 
 
 def calibrate_from_motion(
@@ -121,7 +162,9 @@ def calibrate_from_motion(
             "lenses are inexact"
         )
     calibration = _make_calibration(joint, [pairs[k][1] for k in start.cameras], warnings)
-    return MotionCalibration(calibration, tuple(tests), left_out, joint.distance, joint.object_length, freed)
+    return MotionCalibration(
+        calibration, tuple(tests), left_out, joint.distance, joint.object_length, freed, joint.covariance
+    )
 
 
 def _bundle(
@@ -251,18 +294,28 @@ def _extend(
 
 def _make_calibration(joint: JointBundle, tracks: Sequence[RefinedTrack], warnings: Sequence[str]) -> RigCalibration:
     """Make the calibration, with covariances in the conventions of `RigCalibration`."""
-    extrinsics, lenses = np.zeros((len(joint.rig), 6, 6)), []
+    lenses = []
     for c, camera in enumerate(joint.rig):
-        k = c * N_CAMERA_PARAMETERS
-        pose, lens = (joint.covariance[a:b, a:b] for a, b in ((k, k + 6), (k + 6, k + N_CAMERA_PARAMETERS)))
-        # t = -R o: its error is w x t - R d.
-        J = np.eye(6)
-        J[3:, :3], J[3:, 3:] = -np.cross(np.eye(3), camera.camera_from_world.translation), -camera.rotation
-        extrinsics[c] = J @ pose @ J.T
+        lens = slice(c * N_CAMERA_PARAMETERS + 6, (c + 1) * N_CAMERA_PARAMETERS)
         L = np.zeros((4 + len(camera.distortion), N_LENS_PARAMETERS))
         L[[0, 1], 0] = camera.matrix[[0, 1], [0, 1]]
         L[[2, 3, 4], [1, 2, 3]] = 1.0
-        lenses.append(L @ lens @ L.T)
+        lenses.append(L @ joint.covariance[lens, lens] @ L.T)
     views = np.array([len(its.track.frames) for its in tracks])
     rms = np.sqrt(2.0) * joint.sigma_px
+    extrinsics = _extrinsics_covariance(joint.rig, joint.covariance)
     return RigCalibration(joint.rig, extrinsics, tuple(lenses), views, joint.n_points, rms, (), tuple(warnings))
+
+
+def _extrinsics_covariance(rig: Rig, covariance: FloatArray) -> FloatArray:
+    """Return (C, 6, 6) covariances in the conventions of `RigCalibration` from those of `MotionCalibration`."""
+    blocks = np.zeros((len(rig), 6, 6))
+    for c, camera in enumerate(rig):
+        pose = slice(c * N_CAMERA_PARAMETERS, c * N_CAMERA_PARAMETERS + 6)
+        # t = -R o: its error is w x t - R d.
+        J = np.eye(6)
+        J[3:, :3], J[3:, 3:] = -np.cross(np.eye(3), camera.camera_from_world.translation), -camera.rotation
+        blocks[c] = J @ covariance[pose, pose] @ J.T
+        # A known distance has no variance, which must not become negative by rounding.
+        np.fill_diagonal(blocks[c], np.maximum(np.diag(blocks[c]), 0.0))
+    return blocks

@@ -76,6 +76,7 @@ class ObjectOutput:
         self.folder, self._rig, self._clock = make_output_folder(folder), rig, clock
         self.changes: list[str] = []
         self._has_velocity = options.velocity
+        self._calibration_prior = options.calibration_prior
         self._recalibrate, self._note, self._known = options.refine_calibration, note, known
         self._angles = None if options.angles is None else parse_euler_angles(options.angles)
         self._album, self._warnings = album, warnings
@@ -167,11 +168,10 @@ class ObjectOutput:
             tracks = list(track_file.read())
             corrections = tracks[-1].nudges if tracks else ()
             moved = find_moved_cameras(self.trajectory, corrections) if self._recalibrate else []
-            inflation = default_calibration_prior(self._rig)
             result = smooth_tracks(
                 tracks,
                 self._rig,
-                calibration_prior=inflation,
+                calibration_prior=self._calibration_prior or default_calibration_prior(self._rig),
                 recalibrate=self._recalibrate,
                 moved_cameras=moved,
                 on_iteration=on_round,

@@ -6,15 +6,58 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
+from dataclasses import dataclass
 
 import numpy as np
 
+from sylpose.display import format_length
 from sylpose.frames import FrameSet
+from sylpose.geometry.validation import check_type
 from sylpose.io.capture import Session
 from sylpose.rig_calibration.camera_tracks import RefinedTrack, make_single_rig, refine_track, track_alone
-from sylpose.rig_calibration.from_motion import MotionCalibration
+from sylpose.rig_calibration.from_motion import MotionCalibration, calibrate_from_motion
 from sylpose.rig_calibration.motion_bundle import LENS_SD
 from sylpose.units import METERS, parse_length_with_unit
+
+# File of the calibration, next to the results that were tracked with it.
+CALIBRATION = "calibration.toml"
+# Relative standard deviation of the object's measured length (measured: docs/calibrating.md; its ends must be seen).
+OBJECT_LENGTH_SD = 0.1
+
+
+def self_calibrate(
+    session: Session,
+    free: Sequence[str] = (),
+    *,
+    start: int = 0,
+    stop: int | None = None,
+    scale: KnownLength | None = None,
+    unit: str | None = None,
+    on_frame: Callable[[], None] = lambda: None,
+) -> MotionCalibration:
+    """Calibrate a recording's cameras from any rigid object that moves in it, without a board.
+
+    Args:
+        session: a recording of one object by two cameras or more; its lenses are used, its poses are not.
+        free: what is estimated of the lenses, some of "focal", "principal", "distortion".
+        start, stop: frames, as of `Session.frames`.
+        scale: a known length; None: lengths are relative to the first camera's distance from the object.
+        unit: unit of the result; None: that of the known length.
+        on_frame: called after each frame of each camera, from several threads.
+
+    Raises:
+        MotionRefusedError: the motion does not determine the cameras; the message has the reason and the remedy.
+        ValueError: one camera, several objects, or frames outside the recording.
+    """
+    check_type(session, Session, "session")
+    if len(session.objects) > 1:
+        raise ValueError(
+            f"{session.path}: several objects ({', '.join(session.objects)}): give boxes of one by --boxes"
+        )
+    if len(session.rig) < 2:
+        raise ValueError(f"{session.path}: calibrating needs two cameras or more, found {session.rig.names[0]} only")
+    tracks = track_cameras(session, start, stop, on_frame)
+    return set_scale(calibrate_from_motion(session.rig.cameras, tracks, free), scale, unit)
 
 
 def track_cameras(
@@ -69,55 +112,96 @@ def parse_free(text: str) -> tuple[str, ...]:
     return words
 
 
-def parse_distance(text: str, names: Sequence[str]) -> tuple[str, str, float, str]:
-    """Parse a distance of two cameras such as `cam_0:cam_1=1.52m` into their names, the length and its unit.
+@dataclass(frozen=True)
+class KnownLength:
+    """Length that sets the scale of a calibration.
+
+    Attributes:
+        length: in `unit`, which may be "".
+        unit: of the length.
+        cameras: names of the two cameras that are so far apart; None: the object is so long.
+    """
+
+    length: float
+    unit: str
+    cameras: tuple[str, str] | None = None
+
+
+def parse_scale(distance: str | None, object_length: str | None, names: Sequence[str]) -> KnownLength | None:
+    """Parse a distance of two cameras such as `cam_0:cam_1=1.52m`, or the object's length, such as `0.25m`.
 
     Raises:
         ValueError: another form, or cameras that do not exist.
     """
-    pair, equals, length = text.partition("=")
+    if distance is None:
+        return None if object_length is None else KnownLength(*parse_length_with_unit(object_length, "--object-length"))
+    pair, equals, length = distance.partition("=")
     first, colon, second = pair.partition(":")
     if not (equals and colon) or first == second or not {first, second} <= {*names}:
         raise ValueError(
             f"--distance must be CAM:CAM=LENGTH with two of the cameras {', '.join(names)}, such as "
-            f"{names[0]}:{names[-1]}=1.52m; got {text!r}"
+            f"{names[0]}:{names[-1]}=1.52m; got {distance!r}"
         )
-    return first, second, *parse_length_with_unit(length, "--distance")
+    return KnownLength(*parse_length_with_unit(length, "--distance"), (first, second))
 
 
-def set_scale(
-    found: MotionCalibration, distance: tuple[str, str, float, str] | None, object_length: str | None, unit: str | None
-) -> MotionCalibration:
+def set_scale(found: MotionCalibration, scale: KnownLength | None, unit: str | None) -> MotionCalibration:
     """Scale a calibration by a known length, and convert it to a unit.
 
     Args:
         found: the calibration, in relative lengths.
-        distance: as of `parse_distance`.
-        object_length: longest extent of the object, such as `0.25m`.
+        scale: the length; None: lengths remain relative.
         unit: of the result; None: that of the length.
 
     Raises:
         ValueError: a camera that is not in the rig; a unit without a length.
     """
-    rig = found.calibration.rig
-    if distance is not None:
-        first, second, length, own_unit = distance
-        for name in (first, second):
+    if unit is not None and unit not in METERS:
+        raise ValueError(f"--unit must be one of {', '.join(METERS)}, got {unit!r}")
+    if scale is None and unit is not None:
+        raise ValueError("--unit: give a length, --distance CAM:CAM=1.52m or --object-length 0.25m")
+    if scale is None:
+        return found
+    rig, measured, sd = found.calibration.rig, found.object_length, OBJECT_LENGTH_SD
+    if scale.cameras is not None:
+        for name in scale.cameras:
             if name not in rig:
                 raise ValueError(f"--distance: {name} was left out: {found.left_out.get(name, 'not a camera')}")
-        factor = length / float(np.linalg.norm(rig[first].center - rig[second].center))
-    elif object_length is not None:
-        length, own_unit = parse_length_with_unit(object_length, "--object-length")
-        factor = length / found.object_length
-    elif unit is not None:
-        raise ValueError("--unit: give a length, --distance CAM:CAM=1.52m or --object-length 0.25m")
-    else:
-        return found
-    if unit is None or own_unit in ("", unit):
-        return found.rescale(factor, own_unit or unit or "")
-    if unit not in METERS:
-        raise ValueError(f"--unit must be one of {', '.join(METERS)}, got {unit!r}")
-    return found.rescale(factor * METERS[own_unit] / METERS[unit], unit)
+        first, second = (rig[name].center for name in scale.cameras)
+        measured, sd = float(np.linalg.norm(first - second)), 0.0
+    factor = scale.length / measured
+    if unit is not None and scale.unit:
+        factor *= METERS[scale.unit] / METERS[unit]
+    return found.rescale(factor, unit or scale.unit, exact=scale.cameras, sd=sd)
+
+
+def build_camera_rows(found: MotionCalibration) -> list[list[str]]:
+    """Return the cells of a table of the cameras: pose, focal length, frames and residual, with standard deviations."""
+    calibration, rows = found.calibration, []
+    unit = calibration.rig.unit
+    for c, camera in enumerate(calibration.rig):
+        pose_sd = np.sqrt(np.diag(calibration.extrinsics_covariance[c]))
+        angles = np.degrees(camera.camera_from_world.rotation.as_rotvec())
+        focal_sd = float(np.sqrt(calibration.intrinsics_covariance[c][0, 0]))
+        focal = f"{camera.matrix[0, 0]:.1f} px" + (f" ± {focal_sd:.1g}" if "focal" in found.freed else "")
+        row = [camera.name, " ".join(f"{angle:.2f}" for angle in angles)]
+        row.append(f"± {np.degrees(np.linalg.norm(pose_sd[:3])):.1g}°" if c else "")
+        row.append(" ".join(f"{value:.4f}" for value in camera.center))
+        row.append(f"± {format_length(float(np.linalg.norm(pose_sd[3:])), unit)}" if c else "")
+        rows.append([*row, focal, str(calibration.n_views[c]), f"{calibration.rms_px[c]:.2f} px"])
+    return rows
+
+
+def list_warnings(found: MotionCalibration) -> list[str]:
+    """Return what may be wrong with a calibration, and what it lacks, one sentence each."""
+    warnings = [*found.calibration.warnings]
+    warnings += [f"{name} was left out: {reason}" for name, reason in found.left_out.items()]
+    if not found.calibration.rig.unit:
+        warnings.append(
+            "the scale is unknown: give the distance of two cameras (--distance CAM:CAM=1.52m) or the object's longest "
+            "extent (--object-length 0.25m)"
+        )
+    return warnings
 
 
 def describe_tests(found: MotionCalibration) -> list[str]:

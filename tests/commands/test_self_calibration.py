@@ -12,7 +12,8 @@ from scipy.spatial.transform import RigidTransform
 from benchmarks.self_calibration import KINDS, make_scene
 from sylpose.commands.main import main
 from sylpose.io import calibration
-from sylpose.runs.self_calibration import parse_distance, parse_free
+from sylpose.report.files import read_trajectory, read_tum
+from sylpose.runs.self_calibration import KnownLength, parse_free, parse_scale
 from sylpose.simulate import Scene, arc, write_sequence
 from tests.conftest import make_once
 
@@ -105,4 +106,51 @@ def test_missing_lenses_and_cameras(session: Path, tmp_path: Path, capsys: pytes
 def test_option_values() -> None:
     assert parse_free(" focal, distortion") == ("focal", "distortion")
     assert parse_free("") == ()
-    assert parse_distance("a:b=1.5m", ["a", "b"]) == ("a", "b", 1.5, "m")
+    assert parse_scale("a:b=1.5m", None, ["a", "b"]) == KnownLength(1.5, "m", ("a", "b"))
+    assert parse_scale(None, "0.3", ["a", "b"]) == KnownLength(0.3, "")
+    assert parse_scale(None, None, ["a", "b"]) is None
+
+
+def test_track_calibrates_and_tracks_on(tumbling: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The poses are those of the truth in the first camera's axes, within what is stated."""
+    truth = calibration.load(tumbling / "calibration.toml")
+    distance = float(np.linalg.norm(truth[0].center - truth[1].center))
+    out = tmp_path / "out"
+    known = ["--self-calibrate", "--distance", f"cam_0:cam_1={distance:.6f}m"]
+    assert main(["track", str(tumbling), "--out", str(out), "--no-overlay", *known]) == 0
+    assert "passed" in capsys.readouterr().out
+    rig = calibration.load(out / "calibration.toml")
+    used = calibration.load(out / "calibration.used.toml")
+    assert used.unit == rig.unit == "m"
+    np.testing.assert_array_equal(used[1].matrix, rig[1].matrix)
+    np.testing.assert_allclose(used[1].center, rig[1].center)
+    _, path = read_tum(tumbling / "groundtruth.tum")
+    poses = truth[0].camera_from_world * path
+    found = read_trajectory(out / "trajectory.csv")
+    squares = []
+    for k, frame in enumerate(found):
+        if k and frame.is_measured:
+            assert frame.world_from_object is not None
+            R = poses[k].rotation * poses[0].rotation.inv()
+            w = (R * frame.world_from_object.rotation.inv()).as_rotvec()
+            squares.append(float(w @ np.linalg.solve(frame.covariance[:3, :3], w)) / 3.0)
+    assert len(squares) > 0.9 * FRAMES
+    assert np.mean(squares) < 4.0
+    assert "self_calibrate = true" in (out / "settings.toml").read_text()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (["--free", "focal"], "--free: only with --self-calibrate"),
+        (["--distance", "cam_0:cam_1=1m"], "--distance: only with --self-calibrate"),
+        (["--self-calibrate", "--resume"], "--resume: not with --self-calibrate"),
+        (["--self-calibrate", "--refine-calibration"], "--refine-calibration: not with --self-calibrate"),
+        (["--self-calibrate", "--follow"], "--self-calibrate: only recordings can be tracked twice"),
+    ],
+)
+def test_track_refuses_options(
+    change: list[str], message: str, session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["track", str(session), "--out", str(tmp_path / "out"), *change]) == 2
+    assert message in capsys.readouterr().err

@@ -1,0 +1,110 @@
+"""Calibration from the object that moves, for `sylpose calibrate` and `sylpose track`: options, tables, steps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from sylpose.commands.app import INPUT, OUTPUT, CommandOptions, exit_with_failures, option
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from sylpose.io.capture import Session
+    from sylpose.rig_calibration.from_motion import MotionCalibration
+    from sylpose.rig_calibration.relative_motions import MotionTest
+
+HEADER = ("Camera", "rotation vector, °", "sd", "place, {}", "sd", "focal length", "frames", "residual")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SelfCalibrationOptions(CommandOptions):
+    """Options of a calibration from the object that moves.
+
+    Attributes:
+        intrinsics: To calibrate from the object that moves, read the lenses from this calibration; its poses are
+            ignored.
+        free: Also estimate these of the lenses, some of focal,principal,distortion.
+        distance: Set the scale by the distance of two cameras, such as cam_0:cam_1=1.52m.
+        object_length: Set the scale by the object's longest extent, such as 0.25m.
+    """
+
+    intrinsics: Annotated[Path | None, option("--intrinsics FILE", INPUT)] = None
+    free: Annotated[str, option("--free LIST", INPUT)] = ""
+    distance: Annotated[str | None, option("--distance CAM:CAM=LENGTH", OUTPUT)] = None
+    object_length: Annotated[str | None, option("--object-length LENGTH", OUTPUT)] = None
+
+    def __post_init__(self) -> None:
+        """Check that the scale is given once."""
+        super().__post_init__()
+        if self.distance is not None and self.object_length is not None:
+            raise ValueError("--distance and --object-length exclude each other")
+
+
+def calibrate_recording(
+    session: Session,
+    options: SelfCalibrationOptions,
+    frames: tuple[int, int | None],
+    unit: str | None,
+    console: Console,
+) -> MotionCalibration:
+    """Calibrate a recording's cameras from the object that moves in it, and print the progress.
+
+    Args:
+        session: the recording, with the lenses.
+        options: what is estimated, and the scale.
+        frames: first one and the one after the last, as of `Session.frames`.
+        unit: unit of the result; None: that of the given length.
+        console: for the output.
+
+    Raises:
+        typer.Exit: the motion does not determine the cameras; the failed test is printed.
+        ValueError: other options, or a recording of one camera or several objects.
+    """
+    from rich.progress import Progress
+
+    from sylpose.rig_calibration.relative_motions import MotionRefusedError
+    from sylpose.runs import self_calibration as runs
+    from sylpose.runs.precompile import compile_with_progress
+
+    scale = runs.parse_scale(options.distance, options.object_length, session.rig.names)
+    free, (start, stop) = runs.parse_free(options.free), frames
+    compile_with_progress(console)
+    n_frames = len(range(start, min(stop or session.n_frames, session.n_frames)))
+    try:
+        with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+            task = bar.add_task("Tracking by each camera", total=n_frames * len(session.rig))
+            found = runs.self_calibrate(
+                session, free, start=start, stop=stop, scale=scale, unit=unit, on_frame=lambda: bar.advance(task)
+            )
+    except MotionRefusedError as error:
+        print_tests(console, error.tests)
+        exit_with_failures([f"{error}; nothing was written"])
+    return found
+
+
+def print_tests(console: Console, tests: Sequence[MotionTest]) -> None:
+    """Print the tests and their results."""
+    from sylpose.runs.console_output import print_table
+
+    rows = [(t.name, t.value, t.limit, "passed" if t.passed else "failed") for t in tests]
+    print_table(console, ("Test", "result", "needs", ""), rows)
+
+
+def print_calibration(console: Console, found: MotionCalibration) -> None:
+    """Print the cameras, the tests, the scale and warnings."""
+    from sylpose.display import format_length
+    from sylpose.runs.console_output import print_facts, print_table, print_warnings
+    from sylpose.runs.self_calibration import build_camera_rows, list_warnings
+
+    unit = found.calibration.rig.unit
+    console.print()
+    print_table(console, [title.format(unit or "relative") for title in HEADER], build_camera_rows(found))
+    console.print()
+    print_tests(console, found.tests)
+    console.print()
+    print_warnings(console, list_warnings(found))
+    lengths = format_length(found.object_length, unit), format_length(found.distance, unit)
+    print_facts(console, [("Object", f"{lengths[0]} long, {lengths[1]} away")])
