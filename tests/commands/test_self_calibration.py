@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
 
@@ -43,9 +44,9 @@ def tumbling(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_calibrate_writes_the_rig(tumbling: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     truth = calibration.load(tumbling / "calibration.toml")
     distance = float(np.linalg.norm(truth[0].center - truth[1].center))
-    # Poses of the file are ignored.
-    lenses = tmp_path / "lenses.toml"
-    calibration.save(truth.subset(["cam_0", "cam_1"]), lenses)
+    # As users have it: one lens for all cameras, without poses.
+    lenses = tmp_path / "lens.json"
+    lenses.write_text(json.dumps({"K": truth[0].matrix.tolist(), "dist": truth[0].distortion.tolist()}))
     out = tmp_path / "rig.toml"
     arguments = ["calibrate", str(tumbling), "--intrinsics", str(lenses), "--out", str(out)]
     assert main([*arguments, "--distance", f"cam_0:cam_1={1000 * distance:.3f}mm", "--unit", "m"]) == 0

@@ -63,15 +63,16 @@ class CalibrateOptions(SelfCalibrationOptions, WorldOptions, RangeOptions):
 
     def open_with_lenses(self) -> Session:
         """Open the recording with the intrinsics."""
+        from sylpose.io.calibration.lenses import parse_lens_files
         from sylpose.io.capture import open_session
 
         return open_session(
             self.session,
-            calibration=self.intrinsics,
             boxes=self.boxes,
             cameras=parse_video_option(self.video),
             offsets=parse_frame_offsets(self.frame_offset),
             without=self.exclude_camera,
+            lenses=parse_lens_files(self.intrinsics),
         )
 
     def open_uncalibrated(self) -> Session:
@@ -111,7 +112,7 @@ def calibrate(options: CalibrateOptions) -> None:
     from sylpose.runs import calibrate as runs
     from sylpose.runs import calibration_page, console_output
 
-    if options.board is None and options.intrinsics is None:
+    if options.board is None and not options.intrinsics:
         raise ValueError(
             "--board: a description of the board is missing, or --intrinsics, to calibrate without a board"
         )

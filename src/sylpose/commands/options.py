@@ -15,6 +15,7 @@ from sylpose.report import PICTURE_FORMATS
 from sylpose.units import METERS
 
 if TYPE_CHECKING:
+    from sylpose.io.calibration.lenses import LensFile
     from sylpose.io.capture import Session
     from sylpose.io.capture.session import SessionBase
     from sylpose.runs.world import WorldSpec
@@ -58,12 +59,15 @@ class CameraOptions(CommandOptions):
     take: Annotated[str, option("--take NAME", INPUT)] = ""
     as_coded: Annotated[bool, option("--as-coded", INPUT)] = False
 
-    def open_recording(self, path: Path, frame_offset: Sequence[str] = (), **files: Path | None) -> Session:
+    def open_recording(
+        self, path: Path, frame_offset: Sequence[str] = (), lenses: Sequence[LensFile] = (), **files: Path | None
+    ) -> Session:
         """Open the recording in a folder.
 
         Args:
             path: the folder.
             frame_offset: values of `--frame-offset`.
+            lenses: files in place of the calibration, as for `open_session`.
             files: boxes and masks, as for `open_session`.
 
         Raises:
@@ -80,9 +84,10 @@ class CameraOptions(CommandOptions):
             without=self.exclude_camera,
             as_coded=self.as_coded,
             take=self.take,
+            lenses=lenses,
             **files,
         )
-        if self.as_coded or not session.has_ambiguous_orientation:
+        if self.as_coded or lenses or not session.has_ambiguous_orientation:
             return session
         from sylpose.runs.rig_evidence import resolve_orientation
 
@@ -101,9 +106,11 @@ class RecordingOptions(CameraOptions):
     session: Annotated[Path, typer.Argument(metavar="SESSION")]
     masks: Annotated[Path | None, option("--masks DIR", OBJECT)] = None
 
-    def open(self, boxes: Path | None = None, frame_offset: Sequence[str] = ()) -> Session:
+    def open(
+        self, boxes: Path | None = None, frame_offset: Sequence[str] = (), lenses: Sequence[LensFile] = ()
+    ) -> Session:
         """Open the recording, as `open_recording` does."""
-        return self.open_recording(self.session, frame_offset, boxes=boxes, masks=self.masks)
+        return self.open_recording(self.session, frame_offset, lenses, boxes=boxes, masks=self.masks)
 
 
 @dataclass(frozen=True, kw_only=True)

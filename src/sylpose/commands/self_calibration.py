@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from sylpose.commands.app import INPUT, OUTPUT, CommandOptions, exit_with_failures, option
@@ -24,14 +23,14 @@ class SelfCalibrationOptions(CommandOptions):
     """Options of a calibration from the object that moves.
 
     Attributes:
-        intrinsics: To calibrate from the object that moves, read the lenses from this calibration; its poses are
-            ignored.
+        intrinsics: To calibrate from the object that moves, read the lenses from this calibration, with poses, which are
+            ignored, or without. One of a single camera is that of CAM, or of all. Repeatable.
         free: Also estimate these of the lenses, some of focal,principal,distortion.
         distance: Set the scale by the distance of two cameras, such as cam_0:cam_1=1.52m.
         object_length: Set the scale by the object's longest extent, such as 0.25m.
     """
 
-    intrinsics: Annotated[Path | None, option("--intrinsics FILE", INPUT)] = None
+    intrinsics: Annotated[tuple[str, ...], option("--intrinsics [CAM=]FILE", INPUT)] = ()
     free: Annotated[str, option("--free LIST", INPUT)] = ""
     distance: Annotated[str | None, option("--distance CAM:CAM=LENGTH", OUTPUT)] = None
     object_length: Annotated[str | None, option("--object-length LENGTH", OUTPUT)] = None

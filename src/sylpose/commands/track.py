@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -29,7 +29,7 @@ from sylpose.input_limits import print_message
 from sylpose.methods import MODES, format_methods_table
 
 if TYPE_CHECKING:
-    from sylpose.bundle_adjustment.calibration_refinement import CalibrationPrior
+    from sylpose.geometry.arrays import FloatArray
     from sylpose.io.capture import Session
     from sylpose.io.capture.live import LiveSession
     from sylpose.rig_calibration.from_motion import MotionCalibration
@@ -108,14 +108,14 @@ class TrackOptions(SelfCalibrationOptions, DisplayOptions, MethodOptions, WorldO
         Raises:
             ValueError, OSError: as `open_session` and `open_live`; options that do not apply to the kind of session.
         """
+        from sylpose.io.calibration.lenses import parse_lens_files
         from sylpose.io.capture.live import is_live, open_live
 
         if not (self.follow or is_live(self.session)):
             if self.no_drop:
                 raise ValueError("--no-drop requires --follow (growing folders)")
             if self.self_calibrate:
-                lenses = replace(self, calibration=self.intrinsics or self.calibration)
-                return lenses.open(self.boxes, self.frame_offset)
+                return self.open(self.boxes, self.frame_offset, parse_lens_files(self.intrinsics))
             return self.apply_to(self.open(self.boxes, self.frame_offset))
         for name, reason in _NOT_LIVE.items():
             if getattr(self, name):
@@ -153,7 +153,7 @@ class TrackOptions(SelfCalibrationOptions, DisplayOptions, MethodOptions, WorldO
         return session, found
 
     def run_options(
-        self, session: Session | LiveSession, calibration_prior: CalibrationPrior | None = None
+        self, session: Session | LiveSession, calibration_covariance: FloatArray | None = None
     ) -> RunOptions:
         """Return the options of the run, with the files of objects and time offsets read.
 
@@ -172,7 +172,7 @@ class TrackOptions(SelfCalibrationOptions, DisplayOptions, MethodOptions, WorldO
         tracking = parse_tracking_options(self.limit)
         offsets = find_offsets(session, self.offsets)
         changes = {"offsets": offsets, "known": known, "candidate": candidate, "tracking": tracking}
-        return pick(self, RunOptions, calibration_prior=calibration_prior, **changes)
+        return pick(self, RunOptions, calibration_covariance=calibration_covariance, **changes)
 
 
 def parse_tracking_options(texts: Sequence[str]) -> TrackingOptions:
@@ -210,7 +210,6 @@ def track(options: TrackOptions) -> None:
         sylpose track recording --self-calibrate --intrinsics lenses.toml --distance cam_0:cam_1=1.52m
         sylpose track recording --start 100 --stop 400 --every 2 --frame-offset cam_2=5
     """
-    from sylpose.bundle_adjustment.calibration_refinement import CalibrationPrior
     from sylpose.commands.track_display import track_in_terminal
     from sylpose.io.capture import Session
     from sylpose.runs.calibrate import write_calibration
@@ -218,11 +217,11 @@ def track(options: TrackOptions) -> None:
     from sylpose.runs.run import has_finished, output_path
     from sylpose.runs.self_calibration import CALIBRATION, describe_tests
 
-    session, prior, found = options.open_session(), None, None
+    session, covariance, found = options.open_session(), None, None
     if options.self_calibrate:
         assert isinstance(session, Session)
         session, found = options.calibrate(session)
-        prior = CalibrationPrior.from_covariance(found.covariance)
+        covariance = found.covariance
     if options.resume and has_finished(session, options.out):
         print(f"{output_path(session, options.out)}: the run there has ended; there is nothing to resume")
         return
@@ -232,7 +231,7 @@ def track(options: TrackOptions) -> None:
             folder = output_path(session, options.out)
             write_calibration(found.calibration, folder / CALIBRATION, describe_tests(found))
 
-    run = track_in_terminal(session, options.out, options.run_options(session, prior), options, on_end=write_found)
+    run = track_in_terminal(session, options.out, options.run_options(session, covariance), options, on_end=write_found)
     missing = explain_failures(session, run)
     # Warnings from the start of the run may be the cause and have scrolled away: repeat them.
     hints = (*check_session(session, options.start), describe_axis_miss(session.rig)) if missing else ()

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from sylpose.bundle_adjustment.calibration_refinement import CalibrationPrior
+from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.euler_angles import parse_euler_angles
-from sylpose.geometry.validation import check_bool, check_choice, check_integer, check_type, format_value
+from sylpose.geometry.validation import check_bool, check_choice, check_finite, check_integer, check_type, format_value
 from sylpose.io.capture.session import check_frame_range
 from sylpose.methods import FEATURES, METHODS, MODES, resolve_features
 from sylpose.report import PICTURE_FORMATS
@@ -30,8 +30,8 @@ class RunOptions:
         smooth: refine all poses jointly at the end (`sylpose.smoothing`); the poses as tracked go to `tracked.tum` and
             `tracked.csv`. None: for recordings of up to 10,000 frames, with the method "landmarks".
         refine_calibration: smooth, and refine the calibration with the poses; it goes to `calibration.refined.toml`.
-        calibration_prior: uncertainty of the calibration, for smoothing; None: typical errors
-            (`default_calibration_prior`). After `self_calibrate`, that of its result.
+        calibration_covariance: (10 C, 10 C) of the errors of a calibration from the same frames
+            (`MotionCalibration.covariance`), for smoothing; None: typical errors of calibrations.
         velocity: write velocity.csv, the trajectory with velocities and accelerations (`Trajectory.differentiate`).
         plot_format: file format of the report: "png", "svg" or "pdf".
         angles: Euler angles in the report and additionally in trajectory.csv: "XYZ" (intrinsic axes), "xyz" (extrinsic
@@ -60,7 +60,7 @@ class RunOptions:
     overlay: bool = True
     smooth: bool | None = None
     refine_calibration: bool = False
-    calibration_prior: CalibrationPrior | None = None
+    calibration_covariance: FloatArray | None = None
     velocity: bool = False
     plot_format: str = "png"
     angles: str | None = None
@@ -97,12 +97,12 @@ class RunOptions:
         for name, kinds in (("offsets", Mapping), ("known", (KnownObject, Mapping))):
             if getattr(self, name) is not None:
                 check_type(getattr(self, name), kinds, name)
-        if self.calibration_prior is not None:
-            check_type(self.calibration_prior, CalibrationPrior, "calibration_prior")
-        if self.calibration_prior is not None and self.refine_calibration:
-            raise ValueError("refine_calibration: the recording itself has determined the calibration")
-        if self.calibration_prior is not None and self.resume:
-            raise ValueError("resume: a calibration_prior is not kept for it; run without resume")
+        if self.calibration_covariance is not None:
+            check_finite(self.calibration_covariance, ("10 C", "10 C"), "calibration_covariance")
+            if self.refine_calibration:
+                raise ValueError("refine_calibration: the recording itself has determined the calibration")
+            if self.resume:
+                raise ValueError("resume: a calibration_covariance is not kept for it; run without resume")
         if self.distributed is None:
             return
         if self.distributed not in MODES:

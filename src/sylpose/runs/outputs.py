@@ -8,7 +8,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 from sylpose.atomic_io import make_output_folder
-from sylpose.bundle_adjustment.calibration_refinement import default_calibration_prior
+from sylpose.bundle_adjustment.calibration_refinement import CalibrationPrior, default_calibration_prior
 from sylpose.geometry.euler_angles import PAN_TILT_ROLL, parse_euler_angles
 from sylpose.input_limits import MAX_TABLE_BYTES
 from sylpose.io.exports.text import write_csv
@@ -76,7 +76,7 @@ class ObjectOutput:
         self.folder, self._rig, self._clock = make_output_folder(folder), rig, clock
         self.changes: list[str] = []
         self._has_velocity = options.velocity
-        self._calibration_prior = options.calibration_prior
+        self._calibration_covariance = options.calibration_covariance
         self._recalibrate, self._note, self._known = options.refine_calibration, note, known
         self._angles = None if options.angles is None else parse_euler_angles(options.angles)
         self._album, self._warnings = album, warnings
@@ -171,7 +171,7 @@ class ObjectOutput:
             result = smooth_tracks(
                 tracks,
                 self._rig,
-                calibration_prior=self._calibration_prior or default_calibration_prior(self._rig),
+                calibration_prior=self._make_prior(),
                 recalibrate=self._recalibrate,
                 moved_cameras=moved,
                 on_iteration=on_round,
@@ -184,6 +184,12 @@ class ObjectOutput:
                 self.files += write_refined(self.folder, result.correction, self._rig.names, result.moved_cameras)
                 self.changes += describe_changes(result.correction, self._rig, result.moved_cameras)
         return None if result.status is Status.OK else f"Smoothing: {result.status.text} The poses are as tracked."
+
+    def _make_prior(self) -> CalibrationPrior:
+        covariance = self._calibration_covariance
+        if covariance is None:
+            return default_calibration_prior(self._rig)
+        return CalibrationPrior.from_covariance(covariance)
 
     def write_object(self, model: KnownObject | None) -> None:
         """Write the object model and its point cloud, for other recordings and for viewing; nothing for None."""

@@ -209,7 +209,7 @@ class _SessionRun:
             "angles": self.options.angles,
             "smooth": self.options.smooth,
             "refine_calibration": self.options.refine_calibration or None,
-            "self_calibrate": self.options.calibration_prior is not None or None,
+            "self_calibrate": self.options.calibration_covariance is not None or None,
             "velocity": self.options.velocity or None,
             "offsets": self.options.offsets,
             "tracking": dict(self.options.tracking.changes) or None,

@@ -108,6 +108,36 @@ def read(data: dict[str, Any], path: Path, sizes: SizeLookup | None = None) -> R
     return make_rig(path, cameras, unit)
 
 
+def read_lenses(data: dict[str, Any], path: Path, sizes: SizeLookup, name: str) -> list[Camera]:
+    """Read the lenses of a decoded file; their poses are identity, whatever the file has.
+
+    Besides the layouts of `read`, the file may be of one camera, as of `camera_info` of ROS, sylpose's or Anipose's TOML,
+    or EasyMocap's intri.yml.
+
+    Args:
+        data, path, sizes: as of `read`.
+        name: of the camera, if the file is of one and does not name it.
+
+    Raises:
+        ValueError: no lens, or as of `read`.
+    """
+    lens_keys = {*_NAMES["matrix"]}
+    if lens_keys & data.keys():
+        own = get_value(data, "name", Entry(path))
+        nodes = [(own if isinstance(own, str) else name, data)]
+    elif by_name := {key[2:]: value for key, value in data.items() if key.startswith("K_")}:
+        nodes = [(key, {"K": value, "dist": data.get(f"dist_{key}")}) for key, value in by_name.items()]
+    else:
+        nodes = [(key, node) for key, node in _find_camera_nodes(data, path) if lens_keys & node.keys()]
+    if not nodes:
+        raise ValueError(f"{path}: no lens: a matrix and distortion coefficients are expected")
+    known, common_error = _lookup_missing_sizes(nodes, path, sizes), parse_error_px(data, Entry(path))
+    identity, cameras = RigidTransform.identity(), []
+    for key, node in nodes:
+        cameras.append(_parse_camera(CameraEntry(path, key), node, common_error, known.get(key), identity))
+    return cameras
+
+
 def to_text(rig: Rig, suffix: str) -> str:
     """Format the rig as FileStorage text for a suffix ".yml", ".yaml", ".json" or ".xml": a sequence `cameras`.
 
@@ -179,7 +209,14 @@ def _lookup_missing_sizes(nodes: list[tuple[str, dict[str, Any]]], path: Path, s
     return {name: known[name] for name in without}
 
 
-def _parse_camera(entry: CameraEntry, node: dict[str, Any], common_error: float | None, known_size: Any) -> Camera:
+def _parse_camera(
+    entry: CameraEntry,
+    node: dict[str, Any],
+    common_error: float | None,
+    known_size: Any,
+    pose: RigidTransform | None = None,
+) -> Camera:
+    """Parse a camera; `pose` replaces that of the node."""
     own_error = parse_error_px(node, entry)
     size = get_value(node, "size", entry) if known_size is None else known_size
     if size is None:
@@ -188,7 +225,7 @@ def _parse_camera(entry: CameraEntry, node: dict[str, Any], common_error: float 
         np.ravel(size) if isinstance(size, list) else size,
         _require_value(node, "matrix", entry),
         _require_value(node, "distortion", entry),
-        _parse_pose(node, entry),
+        _parse_pose(node, entry) if pose is None else pose,
         parse_lens_model(node, entry),
         common_error if own_error is None else own_error,
     )
