@@ -366,7 +366,7 @@ def _count_camera_inliers(
     is_inlier = result.weights > 0
     cell = (observations.frame * cameras + observations.camera)[is_inlier]
     counts = np.bincount(cell, minlength=n * cameras)
-    squares = np.bincount(cell, result.residuals[is_inlier] ** 2, minlength=n * cameras)
+    squares = np.bincount(cell, (result.residuals[is_inlier] ** 2).sum(axis=1), minlength=n * cameras)
     rms = np.sqrt(np.divide(squares, counts, out=np.full(n * cameras, np.nan), where=counts > 0))
     return counts.reshape(n, cameras).astype(np.int64), rms.reshape(n, cameras)
 

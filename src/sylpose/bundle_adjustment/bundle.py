@@ -93,7 +93,7 @@ class BundleResult(FitSummary):
         connected: (N,) frames connected to a fixed frame by landmarks, directly or through others. Others keep
             approximately the poses given, with a covariance as wide as the object's size and half a revolution.
         weights: (n,) in [0, 1], 0 for outliers and for landmarks observed less than twice.
-        residuals: (n,) pixels; 1e6 behind a camera.
+        residuals: (n, 2) pixels; 1e6 behind a camera.
         offsets: (C,) time offset of each camera, seconds, positive for a delay; their mean is 0. Zeros when not
             requested.
         offsets_sd: (C,) their standard deviations, close to the prior's where the motion does not constrain them.
@@ -319,9 +319,8 @@ def _make_result(
         correction = calibration.make_correction(parameters, rig, prior.predecessor, state.z, covariance)
     points = setup.landmarks.copy()
     points[setup.indices] = state.points
-    weights, distances = np.empty(len(setup.order)), np.empty(len(setup.order))
-    weights[setup.order] = fit.weights
-    distances[setup.order] = np.linalg.norm(problem.compute_residuals(state), axis=1)
+    weights, residuals = np.empty(len(setup.order)), np.empty((len(setup.order), 2))
+    weights[setup.order], residuals[setup.order] = fit.weights, problem.compute_residuals(state)
     unused_cameras = np.setdiff1d(np.arange(len(rig)), problem.observations.camera)
     summary.sigma_px[unused_cameras] = np.nan
     basis = parameters.basis[:, TIME_OFFSET]
@@ -335,7 +334,7 @@ def _make_result(
         landmarks=points,
         connected=setup.connected,
         weights=weights,
-        residuals=distances,
+        residuals=residuals,
         offsets=parameters.evaluate(state.z)[:, TIME_OFFSET],
         offsets_sd=spread,
         iterations=fit.iterations,

@@ -10,7 +10,9 @@ Source: G. Klein, D. Murray, "Parallel tracking and mapping for small AR workspa
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -103,26 +105,26 @@ def bundle_adjust_by_keyframes(
     key_options = _select_options(options, is_key, fixed)
     result = bundle_adjust_with_scale(rig, own, world_from_object[is_key], radius, key_options)
     out = _spread_result(result, world_from_object, observations, is_key)
-    if _correlate_errors(rig, own, result) < MIN_CORRELATION:
+    if _correlate_errors(own, result) < MIN_CORRELATION:
         all_options = replace(options, landmarks=result.landmarks)
         return bundle_adjust_with_scale(rig, observations, out.world_from_object, radius, all_options)
-    for frames in _make_segments(is_key):
-        if out.status is Status.OK:
-            out = _refine_segment(rig, observations, out, radius, options, is_key, frames)
-    return out
+    segments = list[_Segment]()
+    for segment in _make_segments(observations, is_key, result.connected) if result.status is Status.OK else ():
+        part = _refine_segment(rig, observations, out, radius, options, segment)
+        if part.status is Status.NOT_CONVERGED:
+            out = replace(out, status=part.status)
+            break
+        segments.append(segment._replace(result=part))
+    return _merge_segments(out, observations, segments)
 
 
-def _correlate_errors(rig: Rig, observations: Observations, result: BundleResult) -> float:
+def _correlate_errors(observations: Observations, result: BundleResult) -> float:
     """Return the correlation of the errors of a landmark's observations in successive frames; 0 without any."""
     order = np.lexsort((observations.frame, observations.camera, observations.landmark))
     frame, camera, landmark = (x[order] for x in (observations.frame, observations.camera, observations.landmark))
-    points, errors = result.world_from_object[frame].apply(result.landmarks[landmark]), np.empty((len(order), 2))
-    for c, its in enumerate(rig):
-        at = camera == c
-        local = its.camera_from_world.apply(points[at])
-        errors[at] = (local[:, :2] / local[:, 2:] - observations.image[order][at]) * its.focal
+    weights, errors = result.weights[order], result.residuals[order]
     is_next = (np.diff(frame) == 1) & (np.diff(camera) == 0) & (np.diff(landmark) == 0)
-    is_next &= np.minimum(result.weights[order][1:], result.weights[order][:-1]) > 0
+    is_next &= np.minimum(weights[1:], weights[:-1]) > 0
     first, second = errors[:-1][is_next], errors[1:][is_next]
     return float((first * second).sum() / max(np.sqrt((first**2).sum() * (second**2).sum()), 1e-300))
 
@@ -140,7 +142,42 @@ def _select_observations(observations: Observations, used: BoolArray, is_used: B
     return Observations(number[observations.frame[used]], *parts)
 
 
-def _make_segments(is_key: BoolArray) -> list[IntArray]:
+class _Segment(NamedTuple):
+    """Frames between key frames, with the key frames that are fixed in their refinement.
+
+    Attributes:
+        frames: (f,) both, ascending; those with observations.
+        is_free: (f,) which are not fixed.
+        rows: (n,) their observations of the landmarks that frames between key frames observe.
+        result: of these frames and observations, with these landmarks renumbered; None before.
+    """
+
+    frames: IntArray
+    is_free: BoolArray
+    rows: IntArray
+    result: BundleResult | None = None
+
+
+def _make_segments(observations: Observations, is_key: BoolArray, connected: BoolArray) -> Iterator[_Segment]:
+    """Make segments of the frames between key frames (N,), each with the nearest connected key frames (K,)."""
+    order, n = np.argsort(observations.frame, kind="stable"), len(is_key)
+    rows_by_frame = np.split(order, np.searchsorted(observations.frame[order], np.arange(1, n)))
+    keys = np.flatnonzero(is_key)[connected]
+    for own in _split_frames(is_key):
+        middle = own.mean()
+        last = int(np.searchsorted(keys, middle))
+        near = keys[max(last - SEGMENT_FRAMES, 0) : last + SEGMENT_FRAMES]
+        near = near[np.argsort(np.abs(near - middle), kind="stable")[:SEGMENT_FRAMES]]
+        seen = observations.landmark[np.concatenate([rows_by_frame[k] for k in own])]
+        rows = np.sort(np.concatenate([rows_by_frame[k] for k in (*own, *near)]))
+        rows = rows[np.isin(observations.landmark[rows], seen)]
+        frames = np.unique(observations.frame[rows])
+        is_free = ~is_key[frames]
+        if 0 < is_free.sum() < len(frames):
+            yield _Segment(frames, is_free, rows)
+
+
+def _split_frames(is_key: BoolArray) -> list[IntArray]:
     """Return the frames between key frames, in order, in segments that end at key frames."""
     runs = np.split(np.arange(len(is_key)), np.flatnonzero(is_key))
     segments = list[IntArray]()
@@ -158,8 +195,8 @@ def _spread_result(
 ) -> BundleResult:
     """Return the key frames' result for all frames (N,); the others move along with the nearest one, unconnected."""
     used, keys = is_key[observations.frame], np.flatnonzero(is_key)
-    index = np.abs(np.arange(len(is_key))[:, None] - keys).argmin(axis=1)
-    weights, residuals = np.zeros(len(observations)), np.zeros(len(observations))
+    index = np.searchsorted(keys[:-1] + keys[1:], 2 * np.arange(len(is_key)))
+    weights, residuals = np.zeros(len(observations)), np.zeros((len(observations), 2))
     weights[used], residuals[used] = result.weights, result.residuals
     correction = result.world_from_object * world_from_object[keys].inv()
     return replace(
@@ -181,55 +218,54 @@ def _refine_segment(
     result: BundleResult,
     radius: float,
     options: BundleOptions,
-    is_key: BoolArray,
-    frames: IntArray,
+    segment: _Segment,
 ) -> BundleResult:
-    """Refine some frames between key frames, whose poses are fixed.
-
-    Returns:
-        the result with these frames; of another status if they have not converged.
-    """
-    is_free, is_seen = np.zeros(len(is_key), bool), np.zeros(len(result.landmarks), bool)
-    is_free[frames] = True
-    is_seen[observations.landmark[is_free[observations.frame]]] = True
-    keys = np.flatnonzero(is_key & result.connected)
-    is_near = is_free.copy()
-    is_near[keys[np.argsort(np.abs(keys - frames.mean()), kind="stable")[:SEGMENT_FRAMES]]] = True
-    used = is_seen[observations.landmark] & is_near[observations.frame]
-    is_used = np.bincount(observations.frame[used], minlength=len(is_key)) > 0
-    chosen, n_free = np.flatnonzero(is_used), int((is_used & is_free).sum())
-    if not 0 < n_free < len(chosen):
-        return result
-    own = _select_observations(observations, used, is_used)
-    part_options = _select_options(options, is_used, ~is_free)
-    part_options = replace(part_options, landmarks=result.landmarks, calibration_prior=None, on_iteration=None)
-    part = bundle_adjust(rig, own, result.world_from_object[chosen], radius, part_options)
-    part = relocalize(rig, own, part, radius, part_options)
-    if part.status is Status.NOT_CONVERGED:
-        return replace(result, status=part.status)
-
-    # All of the segment's frames, and the observations in key frames of landmarks that no other key frame observes.
-    where = is_free[chosen] & part.connected
-    poses, covariance, connected = (
-        result.world_from_object.as_matrix(),
-        result.covariance.copy(),
-        result.connected.copy(),
+    """Refine the free frames of a segment of a result, whose other poses are fixed."""
+    frames, rows = segment.frames, segment.rows
+    seen, landmark = np.unique(observations.landmark[rows], return_inverse=True)
+    frame = np.searchsorted(frames, observations.frame[rows])
+    own = Observations(frame, observations.camera[rows], landmark, observations.image[rows])
+    own_options = replace(
+        options,
+        fixed=~segment.is_free,
+        times=None if options.times is None else np.asarray(options.times)[frames],
+        landmarks=result.landmarks[seen],
+        calibration_prior=None,
+        on_iteration=None,
     )
-    poses[chosen[where]], connected[chosen[where]] = part.world_from_object.as_matrix()[where], True
-    for k, i in zip(chosen[where].tolist(), np.flatnonzero(where).tolist(), strict=True):
-        covariance[k] = enlarge_covariance(part.covariance[i], covariance[k])
-    weights, residuals = result.weights.copy(), result.residuals.copy()
-    changed = np.flatnonzero(used)[part.weights > weights[used]]
-    weights[used] = np.maximum(weights[used], part.weights)
-    is_new = is_free[observations.frame] & used
-    is_new[changed] = True
-    residuals[is_new] = part.residuals[is_new[used]]
+    part = bundle_adjust(rig, own, result.world_from_object[frames], radius, own_options)
+    return relocalize(rig, own, part, radius, own_options)
+
+
+def _merge_segments(result: BundleResult, observations: Observations, segments: Sequence[_Segment]) -> BundleResult:
+    """Return a result with refined segments.
+
+    These have all of their free frames' observations, and those in key frames of landmarks that no other key frame
+    observes.
+    """
+    rotations, translations = result.world_from_object.rotation.as_matrix(), result.world_from_object.translation
+    covariance, connected = result.covariance.copy(), result.connected.copy()
+    weights, residuals, iterations = result.weights.copy(), result.residuals.copy(), result.iterations
+    for frames, is_free, rows, part in segments:
+        assert part is not None
+        frame = np.searchsorted(frames, observations.frame[rows])
+        where = np.flatnonzero(is_free & part.connected)
+        own = frames[where]
+        rotations[own] = part.world_from_object.rotation.as_matrix()[where]
+        translations[own], connected[own] = part.world_from_object.translation[where], True
+        for k, i in zip(own.tolist(), where.tolist(), strict=True):
+            covariance[k] = enlarge_covariance(part.covariance[i], covariance[k])
+        is_new = part.weights > weights[rows]
+        weights[rows[is_new]] = part.weights[is_new]
+        is_new |= is_free[frame]
+        residuals[rows[is_new]] = part.residuals[is_new]
+        iterations += part.iterations
     return replace(
         result,
-        world_from_object=RigidTransform.from_matrix(poses),
+        world_from_object=RigidTransform.from_components(translations, Rotation.from_matrix(rotations)),
         covariance=covariance,
         connected=connected,
         weights=weights,
         residuals=residuals,
-        iterations=result.iterations + part.iterations,
+        iterations=iterations,
     )

@@ -128,10 +128,8 @@ def _compute_costs(
     first: BundleResult, second: BundleResult, observations: Observations, mask: BoolArray
 ) -> list[float]:
     """Return the costs of two refinements on the counted observations (n,), with equal noise."""
-    sigma = np.fmin(first.sigma_px, second.sigma_px)[observations.camera]
-    return [
-        float(biquartic_losses((b.residuals[mask] / (CUTOFF_SIGMAS * sigma[mask])) ** 2).sum()) for b in (first, second)
-    ]
+    cutoff = (CUTOFF_SIGMAS * np.fmin(first.sigma_px, second.sigma_px)[observations.camera[mask]]) ** 2
+    return [float(biquartic_losses((b.residuals[mask] ** 2).sum(axis=1) / cutoff).sum()) for b in (first, second)]
 
 
 def has_lost_frame(result: BundleResult, other: BundleResult, observations: Observations, repeated: BoolArray) -> bool:
