@@ -108,9 +108,8 @@ def accept_frame(context: Context, state: JointState, candidate: PoseCandidate) 
     if moves_first and state.object.is_bounded and is_mostly_outside(context, state, frame, candidate.pose):
         state = replace(state, ambiguity=OUTSIDE_REASON)
     inflation, f_ratio = _compute_inflation(candidate), _compute_f_ratio(agreements)
-    if not state.object.is_depth_guessed:  # else the guess is contradicted, not the rig
-        f_ratios = add_f_ratio(state.f_ratios, _compute_f_ratio(agreements, MIN_KEPT_POOLED), context.options)
-        state = replace(state, f_ratios=f_ratios)
+    f_ratios = add_f_ratio(state.f_ratios, _compute_f_ratio(agreements, MIN_KEPT_POOLED), context.options)
+    state = replace(state, f_ratios=f_ratios)
     accepted = _accept_pose(context, state, candidate)
     # Each camera: features that were observed before.
     reobserved = [

@@ -715,6 +715,7 @@ class JointState:
                 first, (first,), anchor=Anchor(first, anchor.age) if keeps_anchor and anchor is not None else None
             ),
             refinement=Refinement(rests_on_prior=self.refinement.rests_on_prior),
+            f_ratios=(),  # those contradicted the guess, not the rig
         )
 
     # --- joint refinement ---------------------------------------------------------------------------------------------
