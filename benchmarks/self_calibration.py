@@ -1,138 +1,78 @@
 """Extrinsics of rigs that calibrate themselves from a tumbling object: rendered, seeded recordings with known truth.
 
-    python benchmarks/self_calibration.py [--kinds KIND ...] [--seeds N] [--first N]
+    python benchmarks/self_calibration.py [--kinds KIND ...] [--seeds N] [--first N] [--keep FOLDER]
 
 Prints for each recording the errors of the worst camera in degrees and in percent of the distance to the object (after
 fitting the scale), its stated standard deviations, the largest error of any component in standard deviations, and what
-was left out or refused; for each kind the share of accepted recordings, and of cameras within three standard deviations.
-Kinds marked "refused" must be refused: their motion does not determine the rig.
+was left out or refused; then for each kind the share of accepted recordings, and of cameras within three standard
+deviations; and at last what matters over all: accepted rigs beyond a degree, sound recordings that were refused, motions
+that were accepted though they do not determine the rig. Kinds `small/...` have small images and few frames.
 """
 
 from __future__ import annotations
 
 import argparse
+import pickle
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform, Rotation, Slerp
 
-from sylpose.frames import Box, FrameSet
-from sylpose.geometry.arrays import Image
-from sylpose.rig import Camera, Rig, intersect_rays
-from sylpose.rig_calibration.camera_tracks import RefinedTrack, refine_track, track_alone
+from benchmarks.self_calibration_scenes import KINDS, Kind, list_kinds, make_scene, track_scene
+from sylpose.rig import Camera, Rig
+from sylpose.rig_calibration.camera_tracks import RefinedTrack
 from sylpose.rig_calibration.from_motion import MotionCalibration, calibrate_from_motion
 from sylpose.rig_calibration.relative_motions import MotionRefusedError
 from sylpose.runs.precompile import compile_all
-from sylpose.simulate import Actor, Scene, arc, compute_demo_truth, render_frames
-from sylpose.simulate.recordings import FRAME_RATE, OBJECT_SHARE
-from sylpose.simulate.render import chamfered_box
 
-SIZE, DISTANCE = (640, 480), 1.2
-SIDES = np.array([1.0, 0.74, 0.86])
+__all__ = ["KINDS", "Kind", "make_scene"]
+
+# Rotation errors beyond which an accepted rig is wrong, degrees; standard deviations within which errors must be.
+WRONG_DEG, SOUND_SDS = 1.0, 3.0
 
 
-@dataclass(frozen=True)
-class Kind:
-    """Kind of recording.
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """Outcome of one recording.
 
     Attributes:
-        cameras, spacing_deg: number of cameras on an arc, and the angle between neighbors.
-        frames: number of frames.
-        angle_deg: length of the path of rotations.
-        carried: extent of the path of positions, relative to the object's length.
-        one_axis: whether the object rotates about one axis only.
-        sides: of the object, relative to its length.
-        focal_error: relative error of all focal lengths given.
-        wrong_camera: whether camera 1 observes another object.
-        late_frames: frames that camera 1 lacks at the beginning; it then has no box.
-        is_refused: whether the motion does not determine the rig.
+        name, kind: of the recording's kind.
+        refusal: the test that failed, with its value; "" if the rig was accepted.
+        errors: (C - 1, 5) as of `measure_errors`.
+        remark: noise of the cameras together, those left out, what was estimated.
     """
 
-    cameras: int = 4
-    spacing_deg: float = 40.0
-    frames: int = 75
-    angle_deg: float = 300.0
-    carried: float = 1.0
-    one_axis: bool = False
-    sides: tuple[float, float, float] = (1.0, 0.74, 0.86)
-    focal_error: float = 0.0
-    wrong_camera: bool = False
-    late_frames: int = 0
-    is_refused: bool = False
+    name: str
+    kind: Kind
+    refusal: str
+    errors: np.ndarray
+    remark: str
+
+    @property
+    def is_wrong(self) -> bool:
+        """Whether the rig was accepted with errors beyond a degree."""
+        return not self.refusal and bool(self.errors[:, 0].max() > WRONG_DEG)
+
+    @property
+    def contradicts(self) -> bool:
+        """Whether acceptance contradicts the kind's expectation."""
+        return self.kind.expected != "either" and bool(self.refusal) != (self.kind.expected == "refused")
 
 
-KINDS = {
-    "near": Kind(),
-    "far": Kind(spacing_deg=90.0),
-    "opposite": Kind(cameras=2, spacing_deg=180.0),
-    "little": Kind(angle_deg=40.0),
-    "planar": Kind(angle_deg=150.0, sides=(1.0, 0.8, 0.05)),
-    "focal": Kind(focal_error=0.05),
-    "wrong": Kind(wrong_camera=True),
-    "late": Kind(late_frames=25),
-    "axis": Kind(one_axis=True, is_refused=True),
-    "place": Kind(carried=0.0, is_refused=True),
-}
+Tracked = tuple[Rig, list[Camera], list[RefinedTrack | None], float]
 
 
-def draw_smooth_path(rng: np.random.Generator) -> Callable[[float], np.ndarray]:
-    """Return a smooth random curve of three coordinates over [0, 1]: four harmonics."""
-    k = np.arange(1, 5)
-    sines, cosines = rng.normal(size=(2, 4, 3)) / k[:, None]
-    return lambda s: np.sin(np.pi * k * s) @ sines + (np.cos(np.pi * k * s) - 1.0) @ cosines
-
-
-def make_scene(kind: Kind, seed: int) -> Scene:
-    """Build a scene: a textured block that tumbles about changing axes and is carried about."""
-    rng = np.random.default_rng([seed, 77])
-    heights = rng.uniform(-0.3, 0.5, kind.cameras)
-    rig = arc(kind.cameras, kind.spacing_deg, DISTANCE, 1.3 * max(SIZE), SIZE, height=heights)
-    target = intersect_rays([c.center for c in rig], [c.direction for c in rig])
-    resolution = np.array([c.focal / c.camera_from_world.apply(target)[2] for c in rig]).max()
-    length = OBJECT_SHARE * min(SIZE) / resolution
-    body = chamfered_box(length * np.array(kind.sides), 1.25 * resolution, seed=seed)
-    turning, carrying = draw_smooth_path(rng), draw_smooth_path(rng)
-    axis = rng.normal(size=3)
-    axis /= np.linalg.norm(axis)
-    s = np.linspace(0.0, 1.0, 400)
-    velocity = np.tile(axis, (len(s), 1)) if kind.one_axis else axis + np.array([0.8 * turning(x) for x in s])
-    velocity *= np.radians(kind.angle_deg) / np.linalg.norm(velocity, axis=1).mean()
-    rotations = [Rotation.identity()]
-    for step in velocity[1:] / (len(s) - 1):
-        rotations.append(Rotation.from_rotvec(step) * rotations[-1])
-    rotation = Slerp(s, Rotation.concatenate(rotations))
-    places = np.array([carrying(x) for x in s])
-    places -= places.mean(axis=0)
-    places *= 0.5 * kind.carried * length / np.abs(places).max()
-
-    def path(frame: float) -> RigidTransform:
-        x = float(np.clip(frame / (kind.frames - 1), 0.0, 1.0))
-        return RigidTransform.from_components(target + [np.interp(x, s, column) for column in places.T], rotation(x))
-
-    return Scene(rig, (Actor(body, path),), kind.frames, seed)
-
-
-def track_scene(kind: Kind, seed: int) -> tuple[Rig, list[Camera], list[RefinedTrack | None], float]:
-    """Return the true rig, the cameras as given, their tracks, and the first camera's distance from the object."""
-    scene = make_scene(kind, seed)
-    truth, images = compute_demo_truth(scene), list(render_frames(scene))
-    other = make_scene(kind, seed + 1000)
-    wrong = list(render_frames(replace(other, rig=scene.rig))) if kind.wrong_camera else images
-    cameras, tracks = [], []
-    for c, camera in enumerate(scene.rig):
-        matrix = camera.matrix.copy()
-        matrix[[0, 1], [0, 1]] *= 1.0 + kind.focal_error
-        cameras.append(replace(camera, matrix=matrix))
-        its: list[Image] = [frame[c] for frame in (wrong if c == 1 else images)]
-        first = kind.late_frames if c == 1 else 0
-        boxes = (compute_demo_truth(replace(other, rig=scene.rig)) if kind.wrong_camera and c == 1 else truth).boxes
-        box = None if first or camera.name not in boxes else Box(*boxes[camera.name])
-        frames = [replace(FrameSet.of([image], k / FRAME_RATE), index=k) for k, image in enumerate(its)][first:]
-        tracks.append(refine_track(track_alone(frames, cameras[-1], box), cameras[-1]))
-    distance = np.linalg.norm(scene.rig[0].camera_from_world.apply(truth.world_from_object.translation[0]))
-    return scene.rig, cameras, tracks, float(distance)
+def load_tracks(name: str, kind: Kind, seed: int, folder: Path | None) -> Tracked:
+    """Return `track_scene`, kept in a folder as pickle files for later runs."""
+    if folder is None:
+        return track_scene(kind, seed)
+    file = folder / f"{name.replace('/', '_')}_{seed}.pkl"
+    if not file.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(pickle.dumps(track_scene(kind, seed)))
+    kept: Tracked = pickle.loads(file.read_bytes())
+    return kept
 
 
 def measure_errors(found: MotionCalibration, truth: Rig, distance: float) -> np.ndarray:
@@ -158,35 +98,65 @@ def measure_errors(found: MotionCalibration, truth: Rig, distance: float) -> np.
     return np.array(rows)
 
 
+def run_recording(name: str, kind: Kind, tracked: Tracked) -> Outcome:
+    """Calibrate from tracks and compare with the truth."""
+    truth, cameras, tracks, distance = tracked
+    try:
+        found = calibrate_from_motion(cameras, tracks)
+    except MotionRefusedError as error:
+        return Outcome(name, kind, f"{error.tests[-1].name}, {error.tests[-1].value}", np.zeros((0, 5)), "")
+    noise = next(test.value.split()[0] for test in found.tests if test.name.startswith("noise"))
+    estimated = ["instants" for warning in found.calibration.warnings if "instants" in warning]
+    remark = "; ".join([f"noise {noise}", *found.left_out, *found.freed, *estimated])
+    return Outcome(name, kind, "", measure_errors(found, truth, distance), remark)
+
+
+def format_outcome(outcome: Outcome) -> str:
+    """Format the worst camera, and what contradicts the expectation."""
+    mark = "WRONG " if outcome.is_wrong else "UNEXPECTED " if outcome.contradicts else ""
+    if outcome.refusal:
+        return "      -      -         -      -        -  " + f"{mark}refused: {outcome.refusal}"
+    worst = outcome.errors.max(axis=0)
+    numbers = f"{worst[0]:7.3f}{worst[1]:7.3f}{worst[2]:10.3f}{worst[3]:7.3f}{worst[4]:9.1f}  "
+    return numbers + mark + outcome.remark
+
+
+def summarize(outcomes: list[Outcome]) -> str:
+    """Summarize outcomes: acceptance, honesty, contradictions."""
+    accepted = [outcome for outcome in outcomes if not outcome.refusal]
+    parts = [f"{len(accepted)} of {len(outcomes)} accepted"]
+    if accepted:
+        z = np.concatenate([outcome.errors[:, 4] for outcome in accepted])
+        parts.append(f"{np.mean(z < SOUND_SDS):.1%} of {len(z)} cameras within {SOUND_SDS:g} sd")
+    parts.append(f"{sum(outcome.is_wrong for outcome in outcomes)} beyond {WRONG_DEG:g} degree")
+    sound = [outcome for outcome in outcomes if outcome.kind.expected == "accepted"]
+    parts.append(f"{sum(bool(outcome.refusal) for outcome in sound)} of {len(sound)} sound ones refused")
+    void = [outcome for outcome in outcomes if outcome.kind.expected == "refused"]
+    parts.append(f"{sum(not outcome.refusal for outcome in void)} of {len(void)} undetermined ones accepted")
+    return ", ".join(parts)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--kinds", nargs="+", choices=[*KINDS], default=[*KINDS])
+    parser.add_argument("--kinds", nargs="+", choices=[*list_kinds(())], default=[*KINDS])
+    parser.add_argument("--small", action="store_true", help="all kinds of small images")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--keep", type=Path, help="keep tracks in this folder and use those that are there")
     args = parser.parse_args()
+    kinds = list_kinds([name for name in list_kinds(()) if name.startswith("small/")] if args.small else args.kinds)
     compile_all()
-    print("recording       degrees     sd   percent     sd  worst z  seconds  remarks")
-    for name in args.kinds:
-        kind, accepted, z = KINDS[name], 0, list[float]()
+    width = max(len(name) for name in kinds) + 4
+    print(f"{'recording':{width}}degrees     sd   percent     sd  worst z  remarks")
+    outcomes: list[Outcome] = []
+    for name, kind in kinds.items():
+        began = time.perf_counter()
         for seed in range(args.first, args.first + args.seeds):
-            began = time.perf_counter()
-            truth, cameras, tracks, distance = track_scene(kind, seed)
-            remark, numbers = "", "      -      -         -      -        -"
-            try:
-                found = calibrate_from_motion(cameras, tracks)
-            except MotionRefusedError as error:
-                remark = f"refused: {error.tests[-1].name}, {error.tests[-1].value}"
-            else:
-                accepted += 1
-                errors = measure_errors(found, truth, distance)
-                z += errors[:, 4].tolist()
-                worst = errors.max(axis=0)
-                numbers = f"{worst[0]:7.3f}{worst[1]:7.3f}{worst[2]:10.3f}{worst[3]:7.3f}{worst[4]:9.1f}"
-                remark = "; ".join([*found.left_out, *found.freed])
-            wrong = "WRONG " if kind.is_refused != remark.startswith("refused") else ""
-            print(f"{name}:{seed:<10}{numbers}{time.perf_counter() - began:9.1f}  {wrong}{remark}", flush=True)
-        within = f", {np.mean(np.array(z) < 3.0):.0%} of their cameras within 3 sd" if z else ""
-        print(f"{name}: {accepted} of {args.seeds} accepted{within}", flush=True)
+            outcomes.append(run_recording(name, kind, load_tracks(name, kind, seed, args.keep)))
+            print(f"{name + ':' + str(seed):{width}}{format_outcome(outcomes[-1])}", flush=True)
+        seconds = (time.perf_counter() - began) / args.seeds
+        print(f"{name}: {summarize(outcomes[-args.seeds :])}; {seconds:.1f} s each", flush=True)
+    print(f"all: {summarize(outcomes)}")
 
 
 if __name__ == "__main__":
