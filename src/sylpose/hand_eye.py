@@ -17,6 +17,7 @@ from sylpose.comparison import associate_timestamps
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.sylvester.hand_eye import (
     MIN_AXIS_SPREAD,
+    RELATIVE_ANGLE_TOLERANCE,
     measure_axis_spread,
     select_pairs,
     solve_hand_eye_rotation,
@@ -27,8 +28,9 @@ from sylpose.sylvester.hand_eye import (
 MIN_POSES = 4
 # Rotations of the robot below, radians, are none (choice: 5 degrees).
 MIN_ROTATION = np.radians(5.0)
-# Rotation angles of robot and object differ by more in failures: radians, fraction, and the fraction of pairs (choice).
-ANGLE_TOLERANCE, RELATIVE_ANGLE_TOLERANCE, MAX_DIFFERENT = np.radians(2.0), 0.12, 0.5
+# Rotation angles of robot and object differ by more than this and `RELATIVE_ANGLE_TOLERANCE` in failures: radians, and
+# the fraction of pairs (choice).
+ANGLE_TOLERANCE, MAX_DIFFERENT = np.radians(2.0), 0.5
 # Squared residuals that fit so many times better with inverse robot poses show that these are meant (choice).
 INVERSE_RATIO = 0.05
 # Whitened residuals above so many standard deviations count linearly (choice).

@@ -21,6 +21,7 @@ from sylpose.sylvester.hand_eye import (
     CUTOFF_SIGMAS,
     MEDIAN_SQUARE,
     MIN_AXIS_SPREAD,
+    RELATIVE_ANGLE_TOLERANCE,
     HandEyeTranslations,
     select_pairs,
     solve_hand_eye_rotation,
@@ -30,8 +31,8 @@ from sylpose.sylvester.hand_eye import (
 # Two cameras need so many common frames (choice: fewer leave no redundancy).
 MIN_COMMON_FRAMES = 6
 # Two cameras observe one object if the rotation angles of pairs of frames agree within so many standard deviations or
-# this fraction, whichever is more, in this share of the pairs (measured: docs/calibrating.md).
-ANGLE_SDS, RELATIVE_ANGLE_TOLERANCE, MIN_AGREEING = 3.0, 0.12, 0.7
+# `RELATIVE_ANGLE_TOLERANCE`, whichever is more, in this share of the pairs (measured: docs/calibrating.md).
+ANGLE_SDS, MIN_AGREEING = 3.0, 0.7
 # Pairs of frames count if both cameras together rotate by so many standard deviations (choice), at least so many pairs.
 MIN_ROTATION_SDS, MIN_PAIRS = 6.0, 10
 # Rotations of pairs of cameras must close to this, radians (choice: 3 degrees).
@@ -163,6 +164,44 @@ def solve_relative_extrinsics(
     tests: list[MotionTest] = []
     pairs = {(a, b): _relate(tracks[a], tracks[b]) for a, b in combinations(range(len(tracks)), 2)}
     cameras, left_out = _select_cameras(tracks, pairs, min_agreeing)
+    _test_rotations(tracks, pairs, cameras, left_out, tests)
+    while True:
+        rotations, sds, closure, suspect = _average_rotations(pairs, cameras, min_agreeing)
+        reason = f"its rotations do not close by {np.degrees(closure):.2g} degrees"
+        if closure < MAX_CLOSURE:
+            kept = [tracks[c] for c in cameras]
+            frames, body, axes = _average_body_rotations(kept, rotations)
+            placed, ratios = _solve_places(kept, rotations, frames, body)
+            suspect, reason = int(np.argmax(ratios)), "its track fits as well with reversed depth"
+            if ratios[suspect] < MAX_REVERSAL_RATIO or len(cameras) == 2:
+                break
+        left_out[tracks[cameras[suspect]].name] = reason
+        cameras = [c for k, c in enumerate(cameras) if k != suspect]
+    scale_sd = _test_places(kept, placed, ratios, tests)
+    assert placed is not None
+    X = RigidTransform.from_components(placed.translations, Rotation.from_matrix(rotations))
+    O = RigidTransform.from_components(placed.offsets, axes)
+    poses = _average_positions(kept, X, O, placed, frames, body)
+    return RelativeExtrinsics(tuple(cameras), left_out, X, placed.scales, O, frames, poses, sds, scale_sd, tuple(tests))
+
+
+def _test_rotations(
+    tracks: Sequence[CameraTrack],
+    pairs: dict[tuple[int, int], _Pair | None],
+    cameras: Sequence[int],
+    left_out: dict[str, str],
+    tests: list[MotionTest],
+) -> None:
+    """Test whether cameras rotate alike, about more than one axis, at the same times.
+
+    Raises:
+        MotionRefusedError: they do not.
+    """
+    if len(cameras) < 2 and tracks:
+        # A motion about one axis may be the cause, where it makes tracks short: the longest shows it.
+        longest = max(tracks, key=lambda track: len(track.frames))
+        if _count_rotations(longest) >= MIN_PAIRS:
+            _test_axes(_measure_spread(longest), tests)
     add_test(
         tests,
         "cameras that rotate alike",
@@ -172,15 +211,7 @@ def solve_relative_extrinsics(
         "".join(f"{name}: {reason}; " for name, reason in left_out.items())
         + "check that all observe the same object and that their times agree, and rotate it by 30 degrees and more",
     )
-    spread = min(_measure_spread(tracks[c]) for c in cameras)
-    add_test(
-        tests,
-        "spread of rotation axes",
-        spread > MIN_AXIS_SPREAD,
-        f"{spread:.3f}",
-        f"{MIN_AXIS_SPREAD:g}",
-        "rotate the object about a second axis",
-    )
+    _test_axes(min(_measure_spread(tracks[c]) for c in cameras), tests)
     related = [pair for (a, b), pair in pairs.items() if pair is not None and a in cameras and b in cameras]
     add_test(
         tests,
@@ -191,38 +222,52 @@ def solve_relative_extrinsics(
         "rotate the object about a second axis, by 30 degrees and more",
     )
     _check_times([tracks[c] for c in cameras], tests)
-    while True:
-        rotations, sds = _average_rotations(pairs, cameras, min_agreeing, tests)
-        frames, body, axes = _average_body_rotations([tracks[c] for c in cameras], rotations)
-        placed, ratios = _solve_places([tracks[c] for c in cameras], rotations, frames, body)
-        worst = int(np.argmax(ratios))
-        if ratios[worst] < MAX_REVERSAL_RATIO or len(cameras) == 2:
-            break
-        left_out[tracks[cameras[worst]].name] = "its track fits as well with reversed depth"
-        cameras = [c for k, c in enumerate(cameras) if k != worst]
+
+
+def _test_axes(spread: float, tests: list[MotionTest]) -> None:
+    """Test whether the object rotates about more than one axis.
+
+    Raises:
+        MotionRefusedError: it does not.
+    """
+    add_test(
+        tests,
+        "spread of rotation axes",
+        spread > MIN_AXIS_SPREAD,
+        f"{spread:.3f}",
+        f"{MIN_AXIS_SPREAD:g}",
+        "the object turns about one axis only: rotate it about a second axis",
+    )
+
+
+def _test_places(
+    tracks: Sequence[CameraTrack], placed: HandEyeTranslations | None, ratios: FloatArray, tests: list[MotionTest]
+) -> FloatArray:
+    """Test depths and scales of tracks; return (C,) relative standard deviations of the scales.
+
+    Raises:
+        MotionRefusedError: a track may be depth-reversed, or scales are not determined.
+    """
+    worst = int(np.argmax(ratios))
     add_test(
         tests,
         "depth of the tracks",
         ratios[worst] < MAX_REVERSAL_RATIO,
-        f"residual {ratios[worst]:.2g} of that with reversed depth ({tracks[cameras[worst]].name})",
+        f"residual {ratios[worst]:.2g} of that with reversed depth ({tracks[worst].name})",
         f"{MAX_REVERSAL_RATIO:g}",
         "bring the object closer to the cameras, and carry it about by its own size",
     )
-    scale_sd = np.full(len(cameras), np.inf) if placed is None else _scale_sds(placed)
+    scale_sd = np.full(len(tracks), np.inf) if placed is None else _scale_sds(placed)
     worst = int(np.argmax(scale_sd))
     add_test(
         tests,
         "scales of the tracks",
         scale_sd[worst] < MAX_SCALE_SD,
-        f"standard deviation {scale_sd[worst]:.2g} ({tracks[cameras[worst]].name})",
+        f"standard deviation {scale_sd[worst]:.2g} ({tracks[worst].name})",
         f"{MAX_SCALE_SD:g}",
         "carry the object about by its own size, besides rotating it",
     )
-    assert placed is not None
-    X = RigidTransform.from_components(placed.translations, Rotation.from_matrix(rotations))
-    O = RigidTransform.from_components(placed.offsets, axes)
-    poses = _average_positions([tracks[c] for c in cameras], X, O, placed, frames, body)
-    return RelativeExtrinsics(tuple(cameras), left_out, X, placed.scales, O, frames, poses, sds, scale_sd, tuple(tests))
+    return scale_sd
 
 
 def add_test(tests: list[MotionTest], name: str, passed: bool, value: str, limit: str, remedy: str) -> None:
@@ -320,6 +365,12 @@ def _measure_spread(track: CameraTrack) -> float:
     return float(np.sqrt(max(values[1] - variance.sum(), 0.0) / values[0]))
 
 
+def _count_rotations(track: CameraTrack) -> int:
+    """Count a track's pairs of frames whose rotation is clear."""
+    rotations, variance = _relative_rotations(track, np.arange(len(track.frames)), select_pairs(len(track.frames)))
+    return int((rotations.magnitude() > MIN_ROTATION_SDS * np.sqrt(variance)).sum())
+
+
 def find_time_offset(a: CameraTrack, b: CameraTrack) -> tuple[float, float]:
     """Find the shift of time at which two cameras see the same rotation angles.
 
@@ -347,15 +398,12 @@ def _average_rotations(
     pairs: dict[tuple[int, int], _Pair | None],
     cameras: Sequence[int],
     min_agreeing: float,
-    tests: list[MotionTest],
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, float, int]:
     """Average the rotations of all pairs of cameras: the leading eigenvectors of their block matrix.
 
     Returns:
-        (C, 3, 3) rotations from the first camera, and (C,) their standard deviations about the worst axis.
-
-    Raises:
-        MotionRefusedError: they do not close.
+        (C, 3, 3) rotations from the first camera; (C,) their standard deviations about the worst axis; the largest
+        closure of a pair, radians; and the camera that causes it.
     """
     n = len(cameras)
     blocks, degree = np.zeros((n, 3, n, 3)), np.zeros(n)
@@ -376,25 +424,20 @@ def _average_rotations(
     rotations = u @ v
     rotations *= np.sign(np.linalg.det(rotations))[:, None, None]
     rotations = rotations @ rotations[0].T
-    closure = max(
+    closures = [
         float(Rotation.from_matrix(rotations[q] @ rotations[p].T @ pair.rotation.T).magnitude())
         for p, q, pair, _ in edges
-    )
-    add_test(
-        tests,
-        "closure of the rotations",
-        closure < MAX_CLOSURE,
-        f"{np.degrees(closure):.2g} degrees",
-        f"{np.degrees(MAX_CLOSURE):.0f} degrees",
-        "rotate the object by more, about all axes",
-    )
+    ]
+    worst = int(np.argmax(closures))
+    # Of the pair that contradicts the others, the camera of which less is known.
+    suspect = min(edges[worst][:2], key=lambda k: degree[k])
     # The graph's Laplacian, as if all axes were as uncertain as the worst.
     laplacian = np.zeros((n, n))
     for p, q, _, weight in edges:
         laplacian[[p, q], [p, q]] += weight
         laplacian[[p, q], [q, p]] -= weight
     sds = np.concatenate([[0.0], np.sqrt(np.diag(np.linalg.inv(laplacian[1:, 1:])))])
-    return rotations, sds
+    return rotations, sds, closures[worst], suspect
 
 
 def _average_body_rotations(

@@ -45,6 +45,8 @@ AXIS_REASON = "the body rotated about parallel axes only: rotate it about a seco
 # little to measure it (choice).
 MAX_SCALE = 20.0
 PLACE_REASON = "the body was rotated in place, which leaves scales undetermined: carry it about by its own size as well"
+# Rotation angles of one motion, in two frames of reference, differ by this fraction at most (choice).
+RELATIVE_ANGLE_TOLERANCE = 0.12
 # Second over first singular value of the rotation vectors: below, the axes are parallel (measured: docs/calibrating.md,
 # 0.001 to 0.005 for one axis, above 0.08 otherwise).
 MIN_AXIS_SPREAD = 0.03
@@ -93,20 +95,31 @@ def solve_hand_eye_rotation(a: FloatArray, b: FloatArray, variance: FloatArray) 
     Returns:
         the solution; about a common axis of all rotations it is arbitrary, and its information zero.
     """
-    weights, factor = np.ones(len(a)), 1.0
-    for _ in range(MAX_ITERATIONS):
-        cost = build_rotation_cost(a, b, weights / variance)
-        candidates, certified, _ = minimize(cost.H, cost.h)
-        X = candidates[0]
-        residuals = np.linalg.norm(a @ X - X @ b, axis=(1, 2)) / np.sqrt(2.0)
-        squares = residuals**2 / variance
-        factor = max(float(np.median(squares)) / MEDIAN_SQUARE, ROUNDING**2 / float(variance.min()))
-        previous, weights = weights, biquartic_weights(squares / (factor * CUTOFF_SIGMAS**2))
-        if np.abs(weights - previous).max() < WEIGHTS_TOLERANCE:
-            break
+    weights = np.ones(len(a))
+    # The weights of Geman and McClure never vanish, so that the start does not choose among frames that contradict each
+    # other; those of the second pass ignore outliers.
+    for reweight in (_weigh_smoothly, _weigh_inliers):
+        for _ in range(MAX_ITERATIONS):
+            cost = build_rotation_cost(a, b, weights / variance)
+            candidates, certified, _ = minimize(cost.H, cost.h)
+            X = candidates[0]
+            residuals = np.linalg.norm(a @ X - X @ b, axis=(1, 2)) / np.sqrt(2.0)
+            squares = residuals**2 / variance
+            factor = max(float(np.median(squares)) / MEDIAN_SQUARE, ROUNDING**2 / float(variance.min()))
+            previous, weights = weights, reweight(squares / factor)
+            if np.abs(weights - previous).max() < WEIGHTS_TOLERANCE:
+                break
     angles = 2.0 * np.arcsin(np.minimum(residuals / 2.0, 1.0))
     information = compute_derivatives(cost.H, cost.h, X)[1] / factor
     return HandEyeRotation(X, certified, information, angles, weights, factor)
+
+
+def _weigh_smoothly(squares: FloatArray) -> FloatArray:
+    return np.asarray((1.0 + squares) ** -2.0)
+
+
+def _weigh_inliers(squares: FloatArray) -> FloatArray:
+    return biquartic_weights(squares / CUTOFF_SIGMAS**2)
 
 
 def build_rotation_cost(a: FloatArray, b: FloatArray, weights: FloatArray) -> QuadraticCost:
