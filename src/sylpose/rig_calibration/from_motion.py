@@ -16,6 +16,7 @@ from sylpose.bundle_adjustment.calibration_refinement import N_LENS_PARAMETERS
 from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Camera, Rig
 from sylpose.rig_calibration.camera_tracks import RefinedTrack
+from sylpose.rig_calibration.instants import collect_instants, estimate_delays, move_to_frames, synchronize_tracks
 from sylpose.rig_calibration.motion_bundle import N_CAMERA_PARAMETERS, JointBundle, bundle_jointly
 from sylpose.rig_calibration.relative_motions import (
     MotionRefusedError,
@@ -27,10 +28,13 @@ from sylpose.rig_calibration.relative_motions import (
 from sylpose.rig_calibration.result import RigCalibration
 from sylpose.status import Status
 
-# Noise of a camera in the joint refinement relative to its own track, above which the cameras contradict each other
-# (measured: docs/calibrating.md, 0.98 to 1.02 for sound ones, 1.1 to 1.8 with focal lengths 5 % wrong), and above which
-# they are refused (choice); share of the inliers of its own track that must remain (choice).
-CLEAR_NOISE_RATIO, MAX_NOISE_RATIO, MIN_INLIER_RATIO = 1.1, 3.0, 0.8
+# Noise of a camera in the joint refinement relative to its own track, above which the instants of the images are estimated
+# (measured: docs/calibrating.md, 0.98 to 1.02 for sound ones), and above which a camera contradicts the others (measured:
+# there, up to 1.4 for sound webcams, from 2.7 for a wrong track); share of the inliers of its own track that must remain
+# (choice).
+CLEAR_NOISE_RATIO, MAX_NOISE_RATIO, MIN_INLIER_RATIO = 1.1, 1.5, 0.8
+# Rounds of instants and refinement at most, and the relative change of the noise that ends them (choice).
+MAX_INSTANT_ROUNDS, NOISE_TOLERANCE = 6, 0.02
 # Focal lengths are estimated if one differs by so many standard deviations from that given (choice: more than three,
 # since standard deviations are up to 1.5 times too small).
 FOCAL_SDS = 5.0
@@ -128,50 +132,188 @@ def calibrate_from_motion(
     Raises:
         MotionRefusedError: the motion does not determine the rig.
     """
-    both = list(zip(cameras, tracks, strict=True))
-    left_out = {camera.name: "it could not track the object" for camera, its in both if its is None}
-    pairs = [(camera, its) for camera, its in both if its is not None]
-    start = solve_relative_extrinsics([its.track for _, its in pairs])
-    tests, warnings, freed = list(start.tests), list[str](), tuple(free)
-    joint = _bundle(pairs, start, freed)
-    if "focal" not in freed:
-        other = _bundle(pairs, start, (*freed, "focal"))
-        change = "" if other is None else _describe_focal_change([pairs[k][0] for k in start.cameras], other)
-        if change:
-            joint, freed = other, (*freed, "focal")
-            warnings.append(f"focal lengths were estimated, since the motion contradicts those given: {change}")
-    if joint is not None and joint.noise_ratio.max() > CLEAR_NOISE_RATIO:
-        other = _bundle(pairs, start, (*freed, "offsets"))
-        if other is not None and CLEAR_NOISE_RATIO * other.noise_ratio.max() < joint.noise_ratio.max():
-            joint, freed = other, (*freed, "offsets")
-            warnings.append("time offsets of the cameras were estimated: their time stamps contradict the motion")
-    joint = _test_bundle(joint, tests)
-    for name, reason in start.left_out.items():
-        index = next(k for k, (camera, _) in enumerate(pairs) if camera.name == name)
-        extended = _extend(start, pairs[index][1], index, joint)
-        trial = None if extended is None else _bundle(pairs, extended, freed)
-        if extended is not None and trial is not None and _is_sound(trial):
-            joint, start = trial, extended
-            warnings.append(f"{name} was added by the joint refinement, although {reason}")
-        else:
-            left_out[name] = reason
+    left_out = {
+        camera.name: "it could not track the object" for camera, its in zip(cameras, tracks, strict=True) if its is None
+    }
+    observed = [its for its in tracks if its is not None]
+    known = [camera for camera, its in zip(cameras, tracks, strict=True) if its is not None]
+    recording = _Recording(known, observed, synchronize_tracks(observed) if observed else [])
+    found = _calibrate_consistent(recording, tuple(free))
+    joint, warnings = found.fit.joint, [*found.fit.warnings, *found.admitted]
     noisy = int(np.argmax(joint.noise_ratio))
     if joint.noise_ratio[noisy] > CLEAR_NOISE_RATIO:
         warnings.append(
             f"{joint.rig[noisy].name} has {joint.noise_ratio[noisy]:.1f} times the noise of its own track: time stamps or "
             "lenses are inexact"
         )
-    calibration = _make_calibration(joint, [pairs[k][1] for k in start.cameras], warnings)
+    calibration = _make_calibration(joint, [observed[k] for k in found.start.cameras], warnings)
     return MotionCalibration(
-        calibration, tuple(tests), left_out, joint.distance, joint.object_length, freed, joint.covariance
+        calibration,
+        found.tests,
+        {**left_out, **found.start.left_out},
+        joint.distance,
+        joint.object_length,
+        found.fit.freed,
+        joint.covariance,
     )
 
 
+@dataclass(frozen=True, eq=False)
+class _Recording:
+    """Cameras that track the object, their tracks as observed, and moved to common instants by their time stamps."""
+
+    cameras: Sequence[Camera]
+    observed: Sequence[RefinedTrack]
+    synchronized: Sequence[RefinedTrack]
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """Joint refinement with what was estimated besides the extrinsics: of the lenses, and in words."""
+
+    joint: JointBundle
+    freed: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Consistent:
+    """Calibration of cameras that agree, with the tests passed, and who was admitted at last, in words."""
+
+    start: RelativeExtrinsics
+    fit: _Fit
+    tests: tuple[MotionTest, ...]
+    admitted: tuple[str, ...]
+
+
+def _calibrate_consistent(recording: _Recording, free: tuple[str, ...]) -> _Consistent:
+    """Calibrate the cameras that pass all tests together; those that contradict the others are left out.
+
+    Raises:
+        MotionRefusedError: no two cameras pass; the error is that of all cameras together.
+    """
+    excluded, refusal = dict[str, str](), None
+    while True:
+        joint = None
+        try:
+            start = _relate_cameras(recording, excluded)
+            tests, fit = [*start.tests], _fit(recording, start, free)
+            joint = None if fit is None else fit.joint
+            _test_consistency(joint, tests)
+            assert fit is not None
+            start, fit, admitted = _admit_cameras(recording, start, fit, free)
+            joint = fit.joint
+            _test_uncertainty(joint, tests)
+        except MotionRefusedError as error:
+            refusal = refusal or error
+            if joint is None or len(joint.rig) < 3:
+                raise refusal from None
+            name = joint.rig[find_least_consistent(joint)].name
+            excluded[name] = f"it contradicts the others ({error.tests[-1].name}: {error.tests[-1].value})"
+        else:
+            return _Consistent(start, fit, tuple(tests), admitted)
+
+
+def _admit_cameras(
+    recording: _Recording, start: RelativeExtrinsics, fit: _Fit, free: tuple[str, ...]
+) -> tuple[RelativeExtrinsics, _Fit, tuple[str, ...]]:
+    """Add cameras that were left out, where the joint refinement with them is sound."""
+    admitted = list[str]()
+    for name, reason in start.left_out.items():
+        index = [camera.name for camera in recording.cameras].index(name)
+        extended = _extend(start, recording.synchronized[index], index, fit.joint)
+        trial = None if extended is None else _fit(recording, extended, free)
+        if extended is not None and trial is not None and _is_sound(trial.joint):
+            left_out = {other: why for other, why in start.left_out.items() if other != name}
+            start, fit = replace(extended, left_out=left_out), trial
+            admitted.append(f"{name} was added by the joint refinement, although {reason}")
+    return start, fit, tuple(admitted)
+
+
+def _relate_cameras(recording: _Recording, excluded: Mapping[str, str]) -> RelativeExtrinsics:
+    """Solve the extrinsics of all cameras but some from relative motions."""
+    kept = [k for k, camera in enumerate(recording.cameras) if camera.name not in excluded]
+    found = solve_relative_extrinsics([recording.synchronized[k].track for k in kept])
+    cameras = tuple(kept[c] for c in found.cameras)
+    return replace(found, cameras=cameras, left_out={**found.left_out, **excluded})
+
+
+def find_least_consistent(joint: JointBundle) -> int:
+    """Return the camera with the most noise relative to its own track; if none is clear, the least known one.
+
+    A camera is as well known as its rotation from the median of the others, which does not depend on the reference.
+    """
+    if joint.worst_noise_ratio > CLEAR_NOISE_RATIO:
+        return int(np.argmax(joint.noise_ratio))
+    n = len(joint.rig)
+    blocks = joint.covariance.reshape(n, N_CAMERA_PARAMETERS, n, N_CAMERA_PARAMETERS)[:, :3, :, :3].swapaxes(1, 2)
+    # Rotations in the axes of the first camera.
+    R = np.array([camera.rotation for camera in joint.rig])
+    blocks = np.einsum("aji,abjk,bkl->abil", R, blocks, R, optimize=True)
+    own = np.einsum("aaij->aij", blocks)
+    relative = np.trace(own[:, None] + own - blocks - blocks.swapaxes(2, 3), axis1=2, axis2=3)
+    return int(np.argmax([np.median(np.delete(relative[c], c)) for c in range(n)]))
+
+
+def _fit(recording: _Recording, start: RelativeExtrinsics, free: tuple[str, ...]) -> _Fit | None:
+    """Refine with the simplest model that explains the observations; None if that does not converge."""
+    cameras = [recording.cameras[k] for k in start.cameras]
+    fit = _fit_lenses(cameras, [recording.synchronized[k] for k in start.cameras], start, free)
+    if fit is None or fit.joint.worst_noise_ratio <= CLEAR_NOISE_RATIO:
+        return fit
+    timed = _fit_instants(cameras, [recording.observed[k] for k in start.cameras], start, free, fit.joint)
+    is_better = timed is not None and CLEAR_NOISE_RATIO * timed.joint.worst_noise_ratio < fit.joint.worst_noise_ratio
+    return timed if is_better else fit
+
+
+def _fit_lenses(
+    cameras: Sequence[Camera], tracks: Sequence[RefinedTrack], start: RelativeExtrinsics, free: tuple[str, ...]
+) -> _Fit | None:
+    """Refine; also the focal lengths, if the motion contradicts them."""
+    joint = _bundle(cameras, tracks, start, free)
+    if "focal" not in free:
+        other = _bundle(cameras, tracks, start, (*free, "focal"))
+        if other is not None and (change := _describe_focal_change(cameras, other)):
+            warning = f"focal lengths were estimated, since the motion contradicts those given: {change}"
+            return _Fit(other, (*free, "focal"), (warning,))
+    return None if joint is None else _Fit(joint, free, ())
+
+
+def _fit_instants(
+    cameras: Sequence[Camera],
+    tracks: Sequence[RefinedTrack],
+    start: RelativeExtrinsics,
+    free: tuple[str, ...],
+    joint: JointBundle,
+) -> _Fit | None:
+    """Refine with instants of all images that are estimated as well, from a refinement at the time stamps."""
+    stamps = collect_instants(tracks, start.frames)
+    times, instants, moved = np.nanmean(stamps, axis=1), stamps, tracks
+    for _ in range(MAX_INSTANT_ROUNDS):
+        instants = instants + estimate_delays(joint, times)
+        moved = move_to_frames(tracks, start.frames, times, instants, joint)
+        previous, refined = joint, _bundle(cameras, moved, start, free)
+        if refined is None:
+            return None
+        joint = refined
+        if joint.worst_noise_ratio > (1.0 - NOISE_TOLERANCE) * previous.worst_noise_ratio:
+            break
+    fit = _fit_lenses(cameras, moved, start, free)
+    if fit is None:
+        return None
+    errors = np.sqrt(np.nanmean((instants - stamps) ** 2, axis=0))
+    worst = int(np.argmax(errors))
+    warning = (
+        "the instants of the images were estimated, since the motion contradicts their time stamps: "
+        f"{cameras[worst].name} by {1e3 * errors[worst]:.2g} ms"
+    )
+    return replace(fit, warnings=(warning, *fit.warnings))
+
+
 def _bundle(
-    pairs: Sequence[tuple[Camera, RefinedTrack]], start: RelativeExtrinsics, free: Sequence[str]
+    cameras: Sequence[Camera], tracks: Sequence[RefinedTrack], start: RelativeExtrinsics, free: Sequence[str]
 ) -> JointBundle | None:
     """Refine jointly; None if that does not converge."""
-    cameras, tracks = zip(*(pairs[k] for k in start.cameras), strict=True)
     try:
         joint = bundle_jointly(cameras, tracks, start, free)
     except ValueError:  # a lens became implausible
@@ -199,17 +341,19 @@ def measure_worst_sds(joint: JointBundle) -> tuple[FloatArray, FloatArray]:
     return rotation, place / joint.distance
 
 
-def _is_sound(joint: JointBundle | None) -> bool:
-    """Return whether a joint refinement passes all tests."""
-    try:
-        _test_bundle(joint, [])
-    except MotionRefusedError:
-        return False
-    return True
+def _is_sound(joint: JointBundle) -> bool:
+    """Return whether all cameras of a refinement agree, and the last one is determined."""
+    rotation, place = measure_worst_sds(joint)
+    return bool(
+        joint.worst_noise_ratio < MAX_NOISE_RATIO
+        and joint.inlier_ratio.min() > MIN_INLIER_RATIO
+        and rotation[-1] < MAX_ROTATION_SD
+        and place[-1] < MAX_PLACE_SD
+    )
 
 
-def _test_bundle(joint: JointBundle | None, tests: list[MotionTest]) -> JointBundle:
-    """Test whether the refinement converged, all cameras agree, and standard deviations are small.
+def _test_consistency(joint: JointBundle | None, tests: list[MotionTest]) -> None:
+    """Test whether the refinement converged, and all cameras agree.
 
     Raises:
         MotionRefusedError: they are not.
@@ -242,6 +386,15 @@ def _test_bundle(joint: JointBundle | None, tests: list[MotionTest]) -> JointBun
         f"{MIN_INLIER_RATIO:.0%}",
         f"{names[poor]} contradicts the others: check that it observes the same object, and its intrinsics",
     )
+
+
+def _test_uncertainty(joint: JointBundle, tests: list[MotionTest]) -> None:
+    """Test whether standard deviations are small.
+
+    Raises:
+        MotionRefusedError: they are not.
+    """
+    names = joint.rig.names
     rotation, place = measure_worst_sds(joint)
     r, p = int(np.argmax(rotation)), int(np.argmax(place))
     add_test(
@@ -260,7 +413,6 @@ def _test_bundle(joint: JointBundle | None, tests: list[MotionTest]) -> JointBun
         f"{MAX_PLACE_SD:.1%}",
         "carry the object about by more than its own size, besides rotating it",
     )
-    return joint
 
 
 def _extend(

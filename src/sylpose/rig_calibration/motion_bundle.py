@@ -30,8 +30,6 @@ ROTATION_SD, PLACE_SD = np.radians(10.0), 0.3
 LENS_SD = {"focal": 0.05, "principal": 0.02, "distortion": 0.1}
 # Prior of a lens that is not estimated: small enough not to matter (derived).
 FIXED_SD = 1e-9
-# Prior of time offsets, in frames (choice: more would be found by `find_time_offset`).
-OFFSET_SD = 0.3
 # Factor of all standard deviations beyond the inflation of the bundle adjustment (measured: benchmarks/self_calibration.py,
 # errors are 1.15 times the standard deviations in the rms of 90 components, and one camera of ten is beyond three of them).
 SD_FACTOR = 1.3
@@ -58,6 +56,9 @@ class JointBundle:
         distance: mean distance of the first camera from the object.
         object_length: longest extent of the object's observed surface.
         reference_from_object: N poses of the object.
+        observations: of all cameras, normalized by `rig`; their landmarks are numbered through the tracks.
+        landmarks: (M, 3) object's frame.
+        weights: (n,) of the observations, in [0, 1].
     """
 
     status: Status
@@ -70,6 +71,14 @@ class JointBundle:
     distance: float
     object_length: float
     reference_from_object: RigidTransform
+    observations: Observations
+    landmarks: FloatArray
+    weights: FloatArray
+
+    @property
+    def worst_noise_ratio(self) -> float:
+        """The largest of `noise_ratio`."""
+        return float(self.noise_ratio.max())
 
 
 def bundle_jointly(
@@ -79,9 +88,9 @@ def bundle_jointly(
 
     Args:
         cameras: C cameras with their lenses; their poses are not used.
-        tracks: C tracks, in the order of `start.cameras`.
+        tracks: C tracks, in the order of `start.cameras`; all images of a frame taken at one instant.
         start: extrinsics from relative motions.
-        free: what else is estimated: of each lens, some of `LENS_SD`, and time "offsets".
+        free: what else is estimated of each lens, some of `LENS_SD`.
 
     Raises:
         ValueError: a lens becomes implausible.
@@ -91,11 +100,8 @@ def bundle_jointly(
     observations, landmarks = _merge_observations(tracks, start)
     place_sd = PLACE_SD * float(np.linalg.norm(start.reference_from_object.translation, axis=1).mean())
     lenses = np.array([_lens_prior(camera, free) for camera in cameras])
-    times = _collect_times(tracks, start)
     options = BundleOptions(
         landmarks=landmarks,
-        times=times,
-        offsets_sd=OFFSET_SD * float(np.median(np.diff(times.mean(axis=1)))) if "offsets" in free else None,
         calibration_prior=CalibrationPrior(np.full(n, ROTATION_SD), np.full(n, place_sd), lenses, np.full(n, -1)),
         recalibrate=True,
         rough_px=ROUGH_PX,
@@ -125,6 +131,9 @@ def bundle_jointly(
         float(np.linalg.norm(poses.translation, axis=1).mean()),
         _measure_extent(result.landmarks[counts >= MIN_OBSERVATIONS]),
         poses,
+        _renormalize(observations, rig, corrected) if free else observations,
+        result.landmarks,
+        result.weights,
     )
 
 
@@ -141,12 +150,13 @@ def _merge_observations(tracks: Sequence[RefinedTrack], start: RelativeExtrinsic
     return Observations(frame[kept], camera[kept], landmark[kept], image[kept]), np.concatenate(landmarks)
 
 
-def _collect_times(tracks: Sequence[RefinedTrack], start: RelativeExtrinsics) -> FloatArray:
-    """Return (N, C) seconds, when each camera took each frame; the mean of the others where it has none."""
-    times = np.full((len(start.frames), len(tracks)), np.nan)
-    for c, its in enumerate(tracks):
-        times[np.searchsorted(start.frames, its.track.frames), c] = its.times
-    return np.where(np.isfinite(times), times, np.nanmean(times, axis=1, keepdims=True))
+def _renormalize(observations: Observations, rig: Rig, corrected: Rig) -> Observations:
+    """Return observations as normalized by corrected lenses."""
+    image = observations.image.copy()
+    for c, (before, after) in enumerate(zip(rig, corrected, strict=True)):
+        own = observations.camera == c
+        image[own] = after.normalize(before.denormalize(image[own]))
+    return replace(observations, image=image)
 
 
 def _lens_prior(camera: Camera, free: Sequence[str]) -> FloatArray:
