@@ -213,9 +213,14 @@ def fit_motion_mixture(
     return MotionMixture(fits, probabilities, compute_cost(stack, all_usable, density), max(decreases), iterations)
 
 
-# Of the displacements between these squares, in units of noise, at most this share and this number are due to chance
-# (chi-squared of two degrees of freedom: 1 %, and three times it; choice).
-MIN_MOVED_SQUARE, MAX_MOVED_SQUARE, MAX_CHANCE_SHARE, MIN_MOVED_MATCHES = 9.2, 200.0, 0.03, 6
+# Displacements whose squares, in units of noise, exceed this have moved; chance exceeds it with the next probability
+# (chi-squared of two degrees of freedom).
+MIN_MOVED_SQUARE, CHANCE_SHARE = 9.2, 0.01
+# Mismatches are displaced farther than this (choice).
+MAX_MOVED_SQUARE = 200.0
+# The number of those that moved exceeds the number by chance by so many standard deviations (choice: at 3, 5 of 30 static
+# scenes of 20 matches are taken for moving ones, at 5 two).
+CHANCE_SDS = 5.0
 # A background is assumed possible if at least this share of the matches may be static (choice).
 MIN_BACKGROUND_SHARE = 0.08
 # Displacements beyond this are ignored by the static model, pixels (choice).
@@ -291,7 +296,8 @@ def has_moving_matches(stack: Stack, usable: BoolArray, single: IrlsFit) -> bool
     squared_px = _compute_squared_px(stack)
     squares = 0.5 * squared_px / _estimate_static_sigma(squared_px, usable, single) ** 2
     moved_count = int((usable & (squares > MIN_MOVED_SQUARE) & (squares < MAX_MOVED_SQUARE)).sum())
-    return bool(moved_count > MAX_CHANCE_SHARE * usable.sum() + MIN_MOVED_MATCHES)
+    by_chance = CHANCE_SHARE * usable.sum()
+    return bool(moved_count > by_chance + CHANCE_SDS * np.sqrt(by_chance))
 
 
 def split_background(
