@@ -41,7 +41,8 @@ from sylpose.status import Status
 CUTOFF_SIGMAS = 5.0
 # Reduction of the weighted mean square of Gaussian noise by these weights (derived).
 SHRINKAGE = biquartic_noise_response(CUTOFF_SIGMAS).shrinkage
-# Lower limits of the noise, pixels: for outlier rejection (choice); and for the covariance of poses, below which errors
+# Lower limits of the noise, pixels: for outlier rejection (measured: docs/history/benchmarks.md, "Noise of the
+# refinement"); and for the covariance of poses, below which errors
 # of pixel positions and of lenses would dominate (choice).
 MIN_SIGMA_PX, MIN_REPORTED_SIGMA_PX = 0.1, 0.02
 # Degrees of freedom from which a camera's noise estimate weighs as much as that of all cameras together (choice).
