@@ -102,7 +102,7 @@ def run_recording(name: str, kind: Kind, tracked: Tracked) -> Outcome:
     """Calibrate from tracks and compare with the truth."""
     truth, cameras, tracks, distance = tracked
     try:
-        found = calibrate_from_motion(cameras, tracks)
+        found = calibrate_from_motion(cameras, tracks, kind.free)
     except MotionRefusedError as error:
         return Outcome(name, kind, f"{error.tests[-1].name}, {error.tests[-1].value}", np.zeros((0, 5)), "")
     noise = next(test.value.split()[0] for test in found.tests if test.name.startswith("noise"))

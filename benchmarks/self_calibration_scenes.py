@@ -40,6 +40,7 @@ class Kind:
         share: of the object's length in the image's height, relative to `OBJECT_SHARE`.
         focal_error, principal_error: relative errors of all focal lengths given; of principal points, in widths.
         wrong_camera: whether one camera observes another object.
+        free: what is estimated of the lenses.
         late_frames: frames that one camera lacks at the beginning; it then has no box.
         seen_frames: frames that one camera has at all, from the beginning; 0: all.
         has_boxes: whether boxes are given.
@@ -65,6 +66,7 @@ class Kind:
     focal_error: float = 0.0
     principal_error: float = 0.0
     wrong_camera: bool = False
+    free: tuple[str, ...] = ()
     late_frames: int = 0
     seen_frames: int = 0
     has_boxes: bool = True
@@ -84,6 +86,7 @@ KINDS = {
     "little": Kind(angle_deg=40.0),
     "planar": Kind(angle_deg=150.0, sides=(1.0, 0.8, 0.05)),
     "focal": Kind(focal_error=0.05),
+    "fov": Kind(focal_error=0.2, free=("fov",)),
     "wrong": Kind(wrong_camera=True),
     "late": Kind(late_frames=25),
     "axis": Kind(wobble=0.0, expected="refused"),

@@ -76,6 +76,12 @@ GROUPS: dict[str, tuple[str, ...]] = {
         "Coverage",
         "HalvesTest",
         "CalibrationRefusedError",
+        "self_calibrate",
+        "KnownLength",
+        "MotionCalibration",
+        "FreeFlight",
+        "MotionTest",
+        "MotionRefusedError",
     ),
     "Two frames, known points": ("estimate_motion", "estimate_motions", "estimate_pose"),
     "Another camera's view": (

@@ -51,6 +51,7 @@ NOT_CALLED = {
     "open_session": "reads files: test_fuzz_readers.py, calibration/, capture/",
     "open_live": "the same",
     "calibrate_session": "the same: rig_calibration/test_calibrate_command.py",
+    "self_calibrate": "tracks a recording: commands/test_self_calibration.py",
     "calibrate_from_boards": "takes seconds: rig_calibration/test_from_boards.py",
     "track_session": "the same; its options: commands/",
     "load_object": "reads a file: commands/test_object_files.py",

@@ -63,6 +63,9 @@ def test_calibrate_writes_the_rig(tumbling: Path, tmp_path: Path, capsys: pytest
     assert np.linalg.norm(found[1].center) == pytest.approx(distance, rel=1e-6)
     assert "# cam_1: fx fy" in out.read_text()
     assert "# spread of rotation axes" in out.read_text()
+    page = out.with_suffix(".html").read_text()
+    for text in ("Two halves of the landmarks", "Not observable", "spread of rotation axes", "From above", "cam_1"):
+        assert text in page
 
 
 def test_refused_recording_writes_no_file(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -83,7 +86,12 @@ def test_refused_recording_writes_no_file(session: Path, capsys: pytest.CaptureF
         (["--distance", "cam_0=1m"], "--distance must be CAM:CAM=LENGTH"),
         (["--distance", "cam_0:cam_9=1m"], "two of the cameras cam_0, cam_1, cam_2"),
         (["--distance", "cam_0:cam_1=far"], "--distance must be a positive length"),
-        (["--distance", "cam_0:cam_1=1m", "--object-length", "1m"], "exclude each other"),
+        (
+            ["--distance", "cam_0:cam_1=1m", "--object-length", "1m"],
+            "--distance and --object-length exclude each other",
+        ),
+        (["--throw", "--object-length", "1m"], "--object-length and --throw exclude each other"),
+        (["--fov", "60"], "--fov and --intrinsics exclude each other"),
     ],
 )
 def test_wrong_options(change: list[str], message: str, session: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -145,6 +153,8 @@ def test_track_calibrates_and_tracks_on(tumbling: Path, tmp_path: Path, capsys: 
     [
         (["--free", "focal"], "--free: only with --self-calibrate"),
         (["--distance", "cam_0:cam_1=1m"], "--distance: only with --self-calibrate"),
+        (["--throw"], "--throw: only with --self-calibrate"),
+        (["--self-calibrate", "--fov", "200"], "--fov must be 1 to 130 degrees"),
         (["--self-calibrate", "--resume"], "--resume: not with --self-calibrate"),
         (["--self-calibrate", "--refine-calibration"], "--refine-calibration: not with --self-calibrate"),
         (["--self-calibrate", "--follow"], "--self-calibrate: only recordings can be tracked twice"),

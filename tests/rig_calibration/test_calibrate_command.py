@@ -16,7 +16,7 @@ from sylpose.io.capture import open_session
 from sylpose.io.capture.session import open_uncalibrated
 from sylpose.io.rig_files import load_calibration
 from sylpose.rig import Rig
-from sylpose.runs.calibrate import choose_unit
+from sylpose.runs.calibrate import choose_unit, complete_board
 from sylpose.simulate import Actor, Scene, arc
 from sylpose.simulate.recordings import write_sequence
 from tests.boards.drawing import compute_middle, make_plate
@@ -49,6 +49,29 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_sequence(folder, Scene(rig, (Actor(make_plate(board), move),), FRAMES, seed=0))
     (folder / "calibration.toml").rename(folder.parent / "truth.toml")
     return folder
+
+
+def test_board_is_completed_from_the_images(recording: Path) -> None:
+    """The dictionary is found, and the markers' size so well that corners are the same to a fiftieth of a pixel."""
+    session = open_uncalibrated(recording)
+    text = complete_board(session, "charuco:5x4,square=40mm")
+    assert text.startswith("charuco:5x4,square=40mm,dict=4X4_50,marker=")
+    found, board = parse_board(text, "m"), parse_board(BOARD, "m")
+    assert abs(found.marker_ratio / board.marker_ratio - 1.0) < 0.02
+    image, n = next(session.frames(4, 5)).images[0], 0
+    assert image is not None
+    exact, its = detect(image, session.rig[0], board), detect(image, session.rig[0], found)
+    _, rows, own = np.intersect1d(exact.indices, its.indices, return_indices=True)
+    n += len(rows)
+    assert n > 6
+    assert np.abs(exact.pixels[rows] - its.pixels[own]).max() < 0.02
+    assert complete_board(session, BOARD) == BOARD
+    known = complete_board(session, "charuco:5x4,square=40mm,dict=4X4_50")
+    assert parse_board(known, "m").marker_ratio == pytest.approx(found.marker_ratio)
+    with pytest.raises(ValueError, match="no markers of any dictionary lie as on this board"):
+        complete_board(session, "charuco:9x12,square=40mm")
+    with pytest.raises(ValueError, match="square is missing"):
+        complete_board(session, "charuco:9x12")
 
 
 def test_rendered_board_gives_the_rig(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

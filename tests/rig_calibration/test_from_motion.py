@@ -13,11 +13,22 @@ from sylpose.bundle_adjustment.calibration_refinement import CalibrationPrior
 from sylpose.geometry.arrays import FloatArray
 from sylpose.io.calibration.world import World, transform_rig
 from sylpose.results import FramePose
-from sylpose.rig import Rig
+from sylpose.rig import Camera, Rig
 from sylpose.rig_calibration.camera_tracks import RefinedTrack, refine_track, reverse_depth
-from sylpose.rig_calibration.from_motion import MotionCalibration, calibrate_from_motion
-from sylpose.rig_calibration.motion_bundle import N_CAMERA_PARAMETERS, transform_covariance
-from sylpose.rig_calibration.relative_motions import MotionRefusedError
+from sylpose.rig_calibration.from_motion import (
+    MotionCalibration,
+    calibrate_from_motion,
+    find_unobservable,
+    locate,
+    rescale,
+)
+from sylpose.rig_calibration.motion_bundle import (
+    N_CAMERA_PARAMETERS,
+    bundle_jointly,
+    make_lens_prior,
+    transform_covariance,
+)
+from sylpose.rig_calibration.relative_motions import MotionRefusedError, solve_relative_extrinsics
 from sylpose.simulate import arc, box
 from sylpose.smoothing import Track, smooth_tracks
 from sylpose.status import FrameStatus
@@ -115,7 +126,7 @@ def test_calibration_is_precise_and_honest() -> None:
 
 def test_scale_is_free_and_can_be_set() -> None:
     found = calibrate()
-    doubled = found.rescale(2.0, "mm")
+    doubled = rescale(found, 2.0, "mm")
     assert doubled.calibration.rig.unit == "mm"
     np.testing.assert_allclose(doubled.calibration.rig[1].center, 2.0 * found.calibration.rig[1].center)
     np.testing.assert_allclose(
@@ -124,7 +135,7 @@ def test_scale_is_free_and_can_be_set() -> None:
     )
     # The scale of a rig from relative lengths is that of the distance of two cameras; the object is as long as it was.
     truth = float(np.linalg.norm(RIG[0].center - RIG[1].center))
-    metric = found.rescale(truth / float(np.linalg.norm(found.calibration.rig[1].center)), "m")
+    metric = rescale(found, truth / float(np.linalg.norm(found.calibration.rig[1].center)), "m")
     assert metric.object_length == pytest.approx(np.linalg.norm([0.2, 0.15, 0.17]), rel=0.15)
 
 
@@ -140,14 +151,14 @@ def test_known_distance_is_exact_in_the_covariance() -> None:
         return float(np.sqrt(max(float(g.ravel() @ its.covariance @ g.ravel()), 0.0)) / np.linalg.norm(between))
 
     names = found.calibration.rig.names
-    known = found.rescale(3.0, "m", exact=(names[1], names[2]))
+    known = rescale(found, 3.0, "m", exact=(names[1], names[2]))
     assert distance_sd(known, 1, 2) < 1e-3 * distance_sd(known, 0, 1)
-    rough = found.rescale(3.0, "m", sd=0.1)
+    rough = rescale(found, 3.0, "m", sd=0.1)
     assert distance_sd(rough, 0, 1) == pytest.approx(0.1, rel=0.01)
     world = transform_rig(
         known.calibration.rig, World(RigidTransform.from_rotation(Rotation.random(rng=0)), unit="m", world_unit="m")
     )
-    located = known.locate(world)
+    located = locate(known, world)
     assert distance_sd(located, 0, 2) == pytest.approx(distance_sd(known, 0, 2))
     turned, straight = (its.calibration.extrinsics_covariance for its in (located, known))
     np.testing.assert_allclose(turned, straight, rtol=1e-6, atol=1e-12 * np.abs(straight).max())
@@ -190,7 +201,7 @@ def test_poses_include_the_errors_of_the_calibration() -> None:
         path = make_path(seed)
         found = calibrate(seed)
         names = found.calibration.rig.names
-        found = found.rescale(1.0, "", exact=(names[0], names[1]))
+        found = rescale(found, 1.0, "", exact=(names[0], names[1]))
         tracks, rig = observe_jointly(found, path, seed), found.calibration.rig
         truth = true_poses(path, float(np.linalg.norm(rig[1].center) / np.linalg.norm(RIG[1].center - RIG[0].center)))
         for is_included, its in squares.items():
@@ -211,21 +222,75 @@ def test_poses_include_the_errors_of_the_calibration() -> None:
     assert ignored[1] > 10.0 * included[1]
 
 
+def observe_with(
+    seed: int, focal: float = 1.0, principal: float = 0.0, k1: float = 0.0, step: int = 2
+) -> tuple[list[Camera], list[RefinedTrack | None]]:
+    """Return cameras with wrong lenses and the tracks that they would have: their pixels are those of the true ones."""
+    cameras, tracks = list[Camera](), list[RefinedTrack | None]()
+    for its, camera in zip(observe(RIG, tumble(seed)[::step], seed), RIG, strict=True):
+        matrix = camera.matrix.copy()
+        matrix[[0, 1], [0, 1]] *= focal
+        matrix[:2, 2] += principal
+        cameras.append(replace(camera, matrix=matrix, distortion=np.array([k1, 0.0, 0.0, 0.0])))
+        wrong = []
+        for t in its:
+            seen = t.observations[0]
+            normalized = cameras[-1].normalize(camera.denormalize(seen.normalized))
+            wrong.append(replace(t, observations=(replace(seen, normalized=normalized),)))
+        tracks.append(refine_track(wrong, cameras[-1]))
+    return cameras, tracks
+
+
+def test_focal_lengths_from_a_field_of_view() -> None:
+    """They are 20 % off."""
+    cameras, tracks = observe_with(2, focal=0.8)
+    found = calibrate_from_motion(cameras, tracks, ("fov",))
+    focal = np.array([camera.focal for camera in found.calibration.rig])
+    np.testing.assert_allclose(focal, RIG[0].focal, rtol=0.015)
+    sd = np.array([np.sqrt(c[0, 0]) for c in found.calibration.intrinsics_covariance])
+    assert (np.abs(focal - RIG[0].focal) < 4.0 * sd).all()
+    assert not found.calibration.unobservable
+    assert np.degrees(np.linalg.norm(errors_of(found, RIG)[0][:, :3], axis=1)).max() < 0.3
+
+
+@pytest.mark.parametrize(("name", "error"), [("principal", 8.0), ("distortion", 0.05)])
+def test_principal_points_and_distortion_are_estimated(name: str, error: float) -> None:
+    """Within four of the stated standard deviations, and better than given; what is held has none."""
+    is_principal = name == "principal"
+    cameras, tracks = observe_with(
+        3, principal=error * is_principal, k1=error * (not is_principal), step=2 - is_principal
+    )
+    found = calibrate_from_motion(cameras, tracks, (name,))
+    assert not found.calibration.unobservable
+    for camera, true, covariance in zip(
+        found.calibration.rig, RIG, found.calibration.intrinsics_covariance, strict=True
+    ):
+        sd = np.sqrt(np.diag(covariance))
+        off = np.append(camera.matrix[:2, 2] - true.matrix[:2, 2], camera.distortion[0])
+        own = off[:2] if is_principal else off[2:]
+        assert (np.abs(own) < 4.0 * (sd[2:4] if is_principal else sd[4])).all()
+        assert np.abs(own).max() < 0.6 * error
+        assert not sd[:2].any()
+        assert not (sd[4] if is_principal else sd[2:4]).any()
+
+
+def test_lens_that_stays_at_its_prior_is_named() -> None:
+    """With a prior much narrower than the information, standard deviations stay as they were."""
+    joint = bundle_jointly(
+        RIG.cameras, [t for t in refine() if t], solve_relative_extrinsics([t.track for t in refine() if t])
+    )
+    narrow = make_lens_prior(RIG[0], ("focal",))
+    k = N_CAMERA_PARAMETERS
+    covariance = joint.covariance.copy()
+    for c in range(len(RIG)):
+        covariance[c * k + 6, c * k + 6] = (0.9 if c == 1 else 0.1) ** 2 * narrow[0] ** 2
+    sentences = [*find_unobservable(replace(joint, covariance=covariance), ("focal",))]
+    assert sentences == ["cam_1: the motion does not determine focal length, which stayed as given or guessed"]
+
+
 def test_wrong_focal_lengths_are_estimated() -> None:
     """They contradict the motion, so they are not held."""
-    path = make_path(1)
-    wrong = []
-    for camera in RIG:
-        matrix = camera.matrix.copy()
-        matrix[[0, 1], [0, 1]] *= 1.05
-        wrong.append(replace(camera, matrix=matrix))
-    tracks = []
-    for its, camera in zip(observe(RIG, path, 1), wrong, strict=True):
-        scaled = [
-            replace(t, observations=tuple(replace(o, normalized=o.normalized / 1.05) for o in t.observations))
-            for t in its
-        ]
-        tracks.append(refine_track(scaled, camera))
+    wrong, tracks = observe_with(1, focal=1.05)
     found = calibrate_from_motion(wrong, tracks)
     assert "focal" in found.freed
     assert any("focal lengths were estimated" in warning for warning in found.calibration.warnings)

@@ -80,6 +80,7 @@ def join(tracks: list[RefinedTrack], instants: FloatArray) -> JointBundle:
         observations=observations,
         landmarks=np.concatenate([t.landmarks for t in tracks]),
         weights=np.ones(len(observations.frame)),
+        coverage=(),
     )
 
 

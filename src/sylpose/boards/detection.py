@@ -132,8 +132,8 @@ def _detect_circles(board: Board, gray: Image) -> Detection:
 
 
 def _detect_charuco(board: Board, gray: Image, camera: Camera) -> Detection:
-    aruco = _load_aruco()
-    dictionary = _load_dictionary(aruco, board.dictionary)
+    aruco = load_aruco()
+    dictionary = load_dictionary(aruco, board.dictionary)
     square = float(board.points[:, 0].min())
     marker_indices, marker_corners, problem = _detect_tags(board, gray, camera, board.size[0] * board.size[1] // 2)
     between, start = np.empty(0, np.int64), np.empty((0, 2))
@@ -209,8 +209,8 @@ def _detect_tags(board: Board, gray: Image, camera: Camera, n: int) -> tuple[Int
         indices (m,), corners (m, 4, 2) in OpenCV's order, and a sentence about markers seen more than once, which are
         left out.
     """
-    aruco = _load_aruco()
-    dictionary = _load_dictionary(aruco, board.dictionary)
+    aruco = load_aruco()
+    dictionary = load_dictionary(aruco, board.dictionary)
     corners, numbers, _ = aruco.ArucoDetector(dictionary, _make_parameters(aruco, board)).detectMarkers(gray)
     indices = np.array([] if numbers is None else numbers, dtype=np.int64).ravel() - board.first_id
     image_corners = np.array(corners, dtype=float).reshape(-1, 4, 2)
@@ -289,14 +289,24 @@ def _is_first_square_dark(gray: Image, grid: FloatArray) -> bool | None:
     return brighter > 0.5
 
 
-def _load_aruco() -> Any:
+def load_aruco() -> Any:
+    """Return OpenCV's module of markers.
+
+    Raises:
+        ValueError: this OpenCV is too old.
+    """
     aruco = getattr(cv2, "aruco", None)
     if aruco is None or not hasattr(aruco, "CharucoDetector"):
         raise ValueError(f"markers and ChArUco boards need OpenCV 4.8 or newer, this is {cv2.__version__}")
     return aruco
 
 
-def _load_dictionary(aruco: Any, name: str) -> Any:
+def load_dictionary(aruco: Any, name: str) -> Any:
+    """Return a dictionary of markers by OpenCV's name without DICT_.
+
+    Raises:
+        ValueError: this OpenCV does not have it.
+    """
     number = getattr(aruco, f"DICT_{name}", None)
     if number is None:
         raise ValueError(f"OpenCV {cv2.__version__} does not have the markers {name}")

@@ -33,7 +33,8 @@ class CalibrateOptions(SelfCalibrationOptions, WorldOptions, RangeOptions):
 
     Attributes:
         session: Folder with one video (cam_0.mp4) or one folder of images per camera.
-        board: Calibrate from this board, such as charuco:5x7,square=40mm,marker=30mm,dict=4X4_50.
+        board: Calibrate from this board, such as charuco:5x7,square=40mm; of a ChArUco board, marker and dict are found if
+            missing.
         every: Use every N-th frame, with a board.
         boxes: Without a board: read the object's boxes in the first frame from this file; default: boxes.toml in SESSION,
             else what moves.
@@ -73,6 +74,7 @@ class CalibrateOptions(SelfCalibrationOptions, WorldOptions, RangeOptions):
             offsets=parse_frame_offsets(self.frame_offset),
             without=self.exclude_camera,
             lenses=parse_lens_files(self.intrinsics),
+            fov=self.fov,
         )
 
     def open_uncalibrated(self) -> Session:
@@ -112,20 +114,24 @@ def calibrate(options: CalibrateOptions) -> None:
     from sylpose.runs import calibrate as runs
     from sylpose.runs import calibration_page, console_output
 
-    if options.board is None and not options.intrinsics:
+    if options.board is None and not options.intrinsics and options.fov is None:
         raise ValueError(
-            "--board: a description of the board is missing, or --intrinsics, to calibrate without a board"
+            "--board: a description of the board is missing, or --intrinsics or --fov, to calibrate without a board"
         )
     if options.board is None and options.every > 1:
         raise ValueError("--every: only with --board; tracking needs all frames")
     if options.board is None:
         _calibrate_without_board(options)
         return
-    file, unit = options.file, runs.choose_unit(options.board, options.unit)
-    board, session = parse_board(options.board, unit), options.open_uncalibrated()
+    file, session = options.file, options.open_uncalibrated()
+    text = runs.complete_board(session, options.board, options.start, options.stop)
+    unit = runs.choose_unit(text, options.unit)
+    board = parse_board(text, unit)
     make_output_folder(file.parent)
     console, stderr = console_output.make_console(), console_output.make_console(stderr=True)
     console.print(console_output.format_headline(session))
+    if text != options.board:
+        console.print(f"Board: {text}", highlight=False)
     problems = [*session.warnings]
     last = session.n_frames if options.stop is None else min(options.stop, session.n_frames)
     with Progress(console=stderr, transient=True, disable=not stderr.is_terminal) as bar:
@@ -155,7 +161,8 @@ def calibrate(options: CalibrateOptions) -> None:
     console_output.print_warnings(console, [*problems, *calibration.unobservable, *calibration.warnings, *notes])
     lost = runs.write_calibration(calibration, file)
     page = file.with_suffix(".html")
-    calibration_page.write_calibration_page(calibration, session.path.resolve().name, options.board, page)
+    title = session.path.resolve().name
+    calibration_page.write_page(calibration_page.render_board_calibration(calibration, title, text), page)
     console_output.print_files(console, "Files", [file, page])
     if lost:
         print_message(f"{file}: {lost}")
@@ -164,8 +171,10 @@ def calibrate(options: CalibrateOptions) -> None:
 def _calibrate_without_board(options: CalibrateOptions) -> None:
     """Calibrate all cameras from an object that moves in the recording, print and write the result."""
     from sylpose.atomic_io import make_output_folder
+    from sylpose.rig_calibration.from_motion import locate
     from sylpose.runs import console_output
     from sylpose.runs.calibrate import write_calibration
+    from sylpose.runs.calibration_page import render_motion_calibration, write_page
     from sylpose.runs.self_calibration import describe_tests
 
     file, session, console = options.file, options.open_with_lenses(), console_output.make_console()
@@ -175,9 +184,11 @@ def _calibrate_without_board(options: CalibrateOptions) -> None:
     found = calibrate_recording(session, options, (options.start, options.stop), options.unit, console)
     rig = found.calibration.rig
     located = options.apply_to(session.select_cameras(rig.names).with_rig(rig))
-    found = found.locate(located.rig)
+    found = locate(found, located.rig)
     print_calibration(console, found)
     lost = write_calibration(found.calibration, file, describe_tests(found))
-    console_output.print_files(console, "Calibration", [file])
+    page = file.with_suffix(".html")
+    write_page(render_motion_calibration(found, session.path.resolve().name), page)
+    console_output.print_files(console, "Files", [file, page])
     if lost:
         print_message(f"{file}: {lost}")

@@ -60,14 +60,19 @@ class CameraOptions(CommandOptions):
     as_coded: Annotated[bool, option("--as-coded", INPUT)] = False
 
     def open_recording(
-        self, path: Path, frame_offset: Sequence[str] = (), lenses: Sequence[LensFile] = (), **files: Path | None
+        self,
+        path: Path,
+        frame_offset: Sequence[str] = (),
+        lenses: Sequence[LensFile] = (),
+        fov: float | None = None,
+        **files: Path | None,
     ) -> Session:
         """Open the recording in a folder.
 
         Args:
             path: the folder.
             frame_offset: values of `--frame-offset`.
-            lenses: files in place of the calibration, as for `open_session`.
+            lenses, fov: in place of the calibration, as for `open_session`.
             files: boxes and masks, as for `open_session`.
 
         Raises:
@@ -85,9 +90,10 @@ class CameraOptions(CommandOptions):
             as_coded=self.as_coded,
             take=self.take,
             lenses=lenses,
+            fov=fov,
             **files,
         )
-        if self.as_coded or lenses or not session.has_ambiguous_orientation:
+        if self.as_coded or lenses or fov is not None or not session.has_ambiguous_orientation:
             return session
         from sylpose.runs.rig_evidence import resolve_orientation
 
@@ -107,10 +113,14 @@ class RecordingOptions(CameraOptions):
     masks: Annotated[Path | None, option("--masks DIR", OBJECT)] = None
 
     def open(
-        self, boxes: Path | None = None, frame_offset: Sequence[str] = (), lenses: Sequence[LensFile] = ()
+        self,
+        boxes: Path | None = None,
+        frame_offset: Sequence[str] = (),
+        lenses: Sequence[LensFile] = (),
+        fov: float | None = None,
     ) -> Session:
         """Open the recording, as `open_recording` does."""
-        return self.open_recording(self.session, frame_offset, lenses, boxes=boxes, masks=self.masks)
+        return self.open_recording(self.session, frame_offset, lenses, fov, boxes=boxes, masks=self.masks)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -96,7 +96,7 @@ class TrackOptions(SelfCalibrationOptions, DisplayOptions, MethodOptions, WorldO
         super().__post_init__()
         if self.self_calibrate:
             return
-        for name in ("intrinsics", "free", "distance", "object_length"):
+        for name in ("intrinsics", "fov", "free", "distance", "object_length", "throw"):
             if getattr(self, name):
                 raise ValueError(f"--{name.replace('_', '-')}: only with --self-calibrate")
 
@@ -115,7 +115,7 @@ class TrackOptions(SelfCalibrationOptions, DisplayOptions, MethodOptions, WorldO
             if self.no_drop:
                 raise ValueError("--no-drop requires --follow (growing folders)")
             if self.self_calibrate:
-                return self.open(self.boxes, self.frame_offset, parse_lens_files(self.intrinsics))
+                return self.open(self.boxes, self.frame_offset, parse_lens_files(self.intrinsics), self.fov)
             return self.apply_to(self.open(self.boxes, self.frame_offset))
         for name, reason in _NOT_LIVE.items():
             if getattr(self, name):
@@ -139,6 +139,7 @@ class TrackOptions(SelfCalibrationOptions, DisplayOptions, MethodOptions, WorldO
             ValueError: as `calibrate_recording` and `apply_to`; options that cannot go with it.
         """
         from sylpose.commands.track_display import STDOUT
+        from sylpose.rig_calibration.from_motion import locate
         from sylpose.runs import console_output
 
         if self.resume or self.refine_calibration:
@@ -148,7 +149,7 @@ class TrackOptions(SelfCalibrationOptions, DisplayOptions, MethodOptions, WorldO
         found = calibrate_recording(session, self, (self.start, self.stop), self.unit, console)
         rig = found.calibration.rig
         session = self.apply_to(session.select_cameras(rig.names).with_rig(rig))
-        found = found.locate(session.rig)
+        found = locate(found, session.rig)
         print_calibration(console, found)
         return session, found
 
@@ -213,6 +214,7 @@ def track(options: TrackOptions) -> None:
     from sylpose.commands.track_display import track_in_terminal
     from sylpose.io.capture import Session
     from sylpose.runs.calibrate import write_calibration
+    from sylpose.runs.calibration_page import render_motion_calibration, write_page
     from sylpose.runs.check import check_session, describe_axis_miss, explain_failures
     from sylpose.runs.run import has_finished, output_path
     from sylpose.runs.self_calibration import CALIBRATION, describe_tests
@@ -230,6 +232,8 @@ def track(options: TrackOptions) -> None:
         if found is not None:
             folder = output_path(session, options.out)
             write_calibration(found.calibration, folder / CALIBRATION, describe_tests(found))
+            text = render_motion_calibration(found, session.path.resolve().name)
+            write_page(text, (folder / CALIBRATION).with_suffix(".html"))
 
     run = track_in_terminal(session, options.out, options.run_options(session, covariance), options, on_end=write_found)
     missing = explain_failures(session, run)

@@ -307,7 +307,7 @@ def render_page(trajectory: Trajectory, scene: Scene, rig: Rig, angles: EulerAng
         videos=_render_videos(header.videos),
         time_axis=_describe_time_axis(data),
         statuses=_render_statuses(trajectory),
-        cameras="".join(_render_row(row, numbers=len(row) - 1) for row in header.cameras),
+        cameras="".join(render_row(row, numbers=len(row) - 1) for row in header.cameras),
         settings=_render_settings(header.settings or {}),
         notes=_render_notes(data, images, scene, header.version),
         data=_dump_json(data),
@@ -355,10 +355,10 @@ def _render_statuses(trajectory: Trajectory) -> str:
     rows = [(status.value, str(count), status.text) for status, count in counts.most_common()]
     seen = Counter(frame.observability for frame in trajectory if frame.world_from_object is not None)
     rows += [(o.value, str(n), o.text) for o, n in seen.most_common() if o is not Observability.ALL]
-    return "".join(_render_row(row, numbers=1) for row in rows)
+    return "".join(render_row(row, numbers=1) for row in rows)
 
 
-def _render_row(cells: Sequence[str], numbers: int) -> str:
+def render_row(cells: Sequence[str], numbers: int = 0) -> str:
     """Render a table row: a name, the given number of numeric cells, and text cells."""
     kinds = ["", *[' class="number"'] * numbers, *[' class="said"'] * len(cells)]
     return (
@@ -371,7 +371,7 @@ def _render_settings(tables: Mapping[str, Sequence[tuple[str, str]]]) -> str:
         return ""
     parts = [
         f"<h3>{escape_html(name)}</h3>" * bool(name)
-        + f"<table><tbody>{''.join(_render_row(r, numbers=0) for r in rows)}</tbody></table>"
+        + f"<table><tbody>{''.join(render_row(r, numbers=0) for r in rows)}</tbody></table>"
         for name, rows in tables.items()
     ]
     return (

@@ -6,12 +6,12 @@ differ by more than their covariances has errors that its residuals do not show.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sylpose.geometry.arrays import FloatArray, IntArray
+from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.matrices import invert_information
 from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.rig_calibration.board_bundle import (
@@ -29,9 +29,8 @@ from sylpose.rig_calibration.board_bundle import (
     solve_scaled,
     whiten_shifts,
 )
+from sylpose.rig_calibration.result import Coverage, HalvesTest, measure_cells
 
-# Cells of an image, columns and rows, in which corners are counted (choice).
-GRID = (8, 6)
 # Fewest frames of a half that is calibrated on its own (choice).
 MIN_HALF_FRAMES = 6
 
@@ -95,25 +94,6 @@ def _split_by_frame(
     return gradient, np.asarray(information)
 
 
-@dataclass(frozen=True, eq=False)
-class HalvesTest:
-    """Differences between two calibrations, of every other frame each.
-
-    Attributes:
-        rotation, position: (C,) between the poses of each camera relative to the first, radians and units.
-        projection_px: (C,) rms difference between the projections of the board's places, seen from each camera, pixels;
-            rotations of the camera that a shift of its principal point compensates do not matter.
-        ratio: (C,) squared difference of lens and pose relative to its covariance, per unknown; 1 is expected.
-        is_significant: (C,) whether it exceeds the chi-squared bound at a probability of 0.001.
-    """
-
-    rotation: FloatArray
-    position: FloatArray
-    projection_px: FloatArray
-    ratio: FloatArray
-    is_significant: FloatArray
-
-
 def compare_halves(views: Views, optimum: Optimum, freedom: Freedom) -> HalvesTest | None:
     """Calibrate from each half of the frames and compare; None if they determine too little."""
     n_cameras, at = len(optimum.at.lens), optimum.at
@@ -173,41 +153,15 @@ def inflate_by_halves(covariance: FloatArray, halves: HalvesTest | None) -> Floa
     return np.asarray(covariance * np.outer(scale, scale))
 
 
-@dataclass(frozen=True, eq=False)
-class Coverage:
-    """Where in its image a camera saw the board, in cells.
-
-    Attributes:
-        counts: (rows, columns) number of corners used.
-        rms_px: (rows, columns) rms residual of two coordinates, pixels; NaN without corners.
-        tilt: largest angle between the board's normal and the line of sight, radians.
-    """
-
-    counts: IntArray
-    rms_px: FloatArray
-    tilt: float
-
-    @property
-    def share(self) -> float:
-        """Share of the cells that have corners."""
-        return float((self.counts > 0).mean())
-
-
 def measure_coverage(views: Views, optimum: Optimum, size: tuple[int, int], camera: int) -> Coverage:
     """Measure the coverage of a camera's image of a size (width, height)."""
     own = views.camera == camera
     used = (optimum.weights > 0)[own] & views.seen[own]
-    cells = (views.pixels[own][used] / np.array(size) * GRID).astype(int).clip(0, np.array(GRID) - 1)
-    flat = cells[:, 1] * GRID[0] + cells[:, 0]
-    squares = (optimum.residuals[own][used] ** 2).sum(axis=1)
-    counts = np.bincount(flat, minlength=GRID[0] * GRID[1])
-    sums = np.bincount(flat, squares, minlength=len(counts))
-    rms = np.sqrt(np.where(counts > 0, sums / np.maximum(counts, 1), np.nan))
+    counts, rms = measure_cells(views.pixels[own][used], (optimum.residuals[own][used] ** 2).sum(axis=1), size)
     at, frames = optimum.at, views.frame[own]
     rotation = at.rotation[camera] @ at.board_rotation[frames]
     middle = views.points.mean(axis=0)
     places = at.board_rotation[frames] @ middle + at.board_translation[frames]
     sight = places @ at.rotation[camera].T + at.translation[camera]
     cosine = np.abs((rotation[:, :, 2] * sight).sum(axis=1)) / np.linalg.norm(sight, axis=1)
-    shape = GRID[::-1]
-    return Coverage(counts.reshape(shape), rms.reshape(shape), float(np.arccos(cosine.min(initial=1.0))))
+    return Coverage(counts, rms, float(np.arccos(cosine.min(initial=1.0))))

@@ -33,8 +33,6 @@ from sylpose.rig_calibration.board_bundle import (
     project,
 )
 from sylpose.rig_calibration.board_checks import (
-    Coverage,
-    HalvesTest,
     compare_halves,
     compute_covariance,
     inflate_by_halves,
@@ -49,7 +47,7 @@ from sylpose.rig_calibration.board_start import (
     place_boards,
 )
 from sylpose.rig_calibration.board_views import choose_frames, collect_views
-from sylpose.rig_calibration.result import CalibrationRefusedError, RigCalibration
+from sylpose.rig_calibration.result import CalibrationRefusedError, Coverage, HalvesTest, RigCalibration
 
 # Views of each camera that are used (choice: more add little, docs/calibrating.md).
 MAX_VIEWS = 50

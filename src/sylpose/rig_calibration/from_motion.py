@@ -6,18 +6,27 @@ joint bundle adjustment refines them (`motion_bundle`). Whatever the motion does
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from sylpose.bundle_adjustment.bundle import Observations
 from sylpose.bundle_adjustment.calibration_refinement import N_LENS_PARAMETERS
 from sylpose.geometry.arrays import FloatArray
+from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.rig import Camera, Rig
 from sylpose.rig_calibration.camera_tracks import RefinedTrack
+from sylpose.rig_calibration.free_flight import FreeFlight
 from sylpose.rig_calibration.instants import collect_instants, estimate_delays, move_to_frames, synchronize_tracks
-from sylpose.rig_calibration.motion_bundle import N_CAMERA_PARAMETERS, JointBundle, bundle_jointly
+from sylpose.rig_calibration.motion_bundle import (
+    FIXED_SD,
+    N_CAMERA_PARAMETERS,
+    JointBundle,
+    bundle_jointly,
+    make_lens_prior,
+)
 from sylpose.rig_calibration.relative_motions import (
     MotionRefusedError,
     MotionTest,
@@ -25,7 +34,7 @@ from sylpose.rig_calibration.relative_motions import (
     add_test,
     solve_relative_extrinsics,
 )
-from sylpose.rig_calibration.result import RigCalibration
+from sylpose.rig_calibration.result import Coverage, HalvesTest, RigCalibration
 from sylpose.status import Status
 
 # Noise of a camera in the joint refinement relative to its own track, above which the instants of the images are estimated
@@ -38,6 +47,9 @@ MAX_INSTANT_ROUNDS, NOISE_TOLERANCE = 6, 0.02
 # Focal lengths are estimated if one differs by so many standard deviations from that given (choice: more than three,
 # since standard deviations are up to 1.5 times too small).
 FOCAL_SDS = 5.0
+# A parameter of a lens whose standard deviation exceeds this share of its prior's is not determined (choice: the motion has
+# as much information as the prior).
+MAX_LENS_SD_RATIO = 0.7
 # Largest standard deviation of an accepted camera: radians about the worst axis, and share of the distance to the object
 # (choice: three of them are a degree, and 5 %).
 MAX_ROTATION_SD, MAX_PLACE_SD = np.radians(1.0) / 3.0, 0.05 / 3.0
@@ -57,6 +69,11 @@ class MotionCalibration:
         covariance: (10 C, 10 C) of all cameras' errors relative to the first: by camera (w, d) of its pose, R = exp(w) R̂
             and d of its center in world axes, and its lens (`CalibrationPrior`); for the scale that keeps the rms distance
             of the cameras from the first, or as `rescale` sets it.
+        coverage: of each camera's image.
+        halves: comparison of calibrations from each half of the landmarks; None if one does not converge.
+        times: (N,) seconds, of the frames in which the object was observed.
+        reference_from_object: N poses of the object in them, in the first camera's axes and the lengths before `rescale`.
+        flight: throws, in the same; None if they did not set the scale.
     """
 
     calibration: RigCalibration
@@ -66,56 +83,11 @@ class MotionCalibration:
     object_length: float
     freed: tuple[str, ...]
     covariance: FloatArray
-
-    def rescale(
-        self, factor: float, unit: str, *, exact: tuple[str, str] | None = None, sd: float = 0.0
-    ) -> MotionCalibration:
-        """Return the same with lengths times a factor, in a unit.
-
-        Args:
-            factor: the factor.
-            unit: unit of the result.
-            exact: names of two cameras whose distance is known.
-            sd: relative standard deviation of the factor.
-        """
-        cameras = []
-        for camera in self.calibration.rig:
-            pose = camera.camera_from_world
-            scaled = RigidTransform.from_components(factor * pose.translation, pose.rotation)
-            cameras.append(replace(camera, camera_from_world=scaled))
-        rig, n = Rig(cameras, unit), len(cameras)
-        lengths = np.ones((n, N_CAMERA_PARAMETERS))
-        lengths[:, 3:6] = factor
-        stretch = np.zeros((n, N_CAMERA_PARAMETERS))
-        stretch[:, 3:6] = [camera.center for camera in rig]
-        J = np.diag(lengths.ravel())
-        if exact is not None:
-            a, b = map(rig.names.index, exact)
-            gradient = np.zeros((n, N_CAMERA_PARAMETERS))
-            gradient[a, 3:6] = rig[a].center - rig[b].center
-            gradient[b, 3:6] = -gradient[a, 3:6]
-            J = J - np.outer(stretch, gradient.ravel() @ J) / (gradient.ravel() @ stretch.ravel())
-        covariance = J @ self.covariance @ J.T + sd**2 * np.outer(stretch, stretch)
-        blocks = _extrinsics_covariance(rig, covariance)
-        calibration = replace(self.calibration, rig=rig, extrinsics_covariance=blocks)
-        distance, length = factor * self.distance, factor * self.object_length
-        return replace(self, calibration=calibration, distance=distance, object_length=length, covariance=covariance)
-
-    def locate(self, rig: Rig) -> MotionCalibration:
-        """Return the same with its rig in another world, and the axes and unit of the covariance as well.
-
-        Args:
-            rig: the same cameras there.
-        """
-        old, new = (np.array([camera.center for camera in its]) for its in (self.calibration.rig, rig))
-        factor = float(np.linalg.norm(new - new[0]) / np.linalg.norm(old - old[0]))
-        J, axes = np.eye(len(self.covariance)), factor * rig[0].rotation.T @ self.calibration.rig[0].rotation
-        for k in range(3, len(J), N_CAMERA_PARAMETERS):
-            J[k : k + 3, k : k + 3] = axes
-        covariance = J @ self.covariance @ J.T
-        calibration = replace(self.calibration, rig=rig, extrinsics_covariance=_extrinsics_covariance(rig, covariance))
-        distance, length = factor * self.distance, factor * self.object_length
-        return replace(self, calibration=calibration, distance=distance, object_length=length, covariance=covariance)
+    coverage: tuple[Coverage, ...]
+    halves: HalvesTest | None
+    times: FloatArray
+    reference_from_object: RigidTransform
+    flight: FreeFlight | None = None
 
 
 def calibrate_from_motion(
@@ -126,8 +98,8 @@ def calibrate_from_motion(
     Args:
         cameras: C cameras with their lenses; their poses are not used.
         tracks: C tracks (`refine_track`); None for a camera that could not track the object.
-        free: what is estimated of each lens: some of "focal", "principal", "distortion". Focal lengths are also
-            estimated if those given contradict the motion.
+        free: what is estimated of each lens: some of "focal", "principal", "distortion"; "fov" if focal lengths come
+            from a field of view. Focal lengths are also estimated if those given contradict the motion.
 
     Raises:
         MotionRefusedError: the motion does not determine the rig.
@@ -146,15 +118,27 @@ def calibrate_from_motion(
             f"{joint.rig[noisy].name} has {joint.noise_ratio[noisy]:.1f} times the noise of its own track: time stamps or "
             "lenses are inexact"
         )
-    calibration = _make_calibration(joint, [observed[k] for k in found.start.cameras], warnings)
+    halves = _compare_halves(recording, found, joint)
+    if halves is not None and halves.is_significant.any():
+        worst = int(np.argmax(halves.ratio))
+        warnings.append(
+            f"calibrations from each half of the landmarks differ by more than their standard deviations, "
+            f"{joint.rig[worst].name} by {np.degrees(halves.rotation[worst]):.2g} degrees: record more frames, with more of "
+            "the object's sides"
+        )
+    used = [observed[k] for k in found.start.cameras]
     return MotionCalibration(
-        calibration,
+        _make_calibration(joint, used, found.fit.freed, warnings),
         found.tests,
         {**left_out, **found.start.left_out},
         joint.distance,
         joint.object_length,
         found.fit.freed,
         joint.covariance,
+        joint.coverage,
+        halves,
+        np.nanmean(collect_instants(used, found.start.frames), axis=1),
+        joint.reference_from_object,
     )
 
 
@@ -169,9 +153,10 @@ class _Recording:
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """Joint refinement with what was estimated besides the extrinsics: of the lenses, and in words."""
+    """Joint refinement of tracks, with what was estimated besides the extrinsics: of the lenses, and in words."""
 
     joint: JointBundle
+    tracks: tuple[RefinedTrack, ...]
     freed: tuple[str, ...]
     warnings: tuple[str, ...]
 
@@ -271,12 +256,12 @@ def _fit_lenses(
 ) -> _Fit | None:
     """Refine; also the focal lengths, if the motion contradicts them."""
     joint = _bundle(cameras, tracks, start, free)
-    if "focal" not in free:
+    if not {"focal", "fov"} & {*free}:
         other = _bundle(cameras, tracks, start, (*free, "focal"))
         if other is not None and (change := _describe_focal_change(cameras, other)):
             warning = f"focal lengths were estimated, since the motion contradicts those given: {change}"
-            return _Fit(other, (*free, "focal"), (warning,))
-    return None if joint is None else _Fit(joint, free, ())
+            return _Fit(other, tuple(tracks), (*free, "focal"), (warning,))
+    return None if joint is None else _Fit(joint, tuple(tracks), free, ())
 
 
 def _fit_instants(
@@ -319,6 +304,43 @@ def _bundle(
     except ValueError:  # a lens became implausible
         return None
     return joint if joint.status is Status.OK else None
+
+
+def _compare_halves(recording: _Recording, found: _Consistent, joint: JointBundle) -> HalvesTest | None:
+    """Calibrate from each half of the landmarks and compare; None if one does not converge.
+
+    Args:
+        recording: the cameras.
+        found: what is used of it.
+        joint: the calibration from all landmarks: the difference has four times its covariance.
+    """
+    cameras, rigs = [recording.cameras[k] for k in found.start.cameras], []
+    for half in (0, 1):
+        parts = []
+        for its in found.fit.tracks:
+            own, kept = its.observations, its.observations.landmark % 2 == half
+            part = Observations(own.frame[kept], own.camera[kept], own.landmark[kept], own.image[kept])
+            parts.append(replace(its, observations=part))
+        trial = _bundle(cameras, parts, found.start, found.fit.freed)
+        if trial is None:
+            return None
+        rigs.append(trial.rig)
+    centers = [np.array([camera.center for camera in rig]) for rig in (joint.rig, *rigs)]
+    # Each in the scale of the whole, by the rms distance of the cameras from the first.
+    sizes = [np.sqrt((its**2).sum()) for its in centers]
+    a, b = (its * (sizes[0] / size) for its, size in zip(centers[1:], sizes[1:], strict=True))
+    w = np.array(
+        [(x.camera_from_world * y.camera_from_world.inv()).rotation.as_rotvec() for x, y in zip(*rigs, strict=True)]
+    )
+    ratio, is_significant = np.ones(len(cameras)), np.zeros(len(cameras), bool)
+    for c in range(1, len(cameras)):
+        pose = slice(c * N_CAMERA_PARAMETERS, c * N_CAMERA_PARAMETERS + 6)
+        difference, inverse = np.concatenate([w[c], a[c] - b[c]]), np.linalg.pinv(4.0 * joint.covariance[pose, pose])
+        square = float(difference @ inverse @ difference)
+        ratio[c], is_significant[c] = square / 6.0, square > chi_squared_bound(6)
+    w[0], position = 0.0, np.linalg.norm(a - b, axis=1)
+    position[0] = 0.0
+    return HalvesTest(np.linalg.norm(w, axis=1), position, np.full(len(w), np.nan), ratio, is_significant)
 
 
 def _describe_focal_change(cameras: Sequence[Camera], joint: JointBundle) -> str:
@@ -444,7 +466,69 @@ def _extend(
     )
 
 
-def _make_calibration(joint: JointBundle, tracks: Sequence[RefinedTrack], warnings: Sequence[str]) -> RigCalibration:
+def rescale(
+    found: MotionCalibration, factor: float, unit: str, *, exact: tuple[str, str] | None = None, sd: float = 0.0
+) -> MotionCalibration:
+    """Return a calibration with lengths times a factor, in a unit.
+
+    Args:
+        found: the calibration, in the axes of its first camera.
+        factor: the factor.
+        unit: unit of the result.
+        exact: names of two cameras whose distance is known.
+        sd: relative standard deviation of the factor.
+    """
+    cameras = []
+    for camera in found.calibration.rig:
+        pose = camera.camera_from_world
+        scaled = RigidTransform.from_components(factor * pose.translation, pose.rotation)
+        cameras.append(replace(camera, camera_from_world=scaled))
+    rig, n = Rig(cameras, unit), len(cameras)
+    lengths = np.ones((n, N_CAMERA_PARAMETERS))
+    lengths[:, 3:6] = factor
+    stretch = np.zeros((n, N_CAMERA_PARAMETERS))
+    stretch[:, 3:6] = [camera.center for camera in rig]
+    J = np.diag(lengths.ravel())
+    if exact is not None:
+        a, b = map(rig.names.index, exact)
+        gradient = np.zeros((n, N_CAMERA_PARAMETERS))
+        gradient[a, 3:6] = rig[a].center - rig[b].center
+        gradient[b, 3:6] = -gradient[a, 3:6]
+        J = J - np.outer(stretch, gradient.ravel() @ J) / (gradient.ravel() @ stretch.ravel())
+    covariance = J @ found.covariance @ J.T + sd**2 * np.outer(stretch, stretch)
+    blocks = _extrinsics_covariance(rig, covariance)
+    calibration = replace(found.calibration, rig=rig, extrinsics_covariance=blocks)
+    halves = None if found.halves is None else replace(found.halves, position=factor * found.halves.position)
+    distance, length = factor * found.distance, factor * found.object_length
+    return replace(
+        found, calibration=calibration, distance=distance, object_length=length, covariance=covariance, halves=halves
+    )
+
+
+def locate(found: MotionCalibration, rig: Rig) -> MotionCalibration:
+    """Return a calibration with its rig in another world, and the axes and unit of the covariance as well.
+
+    Args:
+        found: the calibration.
+        rig: the same cameras there.
+    """
+    old, new = (np.array([camera.center for camera in its]) for its in (found.calibration.rig, rig))
+    factor = float(np.linalg.norm(new - new[0]) / np.linalg.norm(old - old[0]))
+    J, axes = np.eye(len(found.covariance)), factor * rig[0].rotation.T @ found.calibration.rig[0].rotation
+    for k in range(3, len(J), N_CAMERA_PARAMETERS):
+        J[k : k + 3, k : k + 3] = axes
+    covariance = J @ found.covariance @ J.T
+    calibration = replace(found.calibration, rig=rig, extrinsics_covariance=_extrinsics_covariance(rig, covariance))
+    halves = None if found.halves is None else replace(found.halves, position=factor * found.halves.position)
+    distance, length = factor * found.distance, factor * found.object_length
+    return replace(
+        found, calibration=calibration, distance=distance, object_length=length, covariance=covariance, halves=halves
+    )
+
+
+def _make_calibration(
+    joint: JointBundle, tracks: Sequence[RefinedTrack], freed: Sequence[str], warnings: Sequence[str]
+) -> RigCalibration:
     """Make the calibration, with covariances in the conventions of `RigCalibration`."""
     lenses = []
     for c, camera in enumerate(joint.rig):
@@ -452,11 +536,27 @@ def _make_calibration(joint: JointBundle, tracks: Sequence[RefinedTrack], warnin
         L = np.zeros((4 + len(camera.distortion), N_LENS_PARAMETERS))
         L[[0, 1], 0] = camera.matrix[[0, 1], [0, 1]]
         L[[2, 3, 4], [1, 2, 3]] = 1.0
+        L[:, make_lens_prior(camera, freed) <= FIXED_SD * camera.size[0]] = 0.0
         lenses.append(L @ joint.covariance[lens, lens] @ L.T)
     views = np.array([len(its.track.frames) for its in tracks])
     rms = np.sqrt(2.0) * joint.sigma_px
     extrinsics = _extrinsics_covariance(joint.rig, joint.covariance)
-    return RigCalibration(joint.rig, extrinsics, tuple(lenses), views, joint.n_points, rms, (), tuple(warnings))
+    unobservable = tuple(find_unobservable(joint, freed))
+    return RigCalibration(
+        joint.rig, extrinsics, tuple(lenses), views, joint.n_points, rms, unobservable, tuple(warnings)
+    )
+
+
+def find_unobservable(joint: JointBundle, freed: Sequence[str]) -> Iterator[str]:
+    """Yield a sentence per camera whose lens the motion does not determine: it stayed at its prior."""
+    sds = np.sqrt(np.maximum(np.diag(joint.covariance), 0.0)).reshape(-1, N_CAMERA_PARAMETERS)[:, 6:]
+    for camera, own in zip(joint.rig, sds, strict=True):
+        prior = make_lens_prior(camera, freed)
+        is_free = (own > MAX_LENS_SD_RATIO * prior) & (prior > FIXED_SD * camera.size[0])
+        names = ("focal length", "principal point", "principal point", "distortion")
+        stayed = dict.fromkeys(name for name, its in zip(names, is_free, strict=True) if its)
+        if stayed:
+            yield f"{camera.name}: the motion does not determine {' and '.join(stayed)}, which stayed as given or guessed"
 
 
 def _extrinsics_covariance(rig: Rig, covariance: FloatArray) -> FloatArray:

@@ -6,7 +6,7 @@ landmarks. Its result is expressed in the first camera's axes, without the commo
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,10 +14,11 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.bundle_adjustment.bundle import BundleOptions, Observations, bundle_adjust
 from sylpose.bundle_adjustment.calibration_refinement import N_LENS_PARAMETERS, CalibrationPrior
-from sylpose.geometry.arrays import FloatArray, IntArray
+from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.rig import Camera, Rig
 from sylpose.rig_calibration.camera_tracks import ROUGH_PX, RefinedTrack
 from sylpose.rig_calibration.relative_motions import RelativeExtrinsics
+from sylpose.rig_calibration.result import Coverage, measure_cells
 from sylpose.status import Status
 
 # Parameters of a camera in a covariance: rotation, center, lens (derived).
@@ -28,6 +29,8 @@ ROTATION_SD, PLACE_SD = np.radians(10.0), 0.3
 # Prior of a lens that is estimated: relative focal length, principal point as share of the image's width, first radial
 # coefficient (choice: a focal length known to 5 %).
 LENS_SD = {"focal": 0.05, "principal": 0.02, "distortion": 0.1}
+# Relative focal length from a field of view, "fov" (choice: a guess good to 20 %).
+FOV_SD = 0.2
 # Prior of a lens that is not estimated: small enough not to matter (derived).
 FIXED_SD = 1e-9
 # Factor of all standard deviations beyond the inflation of the bundle adjustment (measured: benchmarks/self_calibration.py,
@@ -59,6 +62,7 @@ class JointBundle:
         observations: of all cameras, normalized by `rig`; their landmarks are numbered through the tracks.
         landmarks: (M, 3) object's frame.
         weights: (n,) of the observations, in [0, 1].
+        coverage: of each camera's image by inliers.
     """
 
     status: Status
@@ -74,6 +78,7 @@ class JointBundle:
     observations: Observations
     landmarks: FloatArray
     weights: FloatArray
+    coverage: tuple[Coverage, ...]
 
     @property
     def worst_noise_ratio(self) -> float:
@@ -90,7 +95,7 @@ def bundle_jointly(
         cameras: C cameras with their lenses; their poses are not used.
         tracks: C tracks, in the order of `start.cameras`; all images of a frame taken at one instant.
         start: extrinsics from relative motions.
-        free: what else is estimated of each lens, some of `LENS_SD`.
+        free: what else is estimated of each lens, some of `LENS_SD`, or "fov" for a focal length from a field of view.
 
     Raises:
         ValueError: a lens becomes implausible.
@@ -99,7 +104,7 @@ def bundle_jointly(
     rig = Rig([replace(c, camera_from_world=X) for c, X in zip(cameras, start.camera_from_reference, strict=True)])
     observations, landmarks = _merge_observations(tracks, start)
     place_sd = PLACE_SD * float(np.linalg.norm(start.reference_from_object.translation, axis=1).mean())
-    lenses = np.array([_lens_prior(camera, free) for camera in cameras])
+    lenses = np.array([make_lens_prior(camera, free) for camera in cameras])
     options = BundleOptions(
         landmarks=landmarks,
         calibration_prior=CalibrationPrior(np.full(n, ROTATION_SD), np.full(n, place_sd), lenses, np.full(n, -1)),
@@ -134,7 +139,20 @@ def bundle_jointly(
         _renormalize(observations, rig, corrected) if free else observations,
         result.landmarks,
         result.weights,
+        tuple(_measure_coverage(rig, observations, result.residuals, is_inlier)),
     )
+
+
+def _measure_coverage(
+    rig: Rig, observations: Observations, residuals: FloatArray, is_inlier: BoolArray
+) -> Iterator[Coverage]:
+    """Yield where in its image each camera observed the object, with residuals (n, 2) of the observations, pixels."""
+    for c, camera in enumerate(rig):
+        own = (observations.camera == c) & is_inlier
+        yield Coverage(
+            *measure_cells(camera.denormalize(observations.image[own]), (residuals[own] ** 2).sum(axis=1), camera.size),
+            np.nan,
+        )
 
 
 def _merge_observations(tracks: Sequence[RefinedTrack], start: RelativeExtrinsics) -> tuple[Observations, FloatArray]:
@@ -159,9 +177,10 @@ def _renormalize(observations: Observations, rig: Rig, corrected: Rig) -> Observ
     return replace(observations, image=image)
 
 
-def _lens_prior(camera: Camera, free: Sequence[str]) -> FloatArray:
+def make_lens_prior(camera: Camera, free: Sequence[str]) -> FloatArray:
     """Return (4,) standard deviations of a lens, as in `CalibrationPrior`."""
     focal, principal, distortion = (LENS_SD[name] if name in free else FIXED_SD for name in LENS_SD)
+    focal = FOV_SD if "fov" in free else focal
     return np.array([focal, principal * camera.size[0], principal * camera.size[0], distortion])
 
 

@@ -289,14 +289,14 @@ def _check_times(tracks: Sequence[CameraTrack], tests: list[MotionTest]) -> None
     """
     for track in tracks[1:]:
         shift, ratio = find_time_offset(tracks[0], track)
-        order = "late" if shift > 0 else "early"
+        found = f"{track.name} is {abs(shift):.1f} frames {'late' if shift > 0 else 'early'}: " if shift else ""
         add_test(
             tests,
             f"time offset of {track.name}",
             shift == 0.0 or ratio > MAX_SHIFT_RATIO,
             f"{shift:+.1f} frames",
             "none",
-            f"{track.name} is {abs(shift):.1f} frames {order}: synchronize the cameras with `sylpose sync`",
+            f"{found}synchronize the cameras with `sylpose sync`",
         )
 
 

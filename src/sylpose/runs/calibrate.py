@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from sylpose.atomic_io import replace_atomically
+from sylpose.boards.charuco_search import complete_charuco, is_incomplete
 from sylpose.boards.detection import Detection, detect
 from sylpose.boards.specification import Board, parse_board
 from sylpose.frames import FrameSet
@@ -26,6 +27,8 @@ from sylpose.units import METERS
 
 # Frame sets whose images are held in memory while the board is detected in them (choice: keeps all threads busy).
 MAX_PENDING = 4
+# Frames in which the dictionary of a board is searched (choice: some show the board whole).
+SAMPLED_FRAMES = 12
 
 
 def choose_unit(text: str, unit: str | None) -> str:
@@ -43,6 +46,26 @@ def choose_unit(text: str, unit: str | None) -> str:
     except ValueError:  # its lengths have units; anything else is reported when it is parsed with one
         return "m"
     return ""
+
+
+def complete_board(session: Session, text: str, start: int = 0, stop: int | None = None) -> str:
+    """Return a board's description, of a ChArUco board with the dictionary and marker size that the recording shows.
+
+    Args:
+        session: the recording.
+        text: the description.
+        start, stop: frames, as of `Session.frames`.
+
+    Raises:
+        ValueError: no such board in the recording, or frames outside it.
+    """
+    if not is_incomplete(text):
+        return text
+    last = session.n_frames if stop is None else min(stop, session.n_frames)
+    step = max((last - start) // SAMPLED_FRAMES, 1)
+    with closing(session.frames(start, stop, step, lambda _: None)) as frames:
+        pairs = [(image, camera) for frame in frames for image, camera in zip(frame.images, session.rig, strict=True)]
+    return complete_charuco(text, [(image, camera) for image, camera in pairs if image is not None])
 
 
 def detect_boards(
@@ -147,6 +170,7 @@ def format_deviations(calibration: RigCalibration) -> str:
             ("rotation in degrees", np.degrees(pose[:3])),
             ("translation", pose[3:]),
         )
-        texts = [f"{label} {' '.join(f'{value:.3g}' for value in values)}" for label, values in groups]
+        # A lens that was not estimated, and the pose of the first camera, have none.
+        texts = [f"{label} {' '.join(f'{v:.3g}' for v in its) if its.any() else 'held'}" for label, its in groups]
         lines.append(f"# {to_one_line(camera.name)}: {'; '.join(texts)}")
     return "\n" + "\n".join(lines) + "\n"

@@ -6,64 +6,135 @@ import math
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from string import Template
 
 import numpy as np
 
 from sylpose import __version__
 from sylpose.atomic_io import replace_atomically
 from sylpose.display import format_length
-from sylpose.report.page import compute_hash, escape_html, load_asset
+from sylpose.report.page import escape_html
 from sylpose.report.plots import camera_colors
 from sylpose.report.rigview import compute_view_axes
+from sylpose.report.static_page import StaticPage, render_figure, render_notice, render_section, render_table
 from sylpose.rig import Rig
-from sylpose.rig_calibration.board_checks import Coverage
 from sylpose.rig_calibration.from_boards import BoardCalibration
+from sylpose.rig_calibration.from_motion import MotionCalibration
+from sylpose.rig_calibration.result import Coverage, HalvesTest
+from sylpose.runs import self_calibration
 
 HEADER = ("Camera", "views", "corners", "residual", "fx", "fy", "cx", "cy", "rotation", "position")
+MOTION_HEADER = ("Camera", "rotation vector, °", "sd", "place, {}", "sd", "focal length", "frames", "residual")
+LENS_WORDS = {"focal": "focal lengths", "principal": "principal points", "distortion": "distortion"}
 # Width of a drawing, its margin, and the length of an optical axis relative to the rig (choice).
 WIDTH, MARGIN, AXIS_RATIO = 480, 40, 0.25
 
 
-def write_calibration_page(calibration: BoardCalibration, title: str, board: str, file: Path) -> None:
-    """Write the page of a calibration.
-
-    Args:
-        calibration: the result.
-        title: name of the recording.
-        board: description of the board.
-        file: the page; replaced if it exists.
+def write_page(text: str, file: Path) -> None:
+    """Write a page; an existing file is replaced.
 
     Raises:
         OSError: the file cannot be written; the message names it.
     """
     with replace_atomically(file) as part:
-        part.write_text(render_calibration(calibration, title, board), encoding="utf-8", newline="\n")
+        part.write_text(text, encoding="utf-8", newline="\n")
 
 
-def render_calibration(calibration: BoardCalibration, title: str, board: str) -> str:
-    """Render the page as HTML text; the arguments are those of `write_calibration_page`."""
-    rig, style = calibration.rig, load_asset("report.css") + load_asset("certificate.css")
-    facts = {
-        "Created": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
-        "Cameras": f"{len(rig)}: {', '.join(rig.names)}",
-        "Board": board,
-    }
-    header = "".join(f"<th{' class=number' * (i > 0)}>{name}</th>" for i, name in enumerate(HEADER))
-    coverage = zip(rig, calibration.coverage, strict=True)
-    return Template(load_asset("calibration.html")).substitute(
-        style=style,
-        style_hash=compute_hash(style),
-        version=escape_html(__version__),
-        title=escape_html(title),
-        facts="".join(f"<div><dt>{label}</dt><dd>{escape_html(text)}</dd></div>" for label, text in facts.items()),
-        notices=_render_notice([*calibration.unobservable, *calibration.warnings]),
-        header=header,
-        rows=_render_rows(build_camera_rows(calibration)),
-        rig=_draw_rig(rig, (0, 1), "From above") + _draw_rig(rig, (0, 2), "From the side"),
-        halves=_render_halves(calibration),
-        coverage="".join(_draw_coverage(camera.name, camera.size, its) for camera, its in coverage),
+def render_board_calibration(calibration: BoardCalibration, title: str, board: str) -> str:
+    """Render the page of a calibration from boards as HTML text.
+
+    Args:
+        calibration: the result.
+        title: name of the recording.
+        board: description of the board.
+    """
+    rows = build_camera_rows(calibration)
+    note = "Pixels, ± 1 standard deviation. Rotation and position: standard deviations relative to the first camera."
+    lenses = render_section("Lenses and poses", render_table(HEADER, rows, len(HEADER) - 1), note)
+    footer = "Corners per cell of each image, darker for more; the number is their rms residual in pixels. The lens is "
+    return _make_page(
+        calibration.rig,
+        title,
+        [("Board", board)],
+        [*calibration.unobservable, *calibration.warnings],
+        [lenses],
+        render_section("Two halves of the frames", _render_halves(calibration.rig, calibration.halves, "frame")),
+        calibration.coverage,
+        f"{footer}extrapolated in empty cells.",
     )
+
+
+def render_motion_calibration(found: MotionCalibration, title: str) -> str:
+    """Render the page of a calibration from motion as HTML text.
+
+    Args:
+        found: the result.
+        title: name of the recording.
+    """
+    unit = found.calibration.rig.unit
+    header = [name.format(unit or "relative") for name in MOTION_HEADER]
+    rows = self_calibration.build_camera_rows(found)
+    note = "± 1 standard deviation of rotation and place, relative to the first camera."
+    tests = [(test.name, test.value, test.limit, "passed", test.remedy) for test in found.tests]
+    names = ("test", "result", "needs", "", "if it fails")
+    body = [
+        render_section("Poses", render_table(header, rows, len(header) - 1), note),
+        render_section("Tests", render_table(names, tests, 2), "A calibration that fails one is refused."),
+        render_section(
+            "Not observable", f"<ul>{''.join(f'<li>{escape_html(its)}</li>' for its in describe_limits(found))}</ul>"
+        ),
+    ]
+    lengths = format_length(found.object_length, unit), format_length(found.distance, unit)
+    return _make_page(
+        found.calibration.rig,
+        title,
+        [
+            ("Object", f"{lengths[0]} long, {lengths[1]} away"),
+            *([("Gravity", self_calibration.describe_flight(found.flight))] if found.flight else []),
+        ],
+        self_calibration.list_warnings(found),
+        body,
+        render_section("Two halves of the landmarks", _render_halves(found.calibration.rig, found.halves, "landmark")),
+        found.coverage,
+        "Observations per cell of each image, darker for more; the number is their rms residual in pixels.",
+    )
+
+
+def describe_limits(found: MotionCalibration) -> list[str]:
+    """Describe what a calibration from motion does not determine, one sentence each."""
+    held = [words for name, words in LENS_WORDS.items() if name not in found.freed]
+    if "fov" in found.freed:
+        held = held[1:]
+    sentences = ["The world: it is the frame of the first camera, or that of --world."]
+    if not found.calibration.rig.unit:
+        sentences.append("The scale: lengths are relative to the first camera's distance from the object.")
+    if held:
+        sentences.append(f"{', '.join(held).capitalize()}: held as given, with their errors; --free estimates them.")
+    return sentences
+
+
+def _make_page(
+    rig: Rig,
+    title: str,
+    facts: Sequence[tuple[str, str]],
+    warnings: Sequence[str],
+    sections: Sequence[str],
+    halves: str,
+    coverage: Sequence[Coverage],
+    note: str,
+) -> str:
+    """Make a page: sections, the rig, cross-validation, the images."""
+    rigs = _draw_rig(rig, (0, 1), "From above") + _draw_rig(rig, (0, 2), "From the side")
+    images = "".join(_draw_coverage(camera.name, camera.size, its) for camera, its in zip(rig, coverage, strict=True))
+    created = ("Created", f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC")
+    return StaticPage(
+        "calibration",
+        title,
+        [created, ("Cameras", f"{len(rig)}: {', '.join(rig.names)}"), *facts],
+        [render_notice("What to improve", warnings)],
+        [*sections, f'<div class="charts">{rigs}</div>', halves, f'<div class="charts">{images}</div>'],
+        [note],
+        __version__,
+    ).render()
 
 
 def build_camera_rows(calibration: BoardCalibration) -> list[list[str]]:
@@ -87,42 +158,27 @@ def build_camera_rows(calibration: BoardCalibration) -> list[list[str]]:
     return rows
 
 
-def _render_rows(rows: Sequence[Sequence[str]]) -> str:
-    return "".join(
-        f"<tr><td>{escape_html(first)}</td>"
-        + "".join(f'<td class="number">{escape_html(cell)}</td>' for cell in rest)
-        + "</tr>"
-        for first, *rest in rows
-    )
-
-
-def _render_notice(sentences: Sequence[str]) -> str:
-    if not sentences:
-        return ""
-    items = "".join(f"<li>{escape_html(sentence)}</li>" for sentence in sentences)
-    return f'<div class="notices"><section class="notice"><h2>What to improve</h2><ul>{items}</ul></section></div>'
-
-
-def _render_halves(calibration: BoardCalibration) -> str:
-    if (halves := calibration.halves) is None:
-        return "<p>The views are too few for a calibration from each half.</p>"
-    names = ("Camera", "rotation", "position", "projection", "squared difference over covariance")
-    header = "".join(f"<th{' class=number' * (i > 0)}>{name}</th>" for i, name in enumerate(names))
-    rows = [
-        [
+def _render_halves(rig: Rig, halves: HalvesTest | None, what: str) -> str:
+    if halves is None:
+        return f"<p>The {what}s are too few for a calibration from each half.</p>"
+    has_board = bool(np.isfinite(halves.projection_px).all())
+    names = ["Camera", "rotation", "position", *["projection"] * has_board, "squared difference over covariance"]
+    rows = []
+    for c, camera in enumerate(rig):
+        row = [
             camera.name,
             f"{math.degrees(halves.rotation[c]):.2g}°",
-            format_length(float(halves.position[c]), calibration.rig.unit),
-            f"{halves.projection_px[c]:.2f} px",
+            format_length(float(halves.position[c]), rig.unit),
             f"{halves.ratio[c]:.2g}{' (significant)' if halves.is_significant[c] else ''}",
         ]
-        for c, camera in enumerate(calibration.rig)
-    ]
-    return (
-        f'<div class="scroll"><table><thead><tr>{header}</tr></thead><tbody>{_render_rows(rows)}</tbody></table></div>'
-        '<p class="note">Differences between calibrations from every other frame; the last column is about 1 if the '
-        "standard deviations are right. Projection: of the board's places, rms.</p>"
+        if has_board:
+            row.insert(3, f"{halves.projection_px[c]:.2f} px")
+        rows.append(row)
+    note = (
+        f"Differences between calibrations from every other {what}; the last column is about 1 if the standard deviations "
+        "are right." + " Projection: of the board's places, rms." * has_board
     )
+    return f'{render_table(names, rows, len(names) - 1)}<p class="note">{escape_html(note)}</p>'
 
 
 def _draw_rig(rig: Rig, rows: tuple[int, int], title: str) -> str:
@@ -143,7 +199,7 @@ def _draw_rig(rig: Rig, rows: tuple[int, int], title: str) -> str:
         drawn.append(f'<line x1="{x:.1f}" y1="{y:.1f}" x2="{u:.1f}" y2="{v:.1f}" stroke="{color}" stroke-width="2"/>')
         drawn.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="5" fill="{color}"/>')
         drawn.append(f'<text x="{x:.1f}" y="{y - 9:.1f}" text-anchor="middle">{escape_html(name)}</text>')
-    return _render_figure(title, height, drawn)
+    return render_figure(title, (WIDTH, height), drawn)
 
 
 def _draw_coverage(name: str, size: tuple[int, int], coverage: Coverage) -> str:
@@ -160,11 +216,7 @@ def _draw_coverage(name: str, size: tuple[int, int], coverage: Coverage) -> str:
             if coverage.counts[i, j]:
                 at = f'x="{(j + 0.5) * width:.1f}" y="{(i + 0.5) * cell + 4:.1f}"'
                 drawn.append(f'<text {at} text-anchor="middle">{coverage.rms_px[i, j]:.2f}</text>')
-    text = f"{name}: {100 * coverage.share:.0f} % covered, tilted by up to {math.degrees(coverage.tilt):.0f}°"
-    return _render_figure(text, height, drawn)
-
-
-def _render_figure(title: str, height: float, drawn: Sequence[str]) -> str:
-    label = escape_html(title)
-    svg = f'<svg viewBox="0 0 {WIDTH} {height:.0f}" role="img" aria-label="{label}">{"".join(drawn)}</svg>'
-    return f'<figure class="card"><h3>{label}</h3>{svg}</figure>'
+    text = f"{name}: {100 * coverage.share:.0f} % covered"
+    if math.isfinite(coverage.tilt):
+        text += f", tilted by up to {math.degrees(coverage.tilt):.0f}°"
+    return render_figure(text, (WIDTH, height), drawn)

@@ -8,7 +8,6 @@ import math
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from string import Template
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,8 +17,9 @@ from sylpose.atomic_io import make_output_folder, replace_atomically
 from sylpose.display import format_length
 from sylpose.geometry.arrays import FloatArray
 from sylpose.io.capture import Session
-from sylpose.report.page import compute_hash, escape_html, load_asset
+from sylpose.report.page import escape_html
 from sylpose.report.plots import choose_length_unit
+from sylpose.report.static_page import StaticPage, render_figure, render_notice, render_section, render_table
 from sylpose.runs.certify import (
     POSITION,
     ROTATION,
@@ -351,31 +351,28 @@ def render_certificate(certificate: SessionCertificate, facts: dict[str, str]) -
         certificate: of a recording.
         facts: "recording", "created", "sylpose" and "calibration".
     """
-    style = load_asset("report.css") + load_asset("certificate.css")
     remarks = [text for item in certificate.objects for text in item.remarks]
     kinds = ["parts", "direction", "stated"] + ["bar"] * (certificate.bar is not None)
-    limits = "".join(_render_row(LIMITS[kind], texts=2) for kind in kinds)
-    return Template(load_asset("certificate.html")).substitute(
-        style=style,
-        style_hash=compute_hash(style),
-        version=escape_html(facts["sylpose"]),
-        title=escape_html(facts["recording"]),
-        facts="".join(
-            f"<div><dt>{escape_html(label)}</dt><dd>{escape_html(text)}</dd></div>"
-            for label, text in _collect_facts(certificate, facts)
-        ),
-        notices=_render_notice("Tests that are incomplete", remarks) + _render_notice("Files", certificate.problems),
-        objects="".join(_render_object(item, is_named=len(certificate.objects) > 1) for item in certificate.objects),
-        bar="" if certificate.bar is None else _render_bar(certificate.bar, certificate.objects[0].unit),
-        limits=limits,
-        validation=escape_html(VALIDATION),
-        paper="".join(f'<p class="paper">{escape_html(text)}</p>' for text in describe_for_paper(certificate)),
-        notes=(
-            "<p>Errors are those of the motion since the first frame with a pose, rotation in world axes and position of "
-            "the object&#39;s center. certificate.json has all numbers, certificate.csv the differences of all frames."
-            f"</p><p>Made by sylpose {escape_html(facts['sylpose'])}.</p>"
-        ),
+    limits = render_table(("test", "sees", "cannot see"), [LIMITS[kind] for kind in kinds], numbers=0)
+    paper = "".join(f'<p class="paper">{escape_html(text)}</p>' for text in describe_for_paper(certificate))
+    body = [_render_object(item, is_named=len(certificate.objects) > 1) for item in certificate.objects]
+    if certificate.bar is not None:
+        body.append(_render_bar(certificate.bar, certificate.objects[0].unit))
+    body.append(render_section("What each number rests on, and what it cannot see", limits, VALIDATION))
+    body.append(render_section("Text for a paper", paper))
+    note = (
+        "Errors are those of the motion since the first frame with a pose, rotation in world axes and position of the "
+        "object's center. certificate.json has all numbers, certificate.csv the differences of all frames."
     )
+    return StaticPage(
+        "certificate",
+        facts["recording"],
+        _collect_facts(certificate, facts),
+        [render_notice("Tests that are incomplete", remarks), render_notice("Files", certificate.problems)],
+        body,
+        [note],
+        facts["sylpose"],
+    ).render()
 
 
 def _collect_facts(certificate: SessionCertificate, facts: dict[str, str]) -> list[tuple[str, str]]:
@@ -395,13 +392,6 @@ def _motion_facts(item: Certificate) -> list[tuple[str, str]]:
     ]
 
 
-def _render_notice(title: str, sentences: Sequence[str]) -> str:
-    if not sentences:
-        return ""
-    items = "".join(f"<li>{escape_html(sentence)}</li>" for sentence in sentences)
-    return f'<div class="notices"><section class="notice"><h2>{title}</h2><ul>{items}</ul></section></div>'
-
-
 def _render_object(item: Certificate, *, is_named: bool) -> str:
     head = ""
     if is_named:
@@ -411,11 +401,9 @@ def _render_object(item: Certificate, *, is_named: bool) -> str:
     tiles = "".join(_render_tile(f"Error of {q.name}", *format_error(q)) for q in quantities)
     tiles += "".join(_render_tile(f"Standard deviations of {q.name}", *format_factor(q.estimate)) for q in quantities)
     charts = "".join(_render_chart_of(item, quantity) for quantity in quantities)
-    rows = "".join(_render_row(cells, numbers=9) for cells in build_test_rows(item))
     names = ("test", "frames", *("difference", "error", "in bounds", "indep. frames") * 2)
-    header = "".join(f"<th{' class=number' * (i > 0)}>{name}</th>" for i, name in enumerate(names))
     groups = "".join(f'<th colspan="4" class="group">{q.name}, {escape_html(q.unit)}</th>' for q in quantities)
-    groups = f"<th></th><th></th>{groups}"
+    table = render_table(names, build_test_rows(item), numbers=9, groups=f"<th></th><th></th>{groups}")
     note = (
         "Frames: share of those with a pose that are compared. Difference: rms between the two results. Error: rms error of "
         "the result of all cameras that it implies. In bounds: share of the differences within their stated 95 % bounds. "
@@ -424,8 +412,7 @@ def _render_object(item: Certificate, *, is_named: bool) -> str:
     return (
         f'{head}<p class="lead">{escape_html(describe_accuracy(item))}</p><div class="tiles">{tiles}</div>'
         f'<div class="charts">{charts}</div>'
-        f'<section class="card"><h2>Tests</h2><div class="scroll"><table><thead><tr>{groups}</tr><tr>{header}</tr></thead>'
-        f'<tbody>{rows}</tbody></table></div><p class="note">{note}</p></section>'
+        f"{render_section('Tests', table, note)}"
     )
 
 
@@ -454,11 +441,6 @@ def _render_tile(label: str, value: str, text: str) -> str:
     return '<section class="card tile"><h3>{}</h3><b>{}</b><p>{}</p></section>'.format(*cells)
 
 
-def _render_row(cells: Sequence[str], numbers: int = 0, texts: int = 0) -> str:
-    kinds = ["", *[' class="number"'] * numbers, *[' class="said"'] * texts]
-    return f"<tr>{''.join(f'<td{kind}>{escape_html(cell)}</td>' for cell, kind in zip(cells, kinds, strict=True))}</tr>"
-
-
 def build_bar_rows(bar: BarTest, unit: str) -> list[list[str]]:
     """Return the rows of length and relative rotation: rms, maximum and 99.7th percentile of the deviations."""
     scale, shown = choose_length_unit(max(bar.length_statistics.values()), unit)
@@ -470,11 +452,8 @@ def build_bar_rows(bar: BarTest, unit: str) -> list[list[str]]:
 
 
 def _render_bar(bar: BarTest, unit: str) -> str:
-    body = "".join(_render_row(row, numbers=3) for row in build_bar_rows(bar, unit))
-    header = "".join(
-        f"<th{' class=number' * (i > 0)}>{name}</th>"
-        for i, name in enumerate(("deviation from the mean", "rms", "maximum", "99.7th percentile"))
-    )
+    names = ("deviation from the mean", "rms", "maximum", "99.7th percentile")
+    table = render_table(names, build_bar_rows(bar, unit), numbers=3)
     extent = " x ".join(format_length(value, unit) for value in bar.extent)
     note = (
         f"{bar.a} and {bar.b}, mean distance {format_length(bar.length, unit)}, in {len(bar.index)} frames "
@@ -486,10 +465,7 @@ def _render_bar(bar: BarTest, unit: str) -> str:
     angles = _Series("absolute deviation", bar.times, bar.rotation_deviations, 1)
     charts = render_chart(f"Deviation of the length, {shown}", [lengths], {}, scale)
     charts += render_chart("Deviation of the relative rotation, °", [angles], {}, math.degrees(1.0))
-    return (
-        f'<section class="card"><h2>Bar</h2><div class="scroll"><table><thead><tr>{header}</tr></thead><tbody>{body}'
-        f'</tbody></table></div><p class="note">{escape_html(note)}</p></section><div class="charts">{charts}</div>'
-    )
+    return f'{render_section("Bar", table, note)}<div class="charts">{charts}</div>'
 
 
 # --- charts ---------------------------------------------------------------------------------------------------------------
@@ -567,10 +543,7 @@ def render_chart(title: str, series: Sequence[_Series], lines: dict[str, float],
         f"{escape_html(label)}</span>"
         for style, label in keys
     )
-    return (
-        f'<figure class="card"><h3>{escape_html(title)}</h3><svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" '
-        f'aria-label="{escape_html(title)}">{"".join(drawn)}</svg><div class="keys">{legend}</div></figure>'
-    )
+    return render_figure(title, (WIDTH, HEIGHT), drawn, legend)
 
 
 def choose_ticks(low: float, high: float) -> list[float]:

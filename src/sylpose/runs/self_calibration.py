@@ -6,16 +6,17 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sylpose.display import format_length
 from sylpose.frames import FrameSet
-from sylpose.geometry.validation import check_type
+from sylpose.geometry.validation import check_choice, check_type
 from sylpose.io.capture import Session
 from sylpose.rig_calibration.camera_tracks import RefinedTrack, make_single_rig, refine_track, track_alone
-from sylpose.rig_calibration.from_motion import MotionCalibration, calibrate_from_motion
+from sylpose.rig_calibration.free_flight import FreeFlight, find_free_flight
+from sylpose.rig_calibration.from_motion import MotionCalibration, calibrate_from_motion, rescale
 from sylpose.rig_calibration.motion_bundle import LENS_SD
 from sylpose.units import METERS, parse_length_with_unit
 
@@ -32,6 +33,7 @@ def self_calibrate(
     start: int = 0,
     stop: int | None = None,
     scale: KnownLength | None = None,
+    throw: bool = False,
     unit: str | None = None,
     on_frame: Callable[[], None] = lambda: None,
 ) -> MotionCalibration:
@@ -39,15 +41,19 @@ def self_calibrate(
 
     Args:
         session: a recording of one object by two cameras or more; its lenses are used, its poses are not.
-        free: what is estimated of the lenses, some of "focal", "principal", "distortion".
+        free: what is estimated of the lenses, some of "focal", "principal", "distortion"; "fov" if focal lengths come from
+            a field of view (`open_session`).
         start, stop: frames, as of `Session.frames`.
         scale: a known length; None: lengths are relative to the first camera's distance from the object.
+        throw: set the scale by gravity instead: the object is thrown up twice or more.
         unit: unit of the result; None: that of the known length.
         on_frame: called after each frame of each camera, from several threads.
 
     Raises:
         MotionRefusedError: the motion does not determine the cameras; the message has the reason and the remedy.
-        ValueError: one camera, several objects, or frames outside the recording.
+        CalibrationRefusedError: the same of throws.
+        ValueError: one camera, several objects, or frames outside the recording; throws in one without time stamps, or with
+            a known length.
     """
     check_type(session, Session, "session")
     if len(session.objects) > 1:
@@ -56,8 +62,17 @@ def self_calibrate(
         )
     if len(session.rig) < 2:
         raise ValueError(f"{session.path}: calibrating needs two cameras or more, found {session.rig.names[0]} only")
+    if throw and scale is not None:
+        raise ValueError("throw: the scale is given by a length, too; omit one")
+    if throw and session.rate is None:
+        raise ValueError(f"throw: {session.path} has no time stamps, which enter by their square: give timestamps.csv")
     tracks = track_cameras(session, start, stop, on_frame)
-    return set_scale(calibrate_from_motion(session.rig.cameras, tracks, free), scale, unit)
+    found = calibrate_from_motion(session.rig.cameras, tracks, free)
+    if not throw:
+        return set_scale(found, scale, unit)
+    flight = find_free_flight(found.times, found.reference_from_object)
+    factor = flight.scale / METERS[check_choice(unit or "m", [*METERS], "unit")]
+    return replace(rescale(found, factor, unit or "m", sd=flight.scale_sd), flight=flight)
 
 
 def track_cameras(
@@ -172,7 +187,7 @@ def set_scale(found: MotionCalibration, scale: KnownLength | None, unit: str | N
     factor = scale.length / measured
     if unit is not None and scale.unit:
         factor *= METERS[scale.unit] / METERS[unit]
-    return found.rescale(factor, unit or scale.unit, exact=scale.cameras, sd=sd)
+    return rescale(found, factor, unit or scale.unit, exact=scale.cameras, sd=sd)
 
 
 def build_camera_rows(found: MotionCalibration) -> list[list[str]]:
@@ -183,10 +198,10 @@ def build_camera_rows(found: MotionCalibration) -> list[list[str]]:
         pose_sd = np.sqrt(np.diag(calibration.extrinsics_covariance[c]))
         angles = np.degrees(camera.camera_from_world.rotation.as_rotvec())
         focal_sd = float(np.sqrt(calibration.intrinsics_covariance[c][0, 0]))
-        focal = f"{camera.matrix[0, 0]:.1f} px" + (f" ± {focal_sd:.1g}" if "focal" in found.freed else "")
-        row = [camera.name, " ".join(f"{angle:.2f}" for angle in angles)]
+        focal = f"{camera.matrix[0, 0]:.1f} px" + (f" ± {focal_sd:.1g}" if {"focal", "fov"} & {*found.freed} else "")
+        row = [camera.name, " ".join(f"{angle:.2f}" for angle in angles.round(2) + 0.0)]
         row.append(f"± {np.degrees(np.linalg.norm(pose_sd[:3])):.1g}°" if c else "")
-        row.append(" ".join(f"{value:.4f}" for value in camera.center))
+        row.append(" ".join(f"{value:.4f}" for value in camera.center.round(4) + 0.0))
         row.append(f"± {format_length(float(np.linalg.norm(pose_sd[3:])), unit)}" if c else "")
         rows.append([*row, focal, str(calibration.n_views[c]), f"{calibration.rms_px[c]:.2f} px"])
     return rows
@@ -194,7 +209,7 @@ def build_camera_rows(found: MotionCalibration) -> list[list[str]]:
 
 def list_warnings(found: MotionCalibration) -> list[str]:
     """Return what may be wrong with a calibration, and what it lacks, one sentence each."""
-    warnings = [*found.calibration.warnings]
+    warnings = [*found.calibration.unobservable, *found.calibration.warnings]
     warnings += [f"{name} was left out: {reason}" for name, reason in found.left_out.items()]
     if not found.calibration.rig.unit:
         warnings.append(
@@ -207,4 +222,15 @@ def list_warnings(found: MotionCalibration) -> list[str]:
 def describe_tests(found: MotionCalibration) -> list[str]:
     """Describe the tests and the cameras left out, one line each."""
     lines = [f"{test.name}: {test.value} ({test.limit})" for test in found.tests]
+    if found.flight is not None:
+        lines.append(describe_flight(found.flight))
     return lines + [f"left out: {name}: {reason}" for name, reason in found.left_out.items()]
+
+
+def describe_flight(flight: FreeFlight) -> str:
+    """Describe the throws that set the scale, and the vertical that they give."""
+    up = ",".join(f"{value:.4f}" for value in flight.up)
+    return (
+        f"{len(flight.flights)} throws: scale ± {100 * flight.scale_sd:.2g} %, if the time stamps are right (1 % changes it "
+        f"by 2 %); upwards is {up} in the first camera's axes, ± {np.degrees(flight.up_sd):.2g} degrees (--world up={up})"
+    )

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sylpose.input_limits import input_errors
@@ -13,8 +14,10 @@ from sylpose.io.calibration import filestorage
 from sylpose.io.calibration.camera_builder import SizeLookup
 from sylpose.io.calibration.files import load
 from sylpose.io.calibration.markup import read_content
-from sylpose.rig import Camera, Rig
+from sylpose.rig import Camera, Rig, make_look_at_camera
 
+# Fields of view of lenses without much distortion (choice: telephoto to wide-angle).
+MIN_FOV_DEG, MAX_FOV_DEG = 1.0, 130.0
 # A file and the name of its camera; None: as in the file, or as the file is called, or all cameras.
 LensFile = tuple[str | None, Path]
 
@@ -76,13 +79,33 @@ def load_lenses(files: Sequence[LensFile], names: Sequence[str], sizes: SizeLook
     return Rig([replace(camera, camera_from_world=RigidTransform.identity()) for camera in found.values()])
 
 
+def guess_lenses(fov_deg: float, names: Sequence[str], sizes: SizeLookup) -> Rig:
+    """Return lenses without distortion, of a horizontal field of view in degrees, with the identity as pose.
+
+    Args:
+        fov_deg: of all cameras.
+        names: of the recording's cameras.
+        sizes: looks up their image sizes.
+
+    Raises:
+        ValueError: a field of view that no such lens has.
+    """
+    if not MIN_FOV_DEG <= fov_deg <= MAX_FOV_DEG:
+        raise ValueError(f"fov must be {MIN_FOV_DEG:g} to {MAX_FOV_DEG:g} degrees, got {fov_deg:g}")
+    found = sizes(names)
+    focal = {name: 0.5 * size[0] / np.tan(np.radians(fov_deg) / 2.0) for name, size in found.items()}
+    return Rig([make_look_at_camera(name, np.zeros(3), (0, 0, 1), focal[name], found[name]) for name in names])
+
+
 def _read_cameras(path: Path, sizes: SizeLookup, names: Sequence[str], name: str) -> list[Camera]:
     """Read a file's cameras; one that has no name gets `name`, and the first camera's size if it is not in `names`."""
 
     def lookup(wanted: Sequence[str]) -> Mapping[str, tuple[int, int]]:
-        known = {its: its if its in names else names[0] for its in wanted} if name in wanted else {}
-        found = sizes([*dict.fromkeys(known.values())] or wanted)
-        return {its: found[known.get(its, its)] for its in wanted if known.get(its, its) in found}
+        # The size of a video is found by the names of all cameras.
+        if not {*wanted} <= {*names, name}:
+            return sizes(wanted)
+        found = sizes(names)
+        return {its: found[its if its in found else names[0]] for its in wanted if its in found or its == name}
 
     with input_errors(path):
         try:

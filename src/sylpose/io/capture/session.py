@@ -19,7 +19,7 @@ from sylpose.geometry.arrays import BoolArray, Image
 from sylpose.geometry.validation import check_list
 from sylpose.input_limits import input_errors, resolve_path
 from sylpose.io import calibration as calibrations
-from sylpose.io.calibration.lenses import LensFile, load_lenses
+from sylpose.io.calibration.lenses import LensFile, guess_lenses, load_lenses
 from sylpose.io.calibration.world import World, transform_rig
 from sylpose.io.capture.boxes import Masks, check_first_masks, find_masks, load_boxes, merge_object_names
 from sylpose.io.capture.frame_readers import CameraReader, FrameReading, check_readable
@@ -249,6 +249,7 @@ def open_session(
     as_coded: bool = False,
     take: str = "",
     lenses: Sequence[LensFile] = (),
+    fov: float | None = None,
 ) -> Session:
     """Open a recording: a folder with one video (`cam_0.mp4`) or one image folder (`cam_0/`) per camera.
 
@@ -274,6 +275,7 @@ def open_session(
         take: the take to open, of a folder with several.
         lenses: files of the lenses, each with the name of its camera or None, in place of a calibration; all poses are
             then the identity (`load_lenses`).
+        fov: horizontal field of view of all cameras, degrees, in place of a calibration; as for `lenses`.
 
     Returns:
         The session; its `warnings` list suspicious input.
@@ -282,9 +284,11 @@ def open_session(
         FileNotFoundError: no such folder or file.
         ValueError: the message names the file or camera and the expected content.
     """
-    if lenses:
-        calibration = lenses[0][1]
-    files = _InputFiles(calibration, boxes, masks, offsets or {}, cameras or {}, rate, without, as_coded, take, lenses)
+    if lenses or fov is not None:
+        calibration = lenses[0][1] if lenses else Path(path)
+    files = _InputFiles(
+        calibration, boxes, masks, offsets or {}, cameras or {}, rate, without, as_coded, take, lenses, fov
+    )
     return _open_session(Path(path), files)
 
 
@@ -368,6 +372,7 @@ class _InputFiles(NamedTuple):
     as_coded: bool
     take: str
     lenses: Sequence[LensFile] = ()
+    fov: float | None = None
 
 
 def _open_session(path: Path, given: _InputFiles, is_reopened: bool = False) -> Session:
@@ -384,11 +389,14 @@ def _open_session(path: Path, given: _InputFiles, is_reopened: bool = False) -> 
         recording = RecordingFolder(
             layout.sources, calibration, others, given.cameras, given.without, given.as_coded, take
         )
-        if given.lenses:
+        if given.lenses or given.fov is not None:
             entries = find_entries(layout.sources)
             names = [*given.cameras] or [entry.name if entry.is_dir() else entry.stem for entry in entries]
             names = [name for name in names if name not in given.without]
-            full_rig = load_lenses(given.lenses, names, recording.read_image_sizes)
+            if given.fov is None:
+                full_rig = load_lenses(given.lenses, names, recording.read_image_sizes)
+            else:
+                full_rig = guess_lenses(given.fov, names, recording.read_image_sizes)
         else:
             full_rig = calibrations.load(calibration, recording.read_image_sizes)
         rig = full_rig if is_reopened else _exclude_cameras(full_rig, given.without, calibration)

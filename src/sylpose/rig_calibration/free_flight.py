@@ -1,0 +1,201 @@
+"""Scale and vertical from throws: in free flight the center of mass moves with the acceleration of gravity.
+
+The center of mass is an unknown fixed point c of the object: R(t) c + x(t) = p + v t + g t²/2 for the poses (R, x) of a
+flight. This is linear in c, p, v and g. The length of g, 9.81 m/s², sets the scale, its direction is the vertical. The
+times enter by their square. Air drag is ignored.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from sylpose.geometry.arrays import FloatArray
+from sylpose.geometry.robust_loss import chi_squared_bound
+from sylpose.rig_calibration.result import CalibrationRefusedError
+
+# Acceleration of gravity, m/s², and its relative standard deviation over the earth (choice: 9.78 to 9.83).
+GRAVITY, GRAVITY_SD = 9.81, 0.002
+# A flight has so many frames (choice: twice the unknowns), and lasts at most so many seconds (choice: three meters up).
+MIN_FRAMES, MAX_SECONDS = 8, 1.6
+# Residuals of a flight relative to those of the smoothest parts of the path (choice: a factor of two).
+MAX_NOISE_RATIO = 2.0
+# Quantile of the residuals of short windows that is their noise (choice: some part of the path is smooth).
+NOISE_QUANTILE = 0.25
+# The acceleration of a flight is known to this relative standard deviation (choice: swings of the hand rarely agree by it).
+MAX_RELATIVE_SD = 0.1
+# Errors that the poses of a flight have in common, as share of gravity: differences below it are none (choice: ten times
+# those of a rendered recording, 0.1 to 0.3 %).
+SYSTEMATIC = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class FreeFlight:
+    """Gravity in the axes and lengths of a path.
+
+    Attributes:
+        gravity: (3,) its acceleration, lengths per second squared.
+        center: (3,) center of mass, object's frame.
+        joint_covariance: (6, 6) of both, the center first.
+        flights: numbers of the first and last pose of each flight.
+        noise: standard deviation of the positions, each coordinate.
+    """
+
+    gravity: FloatArray
+    center: FloatArray
+    joint_covariance: FloatArray
+    flights: tuple[tuple[int, int], ...]
+    noise: float
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(3, 3) covariance of gravity."""
+        return self.joint_covariance[3:, 3:]
+
+    @property
+    def scale(self) -> float:
+        """Meters per unit of length."""
+        return GRAVITY / float(np.linalg.norm(self.gravity))
+
+    @property
+    def scale_sd(self) -> float:
+        """Relative standard deviation of the scale."""
+        down = self.gravity / np.linalg.norm(self.gravity)
+        own = float(down @ self.covariance @ down) / float(self.gravity @ self.gravity)
+        return float(np.hypot(np.sqrt(own), GRAVITY_SD))
+
+    @property
+    def up(self) -> FloatArray:
+        """(3,) unit vector upwards."""
+        return np.asarray(-self.gravity / np.linalg.norm(self.gravity))
+
+    @property
+    def up_sd(self) -> float:
+        """Standard deviation of the vertical's direction, radians: of both angles together."""
+        across = np.eye(3) - np.outer(self.up, self.up)
+        return float(np.sqrt(np.trace(across @ self.covariance @ across)) / np.linalg.norm(self.gravity))
+
+
+def find_free_flight(times: FloatArray, world_from_object: RigidTransform) -> FreeFlight:
+    """Find the throws in a path, and gravity in its axes and lengths.
+
+    Args:
+        times: (N,) seconds, true ones, increasing.
+        world_from_object: N poses.
+
+    Raises:
+        CalibrationRefusedError: fewer than two flights with the same gravity; a single one may be a swing
+            of the hand.
+    """
+    times = np.asarray(times, float)
+    windows = _list_windows(times)
+    noises = np.full(len(times), np.inf)
+    for first, last in windows:
+        if last - first == MIN_FRAMES - 1:
+            noises[first] = _fit([(first, last)], times, world_from_object).noise
+    is_known = np.isfinite(noises)
+    limit = MAX_NOISE_RATIO * float(np.quantile(noises[is_known], NOISE_QUANTILE)) if is_known.any() else 0.0
+    # Parts of a flight have no more than its noise, but for chance.
+    windows = [(i, j) for i, j in windows if noises[i : j + 2 - MIN_FRAMES].max() < MAX_NOISE_RATIO * limit]
+    fits = {window: _fit([window], times, world_from_object) for window in windows}
+    flights = list[tuple[int, int]]()
+    for window in sorted(windows, key=lambda window: window[0] - window[1]):
+        overlaps = any(window[0] <= last and first <= window[1] for first, last in flights)
+        if not overlaps and _is_flight(window, fits[window], limit, times, world_from_object):
+            flights.append(window)
+    groups = [_list_agreeing(window, flights, fits) for window in flights]
+    agreeing: list[tuple[int, int]] = max(groups, key=len, default=[])
+    if len(agreeing) < 2:
+        raise CalibrationRefusedError(
+            f"throw: {len(agreeing)} free flights with one gravity, needs 2: throw the object up twice "
+            "or more, so that it rotates, flies for half a second and stays in view of all cameras"
+        )
+    if any(len(group) > 1 and not {*group} & {*agreeing} for group in groups):
+        raise CalibrationRefusedError(
+            "throw: flights with two different gravities, needs one: swings of the hand may look alike; leave them out by "
+            "--start and --stop"
+        )
+    whole = _fit(sorted(agreeing), times, world_from_object)
+    return _inflate_by_scatter(whole, [fits[window] for window in agreeing])
+
+
+def _list_windows(times: FloatArray) -> list[tuple[int, int]]:
+    """Return the numbers of the first and last frame of all windows that a flight may have."""
+    ends = np.searchsorted(times, times + MAX_SECONDS)
+    return [(i, j - 1) for i, end in enumerate(ends.tolist()) for j in range(i + MIN_FRAMES, end + 1)]
+
+
+def _fit(
+    windows: Sequence[tuple[int, int]], times: FloatArray, poses: RigidTransform, *, has_jerk: bool = False
+) -> FreeFlight:
+    """Fit gravity and the center of mass to flights; with `has_jerk`, the result is a change of gravity in their place."""
+    n = len(windows)
+    rows, right = [], []
+    for k, (first, last) in enumerate(windows):
+        t = times[first : last + 1] - times[[first, last]].mean()
+        R = poses[first : last + 1].rotation.as_matrix()
+        A = np.zeros((len(t), 3, 6 * n + 9))
+        eye = np.eye(3)
+        A[:, :, 6 * k : 6 * k + 3] = eye
+        A[:, :, 6 * k + 3 : 6 * k + 6] = t[:, None, None] * eye
+        A[:, :, -3:] = t[:, None, None] ** 2 / 2.0 * eye
+        A[:, :, -6:-3] = -R
+        A[:, :, -9:-6] = t[:, None, None] ** 3 / 6.0 * eye if has_jerk else 0.0
+        rows.append(A.reshape(-1, 6 * n + 9))
+        right.append(poses[first : last + 1].translation.ravel())
+    A, b = np.concatenate(rows), np.concatenate(right)
+    used = np.r_[: 6 * n, np.arange(6 * n if has_jerk else 6 * n + 3, 6 * n + 9)]
+    solution, _, rank, _ = np.linalg.lstsq(A[:, used], b)
+    residuals = (b - A[:, used] @ solution).reshape(-1, 3)
+    freedom = max(len(b) - int(rank), 1)
+    # Errors of successive poses are correlated; of their sum only so much is independent.
+    product, square = float((residuals[1:] * residuals[:-1]).sum()), float((residuals**2).sum())
+    correlation = float(np.clip(product / max(square, 1e-300), 0.0, 0.9))
+    variance = square / freedom
+    covariance = variance * (1.0 + correlation) / (1.0 - correlation) * np.linalg.pinv(A[:, used].T @ A[:, used])
+    # The unknowns of a jerk come before those of the center and gravity.
+    own = 6 * n + np.arange(6) if not has_jerk else 6 * n + np.array([3, 4, 5, 0, 1, 2])
+    joint = covariance[np.ix_(own, own)]
+    return FreeFlight(solution[own[3:]], solution[own[:3]], joint, tuple(windows), float(np.sqrt(variance)))
+
+
+def _is_flight(
+    window: tuple[int, int], fit: FreeFlight, limit: float, times: FloatArray, poses: RigidTransform
+) -> bool:
+    """Return whether the acceleration in a window is known, not significantly different at its ends, and explains it."""
+    sd = float(np.sqrt(np.linalg.eigvalsh(fit.covariance)[-1]))
+    if not (fit.noise <= limit and sd < MAX_RELATIVE_SD * float(np.linalg.norm(fit.gravity))):
+        return False
+    jerk = _fit([window], times, poses, has_jerk=True)
+    # The change from the middle of the flight to its ends.
+    half = 0.5 * float(times[window[1]] - times[window[0]])
+    floor = (SYSTEMATIC * np.linalg.norm(fit.gravity) / half) ** 2 * np.eye(3)
+    return _measure_square(jerk.gravity, jerk.covariance + floor) < chi_squared_bound(3)
+
+
+def _measure_square(difference: FloatArray, covariance: FloatArray) -> float:
+    """Return the squared length of a difference in its standard deviations."""
+    return float(difference @ np.linalg.pinv(covariance) @ difference)
+
+
+def _list_agreeing(
+    window: tuple[int, int], flights: Sequence[tuple[int, int]], fits: dict[tuple[int, int], FreeFlight]
+) -> list[tuple[int, int]]:
+    """Return the flights with the same gravity as one of them."""
+    own, found = fits[window], [window]
+    floor = (SYSTEMATIC * np.linalg.norm(own.gravity)) ** 2 * np.eye(3)
+    for other in flights:
+        total = own.covariance + fits[other].covariance + floor
+        if other != window and _measure_square(own.gravity - fits[other].gravity, total) < chi_squared_bound(3):
+            found.append(other)
+    return found
+
+
+def _inflate_by_scatter(whole: FreeFlight, flights: Sequence[FreeFlight]) -> FreeFlight:
+    """Return the fit to all flights, its covariance times the square of how much they differ (Birge ratio)."""
+    squares = [_measure_square(its.gravity - whole.gravity, its.covariance) for its in flights]
+    ratio = max(sum(squares) / (3.0 * (len(flights) - 1)), 1.0)
+    return replace(whole, joint_covariance=ratio * whole.joint_covariance)
