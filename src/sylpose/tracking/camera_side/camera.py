@@ -574,7 +574,8 @@ class CameraTracker:
     def count_following(self, images: FrameSet, first: SolvedFrame, pose: RigidTransform) -> tuple[float, float]:
         """Count the matches with the first frame that moved as the object did: inside, and outside of its region there.
 
-        Those expected by chance, displaced in random directions, are subtracted.
+        Those expected by chance, displaced in random directions, are subtracted. Outside there are none unless more stand
+        still: a camera that trembles displaces all.
 
         Args:
             pose: world_from_object of the images.
@@ -585,7 +586,7 @@ class CameraTracker:
         motion = camera_from_world * pose * first.world_from_object.inv() * camera_from_world.inv()
         essential = essential_matrix(rotation_matrix_of(motion), motion.translation)
         current = self.detect(self.view_of(images), None, max_pixels=MAX_SEARCH_PIXELS)
-        counts = []
+        counts, n_static = [], 0
         for earlier in (self.frames[first.number].features, self.background_features):
             i, j = match_features(earlier, current).T
             before_px, after_px = earlier.pixels[i], current.pixels[j]
@@ -595,7 +596,9 @@ class CameraTracker:
             has_moved = displacement_px > self.static_px
             by_chance = np.arcsin(self.static_px / displacement_px[has_moved]) * (2.0 / np.pi)
             counts.append(float(((residual_px[has_moved] < self.static_px) - by_chance).sum()))
-        return counts[0], counts[1]
+            n_static = np.count_nonzero(~has_moved)
+        inside, outside = counts
+        return inside, outside if outside < n_static else 0.0
 
     # --- update after a frame is accepted -----------------------------------------------------------------------------
 
