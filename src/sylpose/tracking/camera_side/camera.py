@@ -584,21 +584,23 @@ class CameraTracker:
             return 0.0, 0.0
         camera_from_world = self.camera.camera_from_world
         motion = camera_from_world * pose * first.world_from_object.inv() * camera_from_world.inv()
-        essential = essential_matrix(rotation_matrix_of(motion), motion.translation)
         current = self.detect(self.view_of(images), None, max_pixels=MAX_SEARCH_PIXELS)
-        counts, n_static = [], 0
-        for earlier in (self.frames[first.number].features, self.background_features):
-            i, j = match_features(earlier, current).T
-            before_px, after_px = earlier.pixels[i], current.pixels[j]
-            x, y = (np.insert(self.camera.normalize(pixels), 2, 1.0, axis=1) for pixels in (before_px, after_px))
-            residual_px = np.abs((y @ essential * x).sum(axis=1)) / sampson_scale(essential, x, y) * self.camera.focal
-            displacement_px = np.linalg.norm(after_px - before_px, axis=1)
-            has_moved = displacement_px > self.static_px
-            by_chance = np.arcsin(self.static_px / displacement_px[has_moved]) * (2.0 / np.pi)
-            counts.append(float(((residual_px[has_moved] < self.static_px) - by_chance).sum()))
-            n_static = np.count_nonzero(~has_moved)
-        inside, outside = counts
+        inside, _ = self._count_following(self.frames[first.number].features, current, motion)
+        outside, n_static = self._count_following(self.background_features, current, motion)
         return inside, outside if outside < n_static else 0.0
+
+    def _count_following(self, earlier: Features, current: Features, motion: RigidTransform) -> tuple[float, int]:
+        """Count the matches that follow a motion in the camera's axes beyond chance, and those that have not moved."""
+        i, j = match_features(earlier, current).T
+        before_px, after_px = earlier.pixels[i], current.pixels[j]
+        x, y = (np.insert(self.camera.normalize(pixels), 2, 1.0, axis=1) for pixels in (before_px, after_px))
+        essential = essential_matrix(rotation_matrix_of(motion), motion.translation)
+        residual_px = np.abs((y @ essential * x).sum(axis=1)) / sampson_scale(essential, x, y) * self.camera.focal
+        displacement_px = np.linalg.norm(after_px - before_px, axis=1)
+        has_moved = displacement_px > self.static_px
+        by_chance = np.arcsin(self.static_px / displacement_px[has_moved]) * (2.0 / np.pi)
+        following = ((residual_px[has_moved] < self.static_px) - by_chance).sum()
+        return float(following), int(np.count_nonzero(~has_moved))
 
     # --- update after a frame is accepted -----------------------------------------------------------------------------
 
