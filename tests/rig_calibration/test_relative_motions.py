@@ -131,6 +131,16 @@ def test_wrong_track_is_left_out() -> None:
     assert errors_of(found, rig)[0].max() < np.radians(0.5)
 
 
+def test_cameras_without_common_frames_are_left_out() -> None:
+    """Two pairs of cameras that track at different times: one pair is calibrated."""
+    rig = arc(4, 40.0, height=[0.1, 0.4, -0.2, 0.3])
+    halves = [track_object(rig, tumble(2), 2, noise=1e-3, frames=part) for part in (slice(30), slice(30, None))]
+    found = solve_relative_extrinsics([*halves[0][:2], *halves[1][2:]])
+    assert found.cameras == (0, 1)
+    assert found.left_out.keys() == {"cam_2", "cam_3"}
+    assert errors_of(found, rig)[0].max() < np.radians(0.5)
+
+
 def test_late_camera_needs_no_common_start() -> None:
     rig = arc(3, 40.0, height=[0.1, 0.4, -0.2])
     tracks = track_object(rig, tumble(2), 2, noise=1e-3)

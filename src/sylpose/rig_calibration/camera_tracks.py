@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose.bundle_adjustment.bundle import BundleOptions, BundleResult, Observations, bundle_adjust
 from sylpose.bundle_adjustment.scale_prior import find_lost_frames
 from sylpose.frames import Box, FrameSet
-from sylpose.geometry.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.results import MAX_ROTATION_SD
 from sylpose.rig import Camera, Rig
 from sylpose.rig_calibration.relative_motions import CameraTrack
@@ -54,6 +54,22 @@ class RefinedTrack:
     sigma_px: float
     inlier_ratio: float
     reversal_ratio: float
+
+    def restrict(self, frames: IntArray) -> RefinedTrack:
+        """Return the part of the track in the frames with these numbers."""
+        kept = np.isin(self.track.frames, frames)
+        if kept.all():
+            return self
+        track = replace(
+            self.track,
+            frames=self.track.frames[kept],
+            camera_from_object=self.track.camera_from_object[kept],
+            rotation_covariance=self.track.rotation_covariance[kept],
+        )
+        own = self.observations
+        rows, used = np.cumsum(kept) - 1, kept[own.frame]
+        observations = Observations(rows[own.frame[used]], own.camera[used], own.landmark[used], own.image[used])
+        return replace(self, track=track, times=self.times[kept], observations=observations)
 
 
 def make_single_rig(camera: Camera) -> Rig:

@@ -126,7 +126,7 @@ def calibrate_from_motion(
             f"{joint.rig[worst].name} by {np.degrees(halves.rotation[worst]):.2g} degrees: record more frames, with more of "
             "the object's sides"
         )
-    used = [observed[k] for k in found.start.cameras]
+    used = recording.select_observed(found.start)
     return MotionCalibration(
         _make_calibration(joint, used, found.fit.freed, warnings),
         found.tests,
@@ -149,6 +149,14 @@ class _Recording:
     cameras: Sequence[Camera]
     observed: Sequence[RefinedTrack]
     synchronized: Sequence[RefinedTrack]
+
+    def select_observed(self, start: RelativeExtrinsics) -> list[RefinedTrack]:
+        """Return the tracks of the used cameras as observed, in the frames that have a pose."""
+        return [self.observed[k].restrict(start.frames) for k in start.cameras]
+
+    def select_synchronized(self, start: RelativeExtrinsics) -> list[RefinedTrack]:
+        """Return the tracks of the used cameras at common instants, in the frames that have a pose."""
+        return [self.synchronized[k].restrict(start.frames) for k in start.cameras]
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,6 +202,8 @@ def _calibrate_consistent(recording: _Recording, free: tuple[str, ...]) -> _Cons
             if joint is None or len(joint.rig) < 3:
                 raise refusal from None
             name = joint.rig[find_least_consistent(joint)].name
+            if name in excluded:  # and admitted again
+                raise refusal from None
             excluded[name] = f"it contradicts the others ({error.tests[-1].name}: {error.tests[-1].value})"
         else:
             return _Consistent(start, fit, tuple(tests), admitted)
@@ -212,7 +222,27 @@ def _admit_cameras(
             left_out = {other: why for other, why in start.left_out.items() if other != name}
             start, fit = replace(extended, left_out=left_out), trial
             admitted.append(f"{name} was added by the joint refinement, although {reason}")
+    if start.cameras != tuple(sorted(start.cameras)):
+        start = _sort_cameras(start)
+        refit = _fit(recording, start, free)
+        _test_consistency(None if refit is None else refit.joint, [])
+        assert refit is not None
+        fit = refit
     return start, fit, tuple(admitted)
+
+
+def _sort_cameras(start: RelativeExtrinsics) -> RelativeExtrinsics:
+    """Return extrinsics with the cameras in the recording's order; the first of them may not be the reference."""
+    order = np.argsort(start.cameras)
+    return replace(
+        start,
+        cameras=tuple(sorted(start.cameras)),
+        camera_from_reference=start.camera_from_reference[order],
+        scales=start.scales[order],
+        object_axes=start.object_axes[order],
+        rotation_sd=start.rotation_sd[order],
+        scale_sd=start.scale_sd[order],
+    )
 
 
 def _relate_cameras(recording: _Recording, excluded: Mapping[str, str]) -> RelativeExtrinsics:
@@ -224,10 +254,12 @@ def _relate_cameras(recording: _Recording, excluded: Mapping[str, str]) -> Relat
 
 
 def find_least_consistent(joint: JointBundle) -> int:
-    """Return the camera with the most noise relative to its own track; if none is clear, the least known one.
+    """Return the camera with too few inliers, or the most noise relative to its own track; else the least known one.
 
     A camera is as well known as its rotation from the median of the others, which does not depend on the reference.
     """
+    if joint.inlier_ratio.min() <= MIN_INLIER_RATIO:
+        return int(np.argmin(joint.inlier_ratio))
     if joint.worst_noise_ratio > CLEAR_NOISE_RATIO:
         return int(np.argmax(joint.noise_ratio))
     n = len(joint.rig)
@@ -243,10 +275,10 @@ def find_least_consistent(joint: JointBundle) -> int:
 def _fit(recording: _Recording, start: RelativeExtrinsics, free: tuple[str, ...]) -> _Fit | None:
     """Refine with the simplest model that explains the observations; None if that does not converge."""
     cameras = [recording.cameras[k] for k in start.cameras]
-    fit = _fit_lenses(cameras, [recording.synchronized[k] for k in start.cameras], start, free)
+    fit = _fit_lenses(cameras, recording.select_synchronized(start), start, free)
     if fit is None or fit.joint.worst_noise_ratio <= CLEAR_NOISE_RATIO:
         return fit
-    timed = _fit_instants(cameras, [recording.observed[k] for k in start.cameras], start, free, fit.joint)
+    timed = _fit_instants(cameras, recording.select_observed(start), start, free, fit.joint)
     is_better = timed is not None and CLEAR_NOISE_RATIO * timed.joint.worst_noise_ratio < fit.joint.worst_noise_ratio
     return timed if is_better else fit
 

@@ -176,7 +176,13 @@ def solve_relative_extrinsics(
             if ratios[suspect] < MAX_REVERSAL_RATIO or len(cameras) == 2:
                 break
         left_out[tracks[cameras[suspect]].name] = reason
-        cameras = [c for k, c in enumerate(cameras) if k != suspect]
+        rest = [c for k, c in enumerate(cameras) if k != suspect]
+        links = [pair for pair, its in pairs.items() if its is not None and its.agreeing >= min_agreeing]
+        cameras = sorted(_find_largest_group(rest, [link for link in links if {*link} <= {*rest}]))
+        for c in {*rest} - {*cameras}:
+            left_out[tracks[c].name] = "too few common frames in which the object rotates"
+        if len(cameras) < 2:
+            _test_rotations(tracks, pairs, cameras, left_out, tests)  # raises
     scale_sd = _test_places(kept, placed, ratios, tests)
     assert placed is not None
     X = RigidTransform.from_components(placed.translations, Rotation.from_matrix(rotations))
@@ -342,6 +348,9 @@ def _select_cameras(
         bad = [(a, b) for a, b, share in known if share < min_agreeing]
         linked = {c for a, b, share in known if share >= min_agreeing for c in (a, b)}
         lonely = [c for c in kept if c not in linked]
+        if not bad and not lonely:  # each has a partner, but there may be several groups
+            group = _find_largest_group(kept, [(a, b) for a, b, _ in known])
+            lonely = [c for c in kept if c not in group]
         if not bad and not lonely:
             break
         total = {c: sum(c in pair for pair in bad) + len(tracks) * (c in lonely) for c in kept}
@@ -355,6 +364,15 @@ def _select_cameras(
             else "too few common frames in which the object rotates"
         )
     return kept, left_out
+
+
+def _find_largest_group(cameras: Sequence[int], links: Sequence[tuple[int, int]]) -> set[int]:
+    """Return the largest set of cameras that links connect, the first of equal ones."""
+    groups = [{c} for c in cameras]
+    for a, b in links:
+        joined = {c for group in groups if a in group or b in group for c in group}
+        groups = [group for group in groups if not group & joined] + [joined]
+    return max(groups, key=lambda group: (len(group), -min(group)))
 
 
 def _measure_spread(track: CameraTrack) -> float:

@@ -392,6 +392,8 @@ def _open_session(path: Path, given: _InputFiles, is_reopened: bool = False) -> 
         if given.lenses or given.fov is not None:
             entries = find_entries(layout.sources)
             names = [*given.cameras] or [entry.name if entry.is_dir() else entry.stem for entry in entries]
+            if unknown := [name for name in given.without if name not in names]:
+                raise ValueError(f"without: {unknown[0]!r} is not a camera of {path} ({', '.join(names)})")
             names = [name for name in names if name not in given.without]
             if given.fov is None:
                 full_rig = load_lenses(given.lenses, names, recording.read_image_sizes)
@@ -399,7 +401,9 @@ def _open_session(path: Path, given: _InputFiles, is_reopened: bool = False) -> 
                 full_rig = guess_lenses(given.fov, names, recording.read_image_sizes)
         else:
             full_rig = calibrations.load(calibration, recording.read_image_sizes)
-        rig = full_rig if is_reopened else _exclude_cameras(full_rig, given.without, calibration)
+        uses_lenses = bool(given.lenses) or given.fov is not None
+        without = [name for name in given.without if not uses_lenses or name in full_rig.names]
+        rig = full_rig if is_reopened else _exclude_cameras(full_rig, without, calibration)
         sources, warnings = recording.find_sources(rig)
         for source in sources:
             check_readable(source)
