@@ -79,6 +79,15 @@ class Observations:
     def __len__(self) -> int:
         return len(self.frame)
 
+    def select(self, used: BoolArray) -> Observations:
+        """Return some of the observations, (n,)."""
+        return Observations(self.frame[used], self.camera[used], self.landmark[used], self.image[used])
+
+    def select_frames(self, is_used: BoolArray) -> Observations:
+        """Return the observations in some of the N frames, (N,), renumbered."""
+        own = self.select(is_used[self.frame])
+        return replace(own, frame=(np.cumsum(is_used) - 1)[own.frame])
+
 
 @dataclass(frozen=True, eq=False)
 class BundleResult(FitSummary):

@@ -101,7 +101,7 @@ def bundle_adjust_by_keyframes(
     is_key = select_keyframes(observations, world_from_object, fixed)
     if is_key.all():
         return bundle_adjust_with_scale(rig, observations, world_from_object, radius, options)
-    own = _select_observations(observations, is_key[observations.frame], is_key)
+    own = observations.select_frames(is_key)
     key_options = _select_options(options, is_key, fixed)
     result = bundle_adjust_with_scale(rig, own, world_from_object[is_key], radius, key_options)
     out = _spread_result(result, world_from_object, observations, is_key)
@@ -133,13 +133,6 @@ def _select_options(options: BundleOptions, is_used: BoolArray, fixed: BoolArray
     """Return the options for some frames (N,), with these fixed (N,)."""
     times = None if options.times is None else np.asarray(options.times)[is_used]
     return replace(options, fixed=fixed[is_used], times=times)
-
-
-def _select_observations(observations: Observations, used: BoolArray, is_used: BoolArray) -> Observations:
-    """Return some observations (n,), in some frames (N,), which are renumbered."""
-    number = np.cumsum(is_used) - 1
-    parts = (observations.camera[used], observations.landmark[used], observations.image[used])
-    return Observations(number[observations.frame[used]], *parts)
 
 
 class _Segment(NamedTuple):

@@ -158,6 +158,17 @@ def sampson_scale(E: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.maximum(squared_gradient, MIN_SQUARED_GRADIENT)))
 
 
+def sampson_distance(E: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
+    """Return (n,) signed Sampson distances of points x, y (n, 2) in the two frames; 0 without epipolar geometry.
+
+    Args:
+        E: (3, 3).
+        x, y: normalized; the unit of the result.
+    """
+    before, after = (np.insert(points, 2, 1.0, axis=1) for points in (x, y))
+    return np.asarray(np.einsum("ni,ni->n", after, before @ E.T) / sampson_scale(E, before, after))
+
+
 def enlarge_covariance(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return a covariance (6, 6) not smaller than either input in any direction.
 

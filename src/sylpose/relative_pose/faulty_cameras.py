@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
-from sylpose.geometry.matrices import essential_matrix, sampson_scale
+from sylpose.geometry.matrices import essential_matrix, sampson_distance
 from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.matches import MAX_STATIC_PX
 from sylpose.moments import PairMoments
@@ -146,8 +146,7 @@ def solve_subset(data: Sequence[TermData], masks: Sequence[BoolArray], solve: Te
 def _compute_epipolar_px(term: TermData, solution: Solution) -> FloatArray:
     """Return (n,) signed Sampson distances, pixels; 0 without epipolar geometry."""
     E = essential_matrix(*transfer_motion(term, solution.center, solution.fit.rotation, solution.fit.translation))
-    x, y = (np.column_stack([points, np.ones(len(term))]) for points in (term.x, term.y))
-    return np.asarray(term.focal * np.einsum("ni,ni->n", y, x @ E.T) / sampson_scale(E, x, y))
+    return term.focal * sampson_distance(E, term.x, term.y)
 
 
 def _describe_faults(

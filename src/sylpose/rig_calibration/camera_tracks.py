@@ -66,10 +66,7 @@ class RefinedTrack:
             camera_from_object=self.track.camera_from_object[kept],
             rotation_covariance=self.track.rotation_covariance[kept],
         )
-        own = self.observations
-        rows, used = np.cumsum(kept) - 1, kept[own.frame]
-        observations = Observations(rows[own.frame[used]], own.camera[used], own.landmark[used], own.image[used])
-        return replace(self, track=track, times=self.times[kept], observations=observations)
+        return replace(self, track=track, times=self.times[kept], observations=self.observations.select_frames(kept))
 
 
 def make_single_rig(camera: Camera) -> Rig:

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.bundle_adjustment.bundle import Observations
 from sylpose.bundle_adjustment.calibration_refinement import N_LENS_PARAMETERS
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.robust_loss import chi_squared_bound
@@ -350,9 +349,7 @@ def _compare_halves(recording: _Recording, found: _Consistent, joint: JointBundl
     for half in (0, 1):
         parts = []
         for its in found.fit.tracks:
-            own, kept = its.observations, its.observations.landmark % 2 == half
-            part = Observations(own.frame[kept], own.camera[kept], own.landmark[kept], own.image[kept])
-            parts.append(replace(its, observations=part))
+            parts.append(replace(its, observations=its.observations.select(its.observations.landmark % 2 == half)))
         trial = _bundle(cameras, parts, found.start, found.fit.freed)
         if trial is None:
             return None

@@ -93,7 +93,7 @@ def bundle_jointly(
 
     Args:
         cameras: C cameras with their lenses; their poses are not used.
-        tracks: C tracks, in the order of `start.cameras`; all images of a frame taken at one instant.
+        tracks: C tracks, in the order of `start.cameras`, in its frames; all images of a frame taken at one instant.
         start: extrinsics from relative motions.
         free: what else is estimated of each lens, some of `LENS_SD`, or "fov" for a focal length from a field of view.
 
@@ -163,9 +163,7 @@ def _merge_observations(tracks: Sequence[RefinedTrack], start: RelativeExtrinsic
         parts.append((rows[own.frame], np.full(len(own), c), own.landmark + offset, own.image))
         landmarks.append(start.object_axes[c].apply(start.scales[c] * its.landmarks))
         offset += len(its.landmarks)
-    frame, camera, landmark, image = (np.concatenate(values) for values in zip(*parts, strict=True))
-    kept = frame < len(start.frames)
-    return Observations(frame[kept], camera[kept], landmark[kept], image[kept]), np.concatenate(landmarks)
+    return Observations(*(np.concatenate(values) for values in zip(*parts, strict=True))), np.concatenate(landmarks)
 
 
 def _renormalize(observations: Observations, rig: Rig, corrected: Rig) -> Observations:

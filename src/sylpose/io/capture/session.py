@@ -389,7 +389,7 @@ def _open_session(path: Path, given: _InputFiles, is_reopened: bool = False) -> 
         recording = RecordingFolder(
             layout.sources, calibration, others, given.cameras, given.without, given.as_coded, take
         )
-        if given.lenses or given.fov is not None:
+        if uses_lenses := bool(given.lenses) or given.fov is not None:
             entries = find_entries(layout.sources)
             names = [*given.cameras] or [entry.name if entry.is_dir() else entry.stem for entry in entries]
             if unknown := [name for name in given.without if name not in names]:
@@ -401,7 +401,6 @@ def _open_session(path: Path, given: _InputFiles, is_reopened: bool = False) -> 
                 full_rig = guess_lenses(given.fov, names, recording.read_image_sizes)
         else:
             full_rig = calibrations.load(calibration, recording.read_image_sizes)
-        uses_lenses = bool(given.lenses) or given.fov is not None
         without = [name for name in given.without if not uses_lenses or name in full_rig.names]
         rig = full_rig if is_reopened else _exclude_cameras(full_rig, without, calibration)
         sources, warnings = recording.find_sources(rig)

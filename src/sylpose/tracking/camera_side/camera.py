@@ -31,7 +31,7 @@ from sylpose.features.sift import (
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 from sylpose.geometry.future import BackgroundResult
-from sylpose.geometry.matrices import essential_matrix, rotation_matrix_of, sampson_scale
+from sylpose.geometry.matrices import essential_matrix, rotation_matrix_of, sampson_distance
 from sylpose.landmarks.landmark_filter import (
     KNOWN_DEPTH_RATIO,
     DepthPrior,
@@ -593,9 +593,9 @@ class CameraTracker:
         """Count the matches that follow a motion in the camera's axes beyond chance, and those that have not moved."""
         i, j = match_features(earlier, current).T
         before_px, after_px = earlier.pixels[i], current.pixels[j]
-        x, y = (np.insert(self.camera.normalize(pixels), 2, 1.0, axis=1) for pixels in (before_px, after_px))
+        x, y = (self.camera.normalize(pixels) for pixels in (before_px, after_px))
         essential = essential_matrix(rotation_matrix_of(motion), motion.translation)
-        residual_px = np.abs((y @ essential * x).sum(axis=1)) / sampson_scale(essential, x, y) * self.camera.focal
+        residual_px = self.camera.focal * np.abs(sampson_distance(essential, x, y))
         displacement_px = np.linalg.norm(after_px - before_px, axis=1)
         has_moved = displacement_px > self.static_px
         by_chance = np.arcsin(self.static_px / displacement_px[has_moved]) * (2.0 / np.pi)
