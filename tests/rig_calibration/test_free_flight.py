@@ -16,35 +16,35 @@ CENTER = np.array([0.03, -0.05, 0.02])
 DOWN = Rotation.from_euler("xyz", [0.2, -0.1, 0.4]).apply([0.0, 1.0, 0.0])
 
 
-def throw(n_throws: int, noise: float, seed: int = 0) -> tuple[FloatArray, RigidTransform]:
+def throw(n_throws: int, noise: float, seed: int = 0, factor: int = 1) -> tuple[FloatArray, RigidTransform]:
     """Return times and poses, in units of `UNIT` meters: carried by hand, with throws of half a second between.
 
-    The flights are integrated step by step, and the body spins about its center of mass.
+    The flights are integrated step by step, and the body spins about its center of mass. The rate is `RATE` times a factor.
     """
     rng = np.random.default_rng(seed)
-    n, step = 40 * (n_throws + 1), 1.0 / RATE
+    n, step = factor * 40 * (n_throws + 1), 1.0 / (factor * RATE)
     centers, rotations = [np.array([0.0, 0.0, 1.5])], [Rotation.identity()]
     velocity, spin, fine = np.zeros(3), np.zeros(3), 50
     for k in range(1, n):
-        phase = k % 40
+        phase, cycle = k % (factor * 40), k // (factor * 40)
         place, rotation = centers[-1].copy(), rotations[-1]
-        if phase == 20 and k // 40 < n_throws:
+        if phase == factor * 20 and cycle < n_throws:
             velocity, spin = -2.5 * DOWN + 0.3 * rng.normal(size=3), rng.normal(size=3) * 4.0
-        if 20 <= phase < 35 and k // 40 < n_throws:
+        if factor * 20 <= phase < factor * 35 and cycle < n_throws:
             for _ in range(fine):
                 place = place + (velocity + 0.5 * GRAVITY * DOWN * step / fine) * step / fine
                 velocity = velocity + GRAVITY * DOWN * step / fine
             rotation = Rotation.from_rotvec(spin * step) * rotation
         else:
-            t = k / RATE
+            t = k * step
             place = place + 0.02 * np.array([np.sin(9 * t), np.cos(7 * t), np.sin(11 * t + 1)])
-            rotation = Rotation.from_rotvec(0.05 * np.array([np.cos(5 * t), np.sin(6 * t), 0.3])) * rotation
+            rotation = Rotation.from_rotvec(0.05 / factor * np.array([np.cos(5 * t), np.sin(6 * t), 0.3])) * rotation
         centers.append(place)
         rotations.append(rotation)
     R = Rotation.concatenate(rotations)
     positions = (np.array(centers) - R.apply(CENTER)) / UNIT + noise * rng.normal(size=(n, 3))
     R = Rotation.from_rotvec(2.0 * noise * rng.normal(size=(n, 3))) * R
-    return np.arange(n) / RATE, RigidTransform.from_components(positions, R)
+    return np.arange(n, dtype=float) * step, RigidTransform.from_components(positions, R)
 
 
 def test_exact_without_noise() -> None:
@@ -80,6 +80,13 @@ def test_short_paths_are_refused() -> None:
     times, poses = throw(1, 1e-3)
     with pytest.raises(CalibrationRefusedError, match="0 free flights"):
         find_free_flight(times[:5], poses[:5])
+
+
+def test_many_frames_per_second() -> None:
+    """Windows then begin and end at every third frame."""
+    found = find_free_flight(*throw(3, 1.5e-3, 2, factor=3))
+    assert abs(found.scale / UNIT - 1.0) < 4.0 * found.scale_sd < 0.02
+    np.testing.assert_allclose(found.flights, [(60, 102), (180, 222), (300, 342)], atol=3)
 
 
 def test_equivariance() -> None:

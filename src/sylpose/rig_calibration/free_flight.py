@@ -21,6 +21,8 @@ from sylpose.rig_calibration.result import CalibrationRefusedError
 GRAVITY, GRAVITY_SD = 9.81, 0.002
 # A flight has so many frames (choice: twice the unknowns), and lasts at most so many seconds (choice: three meters up).
 MIN_FRAMES, MAX_SECONDS = 8, 1.6
+# Windows have at most so many steps (choice: single frames up to 30 fps).
+MAX_STEPS = 50
 # Residuals of a flight relative to those of the smoothest parts of the path (choice: a factor of two).
 MAX_NOISE_RATIO = 2.0
 # Quantile of the residuals of short windows that is their noise (choice: some part of the path is smooth).
@@ -91,21 +93,14 @@ def find_free_flight(times: FloatArray, world_from_object: RigidTransform) -> Fr
             of the hand.
     """
     times = np.asarray(times, float)
-    windows = _list_windows(times)
-    noises = np.full(len(times), np.inf)
-    for first, last in windows:
-        if last - first == MIN_FRAMES - 1:
-            noises[first] = _fit([(first, last)], times, world_from_object).noise
-    is_known = np.isfinite(noises)
-    limit = MAX_NOISE_RATIO * float(np.quantile(noises[is_known], NOISE_QUANTILE)) if is_known.any() else 0.0
-    # Parts of a flight have no more than its noise, but for chance.
-    windows = [(i, j) for i, j in windows if noises[i : j + 2 - MIN_FRAMES].max() < MAX_NOISE_RATIO * limit]
-    fits = {window: _fit([window], times, world_from_object) for window in windows}
-    flights = list[tuple[int, int]]()
+    windows, limit = _find_smooth_windows(times, world_from_object)
+    fits = dict[tuple[int, int], FreeFlight]()
     for window in sorted(windows, key=lambda window: window[0] - window[1]):
-        overlaps = any(window[0] <= last and first <= window[1] for first, last in flights)
-        if not overlaps and _is_flight(window, fits[window], limit, times, world_from_object):
-            flights.append(window)
+        if not any(window[0] <= last and first <= window[1] for first, last in fits):
+            fit = _fit([window], times, world_from_object)
+            if _is_flight(fit, limit, times, world_from_object):
+                fits[window] = fit
+    flights = [*fits]
     groups = [_list_agreeing(window, flights, fits) for window in flights]
     agreeing: list[tuple[int, int]] = max(groups, key=len, default=[])
     if len(agreeing) < 2:
@@ -122,10 +117,57 @@ def find_free_flight(times: FloatArray, world_from_object: RigidTransform) -> Fr
     return _inflate_by_scatter(whole, [fits[window] for window in agreeing])
 
 
-def _list_windows(times: FloatArray) -> list[tuple[int, int]]:
-    """Return the numbers of the first and last frame of all windows that a flight may have."""
-    ends = np.searchsorted(times, times + MAX_SECONDS)
-    return [(i, j - 1) for i, end in enumerate(ends.tolist()) for j in range(i + MIN_FRAMES, end + 1)]
+def _find_smooth_windows(times: FloatArray, poses: RigidTransform) -> tuple[list[tuple[int, int]], float]:
+    """Find the windows in which one acceleration may explain the path.
+
+    Windows begin and end at every k-th pose, such that the longest has at most `MAX_STEPS` steps. Their triangular factors
+    grow together by one step at a time, so the time is proportional to the number of poses.
+
+    Returns:
+        numbers of the first and last pose of each; the largest noise that a flight may have.
+    """
+    n, R, x = len(times), poses.rotation.as_matrix(), poses.translation
+    longest = int((np.searchsorted(times, times + MAX_SECONDS) - np.arange(n)).max(initial=0))
+    step = max(-(-longest // MAX_STEPS), 1)
+    first = np.arange(0, n, step)
+    factors = np.zeros((len(first), 0, 13))
+    # By length in steps, and start.
+    noises, sds = np.full((2, max(-(-longest // step), MIN_FRAMES), len(first)), np.inf)
+    for k in range(0, longest, step):
+        added = np.minimum(first[:, None] + np.arange(max(k - step + 1, 0), k + 1), n - 1)
+        t = (times[added] - times[first, None])[..., None, None]
+        eye = np.broadcast_to(np.eye(3), (*added.shape, 3, 3))
+        path = (x[added] - x[first, None])[..., None]
+        rows = np.concatenate([eye, t * eye, -R[added], t**2 / 2.0 * eye, path], axis=3).reshape(len(first), -1, 13)
+        factors = np.asarray(np.linalg.qr(np.concatenate([factors, rows], axis=1), mode="r"))
+        if k >= (MIN_FRAMES - 1) * step:
+            ends = (first + k < n) & (times[added[:, -1]] < times[first] + MAX_SECONDS)
+            noises[k // step, ends], sds[k // step, ends] = _read_factors(factors[ends], 3 * (k + 1) - 12)
+    shortest = noises[MIN_FRAMES - 1]
+    if not np.isfinite(shortest).any():
+        return [], 0.0
+    limit = MAX_NOISE_RATIO * float(np.quantile(shortest[np.isfinite(shortest)], NOISE_QUANTILE))
+    found, is_smooth = list[tuple[int, int]](), np.ones(len(first), bool)
+    for k in range(MIN_FRAMES - 1, len(noises)):
+        # Parts of a flight have no more than its noise, but for chance.
+        is_smooth &= np.roll(shortest, MIN_FRAMES - 1 - k) < MAX_NOISE_RATIO * limit
+        starts = np.flatnonzero(is_smooth & (noises[k] <= limit) & (sds[k] < MAX_RELATIVE_SD))
+        found += [(i * step, (i + k) * step) for i in starts.tolist()]
+    return found, limit
+
+
+def _read_factors(factors: FloatArray, freedom: int) -> tuple[FloatArray, FloatArray]:
+    """Return (n,) noise and relative standard deviation of g.
+
+    Args:
+        factors: (n, 13, 13) triangular factors of the equations of p, v, c, g and their right-hand side.
+        freedom: number of equations without that of unknowns.
+    """
+    noise = np.abs(factors[:, 12, 12]) / np.sqrt(freedom)
+    u, values, v = np.linalg.svd(factors[:, 9:12, 9:12])
+    values = np.maximum(values, 1e-300)
+    gravity = np.einsum("nji,nj,nkj,nk->ni", v, 1.0 / values, u, factors[:, 9:12, 12])
+    return noise, noise / values[:, -1] / np.maximum(np.linalg.norm(gravity, axis=1), 1e-300)
 
 
 def _fit(
@@ -162,16 +204,14 @@ def _fit(
     return FreeFlight(solution[own[3:]], solution[own[:3]], joint, tuple(windows), float(np.sqrt(variance)))
 
 
-def _is_flight(
-    window: tuple[int, int], fit: FreeFlight, limit: float, times: FloatArray, poses: RigidTransform
-) -> bool:
+def _is_flight(fit: FreeFlight, limit: float, times: FloatArray, poses: RigidTransform) -> bool:
     """Return whether the acceleration in a window is known, not significantly different at its ends, and explains it."""
     sd = float(np.sqrt(np.linalg.eigvalsh(fit.covariance)[-1]))
     if not (fit.noise <= limit and sd < MAX_RELATIVE_SD * float(np.linalg.norm(fit.gravity))):
         return False
-    jerk = _fit([window], times, poses, has_jerk=True)
+    jerk = _fit(fit.flights, times, poses, has_jerk=True)
     # The change from the middle of the flight to its ends.
-    half = 0.5 * float(times[window[1]] - times[window[0]])
+    half = 0.5 * float(np.ptp(times[[*fit.flights[0]]]))
     floor = (SYSTEMATIC * np.linalg.norm(fit.gravity) / half) ** 2 * np.eye(3)
     return _measure_square(jerk.gravity, jerk.covariance + floor) < chi_squared_bound(3)
 
