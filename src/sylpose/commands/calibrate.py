@@ -9,15 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sylpose.commands.app import INPUT, OUTPUT, command, exit_with_failures, option
-from sylpose.commands.options import (
-    BoxesFile,
-    FrameOffset,
-    RangeOptions,
-    WorldOptions,
-    parse_frame_offsets,
-    parse_video_option,
-)
-from sylpose.commands.self_calibration import SelfCalibrationOptions, calibrate_recording, print_calibration
+from sylpose.commands.options import BoxesFile, FrameOffset, parse_frame_offsets, parse_video_option
+from sylpose.commands.self_calibration import SelfCalibrationOptions, calibrate_recording
 from sylpose.input_limits import print_message
 
 if TYPE_CHECKING:
@@ -28,7 +21,7 @@ FILE = "calibration.toml"
 
 
 @dataclass(frozen=True, kw_only=True)
-class CalibrateOptions(SelfCalibrationOptions, WorldOptions, RangeOptions):
+class CalibrateOptions(SelfCalibrationOptions):
     """Options of `sylpose calibrate`.
 
     Attributes:
@@ -52,6 +45,20 @@ class CalibrateOptions(SelfCalibrationOptions, WorldOptions, RangeOptions):
     out: Annotated[Path | None, option("--out FILE", OUTPUT)] = None
     board: Annotated[str | None, option("--board BOARD", INPUT)] = None
     every: Annotated[int, option("--every N", INPUT, min=1)] = 1
+
+    def __post_init__(self) -> None:
+        """Check the options of both routes."""
+        super().__post_init__()
+        if self.board is not None:
+            self.refuse_motion_options("not with --board, whose views give lenses and scale")
+            if self.offsets is not None:
+                raise ValueError("--offsets: not with --board; the delays of the cameras are estimated")
+        elif not self.intrinsics and self.fov is None:
+            raise ValueError(
+                "--board: a description of the board is missing, or --intrinsics or --fov, to calibrate without a board"
+            )
+        elif self.every > 1:
+            raise ValueError("--every: only with --board; tracking needs all frames")
 
     @property
     def file(self) -> Path:
@@ -114,12 +121,6 @@ def calibrate(options: CalibrateOptions) -> None:
     from sylpose.runs import calibrate as runs
     from sylpose.runs import calibration_page, console_output
 
-    if options.board is None and not options.intrinsics and options.fov is None:
-        raise ValueError(
-            "--board: a description of the board is missing, or --intrinsics or --fov, to calibrate without a board"
-        )
-    if options.board is None and options.every > 1:
-        raise ValueError("--every: only with --board; tracking needs all frames")
     if options.board is None:
         _calibrate_without_board(options)
         return
@@ -171,24 +172,17 @@ def calibrate(options: CalibrateOptions) -> None:
 def _calibrate_without_board(options: CalibrateOptions) -> None:
     """Calibrate all cameras from an object that moves in the recording, print and write the result."""
     from sylpose.atomic_io import make_output_folder
-    from sylpose.rig_calibration.from_motion import locate
     from sylpose.runs import console_output
-    from sylpose.runs.calibrate import write_calibration
-    from sylpose.runs.calibration_page import render_motion_calibration, write_page
-    from sylpose.runs.self_calibration import describe_tests
+    from sylpose.runs.calibration_page import write_motion_calibration
+    from sylpose.sync.offsets import find_offsets
 
     file, session, console = options.file, options.open_with_lenses(), console_output.make_console()
     make_output_folder(file.parent)
     console.print(console_output.format_headline(session))
     console_output.print_warnings(console, session.warnings)
-    found = calibrate_recording(session, options, (options.start, options.stop), options.unit, console)
-    rig = found.calibration.rig
-    located = options.apply_to(session.select_cameras(rig.names).with_rig(rig))
-    found = locate(found, located.rig)
-    print_calibration(console, found)
-    lost = write_calibration(found.calibration, file, describe_tests(found))
-    page = file.with_suffix(".html")
-    write_page(render_motion_calibration(found, session.path.resolve().name), page)
-    console_output.print_files(console, "Files", [file, page])
+    console_output.print_offsets(console, find_offsets(session, options.offsets))
+    _, found = calibrate_recording(session, options, console)
+    files, lost = write_motion_calibration(found, file, session.path.resolve().name)
+    console_output.print_files(console, "Files", files)
     if lost:
         print_message(f"{file}: {lost}")

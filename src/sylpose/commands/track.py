@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from sylpose.commands.app import ADVANCED, INPUT, LIVE, OBJECT, OUTPUT, command, exit_with_failures, option, pick
@@ -17,14 +16,12 @@ from sylpose.commands.options import (
     OutFolder,
     Overlay,
     PlotFormat,
-    RangeOptions,
     RecordingOptions,
     RefineCalibration,
     Seed,
     Smooth,
-    WorldOptions,
 )
-from sylpose.commands.self_calibration import SelfCalibrationOptions, calibrate_recording, print_calibration
+from sylpose.commands.self_calibration import SelfCalibrationOptions, calibrate_recording
 from sylpose.input_limits import print_message
 from sylpose.methods import MODES, format_methods_table
 
@@ -32,9 +29,7 @@ if TYPE_CHECKING:
     from sylpose.geometry.arrays import FloatArray
     from sylpose.io.capture import Session
     from sylpose.io.capture.live import LiveSession
-    from sylpose.rig_calibration.from_motion import MotionCalibration
     from sylpose.runs.options import RunOptions
-    from sylpose.runs.run_result import Run
     from sylpose.tracking.options import TrackingOptions
 
 
@@ -49,7 +44,7 @@ _NOT_LIVE = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrackOptions(SelfCalibrationOptions, DisplayOptions, MethodOptions, WorldOptions, RangeOptions, RecordingOptions):
+class TrackOptions(SelfCalibrationOptions, DisplayOptions, MethodOptions, RecordingOptions):
     """Options of `sylpose track`.
 
     Attributes:
@@ -58,7 +53,6 @@ class TrackOptions(SelfCalibrationOptions, DisplayOptions, MethodOptions, WorldO
             of --intrinsics, or of --calibration; its poses are ignored.
         known: Without boxes, track body N of those that `sylpose check` draws; or express poses in the frame of an
             object.npz from another recording; for several objects, repeat with NAME=FILE.
-        offsets: Read the cameras' time offsets in seconds (TOML); default: SESSION/offsets.toml if present.
         every: Track every N-th frame.
         follow: Track image folders that a recorder is still writing.
         no_drop: With --follow, track all frames, regardless of the delay.
@@ -74,7 +68,6 @@ class TrackOptions(SelfCalibrationOptions, DisplayOptions, MethodOptions, WorldO
     boxes: BoxesFile = None
     known: Annotated[tuple[str, ...], option("--object N|[NAME=]FILE", OBJECT)] = ()
     frame_offset: FrameOffset = ()
-    offsets: Annotated[Path | None, option("--offsets FILE", INPUT)] = None
     every: Annotated[int, option("--every N", INPUT)] = 1
     out: OutFolder = None
     overlay: Overlay = True
@@ -92,13 +85,13 @@ class TrackOptions(SelfCalibrationOptions, DisplayOptions, MethodOptions, WorldO
     seed: Seed = 0
 
     def __post_init__(self) -> None:
-        """Check that options of the calibration come with it."""
+        """Check that options of the calibration come with it, and others without."""
         super().__post_init__()
-        if self.self_calibrate:
-            return
-        for name in ("intrinsics", "fov", "free", "distance", "object_length", "throw"):
-            if getattr(self, name):
-                raise ValueError(f"--{name.replace('_', '-')}: only with --self-calibrate")
+        if not self.self_calibrate:
+            self.refuse_motion_options("only with --self-calibrate")
+        elif self.resume or self.refine_calibration:
+            name = "--resume" if self.resume else "--refine-calibration"
+            raise ValueError(f"{name}: not with --self-calibrate, which calibrates from all frames")
 
     def open_session(self) -> Session | LiveSession:
         """Open the recording, or with `follow` or a live.toml the live session, in the requested world and unit.
@@ -131,27 +124,34 @@ class TrackOptions(SelfCalibrationOptions, DisplayOptions, MethodOptions, WorldO
         )
         return self.apply_to(live)
 
-    def calibrate(self, session: Session) -> tuple[Session, MotionCalibration]:
-        """Calibrate a recording's cameras from the object that moves; return it in the requested world and unit.
+    def calibrate(self, session: Session) -> tuple[Session, FloatArray]:
+        """Calibrate a recording's cameras from the object that moves, and write the calibration into the results.
+
+        Returns:
+            the recording in the requested world and unit, and the covariance of the calibration.
 
         Raises:
             typer.Exit: the motion does not determine the cameras.
-            ValueError: as `calibrate_recording` and `apply_to`; options that cannot go with it.
+            ValueError, OSError: as `calibrate_recording`; other options that are wrong, before it.
         """
-        from sylpose.commands.track_display import STDOUT
-        from sylpose.rig_calibration.from_motion import locate
+        from sylpose.commands.track_display import STDOUT, open_pose_stream
         from sylpose.runs import console_output
+        from sylpose.runs.calibration_page import write_motion_calibration
+        from sylpose.runs.run import check_output, replace_results
+        from sylpose.runs.run_metadata import ESTIMATED
 
-        if self.resume or self.refine_calibration:
-            name = "--resume" if self.resume else "--refine-calibration"
-            raise ValueError(f"{name}: not with --self-calibrate, which calibrates from all frames")
+        self.run_options(session)
+        if self.stream is not None:
+            with open_pose_stream(self.stream):
+                pass
+        check_output(session, self.out)
         console = console_output.make_console(stderr=self.stream == STDOUT, quiet=self.quiet)
-        found = calibrate_recording(session, self, (self.start, self.stop), self.unit, console)
-        rig = found.calibration.rig
-        session = self.apply_to(session.select_cameras(rig.names).with_rig(rig))
-        found = locate(found, session.rig)
-        print_calibration(console, found)
-        return session, found
+        session, found = calibrate_recording(session, self, console)
+        with replace_results(session, self.out) as folder:
+            files, _ = write_motion_calibration(found, folder / ESTIMATED[0], session.path.resolve().name)
+        console_output.print_files(console, "Calibration", files)
+        console.print()
+        return session, found.covariance
 
     def run_options(
         self, session: Session | LiveSession, calibration_covariance: FloatArray | None = None
@@ -213,29 +213,17 @@ def track(options: TrackOptions) -> None:
     """
     from sylpose.commands.track_display import track_in_terminal
     from sylpose.io.capture import Session
-    from sylpose.runs.calibrate import write_calibration
-    from sylpose.runs.calibration_page import render_motion_calibration, write_page
     from sylpose.runs.check import check_session, describe_axis_miss, explain_failures
     from sylpose.runs.run import has_finished, output_path
-    from sylpose.runs.self_calibration import CALIBRATION, describe_tests
 
-    session, covariance, found = options.open_session(), None, None
+    session, covariance = options.open_session(), None
     if options.self_calibrate:
         assert isinstance(session, Session)
-        session, found = options.calibrate(session)
-        covariance = found.covariance
+        session, covariance = options.calibrate(session)
     if options.resume and has_finished(session, options.out):
         print(f"{output_path(session, options.out)}: the run there has ended; there is nothing to resume")
         return
-
-    def write_found(_: Run) -> None:
-        if found is not None:
-            folder = output_path(session, options.out)
-            write_calibration(found.calibration, folder / CALIBRATION, describe_tests(found))
-            text = render_motion_calibration(found, session.path.resolve().name)
-            write_page(text, (folder / CALIBRATION).with_suffix(".html"))
-
-    run = track_in_terminal(session, options.out, options.run_options(session, covariance), options, on_end=write_found)
+    run = track_in_terminal(session, options.out, options.run_options(session, covariance), options)
     missing = explain_failures(session, run)
     # Warnings from the start of the run may be the cause and have scrolled away: repeat them.
     hints = (*check_session(session, options.start), describe_axis_miss(session.rig)) if missing else ()

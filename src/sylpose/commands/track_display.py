@@ -142,9 +142,7 @@ class _RunDisplay:
         if session.world is not None:
             self._console.print(f"World: {session.world.description or 'from a file'}.", highlight=False)
         self._print_warnings(check_session(session, self._options.start))
-        if offsets := {name: seconds for name, seconds in (self._options.offsets or {}).items() if seconds}:
-            text = ", ".join(f"{name} {1000 * seconds:.4g} ms" for name, seconds in offsets.items())
-            self._console.print(f"Time offsets: {text} (from --offsets, or offsets.toml in the recording).")
+        console_output.print_offsets(self._console, self._options.offsets or {})
         compile_with_progress(self._console)
         quiet = self._shown.quiet
         self.progress = TrackingProgress(len(session.rig), self._total, len(session.objects), quiet=quiet)

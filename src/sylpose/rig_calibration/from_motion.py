@@ -90,7 +90,11 @@ class MotionCalibration:
 
 
 def calibrate_from_motion(
-    cameras: Sequence[Camera], tracks: Sequence[RefinedTrack | None], free: Sequence[str] = ()
+    cameras: Sequence[Camera],
+    tracks: Sequence[RefinedTrack | None],
+    free: Sequence[str] = (),
+    *,
+    is_timed: bool = True,
 ) -> MotionCalibration:
     """Calibrate a rig from its cameras' own tracks of one moving object.
 
@@ -99,6 +103,7 @@ def calibrate_from_motion(
         tracks: C tracks (`refine_track`); None for a camera that could not track the object.
         free: what is estimated of each lens: some of "focal", "principal", "distortion"; "fov" if focal lengths come
             from a field of view. Focal lengths are also estimated if those given contradict the motion.
+        is_timed: whether the tracks' times are in seconds; else they are in frames.
 
     Raises:
         MotionRefusedError: the motion does not determine the rig.
@@ -108,7 +113,7 @@ def calibrate_from_motion(
     }
     observed = [its for its in tracks if its is not None]
     known = [camera for camera, its in zip(cameras, tracks, strict=True) if its is not None]
-    recording = _Recording(known, observed, synchronize_tracks(observed) if observed else [])
+    recording = _Recording(known, observed, synchronize_tracks(observed) if observed else [], is_timed)
     found = _calibrate_consistent(recording, tuple(free))
     joint, warnings = found.fit.joint, [*found.fit.warnings, *found.admitted]
     noisy = int(np.argmax(joint.noise_ratio))
@@ -143,11 +148,15 @@ def calibrate_from_motion(
 
 @dataclass(frozen=True, eq=False)
 class _Recording:
-    """Cameras that track the object, their tracks as observed, and moved to common instants by their time stamps."""
+    """Cameras that track the object, their tracks as observed, and moved to common instants by their time stamps.
+
+    `is_timed` is that of `calibrate_from_motion`.
+    """
 
     cameras: Sequence[Camera]
     observed: Sequence[RefinedTrack]
     synchronized: Sequence[RefinedTrack]
+    is_timed: bool
 
     def select_observed(self, start: RelativeExtrinsics) -> list[RefinedTrack]:
         """Return the tracks of the used cameras as observed, in the frames that have a pose."""
@@ -277,7 +286,7 @@ def _fit(recording: _Recording, start: RelativeExtrinsics, free: tuple[str, ...]
     fit = _fit_lenses(cameras, recording.select_synchronized(start), start, free)
     if fit is None or fit.joint.worst_noise_ratio <= CLEAR_NOISE_RATIO:
         return fit
-    timed = _fit_instants(cameras, recording.select_observed(start), start, free, fit.joint)
+    timed = _fit_instants(recording, start, free, fit.joint)
     is_better = timed is not None and CLEAR_NOISE_RATIO * timed.joint.worst_noise_ratio < fit.joint.worst_noise_ratio
     return timed if is_better else fit
 
@@ -296,13 +305,10 @@ def _fit_lenses(
 
 
 def _fit_instants(
-    cameras: Sequence[Camera],
-    tracks: Sequence[RefinedTrack],
-    start: RelativeExtrinsics,
-    free: tuple[str, ...],
-    joint: JointBundle,
+    recording: _Recording, start: RelativeExtrinsics, free: tuple[str, ...], joint: JointBundle
 ) -> _Fit | None:
     """Refine with instants of all images that are estimated as well, from a refinement at the time stamps."""
+    cameras, tracks = [recording.cameras[k] for k in start.cameras], recording.select_observed(start)
     stamps = collect_instants(tracks, start.frames)
     times, instants, moved = np.nanmean(stamps, axis=1), stamps, tracks
     for _ in range(MAX_INSTANT_ROUNDS):
@@ -319,9 +325,10 @@ def _fit_instants(
         return None
     errors = np.sqrt(np.nanmean((instants - stamps) ** 2, axis=0))
     worst = int(np.argmax(errors))
+    error = f"{1e3 * errors[worst]:.2g} ms" if recording.is_timed else f"{errors[worst]:.2g} frames"
     warning = (
         "the instants of the images were estimated, since the motion contradicts their time stamps: "
-        f"{cameras[worst].name} by {1e3 * errors[worst]:.2g} ms"
+        f"{cameras[worst].name} by {error}"
     )
     return replace(fit, warnings=(warning, *fit.warnings))
 

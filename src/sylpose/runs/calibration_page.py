@@ -21,6 +21,7 @@ from sylpose.rig_calibration.from_boards import BoardCalibration
 from sylpose.rig_calibration.from_motion import MotionCalibration
 from sylpose.rig_calibration.result import Coverage, HalvesTest
 from sylpose.runs import self_calibration
+from sylpose.runs.calibrate import write_calibration
 
 HEADER = ("Camera", "views", "corners", "residual", "fx", "fy", "cx", "cy", "rotation", "position")
 MOTION_HEADER = ("Camera", "rotation vector, °", "sd", "place, {}", "sd", "focal length", "frames", "residual")
@@ -37,6 +38,26 @@ def write_page(text: str, file: Path) -> None:
     """
     with replace_atomically(file) as part:
         part.write_text(text, encoding="utf-8", newline="\n")
+
+
+def write_motion_calibration(found: MotionCalibration, file: Path, title: str) -> tuple[list[Path], str]:
+    """Write a calibration from motion, and its page next to it.
+
+    Args:
+        found: the calibration.
+        file: output file, of any format of calibrations.
+        title: name of the recording.
+
+    Returns:
+        the files, and a sentence on what the format cannot hold, or "".
+
+    Raises:
+        OSError, ValueError: as `write_calibration`.
+    """
+    lost = write_calibration(found.calibration, file, self_calibration.describe_tests(found))
+    page = file.with_suffix(".html")
+    write_page(render_motion_calibration(found, title), page)
+    return [file, page], lost
 
 
 def render_board_calibration(calibration: BoardCalibration, title: str, board: str) -> str:
@@ -89,7 +110,7 @@ def render_motion_calibration(found: MotionCalibration, title: str) -> str:
         title,
         [
             ("Object", f"{lengths[0]} long, {lengths[1]} away"),
-            *([("Gravity", self_calibration.describe_flight(found.flight))] if found.flight else []),
+            *([("Gravity", self_calibration.describe_flight(found))] if found.flight else []),
         ],
         self_calibration.list_warnings(found),
         body,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -51,6 +51,12 @@ def print_files(console: Console, label: str, files: Sequence[Path]) -> None:
     """Print file paths unwrapped, one per line, so that they can be copied."""
     for i, file in enumerate(files):
         console.print(Text.assemble((f"{label if i == 0 else '':{LABEL_WIDTH}}", "dim"), str(file)), soft_wrap=True)
+
+
+def print_offsets(console: Console, offsets: Mapping[str, float]) -> None:
+    """Print time offsets, seconds by camera, in milliseconds; nothing if there are none."""
+    if text := ", ".join(f"{name} {1000 * seconds:.4g} ms" for name, seconds in offsets.items() if seconds):
+        console.print(f"Time offsets: {text} (from --offsets, or offsets.toml in the recording).")
 
 
 def print_warnings(console: Console, sentences: Sequence[str]) -> None:

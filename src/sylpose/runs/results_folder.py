@@ -22,7 +22,7 @@ from sylpose.io.object_files import CLOUD_FILE, OBJECT_FILE
 from sylpose.runs.calibration_refinement import REFINED, REFINED_END
 from sylpose.runs.checkpoint import CHECKPOINT
 from sylpose.runs.outputs import RESULT, SUFFIXES, TRACKED, TRACKS
-from sylpose.runs.run_metadata import SETTINGS, USED_CALIBRATION, WORLD
+from sylpose.runs.run_metadata import ESTIMATED, SETTINGS, USED_CALIBRATION, WORLD
 
 LOCK_FILE = ".lock"
 # Subfolders with the earlier results: kept, while being moved there or back, and while being removed.
@@ -30,7 +30,8 @@ EARLIER, EARLIER_MOVING, EARLIER_REMOVED = "earlier_results", ".earlier_results.
 # Files of a run and of `sylpose view`; the checkpoint is removed first, so that no run resumes from incomplete files.
 _RUN_FILE_PATTERN = re.compile(r"overlay(_\d+)?\.mp4|report\.(html|png|svg|pdf)|view_.+\.(tum|csv|png|svg|pdf)")
 _MAIN_FILES = (CHECKPOINT, *(f"{stem}{end}" for stem in (RESULT, TRACKED) for end in SUFFIXES))
-_RUN_FILES = (*_MAIN_FILES, REFINED, REFINED_END, TRACKS, SETTINGS, USED_CALIBRATION, WORLD, OBJECT_FILE, CLOUD_FILE)
+_OTHER_FILES = (REFINED, REFINED_END, *ESTIMATED, TRACKS, SETTINGS, USED_CALIBRATION, WORLD, OBJECT_FILE, CLOUD_FILE)
+_RUN_FILES = (*_MAIN_FILES, *_OTHER_FILES)
 
 
 @contextmanager
@@ -85,10 +86,11 @@ class ResultsFolder:
     Args:
         path: the folder.
         objects: names of several objects, which get subfolders; empty for one object.
+        own: names of files here that the new run has written already: they stay, and earlier results do not return.
     """
 
-    def __init__(self, path: Path, objects: Sequence[str] = ()) -> None:
-        self.path = path
+    def __init__(self, path: Path, objects: Sequence[str] = (), own: Sequence[str] = ()) -> None:
+        self.path, self.own = path, own
         self.folders = [path / name for name in objects] or [path]
 
     @property
@@ -129,7 +131,9 @@ class ResultsFolder:
             self._move(self.path / EARLIER_MOVING, self.path)
 
     def restore_earlier_results(self) -> None:
-        """Remove the new run's files and move the earlier results back."""
+        """Remove the new run's files and move the earlier results back, unless some of its files stay."""
+        if self.own:
+            return
         _remove_files(self._find_run_files(self.path))
         if (self.path / EARLIER).exists():
             with output_errors(self.path / EARLIER):
@@ -148,6 +152,7 @@ class ResultsFolder:
     def _find_run_files(self, base: Path) -> list[Path]:
         """Return the files of a run in a folder, or those moved there."""
         names_of_run = {*_RUN_FILES, *(partial_path(Path(name)).name for name in _RUN_FILES)}
+        names_of_run -= {*self.own} if base == self.path else set()
         found = []
         for folder in dict.fromkeys([self.path, *self.folders]):
             subfolder = base / folder.relative_to(self.path)

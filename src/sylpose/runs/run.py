@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Mapping
-from contextlib import ExitStack, closing
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -27,7 +27,7 @@ from sylpose.runs.outputs import MAX_SMOOTHED_FRAMES, ObjectOutput, Overlay
 from sylpose.runs.page import ThumbnailAlbum, thumbnail_step
 from sylpose.runs.progress import Progress, ProgressCallback, show_progress
 from sylpose.runs.results_folder import ResultsFolder, check_output_folder, lock_folder
-from sylpose.runs.run_metadata import DEFAULT_FOLDER, SETTINGS, USED_CALIBRATION, WORLD, write_run_metadata
+from sylpose.runs.run_metadata import DEFAULT_FOLDER, ESTIMATED, SETTINGS, USED_CALIBRATION, WORLD, write_run_metadata
 from sylpose.runs.run_result import Run, StageTimer
 from sylpose.sync.offsets import apply_offsets, find_offsets
 from sylpose.tracking.context import TrackedFrame
@@ -67,8 +67,34 @@ def has_finished(session: Session | LiveSession, out: Path | str | None = None) 
     return _make_results_folder(session, out).has_finished
 
 
-def _make_results_folder(session: Session | LiveSession, out: Path | str | None) -> ResultsFolder:
-    return ResultsFolder(output_path(session, out), session.objects if len(session.objects) > 1 else ())
+def check_output(session: Session, out: Path | str | None = None) -> None:
+    """Check that a run can write its files, before what takes long.
+
+    Raises:
+        ValueError, OSError: as `track_session`; the folder is made.
+    """
+    check_output_folder(session, output_path(session, out))
+    with lock_folder(output_path(session, out)):
+        pass
+
+
+@contextmanager
+def replace_results(session: Session, out: Path | str | None = None) -> Iterator[Path]:
+    """Move earlier results away, to write files with which a run begins; yield the folder, which is locked.
+
+    Raises:
+        ValueError, OSError: as `track_session`.
+    """
+    results = _make_results_folder(session, out)
+    with lock_folder(results.path):
+        results.move_earlier_results()
+        yield results.path
+
+
+def _make_results_folder(
+    session: Session | LiveSession, out: Path | str | None, own: Sequence[str] = ()
+) -> ResultsFolder:
+    return ResultsFolder(output_path(session, out), session.objects if len(session.objects) > 1 else (), own)
 
 
 def track_session(
@@ -178,7 +204,8 @@ class _SessionRun:
         self.n_frames = len(range(options.start, _end_frame(session, options.stop), max(options.every, 1)))
         self.known = name_known_objects(session, options.known)
         self.options = replace(options, offsets=offsets or None, smooth=_is_smoothed(options, session, self.n_frames))
-        self.results, self.clock = _make_results_folder(session, out), StageTimer()
+        own = () if options.calibration_covariance is None else ESTIMATED
+        self.results, self.clock = _make_results_folder(session, out, own), StageTimer()
         check_output_folder(session, self.results.path)
         self._frames = session.frames(options.start, options.stop, options.every, self.report_problem)
         self._settings = self._collect_settings()

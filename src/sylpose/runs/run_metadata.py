@@ -28,6 +28,8 @@ from sylpose.runs.checkpoint import compute_fingerprint, compute_rig_checksum
 from sylpose.sync.offsets import apply_offsets
 
 SETTINGS, USED_CALIBRATION, WORLD, TRAJECTORY = "settings.toml", "calibration.used.toml", "world.toml", "trajectory.csv"
+# Calibration from the recording itself, and its page.
+ESTIMATED = "calibration.estimated.toml", "calibration.estimated.html"
 # Folder of the results in a recording's folder.
 DEFAULT_FOLDER = "sylpose"
 # Packages whose versions may change results by rounding; OpenCV in any of its variants.

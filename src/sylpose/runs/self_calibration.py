@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -15,13 +15,12 @@ from sylpose.frames import FrameSet
 from sylpose.geometry.validation import check_choice, check_type
 from sylpose.io.capture import Session
 from sylpose.rig_calibration.camera_tracks import RefinedTrack, make_single_rig, refine_track, track_alone
-from sylpose.rig_calibration.free_flight import FreeFlight, find_free_flight
+from sylpose.rig_calibration.free_flight import find_free_flight
 from sylpose.rig_calibration.from_motion import MotionCalibration, calibrate_from_motion, rescale
 from sylpose.rig_calibration.motion_bundle import LENS_SD
+from sylpose.sync.offsets import apply_offsets, find_offsets
 from sylpose.units import METERS, parse_length_with_unit
 
-# File of the calibration, next to the results that were tracked with it.
-CALIBRATION = "calibration.toml"
 # Relative standard deviation of the object's measured length (measured: docs/calibrating.md; its ends must be seen).
 OBJECT_LENGTH_SD = 0.1
 
@@ -35,6 +34,7 @@ def self_calibrate(
     scale: KnownLength | None = None,
     throw: bool = False,
     unit: str | None = None,
+    offsets: Mapping[str, float] | None = None,
     on_frame: Callable[[], None] = lambda: None,
 ) -> MotionCalibration:
     """Calibrate a recording's cameras from any rigid object that moves in it, without a board.
@@ -47,6 +47,7 @@ def self_calibrate(
         scale: a known length; None: lengths are relative to the first camera's distance from the object.
         throw: set the scale by gravity instead: the object is thrown up twice or more.
         unit: unit of the result; None: that of the known length.
+        offsets: delay of cameras' images relative to their times, seconds; None: those of offsets.toml in the recording.
         on_frame: called after each frame of each camera, from several threads.
 
     Raises:
@@ -62,17 +63,18 @@ def self_calibrate(
         )
     if len(session.rig) < 2:
         raise ValueError(f"{session.path}: calibrating needs two cameras or more, found {session.rig.names[0]} only")
-    if throw and scale is not None:
-        raise ValueError("throw: the scale is given by a length, too; omit one")
+    final_unit = choose_unit(scale, throw, unit)
     if throw and session.rate is None:
         raise ValueError(f"throw: {session.path} has no time stamps, which enter by their square: give timestamps.csv")
+    delays = find_offsets(session) if offsets is None else offsets
+    session = apply_offsets(session, [delays.get(name, 0.0) for name in session.rig.names])
     tracks = track_cameras(session, start, stop, on_frame)
-    found = calibrate_from_motion(session.rig.cameras, tracks, free)
+    found = calibrate_from_motion(session.rig.cameras, tracks, free, is_timed=session.rate is not None)
     if not throw:
-        return set_scale(found, scale, unit)
+        return found if scale is None else _set_scale(found, scale, final_unit)
     flight = find_free_flight(found.times, found.reference_from_object)
-    factor = flight.scale / METERS[check_choice(unit or "m", [*METERS], "unit")]
-    return replace(rescale(found, factor, unit or "m", sd=flight.scale_sd), flight=flight)
+    factor = flight.scale / METERS[final_unit]
+    return replace(rescale(found, factor, final_unit, sd=flight.scale_sd), flight=flight)
 
 
 def track_cameras(
@@ -160,23 +162,27 @@ def parse_scale(distance: str | None, object_length: str | None, names: Sequence
     return KnownLength(*parse_length_with_unit(length, "--distance"), (first, second))
 
 
-def set_scale(found: MotionCalibration, scale: KnownLength | None, unit: str | None) -> MotionCalibration:
-    """Scale a calibration by a known length, and convert it to a unit.
-
-    Args:
-        found: the calibration, in relative lengths.
-        scale: the length; None: lengths remain relative.
-        unit: of the result; None: that of the length.
+def choose_unit(scale: KnownLength | None, throw: bool, unit: str | None) -> str:
+    """Return the unit of a calibration: the requested one, that of the known length, meters from a throw, or "".
 
     Raises:
-        ValueError: a camera that is not in the rig; a unit without a length.
+        ValueError: an unknown unit, or one without a scale; two scales.
     """
-    if unit is not None and unit not in METERS:
-        raise ValueError(f"--unit must be one of {', '.join(METERS)}, got {unit!r}")
-    if scale is None and unit is not None:
-        raise ValueError("--unit: give a length, --distance CAM:CAM=1.52m or --object-length 0.25m")
-    if scale is None:
-        return found
+    if throw and scale is not None:
+        raise ValueError("throw: the scale is given by a length, too; omit one")
+    if unit is None:
+        return "m" if throw else "" if scale is None else scale.unit
+    if not throw and scale is None:
+        raise ValueError("--unit: give a length, --distance CAM:CAM=1.52m or --object-length 0.25m, or --throw")
+    return check_choice(unit, [*METERS], "unit")
+
+
+def _set_scale(found: MotionCalibration, scale: KnownLength, unit: str) -> MotionCalibration:
+    """Scale a calibration in relative lengths by a known length, and convert it to a unit.
+
+    Raises:
+        ValueError: a camera that is not in the rig.
+    """
     rig, measured, sd = found.calibration.rig, found.object_length, OBJECT_LENGTH_SD
     if scale.cameras is not None:
         for name in scale.cameras:
@@ -185,9 +191,9 @@ def set_scale(found: MotionCalibration, scale: KnownLength | None, unit: str | N
         first, second = (rig[name].center for name in scale.cameras)
         measured, sd = float(np.linalg.norm(first - second)), 0.0
     factor = scale.length / measured
-    if unit is not None and scale.unit:
+    if scale.unit:
         factor *= METERS[scale.unit] / METERS[unit]
-    return rescale(found, factor, unit or scale.unit, exact=scale.cameras, sd=sd)
+    return rescale(found, factor, unit, exact=scale.cameras, sd=sd)
 
 
 def build_camera_rows(found: MotionCalibration) -> list[list[str]]:
@@ -223,14 +229,17 @@ def describe_tests(found: MotionCalibration) -> list[str]:
     """Describe the tests and the cameras left out, one line each."""
     lines = [f"{test.name}: {test.value} ({test.limit})" for test in found.tests]
     if found.flight is not None:
-        lines.append(describe_flight(found.flight))
+        lines.append(describe_flight(found))
     return lines + [f"left out: {name}: {reason}" for name, reason in found.left_out.items()]
 
 
-def describe_flight(flight: FreeFlight) -> str:
-    """Describe the throws that set the scale, and the vertical that they give."""
-    up = ",".join(f"{value:.4f}" for value in flight.up)
+def describe_flight(found: MotionCalibration) -> str:
+    """Describe the throws that set the scale, and the vertical that they give, in the axes of the calibration."""
+    flight, camera = found.flight, found.calibration.rig[0]
+    assert flight is not None
+    up = ",".join(f"{value:.4f}" for value in camera.rotation.T @ flight.up + 0.0)
     return (
         f"{len(flight.flights)} throws: scale ± {100 * flight.scale_sd:.2g} %, if the time stamps are right (1 % changes it "
-        f"by 2 %); upwards is {up} in the first camera's axes, ± {np.degrees(flight.up_sd):.2g} degrees (--world up={up})"
+        f"by 2 %); upwards is {up} in the axes of the calibration, ± {np.degrees(flight.up_sd):.2g} degrees "
+        f"(--world up={up})"
     )

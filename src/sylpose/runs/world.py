@@ -116,21 +116,42 @@ def resolve_world(rig: Rig, spec: WorldSpec, read_images: ImageReader | None = N
         OSError: a file that cannot be read.
     """
     text = spec.world
-    is_file = Path(text).is_file()
-    if is_board(text) and not is_file:
-        board = parse_board(text, rig.unit)
+    checked = check_world(spec, rig.unit)
+    if isinstance(checked, World):
+        return checked, []
+    if isinstance(checked, Board):
         if spec.images is not None:
             read_images = partial(_read_board_images, spec.images, rig, spec.frame or 0)
         elif read_images is None:
             raise ValueError(f"--world {_shorten(text)}: --world-from DIR, with images of the board, is missing")
         frame = f"frame {spec.frame or 0}" + (f" of {spec.images}" if spec.images is not None else "")
-        return _make_board_world(rig, board, find_board(rig, read_images(), board), frame)
+        return _make_board_world(rig, checked, find_board(rig, read_images(), checked), frame)
+    return load_world(text, rig), []
+
+
+def check_world(spec: WorldSpec, unit: str) -> Board | World | Path:
+    """Check the world options without the cameras, as far as possible.
+
+    Args:
+        spec: the world options.
+        unit: unit of the calibration.
+
+    Returns:
+        the board, the world of a direction, or the file, which is not read.
+
+    Raises:
+        ValueError: as `resolve_world`.
+    """
+    text = spec.world
+    is_file = Path(text).is_file()
+    if is_board(text) and not is_file:
+        return parse_board(text, unit)
     if spec.frame is not None or spec.images is not None:
         raise ValueError(f"--world-frame and --world-from require a board, but --world {_shorten(text)} is none")
     if is_file:
-        return load_world(text, rig), []
-    if (world := parse_up_world(text, rig.unit)) is not None:
-        return world, []
+        return Path(text)
+    if (world := parse_up_world(text, unit)) is not None:
+        return world
     raise ValueError(
         f"--world {_shorten(text)}: neither an existing file, nor a board such as {EXAMPLES[0]}, nor a direction such "
         "as up=0,-1,0"
