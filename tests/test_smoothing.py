@@ -127,6 +127,18 @@ def with_uncertain_rotation(frame: Track, degrees: float) -> Track:
     return replace(frame, pose=pose)
 
 
+def test_cameras_that_disagree_widen_the_covariance() -> None:
+    tracks = make_tracks(8)
+    plain = smooth_tracks(tracks, RIG).poses
+    # The median of the recording is 2; frame 3 was tracked while the cameras disagreed more. 0.1 narrows nothing.
+    ratios = [np.nan, 2.0, 2.0, 4.0, 2.0, 2.0, 0.1, np.nan]
+    wide = smooth_tracks(
+        [replace(t, pose=replace(t.pose, f_ratio=f)) for t, f in zip(tracks, ratios, strict=True)], RIG
+    ).poses
+    for one, other, factor in zip(plain, wide, [1, 2, 2, 4, 2, 2, 2, 2], strict=True):
+        np.testing.assert_allclose(other.covariance, factor * one.covariance, rtol=1e-9)
+
+
 def test_smoothing_recovers_uncertain_rotations_without_raising_their_status() -> None:
     frames = [with_uncertain_rotation(f, 8.0) if 8 <= k < 16 else f for k, f in enumerate(make_tracks())]
     found = smooth_tracks(frames, RIG)

@@ -29,6 +29,7 @@ from sylpose.bundle_adjustment.keyframes import bundle_adjust_by_keyframes
 from sylpose.bundle_adjustment.scale_prior import bundle_adjust_with_scale, find_lost_frames
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.validation import check_bool, check_integer, check_list, check_number, check_type, format_value
+from sylpose.relative_pose.camera_evidence import pool_f_ratios
 from sylpose.results import FramePose, Trajectory
 from sylpose.rig import Rig
 from sylpose.status import FrameStatus, Observability, Status
@@ -275,6 +276,8 @@ def _apply_result(
     if is_fixed.any():
         tracked_covariance = np.array([frames[k].pose.covariance for k in used])
         covariance = covariance + inherit_covariance(result.world_from_object, tracked_covariance, is_fixed)
+    f_ratios = np.array([frames[k].pose.f_ratio for k in used])
+    covariance = covariance * np.fmax(1.0, np.fmax(f_ratios, pool_f_ratios(f_ratios)))[:, None, None]
     is_refined, is_lost_frame = np.zeros((2, len(frames)), bool)
     is_refined[used], is_lost_frame[used] = result.connected & ~is_lost, result.connected & is_lost
     for i, k in enumerate(used[1:], start=1):

@@ -35,6 +35,7 @@ def trajectory() -> Trajectory:
                 np.array([0.3, np.nan]) + rng.random(),
                 matches=rng.integers(99, 200, 2),
                 variance_inflation=np.array([1.25, np.inf]),
+                f_ratio=1.5,
             )
         )
     frames[3] = replace(frames[3], covariance=np.diag([np.inf] * 6), observability=Observability.NO_SCALE)
@@ -66,7 +67,9 @@ def test_columns_match_the_file(tmp_path: Path) -> None:
                 # No value, or an unbounded standard deviation.
                 assert math.isnan(value) or (math.isinf(value) and name.endswith(("_sd", "_sd_deg")))
             else:
-                assert value == pytest.approx(float(cell), rel=1e-3 if name.startswith("variance_inflation") else 1e-5)
+                assert value == pytest.approx(
+                    float(cell), rel=1e-3 if name.startswith(("variance_inflation", "f_ratio")) else 1e-5
+                )
 
 
 def test_empty_trajectory_has_columns() -> None:

@@ -19,7 +19,7 @@ from sylpose.smoothing import Track, smooth_tracks
 from sylpose.status import FrameStatus
 from sylpose.tracking.context import Context
 from sylpose.tracking.joint_side.joint_state import SolvedFrame
-from sylpose.tracking.map_update import add_f_ratio, is_contradicted, is_mostly_contradicted
+from sylpose.tracking.map_update import add_f_ratio, is_contradicted
 from sylpose.tracking.options import TrackingOptions
 from sylpose.tracking.reports import PoseAgreement
 from sylpose.tracking.tracker import track
@@ -112,8 +112,8 @@ def test_frame_is_as_reliable_as_those_that_support_it() -> None:
 def test_last_frames_are_pooled() -> None:
     ratios: tuple[float, ...] = ()
     for f_ratio, expected in [(12.0, False), (1.0, False), (12.0, True), (np.nan, True), (1.0, False), (200.0, True)]:
-        ratios = add_f_ratio(ratios, f_ratio, TrackingOptions())
-        assert is_mostly_contradicted(ratios, TrackingOptions()) is expected
+        ratios, pooled = add_f_ratio(ratios, f_ratio, TrackingOptions())
+        assert (pooled > TrackingOptions().max_pooled_f_ratio) is expected
     for _ in range(8):
-        ratios = add_f_ratio(ratios, 1.0, TrackingOptions())
-    assert not is_mostly_contradicted(ratios, TrackingOptions())
+        ratios, pooled = add_f_ratio(ratios, 1.0, TrackingOptions())
+    assert pooled == 1.0

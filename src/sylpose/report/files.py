@@ -40,6 +40,7 @@ VELOCITY_COLUMNS = ("vx", "vy", "vz", "ax", "ay", "az")
 ANGULAR_COLUMNS = ("wx_deg", "wy_deg", "wz_deg", "dwx_deg", "dwy_deg", "dwz_deg")
 # Prefixes of the per-camera columns, followed by the camera's name.
 CAMERA_COLUMNS = ("inliers", "residual_px", "variance_inflation", "matches")
+LAST_COLUMNS = ("f_ratio", "faults", "reason")
 
 
 def build_columns(trajectory: Trajectory, kinematics: Kinematics | None = None) -> dict[str, list[Any]]:
@@ -63,9 +64,11 @@ def build_columns(trajectory: Trajectory, kinematics: Kinematics | None = None) 
         cells += [*np.degrees(f.pan_tilt_roll).tolist(), *np.degrees(f.sigma[:3]).tolist(), *f.sigma[3:].tolist()]
         for values in (f.inliers, f.residuals, f.variance_inflation, f.matches):
             cells += (values if len(values) else missing).tolist()
-        rows.append([*cells, "; ".join(f.faults), f.reason])
-    columns = [list(column) for column in zip(*rows, strict=True)] or [[] for _ in (*COLUMNS, *per_camera, 0, 0)]
-    table = dict(zip((*COLUMNS, *per_camera, "faults", "reason"), columns, strict=True))
+        rows.append([*cells, f.f_ratio, "; ".join(f.faults), f.reason])
+    columns = [list(column) for column in zip(*rows, strict=True)] or [
+        [] for _ in (*COLUMNS, *per_camera, *LAST_COLUMNS)
+    ]
+    table = dict(zip((*COLUMNS, *per_camera, *LAST_COLUMNS), columns, strict=True))
     return table if kinematics is None else table | build_velocity_columns(kinematics)
 
 
@@ -182,7 +185,7 @@ class TrajectoryWriter:
             self._csv = GrowingFile(self.csv_path, None if resume is None else resume.csv_bytes)
             if resume is None or not resume.csv_bytes:
                 self._tum.write(_format_tum_header(unit, world).encode())
-                header = [*COLUMNS, *angle_columns, *per_camera, "faults", "reason"]
+                header = [*COLUMNS, *angle_columns, *per_camera, *LAST_COLUMNS]
                 self._csv.write(_format_csv_line(header).encode())
         except (OSError, ValueError):
             self.close()
@@ -248,7 +251,7 @@ class TrajectoryWriter:
         cells += [str(int(count)) for count in pose.inliers] + [_format_cell(v, 6) for v in pose.residuals]
         cells += ["inf" if np.isinf(v) else _format_cell(v, 4) for v in inflation]
         cells += [str(int(count)) for count in pose.matches] if len(pose.matches) else [""] * n
-        cells += ["; ".join(pose.faults), pose.reason]
+        cells += [_format_cell(pose.f_ratio, 4), "; ".join(pose.faults), pose.reason]
         # Write the CSV first: after an interrupt in between, the frame is in the file that has every column.
         self._csv.write(_format_csv_line(cells).encode())
         if pose.is_measured:
@@ -333,6 +336,7 @@ def _parse_frame(cells: dict[str, str], names: Sequence[str]) -> FramePose:
         faults=tuple(cells["faults"].split("; ")) if cells.get("faults") else (),
         matches=np.array([int(cell) for name in names if (cell := cells.get(f"matches_{name}"))], dtype=np.int64),
         reason=cells.get("reason", ""),
+        f_ratio=float(cells.get("f_ratio") or "nan"),
     )
 
 

@@ -108,7 +108,7 @@ def accept_frame(context: Context, state: JointState, candidate: PoseCandidate) 
     if moves_first and state.object.is_bounded and is_mostly_outside(context, state, frame, candidate.pose):
         state = replace(state, ambiguity=OUTSIDE_REASON)
     inflation, f_ratio = _compute_inflation(candidate), _compute_f_ratio(agreements)
-    f_ratios = add_f_ratio(state.f_ratios, _compute_f_ratio(agreements, MIN_KEPT_POOLED), context.options)
+    f_ratios, pooled = add_f_ratio(state.f_ratios, _compute_f_ratio(agreements, MIN_KEPT_POOLED), context.options)
     state = replace(state, f_ratios=f_ratios)
     accepted = _accept_pose(context, state, candidate)
     # Each camera: features that were observed before.
@@ -149,34 +149,36 @@ def accept_frame(context: Context, state: JointState, candidate: PoseCandidate) 
         frame.time,
         status,
         last.world_from_object,
-        last.covariance,
+        # Errors of a rig that hardly contradicts itself are those of its calibration, which no residual shows (Birge).
+        last.covariance * np.fmax(1.0, pooled),
         np.array([a.n_inlier_features for a in agreements], np.int64),
         np.array([a.residual_px for a in agreements]),
         Observability.NO_SCALE if len(context.rig) == 1 else observable,
         inflation,
         candidate.solution.faults,
         np.array([a.n_features for a in agreements], np.int64),
+        f_ratio=pooled,
     ).mark_uncertain()
     is_rig_contradicted = _is_rig_contradicted(context, state)
-    is_mostly = is_mostly_contradicted(state.f_ratios, context.options)
+    is_mostly = pooled > context.options.max_pooled_f_ratio
     if state.ambiguity and not is_rig_contradicted:  # under a wrong rig one body looks like several
         result = replace(result, status=FrameStatus.AMBIGUOUS, reason=state.ambiguity)
     elif accepted.solved.is_contradicted or is_mostly or is_rig_contradicted:
-        reason = _describe_contradiction(context, state, f_ratio)
+        reason = _describe_contradiction(context, state, f_ratio, pooled)
         result = replace(result, status=FrameStatus.CONTRADICTED, reason=reason)
     matches, observations, detections = (context.spread(parts) for parts in zip(*records, strict=True))
     parts = matches, context.spread(frame.regions or ()), model.radius, observations, frame.time_offsets
     return new_state, TrackedFrame(result, frame.images, *parts, detections=detections)
 
 
-def _describe_contradiction(context: Context, state: JointState, f_ratio: float) -> str:
-    """Describe why a frame with an F ratio is contradicted."""
+def _describe_contradiction(context: Context, state: JointState, f_ratio: float, pooled: float) -> str:
+    """Describe why a frame with an F ratio, its own and the pooled one, is contradicted."""
     if _is_rig_contradicted(context, state):
         return "in most of the recording the cameras see different motions"
     limit = context.options.max_f_ratio
     if f_ratio > limit:
         return f"the cameras see different motions (F ratio {f_ratio:.0f}; the limit is {limit:.0f})"
-    if is_mostly_contradicted(state.f_ratios, context.options):
+    if pooled > context.options.max_pooled_f_ratio:
         return f"in most of the last {len(state.f_ratios)} frames with evidence the cameras see different motions"
     return "tracked from frames in which the cameras see different motions"
 
@@ -264,14 +266,13 @@ def is_contradicted(
     return sum(not frame.is_contradicted for frame in references) < 2
 
 
-def add_f_ratio(f_ratios: tuple[float, ...], f_ratio: float, options: TrackingOptions) -> tuple[float, ...]:
-    """Return the last known F ratios with that of one more frame, if it is known."""
-    return f_ratios if np.isnan(f_ratio) else (*f_ratios, f_ratio)[-options.n_pooled_f_ratios :]
-
-
-def is_mostly_contradicted(f_ratios: tuple[float, ...], options: TrackingOptions) -> bool:
-    """Return whether the cameras contradict each other in most of the last frames."""
-    return len(f_ratios) >= MIN_POOLED and pool_f_ratios(np.array(f_ratios)) > options.max_pooled_f_ratio
+def add_f_ratio(
+    f_ratios: tuple[float, ...], f_ratio: float, options: TrackingOptions
+) -> tuple[tuple[float, ...], float]:
+    """Return the last known F ratios with that of one more frame, if it is known; the pooled one, NaN of too few."""
+    if not np.isnan(f_ratio):
+        f_ratios = (*f_ratios, f_ratio)[-options.n_pooled_f_ratios :]
+    return f_ratios, float(pool_f_ratios(np.array(f_ratios))) if len(f_ratios) >= MIN_POOLED else np.nan
 
 
 def _compute_f_ratio(agreements: Agreements, min_kept: int = 2) -> float:
