@@ -55,8 +55,6 @@ ALTERNATIVE_SD_RATIO = 0.5
 MAX_MOTION_FACTOR = 3.0
 # With fewer inliers, or with a weakly observed direction, the solver must return to the same motion from it (choice).
 FEW_INLIERS = 50
-# With more cameras than this, second planes of flat objects are distinguished without a separate start (choice).
-FEW_CAMERAS = 3
 
 
 class _Problem(NamedTuple):
@@ -312,7 +310,7 @@ def _remove_rod_rotation(stack: Stack, usable: FloatArray, result: RobustFit, ro
 def _refine_from_alternatives(
     stack: Stack, probabilities: FloatArray, irls_fit: IrlsFit, cost: float, include_self: bool
 ) -> RefinedMinima | None:
-    """Refit from the second planes of few cameras, and from the motion itself with prior depth models.
+    """Refit from the second planes of flat objects, and from the motion itself with prior depth models.
 
     The noise that was found is kept. A motion that does not converge to itself depends on depth models and weights
     left by chance or by another motion: the motion that it converges to counts as equally likely.
@@ -325,7 +323,7 @@ def _refine_from_alternatives(
     Returns:
         the minima; None if the refit from the motion itself diverges.
     """
-    starts = uncertainty.compute_second_planes(stack, irls_fit) if len(stack.focal) <= FEW_CAMERAS else []
+    starts = uncertainty.compute_second_planes(stack, irls_fit)
     starts += [irls_fit.candidate._replace(depth_model=stack.depth_model_mean)] if include_self else []
     rotations, translations = np.empty((len(starts), 3, 3)), np.empty((len(starts), 3))
     costs, inliers = np.empty(len(starts)), np.empty(len(starts))
