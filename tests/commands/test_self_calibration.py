@@ -24,8 +24,10 @@ from sylpose.rig_calibration.result import GRID, Coverage, RigCalibration
 from sylpose.runs import run as runs
 from sylpose.runs import self_calibration
 from sylpose.runs.self_calibration import KnownLength, describe_flight, parse_free, parse_scale
-from sylpose.simulate import Scene, arc, write_sequence
+from sylpose.simulate import Actor, Scene, arc, write_sequence
+from sylpose.simulate.render import chamfered_box
 from tests.conftest import make_once
+from tests.rig_calibration.test_free_flight import DOWN, UNIT, throw
 
 FRAMES = 36
 
@@ -103,6 +105,28 @@ def test_late_camera(tumbling: Path, tmp_path: Path, capsys: pytest.CaptureFixtu
     assert measure_error(out, truth) < 0.5
 
 
+@pytest.mark.slow
+def test_throws_give_meters_and_the_vertical(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Rendered in units of 0.83 m; gravity is known in the axes of the first camera."""
+    folder, out = tmp_path / "recording", tmp_path / "rig.toml"
+    poses = throw(2, 0.0, 1, spin_rate=1.5)[1][12:84]
+    rig = arc(2, 50.0, 1.8, 420.0, (320, 240), height=[0.1, 0.35])
+    path = rig[0].camera_from_world.inv() * poses
+    actor = Actor(chamfered_box(0.4 * np.array([1.0, 0.74, 0.86]), 350.0, seed=4), lambda frame: path[int(frame)])
+    write_sequence(folder, Scene(rig, (actor,), len(poses), 0), boxes=True)
+    arguments = ["calibrate", str(folder), "--intrinsics", str(folder / "calibration.toml"), "--out", str(out)]
+    assert main([*arguments, "--throw"]) == 0
+    match = re.search(
+        r"2 throws: scale ± ([0-9.]+) %.*--world up=([-0-9.,]+)\)", " ".join(capsys.readouterr().out.split())
+    )
+    assert match is not None
+    found = calibration.load(out)
+    ratio = np.linalg.norm(found[1].center) / np.linalg.norm(rig[1].center - rig[0].center) / UNIT
+    assert found.unit == "m"
+    assert abs(ratio - 1.0) < max(0.04 * float(match[1]), 0.01)
+    assert np.degrees(np.arccos(-DOWN @ np.fromstring(match[2], sep=","))) < 1.0
+
+
 def test_refused_recording_writes_no_file(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Twelve frames of a rotation about one axis do not determine the cameras."""
     out = session / "rig.toml"
@@ -143,8 +167,14 @@ def test_missing_lenses_and_cameras(session: Path, tmp_path: Path, capsys: pytes
     assert "--intrinsics" in capsys.readouterr().err
     alone = Path(shutil.copytree(session, tmp_path / "alone"))
     without = ["--exclude-camera", "cam_1", "--exclude-camera", "cam_2"]
-    assert main(["calibrate", str(alone), "--intrinsics", str(alone / "calibration.toml"), *without, *out]) == 2
-    assert "two cameras or more" in capsys.readouterr().err
+    lens = shutil.copy(alone / "calibration.toml", tmp_path / "lens.toml")
+    for lenses in (str(alone / "calibration.toml"), f"cam_0={lens}"):  # the others need no lens
+        assert main(["calibrate", str(alone), "--intrinsics", lenses, *without, *out]) == 2
+        assert "two cameras or more" in capsys.readouterr().err
+    assert main(["calibrate", str(alone), "--intrinsics", f"cam_0={lens}", "--exclude-camera", "cam_1", *out]) == 2
+    assert "no lens of camera cam_2: give cam_2=FILE, or leave the camera out" in capsys.readouterr().err
+    assert main(["calibrate", str(alone), "--fov", "exif", *out]) == 2
+    assert "--fov: no focal length in the EXIF of cam_0, cam_1, cam_2" in capsys.readouterr().err
 
 
 def test_option_values() -> None:

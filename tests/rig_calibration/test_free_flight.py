@@ -16,7 +16,9 @@ CENTER = np.array([0.03, -0.05, 0.02])
 DOWN = Rotation.from_euler("xyz", [0.2, -0.1, 0.4]).apply([0.0, 1.0, 0.0])
 
 
-def throw(n_throws: int, noise: float, seed: int = 0, factor: int = 1) -> tuple[FloatArray, RigidTransform]:
+def throw(
+    n_throws: int, noise: float, seed: int = 0, factor: int = 1, spin_rate: float = 4.0
+) -> tuple[FloatArray, RigidTransform]:
     """Return times and poses, in units of `UNIT` meters: carried by hand, with throws of half a second between.
 
     The flights are integrated step by step, and the body spins about its center of mass. The rate is `RATE` times a factor.
@@ -29,7 +31,7 @@ def throw(n_throws: int, noise: float, seed: int = 0, factor: int = 1) -> tuple[
         phase, cycle = k % (factor * 40), k // (factor * 40)
         place, rotation = centers[-1].copy(), rotations[-1]
         if phase == factor * 20 and cycle < n_throws:
-            velocity, spin = -2.5 * DOWN + 0.3 * rng.normal(size=3), rng.normal(size=3) * 4.0
+            velocity, spin = -2.5 * DOWN + 0.3 * rng.normal(size=3), rng.normal(size=3) * spin_rate
         if factor * 20 <= phase < factor * 35 and cycle < n_throws:
             for _ in range(fine):
                 place = place + (velocity + 0.5 * GRAVITY * DOWN * step / fine) * step / fine

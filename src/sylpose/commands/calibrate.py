@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from sylpose.commands.app import INPUT, OUTPUT, command, exit_with_failures, option
-from sylpose.commands.options import BoxesFile, FrameOffset, parse_frame_offsets, parse_video_option
+from sylpose.commands.options import BoxesFile, FrameOffset, SourceOptions, parse_frame_offsets, parse_video_option
 from sylpose.commands.self_calibration import SelfCalibrationOptions, calibrate_recording
 from sylpose.input_limits import print_message
 
@@ -21,7 +21,7 @@ FILE = "calibration.toml"
 
 
 @dataclass(frozen=True, kw_only=True)
-class CalibrateOptions(SelfCalibrationOptions):
+class CalibrateOptions(SelfCalibrationOptions, SourceOptions):
     """Options of `sylpose calibrate`.
 
     Attributes:
@@ -32,7 +32,6 @@ class CalibrateOptions(SelfCalibrationOptions):
         boxes: Without a board: read the object's boxes in the first frame from this file; default: boxes.toml in SESSION,
             else what moves.
         video: Assign a video or image folder to a camera, instead of all in SESSION. Repeatable.
-        exclude_camera: Leave out a camera. Repeatable.
         unit: Set the length unit of the calibration; default: that of the board or of the known length.
         out: Write the calibration here; default: SESSION/calibration.toml if that does not exist.
     """
@@ -40,8 +39,6 @@ class CalibrateOptions(SelfCalibrationOptions):
     session: Annotated[Path, typer.Argument(metavar="SESSION")]
     boxes: BoxesFile = None
     frame_offset: FrameOffset = ()
-    video: Annotated[tuple[str, ...], option("--video NAME=FILE", INPUT)] = ()
-    exclude_camera: Annotated[tuple[str, ...], option("--exclude-camera CAM", INPUT)] = ()
     out: Annotated[Path | None, option("--out FILE", OUTPUT)] = None
     board: Annotated[str | None, option("--board BOARD", INPUT)] = None
     every: Annotated[int, option("--every N", INPUT, min=1)] = 1
@@ -55,7 +52,8 @@ class CalibrateOptions(SelfCalibrationOptions):
                 raise ValueError("--offsets: not with --board; the delays of the cameras are estimated")
         elif not self.intrinsics and self.fov is None:
             raise ValueError(
-                "--board: a description of the board is missing, or --intrinsics or --fov, to calibrate without a board"
+                "--board: a description of the board is missing, or --intrinsics or --fov (degrees, or exif for "
+                "photographs), to calibrate without a board"
             )
         elif self.every > 1:
             raise ValueError("--every: only with --board; tracking needs all frames")
@@ -71,29 +69,27 @@ class CalibrateOptions(SelfCalibrationOptions):
 
     def open_with_lenses(self) -> Session:
         """Open the recording with the intrinsics."""
-        from sylpose.io.calibration.lenses import parse_lens_files
+        from sylpose.io.calibration.lenses import parse_fov, parse_lens_files
         from sylpose.io.capture import open_session
 
-        return open_session(
-            self.session,
-            boxes=self.boxes,
-            cameras=parse_video_option(self.video),
-            offsets=parse_frame_offsets(self.frame_offset),
-            without=self.exclude_camera,
-            lenses=parse_lens_files(self.intrinsics),
-            fov=self.fov,
-        )
+        lenses, fov = parse_lens_files(self.intrinsics), parse_fov(self.fov)
+        return open_session(self.session, boxes=self.boxes, lenses=lenses, fov=fov, **self._sources)
 
     def open_uncalibrated(self) -> Session:
         """Open the recording without a calibration."""
         from sylpose.io.capture.session import open_uncalibrated
 
-        return open_uncalibrated(
-            self.session,
-            cameras=parse_video_option(self.video),
-            offsets=parse_frame_offsets(self.frame_offset),
-            without=self.exclude_camera,
-        )
+        return open_uncalibrated(self.session, **self._sources)
+
+    @property
+    def _sources(self) -> dict[str, Any]:
+        return {
+            "cameras": parse_video_option(self.video),
+            "offsets": parse_frame_offsets(self.frame_offset),
+            "rate": self.rate,
+            "without": self.exclude_camera,
+            "take": self.take,
+        }
 
 
 @command("Calibrate the cameras from a recording of a board or of any moving object.")

@@ -15,7 +15,7 @@ from sylpose.report import PICTURE_FORMATS
 from sylpose.units import METERS
 
 if TYPE_CHECKING:
-    from sylpose.io.calibration.lenses import LensFile
+    from sylpose.io.calibration.lenses import Fov, LensFile
     from sylpose.io.capture import Session
     from sylpose.io.capture.session import SessionBase
     from sylpose.runs.world import WorldSpec
@@ -40,23 +40,32 @@ ResultPath = Annotated[Path, typer.Argument(metavar="RESULT")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class CameraOptions(CommandOptions):
-    """Calibration and videos of the cameras.
+class SourceOptions(CommandOptions):
+    """Videos of the cameras.
 
     Attributes:
-        calibration: Read the calibration from this file or folder; by default searched in SESSION.
         video: Assign a video or image folder to a camera if its name does not match. Repeatable.
         exclude_camera: Leave out a camera, for example one without a video. Repeatable.
         rate: Set the frame rate of image folders, for times in seconds.
         take: Open this take of a folder with several.
-        as_coded: Do not turn frames as their files specify, if the calibration fits both; default: as the cameras agree.
     """
 
-    calibration: Annotated[Path | None, option("--calibration PATH", INPUT)] = None
     video: Annotated[tuple[str, ...], option("--video NAME=FILE", INPUT)] = ()
     exclude_camera: Annotated[tuple[str, ...], option("--exclude-camera CAM", INPUT)] = ()
     rate: Annotated[float | None, option("--rate HZ", INPUT)] = None
     take: Annotated[str, option("--take NAME", INPUT)] = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraOptions(SourceOptions):
+    """Calibration and videos of the cameras.
+
+    Attributes:
+        calibration: Read the calibration from this file or folder; by default searched in SESSION.
+        as_coded: Do not turn frames as their files specify, if the calibration fits both; default: as the cameras agree.
+    """
+
+    calibration: Annotated[Path | None, option("--calibration PATH", INPUT)] = None
     as_coded: Annotated[bool, option("--as-coded", INPUT)] = False
 
     def open_recording(
@@ -64,7 +73,7 @@ class CameraOptions(CommandOptions):
         path: Path,
         frame_offset: Sequence[str] = (),
         lenses: Sequence[LensFile] = (),
-        fov: float | None = None,
+        fov: Fov | None = None,
         **files: Path | None,
     ) -> Session:
         """Open the recording in a folder.
@@ -117,7 +126,7 @@ class RecordingOptions(CameraOptions):
         boxes: Path | None = None,
         frame_offset: Sequence[str] = (),
         lenses: Sequence[LensFile] = (),
-        fov: float | None = None,
+        fov: Fov | None = None,
     ) -> Session:
         """Open the recording, as `open_recording` does."""
         return self.open_recording(self.session, frame_offset, lenses, fov, boxes=boxes, masks=self.masks)

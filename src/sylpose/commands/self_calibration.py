@@ -29,8 +29,8 @@ class SelfCalibrationOptions(WorldOptions, RangeOptions):
     Attributes:
         intrinsics: To calibrate from the object that moves, read the lenses from this calibration, with poses, which are
             ignored, or without. One of a single camera is that of CAM, or of all. Repeatable.
-        fov: In place of --intrinsics, the horizontal field of view of all cameras in degrees, to 20 %; focal lengths are
-            then estimated.
+        fov: In place of --intrinsics, the horizontal field of view of all cameras in degrees, to 20 %, or exif: that of the
+            photographs; focal lengths are then estimated.
         free: Also estimate these of the lenses, some of focal,principal,distortion.
         distance: Set the scale by the distance of two cameras, such as cam_0:cam_1=1.52m.
         object_length: Set the scale by the object's longest extent, such as 0.25m.
@@ -39,7 +39,7 @@ class SelfCalibrationOptions(WorldOptions, RangeOptions):
     """
 
     intrinsics: Annotated[tuple[str, ...], option("--intrinsics [CAM=]FILE", INPUT)] = ()
-    fov: Annotated[float | None, option("--fov DEG", INPUT)] = None
+    fov: Annotated[str | None, option("--fov DEG|exif", INPUT)] = None
     free: Annotated[str, option("--free LIST", INPUT)] = ""
     distance: Annotated[str | None, option("--distance CAM:CAM=LENGTH", OUTPUT)] = None
     object_length: Annotated[str | None, option("--object-length LENGTH", OUTPUT)] = None

@@ -101,14 +101,14 @@ class TrackOptions(SelfCalibrationOptions, DisplayOptions, MethodOptions, Record
         Raises:
             ValueError, OSError: as `open_session` and `open_live`; options that do not apply to the kind of session.
         """
-        from sylpose.io.calibration.lenses import parse_lens_files
+        from sylpose.io.calibration.lenses import parse_fov, parse_lens_files
         from sylpose.io.capture.live import is_live, open_live
 
         if not (self.follow or is_live(self.session)):
             if self.no_drop:
                 raise ValueError("--no-drop requires --follow (growing folders)")
             if self.self_calibrate:
-                return self.open(self.boxes, self.frame_offset, parse_lens_files(self.intrinsics), self.fov)
+                return self.open(self.boxes, self.frame_offset, parse_lens_files(self.intrinsics), parse_fov(self.fov))
             return self.apply_to(self.open(self.boxes, self.frame_offset))
         for name, reason in _NOT_LIVE.items():
             if getattr(self, name):

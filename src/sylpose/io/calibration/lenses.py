@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -20,6 +21,10 @@ from sylpose.rig import Camera, Rig, make_look_at_camera
 MIN_FOV_DEG, MAX_FOV_DEG = 1.0, 130.0
 # A file and the name of its camera; None: as in the file, or as the file is called, or all cameras.
 LensFile = tuple[str | None, Path]
+# Horizontal field of view, degrees; "exif": as the images' EXIF states.
+Fov = float | Literal["exif"]
+# Looks up focal lengths by camera, pixels.
+FocalLookup = Callable[[Sequence[str]], Mapping[str, float]]
 
 
 def parse_lens_files(texts: Sequence[str]) -> list[LensFile]:
@@ -79,22 +84,45 @@ def load_lenses(files: Sequence[LensFile], names: Sequence[str], sizes: SizeLook
     return Rig([replace(camera, camera_from_world=RigidTransform.identity()) for camera in found.values()])
 
 
-def guess_lenses(fov_deg: float, names: Sequence[str], sizes: SizeLookup) -> Rig:
-    """Return lenses without distortion, of a horizontal field of view in degrees, with the identity as pose.
-
-    Args:
-        fov_deg: of all cameras.
-        names: of the recording's cameras.
-        sizes: looks up their image sizes.
+def parse_fov(text: str | None) -> Fov | None:
+    """Parse a field of view in degrees, or `exif`; None for none.
 
     Raises:
-        ValueError: a field of view that no such lens has.
+        ValueError: anything else.
     """
-    if not MIN_FOV_DEG <= fov_deg <= MAX_FOV_DEG:
-        raise ValueError(f"fov must be {MIN_FOV_DEG:g} to {MAX_FOV_DEG:g} degrees, got {fov_deg:g}")
+    if text is None:
+        return None
+    if text == "exif":
+        return "exif"
+    try:
+        return float(text)
+    except ValueError:
+        raise ValueError(f"fov: degrees, or exif for photographs, are expected, got {text!r}") from None
+
+
+def guess_lenses(fov: Fov, names: Sequence[str], sizes: SizeLookup, focal_lengths: FocalLookup) -> Rig:
+    """Return lenses without distortion, with the identity as pose.
+
+    Args:
+        fov: horizontal field of view of all cameras, degrees; or "exif": that of each camera's images.
+        names: of the recording's cameras.
+        sizes: looks up their image sizes.
+        focal_lengths: looks up their focal lengths in EXIF, pixels.
+
+    Raises:
+        ValueError: a field of view that no such lens has; no EXIF.
+    """
     found = sizes(names)
-    focal = {name: 0.5 * size[0] / np.tan(np.radians(fov_deg) / 2.0) for name, size in found.items()}
-    return Rig([make_look_at_camera(name, np.zeros(3), (0, 0, 1), focal[name], found[name]) for name in names])
+    focal = focal_lengths(names) if fov == "exif" else {}
+    cameras = []
+    for name in names:
+        angle = np.degrees(2.0 * np.arctan(0.5 * found[name][0] / focal[name])) if focal else float(fov)
+        if not MIN_FOV_DEG <= angle <= MAX_FOV_DEG:
+            where = f" in the EXIF of {name}" if focal else ""
+            raise ValueError(f"fov must be {MIN_FOV_DEG:g} to {MAX_FOV_DEG:g} degrees, got {angle:g}{where}")
+        length = 0.5 * found[name][0] / np.tan(np.radians(angle) / 2.0)
+        cameras.append(make_look_at_camera(name, np.zeros(3), (0, 0, 1), length, found[name]))
+    return Rig(cameras)
 
 
 def _read_cameras(path: Path, sizes: SizeLookup, names: Sequence[str], name: str) -> list[Camera]:

@@ -61,10 +61,15 @@ def merge_object_names(
     return tuple(boxes or masks) or (DEFAULT_OBJECT_NAME,)
 
 
-def load_boxes(path: Path, rig: Rig) -> dict[str, dict[str, Box]]:
+def load_boxes(path: Path, rig: Rig, others: Sequence[str] = ()) -> dict[str, dict[str, Box]]:
     """Read boxes: TOML, `camera = [x, y, width, height]` for each camera that sees the object in the first frame.
 
     Several objects have one table each, such as `[mug]`.
+
+    Args:
+        path: the file.
+        rig: the cameras.
+        others: names of cameras that are excluded, whose boxes are ignored.
 
     Returns:
         Boxes by object and camera, the objects in the file's order, `DEFAULT_OBJECT_NAME` for one without a table;
@@ -77,10 +82,10 @@ def load_boxes(path: Path, rig: Rig) -> dict[str, dict[str, Box]]:
     """
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file of boxes")
-    return parse_boxes(read_text(path), rig, path)
+    return parse_boxes(read_text(path), rig, path, others)
 
 
-def parse_boxes(text: str, rig: Rig, path: Path) -> dict[str, dict[str, Box]]:
+def parse_boxes(text: str, rig: Rig, path: Path, others: Sequence[str] = ()) -> dict[str, dict[str, Box]]:
     """Parse boxes from TOML text, as `load_boxes`; `path` is named in messages.
 
     Raises:
@@ -90,27 +95,34 @@ def parse_boxes(text: str, rig: Rig, path: Path) -> dict[str, dict[str, Box]]:
         raw = parse_toml(text)
         tables = [name for name, value in raw.items() if isinstance(value, dict)]
         if not tables:
-            return {DEFAULT_OBJECT_NAME: _convert_boxes(raw, rig, str(path))} if raw else {}
+            return {DEFAULT_OBJECT_NAME: _convert_boxes(raw, rig, others, str(path))} if raw else {}
         if outside := [name for name in raw if name not in tables]:
             raise ValueError(
                 f"{path}: {', '.join(outside)} is outside the tables of {', '.join(tables)}: either one object without "
                 "tables or one table per object is expected"
             )
-        _check_object_names(tables, rig, path)
+        _check_object_names(tables, [*rig.names, *others], path)
         if empty := [name for name in tables if not raw[name]]:
             raise ValueError(f"{path}: [{empty[0]}] has no box in any camera")
-        return {name: _convert_boxes(raw[name], rig, f"{path}: [{name}]") for name in tables}
+        return {name: _convert_boxes(raw[name], rig, others, f"{path}: [{name}]") for name in tables}
 
 
-def find_masks(folder: Path, rig: Rig, sources: tuple[Source, ...]) -> tuple[dict[str, tuple[Masks, ...]], list[str]]:
+def find_masks(
+    folder: Path, cameras: Sequence[str], sources: tuple[Source, ...]
+) -> tuple[dict[str, tuple[Masks, ...]], list[str]]:
     """Find the masks of all objects.
 
     A camera has one image for all frames (`cam_0.png`), or a folder (`cam_0/`) of one image per frame with the frame
     number in its name: the number of the image for image folders, counted from 0 for videos. Several objects have one
     folder each, whose name is not a camera's.
 
+    Args:
+        folder: the folder.
+        cameras: names of all cameras that may have masks.
+        sources: of the cameras whose masks are returned.
+
     Returns:
-        Masks by object, one per camera in the rig's order, and warnings.
+        Masks by object, one per source, and warnings.
 
     Raises:
         FileNotFoundError: no such folder.
@@ -121,19 +133,19 @@ def find_masks(folder: Path, rig: Rig, sources: tuple[Source, ...]) -> tuple[dic
     if not folder.is_dir():
         raise FileNotFoundError(f"{folder}: no such folder of masks")
     warnings: list[str] = []
-    objects = _find_object_folders(folder, rig)
+    objects = _find_object_folders(folder, cameras)
     if not objects:
-        return {DEFAULT_OBJECT_NAME: _find_object_masks(folder, rig, sources, warnings)}, warnings
-    _check_object_names([f.name for f in objects], rig, folder)
+        return {DEFAULT_OBJECT_NAME: _find_object_masks(folder, cameras, sources, warnings)}, warnings
+    _check_object_names([f.name for f in objects], cameras, folder)
     for object_folder in objects:
         # Frame numbers would match camera names: `cam_8/0000.png` is not a mask of cam_0 for an object cam_8.
         images = [f for f in _list_mask_entries(object_folder) if f.is_file()]
-        if frames := [f.name for f in images if f.stem.isdigit() and f.stem not in rig.names]:
+        if frames := [f.name for f in images if f.stem.isdigit() and f.stem not in cameras]:
             raise ValueError(
-                f"{object_folder}: neither a camera of the calibration ({', '.join(rig.names)}) nor an object, whose "
+                f"{object_folder}: neither a camera of the calibration ({', '.join(cameras)}) nor an object, whose "
                 f"masks would be named like cameras, not {frames[0]}"
             )
-    return {f.name: _find_object_masks(f, rig, sources, warnings) for f in objects}, warnings
+    return {f.name: _find_object_masks(f, cameras, sources, warnings) for f in objects}, warnings
 
 
 def check_first_masks(masks: tuple[Masks, ...], sources: tuple[Source, ...], frames: IntArray) -> None:
@@ -165,10 +177,12 @@ def check_first_masks(masks: tuple[Masks, ...], sources: tuple[Source, ...], fra
         raise ValueError(f"{', '.join(map(str, first))}: this and all later masks are empty; the object must be white")
 
 
-def _convert_boxes(raw: Mapping[str, Any], rig: Rig, where: str) -> dict[str, Box]:
+def _convert_boxes(raw: Mapping[str, Any], rig: Rig, others: Sequence[str], where: str) -> dict[str, Box]:
     """Return one object's boxes by camera, in the rig's order."""
     boxes = {}
-    for name, camera in match_all_names(raw, rig.names, where).items():
+    for name, camera in match_all_names(raw, [*rig.names, *others], where).items():
+        if camera not in rig:
+            continue
         try:
             x, y, width, height = msgspec.convert(raw[name], tuple[float, float, float, float])
         except msgspec.ValidationError as error:
@@ -185,13 +199,13 @@ def _convert_boxes(raw: Mapping[str, Any], rig: Rig, where: str) -> dict[str, Bo
     return {camera: boxes[camera] for camera in rig.names if camera in boxes}
 
 
-def _check_object_names(names: Sequence[str], rig: Rig, where: Path) -> None:
+def _check_object_names(names: Sequence[str], cameras: Sequence[str], where: Path) -> None:
     """Check that object names are valid file names on any system and differ from camera names."""
     for name in names:
         if not re.fullmatch(r"[A-Za-z0-9_-]+", name):
             raise ValueError(f"{where}: an object name must consist of letters, digits, - and _, got {name!r}")
-        if match_names([name], rig.names):
-            raise ValueError(f"{where}: the object {name} has a camera's name ({', '.join(rig.names)})")
+        if match_names([name], cameras):
+            raise ValueError(f"{where}: the object {name} has a camera's name ({', '.join(cameras)})")
     by_lower_case: dict[str, str] = {}
     for name in names:
         if (other := by_lower_case.setdefault(name.lower(), name)) != name:
@@ -208,19 +222,19 @@ def _entry_name(entry: Path) -> str:
     return entry.name if entry.is_dir() else entry.stem
 
 
-def _is_camera(entry: Path, rig: Rig) -> bool:
+def _is_camera(entry: Path, cameras: Sequence[str]) -> bool:
     """Return whether an entry is named like a camera, and not merely like a frame number."""
     name = _entry_name(entry)
-    return not name.isdigit() and (name in rig.names or (entry.is_dir() and bool(match_names([name], rig.names))))
+    return not name.isdigit() and (name in cameras or (entry.is_dir() and bool(match_names([name], cameras))))
 
 
-def _find_object_folders(folder: Path, rig: Rig) -> list[Path]:
+def _find_object_folders(folder: Path, cameras: Sequence[str]) -> list[Path]:
     """Return the object folders of a mask folder; none if its entries are images or named like cameras."""
     entries = _list_mask_entries(folder)
-    matched = match_names(dict.fromkeys(map(_entry_name, entries)), rig.names, folder)
+    matched = match_names(dict.fromkeys(map(_entry_name, entries)), cameras, folder)
     others = [f for f in entries if _entry_name(f) not in matched]
     for f in (f for f in entries if f.is_dir() and f not in others):
-        if camera_like := [g.name for g in _list_mask_entries(f) if _is_camera(g, rig)]:
+        if camera_like := [g.name for g in _list_mask_entries(f) if _is_camera(g, cameras)]:
             raise ValueError(
                 f"{f}: named like camera {matched[f.name]}, but contains {', '.join(camera_like)} like an "
                 "object folder: choose a name that no camera has"
@@ -228,20 +242,22 @@ def _find_object_folders(folder: Path, rig: Rig) -> list[Path]:
     if not others or not all(f.is_dir() for f in others):
         return []
     if len(others) < len(entries):
-        cameras = ", ".join(f.name for f in entries if f not in others)
+        matching = ", ".join(f.name for f in entries if f not in others)
         raise ValueError(
-            f"{folder}: {', '.join(f.name for f in others)} is not a camera of {', '.join(rig.names)}, and "
-            f"{cameras} is not an object folder: either all must be named like cameras or all must be objects"
+            f"{folder}: {', '.join(f.name for f in others)} is not a camera of {', '.join(cameras)}, and "
+            f"{matching} is not an object folder: either all must be named like cameras or all must be objects"
         )
     return others
 
 
-def _find_object_masks(folder: Path, rig: Rig, sources: tuple[Source, ...], warnings: list[str]) -> tuple[Masks, ...]:
+def _find_object_masks(
+    folder: Path, cameras: Sequence[str], sources: tuple[Source, ...], warnings: list[str]
+) -> tuple[Masks, ...]:
     """Return one object's masks, one per camera."""
     found = _list_mask_entries(folder)
     if not found:
         raise ValueError(f"{folder}: contains no masks, neither CAMERA.png nor CAMERA/FRAME.png")
-    matched = match_all_names(dict.fromkeys(map(_entry_name, found)), rig.names, folder)
+    matched = match_all_names(dict.fromkeys(map(_entry_name, found)), cameras, folder)
     by_camera = invert_unique({entry: matched[_entry_name(entry)] for entry in found}, folder)
     return tuple(_read_masks(by_camera.get(source.camera), source, warnings) for source in sources)
 

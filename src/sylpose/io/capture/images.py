@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from PIL.BmpImagePlugin import BmpImageFile
+from PIL.ExifTags import IFD, Base
 from PIL.Image import DecompressionBombError
 from PIL.ImageFile import ImageFile
 from PIL.Jpeg2KImagePlugin import Jpeg2KImageFile
@@ -32,6 +33,8 @@ from sylpose.rig import MAX_PIXELS
 BIT_DEPTHS = (8, 10, 12, 14, 16)
 # Tag of EXIF and TIFF.
 ORIENTATION_TAG = 274
+# Diagonal of 24 x 36 mm film, to which focal lengths are converted (derived), and units of the sensor's resolution in EXIF.
+FILM_DIAGONAL_MM, FOCAL_PLANE_UNITS_MM = 43.267, {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}
 # Largest tile of a TIFF in pixels; tiles are decoded as a whole, however small the image (choice: 16 times the largest
 # in use).
 MAX_TILE_PIXELS = 2**24
@@ -115,12 +118,36 @@ def read_orientation(path: Path) -> int:
     Raises:
         OSError, ValueError: the file cannot be read.
     """
-    data = read_bytes(path, _max_file_size(MAX_PIXELS))
-    header = next((header for start, header in _HEADERS.items() if data.startswith(start)), None)
     with suppress(Exception):  # damaged bytes can raise any exception
-        value = 1 if header is None else header(BytesIO(data)).getexif().get(ORIENTATION_TAG, 1)
+        value = _open_header(path).getexif().get(ORIENTATION_TAG, 1)
         return int(value) if value in range(1, 9) else 1
     return 1
+
+
+def read_exif_focal(path: Path) -> float | None:
+    """Read the focal length from the EXIF of a photograph, pixels; None for other files and without one.
+
+    It is that of the lens's data sheet: zoom, focus and cropping change it by some percent, or more.
+
+    Raises:
+        OSError, ValueError: the file cannot be read.
+    """
+    with suppress(Exception):  # damaged bytes can raise any exception
+        image = _open_header(path)
+        exif, diagonal = image.getexif().get_ifd(IFD.Exif), float(np.hypot(*image.size))
+        if (equivalent := float(exif.get(Base.FocalLengthIn35mmFilm, 0))) > 0:
+            return equivalent * diagonal / FILM_DIAGONAL_MM
+        # Pixels of the sensor, of which the image may be a smaller version.
+        unit = FOCAL_PLANE_UNITS_MM[exif.get(Base.FocalPlaneResolutionUnit, 2)]
+        sensor = float(np.hypot(exif[Base.ExifImageWidth], exif[Base.ExifImageHeight]))
+        focal = float(exif[Base.FocalLength]) * float(exif[Base.FocalPlaneXResolution]) / unit * diagonal / sensor
+        return focal if 0 < focal < np.inf else None
+    return None
+
+
+def _open_header(path: Path) -> ImageFile:
+    data = read_bytes(path, _max_file_size(MAX_PIXELS))
+    return next(header for start, header in _HEADERS.items() if data.startswith(start))(BytesIO(data))
 
 
 def orient(image: Image, orientation: int) -> Image:

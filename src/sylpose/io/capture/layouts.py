@@ -45,7 +45,7 @@ class Layout:
     take: str = ""
 
 
-def find_layouts(folder: Path, calibration: Path | None = None) -> list[Layout]:
+def find_layouts(folder: Path, calibration: Path | None = None, is_lens: bool = False) -> list[Layout]:
     """Find the recordings in a folder: itself, its folder of videos, or each of its folders of takes.
 
     Args:
@@ -53,6 +53,7 @@ def find_layouts(folder: Path, calibration: Path | None = None) -> list[Layout]:
             EasyMocap or OpenCap.
         calibration: the calibration file; None to search it in the recording, in folders such as calibration in it, and in
             the folders above.
+        is_lens: whether that may be the file of one lens, without the cameras' names, or no file.
 
     Returns:
         by name of the take; one recording without takes if there are no videos.
@@ -72,9 +73,13 @@ def find_layouts(folder: Path, calibration: Path | None = None) -> list[Layout]:
             Layout(path, found, calibration or _find_calibration(path, found), path.name) for path, found in takes
         ]
         cameras = _read_camera_names(layouts[0].calibration)
-        # Folders with the cameras' names are no takes, unless there are files of all cameras in each.
-        of_cameras = match_names([path.name for path, _ in takes], cameras)
-        if set(of_cameras.values()) < set(cameras) or _has_all_cameras(layouts[0].sources, cameras):
+        if is_lens and len(cameras) < 2:  # two folders with a single video each are cameras
+            are_takes = sum(len(find_entries(found)) == 1 for _, found in takes) < 2
+        else:
+            # Folders with the cameras' names are no takes, unless there are files of all cameras in each.
+            of_cameras = match_names([path.name for path, _ in takes], cameras)
+            are_takes = set(of_cameras.values()) < set(cameras) or _has_all_cameras(layouts[0].sources, cameras)
+        if are_takes:
             return layouts
     return [Layout(folder, folder, calibration or _find_calibration(folder, folder))]
 

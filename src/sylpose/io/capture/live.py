@@ -253,4 +253,4 @@ def _match_sources(settings: _LiveFile, rig: Rig, file: Path) -> dict[str, int |
 def _load_static_masks(folder: Path, rig: Rig) -> dict[str, tuple[Masks, ...]]:
     if any(f.is_dir() and match_names([f.name], rig.names) for f in (*folder.glob("*"), *folder.glob("*/*"))):
         raise ValueError(f"{folder}: a live session needs one mask per camera (CAMERA.png) for all frames")
-    return find_masks(folder, rig, tuple(Source(c.name, folder, "video", c.size, 0) for c in rig))[0]
+    return find_masks(folder, rig.names, tuple(Source(c.name, folder, "video", c.size, 0) for c in rig))[0]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import warnings as python_warnings
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Collection, Generator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, fields, replace
@@ -17,21 +17,23 @@ import numpy as np
 from sylpose.frames import Box, FrameSet
 from sylpose.geometry.arrays import BoolArray, Image
 from sylpose.geometry.validation import check_list
-from sylpose.input_limits import input_errors, resolve_path
+from sylpose.input_limits import input_errors
 from sylpose.io import calibration as calibrations
-from sylpose.io.calibration.lenses import LensFile, guess_lenses, load_lenses
+from sylpose.io.calibration.lenses import Fov, LensFile, guess_lenses, load_lenses
 from sylpose.io.calibration.world import World, transform_rig
 from sylpose.io.capture.boxes import Masks, check_first_masks, find_masks, load_boxes, merge_object_names
 from sylpose.io.capture.frame_readers import CameraReader, FrameReading, check_readable
 from sylpose.io.capture.layouts import Layout, find_layouts
 from sylpose.io.capture.repetitions import RepetitionFilter
-from sylpose.io.capture.sources import RecordingFolder, Source, describe_missing_sources, find_entries
+from sylpose.io.capture.sources import RecordingFolder, Source
 from sylpose.io.capture.time_tables import find_time_table
 from sylpose.io.capture.timeline import Timeline, build_timeline
-from sylpose.rig import Rig, make_look_at_camera
+from sylpose.rig import Rig
 
 # Decoded images that a reversed recording holds at once, bytes (choice: seconds of video on usual machines).
 MAX_CHUNK_BYTES = 400_000_000
+# Field of view of cameras that are not calibrated, degrees (choice: the focal length is the image's width).
+WIDE_FOV = 53.13
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,7 +251,7 @@ def open_session(
     as_coded: bool = False,
     take: str = "",
     lenses: Sequence[LensFile] = (),
-    fov: float | None = None,
+    fov: Fov | None = None,
 ) -> Session:
     """Open a recording: a folder with one video (`cam_0.mp4`) or one image folder (`cam_0/`) per camera.
 
@@ -275,7 +277,8 @@ def open_session(
         take: the take to open, of a folder with several.
         lenses: files of the lenses, each with the name of its camera or None, in place of a calibration; all poses are
             then the identity (`load_lenses`).
-        fov: horizontal field of view of all cameras, degrees, in place of a calibration; as for `lenses`.
+        fov: horizontal field of view of all cameras, degrees, in place of a calibration, or "exif" for that of the images;
+            as for `lenses`.
 
     Returns:
         The session; its `warnings` list suspicious input.
@@ -307,7 +310,7 @@ def reopen_session(
         FileNotFoundError, ValueError: as `open_session`.
     """
     files = _InputFiles(calibration, None, None, offsets, cameras, rate, without, as_coded, "")
-    return _open_session(path, files, is_reopened=bool(without))
+    return _open_session(path, files, search=not without)
 
 
 def open_uncalibrated(
@@ -317,13 +320,14 @@ def open_uncalibrated(
     offsets: Mapping[str, int] | None = None,
     rate: float | None = None,
     without: Sequence[str] = (),
+    take: str = "",
 ) -> Session:
     """Open a recording whose cameras are not calibrated; a calibration in the folder is ignored.
 
     Args:
         path: folder with one video or image folder per camera, named like the camera.
         cameras: video or image folder by camera (relative to `path`), instead of all in the folder.
-        offsets, rate, without: as of `open_session`.
+        offsets, rate, without, take: as of `open_session`.
 
     Returns:
         The session. Its rig has names and image sizes only: focal lengths are image widths, and all poses are equal.
@@ -331,32 +335,8 @@ def open_uncalibrated(
     Raises:
         FileNotFoundError, ValueError: as `open_session`.
     """
-    path = Path(path)
-    with input_errors(path):
-        if not path.is_dir():
-            raise FileNotFoundError(f"{path}: no such folder")
-        layout = find_layouts(path, path)[0]
-        entries = cameras or {
-            entry.stem if entry.is_file() else entry.name: entry for entry in find_entries(layout.sources)
-        }
-        if not entries:
-            raise ValueError(describe_missing_sources(path))
-        names = [name for name in entries if name not in without]
-        if unknown := [name for name in without if name not in entries]:
-            raise ValueError(f"without: {unknown[0]!r} is not a camera of {path} ({', '.join(entries)})")
-        if not names:
-            raise ValueError(f"without: no camera of {path} remains")
-        files = {name: resolve_path(path / entries[name]) for name in names}
-        recording = RecordingFolder(path, path, source_by_camera=files)
-        sizes = recording.read_image_sizes(names)
-        rig = Rig([make_look_at_camera(name, np.zeros(3), (0, 0, 1), sizes[name][0], sizes[name]) for name in names])
-        sources, warnings = recording.find_sources(rig)
-        for source in sources:
-            check_readable(source)
-        table = find_time_table(layout.sources, rig.names, without)
-        timeline, timeline_warnings = build_timeline(sources, table, offsets, rate)
-        texts = (*warnings, *timeline_warnings)
-        return Session(path, rig, path, ("object",), None, texts, {}, {}, sources, timeline, without=tuple(without))
+    given = _InputFiles(Path(path), None, None, offsets or {}, cameras or {}, rate, without, False, take, (), WIDE_FOV)
+    return _open_session(Path(path), given, search=False)
 
 
 class _InputFiles(NamedTuple):
@@ -372,10 +352,16 @@ class _InputFiles(NamedTuple):
     as_coded: bool
     take: str
     lenses: Sequence[LensFile] = ()
-    fov: float | None = None
+    fov: Fov | None = None
+
+    @property
+    def has_lenses(self) -> bool:
+        """Whether there are lenses in place of a calibration."""
+        return bool(self.lenses) or self.fov is not None
 
 
-def _open_session(path: Path, given: _InputFiles, is_reopened: bool = False) -> Session:
+def _open_session(path: Path, given: _InputFiles, search: bool = True) -> Session:
+    """Open a session; without `search`, as of earlier: excluded cameras are not in the calibration, and no boxes used."""
     with input_errors(path):
         if not path.exists():
             raise FileNotFoundError(f"{path}: no such folder")
@@ -383,26 +369,17 @@ def _open_session(path: Path, given: _InputFiles, is_reopened: bool = False) -> 
             raise ValueError(f"{path}: a folder with one video or image folder per camera is expected, not a file")
         layout = _find_layout(path, given)
         path, calibration = layout.path, layout.calibration
-        boxes, masks = find_boxes_and_masks(path, given.boxes, given.masks, search=not is_reopened)
+        boxes, masks = find_boxes_and_masks(path, given.boxes, given.masks, search)
         others = [masks] if masks else []
         take = "" if layout.take else given.take
         recording = RecordingFolder(
             layout.sources, calibration, others, given.cameras, given.without, given.as_coded, take
         )
-        if uses_lenses := bool(given.lenses) or given.fov is not None:
-            entries = find_entries(layout.sources)
-            names = [*given.cameras] or [entry.name if entry.is_dir() else entry.stem for entry in entries]
-            if unknown := [name for name in given.without if name not in names]:
-                raise ValueError(f"without: {unknown[0]!r} is not a camera of {path} ({', '.join(names)})")
-            names = [name for name in names if name not in given.without]
-            if given.fov is None:
-                full_rig = load_lenses(given.lenses, names, recording.read_image_sizes)
-            else:
-                full_rig = guess_lenses(given.fov, names, recording.read_image_sizes)
+        if given.has_lenses:
+            rig = _load_lenses(recording, given)
         else:
-            full_rig = calibrations.load(calibration, recording.read_image_sizes)
-        without = [name for name in given.without if not uses_lenses or name in full_rig.names]
-        rig = full_rig if is_reopened else _exclude_cameras(full_rig, without, calibration)
+            rig = calibrations.load(calibration, recording.read_image_sizes)
+            rig = rig.subset(_keep_cameras(rig.names, given.without, calibration.name)) if search else rig
         sources, warnings = recording.find_sources(rig)
         for source in sources:
             check_readable(source)
@@ -410,13 +387,12 @@ def _open_session(path: Path, given: _InputFiles, is_reopened: bool = False) -> 
         tables = (find_time_table(place, rig.names, given.without) for place in places)
         table = next((table for table in tables if table is not None), None)
         timeline, timeline_warnings = build_timeline(sources, table, given.offsets, given.rate)
-        by_object, mask_warnings = ({}, []) if masks is None else find_masks(masks, full_rig, sources)
+        by_object, mask_warnings = (
+            ({}, []) if masks is None else find_masks(masks, [*rig.names, *given.without], sources)
+        )
         for camera_masks in by_object.values():
             check_first_masks(camera_masks, sources, timeline.frames)
-        object_boxes = {
-            name: {camera: box for camera, box in by_camera.items() if camera in rig.names}
-            for name, by_camera in ({} if boxes is None else load_boxes(boxes, full_rig)).items()
-        }
+        object_boxes = {} if boxes is None else load_boxes(boxes, rig, given.without)
         return Session(
             path=path,
             rig=rig,
@@ -445,7 +421,7 @@ def _find_layout(path: Path, given: _InputFiles) -> Layout:
     calibration = None if given.calibration is None else Path(given.calibration)
     if given.cameras:  # relative to the folder
         return Layout(path, path, calibration or calibrations.find(path))
-    layouts = find_layouts(path, calibration)
+    layouts = find_layouts(path, calibration, given.has_lenses)
     if len(layouts) == 1 and given.take in ("", layouts[0].take):
         return layouts[0]
     names = [layout.take for layout in layouts]
@@ -466,19 +442,35 @@ def find_boxes_and_masks(
     return boxes and Path(boxes), masks and Path(masks)
 
 
-def _exclude_cameras(rig: Rig, without: Sequence[str], calibration: Path) -> Rig:
-    """Return the rig without the excluded cameras.
+def _load_lenses(recording: RecordingFolder, given: _InputFiles) -> Rig:
+    """Load the lenses of the cameras that are not excluded; these have the names of their sources, or of the lenses.
+
+    Raises:
+        ValueError: as `load_lenses`, `guess_lenses` and `_keep_cameras`.
+    """
+    found, sizes = recording.list_cameras(), recording.read_image_sizes
+    names = _keep_cameras(found, [name for name in given.without if name in found], recording.path)
+    if given.fov is None:
+        rig = load_lenses(given.lenses, names, sizes)
+    else:
+        rig = guess_lenses(given.fov, names, sizes, recording.read_focal_lengths)
+    kept = _keep_cameras(dict.fromkeys([*found, *rig.names]), given.without, recording.path)
+    return rig.subset([name for name in rig.names if name in kept])
+
+
+def _keep_cameras(names: Collection[str], without: Sequence[str], where: Path | str) -> list[str]:
+    """Return the names that are not excluded.
 
     Raises:
         ValueError: an unknown camera, or no camera remains.
     """
     without = check_list(without, str, "without")
-    if unknown := [name for name in without if name not in rig.names]:
-        raise ValueError(f"without: {unknown[0]!r} is not a camera of {calibration.name} ({', '.join(rig.names)})")
-    kept = [name for name in rig.names if name not in without]
+    if unknown := [name for name in without if name not in names]:
+        raise ValueError(f"without: {unknown[0]!r} is not a camera of {where} ({', '.join(names)})")
+    kept = [name for name in names if name not in without]
     if not kept:
-        raise ValueError(f"without: no camera of {calibration.name} remains")
-    return rig.subset(kept) if without else rig
+        raise ValueError(f"without: no camera of {where} remains")
+    return kept
 
 
 @dataclass(frozen=True, eq=False)

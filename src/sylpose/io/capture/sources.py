@@ -19,7 +19,7 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.input_limits import UnreadableFileError, resolve_path
 from sylpose.io.calibration.files import is_calibration_name
 from sylpose.io.capture.image_sizes import describe_size_mismatch
-from sylpose.io.capture.images import read_image, read_image_size, read_orientation
+from sylpose.io.capture.images import read_exif_focal, read_image, read_image_size, read_orientation
 from sylpose.io.capture.names import (
     IMAGE_SUFFIXES,
     has_images,
@@ -143,6 +143,35 @@ class RecordingFolder:
         warnings: list[str] = []
         return tuple(_probe(by_camera[camera.name], camera, warnings, self.as_coded) for camera in rig), warnings
 
+    def list_cameras(self) -> list[str]:
+        """List the cameras, excluded ones too, where no calibration names them: sources given, or all by their names.
+
+        Raises:
+            ValueError: no sources, or several takes of each camera.
+        """
+        return [*self.source_by_camera] or [*dict.fromkeys((self._find_entries() or self._select_folders()).values())]
+
+    def read_focal_lengths(self, cameras: Sequence[str]) -> dict[str, float]:
+        """Read the focal lengths of cameras from the EXIF of their first images.
+
+        Returns:
+            pixels, by camera.
+
+        Raises:
+            FileNotFoundError: as `find_sources`.
+            ValueError: as `find_sources`, or naming a camera without.
+        """
+        focal = {
+            name: read_exif_focal(image_files(entry)[0]) if entry.is_dir() else None
+            for name, entry in self._match_entries(cameras).items()
+        }
+        if missing := [name for name, its in focal.items() if its is None]:
+            raise ValueError(
+                f"fov: no focal length in the EXIF of {', '.join(missing)} (only photographs have one, videos do not): give "
+                "the horizontal field of view in degrees"
+            )
+        return {name: its for name, its in focal.items() if its is not None}
+
     def read_image_sizes(self, cameras: Sequence[str]) -> dict[str, tuple[int, int]]:
         """Read the image sizes of cameras whose calibration does not contain them.
 
@@ -162,13 +191,11 @@ class RecordingFolder:
         """Return the video or image folder of each camera, without those of excluded cameras."""
         path, by_camera = self.path, self._resolve_given(cameras)
         unassigned = [name for name in cameras if name not in by_camera]
-        others = {resolve_path(folder) for folder in (*self.other_folders, *by_camera.values())}
-        found = [entry for entry in find_entries(path, (*cameras, *self.without)) if resolve_path(entry) not in others]
-        names = {entry: entry.name if entry.is_dir() else entry.stem for entry in found}
-        if not found and unassigned:
-            found, names = self._select_folders()
-        selected = self._select_take(names, unassigned)
-        found, names = [entry for entry in found if entry in selected], selected
+        names = self._find_entries((*cameras, *self.without), by_camera.values())
+        if not names and unassigned:
+            names = self._select_folders()
+        names = self._select_take(names, unassigned)
+        found = [*names]
         try:
             matched = match_names(dict.fromkeys(names.values()), [*unassigned, *self.without])
         except ValueError as error:
@@ -196,15 +223,20 @@ class RecordingFolder:
             )
         return by_camera
 
-    def _select_folders(self) -> tuple[list[Path], dict[Path, str]]:
+    def _find_entries(self, cameras: Sequence[str] = (), given: Collection[Path] = ()) -> dict[Path, str]:
+        """Return the videos and image folders with their names, without folders of other content and given ones."""
+        others = {resolve_path(folder) for folder in (*self.other_folders, *given)}
+        found = [entry for entry in find_entries(self.path, cameras) if resolve_path(entry) not in others]
+        return {entry: entry.name if entry.is_dir() else entry.stem for entry in found}
+
+    def _select_folders(self) -> dict[Path, str]:
         """Return the video in each camera's folder, of the selected take, and the folder's name."""
         folders = find_camera_folders(self.path)
         if not folders:
             raise ValueError(describe_missing_sources(self.path))
         takes = list_folder_takes(folders)
         if not takes and all(len(files) == 1 for files in folders.values()):
-            names = {files[0]: name for name, files in folders.items()}
-            return list(names), names
+            return {files[0]: name for name, files in folders.items()}
         if not takes:
             name, files = max(folders.items(), key=lambda item: len(item[1]))
             listed = ", ".join(file.name for file in files[:4])
@@ -213,8 +245,7 @@ class RecordingFolder:
                 "have: parts of one recording? Join those of each camera (ffmpeg -f concat), or keep one in each folder"
             )
         take = takes[0] if len(takes) == 1 and not self.take else self._check_take(takes)
-        names = {file: name for name, files in folders.items() for file in files if file.stem == take}
-        return list(names), names
+        return {file: name for name, files in folders.items() for file in files if file.stem == take}
 
     def _select_take(self, names: dict[Path, str], cameras: Sequence[str]) -> dict[Path, str]:
         """Return the files of the selected take with the camera's part of their names, if there are several takes."""
