@@ -170,13 +170,9 @@ def _calibrate_without_board(options: CalibrateOptions) -> None:
     from sylpose.atomic_io import make_output_folder
     from sylpose.runs import console_output
     from sylpose.runs.calibration_page import write_motion_calibration
-    from sylpose.sync.offsets import find_offsets
 
     file, session, console = options.file, options.open_with_lenses(), console_output.make_console()
     make_output_folder(file.parent)
-    console.print(console_output.format_headline(session))
-    console_output.print_warnings(console, session.warnings)
-    console_output.print_offsets(console, find_offsets(session, options.offsets))
     _, found = calibrate_recording(session, options, console)
     files, lost = write_motion_calibration(found, file, session.path.resolve().name)
     console_output.print_files(console, "Files", files)

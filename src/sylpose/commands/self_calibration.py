@@ -70,7 +70,7 @@ class SelfCalibrationOptions(WorldOptions, RangeOptions):
 def calibrate_recording(
     session: Session, options: SelfCalibrationOptions, console: Console
 ) -> tuple[Session, MotionCalibration]:
-    """Calibrate a recording's cameras from the object that moves in it, and print progress and result.
+    """Calibrate a recording's cameras from the object that moves in it, and print the recording, progress and result.
 
     All options are checked before the calibration, which takes minutes.
 
@@ -91,6 +91,7 @@ def calibrate_recording(
     from sylpose.rig_calibration.from_motion import locate
     from sylpose.rig_calibration.relative_motions import MotionRefusedError
     from sylpose.rig_calibration.result import CalibrationRefusedError
+    from sylpose.runs import console_output
     from sylpose.runs import self_calibration as runs
     from sylpose.runs.precompile import compile_with_progress
     from sylpose.runs.world import check_world
@@ -103,6 +104,9 @@ def calibrate_recording(
     free = runs.parse_free(options.free)
     free = free if options.fov is None else (*free, "fov")
     offsets = find_offsets(session, options.offsets)
+    console.print(console_output.format_headline(session))
+    console_output.print_warnings(console, session.warnings)
+    console_output.print_offsets(console, offsets)
     compile_with_progress(console)
     n_frames = len(range(options.start, min(options.stop or session.n_frames, session.n_frames)))
     try:

@@ -187,7 +187,10 @@ def _set_scale(found: MotionCalibration, scale: KnownLength, unit: str) -> Motio
     if scale.cameras is not None:
         for name in scale.cameras:
             if name not in rig:
-                raise ValueError(f"--distance: {name} was left out: {found.left_out.get(name, 'not a camera')}")
+                reason = found.left_out.get(name, "not a camera")
+                raise ValueError(
+                    f"--distance: {name} was left out: {reason}; give the distance of two of {', '.join(rig.names)}"
+                )
         first, second = (rig[name].center for name in scale.cameras)
         measured, sd = float(np.linalg.norm(first - second)), 0.0
     factor = scale.length / measured
@@ -220,7 +223,7 @@ def list_warnings(found: MotionCalibration) -> list[str]:
     if not found.calibration.rig.unit:
         warnings.append(
             "the scale is unknown: give the distance of two cameras (--distance CAM:CAM=1.52m) or the object's longest "
-            "extent (--object-length 0.25m)"
+            "extent (--object-length 0.25m), or throw it (--throw)"
         )
     return warnings
 
