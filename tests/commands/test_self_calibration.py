@@ -213,7 +213,9 @@ def test_track_calibrates_and_tracks_on(tumbling: Path, tmp_path: Path, capsys: 
             squares.append(float(w @ np.linalg.solve(frame.covariance[:3, :3], w)) / 3.0)
     assert len(squares) > 0.9 * FRAMES
     assert np.mean(squares) < 4.0
-    assert "self_calibrate = true" in (out / "settings.toml").read_text()
+    settings = (out / "settings.toml").read_text()
+    assert "self_calibrate = true" in settings
+    assert f'calibration = "{out / "calibration.estimated.toml"}"' in settings
     assert "<svg" in (out / "calibration.estimated.html").read_text()
     assert (out / "calibration.toml").read_text() == "of a user, or of an earlier run"
     assert not (out / "earlier_results").exists()

@@ -183,7 +183,7 @@ def test_time_offset_is_found() -> None:
     assert offset == pytest.approx(2.0, abs=0.2)
     assert ratio < 0.5
     assert find_time_offset(*tracks)[0] == 0.0
-    assert "frames late: synchronize the cameras" in refusal([tracks[0], late])
+    assert "2.1 frames late: shift it with --frame-offset cam_1=-2" in refusal([tracks[0], late])
 
 
 def test_depth_reversed_track_is_found() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
 from sylpose.commands.app import ADVANCED, INPUT, LIVE, OBJECT, OUTPUT, command, exit_with_failures, option, pick
@@ -151,7 +151,7 @@ class TrackOptions(SelfCalibrationOptions, DisplayOptions, MethodOptions, Record
             files, _ = write_motion_calibration(found, folder / ESTIMATED[0], session.path.resolve().name)
         console_output.print_files(console, "Calibration", files)
         console.print()
-        return session, found.covariance
+        return replace(session, calibration=files[0]), found.covariance
 
     def run_options(
         self, session: Session | LiveSession, calibration_covariance: FloatArray | None = None

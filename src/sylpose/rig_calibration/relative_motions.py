@@ -302,7 +302,7 @@ def _check_times(tracks: Sequence[CameraTrack], tests: list[MotionTest]) -> None
             shift == 0.0 or ratio > MAX_SHIFT_RATIO,
             f"{shift:+.1f} frames",
             "none",
-            f"{found}shift it with --frame-offset {track.name}={-round(shift)}, or set its delay with --offsets FILE",
+            f"{found}shift it with --frame-offset {track.name}={-round(shift) or 'N'}, or set its delay with --offsets FILE",
         )
 
 
