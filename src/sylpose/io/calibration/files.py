@@ -67,7 +67,8 @@ def find(folder: str | os.PathLike[str]) -> Path:
         hint = f"; to use {nested}, pass it by --calibration, with the folder of the videos" if nested else ""
         raise ValueError(
             f"{folder}: no calibration in it; expected one such as calibration.toml, camera_array.toml, "
-            "calibration.yml, .json or .xml, or a file of another program (camchain.yaml, intri.yml, take.xcp)"
+            "calibration.yml, .json or .xml, or a file of another program (camchain.yaml, intri.yml, take.xcp), or make one "
+            "by sylpose calibrate"
             f"{hint}"
         )
     if len(found) > 1:
