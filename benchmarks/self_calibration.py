@@ -4,9 +4,10 @@
 
 Prints for each recording the errors of the worst camera in degrees and in percent of the distance to the object (after
 fitting the scale), its stated standard deviations, the largest error of any component in standard deviations, and what
-was left out or refused; then for each kind the share of accepted recordings, and of cameras within three standard
-deviations; and at last what matters over all: accepted rigs beyond a degree, sound recordings that were refused, motions
-that were accepted though they do not determine the rig. Kinds `small/...` have small images and few frames.
+was left out or refused; then for each kind the share of accepted recordings, of cameras within three standard deviations,
+and the mean of squared errors over variances; and at last what matters over all: accepted rigs beyond a degree, sound
+recordings that were refused, motions that were accepted though they do not determine
+the rig. Kinds `small/...` have small images and few frames.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ class Outcome:
     Attributes:
         name, kind: of the recording's kind.
         refusal: the test that failed, with its value; "" if the rig was accepted.
-        errors: (C - 1, 5) as of `measure_errors`.
+        errors: (C - 1, 6) as of `measure_errors`.
         remark: noise of the cameras together, those left out, what was estimated.
     """
 
@@ -76,7 +77,10 @@ def load_tracks(name: str, kind: Kind, seed: int, folder: Path | None) -> Tracke
 
 
 def measure_errors(found: MotionCalibration, truth: Rig, distance: float) -> np.ndarray:
-    """Return (C - 1, 5) errors of all cameras but the first: degrees and their sd, percent and their sd, worst z."""
+    """Return (C - 1, 6) errors of all cameras but the first.
+
+    Degrees and their standard deviation, percent and theirs, the worst component in standard deviations, mean square.
+    """
     rig, first = found.calibration.rig, truth[found.calibration.rig[0].name].camera_from_world
     true_poses = [truth[camera.name].camera_from_world * first.inv() for camera in rig]
     expected, centers = np.array([p.inv().translation for p in true_poses]), np.array([c.center for c in rig])
@@ -92,9 +96,8 @@ def measure_errors(found: MotionCalibration, truth: Rig, distance: float) -> np.
         z = np.abs(np.concatenate([w, d])) / np.sqrt(np.diag(covariance))
         sds = np.sqrt(np.trace(covariance[:3, :3])), np.sqrt(np.trace(place_covariance))
         share = 100.0 * scale / distance
-        rows.append(
-            [np.degrees(np.linalg.norm(w)), np.degrees(sds[0]), share * np.linalg.norm(place), share * sds[1], z.max()]
-        )
+        rotation = np.degrees(np.linalg.norm(w)), np.degrees(sds[0])
+        rows.append([*rotation, share * np.linalg.norm(place), share * sds[1], z.max(), (z**2).mean()])
     return np.array(rows)
 
 
@@ -104,7 +107,7 @@ def run_recording(name: str, kind: Kind, tracked: Tracked) -> Outcome:
     try:
         found = calibrate_from_motion(cameras, tracks, kind.free)
     except MotionRefusedError as error:
-        return Outcome(name, kind, f"{error.tests[-1].name}, {error.tests[-1].value}", np.zeros((0, 5)), "")
+        return Outcome(name, kind, f"{error.tests[-1].name}, {error.tests[-1].value}", np.zeros((0, 6)), "")
     noise = next(test.value.split()[0] for test in found.tests if test.name.startswith("noise"))
     estimated = ["instants" for warning in found.calibration.warnings if "instants" in warning]
     remark = "; ".join([f"noise {noise}", *found.left_out, *found.freed, *estimated])
@@ -128,6 +131,8 @@ def summarize(outcomes: list[Outcome]) -> str:
     if accepted:
         z = np.concatenate([outcome.errors[:, 4] for outcome in accepted])
         parts.append(f"{np.mean(z < SOUND_SDS):.1%} of {len(z)} cameras within {SOUND_SDS:g} sd")
+        squares = np.concatenate([outcome.errors[:, 5] for outcome in accepted])
+        parts.append(f"squared errors over variances {squares.mean():.2f}")
     parts.append(f"{sum(outcome.is_wrong for outcome in outcomes)} beyond {WRONG_DEG:g} degree")
     sound = [outcome for outcome in outcomes if outcome.kind.expected == "accepted"]
     parts.append(f"{sum(bool(outcome.refusal) for outcome in sound)} of {len(sound)} sound ones refused")

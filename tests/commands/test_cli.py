@@ -425,6 +425,8 @@ def test_track_session_from_python(recording: Path, tmp_path: Path) -> None:
         track_session(open_session(recording), tmp_path, RunOptions(method="magic"))
     with pytest.raises(ValueError, match="start"):
         track_session(open_session(recording), tmp_path / "new", RunOptions(start=99))
+    with pytest.raises(ValueError, match="calibration_covariance"):
+        track_session(open_session(recording), tmp_path / "new", RunOptions(calibration_covariance=np.eye(10)))
     assert not (tmp_path / "new").exists()
 
 

@@ -115,7 +115,7 @@ def test_delays_are_estimated() -> None:
     # A delay of all cameras is a motion of the object.
     delays, expected = (values - values.mean(axis=1, keepdims=True) for values in (delays, expected))
     assert np.abs(delays - expected)[2:-2].max() < 0.1 * np.abs(expected).max()
-    moved = move_to_frames(late, NUMBERS, times, instants_of_late, joint)
+    moved = move_to_frames(late, RIG.cameras, NUMBERS, times, instants_of_late, joint)
     for c, its in enumerate(moved):
         exact = observe_exactly(c, times, its.landmarks).observations.image
         np.testing.assert_allclose(its.observations.image[80:-80], exact[80:-80], atol=2e-4)

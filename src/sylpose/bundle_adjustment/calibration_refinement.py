@@ -20,6 +20,8 @@ from sylpose.rig import Camera, Rig
 
 # Lens parameters of a camera: relative focal length; principal point, pixels; first radial coefficient (derived).
 N_LENS_PARAMETERS = 4
+# Parameters of a camera in a covariance: rotation, center, lens (derived).
+N_CAMERA_PARAMETERS = 6 + N_LENS_PARAMETERS
 # Typical calibration errors, one standard deviation: degrees; fraction of the cameras' distance from each other;
 # fraction of the focal length; pixels; and of the radial coefficient (choice: from reports of users of Anipose and
 # Caliscope).
@@ -33,6 +35,10 @@ MOVED_ROTATION_SD_DEG, MOVED_TRANSLATION_RATIO = 5.0, 0.03
 NEAR_EXACT_SCALE = 1e-9
 # Finite difference steps of the lens parameters, in their units, and of the normalized point (choice).
 LENS_STEPS, POINT_STEP = np.array([1e-4, 1e-1, 1e-1, 1e-4]), 1e-4
+
+
+class ImplausibleLensError(ValueError):
+    """Error for an estimate of a lens that no camera has: the estimation diverged."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,7 +221,10 @@ def _correct_lens(camera: Camera, lens: FloatArray) -> Camera:
     matrix[[0, 1], [0, 1]] *= 1.0 + lens[0]
     matrix[:2, 2] += lens[1:3]
     distortion[0] += lens[3]
-    return replace(camera, matrix=matrix, distortion=distortion)
+    try:
+        return replace(camera, matrix=matrix, distortion=distortion)
+    except ValueError as error:
+        raise ImplausibleLensError(str(error)) from error
 
 
 def linearize_lenses(

@@ -12,16 +12,26 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sylpose.bundle_adjustment.calibration_refinement import N_LENS_PARAMETERS
+from sylpose.bundle_adjustment.calibration_refinement import (
+    N_CAMERA_PARAMETERS,
+    N_LENS_PARAMETERS,
+    ImplausibleLensError,
+)
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.rig import Camera, Rig
 from sylpose.rig_calibration.camera_tracks import RefinedTrack
 from sylpose.rig_calibration.free_flight import FreeFlight
 from sylpose.rig_calibration.instants import collect_instants, estimate_delays, move_to_frames, synchronize_tracks
+from sylpose.rig_calibration.lens_errors import (
+    LENS_WORDS,
+    compute_consider_covariance,
+    find_wrong_parameters,
+    measure_lens_errors,
+)
 from sylpose.rig_calibration.motion_bundle import (
     FIXED_SD,
-    N_CAMERA_PARAMETERS,
+    LENS_COLUMNS,
     JointBundle,
     bundle_jointly,
     make_lens_prior,
@@ -41,11 +51,9 @@ from sylpose.status import Status
 # there, up to 1.4 for sound webcams, from 2.7 for a wrong track); share of the inliers of its own track that must remain
 # (choice).
 CLEAR_NOISE_RATIO, MAX_NOISE_RATIO, MIN_INLIER_RATIO = 1.1, 1.5, 0.8
-# Rounds of instants and refinement at most, and the relative change of the noise that ends them (choice).
+# Rounds of instants and refinement at most, and the relative decrease of the noise below which a round is discarded as
+# the last (choice).
 MAX_INSTANT_ROUNDS, NOISE_TOLERANCE = 6, 0.02
-# Focal lengths are estimated if one differs by so many standard deviations from that given (choice: more than three,
-# since standard deviations are up to 1.5 times too small).
-FOCAL_SDS = 5.0
 # A parameter of a lens whose standard deviation exceeds this share of its prior's is not determined (choice: the motion has
 # as much information as the prior).
 MAX_LENS_SD_RATIO = 0.7
@@ -115,7 +123,7 @@ def calibrate_from_motion(
     known = [camera for camera, its in zip(cameras, tracks, strict=True) if its is not None]
     recording = _Recording(known, observed, synchronize_tracks(observed) if observed else [], is_timed)
     found = _calibrate_consistent(recording, tuple(free))
-    joint, warnings = found.fit.joint, [*found.fit.warnings, *found.admitted]
+    joint, warnings = found.fit.joint, [*found.warnings]
     noisy = int(np.argmax(joint.noise_ratio))
     if joint.noise_ratio[noisy] > CLEAR_NOISE_RATIO:
         warnings.append(
@@ -132,13 +140,13 @@ def calibrate_from_motion(
         )
     used = recording.select_observed(found.start)
     return MotionCalibration(
-        _make_calibration(joint, used, found.fit.freed, warnings),
+        _make_calibration(found.fit, used, warnings),
         found.tests,
         {**left_out, **found.start.left_out},
         joint.distance,
         joint.object_length,
         found.fit.freed,
-        joint.covariance,
+        found.fit.covariance,
         joint.coverage,
         halves,
         np.nanmean(collect_instants(used, found.start.frames), axis=1),
@@ -169,9 +177,18 @@ class _Recording:
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """Joint refinement of tracks, with what was estimated besides the extrinsics: of the lenses, and in words."""
+    """Joint refinement of tracks.
+
+    Attributes:
+        joint: the refinement; its covariance is that for exact lenses, but for what is estimated of them.
+        covariance: as that, with possible errors of the lenses.
+        tracks: at common instants.
+        freed: what is estimated of the lenses.
+        warnings: what was estimated besides the extrinsics.
+    """
 
     joint: JointBundle
+    covariance: FloatArray
     tracks: tuple[RefinedTrack, ...]
     freed: tuple[str, ...]
     warnings: tuple[str, ...]
@@ -179,12 +196,12 @@ class _Fit:
 
 @dataclass(frozen=True, eq=False)
 class _Consistent:
-    """Calibration of cameras that agree, with the tests passed, and who was admitted at last, in words."""
+    """Calibration of cameras that agree, with the tests passed, and what was done to reach it, in words."""
 
     start: RelativeExtrinsics
     fit: _Fit
     tests: tuple[MotionTest, ...]
-    admitted: tuple[str, ...]
+    warnings: tuple[str, ...]
 
 
 def _calibrate_consistent(recording: _Recording, free: tuple[str, ...]) -> _Consistent:
@@ -193,28 +210,32 @@ def _calibrate_consistent(recording: _Recording, free: tuple[str, ...]) -> _Cons
     Raises:
         MotionRefusedError: no two cameras pass; the error is that of all cameras together.
     """
-    excluded, refusal = dict[str, str](), None
+    excluded, refusal, remarks = dict[str, str](), None, tuple[str, ...]()
     while True:
-        joint = None
+        fit, joint = None, None
         try:
             start = _relate_cameras(recording, excluded)
             tests, fit = [*start.tests], _fit(recording, start, free)
             joint = None if fit is None else fit.joint
-            _test_consistency(joint, tests)
+            _test_consistency(joint, [*tests])
             assert fit is not None
             start, fit, admitted = _admit_cameras(recording, start, fit, free)
             joint = fit.joint
+            _test_consistency(joint, tests)
             _test_uncertainty(joint, tests)
         except MotionRefusedError as error:
             refusal = refusal or error
             if joint is None or len(joint.rig) < 3:
                 raise refusal from None
+            if fit is not None and error.tests[-1].name.startswith("uncertainty"):
+                # Fewer cameras may not reveal what is wrong with the lenses.
+                free, remarks = fit.freed, (*remarks, *fit.warnings)
             name = joint.rig[find_least_consistent(joint)].name
             if name in excluded:  # and admitted again
                 raise refusal from None
             excluded[name] = f"it contradicts the others ({error.tests[-1].name}: {error.tests[-1].value})"
         else:
-            return _Consistent(start, fit, tuple(tests), admitted)
+            return _Consistent(start, fit, tuple(tests), tuple(dict.fromkeys((*remarks, *fit.warnings, *admitted))))
 
 
 def _admit_cameras(
@@ -294,32 +315,46 @@ def _fit(recording: _Recording, start: RelativeExtrinsics, free: tuple[str, ...]
 def _fit_lenses(
     cameras: Sequence[Camera], tracks: Sequence[RefinedTrack], start: RelativeExtrinsics, free: tuple[str, ...]
 ) -> _Fit | None:
-    """Refine; also the focal lengths, if the motion contradicts them."""
+    """Refine; also those parameters of the lenses that the motion contradicts."""
+    warnings = list[str]()
+    while True:
+        uncertain = _bundle(cameras, tracks, start, free, is_exact=False)
+        errors = None if uncertain is None else measure_lens_errors(cameras, uncertain, free)
+        wrong = {} if errors is None else dict(find_wrong_parameters([its.name for its in cameras], errors))
+        if not wrong:
+            break
+        free = (*free, *wrong)
+        warnings += wrong.values()
     joint = _bundle(cameras, tracks, start, free)
-    if not {"focal", "fov"} & {*free}:
-        other = _bundle(cameras, tracks, start, (*free, "focal"))
-        if other is not None and (change := _describe_focal_change(cameras, other)):
-            warning = f"focal lengths were estimated, since the motion contradicts those given: {change}"
-            return _Fit(other, tuple(tracks), (*free, "focal"), (warning,))
-    return None if joint is None else _Fit(joint, tuple(tracks), free, ())
+    if joint is None:
+        return None
+    covariance = joint.covariance
+    if errors is not None:
+        covariance = covariance + compute_consider_covariance(errors)
+    else:
+        warnings.append("standard deviations do not include errors of the lenses: their refinement did not converge")
+    return _Fit(joint, covariance, tuple(tracks), free, tuple(warnings))
 
 
 def _fit_instants(
     recording: _Recording, start: RelativeExtrinsics, free: tuple[str, ...], joint: JointBundle
 ) -> _Fit | None:
-    """Refine with instants of all images that are estimated as well, from a refinement at the time stamps."""
+    """Refine with instants of all images that are estimated as well, from a refinement at the time stamps.
+
+    None if the noise does not fall.
+    """
     cameras, tracks = [recording.cameras[k] for k in start.cameras], recording.select_observed(start)
     stamps = collect_instants(tracks, start.frames)
     times, instants, moved = np.nanmean(stamps, axis=1), stamps, tracks
     for _ in range(MAX_INSTANT_ROUNDS):
-        instants = instants + estimate_delays(joint, times)
-        moved = move_to_frames(tracks, start.frames, times, instants, joint)
-        previous, refined = joint, _bundle(cameras, moved, start, free)
-        if refined is None:
-            return None
-        joint = refined
-        if joint.worst_noise_ratio > (1.0 - NOISE_TOLERANCE) * previous.worst_noise_ratio:
+        later = instants + estimate_delays(joint, times)
+        trial = move_to_frames(tracks, cameras, start.frames, times, later, joint)
+        refined = _bundle(cameras, trial, start, free)
+        if refined is None or refined.worst_noise_ratio > (1.0 - NOISE_TOLERANCE) * joint.worst_noise_ratio:
             break
+        joint, instants, moved = refined, later, trial
+    if moved is tracks:
+        return None
     fit = _fit_lenses(cameras, moved, start, free)
     if fit is None:
         return None
@@ -334,12 +369,17 @@ def _fit_instants(
 
 
 def _bundle(
-    cameras: Sequence[Camera], tracks: Sequence[RefinedTrack], start: RelativeExtrinsics, free: Sequence[str]
+    cameras: Sequence[Camera],
+    tracks: Sequence[RefinedTrack],
+    start: RelativeExtrinsics,
+    free: Sequence[str],
+    *,
+    is_exact: bool = True,
 ) -> JointBundle | None:
     """Refine jointly; None if that does not converge."""
     try:
-        joint = bundle_jointly(cameras, tracks, start, free)
-    except ValueError:  # a lens became implausible
+        joint = bundle_jointly(cameras, tracks, start, free, is_exact=is_exact)
+    except (ImplausibleLensError, np.linalg.LinAlgError):
         return None
     return joint if joint.status is Status.OK else None
 
@@ -377,16 +417,6 @@ def _compare_halves(recording: _Recording, found: _Consistent, joint: JointBundl
     w[0], position = 0.0, np.linalg.norm(a - b, axis=1)
     position[0] = 0.0
     return HalvesTest(np.linalg.norm(w, axis=1), position, np.full(len(w), np.nan), ratio, is_significant)
-
-
-def _describe_focal_change(cameras: Sequence[Camera], joint: JointBundle) -> str:
-    """Describe the focal length that differs most from that given; "" if none does."""
-    sds = np.sqrt(np.diag(joint.covariance)[6::N_CAMERA_PARAMETERS])
-    changes = np.array([after.focal / before.focal - 1.0 for after, before in zip(joint.rig, cameras, strict=True)])
-    worst = int(np.argmax(np.abs(changes) / sds))
-    if not abs(changes[worst]) > FOCAL_SDS * sds[worst]:
-        return ""
-    return f"{joint.rig[worst].name} by {100 * changes[worst]:+.2g} ± {100 * sds[worst]:.1g} %"
 
 
 def measure_worst_sds(joint: JointBundle) -> tuple[FloatArray, FloatArray]:
@@ -562,21 +592,19 @@ def locate(found: MotionCalibration, rig: Rig) -> MotionCalibration:
     )
 
 
-def _make_calibration(
-    joint: JointBundle, tracks: Sequence[RefinedTrack], freed: Sequence[str], warnings: Sequence[str]
-) -> RigCalibration:
+def _make_calibration(fit: _Fit, tracks: Sequence[RefinedTrack], warnings: Sequence[str]) -> RigCalibration:
     """Make the calibration, with covariances in the conventions of `RigCalibration`."""
-    lenses = []
+    joint, freed, lenses = fit.joint, fit.freed, list[FloatArray]()
     for c, camera in enumerate(joint.rig):
         lens = slice(c * N_CAMERA_PARAMETERS + 6, (c + 1) * N_CAMERA_PARAMETERS)
         L = np.zeros((4 + len(camera.distortion), N_LENS_PARAMETERS))
         L[[0, 1], 0] = camera.matrix[[0, 1], [0, 1]]
         L[[2, 3, 4], [1, 2, 3]] = 1.0
         L[:, make_lens_prior(camera, freed) <= FIXED_SD * camera.size[0]] = 0.0
-        lenses.append(L @ joint.covariance[lens, lens] @ L.T)
+        lenses.append(L @ fit.covariance[lens, lens] @ L.T)
     views = np.array([len(its.track.frames) for its in tracks])
     rms = np.sqrt(2.0) * joint.sigma_px
-    extrinsics = _extrinsics_covariance(joint.rig, joint.covariance)
+    extrinsics = _extrinsics_covariance(joint.rig, fit.covariance)
     unobservable = tuple(find_unobservable(joint, freed))
     return RigCalibration(
         joint.rig, extrinsics, tuple(lenses), views, joint.n_points, rms, unobservable, tuple(warnings)
@@ -589,8 +617,7 @@ def find_unobservable(joint: JointBundle, freed: Sequence[str]) -> Iterator[str]
     for camera, own in zip(joint.rig, sds, strict=True):
         prior = make_lens_prior(camera, freed)
         is_free = (own > MAX_LENS_SD_RATIO * prior) & (prior > FIXED_SD * camera.size[0])
-        names = ("focal length", "principal point", "principal point", "distortion")
-        stayed = dict.fromkeys(name for name, its in zip(names, is_free, strict=True) if its)
+        stayed = dict.fromkeys(LENS_WORDS[name][0] for name, its in zip(LENS_COLUMNS, is_free, strict=True) if its)
         if stayed:
             yield f"{camera.name}: the motion does not determine {' and '.join(stayed)}, which stayed as given or guessed"
 

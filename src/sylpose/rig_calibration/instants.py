@@ -20,6 +20,7 @@ from sylpose.bundle_adjustment.bundle import Observations
 from sylpose.bundle_adjustment.problem import differentiate_quartic
 from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.geometry.matrices import transpose
+from sylpose.rig import Camera
 from sylpose.rig_calibration.camera_tracks import RefinedTrack
 from sylpose.rig_calibration.motion_bundle import JointBundle
 
@@ -56,12 +57,18 @@ def _synchronize_track(its: RefinedTrack, times: FloatArray) -> RefinedTrack:
 
 
 def move_to_frames(
-    tracks: Sequence[RefinedTrack], frames: IntArray, times: FloatArray, instants: FloatArray, joint: JointBundle
+    tracks: Sequence[RefinedTrack],
+    cameras: Sequence[Camera],
+    frames: IntArray,
+    times: FloatArray,
+    instants: FloatArray,
+    joint: JointBundle,
 ) -> list[RefinedTrack]:
     """Move the images of tracks to the instants of N frames by the motion of a joint refinement.
 
     Args:
         tracks: C tracks as observed.
+        cameras: their cameras, by which the images are normalized; the joint refinement may have corrected the lenses.
         frames, times: (N,) frame numbers, and their instants, seconds.
         instants: (N, C) when the images were taken; NaN where there is none.
         joint: refinement of these tracks; its landmarks are numbered through the tracks.
@@ -72,8 +79,10 @@ def move_to_frames(
         poses = joint.rig[c].camera_from_world * joint.reference_from_object
         taken = _move_poses(poses, times, np.nan_to_num(instants[:, c] - times))
         points, frame = joint.landmarks[first + observations.landmark], rows[observations.frame]
-        shift = _project(poses, frame, points) - _project(taken, frame, points)
-        moved.append(replace(its, times=times[rows], observations=_move_images(observations, shift)))
+        at, before = (
+            cameras[c].normalize(joint.rig[c].denormalize(_project(its, frame, points))) for its in (poses, taken)
+        )
+        moved.append(replace(its, times=times[rows], observations=_move_images(observations, at - before)))
         first += len(its.landmarks)
     return moved
 

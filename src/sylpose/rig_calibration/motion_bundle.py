@@ -13,7 +13,11 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.bundle_adjustment.bundle import BundleOptions, Observations, bundle_adjust
-from sylpose.bundle_adjustment.calibration_refinement import N_LENS_PARAMETERS, CalibrationPrior
+from sylpose.bundle_adjustment.calibration_refinement import (
+    N_CAMERA_PARAMETERS,
+    CalibrationPrior,
+    default_calibration_prior,
+)
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.rig import Camera, Rig
 from sylpose.rig_calibration.camera_tracks import ROUGH_PX, RefinedTrack
@@ -21,21 +25,21 @@ from sylpose.rig_calibration.relative_motions import RelativeExtrinsics
 from sylpose.rig_calibration.result import Coverage, measure_cells
 from sylpose.status import Status
 
-# Parameters of a camera in a covariance: rotation, center, lens (derived).
-N_CAMERA_PARAMETERS = 6 + N_LENS_PARAMETERS
 # Prior of the extrinsics from relative motions: radians, and share of the distance to the object (choice: several times
 # their errors, docs/calibrating.md, so that it hardly matters).
 ROTATION_SD, PLACE_SD = np.radians(10.0), 0.3
 # Prior of a lens that is estimated: relative focal length, principal point as share of the image's width, first radial
 # coefficient (choice: a focal length known to 5 %).
 LENS_SD = {"focal": 0.05, "principal": 0.02, "distortion": 0.1}
+# Lens parameters in the order of a covariance (derived).
+LENS_COLUMNS = ("focal", "principal", "principal", "distortion")
 # Relative focal length from a field of view, "fov" (choice: a guess good to 20 %).
 FOV_SD = 0.2
 # Prior of a lens that is not estimated: small enough not to matter (derived).
 FIXED_SD = 1e-9
 # Factor of all standard deviations beyond the inflation of the bundle adjustment (measured: benchmarks/self_calibration.py,
-# errors are 1.15 times the standard deviations in the rms of 90 components, and one camera of ten is beyond three of them).
-SD_FACTOR = 1.3
+# `--small`, errors are 1.1 times the standard deviations in the rms of 119 cameras with exact lenses).
+SD_FACTOR = 1.1
 # Iterations at most (choice).
 MAX_ITERATIONS = 50
 # The object's length is measured by points with so many observations between these quantiles, in so many directions
@@ -87,7 +91,12 @@ class JointBundle:
 
 
 def bundle_jointly(
-    cameras: Sequence[Camera], tracks: Sequence[RefinedTrack], start: RelativeExtrinsics, free: Sequence[str] = ()
+    cameras: Sequence[Camera],
+    tracks: Sequence[RefinedTrack],
+    start: RelativeExtrinsics,
+    free: Sequence[str] = (),
+    *,
+    is_exact: bool = True,
 ) -> JointBundle:
     """Refine extrinsics, and lenses on request, with all poses and landmarks.
 
@@ -96,15 +105,17 @@ def bundle_jointly(
         tracks: C tracks, in the order of `start.cameras`, in its frames; all images of a frame taken at one instant.
         start: extrinsics from relative motions.
         free: what else is estimated of each lens, some of `LENS_SD`, or "fov" for a focal length from a field of view.
+        is_exact: as in `make_lens_prior`.
 
     Raises:
-        ValueError: a lens becomes implausible.
+        ImplausibleLensError: an estimated lens is none.
+        LinAlgError: a system of equations is singular.
     """
     n = len(cameras)
     rig = Rig([replace(c, camera_from_world=X) for c, X in zip(cameras, start.camera_from_reference, strict=True)])
     observations, landmarks = _merge_observations(tracks, start)
     place_sd = PLACE_SD * float(np.linalg.norm(start.reference_from_object.translation, axis=1).mean())
-    lenses = np.array([make_lens_prior(camera, free) for camera in cameras])
+    lenses = np.array([make_lens_prior(camera, free, is_exact=is_exact) for camera in cameras])
     options = BundleOptions(
         landmarks=landmarks,
         calibration_prior=CalibrationPrior(np.full(n, ROTATION_SD), np.full(n, place_sd), lenses, np.full(n, -1)),
@@ -136,7 +147,7 @@ def bundle_jointly(
         float(np.linalg.norm(poses.translation, axis=1).mean()),
         _measure_extent(result.landmarks[counts >= MIN_OBSERVATIONS]),
         poses,
-        _renormalize(observations, rig, corrected) if free else observations,
+        _renormalize(observations, rig, corrected) if free or not is_exact else observations,
         result.landmarks,
         result.weights,
         tuple(_measure_coverage(rig, observations, result.residuals, is_inlier)),
@@ -175,11 +186,27 @@ def _renormalize(observations: Observations, rig: Rig, corrected: Rig) -> Observ
     return replace(observations, image=image)
 
 
-def make_lens_prior(camera: Camera, free: Sequence[str]) -> FloatArray:
-    """Return (4,) standard deviations of a lens, as in `CalibrationPrior`."""
-    focal, principal, distortion = (LENS_SD[name] if name in free else FIXED_SD for name in LENS_SD)
-    focal = FOV_SD if "fov" in free else focal
-    return np.array([focal, principal * camera.size[0], principal * camera.size[0], distortion])
+def make_lens_prior(camera: Camera, free: Sequence[str], *, is_exact: bool = True) -> FloatArray:
+    """Return (4,) standard deviations of a lens, as in `CalibrationPrior`.
+
+    Args:
+        camera: the camera.
+        free: what is estimated, as in `bundle_jointly`.
+        is_exact: whether the rest is exact; else it has the errors of a typical calibration, or of none with "fov",
+            whatever the calibration states itself.
+    """
+    units = np.array([1.0, camera.size[0], camera.size[0], 1.0])
+    wide = units * [LENS_SD[name] for name in LENS_COLUMNS]
+    typical = default_calibration_prior(Rig([replace(camera, error_px=None)])).lens[0]
+    rest = FIXED_SD * units if is_exact else wide if "fov" in free else typical
+    sds = np.where([is_estimated(name, free) for name in LENS_COLUMNS], wide, rest)
+    sds[0] = FOV_SD if "fov" in free else sds[0]
+    return sds
+
+
+def is_estimated(name: str, free: Sequence[str]) -> bool:
+    """Return whether a parameter of the lenses is estimated, from what is estimated as in `bundle_jointly`."""
+    return name in free or (name == "focal" and "fov" in free)
 
 
 def transform_covariance(rig: Rig, covariance: FloatArray) -> FloatArray:

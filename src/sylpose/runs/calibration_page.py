@@ -78,7 +78,15 @@ def render_board_calibration(calibration: BoardCalibration, title: str, board: s
         [("Board", board)],
         [*calibration.unobservable, *calibration.warnings],
         [lenses],
-        render_section("Two halves of the frames", _render_halves(calibration.rig, calibration.halves, "frame")),
+        render_section(
+            "Two halves of the frames",
+            _render_halves(
+                calibration.rig,
+                calibration.halves,
+                "frame",
+                "The frames are too few for a calibration from each half.",
+            ),
+        ),
         calibration.coverage,
         f"{footer}extrapolated in empty cells.",
     )
@@ -113,7 +121,15 @@ def render_motion_calibration(found: MotionCalibration, title: str) -> str:
         ],
         self_calibration.list_warnings(found),
         body,
-        render_section("Two halves of the landmarks", _render_halves(found.calibration.rig, found.halves, "landmark")),
+        render_section(
+            "Two halves of the landmarks",
+            _render_halves(
+                found.calibration.rig,
+                found.halves,
+                "landmark",
+                "The calibration from one half of the landmarks did not converge.",
+            ),
+        ),
         found.coverage,
         "Observations per cell of each image, darker for more; the number is their rms residual in pixels.",
     )
@@ -128,7 +144,7 @@ def describe_limits(found: MotionCalibration) -> list[str]:
     if not found.calibration.rig.unit:
         sentences.append("The scale: lengths are relative to the first camera's distance from the object.")
     if held:
-        sentences.append(f"{', '.join(held).capitalize()}: held as given, with their errors; --free estimates them.")
+        sentences.append(f"{', '.join(held).capitalize()}: held as given; --free estimates them.")
     return sentences
 
 
@@ -178,9 +194,9 @@ def build_camera_rows(calibration: BoardCalibration) -> list[list[str]]:
     return rows
 
 
-def _render_halves(rig: Rig, halves: HalvesTest | None, what: str) -> str:
+def _render_halves(rig: Rig, halves: HalvesTest | None, what: str, missing: str) -> str:
     if halves is None:
-        return f"<p>The {what}s are too few for a calibration from each half.</p>"
+        return f"<p>{missing}</p>"
     has_board = bool(np.isfinite(halves.projection_px).all())
     names = ["Camera", "rotation", "position", *["projection"] * has_board, "squared difference over covariance"]
     rows = []

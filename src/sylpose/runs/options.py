@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+
+from sylpose.bundle_adjustment.calibration_refinement import N_CAMERA_PARAMETERS
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.euler_angles import parse_euler_angles
 from sylpose.geometry.validation import check_bool, check_choice, check_finite, check_integer, check_type, format_value
@@ -98,7 +101,12 @@ class RunOptions:
             if getattr(self, name) is not None:
                 check_type(getattr(self, name), kinds, name)
         if self.calibration_covariance is not None:
-            check_finite(self.calibration_covariance, ("10 C", "10 C"), "calibration_covariance")
+            values = check_finite(self.calibration_covariance, ("10 C", "10 C"), "calibration_covariance")
+            if len(values) % N_CAMERA_PARAMETERS or not len(values):
+                raise ValueError(f"calibration_covariance must be (10 C, 10 C) for C cameras, got shape {values.shape}")
+            scales = np.sqrt(np.abs(np.diag(values)))
+            if (np.diag(values) < 0).any() or not np.allclose(values, values.T, atol=1e-9 * np.outer(scales, scales)):
+                raise ValueError("calibration_covariance must be symmetric with variances of 0 or more")
             if self.refine_calibration:
                 raise ValueError("refine_calibration: the recording itself has determined the calibration")
             if self.resume:

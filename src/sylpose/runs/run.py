@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from sylpose import __version__
+from sylpose.bundle_adjustment.calibration_refinement import N_CAMERA_PARAMETERS
 from sylpose.frames import Box, FrameSet
-from sylpose.geometry.validation import format_value
+from sylpose.geometry.validation import check_finite, format_value
 from sylpose.io.capture import Session, open_session
 from sylpose.io.capture.live import LiveSession, is_live, open_live
 from sylpose.io.object_files import object_checksum
@@ -194,6 +195,10 @@ class _SessionRun:
     ) -> None:
         if options.distributed is not None and not isinstance(session, Session):
             raise ValueError("distributed: nodes are simulated for recordings, not for live cameras")
+        if options.calibration_covariance is not None:
+            size = N_CAMERA_PARAMETERS * len(session.rig)
+            name = f"calibration_covariance, for {len(session.rig)} cameras,"
+            check_finite(options.calibration_covariance, (size, size), name)
         self.events, self.problems = events, list[str]()
         offsets = find_offsets(session) if options.offsets is None else dict(options.offsets)
         self._time_offsets: dict[str, float] | None = offsets
