@@ -101,8 +101,9 @@ def count_joint(recordings: list[tuple[str, Tracked]]) -> list[float]:
     for _, (truth, cameras, tracks, distance) in recordings:
         with suppress(MotionRefusedError):
             errors.append(measure_errors(calibrate_from_motion(cameras, tracks), truth, distance))
-    whole = np.concatenate(errors)
-    return [len(errors), len(whole), int((whole[:, 4] > SOUND_SDS).sum()), float(whole[:, 0].mean())]
+    whole = np.concatenate([np.zeros((0, 6)), *errors])
+    degrees = float(whole[:, 0].mean()) if len(whole) else np.nan
+    return [len(errors), len(whole), int((whole[:, 4] > SOUND_SDS).sum()), degrees]
 
 
 def count_throws(paths: list[tuple[int, FloatArray, RigidTransform]]) -> list[float]:
