@@ -99,6 +99,7 @@ dist: $(VENV)/.installed-dev
 	$(PIP) install --quiet --group dist
 	rm -rf dist
 	$(BIN)/python -m build
+	$(BIN)/python -m tests.kernel_wheel dist
 	$(BIN)/twine check --strict dist/*
 	$(BIN)/check-wheel-contents dist/*.whl
 	$(BIN)/python -m tests.installed dist

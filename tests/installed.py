@@ -1,7 +1,7 @@
 """Check that the result of `make dist` is complete and works without a checkout: `python -m tests.installed DIST`.
 
-The wheel and the sdist are installed into separate environments in a temporary folder; the wheel renders and tracks a
-short recording.
+The wheels and the sdist are installed into separate environments in a temporary folder. The wheels render and track a
+short recording. The one for this platform (`tests/kernel_wheel.py`) compiles nothing for that.
 """
 
 from __future__ import annotations
@@ -17,12 +17,27 @@ from pathlib import Path
 from zipfile import ZipFile
 
 from sylpose import __version__
+from sylpose.geometry.kernel_cache import CACHE_DIR_VARIABLE, SHIPPED_FOLDER
 from tests.paths import REPOSITORY
 
 PACKAGE = REPOSITORY / "src" / "sylpose"
+KERNELS = f"sylpose/{SHIPPED_FOLDER.name}/"
 # Next to the package: project and license files.
 LEGAL = [name for name in ("LICENSE", "NOTICE") if (REPOSITORY / name).exists()]
 DEMO = ["demo", "--frames", "6", "--turn", "9", "--cameras", "3"]
+FIRST_MOTION = """
+import time
+import numpy as np
+from scipy.spatial.transform import Rotation
+from sylpose import Matches, estimate_motion
+from sylpose.simulate import ring
+rig, points = ring(3, height=(0.4, -0.1, 0.2)), np.random.default_rng(0).uniform(-0.1, 0.1, (40, 3))
+turn = Rotation.from_rotvec([0.05, -0.03, 0.08])
+seen = [[c.normalize(c.project(r.apply(points))) for r in (Rotation.identity(), turn)] for c in rig]
+start = time.process_time()
+estimate_motion(rig, [Matches(x, y) for x, y in seen])
+print(f"the first motion takes {time.process_time() - start:.2f} s of processor time")
+"""
 
 
 def package_files() -> set[str]:
@@ -36,12 +51,14 @@ def wheel_contents(wheel: Path) -> list[str]:
     with ZipFile(wheel) as archive:
         names = set(archive.namelist())
     info = f"sylpose-{__version__}.dist-info/"
-    of_package = {name for name in names if not name.startswith(info)}
+    of_package = {name for name in names if not name.startswith((info, KERNELS))}
     wrong = [
         f"{wheel.name} has {name}, which is no part of the package" for name in sorted(of_package - package_files())
     ]
     wrong += [f"{wheel.name} lacks {name}" for name in sorted(package_files() - of_package)]
     wrong += [f"{wheel.name} lacks {name}" for name in LEGAL if f"{info}licenses/{name}" not in names]
+    if wheel.name.endswith("-any.whl") == any(name.startswith(KERNELS) for name in names):
+        wrong += [f"{wheel.name} has compiled kernels if it is for all platforms, or lacks them"]
     return wrong
 
 
@@ -81,17 +98,26 @@ def try_out(built: Path, folder: Path, commands: list[list[str]]) -> None:
     assert run_isolated(folder, sylpose, "--version") == f"sylpose {__version__}\n"
     assert "track" in run_isolated(folder, sylpose, "--help")
     assert json.loads(run_isolated(folder, sylpose, "doctor", "--json"))["problems"] == []
+    if commands:
+        print(run_isolated(folder, python, "-c", FIRST_MOTION))
     for command in commands:
         print(run_isolated(folder, sylpose, *command))
 
 
 def main(built: Path) -> None:
-    (wheel,), (sdist,) = built.glob("sylpose-*.whl"), built.glob("sylpose-*.tar.gz")
-    if wrong := wheel_contents(wheel) + sdist_contents(sdist):
+    (anywhere,), (here,) = built.glob("sylpose-*-any.whl"), built.glob("sylpose-*-cp*.whl")
+    (sdist,) = built.glob("sylpose-*.tar.gz")
+    if wrong := [*wheel_contents(anywhere), *wheel_contents(here), *sdist_contents(sdist)]:
         sys.exit("\n".join(wrong))
-    for file, commands in ((sdist, []), (wheel, [DEMO])):
-        with tempfile.TemporaryDirectory() as folder:
-            try_out(file, Path(folder).resolve(), commands)
+    for file, commands in ((sdist, []), (anywhere, [DEMO]), (here, [DEMO])):
+        with tempfile.TemporaryDirectory() as name:
+            folder = Path(name).resolve()
+            os.environ[CACHE_DIR_VARIABLE] = str(folder / "compiled")
+            try_out(file, folder, commands)
+            if file == here and (compiled := sorted((folder / "compiled").rglob("*.nbc"))):
+                sys.exit(
+                    f"{here.name}: compiled {len(compiled)} kernels that it should contain: {compiled[0].name}, ..."
+                )
         print(f"{file.name}: whole, and works")
 
 

@@ -5,9 +5,13 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 import pytest
+
+from sylpose.geometry.kernel_cache import PORTABLE_CPU
 
 ROOT = Path(__file__).parents[2] / "src"
 CALLER = """
@@ -38,7 +42,12 @@ COMPILING = "sylpose compiles its kernels for up to two minutes"
 
 
 def run_process(
-    folder: Path, by: float = 3.0, factor: float = 1.0, comment: str = "", before: str = ""
+    folder: Path,
+    by: float = 3.0,
+    factor: float = 1.0,
+    comment: str = "",
+    before: str = "",
+    settings: Mapping[str, str] = MappingProxyType({}),
 ) -> tuple[str, str, list[str]]:
     """Return a separate process's result, its number of cache hits, and the lines that it logged."""
     package = folder / "apart"
@@ -50,6 +59,7 @@ def run_process(
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(folder), str(ROOT)]), "PYTHONDONTWRITEBYTECODE": "1"}
     environment |= {"XDG_CACHE_HOME": str(folder / "caches"), "LOCALAPPDATA": str(folder / "caches")}
     environment.pop("NUMBA_CACHE_DIR", None)
+    environment |= settings
     command = [sys.executable, "-c", before + RUN_CODE]
     done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
     value, hits = done.stdout.split()
@@ -99,3 +109,22 @@ def test_full_disk_does_not_prevent_results(tmp_path: Path) -> None:
     assert (value, hits) == ("7.0", "0")
     assert "cannot be cached in" in text
     assert "no such file or directory" in text
+
+
+def test_kernels_of_a_wheel_are_loaded(tmp_path: Path) -> None:
+    portable = {"NUMBA_CPU_NAME": PORTABLE_CPU, "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(tmp_path / "made")}
+    assert run_process(tmp_path, settings=portable)[:2] == ("7.0", "0")
+    (made,) = (tmp_path / "made").glob("apart_*")
+    made.rename(tmp_path / "shipped")
+    as_package = (
+        "from pathlib import Path; from sylpose.geometry import kernel_cache as c; "
+        f"c.PACKAGE = Path({str(tmp_path / 'apart')!r}); c.SHIPPED_FOLDER = Path({str(tmp_path / 'shipped')!r}); "
+    )
+    assert run_process(tmp_path, before=as_package) == ("7.0", "1", [])
+    assert not list(tmp_path.glob("apart/__pycache__/*.nb?"))
+    # Other sources are compiled, for the very processor; then their code is preferred.
+    for hits in "01":
+        assert run_process(tmp_path, 4.0, before=as_package)[:2] == ("9.0", hits)
+    # The wheel's folder is only read.
+    assert {file.suffix for file in (tmp_path / "shipped").iterdir()} == {".nbi", ".nbc"}
+    assert run_process(tmp_path, before=as_package)[:2] == ("7.0", "1")

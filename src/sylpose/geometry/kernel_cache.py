@@ -7,6 +7,9 @@ an outdated kernel. Here they are part of the key; unrelated files are not.
 Code loaded from the cache's folder is executed. So a folder that is chosen automatically must belong to the user and
 must not be writable by others. The folder next to the sources is as trustworthy as the sources, and one set by
 `NUMBA_CACHE_DIR` is accepted as is.
+
+Wheels for one platform contain kernels that were compiled for any of its processors. They are loaded where nothing was
+compiled for this very processor, if Numba has the version that compiled them.
 """
 
 from __future__ import annotations
@@ -30,6 +33,13 @@ from numba.core.dispatcher import Dispatcher
 
 # Visible by default: one or two minutes without output would look like a hang.
 _log = logging.getLogger("sylpose")
+
+
+# The package, and the folder of the compiled kernels of its subpackages in a wheel.
+PACKAGE = Path(__file__).parents[1]
+SHIPPED_FOLDER = PACKAGE / "_kernels"
+# LLVM's name of the processor that they are compiled for: any of the architecture.
+PORTABLE_CPU = "generic"
 
 
 def enable_cache(dispatcher: Any) -> Any:
@@ -108,20 +118,28 @@ class _KernelCache(FunctionCache):
         index: Any = IndexDataCacheFile
         stamp = locator.get_source_stamp()
         self.files = [index(str(folder), name, stamp) for folder in getattr(locator, "folders", (own_folder,))]
+        source = Path(function.__code__.co_filename).parent
+        self.shipped = []
+        if source.is_relative_to(PACKAGE) and SHIPPED_FOLDER.is_dir():
+            self.shipped = [index(str(SHIPPED_FOLDER / source.relative_to(PACKAGE)), name, stamp)]
 
     def has_any(self, codegen: Any) -> bool:
         kernel_digest, machine = compute_digest(self.function), codegen.magic_tuple()
-        return any(key[1] == machine and key[-1] == kernel_digest for file in self.files for key in _list_keys(file))
+        places = [(file, machine) for file in self.files]
+        places += [(file, _make_portable(machine)) for file in self.shipped]
+        return any(key[1] == cpu and key[-1] == kernel_digest for file, cpu in places for key in _list_keys(file))
 
-    def _index_key(self, sig: object, codegen: object) -> tuple[object, ...]:
+    def _index_key(self, sig: object, codegen: object) -> tuple[Any, ...]:
         base: Any = super()
         # On the first call, all its dependencies are defined.
         return (*base._index_key(sig, codegen), compute_digest(self.function))
 
     def _load_overload(self, sig: object, target_context: Any) -> Any:
         key = self._index_key(sig, target_context.codegen())
-        for file in self.files:
-            if (data := _load_entry(file, key)) is not None:
+        places = [(file, key) for file in self.files]
+        places += [(file, (key[0], _make_portable(key[1]), *key[2:])) for file in self.shipped]
+        for file, wanted in places:
+            if (data := _load_entry(file, wanted)) is not None:
                 return self._impl.rebuild(target_context, data)
         _log_compilation(self.kept_in)
         return None
@@ -138,6 +156,11 @@ class _KernelCache(FunctionCache):
                 reason = (error.strerror or str(error)).lower()
                 text = "compiled code cannot be cached in %s: %s; %s=FOLDER sets another folder"
                 _log.warning(text, self.kept_in, reason, CACHE_DIR_VARIABLE)
+
+
+def _make_portable(machine: tuple[str, str, str]) -> tuple[str, str, str]:
+    """Return the key of the machine that a wheel's kernels are compiled for: platform, processor, no further features."""
+    return machine[0], PORTABLE_CPU, ""
 
 
 def _load_entry(file: Any, key: object) -> Any:
