@@ -35,7 +35,7 @@ from numba.core.dispatcher import Dispatcher
 _log = logging.getLogger("sylpose")
 
 
-# The package, and the folder of the compiled kernels of its subpackages in a wheel.
+# The package, and the folder of the compiled kernels of its subpackages in a wheel (derived).
 PACKAGE = Path(__file__).parents[1]
 SHIPPED_FOLDER = PACKAGE / "_kernels"
 # LLVM's name of the processor that they are compiled for: any of the architecture.
