@@ -57,8 +57,8 @@ def wheel_contents(wheel: Path) -> list[str]:
     ]
     wrong += [f"{wheel.name} lacks {name}" for name in sorted(package_files() - of_package)]
     wrong += [f"{wheel.name} lacks {name}" for name in LEGAL if f"{info}licenses/{name}" not in names]
-    if wheel.name.endswith("-any.whl") == any(name.startswith(KERNELS) for name in names):
-        wrong += [f"{wheel.name} has compiled kernels if it is for all platforms, or lacks them"]
+    if ("-cp" in wheel.name) != any(name.startswith(KERNELS) for name in names):
+        wrong += [f"{wheel.name} has compiled kernels although it is for all platforms, or lacks them"]
     return wrong
 
 

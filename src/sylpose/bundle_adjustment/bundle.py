@@ -146,8 +146,8 @@ class BundleOptions:
         recalibrate: estimate the calibration errors, instead of only including them in the covariance.
         rough_px: lower limit of the noise at first, pixels, which falls to none in a few iterations: graduated
             non-convexity, for starts so far off that robust weights would lose frames (A. Blake, A. Zisserman, "Visual
-            Reconstruction", 1987). Then errors of the calibration are estimated from the first iteration, and their prior is
-            not scaled.
+            Reconstruction", 1987). Then errors of the calibration are estimated from the first iteration, and the prior of the
+            lenses is not scaled.
         max_iterations: maximum number of iterations.
         coarse: stop a seventh of a standard deviation per frame before the optimum, after half of the iterations; not
             for `recalibrate`.
@@ -473,9 +473,9 @@ def refine_with_calibration(
     options = replace(options, coarse=False, rough_px=0.0)
     for _ in range(LENS_LINEARIZATIONS):
         fit = minimize(problem, fit.state, options)
+        scale = problem.summarize(fit, connected).calibration_scale
         # Extrinsics of a rough calibration are much better than their prior; its lenses need not be.
-        scale = 1.0 if is_rough else problem.summarize(fit, connected).calibration_scale
-        problem, state = calibration.rescale_calibration_prior(problem, fit.state, scale)
+        problem, state = calibration.rescale_calibration_prior(problem, fit.state, scale, keeps_lenses=is_rough)
         problem, fit = calibration.relinearize_lenses(problem, image, rig, state.z), replace(fit, state=state)
     fit = minimize(problem, fit.state, options)
     summary, parameters = problem.summarize(fit, connected), problem.camera_parameters

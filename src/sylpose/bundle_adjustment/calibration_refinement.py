@@ -287,10 +287,17 @@ def free_calibration(problem: Problem) -> Problem:
     return replace(problem, camera_parameters=replace(parameters, fixed=parameters.fixed & ~parameters.is_calibration))
 
 
-def rescale_calibration_prior(problem: Problem, state: State, scale: float) -> tuple[Problem, State]:
-    """Scale the prior of calibration errors, relative to the initial one, without changing the state."""
+def rescale_calibration_prior(
+    problem: Problem, state: State, scale: float, *, keeps_lenses: bool = False
+) -> tuple[Problem, State]:
+    """Scale the prior of calibration errors, relative to the initial one, without changing the state.
+
+    Args:
+        keeps_lenses: whether the prior of the lenses is not scaled.
+    """
     parameters = problem.camera_parameters
-    factors = np.where(parameters.is_calibration, scale / parameters.scale, 1.0)
+    is_scaled = parameters.is_calibration & ~(keeps_lenses & (parameters.basis[:, LENS:] != 0.0).any(axis=(0, 1)))
+    factors = np.where(is_scaled, scale / parameters.scale, 1.0)
     parameters = replace(parameters, basis=parameters.basis * factors, scale=scale)
     return replace(problem, camera_parameters=parameters), replace(state, z=state.z / factors)
 
