@@ -136,8 +136,8 @@ class FramePose(Printable):
         observability: which part of the pose is observable.
         variance_inflation: (C,) variance inflation factor per camera; 1 if it agrees with the others, inf if almost
             none of its matches are inliers, NaN if unknown.
-        f_ratio: F ratio of the cameras, pooled over the last frames: about 1 if they agree; NaN if unknown. Where they do
-            not quite agree the covariance is multiplied by it.
+        f_ratio: F ratio of the cameras, pooled over the last frames: about 1 if they agree; NaN if unknown. Above 1 the
+            covariance is multiplied by it.
         faults: one sentence per camera identified as faulty.
         matches: (C,) number of features per camera that match the object model, inliers included; empty if unknown.
         reason: why there is no pose, or no measured one; "" where there is one.

@@ -272,12 +272,11 @@ def _apply_result(
     counts, residuals = _count_camera_inliers(result, observations, len(used), cameras)
     is_fixed, is_lost = np.array([frames[k].is_fixed for k in used]), find_lost_frames(result, observations)
     is_lost[is_fixed] = is_lost[0] = False
-    covariance = result.covariance
+    f_ratios = np.array([frames[k].pose.f_ratio for k in used])
+    covariance = result.covariance * np.fmax(1.0, np.fmax(f_ratios, pool_f_ratios(f_ratios)))[:, None, None]
     if is_fixed.any():
         tracked_covariance = np.array([frames[k].pose.covariance for k in used])
         covariance = covariance + inherit_covariance(result.world_from_object, tracked_covariance, is_fixed)
-    f_ratios = np.array([frames[k].pose.f_ratio for k in used])
-    covariance = covariance * np.fmax(1.0, np.fmax(f_ratios, pool_f_ratios(f_ratios)))[:, None, None]
     is_refined, is_lost_frame = np.zeros((2, len(frames)), bool)
     is_refined[used], is_lost_frame[used] = result.connected & ~is_lost, result.connected & is_lost
     for i, k in enumerate(used[1:], start=1):

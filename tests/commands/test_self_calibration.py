@@ -306,6 +306,7 @@ def test_vertical_is_in_the_axes_of_the_calibration(session: Path) -> None:
         (["--self-calibrate", "--world", "chessboard:9x6,square=25mm"], "the calibration has no unit"),
         (["--self-calibrate", "--stream", "tcp://a:1"], "--stream: expected - for stdout or udp://HOST:PORT"),
         (["--self-calibrate", "--object", "none.npz"], "none.npz"),
+        (["--self-calibrate", "--object", "2"], "object 2: boxes or masks select the object; omit the number"),
         (["--self-calibrate", "--out", "."], "this is the recording's folder"),
     ],
 )

@@ -146,8 +146,8 @@ class BundleOptions:
         recalibrate: estimate the calibration errors, instead of only including them in the covariance.
         rough_px: lower limit of the noise at first, pixels, which falls to none in a few iterations: graduated
             non-convexity, for starts so far off that robust weights would lose frames (A. Blake, A. Zisserman, "Visual
-            Reconstruction", 1987). Then errors of the calibration are estimated from the first iteration, and the prior of the
-            lenses is not scaled.
+            Reconstruction", 1987). Then errors of the calibration are estimated from the first iteration, and
+            the prior of the lenses is not scaled.
         max_iterations: maximum number of iterations.
         coarse: stop a seventh of a standard deviation per frame before the optimum, after half of the iterations; not
             for `recalibrate`.

@@ -137,10 +137,11 @@ class TrackOptions(SelfCalibrationOptions, DisplayOptions, MethodOptions, Record
         from sylpose.commands.track_display import STDOUT, open_pose_stream
         from sylpose.runs import console_output
         from sylpose.runs.calibration_page import write_motion_calibration
-        from sylpose.runs.run import check_output, replace_results
+        from sylpose.runs.run import check_candidate, check_output, replace_results
         from sylpose.runs.run_metadata import ESTIMATED
 
-        self.run_options(session)
+        is_selected = session.masks is not None or any(session.select_object(name).boxes for name in session.objects)
+        check_candidate(self.run_options(session).candidate, is_selected=is_selected)
         if self.stream is not None:
             with open_pose_stream(self.stream):
                 pass

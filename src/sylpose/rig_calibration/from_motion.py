@@ -307,7 +307,9 @@ def _fit(recording: _Recording, start: RelativeExtrinsics, free: tuple[str, ...]
     fit = _fit_lenses(cameras, recording.select_synchronized(start), start, free)
     if fit is None or fit.joint.worst_noise_ratio <= CLEAR_NOISE_RATIO:
         return fit
-    timed = _fit_instants(recording, start, free, fit.joint)
+    # Lenses may have been estimated because the time stamps are wrong.
+    as_given = fit.joint if fit.freed == free else _bundle(cameras, fit.tracks, start, free)
+    timed = None if as_given is None else _fit_instants(recording, start, free, as_given)
     is_better = timed is not None and CLEAR_NOISE_RATIO * timed.joint.worst_noise_ratio < fit.joint.worst_noise_ratio
     return timed if is_better else fit
 

@@ -68,6 +68,22 @@ def has_finished(session: Session | LiveSession, out: Path | str | None = None) 
     return _make_results_folder(session, out).has_finished
 
 
+def check_candidate(candidate: int | None, *, is_selected: bool, is_live: bool = False) -> None:
+    """Check that a moving body may be selected by its number, if it is.
+
+    Args:
+        candidate: the number.
+        is_selected: whether boxes, masks or a known object select it.
+        is_live: whether images come from cameras.
+
+    Raises:
+        ValueError: it may not.
+    """
+    if candidate is not None and (is_selected or is_live):
+        reason = "boxes or masks select the object" if is_selected else "live cameras are not searched in advance"
+        raise ValueError(f"object {candidate}: {reason}; omit the number")
+
+
 def check_output(session: Session, out: Path | str | None = None) -> None:
     """Check that a run can write its files, before what takes long.
 
@@ -273,9 +289,7 @@ class _SessionRun:
     def _look_ahead(self, name: str, boxes: Mapping[str, Box] | None) -> TrackerArguments:
         """Search a recording: do the cameras agree, and which moving body is tracked if nothing else selects it?"""
         is_selected = bool(boxes) or name in self.known or self.session.masks is not None
-        if self.options.candidate is not None and (is_selected or not isinstance(self.session, Session)):
-            reason = "boxes or masks select the object" if is_selected else "live cameras are not searched in advance"
-            raise ValueError(f"object {self.options.candidate}: {reason}; omit the number")
+        check_candidate(self.options.candidate, is_selected=is_selected, is_live=not isinstance(self.session, Session))
         if name in self.known or not isinstance(self.session, Session):
             return {}
         with self.clock.measure("search for what moves"):

@@ -13,7 +13,7 @@ from PIL import Image as PillowImage
 from sylpose.geometry.arrays import Image
 from sylpose.io import calibration
 from sylpose.io.capture import open_session
-from sylpose.io.capture.images import orient, read_image, read_orientation
+from sylpose.io.capture.images import orient, read_exif_focal, read_image, read_orientation
 from sylpose.io.capture.random_access import RandomAccessReader
 from sylpose.io.capture.session import use_frames_as_coded
 from sylpose.rig import Camera, Rig
@@ -91,6 +91,12 @@ def draw() -> Image:
     image = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
     image[: HEIGHT // 2, : WIDTH // 4], image[HEIGHT // 2 :, : WIDTH // 2] = 255, 120
     return image
+
+
+def test_missing_file_is_no_upright_one(tmp_path: Path) -> None:
+    for read in (read_orientation, read_exif_focal):
+        with pytest.raises(OSError, match=r"none\.jpg"):
+            read(tmp_path / "none.jpg")
 
 
 @pytest.mark.parametrize("suffix", ["jpg", "png", "webp"])

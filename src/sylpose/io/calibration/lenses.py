@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from sylpose.geometry.validation import check_number
 from sylpose.input_limits import input_errors
 from sylpose.io.calibration import filestorage
 from sylpose.io.calibration.camera_builder import SizeLookup
@@ -112,6 +113,8 @@ def guess_lenses(fov: Fov, names: Sequence[str], sizes: SizeLookup, focal_length
     Raises:
         ValueError: a field of view that no such lens has; no EXIF.
     """
+    if fov != "exif":
+        check_number(fov, 'fov, unless it is "exif",')
     found = sizes(names)
     focal = focal_lengths(names) if fov == "exif" else {}
     cameras = []

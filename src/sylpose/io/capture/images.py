@@ -118,8 +118,9 @@ def read_orientation(path: Path) -> int:
     Raises:
         OSError, ValueError: the file cannot be read.
     """
+    data = read_bytes(path, _max_file_size(MAX_PIXELS))
     with suppress(Exception):  # damaged bytes can raise any exception
-        value = _open_header(path).getexif().get(ORIENTATION_TAG, 1)
+        value = _open_header(data).getexif().get(ORIENTATION_TAG, 1)
         return int(value) if value in range(1, 9) else 1
     return 1
 
@@ -132,8 +133,9 @@ def read_exif_focal(path: Path) -> float | None:
     Raises:
         OSError, ValueError: the file cannot be read.
     """
+    data = read_bytes(path, _max_file_size(MAX_PIXELS))
     with suppress(Exception):  # damaged bytes can raise any exception
-        image = _open_header(path)
+        image = _open_header(data)
         exif, diagonal = image.getexif().get_ifd(IFD.Exif), float(np.hypot(*image.size))
         if (equivalent := float(exif.get(Base.FocalLengthIn35mmFilm, 0))) > 0:
             return equivalent * diagonal / FILM_DIAGONAL_MM
@@ -145,8 +147,7 @@ def read_exif_focal(path: Path) -> float | None:
     return None
 
 
-def _open_header(path: Path) -> ImageFile:
-    data = read_bytes(path, _max_file_size(MAX_PIXELS))
+def _open_header(data: bytes) -> ImageFile:
     return next(header for start, header in _HEADERS.items() if data.startswith(start))(BytesIO(data))
 
 
