@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from functools import cache
 from typing import Any
 
@@ -76,10 +76,13 @@ def test_other_types_are_refused() -> None:
 
 
 def test_limits_of_contradictions() -> None:
+    strict, wide = TrackingOptions(max_pooled_f_ratio=2.0), TrackingOptions(max_pooled_f_ratio=4.0)
     ratios: tuple[float, ...] = ()
     for _ in range(5):
-        ratios, _ = add_f_ratio(ratios, 3.0, TrackingOptions(n_pooled_f_ratios=4))
+        ratios, pooled = add_f_ratio(ratios, 3.0, replace(strict, n_pooled_f_ratios=4))
     assert len(ratios) == 4
+    assert pooled > strict.max_pooled_f_ratio
+    assert not pooled > wide.max_pooled_f_ratio
 
 
 def test_keyframes_from_smaller_rotations() -> None:

@@ -124,10 +124,13 @@ class _KernelCache(FunctionCache):
             self.shipped = [index(str(SHIPPED_FOLDER / source.relative_to(PACKAGE)), name, stamp)]
 
     def has_any(self, codegen: Any) -> bool:
-        kernel_digest, machine = compute_digest(self.function), codegen.magic_tuple()
-        places = [(file, machine) for file in self.files]
-        places += [(file, _make_portable(machine)) for file in self.shipped]
+        kernel_digest, places = compute_digest(self.function), self._list_places(codegen.magic_tuple())
         return any(key[1] == cpu and key[-1] == kernel_digest for file, cpu in places for key in _list_keys(file))
+
+    def _list_places(self, machine: tuple[str, str, str]) -> list[tuple[Any, tuple[str, str, str]]]:
+        """Return the files to search in, each with the machine that its kernels are for: platform, processor, features."""
+        portable = machine[0], PORTABLE_CPU, ""
+        return [*((file, machine) for file in self.files), *((file, portable) for file in self.shipped)]
 
     def _index_key(self, sig: object, codegen: object) -> tuple[Any, ...]:
         base: Any = super()
@@ -136,10 +139,8 @@ class _KernelCache(FunctionCache):
 
     def _load_overload(self, sig: object, target_context: Any) -> Any:
         key = self._index_key(sig, target_context.codegen())
-        places = [(file, key) for file in self.files]
-        places += [(file, (key[0], _make_portable(key[1]), *key[2:])) for file in self.shipped]
-        for file, wanted in places:
-            if (data := _load_entry(file, wanted)) is not None:
+        for file, machine in self._list_places(key[1]):
+            if (data := _load_entry(file, (key[0], machine, *key[2:]))) is not None:
                 return self._impl.rebuild(target_context, data)
         _log_compilation(self.kept_in)
         return None
@@ -156,11 +157,6 @@ class _KernelCache(FunctionCache):
                 reason = (error.strerror or str(error)).lower()
                 text = "compiled code cannot be cached in %s: %s; %s=FOLDER sets another folder"
                 _log.warning(text, self.kept_in, reason, CACHE_DIR_VARIABLE)
-
-
-def _make_portable(machine: tuple[str, str, str]) -> tuple[str, str, str]:
-    """Return the key of the machine that a wheel's kernels are compiled for: platform, processor, no further features."""
-    return machine[0], PORTABLE_CPU, ""
 
 
 def _load_entry(file: Any, key: object) -> Any:

@@ -110,7 +110,7 @@ def calibrate_from_motion(
         cameras: C cameras with their lenses; their poses are not used.
         tracks: C tracks (`refine_track`); None for a camera that could not track the object.
         free: what is estimated of each lens: some of "focal", "principal", "distortion"; "fov" if focal lengths come
-            from a field of view. Focal lengths are also estimated if those given contradict the motion.
+            from a field of view. What the motion contradicts of those given is estimated as well.
         is_timed: whether the tracks' times are in seconds; else they are in frames.
 
     Raises:

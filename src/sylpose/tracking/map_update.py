@@ -149,7 +149,7 @@ def accept_frame(context: Context, state: JointState, candidate: PoseCandidate) 
         frame.time,
         status,
         last.world_from_object,
-        # Errors of a rig that hardly contradicts itself are those of its calibration, which no residual shows (Birge).
+        # Disagreement of the cameras shows errors of the rig that residuals do not (Birge).
         last.covariance * np.fmax(1.0, pooled),
         np.array([a.n_inlier_features for a in agreements], np.int64),
         np.array([a.residual_px for a in agreements]),
