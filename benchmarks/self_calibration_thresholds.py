@@ -6,9 +6,9 @@
 Prints, for the extrinsics before the joint refinement: recordings that are accepted, of those that determine the rig and
 of those that do not, cameras left out of the former, and those started more than 5 degrees off, from which the joint
 refinement may not recover. With --joint, for the joint refinement of some kinds: recordings that are accepted, cameras in
-them, those beyond three standard deviations, and the mean error in degrees; and for simulated throws of
-`tests/rig_calibration/test_free_flight.py`: recordings in which flights are found, of those with and without throws, and
-the rms error of the scale in percent.
+them, those beyond three standard deviations, and the mean error in degrees; and for simulated throws and
+waving hands of `tests/rig_calibration/test_free_flight.py`: recordings in which flights are found, of those with and
+without throws, and the rms error of the scale in percent.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from sylpose.rig_calibration.from_motion import calibrate_from_motion
 from sylpose.rig_calibration.instants import synchronize_tracks
 from sylpose.rig_calibration.relative_motions import MotionRefusedError, solve_relative_extrinsics
 from sylpose.rig_calibration.result import CalibrationRefusedError
-from tests.rig_calibration.test_free_flight import UNIT, throw
+from tests.rig_calibration.test_free_flight import UNIT, throw, wave
 
 NAMES = (
     "MIN_AXIS_SPREAD",
@@ -69,6 +69,7 @@ FLIGHT = (
     "NOISE_QUANTILE",
     "MAX_RELATIVE_SD",
     "SYSTEMATIC",
+    "MIN_LOG_ODDS",
 )
 FAR_DEG = 5.0
 
@@ -154,6 +155,7 @@ def main() -> None:
         return
     print("threshold                    found    void  percent")
     paths = [(n, *throw(n, 1.5e-3, seed)) for n in (0, 1, 2, 3) for seed in range(5 * args.seeds)]
+    paths += [(0, *wave(seed)) for seed in range(20 * args.seeds)]
     vary(free_flight, FLIGHT, lambda: count_throws(paths))
     print("threshold                 accepted cameras  beyond degrees")
     recordings = load(args.folder, JOINT_KINDS, args.seeds)

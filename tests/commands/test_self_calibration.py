@@ -16,6 +16,7 @@ from benchmarks.self_calibration import KINDS, make_scene
 from sylpose.commands.main import main
 from sylpose.io import calibration
 from sylpose.io.calibration.world import World, parse_up_world, transform_rig
+from sylpose.io.capture import open_session
 from sylpose.report.files import read_trajectory, read_tum
 from sylpose.rig import Rig
 from sylpose.rig_calibration.free_flight import FreeFlight
@@ -23,6 +24,7 @@ from sylpose.rig_calibration.from_motion import MotionCalibration, locate
 from sylpose.rig_calibration.result import GRID, Coverage, RigCalibration
 from sylpose.runs import run as runs
 from sylpose.runs import self_calibration
+from sylpose.runs.options import RunOptions
 from sylpose.runs.self_calibration import KnownLength, describe_flight, parse_free, parse_scale
 from sylpose.simulate import Actor, Scene, arc, write_sequence
 from sylpose.simulate.render import chamfered_box
@@ -269,6 +271,47 @@ def test_calibration_outlives_a_run_that_does_not_begin(
     for name in ("trajectory.csv", "calibration.estimated.toml"):
         assert (out / "earlier_results" / name).read_text() == "earlier"
     assert not (out / "trajectory.csv").exists()
+
+
+def test_earlier_results_return_if_a_run_does_not_begin(
+    session: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also if the run uses their calibration, which stays, as it does after a run."""
+    out, truth = tmp_path / "out", calibration.load(session / "calibration.toml")
+    out.mkdir()
+    calibration.save(truth, out / "calibration.estimated.toml")
+    (out / "calibration.estimated.html").write_text("earlier")
+    (out / "trajectory.csv").write_text("earlier")
+    there = open_session(session, calibration=out / "calibration.estimated.toml")
+    with monkeypatch.context() as patch:
+        patch.setattr(runs, "write_run_metadata", lambda *_, **__: 1 / 0)
+        for its in (there, session):
+            with pytest.raises(ZeroDivisionError):
+                runs.track_session(its, out)
+            assert (out / "trajectory.csv").read_text() == "earlier"
+            assert (out / "calibration.estimated.html").read_text() == "earlier"
+            assert calibration.load(out / "calibration.estimated.toml").names == truth.names
+    options = RunOptions(stop=3, overlay=False, smooth=False)
+    runs.track_session(there, out, options)
+    assert (out / "calibration.estimated.html").exists()
+    # Another calibration's results, with a covariance of its own: the file is of earlier ones.
+    covariance = 1e-6 * np.eye(10 * len(truth))
+    runs.track_session(session, out, replace(options, calibration_covariance=covariance))
+    assert not list(out.rglob("calibration.estimated.*"))
+
+
+@pytest.mark.parametrize(
+    ("offsets", "message"),
+    [({"cam_9": 0.1}, "offsets: no camera 'cam_9' in the rig"), ({"cam_0": np.nan}, "offsets: cam_0: nan is not")],
+)
+def test_offsets_of_python_callers_are_checked(
+    session: Path, tmp_path: Path, offsets: dict[str, float], message: str
+) -> None:
+    opened = open_session(session)
+    with pytest.raises(ValueError, match=message):
+        self_calibration.self_calibrate(opened, offsets=offsets)
+    with pytest.raises(ValueError, match=message):
+        runs.track_session(opened, tmp_path / "out", RunOptions(offsets=offsets))
 
 
 def test_vertical_is_in_the_axes_of_the_calibration(session: Path) -> None:

@@ -71,6 +71,36 @@ def test_standard_deviations_are_honest() -> None:
     assert np.sqrt(np.mean(np.square(scales))) < 0.02
 
 
+def wave(seed: int) -> tuple[FloatArray, RigidTransform]:
+    """Return times and poses of 8 seconds in which a hand waves the object with a third of a g, smoothly and at random."""
+    rng = np.random.default_rng(seed)
+    times = np.arange(240) / RATE
+    rates, phases = 2.0 * np.pi * rng.uniform(0.6, 2.5, (6, 1, 1)), rng.uniform(0.0, 2.0 * np.pi, (6, 3, 1))
+    swings = 2.0 * rng.normal(size=(6, 3, 1)) / rates**2 * np.sin(rates * times + phases)
+    turns = 0.3 * rng.normal(size=(6, 3, 1)) * np.sin(0.3 * rates * times + phases)
+    R = Rotation.from_rotvec(2e-3 * rng.normal(size=(240, 3))) * Rotation.from_rotvec(turns.sum(axis=0).T)
+    x = np.array([0.0, 0.0, 1.5]) + swings.sum(axis=0).T - R.apply(CENTER) + 1e-3 * rng.normal(size=(240, 3))
+    return times, RigidTransform.from_components(x, R)
+
+
+def test_waving_hands_are_refused() -> None:
+    """Some of their swings have the same acceleration by chance."""
+    with_agreeing = 0
+    for seed in range(24):
+        with pytest.raises(CalibrationRefusedError, match="throw the object up twice") as refused:
+            find_free_flight(*wave(seed))
+        with_agreeing += "swings of the hand" in str(refused.value)
+    assert with_agreeing > 2
+
+
+def test_many_throws() -> None:
+    """Chance agreements of swings between them do not contradict."""
+    for seed in range(4):
+        found = find_free_flight(*throw(8, 1.5e-3, seed))
+        assert len(found.flights) >= 6
+        assert abs(found.scale / UNIT - 1.0) < 4.0 * found.scale_sd < 0.04
+
+
 @pytest.mark.parametrize("n_throws", [0, 1])
 def test_refused_without_two_throws(n_throws: int) -> None:
     for seed in range(2):

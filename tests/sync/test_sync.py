@@ -329,13 +329,17 @@ def test_uniform_motion_is_inconclusive(
     assert "the object's speed must change" in capsys.readouterr().out
 
 
+def by_camera(offsets: FloatArray) -> dict[str, float]:
+    return {f"cam_{c}": float(offset) for c, offset in enumerate(offsets)}
+
+
 def shown_frames(session: Session, camera: int) -> list[int]:
     return [int(k) for k in session.timeline.frames[:, camera]]
 
 
 def test_retimed_session(recording: Path) -> None:
     session = open_session(recording)
-    moved = apply_offsets(session, LATE / RATE)
+    moved = apply_offsets(session, by_camera(LATE / RATE))
     # cam_1 and cam_2 start 4 and 3 frames before cam_0.
     assert [shown_frames(moved, c)[0] for c in range(3)] == [0, 4, 3]
     assert shown_frames(moved, 0) == list(range(FRAMES))
@@ -344,12 +348,12 @@ def test_retimed_session(recording: Path) -> None:
     assert late[0] * RATE == pytest.approx(np.array([3.4, 3.0, 3.0]) - 9.4 / 3)
     assert np.isnan(late[-1, 1])
     assert any("cam_1 4" in warning for warning in moved.warnings)
-    assert apply_offsets(session, [0, 0, 0]) is session
+    assert apply_offsets(session, {"cam_1": 0}) is session
 
 
 def test_timestamps_are_retimed(recording: Path, tmp_path: Path) -> None:
     session = open_session(add_timestamps(recording, tmp_path / "stamped", np.array([0.0, 0.2, 0.0])))
-    moved = apply_offsets(session, np.array([3.4, -1.2, 0.0]) / RATE)
+    moved = apply_offsets(session, by_camera(np.array([3.4, -1.2, 0.0]) / RATE))
     k = moved.timeline.frames
     shown = np.where(k >= 0, (k + LATE) / RATE, np.nan)
     assert moved.timeline.stamps == pytest.approx(shown, abs=1e-6, nan_ok=True)
@@ -360,12 +364,13 @@ def test_timestamps_are_retimed(recording: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("offsets", "said"),
     [
-        ([0.1, 0.2], "3 numbers are expected"),
-        ([0.0, np.nan, 0.0], "3 numbers are expected"),
-        ([0.0, 0.0, 5.0], "cam_0 ends before the last camera begins"),
+        ({"cam_1": 0.1, "cam_7": 0.2}, "no camera 'cam_7' in the rig .cam_0, cam_1, cam_2."),
+        ({"cam_1": np.nan}, "offsets: cam_1: nan is not a finite number"),
+        ({"cam_1": 1e6}, "offsets: cam_1: .* at most 86400"),
+        ({"cam_2": 5.0}, "cam_0 ends before the last camera begins"),
     ],
 )
-def test_invalid_offsets_are_rejected(recording: Path, offsets: list[float], said: str) -> None:
+def test_invalid_offsets_are_rejected(recording: Path, offsets: dict[str, float], said: str) -> None:
     with pytest.raises(ValueError, match=said):
         apply_offsets(open_session(recording), offsets)
 

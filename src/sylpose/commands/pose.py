@@ -179,7 +179,7 @@ def _open_recording(options: PoseOptions, model: PointModel) -> _PoseInput:
     session = apply_world_and_unit(options.open_recording(path), None, options.unit)
     check_output_folder(session, options.out)
     offsets = find_offsets(session)
-    session = apply_offsets(session, [offsets.get(name, 0.0) for name in session.rig.names])
+    session = apply_offsets(session, offsets)
     layout = find_markers(model, options.model, session.rig, options.is_in)
     warnings = find_session_warnings(session)
     if layout.inward_markers:

@@ -7,11 +7,12 @@ times enter by their square. Air drag is ignored.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
+from scipy.special import comb
 
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.robust_loss import chi_squared_bound
@@ -29,6 +30,9 @@ MAX_NOISE_RATIO = 2.0
 NOISE_QUANTILE = 0.25
 # The acceleration of a flight is known to this relative standard deviation (choice: swings of the hand rarely agree by it).
 MAX_RELATIVE_SD = 0.1
+# Odds that flights have one gravity, against swings of the hand that agree by chance (choice: hands have waved to and fro
+# many times before one pair does).
+MIN_LOG_ODDS = np.log(100.0)
 # Errors that the poses of a flight have in common, as share of gravity: differences below it are none (choice: ten times
 # those of a rendered recording, 0.1 to 0.3 %).
 SYSTEMATIC = 0.02
@@ -100,20 +104,20 @@ def find_free_flight(times: FloatArray, world_from_object: RigidTransform) -> Fr
             fit = _fit([window], times, world_from_object)
             if _is_flight(fit, limit, times, world_from_object):
                 fits[window] = fit
-    flights = [*fits]
-    groups = [_list_agreeing(window, flights, fits) for window in flights]
-    agreeing: list[tuple[int, int]] = max(groups, key=len, default=[])
-    if len(agreeing) < 2:
+    groups = sorted(_find_agreeing(fits), reverse=True)
+    log_odds, agreeing = groups[0] if groups else (-np.inf, [*fits][:1])
+    if log_odds < MIN_LOG_ODDS:
+        swings = f", which swings of the hand may have as well (odds {np.exp(log_odds):.2g})" if groups else ""
         raise CalibrationRefusedError(
-            f"throw: {len(agreeing)} free flights with one gravity, needs 2: throw the object up twice "
+            f"throw: {len(agreeing)} free flights with one gravity{swings}, needs 2: throw the object up twice "
             "or more, so that it rotates, flies for half a second and stays in view of all cameras"
         )
-    if any(len(group) > 1 and not {*group} & {*agreeing} for group in groups):
+    if any(odds > MIN_LOG_ODDS and not {*group} & {*agreeing} for odds, group in groups):
         raise CalibrationRefusedError(
             "throw: flights with two different gravities, needs one: swings of the hand may look alike; leave them out by "
             "--start and --stop"
         )
-    whole = _fit(sorted(agreeing), times, world_from_object)
+    whole = _fit(agreeing, times, world_from_object)
     return _inflate_by_scatter(whole, [fits[window] for window in agreeing])
 
 
@@ -221,17 +225,28 @@ def _measure_square(difference: FloatArray, covariance: FloatArray) -> float:
     return float(difference @ np.linalg.pinv(covariance) @ difference)
 
 
-def _list_agreeing(
-    window: tuple[int, int], flights: Sequence[tuple[int, int]], fits: dict[tuple[int, int], FreeFlight]
-) -> list[tuple[int, int]]:
-    """Return the flights with the same gravity as one of them."""
-    own, found = fits[window], [window]
-    floor = (SYSTEMATIC * np.linalg.norm(own.gravity)) ** 2 * np.eye(3)
-    for other in flights:
-        total = own.covariance + fits[other].covariance + floor
-        if other != window and _measure_square(own.gravity - fits[other].gravity, total) < chi_squared_bound(3):
-            found.append(other)
-    return found
+def _find_agreeing(
+    fits: Mapping[tuple[int, int], FreeFlight],
+) -> Iterator[tuple[float, list[tuple[int, int]]]]:
+    """Yield the flights with the same gravity as each one, and the log odds that this is not by chance.
+
+    The likelihood of differences with their covariance is compared with that of accelerations by hand, which are anywhere
+    in a ball that contains all, and divided by the number of groups of this size.
+    """
+    radius = max((float(np.linalg.norm(fit.gravity)) for fit in fits.values()), default=0.0)
+    # Of a normal density of unit covariance, times the volume of the ball.
+    log_scale = float(np.log(4.0 / 3.0 * np.pi * radius**3) - 1.5 * np.log(2.0 * np.pi)) if fits else 0.0
+    for window, own in fits.items():
+        floor = (SYSTEMATIC * np.linalg.norm(own.gravity)) ** 2 * np.eye(3)
+        group, log_odds = [window], 0.0
+        for other, fit in fits.items():
+            total = own.covariance + fit.covariance + floor
+            square = _measure_square(own.gravity - fit.gravity, total)
+            if other != window and square < chi_squared_bound(3):
+                group.append(other)
+                log_odds += log_scale - 0.5 * float(np.linalg.slogdet(total)[1]) - 0.5 * square
+        if len(group) > 1:
+            yield log_odds - float(np.log(comb(len(fits), len(group)))), sorted(group)
 
 
 def _inflate_by_scatter(whole: FreeFlight, flights: Sequence[FreeFlight]) -> FreeFlight:

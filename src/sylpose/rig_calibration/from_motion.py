@@ -122,7 +122,7 @@ def calibrate_from_motion(
     observed = [its for its in tracks if its is not None]
     known = [camera for camera, its in zip(cameras, tracks, strict=True) if its is not None]
     recording = _Recording(known, observed, synchronize_tracks(observed) if observed else [], is_timed)
-    found = _calibrate_consistent(recording, tuple(free))
+    found = _calibrate_consistent(recording, dict.fromkeys(free, ""))
     joint, warnings = found.fit.joint, [*found.warnings]
     noisy = int(np.argmax(joint.noise_ratio))
     if joint.noise_ratio[noisy] > CLEAR_NOISE_RATIO:
@@ -145,7 +145,7 @@ def calibrate_from_motion(
         {**left_out, **found.start.left_out},
         joint.distance,
         joint.object_length,
-        found.fit.freed,
+        tuple(found.fit.freed),
         found.fit.covariance,
         joint.coverage,
         halves,
@@ -175,6 +175,10 @@ class _Recording:
         return [self.synchronized[k].restrict(start.frames) for k in start.cameras]
 
 
+# What is estimated of the lenses, each with a sentence on why, "" if that was requested.
+_Freed = Mapping[str, str]
+
+
 @dataclass(frozen=True, eq=False)
 class _Fit:
     """Joint refinement of tracks.
@@ -184,13 +188,13 @@ class _Fit:
         covariance: as that, with possible errors of the lenses.
         tracks: at common instants.
         freed: what is estimated of the lenses.
-        warnings: what was estimated besides the extrinsics.
+        warnings: what was estimated besides, and what is missing.
     """
 
     joint: JointBundle
     covariance: FloatArray
     tracks: tuple[RefinedTrack, ...]
-    freed: tuple[str, ...]
+    freed: _Freed
     warnings: tuple[str, ...]
 
 
@@ -204,42 +208,42 @@ class _Consistent:
     warnings: tuple[str, ...]
 
 
-def _calibrate_consistent(recording: _Recording, free: tuple[str, ...]) -> _Consistent:
+def _calibrate_consistent(recording: _Recording, free: _Freed) -> _Consistent:
     """Calibrate the cameras that pass all tests together; those that contradict the others are left out.
 
     Raises:
         MotionRefusedError: no two cameras pass; the error is that of all cameras together.
     """
-    excluded, refusal, remarks = dict[str, str](), None, tuple[str, ...]()
+    excluded, refusal = dict[str, str](), None
     while True:
-        fit, joint = None, None
+        fit = None
         try:
             start = _relate_cameras(recording, excluded)
             tests, fit = [*start.tests], _fit(recording, start, free)
-            joint = None if fit is None else fit.joint
-            _test_consistency(joint, [*tests])
+            _test_consistency(fit, [*tests])
             assert fit is not None
             start, fit, admitted = _admit_cameras(recording, start, fit, free)
-            joint = fit.joint
-            _test_consistency(joint, tests)
-            _test_uncertainty(joint, tests)
+            _test_consistency(fit, tests)
+            _test_uncertainty(fit.joint, tests)
         except MotionRefusedError as error:
-            refusal = refusal or error
-            if joint is None or len(joint.rig) < 3:
+            refusal, failed = refusal or error, error.tests[-1]
+            if fit is None or len(fit.joint.rig) < 3:
                 raise refusal from None
-            if fit is not None and error.tests[-1].name.startswith("uncertainty"):
+            problem = "it contradicts the others"
+            if failed.name.startswith("uncertainty"):
                 # Fewer cameras may not reveal what is wrong with the lenses.
-                free, remarks = fit.freed, (*remarks, *fit.warnings)
-            name = joint.rig[find_least_consistent(joint)].name
+                free, problem = fit.freed, "its pose is the least certain"
+            name = fit.joint.rig[find_least_consistent(fit.joint)].name
             if name in excluded:  # and admitted again
                 raise refusal from None
-            excluded[name] = f"it contradicts the others ({error.tests[-1].name}: {error.tests[-1].value})"
+            excluded[name] = f"{problem} ({failed.name}: {failed.value})"
         else:
-            return _Consistent(start, fit, tuple(tests), tuple(dict.fromkeys((*remarks, *fit.warnings, *admitted))))
+            reasons = [reason for reason in fit.freed.values() if reason]
+            return _Consistent(start, fit, tuple(tests), (*reasons, *fit.warnings, *admitted))
 
 
 def _admit_cameras(
-    recording: _Recording, start: RelativeExtrinsics, fit: _Fit, free: tuple[str, ...]
+    recording: _Recording, start: RelativeExtrinsics, fit: _Fit, free: _Freed
 ) -> tuple[RelativeExtrinsics, _Fit, tuple[str, ...]]:
     """Add cameras that were left out, where the joint refinement with them is sound."""
     admitted = list[str]()
@@ -254,7 +258,7 @@ def _admit_cameras(
     if start.cameras != tuple(sorted(start.cameras)):
         start = _sort_cameras(start)
         refit = _fit(recording, start, free)
-        _test_consistency(None if refit is None else refit.joint, [])
+        _test_consistency(refit, [])
         assert refit is not None
         fit = refit
     return start, fit, tuple(admitted)
@@ -301,46 +305,40 @@ def find_least_consistent(joint: JointBundle) -> int:
     return int(np.argmax([np.median(np.delete(relative[c], c)) for c in range(n)]))
 
 
-def _fit(recording: _Recording, start: RelativeExtrinsics, free: tuple[str, ...]) -> _Fit | None:
+def _fit(recording: _Recording, start: RelativeExtrinsics, free: _Freed) -> _Fit | None:
     """Refine with the simplest model that explains the observations; None if that does not converge."""
     cameras = [recording.cameras[k] for k in start.cameras]
     fit = _fit_lenses(cameras, recording.select_synchronized(start), start, free)
     if fit is None or fit.joint.worst_noise_ratio <= CLEAR_NOISE_RATIO:
         return fit
     # Lenses may have been estimated because the time stamps are wrong.
-    as_given = fit.joint if fit.freed == free else _bundle(cameras, fit.tracks, start, free)
+    as_given = fit.joint if fit.freed is free else _bundle(cameras, fit.tracks, start, free)
     timed = None if as_given is None else _fit_instants(recording, start, free, as_given)
     is_better = timed is not None and CLEAR_NOISE_RATIO * timed.joint.worst_noise_ratio < fit.joint.worst_noise_ratio
     return timed if is_better else fit
 
 
 def _fit_lenses(
-    cameras: Sequence[Camera], tracks: Sequence[RefinedTrack], start: RelativeExtrinsics, free: tuple[str, ...]
+    cameras: Sequence[Camera], tracks: Sequence[RefinedTrack], start: RelativeExtrinsics, free: _Freed
 ) -> _Fit | None:
     """Refine; also those parameters of the lenses that the motion contradicts."""
-    warnings = list[str]()
     while True:
         uncertain = _bundle(cameras, tracks, start, free, is_exact=False)
-        errors = None if uncertain is None else measure_lens_errors(cameras, uncertain, free)
+        errors = None if uncertain is None else measure_lens_errors(cameras, uncertain, [*free])
         wrong = {} if errors is None else dict(find_wrong_parameters([its.name for its in cameras], errors))
         if not wrong:
             break
-        free = (*free, *wrong)
-        warnings += wrong.values()
+        free = {**free, **wrong}
     joint = _bundle(cameras, tracks, start, free)
     if joint is None:
         return None
-    covariance = joint.covariance
-    if errors is not None:
-        covariance = covariance + compute_consider_covariance(errors)
-    else:
-        warnings.append("standard deviations do not include errors of the lenses: their refinement did not converge")
-    return _Fit(joint, covariance, tuple(tracks), free, tuple(warnings))
+    if errors is None:
+        warning = "standard deviations do not include errors of the lenses: their refinement did not converge"
+        return _Fit(joint, joint.covariance, tuple(tracks), free, (warning,))
+    return _Fit(joint, joint.covariance + compute_consider_covariance(errors), tuple(tracks), free, ())
 
 
-def _fit_instants(
-    recording: _Recording, start: RelativeExtrinsics, free: tuple[str, ...], joint: JointBundle
-) -> _Fit | None:
+def _fit_instants(recording: _Recording, start: RelativeExtrinsics, free: _Freed, joint: JointBundle) -> _Fit | None:
     """Refine with instants of all images that are estimated as well, from a refinement at the time stamps.
 
     None if the noise does not fall.
@@ -374,13 +372,13 @@ def _bundle(
     cameras: Sequence[Camera],
     tracks: Sequence[RefinedTrack],
     start: RelativeExtrinsics,
-    free: Sequence[str],
+    free: _Freed,
     *,
     is_exact: bool = True,
 ) -> JointBundle | None:
     """Refine jointly; None if that does not converge."""
     try:
-        joint = bundle_jointly(cameras, tracks, start, free, is_exact=is_exact)
+        joint = bundle_jointly(cameras, tracks, start, [*free], is_exact=is_exact)
     except (ImplausibleLensError, np.linalg.LinAlgError):
         return None
     return joint if joint.status is Status.OK else None
@@ -442,7 +440,7 @@ def _is_sound(joint: JointBundle) -> bool:
     )
 
 
-def _test_consistency(joint: JointBundle | None, tests: list[MotionTest]) -> None:
+def _test_consistency(fit: _Fit | None, tests: list[MotionTest]) -> None:
     """Test whether the refinement converged, and all cameras agree.
 
     Raises:
@@ -451,13 +449,13 @@ def _test_consistency(joint: JointBundle | None, tests: list[MotionTest]) -> Non
     add_test(
         tests,
         "joint refinement",
-        joint is not None,
-        "not converged" if joint is None else "converged",
+        fit is not None,
+        "not converged" if fit is None else "converged",
         "convergence",
         "record more frames, in which the object rotates by 30 degrees and more and is carried about",
     )
-    assert joint is not None
-    names = joint.rig.names
+    assert fit is not None
+    joint, names = fit.joint, fit.joint.rig.names
     noisy, poor = int(np.argmax(joint.noise_ratio)), int(np.argmin(joint.inlier_ratio))
     add_test(
         tests,
@@ -596,7 +594,7 @@ def locate(found: MotionCalibration, rig: Rig) -> MotionCalibration:
 
 def _make_calibration(fit: _Fit, tracks: Sequence[RefinedTrack], warnings: Sequence[str]) -> RigCalibration:
     """Make the calibration, with covariances in the conventions of `RigCalibration`."""
-    joint, freed, lenses = fit.joint, fit.freed, list[FloatArray]()
+    joint, freed, lenses = fit.joint, tuple(fit.freed), list[FloatArray]()
     for c, camera in enumerate(joint.rig):
         lens = slice(c * N_CAMERA_PARAMETERS + 6, (c + 1) * N_CAMERA_PARAMETERS)
         L = np.zeros((4 + len(camera.distortion), N_LENS_PARAMETERS))

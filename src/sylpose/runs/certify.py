@@ -628,7 +628,7 @@ def certify_session(
     """
     check_bar(session, bar)
     offsets = find_offsets(session)
-    session = apply_offsets(session, [offsets.get(name, 0.0) for name in session.rig.names])
+    session = apply_offsets(session, offsets)
     # The offsets are applied; those of the folder would be applied a second time.
     options = RunOptions(offsets={}, start=start, stop=stop, seed=seed, overlay=False)
     frames = len(range(start, min(session.n_frames, session.n_frames if stop is None else stop)))

@@ -530,7 +530,7 @@ def estimate_board_frame(result: ObjectRun, recording: Path, text: str) -> NewFr
         )
     session = open_session(recording).with_rig(result.rig)
     offsets = find_offsets(session)
-    session = apply_offsets(session, [offsets.get(name, 0.0) for name in session.rig.names])
+    session = apply_offsets(session, offsets)
     known = [pose.index for pose in result.trajectory if pose.is_measured and pose.index < session.n_frames]
     if not known:
         raise ValueError(f"{result.path}: no frame of {recording} has a known object pose")

@@ -86,7 +86,7 @@ class ResultsFolder:
     Args:
         path: the folder.
         objects: names of several objects, which get subfolders; empty for one object.
-        own: names of files here that the new run has written already: they stay, and earlier results do not return.
+        own: names of files here that the new run uses: they stay.
     """
 
     def __init__(self, path: Path, objects: Sequence[str] = (), own: Sequence[str] = ()) -> None:
@@ -131,8 +131,8 @@ class ResultsFolder:
             self._move(self.path / EARLIER_MOVING, self.path)
 
     def restore_earlier_results(self) -> None:
-        """Remove the new run's files and move the earlier results back, unless some of its files stay."""
-        if self.own:
+        """Remove the new run's files and move the earlier results back, unless they would replace files that stay."""
+        if any((self.path / EARLIER / name).exists() for name in self.own):
             return
         _remove_files(self._find_run_files(self.path))
         if (self.path / EARLIER).exists():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -108,10 +108,11 @@ def replace_results(session: Session, out: Path | str | None = None) -> Iterator
         yield results.path
 
 
-def _make_results_folder(
-    session: Session | LiveSession, out: Path | str | None, own: Sequence[str] = ()
-) -> ResultsFolder:
-    return ResultsFolder(output_path(session, out), session.objects if len(session.objects) > 1 else (), own)
+def _make_results_folder(session: Session | LiveSession, out: Path | str | None) -> ResultsFolder:
+    path = output_path(session, out)
+    is_calibrated_there = session.calibration.resolve() == (path / ESTIMATED[0]).resolve()
+    own = ESTIMATED if is_calibrated_there else ()
+    return ResultsFolder(path, session.objects if len(session.objects) > 1 else (), own)
 
 
 def track_session(
@@ -219,14 +220,13 @@ class _SessionRun:
         offsets = find_offsets(session) if options.offsets is None else dict(options.offsets)
         self._time_offsets: dict[str, float] | None = offsets
         if isinstance(session, Session):  # apply the offsets to its timestamps
-            session = apply_offsets(session, [offsets.get(name, 0.0) for name in session.rig.names])
+            session = apply_offsets(session, offsets)
             self._time_offsets = None
         self.session = session
         self.n_frames = len(range(options.start, _end_frame(session, options.stop), max(options.every, 1)))
         self.known = name_known_objects(session, options.known)
         self.options = replace(options, offsets=offsets or None, smooth=_is_smoothed(options, session, self.n_frames))
-        own = () if options.calibration_covariance is None else ESTIMATED
-        self.results, self.clock = _make_results_folder(session, out, own), StageTimer()
+        self.results, self.clock = _make_results_folder(session, out), StageTimer()
         check_output_folder(session, self.results.path)
         self._frames = session.frames(options.start, options.stop, options.every, self.report_problem)
         self._settings = self._collect_settings()

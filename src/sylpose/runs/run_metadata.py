@@ -246,7 +246,7 @@ def open_source_recording(result: Path, recording: Path | None = None) -> Sessio
     session = reopen(rate=None)
     if session.rate is None and settings.rate is not None:  # given by --rate, for image folders
         session = reopen(rate=settings.rate)
-    session = apply_offsets(session, [settings.offsets.get(name, 0.0) for name in session.rig.names])
+    session = apply_offsets(session, settings.offsets)
     now = compute_fingerprint(session)
     for name in ("images", "timestamps or offsets"):
         if settings.checksums.get(name) != now[name]:

@@ -53,8 +53,8 @@ def self_calibrate(
     Raises:
         MotionRefusedError: the motion does not determine the cameras; the message has the reason and the remedy.
         CalibrationRefusedError: the same of throws.
-        ValueError: one camera, several objects, or frames outside the recording; throws in one without time stamps, or with
-            a known length.
+        ValueError: one camera, several objects, frames outside the recording, or offsets of unknown cameras; throws in a
+            recording without time stamps, or with a known length.
     """
     check_type(session, Session, "session")
     if len(session.objects) > 1:
@@ -66,8 +66,7 @@ def self_calibrate(
     final_unit = choose_unit(scale, throw, unit)
     if throw and session.rate is None:
         raise ValueError(f"throw: {session.path} has no time stamps, which enter by their square: give timestamps.csv")
-    delays = find_offsets(session) if offsets is None else offsets
-    session = apply_offsets(session, [delays.get(name, 0.0) for name in session.rig.names])
+    session = apply_offsets(session, find_offsets(session) if offsets is None else offsets)
     tracks = track_cameras(session, start, stop, on_frame)
     found = calibrate_from_motion(session.rig.cameras, tracks, free, is_timed=session.rate is not None)
     if not throw:

@@ -174,7 +174,8 @@ def _refine_offsets(
     tracked_frames, tracking_offsets = list[Track](), offsets
     for k in range(MAX_ROUNDS):
         if k == 0 or (np.abs(offsets - tracking_offsets) * rate > RETRACK_FRAMES).any():
-            shifted, tracking_offsets = apply_offsets(single_object, offsets), offsets
+            tracking_offsets = offsets
+            shifted = apply_offsets(single_object, dict(zip(session.rig.names, offsets, strict=True)))
             end = min(shifted.n_frames if stop is None else stop, start + MAX_TRACKED_FRAMES, shifted.n_frames)
             # Problems of the files have been reported before.
             read = shifted.frames(start, end, 1, lambda _: None)

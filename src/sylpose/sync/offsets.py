@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike
 
+from sylpose.geometry.validation import check_number, format_value
 from sylpose.input_limits import input_errors, parse_toml, read_text
 from sylpose.io.capture import Session
 from sylpose.io.capture.live import LiveSession
@@ -69,22 +69,24 @@ def find_offsets(session: Session | LiveSession, file: Path | None = None) -> di
     return offsets
 
 
-def apply_offsets(session: Session, offsets: ArrayLike) -> Session:
+def apply_offsets(session: Session, offsets: Mapping[str, float]) -> Session:
     """Apply time offsets to a session: simultaneous frames share a frame set, each with its own timestamp.
 
     Cameras more than a frame apart are shifted by whole frames, so that all have an image in frame set 0.
 
     Args:
         session: the recording.
-        offsets: (C,) delay of each camera's images relative to their timestamps, seconds.
+        offsets: delay of a camera's images relative to their timestamps, seconds, by camera; 0 for others.
 
     Raises:
-        ValueError: a number of offsets that differs from the number of cameras, a session without rate, or a camera
-            without a frame in the common time.
+        ValueError: a camera that is not in the recording, more than a day, a session without rate, or a camera without a
+            frame in the common time.
     """
-    delays = np.asarray(offsets, dtype=float)
-    if delays.shape != (len(session.rig),) or not np.isfinite(delays).all():
-        raise ValueError(f"offsets: {len(session.rig)} numbers are expected, one per camera, got {delays}")
+    for name, value in offsets.items():
+        if name not in session.rig.names and name not in session.without:
+            raise ValueError(f"offsets: no camera {format_value(name)} in the rig ({', '.join(session.rig.names)})")
+        check_number(value, f"offsets: {name}", minimum=-MAX_OFFSET, maximum=MAX_OFFSET)
+    delays = np.array([float(offsets.get(name, 0.0)) for name in session.rig.names])
     if not delays.any():
         return session
     if session.rate is None:
