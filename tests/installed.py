@@ -25,6 +25,7 @@ KERNELS = f"sylpose/{SHIPPED_FOLDER.name}/"
 # Next to the package: project and license files.
 LEGAL = [name for name in ("LICENSE", "NOTICE") if (REPOSITORY / name).exists()]
 DEMO = ["demo", "--frames", "6", "--turn", "9", "--cameras", "3"]
+REFINED = ["track", "sylpose_demo", "--refine-calibration", "--out", "again"]
 FIRST_MOTION = """
 import time
 import numpy as np
@@ -109,7 +110,7 @@ def main(built: Path) -> None:
     (sdist,) = built.glob("sylpose-*.tar.gz")
     if wrong := [*wheel_contents(anywhere), *wheel_contents(here), *sdist_contents(sdist)]:
         sys.exit("\n".join(wrong))
-    for file, commands in ((sdist, []), (anywhere, [DEMO]), (here, [DEMO])):
+    for file, commands in ((sdist, []), (anywhere, [DEMO]), (here, [DEMO, REFINED])):
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name).resolve()
             os.environ[CACHE_DIR_VARIABLE] = str(folder / "compiled")

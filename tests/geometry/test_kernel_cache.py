@@ -79,7 +79,9 @@ def test_dependencies_are_part_of_the_key(tmp_path: Path) -> None:
 def test_without_writable_folder_every_process_compiles(tmp_path: Path) -> None:
     value, hits, (text,) = run_process(tmp_path, before=NOWHERE)
     assert (value, hits) == ("7.0", "0")
-    assert text.startswith(f"{COMPILING} at every start; no folder is writable for its cache, NUMBA_CACHE_DIR=")
+    assert text.startswith(
+        f"{COMPILING} at every start, as no folder is writable for their cache: set NUMBA_CACHE_DIR="
+    )
     assert not list(tmp_path.rglob("*.nb?"))
 
 
@@ -92,6 +94,17 @@ def test_read_only_cache_is_loaded(tmp_path: Path) -> None:
     assert (value, hits) == ("9.0", "0")
     assert text.endswith(f"cached in {tmp_path / 'caches' / 'sylpose'}")
     assert run_process(tmp_path, 4.0, before=READ_ONLY) == ("9.0", "1", [])
+
+
+def test_code_that_is_not_optimized_is_not_cached(tmp_path: Path) -> None:
+    """Numba refuses to cache most of it; the optimized code of other processes is loaded."""
+    unoptimized = {"NUMBA_OPT": "0"}
+    value, hits, (text,) = run_process(tmp_path, settings=unoptimized)
+    assert (value, hits) == ("7.0", "0")
+    assert text == f"{COMPILING} at every start, as NUMBA_OPT=0 is set: unset it"
+    assert not list(tmp_path.rglob("*.nb?"))
+    assert run_process(tmp_path)[:2] == ("7.0", "0")
+    assert run_process(tmp_path, settings=unoptimized) == ("7.0", "1", [])
 
 
 @pytest.mark.slow

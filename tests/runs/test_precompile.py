@@ -111,10 +111,10 @@ def test_compilation_message(capsys: pytest.CaptureFixture[str], monkeypatch: py
     precompile.compile_with_progress(make_console())
     precompile.compile_with_progress(make_console())
     (line,) = capsys.readouterr().out.splitlines()
-    assert line.startswith("Compiling for one to two minutes, ")
+    assert line.startswith("Compiling for one to two minutes ")
     wanted = f"after an installation or an update; cached in {Path(sylpose.__file__).parent}."
     if not kept:
-        wanted = "at every start; no cache folder is writable, set one with NUMBA_CACHE_DIR=FOLDER."
+        wanted = "at every start, as no folder is writable for their cache: set NUMBA_CACHE_DIR=FOLDER."
     assert line.endswith(wanted)
 
 

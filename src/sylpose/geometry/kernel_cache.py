@@ -28,6 +28,7 @@ from types import CodeType, FunctionType
 from typing import Any
 
 import numpy as np
+from numba.core import config
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 from numba.core.dispatcher import Dispatcher
 
@@ -64,6 +65,15 @@ def cache_folder(dispatcher: Any) -> Path | None:
     """Return the folder of a kernel's cache; None without one."""
     cache_object = getattr(dispatcher, "_cache", None)
     return cache_object.kept_in if isinstance(cache_object, _KernelCache) else None
+
+
+def is_optimizing() -> bool:
+    """Return whether Numba optimizes compiled code; otherwise no kernel that calls another one can be cached.
+
+    Its code then contains the callee's address in this process. The other kernels are not cached either: they would slow
+    down later processes, which optimize.
+    """
+    return bool(vars(config)["OPT"])
 
 
 class _Locator:
@@ -115,6 +125,8 @@ class _KernelCache(FunctionCache):
         locator, name = self._impl.locator, self._impl.filename_base
         own_folder = Path(locator.get_cache_path())  # of another class, if NUMBA_CACHE_LOCATOR_CLASSES is set
         self.kept_in: Path | None = getattr(locator, "kept_in", own_folder)
+        if not is_optimizing():
+            self.kept_in = None
         index: Any = IndexDataCacheFile
         stamp = locator.get_source_stamp()
         self.files = [index(str(folder), name, stamp) for folder in getattr(locator, "folders", (own_folder,))]
@@ -227,13 +239,17 @@ def mark_announced() -> bool:
 
 
 def _log_compilation(kept_in: Path | None) -> None:
-    if mark_announced():
-        return
-    reason, location = "after an installation or an update", f"cached in {kept_in and display_folder(kept_in)}"
-    if kept_in is None:
-        reason = "at every start"
-        location = f"no folder is writable for its cache, {CACHE_DIR_VARIABLE}=FOLDER sets one"
-    _log.warning("sylpose compiles its kernels for up to two minutes %s; %s", reason, location)
+    if not mark_announced():
+        _log.warning("sylpose compiles its kernels for up to two minutes %s", describe_compilation(kept_in))
+
+
+def describe_compilation(kept_in: Path | None) -> str:
+    """Return when kernels are compiled, and where they are kept: in a cache folder, or why nowhere and the remedy."""
+    if kept_in is not None:
+        return f"after an installation or an update; cached in {display_folder(kept_in)}"
+    if not is_optimizing():
+        return "at every start, as NUMBA_OPT=0 is set: unset it"
+    return f"at every start, as no folder is writable for their cache: set {CACHE_DIR_VARIABLE}=FOLDER"
 
 
 # Environment variable that also sets Numba's cache folder.

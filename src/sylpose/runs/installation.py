@@ -160,7 +160,13 @@ def _check_folders(found: Diagnosis) -> None:
 def _check_kernels(found: Diagnosis) -> None:
     """Report where compiled code is cached, and check that compiled code runs."""
     try:
-        from sylpose.geometry.kernel_cache import CACHE_DIR_VARIABLE, display_folder, is_writable, mark_announced
+        from sylpose.geometry.kernel_cache import (
+            CACHE_DIR_VARIABLE,
+            describe_compilation,
+            display_folder,
+            is_writable,
+            mark_announced,
+        )
         from sylpose.runs.precompile import find_kernel_cache, is_compiled
     except Exception as error:
         found.problems.append(f"sylpose itself cannot be loaded ({type(error).__name__}: {error})")
@@ -170,13 +176,10 @@ def _check_kernels(found: Diagnosis) -> None:
         found.warnings.append(f"{CACHE_DIR_VARIABLE}={chosen} cannot be written; compiled code is cached elsewhere")
     mark_announced()  # suppress the notice: the fact below reports the same
     folder, is_ready = find_kernel_cache(), is_compiled()
-    where = "nowhere: no folder is writable" if folder is None else f"in {display_folder(folder)}"
-    found.facts["Compiled code"] = f"{'ready' if is_ready else 'not compiled yet'}, cached {where}"
+    where = "" if folder is None else f", cached in {display_folder(folder)}"
+    found.facts["Compiled code"] = f"{'ready' if is_ready else 'not compiled yet'}{where}"
     if folder is None and not is_ready:
-        found.warnings.append(
-            f"compiled code cannot be cached, so every start takes one to two minutes: set {CACHE_DIR_VARIABLE}=FOLDER "
-            "to a writable folder"
-        )
+        found.warnings.append(f"kernels are compiled for one to two minutes {describe_compilation(folder)}")
     try:
         import numpy as np
 

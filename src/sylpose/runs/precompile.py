@@ -29,7 +29,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sylpose.bundle_adjustment.bundle import BundleOptions, Observations, bundle_adjust
 from sylpose.features import klt, static_background
 from sylpose.features.sift import Features
-from sylpose.geometry.kernel_cache import CACHE_DIR_VARIABLE, cache_folder, display_folder, is_cached, mark_announced
+from sylpose.geometry.kernel_cache import (
+    cache_folder,
+    describe_compilation,
+    display_folder,
+    is_cached,
+    mark_announced,
+)
 from sylpose.geometry.matrices import invert_information
 from sylpose.input_limits import print_message
 from sylpose.landmarks.alignment import LandmarkMatches, align
@@ -192,11 +198,8 @@ def compile_with_progress(console: Console) -> None:
             compile_all()
         return
     folder = find_kernel_cache()
-    occasion, location = "after an installation or an update", f"cached in {folder and display_folder(folder)}"
-    if folder is None:
-        occasion, location = "at every start", f"no cache folder is writable, set one with {CACHE_DIR_VARIABLE}=FOLDER"
     if not is_announced:  # a kernel that was needed earlier has announced it
-        console.print(f"Compiling for one to two minutes, {occasion}; {location}.", soft_wrap=True)
+        console.print(f"Compiling for one to two minutes {describe_compilation(folder)}.", soft_wrap=True)
     columns = (TextColumn("Compiling"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
     remaining = TimeRemainingColumn(compact=True)
     with Progress(*columns, remaining, console=console, transient=True, disable=not console.is_terminal) as progress:
