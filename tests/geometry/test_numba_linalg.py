@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numba import types
 from scipy.spatial.transform import Rotation
 
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.numba_linalg import apply_rotvec, cholesky, cholesky_solve, so3_exp, so3_log, solve_factored
+from sylpose.geometry.robust_loss import bisquare
 
 SEEDS = st.integers(0, 2**32 - 1)
 SOME = settings(max_examples=25)
@@ -200,3 +204,11 @@ def test_near_singular_is_factored_or_rejected(seed: int, n: int) -> None:
         lower = np.tril(factor)
         np.testing.assert_allclose(lower @ lower.T, a, rtol=0, atol=1e-14)
         assert (np.diag(lower) > 0).all()
+
+
+def test_numbers_in_callers_do_not_select_another_kernel() -> None:
+    """Otherwise each of them, and each True and False, would be compiled separately."""
+    kernel: Any = bisquare
+    literal: Any = types.literal
+    _, _, arguments, _ = kernel.get_call_template([literal(3)], {})
+    assert not any(isinstance(argument, types.Literal) for argument in arguments)

@@ -7,11 +7,12 @@ unknowns do not need it, and each LAPACK call would add a second of compilation.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar, cast
 
 import numba
 import numpy as np
+from numba.core import types
 from numba.core.options import DefaultOptions
 
 from sylpose.geometry.arrays import FloatArray, IntArray
@@ -34,7 +35,7 @@ def kernel(function: F) -> F:
 
     Division by zero gives inf or NaN as in NumPy, and the interpreter's lock is released while it runs.
     """
-    return cast(F, enable_cache(numba.njit(nogil=True, error_model="numpy")(function)))
+    return cast(F, _compile_lazily(function))
 
 
 def leaf(function: F) -> F:
@@ -43,7 +44,22 @@ def leaf(function: F) -> F:
     Reference counting takes a hundred cycles for each array of a record, in and out again, as long as many of these
     functions run.
     """
-    return cast(F, enable_cache(numba.njit(nogil=True, error_model="numpy", **NO_REFCOUNT)(function)))
+    return cast(F, _compile_lazily(function, **NO_REFCOUNT))
+
+
+def _compile_lazily(function: Callable[..., object], **options: Any) -> Any:
+    """Return Numba's dispatcher of a function, with the disk cache."""
+    dispatcher: Any = enable_cache(numba.njit(nogil=True, error_model="numpy", **options)(function))
+    if dispatcher is not function:
+        resolve_call, unliteral = dispatcher.get_call_template, cast(Any, types.unliteral)
+
+        def resolve_without_literals(args: Sequence[Any], kws: Mapping[str, Any]) -> Any:
+            # Numba would compile a callee for each number, True and False that callers write; also for the first values
+            # of their variables, until it infers that these change.
+            return resolve_call([unliteral(a) for a in args], {name: unliteral(a) for name, a in kws.items()})
+
+        dispatcher.get_call_template = resolve_without_literals
+    return dispatcher
 
 
 @leaf

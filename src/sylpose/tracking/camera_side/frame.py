@@ -620,7 +620,8 @@ def add_evidence(
     motion = pose * first.inv()
     translation = motion.translation / np.linalg.norm(first.translation)
     matches = pair.normalized_i, pair.normalized_j, camera.focal
-    compared = compare_motions(*matches, rotation_matrix_of(motion), translation)
+    # Contiguous as elsewhere: another layout would be compiled separately.
+    compared = compare_motions(*matches, np.ascontiguousarray(rotation_matrix_of(motion)), translation)
     evidence = CameraEvidence(*compared[:4])
     return replace(agreement, evidence=evidence, evidence_reference=pair.reference if evidence.n else -1)
 
