@@ -139,6 +139,28 @@ def test_cameras_that_disagree_widen_the_covariance() -> None:
         np.testing.assert_allclose(other.covariance, factor * one.covariance, rtol=1e-9)
 
 
+def test_errors_common_to_frames_keep_their_share_of_the_tracked_covariance() -> None:
+    rng = np.random.default_rng(0)
+    # Every two frames have the same errors of 0.3 pixels: they correlate by a half.
+    noise = 3e-4 * rng.standard_normal((FRAMES // 2, len(RIG), len(POINTS), 2))
+    common = [
+        replace(
+            track,
+            observations=tuple(
+                replace(seen, normalized=seen.normalized + noise[k // 2, c, seen.landmark_ids % len(POINTS)])
+                for c, seen in enumerate(track.observations)
+            ),
+        )
+        for k, track in enumerate(make_tracks(noise_px=0.0))
+    ]
+    independent = make_tracks()
+    for tracks, share in ((independent, 0.0), (common, 0.5)):
+        poses, tracked = smooth_tracks(tracks, RIG).poses, tracks[1].pose.covariance
+        least = min(np.linalg.eigvals(np.linalg.solve(tracked, pose.covariance)).real.min() for pose in poses[1:])
+        assert least > share - 0.1
+        assert (least < 0.1) == (share == 0.0)
+
+
 def test_smoothing_recovers_uncertain_rotations_without_raising_their_status() -> None:
     frames = [with_uncertain_rotation(f, 8.0) if 8 <= k < 16 else f for k, f in enumerate(make_tracks())]
     found = smooth_tracks(frames, RIG)

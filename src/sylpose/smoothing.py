@@ -25,9 +25,10 @@ from sylpose.bundle_adjustment.calibration_refinement import (
     compute_mean_camera_distance,
     default_calibration_prior,
 )
-from sylpose.bundle_adjustment.keyframes import bundle_adjust_by_keyframes
+from sylpose.bundle_adjustment.keyframes import bundle_adjust_by_keyframes, correlate_errors
 from sylpose.bundle_adjustment.scale_prior import bundle_adjust_with_scale, find_lost_frames
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
+from sylpose.geometry.matrices import enlarge_covariance
 from sylpose.geometry.validation import check_bool, check_integer, check_list, check_number, check_type, format_value
 from sylpose.relative_pose.camera_evidence import pool_f_ratios
 from sylpose.results import FramePose, Trajectory
@@ -85,7 +86,8 @@ class SmoothedTrajectory:
         poses: of all frames, none with a better status than tracked. Those not connected to the first one are
             unchanged. Coasting ones are interpolated between the measured ones before and after. Without one of these,
             tracked poses are moved along with the previous measured one; so are those of frames most of whose
-            observations disagree with the others, which become contradicted.
+            observations disagree with the others, which become contradicted. Covariances are at least the share of the
+            tracked ones that errors along tracks have in common (`correlate_errors`).
         status: OK; NOT_CONVERGED, or TOO_FEW_MATCHES when there was nothing to refine: then the poses are unchanged.
         offsets: (C,) time offset of each camera, seconds, positive for a delay; their mean is 0. Zeros if not requested
             or not OK.
@@ -274,9 +276,11 @@ def _apply_result(
     is_lost[is_fixed] = is_lost[0] = False
     f_ratios = np.array([frames[k].pose.f_ratio for k in used])
     covariance = result.covariance * np.fmax(1.0, np.fmax(f_ratios, pool_f_ratios(f_ratios)))[:, None, None]
+    tracked_covariance = np.array([frames[k].pose.covariance for k in used])
     if is_fixed.any():
-        tracked_covariance = np.array([frames[k].pose.covariance for k in used])
         covariance = covariance + inherit_covariance(result.world_from_object, tracked_covariance, is_fixed)
+    # The refinement reduces only the share of a track's errors that frames do not have in common.
+    common = max(0.0, correlate_errors(observations, result)) * tracked_covariance
     is_refined, is_lost_frame = np.zeros((2, len(frames)), bool)
     is_refined[used], is_lost_frame[used] = result.connected & ~is_lost, result.connected & is_lost
     for i, k in enumerate(used[1:], start=1):
@@ -287,7 +291,7 @@ def _apply_result(
             poses[k] = replace(
                 poses[k],
                 world_from_object=result.world_from_object[i],
-                covariance=covariance[i],
+                covariance=enlarge_covariance(covariance[i], common[i]),
                 observability=observability,
                 inliers=counts[i],
                 residuals=residuals[i],

@@ -105,7 +105,7 @@ def bundle_adjust_by_keyframes(
     key_options = _select_options(options, is_key, fixed)
     result = bundle_adjust_with_scale(rig, own, world_from_object[is_key], radius, key_options)
     out = _spread_result(result, world_from_object, observations, is_key)
-    if _correlate_errors(own, result) < MIN_CORRELATION:
+    if correlate_errors(own, result) < MIN_CORRELATION:
         all_options = replace(options, landmarks=result.landmarks)
         return bundle_adjust_with_scale(rig, observations, out.world_from_object, radius, all_options)
     segments = list[_Segment]()
@@ -118,8 +118,11 @@ def bundle_adjust_by_keyframes(
     return _merge_segments(out, observations, segments)
 
 
-def _correlate_errors(observations: Observations, result: BundleResult) -> float:
-    """Return the correlation of the errors of a landmark's observations in successive frames; 0 without any."""
+def correlate_errors(observations: Observations, result: BundleResult) -> float:
+    """Return the correlation of the errors of a landmark's observations in successive frames; 0 without any.
+
+    It is the share of their variance that is common to both frames, and that more frames do not reduce.
+    """
     order = np.lexsort((observations.frame, observations.camera, observations.landmark))
     frame, camera, landmark = (x[order] for x in (observations.frame, observations.camera, observations.landmark))
     weights, errors = result.weights[order], result.residuals[order]
