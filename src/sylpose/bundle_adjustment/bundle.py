@@ -235,7 +235,7 @@ def bundle_adjust(
         fit = minimize(problem, state, options)
     else:
         unknown, e = np.zeros(len(observations)), problem.compute_residuals(state)
-        noise = problem.estimate_noise(e, unknown, None)
+        noise = problem.estimate_noise(e, unknown, problem.unknown_noise)
         fit = Fit(state, Status.TOO_FEW_MATCHES, 0, problem.compute_weights(e, noise), noise, unknown)
     summary = problem.summarize(fit, connected)
     if not options.fix_depths and setup.is_solvable and is_scale_from_noise(problem, fit, summary, connected):
@@ -415,7 +415,7 @@ def minimize(problem: Problem, state: State, options: BundleOptions) -> Fit:
     deviation per frame.
     """
     e = problem.compute_residuals(state)
-    noise = None
+    noise = problem.unknown_noise
     leverage = np.full(len(e), min(1.0, 3.0 * len(state.points) / max(len(e), 1)))
     n_frames, damping, is_noise_fixed, fixed_weights = len(state.rotations), 0.0, False, None
     floor = options.rough_px
@@ -423,12 +423,11 @@ def minimize(problem: Problem, state: State, options: BundleOptions) -> Fit:
     for iteration in range(1, options.max_iterations + 1):
         if options.on_iteration is not None:
             options.on_iteration(iteration)
-        if noise is None or not is_noise_fixed:
+        if not is_noise_fixed:
             before, noise = noise, problem.estimate_noise(e, leverage, noise, floor)
             state = problem.reset_stray_landmarks(state, e, noise)
             e = problem.compute_residuals(state)
-            is_stable = before is not None and noise.is_like(before, SIGMA_TOLERANCE)
-            is_noise_fixed = is_stable or iteration >= MAX_SIGMA_ITERATIONS
+            is_noise_fixed = noise.is_like(before, SIGMA_TOLERANCE) or iteration >= MAX_SIGMA_ITERATIONS
             floor /= GRADUATION
         cost = problem.compute_cost(e, noise, state, fixed_weights)
         weights = problem.compute_weights(e, noise) if fixed_weights is None else fixed_weights

@@ -182,6 +182,11 @@ class Problem:
         return int(np.flatnonzero(self.observations.free_index < 0)[0])
 
     @property
+    def unknown_noise(self) -> Noise:
+        """The noise before it is estimated, with the same variance for all landmarks."""
+        return Noise(np.full(len(self.focals), np.inf), np.ones(len(self.observations.start) - 1))
+
+    @property
     def landmark_prior(self) -> FloatArray:
         """(2,) prior information, 1/length², on a landmark's depth and on its lateral position."""
         depths_fixed = bool(self.camera_parameters.fixed[self.camera_parameters.depth_mask].any())
@@ -271,7 +276,7 @@ class Problem:
         total += 0.5 * float(self.landmark_prior @ [(depths[used] ** 2).sum(), (state.points[used] ** 2).sum()])
         return total + 0.5 * float(state.z @ state.z)
 
-    def estimate_noise(self, e: FloatArray, leverage: FloatArray, before: Noise | None, floor: float = 0.0) -> Noise:
+    def estimate_noise(self, e: FloatArray, leverage: FloatArray, before: Noise, floor: float = 0.0) -> Noise:
         """Estimate the noise from the weighted squares of the inliers, selected by the median.
 
         Residuals are smaller than the noise because the unknowns are fitted to them. A camera with few observations is
@@ -280,12 +285,11 @@ class Problem:
         Args:
             e: (n, 2) residuals, pixels.
             leverage: (n,) of the landmarks.
-            before: the noise in the last iteration, if any.
+            before: the noise in the last iteration, or `unknown_noise`.
             floor: least noise of a camera, pixels; at least `MIN_SIGMA_PX`.
         """
         n, camera, used = len(self.focals), self.observations.camera, self.repeat_mask > 0
-        ratio = np.ones(len(self.observations.start) - 1) if before is None else before.variance_ratio
-        freedom = self._compute_freedom(self.repeat_mask, leverage)
+        ratio, freedom = before.variance_ratio, self._compute_freedom(self.repeat_mask, leverage)
         expected = np.maximum(freedom, 0.2) / 2.0 * np.repeat(ratio, np.diff(self.observations.start))
         coordinates = e / np.sqrt(expected)[:, None]
         pooled = robust_sigma(_subsample(coordinates[used]), MIN_SIGMA_PX)
