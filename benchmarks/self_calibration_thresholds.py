@@ -154,7 +154,7 @@ def main() -> None:
         vary(relative_motions, NAMES, lambda: count(whole))
         return
     print("threshold                    found    void  percent")
-    paths = [(n, *throw(n, 1.5e-3, seed)) for n in (0, 1, 2, 3) for seed in range(5 * args.seeds)]
+    paths = [(n, *throw(n, 1.5e-3, seed)) for n in (0, 1, 2, 3, 8) for seed in range(5 * args.seeds)]
     paths += [(0, *wave(seed)) for seed in range(20 * args.seeds)]
     vary(free_flight, FLIGHT, lambda: count_throws(paths))
     print("threshold                 accepted cameras  beyond degrees")

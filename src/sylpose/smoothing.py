@@ -86,8 +86,8 @@ class SmoothedTrajectory:
         poses: of all frames, none with a better status than tracked. Those not connected to the first one are
             unchanged. Coasting ones are interpolated between the measured ones before and after. Without one of these,
             tracked poses are moved along with the previous measured one; so are those of frames most of whose
-            observations disagree with the others, which become contradicted. Covariances are at least the share of the
-            tracked ones that errors along tracks have in common (`correlate_errors`).
+            observations disagree with the others, which become contradicted. Covariances of refined ones are at
+            least the share of the tracked ones that errors along tracks have in common (`correlate_errors`).
         status: OK; NOT_CONVERGED, or TOO_FEW_MATCHES when there was nothing to refine: then the poses are unchanged.
         offsets: (C,) time offset of each camera, seconds, positive for a delay; their mean is 0. Zeros if not requested
             or not OK.
@@ -279,8 +279,11 @@ def _apply_result(
     tracked_covariance = np.array([frames[k].pose.covariance for k in used])
     if is_fixed.any():
         covariance = covariance + inherit_covariance(result.world_from_object, tracked_covariance, is_fixed)
-    # The refinement reduces only the share of a track's errors that frames do not have in common.
-    common = max(0.0, correlate_errors(observations, result)) * tracked_covariance
+    # The refinement reduces only the share of a track's errors that frames do not have in common. Other errors of poses
+    # that are uncertain as tracked are reduced; fixed frames are not refined.
+    share = correlate_errors(observations, result)
+    has_common = np.array([share > 0.0 and frames[k].pose.status is FrameStatus.TRACKED for k in used]) & ~is_fixed
+    has_common &= np.isfinite(tracked_covariance).all(axis=(1, 2))
     is_refined, is_lost_frame = np.zeros((2, len(frames)), bool)
     is_refined[used], is_lost_frame[used] = result.connected & ~is_lost, result.connected & is_lost
     for i, k in enumerate(used[1:], start=1):
@@ -291,7 +294,9 @@ def _apply_result(
             poses[k] = replace(
                 poses[k],
                 world_from_object=result.world_from_object[i],
-                covariance=enlarge_covariance(covariance[i], common[i]),
+                covariance=enlarge_covariance(covariance[i], share * tracked_covariance[i])
+                if has_common[i]
+                else covariance[i],
                 observability=observability,
                 inliers=counts[i],
                 residuals=residuals[i],

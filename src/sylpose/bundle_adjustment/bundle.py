@@ -37,7 +37,7 @@ from sylpose.status import Status
 # (choice).
 WEAK_ROTATION_SD, WEAK_TRANSLATION_RADII = np.pi, 10.0
 # The noise is re-estimated until it changes by less than this, or for so many iterations; then it is fixed (choice).
-SIGMA_TOLERANCE, MAX_SIGMA_ITERATIONS = 0.02, 8
+SIGMA_TOLERANCE, MAX_SIGMA_ITERATIONS = 0.05, 8
 # A rough start's lower limit of the noise falls by this factor per iteration (choice: from ten pixels to the noise floor
 # in five).
 GRADUATION = 3.0
@@ -235,8 +235,8 @@ def bundle_adjust(
         fit = minimize(problem, state, options)
     else:
         unknown, e = np.zeros(len(observations)), problem.compute_residuals(state)
-        noise = problem.estimate_noise(e, unknown, problem.unknown_noise)
-        fit = Fit(state, Status.TOO_FEW_MATCHES, 0, problem.compute_weights(e, noise), noise, unknown)
+        sigma = problem.estimate_noise(e, unknown)
+        fit = Fit(state, Status.TOO_FEW_MATCHES, 0, problem.compute_weights(e, sigma), sigma, unknown)
     summary = problem.summarize(fit, connected)
     if not options.fix_depths and setup.is_solvable and is_scale_from_noise(problem, fit, summary, connected):
         problem = problem.fix_depths()
@@ -415,45 +415,46 @@ def minimize(problem: Problem, state: State, options: BundleOptions) -> Fit:
     deviation per frame.
     """
     e = problem.compute_residuals(state)
-    noise = problem.unknown_noise
+    sigma = np.full(len(problem.focals), np.inf)
     leverage = np.full(len(e), min(1.0, 3.0 * len(state.points) / max(len(e), 1)))
-    n_frames, damping, is_noise_fixed, fixed_weights = len(state.rotations), 0.0, False, None
+    n_frames, damping, is_sigma_fixed, fixed_weights = len(state.rotations), 0.0, False, None
     floor = options.rough_px
     max_size = WEIGHTS_TOLERANCE * n_frames if options.coarse else STEP_TOLERANCE
     for iteration in range(1, options.max_iterations + 1):
         if options.on_iteration is not None:
             options.on_iteration(iteration)
-        if not is_noise_fixed:
-            before, noise = noise, problem.estimate_noise(e, leverage, noise, floor)
-            state = problem.reset_stray_landmarks(state, e, noise)
+        if not is_sigma_fixed:
+            previous_sigma, sigma = sigma, np.maximum(problem.estimate_noise(e, leverage), floor)
+            state = problem.reset_stray_landmarks(state, e, sigma)
             e = problem.compute_residuals(state)
-            is_noise_fixed = noise.is_like(before, SIGMA_TOLERANCE) or iteration >= MAX_SIGMA_ITERATIONS
+            is_stable = bool(np.all(np.abs(sigma - previous_sigma) < SIGMA_TOLERANCE * sigma))
+            is_sigma_fixed = is_stable or iteration >= MAX_SIGMA_ITERATIONS
             floor /= GRADUATION
-        cost = problem.compute_cost(e, noise, state, fixed_weights)
-        weights = problem.compute_weights(e, noise) if fixed_weights is None else fixed_weights
-        at = problem.linearize(state, problem.compute_information(weights, noise))
+        cost = problem.compute_cost(e, sigma, state, fixed_weights)
+        weights = problem.compute_weights(e, sigma) if fixed_weights is None else fixed_weights
+        at = problem.linearize(state, weights / sigma[problem.observations.camera] ** 2)
         system = problem.build_system(state, at)
         leverage = system.reduced.leverage
         for _ in range(MAX_TRIES):
             step, z, size = system.solve(damping)
             trial = problem.apply_step(state, at, step, z)
             e = problem.compute_residuals(trial)
-            new_cost = problem.compute_cost(e, noise, trial, fixed_weights)
+            new_cost = problem.compute_cost(e, sigma, trial, fixed_weights)
             if new_cost <= cost * (1.0 + 1e-12) or size < 1e-3 * STEP_TOLERANCE:
                 break
             damping = max(30.0 * damping, 1e-5)
         else:
-            return Fit(state, Status.NOT_CONVERGED, iteration, weights, noise, leverage)
+            return Fit(state, Status.NOT_CONVERGED, iteration, weights, sigma, leverage)
         damping = damping / 30.0 if damping > 1e-5 else 0.0
         state = problem.update_derivatives(trial)
         if problem.has_time_shifts:
             e = problem.compute_residuals(state)
-        if is_noise_fixed and size < max_size:
-            return Fit(state, Status.OK, iteration, weights, noise, leverage)
+        if is_sigma_fixed and size < max_size:
+            return Fit(state, Status.OK, iteration, weights, sigma, leverage)
         is_settled = size < WEIGHTS_TOLERANCE * n_frames or iteration >= MAX_WEIGHT_ITERATIONS
-        if is_noise_fixed and fixed_weights is None and is_settled:
-            fixed_weights = problem.compute_weights(e, noise)
-    return Fit(state, Status.NOT_CONVERGED, options.max_iterations, weights, noise, leverage)
+        if is_sigma_fixed and fixed_weights is None and is_settled:
+            fixed_weights = problem.compute_weights(e, sigma)
+    return Fit(state, Status.NOT_CONVERGED, options.max_iterations, weights, sigma, leverage)
 
 
 def refine_with_calibration(
@@ -480,7 +481,7 @@ def refine_with_calibration(
     summary, parameters = problem.summarize(fit, connected), problem.camera_parameters
     # The noise floor of the search already inflates the variance in part.
     inflation = np.median(summary.variance_inflation[problem.observations.free_index >= 0])
-    inflation = inflation * np.mean((summary.sigma_px / fit.noise.sigma_px) ** 2)
+    inflation = inflation * np.mean((summary.sigma_px / fit.sigma) ** 2)
     factor = float(max(inflation, 1.0) ** -0.5)
     fit = minimize(*calibration.rescale_calibration_prior(problem, fit.state, parameters.scale * factor), options)
     state = replace(fit.state, z=fit.state.z * np.where(parameters.is_calibration, factor, 1.0))
@@ -513,8 +514,7 @@ def estimate_noise_ratio(problem: Problem, fit: Fit, summary: FitSummary, connec
     its size is added to its own.
     """
     state, observations = fit.state, problem.observations
-    used = connected[observations.frame] * fit.weights
-    scaled = problem.compute_information(used, replace(fit.noise, sigma_px=summary.sigma_px))
+    scaled = connected[observations.frame] * fit.weights / summary.sigma_px[observations.camera] ** 2
     rng, covariance = np.random.default_rng(0), np.where(connected[:, None, None], summary.covariance, 0.0)
     roots = np.linalg.cholesky(covariance[:, :3, :3] + 1e-18 * np.eye(3))
     right = problem.rotations[0, 0]

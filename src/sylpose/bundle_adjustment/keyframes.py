@@ -121,7 +121,7 @@ def bundle_adjust_by_keyframes(
 def correlate_errors(observations: Observations, result: BundleResult) -> float:
     """Return the correlation of the errors of a landmark's observations in successive frames; 0 without any.
 
-    It is the share of their variance that is common to both frames, and that more frames do not reduce.
+    It is the share of their variance that is common to both frames: at most that share is common to more of them.
     """
     order = np.lexsort((observations.frame, observations.camera, observations.landmark))
     frame, camera, landmark = (x[order] for x in (observations.frame, observations.camera, observations.landmark))

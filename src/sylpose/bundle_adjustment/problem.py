@@ -45,8 +45,7 @@ SHRINKAGE = biquartic_noise_response(CUTOFF_SIGMAS).shrinkage
 # refinement"); and for the covariance of poses, below which errors
 # of pixel positions and of lenses would dominate (choice).
 MIN_SIGMA_PX, MIN_REPORTED_SIGMA_PX = 0.1, 0.02
-# Degrees of freedom from which a camera's noise estimate weighs as much as that of all cameras together, and a landmark's
-# as much as its camera's (choice).
+# Degrees of freedom from which a camera's noise estimate weighs as much as that of all cameras together (choice).
 PRIOR_DEGREES_OF_FREEDOM = 20.0
 # Standard deviation of a landmark's depth from its viewer's surface, in radii of the object, which stabilizes landmarks
 # with little parallax; smaller where the surfaces' depths are fixed, so that many landmarks together constrain them;
@@ -78,37 +77,14 @@ class State:
 
 
 @dataclass(frozen=True, eq=False)
-class Noise:
-    """Noise of observations: normal, with a variance of each landmark, since some patches are registered less well.
-
-    Attributes:
-        sigma_px: (C,) noise of each camera, pixels, of one coordinate.
-        variance_ratio: (m,) variance of each landmark's observations relative to those of its camera.
-    """
-
-    sigma_px: FloatArray
-    variance_ratio: FloatArray
-
-    def is_like(self, other: Noise, tolerance: float) -> bool:
-        """Return whether no standard deviation differs by more than a share."""
-        pairs = (self.sigma_px, other.sigma_px), (np.sqrt(self.variance_ratio), np.sqrt(other.variance_ratio))
-        return all(bool((np.abs(a / b - 1.0) <= tolerance).all()) for a, b in pairs)
-
-    def compute_variances(self, observations: SortedObservations) -> FloatArray:
-        """Return (n,) variance of each observation, pixels²."""
-        counts = np.diff(observations.start)
-        return np.asarray(self.sigma_px[observations.camera] ** 2 * np.repeat(self.variance_ratio, counts))
-
-
-@dataclass(frozen=True, eq=False)
 class Fit:
-    """Result of the search, with its final robust weights (n,), noise and leverage (n,)."""
+    """Result of the search, with its final weights (n,), noise (C,) and leverage (n,)."""
 
     state: State
     status: Status
     iterations: int
     weights: FloatArray
-    noise: Noise
+    sigma: FloatArray
     leverage: FloatArray
 
 
@@ -182,11 +158,6 @@ class Problem:
         return int(np.flatnonzero(self.observations.free_index < 0)[0])
 
     @property
-    def unknown_noise(self) -> Noise:
-        """The noise before it is estimated, with the same variance for all landmarks."""
-        return Noise(np.full(len(self.focals), np.inf), np.ones(len(self.observations.start) - 1))
-
-    @property
     def landmark_prior(self) -> FloatArray:
         """(2,) prior information, 1/length², on a landmark's depth and on its lateral position."""
         depths_fixed = bool(self.camera_parameters.fixed[self.camera_parameters.depth_mask].any())
@@ -218,10 +189,6 @@ class Problem:
         frames = state.rotations, np.ascontiguousarray(camera_rotations), translations
         return Views(*frames, angular_velocity, linear_velocity, rotations, rotvec_jacobians, self.focals, shared)
 
-    def compute_information(self, weights: FloatArray, noise: Noise) -> FloatArray:
-        """Return (n,) information of each observation, 1/pixels², from its robust weight (n,)."""
-        return np.asarray(weights / noise.compute_variances(self.observations))
-
     def linearize(self, state: State, weights: FloatArray) -> Linearization:
         """Return the observations linearized at a state; weights (n,) are in 1/pixels²."""
         return Linearization(self.observations, self.view_frames(state), state.points, weights, self.landmark_prior)
@@ -238,29 +205,29 @@ class Problem:
         kernels.triangulate_rays(self.observations, self.view_frames(state), float(self.landmark_prior[0]), out)
         return out
 
-    def reset_stray_landmarks(self, state: State, e: FloatArray, noise: Noise) -> State:
+    def reset_stray_landmarks(self, state: State, e: FloatArray, sigma: FloatArray) -> State:
         """Triangulate landmarks again that fewer than two observations support, at the current poses."""
         if len(e) == 0:
             return state
-        support = np.add.reduceat((self.compute_weights(e, noise) > 0).astype(float), self.observations.start[:-1])
+        support = np.add.reduceat((self.compute_weights(e, sigma) > 0).astype(float), self.observations.start[:-1])
         is_stray = (support < 2) & (self.repeat_mask[self.observations.start[:-1]] > 0)
         if not is_stray.any():
             return state
         points = np.where(is_stray[:, None], self.triangulate(state), state.points)
         return replace(state, points=points)
 
-    def compute_weights(self, e: FloatArray, noise: Noise) -> FloatArray:
+    def compute_weights(self, e: FloatArray, sigma: FloatArray) -> FloatArray:
         """Return (n,) robust weights of residuals (n, 2)."""
-        square, cutoff = np.einsum("ni,ni->n", e, e), CUTOFF_SIGMAS**2 * noise.compute_variances(self.observations)
+        square, cutoff = np.einsum("ni,ni->n", e, e), (CUTOFF_SIGMAS * sigma[self.observations.camera]) ** 2
         return self.repeat_mask * np.where(square < kernels.BEHIND_PX**2, biquartic_weights(square / cutoff), 0.0)
 
-    def compute_cost(self, e: FloatArray, noise: Noise, state: State, fixed_weights: FloatArray | None) -> float:
+    def compute_cost(self, e: FloatArray, sigma: FloatArray, state: State, fixed_weights: FloatArray | None) -> float:
         """Return half the sum of squares in standard deviations, plus the same of the priors.
 
         Args:
             fixed_weights: (n,) fixed weights; None for the robust cost, which saturates for outliers.
         """
-        q = np.einsum("ni,ni->n", e, e) / (CUTOFF_SIGMAS**2 * noise.compute_variances(self.observations))
+        q = np.einsum("ni,ni->n", e, e) / (CUTOFF_SIGMAS * sigma[self.observations.camera]) ** 2
         if fixed_weights is None:
             total = 0.5 * CUTOFF_SIGMAS**2 * float(self.repeat_mask @ biquartic_losses(q))
         else:
@@ -276,32 +243,21 @@ class Problem:
         total += 0.5 * float(self.landmark_prior @ [(depths[used] ** 2).sum(), (state.points[used] ** 2).sum()])
         return total + 0.5 * float(state.z @ state.z)
 
-    def estimate_noise(self, e: FloatArray, leverage: FloatArray, before: Noise, floor: float = 0.0) -> Noise:
-        """Estimate the noise from the weighted squares of the inliers, selected by the median.
+    def estimate_noise(self, e: FloatArray, leverage: FloatArray) -> FloatArray:
+        """Return (C,) noise of each camera, pixels: from the weighted squares of the inliers, selected by the median.
 
         Residuals are smaller than the noise because the unknowns are fitted to them. A camera with few observations is
-        assigned the noise of all cameras together, and a landmark that of its camera.
-
-        Args:
-            e: (n, 2) residuals, pixels.
-            leverage: (n,) of the landmarks.
-            before: the noise in the last iteration, or `unknown_noise`.
-            floor: least noise of a camera, pixels; at least `MIN_SIGMA_PX`.
+        assigned the noise of all cameras together.
         """
         n, camera, used = len(self.focals), self.observations.camera, self.repeat_mask > 0
-        ratio, freedom = before.variance_ratio, self._compute_freedom(self.repeat_mask, leverage)
-        expected = np.maximum(freedom, 0.2) / 2.0 * np.repeat(ratio, np.diff(self.observations.start))
-        coordinates = e / np.sqrt(expected)[:, None]
+        freedom = self._compute_freedom(self.repeat_mask, leverage)
+        coordinates = e / np.sqrt(np.maximum(freedom, 0.2) / 2.0)[:, None]
         pooled = robust_sigma(_subsample(coordinates[used]), MIN_SIGMA_PX)
         camera_sigmas = [
             robust_sigma(_subsample(x), MIN_SIGMA_PX) if len(x) > PRIOR_DEGREES_OF_FREEDOM else pooled
             for x in (coordinates[used & (camera == c)] for c in range(n))
         ]
-        noise = Noise(np.maximum(camera_sigmas, floor), ratio)
-        weights = self.compute_weights(e, noise)
-        measured = self.estimate_weighted_noise(e, weights, leverage, ratio)
-        noise = Noise(np.maximum(measured, max(MIN_SIGMA_PX, floor)), ratio)
-        return replace(noise, variance_ratio=self._estimate_variance_ratio(e, weights, leverage, measured))
+        return self.estimate_weighted_noise(e, self.compute_weights(e, np.array(camera_sigmas)), leverage)
 
     def _compute_freedom(self, weights: FloatArray, leverage: FloatArray) -> FloatArray:
         """Return (n,) degrees of freedom of each observation's two coordinates."""
@@ -309,36 +265,22 @@ class Problem:
         return np.asarray(2.0 - leverage - min(n_pose_unknowns / max(float(weights.sum()), 1.0), 0.5))
 
     def estimate_weighted_noise(
-        self, e: FloatArray, weights: FloatArray, leverage: FloatArray, variance_ratio: FloatArray
+        self, e: FloatArray, weights: FloatArray, leverage: FloatArray, minimum: float = MIN_SIGMA_PX
     ) -> FloatArray:
-        """Return (C,) noise of each camera, pixels, from the residuals, their weights and the landmarks' variances."""
+        """Return (C,) noise of each camera, pixels, at least `minimum`, from the residuals and their weights."""
         n, camera = len(self.focals), self.observations.camera
         observation_freedom = self._compute_freedom(weights, leverage)
-        relative = np.einsum("ni,ni->n", e, e) / np.repeat(variance_ratio, np.diff(self.observations.start))
-        squares = np.bincount(camera, weights * relative / SHRINKAGE, minlength=n)
+        squares = np.bincount(camera, weights * np.einsum("ni,ni->n", e, e) / SHRINKAGE, minlength=n)
         freedom = np.bincount(camera, weights * np.maximum(observation_freedom, 0.0), minlength=n)
         pooled = squares.sum() / max(freedom.sum(), 1e-9)
         variance = (squares + PRIOR_DEGREES_OF_FREEDOM * pooled) / (freedom + PRIOR_DEGREES_OF_FREEDOM)
-        return np.asarray(np.sqrt(np.maximum(variance, MIN_REPORTED_SIGMA_PX**2)))
-
-    def _estimate_variance_ratio(
-        self, e: FloatArray, weights: FloatArray, leverage: FloatArray, sigma: FloatArray
-    ) -> FloatArray:
-        """Return (m,) variance of each landmark's observations relative to those of its camera, shrunk to 1."""
-        start = self.observations.start[:-1]
-        if not len(start):
-            return np.ones(0)
-        relative = np.einsum("ni,ni->n", e, e) / sigma[self.observations.camera] ** 2
-        squares = np.add.reduceat(weights * relative / SHRINKAGE, start)
-        freedom = np.add.reduceat(weights * np.maximum(self._compute_freedom(weights, leverage), 0.0), start)
-        return np.asarray((squares + PRIOR_DEGREES_OF_FREEDOM) / (freedom + PRIOR_DEGREES_OF_FREEDOM))
+        return np.asarray(np.sqrt(np.maximum(variance, minimum**2)))
 
     def summarize(self, fit: Fit, connected: BoolArray) -> FitSummary:
         """Compute the uncertainty of the solution; `connected` (N,) are the frames connected to a fixed one."""
         state, e = fit.state, self.compute_residuals(fit.state)
-        ratio, moving = fit.noise.variance_ratio, self.observations.free_index >= 0
-        noise = Noise(self.estimate_weighted_noise(e, fit.weights, fit.leverage, ratio), ratio)
-        scaled = self.compute_information(fit.weights, noise)
+        sigma = self.estimate_weighted_noise(e, fit.weights, fit.leverage, MIN_REPORTED_SIGMA_PX)
+        scaled, moving = fit.weights / sigma[self.observations.camera] ** 2, self.observations.free_index >= 0
         at = self.linearize(state, scaled)
         # Noise in the landmarks' depths would otherwise appear as information on rotations.
         system = self.build_system(state, at._replace(points=shrink_depth_noise(at)))
@@ -349,9 +291,9 @@ class Problem:
         solver = solver.with_fixed(solver.fixed & ~is_calibration)
         rows = solver.gain.reshape(len(frame_covariance), 6, -1)
         pose_covariance = solver.parameter_covariance(include_fixed=False)
-        independent = frame_covariance + rows @ pose_covariance @ rows.transpose(0, 2, 1)
+        noise = frame_covariance + rows @ pose_covariance @ rows.transpose(0, 2, 1)
         excess = np.ones(len(moving))
-        excess[moving] = compute_variance_inflation(at, system, solver, independent)
+        excess[moving] = compute_variance_inflation(at, system, solver, noise)
         median_excess, scale, held_change = float(np.median(excess[moving])), 1.0, np.zeros(len(is_calibration))
         if is_calibration.any():
             scale, held_change = self._estimate_calibration(state, at, median_excess)
@@ -376,7 +318,7 @@ class Problem:
         rests_on_prior[moving] &= ~is_length_observable(
             displacements[moving], frame_covariance + rows @ unaided @ rows.transpose(0, 2, 1)
         )
-        return FitSummary(noise.sigma_px, covariance, shared, excess, *path, rests_on_prior, scale, surface_covariance)
+        return FitSummary(sigma, covariance, shared, excess, *path, rests_on_prior, scale, surface_covariance)
 
     def _displacements(self, state: State) -> FloatArray:
         """Return (N, 3) translations of the object's origin since the first fixed frame."""

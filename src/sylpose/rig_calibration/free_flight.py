@@ -93,8 +93,8 @@ def find_free_flight(times: FloatArray, world_from_object: RigidTransform) -> Fr
         world_from_object: N poses.
 
     Raises:
-        CalibrationRefusedError: fewer than two flights with the same gravity; a single one may be a swing
-            of the hand.
+        CalibrationRefusedError: fewer than two flights with the same gravity, or no more alike than swings of the hand are
+            by chance; flights with two different gravities.
     """
     times = np.asarray(times, float)
     windows, limit = _find_smooth_windows(times, world_from_object)
@@ -107,12 +107,13 @@ def find_free_flight(times: FloatArray, world_from_object: RigidTransform) -> Fr
     groups = sorted(_find_agreeing(fits), reverse=True)
     log_odds, agreeing = groups[0] if groups else (-np.inf, [*fits][:1])
     if log_odds < MIN_LOG_ODDS:
-        swings = f", which swings of the hand may have as well (odds {np.exp(log_odds):.2g})" if groups else ""
+        needed = f"{np.exp(MIN_LOG_ODDS):.0f}"
+        swings = f", as swings of the hand may have (odds {np.exp(log_odds):.2g}, needs {needed})" if groups else ""
         raise CalibrationRefusedError(
-            f"throw: {len(agreeing)} free flights with one gravity{swings}, needs 2: throw the object up twice "
+            f"throw: {len(agreeing)} free flights with one gravity{swings}; needs 2: throw the object up twice "
             "or more, so that it rotates, flies for half a second and stays in view of all cameras"
         )
-    if any(odds > MIN_LOG_ODDS and not {*group} & {*agreeing} for odds, group in groups):
+    if any(other_log_odds >= MIN_LOG_ODDS and not {*group} & {*agreeing} for other_log_odds, group in groups):
         raise CalibrationRefusedError(
             "throw: flights with two different gravities, needs one: swings of the hand may look alike; leave them out by "
             "--start and --stop"

@@ -232,7 +232,7 @@ def _calibrate_consistent(recording: _Recording, free: _Freed) -> _Consistent:
             problem = "it contradicts the others"
             if failed.name.startswith("uncertainty"):
                 # Fewer cameras may not reveal what is wrong with the lenses.
-                free, problem = fit.freed, "its pose is the least certain"
+                free, problem = fit.freed, "a test fails with it"
             name = fit.joint.rig[find_least_consistent(fit.joint)].name
             if name in excluded:  # and admitted again
                 raise refusal from None

@@ -131,7 +131,10 @@ class ResultsFolder:
             self._move(self.path / EARLIER_MOVING, self.path)
 
     def restore_earlier_results(self) -> None:
-        """Remove the new run's files and move the earlier results back, unless they would replace files that stay."""
+        """Remove the new run's files and move the earlier results back, unless they would replace files that stay.
+
+        A calibration that the new run has written stays with them.
+        """
         if any((self.path / EARLIER / name).exists() for name in self.own):
             return
         _remove_files(self._find_run_files(self.path))

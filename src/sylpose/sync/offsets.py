@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sylpose.geometry.validation import check_number, format_value
+from sylpose.geometry.validation import check_number, check_type, format_value
 from sylpose.input_limits import input_errors, parse_toml, read_text
 from sylpose.io.capture import Session
 from sylpose.io.capture.live import LiveSession
@@ -79,10 +79,11 @@ def apply_offsets(session: Session, offsets: Mapping[str, float]) -> Session:
         offsets: delay of a camera's images relative to their timestamps, seconds, by camera; 0 for others.
 
     Raises:
-        ValueError: a camera that is not in the recording, more than a day, a session without rate, or a camera without a
-            frame in the common time.
+        TypeError: offsets that are no mapping.
+        ValueError: a camera that is not in the recording, an offset that is no number or exceeds a day, a session without
+            rate, or a camera without a frame in the common time.
     """
-    for name, value in offsets.items():
+    for name, value in check_type(offsets, Mapping, "offsets").items():
         if name not in session.rig.names and name not in session.without:
             raise ValueError(f"offsets: no camera {format_value(name)} in the rig ({', '.join(session.rig.names)})")
         check_number(value, f"offsets: {name}", minimum=-MAX_OFFSET, maximum=MAX_OFFSET)
