@@ -283,7 +283,9 @@ def _apply_result(
     # that are uncertain as tracked are reduced; fixed frames are not refined.
     share = correlate_errors(observations, result)
     has_common = np.array([share > 0.0 and frames[k].pose.status is FrameStatus.TRACKED for k in used]) & ~is_fixed
-    has_common &= np.isfinite(tracked_covariance).all(axis=(1, 2))
+    has_common &= result.connected & np.isfinite(tracked_covariance).all(axis=(1, 2))
+    for i in np.flatnonzero(has_common).tolist():
+        covariance[i] = enlarge_covariance(covariance[i], share * tracked_covariance[i])
     is_refined, is_lost_frame = np.zeros((2, len(frames)), bool)
     is_refined[used], is_lost_frame[used] = result.connected & ~is_lost, result.connected & is_lost
     for i, k in enumerate(used[1:], start=1):
@@ -294,9 +296,7 @@ def _apply_result(
             poses[k] = replace(
                 poses[k],
                 world_from_object=result.world_from_object[i],
-                covariance=enlarge_covariance(covariance[i], share * tracked_covariance[i])
-                if has_common[i]
-                else covariance[i],
+                covariance=covariance[i],
                 observability=observability,
                 inliers=counts[i],
                 residuals=residuals[i],

@@ -25,6 +25,7 @@ from sylpose.rig_calibration.result import GRID, Coverage, RigCalibration
 from sylpose.runs import run as runs
 from sylpose.runs import self_calibration
 from sylpose.runs.options import RunOptions
+from sylpose.runs.page import read_run
 from sylpose.runs.self_calibration import KnownLength, describe_flight, parse_free, parse_scale
 from sylpose.simulate import Actor, Scene, arc, write_sequence
 from sylpose.simulate.render import chamfered_box
@@ -298,6 +299,21 @@ def test_earlier_results_return_if_a_run_does_not_begin(
     covariance = 1e-6 * np.eye(10 * len(truth))
     runs.track_session(session, out, replace(options, calibration_covariance=covariance))
     assert not list(out.rglob("calibration.estimated.*"))
+
+
+@pytest.mark.parametrize("name", ["calibration.refined.toml", "calibration.refined.end.toml"])
+def test_a_refined_calibration_there_stays_if_a_run_uses_it(session: Path, tmp_path: Path, name: str) -> None:
+    """The page shows the cameras that the run used, not those at the start of an earlier run."""
+    out, truth = tmp_path / "out", calibration.load(session / "calibration.toml")
+    out.mkdir()
+    for file in ("calibration.refined.toml", "calibration.refined.end.toml"):
+        calibration.save(Rig(truth.cameras[::-1], truth.unit), out / file)
+    calibration.save(truth, out / name)
+    (out / "trajectory.csv").write_text("earlier")
+    there = open_session(session, calibration=out / name)
+    runs.track_session(there, out, RunOptions(stop=3, overlay=False, smooth=False))
+    assert [file.name for file in out.glob("calibration.refined*")] == [name]
+    assert read_run(out)[1].names == truth.names
 
 
 @pytest.mark.parametrize(

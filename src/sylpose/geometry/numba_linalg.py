@@ -35,7 +35,7 @@ def kernel(function: F) -> F:
 
     Division by zero gives inf or NaN as in NumPy, and the interpreter's lock is released while it runs.
     """
-    return cast(F, _compile_lazily(function))
+    return cast(F, _make_dispatcher(function))
 
 
 def leaf(function: F) -> F:
@@ -44,10 +44,10 @@ def leaf(function: F) -> F:
     Reference counting takes a hundred cycles for each array of a record, in and out again, as long as many of these
     functions run.
     """
-    return cast(F, _compile_lazily(function, **NO_REFCOUNT))
+    return cast(F, _make_dispatcher(function, **NO_REFCOUNT))
 
 
-def _compile_lazily(function: Callable[..., object], **options: Any) -> Any:
+def _make_dispatcher(function: Callable[..., object], **options: Any) -> Any:
     """Return Numba's dispatcher of a function, with the disk cache."""
     dispatcher: Any = enable_cache(numba.njit(nogil=True, error_model="numpy", **options)(function))
     if dispatcher is not function:

@@ -19,6 +19,7 @@ from sylpose.io.object_files import object_checksum
 from sylpose.methods import METHODS
 from sylpose.network.simulation import NodesTracker
 from sylpose.rig import Rig
+from sylpose.runs.calibration_refinement import REFINED, REFINED_END
 from sylpose.runs.candidates import compare_session_cameras, select_candidate
 from sylpose.runs.check import check_session
 from sylpose.runs.checkpoint import CheckpointWriter
@@ -110,8 +111,10 @@ def replace_results(session: Session, out: Path | str | None = None) -> Iterator
 
 def _make_results_folder(session: Session | LiveSession, out: Path | str | None) -> ResultsFolder:
     path = output_path(session, out)
-    is_calibrated_there = session.calibration.resolve() == (path / ESTIMATED[0]).resolve()
-    own = ESTIMATED if is_calibrated_there else ()
+    # The calibration that the run uses stays there, if an earlier run has written it.
+    used = session.calibration.resolve()
+    written = ESTIMATED, (REFINED,), (REFINED_END,)
+    own = next((files for files in written if used == (path / files[0]).resolve()), ())
     return ResultsFolder(path, session.objects if len(session.objects) > 1 else (), own)
 
 
