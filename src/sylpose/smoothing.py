@@ -284,6 +284,7 @@ def _apply_result(
     share = correlate_errors(observations, result)
     has_common = np.array([share > 0.0 and frames[k].pose.status is FrameStatus.TRACKED for k in used]) & ~is_fixed
     has_common &= result.connected & np.isfinite(tracked_covariance).all(axis=(1, 2))
+    has_common[0] = False  # the reference
     for i in np.flatnonzero(has_common).tolist():
         covariance[i] = enlarge_covariance(covariance[i], share * tracked_covariance[i])
     is_refined, is_lost_frame = np.zeros((2, len(frames)), bool)
