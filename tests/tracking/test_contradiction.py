@@ -12,14 +12,14 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.commands.main import main
 from sylpose.geometry.arrays import Image
-from sylpose.relative_pose.camera_evidence import MAX_F_RATIO, CameraEvidence
+from sylpose.relative_pose.camera_evidence import MAX_F_RATIO, MIN_KEPT_POOLED, CameraEvidence
 from sylpose.simulate import make_demo_scene, render_frames
 from sylpose.simulate.recordings import create_session_folder, write_videos
 from sylpose.smoothing import Track, smooth_tracks
 from sylpose.status import FrameStatus
 from sylpose.tracking.context import Context
 from sylpose.tracking.joint_side.joint_state import SolvedFrame
-from sylpose.tracking.map_update import add_f_ratio, is_contradicted
+from sylpose.tracking.map_update import add_f_ratio, is_contradicted, measure_f_ratio
 from sylpose.tracking.options import TrackingOptions
 from sylpose.tracking.reports import PoseAgreement
 from sylpose.tracking.tracker import track
@@ -107,6 +107,15 @@ def test_frame_is_as_reliable_as_those_that_support_it() -> None:
     resting = PoseAgreement(n_matches=30, n_inlier_matches=30)
     assert not is_contradicted([on_good, other, resting], known, good, TrackingOptions())
     assert is_contradicted([on_good, other, replace(resting, n_inlier_matches=3)], known, good, TrackingOptions())
+
+
+def test_two_cameras_of_three_are_no_evidence_for_a_motion_that_the_third_does_not_follow() -> None:
+    agreeing, others = PoseAgreement(evidence=CameraEvidence(20, 0.3, 0.4, 5.0)), PoseAgreement(n_matches=30)
+    alone, silent = [agreeing] * 2, replace(others, n_inlier_matches=30)
+    assert np.isfinite(
+        [measure_f_ratio(its, MIN_KEPT_POOLED) for its in (alone, [*alone, silent], [agreeing] * 3)]
+    ).all()
+    assert np.isnan([measure_f_ratio([*alone, its], MIN_KEPT_POOLED) for its in (others, PoseAgreement())]).all()
 
 
 def test_last_frames_are_pooled() -> None:

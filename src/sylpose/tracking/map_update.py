@@ -107,8 +107,8 @@ def accept_frame(context: Context, state: JointState, candidate: PoseCandidate) 
     moves_first = candidate.has_moved and not state.motion.has_moved
     if moves_first and state.object.is_bounded and is_mostly_outside(context, state, frame, candidate.pose):
         state = replace(state, ambiguity=OUTSIDE_REASON)
-    inflation, f_ratio = _compute_inflation(candidate), _compute_f_ratio(agreements)
-    f_ratios, pooled = add_f_ratio(state.f_ratios, _compute_f_ratio(agreements, MIN_KEPT_POOLED), context.options)
+    inflation, f_ratio = _compute_inflation(candidate), measure_f_ratio(agreements)
+    f_ratios, pooled = add_f_ratio(state.f_ratios, measure_f_ratio(agreements, MIN_KEPT_POOLED), context.options)
     state = replace(state, f_ratios=f_ratios)
     accepted = _accept_pose(context, state, candidate)
     # Each camera: features that were observed before.
@@ -259,7 +259,7 @@ def is_contradicted(
     A pose is as reliable as the earlier frames that the evidence connects it with. Where fewer than two cameras have
     evidence, as for an object that rests, it is as reliable as the last one.
     """
-    f_ratio = _compute_f_ratio(agreements)
+    f_ratio = measure_f_ratio(agreements)
     if not f_ratio <= options.max_f_ratio:
         return f_ratio > options.max_f_ratio or last.is_contradicted
     references = [known_frames[a.evidence_reference] for a in agreements if a.evidence_reference in known_frames]
@@ -275,16 +275,21 @@ def add_f_ratio(
     return f_ratios, float(pool_f_ratios(np.array(f_ratios))) if len(f_ratios) >= MIN_POOLED else np.nan
 
 
-def _compute_f_ratio(agreements: Agreements, min_kept: int = 2) -> float:
+def measure_f_ratio(agreements: Agreements, min_kept: int = 2) -> float:
     """Return the F ratio of a pose; NaN without evidence.
 
-    Where the object hardly moves as seen from some cameras, they have no evidence but agree: a camera that sees another
-    body is then one of more than `min_kept`.
+    Where the object hardly moves as seen from some cameras, they are silent, without evidence, but agree: a camera that
+    sees another body is then one of more than `min_kept`.
     """
     excess = np.array([agreement.evidence.excess for agreement in agreements])
     counts = np.array([(agreement.n_inlier_matches, agreement.n_matches) for agreement in agreements])
     agrees = (counts[:, 0] >= MIN_MATCHES) & (counts[:, 0] > MIN_AGREEING_SHARE * counts[:, 1])
-    return float(compute_f_ratio(excess, max(1, min_kept - int(np.count_nonzero(agrees & np.isnan(excess))))))
+    agrees &= np.isnan(excess)
+    n_silent = int(np.count_nonzero(agrees))
+    # Any two cameras nearly agree: where no other follows their motion, that is no evidence for it.
+    if np.count_nonzero(~np.isnan(excess)) + n_silent < min(min_kept, len(agreements)):
+        return np.nan
+    return float(compute_f_ratio(excess, max(1, min_kept - n_silent)))
 
 
 def _undetected_motion_covariance(context: Context, pose: RigidTransform, radius: float) -> FloatArray:
