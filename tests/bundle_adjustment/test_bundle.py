@@ -85,6 +85,10 @@ def error(truth: RigidTransform, found: RigidTransform) -> FloatArray:
     return np.hstack([(truth.rotation * found.rotation.inv()).as_rotvec(), truth.translation - found.translation])
 
 
+def equal_variances(problem: Problem, *_: FloatArray) -> FloatArray:
+    return np.ones(len(problem.observations.frame))
+
+
 def same(a: BundleResult, b: BundleResult, tolerance: float = 1e-9) -> bool:
     return bool(np.abs(error(a.world_from_object, b.world_from_object)).max() < tolerance)
 
@@ -105,6 +109,40 @@ def test_exact_without_noise() -> None:
     assert np.abs(found.residuals[often]).max() < 1e-4
     assert (found.weights[often] > 0.99).mean() > 0.999
     assert not found.weights[~often].any()
+
+
+def test_landmarks_have_their_own_noise(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A third of them is registered with four times the noise of the others: they count for less, as they should."""
+    poses = path(np.arange(30))
+    squares, nees = np.zeros(2), []
+    for seed in range(6):
+        seen = tracks([poses] * 4, 30, 0.15, seed, 25)
+        rng = np.random.default_rng(100 + seed)
+        noisy = rng.random(seen.landmark.max() + 1) < 1.0 / 3.0
+        focal = np.array([camera.focal for camera in RIG])[seen.camera, None]
+        added = np.sqrt(15.0) * 0.15 * noisy[seen.landmark, None] / focal * rng.standard_normal(seen.image.shape)
+        seen = replace(seen, image=seen.image + added)
+        found = [bundle_adjust(RIG, seen, disturb_poses(poses), RADIUS)]
+        with monkeypatch.context() as patch:
+            patch.setattr(Problem, "estimate_variance_ratio", equal_variances)
+            found.append(bundle_adjust(RIG, seen, disturb_poses(poses), RADIUS))
+        errors = [error(poses, its.world_from_object)[1:] for its in found]
+        squares += [float((its[:, :3] ** 2).sum()) for its in errors]
+        nees += [e @ np.linalg.solve(c, e) / 6.0 for e, c in zip(errors[0], found[0].covariance[1:], strict=True)]
+    assert squares[0] < 0.85 * squares[1]
+    assert 0.4 < np.mean(nees) < 1.5
+
+
+def test_a_landmark_that_slides_is_not_its_own_inlier() -> None:
+    """Its variance is large, but whether it is an outlier is decided with the noise of its camera."""
+    poses = path(np.arange(30))
+    seen = tracks([poses] * 4, 30, 0.15, 1, 25)
+    slides = seen.landmark == np.bincount(seen.landmark).argmax()
+    image = seen.image.copy()
+    image[slides, 0] += 0.002 * (seen.frame[slides] - seen.frame[slides].mean())
+    found = bundle_adjust(RIG, replace(seen, image=image), disturb_poses(poses), RADIUS)
+    assert np.mean(found.weights[slides] > 0) < 0.5
+    assert np.mean(found.weights[~slides] > 0) > 0.95
 
 
 @given(st.integers(0, 10**6))
@@ -176,6 +214,7 @@ def test_optimum_matches_scipy(monkeypatch: pytest.MonkeyPatch) -> None:
     # Converged to the last digit, with constant noise: the reported weights are then those of the last iteration.
     monkeypatch.setattr(bundle_module, "STEP_TOLERANCE", 1e-14)
     monkeypatch.setattr(Problem, "estimate_weighted_noise", lambda *_: np.array([0.4, 0.5, 0.6, 0.5]))
+    monkeypatch.setattr(Problem, "estimate_variance_ratio", equal_variances)
     poses = path(np.arange(4))
     seen = tracks([poses] * 4, 10, 0.5, 3)
     start = disturb_poses(poses)

@@ -36,8 +36,9 @@ from sylpose.status import Status
 # Weak prior of every pose: half a revolution and several radii around its start, which keeps unconstrained poses there
 # (choice).
 WEAK_ROTATION_SD, WEAK_TRANSLATION_RADII = np.pi, 10.0
-# The noise is re-estimated until it changes by less than this, or for so many iterations; then it is fixed (choice).
-SIGMA_TOLERANCE, MAX_SIGMA_ITERATIONS = 0.05, 8
+# The noise is re-estimated until it changes by less than this, or for so many iterations; then it is fixed (choice: with
+# 2 %, refinements from different starts differ by a third of a standard deviation in single frames).
+NOISE_TOLERANCE, MAX_NOISE_ITERATIONS = 0.01, 8
 # A rough start's lower limit of the noise falls by this factor per iteration (choice: from ten pixels to the noise floor
 # in five).
 GRADUATION = 3.0
@@ -236,7 +237,8 @@ def bundle_adjust(
     else:
         unknown, e = np.zeros(len(observations)), problem.compute_residuals(state)
         sigma = problem.estimate_noise(e, unknown)
-        fit = Fit(state, Status.TOO_FEW_MATCHES, 0, problem.compute_weights(e, sigma), sigma, unknown)
+        weights = problem.compute_weights(e, sigma)
+        fit = Fit(state, Status.TOO_FEW_MATCHES, 0, weights, sigma, unknown, np.ones(len(e)))
     summary = problem.summarize(fit, connected)
     if not options.fix_depths and setup.is_solvable and is_scale_from_noise(problem, fit, summary, connected):
         problem = problem.fix_depths()
@@ -411,6 +413,10 @@ def _add_depth_basis(problem: Problem, state: State) -> Problem:
 def minimize(problem: Problem, state: State, options: BundleOptions) -> Fit:
     """Run Levenberg-Marquardt with re-weighting from a state until it converges.
 
+    Which observations are outliers is decided with the noise of the cameras. Once that is fixed, the landmarks' variances
+    are estimated. In the reverse order, a landmark that slides would be its own inlier, and one that is still for long an
+    outlier as soon as it moves.
+
     With `options.coarse`, stop where the weights would be fixed: the remaining error is a seventh of a standard
     deviation per frame.
     """
@@ -418,6 +424,7 @@ def minimize(problem: Problem, state: State, options: BundleOptions) -> Fit:
     sigma = np.full(len(problem.focals), np.inf)
     leverage = np.full(len(e), min(1.0, 3.0 * len(state.points) / max(len(e), 1)))
     n_frames, damping, is_sigma_fixed, fixed_weights = len(state.rotations), 0.0, False, None
+    variance_ratio, is_ratio_fixed, n_rounds = np.ones(len(e)), options.coarse, 0
     floor = options.rough_px
     max_size = WEIGHTS_TOLERANCE * n_frames if options.coarse else STEP_TOLERANCE
     for iteration in range(1, options.max_iterations + 1):
@@ -427,34 +434,43 @@ def minimize(problem: Problem, state: State, options: BundleOptions) -> Fit:
             previous_sigma, sigma = sigma, np.maximum(problem.estimate_noise(e, leverage), floor)
             state = problem.reset_stray_landmarks(state, e, sigma)
             e = problem.compute_residuals(state)
-            is_stable = bool(np.all(np.abs(sigma - previous_sigma) < SIGMA_TOLERANCE * sigma))
-            is_sigma_fixed = is_stable or iteration >= MAX_SIGMA_ITERATIONS
+            is_sigma_fixed = _is_stable(previous_sigma, sigma) or iteration >= MAX_NOISE_ITERATIONS
             floor /= GRADUATION
-        cost = problem.compute_cost(e, sigma, state, fixed_weights)
+        elif fixed_weights is not None and not is_ratio_fixed:
+            previous_ratio, n_rounds = variance_ratio, n_rounds + 1
+            variance_ratio = problem.estimate_variance_ratio(e, fixed_weights, leverage, variance_ratio)
+            is_ratio_fixed = _is_stable(previous_ratio, variance_ratio) or n_rounds >= MAX_NOISE_ITERATIONS
+        variances = sigma[problem.observations.camera] ** 2 * variance_ratio
+        cost = problem.compute_cost(e, variances, state, fixed_weights)
         weights = problem.compute_weights(e, sigma) if fixed_weights is None else fixed_weights
-        at = problem.linearize(state, weights / sigma[problem.observations.camera] ** 2)
+        at = problem.linearize(state, weights / variances)
         system = problem.build_system(state, at)
         leverage = system.reduced.leverage
         for _ in range(MAX_TRIES):
             step, z, size = system.solve(damping)
             trial = problem.apply_step(state, at, step, z)
             e = problem.compute_residuals(trial)
-            new_cost = problem.compute_cost(e, sigma, trial, fixed_weights)
+            new_cost = problem.compute_cost(e, variances, trial, fixed_weights)
             if new_cost <= cost * (1.0 + 1e-12) or size < 1e-3 * STEP_TOLERANCE:
                 break
             damping = max(30.0 * damping, 1e-5)
         else:
-            return Fit(state, Status.NOT_CONVERGED, iteration, weights, sigma, leverage)
+            return Fit(state, Status.NOT_CONVERGED, iteration, weights, sigma, leverage, variance_ratio)
         damping = damping / 30.0 if damping > 1e-5 else 0.0
         state = problem.update_derivatives(trial)
         if problem.has_time_shifts:
             e = problem.compute_residuals(state)
-        if is_sigma_fixed and size < max_size:
-            return Fit(state, Status.OK, iteration, weights, sigma, leverage)
+        if is_sigma_fixed and is_ratio_fixed and size < max_size:
+            return Fit(state, Status.OK, iteration, weights, sigma, leverage, variance_ratio)
         is_settled = size < WEIGHTS_TOLERANCE * n_frames or iteration >= MAX_WEIGHT_ITERATIONS
         if is_sigma_fixed and fixed_weights is None and is_settled:
             fixed_weights = problem.compute_weights(e, sigma)
-    return Fit(state, Status.NOT_CONVERGED, options.max_iterations, weights, sigma, leverage)
+    return Fit(state, Status.NOT_CONVERGED, options.max_iterations, weights, sigma, leverage, variance_ratio)
+
+
+def _is_stable(before: FloatArray, now: FloatArray) -> bool:
+    """Return whether a noise has changed little."""
+    return bool(np.all(np.abs(now - before) < NOISE_TOLERANCE * now))
 
 
 def refine_with_calibration(
@@ -514,7 +530,8 @@ def estimate_noise_ratio(problem: Problem, fit: Fit, summary: FitSummary, connec
     its size is added to its own.
     """
     state, observations = fit.state, problem.observations
-    scaled = connected[observations.frame] * fit.weights / summary.sigma_px[observations.camera] ** 2
+    scaled = connected[observations.frame] * fit.weights
+    scaled = scaled / (summary.sigma_px[observations.camera] ** 2 * fit.variance_ratio)
     rng, covariance = np.random.default_rng(0), np.where(connected[:, None, None], summary.covariance, 0.0)
     roots = np.linalg.cholesky(covariance[:, :3, :3] + 1e-18 * np.eye(3))
     right = problem.rotations[0, 0]

@@ -45,7 +45,8 @@ SHRINKAGE = biquartic_noise_response(CUTOFF_SIGMAS).shrinkage
 # refinement"); and for the covariance of poses, below which errors
 # of pixel positions and of lenses would dominate (choice).
 MIN_SIGMA_PX, MIN_REPORTED_SIGMA_PX = 0.1, 0.02
-# Degrees of freedom from which a camera's noise estimate weighs as much as that of all cameras together (choice).
+# Degrees of freedom from which a camera's noise estimate weighs as much as that of all cameras together, and a landmark's
+# as much as its camera's (choice).
 PRIOR_DEGREES_OF_FREEDOM = 20.0
 # Standard deviation of a landmark's depth from its viewer's surface, in radii of the object, which stabilizes landmarks
 # with little parallax; smaller where the surfaces' depths are fixed, so that many landmarks together constrain them;
@@ -78,7 +79,14 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Result of the search, with its final weights (n,), noise (C,) and leverage (n,)."""
+    """Result of the search.
+
+    Attributes:
+        weights: (n,) final robust weights, which do not contain the variances.
+        sigma: (C,) noise of each camera, pixels.
+        leverage: (n,) of the landmarks.
+        variance_ratio: (n,) variance of each observation relative to those of its camera.
+    """
 
     state: State
     status: Status
@@ -86,6 +94,7 @@ class Fit:
     weights: FloatArray
     sigma: FloatArray
     leverage: FloatArray
+    variance_ratio: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,13 +230,16 @@ class Problem:
         square, cutoff = np.einsum("ni,ni->n", e, e), (CUTOFF_SIGMAS * sigma[self.observations.camera]) ** 2
         return self.repeat_mask * np.where(square < kernels.BEHIND_PX**2, biquartic_weights(square / cutoff), 0.0)
 
-    def compute_cost(self, e: FloatArray, sigma: FloatArray, state: State, fixed_weights: FloatArray | None) -> float:
+    def compute_cost(
+        self, e: FloatArray, variances: FloatArray, state: State, fixed_weights: FloatArray | None
+    ) -> float:
         """Return half the sum of squares in standard deviations, plus the same of the priors.
 
         Args:
+            variances: (n,) of the residuals (n, 2), pixels².
             fixed_weights: (n,) fixed weights; None for the robust cost, which saturates for outliers.
         """
-        q = np.einsum("ni,ni->n", e, e) / (CUTOFF_SIGMAS * sigma[self.observations.camera]) ** 2
+        q = np.einsum("ni,ni->n", e, e) / (CUTOFF_SIGMAS**2 * variances)
         if fixed_weights is None:
             total = 0.5 * CUTOFF_SIGMAS**2 * float(self.repeat_mask @ biquartic_losses(q))
         else:
@@ -257,7 +269,8 @@ class Problem:
             robust_sigma(_subsample(x), MIN_SIGMA_PX) if len(x) > PRIOR_DEGREES_OF_FREEDOM else pooled
             for x in (coordinates[used & (camera == c)] for c in range(n))
         ]
-        return self.estimate_weighted_noise(e, self.compute_weights(e, np.array(camera_sigmas)), leverage)
+        weights = self.compute_weights(e, np.array(camera_sigmas))
+        return np.maximum(self.estimate_weighted_noise(e, weights, leverage), MIN_SIGMA_PX)
 
     def _compute_freedom(self, weights: FloatArray, leverage: FloatArray) -> FloatArray:
         """Return (n,) degrees of freedom of each observation's two coordinates."""
@@ -265,22 +278,44 @@ class Problem:
         return np.asarray(2.0 - leverage - min(n_pose_unknowns / max(float(weights.sum()), 1.0), 0.5))
 
     def estimate_weighted_noise(
-        self, e: FloatArray, weights: FloatArray, leverage: FloatArray, minimum: float = MIN_SIGMA_PX
+        self, e: FloatArray, weights: FloatArray, leverage: FloatArray, variance_ratio: FloatArray | float = 1.0
     ) -> FloatArray:
-        """Return (C,) noise of each camera, pixels, at least `minimum`, from the residuals and their weights."""
+        """Return (C,) noise of each camera, pixels, from residuals, their weights and relative variances."""
         n, camera = len(self.focals), self.observations.camera
         observation_freedom = self._compute_freedom(weights, leverage)
-        squares = np.bincount(camera, weights * np.einsum("ni,ni->n", e, e) / SHRINKAGE, minlength=n)
+        relative = np.einsum("ni,ni->n", e, e) / variance_ratio
+        squares = np.bincount(camera, weights * relative / SHRINKAGE, minlength=n)
         freedom = np.bincount(camera, weights * np.maximum(observation_freedom, 0.0), minlength=n)
         pooled = squares.sum() / max(freedom.sum(), 1e-9)
         variance = (squares + PRIOR_DEGREES_OF_FREEDOM * pooled) / (freedom + PRIOR_DEGREES_OF_FREEDOM)
-        return np.asarray(np.sqrt(np.maximum(variance, minimum**2)))
+        return np.asarray(np.sqrt(np.maximum(variance, MIN_REPORTED_SIGMA_PX**2)))
+
+    def estimate_variance_ratio(
+        self, e: FloatArray, weights: FloatArray, leverage: FloatArray, before: FloatArray
+    ) -> FloatArray:
+        """Return (n,) variance of each landmark's observations relative to those of its camera, shrunk to 1.
+
+        Some patches are registered less well than others.
+
+        Args:
+            e: (n, 2) residuals, pixels.
+            weights, leverage: (n,) as in `Fit`.
+            before: (n,) the last estimate, or 1.
+        """
+        start = self.observations.start
+        sigma = self.estimate_weighted_noise(e, weights, leverage, before)
+        relative = np.einsum("ni,ni->n", e, e) / sigma[self.observations.camera] ** 2
+        squares = np.add.reduceat(weights * relative / SHRINKAGE, start[:-1])
+        freedom = np.add.reduceat(weights * np.maximum(self._compute_freedom(weights, leverage), 0.0), start[:-1])
+        ratio = (squares + PRIOR_DEGREES_OF_FREEDOM) / (freedom + PRIOR_DEGREES_OF_FREEDOM)
+        return np.repeat(ratio, np.diff(start))
 
     def summarize(self, fit: Fit, connected: BoolArray) -> FitSummary:
         """Compute the uncertainty of the solution; `connected` (N,) are the frames connected to a fixed one."""
         state, e = fit.state, self.compute_residuals(fit.state)
-        sigma = self.estimate_weighted_noise(e, fit.weights, fit.leverage, MIN_REPORTED_SIGMA_PX)
-        scaled, moving = fit.weights / sigma[self.observations.camera] ** 2, self.observations.free_index >= 0
+        sigma = self.estimate_weighted_noise(e, fit.weights, fit.leverage, fit.variance_ratio)
+        scaled = fit.weights / (sigma[self.observations.camera] ** 2 * fit.variance_ratio)
+        moving = self.observations.free_index >= 0
         at = self.linearize(state, scaled)
         # Noise in the landmarks' depths would otherwise appear as information on rotations.
         system = self.build_system(state, at._replace(points=shrink_depth_noise(at)))
