@@ -13,7 +13,7 @@ WORKDIR /build
 COPY pyproject.toml README.md LICENSE ./
 COPY src src
 # Which of the extras in docs/install.md are wanted.
-ARG EXTRAS=archive,export,matlab,network,usd,viewer
+ARG EXTRAS=archive,export,matlab,network,shape,usd,viewer
 RUN python -m pip install --no-cache-dir ".[${EXTRAS}]" \
     && rm -rf /build
 

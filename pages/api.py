@@ -40,6 +40,9 @@ GROUPS: dict[str, tuple[str, ...]] = {
         "KnownObject",
         "load_object",
         "save_object",
+        "carve_object",
+        "CarvedObject",
+        "Mesh",
     ),
     "Results": (
         "Trajectory",

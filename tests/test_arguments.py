@@ -73,6 +73,7 @@ NOT_CALLED = {
     "LiveSession.with_rig": "the same",
     "LiveSession.with_world": "the same",
     "LiveSession.stop": "no arguments",
+    "Mesh.largest_part": "no arguments: test_mesh.py",
     "Trajectory.differentiate": "no arguments: test_kinematics.py",
     "Source.frame_number": "looked up in a table of a folder's files",
     "make_demo_scene": "the demo's, writes a recording",
@@ -124,6 +125,10 @@ def calls() -> dict[str, Call]:
     graph = [(0, 1), (1, 2)]
     frames = [sylpose.FrameSet(k, k / 30, (None,), (np.full((48, 64, 3), 9 * k, np.uint8),), (None,)) for k in range(2)]
     small = simulate.ring(1, size=(64, 48), focal=60.0)
+    facing = simulate.ring(3, size=(64, 48), focal=60.0)
+    disc = np.hypot(*(np.indices((48, 64)) - np.array([24, 32]).reshape(2, 1, 1))) < 9
+    masked = [sylpose.FrameSet.of([np.full((48, 64, 3), 90, np.uint8)] * 3, k / 30, [disc] * 3) for k in range(2)]
+    corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     seeded = np.random.default_rng
     wide = {"radius": 1.5, "focal": 1000.0, "size": (640, 480), "target": np.zeros(3), "distortion": np.zeros(5)}
     return {
@@ -422,6 +427,16 @@ def calls() -> dict[str, Call]:
             message_pattern="camera",
         ),
         "dome": Call(simulate.dome, {"n": 3, **wide, "lowest_deg": 10.0}, message_pattern="camera"),
+        "carve_object": Call(
+            sylpose.carve_object,
+            {"rig": facing, "frames": masked, "world_from_object": RigidTransform.identity(2)},
+            8,
+            message_pattern=r"\bsilhouettes\b",
+        ),
+        "Mesh": Call(
+            sylpose.Mesh,
+            {"vertices": corners, "faces": np.array([[0, 1, 2]]), "colors": np.zeros((3, 3), np.uint8)},
+        ),
         "ellipsoid": Call(simulate.ellipsoid, {"semi_axes": np.array([0.1, 0.2, 0.3]), "n": 50, "seed": 0}),
         "box": Call(simulate.box, {"sides": np.array([0.1, 0.2, 0.3]), "n": 50, "seed": 0}),
         "cloud": Call(simulate.cloud, {"semi_axes": np.array([0.1, 0.2, 0.3]), "n": 50, "seed": 0}),

@@ -24,6 +24,7 @@ NOUNS = {
     "rig",
     "frames",
     "matches",
+    "mesh",
     "moments",
     "joint_motion",
     "kinematics",
@@ -37,7 +38,7 @@ NOUNS = {
 }
 PARTS = {"sylvester", "absolute_pose", "features"}
 FILES = {"atomic_io"}  # for whoever writes any
-ESTIMATORS = PARTS | {"relative_pose", "landmarks", "bundle_adjustment", "tracking", "smoothing"}
+ESTIMATORS = PARTS | {"relative_pose", "landmarks", "bundle_adjustment", "tracking", "smoothing", "silhouettes"}
 # Allowed imports of each package besides itself (files at the root count as packages).
 ALLOWED: dict[str, set[str]] = {
     "geometry": set(),
@@ -52,6 +53,7 @@ ALLOWED: dict[str, set[str]] = {
     "bundle_adjustment": NOUNS | {"features", "absolute_pose", "landmarks"},
     "tracking": NOUNS | PARTS | {"relative_pose", "landmarks", "bundle_adjustment"},
     "smoothing": NOUNS | PARTS | {"relative_pose", "landmarks", "bundle_adjustment", "tracking"},
+    "silhouettes": NOUNS,
     "hand_eye": NOUNS | {"sylvester"},
     "rig_calibration": NOUNS | ESTIMATORS | {"boards"},
     "atomic_io": set(),
@@ -68,7 +70,17 @@ ALLOWED: dict[str, set[str]] = {
 # Modules that import packages of others by their names.
 IMPORT_OTHERS = {"runs.installation"}
 # Where images are processed, read or written.
-SEES_IMAGES = {"rig", "features", "boards", "tracking.camera_side.frame", "sync", "io", "report", "simulate"}
+SEES_IMAGES = {
+    "rig",
+    "features",
+    "boards",
+    "silhouettes",
+    "tracking.camera_side.frame",
+    "sync",
+    "io",
+    "report",
+    "simulate",
+}
 
 
 @cache

@@ -25,6 +25,7 @@ from sylpose.io.rig_files import load_calibration as load_calibration
 from sylpose.kinematics import Derivatives as Derivatives
 from sylpose.kinematics import Kinematics as Kinematics
 from sylpose.matches import Matches as Matches
+from sylpose.mesh import Mesh as Mesh
 from sylpose.moments import PairMoments as PairMoments
 from sylpose.packets import NetworkFaults as NetworkFaults
 from sylpose.relative_pose.motion import estimate_motion as estimate_motion
@@ -55,6 +56,8 @@ from sylpose.runs.run_result import Run as Run
 from sylpose.runs.self_calibration import KnownLength as KnownLength
 from sylpose.runs.self_calibration import self_calibrate as self_calibrate
 from sylpose.runs.view import load_trajectory as load_trajectory
+from sylpose.silhouettes.carving import CarvedObject as CarvedObject
+from sylpose.silhouettes.carving import carve_object as carve_object
 from sylpose.smoothing import smooth as smooth
 from sylpose.status import FrameStatus as FrameStatus
 from sylpose.status import Observability as Observability

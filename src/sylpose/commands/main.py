@@ -13,8 +13,9 @@ from sylpose import __version__
 from sylpose.commands.app import app
 
 # Importing a module registers its commands; the order is that of `--help`.
-from sylpose.commands import track, batch, check, box, sync, certify, demo, show, view, report, experiments, export  # noqa: F401 # isort: skip
-from sylpose.commands import compare, relative, calibrate, hand_eye, node, network, pose, doctor, object, calibration  # noqa: F401 # isort: skip
+from sylpose.commands import track, batch, check, box, sync, certify, scan, demo, show, view, report, experiments  # noqa: F401 # isort: skip
+from sylpose.commands import export, compare, relative, calibrate, hand_eye, node, network, pose, doctor, object  # noqa: F401 # isort: skip
+from sylpose.commands import calibration  # noqa: F401 # isort: skip
 
 
 def main(argv: Sequence[str] | None = None) -> int:

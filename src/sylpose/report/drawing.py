@@ -204,6 +204,31 @@ def draw_views(path: Path, names: Sequence[str], views: Sequence[View]) -> None:
     _save(path, np.vstack(drawn))
 
 
+def draw_surface(path: Path, names: Sequence[str], images: Sequence[Image], surfaces: Sequence[Image]) -> None:
+    """Draw the outline of a surface into an image of each camera, and the surface below; write them as PNG.
+
+    Args:
+        path: the file.
+        names: of the cameras.
+        images: (h, w, 3) BGR.
+        surfaces: (h, w, 3) pictures of the surface from the same cameras; 0 where it is not.
+
+    Raises:
+        OSError: the file cannot be written; the message names it.
+    """
+    columns = []
+    for name, image, surface in zip(names, images, surfaces, strict=True):
+        mask = np.asarray((surface > 0).any(axis=2), np.uint8)
+        outlines, _ = cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+        outlined = cv2.drawContours(
+            image.copy(), outlines, -1, AXIS_COLORS[0], max(1, round(image.shape[0] / TILE_HEIGHT))
+        )
+        tiles = [_make_tile(np.asarray(picture, np.uint8))[0] for picture in (outlined, surface)]
+        draw_text(tiles[0], name, (8, 24), 0.6, WHITE)
+        columns.append(np.vstack(tiles))
+    _save(path, np.hstack(columns))
+
+
 def draw_world_axes(path: Path, images: Sequence[Image | None], rig: Rig) -> None:
     """Draw the images side by side, each with the world's axes and grid lines of its floor, z = 0.
 

@@ -27,8 +27,11 @@ from sylpose.runs.run_metadata import ESTIMATED, SETTINGS, USED_CALIBRATION, WOR
 LOCK_FILE = ".lock"
 # Subfolders with the earlier results: kept, while being moved there or back, and while being removed.
 EARLIER, EARLIER_MOVING, EARLIER_REMOVED = "earlier_results", ".earlier_results.moving", ".earlier_results.removed"
-# Files of a run and of `sylpose view`; the checkpoint is removed first, so that no run resumes from incomplete files.
-_RUN_FILE_PATTERN = re.compile(r"overlay(_\d+)?\.mp4|report\.(html|png|svg|pdf)|view_.+\.(tum|csv|png|svg|pdf)")
+# Files of a run, of `sylpose scan` and of `sylpose view`; the checkpoint is removed first, so that no run resumes from
+# incomplete files.
+_RUN_FILE_PATTERN = re.compile(
+    r"overlay(_\d+)?\.mp4|object\.(glb|png)|report\.(html|png|svg|pdf)|view_.+\.(tum|csv|png|svg|pdf)"
+)
 _MAIN_FILES = (CHECKPOINT, *(f"{stem}{end}" for stem in (RESULT, TRACKED) for end in SUFFIXES))
 _OTHER_FILES = (REFINED, REFINED_END, *ESTIMATED, TRACKS, SETTINGS, USED_CALIBRATION, WORLD, OBJECT_FILE, CLOUD_FILE)
 _RUN_FILES = (*_MAIN_FILES, *_OTHER_FILES)

@@ -208,12 +208,13 @@ class _Settings(msgspec.Struct, frozen=True):
     checksums: dict[str, str] = {}
 
 
-def open_source_recording(result: Path, recording: Path | None = None) -> Session:
+def open_source_recording(result: Path, recording: Path | None = None, *, with_masks: bool = False) -> Session:
     """Open the recording of a run and verify that it is unchanged.
 
     Args:
         result: folder of the run, or of one of its objects.
         recording: present folder of the recording; None if it was not moved.
+        with_masks: with the masks in its folder.
 
     Raises:
         FileNotFoundError: no recording there, or a result without its path.
@@ -251,6 +252,8 @@ def open_source_recording(result: Path, recording: Path | None = None) -> Sessio
     for name in ("images", "timestamps or offsets"):
         if settings.checksums.get(name) != now[name]:
             raise ValueError(f"{path}: the recording's {name} are not those of the run")
+    if with_masks:
+        return session
     # Only the images are needed.
     return replace(session, masks=None, _masks={}, _boxes={})
 

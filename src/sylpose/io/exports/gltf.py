@@ -20,7 +20,7 @@ from sylpose.atomic_io import replace_atomically
 from sylpose.geometry.arrays import FloatArray
 from sylpose.io.exports.poses import UP_UNKNOWN_NOTE, Poses, find_runs, look_along_minus_z
 
-FLOAT, LINES, POINTS = 5126, 1, 0
+FLOAT, UNSIGNED_INT, LINES, POINTS = 5126, 5125, 1, 0
 _COLORS = np.eye(3)
 # In glTF, y is up: a world with z up is rotated about x by -90 degrees; x y z w.
 _Y_UP_FROM_Z_UP = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]
@@ -32,7 +32,7 @@ def write_gltf(poses: Poses, path: Path) -> list[str]:
     Poses keep the world's axes; if z is up, a parent node rotates it to glTF's up axis.
     """
     poses = poses.in_unit("m")
-    buffer = _BufferBuilder()
+    buffer = BufferBuilder()
     points = np.zeros((6, 3))
     points[1::2] = poses.axis_length * np.eye(3)
     mesh = {
@@ -70,7 +70,7 @@ def write_gltf(poses: Poses, path: Path) -> list[str]:
         content["cameras"] = cameras
     is_binary = path.suffix.lower() == ".glb"
     with replace_atomically(path) as part:
-        part.write_bytes((_encode_binary if is_binary else _encode_text)(content, bytes(buffer.data)))
+        part.write_bytes((encode_binary if is_binary else _encode_text)(content, bytes(buffer.data)))
     notes = poses.note_unit("m")
     return notes if poses.z_up else [*notes, UP_UNKNOWN_NOTE]
 
@@ -92,7 +92,7 @@ def _build_cameras(poses: Poses) -> tuple[list[dict[str, Any]], list[dict[str, A
 
 
 def _build_animation(
-    buffer: _BufferBuilder, times: FloatArray, values: Mapping[str, FloatArray], interpolation: str
+    buffer: BufferBuilder, times: FloatArray, values: Mapping[str, FloatArray], interpolation: str
 ) -> dict[str, dict[str, Any]]:
     """Build the sampler of each animated property of a node."""
     start = buffer.add_accessor(times, "SCALAR", bounds=True)
@@ -102,8 +102,8 @@ def _build_animation(
     }
 
 
-class _BufferBuilder:
-    """Builder of a buffer of consecutive float32 arrays, with their glTF views and accessors."""
+class BufferBuilder:
+    """Builder of a buffer of consecutive arrays, float32 or of indices, with their glTF views and accessors."""
 
     def __init__(self) -> None:
         self.data = bytearray()
@@ -112,10 +112,12 @@ class _BufferBuilder:
 
     def add_accessor(self, values: NDArray[Any], kind: str, bounds: bool = False) -> int:
         """Append an array and return the index of its accessor."""
-        array = np.ascontiguousarray(values, "<f4")
+        is_index = np.asarray(values).dtype.kind in "iu"
+        array = np.ascontiguousarray(values, "<u4" if is_index else "<f4")
         rows = array.reshape(len(array), -1)
         self.views.append({"buffer": 0, "byteOffset": len(self.data), "byteLength": array.nbytes})
-        accessor: dict[str, Any] = {"bufferView": len(self.views) - 1, "componentType": FLOAT}
+        kind_of_number = UNSIGNED_INT if is_index else FLOAT
+        accessor: dict[str, Any] = {"bufferView": len(self.views) - 1, "componentType": kind_of_number}
         accessor |= {"count": len(array), "type": kind}
         if bounds:
             accessor |= {"min": rows.min(axis=0).tolist(), "max": rows.max(axis=0).tolist()}
@@ -129,7 +131,7 @@ def _encode_text(content: dict[str, Any], data: bytes) -> bytes:
     return json.dumps(content).encode()
 
 
-def _encode_binary(content: dict[str, Any], data: bytes) -> bytes:
+def encode_binary(content: dict[str, Any], data: bytes) -> bytes:
     """Encode as .glb: a header and two chunks, each padded to four bytes."""
     text = json.dumps(content).encode()
     text += b" " * (-len(text) % 4)

@@ -1,0 +1,116 @@
+"""Shape of a tracked object from the silhouettes of its recording."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from sylpose.frames import FrameSet
+from sylpose.io.mesh_files import SURFACE_FILE, write_mesh
+from sylpose.report.drawing import draw_surface, to_bgr
+from sylpose.rig import Rig
+from sylpose.runs.page import read_run
+from sylpose.runs.run_metadata import find_run_folder, open_source_recording
+from sylpose.silhouettes.carving import CarvedObject, carve_object
+from sylpose.silhouettes.rendering import render_mesh, shade_mesh
+from sylpose.units import INITIAL_DISTANCES
+
+PICTURE_FILE = "object.png"
+# A median agreement of surface and silhouettes below this causes a warning (measured: rendered bodies and a temple with
+# exact poses have 0.97 to 0.98).
+MIN_AGREEMENT = 0.9
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """Shape of a tracked object, with what it was carved from.
+
+    Attributes:
+        carved: the shape.
+        rig: the cameras.
+        frames: (F) frame sets.
+        world_from_object: (F,) poses.
+    """
+
+    carved: CarvedObject
+    rig: Rig
+    frames: list[FrameSet]
+    world_from_object: RigidTransform
+
+    @property
+    def warnings(self) -> list[str]:
+        """Sentences on what makes the shape unreliable."""
+        found, carved = [], self.carved
+        if (agreement := float(np.nanmedian(carved.agreement))) < MIN_AGREEMENT:
+            found.append(
+                f"The surface agrees with only {100 * agreement:.0f} % of the silhouettes' area: something else moves, or "
+                "the poses or the calibration are inexact. Masks of the object help."
+            )
+        for c, name in enumerate(self.rig.names):
+            n, n_all = int(carved.contradicting[:, c].sum()), int((carved.used | carved.contradicting)[:, c].sum())
+            if n:
+                found.append(f"Camera {name}: {n} of {n_all} silhouettes contradict those of the others; not used.")
+            if not n_all:
+                found.append(f"Camera {name}: no images, or no masks, of these frames.")
+        return found
+
+
+def scan_result(result: Path, recording: Path | None, n_frames: int) -> Scan:
+    """Carve the object of a result from frames that are spread over its recording.
+
+    Args:
+        result: folder of the run, or of one of its objects.
+        recording: present folder of the recording; None if it was not moved.
+        n_frames: number of frames at most.
+
+    Raises:
+        FileNotFoundError: no recording, or no result.
+        ValueError: a result of one camera, which has no length unit; no measured poses; as `carve_object`.
+    """
+    trajectory, rig, _ = read_run(result)
+    if trajectory.unit == INITIAL_DISTANCES or len(rig) == 1:
+        raise ValueError(f"{result}: the result of a single camera; its lengths are not those of the calibration")
+    session = open_source_recording(result, recording, with_masks=True)
+    folder = result if result.is_dir() else result.parent
+    if folder != find_run_folder(folder) and folder.name in session.objects:
+        session = session.select_object(folder.name)
+    measured = {pose.index: pose.world_from_object for pose in trajectory if pose.is_measured}
+    if not measured:
+        raise ValueError(f"{result}: no measured pose in it")
+    indices = np.array(sorted(measured))
+    chosen = indices[np.unique(np.linspace(0, len(indices) - 1, n_frames).round().astype(int))]
+    frames = list[FrameSet]()
+    with closing(session.frames(int(chosen[0]), int(chosen[-1]) + 1, on_problem=lambda _: None)) as frame_sets:
+        frames += (frame_set for frame_set in frame_sets if frame_set.index in chosen)
+    poses = [pose for frame in frames if (pose := measured[frame.index]) is not None]
+    if not poses:
+        raise ValueError(f"{session.path}: none of the frames with a pose can be read")
+    world_from_object = RigidTransform.concatenate(poses)
+    return Scan(carve_object(rig, frames, world_from_object), rig, frames, world_from_object)
+
+
+def write_scan(scan: Scan, folder: Path) -> list[Path]:
+    """Write object.glb and object.png, and return both files.
+
+    Raises:
+        OSError: a file cannot be written; the message names it.
+    """
+    files, mesh = [folder / SURFACE_FILE, folder / PICTURE_FILE], scan.carved.mesh
+    write_mesh(mesh, files[0], scan.rig.unit)
+    names, images, surfaces = list[str](), [], []
+    for c, camera in enumerate(scan.rig):
+        if not scan.carved.used[:, c].any():
+            continue
+        used = np.flatnonzero(scan.carved.used[:, c])
+        k = int(used[len(used) // 2])
+        image, pose = scan.frames[k].images[c], scan.world_from_object[k]
+        assert image is not None
+        names.append(f"{camera.name}, frame {scan.frames[k].index}")
+        images.append(to_bgr(image))
+        surfaces.append(shade_mesh(mesh, render_mesh(mesh, camera, pose), camera, pose))
+    draw_surface(files[1], names, images, surfaces)
+    return files

@@ -1,0 +1,82 @@
+"""Rendering of a mesh into a camera: which face each pixel shows, and how near it is."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from sylpose.geometry.arrays import BoolArray, FloatArray, FloatImage, Image, IntArray
+from sylpose.geometry.numba_linalg import leaf
+from sylpose.mesh import Mesh
+from sylpose.rig import Camera
+
+# Gray level of faces that are seen from the side.
+AMBIENT = 60
+
+
+class Rendering(NamedTuple):
+    """Rendering of a mesh.
+
+    Attributes:
+        face: (h, w) number of the face at the pixel's center; -1 without one.
+        inverse_depth: (h, w) of that face; 0 without one.
+    """
+
+    face: NDArray[np.int32]
+    inverse_depth: FloatImage
+
+    @property
+    def mask(self) -> BoolArray:
+        """(h, w) whether the pixel shows the mesh."""
+        return np.asarray(self.face >= 0)
+
+
+def render_mesh(mesh: Mesh, camera: Camera, world_from_object: RigidTransform) -> Rendering:
+    """Render a mesh; faces that reach behind the camera are omitted."""
+    in_world = world_from_object.apply(mesh.vertices)
+    pixels = camera.project(in_world)
+    depth = camera.camera_from_world.apply(in_world)[:, 2]
+    width, height = camera.size
+    out = Rendering(np.full((height, width), -1, np.int32), np.zeros((height, width), np.float32))
+    with np.errstate(divide="ignore"):
+        _fill_faces(np.ascontiguousarray(pixels), 1.0 / depth, np.ascontiguousarray(mesh.faces), *out)
+    return out
+
+
+@leaf
+def _fill_faces(
+    pixels: FloatArray, inverse_depth: FloatArray, faces: IntArray, face: NDArray[np.int32], nearest: FloatImage
+) -> None:
+    """Write the nearest face of each pixel and its inverse depth, from the vertices' pixels (n, 2) and depths (n,)."""
+    height, width = face.shape
+    for m in range(len(faces)):
+        i, j, k = faces[m, 0], faces[m, 1], faces[m, 2]
+        ax, ay, bx, by, cx, cy = pixels[i, 0], pixels[i, 1], pixels[j, 0], pixels[j, 1], pixels[k, 0], pixels[k, 1]
+        area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+        if not abs(area) > 0.0:  # NaN, too
+            continue
+        left, right = max(min(ax, bx, cx), 0.0), min(max(ax, bx, cx), width - 1.0)
+        top, bottom = max(min(ay, by, cy), 0.0), min(max(ay, by, cy), height - 1.0)
+        if left > right or top > bottom:
+            continue
+        for y in range(int(np.ceil(top)), int(bottom) + 1):
+            for x in range(int(np.ceil(left)), int(right) + 1):
+                u = ((bx - x) * (cy - y) - (by - y) * (cx - x)) / area
+                v = ((cx - x) * (ay - y) - (cy - y) * (ax - x)) / area
+                if u >= 0.0 and v >= 0.0 and u + v <= 1.0:
+                    value = u * inverse_depth[i] + v * inverse_depth[j] + (1.0 - u - v) * inverse_depth[k]
+                    if value > nearest[y, x]:
+                        nearest[y, x] = value
+                        face[y, x] = m
+
+
+def shade_mesh(mesh: Mesh, rendering: Rendering, camera: Camera, world_from_object: RigidTransform) -> Image:
+    """Return a picture (h, w, 3), BGR, of a rendered mesh as lit by a lamp at the camera; black without the mesh."""
+    normals = world_from_object.rotation.apply(mesh.face_normals)
+    light = normals @ -camera.direction / np.maximum(np.linalg.norm(normals, axis=1), 1e-300)
+    levels = np.rint(AMBIENT + (255 - AMBIENT) * np.clip(light, 0, 1)).astype(np.uint8)
+    shown = np.where(rendering.mask, levels[rendering.face], 0).astype(np.uint8)
+    return np.repeat(shown[..., None], 3, axis=2)

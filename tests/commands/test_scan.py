@@ -1,0 +1,77 @@
+"""`sylpose scan` as typed: its files, its output and wrong input."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from benchmarks.kinds_feature_poor import reduce_contrast
+from benchmarks.silhouettes import measure_surface
+from sylpose import FramePose, FrameStatus, Trajectory, open_session
+from sylpose.commands.main import main
+from sylpose.report.files import write_trajectory
+from sylpose.runs.run_metadata import write_run_metadata
+from sylpose.simulate import Actor, Scene, arc, chamfered_box
+from sylpose.simulate.recordings import write_sequence
+from tests.conftest import make_once
+
+pytest.importorskip("skimage")
+
+RIG = arc(4, 55, 1.5, 330, (240, 180), height=0.4)
+SIDES = (0.3, 0.22, 0.26)
+BLOCK = reduce_contrast(chamfered_box(SIDES, 200), 0.0)
+
+
+def path(k: float) -> RigidTransform:
+    turn = Rotation.from_rotvec(0.2 * k * np.array([0.5, 0.8, 0.3]))
+    return RigidTransform.from_components([0.15 * np.sin(k / 3), 0.06 * np.cos(k / 2), 0.1 * np.sin(k / 5)], turn)
+
+
+def write_result(folder: Path) -> None:
+    """Write a recording of a plain block and its true poses as a result."""
+    scene = Scene(RIG, (Actor(BLOCK, path),), 20)
+    truth = write_sequence(folder, scene)
+    frames, counts = [], np.ones(4, np.int64)
+    for k, time in enumerate(truth.times):
+        covariance = 1e-8 * np.eye(6)
+        frames.append(FramePose(k, float(time), FrameStatus.TRACKED, path(k), covariance, counts, np.ones(4)))
+    frames[3] = replace(frames[3], status=FrameStatus.LOST, world_from_object=None)
+    (folder / "sylpose").mkdir()
+    write_trajectory(folder / "sylpose", Trajectory(frames, RIG.names, RIG.unit))
+
+
+@pytest.fixture
+def tracked(tmp_path_factory: pytest.TempPathFactory, tmp_path: Path) -> Path:
+    kept = make_once(tmp_path_factory, "plain", write_result)
+    folder = Path(shutil.copytree(kept, tmp_path / "plain"))
+    write_run_metadata(folder / "sylpose", open_session(folder), {})
+    return folder
+
+
+def test_scan_of_a_plain_block(tracked: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    assert main(["scan", str(tracked), "--frames", "16"]) == 0
+    out = capsys.readouterr().out
+    assert "64 of 16 frames and 4 cameras" in out
+    assert "Warning" not in out
+    mesh = trimesh.load(tracked / "sylpose" / "object.glb", force="mesh", process=False)
+    errors = np.abs(measure_surface([BLOCK], mesh.vertices))
+    # The block is 66 pixels long, of which a hundredth is two thirds of a pixel.
+    assert np.median(errors) < 0.01 * max(SIDES)
+    assert np.quantile(errors, 0.9) < 0.05 * max(SIDES)
+    assert (tracked / "sylpose" / "object.png").stat().st_size > 10_000
+
+
+def test_wrong_input(tracked: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["scan", str(tmp_path / "nothing")]) == 2
+    assert "nothing" in capsys.readouterr().err
+    assert main(["scan", str(tracked), "--frames", "8"]) == 2
+    assert "camera cam_0: 8 images without masks, of at least 15" in capsys.readouterr().err
+    (tracked / "cam_0.mp4").unlink()
+    assert main(["scan", str(tracked)]) == 2
+    assert "cam_0" in capsys.readouterr().err
