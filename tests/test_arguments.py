@@ -61,6 +61,7 @@ NOT_CALLED = {
     "save_trajectory": "writes it: the same",
     "smooth": "takes what the tracker yields: tests/test_smoothing.py",
     "Session.frames": "the same",
+    "Session.frames_at": "the same: io/capture/test_random_access.py",
     "Session.select_cameras": "the same",
     "Session.select_object": "the same",
     "Session.with_rig": "the same",

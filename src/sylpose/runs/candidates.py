@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from dataclasses import replace
+from itertools import chain
 
 from sylpose.frames import FrameSet
 from sylpose.io.capture import Session
@@ -56,16 +58,18 @@ def _read_windows(session: Session, options: RunOptions) -> Iterator[Sequence[Fr
     """
     start, every = options.start, options.every
     end = session.n_frames if options.stop is None else min(options.stop, session.n_frames)
+    windows = select_windows(len(range(start, end, every)))
+    indices = [start + k * every for k in sorted({*chain(*windows)})]
     known = dict[int, FrameSet]()
-    for window in select_windows(len(range(start, end, every))):
-        known = {k: frames for k, frames in known.items() if k in window}
-        new = [k for k in window if k not in known]
-        if new:
-            frames = session.frames(start + new[0] * every, start + new[-1] * every + 1, every, _ignore)
-            known |= dict(zip(new, frames, strict=False))
-        read = [known[k] for k in window if k in known]
-        n_images = [sum(image is not None for image in frames.images) for frames in read[: len(read) // 2 + 1]]
-        yield read[n_images.index(max(n_images)) :] if read else []
+    with closing(session.frames_at(indices, every, _ignore)) as reader:
+        for window in windows:
+            numbers = [start + k * every for k in window]
+            known = {k: frames for k, frames in known.items() if k in numbers}
+            while numbers[-1] not in known and (frames := next(reader, None)) is not None:
+                known[frames.index] = frames
+            read = [known[k] for k in numbers if k in known]
+            n_images = [sum(image is not None for image in frames.images) for frames in read[: len(read) // 2 + 1]]
+            yield read[n_images.index(max(n_images)) :] if read else []
 
 
 def _ignore(_problem: str) -> None:

@@ -14,7 +14,8 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.geometry.arrays import Image
 from sylpose.io import calibration
 from sylpose.io.capture import open_session
-from sylpose.io.capture.random_access import MAX_SEQUENTIAL_FRAMES, RandomAccessReader
+from sylpose.io.capture.frame_readers import MAX_SEQUENTIAL_FRAMES
+from sylpose.io.capture.random_access import RandomAccessReader
 from sylpose.rig import Camera, Rig
 
 SIZE, FRAMES = (64, 48), 3 * MAX_SEQUENTIAL_FRAMES
@@ -64,6 +65,14 @@ def test_random_access_to_videos(kind: str, tmp_path: Path) -> None:
             np.testing.assert_array_equal(image, every[k], err_msg=f"frame {k}")
         with pytest.raises(ValueError, match=f"index must be in 0 ... {FRAMES - 1}"):
             stills.read_frame_set(FRAMES)
+    chosen = [3, 4, 50, 51, 100, FRAMES - 1]
+    frames_at = {frames.index: frames.images[0] for frames in session.frames_at(chosen)}
+    assert [*frames_at] == chosen
+    for k, image in frames_at.items():
+        np.testing.assert_array_equal(image, every[k], err_msg=f"frame {k}")
+    for wrong in ([], [4, 3], [-1], [FRAMES]):
+        with pytest.raises(ValueError, match=f"indices must increase in 0 ... {FRAMES - 1}"):
+            session.frames_at(wrong)
 
 
 def test_random_access_with_missing_images(tmp_path: Path) -> None:

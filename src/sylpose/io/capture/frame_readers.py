@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Generator, Mapping
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from typing import cast
 
@@ -22,6 +22,10 @@ from sylpose.io.capture.sources import Source, open_video
 
 # Packets in a row that cannot be decoded, after which a video is not read on (choice: several seconds).
 MAX_UNDECODABLE = 250
+# Up to this many frames ahead are decoded sequentially instead of seeking to a key frame (choice).
+MAX_SEQUENTIAL_FRAMES = 40
+# Frames by which a frame is decoded before it is shown, at most (H.264, A.3.1; H.265, A.4.2: 16 decoded pictures).
+MAX_REORDERED_FRAMES = 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +39,7 @@ class FrameReading:
 
 
 class FrameReader:
-    """Reader of one camera's frames: images of a folder in any order."""
+    """Reader of one camera's frames in any order: here, images of a folder."""
 
     def __init__(self, source: Source) -> None:
         self._source = source
@@ -135,18 +139,23 @@ class CameraReader:
 
 
 class _VideoReader(FrameReader):
-    """Reader of a video's frames, by increasing numbers. The time stamps show which one a decoded frame is."""
+    """Reader of a video's frames in any order. The time stamps show which one a decoded frame is, also after seeking."""
 
     def __init__(self, source: Source) -> None:
         super().__init__(source)
-        self._container, self._stream = open_video(source.path)
         self._reformatter = VideoReformatter()
-        self._frames = self._decode()
+        self._reported_kinds: set[str] = set()
+        self._open()
+
+    def _open(self) -> None:
+        self._container, self._stream = open_video(self._source.path)
+        self._frames, self.ended = self._decode(), False
         self._number, self._frame = -1, cast(VideoFrame | None, None)  # the last one that was decoded
         self._failure: str | None = None
-        self._reported_kinds: set[str] = set()
 
     def read(self, k: int) -> Image | None:
+        if not self._number <= k <= self._number + MAX_SEQUENTIAL_FRAMES:
+            self._seek(k)
         while not self.ended and self._number < k:
             decoded = next(self._frames, None)
             if decoded is None:
@@ -160,6 +169,25 @@ class _VideoReader(FrameReader):
             self._report_once("damaged", f"{where} is damaged; damaged frames are skipped.")
             return None
         return self._convert(k, self._frame)
+
+    def _seek(self, k: int) -> None:
+        """Continue at the last key frame before frame k, unless the present frame is between them."""
+        number, pts, index, key = self._number, self._source.pts, self._stream.index_entries, -1
+        if pts is not None and MAX_REORDERED_FRAMES < k < len(pts):
+            # An index has decoding times; some files have none before the first seek.
+            key = index.search_timestamp(pts[k - MAX_REORDERED_FRAMES]) if len(index) else k
+        if k > number and key <= max(number, 0):
+            return
+        self.close()
+        self._open()
+        if pts is None or key <= 0:
+            return
+        with suppress(av.error.FFmpegError):
+            self._container.seek(pts[k - MAX_REORDERED_FRAMES], stream=self._stream)
+            self._number, self._frame = next(self._frames, (k + 1, None))
+        if self._frame is None or not self._frame.key_frame or self._number > k:
+            self.close()
+            self._open()
 
     def close(self) -> None:
         self._frames.close()

@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Generator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, fields, replace
-from itertools import zip_longest
+from itertools import pairwise, zip_longest
 from pathlib import Path
 from typing import NamedTuple, Self
 
@@ -194,9 +194,30 @@ class Session(SessionBase):
         if not 0 <= start < self.n_frames:
             raise ValueError(f"start must be in 0 ... {self.n_frames - 1} (the session's frames), got {start}")
         indices = check_frame_range(start, stop, every)
-        return self._read(range(start, min(indices.stop, self.n_frames), every), on_problem or issue_warning)
+        return self._read(range(start, min(indices.stop, self.n_frames), every), every, on_problem or issue_warning)
 
-    def _read(self, indices: range, on_problem: Callable[[str], None]) -> Generator[FrameSet, None, None]:
+    def frames_at(
+        self, indices: Sequence[int], every: int = 1, on_problem: Callable[[str], None] | None = None
+    ) -> Generator[FrameSet, None, None]:
+        """Yield the frame sets of some numbers, as `frames` does with this step; the others are skipped.
+
+        Args:
+            indices: numbers of the frame sets, increasing.
+            every: step of a frame set from the one before it, which shows which pictures are repeated.
+            on_problem: as for `frames`.
+
+        Raises:
+            ValueError: numbers that do not increase or are outside the session, every < 1.
+            OSError, ValueError: while iterating, a video can no longer be opened.
+        """
+        check_frame_range(0, None, every)
+        if not indices or any(a >= b for a, b in pairwise([-1, *indices, self.n_frames])):
+            raise ValueError(f"indices must increase in 0 ... {self.n_frames - 1} (the session's frames)")
+        return self._read(indices, every, on_problem or issue_warning)
+
+    def _read(
+        self, indices: Sequence[int], every: int, on_problem: Callable[[str], None]
+    ) -> Generator[FrameSet, None, None]:
         with ExitStack() as stack:
             readers = [
                 stack.enter_context(closing(CameraReader(source, {name: m[c] for name, m in self._masks.items()})))
@@ -209,11 +230,11 @@ class Session(SessionBase):
                 return [pool.submit(reader.read, k) for reader, k in zip(readers, row, strict=True)]
 
             last = [max(np.flatnonzero(column >= 0).tolist(), default=-1) for column in self.timeline.frames.T]
-            # The frame set before the first one shows which pictures of the first one are repeated.
-            first, repetitions = indices.start, RepetitionFilter(self.rig.names)
-            indices = range(first - indices.step if first >= indices.step else first, indices.stop, indices.step)
-            pending = submit(indices[0])
-            for i, next_index in zip_longest(indices, indices[1:]):
+            # The frame set before one shows which of its pictures are repeated.
+            yielded, repetitions = {*indices}, RepetitionFilter(self.rig.names)
+            read = sorted({*indices, *(i - every for i in indices if i >= every)})
+            pending = submit(read[0])
+            for i, next_index in zip_longest(read, read[1:]):
                 readings = [future.result() for future in pending]
                 pending = [] if next_index is None else submit(next_index)
                 for reading in readings:
@@ -222,7 +243,7 @@ class Session(SessionBase):
                 if all(reading.ended or end < i for reading, end in zip(readings, last, strict=True)):
                     return
                 images, repeated = repetitions.remove(i, [reading.image for reading in readings])
-                if i < first:
+                if i not in yielded:
                     continue
                 for problem in repeated:
                     on_problem(problem)
@@ -498,13 +519,15 @@ class ReversedSession(Session):
         """Return the session with boxes of its objects in the frame at which it starts."""
         return replace(self, _boxes={name: dict(by_camera) for name, by_camera in boxes.items()})
 
-    def _read(self, indices: range, on_problem: Callable[[str], None]) -> Generator[FrameSet, None, None]:
+    def _read(
+        self, indices: Sequence[int], every: int, on_problem: Callable[[str], None]
+    ) -> Generator[FrameSet, None, None]:
         last = self.n_frames - 1
         size = sum(3 * camera.size[0] * camera.size[1] for camera in self.rig)
         length = max(1, MAX_CHUNK_BYTES // size)
         for begin in range(0, len(indices), length):
             chunk = indices[begin : begin + length]
-            forward = self.forward.frames(last - chunk[-1], last - chunk[0] + 1, chunk.step, on_problem)
+            forward = self.forward._read([last - i for i in reversed(chunk)], every, on_problem)
             with closing(forward):
                 sets = {last - frames.index: frames for frames in forward}
             for i in chunk:
