@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.atomic_io import replace_atomically
 from sylpose.frames import FrameSet
-from sylpose.geometry.arrays import FloatArray, Image, IntArray
+from sylpose.geometry.arrays import FloatArray, Image
 from sylpose.rig import Camera, Rig
 
 Color = tuple[int, int, int]
@@ -27,40 +27,62 @@ AXIS_COLORS: tuple[Color, ...] = ((70, 70, 255), (80, 220, 60), (255, 140, 50))
 SHIFT = 4  # OpenCV's fractional bits: lines are drawn to a sixteenth of a pixel
 
 
-def draw_matches(tile: Image, pair: Matches, scale: float, text_scale: float, trail: Color, dot: Color) -> None:
-    """Draw trails from the previous frame, blended so that the image below stays visible."""
-    before, now = ((np.asarray(p, dtype=float).reshape(-1, 2) + 0.5) * scale - 0.5 for p in pair)
-    if not len(now):
+# Opacity of what is drawn over an image (choice: the image below stays visible).
+OPACITY = 0.75
+
+
+def draw_matches(
+    tile: Image,
+    pair: Matches,
+    features: FloatArray,
+    scale: float,
+    text_scale: float,
+    colors: tuple[Color, Color, Color],
+) -> None:
+    """Draw features (n, 2) as small dots, matches as trails from the previous frame with larger dots, semi-transparent.
+
+    The colors are those of trails, of the matches' dots and of the features' dots.
+    """
+    before, now = (np.asarray(p, dtype=float).reshape(-1, 2) for p in pair)
+    if not len(now) + len(features):
         return
-    layer = tile.copy()
-    trails = [np.round(np.stack([b, a]) * 2**SHIFT).astype(np.int32) for b, a in zip(before, now, strict=True)]
-    cv2.polylines(layer, trails, False, trail, 1, cv2.LINE_AA, SHIFT)
-    radius = round(max(1.8, 2.6 * text_scale) * 2**SHIFT)
-    for point in np.round(now * 2**SHIFT).astype(int):
-        cv2.circle(layer, (int(point[0]), int(point[1])), radius, dot, -1, cv2.LINE_AA, SHIFT)
-    cv2.addWeighted(layer, 0.75, tile, 0.25, 0, dst=tile)
+    hidden = np.isin(features @ [1, 1j], now @ [1, 1j])  # by a match's larger dot
+    sizes, points = [len(before), len(now)], np.concatenate([before, now, features[~hidden]])
+    radii = max(1.4, 1.7 * text_scale), max(1.8, 2.6 * text_scale)
+    # Only the points' surroundings are copied and blended, which saves time.
+    corner = np.maximum(np.floor((points.min(axis=0) + 0.5) * scale - radii[1] - 2.0), 0.0).astype(int)
+    end = np.maximum(np.ceil((points.max(axis=0) + 0.5) * scale + radii[1] + 2.0), corner).astype(int)
+    part = tile[corner[1] : end[1], corner[0] : end[0]]
+    if not part.size:
+        return
+    layer = part.copy()
+    starts, ends, others = np.split(
+        _to_fixed_point(points, scale) - corner.astype(np.int32) * 2**SHIFT, np.cumsum(sizes)
+    )
+    _draw_dots(layer, others, radii[0], colors[2])
+    cv2.polylines(layer, list(np.stack([starts, ends], axis=1)), False, colors[0], 1, cv2.LINE_AA, SHIFT)
+    _draw_dots(layer, ends, radii[1], colors[1])
+    cv2.addWeighted(layer, OPACITY, part, 1.0 - OPACITY, 0, dst=part)
 
 
-def draw_dots(tile: Image, pixels: FloatArray, scale: float, text_scale: float, color: Color) -> None:
-    """Draw small semi-transparent dots at pixels (n, 2)."""
-    layer, radius = tile.copy(), round(max(1.4, 1.7 * text_scale) * 2**SHIFT)
-    for x, y in _to_fixed_point(pixels, scale):
-        cv2.circle(layer, (int(x), int(y)), radius, color, -1, cv2.LINE_AA, SHIFT)
-    cv2.addWeighted(layer, 0.8, tile, 0.2, 0, dst=tile)
+def _draw_dots(picture: Image, points: NDArray[np.int32], radius: float, color: Color) -> None:
+    """Draw dots at fixed-point positions (n, 2)."""
+    fixed_radius = round(radius * 2**SHIFT)
+    for point in points.tolist():
+        cv2.circle(picture, point, fixed_radius, color, -1, cv2.LINE_AA, SHIFT)
 
 
 def draw_crosses(tile: Image, pixels: FloatArray, scale: float, text_scale: float, color: Color) -> None:
     """Draw small crosses at pixels (n, 2)."""
     arm = round(max(2.5, 3.2 * text_scale) * 2**SHIFT)
-    lines = [
-        [(x - arm, y + s * arm), (x + arm, y - s * arm)] for x, y in _to_fixed_point(pixels, scale) for s in (-1, 1)
-    ]
-    cv2.polylines(tile, [np.array(line, np.int32) for line in lines], False, color, 1, cv2.LINE_AA, SHIFT)
+    strokes = arm * np.array([[[-1, -1], [1, 1]], [[-1, 1], [1, -1]]], np.int32)
+    lines = (_to_fixed_point(pixels, scale)[:, None, None] + strokes).reshape(-1, 2, 2)
+    cv2.polylines(tile, list(lines), False, color, 1, cv2.LINE_AA, SHIFT)
 
 
-def _to_fixed_point(pixels: FloatArray, scale: float) -> IntArray:
+def _to_fixed_point(pixels: FloatArray, scale: float) -> NDArray[np.int32]:
     """Convert pixels (n, 2) to OpenCV's fixed-point numbers in a tile scaled by `scale`."""
-    return np.asarray(np.round(((pixels + 0.5) * scale - 0.5) * 2**SHIFT), np.int64)
+    return np.asarray(np.round(((pixels + 0.5) * scale - 0.5) * 2**SHIFT), np.int32)
 
 
 def draw_axes(
@@ -71,12 +93,14 @@ def draw_axes(
     The lens model may bend them. With `faint` they are pale and dashed.
     """
     width = max(2, round(text_scale * 2.2))
-    origin = pose.translation
-    directions = pose.rotation.as_matrix().T
+    matrix = pose.as_matrix()
+    origin, directions = matrix[:3, 3], matrix[:3, :3].T
     depths = np.linalg.norm(origin + length * directions - camera.center, axis=1)
-    steps = np.linspace(0, 1, 13)[:, None]
+    steps = np.linspace(0, 1, 13)
+    points = origin + length * steps[:, None] * directions[:, None]
+    lines = project_points(camera, points.reshape(-1, 3)).reshape(3, -1, 2)
     for k in np.argsort(-depths):
-        pixels = project_points(camera, origin + steps * length * directions[k])
+        pixels = lines[k]
         # A line ends where it leaves the lens's field of view.
         hidden = np.flatnonzero(np.isnan(pixels[:, 0]))
         line = (pixels[: hidden[0] if hidden.size else None] + 0.5) * scale - 0.5
