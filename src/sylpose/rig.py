@@ -229,8 +229,11 @@ class Camera(Printable):
             return np.empty((0, 2))
         if self.lens == "fisheye":
             out = cv2.fisheye.distortPoints(points.reshape(-1, 1, 2), self.matrix, self.distortion)
+            return np.asarray(out, dtype=float).reshape(-1, 2)
+        homogeneous, out = np.column_stack([points, np.ones(len(points))]), np.empty((len(points), 2))
+        if self._distortion_terms is not None:
+            project_points(homogeneous, np.eye(3), np.zeros(3), self.matrix, self._distortion_terms, out)
         else:
-            homogeneous = np.column_stack([points, np.ones(len(points))])
             out, _ = cv2.projectPoints(homogeneous, np.zeros(3), np.zeros(3), self.matrix, self.distortion)
         return np.asarray(out, dtype=float).reshape(-1, 2)
 

@@ -33,8 +33,8 @@ TYPICAL_ERROR_PX, MIN_ERROR_RATIO = 1.0, 0.2
 MOVED_ROTATION_SD_DEG, MOVED_TRANSLATION_RATIO = 5.0, 0.03
 # Scale of the prior for a calibration treated as exact (choice: a scale of 0 could not be undone).
 NEAR_EXACT_SCALE = 1e-9
-# Finite difference steps of the lens parameters, in their units, and of the normalized point (choice).
-LENS_STEPS, POINT_STEP = np.array([1e-4, 1e-1, 1e-1, 1e-4]), 1e-4
+# Finite difference steps of the first radial coefficient and of the normalized point (choice).
+RADIAL_STEP, POINT_STEP = 1e-4, 1e-4
 
 
 class ImplausibleLensError(ValueError):
@@ -247,21 +247,25 @@ def linearize_lenses(
         own = cameras == c
         if not own.any():
             continue
-        corrected_camera = _correct_lens(camera, lens[c])
-        x = image[own]
+        corrected_camera, x = camera, image[own]
         if np.any(lens[c]):
+            corrected_camera = _correct_lens(camera, lens[c])
             x = corrected_camera.normalize(camera.denormalize(x))
-        point_jacobian = _pixel_jacobian(corrected_camera, x)
-        for j, (h, u) in enumerate(zip(LENS_STEPS, np.eye(N_LENS_PARAMETERS), strict=True)):
-            upper, lower = _correct_lens(corrected_camera, h * u), _correct_lens(corrected_camera, -h * u)
-            lens_jacobian = (upper.denormalize(x) - lower.denormalize(x)) / (2 * h)
-            # The pixel is constant.
-            jacobians[own, :2, j] = -np.linalg.solve(point_jacobian, lens_jacobian[..., None])[..., 0]
+        h = np.array([0.0, 0.0, 0.0, RADIAL_STEP])
+        upper, lower = _correct_lens(corrected_camera, h), _correct_lens(corrected_camera, -h)
+        lens_jacobian = np.empty((len(x), 2, N_LENS_PARAMETERS))
+        lens_jacobian[:, :, 0] = corrected_camera.denormalize(x) - corrected_camera.matrix[:2, 2]
+        lens_jacobian[:, :, 1:3] = np.eye(2)
+        lens_jacobian[:, :, 3] = (upper.denormalize(x) - lower.denormalize(x)) / (2 * RADIAL_STEP)
+        # The pixel is constant.
+        (ux, uy), (vx, vy) = _pixel_jacobian(corrected_camera, x).transpose(1, 2, 0)
+        inverse = np.array([[vy, -uy], [-vx, ux]]) / (ux * vy - uy * vx)
+        jacobians[own, :2] = -inverse.transpose(2, 0, 1) @ lens_jacobian
         # A pixel's area depends on the focal length by its square and, of the other parameters, only on the last one.
-        area = [np.linalg.det(_pixel_jacobian(camera, x)) for camera in (upper, lower)]
+        area = [_measure_pixel_area(camera, x) for camera in (upper, lower)]
         # Half the derivative of its logarithm; where a lens folds, the area is negative.
         jacobians[own, 2, 0] = 1.0
-        jacobians[own, 2, -1] = (area[0] - area[1]) / ((area[0] + area[1]) * 2 * LENS_STEPS[-1])
+        jacobians[own, 2, -1] = (area[0] - area[1]) / ((area[0] + area[1]) * 2 * RADIAL_STEP)
         jacobians[own, :, 0] /= 1.0 + lens[c][0]  # relative to the corrected focal length
         points[own] = x - jacobians[own, :2] @ lens[c]
     return points, jacobians
@@ -271,6 +275,12 @@ def _pixel_jacobian(camera: Camera, x: FloatArray) -> FloatArray:
     """Return (n, 2, 2) derivatives of pixels by normalized points (n, 2)."""
     h, axes = POINT_STEP, np.eye(2)
     return np.stack([(camera.denormalize(x + h * u) - camera.denormalize(x - h * u)) / (2 * h) for u in axes], axis=2)
+
+
+def _measure_pixel_area(camera: Camera, x: FloatArray) -> FloatArray:
+    """Return (n,) determinants of the derivatives of pixels by normalized points (n, 2)."""
+    (ux, uy), (vx, vy) = _pixel_jacobian(camera, x).transpose(1, 2, 0)
+    return np.asarray(ux * vy - uy * vx)
 
 
 def add_calibration_errors(problem: Problem, state: State, rig: Rig, prior: CalibrationPrior) -> tuple[Problem, State]:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sylpose.geometry.arrays import FloatArray, IntArray
-from sylpose.geometry.numba_linalg import cholesky_solve, kernel
+from sylpose.geometry.numba_linalg import cholesky_solve, kernel, so3_log
 
 # Residual of a landmark behind a camera, pixels: an outlier at any noise (choice).
 BEHIND_PX = 1e6
@@ -321,3 +321,10 @@ def triangulate_rays(observations: SortedObservations, views: Views, prior: floa
                 for q in range(3):
                     a[p, q] -= weight * ray[p] * ray[q] / square
         cholesky_solve(a, out[i])
+
+
+@kernel
+def compute_rotvecs(rotations: FloatArray, out: FloatArray) -> None:
+    """Write the rotation vectors of rotation matrices (n, 3, 3) to out (n, 3)."""
+    for k in range(rotations.shape[0]):
+        so3_log(rotations[k], out[k])

@@ -459,13 +459,20 @@ class Problem:
 
     def _pose_change(self, state: State) -> FloatArray:
         """Return (N, 6) change of (w, d) since the start."""
-        rotation = Rotation.from_matrix(state.rotations @ self.start_rotations.transpose(0, 2, 1)).as_rotvec()
+        rotation = _rotvecs(state.rotations @ self.start_rotations.transpose(0, 2, 1))
         return np.hstack([rotation, state.translations - self.start_translations])
 
 
 def _subsample(values: FloatArray) -> FloatArray:
     """Subsample values evenly, enough for a median."""
     return values[:: max(1, len(values) // MEDIAN_SAMPLES)]
+
+
+def _rotvecs(rotations: FloatArray) -> FloatArray:
+    """Return the (n, 3) rotation vectors of rotation matrices (n, 3, 3), without SciPy's checks."""
+    out = np.empty((len(rotations), 3))
+    kernels.compute_rotvecs(rotations, out)
+    return out
 
 
 def _inverse_left_jacobian(w: FloatArray) -> FloatArray:
@@ -496,7 +503,7 @@ def differentiate_quadratic(rotations: FloatArray, translations: FloatArray, tim
     if len(times) < 2:
         return out
     gap = np.diff(times)[:, None]
-    rotation_steps = Rotation.from_matrix(rotations[1:] @ rotations[:-1].transpose(0, 2, 1)).as_rotvec()
+    rotation_steps = _rotvecs(rotations[1:] @ rotations[:-1].transpose(0, 2, 1))
     velocity = np.hstack([rotation_steps, np.diff(translations, axis=0)]) / gap
     if len(times) == 2:
         out[:, 0] = velocity
@@ -525,7 +532,7 @@ def differentiate_quartic(rotations: FloatArray, translations: FloatArray, times
     middle = stencil[:, STENCIL_SIZE // 2]
     stencil_rotations, middle_inverse = rotations[stencil], rotations[middle].transpose(0, 2, 1)
     relative_rotations = (stencil_rotations @ middle_inverse[:, None]).reshape(-1, 3, 3)
-    rotation_changes = Rotation.from_matrix(relative_rotations).as_rotvec().reshape(*stencil.shape, 3)
+    rotation_changes = _rotvecs(relative_rotations).reshape(*stencil.shape, 3)
     change = np.concatenate([rotation_changes, translations[stencil] - translations[middle, None]], axis=2)
     out[middle] = _stencil_weights(times)[:, 1:3] @ change
     return out
