@@ -190,7 +190,7 @@ def find_silhouette(background: Background, image: Image) -> Silhouette:
     """
     colors = image.astype(np.float32)
     # A median: noise differs from pixel to pixel, an object does not.
-    log_odds = np.asarray(cv2.medianBlur(_log_odds(image, background).astype(np.float32), 3), np.float32)
+    log_odds = np.asarray(cv2.medianBlur(_log_odds(image, background), 3), np.float32)
     log_odds[~background.is_known] = 0.0
     is_hole = _find_small_holes(log_odds)
     log_odds[is_hole] = 0.0
@@ -229,13 +229,13 @@ def _refine_outline(colors: FloatImage, is_foreground: Image, background: Backgr
     return share
 
 
-def _log_odds(colors: Image | FloatImage, background: Background) -> FloatArray:
+def _log_odds(colors: Image | FloatImage, background: Background) -> FloatImage:
     """Return log densities of colors (h, w, 3), foreground against background."""
-    foreground = np.log(background.foreground_density)[_color_bins(colors)]
+    foreground = np.log(background.foreground_density).astype(np.float32)[_color_bins(colors)]
     square = np.square(colors - background.color).sum(axis=2) / background.noise**2
     power = (T_FREEDOM + 3) / 2
     constant = gammaln(power) - gammaln(T_FREEDOM / 2) - 1.5 * np.log(T_FREEDOM * np.pi) - 3 * np.log(background.noise)
-    return np.asarray(foreground - constant + power * np.log1p(square / T_FREEDOM))
+    return np.asarray(foreground - constant + power * np.log1p(square / T_FREEDOM), np.float32)
 
 
 def level_images(images: Sequence[Image]) -> list[Image]:
