@@ -10,11 +10,10 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.geometry.arrays import FloatArray
+from sylpose.results import MAX_ROTATION_SD
 from sylpose.simulate import ring
 from sylpose.tracking.camera_side.frame import count_ages, expand_ages
 from sylpose.tracking.joint_side.joint_state import (
-    MAX_COASTING_POSITION_SD,
-    MAX_COASTING_ROTATION_SD,
     Anchor,
     JointState,
     KnownFrames,
@@ -246,9 +245,8 @@ def test_too_many_missed_frames_mean_lost() -> None:
     [(0.98, 0, False), (1.02, 0, True), (0, 0.98, False), (0, 1.02, True), (0.98, 0.98, False)],
 )
 def test_uncertain_rotation_or_position_means_lost(turn: float, shift: float, lost: bool) -> None:
-    state, _ = set_velocity_change(
-        make_state_after(3), turn * MAX_COASTING_ROTATION_SD, shift * MAX_COASTING_POSITION_SD * RADIUS
-    ).coast(4 * DT, TrackingOptions())
+    state = set_velocity_change(make_state_after(3), turn * MAX_ROTATION_SD, shift * RADIUS)
+    state, _ = state.coast(4 * DT, TrackingOptions())
     assert state.motion.is_lost == lost
 
 

@@ -45,14 +45,17 @@ from sylpose.tracking.first_motion import (
     estimate_first_motion,
     estimate_jitter,
 )
+from sylpose.tracking.joint_side.joint_state import MIN_TRACKED_RATIO
 from sylpose.tracking.options import TrackingOptions
 
 # Number of motions fitted one after another: an object, and the trunk and arms of a person (choice).
 MAX_BODIES = 4
-# Windows are searched in at most so many places, at least so far from each other, each of up to so many frames (choice).
-MAX_WINDOWS, MIN_WINDOW_STEP, WINDOW_FRAMES = 8, 6, 17
+# Windows are searched in at most so many places, at least so far from each other (choice).
+MAX_WINDOWS, MIN_WINDOW_STEP = 8, 6
 # Numbers of frames between the two that are compared (choice).
 GAPS = (1, 2, 4, 8, 16)
+# Maximum number of frames of a window (derived).
+WINDOW_FRAMES = GAPS[-1] + 1
 # If a body moves farther than this, pixels, the next window's frames are nearer to each other (choice).
 MAX_DISPLACEMENT_PX = 32.0
 # Larger images are downscaled to so many pixels (choice).
@@ -64,8 +67,6 @@ MIN_LINK_RATIO = 0.2
 MAX_DISTANCE_RADII = 1.0
 # Two motions whose centers are nearer to each other than this, radii of the smaller one, are of one body (choice).
 MIN_DISTANCE_RADII = 0.5
-# A body can be measured from an earlier frame if it has this share of its matches there (choice).
-MIN_KEPT_RATIO = 0.4
 # Features farther from their median position than this, in median distances, are mismatches (choice: of features spread
 # evenly over a disk the farthest is at 1.4).
 MAX_DISTANCE_RATIO = 2.5
@@ -297,7 +298,7 @@ def _search_window(context: Context, frames: Sequence[FrameSet], gap: int) -> tu
         motions = find_bodies(context, pairs, 0)
         n = sum(motion.n_inliers for motion in motions)
         max_matches = max(n, max_matches)
-        if best and n < MIN_KEPT_RATIO * max_matches:
+        if best and n < MIN_TRACKED_RATIO * max_matches:
             break
         significant = [motion for motion in motions if motion.is_significant]
         # Two motions may not be separable over some times: a mixed fit is worse than one without a second body.
@@ -425,7 +426,7 @@ def _make_candidate(context: Context, windows: Sequence[Window], chain: Chain, m
     sizes = {k: body.motion.n_inliers * body.motion.is_significant for k, body in chain.items()}
     clear = {k: sizes[k] for k, body in chain.items() if body.is_clear(context.options)} or sizes
     # While a body comes in, little of it is visible.
-    number = next(k for k, n in clear.items() if n >= MIN_KEPT_RATIO * max(clear.values()))
+    number = next(k for k, n in clear.items() if n >= MIN_TRACKED_RATIO * max(clear.values()))
     first, pairs = _find_first_frame(context, windows[: number + 1], chain[number])
     last = chain[number].last.images.index
     features = tuple(_concatenate([pair.pixels_i for pair in own]) for own in pairs)
@@ -482,7 +483,7 @@ def _find_first_frame(context: Context, windows: Sequence[Window], body: WindowB
         for motion in find_bodies(context, _match(context, window.first, body.last), 0):
             both = zip(own, motion.inliers, strict=True)
             n_kept = sum(len(np.intersect1d(indices, _collect_indices(pairs, 1))) for indices, pairs in both)
-            if n_kept > MIN_KEPT_RATIO * body.motion.n_inliers:
+            if n_kept > MIN_TRACKED_RATIO * body.motion.n_inliers:
                 return window.first, motion.inliers
     return windows[-1].first, body.motion.inliers
 

@@ -45,7 +45,7 @@ from sylpose.tracking.joint_side.object_model import ObjectModel
 from sylpose.tracking.options import TrackingOptions
 from sylpose.units import INITIAL_DISTANCES
 
-# Minimum number of keyframes of a usable object model (choice).
+# Minimum number of keyframes of a usable object model: depths need two views (derived).
 MIN_KEYFRAMES = 2
 # Maximum length of a frame's description, characters (choice).
 MAX_DESCRIPTION_CHARS = 200

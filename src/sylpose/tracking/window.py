@@ -35,6 +35,7 @@ from sylpose.tracking.camera_side.camera import CameraTracker
 from sylpose.tracking.context import Context
 from sylpose.tracking.joint_side.joint_state import (
     MIN_FRAMES_TO_APPLY,
+    RESULT_DELAY,
     JointState,
     PendingRefinement,
     SolvedFrame,
@@ -48,8 +49,9 @@ from sylpose.tracking.options import TrackingOptions
 from sylpose.tracking.pose_search import MAX_START_TRANSLATION
 from sylpose.tracking.reports import NewObservations, quantize_positions
 
-# If the last refinement is at least so many frames ago, the next one runs in the background (choice).
-BACKGROUND_INTERVAL = 8
+# If the last refinement is at least so many frames ago, the next one runs in the background: its result is used before
+# another one is due (derived).
+BACKGROUND_INTERVAL = RESULT_DELAY + 1
 # A refinement is valid if it changes the last pose by less than this rotation, radians, and by less than
 # `MAX_START_TRANSLATION` (choice).
 MAX_ROTATION_CHANGE = 0.1
@@ -299,8 +301,8 @@ def bundle_frames(
         fixed=is_fixed,
         landmarks=landmarks,
         times=times,
-        calibration_prior=default_calibration_prior(rig),
         max_iterations=MAX_ROUNDS,
+        calibration_prior=default_calibration_prior(rig),
         coarse=True,
     )
     return bundle_adjust_with_scale(rig, observations, poses, radius, options)

@@ -31,9 +31,6 @@ from sylpose.tracking.joint_side.object_model import ObjectModel
 from sylpose.tracking.options import TrackingOptions
 from sylpose.tracking.reports import Agreements, NewObservations, TrackingReport
 
-# The pose of a missing object is extrapolated for at most so many frames, and only while its rotation (radians) and its
-# position (object's radii) are more certain than this (choice).
-MAX_COASTING_ROTATION_SD, MAX_COASTING_POSITION_SD = MAX_ROTATION_SD, 1.0
 # After the first frames, a refinement is due once the object has rotated by this since the last one (radians), as less
 # shows little new; at the earliest after `MIN_INTERVAL` frames, at the latest after `MAX_INTERVAL` (choice).
 MIN_INTERVAL, MAX_INTERVAL = 4, 12
@@ -49,7 +46,8 @@ MIN_KEYFRAME_SCALE = 1.2
 # (choice).
 RING_ANGLES = np.radians([0.0, 10.0, 18.0, 28.0])
 # An anchor is used while these shares of its features are still tracked, overall and per camera, at least so many in
-# total, and the object has rotated by less than this (radians) since (choice).
+# total, and the object has rotated by less than this (radians) since (choice). A body can be measured from an earlier frame
+# that shows the first share of its matches.
 MIN_TRACKED_RATIO, MIN_CAMERA_RATIO, MIN_TRACKED, MAX_ANCHOR_ROTATION = 0.4, 0.25, 60, np.radians(30.0)
 # Preparation of the next anchor starts when the tracked shares fall below these times this factor, or the rotation
 # exceeds that divided by it (choice).
@@ -686,7 +684,8 @@ class JointState:
     def coast(self, time: float, options: TrackingOptions) -> tuple[JointState, FloatArray]:
         """Return the state after a frame in which the object was not found.
 
-        The object is assumed to continue at constant velocity, until the prediction becomes too uncertain.
+        The object is assumed to continue at constant velocity, while its rotation is certain and its position is within
+        its radius.
 
         Returns:
             the state; the covariance (6, 6) of (w, d) of the predicted pose.
@@ -694,9 +693,7 @@ class JointState:
         n_missed = self.motion.n_missed + 1
         covariance = self.last.covariance + self.motion.velocity.predict_covariance(time - self.last.time, n_missed)
         sd = np.sqrt(np.diag(covariance))
-        is_certain = (
-            sd[:3].max() < MAX_COASTING_ROTATION_SD and sd[3:].max() < MAX_COASTING_POSITION_SD * self.object.radius
-        )
+        is_certain = sd[:3].max() < MAX_ROTATION_SD and sd[3:].max() < self.object.radius
         is_lost = self.motion.is_lost or n_missed > options.max_coasting_frames or not is_certain
         motion = replace(self.motion, n_missed=n_missed, is_lost=is_lost, is_background_only=False)
         return replace(self, motion=motion, frames=replace(self.frames, next_anchor_number=None)), covariance
