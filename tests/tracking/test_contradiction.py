@@ -107,6 +107,9 @@ def test_frame_is_as_reliable_as_those_that_support_it() -> None:
     resting = PoseAgreement(n_matches=30, n_inlier_matches=30)
     assert not is_contradicted([on_good, other, resting], known, good, TrackingOptions())
     assert is_contradicted([on_good, other, replace(resting, n_inlier_matches=3)], known, good, TrackingOptions())
+    # A camera whose object rests contradicts the only one that sees a motion, as a still picture does.
+    assert is_contradicted([resting, other], known, good, TrackingOptions())
+    assert not is_contradicted([resting, on_good], known, good, TrackingOptions())
 
 
 def test_two_cameras_of_three_are_no_evidence_for_a_motion_that_the_third_does_not_follow() -> None:

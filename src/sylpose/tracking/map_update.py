@@ -259,11 +259,12 @@ def is_contradicted(
     A pose is as reliable as the earlier frames that the evidence connects it with. Where fewer than two cameras have
     evidence, as for an object that rests, it is as reliable as the last one.
     """
-    f_ratio = measure_f_ratio(agreements)
-    if not f_ratio <= options.max_f_ratio:
-        return f_ratio > options.max_f_ratio or last.is_contradicted
-    references = [known_frames[a.evidence_reference] for a in agreements if a.evidence_reference in known_frames]
-    return sum(not frame.is_contradicted for frame in references) < 2
+    if measure_f_ratio(agreements) > options.max_f_ratio:
+        return True
+    numbers = [a.evidence_reference for a in agreements if np.isfinite(a.evidence.excess)]
+    if len(numbers) < 2:
+        return last.is_contradicted
+    return sum(not known_frames[number].is_contradicted for number in numbers if number in known_frames) < 2
 
 
 def add_f_ratio(
@@ -278,18 +279,17 @@ def add_f_ratio(
 def measure_f_ratio(agreements: Agreements, min_kept: int = 2) -> float:
     """Return the F ratio of a pose; NaN without evidence.
 
-    Where the object hardly moves as seen from some cameras, they are silent, without evidence, but agree: a camera that
-    sees another body is then one of more than `min_kept`.
+    Where the object hardly moves as seen from a camera, its matches are no evidence, but agree: it has no excess. Any two
+    cameras nearly agree: where more are needed and no other follows their motion, that is no evidence for it.
     """
     excess = np.array([agreement.evidence.excess for agreement in agreements])
     counts = np.array([(agreement.n_inlier_matches, agreement.n_matches) for agreement in agreements])
     agrees = (counts[:, 0] >= MIN_MATCHES) & (counts[:, 0] > MIN_AGREEING_SHARE * counts[:, 1])
-    agrees &= np.isnan(excess)
-    n_silent = int(np.count_nonzero(agrees))
-    # Any two cameras nearly agree: where no other follows their motion, that is no evidence for it.
-    if np.count_nonzero(~np.isnan(excess)) + n_silent < min(min_kept, len(agreements)):
+    has_evidence = ~np.isnan(excess)
+    is_known = has_evidence | agrees
+    if not has_evidence.any() or np.count_nonzero(is_known) < min(min_kept, len(agreements)):
         return np.nan
-    return float(compute_f_ratio(excess, max(1, min_kept - n_silent)))
+    return float(compute_f_ratio(np.where(has_evidence, excess, 0.0)[is_known], min_kept))
 
 
 def _undetected_motion_covariance(context: Context, pose: RigidTransform, radius: float) -> FloatArray:
