@@ -36,9 +36,8 @@ from sylpose.status import Status
 # Weak prior of every pose: half a revolution and several radii around its start, which keeps unconstrained poses there
 # (choice).
 WEAK_ROTATION_SD, WEAK_TRANSLATION_RADII = np.pi, 10.0
-# The noise is re-estimated until it changes by less than this, or for so many iterations; then it is fixed (choice: with
-# 2 %, refinements from different starts differ by a third of a standard deviation in single frames).
-NOISE_TOLERANCE, MAX_NOISE_ITERATIONS = 0.01, 8
+# The noise is re-estimated until it changes by less than this, or for so many iterations; then it is fixed (choice).
+SIGMA_TOLERANCE, MAX_SIGMA_ITERATIONS = 0.05, 8
 # A rough start's lower limit of the noise falls by this factor per iteration (choice: from ten pixels to the noise floor
 # in five).
 GRADUATION = 3.0
@@ -413,9 +412,9 @@ def _add_depth_basis(problem: Problem, state: State) -> Problem:
 def minimize(problem: Problem, state: State, options: BundleOptions) -> Fit:
     """Run Levenberg-Marquardt with re-weighting from a state until it converges.
 
-    Which observations are outliers is decided with the noise of the cameras. Once that is fixed, the landmarks' variances
-    are estimated. In the reverse order, a landmark that slides would be its own inlier, and one that is still for long an
-    outlier as soon as it moves.
+    Which observations are outliers is decided with the noise of the cameras. The landmarks' variances are estimated once,
+    from the solution with equal ones. If they decided about outliers, a landmark that slides would be its own inlier, and
+    one that is still for long an outlier as soon as it moves.
 
     With `options.coarse`, stop where the weights would be fixed: the remaining error is a seventh of a standard
     deviation per frame.
@@ -424,7 +423,8 @@ def minimize(problem: Problem, state: State, options: BundleOptions) -> Fit:
     sigma = np.full(len(problem.focals), np.inf)
     leverage = np.full(len(e), min(1.0, 3.0 * len(state.points) / max(len(e), 1)))
     n_frames, damping, is_sigma_fixed, fixed_weights = len(state.rotations), 0.0, False, None
-    variance_ratio, is_ratio_fixed, n_rounds = np.ones(len(e)), options.coarse, 0
+    # With unknown time offsets the path's derivatives change with each step, and few landmarks let them oscillate.
+    variance_ratio, is_ratio_fixed = np.ones(len(e)), options.coarse or options.offsets_sd is not None
     floor = options.rough_px
     max_size = WEIGHTS_TOLERANCE * n_frames if options.coarse else STEP_TOLERANCE
     for iteration in range(1, options.max_iterations + 1):
@@ -434,12 +434,9 @@ def minimize(problem: Problem, state: State, options: BundleOptions) -> Fit:
             previous_sigma, sigma = sigma, np.maximum(problem.estimate_noise(e, leverage), floor)
             state = problem.reset_stray_landmarks(state, e, sigma)
             e = problem.compute_residuals(state)
-            is_sigma_fixed = _is_stable(previous_sigma, sigma) or iteration >= MAX_NOISE_ITERATIONS
+            is_stable = bool(np.all(np.abs(sigma - previous_sigma) < SIGMA_TOLERANCE * sigma))
+            is_sigma_fixed = is_stable or iteration >= MAX_SIGMA_ITERATIONS
             floor /= GRADUATION
-        elif fixed_weights is not None and not is_ratio_fixed:
-            previous_ratio, n_rounds = variance_ratio, n_rounds + 1
-            variance_ratio = problem.estimate_variance_ratio(e, fixed_weights, leverage, variance_ratio)
-            is_ratio_fixed = _is_stable(previous_ratio, variance_ratio) or n_rounds >= MAX_NOISE_ITERATIONS
         variances = sigma[problem.observations.camera] ** 2 * variance_ratio
         cost = problem.compute_cost(e, variances, state, fixed_weights)
         weights = problem.compute_weights(e, sigma) if fixed_weights is None else fixed_weights
@@ -460,17 +457,15 @@ def minimize(problem: Problem, state: State, options: BundleOptions) -> Fit:
         state = problem.update_derivatives(trial)
         if problem.has_time_shifts:
             e = problem.compute_residuals(state)
-        if is_sigma_fixed and is_ratio_fixed and size < max_size:
-            return Fit(state, Status.OK, iteration, weights, sigma, leverage, variance_ratio)
+        if is_sigma_fixed and size < max_size:
+            if is_ratio_fixed:
+                return Fit(state, Status.OK, iteration, weights, sigma, leverage, variance_ratio)
+            variance_ratio, is_ratio_fixed = problem.estimate_variance_ratio(e, weights, leverage), True
+            fixed_weights = weights
         is_settled = size < WEIGHTS_TOLERANCE * n_frames or iteration >= MAX_WEIGHT_ITERATIONS
         if is_sigma_fixed and fixed_weights is None and is_settled:
             fixed_weights = problem.compute_weights(e, sigma)
     return Fit(state, Status.NOT_CONVERGED, options.max_iterations, weights, sigma, leverage, variance_ratio)
-
-
-def _is_stable(before: FloatArray, now: FloatArray) -> bool:
-    """Return whether a noise has changed little."""
-    return bool(np.all(np.abs(now - before) < NOISE_TOLERANCE * now))
 
 
 def refine_with_calibration(

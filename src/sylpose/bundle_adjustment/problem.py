@@ -290,20 +290,17 @@ class Problem:
         variance = (squares + PRIOR_DEGREES_OF_FREEDOM * pooled) / (freedom + PRIOR_DEGREES_OF_FREEDOM)
         return np.asarray(np.sqrt(np.maximum(variance, MIN_REPORTED_SIGMA_PX**2)))
 
-    def estimate_variance_ratio(
-        self, e: FloatArray, weights: FloatArray, leverage: FloatArray, before: FloatArray
-    ) -> FloatArray:
+    def estimate_variance_ratio(self, e: FloatArray, weights: FloatArray, leverage: FloatArray) -> FloatArray:
         """Return (n,) variance of each landmark's observations relative to those of its camera, shrunk to 1.
 
         Some patches are registered less well than others.
 
         Args:
-            e: (n, 2) residuals, pixels.
+            e: (n, 2) residuals of the fit with equal variances, pixels.
             weights, leverage: (n,) as in `Fit`.
-            before: (n,) the last estimate, or 1.
         """
         start = self.observations.start
-        sigma = self.estimate_weighted_noise(e, weights, leverage, before)
+        sigma = self.estimate_weighted_noise(e, weights, leverage)
         relative = np.einsum("ni,ni->n", e, e) / sigma[self.observations.camera] ** 2
         squares = np.add.reduceat(weights * relative / SHRINKAGE, start[:-1])
         freedom = np.add.reduceat(weights * np.maximum(self._compute_freedom(weights, leverage), 0.0), start[:-1])
