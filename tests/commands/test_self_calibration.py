@@ -311,9 +311,13 @@ def test_a_refined_calibration_there_stays_if_a_run_uses_it(session: Path, tmp_p
     calibration.save(truth, out / name)
     (out / "trajectory.csv").write_text("earlier")
     there = open_session(session, calibration=out / name)
-    runs.track_session(there, out, RunOptions(stop=3, overlay=False, smooth=False))
+    options = RunOptions(stop=3, overlay=False, smooth=False)
+    runs.track_session(there, out, options)
     assert [file.name for file in out.glob("calibration.refined*")] == [name]
     assert read_run(out)[1].names == truth.names
+    # The run used one camera of those in the file.
+    runs.track_session(open_session(session, calibration=out / name, without=truth.names[1:]), out, options)
+    assert read_run(out)[1].names == truth.names[:1]
 
 
 @pytest.mark.parametrize(

@@ -110,6 +110,10 @@ def test_frame_is_as_reliable_as_those_that_support_it() -> None:
     # A camera whose object rests contradicts the only one that sees a motion, as a still picture does.
     assert is_contradicted([resting, other], known, good, TrackingOptions())
     assert not is_contradicted([resting, on_good], known, good, TrackingOptions())
+    # Several of them neither hide that others disagree, nor do they contradict the only one of them that sees a motion.
+    strong = replace(other, evidence=CameraEvidence(20, 0.3, 9.0, 200.0))
+    assert is_contradicted([resting] * 2 + [strong] * 2, known, good, TrackingOptions())
+    assert np.isnan(measure_f_ratio([resting] * 3 + [strong]))
 
 
 def test_two_cameras_of_three_are_no_evidence_for_a_motion_that_the_third_does_not_follow() -> None:

@@ -149,8 +149,8 @@ class BundleOptions:
             Reconstruction", 1987). Then errors of the calibration are estimated from the first iteration, and
             the prior of the lenses is not scaled.
         max_iterations: maximum number of iterations.
-        coarse: stop a seventh of a standard deviation per frame before the optimum, after half of the iterations; not
-            for `recalibrate`.
+        coarse: stop a seventh of a standard deviation per frame before the optimum, after half of the iterations, and
+            with equal variances of all landmarks of a camera; not for `recalibrate`.
         on_iteration: called with the number of each iteration as it begins.
     """
 

@@ -44,6 +44,8 @@ def draw_matches(
     The colors are those of trails, of the matches' dots and of the features' dots.
     """
     before, now = (np.asarray(p, dtype=float).reshape(-1, 2) for p in pair)
+    is_drawn = np.isfinite(before).all(axis=1) & np.isfinite(now).all(axis=1)
+    before, now, features = before[is_drawn], now[is_drawn], features[np.isfinite(features).all(axis=1)]
     if not len(now) + len(features):
         return
     hidden = np.isin(features @ [1, 1j], now @ [1, 1j])  # by a match's larger dot

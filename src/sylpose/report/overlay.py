@@ -43,7 +43,7 @@ NO_PIXELS = np.empty((0, 2))
 # In order of preference; every build of FFmpeg has the last. None delays frames: no B-frames, no look-ahead. "ultrafast"
 # takes 0.4 times as long as "veryfast" at its quality 21, for files 1.6 times as large (measured: overlay of the demo).
 ENCODERS: tuple[tuple[str, dict[str, str]], ...] = (
-    ("libx264", {"preset": "ultrafast", "tune": "zerolatency", "crf": "25", "threads": "1"}),
+    ("libx264", {"preset": "ultrafast", "tune": "zerolatency", "crf": "25"}),
     ("libopenh264", {"allow_skip_frames": "0"}),
     ("mpeg4", {"qscale": "3"}),
 )

@@ -162,7 +162,9 @@ def read_run(result: Path, calibration_file: Path | None = None) -> tuple[Trajec
     """
     trajectory, folder = load_trajectory(result), result if result.is_dir() else result.parent
     refined, object_file, cloud = folder / REFINED, folder / OBJECT_FILE, None
-    file = calibration_file or (refined if refined.is_file() else find_calibration(folder, None))
+    # A refined calibration of an earlier run stays if the run has used it, of other cameras or in another unit perhaps.
+    is_refined = bool(settings_table(read_settings(folder), "options").get("refine_calibration"))
+    file = calibration_file or (refined if is_refined and refined.is_file() else find_calibration(folder, None))
     rig, names = calibration.load(file), trajectory.camera_names
     if rig.names != names:
         raise ValueError(f"{file}: it has the cameras {', '.join(rig.names)}, the trajectory {', '.join(names)}")

@@ -285,11 +285,16 @@ def measure_f_ratio(agreements: Agreements, min_kept: int = 2) -> float:
     excess = np.array([agreement.evidence.excess for agreement in agreements])
     counts = np.array([(agreement.n_inlier_matches, agreement.n_matches) for agreement in agreements])
     agrees = (counts[:, 0] >= MIN_MATCHES) & (counts[:, 0] > MIN_AGREEING_SHARE * counts[:, 1])
-    has_evidence = ~np.isnan(excess)
-    is_known = has_evidence | agrees
-    if not has_evidence.any() or np.count_nonzero(is_known) < min(min_kept, len(agreements)):
+    evidence, n_silent = np.sort(excess[~np.isnan(excess)]), int(np.count_nonzero(agrees & np.isnan(excess)))
+    n_known = len(evidence) + n_silent
+    if n_known < min(min_kept, len(agreements)):
         return np.nan
-    return float(compute_f_ratio(np.where(has_evidence, excess, 0.0)[is_known], min_kept))
+    kept = evidence[:-1] if n_known > min_kept else evidence
+    if not len(kept):
+        return np.nan
+    # Only as many as are needed: more of them would dilute the others' excess.
+    n_added = max(0, min(n_silent, min_kept - len(kept)))
+    return float(compute_f_ratio(np.append(kept, np.zeros(n_added)), len(agreements)))
 
 
 def _undetected_motion_covariance(context: Context, pose: RigidTransform, radius: float) -> FloatArray:
