@@ -1,7 +1,8 @@
-"""Sequential readers of one camera's frames and masks, which report problems instead of raising."""
+"""Readers of one camera's frames and masks, in any order, which report problems instead of raising."""
 
 from __future__ import annotations
 
+import sys
 from bisect import bisect_left
 from collections.abc import Generator, Mapping
 from contextlib import closing, suppress
@@ -145,23 +146,27 @@ class _VideoReader(FrameReader):
         super().__init__(source)
         self._reformatter = VideoReformatter()
         self._reported_kinds: set[str] = set()
+        self._max_ahead = MAX_SEQUENTIAL_FRAMES  # more where seeking does not help
         self._open()
 
     def _open(self) -> None:
         self._container, self._stream = open_video(self._source.path)
         self._frames, self.ended = self._decode(), False
         self._number, self._frame = -1, cast(VideoFrame | None, None)  # the last one that was decoded
+        self._previous = -1  # the one that was decoded before; those between them are damaged
         self._failure: str | None = None
 
     def read(self, k: int) -> Image | None:
-        if not self._number <= k <= self._number + MAX_SEQUENTIAL_FRAMES:
+        if self.ended and k > self._number:
+            return None
+        if not self._previous < k <= self._number + self._max_ahead:
             self._seek(k)
         while not self.ended and self._number < k:
             decoded = next(self._frames, None)
             if decoded is None:
                 self._finish()
                 return None
-            self._number, self._frame = decoded
+            self._previous, (self._number, self._frame) = self._number, decoded
         if self._number < k:
             return None
         if self._number > k or self._frame is None or self._frame.is_corrupt:
@@ -174,8 +179,8 @@ class _VideoReader(FrameReader):
         """Continue at the last key frame before frame k, unless the present frame is between them."""
         number, pts, index, key = self._number, self._source.pts, self._stream.index_entries, -1
         if pts is not None and MAX_REORDERED_FRAMES < k < len(pts):
-            # An index has decoding times; some files have none before the first seek.
-            key = index.search_timestamp(pts[k - MAX_REORDERED_FRAMES]) if len(index) else k
+            # An index has decoding times, in some containers of a few frames only, or of none before the first seek.
+            key = index.search_timestamp(pts[k - MAX_REORDERED_FRAMES]) if len(index) >= len(pts) else k
         if k > number and key <= max(number, 0):
             return
         self.close()
@@ -185,7 +190,12 @@ class _VideoReader(FrameReader):
         with suppress(av.error.FFmpegError):
             self._container.seek(pts[k - MAX_REORDERED_FRAMES], stream=self._stream)
             self._number, self._frame = next(self._frames, (k + 1, None))
-        if self._frame is None or not self._frame.key_frame or self._number > k:
+        self._previous = self._number - 1
+        is_found = self._frame is not None and self._frame.key_frame and self._number <= k
+        if k > number and not (is_found and self._number > number):
+            # It did not help; only seek farther ahead in this video, or no more if it cannot be sought in.
+            self._max_ahead = k - self._number if is_found else sys.maxsize
+        if not is_found:
             self.close()
             self._open()
 
@@ -236,9 +246,10 @@ class _VideoReader(FrameReader):
         self.ended = True
         n_read = self._number + 1
         if self._failure or n_read < self._source.n_frames:
-            self.problems.append(
+            self._report_once(
+                "cut off",
                 f"{self._source.camera}: {self._source.path.name} is cut off after {n_read} of "
-                f"{self._source.n_frames} frames ({self._failure or 'the file ends'}); this camera has no more frames."
+                f"{self._source.n_frames} frames ({self._failure or 'the file ends'}); this camera has no more frames.",
             )
 
     def _convert(self, k: int, frame: VideoFrame) -> Image | None:

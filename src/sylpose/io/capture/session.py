@@ -16,7 +16,7 @@ import numpy as np
 
 from sylpose.frames import Box, FrameSet
 from sylpose.geometry.arrays import BoolArray, Image
-from sylpose.geometry.validation import check_list
+from sylpose.geometry.validation import check_integer, check_list
 from sylpose.input_limits import input_errors
 from sylpose.io import calibration as calibrations
 from sylpose.io.calibration.lenses import Fov, LensFile, guess_lenses, load_lenses
@@ -207,17 +207,20 @@ class Session(SessionBase):
             on_problem: as for `frames`.
 
         Raises:
-            ValueError: numbers that do not increase or are outside the session, every < 1.
+            ValueError: numbers that are no integers, do not increase or are outside the session, every < 1.
             OSError, ValueError: while iterating, a video can no longer be opened.
         """
         check_frame_range(0, None, every)
-        if not indices or any(a >= b for a, b in pairwise([-1, *indices, self.n_frames])):
-            raise ValueError(f"indices must increase in 0 ... {self.n_frames - 1} (the session's frames)")
-        return self._read(indices, every, on_problem or issue_warning)
+        numbers = [check_integer(i, "indices", maximum=self.n_frames - 1) for i in indices]
+        if any(a >= b for a, b in pairwise(numbers)):
+            raise ValueError(f"indices must increase, got {numbers}")
+        return self._read(numbers, every, on_problem or issue_warning)
 
     def _read(
         self, indices: Sequence[int], every: int, on_problem: Callable[[str], None]
     ) -> Generator[FrameSet, None, None]:
+        if not indices:
+            return
         with ExitStack() as stack:
             readers = [
                 stack.enter_context(closing(CameraReader(source, {name: m[c] for name, m in self._masks.items()})))
