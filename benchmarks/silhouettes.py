@@ -144,7 +144,8 @@ def evaluate(kind: str, seed: int, frames: int, tracked: bool) -> tuple[float, f
     errors = measure_surface(parts, object_from_body.inv().apply(carved.mesh.vertices))
     percent = 100 * errors / np.ptp(corners, axis=0).max()
     median, mean, high = np.median(np.abs(percent)), percent.mean(), np.percentile(np.abs(percent), 95)
-    remark = f"agreement {np.nanmedian(carved.agreement):.3f}, contradicting {int(carved.contradicting.sum())}"
+    unknown, n_contradicting = float(np.nanmedian(carved.unknown_outline)), int(carved.contradicting.sum())
+    remark = f"agreement {np.nanmedian(carved.agreement):.3f}, unknown {unknown:.2f}, contradicting {n_contradicting}"
     return float(median), float(mean), float(high), seconds, remark
 
 

@@ -59,6 +59,7 @@ def test_sphere_from_exact_silhouettes() -> None:
     assert found.used.all()
     assert not found.contradicting.any()
     assert found.agreement.min() > 0.97
+    assert not found.unknown_outline.any()
     assert np.isnan(found.noise).all()
     volume = np.einsum("ij,ij->", found.mesh.vertices[found.mesh.faces[:, 0]], found.mesh.face_normals) / 6
     assert volume == pytest.approx(4 / 3 * np.pi * RADIUS**3, rel=0.03)  # positive: faces look outwards

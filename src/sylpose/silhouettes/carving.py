@@ -14,7 +14,7 @@ from sylpose.geometry.arrays import BoolArray, FloatArray, Image
 from sylpose.geometry.validation import check_list, check_type
 from sylpose.mesh import Mesh
 from sylpose.rig import Camera, Rig
-from sylpose.silhouettes.background import Silhouette, estimate_background, find_silhouette, level_images
+from sylpose.silhouettes.background import OUTLINE_PX, Silhouette, estimate_background, find_silhouette, level_images
 from sylpose.silhouettes.rendering import render_mesh
 from sylpose.silhouettes.visual_hull import (
     CORE_DEPTH,
@@ -60,6 +60,8 @@ class CarvedObject:
         contradicting: (F, C) images with such a silhouette.
         agreement: (F, C) area that surface and silhouette share, as a share of that of both together, near the object;
             NaN for images that were not used.
+        unknown_outline: (F, C) share of the surface's outline next to which the background is not known: there nothing
+            bounds the surface; NaN for images that were not used.
         noise: (C,) noise of the cameras, gray levels; NaN with masks.
     """
 
@@ -68,6 +70,7 @@ class CarvedObject:
     used: BoolArray
     contradicting: BoolArray
     agreement: FloatArray
+    unknown_outline: FloatArray
     noise: FloatArray
 
 
@@ -130,14 +133,14 @@ def carve_object(rig: Rig, frames: Sequence[FrameSet], world_from_object: RigidT
     is_used = _find_consistent_views(views, hull)
     mesh, spacing = _extract_surface([view for view, used in zip(views, is_used, strict=True) if used], low, high)
     used, contradicting = np.zeros((2, len(frames), len(rig)), bool)
-    agreement = np.full((len(frames), len(rig)), np.nan)
+    agreement, unknown_outline = np.full((2, len(frames), len(rig)), np.nan)
     rows, columns = np.array(places).T
     used[rows, columns], contradicting[rows, columns] = is_used, ~is_used
     for n in np.flatnonzero(is_used):
-        agreement[places[n]] = _measure_agreement(mesh, views[n], silhouettes[n])
+        agreement[places[n]], unknown_outline[places[n]] = _compare_silhouette(mesh, views[n], silhouettes[n])
     images = [image for of in cameras for image in of.images]
     colors = _color_vertices(mesh, [(views[n], images[n]) for n in np.flatnonzero(is_used)], spacing)
-    return CarvedObject(replace(mesh, colors=colors), spacing, used, contradicting, agreement, noise)
+    return CarvedObject(replace(mesh, colors=colors), spacing, used, contradicting, agreement, unknown_outline, noise)
 
 
 def _collect_images(camera: Camera, pairs: Sequence[tuple[Image | None, BoolArray | None]]) -> _CameraImages:
@@ -290,18 +293,28 @@ def _extract_surface(views: Sequence[View], low: FloatArray, high: FloatArray) -
     return Mesh(grid.low + grid.spacing * (vertices - 1), faces).largest_part(), grid.spacing
 
 
-def _measure_agreement(mesh: Mesh, view: View, silhouette: Silhouette) -> float:
-    """Return the area that the surface and a silhouette share, relative to that of both, near the surface."""
+def _compare_silhouette(mesh: Mesh, view: View, silhouette: Silhouette) -> tuple[float, float]:
+    """Compare the surface with a silhouette.
+
+    Returns:
+        the area that both share, relative to that of both together, near the surface; the share of the surface's outline
+        next to which the background is not known.
+    """
     surface = render_mesh(mesh, view.camera, RigidTransform.identity()).mask
     rows, columns = np.nonzero(surface)
     if not len(rows):
-        return 0.0
+        return 0.0, 1.0
     reach = int(np.ceil(NEAR_SHARE * max(np.ptp(rows), np.ptp(columns)))) + 1
-    near = np.asarray(cv2.dilate(surface.astype(np.uint8), np.ones((2 * reach + 1,) * 2, np.uint8)) > 0)
-    near &= silhouette.log_odds != 0
+    is_known = silhouette.log_odds != 0
+    near = (_dilate(surface, reach) > 0) & is_known
     foreground = (silhouette.share > 0.5) & near
     both = (surface & near) | foreground
-    return float((surface & foreground).sum() / max(both.sum(), 1))
+    outline = (_dilate(surface, OUTLINE_PX) > 0) & (_dilate(surface, 1) == 0)
+    return float((surface & foreground).sum() / max(both.sum(), 1)), float(np.mean(~is_known[outline]))
+
+
+def _dilate(mask: BoolArray, reach: int) -> Image:
+    return np.asarray(cv2.dilate(mask.astype(np.uint8), np.ones((2 * reach + 1,) * 2, np.uint8)), np.uint8)
 
 
 def _color_vertices(mesh: Mesh, images: Sequence[tuple[View, Image]], spacing: float) -> Image:
