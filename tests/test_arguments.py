@@ -65,6 +65,7 @@ NOT_CALLED = {
     "Session.select_cameras": "the same",
     "Session.select_object": "the same",
     "Session.with_rig": "the same",
+    "Session.without_static_masks": "no arguments",
     "Session.with_world": "the same",
     "load_world": "reads a file: io/calibration/test_world.py",
     "LiveSession.frames": "the same",

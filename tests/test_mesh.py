@@ -1,4 +1,4 @@
-"""Meshes: validation, normals and connected parts; object.glb read by another library."""
+"""Meshes: validation, normals and connected parts; shape.glb read by another library."""
 
 from __future__ import annotations
 
@@ -64,12 +64,12 @@ def test_bad_meshes_are_refused(change: dict[str, np.ndarray], message: str) -> 
 def test_glb_is_read_by_another_library(tmp_path: Path, unit: str, scale: float) -> None:
     trimesh = pytest.importorskip("trimesh")
     cube = make_cube()
-    write_mesh(cube, tmp_path / "object.glb", unit)
-    found = trimesh.load(tmp_path / "object.glb", force="mesh", process=False)
+    write_mesh(cube, tmp_path / "shape.glb", unit)
+    found = trimesh.load(tmp_path / "shape.glb", force="mesh", process=False)
     np.testing.assert_allclose(found.vertices, scale * cube.vertices)
     np.testing.assert_array_equal(found.faces, cube.faces)
     assert found.volume == pytest.approx(8.0 * scale**3)
-    content = (tmp_path / "object.glb").read_bytes()
+    content = (tmp_path / "shape.glb").read_bytes()
     (length,) = struct.unpack("<I", content[12:16])
     header = json.loads(content[20 : 20 + length])
     accessor = header["accessors"][header["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"]]

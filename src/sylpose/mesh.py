@@ -67,7 +67,7 @@ class Mesh:
         return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300))
 
     def largest_part(self) -> Mesh:
-        """Return the connected part with most vertices."""
+        """Return the connected part with most faces."""
         n, (i, j, k) = len(self.vertices), self.faces.T
         ends = np.concatenate([i, j]), np.concatenate([j, k])
         _, part = connected_components(coo_array((np.ones(len(ends[0]), bool), ends), (n, n)), directed=False)

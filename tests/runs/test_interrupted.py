@@ -21,7 +21,7 @@ from sylpose.commands.main import main
 from sylpose.io import calibration
 from sylpose.io.capture import Session, open_session
 from sylpose.runs.options import RunOptions
-from sylpose.runs.results_folder import EARLIER
+from sylpose.runs.results_folder import EARLIER, ResultsFolder
 from sylpose.runs.run import has_finished, track_session
 from sylpose.runs.run_metadata import SETTINGS, USED_CALIBRATION
 from sylpose.sync.estimation import TimeOffsets, write_offsets
@@ -206,6 +206,15 @@ def test_failing_resumed_run_keeps_the_files(
     run(opened, tmp_path, True, resume=True)
     assert read_texts(tmp_path) == before
     assert has_finished(opened, tmp_path)
+
+
+def test_files_of_the_user_stay(tmp_path: Path) -> None:
+    """The surface of an earlier scan moves with its run; a model that somebody keeps there does not."""
+    for name in ("trajectory.csv", "shape.glb", "shape.png", "object.glb", "object.png"):
+        (tmp_path / name).write_text("earlier")
+    ResultsFolder(tmp_path).move_earlier_results()
+    assert {path.name for path in tmp_path.iterdir()} == {EARLIER, "object.glb", "object.png"}
+    assert {path.name for path in (tmp_path / EARLIER).iterdir()} == {"trajectory.csv", "shape.glb", "shape.png"}
 
 
 def test_two_runs_in_one_folder(opened: Session, tmp_path: Path) -> None:

@@ -12,8 +12,11 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose import FrameSet, carve_object
 from sylpose.rig import Rig
-from sylpose.silhouettes.carving import CarvedObject
+from sylpose.runs.scan import Scan
+from sylpose.silhouettes.background import Silhouette
+from sylpose.silhouettes.carving import CarvedObject, _compare_silhouette
 from sylpose.silhouettes.rendering import render_mesh
+from sylpose.silhouettes.visual_hull import View, measure_outline_distances
 from sylpose.simulate import arc
 from tests.test_mesh import make_cube
 
@@ -67,6 +70,11 @@ def test_sphere_from_exact_silhouettes() -> None:
     assert np.median(found.mesh.colors) == 90
 
 
+def check_sphere(found: CarvedObject) -> None:
+    errors = np.abs(np.linalg.norm(found.mesh.vertices, axis=1) - RADIUS)
+    assert np.median(errors) < 0.005 * 2 * RADIUS
+
+
 def test_shape_does_not_depend_on_the_world() -> None:
     """The world moves: with it cameras and poses, and neither images nor the object."""
     new_from_world = RigidTransform.from_components([0.3, -2.0, 1.1], Rotation.from_rotvec([0.4, -1.0, 2.0]))
@@ -78,12 +86,57 @@ def test_shape_does_not_depend_on_the_world() -> None:
 def test_single_wrong_silhouettes_are_not_used() -> None:
     frames = sphere_frames(RIG, turned())
     masks = list(frames[4].masks)
-    masks[1] = np.zeros_like(masks[0])  # the object was not found
+    elsewhere = np.zeros((180, 240), bool)
+    elsewhere[:20, :20] = True
+    masks[1] = elsewhere
     frames[4] = replace(frames[4], masks=tuple(masks))
     found = carve_object(RIG, frames, turned())
     assert np.argwhere(found.contradicting).tolist() == [[4, 1]]
-    errors = np.abs(np.linalg.norm(found.mesh.vertices, axis=1) - RADIUS)
-    assert np.median(errors) < 0.005 * 2 * RADIUS
+    check_sphere(found)
+
+
+def test_images_with_an_empty_mask_do_not_show_the_object() -> None:
+    frames = sphere_frames(RIG, turned())
+    empty = np.zeros((180, 240), bool)
+    for k in (2, 3, 7):
+        frames[k] = replace(frames[k], masks=(empty, *frames[k].masks[1:]))
+    found = carve_object(RIG, frames, turned())
+    assert np.argwhere(~found.used).tolist() == [[2, 0], [3, 0], [7, 0]]
+    assert not found.contradicting.any()
+    check_sphere(found)
+    with pytest.raises(ValueError, match="no image shows the object"):
+        carve_object(RIG, [replace(frame, masks=(empty,) * 3) for frame in frames], turned())
+
+
+def test_cameras_that_face_away_do_not_count() -> None:
+    """They are most of the cameras; the masks in their images are of something else."""
+    half_turn = RigidTransform.from_rotation(Rotation.from_rotvec([0, np.pi, 0]))
+    away = [
+        replace(camera, name=f"away_{n}", camera_from_world=half_turn * camera.camera_from_world)
+        for n, camera in enumerate([*RIG, RIG[0]])
+    ]
+    rig = Rig([*RIG, *away])
+    found = carve_object(rig, sphere_frames(rig, turned()), turned())
+    assert found.used[:, :3].all()
+    assert not found.used[:, 3:].any()
+    assert not found.contradicting.any()
+    check_sphere(found)
+
+
+def test_few_images_without_a_mask_are_not_used_and_counted() -> None:
+    frames = sphere_frames(RIG, turned())
+    frames[6:] = [replace(frame, masks=(None, *frame.masks[1:])) for frame in frames[6:]]
+    found = carve_object(RIG, frames, turned())
+    assert np.argwhere(~found.used).tolist() == [[k, 0] for k in range(6, 12)]
+    check_sphere(found)
+    assert Scan(found, RIG, frames, turned()).warnings == ["Camera cam_0: 6 images without a mask are not used."]
+
+
+def test_nothing_bounds_an_object_that_fills_the_image() -> None:
+    width, height = RIG[0].size
+    everywhere = Silhouette.from_mask(np.ones((height, width), bool))
+    view = View(RIG[0], measure_outline_distances(everywhere))
+    assert _compare_silhouette(make_cube(1.2), view, everywhere) == (1.0, 1.0)
 
 
 def test_poses_that_are_not_those_of_the_silhouettes_are_refused() -> None:

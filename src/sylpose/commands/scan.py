@@ -9,6 +9,9 @@ from typing import Annotated
 from sylpose.commands.app import INPUT, OUTPUT, CommandOptions, command, option
 from sylpose.commands.options import ResultPath
 
+# Frames at most, all of which are held in memory (choice: 3 GB with four full HD cameras).
+MAX_FRAMES = 120
+
 
 @dataclass(frozen=True, kw_only=True)
 class ScanOptions(CommandOptions):
@@ -17,12 +20,12 @@ class ScanOptions(CommandOptions):
     Attributes:
         recording: Read the images from here if the recording was moved.
         n_frames: Use at most so many frames, spread over the recording.
-        out: Write object.glb and object.png here; default: RESULT.
+        out: Write shape.glb and shape.png here; default: RESULT.
     """
 
     result: ResultPath
     recording: Annotated[Path | None, option("--recording DIR", INPUT)] = None
-    n_frames: Annotated[int, option("--frames N", INPUT, min=2, max=500)] = 31
+    n_frames: Annotated[int, option("--frames N", INPUT, min=2, max=MAX_FRAMES)] = 31
     out: Annotated[Path | None, option("--out DIR", OUTPUT)] = None
 
 
@@ -30,8 +33,8 @@ class ScanOptions(CommandOptions):
 def scan(options: ScanOptions) -> None:
     """Estimate the shape of a tracked object from its silhouettes in all cameras and frames (visual hull).
 
-    Silhouettes are what differs from the static background, or the masks in the recording's folder. Writes object.glb
-    (glTF 2.0, in the object's frame) and object.png. Requires the extra `shape`: pip install 'sylpose[shape]'.
+    Silhouettes are what differs from the static background, or the masks in the recording's folder. Writes shape.glb
+    (glTF 2.0, in the object's frame) and shape.png. Requires the extra `shape`: pip install 'sylpose[shape]'.
 
     Examples:
         sylpose scan recording

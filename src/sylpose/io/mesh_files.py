@@ -1,4 +1,4 @@
-"""Mesh files: object.glb, the surface of an object as glTF 2.0."""
+"""Mesh files: shape.glb, the surface of an object as glTF 2.0."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sylpose.io.exports.gltf import BufferBuilder, encode_binary
 from sylpose.mesh import Mesh
 from sylpose.units import METERS
 
-SURFACE_FILE = "object.glb"
+SURFACE_FILE = "shape.glb"
 
 
 def write_mesh(mesh: Mesh, path: Path, unit: str = "") -> None:

@@ -30,7 +30,7 @@ EARLIER, EARLIER_MOVING, EARLIER_REMOVED = "earlier_results", ".earlier_results.
 # Files of a run, of `sylpose scan` and of `sylpose view`; the checkpoint is removed first, so that no run resumes from
 # incomplete files.
 _RUN_FILE_PATTERN = re.compile(
-    r"overlay(_\d+)?\.mp4|object\.(glb|png)|report\.(html|png|svg|pdf)|view_.+\.(tum|csv|png|svg|pdf)"
+    r"overlay(_\d+)?\.mp4|shape\.(glb|png)|report\.(html|png|svg|pdf)|view_.+\.(tum|csv|png|svg|pdf)"
 )
 _MAIN_FILES = (CHECKPOINT, *(f"{stem}{end}" for stem in (RESULT, TRACKED) for end in SUFFIXES))
 _OTHER_FILES = (REFINED, REFINED_END, *ESTIMATED, TRACKS, SETTINGS, USED_CALIBRATION, WORLD, OBJECT_FILE, CLOUD_FILE)

@@ -19,7 +19,7 @@ from sylpose.silhouettes.carving import CarvedObject, carve_object
 from sylpose.silhouettes.rendering import render_mesh, shade_mesh
 from sylpose.units import INITIAL_DISTANCES
 
-PICTURE_FILE = "object.png"
+PICTURE_FILE = "shape.png"
 # A median agreement of surface and silhouettes below this causes a warning (measured: rendered bodies and a temple with
 # exact poses have 0.97 to 0.98).
 MIN_AGREEMENT = 0.9
@@ -37,12 +37,14 @@ class Scan:
         rig: the cameras.
         frames: (F) frame sets.
         world_from_object: (F,) poses.
+        static_masks: names of the cameras with one mask for all frames, which is not used.
     """
 
     carved: CarvedObject
     rig: Rig
     frames: list[FrameSet]
     world_from_object: RigidTransform
+    static_masks: tuple[str, ...] = ()
 
     @property
     def warnings(self) -> list[str]:
@@ -55,15 +57,32 @@ class Scan:
             )
         if (unknown := float(np.nanmedian(carved.unknown_outline))) > MAX_UNKNOWN_OUTLINE:
             found.append(
-                f"Next to {100 * unknown:.0f} % of the outline the background is not known: the object covers the same pixels "
-                "in most frames, and the surface may be too large. Let it move by its size, or give masks of the object."
+                f"Next to {100 * unknown:.0f} % of the outline the background is not known: the object covers the same "
+                "pixels in most frames, and the surface may be too large. Let it move by its size, or give masks of the "
+                "object."
             )
         for c, name in enumerate(self.rig.names):
             n, n_all = int(carved.contradicting[:, c].sum()), int((carved.used | carved.contradicting)[:, c].sum())
             if n:
                 found.append(f"Camera {name}: {n} of {n_all} silhouettes contradict those of the others; not used.")
             if not n_all:
-                found.append(f"Camera {name}: no images, or no masks, of these frames.")
+                found.append(f"Camera {name}: no image of these frames shows the object.")
+            found += self._list_ignored_masks(c)
+        return found
+
+    def _list_ignored_masks(self, c: int) -> list[str]:
+        """Return sentences on a camera's masks that are no silhouettes, and on images that lack one."""
+        name, carved = self.rig.names[c], self.carved
+        found = []
+        if name in self.static_masks:
+            found.append(
+                f"Camera {name}: one mask for all frames is no outline of what moves: ignored. Give one per frame, or none."
+            )
+        has_mask = np.array([frame.masks[c] is not None for frame in self.frames])
+        has_image = np.array([frame.images[c] is not None for frame in self.frames])
+        n = int((has_image & ~has_mask & ~carved.used[:, c] & ~carved.contradicting[:, c]).sum())
+        if has_mask.any() and n:
+            found.append(f"Camera {name}: {n} images without a mask are not used.")
         return found
 
 
@@ -77,32 +96,36 @@ def scan_result(result: Path, recording: Path | None, n_frames: int) -> Scan:
 
     Raises:
         FileNotFoundError: no recording, or no result.
-        ValueError: a result of one camera, which has no length unit; no measured poses; as `carve_object`.
+        ValueError: a result of one camera in its own unit; no measured poses; as `carve_object`.
     """
     trajectory, rig, _ = read_run(result)
-    if trajectory.unit == INITIAL_DISTANCES or len(rig) == 1:
-        raise ValueError(f"{result}: the result of a single camera; its lengths are not those of the calibration")
+    if trajectory.unit == INITIAL_DISTANCES:
+        raise ValueError(
+            f"{result}: the result of a single camera; its lengths are not those of the calibration. Track an object of "
+            "known size (--object), or use several cameras"
+        )
     session = open_source_recording(result, recording, with_masks=True)
     folder = result if result.is_dir() else result.parent
     if folder != find_run_folder(folder) and folder.name in session.objects:
         session = session.select_object(folder.name)
-    measured = {pose.index: pose.world_from_object for pose in trajectory if pose.is_measured}
+    session, static_masks = session.without_static_masks()
+    measured = {p.index: p.world_from_object for p in trajectory if p.is_measured and p.index < session.n_frames}
     if not measured:
-        raise ValueError(f"{result}: no measured pose in it")
+        raise ValueError(f"{result}: no measured pose of a frame of {session.path} in it")
     indices = np.array(sorted(measured))
     chosen = indices[np.unique(np.linspace(0, len(indices) - 1, n_frames).round().astype(int))]
-    frames = list[FrameSet]()
-    with closing(session.frames(int(chosen[0]), int(chosen[-1]) + 1, on_problem=lambda _: None)) as frame_sets:
-        frames += (frame_set for frame_set in frame_sets if frame_set.index in chosen)
+    with closing(session.frames_at(chosen.tolist(), on_problem=lambda _: None)) as frame_sets:
+        frames = list(frame_sets)
     poses = [pose for frame in frames if (pose := measured[frame.index]) is not None]
     if not poses:
         raise ValueError(f"{session.path}: none of the frames with a pose can be read")
     world_from_object = RigidTransform.concatenate(poses)
-    return Scan(carve_object(rig, frames, world_from_object), rig, frames, world_from_object)
+    carved = carve_object(rig, frames, world_from_object)
+    return Scan(carved, rig, frames, world_from_object, static_masks)
 
 
 def write_scan(scan: Scan, folder: Path) -> list[Path]:
-    """Write object.glb and object.png, and return both files.
+    """Write shape.glb and shape.png, and return both files.
 
     Raises:
         OSError: a file cannot be written; the message names it.

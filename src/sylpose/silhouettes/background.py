@@ -40,7 +40,7 @@ COLOR_BINS, UNIFORM_SHARE = 16, 0.1
 OUTLINE_PX = 2
 # Holes in a silhouette are not known to be background up to this share of its area (choice: a fourteenth of its diameter).
 MAX_HOLE_SHARE = 0.005
-# Every so-manieth row and column determines the gain (choice: thousands of pixels).
+# Step between the rows and columns that determine the gain (choice: thousands of pixels).
 GAIN_STEP = 4
 # Cutoff of the bisquare in standard deviations (derived: 95 % efficiency for normal errors).
 GAIN_CUTOFF = 4.685

@@ -56,13 +56,14 @@ class CarvedObject:
     Attributes:
         mesh: surface in the object's frame, with colors.
         spacing: distance of the grid's points, in the rig's unit.
-        used: (F, C) images that were used; False without an image, and where the silhouette contradicts the others.
+        used: (F, C) images that were used; False without an image, where it does not show the object, and where its
+            silhouette contradicts the others.
         contradicting: (F, C) images with such a silhouette.
         agreement: (F, C) area that surface and silhouette share, as a share of that of both together, near the object;
             NaN for images that were not used.
         unknown_outline: (F, C) share of the surface's outline next to which the background is not known: there nothing
             bounds the surface; NaN for images that were not used.
-        noise: (C,) noise of the cameras, gray levels; NaN with masks.
+        noise: (C,) noise of the cameras, gray levels; NaN where masks are all silhouettes.
     """
 
     mesh: Mesh
@@ -76,19 +77,34 @@ class CarvedObject:
 
 @dataclass(frozen=True, eq=False)
 class _CameraImages:
-    """Images of one camera, of the frames with these numbers; masks instead of a background, or None."""
+    """Images of one camera.
+
+    Attributes:
+        camera: the camera of the reduced and cropped images.
+        frames: numbers of the frames whose images show the object.
+        images: theirs.
+        masks: their silhouettes; None for what differs from the background.
+        others: images that do not show the object, but its background; none where no background is needed.
+    """
 
     camera: Camera
     frames: list[int]
     images: list[Image]
-    masks: list[BoolArray] | None
+    masks: list[BoolArray | None]
+    others: list[Image]
+
+    @property
+    def needs_background(self) -> bool:
+        return any(mask is None for mask in self.masks)
 
 
 def carve_object(rig: Rig, frames: Sequence[FrameSet], world_from_object: RigidTransform) -> CarvedObject:
     """Estimate the shape of an object from its silhouettes in frames with known poses.
 
-    Masks in the frames are its silhouettes. Cameras without masks need at least 15 images, spread over the recording: what
-    differs from their background is the silhouette. Concave places that no silhouette shows are filled.
+    Masks in the frames are its silhouettes, and must be outlines of the object; an image with an empty one does not show
+    it. In images without masks the silhouette is what differs from the camera's background, which needs at least 15
+    images of this camera, spread over the recording: with fewer, only those with masks are used. Concave places that no
+    silhouette shows are filled.
 
     Args:
         rig: the cameras.
@@ -97,8 +113,8 @@ def carve_object(rig: Rig, frames: Sequence[FrameSet], world_from_object: RigidT
 
     Raises:
         TypeError, ValueError: naming the argument: not frames of this rig, or not one pose for each; fewer than 15 images
-            of a camera without masks; silhouettes that have nothing in common, or contradict each other; scikit-image is
-            missing.
+            of a camera without masks; no image that shows the object; silhouettes that have nothing in common, or
+            contradict each other; scikit-image is missing.
     """
     check_type(rig, Rig, "rig")
     frames = check_list(frames, FrameSet, "frames")
@@ -109,14 +125,15 @@ def carve_object(rig: Rig, frames: Sequence[FrameSet], world_from_object: RigidT
         raise ValueError(f"world_from_object must be one pose for each of the {len(frames)} frames, at least one")
     if not np.isfinite(world_from_object.as_matrix()).all():
         raise ValueError("world_from_object has poses that are not finite")
-    cameras = [_collect_images(camera, [(f.images[c], f.masks[c]) for f in frames]) for c, camera in enumerate(rig)]
-    if not any(of.frames for of in cameras):
-        raise ValueError("frames: there is no image in them")
-    low, high = _find_initial_region(rig, world_from_object)
+    places = world_from_object.translation
+    cameras = [
+        _collect_images(camera, [(f.images[c], f.masks[c]) for f in frames], _find_in_view(camera, places))
+        for c, camera in enumerate(rig)
+    ]
+    low, high = _find_initial_region(cameras, places)
     hull: HullGrid | None = None
     noise = np.full(len(rig), np.nan)
-    has_masks = all(of.masks is not None for of in cameras)
-    for _ in range(ROUNDS_WITH_MASKS if has_masks else ROUNDS):
+    for _ in range(ROUNDS if any(of.needs_background for of in cameras) else ROUNDS_WITH_MASKS):
         views, silhouettes = list[View](), list[Silhouette]()
         if hull is not None:
             cameras = [_crop_to_region(of, low, high, world_from_object) for of in cameras]
@@ -129,57 +146,72 @@ def carve_object(rig: Rig, frames: Sequence[FrameSet], world_from_object: RigidT
         hull = carve_region(views, low, high, 0)
         low, high = _find_inner_region(hull)
     assert hull is not None
-    places = [(k, c) for c, of in enumerate(cameras) for k in of.frames]
+    numbers = [(k, c) for c, of in enumerate(cameras) for k in of.frames]
     is_used = _find_consistent_views(views, hull)
     mesh, spacing = _extract_surface([view for view, used in zip(views, is_used, strict=True) if used], low, high)
     used, contradicting = np.zeros((2, len(frames), len(rig)), bool)
     agreement, unknown_outline = np.full((2, len(frames), len(rig)), np.nan)
-    rows, columns = np.array(places).T
+    rows, columns = np.array(numbers).T
     used[rows, columns], contradicting[rows, columns] = is_used, ~is_used
     for n in np.flatnonzero(is_used):
-        agreement[places[n]], unknown_outline[places[n]] = _compare_silhouette(mesh, views[n], silhouettes[n])
+        agreement[numbers[n]], unknown_outline[numbers[n]] = _compare_silhouette(mesh, views[n], silhouettes[n])
     images = [image for of in cameras for image in of.images]
     colors = _color_vertices(mesh, [(views[n], images[n]) for n in np.flatnonzero(is_used)], spacing)
     return CarvedObject(replace(mesh, colors=colors), spacing, used, contradicting, agreement, unknown_outline, noise)
 
 
-def _collect_images(camera: Camera, pairs: Sequence[tuple[Image | None, BoolArray | None]]) -> _CameraImages:
-    """Collect a camera's images, and masks if it has any, reduced to a handy size.
+def _find_in_view(camera: Camera, places: FloatArray) -> BoolArray:
+    """Return (F,) whether a cube about the object's places (F, 3) that fills the image is in it, at least in part."""
+    pixels, size = camera.project(places), np.array(camera.size)
+    is_near = np.abs(pixels - (size - 1) / 2) < (size + size.max()) / 2
+    return np.asarray(is_near.all(axis=1) & (camera.camera_from_world.apply(places)[:, 2] > 0))
+
+
+def _collect_images(
+    camera: Camera, pairs: Sequence[tuple[Image | None, BoolArray | None]], is_in_view: BoolArray
+) -> _CameraImages:
+    """Collect a camera's images and masks, reduced to a handy size.
 
     Raises:
         ValueError: too few images for a background.
     """
-    has_masks = any(mask is not None for _, mask in pairs)
-    numbers = [k for k, (image, mask) in enumerate(pairs) if image is not None and (mask is not None or not has_masks)]
-    if not has_masks and 0 < len(numbers) < MIN_IMAGES:
-        raise ValueError(
-            f"frames: camera {camera.name}: {len(numbers)} images without masks, of at least {MIN_IMAGES} from which its "
-            "background can be estimated; give more frames, or masks of the object"
-        )
+    available = [k for k, (image, _) in enumerate(pairs) if image is not None]
+    shown = [k for k in available if is_in_view[k] and ((mask := pairs[k][1]) is None or mask.any())]
+    masked = [k for k in shown if pairs[k][1] is not None]
+    if len(available) < MIN_IMAGES and len(masked) < len(shown):
+        if not masked:
+            raise ValueError(
+                f"frames: camera {camera.name}: {len(available)} images without masks, of at least {MIN_IMAGES} from which "
+                "its background can be estimated; give more frames, or masks of the object"
+            )
+        shown = masked
+    needs_background = len(masked) < len(shown)
     step = -(-max(camera.size) // MAX_SIDE)
     width, height = (side // step for side in camera.size)
-    images, masks = list[Image](), list[BoolArray]()
 
     def reduce(image: Image) -> Image:
         cropped = image[: height * step, : width * step]
         return cropped if step == 1 else np.asarray(cv2.resize(cropped, (width, height), interpolation=cv2.INTER_AREA))
 
-    for k in numbers:
-        image, mask = pairs[k]
+    kept = [*shown, *(k for k in available if needs_background and k not in shown)]
+    images = list[Image]()
+    for k in kept:
+        image = pairs[k][0]
         assert image is not None
         images.append(
             reduce(image if image.ndim == 3 else np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8))
         )
-        if mask is not None:
-            masks.append(reduce(np.where(mask, 255, 0).astype(np.uint8)) > 127)
-    if images and not has_masks:
+    if needs_background:
         images = level_images(images)
+    masks = [
+        None if (mask := pairs[k][1]) is None else reduce(np.where(mask, 255, 0).astype(np.uint8)) > 127 for k in shown
+    ]
     # Pixel (u, v) is the mean of the pixels from (step u, step v) on.
     matrix = camera.matrix / step
     matrix[:2, 2] -= (step - 1) / (2 * step)
     matrix[2, 2] = 1
     reduced = replace(camera, matrix=matrix, size=(width, height))
-    return _CameraImages(reduced, numbers, images, masks if has_masks else None)
+    return _CameraImages(reduced, shown, images[: len(shown)], masks, images[len(shown) :])
 
 
 def _crop_to_region(
@@ -198,19 +230,28 @@ def _crop_to_region(
     matrix = of.camera.matrix.copy()
     matrix[:2, 2] -= first
     camera = replace(of.camera, matrix=matrix, size=(int(last[0] - first[0]) + 1, int(last[1] - first[1]) + 1))
-    masks = None if of.masks is None else [mask[window] for mask in of.masks]
-    return _CameraImages(camera, of.frames, [image[window] for image in of.images], masks)
+    masks = [None if mask is None else mask[window] for mask in of.masks]
+    images, others = ([image[window] for image in some] for some in (of.images, of.others))
+    return _CameraImages(camera, of.frames, images, masks, others)
 
 
-def _find_initial_region(rig: Rig, world_from_object: RigidTransform) -> tuple[FloatArray, FloatArray]:
-    """Return the corners of a cube about the object's origin that fills the images."""
-    places = world_from_object.translation
+def _find_initial_region(cameras: Sequence[_CameraImages], places: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the corners of a cube about the object's origin, at the places (F, 3), that fills the images.
+
+    Raises:
+        ValueError: no image shows the object.
+    """
     sides = [
-        np.median(camera.camera_from_world.apply(places)[:, 2]) * max(camera.size) / camera.focal for camera in rig
+        np.median(of.camera.camera_from_world.apply(places[of.frames])[:, 2]) * max(of.camera.size) / of.camera.focal
+        for of in cameras
+        if of.frames
     ]
+    if not sides:
+        raise ValueError(
+            "frames: no image shows the object: by world_from_object it is behind the cameras or far outside the images, "
+            "all masks are empty, or there are no images"
+        )
     side = float(np.median(sides))
-    if not side > 0:
-        raise ValueError("world_from_object: the object is behind the cameras")
     return np.full(3, -side / 2), np.full(3, side / 2)
 
 
@@ -218,13 +259,18 @@ def _find_silhouettes(
     of: _CameraImages, hull: HullGrid | None, world_from_object: RigidTransform
 ) -> tuple[list[Silhouette], float]:
     """Find the silhouettes of a camera, and its noise; images are not background where the hull may be in them."""
-    if of.masks is not None:
-        return [Silhouette.from_mask(mask) for mask in of.masks], np.nan
-    if not of.images:
-        return [], np.nan
-    covered = None if hull is None else [_cover(hull, of, world_from_object[k]) for k in of.frames]
-    background = estimate_background(of.images, covered)
-    return [find_silhouette(background, image) for image in of.images], background.noise
+    if not of.needs_background:
+        return [Silhouette.from_mask(mask) for mask in of.masks if mask is not None], np.nan
+    covered = None
+    if hull is not None:
+        nowhere = np.zeros(of.images[0].shape[:2], bool)
+        covered = [_cover(hull, of, world_from_object[k]) for k in of.frames] + [nowhere] * len(of.others)
+    background = estimate_background(of.images + of.others, covered)
+    silhouettes = [
+        find_silhouette(background, image) if mask is None else Silhouette.from_mask(mask)
+        for image, mask in zip(of.images, of.masks, strict=True)
+    ]
+    return silhouettes, background.noise
 
 
 def _cover(hull: HullGrid, of: _CameraImages, pose: RigidTransform) -> BoolArray:
@@ -298,7 +344,7 @@ def _compare_silhouette(mesh: Mesh, view: View, silhouette: Silhouette) -> tuple
 
     Returns:
         the area that both share, relative to that of both together, near the surface; the share of the surface's outline
-        next to which the background is not known.
+        next to which the background is not known, 1 if it fills the image.
     """
     surface = render_mesh(mesh, view.camera, RigidTransform.identity()).mask
     rows, columns = np.nonzero(surface)
@@ -310,7 +356,8 @@ def _compare_silhouette(mesh: Mesh, view: View, silhouette: Silhouette) -> tuple
     foreground = (silhouette.share > 0.5) & near
     both = (surface & near) | foreground
     outline = (_dilate(surface, OUTLINE_PX) > 0) & (_dilate(surface, 1) == 0)
-    return float((surface & foreground).sum() / max(both.sum(), 1)), float(np.mean(~is_known[outline]))
+    unknown = float(np.mean(~is_known[outline])) if outline.any() else 1.0
+    return float((surface & foreground).sum() / max(both.sum(), 1)), unknown
 
 
 def _dilate(mask: BoolArray, reach: int) -> Image:

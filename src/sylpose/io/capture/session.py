@@ -132,6 +132,16 @@ class Session(SessionBase):
         """Whether the calibration fits frames as coded and as turned."""
         return any(source.is_orientation_ambiguous for source in self.sources)
 
+    def without_static_masks(self) -> tuple[Self, tuple[str, ...]]:
+        """Return the session without masks for all frames, and the names of the cameras that had one."""
+        has_static = [any(m[c].static is not None for m in self._masks.values()) for c in range(len(self.rig))]
+        masks = {
+            name: tuple(Masks() if has else m for m, has in zip(its, has_static, strict=True))
+            for name, its in self._masks.items()
+        }
+        names = tuple(name for name, has in zip(self.rig.names, has_static, strict=True) if has)
+        return replace(self, _masks=masks), names
+
     def select_cameras(self, names: Sequence[str]) -> Self:
         """Return the session restricted to some of its cameras; numbers and times of the frame sets remain.
 
