@@ -34,8 +34,7 @@ MAX_SIDE = 1024
 # Pixels about the region that images are cropped to (derived: those of the outline's refinement).
 CROP_MARGIN = 6
 # Rounds of carving and of estimating the background where the hull is not (measured: the second changes the error of
-# plain bodies from some percent of the size to 0.3; the third, less); masks need
-# two for the region of the grid.
+# plain bodies from some percent of the size to 0.3; the third, less); masks need two for the region of the grid.
 ROUNDS, ROUNDS_WITH_MASKS = 3, 2
 # Halvings of the grid's spacing for the surface: 97 points along the longest side (measured: twice as many do not change
 # the error).
@@ -284,7 +283,7 @@ def _cover(hull: HullGrid, of: _CameraImages, pose: RigidTransform) -> BoolArray
     mask[rows, columns] = 1
     if len(rows):
         reach = int(np.ceil(hull.spacing * of.camera.focal / depth[depth > 0].min()))
-        mask = np.asarray(cv2.dilate(mask, np.ones((2 * reach + 1,) * 2, np.uint8)), np.uint8)
+        mask = _dilate(mask > 0, reach)
     return mask > 0
 
 

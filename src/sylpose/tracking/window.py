@@ -301,8 +301,8 @@ def bundle_frames(
         fixed=is_fixed,
         landmarks=landmarks,
         times=times,
-        max_iterations=MAX_ROUNDS,
         calibration_prior=default_calibration_prior(rig),
+        max_iterations=MAX_ROUNDS,
         coarse=True,
     )
     return bundle_adjust_with_scale(rig, observations, poses, radius, options)
