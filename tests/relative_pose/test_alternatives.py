@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 from benchmarks.honesty import compare_with_truth, solve
 from benchmarks.honesty_kinds import make_problem
 from sylpose.geometry.arrays import FloatArray
-from sylpose.relative_pose.irls import SIGMA_FLOOR_PX, IrlsFit, make_empty_irls_fit, run_constrained_irls, run_irls
+from sylpose.relative_pose.irls import IrlsFit, make_empty_irls_fit, run_constrained_irls, run_irls
+from sylpose.relative_pose.limits import SIGMA_FLOOR_PX
 from sylpose.relative_pose.terms import Stack, TermData, locate_object, stack_terms
 from sylpose.relative_pose.uncertainty import (
     MAX_INCLUDED_SIGMAS,

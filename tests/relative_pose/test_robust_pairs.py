@@ -110,7 +110,7 @@ def test_mixture_converges_from_all_static(monkeypatch: pytest.MonkeyPatch) -> N
     begun = original(*given, np.ones(len(still)))
     assert begun.cost == pytest.approx(original(*given, still).cost, abs=1.0)
     # Later rounds correct the first one: check that one alone.
-    monkeypatch.setattr(motion_mixture, "MAX_BACKGROUND_ROUNDS", 1)
+    monkeypatch.setattr(motion_mixture, "MAX_ROUNDS", 1)
     begun = original(*given, np.ones(len(still)))
     for probabilities in (begun.moving_probability, begun.static_probability):
         assert ((probabilities >= 0.0) & (probabilities <= 1.0)).all()

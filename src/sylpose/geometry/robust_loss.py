@@ -26,6 +26,9 @@ DEFAULT_NOISE_PX = 0.5
 # Smallest and largest finite noise accepted, pixels (choice: beyond that of any feature).
 MIN_NOISE_PX, MAX_NOISE_PX = 1e-4, 1e6
 
+# Probability with which chance exceeds the limits of tests (choice).
+SIGNIFICANCE = 1e-3
+
 # Values of the losses, integrals of the weights by q, from the cutoff on (derived).
 BIQUARTIC_BOUND = 8.0 / 15.0
 # Standard deviation of a Gaussian variable over the median of its absolute value (derived).
@@ -115,7 +118,7 @@ def _compute_noise_response(weight: FloatArray, cutoff: float) -> NoiseResponse:
     return NoiseResponse(mean(weight), mean(weight, 1), slope**2 / mean(np.convolve(weight, weight), 1))
 
 
-def chi_squared_bound(freedom: int, probability: float = 1e-3) -> float:
+def chi_squared_bound(freedom: int, probability: float = SIGNIFICANCE) -> float:
     """Return the value that chi-squared with so many degrees of freedom exceeds with this probability."""
     return float(chdtri(freedom, probability))
 

@@ -6,12 +6,12 @@ import numpy as np
 
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.numba_linalg import cholesky_solve, compute_median, kernel, leaf
-from sylpose.geometry.robust_loss import SIGMA_OF_MEDIAN, bisquare
+from sylpose.geometry.robust_loss import SIGMA_OF_MEDIAN, SIGNIFICANCE, bisquare
+from sylpose.relative_pose.limits import HALF_DIGITS, MAX_SAMPLES
 
-# Maximum number of matches to score hypotheses on: enough to rank them at a bounded cost (choice).
-MAX_SCORED = 256
-# Largest probability that no all-inlier quadruple was drawn (choice).
-MISS_PROBABILITY = 1e-3
+# Distance from the affine epipolar constraint that perspective and noise explain, pixels, and the maximum number of
+# quadruples (choice).
+SEED_THRESHOLD_PX, N_QUADRUPLES = 1.0, 300
 # Cutoff of the deviation from an affine map along the epipolar line, in standard deviations of the bulk (choice).
 ALONG_CUTOFF = 6.0
 
@@ -77,7 +77,8 @@ def find_inliers(x: FloatArray, y: FloatArray, threshold: float, picks: FloatArr
             best[:4] = normal
             best[4] = offset
             share = min(max(share, 1e-2), 0.999)
-            needed = min(needed, max(10.0, np.log(MISS_PROBABILITY) / np.log(1.0 - share**4)))
+            # It is unlikely that no quadruple of inliers was drawn.
+            needed = min(needed, max(10.0, np.log(SIGNIFICANCE) / np.log(1.0 - share**4)))
     if not best_score < np.inf:
         return 0.0
     rms = 0.0
@@ -117,7 +118,7 @@ def _score_hyperplane(
 ) -> tuple[float, float]:
     """Return the truncated squares of some points, the sum up to the best score, and the share of inliers."""
     score, inside, scored, n = 0.0, 0, 0, joint.shape[0]
-    for i in range(0, n, max(1, n // MAX_SCORED)):
+    for i in range(0, n, max(1, n // MAX_SAMPLES)):
         distance = -offset
         for a in range(4):
             distance += normal[a] * joint[i, a]
@@ -197,7 +198,7 @@ def _drop_outliers_along_line(joint: FloatArray, weights: FloatArray, plane: Flo
                     for b in range(3):
                         work[a, b] += kept[i] * row[a] * row[b]
         for a in range(3):
-            work[a, a] *= 1.0 + 1e-9
+            work[a, a] *= 1.0 + HALF_DIGITS
         if not cholesky_solve(work, solution):
             return
         count = 0

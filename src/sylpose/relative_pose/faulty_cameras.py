@@ -30,6 +30,7 @@ from sylpose.relative_pose.camera_evidence import (
     measure_excess,
     transfer_motion,
 )
+from sylpose.relative_pose.irls import MAX_REJECTED_SHARE, MIN_AGREEING_SHARE
 from sylpose.relative_pose.terms import Fit, Solution, TermData, TermSolver
 from sylpose.status import Status
 from sylpose.sylvester.camera_faults import find_faulty_cameras
@@ -37,9 +38,6 @@ from sylpose.sylvester.camera_faults import find_faulty_cameras
 # A camera agrees while its excess is below this: without a contradiction it has the degrees of freedom of its own motion
 # (chi-squared, once in a thousand times).
 MAX_CONSISTENT_EXCESS = chi_squared_bound(N_OWN)
-# A camera is rejected as a whole if at most this share of its matches are inliers, and it may be at fault if more than the
-# second share of the others' are: otherwise two motions are about equally large (choice).
-MAX_REJECTED_SHARE, MIN_AGREEING_SHARE = 0.2, 0.66
 
 
 class _Agreement(NamedTuple):

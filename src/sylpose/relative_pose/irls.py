@@ -20,6 +20,7 @@ from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.normal_equations import add_rotated, eliminate_block, rotate_rows
 from sylpose.geometry.numba_linalg import cholesky_solve, compute_sum, dot, kernel, leaf
 from sylpose.geometry.robust_loss import bisquare_noise_response
+from sylpose.relative_pose.limits import CONVERGED_DECREASE, HALF_DIGITS, MAX_ROUNDS
 from sylpose.relative_pose.match_cost import (
     InlierPrior,
     MatchEquations,
@@ -41,10 +42,6 @@ UNIFORM_MEAN_WEIGHT = 8.0 / 15.0
 MAX_UNIFORM_WEIGHT = 0.5 * (UNIFORM_MEAN_WEIGHT + bisquare_noise_response(CUTOFF).weight)
 # Cutoffs of the first rounds are wider by these factors: the initial motion comes from contaminated matches (choice).
 EARLY_CUTOFF_FACTORS = (2.0, 1.5, 1.2)
-# Minimum number of rounds, while the noise level still changes, and maximum (choice).
-MIN_ROUNDS, MAX_ROUNDS = 5, 40
-# From this round on, the noise, the residual depths and the excluded cameras follow the residuals (choice).
-FIRST_SCALE_ROUND = 2
 # From this round on, steps are shortened more and more. After the first few rounds they are also halved, down to a
 # tenth, whenever they grow; otherwise they lengthen again. No step rotates by more than the last value, radians
 # (choice).
@@ -53,8 +50,6 @@ STEP_SHRINK_FACTOR, MIN_STEP_LENGTH, STEP_GROWTH_FACTOR = 0.5, 0.1, 1.3
 MAX_ROTATION_STEP = 0.3
 # Largest relative change of an inverse depth in one step (choice).
 MAX_DEPTH_CHANGE = 0.5
-# Added to the diagonal of a step's equations, relative to their trace (choice).
-RIDGE = 1e-9
 # Fitting α to noise makes the parallax, and so the motion, look larger than it is. Integrating α out of the likelihood
 # removes this bias if surfaces are as curved as the prior, and overcorrects if they are flatter. This share of the
 # correction is a compromise, hardly worse than either at its best (measured: docs/history/benchmarks.md#two-frames).
@@ -62,37 +57,31 @@ MARGINALIZED_SHARE = 0.5
 # The prior of the slopes is a two-dimensional Cauchy distribution, Student's with one degree of freedom: 1 + 2
 # (derived).
 STUDENT_EXPONENT = 3.0
-# Weight of the constraint, relative to the largest diagonal element of the information (choice).
-CONSTRAINT_WEIGHT = 1e6
-# Converged if the predicted decrease of the cost is below this: a thirtieth of a standard deviation (choice).
-CONVERGED_DECREASE = 5e-4
 # Weight of the rig's σ in that of a term, as a number of matches (choice).
 RIG_PRIOR_MATCHES = 10.0
-# Lower bound of the noise, pixels, and its upper bound relative to that of the seeds: otherwise noise would explain two
-# motions, or none (choice).
-SIGMA_FLOOR_PX = 0.02
+# Upper bound of the noise relative to that of the seeds: otherwise noise would explain two motions, or none (choice).
 MAX_SIGMA_GROWTH = 2.0
-# Share of the depth prior that is kept for the information without it: just enough to determine the depth models
-# (choice).
-WEAK_PRIOR_SCALE = 1e-6
-# One keypoint in ten is this many times as noisy as the others (choice). The resulting cost when motions are compared
-# is minus the logarithm of its density in two directions over that of the others (derived). Otherwise a motion with
-# more noise, which reaches some of these keypoints, would be likelier than the right one with less noise: the second
-# plane of a flat object, for example.
+# One keypoint in ten is this many times as noisy as the others (choice). Otherwise a motion with more noise, which reaches
+# some of these keypoints, would be likelier than the right one with less noise: the second plane of a flat object, for
+# example.
 COARSE_SIGMA_FACTOR = 5.0
+# Its cost when motions are compared: minus the logarithm of its density in two directions over that of the others (derived).
 COARSE_KEYPOINT_COST = float(2.0 * np.log(COARSE_SIGMA_FACTOR) + np.log(10.0))
 # A mismatch is anywhere in a square around the object's image, as wide as its diameter: this many spreads (derived).
 MISMATCH_RANGE = 4.0
-# Smallest share of the squares left after fitting the unknowns, across the epipolar lines and along them (choice).
-MIN_FREEDOM_SHARE, MIN_FREEDOM_SHARE_ALONG = 0.15, 0.1
-# Lower bound of the squared residual depth, relative to its prior (choice).
-MIN_RESIDUAL_DEPTH_RATIO = 1e-3
+# Unknowns of the motion (derived).
+N_MOTION = 6
+# They and a depth model, which has as many, absorb a share of the squares; of the fewest matches that are fitted, this is
+# left (derived).
+MIN_FREEDOM_SHARE = 1.0 - N_MOTION / MIN_MATCHES
 # Neighbors have similar residual depths: only this many of a term's matches are independent in this respect (choice).
 INDEPENDENT_MATCHES = 6.0
 # A camera with `MIN_MATCHES` or more, of which fewer than this share agree, is excluded; junk alone reaches about a
-# tenth. This requires another camera with high agreement, or it is undecided which one is right (choice).
+# tenth. This requires another camera with twice this share, or it is undecided which one is right (choice).
 CAMERA_MIN_SHARE = 0.3
-HIGH_AGREEMENT = 2.0 * CAMERA_MIN_SHARE
+# More of a camera's matches do not agree by chance, and at most so few of a rejected one: otherwise two motions are about
+# equally large (choice).
+MIN_AGREEING_SHARE, MAX_REJECTED_SHARE = 0.66, 0.2
 
 
 class IrlsFit(NamedTuple):
@@ -258,12 +247,13 @@ def run_constrained_irls(
         apply_step(fit.candidate, fit.distance_offset, step, gains, length_now)
         for t in range(n):
             work.mass[t] = compute_sum(fit.weights[stack.offsets[t] : stack.offsets[t + 1]])
-        if count >= FIRST_SCALE_ROUND:
+        # The first residuals are those of the start, not of a fit.
+        if count > 1:
             _exclude_terms(stack, usable, fit.weights, work.active)
             _update_sigma(stack, fit, work)
             sigma_px[:] = np.minimum(np.maximum(sigma_px, min_sigma_px), bound)
             _update_residual_depth(stack, fit, work)
-        converged = (count >= MIN_ROUNDS and decrease < CONVERGED_DECREASE) or count == MAX_ROUNDS
+        converged = (count > len(EARLY_CUTOFF_FACTORS) and decrease < CONVERGED_DECREASE) or count == MAX_ROUNDS
     return count, decrease, _finish(stack, usable, fit, work)
 
 
@@ -292,7 +282,8 @@ def _sum_terms(stack: Stack, usable: InlierPrior, fit: IrlsFit, cutoff: float, f
             joint.gains[t] = 0.0
             continue
         if final:
-            reduce_term(stack, t, fit.candidate, offset, equations, WEAK_PRIOR_SCALE, without_depth)
+            # Just enough of the prior to determine the depth models.
+            reduce_term(stack, t, fit.candidate, offset, equations, HALF_DIGITS, without_depth)
             add_rotated(equations.noise_information, stack.qy[t], noise)
         if not reduce_term(stack, t, fit.candidate, offset, equations, 1.0, joint):
             return False
@@ -312,14 +303,14 @@ def _solve_step(constraint: FloatArray, work: _Workspace) -> bool:
     rotation_trace = total[0, 0] + total[1, 1] + total[2, 2]
     translation_trace = total[3, 3] + total[4, 4] + total[5, 5]
     for i in range(3):
-        total[i, i] += RIDGE * rotation_trace
-        total[3 + i, 3 + i] += RIDGE * translation_trace
+        total[i, i] += HALF_DIGITS * rotation_trace
+        total[3 + i, 3 + i] += HALF_DIGITS * translation_trace
     largest = 0.0
     for i in range(6):
         largest = max(largest, total[i, i])
     for i in range(6):
         for j in range(6):
-            total[i, j] += CONSTRAINT_WEIGHT * largest * constraint[i] * constraint[j]
+            total[i, j] += largest / HALF_DIGITS * constraint[i] * constraint[j]
     for i in range(7):
         step[i] = work.joint.right[i]
     return cholesky_solve(total, step)
@@ -390,10 +381,9 @@ def _update_residual_depth(stack: Stack, fit: IrlsFit, work: _Workspace) -> None
             terms[0, i] = weight * (residual[i] * residual[i] / SHRINKAGE - variance) if is_inlier else 0.0
             terms[1, i] = weight * p2
         excess, certainty, mass = compute_sum(terms[0]), compute_sum(terms[1]), compute_sum(w)
-        # The depth model's unknowns absorb a share of the squares.
-        freedom = max(1.0 - DEPTH_MODEL_SIZE / max(mass, float(DEPTH_MODEL_SIZE)), MIN_FREEDOM_SHARE_ALONG)
+        freedom = max(1.0 - DEPTH_MODEL_SIZE / max(mass, float(DEPTH_MODEL_SIZE)), MIN_FREEDOM_SHARE)
         z2 = (excess + 1.0 / prior_variance) / (freedom * certainty + 1.0 / prior_variance**2)
-        residual_depth[t] = np.sqrt(max(z2, MIN_RESIDUAL_DEPTH_RATIO * prior_variance))
+        residual_depth[t] = np.sqrt(max(z2, HALF_DIGITS * prior_variance))
 
 
 @kernel
@@ -416,8 +406,7 @@ def _update_sigma(stack: Stack, fit: IrlsFit, work: _Workspace) -> None:
             rig_mass += mass[t]
     if inliers == 0:
         return
-    # The motion's six unknowns absorb a share of the squares.
-    freedom = max(1.0 - 6.0 / inliers, MIN_FREEDOM_SHARE)
+    freedom = max(1.0 - N_MOTION / inliers, MIN_FREEDOM_SHARE)
     rig = rig / max(rig_mass, 1e-12) / freedom
     for t in range(n):
         square = (squares[t] / freedom + RIG_PRIOR_MATCHES * rig) / (mass[t] + RIG_PRIOR_MATCHES)
@@ -438,7 +427,7 @@ def _exclude_terms(stack: Stack, usable: InlierPrior, weights: FloatArray, activ
             share[t] = agreeing_mass / usable_mass
             best = max(best, share[t])
     for t in range(n):
-        active[t] = best < HIGH_AGREEMENT or share[t] >= CAMERA_MIN_SHARE
+        active[t] = best < 2.0 * CAMERA_MIN_SHARE or share[t] >= CAMERA_MIN_SHARE
 
 
 @kernel

@@ -33,10 +33,8 @@ import numpy as np
 
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.numba_linalg import kernel, leaf
-from sylpose.relative_pose.terms import Candidate, Stack, transform_to_camera
+from sylpose.relative_pose.terms import COINCIDENCE_TOLERANCE, Candidate, Stack, transform_to_camera
 
-# Sampson's denominator, in squared length units, below which an epipolar geometry is pure rounding (choice).
-MIN_DENOMINATOR = 1e-28
 # Weight of the prior in the estimate of the residual depth, as a number of matches (choice).
 PRIOR_MATCHES = 3.0
 # An excess below this many standard deviations of the noise variance is not residual depth (choice).
@@ -127,7 +125,7 @@ def build_epipolar_rows(e: FloatArray, n: int, x0: float, x1: float, y0: float, 
     o0 = e[0, 0, 0] * y0 + e[0, 1, 0] * y1 + e[0, 2, 0]
     o1 = e[0, 0, 1] * y0 + e[0, 1, 1] * y1 + e[0, 2, 1]
     g = p0 * p0 + p1 * p1 + o0 * o0 + o1 * o1
-    if not g > MIN_DENOMINATOR:
+    if not g > COINCIDENCE_TOLERANCE**2:  # without a baseline it is rounding
         return 0.0
     root = np.sqrt(g)
     for k in range(n):

@@ -27,12 +27,12 @@ from sylpose.matches import MAX_STATIC_PX
 from sylpose.relative_pose.irls import (
     CUTOFF,
     MISMATCH_RANGE,
-    SIGMA_FLOOR_PX,
     IrlsFit,
     make_empty_irls_fit,
     make_irls_start,
     run_irls,
 )
+from sylpose.relative_pose.limits import HALF_DIGITS, MAX_ROUNDS, MAX_SAMPLES, MIN_ERROR_PX, SIGMA_FLOOR_PX
 from sylpose.relative_pose.match_cost import (
     Tolerance,
     compute_distances,
@@ -45,24 +45,23 @@ from sylpose.relative_pose.terms import MIN_MATCHES, Candidate, InitialMotions, 
 
 # Probability of a mismatch (choice).
 MISMATCH_PROBABILITY = 0.05
-# Number of image neighbors that a match's residual is compared with, and maximum number of matches per camera (choice).
-N_NEIGHBORS, MAX_COMPARED = 3, 120
-# Least weight for the comparison; matches below may belong to another motion (choice).
-MIN_COMPARED_WEIGHT = 0.3
+# Number of image neighbors that a match's residual is compared with (choice).
+N_NEIGHBORS = 3
+# Least weight for the comparison: matches below rather belong to another motion (derived).
+MIN_COMPARED_WEIGHT = 0.5
 # Residuals are correlated if their correlation exceeds zero by so many standard deviations, of about 1.3 (measured: 150
 # scenes of each of ten settings of benchmarks/nees.py, 4.2 at most), and the second value: with many matches, small
-# calibration errors are detected too (choice).
+# calibration errors are detected too (choice). Their shared error must also exceed `MIN_ERROR_PX`.
 MIN_CORRELATION_SIGMAS, MIN_CORRELATION = 5.0, 0.15
 # If a motion is weakly observed (`compute_size_if_curved`) or the assignment of matches is uncertain, a motion between
 # two bodies is more frequent, and this is sufficient (measured: of 7,508 right answers 13 that are weakly observed are
 # beyond, of 82 wrong ones 16).
 MIN_SIGMAS_UNCERTAIN = 2.5
-# Their shared error must also exceed this, pixels: smaller ones are rounding, lenses and keypoints (choice).
-MIN_SHARED_ERROR_PX = 0.1
-# Maximum number of EM rounds, and the largest change of an assignment at convergence; one motion's noise is at least
-# the last share of the other's, or of the static matches' (choice).
-MAX_ROUNDS, CONVERGED_CHANGE = 40, 0.02
-MIN_SIGMA_RATIO = 0.9
+# Largest change of an assignment at convergence; one motion's noise is at least this share of the other's, or of the static
+# matches' (choice).
+CONVERGED_CHANGE, MIN_SIGMA_RATIO = 0.02, 0.9
+# Largest noise of static matches, pixels: their rms displacement, twice that, is at most `MAX_STATIC_PX` (derived).
+MAX_STATIC_SIGMA_PX = 0.5 * MAX_STATIC_PX
 
 
 @kernel
@@ -73,11 +72,11 @@ def correlate_neighbors(stack: Stack, fit: IrlsFit) -> tuple[float, float, float
         the correlation; its number of standard deviations; the covariance, square pixels.
     """
     total, shared, pairs = 0.0, 0.0, 0
-    index, nearest, squares = np.empty(MAX_COMPARED, np.int64), np.empty(N_NEIGHBORS, np.int64), np.empty(N_NEIGHBORS)
-    u, v = np.empty(MAX_COMPARED), np.empty(MAX_COMPARED)
+    index, nearest, squares = np.empty(MAX_SAMPLES, np.int64), np.empty(N_NEIGHBORS, np.int64), np.empty(N_NEIGHBORS)
+    u, v = np.empty(MAX_SAMPLES), np.empty(MAX_SAMPLES)
     for t in range(stack.focal.shape[0]):
         first, last = stack.offsets[t], stack.offsets[t + 1]
-        n, stride = 0, 1 + (last - first) // MAX_COMPARED
+        n, stride = 0, 1 + (last - first) // MAX_SAMPLES
         for i in range(first, last, stride):
             if fit.weights[i] > MIN_COMPARED_WEIGHT:
                 # Sort from left to right, so that neighbors are found first.
@@ -127,7 +126,7 @@ def is_mixed(correlation: float, deviations: float, covariance: float, is_uncert
         is_uncertain: whether the motion is weakly observed, or the assignment of matches is uncertain.
     """
     significant = deviations > (MIN_SIGMAS_UNCERTAIN if is_uncertain else MIN_CORRELATION_SIGMAS)
-    return bool(significant and correlation > MIN_CORRELATION and covariance > MIN_SHARED_ERROR_PX**2)
+    return bool(significant and correlation > MIN_CORRELATION and covariance > MIN_ERROR_PX**2)
 
 
 @kernel
@@ -216,36 +215,16 @@ def fit_motion_mixture(
 # Displacements whose squares, in units of noise, exceed this have moved; chance exceeds it with the next probability
 # (chi-squared of two degrees of freedom).
 MIN_MOVED_SQUARE, CHANCE_SHARE = 9.2, 0.01
-# Mismatches are displaced farther than this (choice).
-MAX_MOVED_SQUARE = 200.0
 # The number of those that moved exceeds the number by chance by so many standard deviations (choice: at 3, 5 of 30 static
 # scenes of 20 matches are taken for moving ones, at 5 two).
 CHANCE_SDS = 5.0
-# A background is assumed possible if at least this share of the matches may be static (choice).
-MIN_BACKGROUND_SHARE = 0.08
-# Displacements beyond this are ignored by the static model, pixels (choice).
-MAX_MODELED_PX = 18.0
-# Bounds of the noise of static matches, pixels, and of their share of all matches, some of which are mismatches
-# (choice).
-SIGMA_RANGE_PX, SHARE_RANGE = (0.02, 3.0), (1e-3, 0.999 - MISMATCH_PROBABILITY)
-# Maximum number of rounds for the split of displacements and for the mixture with a background (choice).
-MAX_SPLIT_ROUNDS, MAX_BACKGROUND_ROUNDS = 50, 15
-# Approximate number of displacements used for the split, and the change of the share at convergence (choice).
-MAX_SPLIT_SAMPLES, CONVERGED_SHARE_CHANGE = 256, 1e-6
-# Upper bound of the noise of moving matches relative to static ones, and the least noise assumed for the latter, which
-# may be exact: two frames of a pause (choice).
-MAX_MOVING_SIGMA_RATIO, MIN_STATIC_SIGMA_PX = 5.0, 0.1
-# A start within three standard deviations of a motion leads to that motion (choice).
-SAME_MOTION_SQUARE = 9.0
 # Least log-likelihood gain of a mixture over one motion (measured: docs/history/benchmarks.md#hard-pairs; for motions of 1
 # to 4 px without a background 2.1 at most in 24 scenes), and the least number of moving matches (choice).
 MIN_LIKELIHOOD_GAIN, MIN_MOVING_MATCHES = 3.0, 2 * MIN_MATCHES
-# Factors by which the motion of a part may exceed that of all matches, and rounds to estimate the static share (choice).
-MOTION_FACTORS, SHARE_ROUNDS = (1.25, 1.5, 2.0, 3.0, 5.0, 8.0), 8
+# Factors by which the motion of a part may exceed that of all matches (choice).
+MOTION_FACTORS = (1.25, 1.5, 2.0, 3.0, 5.0, 8.0)
 # Largest loss of log-likelihood of such a motion: two standard deviations, 2² / 2 (derived).
 MAX_LIKELIHOOD_LOSS = 2.0
-# Upper bound of the noise of static matches relative to all matches (choice).
-MAX_STATIC_SIGMA_RATIO = 1.2
 
 
 class BackgroundSplit(NamedTuple):
@@ -295,7 +274,7 @@ def has_moving_matches(stack: Stack, usable: BoolArray, single: IrlsFit) -> bool
     """
     squared_px = _compute_squared_px(stack)
     squares = 0.5 * squared_px / _estimate_static_sigma(squared_px, usable, single) ** 2
-    moved_count = int((usable & (squares > MIN_MOVED_SQUARE) & (squares < MAX_MOVED_SQUARE)).sum())
+    moved_count = int((usable & (squares > MIN_MOVED_SQUARE)).sum())
     by_chance = CHANCE_SHARE * usable.sum()
     return bool(moved_count > by_chance + CHANCE_SDS * np.sqrt(by_chance))
 
@@ -320,22 +299,18 @@ def split_background(
     """
     squared_px = _compute_squared_px(stack)
     sigma, static_probability = _split_displacements(squared_px, usable)
-    if not static_probability[usable].sum() >= max(MIN_MATCHES, MIN_BACKGROUND_SHARE * len(squared_px)):
+    if not static_probability[usable].sum() >= max(MIN_MATCHES, MISMATCH_PROBABILITY * len(squared_px)):
         return None
     # If even the smallest displacements exceed the noise, nothing is static.
-    has_single, max_sigma = single.weights.any(), MAX_STATIC_SIGMA_RATIO * float(np.median(single.sigma_px))
-    if has_single and not gain > 0.0 and sigma > max_sigma:
+    has_single = single.weights.any()
+    if has_single and not gain > 0.0 and sigma > float(np.median(single.sigma_px)):
         return None
     starts, iterations = [single] if has_single else [], 0
     moves = usable & (static_probability < 0.5)
     if moves.sum() >= MIN_MOVING_MATCHES:
         fit, _, iterations, _ = draw_and_fit(stack, moves, guesses, rng)
         starts = [fit, *starts] if fit.weights.any() else starts
-    mixtures: list[_Mixture] = []
-    for start in starts:
-        # Skip starts near a motion that was found from another start.
-        if not any(_is_near(mixture.fit, start) for mixture in mixtures):
-            mixtures.append(_fit_mixture(stack, usable, start, squared_px, sigma, static_probability))
+    mixtures = [_fit_mixture(stack, usable, start, squared_px, sigma, static_probability) for start in starts]
     mixtures = [mixture for mixture in mixtures if _is_valid_mixture(stack, usable, mixture)]
     if not mixtures:
         return None
@@ -387,15 +362,17 @@ def _bound_motion_factor(
         motion_density = compute_motion_density(stack, scaled)
         if k == 0:
             single_cost = compute_cost(stack, usable, motion_density)
-        share = max(1.0 - 1.0 / factor, MIN_BACKGROUND_SHARE)
-        for _ in range(SHARE_ROUNDS):
+        share = max(1.0 - 1.0 / factor, MISMATCH_PROBABILITY)
+        for _ in range(MAX_ROUNDS):
             total, count = 0.0, 0
             for i in range(len(motion_density)):
                 if usable[i]:
                     density = share * static_density[i] + (1.0 - share) * motion_density[i]
                     total += share * static_density[i] / max(density, 1e-300)
                     count += 1
-            share = total / count
+            before, share = share, total / count
+            if abs(share - before) < HALF_DIGITS:
+                break
         cost = compute_cost(stack, usable, share * static_density + (1.0 - share) * motion_density)
         # The first cost is that of no background.
         if cost > min(min_cost, single_cost) + MAX_LIKELIHOOD_LOSS:
@@ -414,7 +391,9 @@ def _estimate_static_sigma(squared_px: FloatArray, usable: BoolArray, single: Ir
     # Half of a squared displacement of two coordinates, of twice the variance, is below its median half of the time.
     least = sorted_px[: max(len(sorted_px) // 4, 1)]
     quartile_sigma = float(np.sqrt(least[-1] / (4.0 * -np.log(0.75)))) if len(least) else 1.0
-    return max(min(sigma, quartile_sigma if np.isfinite(quartile_sigma) and quartile_sigma > 0 else sigma, 3.0), 0.02)
+    if np.isfinite(quartile_sigma) and quartile_sigma > 0.0:
+        sigma = min(sigma, quartile_sigma)
+    return float(np.clip(sigma, SIGMA_FLOOR_PX, MAX_STATIC_SIGMA_PX))
 
 
 @kernel
@@ -447,7 +426,7 @@ def has_static_candidates(stack: Stack, usable: BoolArray) -> bool:
         for i in range(stack.offsets[t], stack.offsets[t + 1]):
             dx, dy = stack.y[i, 0] - stack.x[i, 0], stack.y[i, 1] - stack.x[i, 1]
             count += usable[i] and dx * dx + dy * dy < far
-    return count >= max(MIN_MATCHES, MIN_BACKGROUND_SHARE * len(stack.x))
+    return count >= max(MIN_MATCHES, MISMATCH_PROBABILITY * len(stack.x))
 
 
 def _split_displacements(squared_px: FloatArray, usable: BoolArray) -> tuple[float, FloatArray]:
@@ -457,11 +436,11 @@ def _split_displacements(squared_px: FloatArray, usable: BoolArray) -> tuple[flo
         the smaller noise, as a standard deviation in pixels of a keypoint; (N,) the probability of each match to belong
         to it.
     """
-    near = squared_px < MAX_MODELED_PX**2
+    near = squared_px < MAX_STATIC_PX**2
     sorted_px = np.sort(squared_px[usable & near])
     # A square of two coordinates is exponential; its mean is four times the variance of one keypoint coordinate.
     small_mean, large_mean = (max(float(part.mean()), 1e-12) for part in np.array_split(sorted_px, 2))
-    samples = sorted_px[:: 1 + len(sorted_px) // MAX_SPLIT_SAMPLES]  # a regular subset is sufficient
+    samples = sorted_px[:: 1 + len(sorted_px) // MAX_SAMPLES]  # a regular subset is sufficient
     share, small_mean, large_mean = _fit_exponentials(samples, small_mean, large_mean)
     odds, rate = (1.0 - share) / share * small_mean / large_mean, 1.0 / small_mean - 1.0 / large_mean
     static_probability = 1.0 / (1.0 + odds * np.exp(np.minimum(squared_px * rate, 700.0)))
@@ -476,7 +455,7 @@ def _fit_exponentials(samples: FloatArray, small_mean: float, large_mean: float)
         the share of the smaller one, and the means of both.
     """
     share, n = 0.5, len(samples)
-    for _ in range(MAX_SPLIT_ROUNDS):
+    for _ in range(MAX_ROUNDS):
         odds, rate = (1.0 - share) / share * small_mean / large_mean, 1.0 / small_mean - 1.0 / large_mean
         mass, square, rest = 0.0, 0.0, 0.0
         for i in range(n):
@@ -484,10 +463,12 @@ def _fit_exponentials(samples: FloatArray, small_mean: float, large_mean: float)
             mass += p
             square += p * samples[i]
             rest += (1.0 - p) * samples[i]
-        before, share = share, min(max(mass / n, 1e-3), 1.0 - 1e-3)
-        small_mean = max(square / mass, 4.0 * SIGMA_RANGE_PX[0] ** 2)
+        # At least half a sample is of each kind.
+        before, share = share, min(max(mass, 0.5), n - 0.5) / n
+        small_mean = max(square / mass, 4.0 * SIGMA_FLOOR_PX**2)
         large_mean = max(rest / max(n - mass, 1e-300), small_mean)
-        if abs(share - before) < CONVERGED_SHARE_CHANGE:
+        # The share of a few matches changes slowly.
+        if abs(share - before) < HALF_DIGITS:
             break
     return share, small_mean, large_mean
 
@@ -503,18 +484,20 @@ def _fit_mixture(
     """Run expectation maximization from one motion, the noise of static matches, and their probabilities (N,)."""
     fit = make_irls_start(stack, start.candidate, start.sigma_px)
     fit.residual_depth[:] = start.residual_depth
-    share = float(np.clip(probability[usable].mean(), *SHARE_RANGE))
+    # At least one match of each kind is possible.
+    share_range = 1.0 / usable.sum(), 1.0 - MISMATCH_PROBABILITY - 1.0 / usable.sum()
+    share = float(np.clip(probability[usable].mean(), *share_range))
     moving_probability, decrease, iterations = np.zeros(len(squared_px)), np.inf, 0
     probabilities, mismatch_density = np.zeros((3, len(squared_px))), compute_mismatch_density(stack)
-    for _ in range(MAX_BACKGROUND_ROUNDS):
+    for _ in range(MAX_ROUNDS):
         static = share * _compute_static_density(squared_px, sigma)
         moving = (1 - MISMATCH_PROBABILITY - share) * compute_motion_density(stack, fit)
         probabilities = np.stack([static, moving, MISMATCH_PROBABILITY * mismatch_density])
         probabilities = np.where(usable, probabilities / probabilities.sum(axis=0), 0.0)
-        share = float(np.clip(probabilities[0].sum() / usable.sum(), *SHARE_RANGE))
+        share = float(np.clip(probabilities[0].sum() / usable.sum(), *share_range))
         # Static matches have at most the noise of moving ones: the noise of the motion includes its model error.
         variance = (probabilities[0] * squared_px).sum() / max(4.0 * probabilities[0].sum(), 1e-300)
-        sigma = float(np.clip(np.sqrt(variance), *SIGMA_RANGE_PX))
+        sigma = float(np.clip(np.sqrt(variance), SIGMA_FLOOR_PX, MAX_STATIC_SIGMA_PX))
         change = float(np.abs(probabilities[1] - moving_probability).max())
         moving_probability = probabilities[1]
         # Otherwise a few accidental matches, nearly without noise, would become the motion.
@@ -528,18 +511,8 @@ def _fit_mixture(
     return _Mixture(fit, moving_probability, probabilities[0], sigma, cost, decrease, iterations)
 
 
-def _is_near(fit: IrlsFit, start: IrlsFit) -> bool:
-    """Return whether a start is indistinguishable from a motion that was found."""
-    rotvec = np.empty(3)
-    so3_log(start.candidate.rotation @ fit.candidate.rotation.T, rotvec)
-    step = np.concatenate([rotvec, start.candidate.translation - fit.candidate.translation])
-    return bool(step @ fit.information @ step < SAME_MOTION_SQUARE)
-
-
 def _is_valid_mixture(stack: Stack, usable: BoolArray, mixture: _Mixture) -> bool:
-    """Return whether enough moving matches agree with the motion, beyond chance and about as exactly as static ones."""
-    if float(np.median(mixture.fit.sigma_px)) > MAX_MOVING_SIGMA_RATIO * max(mixture.sigma, MIN_STATIC_SIGMA_PX):
-        return False
+    """Return whether enough moving matches agree with the motion, beyond chance."""
     others = usable & (mixture.static_probability < 0.5)
     moving_fit = mixture.fit._replace(weights=np.where(others, mixture.fit.weights, 0.0))
     return bool(mixture.moving_probability.sum() >= MIN_MOVING_MATCHES and is_consistent(stack, others, moving_fit))

@@ -11,7 +11,7 @@ from sylpose.geometry.matrices import invert_information
 from sylpose.geometry.normal_equations import UNOBSERVABLE_RATIO, find_unobservable_directions, has_rotation_direction
 from sylpose.geometry.numba_linalg import kernel, so3_log
 from sylpose.geometry.robust_loss import chi_squared_bound
-from sylpose.relative_pose.irls import CUTOFF, IrlsFit
+from sylpose.relative_pose.irls import CUTOFF, MIN_AGREEING_SHARE, IrlsFit
 from sylpose.relative_pose.match_cost import Tolerance, compute_distances, make_match_errors, make_term
 from sylpose.relative_pose.terms import Fit, Stack
 from sylpose.status import Status
@@ -19,18 +19,17 @@ from sylpose.status import Status
 # Least increase of the cost without any motion (six unknowns) or without rotation (three); below it the motion or
 # rotation may be zero (chi-squared, once in a thousand times).
 MIN_MOTION_SQUARE, MIN_ROTATION_SQUARE = chi_squared_bound(6), chi_squared_bound(3)
-# Points are collinear if they deviate from a line by at most this, in standard deviations of their noise (choice).
-MAX_ROD_SIGMAS = 2.5
+# Points are collinear if they deviate from a line by at most this, in standard deviations of their noise (chi-squared, once
+# in a thousand times).
+MAX_ROD_SIGMAS = float(np.sqrt(chi_squared_bound(1)))
 # They also count as collinear up to this deviation if they extend so many times as far along the line. The depth of so
 # thin an object is hardly visible, and its apparent rotation about itself rests on the prior slopes (choice).
 MAX_THIN_SIGMAS, MIN_THIN_RATIO = 9.0, 10.0
-# A larger share of inliers does not occur by chance (choice).
-MIN_CERTAIN_SHARE = 0.7
 # Inliers per unknown that any solution can select, and the factor between the best of many chance solutions and a
 # single one (choice).
 SELECTED_PER_UNKNOWN, CHANCE_FACTOR = 2, 4.0
-# Maximum number of permutations to measure chance, and the number of matches above which one or two suffice (choice).
-MAX_PERMUTATIONS, PERMUTED_MATCHES = 8, 1000
+# Number of permutations to measure chance (choice).
+N_PERMUTATIONS = 8
 
 
 def classify_observability(fit: Fit, radius: float) -> tuple[Fit, FloatArray]:
@@ -89,17 +88,16 @@ def is_consistent(stack: Stack, usable: BoolArray, fit: IrlsFit) -> bool:
     """
     weights = fit.weights
     inliers, total = int((weights > 0).sum()), int(usable.sum())
-    if inliers >= MIN_CERTAIN_SHARE * total:
+    if inliers > MIN_AGREEING_SHARE * total:
         return True
-    permutations = min(MAX_PERMUTATIONS, 1 + PERMUTED_MATCHES // total)
     by_chance, candidate = 0.0, fit.candidate._replace(depth_model=stack.depth_model_mean)
     matches, usable_weights = make_match_errors(len(stack.x)), usable.astype(np.float64)
-    for k in range(1, permutations + 1):
+    for k in range(1, N_PERMUTATIONS + 1):
         y = stack.y.copy()
         for first, last in zip(stack.offsets, stack.offsets[1:], strict=False):
             index = first + np.flatnonzero(usable[first:last])
             # Shift far: neighbors in the list may be neighbors in the image, or duplicates.
-            y[index] = np.roll(y[index], k * max(1, len(index) // (permutations + 1)), axis=0)
+            y[index] = np.roll(y[index], k * max(1, len(index) // (N_PERMUTATIONS + 1)), axis=0)
         permuted, agree = stack._replace(y=y), np.zeros(len(y))
         for t, (first, last) in enumerate(zip(stack.offsets, stack.offsets[1:], strict=False)):
             # Skip excluded terms, and terms with too few matches to permute.
@@ -110,7 +108,7 @@ def is_consistent(stack: Stack, usable: BoolArray, fit: IrlsFit) -> bool:
             compute_distances(permuted, term, usable_weights, matches)
             agree[first:last] = matches.weights[first:last]
         changed = usable & (y != stack.y).any(axis=1)
-        by_chance += float((agree[changed] > 0.0).sum()) * total / max(int(changed.sum()), 1) / permutations
+        by_chance += float((agree[changed] > 0.0).sum()) * total / max(int(changed.sum()), 1) / N_PERMUTATIONS
     return is_more_than_chance(inliers, by_chance, 6)
 
 

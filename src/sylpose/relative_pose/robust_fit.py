@@ -8,42 +8,22 @@ import numpy as np
 
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.numba_linalg import kernel
-from sylpose.relative_pose.affine_ransac import find_inliers
+from sylpose.relative_pose.affine_ransac import N_QUADRUPLES, SEED_THRESHOLD_PX, find_inliers
 from sylpose.relative_pose.irls import (
-    CONVERGED_DECREASE,
     MAX_SIGMA_GROWTH,
-    SIGMA_FLOOR_PX,
     IrlsFit,
     has_uniform_residuals,
     make_empty_irls_fit,
     run_irls,
 )
+from sylpose.relative_pose.limits import CONVERGED_DECREASE, HALF_DIGITS, MAX_ROUNDS, MIN_ERROR_PX, SIGMA_FLOOR_PX
 from sylpose.relative_pose.moments_cost import MomentSums, compute_moments
-from sylpose.relative_pose.search import N_AFFINE_TERMS, make_minima, search_minima
+from sylpose.relative_pose.search import make_minima, search_minima
 from sylpose.relative_pose.terms import MIN_MATCHES, InitialMotions, Stack, copy_into
 
-# Maximum number of quadruples to select a term's seeds (choice).
-MAX_QUADRUPLES = 300
-# Distance from the affine epipolar constraint that perspective and noise explain (choice).
-SEED_THRESHOLD_PX = 1.0
-# If less than this share of a camera's matches are seeds, a band that is wider by this factor is tried; it is accepted
-# if it contains a majority, which outliers alone do not reach (choice).
-MIN_SEED_SHARE, WIDE_SEED_FACTOR, MIN_WIDE_SEED_SHARE = 0.4, 4.0, 0.65
-# With fewer matches no wider band is tried (choice).
-MIN_WIDE_SEED_MATCHES = 12
-# Bounds of the seeds' noise, pixels, estimated from their distances to the hyperplane (choice).
-SEED_SIGMA_RANGE_PX = (0.15, 1.5)
 # Maximum number of minima to refine, and how far their log-likelihood may be below the best: the moments, with
 # denominators at the mean rays, misjudge it by some tens for large rotations (choice).
-MAX_MINIMA = 4
-MAX_LIKELIHOOD_GAP = 60.0
-# Passes with few cameras. Later passes skip minima whose rotation differs from a refined one by less than this share of
-# the rotation (choice).
-MAX_PASSES, SAME_ROTATION_SHARE = 2, 0.1
-MAX_REFINED = MAX_PASSES * MAX_MINIMA
-# How often the noise bound may double beyond that of the seeds; the bound is active if the noise reaches this share of
-# it (choice).
-MAX_NOISE_DOUBLINGS, BOUND_REACHED_SHARE = 4, 0.99
+MAX_MINIMA, MAX_LIKELIHOOD_GAP = 4, 60.0
 
 
 class RefinedMinima(NamedTuple):
@@ -88,50 +68,39 @@ def fit_robust_motion(stack: Stack, usable: FloatArray, picks: FloatArray, guess
         guesses: initial motions in addition to the built-in ones.
     """
     fit = make_empty_irls_fit(stack)
-    k = MAX_REFINED
+    k = MAX_MINIMA
     refined = RefinedMinima(np.zeros((k, 3, 3)), np.zeros((k, 3)), np.full(k, np.inf), np.zeros(k))
     n, trial = stack.focal.shape[0], make_empty_irls_fit(stack)
     sums, first_sigma = MomentSums(np.empty((n, 9, 9)), np.empty(n)), np.empty(n)
     _select_seeds(stack, usable, picks, trial.weights, first_sigma)
     best, decrease, iterations = np.inf, np.inf, 0
-    seeds, sigma_px, minima = trial.weights.copy(), first_sigma.copy(), make_minima(MAX_MINIMA, n)
-    # Mismatches among the seeds displace the minima. Few cameras leave many minima to distinguish, so a second pass
-    # searches the inliers of the first.
-    for pass_index in range(MAX_PASSES if n <= N_AFFINE_TERMS else 1):
-        for t in range(n):
-            first, last = stack.offsets[t], stack.offsets[t + 1]
-            compute_moments(stack.x[first:last], stack.y[first:last], seeds[first:last], sums.moments[t])
-            # A term without seeds contributes nothing, but its count must be positive.
-            if not sums.moments[t, 8, 8] > 0.0:
-                sums.moments[t, 8, 8] = 1e-9
-            sums.variance[t] = (sigma_px[t] / stack.focal[t]) ** 2
-        iterations += search_minima(stack, sums, guesses, minima)
-        for m in range(MAX_MINIMA):
-            # Refine further minima if they are nearly as likely, or if the first did not converge.
-            if not minima.likelihoods[m] > (
-                minima.likelihoods[0] - MAX_LIKELIHOOD_GAP if decrease < CONVERGED_DECREASE else -np.inf
-            ):
-                continue
-            k = MAX_MINIMA * pass_index + m
-            if pass_index > 0 and _is_refined(minima.rotations[m], refined, k):
-                continue
-            # Start at the minimum, with everything else at its prior.
-            trial.sigma_px[:], trial.weights[:] = first_sigma, 0.0
-            trial.candidate.rotation[:], trial.candidate.translation[:] = minima.rotations[m], minima.translations[m]
-            trial.candidate.depth_model[:] = stack.depth_model_mean
-            trial.candidate.depth_model[:, 1:3] = minima.depth_models[m, :, 1:3]
-            done, new_decrease, cost = run_irls(stack, usable, trial, SIGMA_FLOOR_PX)
-            iterations += done
-            refined.rotations[k], refined.translations[k] = trial.candidate.rotation, trial.candidate.translation
-            refined.costs[k], refined.inliers[k] = cost, (trial.weights > 0.0).sum()
-            if cost < best:
-                best, decrease = cost, new_decrease
-                _copy_fit(fit, trial)
-        if not best < np.inf:
-            break
-        for i in range(len(seeds)):
-            seeds[i] = 1.0 if fit.weights[i] > 0.0 else 0.0
-        sigma_px[:] = fit.sigma_px
+    minima = make_minima(MAX_MINIMA, n)
+    for t in range(n):
+        first, last = stack.offsets[t], stack.offsets[t + 1]
+        compute_moments(stack.x[first:last], stack.y[first:last], trial.weights[first:last], sums.moments[t])
+        # A term without seeds contributes nothing, but its count must be positive.
+        if not sums.moments[t, 8, 8] > 0.0:
+            sums.moments[t, 8, 8] = HALF_DIGITS
+        sums.variance[t] = (first_sigma[t] / stack.focal[t]) ** 2
+    iterations += search_minima(stack, sums, guesses, minima)
+    for k in range(MAX_MINIMA):
+        # Refine further minima if they are nearly as likely, or if the first did not converge.
+        if not minima.likelihoods[k] > (
+            minima.likelihoods[0] - MAX_LIKELIHOOD_GAP if decrease < CONVERGED_DECREASE else -np.inf
+        ):
+            continue
+        # Start at the minimum, with everything else at its prior.
+        trial.sigma_px[:], trial.weights[:] = first_sigma, 0.0
+        trial.candidate.rotation[:], trial.candidate.translation[:] = minima.rotations[k], minima.translations[k]
+        trial.candidate.depth_model[:] = stack.depth_model_mean
+        trial.candidate.depth_model[:, 1:3] = minima.depth_models[k, :, 1:3]
+        done, new_decrease, cost = run_irls(stack, usable, trial, SIGMA_FLOOR_PX)
+        iterations += done
+        refined.rotations[k], refined.translations[k] = trial.candidate.rotation, trial.candidate.translation
+        refined.costs[k], refined.inliers[k] = cost, (trial.weights > 0.0).sum()
+        if cost < best:
+            best, decrease = cost, new_decrease
+            _copy_fit(fit, trial)
     if best < np.inf:
         max_sigma = MAX_SIGMA_GROWTH * first_sigma.max()
         done, new_decrease, cost = _refit_with_more_noise(stack, usable, fit, max_sigma, best, trial)
@@ -158,8 +127,8 @@ def _refit_with_more_noise(
     """
     iterations, decrease, cost = 0, np.inf, np.inf
     _copy_fit(trial, fit)
-    for _ in range(MAX_NOISE_DOUBLINGS):
-        if 2 * (trial.sigma_px > BOUND_REACHED_SHARE * sigma_bound).sum() <= len(trial.sigma_px):
+    for _ in range(MAX_ROUNDS):
+        if 2 * (trial.sigma_px > (1.0 - HALF_DIGITS) * sigma_bound).sum() <= len(trial.sigma_px):
             break
         sigma_bound = MAX_SIGMA_GROWTH * trial.sigma_px.max()
         done, new_decrease, new_cost = run_irls(stack, usable, trial, SIGMA_FLOOR_PX)
@@ -183,23 +152,7 @@ def _copy_fit(target: IrlsFit, source: IrlsFit) -> None:
 def draw_and_fit(stack: Stack, usable: BoolArray, guesses: InitialMotions, rng: np.random.Generator) -> RobustFit:
     """Run `fit_robust_motion` with quadruples drawn from rng."""
     # Pass probabilities, as for a mixture: a single compiled version is sufficient.
-    return fit_robust_motion(stack, usable.astype(np.float64), rng.random((MAX_QUADRUPLES, 4)), guesses)
-
-
-@kernel
-def _is_refined(rotation: FloatArray, refined: RefinedMinima, count: int) -> bool:
-    """Return whether one of the first `count` refined minima has about this rotation (3, 3)."""
-    rotation_gap = 3.0 - (rotation[0, 0] + rotation[1, 1] + rotation[2, 2])
-    for k in range(count):
-        if not refined.costs[k] < np.inf:
-            continue
-        gap = 3.0
-        for i in range(3):
-            for j in range(3):
-                gap -= rotation[i, j] * refined.rotations[k, i, j]
-        if gap < SAME_ROTATION_SHARE**2 * rotation_gap:
-            return True
-    return False
+    return fit_robust_motion(stack, usable.astype(np.float64), rng.random((N_QUADRUPLES, 4)), guesses)
 
 
 @kernel
@@ -207,9 +160,7 @@ def _select_seeds(stack: Stack, usable: FloatArray, picks: FloatArray, weights: 
     """Select each term's seeds, matches that one motion can explain: weights (N,) of 1 or 0, and their noise (T,)."""
     n, n_matches = stack.focal.shape[0], stack.x.shape[0]
     x, y, index = np.empty((n_matches, 2)), np.empty((n_matches, 2)), np.empty(n_matches, np.int64)
-    inliers, wide = np.empty(n_matches), np.empty(n_matches)
-    lower, upper = SEED_SIGMA_RANGE_PX
-    sigma_sum, sigma_count = 0.0, 0
+    inliers, sigma_sum, sigma_count = np.empty(n_matches), 0.0, 0
     for t in range(n):
         count = 0
         for i in range(stack.offsets[t], stack.offsets[t + 1]):
@@ -219,21 +170,7 @@ def _select_seeds(stack: Stack, usable: FloatArray, picks: FloatArray, weights: 
                 y[count, 0], y[count, 1] = stack.y[i, 0], stack.y[i, 1]
                 index[count] = i
                 count += 1
-        threshold = SEED_THRESHOLD_PX / stack.focal[t]
-        rms = find_inliers(x[:count], y[:count], threshold, picks, inliers[:count])
-        kept = 0
-        for k in range(count):
-            kept += inliers[k] > 0.0
-        bound = upper
-        if count >= MIN_WIDE_SEED_MATCHES and kept < MIN_SEED_SHARE * count:
-            # A wider band distinguishes outliers from noise.
-            threshold = WIDE_SEED_FACTOR * SEED_THRESHOLD_PX / stack.focal[t]
-            wide_rms = find_inliers(x[:count], y[:count], threshold, picks, wide[:count])
-            wide_kept = 0
-            for k in range(count):
-                wide_kept += wide[k] > 0.0
-            if wide_kept > MIN_WIDE_SEED_SHARE * count:
-                inliers[:count], rms, bound = wide[:count], wide_rms, WIDE_SEED_FACTOR * upper
+        rms = find_inliers(x[:count], y[:count], SEED_THRESHOLD_PX / stack.focal[t], picks, inliers[:count])
         kept = 0
         for k in range(count):
             weights[index[k]] = inliers[k]
@@ -241,7 +178,7 @@ def _select_seeds(stack: Stack, usable: FloatArray, picks: FloatArray, weights: 
         sigma[t] = 0.0
         if kept >= MIN_MATCHES:
             # The hyperplane is in both frames' coordinates, as is Sampson's distance.
-            sigma[t] = min(max(rms * stack.focal[t], lower), bound)
+            sigma[t] = max(rms * stack.focal[t], MIN_ERROR_PX)
             sigma_sum += sigma[t]
             sigma_count += 1
     for t in range(n):

@@ -30,6 +30,7 @@ import numpy as np
 from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.normal_equations import eliminate_block
 from sylpose.geometry.numba_linalg import apply_rotvec, cholesky_solve, dot, kernel, leaf, so3_exp, so3_log
+from sylpose.relative_pose.limits import HALF_DIGITS, MAX_ROUNDS, ROUGHLY_CONVERGED_DECREASE
 from sylpose.relative_pose.moments_cost import (
     MomentSums,
     NormalEquations,
@@ -41,42 +42,29 @@ from sylpose.relative_pose.moments_cost import (
     make_term_view,
     update_view,
 )
-from sylpose.relative_pose.terms import COINCIDENCE_TOLERANCE, Candidate, InitialMotions, Stack, copy_into
+from sylpose.relative_pose.terms import COINCIDENCE_TOLERANCE, MIN_MATCHES, Candidate, InitialMotions, Stack, copy_into
 
-# Iterations after which a start is checked, and how far its log-likelihood may then be behind the best. Earlier checks
-# lose true motions (measured: creeps in benchmarks/kinds.py, 48 degrees off) (choice).
-CHECK_ITERATIONS, MAX_LIKELIHOOD_GAP = 3, 300.0
-# A start near a known minimum whose log-likelihood is at most this much lower converges to that minimum (choice).
-SAME_MINIMUM_GAP = 60.0
-# Steps of the planar part alone, at first and from a mirror image, and the predicted decrease at convergence; the same
-# for the full cost (choice).
+# Steps after which a start is checked, and how far its log-likelihood may then be behind the best. Earlier checks lose true
+# motions (measured: creeps in benchmarks/kinds.py, 48 degrees off); without one, two bodies are found as one motion
+# (tests/tracking/test_bodies.py) (choice).
+CHECK_STEPS, MAX_LIKELIHOOD_GAP = 3, 300.0
+# Steps of the planar part alone, at first and from a mirror image, and the predicted decrease at convergence (choice).
 PLANE_STEPS, MIRROR_STEPS, PLANE_TOLERANCE = 12, 3, 1.0
-MAX_STEPS, TOLERANCE = 20, 1e-2
-# Maximum number of mirror images, in addition to the reversed rotation (choice).
-MAX_MIRRORS = 4
-# Cameras whose optical axes, up to sign, have a larger cosine share the same mirror image (choice).
-SAME_AXIS_COSINE = 0.97
-# Two minima are the same if the squared distance of their rotation matrices, and that of their translations relative to
-# the squared length, are below these: a few thousandths of a radian, some hundredths of the translation (choice).
-SAME_ROTATION, SAME_TRANSLATION = 2e-5, 1e-3
+# Maximum number of steps of the full cost from each start (choice).
+MAX_STEPS = 20
+# Two minima are the same if their rotations, radians, and their translations, relative to their length, differ by less
+# (choice).
+SAME_MOTION = 0.01
 # A term whose mean square exceeds the median of the terms by this factor, or this value, is down-weighted in the search
 # (choice).
 MAX_COST_RATIO = 4.0
-# Number of trial steps, each with more damping, before a start counts as converged; and the largest rotation of a step,
-# radians: the range in which the derivatives are valid (choice).
-MAX_TRIES, MAX_ROTATION_STEP = 8, 0.5
+# Largest rotation of a step, radians: the range in which the derivatives are valid (choice).
+MAX_ROTATION_STEP = 0.5
 # Damping at first, and again after a rejected step (choice).
 INITIAL_DAMPING = 1e-4
 # Number of terms (matches of one camera with one frame) whose lines are combined: more terms hardly leave an ambiguity
 # (choice).
 N_AFFINE_TERMS = 2
-# Minimum number of matches for a camera's affine map, and the smallest ratio of width to length of the area that they
-# cover (choice).
-MIN_AFFINE_MATCHES, MIN_WIDTH_RATIO = 6.0, 0.05
-# Regularization that rejects nearly parallel lines: the added share of the identity (choice).
-PARALLEL_RIDGE = 1e-3
-# Largest rotation that is tried, radians (choice).
-MAX_ROTATION = 1.0
 
 
 class Workspace(NamedTuple):
@@ -116,7 +104,20 @@ def make_workspace(n: int) -> Workspace:
     total, right, step, block, reduced = np.empty((6, 6)), np.empty(6), np.empty(6), np.empty((3, 3)), np.empty((6, 7))
     trial, view = Candidate(np.empty((3, 3)), np.empty(3), np.empty((n, 3))), make_term_view()
     return Workspace(
-        normal, gain, kappa, costs, weights, squares, total, right, step, block, reduced, trial, view, TOLERANCE
+        normal,
+        gain,
+        kappa,
+        costs,
+        weights,
+        squares,
+        total,
+        right,
+        step,
+        block,
+        reduced,
+        trial,
+        view,
+        ROUGHLY_CONVERGED_DECREASE,
     )
 
 
@@ -200,7 +201,7 @@ def descend(
 
     Returns:
         number of iterations; the predicted decrease of the last step: half the squared length of the step, in standard
-        deviations of the motion, below the tolerance if converged; the current damping.
+        deviations of the motion, below the tolerance if converged, 0 if no step lowers the cost; the current damping.
     """
     n, decrease, tolerance = stack.focal.shape[0], np.inf, PLANE_TOLERANCE if planar else work.tolerance
     normal, gain, kappa, costs, term_weights, squares, _, right, step, _, _, trial, view, _ = work
@@ -218,7 +219,7 @@ def descend(
         for t in range(n):
             cost += term_weights[t] * costs[t]
         accepted = False
-        for _ in range(MAX_TRIES):
+        for _ in range(MAX_ROUNDS):
             if _solve_step(damping, work):
                 length = np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
                 if length > MAX_ROTATION_STEP:
@@ -240,7 +241,7 @@ def descend(
                     break
             damping = max(10.0 * damping, INITIAL_DAMPING)
         if not accepted:
-            return count, decrease, damping
+            return count, 0.0, damping
         copy_into(candidate, trial)
         damping = max(0.1 * damping, 1e-9)
         if decrease < tolerance:
@@ -298,13 +299,10 @@ def estimate_affine_rotations(stack: Stack, sums: MomentSums, rotvecs: FloatArra
                 right[i] += p[i] - along_line * u[i]
                 for j in range(3):
                     left[i, j] -= u[i] * u[j]
-                left[i, i] += 1.0 + PARALLEL_RIDGE
+                left[i, i] += 1.0 + HALF_DIGITS
         rotvecs[k] = right
         if not cholesky_solve(left, rotvecs[k]):
             return 0
-        size = np.sqrt(rotvecs[k, 0] ** 2 + rotvecs[k, 1] ** 2 + rotvecs[k, 2] ** 2)
-        if size > MAX_ROTATION:
-            rotvecs[k] *= MAX_ROTATION / size
     return int(2**N_AFFINE_TERMS)
 
 
@@ -341,7 +339,7 @@ def _compute_rotation_lines(
     """
     m, q = sums.moments[t], stack.qy[t]
     count = m[8, 8]
-    if not count >= MIN_AFFINE_MATCHES:
+    if not count >= MIN_MATCHES:
         return False
     for i in range(3):
         for j in range(3):
@@ -351,7 +349,8 @@ def _compute_rotation_lines(
     x0, x1 = m[8, 6] / count, m[8, 7] / count
     c00, c01, c11 = m[6, 6] / count - x0 * x0, m[6, 7] / count - x0 * x1, m[7, 7] / count - x1 * x1
     det = c00 * c11 - c01 * c01
-    if not det > (MIN_WIDTH_RATIO * (c00 + c11)) ** 2:
+    # Points on a line, up to noise, determine no map.
+    if not det > sums.variance[t] * (c00 + c11):
         return False
     approach = (q[2, 0] * translation[0] + q[2, 1] * translation[1] + q[2, 2] * translation[2]) * stack.inverse_depth[t]
     a = np.empty((2, 2))
@@ -414,8 +413,11 @@ def search_minima(stack: Stack, sums: MomentSums, guesses: InitialMotions, minim
     n, n_guesses = stack.focal.shape[0], guesses.rotations.shape[0]
     candidate, workspace = Candidate(np.eye(3), np.zeros(3), np.empty((n, 3))), make_workspace(n)
     minima.likelihoods[:] = -np.inf
-    axes = np.zeros((MAX_MIRRORS + 1, 3))
-    n_mirrors = _find_mirror_axes(stack, axes)
+    # The optical axes of as many cameras as minima are kept, and a zero row for the reversed rotation.
+    n_axes = min(n, len(minima.likelihoods))
+    n_mirrors, axes = n_axes + 1, np.zeros((n_axes + 1, 3))
+    for k in range(n_axes):
+        axes[k] = stack.qx[k * n // n_axes, 2]
     affine_rotvecs = np.zeros((2**N_AFFINE_TERMS, 3))
     n_affine = estimate_affine_rotations(stack, sums, affine_rotvecs)
     rotvec, mirrored_rotvec = np.zeros(3), np.empty(3)
@@ -446,26 +448,21 @@ def search_minima(stack: Stack, sums: MomentSums, guesses: InitialMotions, minim
         if (0 < start <= 2 * n_mirrors and start % 2 == 0) or guess >= n_guesses:
             done, _, _ = descend(stack, sums, True, MIRROR_STEPS, candidate, INITIAL_DAMPING, workspace)
             count += done
-        decrease, damping, value = np.inf, INITIAL_DAMPING, -np.inf
-        nearest = _find_same_minimum(candidate, minima)
-        first_value = compute_log_likelihood(stack, sums, candidate, workspace) if nearest >= 0 else -np.inf
-        dropped = nearest >= 0 and first_value > minima.likelihoods[nearest] - SAME_MINIMUM_GAP
-        for k in range(CHECK_ITERATIONS):
-            if dropped or decrease < TOLERANCE:
+        decrease, damping = np.inf, INITIAL_DAMPING
+        dropped = _is_known(candidate, minima)
+        for k in range(MAX_STEPS):
+            # Stop a start that approaches a known minimum or is far behind the best.
+            if dropped or decrease < ROUGHLY_CONVERGED_DECREASE:
                 break
             done, decrease, damping = descend(stack, sums, False, 1, candidate, damping, workspace)
             count += done
-            value = compute_log_likelihood(stack, sums, candidate, workspace)
-            # Stop a start that approaches a known minimum or is far behind the best.
-            nearest = _find_same_minimum(candidate, minima)
-            dropped = k == CHECK_ITERATIONS - 1 and value < minima.likelihoods[0] - MAX_LIKELIHOOD_GAP
-            dropped = dropped or (nearest >= 0 and value > minima.likelihoods[nearest] - SAME_MINIMUM_GAP)
+            dropped = _is_known(candidate, minima)
+            if k == CHECK_STEPS - 1:
+                value = compute_log_likelihood(stack, sums, candidate, workspace)
+                dropped = dropped or value < minima.likelihoods[0] - MAX_LIKELIHOOD_GAP
         if dropped:
             continue
-        if decrease >= TOLERANCE:
-            done, _, _ = descend(stack, sums, False, MAX_STEPS, candidate, damping, workspace)
-            count += done
-            value = compute_log_likelihood(stack, sums, candidate, workspace)
+        value = compute_log_likelihood(stack, sums, candidate, workspace)
         if start == 0:
             so3_log(candidate.rotation, rotvec)
             first_translation[:] = candidate.translation
@@ -473,28 +470,6 @@ def search_minima(stack: Stack, sums: MomentSums, guesses: InitialMotions, minim
         if np.isfinite(value):
             _insert_minimum(candidate, value, minima)
     return count
-
-
-@kernel
-def _find_mirror_axes(stack: Stack, axes: FloatArray) -> int:
-    """Set axes to the distinct optical axes of the cameras, at most `MAX_MIRRORS`.
-
-    A zero row for the reversed rotation is appended.
-
-    Returns:
-        number of axes.
-    """
-    n, count = stack.focal.shape[0], 0
-    stride = max(1, n // MAX_MIRRORS)
-    for t in range(0, n, stride):
-        is_new = count < MAX_MIRRORS
-        for k in range(count):
-            is_new = is_new and abs(dot(axes[k], stack.qx[t, 2])) < SAME_AXIS_COSINE
-        if is_new:
-            axes[count] = stack.qx[t, 2]
-            count += 1
-    axes[count] = 0.0
-    return count + 1
 
 
 @kernel
@@ -522,14 +497,14 @@ def _insert_minimum(candidate: Candidate, value: float, minima: Minima) -> None:
 
 
 @leaf
-def _find_same_minimum(candidate: Candidate, minima: Minima) -> int:
-    """Return the index of the minimum that equals a candidate, or -1."""
+def _is_known(candidate: Candidate, minima: Minima) -> bool:
+    """Return whether a candidate equals one of the minima."""
     for k in range(minima.likelihoods.shape[0]):
         if minima.likelihoods[k] > -np.inf and _is_same_motion(
             minima.rotations[k], minima.translations[k], candidate.rotation, candidate.translation
         ):
-            return k
-    return -1
+            return True
+    return False
 
 
 @leaf
@@ -541,4 +516,5 @@ def _is_same_motion(r1: FloatArray, d1: FloatArray, r2: FloatArray, d2: FloatArr
             gap += (r1[i, j] - r2[i, j]) ** 2
     distance = (d1[0] - d2[0]) ** 2 + (d1[1] - d2[1]) ** 2 + (d1[2] - d2[2]) ** 2
     length = d1[0] ** 2 + d1[1] ** 2 + d1[2] ** 2
-    return gap < SAME_ROTATION and distance < SAME_TRANSLATION * length + 1e-300
+    # Matrices of rotations that differ by a small angle have a distance of √2 times this angle.
+    return gap < 2.0 * SAME_MOTION**2 and distance <= SAME_MOTION**2 * length

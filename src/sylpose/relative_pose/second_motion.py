@@ -17,7 +17,7 @@ from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.numba_linalg import compute_median, kernel
 from sylpose.matches import STATIC_PX
 from sylpose.relative_pose.faulty_cameras import solve_subset
-from sylpose.relative_pose.motion_mixture import MAX_COMPARED
+from sylpose.relative_pose.limits import MAX_SAMPLES
 from sylpose.relative_pose.solver import fit_two_motions
 from sylpose.relative_pose.terms import MIN_MATCHES, Solution, TermData, TermSolver
 from sylpose.status import Status
@@ -123,7 +123,7 @@ def _find_moving_outliers(x: FloatArray, y: FloatArray, max_static: float, weigh
 def _compare_displacements(x: FloatArray, y: FloatArray, mask: BoolArray) -> FloatArray:
     """Return (m, 3) differences of displacements: to the nearest masked match, to the median, and to zero."""
     picks = np.flatnonzero(mask)
-    picks = picks[:: 1 + len(picks) // MAX_COMPARED]
+    picks = picks[:: 1 + len(picks) // MAX_SAMPLES]
     n = len(picks)
     out, medians, displacements = np.empty((n, 3)), np.empty(2), np.empty((n, 2))
     column = np.empty(n)

@@ -25,7 +25,8 @@ from sylpose.relative_pose.camera_evidence import (
     pool_f_ratios,
 )
 from sylpose.relative_pose.diagnostics import FitDiagnostics, diagnose
-from sylpose.relative_pose.irls import SIGMA_FLOOR_PX, IrlsFit, make_empty_irls_fit, make_irls_start, run_irls
+from sylpose.relative_pose.irls import IrlsFit, make_empty_irls_fit, make_irls_start, run_irls
+from sylpose.relative_pose.limits import SIGMA_FLOOR_PX
 from sylpose.relative_pose.moments_cost import MomentSums, compute_moments
 from sylpose.relative_pose.robust_fit import RefinedMinima, RobustFit, draw_and_fit
 from sylpose.relative_pose.search import make_minima, search_minima

@@ -26,7 +26,9 @@ from scipy.spatial.transform import RigidTransform
 
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.numba_linalg import apply_rotvec, compute_median, kernel, leaf, symmetric_eigen
+from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.matches import MAX_STATIC_PX, STATIC_PX
+from sylpose.relative_pose.limits import HALF_DIGITS
 from sylpose.status import Status
 
 # Eight matches over all cameras leave two more equations than unknowns; fewer give no redundancy (choice).
@@ -61,11 +63,8 @@ _PRIOR_INFORMATION = np.linalg.inv(np.outer(_PRIOR_MEAN, _PRIOR_MEAN) + np.diag(
 # `rig.intersect_rays`; the rest is ours (docs/method/3-pose.md).
 # Centers whose distance is below this share of their coordinates coincide (derived: rounding).
 COINCIDENCE_TOLERANCE = 1e-9
-# Below this smallest eigenvalue of the normal equations of the intersection point, cameras nearly in one place do not
-# determine it (choice).
-MIN_EIGENVALUE = 1e-5
-# Rays converge if their inverse distance is so many standard deviations above zero (choice).
-MIN_CONVERGENCE_SIGMAS = 5.0
+# Rays converge if their inverse distance is so many standard deviations above zero (chi-squared, once in a thousand times).
+MIN_CONVERGENCE_SIGMAS = float(np.sqrt(chi_squared_bound(1)))
 # Rays also converge if their mean is shorter than this, a cone of some 36 degrees (choice).
 MIN_PARALLEL_MEAN = 0.95
 # Below this ratio of the least to the largest eigenvalue of their normal equations, nearly parallel lines leave the
@@ -512,7 +511,7 @@ def _compute_distance_sd(a1: FloatArray, qx: FloatArray, out: FloatArray) -> Non
                 total[i, j] -= a1[t, i] * a1[t, j] / (length * length)
     # The sum of the eigenvalues is twice the number of rays, and none exceeds that number: at most one is below 1.
     symmetric_eigen(total, values, vectors)
-    if not values[0] > MIN_EIGENVALUE:
+    if not values[0] > HALF_DIGITS:
         out[:] = 0.0
         return
     excess_sd = OFFSET_SD * np.sqrt(max(1.0 / values[0] - 1.0, 0.0))

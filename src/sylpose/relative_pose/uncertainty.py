@@ -32,9 +32,7 @@ from sylpose.geometry.normal_equations import UNOBSERVABLE_RATIO
 from sylpose.geometry.numba_linalg import apply_rotvec, cholesky, cholesky_solve, dot, kernel, so3_log, solve_factored
 from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.relative_pose.irls import (
-    CONSTRAINT_WEIGHT,
     CUTOFF,
-    SIGMA_FLOOR_PX,
     IrlsFit,
     make_irls_start,
     make_joint_system,
@@ -42,6 +40,7 @@ from sylpose.relative_pose.irls import (
     reduce_term,
     run_constrained_irls,
 )
+from sylpose.relative_pose.limits import HALF_DIGITS, MAX_ROUNDS, ROUGHLY_CONVERGED_DECREASE, SIGMA_FLOOR_PX
 from sylpose.relative_pose.match_cost import (
     InlierPrior,
     build_match_equations,
@@ -53,8 +52,8 @@ from sylpose.relative_pose.robust_fit import RefinedMinima
 from sylpose.relative_pose.terms import COINCIDENCE_TOLERANCE, DEPTH_MODEL_SIZE, Candidate, Stack, apply_step, copy_into
 
 # An object is flat if residual depth and curvature displace points by less than this, in standard deviations of their
-# noise (choice).
-MAX_FLAT_SIGMAS = 3.0
+# noise (chi-squared, once in a thousand times).
+MAX_FLAT_SIGMAS = float(np.sqrt(chi_squared_bound(1)))
 # A motion that is less likely by this is no alternative: the accuracy of a likelihood (measured:
 # docs/history/benchmarks.md#hard-pairs; deficits of the truth of 0.7 to 11 occurred). The second value is added for each
 # inlier that the likelier motion has in excess. It may explain mismatches by chance, and real images' keypoints have longer
@@ -208,30 +207,18 @@ def find_likeliest_alternative(
     return best
 
 
-# A direction is weak if its variance, over the size of the motion and the least standard deviation, exceeds this: the
-# curvature of a valley whose direction changes by as much as the motion does (choice).
-MIN_CURVED_RATIO = 0.25
-# Its standard deviation must also exceed this share of the motion: better known directions are straight (choice).
-MIN_WEAK_SHARE = 0.05
-# Maximum number of weak directions, and of steps across the valley (choice).
-MAX_WEAK_DIRECTIONS, MAX_STEPS = 3, 4
-# Converged across the valley if the predicted decrease of the cost is below this: a seventh of a standard deviation
-# (choice).
-CONVERGED_DECREASE = 1e-2
 # Largest deviation across the valley, relative to the distance along it (choice).
 MAX_DEVIATION_RATIO = 0.5
-# The largest displacement as a share of the motion, and the least restoring curvature as a share of the quadratic one
-# (choice).
-MAX_DISPLACEMENT_SHARE, MIN_CURVATURE_SHARE = 1.0, 0.05
 # The mean fourth power of a normal variable: the variance that results from a deviation at one standard deviation
 # (derived).
 NORMAL_FOURTH_MOMENT = 3.0
-# A direction whose standard deviation exceeds this share of the motion is weakly observed (measured: half of 2,952
-# answers that have a weak direction are, with 58 of 68 confidently wrong ones; of 800 usual answers 26 are).
+# A direction whose standard deviation exceeds this share of the motion is weak: better known ones are straight (measured: it
+# has 58 of 68 confidently wrong answers of 2,952, and 26 of 800 usual ones).
 WEAKLY_OBSERVED_SHARE = 0.08
-# The far displacement, in standard deviations. The result is included as if it were no farther than the second value,
-# the limit of the accuracy of likelihoods (choice) ...
-FAR_SIGMAS, MAX_INCLUDED_SIGMAS = 6.0, 3.0
+# The far displacement, in standard deviations (choice).
+FAR_SIGMAS = 6.0
+# The result is included as if it were no farther than this (chi-squared, once in a thousand times) ...
+MAX_INCLUDED_SIGMAS = float(np.sqrt(chi_squared_bound(1)))
 # ... if the covariance is too small for it by more than this (measured: if all are included, the mean normalized
 # squared error with two cameras is 3.9, with this 4.1, without any 4.4; 6 is right).
 MIN_VARIANCE_DEFICIT = 4.0
@@ -249,8 +236,8 @@ def compute_curvature_covariance(stack: Stack, usable: InlierPrior, fit: IrlsFit
     """
     size, sd, vectors, scale = _find_weak_axes(stack, fit, radius)
     columns: list[FloatArray] = []
-    for k in range(min(len(sd), MAX_WEAK_DIRECTIONS)):
-        length = min(float(sd[k]), MAX_DISPLACEMENT_SHARE * size)
+    for k in range(len(sd)):
+        length = min(float(sd[k]), size)  # no farther than zero motion
         along, deviations = scale * vectors[:, k], np.empty((2, 6))
         restoring = 0.0
         for side in range(2):
@@ -264,14 +251,14 @@ def compute_curvature_covariance(stack: Stack, usable: InlierPrior, fit: IrlsFit
             restoring += 0.5 * max(force * float(sd[k]) ** 2 / length, 0.0)
         columns += [np.sqrt(0.5 * NORMAL_FOURTH_MOMENT) * row for row in deviations]
         if restoring < 1.0:
-            columns.append(sd[k] * np.sqrt(1.0 / max(restoring, MIN_CURVATURE_SHARE) - 1.0) * along)
+            columns.append(sd[k] * np.sqrt(1.0 / max(restoring, HALF_DIGITS) - 1.0) * along)
     return np.column_stack(columns) if columns else np.empty((6, 0))
 
 
 def has_weak_direction(stack: Stack, fit: IrlsFit, radius: float) -> bool:
     """Return whether some direction of the motion is weakly observed."""
-    size, sd, *_ = _find_weak_axes(stack, fit, radius)
-    return bool(len(sd) > 0 and sd[0] > WEAKLY_OBSERVED_SHARE * size)
+    _, sd, *_ = _find_weak_axes(stack, fit, radius)
+    return len(sd) > 0
 
 
 def refit_along_weak_direction(
@@ -291,7 +278,7 @@ def refit_along_weak_direction(
         return []
     along, constraint = scale * vectors[:, 0], vectors[:, 0] / scale
     constraint /= np.linalg.norm(constraint)
-    out, length = [], min(FAR_SIGMAS * float(sd[0]), MAX_DISPLACEMENT_SHARE * size)
+    out, length = [], min(FAR_SIGMAS * float(sd[0]), size)
     for step_length in (-length, length):
         refit = make_irls_start(stack, fit.candidate, fit.sigma_px)
         apply_rotvec(step_length * along[:3], fit.candidate.rotation, refit.candidate.rotation)
@@ -335,7 +322,7 @@ def _find_weak_axes(stack: Stack, fit: IrlsFit, radius: float) -> tuple[float, F
     if not (values[-1] > 0 and has_baseline):
         return no_directions
     sd = 1.0 / np.sqrt(np.maximum(values, 1e-12 * values[-1]))
-    return size, sd[(sd**2 > MIN_CURVED_RATIO * size * sd[-1]) & (sd > MIN_WEAK_SHARE * size)], vectors, scale
+    return size, sd[sd > WEAKLY_OBSERVED_SHARE * size], vectors, scale
 
 
 @kernel
@@ -345,7 +332,7 @@ def compute_size_if_curved(fit: IrlsFit, radius: float) -> float:
     Usually it is 0: the sum of all variances is too small for a weak direction.
     """
     scaled, column, variance = np.empty((6, 6)), np.empty(6), 0.0
-    known, size = 0.0, 0.0
+    size = 0.0
     so3_log(fit.candidate.rotation, column[:3])
     for i in range(3):
         size += (radius * column[i]) ** 2 + fit.candidate.translation[i] ** 2
@@ -353,7 +340,6 @@ def compute_size_if_curved(fit: IrlsFit, radius: float) -> float:
     for i in range(6):
         for j in range(6):
             scaled[i, j] = fit.information[i, j] / ((radius if i < 3 else 1.0) * (radius if j < 3 else 1.0))
-        known += scaled[i, i]
     if not cholesky(scaled):
         return float(size)
     for i in range(6):
@@ -361,8 +347,7 @@ def compute_size_if_curved(fit: IrlsFit, radius: float) -> float:
         column[i] = 1.0
         solve_factored(scaled, column)
         variance += column[i]
-    may_be_curved = variance > MIN_CURVED_RATIO * size / np.sqrt(known) and variance > (MIN_WEAK_SHARE * size) ** 2
-    return float(size) if may_be_curved else 0.0
+    return float(size) if variance > (WEAKLY_OBSERVED_SHARE * size) ** 2 else 0.0
 
 
 def inflate(information: FloatArray, columns: FloatArray) -> FloatArray:
@@ -401,7 +386,7 @@ def minimize_across_valley(
     # The depth models follow in the first step.
     apply_step(candidate, distance_offset, step, gains, 1.0)
     size, converged = 0.0, False
-    for count in range(MAX_STEPS + 1):
+    for count in range(MAX_ROUNDS + 1):
         total[:], right[:] = 0.0, 0.0
         total[6, 6], right[6] = 1.0, -distance_offset[0]
         for t in range(n):
@@ -412,20 +397,20 @@ def minimize_across_valley(
             build_match_equations(stack, term, usable, matches, equations)
             if not reduce_term(stack, t, candidate, distance_offset[0], equations, 1.0, joint):
                 return np.inf
-        if converged or count == MAX_STEPS:
+        if converged or count == MAX_ROUNDS:
             break
         for i in range(6):
             size = max(size, total[i, i])
         for i in range(6):
             for j in range(6):
-                total[i, j] += CONSTRAINT_WEIGHT * constraint[i] * constraint[j] * size
+                total[i, j] += size / HALF_DIGITS * constraint[i] * constraint[j]
         for i in range(7):
-            total[i, i] *= 1.0 + 1e-9
+            total[i, i] *= 1.0 + HALF_DIGITS
         step[:] = right
         if not cholesky_solve(total, step):
             return np.inf
         apply_step(candidate, distance_offset, step, gains, 1.0)
-        converged = 0.5 * dot(right, step) < CONVERGED_DECREASE
+        converged = 0.5 * dot(right, step) < ROUGHLY_CONVERGED_DECREASE
     relative_rotation = candidate.rotation @ fit.candidate.rotation.T
     so3_log(relative_rotation, deviation[:3])
     for i in range(3):

@@ -19,7 +19,7 @@ from sylpose.relative_pose.camera_evidence import (
     compute_f_ratio,
     pool_f_ratios,
 )
-from sylpose.relative_pose.faulty_cameras import MAX_REJECTED_SHARE, MIN_AGREEING_SHARE
+from sylpose.relative_pose.irls import MAX_REJECTED_SHARE, MIN_AGREEING_SHARE
 from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.results import FramePose
 from sylpose.status import FrameStatus, Observability

@@ -1,0 +1,22 @@
+"""Numerical limits that the iterative solvers of this package share."""
+
+from __future__ import annotations
+
+import numpy as np
+
+# Half of the digits of a number (derived). A share of it that is added to the diagonal of normal equations keeps them
+# solvable and changes a step by less than the linearization does. It is also the share of a prior that determines what
+# the data leave open, and its inverse is the weight of an equation that is to hold exactly: both to half of the digits.
+HALF_DIGITS = float(np.sqrt(np.finfo(float).eps))
+# Maximum number of matches, regularly selected, where more would only cost time: in rankings of hypotheses and comparisons
+# of neighbors (choice).
+MAX_SAMPLES = 256
+# A fit has converged if the predicted decrease of its cost, half the square of the step in standard deviations, is below the
+# first value, a thirtieth of a standard deviation; a search for starts, or across a valley, below the second (choice).
+CONVERGED_DECREASE, ROUGHLY_CONVERGED_DECREASE = 5e-4, 1e-2
+# Maximum number of rounds of a solver (choice).
+MAX_ROUNDS = 40
+# Smaller errors of images, pixels, are no evidence: rounding, lenses, perspective (choice).
+MIN_ERROR_PX = 0.15
+# Lower bound of the noise, pixels: exact matches, and those of frozen images, have none (choice).
+SIGMA_FLOOR_PX = 0.02
