@@ -39,12 +39,10 @@ from sylpose.tracking.camera_side.frame import (
     split_by_pair,
 )
 from sylpose.tracking.context import Context
+from sylpose.tracking.frame_solvers import NARROW_START_PX
 from sylpose.tracking.joint_side.joint_state import Anchor, JointState, SolvedFrame, add_keyframe, select_references
 from sylpose.tracking.options import TrackingOptions
 from sylpose.tracking.pose_search import PoseCandidate
-
-# Minimum noise by which a match is judged, pixels (choice).
-MIN_NOISE_PX = 1.0
 
 
 def can_prepare(state: JointState) -> bool:
@@ -159,7 +157,7 @@ def _select_agreeing(
     observations, *_ = build_observations(camera, pairs, new, frame)
     stacked = stack_matches([replace(observations, prior_weight=np.ones(len(observations.prior_weight)))])
     terms = make_camera_state(stacked)
-    compute_camera_terms(stacked, 0, np.eye(3), np.zeros(3), MIN_NOISE_PX, True, terms, np.empty((6, 7)))
+    compute_camera_terms(stacked, 0, np.eye(3), np.zeros(3), NARROW_START_PX, True, terms, np.empty((6, 7)))
     return ReobservedFeatures.from_matches(
         pairs, split_by_pair(terms.weights, terms.cross_residual * camera.focal, pairs), new.static_px, radius
     )

@@ -18,6 +18,7 @@ from sylpose.features.sift import Features
 from sylpose.geometry.arrays import BoolArray, FloatArray
 from sylpose.geometry.matrices import make_motion_about
 from sylpose.landmarks.landmark_filter import Landmarks
+from sylpose.relative_pose.limits import MIN_ERROR_PX
 from sylpose.relative_pose.motion_mixture import MISMATCH_PROBABILITY
 from sylpose.relative_pose.observability import classify_observability
 from sylpose.relative_pose.solver import fit_terms, fit_two_motions
@@ -57,8 +58,6 @@ MOTION_UNKNOWNS, SURFACE_UNKNOWNS = 6, 6
 # Between consecutive frames, the rotation since the first frame changes by at most this share, or this angle, radians
 # (choice).
 MAX_ROTATION_CHANGE_RATIO, MAX_ROTATION_CHANGE = 0.6, np.radians(0.75)
-# Minimum keypoint noise, pixels (choice).
-MIN_NOISE_PX = 0.15
 # The center of a box is this share of its width and height (choice).
 CENTER_RATIO = 0.5
 # The center is static if its displacement is within the noise and below this share of that of moving features, both
@@ -132,7 +131,7 @@ def estimate_jitter(pair: FrameMatches) -> float:
     near = displacement[displacement < BACKGROUND_PX]
     # A slowly moving object shows all these displacements equally often.
     is_slow = np.count_nonzero(near < BACKGROUND_PX / 2) <= MIN_STATIC_RATIO * len(near)
-    return MIN_NOISE_PX if is_slow else max(float(np.median(near)) / RAYLEIGH_MEDIAN, MIN_NOISE_PX)
+    return MIN_ERROR_PX if is_slow else max(float(np.median(near)) / RAYLEIGH_MEDIAN, MIN_ERROR_PX)
 
 
 # --- estimation -------------------------------------------------------------------------------------------------------
@@ -299,7 +298,7 @@ def _test_significance(
         if not good.any():
             continue
         r, translation = np.abs(across[good]), record.displacement_px[good]
-        sigma = max(MIN_NOISE_PX, record.jitter_px, float(np.sqrt(np.mean(r**2))))
+        sigma = max(MIN_ERROR_PX, record.jitter_px, float(np.sqrt(np.mean(r**2))))
         by_chance = 1.0 / (np.pi * np.sqrt(np.maximum(translation**2 - r**2, sigma**2)))
         motion = np.exp(-0.5 * (r / sigma) ** 2) / (np.sqrt(2.0 * np.pi) * sigma)
         gain = float(np.log(motion / by_chance).sum()) - options.min_log_gain_per_unknown * SURFACE_UNKNOWNS

@@ -13,6 +13,7 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.geometry.arrays import FloatArray
 from sylpose.landmarks.alignment import FIRST_PX, LandmarkMatches, select_hypothesis, subtract_uncertainty
 from sylpose.landmarks.landmark_filter import KNOWN_DEPTH_RATIO
+from sylpose.relative_pose.limits import HALF_DIGITS, MAX_ROUNDS
 from sylpose.relative_pose.solver import fit_terms
 from sylpose.relative_pose.sylvester_methods import ESTIMATORS, UNBIASED_METHODS, apply_estimator
 from sylpose.relative_pose.terms import MIN_MATCHES, Fit, TermData
@@ -50,8 +51,6 @@ MAX_YOUNG_AGE = 3
 # A depth is known if its standard deviation moves the landmark's image by less than this, pixels. The 2D-3D equation
 # needs so many such landmarks (choice).
 MAX_DEPTH_SMEAR_PX, MIN_KNOWN_LANDMARKS = 1.0, 30
-# Maximum number of alternations between depths and motion; they end when the rotation changes by less (choice).
-POSIT_ROUNDS, POSIT_TOLERANCE = 20, 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -326,14 +325,14 @@ def solve_known_depth(executor: CameraExecutor, problem: PoseProblem) -> PoseSol
     rotations, centers = np.array([s.rotation for s in cameras]), np.array([s.center for s in cameras])
     points = [s.points for s in cameras]
     R, translation = problem.guess
-    for _ in range(POSIT_ROUNDS):
+    for _ in range(MAX_ROUNDS):
         images = [s.image * ((s.points @ R.T + translation - s.center) @ s.rotation[2])[:, None] for s in cameras]
         s = solve_2d3d(rotations, points, images, centers=centers, weights=weights)
         if s.status is not Status.OK:
             return solution
         change = np.abs(s.rotation - R).max()
         R, translation = s.rotation, s.translation
-        if change < POSIT_TOLERANCE:
+        if change < HALF_DIGITS:
             break
     # Convert from the translation of the points' mean to that of the object's center, here the origin.
     center_from_mean = np.eye(6)
