@@ -369,5 +369,5 @@ def test_pose_in_a_camera_is_that_at_its_own_time(rig: Rig) -> None:
         found = solved.camera_from_object(camera, c)
         assert found is not None
         expected = camera.camera_from_world * moved
-        np.testing.assert_allclose(found.as_matrix(), expected.as_matrix(), atol=1e-12)
+        np.testing.assert_allclose(found, expected.as_matrix(), atol=1e-12)
         assert replace(solved, twist=np.full(6, np.nan)).camera_from_object(camera, c) is None

@@ -139,13 +139,13 @@ def compute_variance_inflation(at: Linearization, system: System, solver: Solver
     noise_ratio = CALIBRATED_SCATTER_RATIO if is_calibrated.any() else 1.0
     # All observations of a landmark are in one group, because they share its position; this includes those of a camera
     # that was moved.
-    camera = observations.first_viewer[landmark]
-    for group in (8 * camera + octant[landmark], camera):
-        group_names, group = np.unique(group, return_inverse=True)
-        n, shared_shape = len(group_names), at.views.parameters.shape
-        shapes = (frames, n, 6), (n, *shared_shape), (frames, n, 6, 6)
-        sums = _Sums(np.zeros(shapes[0]), np.zeros(shapes[1]), np.zeros(shapes[2]))
-        _accumulate_group_scores(at, group, sums)
+    regions, group = np.unique((8 * observations.first_viewer + octant)[landmark], return_inverse=True)
+    n, shared_shape = len(regions), at.views.parameters.shape
+    by_region = _Sums(np.zeros((frames, n, 6)), np.zeros((n, *shared_shape)), np.zeros((frames, n, 6, 6)))
+    _accumulate_group_scores(at, group, by_region)
+    first = np.unique(regions // 8, return_index=True)[1]  # each camera's first region
+    by_camera = _Sums(*(np.add.reduceat(total, first, axis) for total, axis in zip(by_region, (1, 0, 1), strict=True)))
+    for sums in (by_region, by_camera):
         ratio = _scatter_ratio(sums, system, solver, covariance, noise_ratio)
         excess += np.maximum(median_filter(ratio, MEDIAN_FRAMES, mode="nearest") - 1.0, 0.0)
     return 1.0 + excess

@@ -67,7 +67,8 @@ class Features:
 
     def subset(self, index: IntArray | BoolArray) -> Features:
         """Return the keypoints selected by a mask or an index array."""
-        return Features(*(getattr(self, f.name)[index] for f in fields(self)))
+        rows = np.flatnonzero(index) if index.dtype == np.bool_ else index
+        return Features(*(getattr(self, f.name).take(rows, axis=0) for f in fields(self)))
 
     @classmethod
     def concatenate(cls, parts: Sequence[Features]) -> Features:

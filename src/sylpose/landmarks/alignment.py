@@ -154,10 +154,14 @@ def align(
     Raises:
         ValueError: no cameras.
     """
+    return align_locally(matches, [(np.asarray(rotation, float), np.asarray(translation, float), first_px)])[0]
+
+
+def align_locally(matches: Sequence[LandmarkMatches], starts: Sequence[AlignmentStart]) -> list[AlignmentResult]:
+    """Align landmarks of all cameras in one process, from each start. See `align`."""
     if not matches:
         raise ValueError("alignment needs at least one camera, got none")
-    start = np.asarray(rotation, float), np.asarray(translation, float), first_px
-    return align_from_starts(_LocalCameras(stack_matches(matches)), [start])[0]
+    return align_from_starts(_LocalCameras(stack_matches(matches)), starts)
 
 
 class AlignmentJob(NamedTuple):

@@ -181,7 +181,7 @@ class OverlayWriter:
         """
         if self._write_error is not None:  # FFmpeg would continue with a file that has no header, and crash
             raise self._write_error
-        frame = av.VideoFrame.from_ndarray(self.draw(images, objects), format="bgr24")
+        frame = av.VideoFrame.from_numpy_buffer(self.draw(images, objects), format="bgr24")
         frame = self._reformatter.reformat(frame, format="yuv420p", dst_colorspace=Colorspace.ITU709)
         frame.pts = self._count
         frame.time_base = 1 / self._stream.codec_context.framerate
@@ -278,7 +278,7 @@ def _place_image(tile: Image, camera: Camera, image: Image | None) -> Image:
         raise ValueError(
             f"camera {camera.name}: the image is {image.shape[1]}x{image.shape[0]}, its calibration {width}x{height}"
         )
-    inner[:] = cv2.resize(to_bgr(image), (w, h), interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
+    cv2.resize(to_bgr(image), (w, h), dst=inner, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
     return inner
 
 

@@ -20,7 +20,7 @@ from scipy.spatial.transform import RigidTransform
 from sylpose.features.sift import Features
 from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import FloatArray
-from sylpose.landmarks.alignment import AlignmentResult, AlignmentStart, LandmarkMatches, align
+from sylpose.landmarks.alignment import AlignmentResult, AlignmentStart, LandmarkMatches, align_locally
 from sylpose.relative_pose.terms import MIN_MATCHES
 from sylpose.results import FramePose
 from sylpose.rig import Rig
@@ -89,7 +89,8 @@ class LocalExecutor:
 
     def __init__(self, cameras: int, workers: int) -> None:
         self.local: Sequence[int] = range(cameras)
-        self._pool = ThreadPoolExecutor(workers, "camera")
+        self._n_helpers = min(workers, cameras) - 1  # besides the calling thread
+        self._pool = ThreadPoolExecutor(max(self._n_helpers, 1), "camera")
 
     def close(self) -> None:
         """Shut down the worker threads."""
@@ -97,7 +98,19 @@ class LocalExecutor:
 
     def run(self, function: Callable[..., T], *arguments: Iterable[object]) -> list[T]:
         """See `CameraExecutor`."""
-        return list(self._pool.map(function, *arguments))
+        calls = list(zip(*arguments, strict=False))
+        results, remaining = dict[int, T](), iter(range(len(calls)))
+
+        def work() -> None:
+            for k in remaining:  # each call is taken by one thread
+                results[k] = function(*calls[k])
+
+        helpers = [self._pool.submit(work) for _ in range(self._n_helpers)]
+        work()
+        for helper in helpers:
+            if not helper.cancel():  # it has begun
+                helper.result()
+        return [results[k] for k in range(len(calls))]
 
     def gather(self, reports: Sequence[T], default: T) -> list[T]:  # noqa: ARG002
         """See `CameraExecutor`."""
@@ -105,7 +118,7 @@ class LocalExecutor:
 
     def align(self, observations: Sequence[LandmarkMatches], starts: Sequence[AlignmentStart]) -> list[Alignment]:
         """See `CameraExecutor`."""
-        aligned = [align(observations, *start) for start in starts]
+        aligned = align_locally(observations, starts)
         return [(one, list(zip(one.weights, one.residuals, strict=True))) for one in aligned]
 
 

@@ -78,4 +78,7 @@ class RepetitionFilter:
 
 
 def _is_black(sample: Image | None) -> bool:
-    return sample is not None and float(np.mean(sample > MAX_BLACK_LEVEL)) <= MAX_BRIGHT_SHARE
+    if sample is None:
+        return False
+    bright = cv2.threshold(sample, MAX_BLACK_LEVEL, 1, cv2.THRESH_BINARY)[1]
+    return cv2.countNonZero(bright) <= MAX_BRIGHT_SHARE * sample.size

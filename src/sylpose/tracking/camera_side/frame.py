@@ -162,14 +162,10 @@ class FrameMatches:
 
     def subset(self, mask: BoolArray) -> FrameMatches:
         """Return the matches where the mask (n,) is True."""
-        return replace(
-            self,
-            indices=self.indices[mask],
-            pixels_i=self.pixels_i[mask],
-            pixels_j=self.pixels_j[mask],
-            normalized_i=self.normalized_i[mask],
-            normalized_j=self.normalized_j[mask],
-        )
+        rows = np.flatnonzero(mask)
+        points = self.pixels_i, self.pixels_j, self.normalized_i, self.normalized_j
+        indices = self.indices.take(rows, axis=0)
+        return FrameMatches(self.reference, self.earlier, indices, *(own.take(rows, axis=0) for own in points))
 
     @property
     def landmarks(self) -> Landmarks:
@@ -617,11 +613,9 @@ def add_evidence(
     pair = usable[int(np.argmax([((pair.pixels_j - pair.pixels_i) ** 2).sum() for pair in usable]))]
     first = earlier[pair.reference]
     assert first is not None
-    motion = pose * first.inv()
-    translation = motion.translation / np.linalg.norm(first.translation)
-    matches = pair.normalized_i, pair.normalized_j, camera.focal
-    # Contiguous as elsewhere: another layout would be compiled separately.
-    compared = compare_motions(*matches, np.ascontiguousarray(rotation_matrix_of(motion)), translation)
+    rotation = pose[:3, :3] @ first[:3, :3].T
+    translation = (pose[:3, 3] - rotation @ first[:3, 3]) / np.linalg.norm(first[:3, 3])
+    compared = compare_motions(pair.normalized_i, pair.normalized_j, camera.focal, rotation, translation)
     evidence = CameraEvidence(*compared[:4])
     return replace(agreement, evidence=evidence, evidence_reference=pair.reference if evidence.n else -1)
 

@@ -258,14 +258,14 @@ class SolvedFrame:
     is_contradicted: bool = False
     twist: FloatArray = field(default_factory=lambda: np.full(6, np.nan))
 
-    def camera_from_object(self, camera: Camera, c: int) -> RigidTransform | None:
-        """Return the object's pose in camera c when it took its image; None if the time offset is too large for that."""
-        seconds = self.time_offsets[c] if len(self.time_offsets) else 0.0
-        if seconds == 0.0:
-            return camera.camera_from_world * self.world_from_object
-        if np.isnan(self.twist).any():
-            return None
-        return _synchronize(camera.camera_from_world, seconds, self.twist) * self.world_from_object
+    def camera_from_object(self, camera: Camera, c: int) -> FloatArray | None:
+        """Return the object's pose in camera c, (4, 4), when it took its image; None if its time offset is too large."""
+        seconds, camera_from_world = self.time_offsets[c] if len(self.time_offsets) else 0.0, camera.camera_from_world
+        if seconds != 0.0:
+            if np.isnan(self.twist).any():
+                return None
+            camera_from_world = _synchronize(camera_from_world, seconds, self.twist)
+        return np.asarray(camera_from_world.as_matrix() @ self.world_from_object.as_matrix())
 
 
 @dataclass(frozen=True, eq=False)
