@@ -12,6 +12,8 @@ from sylpose.relative_pose.limits import HALF_DIGITS, MAX_SAMPLES
 # Distance from the affine epipolar constraint that perspective and noise explain, pixels, and the maximum number of
 # quadruples (choice).
 SEED_THRESHOLD_PX, N_QUADRUPLES = 1.0, 300
+# The same random quadruples each time (derived).
+QUADRUPLES = np.random.default_rng(0).random((N_QUADRUPLES, 4))
 # Cutoff of the deviation from an affine map along the epipolar line, in standard deviations of the bulk (choice).
 ALONG_CUTOFF = 6.0
 

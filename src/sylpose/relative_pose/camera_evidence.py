@@ -33,9 +33,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.numba_linalg import apply_rotvec, cholesky_solve, compute_median, dot, kernel, symmetric_eigen
+from sylpose.geometry.numba_linalg import apply_rotvec, cholesky_solve, compute_median, dot, kernel
 from sylpose.geometry.robust_loss import SIGMA_OF_MEDIAN
-from sylpose.relative_pose.affine_ransac import find_inliers
 from sylpose.relative_pose.terms import TermData, find_usable
 
 # Calibration errors that are no contradiction, standard deviations: rotation, radians, and relative focal length (choice:
@@ -69,14 +68,10 @@ MIN_POOLED = 3
 MIN_KEPT_POOLED = 3
 # Of a camera's matches, this share that the joint motion explains best is compared (choice).
 KEPT_SHARE = 0.9
-# If the excess of these is more than so many times its number of unknowns, they may be chance (choice).
-MAX_OWN_RATIO = 10.0
 # An explanation of a contradiction reduces the F ratio at least by this factor (choice).
 MIN_REDUCTION = 3.0
 # The ratio without a contradiction: explanations with ratios below it are alike (derived).
 EXPECTED_RATIO = 1.0
-# Random quadruples of the outlier rejection of a second start, and its tolerance, pixels (choice).
-QUADRUPLES, SEED_PX = np.random.default_rng(0).random((300, 4)), 2.0
 # Rounds of trimming, and steps of each fit (choice).
 N_TRIMS, N_STEPS = 8, 15
 # No excess is larger: a million times what the largest contradictions have (derived: keeps sums finite).
@@ -153,14 +148,7 @@ def compare_motions(
     limit = np.partition(sizes, n // MIN_SHARE)[n // MIN_SHARE]
     for i in range(n):
         own[i] = 1.0 if sizes[i] <= limit else 0.0
-    best = _measure_excess(x, y, focal, own, own_rotation, own_translation, rotation, translation)
-    if best[3] <= N_OWN * MAX_OWN_RATIO:
-        return best
-    # They may be chance. From most matches:
-    find_inliers(x, y, SEED_PX / focal, QUADRUPLES, own)
-    _start_from_affine(x, y, own, own_rotation, own_translation)
-    other = _measure_excess(x, y, focal, own, own_rotation, own_translation, rotation, translation)
-    return other if not other[3] <= best[3] else best
+    return _measure_excess(x, y, focal, own, own_rotation, own_translation, rotation, translation)
 
 
 def measure_excess(
@@ -237,47 +225,6 @@ def _measure_excess(
     excess = min(max(joint_cost - own_squares / effective, 0.0), MAX_EXCESS)
     unadjusted = max(joint_squares - own_squares, 0.0) / sigma**2
     return count, sigma, np.sqrt(joint_squares / own.sum()), excess, min(unadjusted, MAX_EXCESS)
-
-
-@kernel
-def _start_from_affine(
-    x: FloatArray, y: FloatArray, weights: FloatArray, rotation: FloatArray, translation: FloatArray
-) -> None:
-    """Write a motion with the epipolar lines of an affine fit: a rotation about the optical axis and a translation."""
-    mean, cov, total = np.zeros(4), np.zeros((4, 4)), 1e-300
-    point, values, vectors = np.empty(4), np.empty(4), np.empty((4, 4))
-    for step in range(2):
-        for i in range(len(x)):
-            if weights[i] > 0.0:
-                point[0], point[1], point[2], point[3] = x[i, 0], x[i, 1], y[i, 0], y[i, 1]
-                if step == 0:
-                    total += 1.0
-                    mean += point
-                else:
-                    for a in range(4):
-                        for b in range(4):
-                            cov[a, b] += (point[a] - mean[a]) * (point[b] - mean[b])
-        if step == 0:
-            mean /= total
-    symmetric_eigen(cov, values, vectors)
-    angle = np.arctan2(vectors[3, 0], vectors[2, 0]) - np.arctan2(-vectors[1, 0], -vectors[0, 0])
-    rotation[:] = 0.0
-    rotation[0, 0], rotation[1, 1], rotation[2, 2] = np.cos(angle), np.cos(angle), 1.0
-    rotation[1, 0], rotation[0, 1] = np.sin(angle), -np.sin(angle)
-    # Epipolar lines are normal to the second half of the hyperplane's normal, and pass near the mean displacement.
-    translation[0], translation[1], translation[2] = -vectors[3, 0], vectors[2, 0], 0.0
-    length = np.sqrt(translation[0] ** 2 + translation[1] ** 2)
-    if not length > 1e-9:
-        translation[0], length = 1.0, 1.0
-    translation /= length
-    # A rotation about the image's axes moves the mean onto its line.
-    offset = np.empty(2)
-    for a in range(2):
-        offset[a] = mean[2 + a] - rotation[a, 0] * mean[0] - rotation[a, 1] * mean[1]
-    across = offset[0] * -translation[1] + offset[1] * translation[0]
-    tilt, turned = np.array([-across * translation[0], -across * translation[1], 0.0]), np.empty((3, 3))
-    apply_rotvec(tilt, rotation, turned)
-    rotation[:] = turned
 
 
 @kernel

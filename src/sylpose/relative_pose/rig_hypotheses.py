@@ -28,7 +28,6 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.relative_pose.camera_evidence import (
     EXPECTED_RATIO,
     MAX_F_RATIO,
-    MAX_OWN_RATIO,
     MIN_BASELINE,
     MIN_MATCHES,
     MIN_REDUCTION,
@@ -50,6 +49,9 @@ MAX_PERMUTED = 4
 # A hypothesis explains a contradiction if it reduces the F ratio to at most this value (choice: right hypotheses have at
 # most 1.4, others at least 3; docs/calibrating.md).
 MAX_AGREEING = 2.0
+# Pairs of frames contradict a rig together if the median of their F ratios exceeds this, and a single one an explanation
+# (choice).
+MAX_PAIR_RATIO = 10.0
 # A contradiction needs so many pairs of frames, and so does its explanation; that of a late camera needs more, since six
 # lags of each camera are tried (choice).
 MIN_PAIRS, MIN_LATE_PAIRS = 2, 3
@@ -113,12 +115,11 @@ class HypothesisFit:
     @property
     def is_agreement(self) -> bool:
         """Whether the hypothesis explains a contradiction."""
-        max_ratio = min(MAX_AGREEING, self.given_ratio / MIN_REDUCTION)
         min_pairs = MIN_LATE_PAIRS if self.hypothesis.mistake is Mistake.LATE else MIN_PAIRS
         # Two pairs have no majority: a larger ratio makes up for that.
-        min_given = MAX_OWN_RATIO if self.n_pairs > MIN_PAIRS else MAX_F_RATIO
+        min_given = MAX_PAIR_RATIO if self.n_pairs > MIN_PAIRS else MAX_F_RATIO
         is_contradiction = self.n_pairs >= min_pairs and self.given_ratio > min_given
-        return is_contradiction and self.f_ratio <= max_ratio and self.worst_ratio <= MAX_OWN_RATIO
+        return is_contradiction and self.f_ratio <= MAX_AGREEING and self.worst_ratio <= MAX_PAIR_RATIO
 
 
 def list_hypotheses(rig: Rig) -> Iterator[Hypothesis]:

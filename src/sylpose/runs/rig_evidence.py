@@ -21,8 +21,9 @@ from sylpose.frames import FrameSet
 from sylpose.geometry.arrays import BoolArray, FloatArray, Image
 from sylpose.io.capture import Session
 from sylpose.io.capture.session import use_frames_as_coded
-from sylpose.relative_pose.camera_evidence import MAX_F_RATIO, MAX_OWN_RATIO, MIN_MATCHES
+from sylpose.relative_pose.camera_evidence import MAX_F_RATIO, MIN_MATCHES
 from sylpose.relative_pose.rig_hypotheses import (
+    MAX_PAIR_RATIO,
     MIN_PAIRS,
     CameraMatches,
     FramePair,
@@ -120,7 +121,7 @@ def examine_rig(rig: Rig, read_frames: Callable[[], Iterable[FrameSet]]) -> RigF
     span = evidence.frames[0][0], evidence.frames[-1][1]
     given = compute_f_ratios(rig, evidence.pairs, Hypothesis())
     fit = summarize(Hypothesis(), given, given)
-    if not (fit.n_pairs >= MIN_PAIRS and fit.given_ratio > MAX_OWN_RATIO):
+    if not (fit.n_pairs >= MIN_PAIRS and fit.given_ratio > MAX_PAIR_RATIO):
         return RigFindings(span, False, (), frozen, still)
     fits = [
         summarize(hypothesis, compute_f_ratios(rig, evidence.pairs, hypothesis), given)

@@ -21,8 +21,8 @@ from sylpose.features.sift import match_features
 from sylpose.frames import Box, FrameSet
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.methods import METHODS
-from sylpose.relative_pose.affine_ransac import find_inliers
-from sylpose.relative_pose.camera_evidence import QUADRUPLES, TREMBLE_SD, pool_f_ratios
+from sylpose.relative_pose.affine_ransac import QUADRUPLES, find_inliers
+from sylpose.relative_pose.camera_evidence import TREMBLE_SD, pool_f_ratios
 from sylpose.relative_pose.rig_hypotheses import CameraMatches, Hypothesis, compute_f_ratios
 from sylpose.relative_pose.second_motion import MIN_OUTLIER_RATIO
 from sylpose.relative_pose.terms import MIN_MATCHES

@@ -80,8 +80,6 @@ CHANCE_OFFSETS = ((6.0, 0.0), (0.0, 6.0), (-6.0, 0.0), (0.0, -6.0))
 MAX_SEARCH_PIXELS = 1920 * 1080
 # The surroundings of the object's outline are searched up to so many times its size (choice).
 SURROUNDINGS_SCALE = 2.0
-# Features closer than this, pixels, are the same (choice).
-DUPLICATE_PX = 1.5
 # Features per camera of an anchor (they are also used for matching, as anchors become keyframes); how many of them are
 # tracked; minimum number of new ones among those (choice).
 MAX_TRACKED, MIN_NEW_FEATURES = 170, 40
@@ -719,7 +717,8 @@ class CameraTracker:
         old = self.frames[last.number]
         detected = self.detect(view, self.rasterize(region), faint=True)
         if len(detected) and len(old.features):
-            detected = detected.subset(cKDTree(old.features.pixels).query(detected.pixels)[0] > DUPLICATE_PX)
+            # Nearer ones are the same within the accuracy of keypoints.
+            detected = detected.subset(cKDTree(old.features.pixels).query(detected.pixels)[0] > STATIC_PX)
         if not len(detected):
             return
         known, new = old.landmarks, self.create_frame(detected)
