@@ -5,7 +5,7 @@ rotations and transparent bodies cause mirrored minima. Each camera alone always
 its axis reversed, near and far exchanged. Mirror images of the first minimum are therefore tried as well, and the
 likeliest wins.
 
-Two cameras add initial rotations from the affine image motion of a flat object.
+The affine image motion of a flat object adds initial rotations.
 
 To first order, a plane that rotates by w and whose depth has the relative slopes s across the image is mapped by
 
@@ -13,8 +13,8 @@ To first order, a plane that rotates by w and whose depth has the relative slope
 
 with σ from its approach. A without σ and ω has determinant zero: a quadratic equation with two solutions, that of the
 plane and that of the second plane. Neither determines the length of r, so each gives a line of rotations. The lines of
-the cameras meet in the rotation. With two cameras, other pairs of lines may pass each other nearly as closely, so the
-midpoints of all pairs are tried.
+the cameras meet in the rotation. Others may pass each other nearly as closely, with two cameras in particular: the search
+starts at the points where one line of each camera meets best.
 
 Source: first-order structure from motion of planes, Longuet-Higgins, "The reconstruction of a plane surface from two
 perspective projections", 1984; the bas-relief ambiguity, Belhumeur, Kriegman, Yuille 1999; the intersection of the
@@ -27,7 +27,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sylpose.geometry.arrays import FloatArray
+from sylpose.geometry.arrays import FloatArray, IntArray
 from sylpose.geometry.normal_equations import eliminate_block
 from sylpose.geometry.numba_linalg import apply_rotvec, cholesky_solve, dot, kernel, leaf, so3_exp, so3_log
 from sylpose.relative_pose.limits import HALF_DIGITS, MAX_ROUNDS, ROUGHLY_CONVERGED_DECREASE
@@ -62,9 +62,8 @@ MAX_COST_RATIO = 4.0
 MAX_ROTATION_STEP = 0.5
 # Damping at first, and again after a rejected step (choice).
 INITIAL_DAMPING = 1e-4
-# Number of terms (matches of one camera with one frame) whose lines are combined: more terms hardly leave an ambiguity
-# (choice).
-N_AFFINE_TERMS = 2
+# Number of points where lines of rotations meet that are tried: as many as two cameras have (derived).
+N_MEETINGS = 4
 
 
 class Workspace(NamedTuple):
@@ -276,34 +275,87 @@ def estimate_affine_rotations(stack: Stack, sums: MomentSums, rotvecs: FloatArra
     """Set `rotvecs` to rotation vectors that fit the affine maps of the matches.
 
     Args:
-        rotvecs: (`2**N_AFFINE_TERMS`, 3), filled.
+        rotvecs: (K, 3), filled with the points where one line of each term meets best, in this order.
 
     Returns:
         number of rotation vectors.
     """
-    n = stack.focal.shape[0]
-    if n != N_AFFINE_TERMS:
-        return 0
-    points, along = np.empty((N_AFFINE_TERMS, 2, 3)), np.empty((N_AFFINE_TERMS, 2, 3))
+    n, n_lines = stack.focal.shape[0], 0
+    points, along = np.empty((n, 2, 3)), np.empty((n, 2, 3))
     translation = _estimate_translation(stack, sums)
     for t in range(n):
-        if not _compute_rotation_lines(stack, sums, t, translation, points[t], along[t]):
-            return 0
-    for k in range(2**N_AFFINE_TERMS):
-        left, right = np.zeros((3, 3)), np.zeros(3)
-        for t in range(n):
-            line = (k >> t) & 1
-            u, p = along[t, line], points[t, line]
-            along_line = p[0] * u[0] + p[1] * u[1] + p[2] * u[2]
-            for i in range(3):
-                right[i] += p[i] - along_line * u[i]
-                for j in range(3):
-                    left[i, j] -= u[i] * u[j]
-                left[i, i] += 1.0 + HALF_DIGITS
-        rotvecs[k] = right
-        if not cholesky_solve(left, rotvecs[k]):
-            return 0
-    return int(2**N_AFFINE_TERMS)
+        n_lines += _compute_rotation_lines(stack, sums, t, translation, points[n_lines], along[n_lines])
+    points, along = points[:n_lines], along[:n_lines]
+    gaps, rotvec, chosen = np.full(len(rotvecs), np.inf), np.empty(3), np.empty(n_lines, np.int64)
+    # Two lines meet somewhere; of each other term the line that passes nearer belongs to the same rotation. Of many terms,
+    # a few are enough to begin with.
+    n_first = min(n_lines, len(rotvecs))
+    for a in range(n_first):
+        for b in range(a + 1, n_first):
+            s, t = a * n_lines // n_first, b * n_lines // n_first
+            for k in range(4):
+                chosen[:] = -1
+                chosen[s], chosen[t] = k & 1, k >> 1
+                if not _intersect_lines(points, along, chosen, rotvec):
+                    continue
+                for other in range(n_lines):
+                    if chosen[other] < 0:
+                        first = _measure_distance(points[other, 0], along[other, 0], rotvec)
+                        second = _measure_distance(points[other, 1], along[other, 1], rotvec)
+                        chosen[other] = 0 if first <= second else 1
+                if not _intersect_lines(points, along, chosen, rotvec):
+                    continue
+                gap = 0.0
+                for term in range(n_lines):
+                    gap += _measure_distance(points[term, chosen[term]], along[term, chosen[term]], rotvec)
+                _insert_rotvec(rotvec, gap, rotvecs, gaps)
+    return int(np.isfinite(gaps).sum())
+
+
+@kernel
+def _intersect_lines(points: FloatArray, along: FloatArray, chosen: IntArray, rotvec: FloatArray) -> bool:
+    """Set rotvec (3,) to the point nearest to one chosen line of each term, or to none if -1; False without a point."""
+    left = np.zeros((3, 3))
+    rotvec[:] = 0.0
+    for t in range(len(chosen)):
+        if chosen[t] < 0:
+            continue
+        u, p = along[t, chosen[t]], points[t, chosen[t]]
+        along_line = dot(p, u)
+        for i in range(3):
+            rotvec[i] += p[i] - along_line * u[i]
+            for j in range(3):
+                left[i, j] -= u[i] * u[j]
+            left[i, i] += 1.0 + HALF_DIGITS
+    return cholesky_solve(left, rotvec)
+
+
+@leaf
+def _measure_distance(point: FloatArray, along: FloatArray, rotvec: FloatArray) -> float:
+    """Return the squared distance of a rotation vector from a line."""
+    square, along_line = 0.0, 0.0
+    for i in range(3):
+        difference = rotvec[i] - point[i]
+        square += difference * difference
+        along_line += difference * along[i]
+    return square - along_line * along_line
+
+
+@kernel
+def _insert_rotvec(rotvec: FloatArray, gap: float, rotvecs: FloatArray, gaps: FloatArray) -> None:
+    """Insert a rotation vector into the list sorted by gaps unless it is a duplicate."""
+    last = len(gaps) - 1
+    for k in range(last + 1):
+        difference = rotvecs[k] - rotvec
+        if np.isfinite(gaps[k]) and dot(difference, difference) <= SAME_MOTION**2 * dot(rotvec, rotvec):
+            return
+    if not gap < gaps[last]:
+        return
+    k = last
+    while k > 0 and gap < gaps[k - 1]:
+        rotvecs[k], gaps[k] = rotvecs[k - 1], gaps[k - 1]
+        k -= 1
+    rotvecs[k], gaps[k] = rotvec, gap
 
 
 @kernel
@@ -418,7 +470,7 @@ def search_minima(stack: Stack, sums: MomentSums, guesses: InitialMotions, minim
     n_mirrors, axes = n_axes + 1, np.zeros((n_axes + 1, 3))
     for k in range(n_axes):
         axes[k] = stack.qx[k * n // n_axes, 2]
-    affine_rotvecs = np.zeros((2**N_AFFINE_TERMS, 3))
+    affine_rotvecs = np.zeros((N_MEETINGS, 3))
     n_affine = estimate_affine_rotations(stack, sums, affine_rotvecs)
     rotvec, mirrored_rotvec = np.zeros(3), np.empty(3)
     first_translation, first_depth_model, count = np.zeros(3), np.zeros((n, 3)), 0
@@ -445,7 +497,7 @@ def search_minima(stack: Stack, sums: MomentSums, guesses: InitialMotions, minim
         else:
             so3_exp(affine_rotvecs[guess - n_guesses], candidate.rotation)
             candidate.translation[:] = first_translation
-        if (0 < start <= 2 * n_mirrors and start % 2 == 0) or guess >= n_guesses:
+        if 0 < start <= 2 * n_mirrors and start % 2 == 0:
             done, _, _ = descend(stack, sums, True, MIRROR_STEPS, candidate, INITIAL_DAMPING, workspace)
             count += done
         decrease, damping = np.inf, INITIAL_DAMPING
