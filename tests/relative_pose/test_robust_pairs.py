@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform
 
 from benchmarks.robust_pairs import (
     SETTINGS,
@@ -21,6 +22,7 @@ from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.matches import Matches
 from sylpose.relative_pose import motion_mixture
 from sylpose.relative_pose.motion import estimate_motion
+from sylpose.simulate import arc, ellipsoid, simulate_matches
 from sylpose.status import Status
 from tests.scenes import compute_motion_error, compute_nees, compute_rotation_degrees
 
@@ -93,6 +95,17 @@ def test_few_moving_matches(n: int, few: int) -> None:
         pairs = zip(still.matches, moving.matches, strict=True)
         matches = [Matches(np.vstack([a.x[:n], b.x[:few]]), np.vstack([a.y[:n], b.y[:few]])) for a, b in pairs]
         assert not evaluate_result(estimate_motion(rig, matches), moving.motion).is_wrong_and_sure
+
+
+@pytest.mark.parametrize("n_cameras", [2, 4])
+def test_mismatches_of_an_object_at_rest_are_no_motion(n_cameras: int) -> None:
+    rig, motion = arc(n_cameras, 90.0, 2.5), RigidTransform.identity()
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        pair = simulate_matches(
+            rig, ellipsoid(), motion, rng=rng, per_camera=100, noise_px=0.5, outliers=0.05, outlier_kind="uniform"
+        )
+        assert estimate_motion(rig, pair.matches).status is Status.NO_MOTION
 
 
 def test_mixture_converges_from_all_static(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -314,7 +314,7 @@ class LandmarkTable:
         displacements, others = positions - means[rows], np.flatnonzero(is_other)
         if len(rows) >= N_MOVED_NEIGHBORS and len(others) and np.isfinite(displacements).all():
             _, nearest = cKDTree(means[rows]).query(means[others], N_MOVED_NEIGHBORS)
-            # The median of so few is found by sorting in half of the time of NumPy's.
+            # The median of so few, an even number, is found by sorting in half of the time of NumPy's.
             ordered, middle = np.sort(displacements.T[:, nearest], axis=2), N_MOVED_NEIGHBORS // 2
             means[others] += ordered[:, :, middle - 1 : middle + 1].mean(axis=2).T
         means[rows] = positions

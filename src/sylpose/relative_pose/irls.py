@@ -71,16 +71,16 @@ COARSE_KEYPOINT_COST = float(2.0 * np.log(COARSE_SIGMA_FACTOR) + np.log(10.0))
 MISMATCH_RANGE = 4.0
 # Unknowns of the motion (derived).
 N_MOTION = 6
-# They and a depth model, which has as many, absorb a share of the squares; of the fewest matches that are fitted, this is
-# left (derived).
+# They absorb a share of the squares; of the fewest matches that are fitted, this is left (derived). So is of a depth model,
+# whose term may have fewer (choice).
 MIN_FREEDOM_SHARE = 1.0 - N_MOTION / MIN_MATCHES
 # Neighbors have similar residual depths: only this many of a term's matches are independent in this respect (choice).
 INDEPENDENT_MATCHES = 6.0
 # A camera with `MIN_MATCHES` or more, of which fewer than this share agree, is excluded; junk alone reaches about a
 # tenth. This requires another camera with twice this share, or it is undecided which one is right (choice).
 CAMERA_MIN_SHARE = 0.3
-# More of a camera's matches do not agree by chance, and at most so few of a rejected one: otherwise two motions are about
-# equally large (choice).
+# A camera is rejected as a whole if at most the second share of its matches are inliers, and it may be at fault if more than
+# the first share of the others' are: otherwise two motions are about equally large (choice).
 MIN_AGREEING_SHARE, MAX_REJECTED_SHARE = 0.66, 0.2
 
 

@@ -6,7 +6,8 @@ import numpy as np
 
 # Half of the digits of a number (derived). A share of it that is added to the diagonal of normal equations keeps them
 # solvable and changes a step by less than the linearization does. It is also the share of a prior that determines what
-# the data leave open, and its inverse is the weight of an equation that is to hold exactly: both to half of the digits.
+# the data leave open, or that an estimated variance keeps, and the tolerance of iterations that cost little; its inverse is
+# the weight of an equation that is to hold exactly.
 HALF_DIGITS = float(np.sqrt(np.finfo(float).eps))
 # Maximum number of matches, regularly selected, where more would only cost time: in rankings of hypotheses and comparisons
 # of neighbors (choice).

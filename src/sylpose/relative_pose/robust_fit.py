@@ -25,8 +25,9 @@ from sylpose.relative_pose.terms import MIN_MATCHES, InitialMotions, Stack, copy
 # denominators at the mean rays, misjudge it by some tens for large rotations (choice).
 MAX_MINIMA, MAX_LIKELIHOOD_GAP = 4, 60.0
 # Passes with few terms (matches of one camera with one frame), and how many are few (choice: without the second pass 25
-# instead of 19 of 224 pairs of images are wrong and sure, docs/history/benchmarks.md).
-N_PASSES, MAX_FEW_TERMS = 2, 2
+# instead of 18 of 224 pairs of images are wrong and sure). Later passes skip minima whose rotation differs from a refined
+# one by less than this share of the rotation (choice).
+N_PASSES, MAX_FEW_TERMS, SAME_ROTATION_SHARE = 2, 2, 0.1
 
 
 class RefinedMinima(NamedTuple):
@@ -94,6 +95,8 @@ def fit_robust_motion(stack: Stack, usable: FloatArray, picks: FloatArray, guess
             if not minima.likelihoods[m] > (
                 minima.likelihoods[0] - MAX_LIKELIHOOD_GAP if decrease < CONVERGED_DECREASE else -np.inf
             ):
+                continue
+            if pass_index > 0 and _is_refined(minima.rotations[m], refined, MAX_MINIMA * pass_index + m):
                 continue
             # Start at the minimum, with everything else at its prior.
             trial.sigma_px[:], trial.weights[:] = first_sigma, 0.0
@@ -164,6 +167,22 @@ def draw_and_fit(stack: Stack, usable: BoolArray, guesses: InitialMotions, rng: 
     """Run `fit_robust_motion` with quadruples drawn from rng."""
     # Pass probabilities, as for a mixture: a single compiled version is sufficient.
     return fit_robust_motion(stack, usable.astype(np.float64), rng.random((N_QUADRUPLES, 4)), guesses)
+
+
+@kernel
+def _is_refined(rotation: FloatArray, refined: RefinedMinima, count: int) -> bool:
+    """Return whether one of the first `count` refined minima has about this rotation (3, 3)."""
+    rotation_gap = 3.0 - (rotation[0, 0] + rotation[1, 1] + rotation[2, 2])
+    for k in range(count):
+        if not refined.costs[k] < np.inf:
+            continue
+        gap = 3.0
+        for i in range(3):
+            for j in range(3):
+                gap -= rotation[i, j] * refined.rotations[k, i, j]
+        if gap < SAME_ROTATION_SHARE**2 * rotation_gap:
+            return True
+    return False
 
 
 @kernel

@@ -52,8 +52,8 @@ CHECK_STEPS, MAX_LIKELIHOOD_GAP = 3, 300.0
 PLANE_STEPS, MIRROR_STEPS, PLANE_TOLERANCE = 12, 3, 1.0
 # Maximum number of steps of the full cost from each start (choice).
 MAX_STEPS = 20
-# Two minima are the same if their rotations, radians, and their translations, relative to their length, differ by less
-# (choice).
+# Two minima are the same if their rotations, radians, and their translations, relative to their length, differ by less; so
+# are two starts if their rotations, relative to their angle, do (choice).
 SAME_MOTION = 0.01
 # A term whose mean square exceeds the median of the terms by this factor, or this value, is down-weighted in the search
 # (choice).
@@ -62,8 +62,9 @@ MAX_COST_RATIO = 4.0
 MAX_ROTATION_STEP = 0.5
 # Damping at first, and again after a rejected step (choice).
 INITIAL_DAMPING = 1e-4
-# Number of points where lines of rotations meet that are tried: as many as two cameras have (derived).
-N_MEETINGS = 4
+# Number of points where lines of rotations meet that are tried, as many as two cameras have; number of terms whose axes
+# mirror, and of those that the lines are first taken from (choice: docs/history/benchmarks.md).
+N_MEETINGS, MAX_FIRST_TERMS = 4, 4
 
 
 class Workspace(NamedTuple):
@@ -289,7 +290,7 @@ def estimate_affine_rotations(stack: Stack, sums: MomentSums, rotvecs: FloatArra
     gaps, rotvec, chosen = np.full(len(rotvecs), np.inf), np.empty(3), np.empty(n_lines, np.int64)
     # Two lines meet somewhere; of each other term the line that passes nearer belongs to the same rotation. Of many terms,
     # a few are enough to begin with.
-    n_first = min(n_lines, len(rotvecs))
+    n_first = min(n_lines, MAX_FIRST_TERMS)
     for a in range(n_first):
         for b in range(a + 1, n_first):
             s, t = a * n_lines // n_first, b * n_lines // n_first
@@ -303,7 +304,8 @@ def estimate_affine_rotations(stack: Stack, sums: MomentSums, rotvecs: FloatArra
                         first = _measure_distance(points[other, 0], along[other, 0], rotvec)
                         second = _measure_distance(points[other, 1], along[other, 1], rotvec)
                         chosen[other] = 0 if first <= second else 1
-                if not _intersect_lines(points, along, chosen, rotvec):
+                # Lines that are nearly parallel meet beyond all rotations.
+                if not _intersect_lines(points, along, chosen, rotvec) or dot(rotvec, rotvec) > np.pi**2:
                     continue
                 gap = 0.0
                 for term in range(n_lines):
@@ -465,8 +467,8 @@ def search_minima(stack: Stack, sums: MomentSums, guesses: InitialMotions, minim
     n, n_guesses = stack.focal.shape[0], guesses.rotations.shape[0]
     candidate, workspace = Candidate(np.eye(3), np.zeros(3), np.empty((n, 3))), make_workspace(n)
     minima.likelihoods[:] = -np.inf
-    # The optical axes of as many cameras as minima are kept, and a zero row for the reversed rotation.
-    n_axes = min(n, len(minima.likelihoods))
+    # Some optical axes, and a zero row for the reversed rotation.
+    n_axes = min(n, MAX_FIRST_TERMS)
     n_mirrors, axes = n_axes + 1, np.zeros((n_axes + 1, 3))
     for k in range(n_axes):
         axes[k] = stack.qx[k * n // n_axes, 2]

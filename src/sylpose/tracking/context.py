@@ -7,6 +7,7 @@ of the rig, and is identical on all of them.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
@@ -99,17 +100,24 @@ class LocalExecutor:
     def run(self, function: Callable[..., T], *arguments: Iterable[object]) -> list[T]:
         """See `CameraExecutor`."""
         calls = list(zip(*arguments, strict=False))
-        results, remaining = dict[int, T](), iter(range(len(calls)))
+        results, errors = dict[int, T](), dict[int, BaseException]()
+        remaining = iter(range(len(calls)))
 
         def work() -> None:
-            for k in remaining:  # each call is taken by one thread
-                results[k] = function(*calls[k])
+            for k in remaining:  # in order; each call is taken by one thread
+                try:
+                    results[k] = function(*calls[k])
+                except BaseException as error:
+                    errors[k] = error
+                    deque(remaining, maxlen=0)  # no more calls begin
 
-        helpers = [self._pool.submit(work) for _ in range(self._n_helpers)]
+        helpers = [self._pool.submit(work) for _ in range(min(self._n_helpers, len(calls) - 1))]
         work()
         for helper in helpers:
             if not helper.cancel():  # it has begun
                 helper.result()
+        if errors:
+            raise errors[min(errors)]
         return [results[k] for k in range(len(calls))]
 
     def gather(self, reports: Sequence[T], default: T) -> list[T]:  # noqa: ARG002

@@ -19,6 +19,10 @@ MAX_LATE_INTERVALS = 2.0
 N_RECENT = 64
 # The clocks of cameras and of this computer drift apart by at most this share (choice: twice that of usual crystals).
 MAX_DRIFT = 2e-4
+# Quantile of the recent differences between frame times that is the interval: dropped frames lengthen them (choice).
+INTERVAL_QUANTILE = 0.25
+# Seconds that a search is assumed to take before one was measured (choice: several times that of a desktop computer).
+ASSUMED_SECONDS = 0.1
 # A search is not worth doing on fewer than this share of its pixels (choice).
 MIN_SHARE = 0.25
 # Where a search would make even a punctual frame late, its duration is forgotten at this rate per frame, as the machine
@@ -47,7 +51,8 @@ class SearchClock:
         self._least_delay = min(self._least_delay + MAX_DRIFT * abs(elapsed), self._clock() - frame_time)
         intervals = np.diff(self._times)
         if (intervals > 0).any():
-            self._allowance = MAX_LATE_INTERVALS * float(np.median(intervals[intervals > 0]))
+            interval = float(np.quantile(intervals[intervals > 0], INTERVAL_QUANTILE))
+            self._allowance = MAX_LATE_INTERVALS * interval
             self._deadline = frame_time + self._least_delay + self._allowance
 
     def share(self, kind: str, min_share: float = MIN_SHARE) -> float:
@@ -57,12 +62,11 @@ class SearchClock:
             kind: of the search; each has its own duration.
             min_share: smallest share worth searching; 1 for a search that cannot be shortened.
         """
-        remaining, seconds = self._deadline - self._clock(), self._seconds.get(kind)
-        if seconds is None:  # it must be tried to be measured
-            return float(remaining > 0.0)
+        # Unmeasured, half of the time is assumed to be enough: else it would never be tried.
+        seconds = self._seconds.get(kind, min(ASSUMED_SECONDS, 0.5 * self._allowance))
         if min_share * seconds > self._allowance:
             self._seconds[kind] = FORGETTING * seconds
-        share = remaining / seconds
+        share = (self._deadline - self._clock()) / seconds
         return 0.0 if share < min_share else min(share, 1.0)
 
     @contextmanager
