@@ -18,10 +18,10 @@ from pathlib import Path
 
 RUN = """
 import json, resource, sys, time
-from sylpose import open_session, track_session
+from sylpose import RunOptions, open_session, track_session
 session, out, method, smooth = sys.argv[1:5]
 start = time.perf_counter()
-run = track_session(open_session(session), out, method=method, smooth=smooth == "yes")
+run = track_session(open_session(session), out, RunOptions(method=method, smooth=smooth == "yes"))
 memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 print(json.dumps({"frames": len(run.trajectory), "solved": int(run.trajectory.measured_mask.sum()),
                   "seconds": time.perf_counter() - start, "parts": run.seconds, "memory_mb": memory}))

@@ -39,15 +39,15 @@ from benchmarks.tracking_scenes import BUILDERS, build_recording, render_recordi
 
 RUN = """
 import json, pathlib, resource, sys, time
-from sylpose import open_session, track_session
+from sylpose import RunOptions, open_session, track_session
 from sylpose.relative_pose.solver import warm_up
 session, out, options = sys.argv[1:4]
 warm_up()
 memory, status = [], pathlib.Path("/proc/self/statm")
-def watch(_):
+def watch(*_):
     memory.append(int(status.read_text().split()[1]) if status.exists() else 0)
 start = time.perf_counter()
-run = track_session(open_session(session), out, overlay=False, on_frame=watch, **json.loads(options))
+run = track_session(open_session(session), out, RunOptions(overlay=False, **json.loads(options)), on_frame=watch)
 seconds = time.perf_counter() - start
 peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 parts = getattr(run, "seconds", {})
