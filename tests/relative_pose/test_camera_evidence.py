@@ -100,6 +100,23 @@ def test_good_rigs_do_not_contradict_themselves(cameras: int) -> None:
     assert max(ratios) < 4.0
 
 
+@pytest.mark.parametrize("count", [12, 20, 28])
+def test_few_matches_are_evidence(count: int) -> None:
+    """From twice as many as there are unknowns, they agree with the true motion, and contradict another one."""
+    other = RigidTransform.from_rotation(Rotation.from_rotvec([0.1, 0.1, 0.1]))
+    right, wrong = list[float](), list[float]()
+    for seed in range(12):
+        rig, matches, motion = make_pair(2, seed)
+        terms = make_terms(rig, [Matches(m.x[:count], m.y[:count]) for m in matches])
+        for tested, ratios in ((motion, right), (motion * other, wrong)):
+            rotation = tested.rotation.as_matrix()
+            found = [measure_evidence(term, np.zeros(3), rotation, tested.translation) for term in terms]
+            assert any(own.n >= 10 for own in found)
+            ratios.append(get_f_ratio(found))
+    assert np.nanmedian(right) < 3.0
+    assert np.nanmedian(wrong) > 30.0
+
+
 @pytest.mark.parametrize("corrupt", [mirror, turn_upside_down, exchange])
 def test_rigs_that_are_wrong_as_a_whole_contradict_themselves(
     corrupt: Callable[[Rig, Sequence[Matches]], tuple[Rig, list[Matches]]],

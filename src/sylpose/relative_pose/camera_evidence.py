@@ -145,7 +145,8 @@ def compare_motions(
     # Least trimmed squares, from the matches that the joint motion explains best: other bodies may have more.
     _compute_residuals(x, y, focal, rotation, translation, residuals)
     sizes = np.abs(residuals)
-    limit = np.partition(sizes, n // MIN_SHARE)[n // MIN_SHARE]
+    last = max(n // MIN_SHARE, MIN_MATCHES - 1)
+    limit = np.partition(sizes, last)[last]
     for i in range(n):
         own[i] = 1.0 if sizes[i] <= limit else 0.0
     return _measure_excess(x, y, focal, own, own_rotation, own_translation, rotation, translation)
