@@ -15,7 +15,7 @@ from sylpose.geometry.validation import check_list, check_type
 from sylpose.mesh import Mesh
 from sylpose.rig import Camera, Rig
 from sylpose.silhouettes.background import OUTLINE_PX, Silhouette, estimate_background, find_silhouette, level_images
-from sylpose.silhouettes.rendering import render_mesh
+from sylpose.silhouettes.rendering import render_mesh, zoom_camera
 from sylpose.silhouettes.visual_hull import (
     CORE_DEPTH,
     HullGrid,
@@ -205,11 +205,7 @@ def _collect_images(
     masks = [
         None if (mask := pairs[k][1]) is None else reduce(np.where(mask, 255, 0).astype(np.uint8)) > 127 for k in shown
     ]
-    # Pixel (u, v) is the mean of the pixels from (step u, step v) on.
-    matrix = camera.matrix / step
-    matrix[:2, 2] -= (step - 1) / (2 * step)
-    matrix[2, 2] = 1
-    reduced = replace(camera, matrix=matrix, size=(width, height))
+    reduced = zoom_camera(camera, (np.zeros(2, int), step * np.array([width, height])), 1 / step)
     return _CameraImages(reduced, shown, images[: len(shown)], masks, images[len(shown) :])
 
 
@@ -226,9 +222,7 @@ def _crop_to_region(
     first = np.clip(np.floor(pixels.min(axis=0)).astype(int) - CROP_MARGIN, 0, np.array(of.camera.size) - 1)
     last = np.clip(np.ceil(pixels.max(axis=0)).astype(int) + CROP_MARGIN, first, np.array(of.camera.size) - 1)
     window = slice(first[1], last[1] + 1), slice(first[0], last[0] + 1)
-    matrix = of.camera.matrix.copy()
-    matrix[:2, 2] -= first
-    camera = replace(of.camera, matrix=matrix, size=(int(last[0] - first[0]) + 1, int(last[1] - first[1]) + 1))
+    camera = zoom_camera(of.camera, (first, last + 1))
     masks = [None if mask is None else mask[window] for mask in of.masks]
     images, others = ([image[window] for image in some] for some in (of.images, of.others))
     return _CameraImages(camera, of.frames, images, masks, others)

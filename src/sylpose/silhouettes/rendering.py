@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -32,6 +33,23 @@ class Rendering(NamedTuple):
     def mask(self) -> BoolArray:
         """(h, w) whether the pixel shows the mesh."""
         return np.asarray(self.face >= 0)
+
+
+def zoom_camera(camera: Camera, window: tuple[IntArray, IntArray] | None = None, factor: float = 1.0) -> Camera:
+    """Return the camera of a part of the image that is enlarged or reduced.
+
+    Args:
+        camera: of the whole image.
+        window: (2,) first pixel of the part and (2,) the one after its last; None: the whole image.
+        factor: ratio of the sizes; the part's size must become an integer.
+    """
+    first, end = (np.zeros(2), np.array(camera.size)) if window is None else window
+    matrix = camera.matrix * factor
+    # Pixels are numbered by their centers.
+    matrix[:2, 2] = (camera.matrix[:2, 2] - first + 0.5) * factor - 0.5
+    matrix[2, 2] = 1
+    width, height = (round(float(side) * factor) for side in end - first)
+    return replace(camera, matrix=matrix, size=(width, height))
 
 
 def render_mesh(mesh: Mesh, camera: Camera, world_from_object: RigidTransform) -> Rendering:

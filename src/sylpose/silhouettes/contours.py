@@ -1,0 +1,405 @@
+"""Alignment of a known mesh with the outlines of its silhouettes in all cameras, and the pose's covariance.
+
+At a pose the mesh is drawn into each camera. Along the drawn outline the signed distance to the observed one is a
+measurement; both distances are computed from covered shares of pixels in the same way, so that rounding cancels. Neighbors
+along an outline have similar errors: the covariance is multiplied by the correlation length of the residuals. The errors'
+common part in a camera, an outline too far outside or inside, is an unknown with a prior. Compare M. Stoiber and others,
+"SRT3D: a sparse region-based 3D object tracking approach for the real world", 2022: color statistics on both sides of the
+outline, without a background.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.signal import correlate
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sylpose.geometry.arrays import BoolArray, FloatArray, FloatImage, IntArray
+from sylpose.geometry.matrices import enlarge_covariance
+from sylpose.geometry.robust_loss import biquartic_weights, robust_sigma
+from sylpose.mesh import Mesh
+from sylpose.rig import Camera
+from sylpose.silhouettes.background import OUTLINE_PX, Silhouette
+from sylpose.silhouettes.rendering import render_mesh, zoom_camera
+from sylpose.silhouettes.visual_hull import SUBPIXELS, measure_outline_distances
+
+# Least standard deviation of an outline, pixels (derived: the subdivision of pixels for distances, uniformly distributed).
+MIN_SIGMA = 12.0**-0.5 / SUBPIXELS
+# Residuals beyond so many standard deviations have no weight (derived: 95 % efficiency at 4.7 for similar functions).
+CUTOFF = 5.0
+# Standard deviation of the common error of all outlines in a camera, pixels (measured: blur and the threshold between object
+# and background move the outlines of rendered bodies by 0.1 to 0.3 pixels).
+OFFSET_SD = 0.3
+# Steps at most; a pose has converged where the squared step is less than this part of its variance (choice: a fifth of the
+# standard deviation).
+MAX_STEPS, STEP_TOLERANCE = 12, 0.04
+# Standard deviation of a step's prior, in radii of the object: less than a turn onto another side (choice).
+MAX_STEP = 0.3
+# Rotation of the drawings for derivatives, radians (choice: ten degrees, more than the facets of round meshes), and standard
+# deviation of their outlines, pixels (derived: facets of a circle of 100 pixels at most half of that rotation wide).
+DIFFERENCE, DRAWING_SD = np.deg2rad(10.0), 0.2
+# Standard deviation of a rotation of which nothing is known, radians (derived: uniform up to half a turn).
+ANY_ANGLE_SD = np.pi / 3**0.5
+# Segments of each part of an outline that count as independent (choice: several for each unknown, each longer than errors).
+SEGMENTS = 8
+# Points of an outline that determine a pose at least (derived: three for each unknown).
+MIN_POINTS = 18
+# Pixels about the object's image that are drawn (derived: more than the outline's refinement).
+MARGIN = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Outline:
+    """Outlines of what is before the background of a camera.
+
+    Attributes:
+        camera: the camera.
+        distance: (h, w) signed distance to them, pixels, positive inside.
+        is_known: (h, w) whether the background around the pixel is known, so that an outline there is an edge of a body.
+        pixels: (n, 2) pixels along them, as integers u, v.
+    """
+
+    camera: Camera
+    distance: FloatImage
+    is_known: BoolArray
+    pixels: IntArray
+
+    @classmethod
+    def of(cls, camera: Camera, silhouette: Silhouette) -> Outline:
+        """Return the outlines of a camera's silhouette."""
+        around = np.ones((2 * OUTLINE_PX + 1,) * 2, np.uint8)
+        unknown = cv2.dilate((silhouette.log_odds == 0).astype(np.uint8), around)
+        is_known = np.asarray(unknown == 0)
+        pixels = np.concatenate([np.empty((0, 2), int), *_trace_outlines(silhouette.share > 0.5)])
+        pixels = pixels[is_known[pixels[:, 1], pixels[:, 0]]]
+        return cls(camera, measure_outline_distances(silhouette), is_known, pixels)
+
+
+@dataclass(frozen=True, eq=False)
+class Contour:
+    """A mesh's drawn outline in one camera, with its distances to the observed one.
+
+    Attributes:
+        points: (n, 3) on the mesh, in the world.
+        pixels: (n, 2) theirs, in order along each part of the outline.
+        normals: (n, 2) outward unit normals.
+        residuals: (n,) how far outside the observed outline is, pixels; NaN where it is not known.
+        part: (n,) number of the part of the outline.
+        unexplained: (m,) distances of the observed outline's pixels to the drawn one.
+    """
+
+    points: FloatArray
+    pixels: FloatArray
+    normals: FloatArray
+    residuals: FloatArray
+    part: IntArray
+    unexplained: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """Pose of a mesh that agrees best with the outlines near a start.
+
+    Attributes:
+        world_from_object: the pose.
+        covariance: (6, 6) of (w, d), docs/conventions.md; along rotations that no outline shows that of any angle.
+        sigma: robust standard deviation of the residuals, pixels.
+        correlation: number of neighboring residuals that count as one.
+        inliers: (C,) number of points of the outline that agree; `points`: (C,) of all.
+        points: (C,) number of points of the outline whose distance is known.
+        residuals: (C,) rms residual of the inliers, pixels; NaN without.
+        has_converged: whether the last step was short.
+    """
+
+    world_from_object: RigidTransform
+    covariance: FloatArray
+    sigma: float
+    correlation: float
+    inliers: IntArray
+    points: IntArray
+    residuals: FloatArray
+    has_converged: bool
+
+
+def _trace_outlines(mask: BoolArray) -> list[IntArray]:
+    """Return the outermost pixels (n, 2), u and v, of each part of a mask, in order; not those at the image's border."""
+    traced, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    last = np.array(mask.shape[::-1]) - 1
+    parts = [np.asarray(part[:, 0], int) for part in traced]
+    return [part[((part > 0) & (part < last)).all(axis=1)] for part in parts]
+
+
+def measure_contour(mesh: Mesh, outline: Outline, world_from_object: RigidTransform) -> Contour | None:
+    """Draw a mesh into a camera and measure the distances of its outline to the observed one; None if it is not in view."""
+    camera = outline.camera
+    drawn = draw_window(mesh, camera, world_from_object)
+    if drawn is None:
+        return None
+    corner, share, inverse_depth = drawn
+    distance = measure_outline_distances(Silhouette(share, share))
+    gradient = np.stack([cv2.Sobel(distance, cv2.CV_32F, *order, ksize=3) for order in ((1, 0), (0, 1))], axis=-1)
+    parts = _trace_outlines(share > 0.5)
+    traced = np.concatenate([np.empty((0, 2), int), *parts])
+    pixels = traced + corner
+    at_border = ((pixels == 0) | (pixels == np.array(camera.size) - 1)).any(axis=1)
+    columns, rows = traced.T
+    steps = -gradient[rows, columns].astype(float)
+    length = np.linalg.norm(steps, axis=1)
+    normals = steps / np.maximum(length, 1e-9)[:, None]
+    observed = outline.distance[pixels[:, 1], pixels[:, 0]].astype(float)
+    # The point of the observed outline that the distance is of.
+    slope = _sample_gradient(outline.distance, pixels)
+    foot = np.rint(pixels - observed[:, None] * slope).astype(int)
+    foot = np.clip(foot, 0, np.array(camera.size) - 1)
+    is_known = outline.is_known[foot[:, 1], foot[:, 0]] & ~at_border & (length > 0)
+    residuals = np.where(is_known, observed - distance[rows, columns], np.nan)
+    depth = 1.0 / inverse_depth[rows, columns].astype(float)
+    in_camera = np.column_stack([camera.normalize(pixels.astype(float)), np.ones(len(pixels))]) * depth[:, None]
+    number = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+    inside = outline.pixels - corner
+    last = np.array(distance.shape[::-1]) - 1
+    is_near = ((inside >= 0) & (inside <= last)).all(axis=1)
+    unexplained = np.full(len(inside), np.inf)
+    u, v = outline.pixels[is_near].T
+    unexplained[is_near] = outline.distance[v, u] - distance[inside[is_near, 1], inside[is_near, 0]]
+    points = camera.camera_from_world.inv().apply(in_camera)
+    return Contour(points, pixels.astype(float), normals, residuals, number, unexplained)
+
+
+def draw_window(
+    mesh: Mesh, camera: Camera, world_from_object: RigidTransform
+) -> tuple[IntArray, FloatImage, FloatImage] | None:
+    """Draw a mesh into the part of a camera's image where it is.
+
+    Returns:
+        (2,) the first pixel of the part; (h, w) the covered shares of its pixels; (h, w) their largest inverse depth, 0
+        without the mesh. None if the mesh is not in the image, or reaches behind the camera.
+    """
+    pixels = camera.project(world_from_object.apply(mesh.vertices))
+    if not np.isfinite(pixels).all():
+        return None
+    first = np.clip(np.floor(pixels.min(axis=0)) - MARGIN, 0, camera.size).astype(int)
+    last = np.clip(np.ceil(pixels.max(axis=0)) + MARGIN + 1, 0, camera.size).astype(int)
+    width, height = (last - first).tolist()
+    if width < 1 or height < 1:
+        return None
+    fine = render_mesh(mesh, zoom_camera(camera, (first, last), SUBPIXELS), world_from_object)
+    inverse_depth = fine.inverse_depth.reshape(height, SUBPIXELS, width, SUBPIXELS)
+    share = (inverse_depth > 0).mean(axis=(1, 3), dtype=np.float32)
+    return first, share, inverse_depth.max(axis=(1, 3))
+
+
+def _sample_gradient(distance: FloatImage, pixels: IntArray) -> FloatArray:
+    """Return the gradient (n, 2) of an image at pixels (n, 2) by central differences."""
+    u, v = pixels.T
+    height, width = distance.shape
+    left, right = np.maximum(u - 1, 0), np.minimum(u + 1, width - 1)
+    up, down = np.maximum(v - 1, 0), np.minimum(v + 1, height - 1)
+    du = (distance[v, right] - distance[v, left]) / np.maximum(right - left, 1)
+    dv = (distance[down, u] - distance[up, u]) / np.maximum(down - up, 1)
+    return np.stack([du, dv], axis=1).astype(float)
+
+
+def differentiate_contour(contour: Contour, camera: Camera, center: FloatArray) -> FloatArray:
+    """Return the derivative (n, 6) of a drawn outline's way outwards, pixels, by (w, d) about a center (3,)."""
+    points, step = contour.points, 1e-4 * float(np.linalg.norm(center - camera.center))
+    by_point = np.empty((len(points), 3))
+    for axis, shift in enumerate(step * np.eye(3)):
+        moved = camera.project(points + shift) - camera.project(points - shift)
+        by_point[:, axis] = (moved * contour.normals).sum(axis=1) / (2 * step)
+    return np.hstack([np.cross(points - center, by_point), by_point])
+
+
+def move(pose: RigidTransform, center: FloatArray, step: FloatArray) -> RigidTransform:
+    """Return a pose after a rotation w about a center (3,) and a translation d, step (6,)."""
+    rotation = Rotation.from_rotvec(step[:3])
+    about = RigidTransform.from_components(center + step[3:] - rotation.apply(center), rotation)
+    return about * pose
+
+
+def align_contours(
+    mesh: Mesh, outlines: Sequence[Outline], start: RigidTransform, max_steps: int = MAX_STEPS
+) -> Alignment | None:
+    """Align a mesh with outlines by Gauss-Newton steps with robust weights.
+
+    Args:
+        mesh: with its origin in its middle, about which the pose's rotation is.
+        outlines: of all cameras with an image.
+        start: world_from_object near the pose.
+        max_steps: number of steps at most.
+
+    Returns:
+        The pose; None if too little of its outline can be compared.
+    """
+    pose, radius = start, float(np.linalg.norm(mesh.vertices, axis=1).max())
+    has_converged = False
+    for _ in range(max_steps):
+        fit = _fit_contours(mesh, outlines, pose)
+        if fit is None:
+            return None
+        jacobians = [
+            differentiate_contour(contour, outline.camera, pose.translation)
+            for contour, outline in zip(fit.contours, fit.outlines, strict=True)
+        ]
+        information, gradient = _make_normal_equations(fit, jacobians)
+        damping = np.diag((np.repeat([1.0, radius], 3) * MAX_STEP) ** -2)
+        step = np.asarray(np.linalg.solve(information + damping, gradient), float)
+        pose = move(pose, pose.translation, step)
+        if gradient @ step < STEP_TOLERANCE:
+            has_converged = True
+            break
+    fit = _fit_contours(mesh, outlines, pose)
+    if fit is None:
+        return None
+    covariance = _estimate_covariance(mesh, fit, pose)
+    inliers, points, rms = np.zeros(len(outlines), int), np.zeros(len(outlines), int), np.full(len(outlines), np.nan)
+    for c, r, w in zip(fit.cameras, fit.residuals, fit.weights, strict=True):
+        inliers[c], points[c] = (w > 0).sum(), np.isfinite(r).sum()
+        rms[c] = np.sqrt(np.mean(np.square(r[w > 0]))) if inliers[c] else np.nan
+    return Alignment(pose, covariance, fit.sigma, fit.correlation, inliers, points, rms, has_converged)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """Contours of a pose in the cameras that show it, with their robust weights.
+
+    Attributes:
+        cameras: numbers of the cameras.
+        outlines, contours: theirs.
+        residuals: per camera (n,) without the common error, pixels; NaN where nothing is known.
+        weights: per camera (n,), 0 for outliers and unknown ones.
+        sigma, correlation: as of `Alignment`.
+    """
+
+    cameras: list[int]
+    outlines: list[Outline]
+    contours: list[Contour]
+    residuals: list[FloatArray]
+    weights: list[FloatArray]
+    sigma: float
+    correlation: float
+
+    @property
+    def variance(self) -> float:
+        """Variance of a residual as if its neighbors were independent, pixels^2; unknowns make residuals smaller."""
+        effective = sum(float((weight > 0).sum()) for weight in self.weights) / self.correlation
+        return self.sigma**2 * self.correlation * effective / max(effective - 6 - len(self.cameras), 1.0)
+
+
+def _fit_contours(mesh: Mesh, outlines: Sequence[Outline], pose: RigidTransform) -> _Fit | None:
+    """Measure the contours of a pose and their noise; None with fewer points than unknowns."""
+    found = [(c, outline, measure_contour(mesh, outline, pose)) for c, outline in enumerate(outlines)]
+    kept = [(c, outline, contour) for c, outline, contour in found if contour is not None]
+    residuals = [contour.residuals - _find_offset(contour.residuals) for _, _, contour in kept]
+    known = np.concatenate([np.empty(0), *(r[np.isfinite(r)] for r in residuals)])
+    if len(known) < MIN_POINTS:
+        return None
+    sigma = robust_sigma(known, MIN_SIGMA)
+    weights = [biquartic_weights(np.square(r / (CUTOFF * sigma))) * np.isfinite(r) for r in residuals]
+    cameras, of_cameras, contours = (list(part) for part in zip(*kept, strict=True))
+    correlation = measure_correlation(contours, residuals, weights)
+    return _Fit(cameras, of_cameras, contours, residuals, weights, sigma, correlation)
+
+
+def _find_offset(residuals: FloatArray) -> float:
+    """Return the common error of a camera's residuals, at most twice its standard deviation."""
+    known = residuals[np.isfinite(residuals)]
+    return float(np.clip(np.median(known), -2 * OFFSET_SD, 2 * OFFSET_SD)) if len(known) else 0.0
+
+
+def measure_correlation(
+    contours: Sequence[Contour], residuals: Sequence[FloatArray], weights: Sequence[FloatArray]
+) -> float:
+    """Return how many neighboring residuals count as one: 1 + twice the sum of their autocorrelations up to its first zero.
+
+    Source: C. Geyer, "Practical Markov chain Monte Carlo", 1992 (initial sequences).
+    """
+    longest = max(len(contour.residuals) for contour in contours)
+    products, counts = np.zeros(longest), np.zeros(longest)
+    for contour, residual, weight in zip(contours, residuals, weights, strict=True):
+        scored = np.where(weight > 0, np.nan_to_num(residual) * weight, 0.0)
+        for number in np.unique(contour.part):
+            x, is_used = scored[contour.part == number], (weight[contour.part == number] > 0).astype(float)
+            n = len(x)
+            products[:n] += correlate(x, x)[n - 1 :]
+            counts[:n] += correlate(is_used, is_used)[n - 1 :]
+    covariance = products / np.maximum(counts, 1.0)
+    relative = covariance[1 : longest // 4] / max(covariance[0], 1e-300)
+    below = np.flatnonzero(relative <= 0)
+    return float(1 + 2 * relative[: below[0] if len(below) else None].sum())
+
+
+def _make_normal_equations(fit: _Fit, jacobians: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Return the information (6, 6) and its gradient (6,) of all cameras, the common error of each eliminated."""
+    information, gradient = np.zeros((6, 6)), np.zeros(6)
+    for contour, weight, jacobian in zip(fit.contours, fit.weights, jacobians, strict=True):
+        weighted = jacobian * weight[:, None]
+        r = np.nan_to_num(contour.residuals)
+        common = weighted.sum(axis=0) / (weight.sum() + fit.variance / OFFSET_SD**2)
+        information += (weighted.T @ jacobian - np.outer(common, weighted.sum(axis=0))) / fit.variance
+        gradient += (weighted.T @ r - common * (weight @ r)) / fit.variance
+    return information, gradient
+
+
+def _estimate_covariance(mesh: Mesh, fit: _Fit, pose: RigidTransform) -> FloatArray:
+    """Return the covariance (6, 6) of (w, d): the largest of three estimates in any direction.
+
+    Derivatives are those of the points of the outline, and by drawings after larger rotations; the noise is the mean along
+    all outlines, and that of each segment (cluster-robust). On round surfaces other points become the outline as the object
+    rotates: no rotation about its axis changes the outline of a body of revolution, although its points move.
+    """
+    distance = float(np.mean([np.linalg.norm(pose.translation - o.camera.center) for o in fit.outlines]))
+    prior = np.diag(np.repeat([ANY_ANGLE_SD, distance], 3) ** -2.0)
+    pairs = list(zip(fit.contours, fit.outlines, strict=True))
+    of_points = [differentiate_contour(contour, outline.camera, pose.translation) for contour, outline in pairs]
+    information, _ = _make_normal_equations(fit, of_points)
+    covariance = np.asarray(np.linalg.inv(information + prior), float)
+    # Larger rotations do not add up: they are about the axis that is least certain, and those across it.
+    axes = np.linalg.eigh(covariance[:3, :3])[1]
+    drawn = [
+        np.hstack([differentiate_drawing(mesh, outline.camera, pose, contour, axes), jacobian[:, 3:]])
+        for (contour, outline), jacobian in zip(pairs, of_points, strict=True)
+    ]
+    scores = [
+        (jacobian * (weight * np.nan_to_num(residual))[:, None])[contour.part == number]
+        for contour, residual, weight, jacobian in zip(fit.contours, fit.residuals, fit.weights, of_points, strict=True)
+        for number in np.unique(contour.part)
+    ]
+    sums = np.array([piece.sum(axis=0) for score in scores for piece in np.array_split(score, SEGMENTS) if len(piece)])
+    if len(sums) > 12:
+        spread = covariance @ (sums.T @ sums) @ covariance / fit.variance**2 * len(sums) / (len(sums) - 6)
+        covariance = enlarge_covariance(covariance, spread)
+    information, _ = _make_normal_equations(fit, drawn)
+    # Errors of the drawing look like information.
+    known = sum(float(weight.sum()) for weight in fit.weights) / fit.variance * (DRAWING_SD / DIFFERENCE) ** 2
+    information[:3, :3] -= known * np.eye(3)
+    values, vectors = np.linalg.eigh(information / np.outer(prior_scale := np.sqrt(np.diag(prior)), prior_scale))
+    inverse = vectors / (1 + np.maximum(values, 0)) @ vectors.T / np.outer(prior_scale, prior_scale)
+    return enlarge_covariance(covariance, np.asarray(inverse, float))
+
+
+def differentiate_drawing(
+    mesh: Mesh, camera: Camera, pose: RigidTransform, contour: Contour, axes: FloatArray
+) -> FloatArray:
+    """Return the derivative (n, 3) of a drawn outline's way outwards by w, from drawings after rotations about axes.
+
+    Args:
+        mesh, camera, pose, contour: what is drawn.
+        axes: (3, 3) orthonormal columns.
+    """
+    out = np.zeros((len(contour.points), 3))
+    for k in range(3):
+        for sign in (-1.0, 1.0):
+            step = np.concatenate([sign * DIFFERENCE * axes[:, k], np.zeros(3)])
+            drawn = draw_window(mesh, camera, move(pose, pose.translation, step))
+            if drawn is None:
+                continue
+            corner, share, _ = drawn
+            distance = measure_outline_distances(Silhouette(share, share))
+            at = np.clip(contour.pixels.astype(int) - corner, 0, np.array(distance.shape[::-1]) - 1)
+            out[:, k] += sign * distance[at[:, 1], at[:, 0]] / (2 * DIFFERENCE)
+    return np.asarray(out @ axes.T)
