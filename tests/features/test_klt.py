@@ -108,6 +108,37 @@ def test_guess_enables_large_motion() -> None:
     assert track_features(start, image, moved).tracked.mean() < 0.2
 
 
+def test_motion_may_grow_with_the_image_size() -> None:
+    # An image of 2080x1600 pixels shows more detail than one of 260x200; its motion of 5 pixels becomes one of 40.
+    scale, pixels, shift = 8, spread_points(margin=50), np.array([4, -3])
+    noise = np.random.default_rng(3).normal(0.0, 60.0, (SIZE[1] * scale, SIZE[0] * scale))
+    detail = cv2.GaussianBlur(noise, (0, 0), 1.5)
+    large = []
+    for moved in (np.zeros(2, int), shift):
+        coarse = cv2.resize(warp_texture(shift=moved).astype(float), None, fx=scale, fy=scale)
+        image = 0.6 * coarse + np.roll(detail, scale * moved[::-1], axis=(0, 1))
+        large.append(np.clip(np.rint(image), 0, 255).astype(np.uint8))
+    start, guess = start_tracks(large[0], scale * pixels), scale * (pixels + 0.5 * shift)
+    tracks = track_features(start, large[0], large[1], guess)
+    assert tracks.tracked.mean() > 0.9
+    assert np.median(errors(tracks, scale * (pixels + shift))) < 0.05
+
+
+def test_small_object_in_large_image_is_tracked_as_in_its_crop() -> None:
+    # The windows of the coarsest level are not wider than the object, whatever surrounds it.
+    pixels, shift = np.array([130, 100]) + np.random.default_rng(1).uniform(-20, 20, (30, 2)), np.array([1.4, 2.2])
+    images = [warp_texture(), warp_texture(shift=shift)]
+    alone = track_features(start_tracks(images[0], pixels), *images)
+    corner, large = np.array([1500, 900]), []
+    for image in images:
+        canvas = np.full((1900, 2600), 128, np.uint8)
+        canvas[corner[1] : corner[1] + SIZE[1], corner[0] : corner[0] + SIZE[0]] = image
+        large.append(canvas)
+    tracks = track_features(start_tracks(large[0], pixels + corner), *large)
+    np.testing.assert_array_equal(tracks.tracked, alone.tracked)
+    np.testing.assert_allclose(tracks.pixels - corner, alone.pixels, atol=0.01)
+
+
 def test_rendered_block_is_tracked() -> None:
     whole = make_demo_scene(frames=40, size=(480, 360), n_cameras=1, angle_deg=60)
     scene = replace(whole, frames=4)

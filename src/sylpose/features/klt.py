@@ -43,9 +43,14 @@ MAX_CORRECTION_PX = 2.0
 MIN_CORRELATION = 0.85
 # Frame-to-frame Lucas-Kanade: window, pixels, pyramid levels above the image, and termination criteria. A smaller
 # window mistakes less change of shape for motion.
+KLT_WINDOW_PX, KLT_LEVELS = 9, 2
 KLT_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)
-KLT_OPTIONS: dict[str, Any] = {"winSize": (9, 9), "maxLevel": 2, "criteria": KLT_CRITERIA}
+KLT_OPTIONS: Any = {"winSize": (KLT_WINDOW_PX, KLT_WINDOW_PX), "criteria": KLT_CRITERIA}
 KLT_OPTIONS["flags"] = cv2.OPTFLOW_USE_INITIAL_FLOW
+# Longer side of the largest images for which these levels are enough, pixels: in larger ones the same motion covers more
+# pixels, so each doubling adds a level (measured: with one more level in board4, of 1280x720, 43 instead of 48 of its
+# frame sets are tracked; with one less at 3264x2448, objects that rotate by 4 degrees per frame are lost in a third).
+KLT_SIDE_PX = 1280
 # Width of the square over which illumination is flattened, pixels. A smaller one would reduce the capture range.
 FLATTEN_WINDOW_PX = 51
 # Margin of the processed area around the features, pixels: the coarsest level's window plus the motion.
@@ -234,20 +239,33 @@ def _track_pyramidal(previous: Image, current: Image, pixels: FloatArray, start:
     # Pyramids cannot be reused between calls: OpenCV accepts them in C++ only, not in Python (its issue 7236). For the
     # area around the features they cost a tenth of a millisecond.
     both = np.concatenate([pixels[is_inside], start[is_inside]])
-    left, top = np.maximum(both.min(axis=0).astype(np.int64) - MARGIN_PX, 0)
-    right, bottom = both.max(axis=0).astype(np.int64) + MARGIN_PX + 1
+    n_added = _count_added_levels(current, float(np.ptp(both, axis=0).max()))
+    left, top = np.maximum(both.min(axis=0).astype(np.int64) - (MARGIN_PX << n_added), 0)
+    right, bottom = both.max(axis=0).astype(np.int64) + (MARGIN_PX << n_added) + 1
     window = slice(top, bottom), slice(left, right)
     corner = np.array([left, top], dtype=float)
-    images = flatten_illumination(previous[window]), flatten_illumination(current[window])
-    points = ((p[is_inside] - corner).astype(np.float32) for p in (pixels, start))
-    positions, status, _ = cv2.calcOpticalFlowPyrLK(*images, *points, **KLT_OPTIONS)
+    before, after = (flatten_illumination(image[window], FLATTEN_WINDOW_PX << n_added) for image in (previous, current))
+    old, guess = ((p[is_inside] - corner).astype(np.float32) for p in (pixels, start))
+    n_levels = KLT_LEVELS + n_added
+    positions, status, _ = cv2.calcOpticalFlowPyrLK(before, after, old, guess, maxLevel=n_levels, **KLT_OPTIONS)
     tracked_pixels[is_inside] = np.where(status.reshape(-1, 1) > 0, positions.reshape(-1, 2) + corner, np.nan)
     return tracked_pixels
 
 
-def flatten_illumination(image: Image) -> Image:
+def _count_added_levels(image: Image, extent_px: float) -> int:
+    """Return the number of pyramid levels that a large image adds.
+
+    The window of the coarsest level is at most as wide as the features' extent: a wider one would follow what is around
+    the object.
+    """
+    n_wanted = np.ceil(np.log2(max(image.shape) / KLT_SIDE_PX))
+    n_possible = np.floor(np.log2(max(extent_px, 1.0) / (KLT_WINDOW_PX << KLT_LEVELS)))
+    return max(int(min(n_wanted, n_possible)), 0)
+
+
+def flatten_illumination(image: Image, window_px: int = FLATTEN_WINDOW_PX) -> Image:
     """Subtract the local mean brightness: Lucas-Kanade mistakes illumination changes for motion."""
-    local_mean = cv2.blur(image, (FLATTEN_WINDOW_PX, FLATTEN_WINDOW_PX))
+    local_mean = cv2.blur(image, (window_px, window_px))
     return np.asarray(cv2.addWeighted(image, 1.0, local_mean, -1.0, 128.0), dtype=np.uint8)
 
 
