@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields, replace
 
@@ -14,7 +16,14 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from sylpose.features import sift
-from sylpose.features.sift import Features, detect_features, find_static_features, match_features, match_guided
+from sylpose.features.sift import (
+    Features,
+    detect_features,
+    find_static_features,
+    match_features,
+    match_guided,
+    reduce_image,
+)
 from sylpose.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 from sylpose.matches import Matches
 from sylpose.rig import Camera
@@ -411,3 +420,39 @@ def test_match_where_expected_equals_brute_force() -> None:
     # No matches without predictions, nor without candidates.
     assert len(match_guided(a, b, ends + 1000.0, reach)) == 0
     assert len(match_guided(a, Features.empty(), ends, reach)) == 0
+
+
+# --- large images
+
+
+def test_reduced_image_gives_the_same_features(camera: Camera, images: list[Image]) -> None:
+    expected = detect_features(images[0], camera, max_pixels=50_000)
+    small = reduce_image(images[0], 50_000)
+    assert small.size <= 50_000
+    step = np.array(camera.size) / small.shape[::-1]
+    for max_pixels in (None, 50_000):
+        found = detect_features(small, camera, max_pixels=max_pixels, step=step)
+        np.testing.assert_array_equal(found.pixels, expected.pixels)
+        np.testing.assert_array_equal(found.descriptors, expected.descriptors)
+    np.testing.assert_array_equal(reduce_image(images[0], images[0].size), grey_of(images[0]))
+
+
+def test_threads_share_the_memory_of_one_large_image() -> None:
+    budget, used, most = sift._PixelBudget(100), 0, 0
+    lock = threading.Lock()
+
+    def process(n: int) -> None:
+        nonlocal used, most
+        with budget.take(n):
+            with lock:
+                used += n
+                most = max(most, used)
+            time.sleep(0.002)
+            with lock:
+                used -= n
+
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(process, [40, 60, 30, 500, 90, 10, 100, 50, 50, 20] * 3))
+    assert most == 500  # that image alone
+    with budget.take(100):
+        pass

@@ -16,11 +16,13 @@ from sylpose.simulate.render import Path
 from sylpose.smoothing import Track, smooth_tracks
 from sylpose.status import FrameStatus
 from sylpose.tracking.bodies import (
+    MAX_PIXELS,
     MAX_WINDOWS,
     WINDOW_FRAMES,
     compare_cameras,
     find_candidates,
     find_rigid_motion,
+    reduce_frame_set,
     select_windows,
 )
 from sylpose.tracking.context import Candidate
@@ -90,6 +92,16 @@ def test_windows_are_spread_over_the_recording(n: int) -> None:
     assert (windows[0].start, windows[-1].stop) == (0, n) if n else not windows
     starts = [window.start for window in windows]
     assert starts == sorted(set(starts))
+
+
+def test_images_are_reduced_unless_masks_select_a_part() -> None:
+    image, mask = np.zeros((1000, 1500, 3), np.uint8), np.zeros((1000, 1500), bool)
+    frames = FrameSet.of([image, image, None], 0.0, [None, mask, None])
+    reduced, kept, missing = reduce_frame_set(frames).images
+    assert reduced is not None
+    assert 0.99 * MAX_PIXELS < reduced.size <= MAX_PIXELS
+    assert kept is image
+    assert missing is None
 
 
 def test_late_object_is_found_where_it_moves() -> None:

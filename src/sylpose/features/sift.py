@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any
@@ -33,6 +35,10 @@ SAME_POSITION_PX = 3.0
 SIFT_BIAS_PX = 0.25
 # Least cosine of two RootSIFT descriptors of the same point; unrelated ones stay below about 0.7.
 MIN_COSINE = 0.85
+# Number of pixels that all threads process at the same time: SIFT holds 11 images of four times as many pixels, of four
+# bytes, and their octaves, 235 bytes per pixel; these are 0.5 GB, a whole Full HD image (derived).
+MAX_CONCURRENT_PIXELS = 1920 * 1080
+FULL_RESOLUTION = np.ones(2)
 
 _cv2: Any = cv2  # OpenCV's type stubs lack SIFT
 
@@ -82,6 +88,43 @@ class Features:
         return cls(np.empty((0, 2)), np.empty((0, 2)), np.empty((0, 128), np.float32))
 
 
+class _PixelBudget:
+    """Bound on the pixels that SIFT processes at the same time, in all threads; a larger image is processed alone."""
+
+    def __init__(self, limit: int) -> None:
+        self._limit, self._used, self._condition = limit, 0, threading.Condition()
+
+    @contextmanager
+    def take(self, n_pixels: int) -> Iterator[None]:
+        """Wait until so many pixels are free, and occupy them."""
+        n = min(n_pixels, self._limit)
+        with self._condition:
+            self._condition.wait_for(lambda: self._used + n <= self._limit)
+            self._used += n
+        try:
+            yield
+        finally:
+            with self._condition:
+                self._used -= n
+                self._condition.notify_all()
+
+
+_budget = _PixelBudget(MAX_CONCURRENT_PIXELS)
+
+
+def reduce_image(image: Image, max_pixels: int) -> Image:
+    """Convert an image to gray and downscale it to at most so many pixels.
+
+    Args:
+        image: (h, w, 3) BGR or (h, w) gray.
+    """
+    gray = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
+    if gray.size <= max_pixels:
+        return np.asarray(gray, np.uint8)
+    smaller = np.floor(np.array(gray.shape[::-1]) * np.sqrt(max_pixels / gray.size)).astype(int)
+    return np.asarray(_cv2.resize(gray, smaller.tolist(), interpolation=cv2.INTER_AREA), np.uint8)
+
+
 def detect_features(
     image: Image,
     camera: Camera,
@@ -90,6 +133,7 @@ def detect_features(
     *,
     faint: bool = False,
     max_pixels: int | None = None,
+    step: FloatArray = FULL_RESOLUTION,
 ) -> Features:
     """Detect SIFT keypoints with RootSIFT descriptors.
 
@@ -101,6 +145,7 @@ def detect_features(
         faint: also accept low contrast and edges.
         max_pixels: the processed area is downscaled to at most this many pixels, which reduces the precision
             accordingly. None: full resolution.
+        step: (2,) pixels of the camera per pixel of the image, in u and v, if it was downscaled by `reduce_image`.
 
     Source: Lowe 2004; RootSIFT, Arandjelovic & Zisserman, "Three things everyone should know", CVPR 2012.
     """
@@ -115,21 +160,21 @@ def detect_features(
         crop_mask = mask[top:bottom, left:right].astype(np.uint8) * 255
     crop = image[top:bottom, left:right]
     gray = cv2.cvtColor(crop, cv2.COLOR_BGR2GRAY) if crop.ndim == 3 else np.ascontiguousarray(crop)
-    step = np.ones(2)
+    corner = step * np.array([left, top])
     if max_pixels is not None and gray.size > max_pixels:
-        size = np.array(gray.shape[1::-1])
-        smaller = np.floor(size * np.sqrt(max_pixels / gray.size)).astype(int)
-        gray, step = _cv2.resize(gray, smaller.tolist(), interpolation=cv2.INTER_AREA), size / smaller
+        size, gray = np.array(gray.shape[::-1]), reduce_image(crop, max_pixels)
+        step = step * size / gray.shape[::-1]
         if crop_mask is not None:
-            crop_mask = _cv2.resize(crop_mask, smaller.tolist(), interpolation=cv2.INTER_NEAREST)
+            crop_mask = _cv2.resize(crop_mask, gray.shape[::-1], interpolation=cv2.INTER_NEAREST)
     faint_limits = {"contrastThreshold": FAINT_CONTRAST, "edgeThreshold": FAINT_EDGE}
     limits = faint_limits if faint else {"contrastThreshold": MIN_CONTRAST}
     sift = _cv2.SIFT_create(nfeatures=max_features, **limits)
-    keypoints, descriptors = sift.detectAndCompute(gray, crop_mask)
+    with _budget.take(gray.size):
+        keypoints, descriptors = sift.detectAndCompute(gray, crop_mask)
     if descriptors is None or len(keypoints) == 0:
         return Features.empty()
     # The center of the first pixel is 0, also in the downscaled image.
-    pixels = step * _cv2.KeyPoint_convert(keypoints).astype(float).reshape(-1, 2) + np.array([left, top])
+    pixels = step * _cv2.KeyPoint_convert(keypoints).astype(float).reshape(-1, 2) + corner
     pixels += 0.5 * (step - 1.0) - step * SIFT_BIAS_PX
     root = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-12))
     is_faint = RESPONSE_SCALE * np.array([keypoint.response for keypoint in keypoints]) < MIN_CONTRAST

@@ -10,7 +10,13 @@ from itertools import chain
 from sylpose.frames import FrameSet
 from sylpose.io.capture import Session
 from sylpose.runs.options import RunOptions
-from sylpose.tracking.bodies import WINDOW_FRAMES, compare_cameras, find_candidates, select_windows
+from sylpose.tracking.bodies import (
+    WINDOW_FRAMES,
+    compare_cameras,
+    find_candidates,
+    reduce_frame_set,
+    select_windows,
+)
 from sylpose.tracking.context import Candidate
 
 
@@ -46,7 +52,7 @@ def compare_session_cameras(session: Session, name: str, options: RunOptions) ->
     """Return the F ratio of an object that boxes or masks select, in the first frames. See `compare_cameras`."""
     every = options.every
     stop = min(session.n_frames if options.stop is None else options.stop, options.start + WINDOW_FRAMES * every)
-    frames = [own.for_object(name) for own in session.frames(options.start, stop, every, _ignore)]
+    frames = [reduce_frame_set(own.for_object(name)) for own in session.frames(options.start, stop, every, _ignore)]
     boxes = session.select_object(name).boxes
     return compare_cameras(session.rig, frames, boxes, workers=options.workers, options=options.tracking)
 
@@ -66,7 +72,7 @@ def _read_windows(session: Session, options: RunOptions) -> Iterator[Sequence[Fr
             numbers = [start + k * every for k in window]
             known = {k: frames for k, frames in known.items() if k in numbers}
             while numbers[-1] not in known and (frames := next(reader, None)) is not None:
-                known[frames.index] = frames
+                known[frames.index] = reduce_frame_set(frames)
             read = [known[k] for k in numbers if k in known]
             n_images = [sum(image is not None for image in frames.images) for frames in read[: len(read) // 2 + 1]]
             yield read[n_images.index(max(n_images)) :] if read else []

@@ -31,6 +31,7 @@ from sylpose.runs.progress import Progress, ProgressCallback, show_progress
 from sylpose.runs.results_folder import ResultsFolder, check_output_folder, lock_folder
 from sylpose.runs.run_metadata import DEFAULT_FOLDER, ESTIMATED, SETTINGS, USED_CALIBRATION, WORLD, write_run_metadata
 from sylpose.runs.run_result import Run, StageTimer
+from sylpose.runs.system_resources import return_large_arrays
 from sylpose.sync.offsets import apply_offsets, find_offsets
 from sylpose.tracking.context import TrackedFrame
 from sylpose.tracking.known_object import KnownObject
@@ -163,6 +164,7 @@ def track_session(
         session = open_live(session) if is_live(session) else open_session(session)
     elif not isinstance(session, Session | LiveSession):
         raise TypeError(f"session must be a Session, a LiveSession or a path, got {format_value(session)}")
+    return_large_arrays()
     events = _Events(
         on_resume or _ignore, on_frame or _ignore, on_smoothing or _ignore, on_problem or _ignore, interrupted
     )

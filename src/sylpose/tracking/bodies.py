@@ -12,12 +12,12 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
-from sylpose.features.sift import match_features
+from sylpose.features.sift import match_features, reduce_image
 from sylpose.frames import Box, FrameSet
 from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.methods import METHODS
@@ -358,6 +358,18 @@ def _select_rigid(camera: Camera, pairs: Sequence[FrameMatches], options: Tracki
         if is_rigid:
             return pair.pixels_i[~is_static], pair.pixels_j[~is_static]
     return np.empty((0, 2)), np.empty((0, 2))
+
+
+def reduce_frame_set(frames: FrameSet) -> FrameSet:
+    """Downscale a frame set's images to what the search of moving bodies examines, so that it may hold many of them.
+
+    Images with masks are kept: they are searched inside these only, in as many pixels.
+    """
+    images = (
+        image if image is None or mask is not None else reduce_image(image, MAX_PIXELS)
+        for image, mask in zip(frames.images, frames.masks, strict=True)
+    )
+    return replace(frames, images=tuple(images))
 
 
 def _detect(context: Context, number: int, images: FrameSet) -> Frame:

@@ -414,7 +414,7 @@ class CameraTracker:
         """Detect features inside an area and the object's mask.
 
         Args:
-            view: image and mask.
+            view: image and mask; the image may be reduced if there are neither mask nor area (`reduce_image`).
             area: (h, w) area; None: the whole image.
             max_features: maximum number of features, the strongest.
             faint: whether to keep low-contrast features and ignore `max_features`.
@@ -423,11 +423,13 @@ class CameraTracker:
         image, mask = view
         if image is None:
             return Features.empty()
-        if area is None:
-            area = np.ones(self.camera.size[::-1], bool)
-        area = area if mask is None else area & mask
-        max_features = MAX_FAINT_FEATURES if faint else max_features
-        return detect_features(image, self.camera, area, max_features, faint=faint, max_pixels=max_pixels)
+        if mask is not None:
+            area = mask if area is None else area & mask
+        max_features, step = (
+            MAX_FAINT_FEATURES if faint else max_features,
+            self.camera.size / np.array(image.shape[1::-1]),
+        )
+        return detect_features(image, self.camera, area, max_features, faint=faint, max_pixels=max_pixels, step=step)
 
     def detect_in(
         self, region: Region, images: FrameSet, max_features: int, *, faint: bool, max_pixels: int | None = None
