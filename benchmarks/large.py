@@ -1,9 +1,15 @@
-"""Processor time of tracking in large images: during initialization, tracking and loss of the object.
+"""Tracking in large images: the same scene in several sizes; processor time while an object is absent.
 
-    python benchmarks/large.py [--size 3264x2448] [--cameras 2] [--seeds 0:3]
+    python benchmarks/large.py [--frames 14] [--turn 4.0]
+    python benchmarks/large.py --absent [--size 3264x2448] [--cameras 2] [--seeds 0:3]
 
-Renders a textured body in cluttered rooms. It rotates by 4 degrees per frame, fills 10 to 50 % of the image height and is
-absent for four frames in the middle. It is tracked image by image, with and without boxes. Prints the processor time per
+The demo scene is rendered by 4 cameras of 3264x2448 and reduced to full HD (without the upper and lower border) and VGA.
+Noise and blur are those of each size. The object fills a third of the image height or more. Each recording is tracked in a
+process of its own. *Followed* are the frame sets after the first poses that are solved without SIFT before them. Processor
+time, of all threads, includes decoding and the search for what moves.
+
+With `--absent`, a textured body in cluttered rooms rotates by 4 degrees per frame, fills 10 to 50 % of the image height and
+is absent for four frames in the middle. It is tracked image by image, with and without boxes. Prints the processor time per
 frame set, without rendering and decoding: until the first pose, with the object present, and with the object absent; the
 number of frames in which the object was localized; and the errors of these frames.
 """
@@ -11,22 +17,37 @@ number of frames in which the object was localized; and the errors of these fram
 from __future__ import annotations
 
 import argparse
+import multiprocessing
+import tempfile
 import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from benchmarks.kinds import compute_errors
 from benchmarks.kinds_scenes import Variation, compute_boxes, draw_body, draw_rig, make_path
-from sylpose import FrameSet
-from sylpose.geometry.arrays import FloatArray
+from sylpose import FrameSet, open_session
+from sylpose.geometry.arrays import FloatArray, Image
 from sylpose.results import FramePose
-from sylpose.simulate import Actor, Scene
+from sylpose.rig import Camera, Rig
+from sylpose.runs.candidates import select_candidate
+from sylpose.runs.options import RunOptions
+from sylpose.runs.system_resources import return_large_arrays
+from sylpose.simulate import Actor, Scene, make_demo_scene, render_frames
+from sylpose.simulate.recordings import create_session_folder, write_videos
+from sylpose.status import FrameStatus
 from sylpose.tracking.tracker import Tracker
 
 FRAMES, ABSENT_FRAMES = 16, range(8, 12)
 WRONG_DEG, SURE_SDS = 3.0, 5.0
+# Image sizes, the rendered one first; noise, gray levels, and blur, pixels.
+SIZES = ((3264, 2448), (1920, 1080), (640, 480))
+DISTURBANCES = ((1.5, 0.0), (5.0, 1.0))
 
 
 class TrackingCosts(NamedTuple):
@@ -87,12 +108,108 @@ def format_summary(costs: list[TrackingCosts]) -> str:
     )
 
 
+class SizeCosts(NamedTuple):
+    """Tracking of one recording: share of frame sets followed, degrees (n,), processor seconds per frame set, peak MB."""
+
+    followed: float
+    degrees: FloatArray
+    seconds: float
+    megabytes: float
+
+
+def reduce_rig(rig: Rig, size: tuple[int, int]) -> Rig:
+    """Return the cameras of reduced images, of which the upper and lower border is cut off."""
+    cameras, scale = [], size[0] / rig.cameras[0].size[0]
+    for camera in rig:
+        matrix = np.diag([scale, scale, 1.0]) @ camera.matrix
+        matrix[:2, 2] += 0.5 * (scale - 1.0)
+        matrix[1, 2] -= (round(scale * camera.size[1]) - size[1]) // 2
+        cameras.append(Camera(camera.name, size, matrix, camera.distortion, camera.camera_from_world))
+    return Rig(cameras, rig.unit)
+
+
+def reduce_and_disturb(
+    frames: Sequence[Sequence[Image]], size: tuple[int, int], noise: float, blur: float
+) -> Iterator[list[Image]]:
+    """Yield the images reduced to a size, blurred and noisy."""
+    rng = np.random.default_rng(0)
+    for images in frames:
+        reduced = []
+        for image in images:
+            scale = size[0] / image.shape[1]
+            small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) if scale < 1 else image
+            top = (small.shape[0] - size[1]) // 2
+            small = small[top : top + size[1]]
+            small = cv2.GaussianBlur(small, (0, 0), blur) if blur else small
+            noisy = small + noise * rng.standard_normal(small.shape, np.float32)
+            reduced.append(np.clip(np.rint(noisy), 0, 255).astype(np.uint8))
+        yield reduced
+
+
+def track_size(folder: str, truth: RigidTransform) -> SizeCosts:
+    """Track a recording whose true poses are known."""
+    return_large_arrays()
+    session, poses, n_followed, n_frames = open_session(folder), list[FramePose](), 0, 0
+    start = time.process_time()
+    candidate = select_candidate(session, RunOptions())
+    with Tracker(session.rig, candidate=candidate) as tracker:
+        for frames in session.frames():
+            number, known = tracker.next_number, bool(poses)
+            poses += [decided.pose for decided in tracker.step(frames)]
+            anchor = tracker.snapshot.state.frames.anchor
+            n_frames += known
+            is_tracked = known and poses[-1].status is FrameStatus.TRACKED
+            n_followed += is_tracked and anchor is not None and anchor.frame.number < number
+        poses += [decided.pose for decided in tracker.flush()]
+    seconds = (time.process_time() - start) / session.n_frames
+    errors = [
+        (pose.world_from_object * poses[0].world_from_object.inv() * truth[0] * truth[k].inv()).rotation.magnitude()
+        for k, pose in enumerate(poses)
+        if pose.world_from_object is not None and poses[0].world_from_object is not None
+    ]
+    status = Path("/proc/self/status").read_text(encoding="ascii").split("VmHWM:")[1]
+    return SizeCosts(n_followed / n_frames, np.degrees(errors[1:]), seconds, int(status.split()[0]) / 1024)
+
+
+def compare_sizes(frames: int, turn: float) -> None:
+    """Print a row for each size and disturbance."""
+    scene = make_demo_scene(frames=frames, angle_deg=turn * frames, size=SIZES[0], noise=0.0)
+    rendered, truth = list(render_frames(scene)), scene.object_poses()
+    print(
+        "| noise; blur | image | followed | poses | degrees: median, worst | s per frame set | ratio to full HD | peak MB |"
+    )
+    print("|---|---|---|---|---|---|---|---|")
+    for noise, blur in DISTURBANCES:
+        costs = list[SizeCosts]()
+        for size in SIZES:
+            rig = reduce_rig(scene.rig, size)
+            with tempfile.TemporaryDirectory() as folder:
+                write_videos(
+                    create_session_folder(folder, rig), rig, reduce_and_disturb(rendered, size, noise, blur), frames
+                )
+                with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+                    costs.append(pool.submit(track_size, folder, truth).result())
+        for size, own in zip(SIZES, costs, strict=True):
+            print(
+                f"| {noise:g}; {blur:g} | {size[0]}x{size[1]} | {100 * own.followed:.0f} % "
+                f"| {len(own.degrees) + 1} of {frames} | {np.median(own.degrees):.3f}, {own.degrees.max():.3f} "
+                f"| {own.seconds:.2f} | {own.seconds / costs[1].seconds:.2f} | {own.megabytes:.0f} |",
+                flush=True,
+            )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--size", default="3264x2448")
     parser.add_argument("--cameras", type=int, default=2)
     parser.add_argument("--seeds", default="0:3")
+    parser.add_argument("--absent", action="store_true", help="an object that is absent for a while")
+    parser.add_argument("--frames", type=int, default=14)
+    parser.add_argument("--turn", type=float, default=4.0, help="degrees per frame")
     options = parser.parse_args()
+    if not options.absent:
+        compare_sizes(options.frames, options.turn)
+        return
     width, height = map(int, options.size.split("x"))
     for with_boxes in (True, False):
         costs = []
