@@ -20,7 +20,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sylpose.geometry.arrays import BoolArray, FloatArray, FloatImage, IntArray
 from sylpose.geometry.matrices import enlarge_covariance
-from sylpose.geometry.robust_loss import biquartic_weights, robust_sigma
+from sylpose.geometry.robust_loss import BIQUARTIC_BOUND, biquartic_losses, biquartic_weights, robust_sigma
 from sylpose.mesh import Mesh
 from sylpose.rig import Camera
 from sylpose.silhouettes.background import OUTLINE_PX, Silhouette
@@ -67,6 +67,18 @@ class Outline:
     distance: FloatImage
     is_known: BoolArray
     pixels: IntArray
+
+    def reduce(self, step: int) -> Outline:
+        """Return the outlines in an image that is smaller by a whole factor."""
+        if step == 1:
+            return self
+        width, height = (side // step for side in self.camera.size)
+        camera = zoom_camera(self.camera, (np.zeros(2, int), step * np.array([width, height])), 1 / step)
+        parts = [np.asarray(of[: height * step, : width * step], np.float32) for of in (self.distance, self.is_known)]
+        distance, known = (cv2.resize(of, (width, height), interpolation=cv2.INTER_AREA) for of in parts)
+        pixels = np.unique(self.pixels // step, axis=0)
+        pixels = pixels[(pixels < [width, height]).all(axis=1)]
+        return Outline(camera, np.asarray(distance / step, np.float32), np.asarray(known == 1), pixels)
 
     @classmethod
     def of(cls, camera: Camera, silhouette: Silhouette) -> Outline:
@@ -235,12 +247,27 @@ def align_contours(
     Returns:
         The pose; None if too little of its outline can be compared.
     """
+    pose, has_converged = descend(mesh, outlines, start, max_steps)
+    fit = None if pose is None else _fit_contours(mesh, outlines, pose)
+    if pose is None or fit is None:
+        return None
+    covariance = _estimate_covariance(mesh, fit, pose)
+    inliers, points, rms = np.zeros(len(outlines), int), np.zeros(len(outlines), int), np.full(len(outlines), np.nan)
+    for c, r, w in zip(fit.cameras, fit.residuals, fit.weights, strict=True):
+        inliers[c], points[c] = (w > 0).sum(), np.isfinite(r).sum()
+        rms[c] = np.sqrt(np.mean(np.square(r[w > 0]))) if inliers[c] else np.nan
+    return Alignment(pose, covariance, fit.sigma, fit.correlation, inliers, points, rms, has_converged)
+
+
+def descend(
+    mesh: Mesh, outlines: Sequence[Outline], start: RigidTransform, max_steps: int = MAX_STEPS
+) -> tuple[RigidTransform | None, bool]:
+    """Return the pose of `align_contours`, None if too little can be compared, and whether it has converged."""
     pose, radius = start, float(np.linalg.norm(mesh.vertices, axis=1).max())
-    has_converged = False
     for _ in range(max_steps):
         fit = _fit_contours(mesh, outlines, pose)
         if fit is None:
-            return None
+            return None, False
         jacobians = [
             differentiate_contour(contour, outline.camera, pose.translation)
             for contour, outline in zip(fit.contours, fit.outlines, strict=True)
@@ -250,17 +277,34 @@ def align_contours(
         step = np.asarray(np.linalg.solve(information + damping, gradient), float)
         pose = move(pose, pose.translation, step)
         if gradient @ step < STEP_TOLERANCE:
-            has_converged = True
-            break
-    fit = _fit_contours(mesh, outlines, pose)
-    if fit is None:
-        return None
-    covariance = _estimate_covariance(mesh, fit, pose)
-    inliers, points, rms = np.zeros(len(outlines), int), np.zeros(len(outlines), int), np.full(len(outlines), np.nan)
-    for c, r, w in zip(fit.cameras, fit.residuals, fit.weights, strict=True):
-        inliers[c], points[c] = (w > 0).sum(), np.isfinite(r).sum()
-        rms[c] = np.sqrt(np.mean(np.square(r[w > 0]))) if inliers[c] else np.nan
-    return Alignment(pose, covariance, fit.sigma, fit.correlation, inliers, points, rms, has_converged)
+            return pose, True
+    return pose, False
+
+
+def measure_loss(
+    mesh: Mesh, outlines: Sequence[Outline], pose: RigidTransform, sigma: float, correlation: float
+) -> float:
+    """Return the robust negative log-likelihood of a pose, up to a constant; inf without the mesh in any image.
+
+    Both drawn and observed outlines count, so that neither a part of the mesh nor one of the silhouette may remain without
+    the other; what other bodies add is the same for all poses.
+
+    Args:
+        mesh, outlines, pose: what is compared.
+        sigma, correlation: as of `Alignment`.
+    """
+    total, is_seen = 0.0, False
+    for outline in outlines:
+        contour = measure_contour(mesh, outline, pose)
+        if contour is None:
+            total += BIQUARTIC_BOUND * len(outline.pixels) / 2
+            continue
+        is_seen, offset = True, _find_offset(contour.residuals)
+        both = np.concatenate([contour.residuals[np.isfinite(contour.residuals)], contour.unexplained]) - offset
+        total += (
+            float(biquartic_losses(np.square(both / (CUTOFF * sigma))).sum()) / 2
+        )  # each error counts on both sides
+    return 0.5 * CUTOFF**2 * total / correlation if is_seen else np.inf
 
 
 @dataclass(frozen=True, eq=False)

@@ -64,6 +64,14 @@ def render_mesh(mesh: Mesh, camera: Camera, world_from_object: RigidTransform) -
     return out
 
 
+def draw_mask(mesh: Mesh, camera: Camera, vertices: FloatArray) -> BoolArray:
+    """Return the mask (h, w) of a mesh with its vertices (n, 3) elsewhere in the world."""
+    pixels, (width, height) = camera.project(vertices), camera.size
+    face, nearest = np.full((height, width), -1, np.int32), np.zeros((height, width), np.float32)
+    _fill_faces(pixels, np.ones(len(pixels)), mesh.faces, face, nearest)
+    return np.asarray(face >= 0)
+
+
 @leaf
 def _fill_faces(
     pixels: FloatArray, inverse_depth: FloatArray, faces: IntArray, face: NDArray[np.int32], nearest: FloatImage
