@@ -3,8 +3,8 @@
     python benchmarks/contours.py [--seeds 3] [--kinds NAME ...] [--search]
 
 Starts are off by 5 degrees and 5 % of the radius; with `--search` there is none. Squared errors relative to the covariance
-have a mean of 6 if it is right. A pose is wrong and sure if it is the only one found, its standard deviations are below 20
-degrees, and its error exceeds 3 degrees and 5 of them.
+have a mean of 6 if it is right. Started poses are sure if their standard deviations are below 20 degrees; searched ones if
+they are unique, too. A pose is wrong and sure if its error exceeds 3 degrees and 5 standard deviations.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def main() -> None:
                 continue
             angle, square = float(np.linalg.norm(error[:3])), float(error @ np.linalg.solve(found[0].covariance, error))
             sd = float(np.degrees(np.sqrt(np.linalg.eigvalsh(found[0].covariance[:3, :3])[-1])))
-            is_sure = len(found) == 1 and sd < 20
+            is_sure = sd < 20 and (found[0].is_unique or not arguments.search)
             n_sure += is_sure
             n_wrong += is_sure and bool(np.degrees(angle) > 3 and square > 25)
             table.append((np.degrees(angle), 100 * float(np.linalg.norm(error[3:])) / distance, square, sd))

@@ -7,6 +7,7 @@ with the outlines as well are all returned: of a symmetric body there are severa
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import combinations
 from typing import NamedTuple
 
@@ -14,11 +15,11 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sylpose.geometry.arrays import BoolArray, FloatArray
+from sylpose.geometry.arrays import BoolArray, FloatArray, IntArray
 from sylpose.geometry.robust_loss import chi_squared_bound
 from sylpose.mesh import Mesh
 from sylpose.rig import Camera, intersect_rays
-from sylpose.silhouettes.contours import Alignment, Outline, align_contours, descend, measure_loss
+from sylpose.silhouettes.contours import Alignment, Outline, align_contours, descend, measure_losses
 from sylpose.silhouettes.rendering import draw_mask, zoom_camera
 
 # Rotations of the cover: any rotation is within 22 degrees of one of them, half of all within 13 (measured).
@@ -33,13 +34,11 @@ N_TURNS = 36
 NEIGHBORS = np.deg2rad(20.0)
 # Aligned poses with rotations nearer than this are one, radians (choice: more than errors in small images).
 SAME_ROTATION = np.deg2rad(3.0)
-# Poses with a larger loss in small images, relative to the best, are not aligned in the images (choice: the small images'
-# noise is unknown).
-MAX_LOSS_RATIO = 2.0
 # Share of the drawn outline that agrees at least (derived: the majority).
 MIN_INLIER_RATIO = 0.5
-# Poses whose log-likelihoods differ by less are equally likely (docs/conventions.md, "Limits").
-MAX_LOG_ODDS = 12.0
+# Poses whose log-likelihoods differ by less are equally likely (docs/conventions.md, "Limits"), and those whose sectors
+# differ by chance with a larger probability (chi-squared: that of the other bounds).
+MAX_LOG_ODDS, MAX_CHANCE = 12.0, 0.001
 # Parts of a silhouette that may be the object, by area (choice: others are smaller).
 MAX_PARTS = 3
 # Area of a body relative to that of the ball about it, and its range, a factor of e^1.5 (derived: plates to balls).
@@ -63,7 +62,7 @@ def search_contour_poses(mesh: Mesh, outlines: Sequence[Outline]) -> list[Alignm
 
     Returns:
         The best pose, and those that agree with the outlines as well; none without an object. With more than one, which of
-        them is the object's is not known.
+        them is the object's is not known. `is_unique` if all others that were tested are clearly worse.
     """
     radius = float(np.linalg.norm(mesh.vertices, axis=1).max())
     place = _find_place(outlines, radius)
@@ -78,37 +77,61 @@ def search_contour_poses(mesh: Mesh, outlines: Sequence[Outline]) -> list[Alignm
     def descend_all(starts: Sequence[RigidTransform]) -> list[RigidTransform]:
         return [pose for start in starts if (pose := descend(mesh, small, start, COARSE_STEPS)[0]) is not None]
 
-    def sort(poses: Sequence[RigidTransform]) -> list[RigidTransform]:
-        losses = [measure_loss(mesh, small, pose, COARSE_SIGMA, 1.0) for pose in poses]
-        return _separate([poses[k] for k in np.argsort(losses)], SAME_ROTATION)
+    def sort(poses: Sequence[RigidTransform]) -> tuple[list[RigidTransform], FloatArray]:
+        losses = np.array([measure_losses(mesh, small, pose, (COARSE_SIGMA, 1.0), place).ravel() for pose in poses])
+        order = _separate(poses, np.argsort(losses.sum(axis=1)), SAME_ROTATION)
+        return [poses[k] for k in order], losses[order]
 
-    poses = sort(descend_all(_rank(mesh, coarse, cover_rotations(N_ROTATIONS), place, NEIGHBORS)))
-    if not poses:
+    cover = cover_rotations(N_ROTATIONS)
+    if not (starts := descend_all(_rank(mesh, coarse, cover, place, NEIGHBORS))):
         return []
-    # Bodies that are nearly symmetric look alike after rotations about their principal axes: first to find the best one,
-    # then to find all others.
+    poses, losses = sort(starts)
+    # What looks like the best pose may be the object's as well: first to find the best one, then to find all others.
     for _ in range(2):
-        turned = poses[0].rotation * _turn_about_principal_axes(mesh)
-        poses = sort([*poses, *descend_all(_rank(mesh, medium, turned, poses[0].translation, NEIGHBORS / 2))])
-    losses = [measure_loss(mesh, small, pose, COARSE_SIGMA, 1.0) for pose in poses[:N_REFINED]]
-    is_near = [loss < MAX_LOSS_RATIO * losses[0] + MAX_LOG_ODDS for loss in losses]
-    found = [align_contours(mesh, outlines, pose) for pose, near in zip(poses, is_near, strict=False) if near]
-    agreeing = [a for a in found if a is not None and a.inliers.sum() >= MIN_INLIER_RATIO * a.points.sum()]
-    return select_likely(mesh, outlines, agreeing)
+        best = poses[0]
+        turned = best.rotation * _turn_about_principal_axes(mesh)
+        rotations = Rotation.concatenate([turned, _mirror(mesh, best, outlines), cover])
+        alike = _rank(mesh, _draw_windows(mesh, coarse, best), rotations, best.translation, NEIGHBORS)
+        agreeing = _rank(mesh, medium, turned, best.translation, NEIGHBORS / 2)
+        poses, losses = sort([*poses, *descend_all([*alike, *agreeing])])
+        if len(_separate([best, poses[0]], np.arange(2), SAME_ROTATION)) == 1:
+            break
+    likely = [pose for pose, loss in zip(poses, losses, strict=True) if not is_less_likely(loss, losses[0])]
+    found = [align_contours(mesh, outlines, pose) for pose in likely[:N_REFINED]]
+    supported = [a for a in found if a is not None and a.inliers.sum() >= MIN_INLIER_RATIO * a.points.sum()]
+    kept = select_likely(mesh, outlines, supported)
+    is_unique = len(kept) == 1 and len(likely) <= N_REFINED
+    return [replace(alignment, is_unique=is_unique) for alignment in kept]
 
 
 def select_likely(mesh: Mesh, outlines: Sequence[Outline], found: Sequence[Alignment]) -> list[Alignment]:
-    """Return the best of the poses, and those that agree with the outlines as well, best first, without duplicates."""
+    """Return the best of the poses, and those that are not clearly worse, best first, without duplicates."""
     if len(found) < 2:
         return list(found)
     sharpest = min(found, key=lambda alignment: alignment.sigma)
-    poses = [alignment.world_from_object for alignment in found]
-    losses = np.array([measure_loss(mesh, outlines, pose, sharpest.sigma, sharpest.correlation) for pose in poses])
+    noise, center = (sharpest.sigma, sharpest.correlation), sharpest.world_from_object.translation
+    losses = [measure_losses(mesh, outlines, a.world_from_object, noise, center).ravel() for a in found]
+    order = np.argsort([loss.sum() for loss in losses])
     kept = list[Alignment]()
-    for k in np.argsort(losses):
-        if losses[k] < losses.min() + MAX_LOG_ODDS and not any(_is_same(other, found[k]) for other in kept):
+    for k in order:
+        if not is_less_likely(losses[k], losses[order[0]]) and not any(_is_same(other, found[k]) for other in kept):
             kept.append(found[k])
     return kept
+
+
+def is_less_likely(losses: FloatArray, least: FloatArray) -> bool:
+    """Return whether a pose is less likely than another by the losses (n,) of sectors that count as independent.
+
+    The likelihood holds for noise. Errors of silhouettes are not noise: what one sector shows may be one. Of poses that are
+    equally likely the differences are as often positive as negative, and their sum exceeds t times the root of the sum of
+    their squares with a probability of exp(-t^2 / 2) at most.
+
+    Source: B. Efron, "Student's t-test under symmetry conditions", 1969. Compare Q. Vuong, "Likelihood ratio tests for
+    model selection and non-nested hypotheses", 1989.
+    """
+    difference = losses - least
+    total = float(difference.sum())
+    return total > MAX_LOG_ODDS and total**2 > -2 * np.log(MAX_CHANCE) * float(difference @ difference)
 
 
 def _is_same(a: Alignment, b: Alignment) -> bool:
@@ -119,24 +142,50 @@ def _is_same(a: Alignment, b: Alignment) -> bool:
     return bool(error @ np.linalg.solve(a.covariance + b.covariance, error) < chi_squared_bound(6))
 
 
-def _separate(poses: Sequence[RigidTransform], angle: float, most: int | None = None) -> list[RigidTransform]:
-    """Return the poses without those whose rotation is nearer than an angle to that of an earlier one."""
-    kept = list[RigidTransform]()
-    for pose in poses:
-        if all((pose.rotation * other.rotation.inv()).magnitude() > angle for other in kept):
-            kept.append(pose)
+def _separate(poses: Sequence[RigidTransform], order: IntArray, angle: float, most: int | None = None) -> list[int]:
+    """Return the numbers of poses, in an order, without those whose rotation is nearer than an angle to an earlier one."""
+    kept = list[int]()
+    for k in order.tolist():
+        if all((poses[k].rotation * poses[other].rotation.inv()).magnitude() > angle for other in kept):
+            kept.append(k)
         if len(kept) == most:
             break
     return kept
 
 
+def _find_principal_axes(mesh: Mesh) -> FloatArray:
+    """Return the principal axes of inertia (3, 3) of a surface, as rows."""
+    corners = mesh.vertices[mesh.faces]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    # The midpoints of a triangle's edges have its second moments.
+    points = np.concatenate([(corners[:, k] + corners[:, k - 1]) / 2 for k in range(3)])
+    weights = np.tile(area, 3)
+    centered = points - np.average(points, axis=0, weights=weights)
+    return np.linalg.eigh((centered * weights[:, None]).T @ centered)[1].T
+
+
 def _turn_about_principal_axes(mesh: Mesh) -> Rotation:
     """Return rotations of the mesh about its principal axes of inertia, also after half a turn about another."""
-    axes = np.linalg.svd(mesh.vertices[mesh.faces].mean(axis=1), full_matrices=False)[2]
+    axes = _find_principal_axes(mesh)
     angles = np.linspace(0, 2 * np.pi, N_TURNS, endpoint=False)
     spins = Rotation.from_rotvec((angles[:, None, None] * axes).reshape(-1, 3))
     flips = Rotation.from_rotvec(np.pi * axes)
     return Rotation.concatenate([spins, *(spins * flip for flip in flips)])
+
+
+def _mirror(mesh: Mesh, pose: RigidTransform, outlines: Sequence[Outline]) -> Rotation:
+    """Return rotations after which a body with a plane or center of symmetry looks alike from far away.
+
+    They are its mirror images in the image plane of a camera, or of all cameras in the mean.
+    """
+    views = [outline.camera.direction for outline in outlines]
+    mean = np.mean(views, axis=0)
+    views.append(mean / max(float(np.linalg.norm(mean)), 1e-9))
+    symmetries = [*(np.eye(3) - 2 * np.outer(axis, axis) for axis in _find_principal_axes(mesh)), -np.eye(3)]
+    matrix = pose.rotation.as_matrix()
+    return Rotation.from_matrix(
+        [(np.eye(3) - 2 * np.outer(view, view)) @ matrix @ symmetry for view in views for symmetry in symmetries]
+    )
 
 
 def cover_rotations(n: int) -> Rotation:
@@ -228,6 +277,12 @@ def _make_windows(outlines: Sequence[Outline], place: FloatArray, radius: float,
     return windows
 
 
+def _draw_windows(mesh: Mesh, windows: Sequence[_Window], pose: RigidTransform) -> list[_Window]:
+    """Return the windows with the silhouettes of a mesh at a pose, known everywhere."""
+    vertices = pose.apply(mesh.vertices)
+    return [_Window(w.camera, draw_mask(mesh, w.camera, vertices), np.ones_like(w.is_known)) for w in windows]
+
+
 def _rank(
     mesh: Mesh, windows: Sequence[_Window], rotations: Rotation, place: FloatArray, apart: float
 ) -> list[RigidTransform]:
@@ -260,8 +315,8 @@ def _rank(
         masks, mask = _draw_all(mesh, window, matrices, places), window.mask
         both = (masks & mask).sum(axis=(1, 2))
         score += both / np.maximum(masks.sum(axis=(1, 2)) + mask.sum() - both, 1.0)
-    poses = [RigidTransform.from_components(places[k], rotations[k]) for k in np.argsort(score)[::-1].tolist()]
-    return _separate(poses, apart, N_ALIGNED)
+    poses = [RigidTransform.from_components(*of_pose) for of_pose in zip(places, rotations, strict=True)]
+    return [poses[k] for k in _separate(poses, np.argsort(score)[::-1], apart, N_ALIGNED)]
 
 
 def _draw_all(mesh: Mesh, window: _Window, rotations: FloatArray, places: FloatArray) -> BoolArray:
