@@ -100,7 +100,8 @@ def search_contour_poses(mesh: Mesh, outlines: Sequence[Outline]) -> list[Alignm
     found = [align_contours(mesh, outlines, pose) for pose in likely[:N_REFINED]]
     supported = [a for a in found if a is not None and a.inliers.sum() >= MIN_INLIER_RATIO * a.points.sum()]
     kept = select_likely(mesh, outlines, supported)
-    is_unique = len(kept) == 1 and len(likely) <= N_REFINED
+    # Poses that were not compared in the images are no evidence that the other is the only one.
+    is_unique = len(kept) == 1 and len(supported) == len(likely)
     return [replace(alignment, is_unique=is_unique) for alignment in kept]
 
 
