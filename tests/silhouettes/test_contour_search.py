@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from sylpose.silhouettes.background import Silhouette
 from sylpose.silhouettes.contour_search import MAX_CHANCE, cover_rotations, is_less_likely, search_contour_poses
+from sylpose.silhouettes.contours import Outline
 from tests.silhouettes.test_contours import RIG, draw_outlines, draw_pose, error_of, join, make_box, make_bracket
 
 
@@ -25,6 +27,17 @@ def test_body_is_found_without_a_start() -> None:
     error = error_of(found.world_from_object, pose)
     assert np.degrees(np.linalg.norm(error[:3])) < 0.1
     assert np.linalg.norm(error[3:]) < 5e-4 * 1.5
+
+
+def test_camera_that_looks_away_does_not_matter() -> None:
+    mesh, pose = make_bracket(), draw_pose(11)
+    outlines = draw_outlines(mesh, RIG, pose)
+    turn = RigidTransform.from_rotation(Rotation.from_rotvec([0, np.pi, 0]))
+    last = outlines[-1]
+    away = replace(last.camera, camera_from_world=turn * last.camera.camera_from_world)
+    empty = Outline.of(away, Silhouette.from_mask(np.zeros(last.distance.shape, bool)))
+    found = search_contour_poses(mesh, [*outlines[:-1], empty])
+    assert np.degrees(np.linalg.norm(error_of(found[0].world_from_object, pose)[:3])) < 0.1
 
 
 def test_all_poses_of_a_block_are_found() -> None:

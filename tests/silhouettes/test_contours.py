@@ -148,6 +148,16 @@ def test_errors_agree_with_the_covariance() -> None:
     assert 0.5 < np.mean(squares) < 18
 
 
+def test_reduced_outlines_are_known() -> None:
+    camera = RIG.cameras[0]
+    width, height = camera.size
+    mask = np.zeros((height, width), bool)
+    mask[height // 4 : height // 2, width // 4 : width // 2] = True
+    outline = Outline.of(camera, Silhouette.from_mask(mask))
+    for step in range(1, 60):
+        assert outline.reduce(step).is_known.mean() == outline.is_known.mean() == 1.0
+
+
 def test_pose_does_not_depend_on_the_world() -> None:
     mesh, pose = make_bracket(), draw_pose(5)
     new_from_world = RigidTransform.from_components([0.3, -2.0, 1.1], Rotation.from_rotvec([0.4, -1.0, 2.0]))

@@ -18,11 +18,12 @@ from sylpose.simulate.recordings import create_session_folder, write_videos
 from sylpose.smoothing import Track, smooth_tracks
 from sylpose.status import FrameStatus
 from sylpose.tracking.context import Context
+from sylpose.tracking.first_motion import FirstMotion
 from sylpose.tracking.joint_side.joint_state import SolvedFrame
 from sylpose.tracking.map_update import add_f_ratio, is_contradicted, measure_f_ratio
 from sylpose.tracking.options import TrackingOptions
 from sylpose.tracking.reports import PoseAgreement
-from sylpose.tracking.tracker import track
+from sylpose.tracking.tracker import Tracker, track
 from tests.clips import Clip, frame_sets, statuses, turning_clip
 
 
@@ -66,6 +67,17 @@ def test_command_names_the_remedy(tmp_path: Path, capsys: pytest.CaptureFixture[
 def test_right_rig_is_tracked(clip: Clip) -> None:
     tracked = list(track(clip.frames(), clip.rig))
     assert statuses(tracked)[1:] == [FrameStatus.TRACKED] * (len(clip.images) - 1)
+
+
+@pytest.mark.parametrize("f_ratio", [4.0, 6.0])
+def test_contradicted_first_motion_determines_no_depth(
+    clip: Clip, monkeypatch: pytest.MonkeyPatch, f_ratio: float
+) -> None:
+    monkeypatch.setattr(FirstMotion, "compute_f_ratio", lambda _motion: f_ratio)
+    with Tracker(clip.rig, clip.boxes) as tracker:
+        for frame in clip.frames()[:8]:
+            tracker.step(frame)
+        assert tracker.copy_snapshot().state.object.is_depth_guessed == (f_ratio > TrackingOptions().max_pooled_f_ratio)
 
 
 def test_tracked_frames_replace_the_evidence_of_the_recording(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:

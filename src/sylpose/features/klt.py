@@ -48,8 +48,9 @@ KLT_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)
 KLT_OPTIONS: Any = {"winSize": (KLT_WINDOW_PX, KLT_WINDOW_PX), "criteria": KLT_CRITERIA}
 KLT_OPTIONS["flags"] = cv2.OPTFLOW_USE_INITIAL_FLOW
 # Longer side of the largest images for which these levels are enough, pixels: in larger ones the same motion covers more
-# pixels, so each doubling adds a level (measured: with one more level in board4, of 1280x720, 43 instead of 48 of its
-# frame sets are tracked; with one less at 3264x2448, objects that rotate by 4 degrees per frame are lost in a third).
+# pixels, so each doubling that begins adds a level (measured: with one more level in board4, of 1280x720, 43 instead of
+# 48 of its frame sets are tracked; with one less at 3264x2448, an object that rotates by 4 degrees per frame is followed
+# in 7 of 11).
 KLT_SIDE_PX = 1280
 # Width of the square over which illumination is flattened, pixels. A smaller one would reduce the capture range.
 FLATTEN_WINDOW_PX = 51
@@ -160,7 +161,7 @@ def track_features(tracks: Tracks, previous: Image, current: Image, guess: Array
         tracks: features with their positions in `previous`.
         previous, current: (h, w) gray, of the same size.
         guess: (n, 2) expected positions in `current`, within about 4 pixels; without it, features may have moved by
-            about 8 pixels since `previous`.
+            about 8 pixels since `previous`. Both double with each level that large images add.
 
     Returns:
         Tracks with the positions in `current`.

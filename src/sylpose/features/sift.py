@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -35,8 +36,8 @@ SAME_POSITION_PX = 3.0
 SIFT_BIAS_PX = 0.25
 # Least cosine of two RootSIFT descriptors of the same point; unrelated ones stay below about 0.7.
 MIN_COSINE = 0.85
-# Number of pixels that all threads process at the same time: SIFT holds 11 images of four times as many pixels, of four
-# bytes, and their octaves, 235 bytes per pixel; these are 0.5 GB, a whole Full HD image (derived).
+# Number of pixels that all threads process at the same time, for each two cores: SIFT holds 11 images of four times as many
+# pixels, of four bytes, and their octaves, 235 bytes per pixel; these are 0.5 GB, a whole Full HD image (choice).
 MAX_CONCURRENT_PIXELS = 1920 * 1080
 FULL_RESOLUTION = np.ones(2)
 
@@ -109,7 +110,7 @@ class _PixelBudget:
                 self._condition.notify_all()
 
 
-_budget = _PixelBudget(MAX_CONCURRENT_PIXELS)
+_budget = _PixelBudget(MAX_CONCURRENT_PIXELS * max((os.cpu_count() or 1) // 2, 1))
 
 
 def reduce_image(image: Image, max_pixels: int) -> Image:

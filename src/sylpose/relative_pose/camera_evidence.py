@@ -145,7 +145,8 @@ def compare_motions(
     # Least trimmed squares, from the matches that the joint motion explains best: other bodies may have more.
     _compute_residuals(x, y, focal, rotation, translation, residuals)
     sizes = np.abs(residuals)
-    last = max(n // MIN_SHARE, MIN_MATCHES - 1)
+    # A fit to hardly more matches than it has unknowns would be trimmed to its own errors.
+    last = max(n // MIN_SHARE, min(n, 2 * MIN_MATCHES) - 1)
     limit = np.partition(sizes, last)[last]
     for i in range(n):
         own[i] = 1.0 if sizes[i] <= limit else 0.0

@@ -23,7 +23,8 @@ def return_large_arrays() -> None:
     set in the environment is kept.
     """
     with suppress(OSError, TypeError, AttributeError):  # no glibc
-        if "MALLOC_MMAP_THRESHOLD_" not in os.environ:
+        is_set = "glibc.malloc.mmap_threshold" in os.environ.get("GLIBC_TUNABLES", "")
+        if not is_set and "MALLOC_MMAP_THRESHOLD_" not in os.environ:
             ctypes.CDLL(None).mallopt(MMAP_THRESHOLD, MIN_RETURNED_BYTES)
 
 

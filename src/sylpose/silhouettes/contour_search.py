@@ -255,7 +255,8 @@ def _find_parts(outline: Outline) -> tuple[FloatArray, FloatArray]:
 def _step_to(camera: Camera, place: FloatArray, radius: float, size: float) -> int:
     """Return the whole factor by which images are reduced to show the object with about this diameter, pixels."""
     depth = float(camera.camera_from_world.apply(place)[2])
-    return max(1, int(2 * radius * camera.focal / max(depth, 1e-9) / size))
+    # A camera may be in it, or look away from it.
+    return int(np.clip(2 * radius * camera.focal / max(depth, 1e-9) / size, 1, min(camera.size)))
 
 
 def _make_windows(outlines: Sequence[Outline], place: FloatArray, radius: float, size: float) -> list[_Window]:

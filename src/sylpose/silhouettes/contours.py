@@ -80,7 +80,7 @@ class Outline:
         distance, known = (cv2.resize(of, (width, height), interpolation=cv2.INTER_AREA) for of in parts)
         pixels = np.unique(self.pixels // step, axis=0)
         pixels = pixels[(pixels < [width, height]).all(axis=1)]
-        return Outline(camera, np.asarray(distance / step, np.float32), np.asarray(known == 1), pixels)
+        return Outline(camera, np.asarray(distance / step, np.float32), np.asarray(known > 1 - 0.5 / step**2), pixels)
 
     @classmethod
     def of(cls, camera: Camera, silhouette: Silhouette) -> Outline:

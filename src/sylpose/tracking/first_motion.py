@@ -85,7 +85,7 @@ class FirstMotion:
         is_rigid: whether a rigid motion is likelier than independent displacements of the matches.
         is_significant: whether it also exceeds the noise of static keypoints.
         is_observable: whether it is fully observable, including rotation angle and length of translation.
-        f_ratio: by which the cameras contradict it; NaN unless several have evidence.
+        moving: per camera, what is known of its moving matches.
         failure_status: status to report if this is not the object's motion: too few matches, no motion, or no rigid
             motion.
         inliers: per camera, local.
@@ -101,7 +101,7 @@ class FirstMotion:
     is_rigid: bool
     is_significant: bool
     is_observable: bool
-    f_ratio: float
+    moving: Sequence[Sequence[MovingMatches]]
     failure_status: FrameStatus
     inliers: CameraPairs
 
@@ -109,6 +109,13 @@ class FirstMotion:
     def motion(self) -> RigidTransform:
         """Motion of the object since the frame."""
         return make_motion_about(self.center, self.fit.rotation, self.fit.translation)
+
+    def compute_f_ratio(self) -> float:
+        """Compute the ratio by which the cameras contradict it (`camera_evidence`); NaN unless several have evidence."""
+        motion = self.center, self.fit.rotation, self.fit.translation
+        excess = [measure_excess([report.term for report in own], *motion)[0] for own in self.moving]
+        worst = np.array([np.fmax.reduce(own, initial=np.nan) for own in excess])
+        return float(compute_f_ratio(worst, MIN_KEPT_POOLED))
 
 
 def is_continuing_motion(earlier: RigidTransform | None, later: RigidTransform | None) -> bool:
@@ -172,7 +179,7 @@ def estimate_first_motion(context: Context, pairs: CameraPairs, first_number: in
         undefined, fit = np.full(3, np.nan), make_failed_fit([], Status.TOO_FEW_MATCHES)
         nothing = [list[FrameMatches]() for _ in executor.local]
         return FirstMotion(
-            fit, undefined, undefined, np.nan, 0, np.nan, 0, False, False, False, np.nan, failure_status, nothing
+            fit, undefined, undefined, np.nan, 0, np.nan, 0, False, False, False, (), failure_status, nothing
         )
     fit, center = _fit_consistent(reports, context.create_rng(), context.options)
     is_rigid, detects_motion = _test_significance(fit, reports, context.options)
@@ -196,22 +203,10 @@ def estimate_first_motion(context: Context, pairs: CameraPairs, first_number: in
         is_rigid=int(is_rigid.sum()) >= min_cameras,
         is_significant=int(detects_motion.sum()) >= min_cameras,
         is_observable=fit.status is Status.OK and classify_observability(fit, radius)[0].status is Status.OK,
-        f_ratio=_compute_f_ratio(by_camera, fit, center),
+        moving=by_camera,
         failure_status=failure_status,
         inliers=[select_inliers(own, [w for w, _ in ws]) for own, ws in zip(moving, weights, strict=True)],
     )
-
-
-def _compute_f_ratio(by_camera: Sequence[Sequence[MovingMatches]], fit: Fit, center: FloatArray) -> float:
-    """Return the F ratio of a motion, with each camera's worst pair; NaN unless several cameras have evidence."""
-    if not fit.status.has_pose:
-        return np.nan
-    excess = [
-        measure_excess([report.term for report in reports], center, fit.rotation, fit.translation)[0]
-        for reports in by_camera
-    ]
-    worst = np.array([np.fmax.reduce(own, initial=np.nan) for own in excess])
-    return float(compute_f_ratio(worst, MIN_KEPT_POOLED))
 
 
 def _report_moving(part: FrameMatches, pair: FrameMatches, jitter_px: float, c: int, camera: Camera) -> MovingMatches:
@@ -387,9 +382,10 @@ def _update_depth(
     # Something may pass by behind the object.
     is_far = np.linalg.norm(initial_motion.inlier_center - first.world_from_object.translation) > state.object.radius
     is_unclear = initial_motion.fit.is_mixed or initial_motion.fit.alternative is not None
-    is_unclear |= initial_motion.f_ratio > context.options.max_pooled_f_ratio
     if not initial_motion.is_significant or is_unclear or is_far:
         return state, None
+    if state.object.is_depth_guessed and initial_motion.compute_f_ratio() > context.options.max_pooled_f_ratio:
+        return state, None  # all later frames would build on it
     radius, current_pose = initial_motion.radius, initial_motion.motion * first.world_from_object
     motion = KnownMotion({first.number: first.world_from_object}, current_pose, radius)
     for camera, current, own in zip(context.cameras, frame.cameras, pairs, strict=True):
