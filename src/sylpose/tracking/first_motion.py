@@ -85,7 +85,7 @@ class FirstMotion:
         is_rigid: whether a rigid motion is likelier than independent displacements of the matches.
         is_significant: whether it also exceeds the noise of static keypoints.
         is_observable: whether it is fully observable, including rotation angle and length of translation.
-        moving: per camera, what is known of its moving matches.
+        moving: per camera, its moving matches with the frame, inliers or not.
         failure_status: status to report if this is not the object's motion: too few matches, no motion, or no rigid
             motion.
         inliers: per camera, local.
@@ -111,7 +111,7 @@ class FirstMotion:
         return make_motion_about(self.center, self.fit.rotation, self.fit.translation)
 
     def compute_f_ratio(self) -> float:
-        """Compute the ratio by which the cameras contradict it (`camera_evidence`); NaN unless several have evidence."""
+        """Compute the F ratio of the cameras' own motions (`camera_evidence`); NaN unless several have evidence."""
         motion = self.center, self.fit.rotation, self.fit.translation
         excess = [measure_excess([report.term for report in own], *motion)[0] for own in self.moving]
         worst = np.array([np.fmax.reduce(own, initial=np.nan) for own in excess])

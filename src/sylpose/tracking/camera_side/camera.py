@@ -425,10 +425,8 @@ class CameraTracker:
             return Features.empty()
         if mask is not None:
             area = mask if area is None else area & mask
-        max_features, step = (
-            MAX_FAINT_FEATURES if faint else max_features,
-            self.camera.size / np.array(image.shape[1::-1]),
-        )
+        max_features = MAX_FAINT_FEATURES if faint else max_features
+        step = self.camera.size / np.array(image.shape[1::-1])
         return detect_features(image, self.camera, area, max_features, faint=faint, max_pixels=max_pixels, step=step)
 
     def detect_in(
