@@ -53,7 +53,7 @@ ALLOWED: dict[str, set[str]] = {
     "bundle_adjustment": NOUNS | {"features", "absolute_pose", "landmarks"},
     "tracking": NOUNS | PARTS | {"relative_pose", "landmarks", "bundle_adjustment"},
     "smoothing": NOUNS | PARTS | {"relative_pose", "landmarks", "bundle_adjustment", "tracking"},
-    "silhouettes": NOUNS,
+    "silhouettes": NOUNS | {"relative_pose", "tracking"},
     "hand_eye": NOUNS | {"sylvester"},
     "rig_calibration": NOUNS | ESTIMATORS | {"boards"},
     "atomic_io": set(),

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -48,6 +50,12 @@ class Mesh:
             object.__setattr__(self, name, values)
 
     @property
+    def checksum(self) -> str:
+        """BLAKE2b checksum of vertices and faces."""
+        content = np.ascontiguousarray(self.vertices).tobytes() + np.ascontiguousarray(self.faces).tobytes()
+        return hashlib.blake2b(content, digest_size=16).hexdigest()
+
+    @property
     def size(self) -> float:
         """Longest side of the bounding box."""
         return float(np.ptp(self.vertices, axis=0).max())
@@ -65,6 +73,22 @@ class Mesh:
         for k in range(3):
             np.add.at(normals, self.faces[:, k], of_faces)
         return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300))
+
+    @cached_property
+    def edges(self) -> IntArray:
+        """(k, 4) numbers of each edge's two vertices, and of the vertices opposite of it in its two faces.
+
+        The last one is -1 of an edge with another number of faces.
+        """
+        n = len(self.vertices)
+        ends = np.concatenate([self.faces[:, [k, (k + 1) % 3]] for k in range(3)])
+        opposite = np.concatenate([self.faces[:, (k + 2) % 3] for k in range(3)])
+        keys = ends.min(axis=1) * n + ends.max(axis=1)
+        order = np.argsort(keys, kind="stable")
+        _, first, counts = np.unique(keys[order], return_index=True, return_counts=True)
+        second = order[np.minimum(first + 1, len(order) - 1)]
+        last = np.where(counts == 2, opposite[second], -1)
+        return np.column_stack([ends[order[first]], opposite[order[first]], last])
 
     def largest_part(self) -> Mesh:
         """Return the connected part with most faces."""

@@ -111,7 +111,8 @@ def test_derivative_of_the_outline() -> None:
     (outline,) = draw_outlines(mesh, RIG[:1], pose)
     contour = measure_contour(mesh, outline, pose)
     assert contour is not None
-    assert np.nanmedian(np.abs(contour.residuals)) < 0.05
+    # Observed distances are rounded to an eighth of a pixel.
+    assert np.nanmedian(np.abs(contour.residuals)) < 0.125
     derivative = differentiate_contour(contour, RIG[0], pose.translation)
     for k, size in enumerate(np.repeat([0.03, 0.006], 3)):
         seen = [

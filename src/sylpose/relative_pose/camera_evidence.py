@@ -100,15 +100,15 @@ class CameraEvidence:
 
 
 @kernel
-def compute_f_ratio(excess: FloatArray, min_kept: int = 2) -> float:
-    """Return the F ratio of the cameras' excess (C,); NaN if fewer than two have evidence.
+def compute_f_ratio(excess: FloatArray, min_kept: int = 2, n_own: int = N_OWN) -> float:
+    """Return the F ratio of the cameras' excess (C,) over fits of so many unknowns; NaN if fewer than two have evidence.
 
     An excess of NaN is a camera without evidence. One camera may be at fault, or see another body for a while, and a robust
     joint motion does not follow it: the ratio is that without the worst, if as many as `min_kept` remain. With C all count.
     """
     ordered = np.sort(excess[np.isfinite(excess)])
     n = len(ordered) - 1 if len(ordered) > min_kept else len(ordered)
-    constraints = N_OWN * n - N_JOINT
+    constraints = n_own * n - N_JOINT
     return float(ordered[:n].sum() / constraints) if constraints > 0 else np.nan
 
 

@@ -241,10 +241,11 @@ def _log_odds(colors: Image | FloatImage, background: Background) -> FloatImage:
 def level_images(images: Sequence[Image]) -> list[Image]:
     """Return the images of a static camera with gain and offset of each channel fitted to their median, robustly."""
     reference = np.median(np.stack(images), axis=0).astype(np.float32)
-    return [_remove_gain(image, reference) for image in images]
+    return [level_image(image, reference) for image in images]
 
 
-def _remove_gain(image: Image, reference: FloatImage) -> Image:
+def level_image(image: Image, reference: FloatImage) -> Image:
+    """Return an image with gain and offset of each channel fitted to a reference (h, w, 3), robustly."""
     table, channels = np.arange(256.0), []
     for channel in range(3):
         x, y = (of[::GAIN_STEP, ::GAIN_STEP, channel].ravel().astype(float) for of in (image, reference))

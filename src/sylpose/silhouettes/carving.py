@@ -15,7 +15,7 @@ from sylpose.geometry.validation import check_list, check_type
 from sylpose.mesh import Mesh
 from sylpose.rig import Camera, Rig
 from sylpose.silhouettes.background import OUTLINE_PX, Silhouette, estimate_background, find_silhouette, level_images
-from sylpose.silhouettes.rendering import render_mesh, zoom_camera
+from sylpose.silhouettes.rendering import reduce_camera, reduce_image, reduce_mask, render_mesh, zoom_camera
 from sylpose.silhouettes.visual_hull import (
     CORE_DEPTH,
     HullGrid,
@@ -28,9 +28,6 @@ from sylpose.silhouettes.visual_hull import (
 # Images of a camera without masks that its background needs (measured: with 7, a turning object is background in a fifth
 # of its pixels).
 MIN_IMAGES = 15
-# Longer sides of images are reduced by whole factors, pixels (choice: the target of 0.5 % of an object that fills a third
-# of the image is then 2 pixels).
-MAX_SIDE = 1024
 # Pixels about the region that images are cropped to (derived: those of the outline's refinement).
 CROP_MARGIN = 6
 # Rounds of carving and of estimating the background where the hull is not (measured: the second changes the error of
@@ -185,28 +182,16 @@ def _collect_images(
             )
         shown = masked
     needs_background = len(masked) < len(shown)
-    step = -(-max(camera.size) // MAX_SIDE)
-    width, height = (side // step for side in camera.size)
-
-    def reduce(image: Image) -> Image:
-        cropped = image[: height * step, : width * step]
-        return cropped if step == 1 else np.asarray(cv2.resize(cropped, (width, height), interpolation=cv2.INTER_AREA))
-
     kept = [*shown, *(k for k in available if needs_background and k not in shown)]
     images = list[Image]()
     for k in kept:
         image = pairs[k][0]
         assert image is not None
-        images.append(
-            reduce(image if image.ndim == 3 else np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8))
-        )
+        images.append(reduce_image(image))
     if needs_background:
         images = level_images(images)
-    masks = [
-        None if (mask := pairs[k][1]) is None else reduce(np.where(mask, 255, 0).astype(np.uint8)) > 127 for k in shown
-    ]
-    reduced = zoom_camera(camera, (np.zeros(2, int), step * np.array([width, height])), 1 / step)
-    return _CameraImages(reduced, shown, images[: len(shown)], masks, images[len(shown) :])
+    masks = [None if (mask := pairs[k][1]) is None else reduce_mask(mask) for k in shown]
+    return _CameraImages(reduce_camera(camera), shown, images[: len(shown)], masks, images[len(shown) :])
 
 
 def _crop_to_region(

@@ -1,11 +1,11 @@
 """Alignment of a known mesh with the outlines of its silhouettes in all cameras, and the pose's covariance.
 
-At a pose the mesh is drawn into each camera. Along the drawn outline the signed distance to the observed one is a
-measurement; both distances are computed from covered shares of pixels in the same way, so that rounding cancels. Neighbors
-along an outline have similar errors: the covariance is multiplied by the correlation length of the residuals. The errors'
-common part in a camera, an outline too far outside or inside, is an unknown with a prior. Compare M. Stoiber and others,
-"SRT3D: a sparse region-based 3D object tracking approach for the real world", 2022: color statistics on both sides of the
-outline, without a background.
+At a pose the mesh's rim is the outline that each camera would show. Along it the signed distance to the observed outline is
+a measurement. Neighbors along an outline have similar errors: the covariance is multiplied by the correlation length of the
+residuals. The errors' common part in a camera, an outline too far outside or inside, is an unknown with a prior. Where the
+cameras contradict each other, the covariance is multiplied by their F ratio. Compare M. Stoiber and others, "SRT3D: a sparse
+region-based 3D object tracking approach for the real world", 2022: color statistics on both sides of the outline, without a
+background.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.signal import correlate
 from scipy.spatial.transform import RigidTransform, Rotation
 
@@ -22,9 +23,11 @@ from sylpose.geometry.arrays import BoolArray, FloatArray, FloatImage, IntArray
 from sylpose.geometry.matrices import enlarge_covariance
 from sylpose.geometry.robust_loss import biquartic_losses, biquartic_weights, robust_sigma
 from sylpose.mesh import Mesh
+from sylpose.relative_pose.camera_evidence import FOCAL_ERROR_SD, ROTATION_ERROR_SD, compute_f_ratio
 from sylpose.rig import Camera
 from sylpose.silhouettes.background import OUTLINE_PX, Silhouette
-from sylpose.silhouettes.rendering import render_mesh, zoom_camera
+from sylpose.silhouettes.rendering import zoom_camera
+from sylpose.silhouettes.rim import Rim, find_rim
 from sylpose.silhouettes.visual_hull import SUBPIXELS, measure_outline_distances
 
 # Least standard deviation of an outline, pixels (derived: the subdivision of pixels for distances, uniformly distributed).
@@ -50,8 +53,10 @@ ANY_ANGLE_SD = np.pi / 3**0.5
 SEGMENTS, SECTORS = 8, 16
 # Points of an outline that determine a pose at least (derived: three for each unknown).
 MIN_POINTS = 18
-# Pixels about the object's image that are drawn (derived: more than the outline's refinement).
-MARGIN = 4
+# Unknowns of a camera's own pose (derived).
+N_OWN = 6
+# Way from a pixel along the mesh's image to the rim, pixels (derived: more than a pixel's diagonal).
+MAX_WAY = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,20 +103,20 @@ class Contour:
     """A mesh's drawn outline in one camera, with its distances to the observed one.
 
     Attributes:
-        points: (n, 3) on the mesh, in the world.
-        pixels: (n, 2) theirs, in order along each part of the outline.
+        rim: the mesh's rim.
+        points: (n, 3) of the rim next to the pixels, in the world.
+        pixels: (n, 2) along the mesh's image, in order along each part of the outline.
         normals: (n, 2) outward unit normals.
         residuals: (n,) how far outside the observed outline is, pixels; NaN where it is not known.
         part: (n,) number of the part of the outline.
-        unexplained: (m,) distances of the observed outline's pixels to the drawn one.
     """
 
+    rim: Rim
     points: FloatArray
     pixels: FloatArray
     normals: FloatArray
     residuals: FloatArray
     part: IntArray
-    unexplained: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,6 +132,8 @@ class Alignment:
         points: (C,) number of points of the outline whose distance is known.
         residuals: (C,) rms residual of the inliers, pixels; NaN without.
         has_converged: whether the last step was short.
+        excess: (C,) by which the pose explains each camera's outline worse than a pose of its own, beyond what errors of
+            calibrations explain: at most about six without a contradiction; NaN without evidence.
         is_unique: whether a search has shown that no other pose agrees as well; False if there was none.
     """
 
@@ -138,6 +145,7 @@ class Alignment:
     points: IntArray
     residuals: FloatArray
     has_converged: bool
+    excess: FloatArray
     is_unique: bool = False
 
 
@@ -150,63 +158,24 @@ def _trace_outlines(mask: BoolArray) -> list[IntArray]:
 
 
 def measure_contour(mesh: Mesh, outline: Outline, world_from_object: RigidTransform) -> Contour | None:
-    """Draw a mesh into a camera and measure the distances of its outline to the observed one; None if it is not in view."""
-    camera = outline.camera
-    drawn = draw_window(mesh, camera, world_from_object)
-    if drawn is None:
+    """Measure the distances of a mesh's outline in a camera to the observed one; None if it is not in view."""
+    camera, rim = outline.camera, find_rim(mesh, outline.camera, world_from_object)
+    if rim is None or not len(rim.points):
         return None
-    corner, share, inverse_depth = drawn
-    distance = measure_outline_distances(Silhouette(share, share))
-    gradient = np.stack([cv2.Sobel(distance, cv2.CV_32F, *order, ksize=3) for order in ((1, 0), (0, 1))], axis=-1)
-    parts = _trace_outlines(share > 0.5)
-    traced = np.concatenate([np.empty((0, 2), int), *parts])
-    pixels = traced + corner
+    parts = _trace_outlines(rim.mask)
+    pixels = np.concatenate([np.empty((0, 2), int), *parts]) + rim.corner
     at_border = ((pixels == 0) | (pixels == np.array(camera.size) - 1)).any(axis=1)
-    columns, rows = traced.T
-    steps = -gradient[rows, columns].astype(float)
-    length = np.linalg.norm(steps, axis=1)
-    normals = steps / np.maximum(length, 1e-9)[:, None]
+    nearest = rim.find_nearest(pixels)
+    away, normals = pixels - rim.pixels[nearest], rim.normals[nearest]
     observed = outline.distance[pixels[:, 1], pixels[:, 0]].astype(float)
     # The point of the observed outline that the distance is of.
     slope = _sample_gradient(outline.distance, pixels)
     foot = np.rint(pixels - observed[:, None] * slope).astype(int)
     foot = np.clip(foot, 0, np.array(camera.size) - 1)
-    is_known = outline.is_known[foot[:, 1], foot[:, 0]] & ~at_border & (length > 0)
-    residuals = np.where(is_known, observed - distance[rows, columns], np.nan)
-    depth = 1.0 / inverse_depth[rows, :, columns].max(axis=(1, 2)).astype(float)
-    in_camera = np.column_stack([camera.normalize(pixels.astype(float)), np.ones(len(pixels))]) * depth[:, None]
+    is_known = outline.is_known[foot[:, 1], foot[:, 0]] & ~at_border & (np.linalg.norm(away, axis=1) < MAX_WAY)
+    residuals = np.where(is_known, observed + (away * normals).sum(axis=1), np.nan)
     number = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
-    inside = outline.pixels - corner
-    last = np.array(distance.shape[::-1]) - 1
-    is_near = ((inside >= 0) & (inside <= last)).all(axis=1)
-    unexplained = np.full(len(inside), np.inf)
-    u, v = outline.pixels[is_near].T
-    unexplained[is_near] = outline.distance[v, u] - distance[inside[is_near, 1], inside[is_near, 0]]
-    points = camera.camera_from_world.inv().apply(in_camera)
-    return Contour(points, pixels.astype(float), normals, residuals, number, unexplained)
-
-
-def draw_window(
-    mesh: Mesh, camera: Camera, world_from_object: RigidTransform
-) -> tuple[IntArray, FloatImage, FloatImage] | None:
-    """Draw a mesh into the part of a camera's image where it is.
-
-    Returns:
-        (2,) the first pixel of the part; (h, w) the covered shares of its pixels; (h, SUBPIXELS, w, SUBPIXELS) inverse
-        depths in them, 0 without the mesh. None if the mesh is not in the image, or reaches behind the camera.
-    """
-    pixels = camera.project(world_from_object.apply(mesh.vertices))
-    if not np.isfinite(pixels).all():
-        return None
-    first = np.clip(np.floor(pixels.min(axis=0)) - MARGIN, 0, camera.size).astype(int)
-    last = np.clip(np.ceil(pixels.max(axis=0)) + MARGIN + 1, 0, camera.size).astype(int)
-    width, height = (last - first).tolist()
-    if width < 1 or height < 1:
-        return None
-    fine = render_mesh(mesh, zoom_camera(camera, (first, last), SUBPIXELS), world_from_object)
-    inverse_depth = fine.inverse_depth.reshape(height, SUBPIXELS, width, SUBPIXELS)
-    share = cv2.resize(fine.mask.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA)
-    return first, np.asarray(share, np.float32), inverse_depth
+    return Contour(rim, rim.points[nearest], pixels.astype(float), normals, residuals, number)
 
 
 def _sample_gradient(distance: FloatImage, pixels: IntArray) -> FloatArray:
@@ -255,12 +224,17 @@ def align_contours(
     fit = None if pose is None else _fit_contours(mesh, outlines, pose)
     if pose is None or fit is None:
         return None
-    covariance = _estimate_covariance(mesh, fit, pose)
+    pairs = zip(fit.contours, fit.outlines, strict=True)
+    jacobians = [differentiate_contour(contour, outline.camera, pose.translation) for contour, outline in pairs]
+    raw, adjusted = _measure_excess(fit, jacobians, pose.translation)
+    covariance = _estimate_covariance(mesh, fit, pose, jacobians) * np.fmax(1.0, compute_f_ratio(raw, 2, N_OWN))
+    excess = np.full(len(outlines), np.nan)
+    excess[fit.cameras] = adjusted
     inliers, points, rms = np.zeros(len(outlines), int), np.zeros(len(outlines), int), np.full(len(outlines), np.nan)
     for c, r, w in zip(fit.cameras, fit.residuals, fit.weights, strict=True):
         inliers[c], points[c] = (w > 0).sum(), np.isfinite(r).sum()
         rms[c] = np.sqrt(np.mean(np.square(r[w > 0]))) if inliers[c] else np.nan
-    return Alignment(pose, covariance, fit.sigma, fit.correlation, inliers, points, rms, has_converged)
+    return Alignment(pose, covariance, fit.sigma, fit.correlation, inliers, points, rms, has_converged, excess)
 
 
 def descend(
@@ -313,7 +287,9 @@ def measure_losses(
         if contour is not None:
             is_seen, is_known = True, np.isfinite(contour.residuals)
             pixels = np.concatenate([contour.pixels[is_known], pixels])
-            distances = np.concatenate([contour.residuals[is_known], contour.unexplained])
+            u, v = outline.pixels.T
+            unexplained = outline.distance[v, u] - contour.rim.measure_distances(outline.pixels.astype(float))
+            distances = np.concatenate([contour.residuals[is_known], unexplained])
             squares = np.square((distances - _find_offset(contour.residuals)) / (CUTOFF * sigma))
         x, y = (pixels - np.nan_to_num(outline.camera.project(center)[0])).T
         sector = np.floor((np.arctan2(y, x) / (2 * np.pi) + 0.5) * SECTORS).astype(int) % SECTORS
@@ -404,7 +380,39 @@ def _make_normal_equations(fit: _Fit, jacobians: Sequence[FloatArray]) -> tuple[
     return information, gradient
 
 
-def _estimate_covariance(mesh: Mesh, fit: _Fit, pose: RigidTransform) -> FloatArray:
+def _measure_excess(fit: _Fit, jacobians: Sequence[FloatArray], center: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Compare the pose with the best one of each camera alone, in whose residuals its noise is measured.
+
+    Returns:
+        per camera the excess of the pose's squared residuals; the same, if its calibration may be off as usual. NaN with
+        fewer points than unknowns.
+
+    Source: as `relative_pose.camera_evidence`.
+    """
+    excess, adjusted = np.full((2, len(jacobians)), np.nan)
+    for k, jacobian in enumerate(jacobians):
+        contour, residual, weight = fit.contours[k], np.nan_to_num(fit.residuals[k]), fit.weights[k]
+        if np.count_nonzero(weight) < MIN_POINTS:
+            continue
+        ray = center - fit.outlines[k].camera.center
+        distance = float(np.linalg.norm(ray))
+        # A rotation of the camera moves the object across its ray, an error of the focal length along it.
+        along = np.outer(ray, ray) / distance**2
+        error = block_diag(np.eye(3) * ROTATION_ERROR_SD**2, (np.eye(3) - along) * (ROTATION_ERROR_SD * distance) ** 2)
+        error[3:, 3:] += along * (FOCAL_ERROR_SD * distance) ** 2
+        hessian, gradient = jacobian.T @ (jacobian * weight[:, None]), jacobian.T @ (weight * residual)
+        # Nothing is known of directions that this camera does not show.
+        weak = np.diag(np.repeat([ANY_ANGLE_SD, distance], 3) ** -2.0)
+        own = residual - jacobian @ np.linalg.solve(hessian + weak * MIN_SIGMA**2, gradient)
+        variance = max(float(weight @ own**2) / (weight.sum() - N_OWN), MIN_SIGMA**2)
+        variance *= measure_correlation([contour], [own], [weight])
+        information, score = hessian / variance, gradient / variance
+        excess[k] = score @ np.linalg.solve(information + weak, score)
+        adjusted[k] = excess[k] - score @ np.linalg.solve(information + np.linalg.inv(error), score)
+    return excess, adjusted
+
+
+def _estimate_covariance(mesh: Mesh, fit: _Fit, pose: RigidTransform, of_points: Sequence[FloatArray]) -> FloatArray:
     """Return the covariance (6, 6) of (w, d): the largest of three estimates in any direction.
 
     Derivatives are those of the points of the outline, and by drawings after larger rotations; the noise is the mean along
@@ -414,7 +422,6 @@ def _estimate_covariance(mesh: Mesh, fit: _Fit, pose: RigidTransform) -> FloatAr
     distance = float(np.mean([np.linalg.norm(pose.translation - o.camera.center) for o in fit.outlines]))
     prior = np.diag(np.repeat([ANY_ANGLE_SD, distance], 3) ** -2.0)
     pairs = list(zip(fit.contours, fit.outlines, strict=True))
-    of_points = [differentiate_contour(contour, outline.camera, pose.translation) for contour, outline in pairs]
     information, _ = _make_normal_equations(fit, of_points)
     covariance = np.asarray(np.linalg.inv(information + prior), float)
     # Larger rotations do not add up: they are about the axis that is least certain, and those across it.
@@ -454,11 +461,7 @@ def differentiate_drawing(
     for k in range(3):
         for sign in (-1.0, 1.0):
             step = np.concatenate([sign * DIFFERENCE * axes[:, k], np.zeros(3)])
-            drawn = draw_window(mesh, camera, move(pose, pose.translation, step))
-            if drawn is None:
-                continue
-            corner, share, _ = drawn
-            distance = measure_outline_distances(Silhouette(share, share))
-            at = np.clip(contour.pixels.astype(int) - corner, 0, np.array(distance.shape[::-1]) - 1)
-            out[:, k] += sign * distance[at[:, 1], at[:, 0]] / (2 * DIFFERENCE)
+            rim = find_rim(mesh, camera, move(pose, pose.translation, step))
+            if rim is not None and len(rim.points):
+                out[:, k] += sign * rim.measure_distances(contour.pixels) / (2 * DIFFERENCE)
     return np.asarray(out @ axes.T)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
@@ -14,6 +15,9 @@ from sylpose.geometry.numba_linalg import leaf
 from sylpose.mesh import Mesh
 from sylpose.rig import Camera
 
+# Longer sides of images are reduced by whole factors, pixels (choice: the target of 0.5 % of an object that fills a third
+# of the image is then 2 pixels).
+MAX_SIDE = 1024
 # Gray level of faces that are seen from the side.
 AMBIENT = 60
 
@@ -52,6 +56,29 @@ def zoom_camera(camera: Camera, window: tuple[IntArray, IntArray] | None = None,
     return replace(camera, matrix=matrix, size=(width, height))
 
 
+def reduce_camera(camera: Camera) -> Camera:
+    """Return the camera of images that `reduce_image` has reduced."""
+    step = -(-max(camera.size) // MAX_SIDE)
+    return zoom_camera(camera, (np.zeros(2, int), step * (np.array(camera.size) // step)), 1 / step)
+
+
+def reduce_image(image: Image) -> Image:
+    """Return an image (h, w) or (h, w, 3) in color, reduced by a whole factor to a handy size."""
+    return _reduce(image if image.ndim == 3 else np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8))
+
+
+def reduce_mask(mask: BoolArray) -> BoolArray:
+    """Return a mask (h, w), reduced as `reduce_image` does."""
+    return np.asarray(_reduce(np.where(mask, 255, 0).astype(np.uint8)) > 127)
+
+
+def _reduce(image: Image) -> Image:
+    height, width = image.shape[:2]
+    step = -(-max(height, width) // MAX_SIDE)
+    cropped, size = image[: height - height % step, : width - width % step], (width // step, height // step)
+    return cropped if step == 1 else np.asarray(cv2.resize(cropped, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
 def render_mesh(mesh: Mesh, camera: Camera, world_from_object: RigidTransform) -> Rendering:
     """Render a mesh; faces that reach behind the camera are omitted."""
     in_world = world_from_object.apply(mesh.vertices)
@@ -66,10 +93,31 @@ def render_mesh(mesh: Mesh, camera: Camera, world_from_object: RigidTransform) -
 
 def draw_mask(mesh: Mesh, camera: Camera, vertices: FloatArray) -> BoolArray:
     """Return the mask (h, w) of a mesh with its vertices (n, 3) elsewhere in the world."""
-    pixels, (width, height) = camera.project(vertices), camera.size
-    face, nearest = np.full((height, width), -1, np.int32), np.zeros((height, width), np.float32)
-    _fill_faces(pixels, np.ones(len(pixels)), mesh.faces, face, nearest)
-    return np.asarray(face >= 0)
+    mask = np.zeros(camera.size[::-1], bool)
+    _fill_mask(camera.project(vertices), mesh.faces, mask)
+    return mask
+
+
+@leaf
+def _fill_mask(pixels: FloatArray, faces: IntArray, mask: BoolArray) -> None:
+    """Set the pixels inside of any face, from the vertices' pixels (n, 2), row by row."""
+    height, width = mask.shape
+    for m in range(len(faces)):
+        i, j, k = faces[m, 0], faces[m, 1], faces[m, 2]
+        ax, ay, bx, by, cx, cy = pixels[i, 0], pixels[i, 1], pixels[j, 0], pixels[j, 1], pixels[k, 0], pixels[k, 1]
+        if not abs((bx - ax) * (cy - ay) - (by - ay) * (cx - ax)) > 0.0:  # NaN, too
+            continue
+        top, bottom = max(min(ay, by, cy), 0.0), min(max(ay, by, cy), height - 1.0)
+        if top > bottom:
+            continue
+        for y in range(int(np.ceil(top)), int(bottom) + 1):
+            left, right = np.inf, -np.inf
+            for px, py, qx, qy in ((ax, ay, bx, by), (bx, by, cx, cy), (cx, cy, ax, ay)):
+                if min(py, qy) <= y <= max(py, qy):
+                    x = px + (y - py) / (qy - py) * (qx - px) if py != qy else px
+                    left, right = min(left, x), max(right, x)
+            for u in range(int(np.ceil(max(left, 0.0))), int(min(right, width - 1.0)) + 1):
+                mask[y, u] = True
 
 
 @leaf
