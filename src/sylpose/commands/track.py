@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from sylpose.commands.app import ADVANCED, INPUT, LIVE, OBJECT, OUTPUT, command, exit_with_failures, option, pick
@@ -24,11 +25,13 @@ from sylpose.commands.options import (
 from sylpose.commands.self_calibration import SelfCalibrationOptions, calibrate_recording
 from sylpose.input_limits import print_message
 from sylpose.methods import MODES, format_methods_table
+from sylpose.units import METERS
 
 if TYPE_CHECKING:
     from sylpose.geometry.arrays import FloatArray
     from sylpose.io.capture import Session
     from sylpose.io.capture.live import LiveSession
+    from sylpose.mesh import Mesh
     from sylpose.runs.options import RunOptions
     from sylpose.tracking.options import TrackingOptions
 
@@ -41,6 +44,19 @@ _NOT_LIVE = {
     "self_calibrate": "only recordings can be tracked twice",
     "resume": "a live session cannot be resumed",
 }
+# Options that do not apply to a mesh.
+_NOT_WITH_MESH = (
+    "boxes",
+    "known",
+    "method",
+    "features",
+    "self_calibrate",
+    "smooth",
+    "refine_calibration",
+    "distributed",
+    "resume",
+    "follow",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,6 +69,9 @@ class TrackOptions(SelfCalibrationOptions, DisplayOptions, MethodOptions, Record
             of --intrinsics, or of --calibration; its poses are ignored.
         known: Without boxes, track body N of those that `sylpose check` draws; or express poses in the frame of an
             object.npz from another recording; for several objects, repeat with NAME=FILE.
+        mesh: Track a body of this shape by its outlines, without features: STL, OBJ, PLY or GLB; poses are those of its
+            axes.
+        mesh_unit: Set the length unit of the mesh's file; default: meters.
         every: Track every N-th frame.
         follow: Track image folders that a recorder is still writing.
         no_drop: With --follow, track all frames, regardless of the delay.
@@ -67,6 +86,8 @@ class TrackOptions(SelfCalibrationOptions, DisplayOptions, MethodOptions, Record
     self_calibrate: Annotated[bool, option("--self-calibrate", INPUT)] = False
     boxes: BoxesFile = None
     known: Annotated[tuple[str, ...], option("--object N|[NAME=]FILE", OBJECT)] = ()
+    mesh: Annotated[Path | None, option("--mesh FILE", OBJECT)] = None
+    mesh_unit: Annotated[str | None, option(f"--mesh-unit {'|'.join(METERS)}", OBJECT)] = None
     frame_offset: FrameOffset = ()
     every: Annotated[int, option("--every N", INPUT)] = 1
     out: OutFolder = None
@@ -87,11 +108,27 @@ class TrackOptions(SelfCalibrationOptions, DisplayOptions, MethodOptions, Record
     def __post_init__(self) -> None:
         """Check that options of the calibration come with it, and others without."""
         super().__post_init__()
+        if self.mesh is not None:
+            self._refuse_with_mesh()
+        if self.mesh_unit is not None and (self.mesh is None or self.mesh_unit not in METERS):
+            raise ValueError(
+                f"--mesh-unit: one of {', '.join(METERS)}, with --mesh, is expected, got {self.mesh_unit!r}"
+            )
         if not self.self_calibrate:
             self.refuse_motion_options("only with --self-calibrate")
         elif self.resume or self.refine_calibration:
             name = "--resume" if self.resume else "--refine-calibration"
             raise ValueError(f"{name}: not with --self-calibrate, which calibrates from all frames")
+
+    def _refuse_with_mesh(self) -> None:
+        """Refuse options that select another object, need features or need live cameras."""
+        for name in _NOT_WITH_MESH:
+            default = next(f.default for f in fields(self) if f.name == name)
+            if getattr(self, name) != default:
+                option_name = {"known": "object", "distributed": "simulate-nodes"}.get(name, name.replace("_", "-"))
+                raise ValueError(
+                    f"--{option_name}: not with --mesh, which is tracked by its outlines; omit one of the two"
+                )
 
     def open_session(self) -> Session | LiveSession:
         """Open the recording, or with `follow` or a live.toml the live session, in the requested world and unit.
@@ -171,10 +208,19 @@ class TrackOptions(SelfCalibrationOptions, DisplayOptions, MethodOptions, Record
             raise ValueError(f"--object: expected one number from 1 on, or files, got {' '.join(self.known)}")
         known = load_known_objects(() if numbers else self.known, session.objects, session.rig)
         candidate = int(numbers[0]) if numbers else None
+        mesh = None if self.mesh is None else self._read_mesh(session.rig.unit)
         tracking = parse_tracking_options(self.limit)
         offsets = find_offsets(session, self.offsets)
-        changes = {"offsets": offsets, "known": known, "candidate": candidate, "tracking": tracking}
+        changes = {"offsets": offsets, "known": known, "candidate": candidate, "mesh": mesh, "tracking": tracking}
         return pick(self, RunOptions, calibration_covariance=calibration_covariance, **changes)
+
+    def _read_mesh(self, unit: str) -> Mesh:
+        from sylpose.io.mesh_files import read_mesh
+
+        assert self.mesh is not None
+        if self.mesh_unit is not None and unit not in METERS:
+            raise ValueError("--mesh-unit: the calibration has no unit; omit it, and scale the mesh to the calibration")
+        return read_mesh(self.mesh, unit if unit in METERS else "", self.mesh_unit or "m")
 
 
 def parse_tracking_options(texts: Sequence[str]) -> TrackingOptions:

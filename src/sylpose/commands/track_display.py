@@ -123,7 +123,7 @@ class _RunDisplay:
         ends = [end for end in (session.n_frames, options.stop) if end is not None]
         self._total = len(range(options.start, min(ends), max(options.every, 1))) if ends else None
         self._known = name_known_objects(session, options.known)
-        self._units = result_units(session, self._known)
+        self._units = result_units(session, self._known, has_mesh=options.mesh is not None)
         self._is_live = session.n_frames is None
         self._problems: list[str] = []
 
@@ -134,7 +134,8 @@ class _RunDisplay:
             ValueError: boxes that cannot belong to one object.
         """
         session = self._session
-        measured = [name for name in session.objects if name not in self._known]  # boxes of known ones are not used
+        # Boxes of known ones are not used.
+        measured = [name for name in session.objects if name not in self._known and self._options.mesh is None]
         locations = {name: locate_object(session.select_object(name)) for name in measured}
         if errors := list_errors(locations):
             raise ValueError(f"{'; '.join(errors)}; correct the boxes: {boxes_hint(session)}")

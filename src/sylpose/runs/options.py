@@ -12,6 +12,7 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.geometry.euler_angles import parse_euler_angles
 from sylpose.geometry.validation import check_bool, check_choice, check_finite, check_integer, check_type, format_value
 from sylpose.io.capture.session import check_frame_range
+from sylpose.mesh import Mesh
 from sylpose.methods import FEATURES, METHODS, MODES, resolve_features
 from sylpose.report import PICTURE_FORMATS
 from sylpose.tracking.known_object import KnownObject
@@ -41,6 +42,8 @@ class RunOptions:
             axes), or three vectors, "0,0,1 1,0,0 0,1,0" (intrinsic).
         known: object model, or models by name, from another recording (`io.object_files`); poses are expressed in its
             frame. Boxes of these objects are not used.
+        mesh: shape of the object, in the session's unit: it is tracked by its outlines instead of features
+            (docs/shape.md), and poses are those of the mesh. Boxes are not used.
         candidate: number of the moving body to be tracked where there are no boxes, 1 for the one with the most matches,
             in the order of `sylpose check`; None: that one, with the status `ambiguous` if another one moves as well.
         tracking: limits and sizes, `options` of `track`.
@@ -68,6 +71,7 @@ class RunOptions:
     plot_format: str = "png"
     angles: str | None = None
     known: KnownObject | Mapping[str, KnownObject] | None = None
+    mesh: Mesh | None = None
     candidate: int | None = None
     seed: int = 0
     tracking: TrackingOptions = field(default_factory=TrackingOptions)
@@ -111,6 +115,9 @@ class RunOptions:
                 raise ValueError("refine_calibration: the recording itself has determined the calibration")
             if self.resume:
                 raise ValueError("resume: a calibration_covariance is not kept for it; run without resume")
+        if self.mesh is not None:
+            check_type(self.mesh, Mesh, "mesh")
+            self._refuse_with_mesh()
         if self.distributed is None:
             return
         if self.distributed not in MODES:
@@ -119,3 +126,24 @@ class RunOptions:
             raise ValueError("distributed: nodes write no checkpoints, so there is nothing to resume")
         if self.known:
             raise ValueError("distributed: nodes do not support known objects")
+
+    def _refuse_with_mesh(self) -> None:
+        """Refuse options of features, and of what tracking by outlines does not have.
+
+        Raises:
+            ValueError: naming the option.
+        """
+        excluded = {
+            "method": self.method != METHODS[0],
+            "features": self.features != FEATURES[0],
+            "known": bool(self.known),
+            "candidate": self.candidate is not None,
+            "calibration_covariance": self.calibration_covariance is not None,
+            "smooth": bool(self.smooth),
+            "refine_calibration": self.refine_calibration,
+            "distributed": self.distributed is not None,
+            "resume": self.resume,
+        }
+        for name, is_set in excluded.items():
+            if is_set:
+                raise ValueError(f"{name}: not with a mesh, which is tracked by its outlines and without checkpoints")

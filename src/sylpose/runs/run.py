@@ -24,6 +24,7 @@ from sylpose.runs.candidates import compare_session_cameras, select_candidate
 from sylpose.runs.check import check_session
 from sylpose.runs.checkpoint import CheckpointWriter
 from sylpose.runs.checkpoint_schema import OutputState, RunState
+from sylpose.runs.mesh_tracking import check_mesh_session, open_contour_tracker
 from sylpose.runs.options import RunOptions
 from sylpose.runs.outputs import MAX_SMOOTHED_FRAMES, ObjectOutput, Overlay
 from sylpose.runs.page import ThumbnailAlbum, thumbnail_step
@@ -32,6 +33,7 @@ from sylpose.runs.results_folder import ResultsFolder, check_output_folder, lock
 from sylpose.runs.run_metadata import DEFAULT_FOLDER, ESTIMATED, SETTINGS, USED_CALIBRATION, WORLD, write_run_metadata
 from sylpose.runs.run_result import Run, StageTimer
 from sylpose.runs.system_resources import return_large_arrays
+from sylpose.silhouettes.contour_tracker import ContourTracker
 from sylpose.sync.offsets import apply_offsets, find_offsets
 from sylpose.tracking.context import TrackedFrame
 from sylpose.tracking.known_object import KnownObject
@@ -49,7 +51,9 @@ def output_path(session: Session | LiveSession, out: Path | str | None = None) -
     return session.path / DEFAULT_FOLDER / take if out is None else Path(out)
 
 
-def result_units(session: Session | LiveSession, known: Mapping[str, KnownObject]) -> dict[str, str]:
+def result_units(
+    session: Session | LiveSession, known: Mapping[str, KnownObject], *, has_mesh: bool = False
+) -> dict[str, str]:
     """Return the length unit of each object's results.
 
     With one camera it is the calibration's unit only if the object's size is known, otherwise `INITIAL_DISTANCES`.
@@ -57,10 +61,11 @@ def result_units(session: Session | LiveSession, known: Mapping[str, KnownObject
     Args:
         session: the session.
         known: known objects by name.
+        has_mesh: whether the shape of the objects is known.
     """
     has_size = {name for name, model in known.items() if model.unit != INITIAL_DISTANCES}
     return {
-        name: session.rig.unit if len(session.rig) > 1 or name in has_size else INITIAL_DISTANCES
+        name: session.rig.unit if len(session.rig) > 1 or has_mesh or name in has_size else INITIAL_DISTANCES
         for name in session.objects
     }
 
@@ -227,6 +232,8 @@ class _SessionRun:
         if isinstance(session, Session):  # apply the offsets to its timestamps
             session = apply_offsets(session, offsets)
             self._time_offsets = None
+        if options.mesh is not None:
+            session = check_mesh_session(session, options.mesh)
         self.session = session
         self.n_frames = len(range(options.start, _end_frame(session, options.stop), max(options.every, 1)))
         self.known = name_known_objects(session, options.known)
@@ -236,13 +243,13 @@ class _SessionRun:
         self._frames = session.frames(options.start, options.stop, options.every, self.report_problem)
         self._settings = self._collect_settings()
         self._saver: CheckpointWriter | None = None
-        if isinstance(session, Session) and options.distributed is None:
+        if isinstance(session, Session) and options.distributed is None and options.mesh is None:
             self._saver = CheckpointWriter(
                 self.results.path, self._settings, session, options.checkpoint_seconds, self.report_problem, self.clock
             )
         if options.resume and self._saver is None:
             raise ValueError("a live session cannot be resumed: its frames are gone")
-        self.trackers: dict[str, Tracker | NodesTracker] = {}
+        self.trackers: dict[str, Tracker | NodesTracker | ContourTracker] = {}
         self._outputs: dict[str, ObjectOutput] = {}
         self._position = 0
         self._warnings = check_session(session, options.start)
@@ -258,6 +265,7 @@ class _SessionRun:
         """Return the options that must be the same to resume."""
         names = ("method", "features", "seed", "start", "stop", "every", "candidate")
         return {name: getattr(self.options, name) for name in names} | {
+            "mesh": None if self.options.mesh is None else self.options.mesh.checksum,
             "known": ", ".join(f"{name} {object_checksum(its)}" for name, its in self.known.items()) or None,
             "angles": self.options.angles,
             "smooth": self.options.smooth,
@@ -271,6 +279,11 @@ class _SessionRun:
     def open_trackers(self, stack: ExitStack) -> None:
         """Create a tracker for each object."""
         options = self.options
+        if options.mesh is not None:
+            assert isinstance(self.session, Session)
+            with self.clock.measure("background"):
+                self.trackers[self.session.objects[0]] = open_contour_tracker(self.session, options)
+            return
         arguments: TrackerArguments = {"method": options.method, "features": options.features, "seed": options.seed}
         arguments |= {"offsets": self._time_offsets, "options": options.tracking}
         for name in self.session.objects:
@@ -348,7 +361,7 @@ class _SessionRun:
     def open_outputs(self, stack: ExitStack, states: dict[str, OutputState]) -> None:
         """Open each object's files and the overlay video, and start reading."""
         session, options = self.session, self.options
-        units = result_units(session, self.known)
+        units = result_units(session, self.known, has_mesh=options.mesh is not None)
         rigs = {name: Rig(session.rig.cameras, unit) for name, unit in units.items()}
         for name, folder in zip(session.objects, self.results.folders, strict=True):
             tracker = self.trackers[name]
@@ -377,6 +390,7 @@ class _SessionRun:
         """Return the report's note: recording, object, method, version and time."""
         of = self.session.path.resolve().name + (f", {name}" if len(self.session.objects) > 1 else "")
         how = f"method {self.options.method}" + (", refined jointly" if self.options.smooth else "")
+        how = how if self.options.mesh is None else "outlines of a mesh"
         return f"{of}, {how}, sylpose {__version__}, {datetime.now().astimezone():%Y-%m-%d %H:%M %Z}"
 
     def track_frames(self) -> None:
@@ -470,6 +484,8 @@ def _end_frame(session: Session | LiveSession, stop: int | None) -> int:
 
 
 def _is_smoothed(options: RunOptions, session: Session | LiveSession, frames: int) -> bool:
+    if options.mesh is not None:
+        return False
     requested = options.refine_calibration or options.smooth
     if requested and frames > MAX_SMOOTHED_FRAMES:
         raise ValueError(f"smooth: {frames} frames are more than the {MAX_SMOOTHED_FRAMES} that can be refined jointly")

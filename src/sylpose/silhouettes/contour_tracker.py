@@ -1,0 +1,308 @@
+"""Tracker of a body of known shape by its outlines in all cameras.
+
+A pose follows from the one before it by `align_contours`. It is sure as long as no other pose can have been taken for it: a
+search has found it to be the only one, its rotation has been well determined since, and each step was small. Otherwise it is
+uncertain, and the search is repeated, after pauses that double.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from sylpose.frames import UNNUMBERED, FrameSet, check_frame_set
+from sylpose.geometry.arrays import BoolArray, FloatArray, Image
+from sylpose.geometry.validation import check_sequence, check_type
+from sylpose.mesh import Mesh
+from sylpose.relative_pose.camera_evidence import MIN_KEPT_POOLED, compute_f_ratio
+from sylpose.results import FramePose
+from sylpose.rig import Camera, Rig
+from sylpose.silhouettes.background import (
+    Background,
+    Silhouette,
+    estimate_background,
+    find_silhouette,
+    level_image,
+    level_images,
+)
+from sylpose.silhouettes.carving import MIN_IMAGES
+from sylpose.silhouettes.contour_search import MIN_INLIER_RATIO, find_place, search_contour_poses
+from sylpose.silhouettes.contours import (
+    ANY_ANGLE_SD,
+    MAX_STEP,
+    N_OWN,
+    OFFSET_SD,
+    Alignment,
+    Outline,
+    align_contours,
+    move,
+)
+from sylpose.silhouettes.rendering import draw_mask, reduce_camera, reduce_image, reduce_mask
+from sylpose.status import FrameStatus
+from sylpose.tracking.context import TrackedFrame
+from sylpose.tracking.map_update import add_f_ratio
+from sylpose.tracking.options import TrackingOptions
+
+# Frames from one search to the next at most (choice: a search takes as long as some thirty frames).
+MAX_PAUSE = 32
+# Standard deviation of a rotation from which the next frame may begin on another side of the body, radians (derived: three
+# of them are the largest step).
+MAX_SURE_SD = MAX_STEP / 3
+# Largest residuals that are errors of the mesh, as a share of the object's radius (measured: right poses of rendered bodies
+# have 0.003, wrong ones where the alignment ends from 0.04).
+MAX_MISFIT = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class _Followed:
+    """The pose that is followed.
+
+    Attributes:
+        time: seconds.
+        pose: world_from_mesh, of the mesh about its middle.
+        velocity: (6,) of (w, d), per second.
+        is_sure: whether no other pose can have been taken for it.
+    """
+
+    time: float
+    pose: RigidTransform
+    velocity: FloatArray
+    is_sure: bool
+
+
+class ContourTracker:
+    """Tracker of a body of known shape, with the steps of `tracking.tracker.Tracker`.
+
+    Args:
+        rig: C cameras.
+        mesh: surface in the object's frame, in the rig's unit.
+        backgrounds: per camera, of images that `reduce_image` has reduced; None: only its masks are used.
+        options: limits of the F ratio; None: the default ones.
+
+    Raises:
+        TypeError, ValueError: naming the argument: no rig, no mesh, or not one background for each camera.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        mesh: Mesh,
+        backgrounds: Sequence[Background | None],
+        options: TrackingOptions | None = None,
+    ) -> None:
+        self._rig, self._options = check_type(rig, Rig, "rig"), options or TrackingOptions()
+        self._backgrounds = check_sequence(backgrounds, "backgrounds", len(rig), "rig")
+        vertices = check_type(mesh, Mesh, "mesh").vertices
+        middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+        self._mesh, self._object_from_mesh = (
+            Mesh(vertices - middle, mesh.faces),
+            RigidTransform.from_translation(middle),
+        )
+        self._radius = float(np.linalg.norm(self._mesh.vertices, axis=1).max())
+        self._cameras = [reduce_camera(camera) for camera in rig]
+        self._followed: _Followed | None = None
+        self._f_ratios: tuple[float, ...] = ()
+        # Frames until the next search, and from that one to the one after it.
+        self._wait, self._pause = 0, 1
+        self._n_frames, self._is_lost = 0, False
+
+    def step(self, frames: FrameSet) -> list[TrackedFrame]:
+        """Return the next frame with the object's pose, in a list.
+
+        Raises:
+            TypeError, ValueError: as `check_frame_set`.
+        """
+        check_frame_set(frames, self._rig)
+        if frames.index == UNNUMBERED:
+            frames = replace(frames, index=self._n_frames)
+        self._n_frames += 1
+        outlines, before, status = self._find_outlines(frames), self._followed, FrameStatus.TRACKED
+        found = self._follow(list(outlines.values()), frames.time)
+        is_sure = found is not None and before is not None and before.is_sure and _is_determined(found)
+        if found is None and not self._is_lost:
+            self._wait, self._pause = 0, 1
+        continued = None if found is None else before
+        if not is_sure and (searched := self._search(list(outlines.values()))):
+            # Of poses that look alike, the one that is followed goes on.
+            near = searched[0] if found is None else found
+            found = min(searched, key=lambda one: _measure_angle(one, near.world_from_object))
+            is_sure, continued = found.is_unique and _is_determined(found), None
+            status = FrameStatus.LOCALIZED if before is None else FrameStatus.RELOCALIZED
+        if is_sure:
+            self._wait, self._pause = 0, 1
+        self._is_lost = found is None
+        if found is not None:
+            self._followed = _follow_on(continued, frames.time, found.world_from_object, is_sure)
+        elif before is not None:
+            self._followed = replace(before, velocity=np.zeros(6), is_sure=False)
+        regions = [None if found is None else _draw_region(self._mesh, c, found.world_from_object) for c in self._rig]
+        pose = self._make_pose(frames, [*outlines], found, status if is_sure else FrameStatus.UNCERTAIN)
+        return [TrackedFrame(pose, frames, (None,) * len(self._rig), tuple(regions), self._radius)]
+
+    def flush(self) -> list[TrackedFrame]:
+        """Return the frames that are still undecided: none."""
+        return []
+
+    def _find_outlines(self, frames: FrameSet) -> dict[int, Outline]:
+        """Return the outlines by camera, of all with a mask, or an image and a background."""
+        found = {}
+        for c, camera in enumerate(self._cameras):
+            image, mask, background = frames.images[c], frames.masks[c], self._backgrounds[c]
+            if mask is not None:
+                found[c] = Outline.of(camera, Silhouette.from_mask(reduce_mask(mask)))
+            elif image is not None and background is not None:
+                leveled = level_image(reduce_image(image), background.color)
+                found[c] = Outline.of(camera, find_silhouette(background, leveled))
+        return found
+
+    def _follow(self, outlines: Sequence[Outline], time: float) -> Alignment | None:
+        """Return the pose after the last one at constant velocity, else after the last one itself; None without."""
+        if self._followed is None:
+            return None
+        last = self._followed.pose
+        moved = move(last, last.translation, (time - self._followed.time) * self._followed.velocity)
+        for start in (moved, last) if self._followed.velocity.any() else (last,):
+            found = align_contours(self._mesh, outlines, start)
+            if found is not None and self._is_supported(found, outlines) and _measure_angle(found, start) < MAX_STEP:
+                return found
+        return None
+
+    def _search(self, outlines: Sequence[Outline]) -> list[Alignment]:
+        """Return the poses that a search finds; none in the pauses between searches."""
+        if self._wait:
+            self._wait -= 1
+            return []
+        self._wait, self._pause = self._pause - 1, min(2 * self._pause, MAX_PAUSE)
+        return [one for one in search_contour_poses(self._mesh, outlines) if self._is_supported(one, outlines)]
+
+    def _is_supported(self, found: Alignment, outlines: Sequence[Outline]) -> bool:
+        """Return whether a pose explains most of its outline, up to errors of outlines and mesh."""
+        distances = [np.linalg.norm(found.world_from_object.translation - o.camera.center) for o in outlines]
+        radius = np.mean([self._radius * o.camera.focal / d for o, d in zip(outlines, distances, strict=True)])
+        is_exact = found.sigma**2 < OFFSET_SD**2 + (MAX_MISFIT * radius) ** 2
+        return bool(is_exact and found.inliers.sum() >= MIN_INLIER_RATIO * found.points.sum())
+
+    def _make_pose(
+        self, frames: FrameSet, cameras: Sequence[int], found: Alignment | None, status: FrameStatus
+    ) -> FramePose:
+        """Return the result of a frame from the alignment of some cameras' outlines."""
+        n = len(self._rig)
+        counts, points, residuals = np.zeros(n, np.int64), np.zeros(n, np.int64), np.full(n, np.nan)
+        if found is None:
+            reason = "no pose of the mesh explains the outlines" if cameras else "no image with a background or a mask"
+            nothing = None, np.full((6, 6), np.nan), counts, residuals
+            return FramePose(frames.index, frames.time, FrameStatus.LOST, *nothing, matches=points, reason=reason)
+        counts[cameras], points[cameras], residuals[cameras] = found.inliers, found.points, found.residuals
+        own = float(compute_f_ratio(found.excess, 2, N_OWN))
+        pooled_with = float(compute_f_ratio(found.excess, MIN_KEPT_POOLED, N_OWN))
+        self._f_ratios, pooled = add_f_ratio(self._f_ratios, pooled_with, self._options)
+        reason = ""
+        if own > self._options.max_f_ratio or pooled > self._options.max_pooled_f_ratio:
+            status, reason = (
+                FrameStatus.CONTRADICTED,
+                f"no pose explains the outlines of all cameras (F ratio {own:.0f})",
+            )
+        elif not _is_determined(found):
+            reason = "a rotation of the object hardly changes its outlines"
+        elif status is FrameStatus.UNCERTAIN:
+            reason = "other poses may explain the outlines as well"
+        covariance = found.covariance
+        if status is FrameStatus.UNCERTAIN:
+            # The rotation may be that of any other pose.
+            covariance = covariance + np.diag(np.repeat([ANY_ANGLE_SD, 0.0], 3) ** 2)
+        pose = FramePose(
+            frames.index,
+            frames.time,
+            status,
+            found.world_from_object,
+            covariance,
+            counts,
+            residuals,
+            matches=points,
+            reason=reason,
+            f_ratio=pooled,
+        )
+        return pose.in_object_frame(self._object_from_mesh).mark_uncertain()
+
+
+def estimate_backgrounds(rig: Rig, radius: float, frames: Sequence[Sequence[Image | None]]) -> list[Background | None]:
+    """Estimate the backgrounds of static cameras before which a body of known size moves.
+
+    A pixel is known if it differs in color from what moves, or if the body is elsewhere in some images: places where the
+    changing parts of all images meet.
+
+    Args:
+        rig: C cameras.
+        radius: of the ball about the body's middle, in the rig's unit.
+        frames: images that `reduce_image` has reduced, of C cameras each, spread over a recording.
+
+    Returns:
+        per camera; None with less images than a background needs.
+    """
+    cameras, leveled = [reduce_camera(camera) for camera in rig], list[list[Image]]()
+    by_color, changing = list[Background | None](), list[Background | None]()
+    for c in range(len(rig)):
+        images = [image for of_frame in frames if (image := of_frame[c]) is not None]
+        leveled.append(level_images(images) if len(images) >= MIN_IMAGES else [])
+        uncovered = [np.zeros(image.shape[:2], bool) for image in leveled[c]]
+        by_color.append(estimate_background(leveled[c]) if leveled[c] else None)
+        changing.append(estimate_background(leveled[c], uncovered) if leveled[c] else None)
+    covered, remaining = [list[BoolArray]() for _ in rig], [iter(images) for images in leveled]
+    for of_frame in frames:
+        shown = [c for c, b in enumerate(changing) if b is not None and of_frame[c] is not None]
+        outlines = [
+            Outline.of(cameras[c], find_silhouette(background, next(remaining[c])))
+            for c in shown
+            if (background := changing[c]) is not None
+        ]
+        place = find_place(outlines, radius)
+        for c in shown:
+            covered[c].append(_cover(cameras[c], place, radius))
+    for c, background in enumerate(by_color):
+        if background is not None:
+            elsewhere = estimate_background(leveled[c], covered[c])
+            color = np.where(background.is_known[..., None], background.color, elsewhere.color)
+            by_color[c] = replace(background, color=color, is_known=background.is_known | elsewhere.is_known)
+    return by_color
+
+
+def _cover(camera: Camera, place: FloatArray | None, radius: float) -> BoolArray:
+    """Return the pixels where a ball may be; all of them if its place is not known."""
+    width, height = camera.size
+    if place is None:
+        return np.ones((height, width), bool)
+    depth = float(camera.camera_from_world.apply(place)[2])
+    pixel = camera.project(place)[0]
+    if depth <= radius or not np.isfinite(pixel).all():
+        return np.full((height, width), bool(abs(depth) <= radius))
+    u, v = np.meshgrid(np.arange(width), np.arange(height))
+    return np.asarray(np.hypot(u - pixel[0], v - pixel[1]) < camera.focal * radius / (depth - radius))
+
+
+def _is_determined(found: Alignment) -> bool:
+    """Return whether the pose is known well enough to follow it to the next frame."""
+    return bool(np.linalg.eigvalsh(found.covariance[:3, :3])[-1] < MAX_SURE_SD**2)
+
+
+def _measure_angle(found: Alignment, pose: RigidTransform) -> float:
+    return float((found.world_from_object.rotation * pose.rotation.inv()).magnitude())
+
+
+def _follow_on(before: _Followed | None, time: float, pose: RigidTransform, is_sure: bool) -> _Followed:
+    """Return the pose that is followed, with the velocity since the one that it continues, if any."""
+    velocity = np.zeros(6)
+    if before is not None and time > before.time:
+        turn = (pose.rotation * before.pose.rotation.inv()).as_rotvec()
+        velocity = np.concatenate([turn, pose.translation - before.pose.translation]) / (time - before.time)
+    return _Followed(time, pose, velocity, is_sure)
+
+
+def _draw_region(mesh: Mesh, camera: Camera, world_from_mesh: RigidTransform) -> FloatArray | None:
+    """Return the outline (k, 2) of a mesh's largest part in an image; None if it is not in it."""
+    mask = draw_mask(mesh, camera, world_from_mesh.apply(mesh.vertices)).astype(np.uint8)
+    parts, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    return np.asarray(max(parts, key=cv2.contourArea)[:, 0], float) if parts else None
