@@ -14,7 +14,7 @@ from sylpose.report.rigview import find_axes_intersection
 from sylpose.rig import Rig
 from sylpose.runs.options import RunOptions
 from sylpose.silhouettes.carving import MIN_IMAGES
-from sylpose.silhouettes.contour_tracker import ContourTracker, estimate_backgrounds
+from sylpose.silhouettes.contour_tracker import ContourTracker, SampledBackground
 from sylpose.silhouettes.contours import MIN_POINTS
 from sylpose.silhouettes.rendering import reduce_image
 
@@ -62,20 +62,19 @@ def open_contour_tracker(session: Session, options: RunOptions) -> ContourTracke
     """
     assert options.mesh is not None
     frames = range(options.start, min(session.n_frames, options.stop or session.n_frames), options.every)
-    images, has_masks = list[list[Image | None]](), False
-    chosen = (
-        sorted({frames[k] for k in np.linspace(0, len(frames) - 1, N_IMAGES).round().astype(int)}) if frames else []
-    )
+    count = min(N_IMAGES, len(frames))
+    chosen = [frames[k] for k in np.linspace(0, len(frames) - 1, count).round().astype(int)]
+    images, has_masks = [dict[int, Image]() for _ in session.rig], False
     with closing(session.frames_at(chosen, on_problem=lambda _: None)) as frame_sets:
         for frame_set in frame_sets:
             has_masks |= any(mask is not None for mask in frame_set.masks)
-            images.append([None if image is None else reduce_image(image) for image in frame_set.images])
-    mesh = options.mesh.vertices
-    radius = float(np.linalg.norm(mesh - (mesh.min(axis=0) + mesh.max(axis=0)) / 2, axis=1).max())
-    backgrounds = estimate_backgrounds(session.rig, radius, images)
+            for of_camera, image in zip(images, frame_set.images, strict=True):
+                if image is not None:
+                    of_camera[frame_set.index] = reduce_image(image)
+    backgrounds = [SampledBackground([*own], [*own.values()]) if len(own) >= MIN_IMAGES else None for own in images]
     if not has_masks and all(background is None for background in backgrounds):
         raise ValueError(
-            f"mesh: {len(images)} images per camera in {session.path}, of at least {MIN_IMAGES} from which a "
+            f"mesh: {max(map(len, images))} images per camera in {session.path}, of at least {MIN_IMAGES} from which a "
             "background can be estimated; use more frames, or give masks of the object"
         )
     return ContourTracker(session.rig, options.mesh, backgrounds, options.tracking)

@@ -65,7 +65,7 @@ def search_contour_poses(mesh: Mesh, outlines: Sequence[Outline]) -> list[Alignm
         them is the object's is not known. `is_unique` if all others that were tested are clearly worse.
     """
     radius = float(np.linalg.norm(mesh.vertices, axis=1).max())
-    place = find_place(outlines, radius)
+    place = _find_place(outlines, radius)
     if place is None:
         return []
     coarse = _make_windows(outlines, place, radius, COARSE_PX)
@@ -202,7 +202,7 @@ def cover_rotations(n: int) -> Rotation:
     )
 
 
-def find_place(outlines: Sequence[Outline], radius: float) -> FloatArray | None:
+def _find_place(outlines: Sequence[Outline], radius: float) -> FloatArray | None:
     """Return the place (3,) where most silhouettes have a part that may be the object; None without any.
 
     Places are where rays through the centroids of two cameras' parts meet; of one camera, where a part has a ball's size.

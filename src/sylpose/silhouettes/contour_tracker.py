@@ -22,15 +22,14 @@ from sylpose.relative_pose.camera_evidence import MIN_KEPT_POOLED, compute_f_rat
 from sylpose.results import FramePose
 from sylpose.rig import Camera, Rig
 from sylpose.silhouettes.background import (
-    Background,
+    OUTLINE_PX,
     Silhouette,
     estimate_background,
     find_silhouette,
     level_image,
     level_images,
 )
-from sylpose.silhouettes.carving import MIN_IMAGES
-from sylpose.silhouettes.contour_search import MIN_INLIER_RATIO, find_place, search_contour_poses
+from sylpose.silhouettes.contour_search import MIN_INLIER_RATIO, search_contour_poses
 from sylpose.silhouettes.contours import (
     ANY_ANGLE_SD,
     MAX_STEP,
@@ -52,6 +51,8 @@ MAX_PAUSE = 32
 # Standard deviation of a rotation from which the next frame may begin on another side of the body, radians (derived: three
 # of them are the largest step).
 MAX_SURE_SD = MAX_STEP / 3
+# Poses with which a background is estimated again at first (derived: more than twice the images that determine a pixel).
+MIN_POSES = 8
 # Largest residuals that are errors of the mesh, as a share of the object's radius (measured: right poses of rendered bodies
 # have 0.003, wrong ones where the alignment ends from 0.04).
 MAX_MISFIT = 0.02
@@ -74,13 +75,44 @@ class _Followed:
     is_sure: bool
 
 
+class SampledBackground:
+    """Background of a camera from some images of a recording, improved by poses of the body in them.
+
+    At first colors that may be the body's are not known. Where the body is known to be elsewhere in some images, they are.
+
+    Args:
+        frames: (n,) numbers of the frames of the images.
+        images: (n,) images that `reduce_image` has reduced.
+    """
+
+    def __init__(self, frames: Sequence[int], images: Sequence[Image]) -> None:
+        self._images = dict(zip(frames, level_images(images), strict=True))
+        self._covered = dict[int, BoolArray]()
+        self.background = self._first = estimate_background(list(self._images.values()))
+
+    def add_pose(self, frame: int, mesh: Mesh, camera: Camera, world_from_mesh: RigidTransform) -> None:
+        """Use a pose if the frame is one of the images; the background is estimated again as their number doubles."""
+        if frame not in self._images:
+            return
+        mask = draw_mask(mesh, camera, world_from_mesh.apply(mesh.vertices)).astype(np.uint8)
+        self._covered[frame] = cv2.dilate(mask, np.ones((4 * OUTLINE_PX + 1,) * 2, np.uint8)) > 0
+        n, n_all = len(self._covered), len(self._images)
+        if n < n_all and (n < MIN_POSES or n & (n - 1)):
+            return
+        everywhere = np.ones(mask.shape, bool)
+        covered = [self._covered.get(k, everywhere) for k in self._images]
+        elsewhere, first = estimate_background(list(self._images.values()), covered), self._first
+        color = np.where(first.is_known[..., None], first.color, elsewhere.color)
+        self.background = replace(first, color=color, is_known=first.is_known | elsewhere.is_known)
+
+
 class ContourTracker:
     """Tracker of a body of known shape, with the steps of `tracking.tracker.Tracker`.
 
     Args:
         rig: C cameras.
         mesh: surface in the object's frame, in the rig's unit.
-        backgrounds: per camera, of images that `reduce_image` has reduced; None: only its masks are used.
+        backgrounds: per camera; None: only its masks are used.
         options: limits of the F ratio; None: the default ones.
 
     Raises:
@@ -91,7 +123,7 @@ class ContourTracker:
         self,
         rig: Rig,
         mesh: Mesh,
-        backgrounds: Sequence[Background | None],
+        backgrounds: Sequence[SampledBackground | None],
         options: TrackingOptions | None = None,
     ) -> None:
         self._rig, self._options = check_type(rig, Rig, "rig"), options or TrackingOptions()
@@ -139,6 +171,10 @@ class ContourTracker:
             self._followed = _follow_on(continued, frames.time, found.world_from_object, is_sure)
         elif before is not None:
             self._followed = replace(before, velocity=np.zeros(6), is_sure=False)
+        if found is not None and is_sure:
+            for camera, background in zip(self._cameras, self._backgrounds, strict=True):
+                if background is not None:
+                    background.add_pose(frames.index, self._mesh, camera, found.world_from_object)
         regions = [None if found is None else _draw_region(self._mesh, c, found.world_from_object) for c in self._rig]
         pose = self._make_pose(frames, [*outlines], found, status if is_sure else FrameStatus.UNCERTAIN)
         return [TrackedFrame(pose, frames, (None,) * len(self._rig), tuple(regions), self._radius)]
@@ -155,8 +191,8 @@ class ContourTracker:
             if mask is not None:
                 found[c] = Outline.of(camera, Silhouette.from_mask(reduce_mask(mask)))
             elif image is not None and background is not None:
-                leveled = level_image(reduce_image(image), background.color)
-                found[c] = Outline.of(camera, find_silhouette(background, leveled))
+                leveled = level_image(reduce_image(image), background.background.color)
+                found[c] = Outline.of(camera, find_silhouette(background.background, leveled))
         return found
 
     def _follow(self, outlines: Sequence[Outline], time: float) -> Alignment | None:
@@ -227,60 +263,6 @@ class ContourTracker:
             f_ratio=pooled,
         )
         return pose.in_object_frame(self._object_from_mesh).mark_uncertain()
-
-
-def estimate_backgrounds(rig: Rig, radius: float, frames: Sequence[Sequence[Image | None]]) -> list[Background | None]:
-    """Estimate the backgrounds of static cameras before which a body of known size moves.
-
-    A pixel is known if it differs in color from what moves, or if the body is elsewhere in some images: places where the
-    changing parts of all images meet.
-
-    Args:
-        rig: C cameras.
-        radius: of the ball about the body's middle, in the rig's unit.
-        frames: images that `reduce_image` has reduced, of C cameras each, spread over a recording.
-
-    Returns:
-        per camera; None with less images than a background needs.
-    """
-    cameras, leveled = [reduce_camera(camera) for camera in rig], list[list[Image]]()
-    by_color, changing = list[Background | None](), list[Background | None]()
-    for c in range(len(rig)):
-        images = [image for of_frame in frames if (image := of_frame[c]) is not None]
-        leveled.append(level_images(images) if len(images) >= MIN_IMAGES else [])
-        uncovered = [np.zeros(image.shape[:2], bool) for image in leveled[c]]
-        by_color.append(estimate_background(leveled[c]) if leveled[c] else None)
-        changing.append(estimate_background(leveled[c], uncovered) if leveled[c] else None)
-    covered, remaining = [list[BoolArray]() for _ in rig], [iter(images) for images in leveled]
-    for of_frame in frames:
-        shown = [c for c, b in enumerate(changing) if b is not None and of_frame[c] is not None]
-        outlines = [
-            Outline.of(cameras[c], find_silhouette(background, next(remaining[c])))
-            for c in shown
-            if (background := changing[c]) is not None
-        ]
-        place = find_place(outlines, radius)
-        for c in shown:
-            covered[c].append(_cover(cameras[c], place, radius))
-    for c, background in enumerate(by_color):
-        if background is not None:
-            elsewhere = estimate_background(leveled[c], covered[c])
-            color = np.where(background.is_known[..., None], background.color, elsewhere.color)
-            by_color[c] = replace(background, color=color, is_known=background.is_known | elsewhere.is_known)
-    return by_color
-
-
-def _cover(camera: Camera, place: FloatArray | None, radius: float) -> BoolArray:
-    """Return the pixels where a ball may be; all of them if its place is not known."""
-    width, height = camera.size
-    if place is None:
-        return np.ones((height, width), bool)
-    depth = float(camera.camera_from_world.apply(place)[2])
-    pixel = camera.project(place)[0]
-    if depth <= radius or not np.isfinite(pixel).all():
-        return np.full((height, width), bool(abs(depth) <= radius))
-    u, v = np.meshgrid(np.arange(width), np.arange(height))
-    return np.asarray(np.hypot(u - pixel[0], v - pixel[1]) < camera.focal * radius / (depth - radius))
 
 
 def _is_determined(found: Alignment) -> bool:
