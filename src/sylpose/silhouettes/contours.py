@@ -2,8 +2,8 @@
 
 At a pose the mesh's rim is the outline that each camera would show. Along it the signed distance to the observed outline is
 a measurement. Neighbors along an outline have similar errors: the covariance is multiplied by the correlation length of the
-residuals. The errors' common part in a camera, an outline too far outside or inside, is an unknown with a prior. Where the
-cameras contradict each other, the covariance is multiplied by their F ratio. Compare M. Stoiber and others, "SRT3D: a sparse
+residuals. The errors' common part in a camera, an outline too far outside or inside, is an unknown with a prior. Errors of
+the calibration are in the covariance as far as the cameras disagree. Compare M. Stoiber and others, "SRT3D: a sparse
 region-based 3D object tracking approach for the real world", 2022: color statistics on both sides of the outline, without a
 background.
 """
@@ -23,7 +23,7 @@ from sylpose.geometry.arrays import BoolArray, FloatArray, FloatImage, IntArray
 from sylpose.geometry.matrices import enlarge_covariance
 from sylpose.geometry.robust_loss import biquartic_losses, biquartic_weights, robust_sigma
 from sylpose.mesh import Mesh
-from sylpose.relative_pose.camera_evidence import FOCAL_ERROR_SD, ROTATION_ERROR_SD, compute_f_ratio
+from sylpose.relative_pose.camera_evidence import FOCAL_ERROR_SD, ROTATION_ERROR_SD
 from sylpose.rig import Camera
 from sylpose.silhouettes.background import OUTLINE_PX, Silhouette
 from sylpose.silhouettes.rendering import zoom_camera
@@ -53,8 +53,8 @@ ANY_ANGLE_SD = np.pi / 3**0.5
 SEGMENTS, SECTORS = 8, 16
 # Points of an outline that determine a pose at least (derived: three for each unknown).
 MIN_POINTS = 18
-# Unknowns of a camera's own pose (derived).
-N_OWN = 6
+# Unknowns of a camera's own pose (derived), and rounds of its weights (choice: as many again change nothing).
+N_OWN, OWN_ROUNDS = 6, 4
 # Way from a pixel along the mesh's image to the rim, pixels (derived: more than a pixel's diagonal).
 MAX_WAY = 1.5
 
@@ -226,8 +226,8 @@ def align_contours(
         return None
     pairs = zip(fit.contours, fit.outlines, strict=True)
     jacobians = [differentiate_contour(contour, outline.camera, pose.translation) for contour, outline in pairs]
-    raw, adjusted = _measure_excess(fit, jacobians, pose.translation)
-    covariance = _estimate_covariance(mesh, fit, pose, jacobians) * np.fmax(1.0, compute_f_ratio(raw, 2, N_OWN))
+    adjusted, with_errors = _compare_cameras(fit, jacobians, pose.translation)
+    covariance = enlarge_covariance(_estimate_covariance(mesh, fit, pose, jacobians), with_errors)
     excess = np.full(len(outlines), np.nan)
     excess[fit.cameras] = adjusted
     inliers, points, rms = np.zeros(len(outlines), int), np.zeros(len(outlines), int), np.full(len(outlines), np.nan)
@@ -380,19 +380,21 @@ def _make_normal_equations(fit: _Fit, jacobians: Sequence[FloatArray]) -> tuple[
     return information, gradient
 
 
-def _measure_excess(fit: _Fit, jacobians: Sequence[FloatArray], center: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _compare_cameras(fit: _Fit, jacobians: Sequence[FloatArray], center: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Compare the pose with the best one of each camera alone, in whose residuals its noise is measured.
 
     Returns:
-        per camera the excess of the pose's squared residuals; the same, if its calibration may be off as usual. NaN with
-        fewer points than unknowns.
+        per camera the excess of the pose's squared residuals, if its calibration may be off as usual, NaN with fewer points
+        than unknowns; (6, 6) covariance of the pose with errors of calibrations as large as the cameras' disagreement shows.
 
-    Source: as `relative_pose.camera_evidence`.
+    Source: as `relative_pose.camera_evidence`; R. DerSimonian and N. Laird, "Meta-analysis in clinical trials", 1986.
     """
-    excess, adjusted = np.full((2, len(jacobians)), np.nan)
+    adjusted, total, n = np.full(len(jacobians), np.nan), 0.0, 0
+    informations, errors = list[FloatArray](), list[FloatArray]()
     for k, jacobian in enumerate(jacobians):
-        contour, residual, weight = fit.contours[k], np.nan_to_num(fit.residuals[k]), fit.weights[k]
-        if np.count_nonzero(weight) < MIN_POINTS:
+        contour, residual = fit.contours[k], np.nan_to_num(fit.residuals[k])
+        is_known = np.isfinite(fit.residuals[k])
+        if np.count_nonzero(is_known) < MIN_POINTS:
             continue
         ray = center - fit.outlines[k].camera.center
         distance = float(np.linalg.norm(ray))
@@ -400,16 +402,31 @@ def _measure_excess(fit: _Fit, jacobians: Sequence[FloatArray], center: FloatArr
         along = np.outer(ray, ray) / distance**2
         error = block_diag(np.eye(3) * ROTATION_ERROR_SD**2, (np.eye(3) - along) * (ROTATION_ERROR_SD * distance) ** 2)
         error[3:, 3:] += along * (FOCAL_ERROR_SD * distance) ** 2
-        hessian, gradient = jacobian.T @ (jacobian * weight[:, None]), jacobian.T @ (weight * residual)
         # Nothing is known of directions that this camera does not show.
-        weak = np.diag(np.repeat([ANY_ANGLE_SD, distance], 3) ** -2.0)
-        own = residual - jacobian @ np.linalg.solve(hessian + weak * MIN_SIGMA**2, gradient)
+        weak, own = np.diag(np.repeat([ANY_ANGLE_SD, distance], 3) ** -2.0), residual
+        for _ in range(OWN_ROUNDS):  # what is an outlier for all cameras may agree with its own pose
+            sigma = robust_sigma(own[is_known], MIN_SIGMA)
+            weight = biquartic_weights(np.square(own / (CUTOFF * sigma))) * is_known
+            hessian, gradient = jacobian.T @ (jacobian * weight[:, None]), jacobian.T @ (weight * residual)
+            own = residual - jacobian @ np.linalg.solve(hessian + weak * MIN_SIGMA**2, gradient)
+        if weight.sum() < MIN_POINTS:
+            continue
         variance = max(float(weight @ own**2) / (weight.sum() - N_OWN), MIN_SIGMA**2)
         variance *= measure_correlation([contour], [own], [weight])
-        information, score = hessian / variance, gradient / variance
-        excess[k] = score @ np.linalg.solve(information + weak, score)
-        adjusted[k] = excess[k] - score @ np.linalg.solve(information + np.linalg.inv(error), score)
-    return excess, adjusted
+        information, score = hessian / variance + weak, gradient / variance
+        excess = float(score @ np.linalg.solve(information, score))
+        adjusted[k] = excess - score @ np.linalg.solve(information + np.linalg.inv(error), score)
+        total, n = total + excess, n + 1
+        informations.append(information)
+        errors.append(error)
+    if not informations:
+        return adjusted, np.zeros((6, 6))
+    both = list(zip(informations, errors, strict=True))
+    joint = np.linalg.inv(sum(informations, np.zeros((6, 6))))
+    expected = sum(float(np.trace(i @ e) - np.trace(joint @ i @ e @ i)) for i, e in both)
+    scale = max(total - N_OWN * (n - 1), 0.0) / expected if n > 1 else 0.0
+    widened = [np.linalg.inv(np.linalg.inv(i) + scale * e) for i, e in both]
+    return adjusted, np.asarray(np.linalg.inv(sum(widened, np.zeros((6, 6)))), float)
 
 
 def _estimate_covariance(mesh: Mesh, fit: _Fit, pose: RigidTransform, of_points: Sequence[FloatArray]) -> FloatArray:
