@@ -1,19 +1,24 @@
 """Errors of poses from outlines of plain bodies with a known mesh, in the recordings of `benchmarks/silhouettes.py`.
 
-    python benchmarks/contours.py [--seeds 3] [--first 0] [--kinds NAME ...] [--search] [--reduce 1]
+    python benchmarks/contours.py [--seeds 3] [--first 0] [--kinds NAME ...] [--search | --follow] [--reduce 1]
 
 Starts are off by 5 degrees and 5 % of the radius; with `--search` there is none. Squared errors relative to the covariance
 have a mean of 6 if it is right. Started poses are sure if their standard deviations are below 20 degrees; searched ones if
 they are unique, too. A pose is wrong and sure if its error exceeds 3 degrees and 5 standard deviations. A mug looks the
 same after half a turn about its handle: none of its poses is unique. `--reduce` makes the images smaller by a factor.
+
+With `--follow`, all frames are tracked as by `sylpose track --mesh`. A frame is sure if its status is a measured one. Bounds
+are of one-sided 95 % confidence, for frames and for recordings (the frames of one are not independent).
 """
 
 from __future__ import annotations
 
 import argparse
+import time
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.stats import beta
 
 from benchmarks.kinds_scenes import draw_block, draw_rounded_body, texture_resolution
 from benchmarks.silhouettes import convex, draw_irregular, draw_plain_take
@@ -22,7 +27,9 @@ from sylpose.geometry.arrays import FloatArray
 from sylpose.rig import Rig
 from sylpose.silhouettes.background import estimate_background, find_silhouette, level_images
 from sylpose.silhouettes.contour_search import search_contour_poses
+from sylpose.silhouettes.contour_tracker import ContourTracker, SampledBackground
 from sylpose.silhouettes.contours import Alignment, Outline, align_contours, move
+from sylpose.silhouettes.rendering import reduce_image
 from sylpose.simulate import TexturedBody
 
 FRAMES, EVERY = 31, 8
@@ -116,14 +123,72 @@ def evaluate(kind: str, seed: int, search: bool, step: int) -> list[tuple[RigidT
     return rows
 
 
+def follow(kind: str, seed: int) -> list[tuple[bool, float, float, float, float]]:
+    """Track a recording; return per frame whether it is sure, degrees, % of the distance, squared error, seconds."""
+    rng = np.random.default_rng([list(KINDS).index(kind), seed])
+    take = draw_plain_take(rng, KINDS[kind], FRAMES)
+    rig, path, sets = take.calibration, take.scene.actors[0].path, list(take.frames())
+    images = [[reduce_image(image) for s in sets if (image := s.images[c]) is not None] for c in range(len(rig))]
+    backgrounds = [SampledBackground(range(FRAMES), own) for own in images]
+    tracker = ContourTracker(rig, make_mesh([actor.body for actor in take.scene.actors]), backgrounds)
+    rows = []
+    for k, frame_set in enumerate(sets):
+        begin = time.process_time()
+        (tracked,) = tracker.step(frame_set)
+        seconds, pose, true = time.process_time() - begin, tracked.pose, path(float(k))
+        if pose.world_from_object is None:
+            rows.append((False, np.nan, np.nan, np.nan, seconds))
+            continue
+        turn = (pose.world_from_object.rotation * true.rotation.inv()).as_rotvec()
+        error = np.concatenate([turn, pose.world_from_object.translation - true.translation])
+        distance = float(np.mean([np.linalg.norm(true.translation - camera.center) for camera in rig]))
+        size = float(np.degrees(np.linalg.norm(turn))), 100 * float(np.linalg.norm(error[3:])) / distance
+        rows.append((pose.is_measured, *size, float(error @ np.linalg.solve(pose.covariance, error)), seconds))
+    return rows
+
+
+def bound_percentage(n: int, of: int) -> float:
+    """Return the upper bound of a rate, percent, by C. Clopper and E. Pearson, 1934."""
+    return 100 * float(beta.ppf(0.95, n + 1, of - n)) if n < of else 100.0
+
+
+def print_followed(kind: str, seeds: range) -> None:
+    """Print the row of a kind of bodies."""
+    takes = [np.array(follow(kind, seed), float) for seed in seeds]
+    values = np.concatenate(takes)
+    is_sure, degrees, percent, square, seconds = values.T
+    wrong = [(take[:, 0] > 0) & (take[:, 1] > 3) & (take[:, 3] > 25) for take in takes]
+    n_wrong, n_bad = int(sum(of.sum() for of in wrong)), sum(bool(of.any()) for of in wrong)
+    sure = is_sure > 0
+    limits = [bound_percentage(n_wrong, int(sure.sum())), bound_percentage(n_bad, len(takes))]
+    errors = "-, - | -, - | -"
+    if sure.any():
+        errors = (
+            f"{np.median(degrees[sure]):.2f}, {degrees[sure].max():.2f} | {np.median(percent[sure]):.3f}, "
+            f"{percent[sure].max():.3f} | {square[sure].mean():.1f}"
+        )
+    print(
+        f"| {kind} | {sure.sum()} of {len(values)} | {errors} | {n_wrong}: at most {limits[0]:.1f} %, recordings "
+        f"{n_bad} of {len(takes)}: at most {limits[1]:.0f} % | {np.median(seconds):.2f}, {seconds.max():.1f} |",
+        flush=True,
+    )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--kinds", nargs="*", choices=KINDS, default=list(KINDS))
     parser.add_argument("--search", action="store_true")
+    parser.add_argument("--follow", action="store_true")
     parser.add_argument("--reduce", type=int, default=1)
     arguments = parser.parse_args()
+    if arguments.follow:
+        followed = "sure", "degrees: median, worst", "% of the distance", "squared error", "wrong and sure", "seconds"
+        print("| body | " + " | ".join(followed) + " |\n" + 7 * "|---" + "|", flush=True)
+        for kind in arguments.kinds:
+            print_followed(kind, range(arguments.first, arguments.first + arguments.seeds))
+        return
     names = "kind", "degrees", "% of the distance", "squared error", "largest sd, degrees", "found", "right among them"
     print("| " + " | ".join([*names, "sure", "wrong and sure"]) + " |\n" + 9 * "|---" + "|", flush=True)
     for kind in arguments.kinds:
