@@ -109,7 +109,7 @@ _TEXTS: dict[_Described, str] = {
     "object.",
     FrameStatus.FIRST: "The first frame with the object: all other poses are relative to it.",
     FrameStatus.TRACKED: "The object was tracked from the previous frame.",
-    FrameStatus.RELOCALIZED: "The object was found again by its landmarks.",
+    FrameStatus.RELOCALIZED: "The object was found again by its landmarks, or by its shape.",
     FrameStatus.COASTING: "The object was not found; its pose is predicted from its last motion, with growing "
     "uncertainty.",
     FrameStatus.INTERPOLATED: "The object was not found; the refinement of the whole recording interpolates its pose "
@@ -124,7 +124,7 @@ _TEXTS: dict[_Described, str] = {
     FrameStatus.NO_MOTION: "Nothing has moved yet that could be the object: its pose is unknown.",
     FrameStatus.BACKGROUND_ONLY: "Everything observed is static and never moved: it may be background. What moved "
     "before is not visible, so the object's pose is unknown.",
-    FrameStatus.LOCALIZED: "The pose was estimated from this frame alone, by known points on the object.",
+    FrameStatus.LOCALIZED: "The pose was estimated from this frame alone, by known points on the object or by its shape.",
     FrameStatus.ROTATION_NOT_OBSERVABLE: "The rotation is not observable: other rotations explain the observations as "
     "well.",
     FrameStatus.NO_CONSISTENT_POSE: "No single pose explains enough of the observations.",

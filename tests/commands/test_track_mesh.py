@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from benchmarks.contours import draw_cup, make_mesh
 from benchmarks.silhouettes import convex, draw_irregular
-from sylpose import Trajectory, load_trajectory
+from sylpose import Mesh, Trajectory, load_trajectory
 from sylpose.commands.main import main
 from sylpose.io.mesh_files import write_mesh
 from sylpose.rig import Rig
@@ -110,6 +110,7 @@ def test_body_of_revolution_is_never_sure(tmp_path: Path) -> None:
         (["--mesh", "calibration.toml"], "calibration.toml: a mesh is expected"),
         (["--mesh", "empty.stl"], "empty.stl"),
         (["--mesh", "points.obj"], "points.obj"),
+        (["--mesh", "fine.glb"], "faces, of at most"),
         (["--mesh", "part.glb", "--mesh-unit", "mm"], "is its unit right?"),
         (["--mesh", "part.glb", "--mesh-unit", "parsec"], "--mesh-unit"),
         (["--mesh-unit", "mm"], "--mesh-unit"),
@@ -131,6 +132,9 @@ def test_wrong_input(
 ) -> None:
     monkeypatch.chdir(irregular)
     Path("empty.stl").write_bytes(b"")
+    write_mesh(
+        Mesh(np.random.default_rng(1).random((100, 3)), np.arange(90_000).reshape(-1, 3) % 100), Path("fine.glb")
+    )
     Path("points.obj").write_text("v 0 0 0\nv 1 0 0\n")
     assert main(["track", ".", *arguments]) == 2
     error = capsys.readouterr().err

@@ -18,6 +18,8 @@ from sylpose.silhouettes.contour_tracker import ContourTracker, SampledBackgroun
 from sylpose.silhouettes.contours import MIN_POINTS
 from sylpose.silhouettes.rendering import reduce_image
 
+# Faces of a mesh (choice: a search draws it some 40,000 times, in a minute or two).
+MAX_FACES = 20_000
 # Images of a background (choice: as of `sylpose scan`).
 N_IMAGES = 31
 
@@ -26,12 +28,16 @@ def check_mesh_session(session: Session | LiveSession, mesh: Mesh) -> Session:
     """Return the session without masks for all frames, which are no outlines.
 
     Raises:
-        ValueError: a live session, several objects, or a mesh of another size than the cameras can see.
+        ValueError: a live session, several objects, or a mesh of another size than the cameras can see or of too many faces.
     """
     if not isinstance(session, Session):
         raise ValueError("mesh: only recordings, from which the background is estimated")
     if len(session.objects) > 1:
         raise ValueError(f"mesh: one object is expected, not several ({', '.join(session.objects)})")
+    if len(mesh.faces) > MAX_FACES:
+        raise ValueError(
+            f"mesh: {len(mesh.faces)} faces, of at most {MAX_FACES}; simplify it, which hardly moves outlines"
+        )
     check_mesh_size(mesh, session.rig)
     return session.without_static_masks()[0]
 

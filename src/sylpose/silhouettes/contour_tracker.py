@@ -130,10 +130,8 @@ class ContourTracker:
         self._backgrounds = check_sequence(backgrounds, "backgrounds", len(rig), "rig")
         vertices = check_type(mesh, Mesh, "mesh").vertices
         middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
-        self._mesh, self._object_from_mesh = (
-            Mesh(vertices - middle, mesh.faces),
-            RigidTransform.from_translation(middle),
-        )
+        self._mesh = Mesh(vertices - middle, mesh.faces)
+        self._object_from_mesh = RigidTransform.from_translation(middle)
         self._radius = float(np.linalg.norm(self._mesh.vertices, axis=1).max())
         self._cameras = [reduce_camera(camera) for camera in rig]
         self._followed: _Followed | None = None
@@ -152,31 +150,15 @@ class ContourTracker:
         if frames.index == UNNUMBERED:
             frames = replace(frames, index=self._n_frames)
         self._n_frames += 1
-        outlines, before, status = self._find_outlines(frames), self._followed, FrameStatus.TRACKED
-        found = self._follow(list(outlines.values()), frames.time)
-        is_sure = found is not None and before is not None and before.is_sure and _is_determined(found)
-        if found is None and not self._is_lost:
+        outlines = self._find_outlines(frames)
+        found, status = self._find_pose(list(outlines.values()), frames.time)
+        if found is not None and status is not FrameStatus.UNCERTAIN:
             self._wait, self._pause = 0, 1
-        continued = None if found is None else before
-        if not is_sure and (searched := self._search(list(outlines.values()))):
-            # Of poses that look alike, the one that is followed goes on.
-            near = searched[0] if found is None else found
-            found = min(searched, key=lambda one: _measure_angle(one, near.world_from_object))
-            is_sure, continued = found.is_unique and _is_determined(found), None
-            status = FrameStatus.LOCALIZED if before is None else FrameStatus.RELOCALIZED
-        if is_sure:
-            self._wait, self._pause = 0, 1
-        self._is_lost = found is None
-        if found is not None:
-            self._followed = _follow_on(continued, frames.time, found.world_from_object, is_sure)
-        elif before is not None:
-            self._followed = replace(before, velocity=np.zeros(6), is_sure=False)
-        if found is not None and is_sure:
             for camera, background in zip(self._cameras, self._backgrounds, strict=True):
                 if background is not None:
                     background.add_pose(frames.index, self._mesh, camera, found.world_from_object)
         regions = [None if found is None else _draw_region(self._mesh, c, found.world_from_object) for c in self._rig]
-        pose = self._make_pose(frames, [*outlines], found, status if is_sure else FrameStatus.UNCERTAIN)
+        pose = self._make_pose(frames, [*outlines], found, status)
         return [TrackedFrame(pose, frames, (None,) * len(self._rig), tuple(regions), self._radius)]
 
     def flush(self) -> list[TrackedFrame]:
@@ -194,6 +176,27 @@ class ContourTracker:
                 leveled = level_image(reduce_image(image), background.background.color)
                 found[c] = Outline.of(camera, find_silhouette(background.background, leveled))
         return found
+
+    def _find_pose(self, outlines: Sequence[Outline], time: float) -> tuple[Alignment | None, FrameStatus]:
+        """Follow the last pose, and search if the result is not sure; return a pose if there is any, and its status."""
+        before, status = self._followed, FrameStatus.TRACKED
+        found = self._follow(outlines, time)
+        is_sure = found is not None and before is not None and before.is_sure and _is_determined(found)
+        if found is None and not self._is_lost:
+            self._wait, self._pause = 0, 1
+        continued = None if found is None else before
+        if not is_sure and (searched := self._search(outlines)):
+            # Of poses that look alike, the one that is followed goes on.
+            near = searched[0] if found is None else found
+            found = min(searched, key=lambda one: _measure_angle(one, near.world_from_object))
+            is_sure, continued = found.is_unique and _is_determined(found), None
+            status = FrameStatus.LOCALIZED if before is None else FrameStatus.RELOCALIZED
+        self._is_lost = found is None
+        if found is not None:
+            self._followed = _follow_on(continued, time, found.world_from_object, is_sure)
+        elif before is not None:
+            self._followed = replace(before, velocity=np.zeros(6), is_sure=False)
+        return found, status if is_sure else FrameStatus.UNCERTAIN
 
     def _follow(self, outlines: Sequence[Outline], time: float) -> Alignment | None:
         """Return the pose after the last one at constant velocity, else after the last one itself; None without."""
