@@ -12,7 +12,7 @@ late, another body. No noise level is assumed: the camera's own fit measures it,
 
 (R, t) is the motion in question, as the tracker found it: its own error is part of the excess. Residuals are Sampson
 distances in pixels of the same matches in both fits. δ are errors that users must expect: a rotation of the camera, its
-focal length, and its rotation between the two images. Matches whose errors are alike in a part of the image (edges along
+focal length, its rotation between the two images, and in recordings its clock. Matches whose errors are alike in a part of the image (edges along
 which features slide, a mask, compression) are fewer measurements than matches: J_c and RSS_c are divided by the design
 effect of the camera's own residuals.
 
@@ -33,7 +33,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sylpose.geometry.arrays import FloatArray
-from sylpose.geometry.numba_linalg import apply_rotvec, cholesky_solve, compute_median, dot, kernel
+from sylpose.geometry.numba_linalg import apply_rotvec, cholesky_solve, compute_median, dot, kernel, so3_log
 from sylpose.geometry.robust_loss import SIGMA_OF_MEDIAN
 from sylpose.relative_pose.terms import TermData, find_usable
 
@@ -43,8 +43,11 @@ ROTATION_ERROR_SD, FOCAL_ERROR_SD = 0.0052, 0.01
 # Rotation of a camera between the two images, standard deviation, radians, if it trembles or its clock is a little off
 # (choice: 0.1 degrees).
 TREMBLE_SD = 0.0017
-# Unknowns of these errors: a rotation, the focal length, another rotation (derived).
-N_NUISANCES = 7
+# Standard deviation of the time between two images of a camera relative to that of the others, in intervals between frames:
+# shutters open for a part of an interval, webcams deliver unevenly (choice).
+CLOCK_SD_FRAMES = 0.1
+# Unknowns of these errors: a rotation, the focal length, another rotation, the share of the motion (derived).
+N_NUISANCES = 8
 # Unknowns of a camera's own motion, and of the joint one (derived).
 N_OWN, N_JOINT = 5, 6
 # A camera needs twice as many matches as unknowns to have a fit of its own (derived).
@@ -124,7 +127,12 @@ def pool_f_ratios(ratios: FloatArray) -> float:
 
 @kernel
 def compare_motions(
-    x: FloatArray, y: FloatArray, focal: float, rotation: FloatArray, translation: FloatArray
+    x: FloatArray,
+    y: FloatArray,
+    focal: float,
+    rotation: FloatArray,
+    translation: FloatArray,
+    share_sd: float = 0.0,
 ) -> tuple[int, float, float, float, float]:
     """Compare a camera's own motion with the joint one.
 
@@ -133,6 +141,7 @@ def compare_motions(
         focal: focal length, pixels.
         rotation, translation: (3, 3) R and (3,) t of the joint motion in its axes, y ~ R x + t / depth, in units of
             the object's distance.
+        share_sd: standard deviation of the share of the motion that the camera sees, from its clock.
 
     Returns:
         the fields of `CameraEvidence`; the unadjusted excess: with neither calibration errors nor a design effect.
@@ -150,7 +159,7 @@ def compare_motions(
     limit = np.partition(sizes, last)[last]
     for i in range(n):
         own[i] = 1.0 if sizes[i] <= limit else 0.0
-    return _measure_excess(x, y, focal, own, own_rotation, own_translation, rotation, translation)
+    return _measure_excess(x, y, focal, own, own_rotation, own_translation, rotation, translation, share_sd)
 
 
 def measure_excess(
@@ -193,6 +202,7 @@ def _measure_excess(
     own_translation: FloatArray,
     rotation: FloatArray,
     translation: FloatArray,
+    share_sd: float,
 ) -> tuple[int, float, float, float, float]:
     """Fit a camera's own motion, beginning with the weighted matches; return what `compare_motions` does."""
     residuals = np.empty(len(x))
@@ -223,7 +233,7 @@ def _measure_excess(
     for i in range(len(x)):
         own[i] = 1.0 if own[i] > 0.0 and abs(joint[i]) <= limit else 0.0
         own_squares += own[i] * residuals[i] ** 2
-    joint_squares, joint_cost = _marginalize_calibration(x, y, focal, own, rotation, translation, effective)
+    joint_squares, joint_cost = _marginalize_calibration(x, y, focal, own, rotation, translation, effective, share_sd)
     excess = min(max(joint_cost - own_squares / effective, 0.0), MAX_EXCESS)
     unadjusted = max(joint_squares - own_squares, 0.0) / sigma**2
     return count, sigma, np.sqrt(joint_squares / own.sum()), excess, min(unadjusted, MAX_EXCESS)
@@ -390,6 +400,7 @@ def _marginalize_calibration(
     rotation: FloatArray,
     translation: FloatArray,
     variance: float,
+    share_sd: float,
 ) -> tuple[float, float]:
     """Return the sum of squares about the joint motion, and its least cost over calibration errors, to first order."""
     essential, derivatives, slope = np.empty((3, 3)), np.zeros((N_NUISANCES, 3, 3)), np.empty(N_NUISANCES)
@@ -402,6 +413,12 @@ def _marginalize_calibration(
     for a in range(3):
         for b in range(3):
             derivatives[3, a, b] = ((a < 2) + (b < 2)) * essential[a, b]
+    # Of another share of the motion R turns as well; the length of E does not matter.
+    rotvec, turned = np.empty(3), np.zeros((3, 3))
+    so3_log(rotation, rotvec)
+    for k in range(3):
+        turned += rotvec[k] * (GENERATORS[k] @ rotation)
+    _make_essential(turned, translation, derivatives[7])
     normal, right, squares = np.zeros((N_NUISANCES, N_NUISANCES)), np.zeros(N_NUISANCES), 0.0
     for i in range(len(x)):
         if weights[i] > 0.0:
@@ -412,8 +429,8 @@ def _marginalize_calibration(
                 for b in range(N_NUISANCES):
                     normal[a, b] += focal * focal * slope[a] * slope[b] / variance
     for a in range(N_NUISANCES):
-        sd = ROTATION_ERROR_SD if a < 3 else FOCAL_ERROR_SD if a == 3 else TREMBLE_SD
-        normal[a, a] += 1.0 / (sd * sd)
+        sd = ROTATION_ERROR_SD if a < 3 else FOCAL_ERROR_SD if a == 3 else TREMBLE_SD if a < 7 else share_sd
+        normal[a, a] += 1.0 / (sd * sd + 1e-30)
     step = right.copy()
     if not cholesky_solve(normal, step):
         return squares, squares / variance

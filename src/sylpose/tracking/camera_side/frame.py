@@ -23,7 +23,7 @@ from sylpose.landmarks.camera_terms import CUTOFF, REFERENCE_NOISE_PX
 from sylpose.landmarks.landmark_filter import KNOWN_DEPTH_RATIO, Landmarks, LandmarkTable
 from sylpose.matches import STATIC_PX
 from sylpose.relative_pose.camera_evidence import MIN_MATCHES as MIN_EVIDENCE_MATCHES
-from sylpose.relative_pose.camera_evidence import CameraEvidence, compare_motions
+from sylpose.relative_pose.camera_evidence import CLOCK_SD_FRAMES, CameraEvidence, compare_motions
 from sylpose.relative_pose.motion_mixture import MISMATCH_PROBABILITY
 from sylpose.relative_pose.observability import is_more_than_chance
 from sylpose.relative_pose.terms import MIN_MATCHES, TermData
@@ -615,7 +615,8 @@ def add_evidence(
     assert first is not None
     rotation = pose[:3, :3] @ first[:3, :3].T
     translation = (pose[:3, 3] - rotation @ first[:3, 3]) / np.linalg.norm(first[:3, 3])
-    compared = compare_motions(pair.normalized_i, pair.normalized_j, camera.focal, rotation, translation)
+    share_sd = CLOCK_SD_FRAMES / abs(solved.number - pair.reference)
+    compared = compare_motions(pair.normalized_i, pair.normalized_j, camera.focal, rotation, translation, share_sd)
     evidence = CameraEvidence(*compared[:4])
     return replace(agreement, evidence=evidence, evidence_reference=pair.reference if evidence.n else -1)
 
